@@ -1,0 +1,67 @@
+"""becalm: makes noisy sensor signals calm.
+
+A recording goes in; the signal comes out with a standard uncertainty per sample, by a Kalman filter
+that becalm identified, chose and tuned by itself::
+
+    recording = becalm.read("drive.csv")
+    out = becalm.clean(recording)
+    out.signal, out.sigma, out.recipe
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from becalm.cleaning.pipeline import clean, tune
+    from becalm.cleaning.recipe import Recipe
+    from becalm.core import components
+    from becalm.core.filtering import kalman_filter
+    from becalm.core.model import Model
+    from becalm.core.online import Online
+    from becalm.core.recording import Recording
+    from becalm.core.smoothing import kalman_smoother
+    from becalm.files.source import read
+    from becalm.files.writing import write
+
+__all__ = [
+    "Model",
+    "Online",
+    "Recipe",
+    "Recording",
+    "clean",
+    "components",
+    "kalman_filter",
+    "kalman_smoother",
+    "read",
+    "tune",
+    "write",
+]
+
+_HOMES = {
+    "Model": "becalm.core.model",
+    "Online": "becalm.core.online",
+    "Recipe": "becalm.cleaning.recipe",
+    "Recording": "becalm.core.recording",
+    "clean": "becalm.cleaning.pipeline",
+    "kalman_filter": "becalm.core.filtering",
+    "kalman_smoother": "becalm.core.smoothing",
+    "read": "becalm.files",
+    "tune": "becalm.cleaning.pipeline",
+    "write": "becalm.files",
+}
+
+
+def __getattr__(name: str) -> object:
+    """Load a public name when it is first asked for, so that `import becalm` stays light."""
+    if name == "components":
+        return import_module("becalm.core.components")
+    if name in _HOMES:
+        return getattr(import_module(_HOMES[name]), name)
+    raise AttributeError(f"module 'becalm' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    """List the public names."""
+    return __all__

@@ -1,0 +1,1 @@
+"""The honest competitors: what people use today."""

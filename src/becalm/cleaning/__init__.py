@@ -1,0 +1,1 @@
+"""Recipe and pipeline: the only room where the others meet."""

@@ -1,0 +1,131 @@
+"""Does the model describe the signal? Judged by the size of the effect, said in a sentence."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+
+import numpy as np
+
+from becalm.core.arrays import Floats
+from becalm.core.filtering import Estimate
+from becalm.metrics.evenness import uneven_share
+from becalm.metrics.whiteness import mean_nis, whiteness
+
+PREDICTABLE = 0.10
+"""Share of the innovation power that may still be predictable: 10 % costs 5 % in rms prediction."""
+
+UNEVEN = 0.10
+"""Share of the record in which sigma may be wrong by more than a factor of two."""
+
+
+@dataclass(frozen=True)
+class ChannelReport:
+    """What was found and done for one channel.
+
+    Attributes
+    ----------
+    name, unit : str
+        As in the recording.
+    model : str
+        "motion", "constant" or "untold".
+    order : int or None
+        Order of the motion.
+    noise_std : float or None
+        Standard deviation of one reading's noise, in unit.
+    q_over_r : float or None
+        Ratio of process to measurement noise, per median step.
+    bandwidth_hz, lag_s : float or None
+        -3 dB bandwidth and delay of a slow signal.
+    log_likelihood : float or None
+        Of the readings, given the recipe.
+    whiteness_p : float or None
+        Ljung-Box, 20 lags.
+    first_correlation : float or None
+        Of neighbouring innovations; positive: sluggish, negative: nervous.
+    predictable_share : float or None
+        Share of the innovation power that is still predictable.
+    uneven_share : float or None
+        Share of the record whose innovations are half or twice as large as expected, or worse.
+    nis_mean : float or None
+        Mean squared normalised innovation; 1 is right.
+    verdicts : dict
+        How many readings were used, missing, and so on.
+    describes : bool
+        Whether the model describes the signal.
+    says : str
+        The judgement as a sentence, with what to do.
+    """
+
+    name: str = ""
+    unit: str = ""
+    model: str = ""
+    order: int | None = None
+    noise_std: float | None = None
+    q_over_r: float | None = None
+    bandwidth_hz: float | None = None
+    lag_s: float | None = None
+    log_likelihood: float | None = None
+    whiteness_p: float | None = None
+    first_correlation: float | None = None
+    predictable_share: float | None = None
+    uneven_share: float | None = None
+    nis_mean: float | None = None
+    verdicts: dict[str, int] = field(default_factory=dict)
+    describes: bool = True
+    says: str = ""
+
+    def as_dict(self) -> dict[str, object]:
+        """Return the report for JSON; what is unknown is None."""
+        return {key: _finite(value) for key, value in asdict(self).items()}
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What the innovations of one channel say of its model."""
+
+    whiteness_p: float
+    first_correlation: float
+    predictable_share: float
+    uneven_share: float
+    nis_mean: float
+    describes: bool
+    says: str
+
+
+def judge_innovations(estimate: Estimate) -> Judgement:
+    """Judge a filtered channel by its innovations."""
+    normalised: Floats = (estimate.innovations / estimate.innovation_sigma)[:, 0]
+    found, uneven = whiteness(normalised), uneven_share(normalised)
+    faults = []
+    if found.predictable_share > PREDICTABLE:
+        character = "sluggish" if found.first_correlation > 0 else "nervous"
+        faults.append(
+            f"{found.predictable_share:.0%} of the innovation power is still predictable (the filter is {character}:"
+            " coloured noise or a vibration passes for signal)"
+        )
+    if uneven > UNEVEN:
+        faults.append(
+            f"noise or motion changes so much that sigma is wrong by more than a factor of two in {uneven:.0%} of"
+            " the record"
+        )
+    return Judgement(
+        found.p_value,
+        found.first_correlation,
+        found.predictable_share,
+        uneven,
+        mean_nis(normalised),
+        not faults,
+        _sentence(faults),
+    )
+
+
+def _sentence(faults: list[str]) -> str:
+    if not faults:
+        return "The model describes the signal."
+    return f"The model does not describe this signal: {'; and '.join(faults)}."
+
+
+def _finite(value: object) -> object:
+    if isinstance(value, float | np.floating):
+        return float(value) if np.isfinite(value) else None
+    return value

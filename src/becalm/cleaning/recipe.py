@@ -1,0 +1,181 @@
+"""Recipe: what was decided for each channel, as TOML that a person can read and change."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal, NamedTuple, Self
+
+import tomlkit
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from becalm.errors import RecipeError
+
+VERSION: Literal[1] = 1
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+
+_HEADER = """A recipe of becalm: what was decided for each channel.
+Use it again:  becalm clean FILE -o OUT --recipe THIS
+A small process_noise_density trusts the model and smooths more; a small noise_std trusts the readings."""
+
+
+class _Settings(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class TunedMotion(NamedTuple):
+    """The numbers of a motion, all there."""
+
+    order: int
+    process_noise_density: float
+    noise_std: float
+
+
+class ChannelRecipe(_Settings):
+    """The filter of one channel.
+
+    Attributes
+    ----------
+    name, unit : str
+        As in the recording.
+    model : {"motion", "constant", "untold"}
+        "motion" is filtered; "constant" and "untold" (too few readings) pass unchanged.
+    order : int or None
+        Which derivative of the signal is driven by white noise.
+    process_noise_density : float or None
+        q, in unit^2/s^(2 order - 1); a *small* one trusts the model and smooths more.
+    noise_std : float or None
+        Standard deviation of one reading's noise, in unit; a *small* one trusts the readings.
+    """
+
+    name: str
+    unit: str = ""
+    model: Literal["motion", "constant", "untold"]
+    order: Annotated[int, Field(ge=1, le=5)] | None = None
+    process_noise_density: NotNegative | None = None
+    noise_std: Positive | None = None
+
+    @model_validator(mode="after")
+    def _complete(self) -> Self:
+        if self.model == "motion" and None in (self.order, self.process_noise_density, self.noise_std):
+            raise ValueError("a motion needs order, process_noise_density and noise_std")
+        return self
+
+    @property
+    def motion(self) -> TunedMotion | None:
+        """The motion's numbers, or None if the channel passes unchanged."""
+        if self.order is None or self.process_noise_density is None or self.noise_std is None:
+            return None
+        return TunedMotion(self.order, self.process_noise_density, self.noise_std)
+
+
+class Origin(_Settings):
+    """The recording that a recipe was tuned on.
+
+    Attributes
+    ----------
+    sha256 : str
+        Hash of the file; empty if there was none.
+    rows : int
+        Samples.
+    rate_hz : float
+        Samples per second, by the median step.
+    becalm : str
+        Version that tuned it.
+    """
+
+    sha256: str = ""
+    rows: int = 0
+    rate_hz: Positive
+    becalm: str = ""
+
+
+class Recipe(_Settings):
+    """What was decided for a recording.
+
+    Attributes
+    ----------
+    becalm_recipe : int
+        Version of this format.
+    mode : {"smoothed", "causal"}
+        Whether estimates know the later readings.
+    time : str or None
+        Name of the time column, if it had to be said.
+    rate_hz : float or None
+        Rate that replaces the time column, if it was said.
+    tuned_on : Origin
+        Where the numbers come from.
+    channel : tuple of ChannelRecipe
+        One for each channel to clean.
+    """
+
+    becalm_recipe: Literal[1] = VERSION
+    mode: Literal["smoothed", "causal"] = "smoothed"
+    time: str | None = None
+    rate_hz: Positive | None = None
+    tuned_on: Origin
+    channel: tuple[ChannelRecipe, ...]
+
+    @model_validator(mode="after")
+    def _names_differ(self) -> Self:
+        names = [channel.name for channel in self.channel]
+        if len(set(names)) != len(names):
+            raise ValueError("two channels have the same name")
+        return self
+
+    def to_toml(self) -> str:
+        """Write the recipe as TOML; the same recipe gives the same text."""
+        document = tomlkit.document()
+        for line in _HEADER.splitlines():
+            document.add(tomlkit.comment(line))
+        for key, value in self.model_dump(exclude_none=True, exclude={"channel", "tuned_on"}).items():
+            document.add(key, value)
+        document.add("tuned_on", tomlkit.item(self.tuned_on.model_dump()))
+        channels = tomlkit.aot()
+        for channel in self.channel:
+            channels.append(tomlkit.item(channel.model_dump(exclude_none=True)))
+        document.add("channel", channels)
+        return tomlkit.dumps(document)
+
+    @classmethod
+    def from_toml(cls, text: str, source: str = "The recipe") -> Recipe:
+        """Read a recipe.
+
+        Raises
+        ------
+        RecipeError
+            If the text is not TOML, or a value is missing, unknown or impossible.
+        """
+        try:
+            return cls.model_validate(tomlkit.parse(text).unwrap())
+        except ValidationError as cause:
+            faults = "; ".join(_fault(error["loc"], error["msg"]) for error in cause.errors())
+            raise RecipeError(
+                f"{source} does not say what a recipe must: {faults}. Make one with: becalm tune FILE -o R.toml"
+            ) from cause
+        except (tomlkit.exceptions.TOMLKitError, ValueError) as cause:
+            raise RecipeError(f"{source} is not TOML ({cause}). Make one with: becalm tune FILE -o R.toml") from cause
+
+    @classmethod
+    def load(cls, path: str | Path) -> Recipe:
+        """Read a recipe from a file.
+
+        Raises
+        ------
+        RecipeError
+            If the file cannot be read or is not a recipe.
+        """
+        try:
+            text = Path(path).read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as cause:
+            reason = getattr(cause, "strerror", None) or "it is not UTF-8 text"
+            raise RecipeError(
+                f"The recipe {path} cannot be read: {reason}. Make one with: becalm tune FILE -o {path}"
+            ) from cause
+        return cls.from_toml(text, f"The recipe {path}")
+
+
+def _fault(location: tuple[int | str, ...], message: str) -> str:
+    where = ".".join(str(part + 1) if isinstance(part, int) else part for part in location)
+    return f"{where}: {message}" if where else message

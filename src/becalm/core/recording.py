@@ -1,0 +1,139 @@
+"""Recording: samples, channel names, units and time; frozen; the currency between rooms."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from becalm.core.arrays import Floats, frozen
+from becalm.core.timebase import Timebase
+from becalm.errors import RecordingError
+
+
+class Recording:
+    """Samples of one or more channels that share one time base.
+
+    Parameters
+    ----------
+    samples : (N, m) or (N,) array_like
+        One row a sample, one column a channel, each in its own unit; NaN where a channel has no
+        reading. Copied; the caller's array is never changed.
+    names : sequence of m str, optional
+        Channel names, all different; `channel_0`, `channel_1`, ... by default.
+    units : sequence of m str, optional
+        Units as text, "" where unknown.
+    rate_hz : float, optional
+        Samples per second of an even time base.
+    times_s : (N,) array_like, optional
+        Time of each sample in seconds, never decreasing.
+    timebase : Timebase, optional
+        A time base made before; give exactly one of these three.
+
+    Raises
+    ------
+    RecordingError
+        If shapes, names or units do not agree, or not exactly one kind of time was given.
+    TimeError
+        If the times cannot serve as time.
+    """
+
+    def __init__(  # noqa: PLR0913  (what a recording is, each by its name)
+        self,
+        samples: ArrayLike,
+        *,
+        names: Sequence[str] | None = None,
+        units: Sequence[str] | None = None,
+        rate_hz: float | None = None,
+        times_s: ArrayLike | None = None,
+        timebase: Timebase | None = None,
+    ) -> None:
+        self.samples: Floats = _checked_samples(samples)
+        count, width = self.samples.shape
+        self.names: tuple[str, ...] = _checked_names(names, width)
+        self.units: tuple[str, ...] = _checked_units(units, width)
+        if sum(given is not None for given in (rate_hz, times_s, timebase)) != 1:
+            raise RecordingError("Give exactly one of rate_hz, times_s and timebase.")
+        if rate_hz is not None:
+            timebase = Timebase.even(count, rate_hz)
+        elif times_s is not None:
+            timebase = Timebase.from_stamps(times_s)
+        if timebase is None or timebase.count != count:
+            raise RecordingError(
+                f"{count} samples need {count} times; {timebase and timebase.count} came."
+            )
+        self.timebase: Timebase = timebase
+
+    @property
+    def rate_hz(self) -> float:
+        """Samples per second, by the median step."""
+        return self.timebase.rate_hz
+
+    @property
+    def times_s(self) -> Floats:
+        """Time of each sample, (N,), in seconds."""
+        return self.timebase.times_s
+
+    def __len__(self) -> int:
+        """Return the number of samples."""
+        return len(self.samples)
+
+    def __repr__(self) -> str:
+        """Say the size, the rate and the channels."""
+        return f"Recording({len(self)} samples at {self.rate_hz:.6g} Hz: {', '.join(self.names)})"
+
+    def channel(self, name: str) -> Floats:
+        """Return the samples of one channel, (N,).
+
+        Raises
+        ------
+        RecordingError
+            If there is no channel of that name.
+        """
+        if name not in self.names:
+            raise RecordingError(f"There is no channel {name!r}; there are {', '.join(map(repr, self.names))}.")
+        return self.samples[:, self.names.index(name)]
+
+    def select(self, names: Sequence[str]) -> Recording:
+        """Return a recording of the named channels, in the order asked."""
+        columns = [self.channel(name) for name in names]
+        units = [self.units[self.names.index(name)] for name in names]
+        samples = np.column_stack(columns) if columns else np.empty((len(self), 0))
+        return Recording(samples, names=names, units=units, timebase=self.timebase)
+
+    def with_samples(self, samples: ArrayLike) -> Recording:
+        """Return the same channels and times with other samples, (N, m)."""
+        return Recording(samples, names=self.names, units=self.units, timebase=self.timebase)
+
+
+def _checked_samples(samples: ArrayLike) -> Floats:
+    try:
+        own = frozen(samples)
+    except (TypeError, ValueError) as cause:
+        raise RecordingError(f"The samples are not an array of numbers ({cause}).") from cause
+    if own.ndim == 1:
+        own = own[:, np.newaxis]
+    if own.ndim != 2:
+        raise RecordingError(f"samples has shape {own.shape}; (N, channels) or (N,) is needed.")
+    return own
+
+
+def _checked_names(names: Sequence[str] | None, width: int) -> tuple[str, ...]:
+    if isinstance(names, str):
+        names = (names,)
+    own = tuple(f"channel_{i}" for i in range(width)) if names is None else tuple(map(str, names))
+    if len(own) != width:
+        raise RecordingError(f"{len(own)} names came for {width} channels: {own}.")
+    if len(set(own)) != width:
+        raise RecordingError(f"Channel names must differ; these came: {own}.")
+    return own
+
+
+def _checked_units(units: Sequence[str] | None, width: int) -> tuple[str, ...]:
+    if isinstance(units, str):
+        units = (units,)
+    own = ("",) * width if units is None else tuple(map(str, units))
+    if len(own) != width:
+        raise RecordingError(f"{len(own)} units came for {width} channels: {own}.")
+    return own

@@ -1,0 +1,115 @@
+"""The specification: predict, update and smooth in plain NumPy with numbered equations.
+
+Never optimised. The kernels are its twins and must agree with it to 1e-12. Sources: Kalman 1960;
+Joseph's form after Bucy and Joseph 1968; the smoother after Bryson and Frazier 1963 in the form of
+Bierman 1973, which needs no inverse of a covariance, so that singular P0, Q = 0 and R = 0 all work.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from becalm.core.arrays import Floats
+
+
+class Belief(NamedTuple):
+    """What is known of the state at one time."""
+
+    mean: Floats  # x, (n,)
+    cov: Floats  # P, (n, n)
+
+
+class Step(NamedTuple):
+    """What one reading taught."""
+
+    predicted: Belief
+    filtered: Belief
+    innovation: Floats  # nu, (m,), NaN where a channel did not arrive
+    innovation_cov: Floats  # S, of the channels that arrived
+    log_likelihood: float
+
+
+def predict(belief: Belief, F: Floats, Q: Floats) -> Belief:
+    """Carry a belief one step forward in time."""
+    x, P = belief
+    return Belief(F @ x, F @ P @ F.T + Q)  # (1), (2)
+
+
+def update(belief: Belief, H: Floats, R: Floats, reading: Floats) -> Step:
+    """Learn from the channels that arrived; NaN means that one did not."""
+    x, P = belief
+    arrived = np.isfinite(reading)
+    H, R = H[arrived], R[np.ix_(arrived, arrived)]
+    nu = reading[arrived] - H @ x  # (3) innovation
+    S = H @ P @ H.T + R  # (4) innovation covariance
+    S_inverse = np.linalg.pinv(S, rcond=1e-15, hermitian=True).astype(np.float64)
+    K = P @ H.T @ S_inverse  # (5) gain
+    A = np.eye(len(x)) - K @ H
+    filtered = Belief(x + K @ nu, A @ P @ A.T + K @ R @ K.T)  # (6), (7) Joseph
+    innovation = np.full(len(reading), np.nan)
+    innovation[arrived] = nu
+    return Step(belief, filtered, innovation, S, _log_density(nu, S, S_inverse))
+
+
+def _log_density(nu: Floats, S: Floats, S_inverse: Floats) -> float:
+    """Log of the normal density; directions without variance carry no information (8)."""
+    eigenvalues = np.linalg.eigvalsh(S)
+    live = eigenvalues[eigenvalues > 1e-15 * eigenvalues.max(initial=0.0)]
+    return float(-0.5 * (np.log(2 * np.pi * live).sum() + nu @ S_inverse @ nu))
+
+
+def filter_readings(belief: Belief, F: Floats, Q: Floats, sensor: tuple[Floats, Floats], z: Floats) -> list[Step]:
+    """Run over z (N, m), starting from what is believed before the first reading."""
+    H, R = sensor
+    steps = []
+    for k, reading in enumerate(z):
+        belief = predict(belief, F, Q) if k else belief
+        steps.append(update(belief, H, R, reading))
+        belief = steps[-1].filtered
+    return steps
+
+
+def smooth(steps: list[Step], F: Floats, H: Floats) -> list[Belief]:
+    """Go back over a filtered record; each belief then knows the later readings too."""
+    n = len(F)
+    r, N = np.zeros(n), np.zeros((n, n))  # what the future says, and how surely
+    smoothed = []
+    for step in reversed(steps):
+        x, P = step.filtered
+        smoothed.append(Belief(x + P @ r, P - P @ N @ P))  # (9), (10)
+        arrived = np.isfinite(step.innovation)
+        H_k = H[arrived]
+        S_inverse = np.linalg.pinv(step.innovation_cov, rcond=1e-15, hermitian=True)
+        K = step.predicted.cov @ H_k.T @ S_inverse
+        A = np.eye(n) - K @ H_k
+        r = F.T @ (H_k.T @ S_inverse @ step.innovation[arrived] + A.T @ r)  # (11)
+        N = F.T @ (H_k.T @ S_inverse @ H_k + A.T @ N @ A) @ F  # (12)
+    return smoothed[::-1]
+
+
+class Prediction(NamedTuple):
+    """One step of the one-step-prediction form."""
+
+    state: Floats  # x(n+1 | n)
+    cov: Floats  # P(n+1, n)
+    filtered_cov: Floats
+    gain: Floats  # K_G, F included
+
+
+def predict_one_step(
+    belief: Belief, F: Floats, Q: Floats, sensor: tuple[Floats, Floats], reading: Floats
+) -> Prediction:
+    """Take one step of the car paper's Appendix B; complex (Hermitian) signals are allowed.
+
+    The state carried is the prediction x(n+1 | n), the gain includes F, and
+    x(n+1 | n) = F x(n | n) of `update`.
+    """
+    H, R = sensor
+    x, P = belief
+    S = H @ P @ H.conj().T + R
+    K_G = F @ P @ H.conj().T @ np.linalg.inv(S)  # (13)
+    ahead = F @ x + K_G @ (reading - H @ x)  # (14)
+    filtered = P - np.linalg.solve(F, K_G @ H @ P)  # (15)
+    return Prediction(ahead, F @ filtered @ F.conj().T + Q, filtered, K_G)  # (16)

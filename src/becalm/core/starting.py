@@ -1,0 +1,137 @@
+"""Start from the first readings alone: a flat prior, carried as information until the state is known.
+
+Information is Y = P^-1 and y = P^-1 x; nothing known is Y = 0, exactly. Rows up to the one where the
+readings determine the state are the *opening*; from there on the covariance form runs. Going back,
+each opening row is regressed on the one after it, which needs no inverse of Q. Source of the
+information form: Fraser and Potter, IEEE TAC-14 (1969) 387; Anderson and Moore 1979, section 6.3.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from becalm.core.arrays import Floats, Integers
+from becalm.core.kernel_steps import System
+from becalm.core.model import Model
+from becalm.errors import ModelError
+
+_WELL_DETERMINED = 1e-6  # smallest eigenvalue of the information, scaled to a unit diagonal
+_IN_RANGE = 1e-9
+
+
+class Information(NamedTuple):
+    """What is known of the state, possibly nothing in some directions."""
+
+    Y: Floats  # (n, n) inverse covariance
+    y: Floats  # (n,)
+
+
+class Opening(NamedTuple):
+    """The first rows of a record, until the state is known."""
+
+    known: bool  # whether the readings ever determine the state
+    rows: int  # rows in the opening; the last of them is the first with a known state
+    information: list[Information]  # after each row from the first reading on
+    first: int  # the row of the first reading
+    x: Floats  # (n,) state at the last row of the opening
+    P: Floats  # (n, n)
+
+
+def open_record(model: Model, system: System, which: Integers, z: Floats) -> Opening:
+    """Gather information from z (N, m) until the state is known.
+
+    Raises
+    ------
+    ModelError
+        If F or R has no inverse; such a model needs x0 and P0.
+    """
+    _refuse_singular(system)
+    n = model.states
+    now = Information(model.unobservable @ model.unobservable.T, np.zeros(n))
+    readings = np.isfinite(z).any(axis=1)
+    first = int(readings.argmax()) if readings.any() else len(z)
+    gathered: list[Information] = []
+    for k in range(first, len(z)):
+        if gathered:
+            now = carry(now, system.F[which[k]], system.Q[which[k]])
+        now = learn(now, system.H, system.R, z[k])
+        gathered.append(now)
+        if is_determined(now.Y):
+            P = _symmetric_inverse(now.Y)
+            return Opening(True, k + 1, gathered, first, P @ now.y, P)
+    return Opening(False, len(z), gathered, first, np.zeros(n), np.zeros((n, n)))
+
+
+def carry(now: Information, F: Floats, Q: Floats) -> Information:
+    """Predict one step: Y becomes (I + M Q)^-1 M with M = F^-T Y F^-1."""
+    back = np.linalg.inv(F)
+    M, b = back.T @ now.Y @ back, back.T @ now.y
+    loss = np.linalg.inv(np.eye(len(M)) + M @ Q)
+    Y = loss @ M
+    return Information((Y + Y.T) / 2, loss @ b)
+
+
+def learn(now: Information, H: Floats, R: Floats, reading: Floats) -> Information:
+    """Add the information of the channels that arrived."""
+    arrived = np.isfinite(reading)
+    if not arrived.any():
+        return now
+    H = H[arrived]
+    weighted = H.T @ np.linalg.inv(R[np.ix_(arrived, arrived)])
+    return Information(now.Y + weighted @ H, now.y + weighted @ reading[arrived])
+
+
+def is_determined(Y: Floats) -> bool:
+    """Whether the information, scaled to a unit diagonal, has no weak direction."""
+    diagonal = np.diag(Y)
+    if not (diagonal > 0).all():
+        return False
+    scale = 1 / np.sqrt(diagonal)
+    return bool(np.linalg.eigvalsh(Y * np.outer(scale, scale))[0] > _WELL_DETERMINED)
+
+
+def estimable(now: Information, H: Floats) -> tuple[Floats, Floats]:
+    """Return H x and its variance, (m,) each; NaN and inf where the readings do not tell yet."""
+    scale = np.sqrt(np.diag(now.Y))
+    scale[scale == 0] = 1.0
+    values, vectors = np.linalg.eigh(now.Y / np.outer(scale, scale))
+    live = values > _IN_RANGE
+    basis = vectors[:, live] / scale[:, np.newaxis]
+    inverse = (basis / values[live]) @ basis.T
+    signal, variance = H @ inverse @ now.y, np.einsum("ai,ij,aj->a", H, inverse, H)
+    hidden = (H / scale) @ vectors[:, ~live]
+    unknown = np.abs(hidden).max(axis=1, initial=0.0) > 1e-6 * np.abs(H / scale).max(axis=1)
+    return np.where(unknown, np.nan, signal), np.where(unknown, np.inf, variance)
+
+
+class Regression(NamedTuple):
+    """The state of one row, given the state of the row after it: x = J x' + c, covariance W."""
+
+    J: Floats
+    c: Floats
+    W: Floats
+
+
+def regress(now: Information, F: Floats, Q: Floats) -> Regression:
+    """Find what the next state says of this one, beside what this one's own readings say."""
+    back = np.linalg.inv(F)
+    M, b = back.T @ now.Y @ back, back.T @ now.y
+    W = Q @ np.linalg.inv(np.eye(len(M)) + M @ Q)  # of the noise of the step, given both
+    return Regression(back @ (np.eye(len(M)) - W @ M), back @ W @ b, back @ W @ back.T)
+
+
+def _symmetric_inverse(Y: Floats) -> Floats:
+    scale = 1 / np.sqrt(np.diag(Y))
+    P = np.linalg.inv(Y * np.outer(scale, scale)) * np.outer(scale, scale)
+    return (P + P.T) / 2
+
+
+def _refuse_singular(system: System) -> None:
+    for name, matrix in (("F", system.F[0]), ("R", system.R)):
+        if not (np.linalg.cond(matrix) < 1e14):
+            raise ModelError(
+                f"{name} has no inverse, so the filter cannot start from the first readings alone. "
+                "Give x0 and P0, the state expected before the first reading and its covariance."
+            )

@@ -1,0 +1,1 @@
+"""How a signal is judged: with truth, and without."""

@@ -1,0 +1,18 @@
+"""Judging a signal whose truth is known."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from becalm.core.arrays import Floats
+
+
+def rms_error(signal: Floats, truth: Floats) -> float:
+    """Return the root mean square of signal minus truth, same unit; NaN is left out."""
+    return float(np.sqrt(np.nanmean((signal - truth) ** 2)))
+
+
+def coverage(signal: Floats, sigma: Floats, truth: Floats) -> float:
+    """Return the share of samples whose truth lies within one sigma of the signal; 0.683 is right."""
+    told = np.isfinite(signal) & np.isfinite(sigma)
+    return float(np.mean(np.abs(signal - truth)[told] <= sigma[told]))

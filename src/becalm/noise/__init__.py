@@ -1,0 +1,1 @@
+"""Where Q and R come from."""

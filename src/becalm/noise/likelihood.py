@@ -1,0 +1,181 @@
+"""Maximum likelihood of a motion's tuning, with the noise variance concentrated out.
+
+For a given ratio q/r the filter's gains are known, and the best r is the mean of nu^2 / S found with
+r = 1; one number is left to search. Source: Harvey, Forecasting, Structural Time Series Models and
+the Kalman Filter (1989), section 4.2; Schweppe, IEEE TIT-11 (1965) 61.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from becalm.core import starting
+from becalm.core.arrays import Floats, Integers
+from becalm.core.components import motion
+from becalm.core.filtering import Timeline, elapsed_timeline
+from becalm.core.kernel_steps import new_state
+from becalm.core.kernels import score
+
+UNSCORED = 3
+"""Readings that only start the filter, for every order alike, so that likelihoods compare."""
+
+_SLOWEST_CYCLES = 0.2  # of the record: slower cut-offs are a polynomial
+_FASTEST = 4.0  # radians a step: faster cut-offs pass everything
+_GRID_POINTS = 17
+_FALLS = 3  # points downhill in a row after which slower cut-offs are not tried
+_DEEP = 50.0  # and this much less likely
+_PRECISION = 3e-3  # of the logarithm of the cut-off: far below its standard error
+
+
+class Score(NamedTuple):
+    """How well one tuning predicts."""
+
+    log_likelihood: float
+    noise_variance: float  # r, in unit^2
+    used: int
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """A motion of one order, tuned.
+
+    Attributes
+    ----------
+    order : int
+        Which derivative is driven by white noise.
+    ratio : float
+        q/r with q in unit^2/step^(2n-1): the density of that noise over the variance of a reading.
+    noise_variance : float
+        r, in unit^2.
+    log_likelihood : float
+        Exact, of all readings but the first three.
+    count : int
+        Readings scored.
+    at_edge : {"", "low", "high"}
+        Whether the search ended at its slowest or fastest filter.
+    """
+
+    order: int
+    ratio: float
+    noise_variance: float
+    log_likelihood: float
+    count: int
+    at_edge: str = ""
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Readings that arrived, and the time between them, ready to be scored.
+
+    Attributes
+    ----------
+    z : (N, 1) float array
+        Finite readings, in their unit.
+    elapsed : (N,) float array
+        Steps since the reading before.
+    """
+
+    z: Floats
+    elapsed: Floats
+
+    @classmethod
+    def of(cls, readings: Floats, elapsed: Floats) -> Evidence:
+        """Keep the finite readings (N,); time passes across the others."""
+        seen = np.flatnonzero(np.isfinite(readings))
+        times = np.cumsum(elapsed)[seen]
+        whole = np.diff(times, prepend=times[:1])
+        if np.array_equal(np.round(elapsed), elapsed):
+            whole = np.round(whole)
+        return cls(np.ascontiguousarray(readings[seen, np.newaxis]), whole)
+
+    def head(self, count: int) -> Evidence:
+        """Return the first readings alone."""
+        return Evidence(self.z[:count], self.elapsed[:count])
+
+
+class Candidate:
+    """A motion of one order over a record, to be scored at any ratio q/r."""
+
+    def __init__(self, order: int, evidence: Evidence) -> None:
+        self.order = order
+        self.evidence = evidence
+        self._unit: Timeline = elapsed_timeline(motion(order), 1.0, evidence.elapsed)
+
+    def score(self, ratio: float) -> Score:
+        """Return the likelihood at q/r = `ratio`, maximised over r."""
+        z, which = self.evidence.z, self._unit.which
+        system = self._unit.system._replace(Q=self._unit.system.Q * ratio)
+        model = motion(self.order, ratio).to_model(1.0, 1.0)
+        opening = starting.open_record(model, system, which, z)
+        if not opening.known or opening.rows >= len(z):
+            return Score(-np.inf, 0.0, 0)
+        state = new_state(opening.x, opening.P, 1)
+        rest: Integers = which[opening.rows :]
+        squares, log_det, count = score(system, rest, z[opening.rows :], state, max(0, UNSCORED - opening.rows))
+        if count == 0:
+            return Score(-np.inf, 0.0, 0)
+        r = max(squares / count, self._smallest_variance())
+        return Score(-0.5 * (count * (np.log(2 * np.pi * r) + 1) + log_det), r, count)
+
+    def _smallest_variance(self) -> float:
+        """Return what rounding alone leaves of a noise-free record, in unit^2."""
+        largest = float(np.abs(self.evidence.z).max(initial=0.0))
+        return (np.finfo(float).eps * largest) ** 2 + np.finfo(float).tiny
+
+
+def cutoff_to_ratio(order: int, cutoff: float) -> float:
+    """Return q/r of the steady motion filter with its cut-off in radians a step (facts of section 3.6)."""
+    return float(cutoff ** (2 * order))
+
+
+def tune_motion(order: int, evidence: Evidence) -> Tuning:
+    """Find the ratio q/r of one order by maximum likelihood.
+
+    Parameters
+    ----------
+    order : int
+        1 to 5.
+    evidence : Evidence
+        At least order + 4 readings.
+
+    Notes
+    -----
+    A grid over the logarithm of the cut-off finds the region, from the fastest downwards and until
+    the likelihood has fallen far; Brent's method finds the maximum.
+    """
+    span = max(float(evidence.elapsed.sum()), 4.0)
+    slowest, fastest = 2 * np.pi * _SLOWEST_CYCLES / span, _FASTEST
+    grid = np.linspace(np.log(fastest), np.log(slowest), _GRID_POINTS)
+    candidate = Candidate(order, evidence)
+
+    def cost(log_cutoff: float) -> float:
+        return -candidate.score(cutoff_to_ratio(order, float(np.exp(log_cutoff)))).log_likelihood
+
+    costs = _descend(cost, grid)
+    best = int(np.argmin(costs))
+    low, high = grid[min(best + 1, len(grid) - 1)], grid[max(best - 1, 0)]
+    found = minimize_scalar(cost, bounds=(low, high), method="bounded", options={"xatol": _PRECISION})
+    log_cutoff = float(found.x) if found.fun <= costs[best] else float(grid[best])
+    ratio = cutoff_to_ratio(order, float(np.exp(log_cutoff)))
+    final = candidate.score(ratio)
+    near = 0.05 * (grid[0] - grid[1])
+    edge = "low" if log_cutoff < grid[-1] + near else "high" if log_cutoff > grid[0] - near else ""
+    return Tuning(order, ratio, final.noise_variance, float(final.log_likelihood), final.used, edge)
+
+
+def _descend(cost: Callable[[float], float], grid: Floats) -> list[float]:
+    """Return the cost of each grid point, until it has risen for good."""
+    costs: list[float] = []
+    for point in grid:
+        costs.append(cost(float(point)))
+        since = len(costs) - 1 - int(np.argmin(costs))
+        rising = since >= _FALLS and all(a < b for a, b in pairwise(costs[-_FALLS - 1 :]))
+        if rising and costs[-1] > min(costs) + _DEEP:
+            break
+    return costs
