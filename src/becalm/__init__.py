@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from becalm.core.online import Online
     from becalm.core.recording import Recording
     from becalm.core.smoothing import kalman_smoother
-    from becalm.files.source import read
+    from becalm.files.reading import read
     from becalm.files.writing import write
 
 __all__ = [
@@ -47,9 +47,9 @@ _HOMES = {
     "clean": "becalm.cleaning.pipeline",
     "kalman_filter": "becalm.core.filtering",
     "kalman_smoother": "becalm.core.smoothing",
-    "read": "becalm.files",
+    "read": "becalm.files.reading",
     "tune": "becalm.cleaning.pipeline",
-    "write": "becalm.files",
+    "write": "becalm.files.writing",
 }
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import zipfile
+import zlib
 from typing import Self
 
 import numpy as np
@@ -113,7 +115,7 @@ class Online:
             if "state_x" in arrays:
                 blank = new_state(arrays["state_x"], arrays["state_P"], online.model.channels)
                 online._state = blank._replace(**{name: arrays[f"state_{name}"] for name in _MOVING})
-        except (KeyError, ValueError, OSError, EOFError, TypeError) as cause:
+        except (KeyError, ValueError, OSError, EOFError, TypeError, zipfile.BadZipFile, zlib.error) as cause:
             if isinstance(cause, ModelError):
                 raise
             raise ModelError(

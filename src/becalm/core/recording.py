@@ -60,9 +60,7 @@ class Recording:
         elif times_s is not None:
             timebase = Timebase.from_stamps(times_s)
         if timebase is None or timebase.count != count:
-            raise RecordingError(
-                f"{count} samples need {count} times; {timebase and timebase.count} came."
-            )
+            raise RecordingError(f"{count} samples need {count} times; {timebase and timebase.count} came.")
         self.timebase: Timebase = timebase
 
     @property

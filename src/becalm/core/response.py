@@ -104,8 +104,9 @@ def steady(model: Model) -> SteadyFilter:
     eye = np.eye(model.states)
     A, G, P = model.F.T.copy(), model.H.T @ model.H / R, model.process_covariance.copy()
     for _ in range(_DOUBLINGS):
-        W = np.linalg.inv(eye + G @ P)
-        A, G, ahead = A @ W @ A, G + A @ W @ G @ A.T, P + A.T @ P @ W @ A
+        with np.errstate(over="ignore", invalid="ignore"):  # refused just below
+            W = np.linalg.inv(eye + G @ P)
+            A, G, ahead = A @ W @ A, G + A @ W @ G @ A.T, P + A.T @ P @ W @ A
         if not np.isfinite(ahead).all():
             raise ModelError("This model has no steady gain; some state is never observed and grows.")
         settled = np.abs(ahead - P).max() <= 1e-15 * np.abs(ahead).max()

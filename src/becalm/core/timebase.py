@@ -78,14 +78,14 @@ class Timebase:
         distances = np.diff(stamps)
         _refuse_impossible(stamps, distances)
         step = float(np.median(distances))
-        steps = np.round(distances / step)
+        near = distances[distances <= GAP_STEPS * step]
+        steps = np.round(distances / near.mean())  # the mean, since rounding moves the median
         grid = np.concatenate([[0.0], np.cumsum(steps)])
         fitted, residual = _line(grid, stamps)
-        tolerance = max(_ROUNDING * _last_digit(stamps), _CLOCK * step)
+        tolerance = max(_ROUNDING * _last_digit(stamps), _CLOCK * step) + 2 * np.spacing(np.abs(stamps).max())
         if np.all(steps >= 1) and np.abs(residual).max() <= tolerance:
             elapsed = np.concatenate([[0.0], steps])
             return cls(frozen(elapsed), fitted, float(stamps[0]), True, float(residual.std()))
-        near = distances[distances <= GAP_STEPS * step]
         elapsed = np.concatenate([[0.0], distances / step])
         return cls(frozen(elapsed), step, float(stamps[0]), False, float((near - step).std()))
 

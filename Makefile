@@ -1,0 +1,55 @@
+# README's two commands, on a machine with git, make and Python 3.11 or newer.
+PYTHON ?= python3
+BIN := .venv/bin
+WORKERS ?= 2
+
+.PHONY: demo test lint types arrows fast slow bench lock clean
+
+demo: .venv/installed
+	$(BIN)/becalm demo -o demo
+
+test: lint types arrows fast slow
+
+lint: .venv/tested
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: .venv/tested
+	$(BIN)/mypy
+
+arrows: .venv/tested
+	$(BIN)/lint-imports
+
+fast: .venv/tested
+	$(BIN)/pytest -n $(WORKERS) --dist worksteal -m "not slow"
+
+slow: .venv/tested
+	$(BIN)/pytest -n $(WORKERS) --dist worksteal -m slow
+
+bench: .venv/tested
+	$(BIN)/python benchmarks/accuracy.py -o docs/accuracy.md
+	$(BIN)/python benchmarks/speed.py -o docs/speed.md
+	$(BIN)/python docs/real_files.py -o docs/real-files.md
+
+.venv/bin/python:
+	$(PYTHON) -c "import sys; sys.exit(sys.version_info < (3, 11) and 'becalm needs Python 3.11 or newer; say which: make PYTHON=python3.12')"
+	$(PYTHON) -m venv .venv
+
+.venv/installed: .venv/bin/python requirements.lock pyproject.toml
+	$(BIN)/python -m pip install --quiet --require-hashes -r requirements.lock
+	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --editable .
+	touch $@
+
+.venv/tested: .venv/bin/python requirements-test.lock pyproject.toml
+	$(BIN)/python -m pip install --quiet --require-hashes -r requirements-test.lock
+	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --editable .
+	touch $@
+
+# The locks hold names, versions and hashes, no addresses.
+lock: .venv/bin/python
+	$(BIN)/python -m pip install --quiet uv
+	$(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-annotate --no-header --no-emit-index-url --no-emit-find-links --extra build pyproject.toml -o requirements.lock
+	$(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-annotate --no-header --no-emit-index-url --no-emit-find-links --extra build --extra test pyproject.toml -o requirements-test.lock
+
+clean:
+	rm -rf .venv demo

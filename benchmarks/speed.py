@@ -1,0 +1,97 @@
+"""How long the command line takes: --help, the first clean with nothing compiled, and the next ones.
+
+A CSV of 100 000 rows x 6 channels at 100 Hz is cleaned, smoothed, nothing chosen. Wall-clock seconds of
+whole processes; the first run compiles into an empty cache. Beside it, in the same run: reading the
+CSV and writing a Parquet and a CSV of the output's size with pyarrow alone.
+
+Run: python benchmarks/speed.py [-o docs/speed.md]
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from statistics import median
+
+import numpy as np
+import pyarrow as pa
+from pyarrow import csv
+
+ROWS, CHANNELS, REPEATS = 100_000, 6, 5
+
+
+def make(path: Path) -> None:
+    """Write the recording: random walks of several roughness, in white noise."""
+    rng = np.random.default_rng(3)
+    columns = {"time_s": np.arange(ROWS) / 100}
+    for i in range(CHANNELS):
+        walk = np.cumsum(rng.normal(0, 10.0 ** (-i / 2), ROWS))
+        columns[f"channel_{i}"] = walk + rng.normal(0, 1, ROWS)
+    csv.write_csv(pa.table(columns), path)
+
+
+def seconds(words: list[str], cache: Path) -> float:
+    """Run a command and return its wall-clock seconds."""
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(cache)}
+    start = time.perf_counter()
+    ran = subprocess.run([sys.executable, "-m", "becalm", *words], capture_output=True, env=environment, check=False)
+    if ran.returncode not in (0, 4):
+        raise SystemExit(ran.stderr.decode())
+    return time.perf_counter() - start
+
+
+def copying(source: Path, target: Path) -> float:
+    """Return the seconds that pyarrow needs to read the file and write the output's columns."""
+    start = time.perf_counter()
+    table = csv.read_csv(source)
+    doubled = {name: table[name] for name in table.column_names}
+    doubled |= {f"{name}_sigma": table[name] for name in table.column_names[1:]}
+    csv.write_csv(pa.table(doubled), target)
+    return time.perf_counter() - start
+
+
+def table() -> str:
+    """Measure, and write the rows."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        source, cache = folder / "in.csv", folder / "cache"
+        make(source)
+        words = ["clean", str(source), "-o", str(folder / "out.csv")]
+        first = seconds(words, cache)
+        again = median(seconds(words, cache) for _ in range(REPEATS))
+        recipe = [*words, "--recipe", str(folder / "out.csv.recipe.toml")]
+        told = median(seconds(recipe, cache) for _ in range(REPEATS))
+        help_page = median(seconds(["--help"], cache) for _ in range(REPEATS))
+        copied = median(copying(source, folder / "copy.csv") for _ in range(REPEATS))
+    return "\n".join(
+        [
+            "| job | asked | seconds |",
+            "|---|---|---|",
+            f"| `becalm --help` | under 0.4 | {help_page:.2f} |",
+            f"| clean 100 000 x 6 CSV, first run (compiling) | under 20 | {first:.1f} |",
+            f"| the same, compiled | under 3 | {again:.2f} |",
+            f"| the same, with its recipe | | {told:.2f} |",
+            f"| reading it and writing as many columns with pyarrow, in a running process | | {copied:.2f} |",
+            "",
+        ]
+    )
+
+
+def main() -> None:
+    """Print the table; with -o, write it as a page."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser.add_argument("-o", "--output", type=Path, help="page to write the table to")
+    output: Path | None = parser.parse_args().output
+    text = table()
+    print(text)
+    if output:
+        output.write_text(f"# Speed of the command line\n\n{(__doc__ or '').strip()}\n\n{text}", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,205 @@
+"""The commands: inspect, clean, tune, demo. Rooms are loaded inside them, so that --help is quick."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, NamedTuple
+
+import typer
+
+from becalm.cli import options as o
+from becalm.errors import BecalmError, UsageError
+
+if TYPE_CHECKING:
+    from becalm.cleaning.recipe import Recipe
+    from becalm.files.source import SourceFile
+
+NOT_DESCRIBED = 4
+
+app = typer.Typer(
+    help="Make noisy sensor signals calm: a recording goes in, the signal comes out with its uncertainty.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+
+@app.command()
+def inspect(
+    file: o.Source,
+    channels: o.Channels = None,
+    rate: o.Rate = None,
+    time: o.Time = None,
+    as_json: o.Json = False,
+) -> None:
+    """Show how a file is understood: columns, units, time."""
+    source = _read(file, Said(channels, rate, time))
+    if as_json:
+        print(json.dumps({"file": str(file), **source.layout.as_dict()}, indent=2))  # noqa: T201
+    else:
+        from becalm.cli.layouts import show
+
+        show(file, source)
+
+
+@app.command()
+def clean(  # noqa: PLR0913  (the contract's options)
+    file: o.Source,
+    output: o.Output,
+    recipe: o.RecipeIn = None,
+    channels: o.Channels = None,
+    rate: o.Rate = None,
+    time: o.Time = None,
+    causal: o.Causal = False,
+    as_json: o.Json = False,
+) -> None:
+    """Remove the noise from a recording; nothing needs to be chosen."""
+    from becalm.cleaning.pipeline import clean as clean_recording
+    from becalm.cli.talk import progress, tell
+    from becalm.files.plain import refuse_unwritable, write_text
+    from becalm.files.writing import output_table, write_table
+
+    beside = Path(f"{output}.recipe.toml")
+    _refuse_overwriting(file, output, beside)
+    refuse_unwritable(output)
+    said = Said(channels, rate, time)
+    given = _load(recipe)
+    source = _read(file, said if given is None else said.or_as(given))
+    decided = _tuned(source, file, causal, said) if given is None else given
+    mode = True if causal else None
+    named = source.recording.names if channels else None
+    with progress("cleaning", len(decided.channel)) as step:
+        out = clean_recording(source.recording, decided, causal=mode, channels=named, progress=step)
+    text = out.recipe.to_toml()
+    write_table(output, output_table(source, out.signal, out.sigma), {"becalm.recipe": text})
+    write_text(beside, text)
+    tell(out.reports, out.recipe.mode == "causal")
+    if as_json:
+        summary = {
+            "file": str(file),
+            "output": str(output),
+            "recipe": str(beside),
+            "rows": len(source.recording),
+            "rate_hz": source.recording.rate_hz,
+            "mode": out.recipe.mode,
+            "describes": out.describes,
+            "channels": [report.as_dict() for report in out.reports],
+        }
+        print(json.dumps(summary, indent=2))  # noqa: T201
+    typer.echo(f"Wrote {output} and {beside}.", err=True)
+    if not out.describes:
+        typer.echo(
+            "The output is written, but not every channel is described by its model: leave those out with"
+            f" --channels, or look at them with: becalm inspect {file}",
+            err=True,
+        )
+        raise typer.Exit(NOT_DESCRIBED)
+
+
+@app.command()
+def tune(  # noqa: PLR0913  (the contract's options)
+    file: o.Source,
+    output: o.RecipeOut,
+    channels: o.Channels = None,
+    rate: o.Rate = None,
+    time: o.Time = None,
+    causal: o.Causal = False,
+    as_json: o.Json = False,
+) -> None:
+    """Find the filter of each channel and write it as a recipe."""
+    from becalm.files.plain import write_text
+
+    _refuse_overwriting(file, output)
+    said = Said(channels, rate, time)
+    source = _read(file, said)
+    found = _tuned(source, file, causal, said)
+    write_text(output, found.to_toml())
+    if as_json:
+        print(json.dumps({"file": str(file), "recipe": str(output), **found.model_dump()}, indent=2))  # noqa: T201
+    typer.echo(f"Wrote {output}. Use it with: becalm clean {file} -o OUT --recipe {output}", err=True)
+
+
+@app.command()
+def demo(
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the files.")] = Path("demo"),
+) -> None:
+    """Simulate a test drive, clean it, and print what was gained."""
+    from becalm.cli.demo import run
+
+    run(output)
+
+
+class Said(NamedTuple):
+    """What a person said of a file."""
+
+    channels: str | None
+    rate_hz: float | None
+    time: str | None
+    recipe: Recipe | None = None
+
+    def or_as(self, recipe: Recipe) -> Said:
+        """Fill in from a recipe what was not said."""
+        return Said(self.channels, self.rate_hz or recipe.rate_hz, self.time or recipe.time, recipe)
+
+    @property
+    def names(self) -> tuple[str, ...] | None:
+        """The channels to clean, or None for all."""
+        if self.channels is None:
+            return None if self.recipe is None else tuple(channel.name for channel in self.recipe.channel)
+        names = o.split_names(self.channels)
+        if not names:
+            raise UsageError("--channels names no channel; write --channels NAME,NAME or leave it out.")
+        return names
+
+
+def _read(file: Path, said: Said) -> SourceFile:
+    from becalm.files.reading import read_source
+    from becalm.files.source import ReadOptions
+
+    return read_source(file, ReadOptions(time=said.time, rate_hz=said.rate_hz, channels=said.names))
+
+
+def _load(path: Path | None) -> Recipe | None:
+    if path is None:
+        return None
+    from becalm.cleaning.recipe import Recipe
+
+    return Recipe.load(path)
+
+
+def _tuned(source: SourceFile, file: Path, causal: bool, said: Said) -> Recipe:
+    from becalm.cleaning.pipeline import tune as tune_recording
+    from becalm.cli.talk import progress
+    from becalm.files.hashing import sha256
+
+    with progress("tuning", len(source.recording.names)) as step:
+        found = tune_recording(source.recording, causal=causal, progress=step)
+    origin = found.tuned_on.model_copy(update={"sha256": sha256(file)})
+    return found.model_copy(update={"tuned_on": origin, "rate_hz": said.rate_hz, "time": said.time})
+
+
+def _refuse_overwriting(file: Path, *outputs: Path) -> None:
+    for output in outputs:
+        if output.exists() and file.exists() and output.samefile(file):
+            raise UsageError(f"{output} is the input itself; raw data are never overwritten. Name another with -o.")
+
+
+def main() -> None:
+    """Run the command line; a person's mistake ends in a sentence and an exit code."""
+    try:
+        app()
+    except BecalmError as cause:
+        typer.echo(f"becalm: {cause}", err=True)
+        sys.exit(cause.exit_code)
+    except OSError as cause:
+        where = f" ({cause.filename})" if cause.filename else ""
+        typer.echo(
+            f"becalm: The system refused a file: {cause.strerror}{where}. Make room or rights, and repeat.", err=True
+        )
+        sys.exit(UsageError.exit_code)
+    except MemoryError:
+        typer.echo("becalm: Not enough memory for this recording; clean fewer channels with --channels.", err=True)
+        sys.exit(UsageError.exit_code)

@@ -1,0 +1,51 @@
+"""What is said to a person, on stderr: progress on a terminal, a table, the judgement in words."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.table import Table
+
+if TYPE_CHECKING:
+    from becalm.cleaning.judging import ChannelReport
+
+stderr = Console(stderr=True, highlight=False, soft_wrap=True)
+
+
+@contextmanager
+def progress(title: str, count: int) -> Iterator[Callable[[str], None]]:
+    """Show a bar of `count` steps on a terminal, and nothing elsewhere."""
+    from rich.progress import Progress
+
+    with Progress(console=stderr, transient=True, disable=not stderr.is_terminal) as bar:
+        task = bar.add_task(title, total=count)
+        yield lambda name: bar.update(task, advance=1, description=f"{title} {name}")
+
+
+def tell(reports: tuple[ChannelReport, ...], causal: bool) -> None:
+    """Show what was found for each channel, then whom to trust."""
+    table = Table(box=None, pad_edge=False)
+    for heading in ("channel", "model", "noise", "bandwidth", "lag", "trust"):
+        table.add_column(heading, justify="right" if heading in ("noise", "bandwidth", "lag") else "left")
+    for report in reports:
+        table.add_row(
+            report.name,
+            report.model if report.order is None else f"{report.model} of order {report.order}",
+            _number(report.noise_std, report.unit),
+            _number(report.bandwidth_hz, "Hz"),
+            _number(report.lag_s, "s") if causal else "none",
+            "yes" if report.describes and report.model == "motion" else "see below",
+        )
+    stderr.print(table)
+    for report in reports:
+        if not report.describes or report.model != "motion" or " " in report.says.removesuffix("signal.").strip(" ."):
+            stderr.print(f"{report.name}: {report.says}", markup=False)
+
+
+def _number(value: float | None, unit: str) -> str:
+    if value is None:
+        return "-"
+    return f"{0.0 if abs(value) < 1e-12 else value:.3g} {unit}".strip()

@@ -1,0 +1,75 @@
+"""What a cell of text holds: a number, a time, nothing, or words."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from becalm.core.arrays import Booleans
+
+_SPELLED = ("NaN", "nan", "NAN", "NA", "N/A", "n/a", "null", "NULL", "Null", "None", "#N/A", "#NA", "-", "--", "---")
+_NOT_A_NUMBER = ("-nan", "-NaN", "+nan", "-nan(ind)", "nan(ind)", "1.#QNAN", "-1.#IND", "1.#IND")
+MISSING: tuple[str, ...] = ("", *_SPELLED, *_NOT_A_NUMBER)
+"""Cells that stand for a reading that is not there."""
+
+_TAIL = r"(?:[eE][+-]?[0-9]+)?"
+_ENDLESS = r"[iI][nN][fF](?:[iI][nN][iI][tT][yY])?"
+POINT = rf"^\s*[+-]?(?:(?:[0-9]+\.?[0-9]*|\.[0-9]+){_TAIL}|{_ENDLESS})\s*$"
+COMMA = rf"^\s*[+-]?(?:(?:[0-9]+(?:,[0-9]+)?|,[0-9]+){_TAIL}|{_ENDLESS})\s*$"
+"""Numbers with a decimal point and with a decimal comma; understood alike by `re` and by RE2."""
+
+_TIME_LIKE = re.compile(
+    r"^\s*(?:\d{1,4}[-/.](?:\d{1,2}|[A-Za-z]{3})[-/.]\d{1,4}(?:[T ,;]+\d{1,2}:\d{2}.*)?|\d{1,2}:\d{2}(?::\d{2}.*)?)\s*$"
+)
+_POINT, _COMMA = re.compile(POINT), re.compile(COMMA)
+_MISSING = frozenset(MISSING)
+
+NUMBER, TIME, GONE, WORDS = "number", "time", "missing", "words"
+
+
+def kind_of(cell: str) -> str:
+    """Tell what one cell holds, with either decimal sign."""
+    if cell.strip() in _MISSING:
+        return GONE
+    if _POINT.match(cell) or _COMMA.match(cell):
+        return NUMBER
+    return TIME if _TIME_LIKE.match(cell) else WORDS
+
+
+def decimal_of(cell: str) -> str:
+    """Return the decimal sign that a number shows, "" for whole numbers and all else."""
+    if "." in cell and _POINT.match(cell):
+        return "."
+    return "," if "," in cell and _COMMA.match(cell) else ""
+
+
+def to_numbers(text: pa.Array, decimal: str) -> tuple[pa.Array, Booleans]:
+    """Read a column of text as numbers.
+
+    Parameters
+    ----------
+    text : pyarrow.Array of str
+        The cells.
+    decimal : str
+        "." or ",".
+
+    Returns
+    -------
+    pyarrow.Array of float64
+        The numbers, null where a cell is missing or no number.
+    (N,) bool array
+        True where a cell is neither a number nor missing.
+    """
+    trimmed = pc.utf8_trim_whitespace(text.cast(pa.string()))
+    gone = pc.fill_null(pc.is_in(trimmed, value_set=pa.array(MISSING)), True)
+    fits = pc.fill_null(pc.match_substring_regex(trimmed, COMMA if decimal == "," else POINT), False)
+    plain = pc.replace_substring_regex(trimmed, r"^\+", "")
+    if decimal == ",":
+        plain = pc.replace_substring(plain, ",", ".")
+    readable = pc.and_(fits, pc.invert(gone))
+    numbers = pc.if_else(readable, plain, pa.scalar(None, pa.string())).cast(pa.float64())
+    bad = ~(np.asarray(gone) | np.asarray(fits))
+    return numbers, bad

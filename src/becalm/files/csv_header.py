@@ -1,0 +1,123 @@
+"""Names and units above the rows of a CSV file."""
+
+from __future__ import annotations
+
+import csv
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from becalm.files.cells import GONE, NUMBER, kind_of
+from becalm.files.units import looks_like_unit, tidy_unit
+
+_COMMENT = ("#", "%", "//")
+
+
+@dataclass(frozen=True)
+class Header:
+    """What stands above the rows.
+
+    Attributes
+    ----------
+    names : tuple of str
+        One for each column, "" where none is given.
+    units : tuple of str
+        From a row of units, "" where none is given.
+    rows : int
+        Rows of names and units.
+    skipped : int
+        Other lines above the data that are not blank.
+    given : int
+        How many cells the row of names has; 0 for no header.
+    fits : bool
+        Whether that is one a column, or one a column that holds anything.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    rows: int
+    skipped: int
+    given: int
+    fits: bool = True
+
+
+def find_header(above: Sequence[str], start: int, separator: str, kinds: tuple[str, ...]) -> Header:
+    """Find names and units in the lines above the data.
+
+    Parameters
+    ----------
+    above : sequence of str
+        All lines above the first row of data.
+    start : int
+        Lines at the top that are known to be no header (`sep=;`).
+    separator : str
+        Between two cells.
+    kinds : tuple of str
+        What each column holds.
+    """
+    width = len(kinds)
+    filled = [number for number in range(start, len(above)) if above[number].strip()]
+    plain = [number for number in filled if not above[number].strip().startswith(_COMMENT)]
+    rows = [_cut(above[number], separator, width) for number in plain]
+    if not rows or (width > 1 and len(rows[-1]) < 2 and rows[-1] != [""]):
+        rows = _commented(above, filled, separator, width)
+    if not rows:
+        return Header(("",) * width, ("",) * width, 0, len(filled) + start, 0)
+    return _read(rows, kinds, len(filled) + start)
+
+
+def _read(rows: list[list[str]], kinds: tuple[str, ...], lines: int) -> Header:
+    width = len(kinds)
+    units: list[str] = []
+    used = 1
+    if len(rows) > 1 and _are_units(rows[-1]) and len(rows[-1]) == len(rows[-2]) == width:
+        units = [tidy_unit(cell) for cell in rows.pop()]
+        used += 1
+    names = rows[-1]
+    two_storeys = len(rows) > 1 and len(rows[-2]) == len(names) == width
+    if two_storeys and _belong_together(rows[-2], names, len(rows) == 2):
+        names = [_joined(upper, lower) for upper, lower in zip(rows[-2], names, strict=True)]
+        used += 1
+    given = len(names)
+    fits = given == width or (given < width and all(kind == GONE for kind in kinds[given:]))
+    return Header(_padded(names, width), _padded(units, width), used, lines - used, given, fits)
+
+
+def _cut(line: str, separator: str, width: int) -> list[str]:
+    if separator in ("", " "):
+        cells = [line.strip().strip('"')] if separator == "" else line.split()
+    else:
+        cells = [cell.strip() for cell in next(csv.reader([line], delimiter=separator), [])]
+    while len(cells) > width and not cells[-1]:
+        cells.pop()
+    return cells
+
+
+def _commented(above: Sequence[str], filled: Sequence[int], separator: str, width: int) -> list[list[str]]:
+    """Names behind a `#` in the line right above the data, as numpy writes them."""
+    if not filled:
+        return []
+    last = above[filled[-1]].strip()
+    if not last.startswith(_COMMENT):
+        return []
+    cells = _cut(last.lstrip("#%/").strip(), separator, width)
+    return [cells] if len(cells) == width and not any(kind_of(cell) == NUMBER for cell in cells) else []
+
+
+def _are_units(row: Sequence[str]) -> bool:
+    filled = [cell for cell in row if cell]
+    return bool(filled) and any(cell not in ("-", "--") for cell in filled) and all(map(looks_like_unit, filled))
+
+
+def _belong_together(upper: Sequence[str], lower: Sequence[str], at_top: bool) -> bool:
+    """Tell whether two rows are one header in two storeys, and not a note above a header."""
+    repeated = max(Counter(cell for cell in lower if cell).values(), default=0) > 1
+    return repeated or (at_top and all(upper[1:])) or (len(upper) > 2 and all(upper))
+
+
+def _joined(upper: str, lower: str) -> str:
+    return ".".join(part for part in (upper, lower) if part)
+
+
+def _padded(cells: Sequence[str], width: int) -> tuple[str, ...]:
+    return (*cells[:width], *[""] * (width - len(cells)))

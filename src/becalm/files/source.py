@@ -1,0 +1,207 @@
+"""What a person said, what was found, and how it was understood."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import pyarrow as pa
+
+from becalm.core.recording import Recording
+
+TIME = "time"
+CHANNEL = "channel"
+PASSED = "passed through"
+
+
+@dataclass(frozen=True)
+class ReadOptions:
+    """What a person said on the command line.
+
+    Attributes
+    ----------
+    time : str, optional
+        Name of the time column, as in the header or without its unit.
+    rate_hz : float, optional
+        Rows are counted at this rate; the time column, if any, only passes through.
+    channels : tuple of str, optional
+        Columns to read, as in the header or without their units; all that look like signals by default.
+    """
+
+    time: str | None = None
+    rate_hz: float | None = None
+    channels: tuple[str, ...] | None = None
+
+
+@dataclass(frozen=True)
+class TextLayout:
+    """How a text file is written.
+
+    Attributes
+    ----------
+    encoding : str
+        "utf-8", "utf-8-bom", "utf-16-le", "utf-16-be" or "cp1252".
+    compression : str
+        "gzip" or "".
+    separator : str
+        Between two cells; " " stands for runs of spaces, "" for a file of one column.
+    decimal : str
+        "." or ",".
+    header_rows : int
+        Rows of names and units above the data.
+    skipped_rows : int
+        Lines above the header that are no part of the table.
+    first_line : int
+        Line of the first row of data, counted from 1.
+    """
+
+    encoding: str
+    compression: str
+    separator: str
+    decimal: str
+    header_rows: int
+    skipped_rows: int
+    first_line: int
+
+
+@dataclass(frozen=True)
+class RawTable:
+    """Columns as they are in the file, before anyone asked what they mean.
+
+    Attributes
+    ----------
+    table : pyarrow.Table
+        Numbers as numbers, all else as it was; names are all different.
+    format : str
+        "csv" or "parquet".
+    units : dict of str to str
+        Units that the file gives apart from the names (a row of units, field metadata).
+    text : TextLayout, optional
+        How the text was written, for text files.
+    """
+
+    table: pa.Table
+    format: str
+    units: dict[str, str] = field(default_factory=dict)
+    text: TextLayout | None = None
+
+    def place(self, row: int) -> str:
+        """Say where a row of data is, counted from 0, for a person who opens the file."""
+        if self.text is None:
+            return f"row {row + 1}"
+        return f"row {row + 1} (line {self.text.first_line + row})"
+
+
+@dataclass(frozen=True)
+class TimeLayout:
+    """How time was read.
+
+    Attributes
+    ----------
+    columns : tuple of str
+        The time column; two where a date and a time of day stand apart; none where rows were counted.
+    kind : str
+        "numbers", "epoch", "date-time", "time of day", "duration" or "counted rows".
+    unit : str
+        Unit of the numbers; "" where the kind says it all.
+    start : str
+        The first instant as ISO 8601 text where the file gives a date; "" otherwise.
+    """
+
+    columns: tuple[str, ...]
+    kind: str
+    unit: str = ""
+    start: str = ""
+
+
+@dataclass(frozen=True)
+class ColumnLayout:
+    """What a column was taken for, and why; `missing` counts its empty cells."""
+
+    name: str
+    role: str
+    why: str
+    unit: str
+    missing: int
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How a file was understood; what `becalm inspect` shows.
+
+    `separator`, `decimal`, `encoding` and `compression` are "" and the rows above the data 0 where
+    the format has no such thing. `gaps` and `repeats` count rows.
+    """
+
+    format: str
+    rows: int
+    encoding: str
+    compression: str
+    separator: str
+    decimal: str
+    header_rows: int
+    skipped_rows: int
+    time_columns: tuple[str, ...]
+    time_kind: str
+    time_unit: str
+    time_start: str
+    rate_hz: float
+    uniform: bool
+    jitter_s: float
+    duration_s: float
+    gaps: int
+    repeats: int
+    columns: tuple[ColumnLayout, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain values, ready for JSON."""
+        plain = asdict(self)
+        plain["time_columns"] = list(self.time_columns)
+        plain["columns"] = [asdict(column) for column in self.columns]
+        return plain
+
+
+@dataclass(frozen=True)
+class SourceFile:
+    """A file that was read.
+
+    Attributes
+    ----------
+    recording : Recording
+        The chosen channels as float64, NaN where a cell is missing; names as in the header.
+    table : pyarrow.Table
+        All columns in the order of the file, as they are to be passed through.
+    layout : Layout
+        How the file was understood.
+    """
+
+    recording: Recording
+    table: pa.Table
+    layout: Layout
+
+
+def layout_of(raw: RawTable, time: TimeLayout, recording: Recording, columns: tuple[ColumnLayout, ...]) -> Layout:
+    """Put together what the rooms' readers found."""
+    text = raw.text or TextLayout("", "", "", "", 0, 0, 1)
+    base = recording.timebase
+    return Layout(
+        format=raw.format,
+        rows=len(recording),
+        encoding=text.encoding,
+        compression=text.compression,
+        separator=text.separator,
+        decimal=text.decimal,
+        header_rows=text.header_rows,
+        skipped_rows=text.skipped_rows,
+        time_columns=time.columns,
+        time_kind=time.kind,
+        time_unit=time.unit,
+        time_start=time.start,
+        rate_hz=base.rate_hz,
+        uniform=base.uniform,
+        jitter_s=base.jitter_s,
+        duration_s=base.duration_s,
+        gaps=len(base.gaps),
+        repeats=len(base.repeats),
+        columns=columns,
+    )

@@ -1,0 +1,139 @@
+"""Bytes to text: compression and encoding by content, and a clear word about what is no text."""
+
+from __future__ import annotations
+
+import gzip
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+
+from becalm.errors import InputError
+
+GZIP = b"\x1f\x8b"
+PARQUET = b"PAR1"
+
+_OTHER_FORMATS: tuple[tuple[bytes, str], ...] = (
+    (b"MDF     ", "an ASAM MDF file"),
+    (b"\x89HDF\r\n\x1a\n", "an HDF5 file (or a MATLAB 7.3 one)"),
+    (b"MATLAB 5.0", "a MATLAB file"),
+    (b"TDSm", "a TDMS file"),
+    (b"ULog", "a ULog file"),
+    (b"PK\x03\x04", "a ZIP archive or an Excel workbook"),
+    (b"\xd0\xcf\x11\xe0", "an old Excel or Office file"),
+    (b"\x89PNG", "a picture"),
+    (b"%PDF", "a PDF document"),
+    (b"SQLite format 3", "an SQLite database"),
+    (b"ARROW1", "an Arrow (Feather) file"),
+    (b"\x28\xb5\x2f\xfd", "a file compressed with zstd"),
+    (b"BZh", "a file compressed with bzip2"),
+    (b"\xfd7zXZ", "a file compressed with xz"),
+)
+
+_BOMS: tuple[tuple[bytes, str, str], ...] = (
+    (b"\xef\xbb\xbf", "utf-8", "utf-8-bom"),
+    (b"\xff\xfe", "utf-16-le", "utf-16-le"),
+    (b"\xfe\xff", "utf-16-be", "utf-16-be"),
+)
+
+_CONTROL = bytes(set(range(32)) - set(b"\t\n\r\f\v\x1a"))
+
+
+@dataclass(frozen=True)
+class Text:
+    """The text of a file as UTF-8 bytes without a byte-order mark, and how it was stored."""
+
+    data: bytes
+    encoding: str
+    compression: str
+
+
+def read_bytes(path: Path) -> bytes:
+    """Read a whole file.
+
+    Raises
+    ------
+    InputError
+        If it is missing, a directory, forbidden or empty.
+    """
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        raise InputError(f"{path} does not exist; give the path of a recording.") from None
+    except IsADirectoryError:
+        raise InputError(f"{path} is a directory; give the path of one file in it.") from None
+    except PermissionError:
+        raise InputError(f"{path} may not be read; ask for permission (`chmod u+r`).") from None
+    except (OSError, ValueError) as cause:
+        raise InputError(f"{path} cannot be read: {getattr(cause, 'strerror', None) or cause}.") from cause
+    if not data:
+        raise InputError(f"{path} is empty (0 bytes); a header and two or more rows are needed.")
+    return data
+
+
+def decode(path: Path, data: bytes) -> Text:
+    """Uncompress and decode the bytes of a text file.
+
+    Raises
+    ------
+    InputError
+        If the bytes are a damaged archive, another format, or no text.
+    """
+    compression = ""
+    if data.startswith(GZIP):
+        data, compression = _gunzip(path, data), "gzip"
+    _refuse_other_formats(path, data)
+    for mark, codec, name in _BOMS:
+        if data.startswith(mark):
+            return Text(_recode(path, data[len(mark) :], codec), name, compression)
+    _refuse_binary(path, data)
+    try:
+        data.decode("utf-8")
+    except UnicodeDecodeError:
+        return Text(_from_western(data), "cp1252", compression)
+    return Text(data, "utf-8", compression)
+
+
+def _gunzip(path: Path, data: bytes) -> bytes:
+    try:
+        plain = gzip.decompress(data)
+    except EOFError:
+        raise InputError(f"{path} is a gzip file that ends too early; copy or download it again.") from None
+    except (gzip.BadGzipFile, zlib.error, OSError) as cause:
+        raise InputError(f"{path} is a damaged gzip file ({cause}); copy or download it again.") from cause
+    if not plain:
+        raise InputError(f"{path} is a gzip file with nothing in it; a header and two or more rows are needed.")
+    return plain
+
+
+def _refuse_other_formats(path: Path, data: bytes) -> None:
+    for magic, what in _OTHER_FORMATS:
+        if data.startswith(magic):
+            raise InputError(f"{path} is {what}; becalm reads CSV, CSV.GZ and Parquet. Export it as one of these.")
+
+
+def _recode(path: Path, data: bytes, codec: str) -> bytes:
+    try:
+        plain = data.decode(codec).encode("utf-8")
+    except UnicodeError as cause:
+        raise InputError(f"{path} begins as {codec.upper()} text but is damaged ({cause}); save it again.") from cause
+    _refuse_binary(path, plain)
+    return plain
+
+
+def _refuse_binary(path: Path, data: bytes) -> None:
+    if (at := data.find(b"\0")) >= 0:
+        if data[:400:2].count(0) * 4 >= len(data[:400]) or data[1:400:2].count(0) * 4 >= len(data[:400]):
+            raise InputError(f"{path} looks like UTF-16 text without a byte-order mark; save it as UTF-8.")
+        line = data.count(b"\n", 0, at) + 1
+        raise InputError(f"{path} is not text: there is a NUL byte in line {line}. A CSV or Parquet file is needed.")
+    head = data[:4096]
+    controls = len(head) - len(head.translate(None, _CONTROL))
+    if controls > len(head) // 100:
+        raise InputError(f"{path} is not text: it begins with unprintable bytes. A CSV or Parquet file is needed.")
+
+
+def _from_western(data: bytes) -> bytes:
+    try:
+        return data.decode("cp1252").encode("utf-8")
+    except UnicodeDecodeError:
+        return data.decode("latin-1").encode("utf-8")

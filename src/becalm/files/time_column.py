@@ -1,0 +1,134 @@
+"""Which column is the time."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pyarrow as pa
+
+from becalm.core.arrays import Floats
+from becalm.errors import InputError, UsageError
+from becalm.files import clock
+from becalm.files.source import RawTable
+from becalm.files.units import parse_header
+
+_NAMES = re.compile(
+    r"time|times|t|timestamp|timestamps|datetime|date|dateandtime|datetimeutc|clock|elapsed|"
+    r"elapsedtime|timeelapsed|relativetime|timerelative|reltime|abstime|absolutetime|systime|"
+    r"systemtime|sampletime|runtime|uptime|epoch|unixtime|unix|utc|timeutc|utctime|localtime|"
+    r"loggertime|gpstime|sec|secs|second|seconds|millis|micros|zeit|zeitstempel|datum|uhrzeit|"
+    r"datumuhrzeit|datumzeit|messzeit|temps|horodatage|heure|dateheure|tempo|ora|dataora|hora|fecha|"
+    r"fechahora|tiempo|tijd|tid|tijdstip|czas"
+)
+_LIKE = re.compile(r"^(?:time|timestamp|elapsed|zeit)(?:since|stamp|from|utc|local|abs|rel|seit)\w*$")
+_NEARLY_EVEN = 0.5
+COUNT = "or give --rate HZ to count rows at a known rate"
+"""The end of every sentence about a time that cannot be used."""
+
+NUMBERS, TEMPORAL, NO_TIME = "numbers", "temporal", ""
+
+
+def kind_of_column(column: pa.ChunkedArray) -> str:
+    """Tell how a column could serve as time: "numbers", "temporal", a kind of text, or "" for not at all."""
+    kind = column.type
+    if pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind):
+        return NUMBERS
+    if pa.types.is_timestamp(kind) or pa.types.is_duration(kind) or pa.types.is_time(kind) or pa.types.is_date(kind):
+        return TEMPORAL
+    if pa.types.is_string(kind) or pa.types.is_large_string(kind):
+        return clock.kind_of_text(column)
+    return NO_TIME
+
+
+def is_time_name(header: str) -> bool:
+    """Tell whether a header says time, in one of the usual languages."""
+    bare, _ = parse_header(header)
+    plain = re.sub(r"[\W_]+", "", bare.rpartition(".")[2].lower())
+    return _NAMES.fullmatch(plain) is not None or _LIKE.match(plain) is not None
+
+
+def is_counter(values: Floats) -> bool:
+    """Tell whether a column counts rows: steps of exactly 1."""
+    return len(values) > 2 and bool(np.all(np.diff(values) == 1.0))
+
+
+def numbers(column: pa.ChunkedArray) -> Floats:
+    """Return a numeric column as float64, NaN where a cell is missing."""
+    if pa.types.is_float16(column.type):
+        column = column.cast(pa.float32())
+    values = column.cast(pa.float64(), safe=False).to_numpy()
+    return np.asarray(values, np.float64)
+
+
+def find_time(raw: RawTable) -> list[tuple[str, ...]]:
+    """List what could be the time: each entry is a column, or a date and a time of day together."""
+    kinds = {name: kind_of_column(raw.table.column(name)) for name in raw.table.column_names}
+    named = [name for name, kind in kinds.items() if kind and is_time_name(name)]
+    if not named:
+        named = [n for n, k in kinds.items() if k in (clock.DATE_TIME, clock.DATE, clock.TIME_OF_DAY, TEMPORAL)]
+    dates = [name for name in named if kinds[name] == clock.DATE]
+    times = [name for name in named if kinds[name] == clock.TIME_OF_DAY]
+    if len(dates) == len(times) == 1:
+        rest: list[tuple[str, ...]] = [(name,) for name in named if name not in (*dates, *times)]
+        return [(dates[0], times[0]), *rest]
+    found: list[tuple[str, ...]] = [(name,) for name in named if kinds[name] != clock.DATE] or [
+        (name,) for name in named
+    ]
+    return found or _first_column(raw, kinds)
+
+
+def _first_column(raw: RawTable, kinds: dict[str, str]) -> list[tuple[str, ...]]:
+    name = raw.table.column_names[0]
+    if kinds[name] != NUMBERS or raw.table.num_columns < 2:
+        return []
+    steps = np.diff(numbers(raw.table.column(name)))
+    if not (len(steps) and np.all(steps > 0)):
+        return []
+    median = np.median(steps)
+    even = np.mean(np.abs(steps - median) <= _NEARLY_EVEN * median)
+    return [(name,)] if even >= 0.9 else []
+
+
+def choose_time(raw: RawTable, asked: str | None) -> tuple[str, ...]:
+    """Return the time column, or the date and the time of day.
+
+    Raises
+    ------
+    UsageError
+        If `asked` is not a column.
+    InputError
+        If there is no time, or more than one.
+    """
+    if asked is not None:
+        return (named_column(raw, asked, "--time"),)
+    found = find_time(raw)
+    if not found:
+        raise InputError(
+            "There is no time column (none is called time, and the first does not rise evenly)."
+            " Name it with --time COLUMN, " + COUNT + "."
+        )
+    if len(found) > 1:
+        listed = " or ".join(f"--time {columns[-1]!r}" for columns in found)
+        raise InputError(f"{len(found)} columns could be the time; choose one with {listed}, {COUNT}.")
+    return found[0]
+
+
+def named_column(raw: RawTable, asked: str, option: str) -> str:
+    """Find a column by its header, or by its header without the unit.
+
+    Raises
+    ------
+    UsageError
+        If there is none, or more than one.
+    """
+    names: list[str] = raw.table.column_names
+    if asked in names:
+        return asked
+    bare = [name for name in names if parse_header(name)[0] == asked.strip() or name.strip() == asked.strip()]
+    if len(bare) == 1:
+        return bare[0]
+    if bare:
+        raise UsageError(f"{option} {asked!r} fits {', '.join(map(repr, bare))}; write one of these in full.")
+    listed = ", ".join(map(repr, names[:20])) + (f" and {len(names) - 20} more" if len(names) > 20 else "")
+    raise UsageError(f"{option} names {asked!r}, which is not a column; there are {listed}.")

@@ -1,0 +1,149 @@
+"""The unit in a column's header: `Gyroscope X (deg/s)`, `Force [N]`, `acc_0_mps2`."""
+
+from __future__ import annotations
+
+import re
+
+_BRACKETED = re.compile(r"^(?P<name>.*?)\s*(?:\((?P<round>[^()]*)\)|\[(?P<square>[^\[\]]*)\]|<(?P<angle>[^<>]*)>)\s*$")
+_AFTER_COMMA = re.compile(r"^(?P<name>.+?)\s*[,/]\s+(?P<unit>\S+)$")
+
+SUFFIXES: dict[str, str] = {
+    "s": "s",
+    "sec": "s",
+    "secs": "s",
+    "seconds": "s",
+    "ms": "ms",
+    "msec": "ms",
+    "us": "us",
+    "usec": "us",
+    "ns": "ns",
+    "nsec": "ns",
+    "min": "min",
+    "h": "h",
+    "hours": "h",
+    "mps": "m/s",
+    "mps2": "m/s^2",
+    "ms2": "m/s^2",
+    "mss": "m/s^2",
+    "kmh": "km/h",
+    "kph": "km/h",
+    "radps": "rad/s",
+    "rads": "rad/s",
+    "degps": "deg/s",
+    "dps": "deg/s",
+    "mdps": "mdeg/s",
+    "deg": "deg",
+    "rad": "rad",
+    "g": "g",
+    "mg": "mg",
+    "ug": "ug",
+    "m": "m",
+    "mm": "mm",
+    "um": "um",
+    "cm": "cm",
+    "km": "km",
+    "hz": "Hz",
+    "V": "V",
+    "mV": "mV",
+    "uV": "uV",
+    "mA": "mA",
+    "kN": "kN",
+    "Nm": "N*m",
+    "Pa": "Pa",
+    "pa": "Pa",
+    "hpa": "hPa",
+    "kpa": "kPa",
+    "mpa": "MPa",
+    "bar": "bar",
+    "mbar": "mbar",
+    "degc": "degC",
+    "celsius": "degC",
+    "ut": "uT",
+    "ustrain": "um/m",
+    "microstrain": "um/m",
+    "percent": "percent",
+    "rpm": "rpm",
+}
+"""Endings of names like `acc_0_mps2`; looked up as written, then in small letters if longer than one letter."""
+
+_SPELLINGS = (
+    ("\u03bc", "u"),  # Greek mu
+    ("\u00b5", "u"),  # the micro sign
+    ("\u03b5", "strain"),
+    ("\u00b0", "deg"),
+    ("\u00b2", "^2"),
+    ("\u00b3", "^3"),
+    ("\u00b7", "*"),
+    ("\\", "/"),
+    ("**", "^"),
+)
+
+_WHOLE = {
+    "m/s2": "m/s^2",
+    "m/s/s": "m/s^2",
+    "m s^-2": "m/s^2",
+    "m*s^-2": "m/s^2",
+    "mps": "m/s",
+    "mps2": "m/s^2",
+    "dps": "deg/s",
+    "degps": "deg/s",
+    "radps": "rad/s",
+    "ustrain": "um/m",
+    "microstrain": "um/m",
+    "degC": "degC",
+    "%": "percent",
+    "-": "",
+    "--": "",
+    "n/a": "",
+    "none": "",
+    "None": "",
+    "1": "",
+    "sec": "s",
+    "secs": "s",
+    "second": "s",
+    "seconds": "s",
+    "Sekunden": "s",
+    "msec": "ms",
+    "usec": "us",
+    "nsec": "ns",
+    "minutes": "min",
+    "hours": "h",
+}
+
+_UNIT_WORD = re.compile(
+    r"^[\[(<]?\s*(?:-|--|%|(?:[yzafpnumcdhkMGT]|da)?(?:s|sec|m|g|V|A|N|Nm|Pa|bar|Hz|T|Gauss|rad|deg|degC|C|K|W|J|Ohm|strain|"
+    r"rpm|min|h|counts?|LSB)(?:[\^]?-?\d)?(?:[/*]\s*(?:[numcdhkM]?(?:s|m|V|h|min|N|g))(?:[\^]?-?\d)?){0,2}"
+    r"|hh:mm:ss\S*|dd.mm.yyyy\S*|yyyy\S*)\s*[\])>]?$"
+)
+
+
+def tidy_unit(text: str) -> str:
+    r"""Spell a unit plainly: `um\m` is `um/m`, `m/s2` is `m/s^2`; "" for a dash."""
+    unit = text.strip().strip("[]()<>").strip()
+    for old, new in _SPELLINGS:
+        unit = unit.replace(old, new)
+    return _WHOLE.get(unit, unit)
+
+
+def parse_header(header: str) -> tuple[str, str]:
+    """Return the name without its unit, and the unit ("" where there is none)."""
+    found = _BRACKETED.match(header)
+    if found and found["name"].strip():
+        unit = next(text for text in (found["round"], found["square"], found["angle"]) if text is not None)
+        return found["name"].strip(), tidy_unit(unit)
+    found = _AFTER_COMMA.match(header)
+    if found and looks_like_unit(found["unit"]):
+        return found["name"].strip(), tidy_unit(found["unit"])
+    name, underscore, last = header.strip().rpartition("_")
+    unit = SUFFIXES.get(last) or (SUFFIXES.get(last.lower(), "") if len(last) > 1 else "")
+    if underscore and name.strip("_") and unit:
+        return name, unit
+    return header.strip(), ""
+
+
+def looks_like_unit(text: str) -> bool:
+    """Tell whether a cell under a name is a unit, or a dash that says there is none."""
+    plain = text.strip()
+    for old, new in _SPELLINGS:
+        plain = plain.replace(old, new)
+    return _UNIT_WORD.match(plain) is not None

@@ -1,0 +1,41 @@
+"""A recording to try commands on, and a way to run them as a person does."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+Run = Callable[..., subprocess.CompletedProcess[str]]
+
+
+@pytest.fixture
+def drive(tmp_path: Path) -> Path:
+    """Write a CSV of 400 rows at 100 Hz: a ramp and a random walk, both noisy, and a column of text."""
+    rng = np.random.default_rng(4)
+    t = np.arange(400) / 100
+    ramp = 2 * t + rng.normal(0, 0.1, t.size)
+    walk = np.cumsum(rng.normal(0, 0.1, t.size)) + rng.normal(0, 0.2, t.size)
+    path = tmp_path / "drive.csv"
+    rows = [f"{t[k]:.2f},{ramp[k]:.6f},gear {k // 100},{walk[k]:.6f}" for k in range(t.size)]
+    path.write_text("time_s,ramp (m/s),note,walk\n" + "\n".join(rows) + "\n", encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Run:
+    """Run becalm in a process of its own, in an empty folder."""
+
+    def becalm(*words: object, **more: object) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-m", "becalm", *map(str, words)]
+        environment = {**os.environ, "COLUMNS": "200"}
+        return subprocess.run(
+            command, capture_output=True, text=True, cwd=tmp_path, env=environment, check=False, **more
+        )  # type: ignore[call-overload, no-any-return]
+
+    return becalm

@@ -1,0 +1,103 @@
+"""The command line's contract: columns, exit codes, JSON, recipes, nothing half-written."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pyarrow.csv
+import pyarrow.parquet
+import pytest
+
+Run = Callable[..., subprocess.CompletedProcess[str]]
+
+
+def test_clean_keeps_rows_and_columns_and_adds_sigma(run: Run, drive: Path, tmp_path: Path) -> None:
+    ran = run("clean", drive, "-o", "out.csv", "--json")
+    assert ran.returncode == 0, ran.stderr
+    before, after = pyarrow.csv.read_csv(drive), pyarrow.csv.read_csv(tmp_path / "out.csv")
+    assert after.column_names == ["time_s", "ramp (m/s)", "ramp (m/s)_sigma", "note", "walk", "walk_sigma"]
+    assert after["time_s"].to_pylist() == before["time_s"].to_pylist()
+    assert after["note"].to_pylist() == before["note"].to_pylist()
+    truth = 2 * np.array(before["time_s"])
+    raw, clean = np.array(before["ramp (m/s)"]), np.array(after["ramp (m/s)"])
+    assert np.std(clean - truth) < 0.3 * np.std(raw - truth)
+    assert (np.array(after["walk_sigma"]) > 0).all()
+
+
+def test_json_is_one_object_with_what_was_promised(run: Run, drive: Path) -> None:
+    ran = run("clean", drive, "-o", "out.csv", "--causal", "--json")
+    told = json.loads(ran.stdout)
+    assert told["mode"] == "causal"
+    assert [channel["name"] for channel in told["channels"]] == ["ramp (m/s)", "walk"]
+    promised = {"model", "order", "noise_std", "q_over_r", "bandwidth_hz", "lag_s", "log_likelihood", "whiteness_p"}
+    for channel in told["channels"]:
+        assert promised | {"nis_mean", "verdicts"} <= channel.keys()
+        assert channel["verdicts"]["used"] == 400
+    assert told["channels"][1]["noise_std"] == pytest.approx(0.2, rel=0.25)
+    assert "\x1b" not in ran.stdout + ran.stderr
+
+
+def test_a_recipe_gives_the_same_bytes_again(run: Run, drive: Path, tmp_path: Path) -> None:
+    run("clean", drive, "-o", "first.csv")
+    ran = run("clean", drive, "-o", "again.csv", "--recipe", "first.csv.recipe.toml")
+    assert ran.returncode == 0, ran.stderr
+    for ending in ("", ".recipe.toml"):
+        first, again = tmp_path / f"first.csv{ending}", tmp_path / f"again.csv{ending}"
+        assert first.read_bytes() == again.read_bytes()
+
+
+def test_tune_then_clean_is_clean(run: Run, drive: Path, tmp_path: Path) -> None:
+    run("clean", drive, "-o", "one.csv")
+    assert run("tune", drive, "-o", "r.toml").returncode == 0
+    run("clean", drive, "-o", "two.csv", "--recipe", "r.toml")
+    assert (tmp_path / "one.csv").read_bytes() == (tmp_path / "two.csv").read_bytes()
+
+
+def test_channels_choose_and_the_others_pass_through(run: Run, drive: Path, tmp_path: Path) -> None:
+    ran = run("clean", drive, "-o", "out.csv", "--channels", "ramp")
+    assert ran.returncode == 0, ran.stderr
+    before, after = pyarrow.csv.read_csv(drive), pyarrow.csv.read_csv(tmp_path / "out.csv")
+    assert "walk_sigma" not in after.column_names
+    assert after["walk"].to_pylist() == before["walk"].to_pylist()
+
+
+def test_parquet_out_and_in(run: Run, drive: Path, tmp_path: Path) -> None:
+    assert run("clean", drive, "-o", "out.parquet").returncode == 0
+    assert run("clean", drive, "-o", "out.csv").returncode == 0
+    table = pyarrow.parquet.read_table(tmp_path / "out.parquet")
+    csv = pyarrow.csv.read_csv(tmp_path / "out.csv")
+    np.testing.assert_array_equal(np.array(table["walk"]), np.array(csv["walk"]))
+    again = run("clean", "out.parquet", "-o", "twice.parquet", "--channels", "walk")
+    assert again.returncode in (0, 4), again.stderr
+
+
+def test_inspect_tells_columns_and_rate(run: Run, drive: Path) -> None:
+    ran = run("inspect", drive)
+    assert ran.returncode == 0
+    assert all(word in ran.stdout for word in ("time_s", "ramp (m/s)", "m/s", "note", "100"))
+    told = json.loads(run("inspect", drive, "--json").stdout)
+    assert told["rate_hz"] == pytest.approx(100.0)
+
+
+def test_a_vibration_is_not_described_and_the_output_is_there(run: Run, tmp_path: Path) -> None:
+    t = np.arange(3000) / 100
+    z = np.sin(2 * np.pi * 17 * t) + 0.1 * np.random.default_rng(2).normal(size=t.size)
+    rows = "\n".join(f"{a:.2f},{b:.6f}" for a, b in zip(t, z, strict=True))
+    (tmp_path / "v.csv").write_text(f"time_s,a\n{rows}\n", encoding="utf-8")
+    ran = run("clean", "v.csv", "-o", "out.csv")
+    assert ran.returncode == 4
+    assert "does not describe" in ran.stderr
+    assert len(pyarrow.csv.read_csv(tmp_path / "out.csv")) == 3000
+
+
+def test_demo_prints_figures_and_files(run: Run, tmp_path: Path) -> None:
+    ran = run("demo", "-o", "d")
+    assert ran.returncode == 0, ran.stderr
+    assert "acceleration_z" in ran.stdout
+    assert {"drive.csv", "drive_clean.csv", "drive_clean.csv.recipe.toml"} <= {
+        p.name for p in (tmp_path / "d").iterdir()
+    }

@@ -1,0 +1,165 @@
+"""Online: the bits of `kalman_filter`, for any chunks, and after any pause."""
+
+from __future__ import annotations
+
+import io
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from becalm.core.arrays import Floats
+from becalm.core.components import motion
+from becalm.core.filtering import kalman_filter
+from becalm.core.model import Model
+from becalm.core.online import Online
+from becalm.errors import ModelError
+
+ROWS = 400
+MODELS = {
+    "level, prior": Model(F=[[1]], H=[[1]], Q=[[0.1]], R=[[1]], x0=[0], P0=[[3]]),
+    "level, flat": motion(1, 0.1).to_model(1.0, 1.0),
+    "acceleration, flat": motion(3, 1e-3).to_model(1.0, 1.0),
+    "two channels, flat": Model(F=[[1, 1], [0, 0.9]], H=[[1, 0], [1, 1]], Q=np.eye(2), R=[[1, 0.3], [0.3, 2]]),
+    "two channels, prior": Model(
+        F=[[1, 1], [0, 0.9]], H=[[1, 0], [1, 1]], Q=0.1 * np.eye(2), R=np.eye(2), x0=[1, 0], P0=np.ones((2, 2))
+    ),
+    "unobserved, flat": Model(F=[[1, 1], [0, 1]], H=[[0, 1]], Q=np.eye(2), R=[[1]]),
+}
+
+
+def readings(model: Model) -> Floats:
+    """Leading NaN, a slow opening, long settled stretches, gaps."""
+    z = np.random.default_rng(11).normal(size=(ROWS, model.channels))
+    z[:2], z[3], z[5] = np.nan, np.nan, np.nan
+    z[250:254], z[300, -1], z[310] = np.nan, np.inf, np.nan
+    return z
+
+
+RECORDS = {name: (model, readings(model)) for name, model in MODELS.items()}
+names = st.sampled_from(sorted(MODELS))
+cuts = st.lists(st.integers(0, ROWS), max_size=8).map(sorted)
+
+
+def assert_same_bits(got: Floats, expected: Floats) -> None:
+    assert got.shape == expected.shape
+    assert np.array_equal(got.view(np.uint64), np.ascontiguousarray(expected).view(np.uint64))
+
+
+def in_chunks(online: Online, z: Floats, at: list[int]) -> tuple[Floats, Floats]:
+    parts = [online.run(z[start:stop]) for start, stop in zip([0, *at], [*at, len(z)], strict=True)]
+    return np.vstack([part[0] for part in parts]), np.vstack([part[1] for part in parts])
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_step_by_step_is_the_filter_to_the_bit(name: str) -> None:
+    model, z = RECORDS[name]
+    expected = kalman_filter(model, z)
+    online = Online(model)
+    steps = [online.step(reading) for reading in z]
+    assert_same_bits(np.array([signal for signal, _ in steps]), expected.signal)
+    assert_same_bits(np.array([sigma for _, sigma in steps]), expected.sigma)
+
+
+@given(name=names, at=cuts)
+@settings(deadline=None, max_examples=60)
+def test_any_chunks_are_the_filter_to_the_bit(name: str, at: list[int]) -> None:
+    model, z = RECORDS[name]
+    expected = kalman_filter(model, z)
+    signal, sigma = in_chunks(Online(model), z, at)
+    assert_same_bits(signal, expected.signal)
+    assert_same_bits(sigma, expected.sigma)
+
+
+@given(name=names, cut=st.integers(0, 12) | st.integers(0, ROWS))
+@settings(deadline=None, max_examples=60)
+def test_a_paused_stream_forgets_nothing(name: str, cut: int) -> None:
+    model, z = RECORDS[name]
+    expected = kalman_filter(model, z)
+    online = Online(model)
+    before = online.run(z[:cut])
+    resumed = Online.resume(online.snapshot())
+    after = resumed.run(z[cut:])
+    for got, whole in zip(np.hstack([before, np.empty((2, 0, model.channels))]), before, strict=True):
+        assert_same_bits(got, whole)
+    assert_same_bits(np.vstack([before[0], after[0]]), expected.signal)
+    assert_same_bits(np.vstack([before[1], after[1]]), expected.sigma)
+    assert resumed.snapshot() == continued(online, z[cut:]).snapshot()
+
+
+def continued(online: Online, z: Floats) -> Online:
+    online.run(z)
+    return online
+
+
+def test_a_snapshot_carries_its_model() -> None:
+    model = MODELS["two channels, prior"]
+    again = Online.resume(Online(model).snapshot()).model
+    for name in ("F", "H", "Q", "R", "G", "x0", "P0"):
+        assert np.array_equal(getattr(again, name), getattr(model, name))
+
+
+def test_an_opening_of_nothing_stays_small() -> None:
+    online = Online(MODELS["level, flat"])
+    signal, sigma = online.run(np.full(10_000, np.nan))
+    assert np.isnan(signal).all()
+    assert np.isinf(sigma).all()
+    assert len(online.snapshot()) < 10_000
+
+
+def test_a_number_is_a_reading_of_one_channel() -> None:
+    signal, sigma = Online(MODELS["level, prior"]).step(4.0)
+    assert signal.shape == sigma.shape == (1,)
+    assert signal[0] == pytest.approx(3.0, rel=1e-15)
+    assert sigma[0] == pytest.approx(np.sqrt(0.75), rel=1e-15)
+
+
+def test_an_empty_block_changes_nothing() -> None:
+    online = Online(MODELS["level, prior"])
+    before = online.snapshot()
+    assert online.run(np.empty(0))[0].shape == (0, 1)
+    assert online.snapshot() == before
+
+
+@pytest.mark.parametrize("reading", [[1.0], [1.0, 2.0, 3.0], 4.0])
+def test_a_reading_of_the_wrong_width_is_refused(reading: Any) -> None:
+    with pytest.raises(ModelError, match="z_k has . values; this model has 2 channels"):
+        Online(MODELS["two channels, prior"]).step(reading)
+
+
+def test_a_block_of_the_wrong_width_is_refused() -> None:
+    with pytest.raises(ModelError, match=r"z has shape \(5, 3\); this model needs \(N, 2\)"):
+        Online(MODELS["two channels, prior"]).run(np.zeros((5, 3)))
+
+
+def archive(**arrays: Any) -> bytes:
+    buffer = io.BytesIO()
+    np.savez(buffer, **arrays)
+    return buffer.getvalue()
+
+
+WHOLE = Online(MODELS["level, prior"]).snapshot()
+BAD = {
+    "empty": b"",
+    "text": b"becalm",
+    "half": WHOLE[: len(WHOLE) // 2],
+    "no end": WHOLE[:-30],
+    "spoilt": WHOLE[:200] + bytes(50) + WHOLE[250:],
+    "another archive": archive(a=np.zeros(3)),
+    "a bare array": (lambda b: (np.save(b, np.zeros(3)), b.getvalue())[1])(io.BytesIO()),
+    "model missing": archive(version=1, opening=np.empty((0, 1)), fresh=True),
+    "model impossible": archive(version=1, opening=np.empty((0, 1)), fresh=True, model_F=np.zeros((2, 3))),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bytes_that_are_no_snapshot_are_refused(name: str) -> None:
+    with pytest.raises(ModelError):
+        Online.resume(BAD[name])
+
+
+def test_a_snapshot_of_another_version_is_refused() -> None:
+    with pytest.raises(ModelError, match="version 99; this becalm reads 1"):
+        Online.resume(archive(version=99))

@@ -1,0 +1,90 @@
+"""The house keeps its budgets: file sizes, public names, a light import, docs that run."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+import becalm
+
+ROOT = Path(__file__).parents[2]
+SOURCES = sorted((ROOT / "src").rglob("*.py"))
+PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+BLOCKS = [
+    pytest.param(code, id=f"{page.name}-{i}")
+    for page in PAGES
+    for i, code in enumerate(re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), re.S))
+]
+HEAVY = ["numba", "scipy.signal", "scipy.linalg", "pyarrow", "pydantic", "matplotlib", "numpy"]
+
+
+def loaded_by(code: str) -> set[str]:
+    probe = f"import sys, json\n{code}\nprint(json.dumps(sorted(sys.modules)))"
+    ran = subprocess.run([sys.executable, "-c", probe], capture_output=True, text=True, check=True)
+    return set(json.loads(ran.stdout.splitlines()[-1]))
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_a_file_has_at_most_300_lines(path: Path) -> None:
+    assert len(path.read_text(encoding="utf-8").splitlines()) <= 300
+
+
+def test_public_names_are_few_and_there() -> None:
+    assert len(becalm.__all__) <= 12
+    assert all(getattr(becalm, name) is not None for name in becalm.__all__)
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        _ = becalm.nothing
+
+
+def test_import_is_light() -> None:
+    assert not loaded_by("import becalm") & set(HEAVY)
+
+
+def test_help_is_light() -> None:
+    heavy = loaded_by("from typer.testing import CliRunner\nfrom becalm.cli.main import app\nCliRunner().invoke(app)")
+    assert not heavy & set(HEAVY)
+
+
+@pytest.mark.parametrize("code", BLOCKS)
+def test_documented_code_runs(code: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    exec(compile(code, "documentation", "exec"), {})
+
+
+def test_configuration_names_only_paths_that_exist() -> None:
+    assert all((ROOT / path).exists() for path in PYPROJECT["tool"]["pytest"]["ini_options"]["testpaths"])
+    assert all((ROOT / path).exists() for path in PYPROJECT["tool"]["mypy"]["files"])
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_somewhere(page: Path) -> None:
+    targets = re.findall(r"\]\((?!http)([^)#]+)", page.read_text(encoding="utf-8"))
+    assert [target for target in targets if not (page.parent / target).exists()] == []
+
+
+@pytest.mark.parametrize("lock", ["requirements.lock", "requirements-test.lock"])
+def test_locks_hold_names_versions_and_hashes_only(lock: str) -> None:
+    for line in (ROOT / lock).read_text(encoding="utf-8").splitlines():
+        assert re.fullmatch(r"[a-z0-9-]+==[^\s]+( ; [^\\]+)?( \\)?|    --hash=sha256:[0-9a-f]{64}( \\)?", line), line
+
+
+def test_design_names_the_rooms_that_exist() -> None:
+    text = (ROOT / "docs/design.md").read_text(encoding="utf-8")
+    for path in (ROOT / "src/becalm").iterdir():
+        if path.is_dir() and path.name != "__pycache__":
+            assert f"  {path.name}/" in text, path.name
+
+
+def test_the_command_is_installed() -> None:
+    ran = subprocess.run(
+        [sys.executable, "-m", "becalm", "--help"], capture_output=True, text=True, check=True, env=os.environ
+    )
+    assert all(command in ran.stdout for command in ("inspect", "clean", "tune", "demo"))
