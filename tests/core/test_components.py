@@ -45,7 +45,8 @@ def test_a_motion_is_discretised_exactly(order: int, T: float) -> None:
     closed = np.array(
         [
             [
-                2.5 * T ** (2 * order - 1 - i - j)
+                2.5
+                * T ** (2 * order - 1 - i - j)
                 / ((2 * order - 1 - i - j) * factorial(order - 1 - i) * factorial(order - 1 - j))
                 for j in place
             ]

@@ -82,8 +82,6 @@ def test_a_paused_stream_forgets_nothing(name: str, cut: int) -> None:
     before = online.run(z[:cut])
     resumed = Online.resume(online.snapshot())
     after = resumed.run(z[cut:])
-    for got, whole in zip(np.hstack([before, np.empty((2, 0, model.channels))]), before, strict=True):
-        assert_same_bits(got, whole)
     assert_same_bits(np.vstack([before[0], after[0]]), expected.signal)
     assert_same_bits(np.vstack([before[1], after[1]]), expected.sigma)
     assert resumed.snapshot() == continued(online, z[cut:]).snapshot()

@@ -66,7 +66,7 @@ class TestCar:
         for channel in range(3):
             z = np.zeros((2 * rest, 3))
             z[rest, channel] = 1.0
-            power += np.sum(kalman_filter(model, z).signal**2, axis=0)
+            power += np.sum(kalman_filter(model, z).signal ** 2, axis=0)
         np.testing.assert_allclose(power[1:], [0.03156, 0.03161], rtol=0, atol=5e-6)
         np.testing.assert_allclose(-20 * np.log10(power[1:]), [30.02, 30.00], rtol=0, atol=5e-3)
 

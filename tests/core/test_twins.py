@@ -33,7 +33,13 @@ def start(n: int, spread: float = 4.0) -> dict[str, ArrayLike]:
 
 
 LEVEL: dict[str, ArrayLike] = {"F": [[1.0]], "H": [[1.0]], "Q": [[0.03]], "R": [[0.7]], **start(1)}
-SLOPE: dict[str, ArrayLike] = {"F": [[1, 0.1], [0, 1]], "H": [[1, 0]], "Q": [[0.01, 0], [0, 0.1]], "R": [[2]], **start(2)}
+SLOPE: dict[str, ArrayLike] = {
+    "F": [[1, 0.1], [0, 1]],
+    "H": [[1, 0]],
+    "Q": [[0.01, 0], [0, 0.1]],
+    "R": [[2]],
+    **start(2),
+}
 THREE: dict[str, ArrayLike] = {"F": ROTATION, "H": np.eye(3), "Q": 0.05 * np.eye(3), "R": CORRELATED, **start(3)}
 FOUR: dict[str, ArrayLike] = {
     "F": DAMPED,

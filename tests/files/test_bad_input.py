@@ -43,14 +43,14 @@ BAD: dict[str, tuple[bytes, str]] = {
     "excel": (b"PK\x03\x04" + bytes(100), "Excel"),
     "truncated parquet": (parquet_bytes()[:-50], "damaged Parquet"),
     "rubbish called parquet": (b"PAR1" + bytes(range(256)), "damaged Parquet"),
-    "short row": (GOOD.encode().replace(b"20.0,1.5,0.25", b"20.0,1.5"), r"Row 201 \(line 202\).*2 cells"),
-    "long row": (GOOD.encode().replace(b"20.0,1.5,0.25", b"20.0,1.5,0.25,9,9"), r"Row 201 \(line 202\).*5 cells"),
-    "unclosed quote": (GOOD.encode().replace(b"20.0,1.5", b'20.0,"1.5'), "Row|table"),
+    "short row": (GOOD.encode().replace(b"20.0,2.5,0.25", b"20.0,2.5"), r"Row 201 \(line 202\).*2 cells"),
+    "long row": (GOOD.encode().replace(b"20.0,2.5,0.25", b"20.0,2.5,0.25,9,9"), r"Row 201 \(line 202\).*5 cells"),
+    "unclosed quote": (GOOD.encode().replace(b"20.0,2.5", b'20.0,"2.5'), "Row|table"),
     "no time": (b"a,b\n1.5,2\n1.25,3\n1.75,1\n", "--rate HZ"),
     "only flags": (b"time_s,on\n" + b"".join(b"0.%d,%d\n" % (i, i % 2) for i in range(1, 9)), "no column of numbers"),
     "only time": (b"time_s,note\n0.1,x\n0.2,y\n0.3,z\n", "no column of numbers"),
     "a short preamble": (b"Logger X\n", "no column of numbers"),
-    "a zero": (b"0", ""),
+    "a zero": (b"0", "--rate HZ"),
 }
 
 
@@ -97,7 +97,7 @@ def bad_cell(row: int, cell: str) -> str:
 
 
 @pytest.mark.parametrize("row", [1, 2, 50, 399])
-@pytest.mark.parametrize("cell", ["err", "1.2.3", "12:30", "0x1F", "1,5" * 0 + "n.a."])
+@pytest.mark.parametrize("cell", ["err", "1.2.3", "12:30", "0x1F", "n.a."])
 def test_a_bad_cell_is_named_with_the_way_out(row: int, cell: str, tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     path.write_text(bad_cell(row, cell))
@@ -141,6 +141,7 @@ def test_a_name_without_unit_that_fits_two_columns_is_refused(tmp_path: Path) ->
     [
         ("0.1 0.2 0.15 0.3", "backwards"),
         ("0.1 0.2 NA 0.4", "missing"),
+        ("0.1 inf inf 0.4", "missing or not finite"),
         ("5 5 5 5", "repeat|unit"),
         ("x y z w", "times"),
     ],
@@ -163,5 +164,5 @@ def test_thousands_of_random_cuts_never_give_a_traceback(tmp_path: Path) -> None
         path.write_bytes(bytes(data))
         try:
             read(path)
-        except BecalmError as refusal:
-            assert str(refusal)
+        except BecalmError:
+            continue

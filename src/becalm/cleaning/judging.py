@@ -14,6 +14,11 @@ from becalm.metrics.whiteness import mean_nis, whiteness
 PREDICTABLE = 0.10
 """Share of the innovation power that may still be predictable: 10 % costs 5 % in rms prediction."""
 
+DESCRIBED = "The model describes the signal."
+
+NOTHING_REMOVED = 0.8
+"""Noise gain above which a filter has found next to no noise to remove."""
+
 UNEVEN = 0.10
 """Share of the record in which sigma may be wrong by more than a factor of two."""
 
@@ -121,7 +126,7 @@ def judge_innovations(estimate: Estimate) -> Judgement:
 
 def _sentence(faults: list[str]) -> str:
     if not faults:
-        return "The model describes the signal."
+        return DESCRIBED
     return f"The model does not describe this signal: {'; and '.join(faults)}."
 
 

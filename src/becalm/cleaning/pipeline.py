@@ -11,13 +11,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from becalm.cleaning.judging import ChannelReport, judge_innovations
+from becalm.cleaning.judging import NOTHING_REMOVED, ChannelReport, judge_innovations
 from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe, TunedMotion
 from becalm.core.arrays import Floats
 from becalm.core.components import motion
 from becalm.core.filtering import elapsed_timeline, run_filter
 from becalm.core.recording import Recording
-from becalm.core.response import describe
+from becalm.core.response import Response, describe
 from becalm.core.smoothing import run_smoother
 from becalm.core.timebase import Timebase
 from becalm.core.verdict import ADVICE, Judged, Verdict, judge
@@ -210,9 +210,15 @@ def _run_motion(judged: Judged, time: Timebase, tuned: TunedMotion, causal: bool
         nis_mean=found.nis_mean,
         verdicts=judged.counts(),
         describes=found.describes,
-        says=_with_advice(found.says, judged),
+        says=_with_advice(_with_reserve(found.says, response), judged),
     )
     return _Part(estimate.signal[:, 0], estimate.sigma[:, 0], report)
+
+
+def _with_reserve(says: str, response: Response | None) -> str:
+    if response is None or response.noise_gain < NOTHING_REMOVED:
+        return says
+    return f"{says} Next to nothing was removed: noise cannot be told from motion here, so noise_std is a guess."
 
 
 def _with_advice(says: str, judged: Judged) -> str:

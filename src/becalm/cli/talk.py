@@ -27,6 +27,8 @@ def progress(title: str, count: int) -> Iterator[Callable[[str], None]]:
 
 def tell(reports: tuple[ChannelReport, ...], causal: bool) -> None:
     """Show what was found for each channel, then whom to trust."""
+    from becalm.cleaning.judging import DESCRIBED
+
     table = Table(box=None, pad_edge=False)
     for heading in ("channel", "model", "noise", "bandwidth", "lag", "trust"):
         table.add_column(heading, justify="right" if heading in ("noise", "bandwidth", "lag") else "left")
@@ -41,7 +43,7 @@ def tell(reports: tuple[ChannelReport, ...], causal: bool) -> None:
         )
     stderr.print(table)
     for report in reports:
-        if not report.describes or report.model != "motion" or " " in report.says.removesuffix("signal.").strip(" ."):
+        if report.says != DESCRIBED:
             stderr.print(f"{report.name}: {report.says}", markup=False)
 
 

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-
 from becalm.core.arrays import Floats, Integers
 from becalm.core.compiling import compiled
 from becalm.core.kernel_steps import (
@@ -95,53 +93,6 @@ def forward(system: System, which: Integers, z: Floats, state: State, trace: Tra
         if len(trace.innovation):
             write_innovation(trace, k, system, state, count)
         write_row(trace, k, system.H, state)
-    return squares, log_det, used
-
-
-@compiled
-def settled_run(system: System, which: Integers, z: Floats, first: int, state: State) -> tuple[int, float]:
-    """Run on with the settled gain of one channel; returns the row it stopped at and the sum of nu^2."""
-    n, step = len(state.x), state.counters[LAST_STEP]
-    F, h, K = system.F[step], system.H[0], state.K[:, 0]
-    x, Fx = state.x, state.nn[1, 0]
-    total, k = 0.0, first
-    while k < len(z) and which[k] == step and np.isfinite(z[k, 0]):
-        nu = z[k, 0]
-        for i in range(n):
-            s = 0.0
-            for j in range(n):
-                s += F[i, j] * x[j]
-            Fx[i] = s
-            nu -= h[i] * s
-        for i in range(n):
-            x[i] = Fx[i] + K[i] * nu
-        total += nu * nu
-        k += 1
-    return k, total
-
-
-@compiled
-def score(system: System, which: Integers, z: Floats, state: State, scored_from: int) -> tuple[float, float, int]:
-    """Return what `forward` returns, of one channel and of the rows from `scored_from` on, and write nothing."""
-    squares, log_det, used, k = 0.0, 0.0, 0, 0
-    while k < len(z):
-        if state.counters[SETTLED] and k >= scored_from:
-            stop, total = settled_run(system, which, z, k, state)
-            squares += total / state.D[0]
-            log_det += (stop - k) * np.log(state.D[0])
-            used += stop - k
-            k = stop
-            state.counters[SETTLED] = 0
-            if k == len(z):
-                break
-        count = full_step(system, which[k], z[k], state)
-        watch(state, which[k], count == 1)
-        if k >= scored_from:
-            s, d, live = whiten(state, count)
-            squares += s
-            log_det += d
-            used += live
-        k += 1
     return squares, log_det, used
 
 

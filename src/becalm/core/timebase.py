@@ -85,7 +85,7 @@ class Timebase:
         tolerance = max(_ROUNDING * _last_digit(stamps), _CLOCK * step) + 2 * np.spacing(np.abs(stamps).max())
         if np.all(steps >= 1) and np.abs(residual).max() <= tolerance:
             elapsed = np.concatenate([[0.0], steps])
-            return cls(frozen(elapsed), fitted, float(stamps[0]), True, float(residual.std()))
+            return cls(frozen(elapsed), _twelve_digits(fitted), float(stamps[0]), True, float(residual.std()))
         elapsed = np.concatenate([[0.0], distances / step])
         return cls(frozen(elapsed), step, float(stamps[0]), False, float((near - step).std()))
 
@@ -143,6 +143,11 @@ def _line(grid: Floats, stamps: Floats) -> tuple[float, Floats]:
     g, s = grid - grid.mean(), stamps - stamps.mean()
     slope = float(g @ s / (g @ g))
     return slope, s - slope * g
+
+
+def _twelve_digits(step_s: float) -> float:
+    """Round the rate to what stamps can tell, so that 100 Hz is not 99.9999999999997 Hz."""
+    return 1.0 / float(f"{1.0 / step_s:.12g}")
 
 
 def _last_digit(stamps: Floats) -> float:

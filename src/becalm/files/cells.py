@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import re
 
 import numpy as np
@@ -21,13 +22,28 @@ POINT = rf"^\s*[+-]?(?:(?:[0-9]+\.?[0-9]*|\.[0-9]+){_TAIL}|{_ENDLESS})\s*$"
 COMMA = rf"^\s*[+-]?(?:(?:[0-9]+(?:,[0-9]+)?|,[0-9]+){_TAIL}|{_ENDLESS})\s*$"
 """Numbers with a decimal point and with a decimal comma; understood alike by `re` and by RE2."""
 
-_TIME_LIKE = re.compile(
-    r"^\s*(?:\d{1,4}[-/.](?:\d{1,2}|[A-Za-z]{3})[-/.]\d{1,4}(?:[T ,;]+\d{1,2}:\d{2}.*)?|\d{1,2}:\d{2}(?::\d{2}.*)?)\s*$"
+_DATE_LIKE = r"\d{1,4}[-/.](?:\d{1,2}|[A-Za-z]{3})[-/.]\d{1,4}"
+_CLOCK_LIKE = (
+    r"\d{1,2}:\d{2}(?::\d{2}(?:[.,:]\d{1,9})?)?"
+    r"\s*(?:[AaPp]\.?[Mm]\.?)?\s*(?:Z|UTC|GMT|[+-]\d{2}:?\d{2}|[+-]\d{2})?"
 )
+_TIME_LIKE = re.compile(rf"^\s*(?:{_DATE_LIKE}(?:[T ,;]+{_CLOCK_LIKE})?|{_CLOCK_LIKE})\s*$")
 _POINT, _COMMA = re.compile(POINT), re.compile(COMMA)
 _MISSING = frozenset(MISSING)
 
 NUMBER, TIME, GONE, WORDS = "number", "time", "missing", "words"
+
+
+def split(line: str, separator: str) -> list[str]:
+    """Cut a line into cells; " " stands for runs of spaces, "" for one cell."""
+    if separator == " ":
+        return line.split()
+    if separator == "":
+        return [line.strip().strip('"')]
+    try:
+        return next(csv.reader([line], delimiter=separator), [])
+    except csv.Error:  # a cell beyond the module's limit: no table has such
+        return [line]
 
 
 def kind_of(cell: str) -> str:

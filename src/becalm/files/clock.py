@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,10 +49,11 @@ class Instants:
 
 
 def kind_of_text(column: pa.ChunkedArray) -> str:
-    """Tell by a few cells whether a column of text holds times; "" if not."""
+    """Tell by the most of its first cells whether a column of text holds times; "" if not."""
     some = [cell for cell in column.slice(0, 200).to_pylist() if cell and cell.strip()][:50]
-    kinds = {_kind_of_cell(cell) for cell in some}
-    return kinds.pop() if len(kinds) == 1 else ""
+    kinds = Counter(_kind_of_cell(cell) for cell in some)
+    kind, count = kinds.most_common(1)[0] if kinds else ("", 0)
+    return kind if 2 * count > len(some) else ""
 
 
 def _kind_of_cell(cell: str) -> str:

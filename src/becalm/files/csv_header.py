@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import csv
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from becalm.files.cells import GONE, NUMBER, kind_of
+from becalm.files.cells import GONE, NUMBER, kind_of, split
 from becalm.files.units import looks_like_unit, tidy_unit
 
 _COMMENT = ("#", "%", "//")
@@ -84,10 +83,7 @@ def _read(rows: list[list[str]], kinds: tuple[str, ...], lines: int) -> Header:
 
 
 def _cut(line: str, separator: str, width: int) -> list[str]:
-    if separator in ("", " "):
-        cells = [line.strip().strip('"')] if separator == "" else line.split()
-    else:
-        cells = [cell.strip() for cell in next(csv.reader([line], delimiter=separator), [])]
+    cells = [cell.strip() for cell in split(line, separator)]
     while len(cells) > width and not cells[-1]:
         cells.pop()
     return cells

@@ -151,23 +151,15 @@ def _exact(text: pa.ChunkedArray, numbers: pa.Array) -> pa.Array:
 
 
 def _without_padding(table: pa.Table, dialect: Dialect) -> pa.Table:
-    """Leave out nameless empty columns at the right (trailing separators) and empty rows at the bottom."""
+    """Leave out nameless empty columns at the right: trailing separators make them."""
     last = table.num_columns
     while last > 1 and not dialect.header.names[last - 1] and _is_empty(table.column(last - 1)):
         last -= 1
-    table = table.select(list(range(last)))
-    rows = table.num_rows
-    while rows > 1 and table.num_columns > 1 and _is_blank(table, rows - 1):
-        rows -= 1
-    return table.slice(0, rows)
+    return table.select(list(range(last)))
 
 
 def _is_empty(column: pa.ChunkedArray) -> bool:
     return bool(column.null_count == len(column))
-
-
-def _is_blank(table: pa.Table, row: int) -> bool:
-    return all(column[row].as_py() in (None, "") for column in table.columns)
 
 
 def _ragged(path: Path, body: bytes, dialect: Dialect, cause: str) -> InputError:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import re
 from collections import Counter
 from collections.abc import Sequence
@@ -10,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from becalm.errors import InputError
-from becalm.files.cells import GONE, NUMBER, TIME, WORDS, decimal_of, kind_of
+from becalm.files.cells import GONE, NUMBER, TIME, WORDS, decimal_of, kind_of, split
 from becalm.files.csv_header import Header, find_header
 
 _SEPARATORS = (";", "\t", ",", "|", "", " ")  # in a draw the earlier one wins; "" is a file of one column
@@ -78,7 +77,7 @@ def sniff(path: Path, data: bytes) -> Dialect:
         If there is no table of numbers, or it can be read in two ways.
     """
     lines = _head(data)
-    told = re.match(r"^sep=(.)\s*$", lines[0].text, re.IGNORECASE) if lines else None
+    told = re.match(r"^sep=([^\w\s\"]|\t)\s*$", lines[0].text, re.IGNORECASE) if lines else None
     start = 1 if told else 0
     plain = [number for number in range(start, len(lines)) if lines[number].plain]
     if not plain:
@@ -95,15 +94,6 @@ def sniff(path: Path, data: bytes) -> Dialect:
     kinds = _column_kinds([row for row in data_rows if len(row) == width], width)
     decimal = _decimal(path, data_rows, kinds)
     return Dialect(separator, decimal, header, kinds, first, lines[first].offset)
-
-
-def split(line: str, separator: str) -> list[str]:
-    """Cut a line into cells."""
-    if separator == "":
-        return [line.strip().strip('"')]
-    if separator == " ":
-        return line.split()
-    return next(csv.reader([line], delimiter=separator), [])
 
 
 def _head(data: bytes) -> list[_Line]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -87,6 +88,7 @@ def read(
 def _understand(raw: RawTable, options: ReadOptions) -> SourceFile:
     if raw.table.num_rows == 0:
         raise InputError("It has a header but no rows; two or more rows are needed.")
+    raw = _without_blank_end(raw)
     candidates = [column for columns in find_time(raw) for column in columns]
     if options.rate_hz is not None:
         if options.time is not None:
@@ -103,6 +105,20 @@ def _understand(raw: RawTable, options: ReadOptions) -> SourceFile:
         timebase=_timebase(stamps, raw.table.num_rows, options.rate_hz),
     )
     return SourceFile(recording, raw.table, layout_of(raw, time, recording, roles))
+
+
+def _without_blank_end(raw: RawTable) -> RawTable:
+    """Leave out rows of nothing but separators at the end of a text file, if it has a time to tell them by."""
+    rows = raw.table.num_rows
+    if raw.format != "csv" or not _is_blank(raw, rows - 1) or not find_time(raw):
+        return raw
+    while rows > 1 and _is_blank(raw, rows - 1):
+        rows -= 1
+    return replace(raw, table=raw.table.slice(0, rows))
+
+
+def _is_blank(raw: RawTable, row: int) -> bool:
+    return all(column[row].as_py() in (None, "") for column in raw.table.columns)
 
 
 def _timebase(stamps: Floats | None, count: int, rate_hz: float | None) -> Timebase:

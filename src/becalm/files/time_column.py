@@ -49,8 +49,8 @@ def is_time_name(header: str) -> bool:
 
 
 def is_counter(values: Floats) -> bool:
-    """Tell whether a column counts rows: steps of exactly 1."""
-    return len(values) > 2 and bool(np.all(np.diff(values) == 1.0))
+    """Tell whether a column counts rows: whole numbers in steps of exactly 1."""
+    return len(values) > 2 and bool(values[0] == np.round(values[0])) and bool(np.all(differences(values) == 1.0))
 
 
 def numbers(column: pa.ChunkedArray) -> Floats:
@@ -59,6 +59,12 @@ def numbers(column: pa.ChunkedArray) -> Floats:
         column = column.cast(pa.float32())
     values = column.cast(pa.float64(), safe=False).to_numpy()
     return np.asarray(values, np.float64)
+
+
+def differences(values: Floats) -> Floats:
+    """Return what each value adds to the one before, NaN where that has no answer."""
+    with np.errstate(invalid="ignore"):
+        return np.diff(values)
 
 
 def find_time(raw: RawTable) -> list[tuple[str, ...]]:
@@ -82,7 +88,7 @@ def _first_column(raw: RawTable, kinds: dict[str, str]) -> list[tuple[str, ...]]
     name = raw.table.column_names[0]
     if kinds[name] != NUMBERS or raw.table.num_columns < 2:
         return []
-    steps = np.diff(numbers(raw.table.column(name)))
+    steps = differences(numbers(raw.table.column(name)))
     if not (len(steps) and np.all(steps > 0)):
         return []
     median = np.median(steps)

@@ -16,6 +16,8 @@ from becalm.files.units import parse_header
 PER_SECOND = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
 SECONDS = {"min": 60.0, "h": 3600.0}
 
+_DAY_COUNTS = ((2.5e4, 7.5e4), (6.9e5, 7.7e5))  # Excel, MATLAB: years 1968 to 2105, 1889 to 2108
+_TEN_SECONDS = 10.0 / 86_400.0
 _IMPLIED = {"millis": "ms", "micros": "us", "sec": "s", "secs": "s", "second": "s", "seconds": "s"}
 _EPOCHS = (("s", 9.4e8, 4.2e9), ("ms", 9.4e11, 4.2e12), ("us", 9.4e14, 4.2e15), ("ns", 9.4e17, 4.2e18))
 
@@ -92,7 +94,7 @@ def _numeric(raw: RawTable, name: str, column: pa.ChunkedArray) -> tuple[Floats,
     unit = raw.units.get(name, "") or unit or _IMPLIED.get(bare.lower(), "")
     if pa.types.is_float32(column.type):
         column = column.cast(pa.string())  # its shortest decimals: 0.01, not 0.009999999776
-    values = numbers(column)
+    values = np.where(np.isfinite(values := numbers(column)), values, np.nan)
     steps = np.diff(values)
     epoch = _epoch(values, steps, unit)
     if epoch:
@@ -136,6 +138,12 @@ def _refuse_unknown_unit(name: str, values: Floats, steps: Floats) -> None:
     if is_counter(values):
         raise TimeError(f"The time column {name!r} only counts rows, so the rate is unknown; give it with --rate HZ.")
     median = float(np.median(known)) if len(known) else 0.0
+    first = float(values[0])
+    if any(low <= first <= high for low, high in _DAY_COUNTS) and 0.0 < median < _TEN_SECONDS:
+        raise TimeError(
+            f"The time column {name!r} has no unit and looks like days (an Excel or MATLAB date: {first:.6f})."
+            f" Write it as YYYY-MM-DD hh:mm:ss.fff, or name it '{name} (s)' if it is seconds, {COUNT}."
+        )
     if not 0.0 < median < 1.0 or np.all(known == np.round(known)):
         raise TimeError(
             f"The time column {name!r} has no unit and steps of {median:.6g}: seconds, milliseconds or ticks?"

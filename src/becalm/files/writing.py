@@ -202,7 +202,9 @@ def _write_csv(table: pa.Table, file: IO[bytes]) -> None:
 
     table = _for_csv(table)
     header = io.StringIO()
-    csv.writer(header, lineterminator="\n").writerow(table.column_names)
+    like_comment = table.column_names[0].lstrip().startswith(("#", "%", "//"))
+    dialect: type[csv.Dialect] = csv.unix_dialect if like_comment else csv.excel
+    csv.writer(header, dialect, lineterminator="\n").writerow(table.column_names)
     file.write(header.getvalue().encode("utf-8"))
     style = "needed" if any(map(_needs_quotes, table.columns)) else "none"
     arrow_csv.write_csv(table, file, arrow_csv.WriteOptions(include_header=False, quoting_style=style))

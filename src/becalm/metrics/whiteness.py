@@ -56,8 +56,11 @@ def whiteness(normalised: Floats) -> Whiteness:
 def autocorrelation(e: Floats, lags: int) -> Floats:
     """Return the autocorrelation of e (N,) about its mean at lags 0 to `lags`."""
     centred = e - e.mean()
-    power = float(centred @ centred)
-    return np.array([1.0, *(float(centred[j:] @ centred[:-j]) / power for j in range(1, lags + 1))])
+    padded = 1 << (len(e) + lags).bit_length()  # so that the circular correlation does not wrap
+    spectrum = np.abs(np.fft.rfft(centred, padded)) ** 2
+    correlation: Floats = np.fft.irfft(spectrum, padded)[: lags + 1]
+    correlation /= correlation[0]
+    return correlation
 
 
 def prediction_error(correlation: Floats) -> float:

@@ -19,8 +19,8 @@ from becalm.core import starting
 from becalm.core.arrays import Floats, Integers
 from becalm.core.components import motion
 from becalm.core.filtering import Timeline, elapsed_timeline
+from becalm.core.kernel_score import score
 from becalm.core.kernel_steps import new_state
-from becalm.core.kernels import score
 
 UNSCORED = 3
 """Readings that only start the filter, for every order alike, so that likelihoods compare."""
@@ -117,7 +117,7 @@ class Candidate:
             return Score(-np.inf, 0.0, 0)
         state = new_state(opening.x, opening.P, 1)
         rest: Integers = which[opening.rows :]
-        squares, log_det, count = score(system, rest, z[opening.rows :], state, max(0, UNSCORED - opening.rows))
+        squares, log_det, count = score(system, rest, z[opening.rows :, 0], state, max(0, UNSCORED - opening.rows))
         if count == 0:
             return Score(-np.inf, 0.0, 0)
         r = max(squares / count, self._smallest_variance())

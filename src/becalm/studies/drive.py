@@ -17,7 +17,7 @@ from becalm.core.recording import Recording
 RATE_HZ = 500.0
 DURATION_S = 60.0
 NOISE_STD = (0.15, 0.8, 0.6)  # m/s, m/s^2, m/s^2
-NAMES = ("speed", "acceleration_x", "acceleration_z")
+NAMES = ("speed (m/s)", "acceleration_x (m/s^2)", "acceleration_z (m/s^2)")
 UNITS = ("m/s", "m/s^2", "m/s^2")
 
 
@@ -47,7 +47,8 @@ def _band(rng: np.random.Generator, low_hz: float, high_hz: float, count: int, s
     """Return Gaussian noise of a band, (count,), with the standard deviation asked."""
     sos = butter(2, [low_hz, high_hz], "bandpass", fs=RATE_HZ, output="sos")
     noise: Floats = sosfilt(sos, rng.normal(size=count))
-    return noise * (std / noise.std())
+    noise *= std / noise.std()
+    return noise
 
 
 def _recording(samples: Floats) -> Recording:

@@ -1,0 +1,52 @@
+"""Units out of headers."""
+
+from __future__ import annotations
+
+import pytest
+
+from becalm.files.units import looks_like_unit, parse_header
+
+
+@pytest.mark.parametrize(
+    ("header", "name", "unit"),
+    [
+        ("Gyroscope X (deg/s)", "Gyroscope X", "deg/s"),
+        (r"DMS_CN (um\m)", "DMS_CN", "um/m"),
+        ("DMS_CN (µm/m)", "DMS_CN", "um/m"),
+        ("DMS (μm/m)", "DMS", "um/m"),
+        ("acc_0_mps2", "acc_0", "m/s^2"),
+        ("time_s", "time", "s"),
+        ("speed_mps", "speed", "m/s"),
+        ("gyro_0_radps", "gyro_0", "rad/s"),
+        ("[V]", "[V]", ""),
+        ("Force [N]", "Force", "N"),
+        ("Force[N]", "Force", "N"),
+        ("a (m/s²)", "a", "m/s^2"),
+        ("a (m/s2)", "a", "m/s^2"),
+        ("T (°C)", "T", "degC"),
+        ("w (°/s)", "w", "deg/s"),
+        ("Time (-)", "Time", ""),
+        ("U_mV", "U", "mV"),
+        ("Force, kN", "Force", "kN"),
+        ("left_sensor.acc_x", "left_sensor.acc_x", ""),
+        ("vel_n", "vel_n", ""),
+        ("quat_w", "quat_w", ""),
+        ("_s", "_s", ""),
+        ("plain", "plain", ""),
+        ("", "", ""),
+    ],
+)
+def test_header(header: str, name: str, unit: str) -> None:
+    assert parse_header(header) == (name, unit)
+
+
+@pytest.mark.parametrize(
+    "cell", ["s", "[V]", "(g)", "m/s^2", "m/s²", "°C", "µm/m", "-", "%", "mV/V", "kN", "deg/s", "rad/s"]
+)
+def test_unit_cells(cell: str) -> None:
+    assert looks_like_unit(cell)
+
+
+@pytest.mark.parametrize("cell", ["force", "acc_x", "x", "time", "1.5", "left", ""])
+def test_other_cells(cell: str) -> None:
+    assert not looks_like_unit(cell)
