@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -213,7 +215,10 @@ def test_channels_that_do_not_exist_are_refused() -> None:
         clean(record(Z[:0]))
 
 
-FILTERS = {"butterworth": lambda z: butterworth(z, 0.05, 4), "moving average": lambda z: moving_average(z, 20)}
+FILTERS: dict[str, Callable[[Floats], Floats]] = {
+    "butterworth": lambda z: butterworth(z, 0.05, 4),
+    "moving average": lambda z: moving_average(z, 20),
+}
 
 
 @pytest.mark.parametrize("name", FILTERS)

@@ -131,7 +131,7 @@ def test_what_is_not_toml_is_refused(wrong: str) -> None:
 
 @pytest.mark.parametrize("wrong", ["", "x = 1", "[tuned_on]\nrate_hz = 5\n", "channel = 3\n[tuned_on]\nrate_hz = 5"])
 def test_toml_that_is_no_recipe_is_refused(wrong: str) -> None:
-    with pytest.raises(RecipeError, match="^The recipe does not say what a recipe must"):
+    with pytest.raises(RecipeError, match=r"^The recipe does not say what a recipe must"):
         Recipe.from_toml(wrong)
 
 

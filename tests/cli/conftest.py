@@ -34,8 +34,9 @@ def run(tmp_path: Path) -> Run:
     def becalm(*words: object, **more: object) -> subprocess.CompletedProcess[str]:
         command = [sys.executable, "-m", "becalm", *map(str, words)]
         environment = {**os.environ, "COLUMNS": "200"}
-        return subprocess.run(
+        ran: subprocess.CompletedProcess[str] = subprocess.run(
             command, capture_output=True, text=True, cwd=tmp_path, env=environment, check=False, **more
-        )  # type: ignore[call-overload, no-any-return]
+        )  # type: ignore[call-overload]
+        return ran
 
     return becalm

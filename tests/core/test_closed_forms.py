@@ -84,7 +84,7 @@ def test_thirty_decibels_cost_what_the_table_says(fs: float, enbw: float, bandwi
 
 def alpha_beta(index: float, T: float = 1.0, r: float = 1.0) -> Model:
     """Piecewise constant acceleration: Q of rank one, through G."""
-    return Model(F=[[1, T], [0, 1]], H=[[1, 0]], G=[[T**2 / 2], [T]], Q=[[(index / T**2) ** 2 * r]], R=[[r]])
+    return Model(F=np.array([[1, T], [0, 1]]), H=[[1, 0]], G=[[T**2 / 2], [T]], Q=[[(index / T**2) ** 2 * r]], R=[[r]])
 
 
 INDICES = [1e-3, 0.05, 0.5, 3.0]
@@ -139,8 +139,8 @@ def test_alpha_beta_of_continuous_white_acceleration(index: float) -> None:
 @pytest.mark.parametrize("T", [1.0, 0.1])
 def test_alpha_beta_gamma(T: float) -> None:
     index, r = 0.05, 2.0
-    F = [[1, T, T**2 / 2], [0, 1, T], [0, 0, 1]]
-    G = [[T**2 / 2], [T], [1]]
+    F = np.array([[1, T, T**2 / 2], [0, 1, T], [0, 0, 1]])
+    G = np.array([[T**2 / 2], [T], [1]])
     model = Model(F=F, H=[[1, 0, 0]], G=G, Q=[[(index / T**2) ** 2 * r]], R=[[r]])
     a, b, g = gains(steady(model)) * [1, T, 2 * T**2]
     np.testing.assert_allclose([a, b, g], [0.521351, 0.189919, 0.0691845], rtol=SIX_DIGITS)

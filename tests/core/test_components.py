@@ -132,7 +132,7 @@ def test_every_order_sees_its_first_state_and_is_observable(order: int) -> None:
 def test_the_euler_form_is_the_first_order_form() -> None:
     model = motion(3, 2.0).to_model(0.1, 1.0, discretisation="euler")
     np.testing.assert_allclose(model.F, np.eye(3) + 0.1 * np.eye(3, k=1), rtol=1e-15)
-    assert np.array_equal(model.G, [[0], [0], [0.1]])
+    assert np.array_equal(model.G, [[0.0], [0.0], [0.1]])
     assert np.array_equal(model.Q, [[2.0]])
 
 
@@ -144,19 +144,19 @@ def test_other_orders_are_refused(order: Any) -> None:
 
 @pytest.mark.parametrize("density", [-1.0, np.nan, np.inf])
 def test_what_is_not_a_density_is_refused(density: float) -> None:
-    with pytest.raises(ModelError, match="^noise_density = "):
+    with pytest.raises(ModelError, match=r"^noise_density = "):
         motion(1, density)
 
 
 @pytest.mark.parametrize("step_s", [0.0, -0.1, np.nan, np.inf])
 def test_what_is_not_a_step_is_refused(step_s: float) -> None:
-    with pytest.raises(ModelError, match="^step_s = "):
+    with pytest.raises(ModelError, match=r"^step_s = "):
         level().to_model(step_s, 1.0)
 
 
 def test_a_negative_variance_and_an_unknown_form_are_refused() -> None:
-    with pytest.raises(ModelError, match="^R is not a covariance"):
+    with pytest.raises(ModelError, match=r"^R is not a covariance"):
         level().to_model(1.0, -1.0)
     unknown: Any = "tustin"
-    with pytest.raises(ModelError, match="^discretisation = 'tustin' is not known"):
+    with pytest.raises(ModelError, match=r"^discretisation = 'tustin' is not known"):
         level().to_model(1.0, 1.0, discretisation=unknown)

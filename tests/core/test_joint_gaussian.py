@@ -8,11 +8,10 @@ by QR; a flat start simply has no prior rows. It is the same problem, solved on 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from numpy.typing import ArrayLike
 
 from becalm.core.arrays import Floats
 from becalm.core.filtering import kalman_filter
@@ -90,7 +89,7 @@ class Joint:
         return Answer(mean, spread @ np.swapaxes(spread, 1, 2), cost, log_det + 2 * float(np.log(singular).sum()), True)
 
 
-FREE: dict[str, dict[str, ArrayLike]] = {
+FREE: dict[str, dict[str, Any]] = {
     "level": {"F": [[1]], "H": [[1]], "Q": [[0.2]], "R": [[0.7]]},
     "slope, Q of rank one": {"F": [[1, 1], [0, 1]], "H": [[1, 0]], "G": [[0.5], [1]], "Q": [[0.05]], "R": [[1]]},
     "slope, stiff": {"F": [[1, 1], [0, 1]], "H": [[1, 0]], "Q": [[0, 0], [0, 1e-4]], "R": [[1]]},
@@ -130,7 +129,7 @@ def missing(request: pytest.FixtureRequest) -> str:
 
 
 @pytest.fixture(params=["prior", "singular prior", "flat"])
-def model(request: pytest.FixtureRequest, free: dict[str, ArrayLike]) -> Model:
+def model(request: pytest.FixtureRequest, free: dict[str, Any]) -> Model:
     n = len(np.asarray(free["F"]))
     if request.param == "flat":
         return Model(**free)
@@ -138,9 +137,9 @@ def model(request: pytest.FixtureRequest, free: dict[str, ArrayLike]) -> Model:
     return Model(**free, x0=np.arange(1.0, n + 1), P0=P0)
 
 
-@pytest.fixture(params=FREE.values(), ids=FREE)
-def free(request: pytest.FixtureRequest) -> dict[str, ArrayLike]:
-    found: dict[str, ArrayLike] = request.param
+@pytest.fixture(params=list(FREE.values()), ids=list(FREE))
+def free(request: pytest.FixtureRequest) -> dict[str, Any]:
+    found: dict[str, Any] = request.param
     return found
 
 
@@ -192,7 +191,7 @@ def test_the_likelihood_is_that_of_one_joint_gaussian(model: Model, missing: str
     assert got.log_likelihood == pytest.approx(expected, rel=ORACLE, abs=ORACLE)
 
 
-def test_a_signal_is_told_as_soon_as_the_readings_tell_it(free: dict[str, ArrayLike], missing: str) -> None:
+def test_a_signal_is_told_as_soon_as_the_readings_tell_it(free: dict[str, Any], missing: str) -> None:
     """Before the whole state is known, H x is given where, and only where, the readings determine it."""
     model = Model(**free)
     z = holes((ROWS, model.channels), missing)
@@ -211,7 +210,7 @@ def test_a_signal_is_told_as_soon_as_the_readings_tell_it(free: dict[str, ArrayL
             np.testing.assert_allclose(got.signal[k], model.H @ answer.mean[k], rtol=ORACLE, atol=ORACLE)
 
 
-def test_before_any_reading_nothing_is_claimed(free: dict[str, ArrayLike]) -> None:
+def test_before_any_reading_nothing_is_claimed(free: dict[str, Any]) -> None:
     model = Model(**free)
     z = np.full((5, model.channels), np.nan)
     for run in (kalman_filter, kalman_smoother):

@@ -6,14 +6,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import ArrayLike
 
 from becalm.core.filtering import kalman_filter
 from becalm.core.model import Model
 from becalm.core.smoothing import kalman_smoother
 from becalm.errors import BecalmError, ModelError
 
-GOOD: dict[str, ArrayLike] = {
+GOOD: dict[str, Any] = {
     "F": [[1.0, 0.1], [0.0, 1.0]],
     "H": [[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]],
     "Q": [[0.2]],
@@ -129,9 +128,8 @@ def test_scalars_stand_for_matrices_of_one() -> None:
 
 
 def test_integers_are_numbers() -> None:
-    whole = Model(
-        F=[[1, 1], [0, 1]], H=[[1, 0]], Q=np.eye(2, dtype=np.int8), R=[[2]], x0=[0, 0], P0=np.eye(2, dtype=int)
-    )
+    small = np.eye(2, dtype=np.int8)
+    whole = Model(F=[[1, 1], [0, 1]], H=[[1, 0]], Q=small, R=[[2]], x0=[0, 0], P0=small)
     real = Model(F=[[1.0, 1.0], [0.0, 1.0]], H=[[1.0, 0.0]], Q=np.eye(2), R=[[2.0]], x0=[0.0, 0.0], P0=np.eye(2))
     z = np.arange(20)
     assert np.array_equal(kalman_filter(whole, z).signal, kalman_filter(real, z.astype(float)).signal)

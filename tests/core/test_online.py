@@ -22,9 +22,11 @@ MODELS = {
     "level, prior": Model(F=[[1]], H=[[1]], Q=[[0.1]], R=[[1]], x0=[0], P0=[[3]]),
     "level, flat": motion(1, 0.1).to_model(1.0, 1.0),
     "acceleration, flat": motion(3, 1e-3).to_model(1.0, 1.0),
-    "two channels, flat": Model(F=[[1, 1], [0, 0.9]], H=[[1, 0], [1, 1]], Q=np.eye(2), R=[[1, 0.3], [0.3, 2]]),
+    "two channels, flat": Model(
+        F=[[1.0, 1.0], [0.0, 0.9]], H=[[1, 0], [1, 1]], Q=np.eye(2), R=[[1.0, 0.3], [0.3, 2.0]]
+    ),
     "two channels, prior": Model(
-        F=[[1, 1], [0, 0.9]], H=[[1, 0], [1, 1]], Q=0.1 * np.eye(2), R=np.eye(2), x0=[1, 0], P0=np.ones((2, 2))
+        F=[[1.0, 1.0], [0.0, 0.9]], H=[[1, 0], [1, 1]], Q=0.1 * np.eye(2), R=np.eye(2), x0=[1, 0], P0=np.ones((2, 2))
     ),
     "unobserved, flat": Model(F=[[1, 1], [0, 1]], H=[[0, 1]], Q=np.eye(2), R=[[1]]),
 }
@@ -123,7 +125,7 @@ def test_an_empty_block_changes_nothing() -> None:
 
 @pytest.mark.parametrize("reading", [[1.0], [1.0, 2.0, 3.0], 4.0])
 def test_a_reading_of_the_wrong_width_is_refused(reading: Any) -> None:
-    with pytest.raises(ModelError, match="z_k has . values; this model has 2 channels"):
+    with pytest.raises(ModelError, match=r"z_k has . values; this model has 2 channels"):
         Online(MODELS["two channels, prior"]).step(reading)
 
 
@@ -138,6 +140,12 @@ def archive(**arrays: Any) -> bytes:
     return buffer.getvalue()
 
 
+def bare_array() -> bytes:
+    buffer = io.BytesIO()
+    np.save(buffer, np.zeros(3))
+    return buffer.getvalue()
+
+
 WHOLE = Online(MODELS["level, prior"]).snapshot()
 BAD = {
     "empty": b"",
@@ -146,7 +154,7 @@ BAD = {
     "no end": WHOLE[:-30],
     "spoilt": WHOLE[:200] + bytes(50) + WHOLE[250:],
     "another archive": archive(a=np.zeros(3)),
-    "a bare array": (lambda b: (np.save(b, np.zeros(3)), b.getvalue())[1])(io.BytesIO()),
+    "a bare array": bare_array(),
     "model missing": archive(version=1, opening=np.empty((0, 1)), fresh=True),
     "model impossible": archive(version=1, opening=np.empty((0, 1)), fresh=True, model_F=np.zeros((2, 3))),
 }

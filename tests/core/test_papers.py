@@ -114,7 +114,7 @@ class TestImu:
 
     def test_the_papers_discretisation(self) -> None:
         model = imu(ACCELEROMETER, 3.0).to_model(self.T, 1.0, discretisation="euler")
-        assert np.array_equal(model.F, [[1, self.T], [0, 1]])
+        assert np.array_equal(model.F, [[1.0, self.T], [0.0, 1.0]])
         assert np.array_equal(model.G, self.T * np.eye(2))
         np.testing.assert_allclose(model.process_covariance, self.T**2 * 3.0 * np.eye(2), rtol=1e-15)
 
@@ -163,11 +163,12 @@ class TestStrain:
 
     def truth(self) -> Floats:
         t = np.arange(0, 100, self.T)
-        return np.interp(t, [0, 20, 40, 60, 80, 100], [0, 0, 1, 1, 0, 0])
+        ramps: Floats = np.interp(t, [0, 20, 40, 60, 80, 100], [0, 0, 1, 1, 0, 0])
+        return ramps
 
     def model(self, noise: float) -> Model:
         T = self.T
-        F = [[1, T, T**2 / 2], [0, 1, T], [0, 0, 1]]
+        F = np.array([[1, T, T**2 / 2], [0, 1, T], [0, 0, 1]])
         G = [[T**3 / 6], [T**2 / 2], [T]]
         return Model(F, [[1, 0, 0]], [[1e-4]], [[noise**2]], G=G)
 

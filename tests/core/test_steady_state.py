@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
-from numpy.typing import ArrayLike
 from scipy.linalg import solve_discrete_are
 from scipy.signal import butter, sosfiltfilt
 
@@ -16,7 +17,7 @@ from becalm.core.response import describe, steady
 from becalm.core.smoothing import kalman_smoother
 from becalm.errors import ModelError
 
-SETTLED: dict[str, dict[str, ArrayLike]] = {
+SETTLED: dict[str, dict[str, Any]] = {
     "level": {"F": [[1]], "H": [[1]], "Q": [[0.04]], "R": [[0.7]]},
     "slope": {"F": [[1, 0.1], [0, 1]], "H": [[1, 0]], "Q": [[1e-4, 0], [0, 0.1]], "R": [[2]]},
     "slope, Q of rank one": {"F": [[1, 1], [0, 1]], "H": [[1, 0]], "G": [[0.5], [1]], "Q": [[0.05]], "R": [[1]]},

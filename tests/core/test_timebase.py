@@ -29,7 +29,7 @@ def test_a_rate_needs_no_two_rows(count: int) -> None:
 
 @pytest.mark.parametrize("rate", [0.0, -5.0, np.nan, np.inf])
 def test_what_is_not_a_rate_is_refused(rate: float) -> None:
-    with pytest.raises(TimeError, match="rate_hz = .* is not a rate"):
+    with pytest.raises(TimeError, match=r"rate_hz = .* is not a rate"):
         Timebase.even(5, rate)
 
 

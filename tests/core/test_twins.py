@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from numpy.typing import ArrayLike
 
 from becalm.core import reference
 from becalm.core.arrays import Floats
@@ -24,24 +23,24 @@ CORRELATED = [[1.0, 0.6, -0.3], [0.6, 2.0, 0.4], [-0.3, 0.4, 0.5]]
 class Case(NamedTuple):
     """A model with x0 and P0, and which of its readings do not arrive."""
 
-    matrices: dict[str, ArrayLike]
+    matrices: dict[str, Any]
     missing: str = "none"
 
 
-def start(n: int, spread: float = 4.0) -> dict[str, ArrayLike]:
+def start(n: int, spread: float = 4.0) -> dict[str, Any]:
     return {"x0": np.arange(1.0, n + 1), "P0": spread * np.eye(n)}
 
 
-LEVEL: dict[str, ArrayLike] = {"F": [[1.0]], "H": [[1.0]], "Q": [[0.03]], "R": [[0.7]], **start(1)}
-SLOPE: dict[str, ArrayLike] = {
+LEVEL: dict[str, Any] = {"F": [[1.0]], "H": [[1.0]], "Q": [[0.03]], "R": [[0.7]], **start(1)}
+SLOPE: dict[str, Any] = {
     "F": [[1, 0.1], [0, 1]],
     "H": [[1, 0]],
     "Q": [[0.01, 0], [0, 0.1]],
     "R": [[2]],
     **start(2),
 }
-THREE: dict[str, ArrayLike] = {"F": ROTATION, "H": np.eye(3), "Q": 0.05 * np.eye(3), "R": CORRELATED, **start(3)}
-FOUR: dict[str, ArrayLike] = {
+THREE: dict[str, Any] = {"F": ROTATION, "H": np.eye(3), "Q": 0.05 * np.eye(3), "R": CORRELATED, **start(3)}
+FOUR: dict[str, Any] = {
     "F": DAMPED,
     "H": [[1, 0, 0, 0], [0.5, 1, 0, 0.2]],
     "G": [[0, 0], [0, 0], [1, 0], [0, 1]],
@@ -49,9 +48,9 @@ FOUR: dict[str, ArrayLike] = {
     "R": [[1.0, -0.4], [-0.4, 0.9]],
     **start(4),
 }
-DEAD: dict[str, ArrayLike] = {"F": np.eye(2), "H": np.eye(2), **{k: np.diag([0.0, 1.0]) for k in ("Q", "R", "P0")}}
+DEAD: dict[str, Any] = {"F": np.eye(2), "H": np.eye(2), **{k: np.diag([0.0, 1.0]) for k in ("Q", "R", "P0")}}
 DEAD = DEAD | {"x0": [3.0, 1.0]}
-WIDE: dict[str, ArrayLike] = {"F": [[0.99]], "H": [[1], [2], [-1]], "Q": [[0.1]], "R": CORRELATED, **start(1)}
+WIDE: dict[str, Any] = {"F": [[0.99]], "H": [[1], [2], [-1]], "Q": [[0.1]], "R": CORRELATED, **start(1)}
 
 CASES = {
     "level": Case(LEVEL),
@@ -120,7 +119,7 @@ def assert_twins(got: Floats, expected: Any, measure: Any = None) -> None:
     assert np.nanmax(np.abs(got - expected) - TWIN * size, initial=0.0) <= 0
 
 
-@pytest.fixture(params=CASES.values(), ids=CASES)
+@pytest.fixture(params=list(CASES.values()), ids=list(CASES))
 def case(request: pytest.FixtureRequest) -> tuple[Model, Floats]:
     found: Case = request.param
     model = Model(**found.matrices)
@@ -179,7 +178,7 @@ def test_the_smoother_is_its_twin(case: tuple[Model, Floats]) -> None:
     assert_twins(got.sigma**2, variance, [np.diag(model.H @ step.filtered.cov @ model.H.T) for step in steps])
 
 
-SETTLING = {
+SETTLING: dict[str, dict[str, Any]] = {
     "level": LEVEL,
     "slope": SLOPE,
     "three states, three channels": THREE,
@@ -230,7 +229,7 @@ def test_settling_is_noticed_at_all() -> None:
 
 
 def test_an_unobserved_unstable_state_leaves_the_observed_one_alone() -> None:
-    model = Model(F=[[1.5, 0], [0, 1]], H=[[0, 1]], Q=np.eye(2), R=[[1]], x0=[1, 0], P0=np.eye(2))
+    model = Model(F=[[1.5, 0.0], [0.0, 1.0]], H=[[0, 1]], Q=np.eye(2), R=[[1]], x0=[1, 0], P0=np.eye(2))
     alone = Model(F=[[1]], H=[[1]], Q=[[1]], R=[[1]], x0=[0], P0=[[1]])
     z = np.random.default_rng(1).normal(size=5000)
     both, one = kalman_filter(model, z, states=True, covariances=True), kalman_filter(alone, z)

@@ -20,6 +20,7 @@ GAP_STEPS = 1.5
 
 _FINEST_DIGIT = 9
 _ROUNDING = 0.55  # half a last digit, and a little for the fit
+_WAY_OUT = "Mend the column, name another with --time, or give --rate HZ to count rows instead."
 _CLOCK = 1e-6  # of a step: what floating-point stamps lose without being rounded on purpose
 
 
@@ -75,6 +76,7 @@ class Timebase:
         stamps = np.array(times_s, dtype=np.float64)
         if stamps.ndim != 1:
             raise TimeError(f"times_s has shape {stamps.shape}; one stamp a sample, (N,), is needed.")
+        _refuse_unfinished(stamps)
         distances = np.diff(stamps)
         _refuse_impossible(stamps, distances)
         step = float(np.median(distances))
@@ -120,22 +122,24 @@ class Timebase:
         return (np.flatnonzero(self.elapsed_steps[1:] == 0.0) + 1).astype(np.int64)
 
 
-def _refuse_impossible(stamps: Floats, distances: Floats) -> None:
-    way_out = "Mend the column, name another with --time, or give --rate HZ to count rows instead."
+def _refuse_unfinished(stamps: Floats) -> None:
     if len(stamps) < 2:
-        raise TimeError("One row has no rate; two or more are needed. Give --rate HZ.")
+        raise TimeError(f"{len(stamps)} stamps tell no rate; two or more are needed. Give --rate HZ.")
     if not np.isfinite(stamps).all():
         row = int(np.flatnonzero(~np.isfinite(stamps))[0])
-        raise TimeError(f"The time of row {row + 1} is missing or not finite. {way_out}")
+        raise TimeError(f"The time of row {row + 1} is missing or not finite. {_WAY_OUT}")
+
+
+def _refuse_impossible(stamps: Floats, distances: Floats) -> None:
     if (distances < 0).any():
         row = int(np.flatnonzero(distances < 0)[0]) + 1
         count = int((distances < 0).sum())
         raise TimeError(
             f"Time goes backwards at row {row + 1}, from {stamps[row - 1]:.9g} s to {stamps[row]:.9g} s"
-            f" ({count} such row{'s' if count > 1 else ''}). {way_out}"
+            f" ({count} such row{'s' if count > 1 else ''}). {_WAY_OUT}"
         )
     if not (np.median(distances) > 0):
-        raise TimeError(f"More than half of the rows repeat the time of the row before. {way_out}")
+        raise TimeError(f"More than half of the rows repeat the time of the row before. {_WAY_OUT}")
 
 
 def _line(grid: Floats, stamps: Floats) -> tuple[float, Floats]:
