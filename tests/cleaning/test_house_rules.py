@@ -13,7 +13,9 @@ from becalm.classic.causal import butterworth, moving_average
 from becalm.cleaning.pipeline import Cleaned, clean, tune
 from becalm.cleaning.recipe import Recipe
 from becalm.core.arrays import Floats
+from becalm.core.components import motion
 from becalm.core.recording import Recording
+from becalm.core.smoothing import kalman_smoother
 from becalm.errors import RecipeError, RecordingError
 
 ROWS = 800
@@ -176,6 +178,31 @@ def test_a_constant_passes_with_no_uncertainty_told(causal: bool) -> None:
     assert np.array_equal(out.signal.channel("constant"), Z[:, 2])
     assert np.isnan(out.sigma.channel("constant")).all()
     assert out.reports[2].model == "constant"
+
+
+@pytest.mark.parametrize("order", [1, 2, 3])
+@pytest.mark.parametrize("rate", [0.5, 10_000.0])
+def test_a_recipe_says_the_density_in_seconds(order: int, rate: float) -> None:
+    """q is per second, not per sample: what made the record is found again, and the kernel given it agrees."""
+    density, variance = 2.0 * (0.3 * rate) ** (2 * order) / rate, 2.0  # cut-off 0.3 radians a sample
+    model = motion(order, density).to_model(1 / rate, variance)
+    w = np.linalg.cholesky(model.Q) @ np.random.default_rng(order).normal(size=(order, 4000))
+    x, z = np.zeros(order), np.empty(4000)
+    for k in range(4000):
+        z[k], x = x[0], model.F @ x + w[:, k]
+    z += np.sqrt(variance) * np.random.default_rng(order + 10).normal(size=4000)
+    out = clean(Recording(z, rate_hz=rate))
+    found = out.recipe.channel[0]
+    assert found.order == order
+    assert found.process_noise_density == pytest.approx(density, rel=0.5)
+    assert found.noise_std == pytest.approx(np.sqrt(variance), rel=0.05)
+    assert found.process_noise_density is not None
+    assert found.noise_std is not None
+    again = motion(order, found.process_noise_density).to_model(1 / rate, found.noise_std**2)
+    expected = kalman_smoother(again, z)
+    size = np.abs(z).max()
+    np.testing.assert_allclose(out.signal.samples, expected.signal, rtol=0, atol=1e-9 * size)
+    np.testing.assert_allclose(out.sigma.samples, expected.sigma, rtol=1e-8)
 
 
 def test_progress_names_every_channel() -> None:

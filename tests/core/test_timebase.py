@@ -115,8 +115,8 @@ def test_two_rows_are_enough() -> None:
 @pytest.mark.parametrize(
     ("stamps", "says"),
     [
-        ([], "One row has no rate"),
-        ([1.0], "One row has no rate"),
+        ([], "stamps tell no rate; two or more are needed"),
+        ([1.0], "stamps tell no rate; two or more are needed"),
         ([0.0, 1.0, np.nan, 3.0], "row 3 is missing or not finite"),
         ([0.0, 1.0, np.inf], "row 3 is missing or not finite"),
         ([0.0, 2.0, 1.0, 3.0], r"backwards at row 3, from 2 s to 1 s \(1 such row\)"),

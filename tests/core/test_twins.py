@@ -235,5 +235,6 @@ def test_an_unobserved_unstable_state_leaves_the_observed_one_alone() -> None:
     both, one = kalman_filter(model, z, states=True, covariances=True), kalman_filter(alone, z)
     assert both.cov is not None
     assert np.isfinite(both.cov).all()
+    assert both.cov[-1, 0, 0] > 1e199, "its variance stopped growing before it had to"
     assert_twins(both.signal, one.signal)
     assert_twins(both.sigma, one.sigma)

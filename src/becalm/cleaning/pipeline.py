@@ -26,6 +26,8 @@ from becalm.noise.choose import FEWEST_READINGS, choose
 
 Progress = Callable[[str], None]
 
+_LEAST_RATIO, _GREATEST_RATIO = 1e-60, 1e12  # of q/r: beyond, every reading is ignored or believed
+
 
 @dataclass(frozen=True)
 class Cleaned:
@@ -79,6 +81,7 @@ def tune(
     RecordingError
         If a channel does not exist, or there are no channels or samples.
     """
+    _refuse_empty(recording)
     chosen = recording if channels is None else recording.select(_listed(channels))
     _refuse_empty(chosen)
     one = partial(_tune_channel, chosen, causal, progress or _silent)
@@ -118,6 +121,7 @@ def clean(
     RecipeError
         If the recipe names a channel that the recording does not have, or in another unit.
     """
+    _refuse_empty(recording)
     if recipe is None:
         recipe = tune(recording, causal=bool(causal), channels=channels, progress=progress)
     else:
@@ -181,14 +185,13 @@ def _pass_unchanged(judged: Judged, channel: ChannelRecipe) -> _Part:
     report = ChannelReport(
         verdicts=judged.counts(),
         describes=channel.model == "constant",
-        says=_with_advice(says, judged),
+        says=_with_advice(says, judged, but=Verdict.MISSING),
     )
     return _Part(judged.readings, np.full(len(judged.readings), np.nan), report)
 
 
 def _run_motion(judged: Judged, time: Timebase, tuned: TunedMotion, causal: bool) -> _Part:
-    variance = tuned.noise_std**2
-    density = tuned.process_noise_density * time.step_s ** (2 * tuned.order - 1)
+    variance, density = _per_step(tuned, time.step_s)
     component = motion(tuned.order, density)
     model = component.to_model(1.0, variance)
     timeline = elapsed_timeline(component, variance, time.elapsed_steps)
@@ -215,15 +218,29 @@ def _run_motion(judged: Judged, time: Timebase, tuned: TunedMotion, causal: bool
     return _Part(estimate.signal[:, 0], estimate.sigma[:, 0], report)
 
 
+def _per_step(tuned: TunedMotion, step_s: float) -> tuple[float, float]:
+    """Return the variance of a reading and the process noise in steps; both must be within float64's reach."""
+    with np.errstate(all="ignore"):
+        variance = float(np.float64(tuned.noise_std) ** 2)
+        density = float(np.float64(tuned.process_noise_density) * np.float64(step_s) ** (2 * tuned.order - 1))
+    possible = 1e-250 < variance < 1e250 and (density == 0 or _LEAST_RATIO < density / variance < _GREATEST_RATIO)
+    if not possible or (density == 0 and tuned.process_noise_density > 0):
+        raise RecipeError(
+            f"process_noise_density = {tuned.process_noise_density:.3g} and noise_std = {tuned.noise_std:.3g} make"
+            f" no filter at {1 / step_s:.6g} Hz; mend them in the recipe, or tune one on this recording."
+        )
+    return variance, density
+
+
 def _with_reserve(says: str, response: Response | None) -> str:
     if response is None or response.noise_gain < NOTHING_REMOVED:
         return says
     return f"{says} Next to nothing was removed: noise cannot be told from motion here, so noise_std is a guess."
 
 
-def _with_advice(says: str, judged: Judged) -> str:
+def _with_advice(says: str, judged: Judged, but: Verdict | None = None) -> str:
     counts = judged.counts()
-    told = [ADVICE[verdict] for verdict in Verdict if verdict in ADVICE and counts[verdict.name.lower()]]
+    told = [ADVICE[verdict] for verdict in ADVICE if verdict != but and counts[verdict.name.lower()]]
     return " ".join([says, *told])
 
 
@@ -256,6 +273,10 @@ def _refuse_mismatch(recording: Recording, recipe: Recipe) -> None:
 
 
 def _refuse_empty(recording: Recording) -> None:
+    if not isinstance(recording, Recording):
+        raise RecordingError(
+            f"A Recording is needed; {type(recording).__name__} came. Make one: becalm.Recording(samples, rate_hz=...)."
+        )
     if not recording.names:
         raise RecordingError("No channel is left to clean; name at least one.")
     if not len(recording):

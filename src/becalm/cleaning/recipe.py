@@ -65,7 +65,7 @@ class ChannelRecipe(_Settings):
     @property
     def motion(self) -> TunedMotion | None:
         """The motion's numbers, or None if the channel passes unchanged."""
-        if self.order is None or self.process_noise_density is None or self.noise_std is None:
+        if self.model != "motion" or self.order is None or self.process_noise_density is None or self.noise_std is None:
             return None
         return TunedMotion(self.order, self.process_noise_density, self.noise_std)
 
@@ -167,7 +167,7 @@ class Recipe(_Settings):
             If the file cannot be read or is not a recipe.
         """
         try:
-            text = Path(path).read_text(encoding="utf-8")
+            text = Path(path).read_text(encoding="utf-8-sig")
         except (OSError, UnicodeDecodeError) as cause:
             reason = getattr(cause, "strerror", None) or "it is not UTF-8 text"
             raise RecipeError(

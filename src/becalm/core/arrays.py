@@ -10,8 +10,22 @@ Integers = NDArray[np.int64]
 Booleans = NDArray[np.bool_]
 
 
+def real(values: ArrayLike) -> ArrayLike:
+    """Return values as they came, if they are real numbers.
+
+    Raises
+    ------
+    TypeError
+        If they are complex, text or dates, which float64 would silently change.
+    """
+    kind = np.asarray(values).dtype.kind
+    if kind in "cSUMm":
+        raise TypeError(f"real numbers are needed, {np.asarray(values).dtype} came")
+    return values
+
+
 def frozen(values: ArrayLike) -> Floats:
     """Return our own read-only float64 copy; the caller's array stays as it was."""
-    own = np.array(values, dtype=np.float64)
+    own = np.array(values, dtype=np.float64, order="C")
     own.flags.writeable = False
     return own

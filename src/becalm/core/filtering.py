@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from becalm.core import starting
-from becalm.core.arrays import Floats, Integers
+from becalm.core.arrays import Floats, Integers, real
 from becalm.core.components import Component, discretise
 from becalm.core.kernel_steps import State, System, new_state
 from becalm.core.kernels import Trace, forward
@@ -97,8 +97,10 @@ def checked_readings(model: Model, z: ArrayLike) -> Floats:
     ModelError
         If z is not numbers or does not have the model's channels.
     """
+    if not isinstance(model, Model):
+        raise ModelError(f"A Model is needed; {type(model).__name__} came. Make one: becalm.Model(F=, H=, Q=, R=).")
     try:
-        readings = np.asarray(z, dtype=np.float64)
+        readings = np.asarray(real(z), dtype=np.float64)
     except (TypeError, ValueError) as cause:
         raise ModelError(f"z is not an array of numbers ({cause}).") from cause
     if readings.ndim == 1 and model.channels == 1:
@@ -157,7 +159,7 @@ def run_filter(model: Model, timeline: Timeline, z: Floats, *, states: bool = Fa
     if model.x0 is not None and model.P0 is not None:
         state, begun = new_state(model.x0, model.P0, model.channels), 0
     else:
-        opening = starting.open_record(model, system, which, z)
+        opening = starting.open_record(system, which, z, model.unobservable)
         state, begun = new_state(opening.x, opening.P, model.channels), opening.rows
         write_opening(model, opening, trace)
     rest = Trace(*(array[begun:] for array in trace))

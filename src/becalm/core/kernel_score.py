@@ -8,11 +8,11 @@ from __future__ import annotations
 import numpy as np
 
 from becalm.core.arrays import Floats, Integers
-from becalm.core.compiling import compiled
+from becalm.core.compiling import compiled, compiled_part
 from becalm.core.kernel_steps import LAST_STEP, SETTLED, State, System, predict, watch
 
 
-@compiled
+@compiled_part
 def learn(h: Floats, r: float, z: float, state: State) -> float:
     """Equations (3) to (7) of one channel; leaves S in D and the gain in K, and returns the innovation."""
     x, P, K, PH = state.x, state.P, state.K, state.nm
@@ -33,7 +33,7 @@ def learn(h: Floats, r: float, z: float, state: State) -> float:
     return nu
 
 
-@compiled
+@compiled_part
 def joseph_of_one(h: Floats, r: float, state: State) -> None:
     """Equation (7), P = A P A' + K r K'."""
     P, K, A, AP = state.P, state.K, state.nn[0], state.nn[1]
@@ -56,7 +56,7 @@ def joseph_of_one(h: Floats, r: float, state: State) -> None:
             P[j, i] = s
 
 
-@compiled
+@compiled_part
 def settled_run(system: System, which: Integers, z: Floats, first: int, state: State) -> tuple[int, float]:
     """Run on with the settled gain; returns the row it stopped at and the sum of nu^2."""
     n, step = len(state.x), state.counters[LAST_STEP]

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Floats, Integers
-from becalm.core.compiling import compiled
+from becalm.core.compiling import compiled_part
 
 SETTLED, STEADY, NEXT_CHECK, LAST_STEP = 0, 1, 2, 3
 FIRST_CHECK = 64
@@ -64,14 +64,14 @@ def new_state(x: Floats, P: Floats, channels: int) -> State:
     )
 
 
-@compiled
+@compiled_part
 def copy_vector(source: Floats, target: Floats) -> None:
     """Copy (n,) numbers."""
     for i in range(len(source)):
         target[i] = source[i]
 
 
-@compiled
+@compiled_part
 def copy_matrix(source: Floats, target: Floats) -> None:
     """Copy (n, n) numbers."""
     for i in range(len(source)):
@@ -79,7 +79,7 @@ def copy_matrix(source: Floats, target: Floats) -> None:
             target[i, j] = source[i, j]
 
 
-@compiled
+@compiled_part
 def saturate(P: Floats) -> None:
     """Shrink what has grown beyond measure, row and column alike, so that P stays a covariance."""
     for i in range(len(P)):
@@ -90,7 +90,7 @@ def saturate(P: Floats) -> None:
                 P[j, i] *= factor
 
 
-@compiled
+@compiled_part
 def predict(F: Floats, Q: Floats, state: State) -> None:
     """Equations (1) and (2)."""
     x, P, FP, Fx = state.x, state.P, state.nn[0], state.nn[1, 0]
@@ -116,7 +116,7 @@ def predict(F: Floats, Q: Floats, state: State) -> None:
     saturate(P)
 
 
-@compiled
+@compiled_part
 def look(reading: Floats, state: State) -> int:
     """Note the channels that arrived; return how many."""
     count = 0
@@ -127,7 +127,7 @@ def look(reading: Floats, state: State) -> int:
     return count
 
 
-@compiled
+@compiled_part
 def decompose(state: State, count: int) -> None:
     """Factor S = L D L'; a pivot that rounding alone has left is dead."""
     S, L, D = state.S, state.L, state.D
@@ -143,7 +143,7 @@ def decompose(state: State, count: int) -> None:
             L[b, a] = s / D[a] if D[a] > 0.0 else 0.0
 
 
-@compiled
+@compiled_part
 def factor(H: Floats, R: Floats, state: State, count: int) -> None:
     """Equation (4), S = H P H' + R of the channels seen, and its factors L D L'."""
     P, PH, S, seen = state.P, state.nm, state.S, state.seen
@@ -164,7 +164,7 @@ def factor(H: Floats, R: Floats, state: State, count: int) -> None:
     decompose(state, count)
 
 
-@compiled
+@compiled_part
 def gain(state: State, count: int) -> None:
     """Equation (5), K = P H' S^-1, from the factors."""
     K, L, D, PH = state.K, state.L, state.D, state.nm
@@ -181,7 +181,7 @@ def gain(state: State, count: int) -> None:
                 K[i, a] -= L[c, a] * K[i, c]
 
 
-@compiled
+@compiled_part
 def shrink(H: Floats, state: State, count: int) -> None:
     """Write A = I - K H of the channels seen into nn[0]."""
     A, K = state.nn[0], state.K
@@ -193,7 +193,7 @@ def shrink(H: Floats, state: State, count: int) -> None:
             A[i, j] = s
 
 
-@compiled
+@compiled_part
 def joseph(H: Floats, R: Floats, state: State, count: int) -> None:
     """Equation (7), P = A P A' + K R K'."""
     P, K, seen, A, AP = state.P, state.K, state.seen, state.nn[0], state.nn[1]
@@ -217,7 +217,7 @@ def joseph(H: Floats, R: Floats, state: State, count: int) -> None:
             P[j, i] = s
 
 
-@compiled
+@compiled_part
 def correct(H: Floats, state: State, reading: Floats, count: int) -> None:
     """Equations (3) and (6): the innovation, and the state that it corrects."""
     x, K, nu = state.x, state.K, state.nu
@@ -233,7 +233,7 @@ def correct(H: Floats, state: State, reading: Floats, count: int) -> None:
         x[i] = s
 
 
-@compiled
+@compiled_part
 def full_step(system: System, step: int, reading: Floats, state: State) -> int:
     """One step of the full recursion, (1) to (7); returns how many channels were seen."""
     if step >= 0:
@@ -247,7 +247,7 @@ def full_step(system: System, step: int, reading: Floats, state: State) -> int:
     return count
 
 
-@compiled
+@compiled_part
 def settled_step(system: System, step: int, reading: Floats, state: State) -> None:
     """Equations (1), (3), (6) with the gain that has settled; the covariance stays."""
     x, Fx, F = state.x, state.nn[1, 0], system.F[step]
@@ -260,7 +260,7 @@ def settled_step(system: System, step: int, reading: Floats, state: State) -> No
     correct(system.H, state, reading, look(reading, state))
 
 
-@compiled
+@compiled_part
 def watch(state: State, step: int, complete: bool) -> None:
     """Notice that the covariance has settled: the same now as at half of the stretch."""
     counters, P = state.counters, state.P
@@ -281,7 +281,7 @@ def watch(state: State, step: int, complete: bool) -> None:
     counters[SETTLED] = unchanged
 
 
-@compiled
+@compiled_part
 def whiten(state: State, count: int) -> tuple[float, float, int]:
     """Return nu' S^-1 nu, log det S and their dimension from the factors; dead pivots are left out (8)."""
     L, D, e = state.L, state.D, state.S[0]

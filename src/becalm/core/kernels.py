@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from becalm.core.arrays import Floats, Integers
-from becalm.core.compiling import compiled
+from becalm.core.compiling import compiled, compiled_part
 from becalm.core.kernel_steps import (
     LAST_STEP,
     SETTLED,
@@ -40,7 +40,7 @@ class Trace(NamedTuple):
     cov: Floats  # (N, n, n)
 
 
-@compiled
+@compiled_part
 def write_row(trace: Trace, k: int, H: Floats, state: State) -> None:
     """Write what is believed after reading k."""
     n = len(state.x)
@@ -58,7 +58,7 @@ def write_row(trace: Trace, k: int, H: Floats, state: State) -> None:
         copy_matrix(state.P, trace.cov[k])
 
 
-@compiled
+@compiled_part
 def write_innovation(trace: Trace, k: int, system: System, state: State, count: int) -> None:
     """Write the innovations of reading k and, before them, their variances."""
     for a in range(count):
@@ -104,7 +104,7 @@ class Future(NamedTuple):
     work: Floats  # (2, n, n)
 
 
-@compiled
+@compiled_part
 def write_smoothed(trace: Trace, k: int, H: Floats, state: State, future: Future) -> None:
     """Equations (9) and (10), written over row k; `state` holds the filtered belief."""
     x, P, r, N = state.x, state.P, future.r, future.N
@@ -132,7 +132,7 @@ def write_smoothed(trace: Trace, k: int, H: Floats, state: State, future: Future
     write_row(trace, k, H, state)
 
 
-@compiled
+@compiled_part
 def pull_back(A: Floats, future: Future, u: Floats) -> None:
     """Carry r and N back through one linear map: r = A' r, N = A' N A; u is scratch."""
     r, N, NA = future.r, future.N, future.work[1]
@@ -157,7 +157,7 @@ def pull_back(A: Floats, future: Future, u: Floats) -> None:
             N[j, i] = s
 
 
-@compiled
+@compiled_part
 def add_innovation(H: Floats, state: State, count: int, future: Future) -> None:
     """Add H' S^-1 nu to r and H' S^-1 H to N, from the factors L D L' of S."""
     L, D, seen, V, e = state.L, state.D, state.seen, state.nm, state.S[0]
@@ -180,7 +180,7 @@ def add_innovation(H: Floats, state: State, count: int, future: Future) -> None:
                 future.N[i, j] += V[i, a] * V[j, a] * weight
 
 
-@compiled
+@compiled_part
 def step_back(F: Floats, H: Floats, state: State, count: int, future: Future) -> None:
     """Equations (11) and (12); `state` holds the prediction, its gain and the innovation."""
     shrink(H, state, count)

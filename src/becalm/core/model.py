@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from becalm.core.arrays import Floats, frozen
+from becalm.core.arrays import Floats, frozen, real
 from becalm.errors import ModelError
 
 _SEMIDEFINITE = 1e-10  # of the largest eigenvalue: what rounding may put below zero
@@ -67,7 +67,10 @@ class Model:
             raise ModelError("x0 and P0 belong together; give both, or neither to start from the first readings.")
         self.x0: Floats | None = None if x0 is None else _vector("x0", x0, n)
         self.P0: Floats | None = None if P0 is None else checked_covariance("P0", P0, n)
-        self.process_covariance: Floats = frozen(self.G @ self.Q @ self.G.T)
+        with np.errstate(over="ignore", invalid="ignore"):
+            self.process_covariance: Floats = frozen(self.G @ self.Q @ self.G.T)
+        if not np.isfinite(self.process_covariance).all():
+            raise ModelError("G Q G' leaves the range of float64; choose smaller units for G or Q.")
 
     @property
     def states(self) -> int:
@@ -143,7 +146,7 @@ def _vector(name: str, values: ArrayLike, size: int) -> Floats:
 
 def _numbers(name: str, values: ArrayLike) -> Floats:
     try:
-        own = frozen(values)
+        own = frozen(real(values))
     except (TypeError, ValueError) as cause:
         raise ModelError(f"{name} is not an array of real numbers ({cause}).") from cause
     if not np.isfinite(own).all():

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import io
-import zipfile
-import zlib
 from typing import Self
 
 import numpy as np
@@ -18,6 +16,7 @@ from becalm.core.model import Model
 from becalm.errors import ModelError
 
 _VERSION = 1
+_NOT_A_SNAPSHOT = "These bytes are not a snapshot of becalm.Online; pass what snapshot() returned."
 _MOVING = ("x", "P", "K", "L", "D", "checkpoint", "counters")
 
 
@@ -111,14 +110,28 @@ class Online:
             if int(arrays["version"]) != _VERSION:
                 raise ModelError(f"The snapshot has version {int(arrays['version'])}; this becalm reads {_VERSION}.")
             online = cls(Model(**{name[6:]: a for name, a in arrays.items() if name.startswith("model_")}))
-            online._opening, online._fresh = arrays["opening"], bool(arrays["fresh"])
-            if "state_x" in arrays:
-                blank = new_state(arrays["state_x"], arrays["state_P"], online.model.channels)
-                online._state = blank._replace(**{name: arrays[f"state_{name}"] for name in _MOVING})
-        except (KeyError, ValueError, OSError, EOFError, TypeError, zipfile.BadZipFile, zlib.error) as cause:
-            if isinstance(cause, ModelError):
-                raise
-            raise ModelError(
-                "These bytes are not a snapshot of becalm.Online; pass what snapshot() returned."
-            ) from cause
+            online._restore(arrays)
+        except ModelError:
+            raise
+        except Exception as cause:  # damaged bytes make the reader fail in many ways
+            raise ModelError(_NOT_A_SNAPSHOT) from cause
         return online
+
+    def _restore(self, arrays: dict[str, Floats]) -> None:
+        """Take over what moves, of the right shapes and types only: kernels trust them."""
+        n, m = self.model.states, self.model.channels
+        self._fresh, opening = bool(arrays["fresh"]), arrays["opening"]
+        _refuse_unlike("opening", opening, np.empty((len(opening), m)))
+        self._opening = opening
+        self._state = None
+        if "state_x" in arrays:
+            blank = new_state(np.zeros(n), np.zeros((n, n)), m)
+            for name in _MOVING:
+                _refuse_unlike(name, arrays[f"state_{name}"], getattr(blank, name))
+            self._state = blank._replace(**{name: arrays[f"state_{name}"].copy() for name in _MOVING})
+
+
+def _refuse_unlike(name: str, found: Floats, wanted: Floats) -> None:
+    same = found.shape == wanted.shape and found.dtype == wanted.dtype
+    if not same or (name != "opening" and not np.isfinite(found).all()):
+        raise ModelError(f"{_NOT_A_SNAPSHOT} Its {name} is {found.dtype} of shape {found.shape}, or not finite.")

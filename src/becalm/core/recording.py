@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from becalm.core.arrays import Floats, frozen
+from becalm.core.arrays import Floats, frozen, real
 from becalm.core.timebase import Timebase
 from becalm.errors import RecordingError
 
@@ -107,7 +107,7 @@ class Recording:
 
 def _checked_samples(samples: ArrayLike) -> Floats:
     try:
-        own = frozen(samples)
+        own = frozen(real(samples))
     except (TypeError, ValueError) as cause:
         raise RecordingError(f"The samples are not an array of numbers ({cause}).") from cause
     if own.ndim == 1:
@@ -123,6 +123,8 @@ def _checked_names(names: Sequence[str] | None, width: int) -> tuple[str, ...]:
     own = tuple(f"channel_{i}" for i in range(width)) if names is None else tuple(map(str, names))
     if len(own) != width:
         raise RecordingError(f"{len(own)} names came for {width} channels: {own}.")
+    if not all(own):
+        raise RecordingError(f"A channel needs a name; these came: {own}.")
     if len(set(own)) != width:
         raise RecordingError(f"Channel names must differ; these came: {own}.")
     return own

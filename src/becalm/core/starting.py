@@ -14,7 +14,6 @@ import numpy as np
 
 from becalm.core.arrays import Floats, Integers
 from becalm.core.kernel_steps import System
-from becalm.core.model import Model
 from becalm.errors import ModelError
 
 _WELL_DETERMINED = 1e-6  # smallest eigenvalue of the information, scaled to a unit diagonal
@@ -39,8 +38,19 @@ class Opening(NamedTuple):
     P: Floats  # (n, n)
 
 
-def open_record(model: Model, system: System, which: Integers, z: Floats) -> Opening:
+def open_record(system: System, which: Integers, z: Floats, unobservable: Floats) -> Opening:
     """Gather information from z (N, m) until the state is known.
+
+    Parameters
+    ----------
+    system : System
+        Step matrices and sensors.
+    which : (N,) int array
+        The step before each row.
+    z : (N, m) float array
+        Readings, NaN where missing.
+    unobservable : (n, u) float array
+        Directions that no reading sees; they start at zero with unit variance.
 
     Raises
     ------
@@ -48,8 +58,8 @@ def open_record(model: Model, system: System, which: Integers, z: Floats) -> Ope
         If F or R has no inverse; such a model needs x0 and P0.
     """
     _refuse_singular(system)
-    n = model.states
-    now = Information(model.unobservable @ model.unobservable.T, np.zeros(n))
+    n = len(system.F[0])
+    now = Information(unobservable @ unobservable.T, np.zeros(n))
     readings = np.isfinite(z).any(axis=1)
     first = int(readings.argmax()) if readings.any() else len(z)
     gathered: list[Information] = []

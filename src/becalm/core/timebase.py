@@ -12,11 +12,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from becalm.core.arrays import Floats, Integers, frozen
+from becalm.core.arrays import Floats, Integers, frozen, real
 from becalm.errors import TimeError
 
 GAP_STEPS = 1.5
 """A distance of more than this many median steps is a gap."""
+
+SLOWEST_HZ, FASTEST_HZ = 1e-9, 1e12
+"""Rates outside are typing errors: a sample in thirty years, or a million in a microsecond."""
 
 _FINEST_DIGIT = 9
 _ROUNDING = 0.55  # half a last digit, and a little for the fit
@@ -58,8 +61,8 @@ class Timebase:
         TimeError
             If the rate is not a positive number.
         """
-        if not (0.0 < rate_hz < np.inf):
-            raise TimeError(f"rate_hz = {rate_hz} is not a rate; give a positive number of hertz.")
+        if not isinstance(rate_hz, int | float | np.number) or not (SLOWEST_HZ <= rate_hz <= FASTEST_HZ):
+            raise TimeError(f"rate_hz = {rate_hz!r} is not a rate; give hertz, {SLOWEST_HZ:g} to {FASTEST_HZ:g}.")
         elapsed = np.ones(count)
         elapsed[:1] = 0.0
         return cls(frozen(elapsed), 1.0 / float(rate_hz), float(start_s))
@@ -73,7 +76,10 @@ class Timebase:
         TimeError
             If a stamp is missing, time goes backwards, or too few stamps differ to tell a rate.
         """
-        stamps = np.array(times_s, dtype=np.float64)
+        try:
+            stamps = np.array(real(times_s), dtype=np.float64)
+        except (TypeError, ValueError) as cause:
+            raise TimeError(f"times_s is not numbers of seconds ({cause}).") from cause
         if stamps.ndim != 1:
             raise TimeError(f"times_s has shape {stamps.shape}; one stamp a sample, (N,), is needed.")
         _refuse_unfinished(stamps)

@@ -11,6 +11,7 @@ from becalm.core.arrays import Floats
 
 LAGS = 20
 _PREDICTOR_LAGS = 32
+_READINGS_PER_LAG = 8  # a short sequence is asked fewer questions
 
 
 @dataclass(frozen=True)
@@ -42,14 +43,16 @@ def whiteness(normalised: Floats) -> Whiteness:
     Ljung and Box, Biometrika 65 (1978) 297. The predictor is that of Levinson and Durbin.
     """
     e = normalised[np.isfinite(normalised)]
-    if len(e) <= 2 * _PREDICTOR_LAGS or not np.any(e != e[0]):
+    n = len(e)
+    tested, foreseen = min(LAGS, n // _READINGS_PER_LAG), min(_PREDICTOR_LAGS, n // _READINGS_PER_LAG)
+    if foreseen < 1 or not np.any(e != e[0]):
         return Whiteness(1.0, 0.0, 0.0)
-    correlation = autocorrelation(e, _PREDICTOR_LAGS)
-    n, lags = len(e), np.arange(1, LAGS + 1)
-    statistic = n * (n + 2) * float((correlation[1 : LAGS + 1] ** 2 / (n - lags)).sum())
-    p_value = float(gammaincc(LAGS / 2, statistic / 2))
+    correlation = autocorrelation(e, foreseen)
+    lags = np.arange(1, tested + 1)
+    statistic = n * (n + 2) * float((correlation[1 : tested + 1] ** 2 / (n - lags)).sum())
+    p_value = float(gammaincc(tested / 2, statistic / 2))
     share = 1 - prediction_error(correlation)
-    chance = _PREDICTOR_LAGS / n
+    chance = foreseen / n
     return Whiteness(p_value, float(correlation[1]), max(0.0, (share - chance) / (1 - chance)))
 
 

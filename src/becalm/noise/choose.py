@@ -51,10 +51,10 @@ def choose(readings: Floats, elapsed: Floats, causal: bool = True) -> Choice:
         Whether the filter shall run causally; where no motion fits, its risk then sets the tuning.
     """
     seen = readings[np.isfinite(readings)]
-    if len(seen) and np.all(seen == seen[0]):
-        return Choice("constant")
     if len(seen) < FEWEST_READINGS:
         return Choice("untold")
+    if np.all(seen == seen[0]):
+        return Choice("constant")
     evidence = Evidence.of(readings, elapsed)
     rivals = tuple(tune_motion(order, evidence) for order in ORDERS)
     likeliest = max(rivals, key=lambda tuning: tuning.log_likelihood)

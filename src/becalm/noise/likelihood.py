@@ -111,8 +111,7 @@ class Candidate:
         """Return the likelihood at q/r = `ratio`, maximised over r."""
         z, which = self.evidence.z, self._unit.which
         system = self._unit.system._replace(Q=self._unit.system.Q * ratio)
-        model = motion(self.order, ratio).to_model(1.0, 1.0)
-        opening = starting.open_record(model, system, which, z)
+        opening = starting.open_record(system, which, z, np.empty((self.order, 0)))
         if not opening.known or opening.rows >= len(z):
             return Score(-np.inf, 0.0, 0)
         state = new_state(opening.x, opening.P, 1)
