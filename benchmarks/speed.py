@@ -2,7 +2,7 @@
 
 A CSV of 100 000 rows x 6 channels at 100 Hz is cleaned, smoothed, nothing chosen. Wall-clock seconds of
 whole processes; the first run compiles into an empty cache. Beside it, in the same run: reading the
-CSV and writing a Parquet and a CSV of the output's size with pyarrow alone.
+CSV and writing a CSV of the output's size with pyarrow alone.
 
 Run: python benchmarks/speed.py [-o docs/speed.md]
 """

@@ -126,3 +126,63 @@ def test_a_disk_that_fills_up_leaves_nothing(run: Run, drive: Path, tmp_path: Pa
     assert ran.returncode == 2, ran.stderr
     assert "Traceback" not in ran.stderr
     assert [path.name for path in tmp_path.iterdir()] == ["drive.csv"]
+
+
+def test_units_in_brackets_are_printed_and_do_not_break_the_table(run: Run, tmp_path: Path) -> None:
+    text = column(NOISE).replace("time_s,a", "time_s,f [/s]")
+    (tmp_path / "in.csv").write_text(text.replace("f [/s]", "f [rad]"), encoding="utf-8")
+    (tmp_path / "odd.csv").write_text(text, encoding="utf-8")
+    assert "f [rad]" in run("inspect", "in.csv").stdout
+    for name in ("in.csv", "odd.csv"):
+        ran = run("clean", name, "-o", "out.csv")
+        assert ran.returncode == 0, ran.stderr
+    assert "f [/s]" in ran.stderr
+
+
+def test_what_is_replaced_or_passed_through_is_said(run: Run, tmp_path: Path) -> None:
+    rows = "".join(f"{k / 100:.2f},{value},7.5,x\n" for k, value in enumerate(NOISE))
+    (tmp_path / "in.csv").write_text("time_s,a,a_sigma,note\n" + rows, encoding="utf-8")
+    ran = run("clean", "in.csv", "-o", "out.csv")
+    assert "Replaced by the new uncertainty: a_sigma" in ran.stderr
+    assert "note (text)" in ran.stderr
+
+
+IMPOSSIBLE = ["noise_std = 1e-300", "noise_std = 1e200", "process_noise_density = 1e300", "process_noise_density = -1"]
+
+
+@pytest.mark.parametrize("line", IMPOSSIBLE)
+def test_an_impossible_recipe_is_refused(line: str, run: Run, drive: Path, tmp_path: Path) -> None:
+    run("tune", drive, "-o", "r.toml")
+    key = line.partition(" ")[0]
+    lines = (tmp_path / "r.toml").read_text(encoding="utf-8").splitlines()
+    edited = [line if text.startswith(key) else text for text in lines]
+    (tmp_path / "r.toml").write_text("\ufeff" + "\n".join(edited), encoding="utf-8")
+    ran = run("clean", drive, "-o", "out.csv", "--recipe", "r.toml")
+    assert ran.returncode == 2, ran.stderr
+    assert key in ran.stderr
+    assert "Traceback" not in ran.stderr
+    assert not (tmp_path / "out.csv").exists()
+
+
+def test_a_recipe_that_passes_a_lively_channel_says_so(run: Run, drive: Path, tmp_path: Path) -> None:
+    run("tune", drive, "-o", "r.toml")
+    text = (tmp_path / "r.toml").read_text(encoding="utf-8").replace('"motion"', '"constant"')
+    (tmp_path / "r.toml").write_text(text, encoding="utf-8")
+    ran = run("clean", drive, "-o", "out.csv", "--recipe", "r.toml")
+    assert ran.returncode == 4
+    assert "readings vary" in ran.stderr
+
+
+def test_a_recipe_is_not_overwritten_by_a_part_of_it(run: Run, drive: Path, tmp_path: Path) -> None:
+    run("clean", drive, "-o", "out.csv")
+    before = (tmp_path / "out.csv.recipe.toml").read_bytes()
+    ran = run("clean", drive, "-o", "out.csv", "--recipe", "out.csv.recipe.toml", "--channels", "walk")
+    assert ran.returncode == 2
+    assert (tmp_path / "out.csv.recipe.toml").read_bytes() == before
+
+
+def test_what_a_person_says_of_time_wins_over_the_recipe(run: Run, drive: Path, tmp_path: Path) -> None:
+    run("tune", drive, "-o", "r.toml", "--rate", "50")
+    assert run("clean", drive, "-o", "out.csv", "--recipe", "r.toml", "--rate", "0").returncode == 2
+    told = run("clean", drive, "-o", "out.csv", "--recipe", "r.toml", "--time", "time_s", "--json").stdout
+    assert '"rate_hz": 100.0' in told

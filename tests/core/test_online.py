@@ -169,3 +169,29 @@ def test_bytes_that_are_no_snapshot_are_refused(name: str) -> None:
 def test_a_snapshot_of_another_version_is_refused() -> None:
     with pytest.raises(ModelError, match="version 99; this becalm reads 1"):
         Online.resume(archive(version=99))
+
+
+def test_a_silent_channel_does_not_make_the_opening_grow() -> None:
+    model = Model(F=np.eye(2), H=np.eye(2), Q=np.eye(2) * 1e-3, R=np.eye(2))
+    online = Online(model)
+    z = np.column_stack([np.random.default_rng(1).normal(size=400), np.full(400, np.nan)])
+    online.run(z[:100])
+    early = len(online.snapshot())
+    signal, sigma = online.run(z[100:])
+    assert len(online.snapshot()) == early
+    assert np.isfinite(signal[:, 0]).all()
+    assert (sigma[:, 0] < 1).all()
+    assert np.isinf(sigma[:, 1]).all()
+
+
+@pytest.mark.parametrize("name", ["state_P", "state_x", "state_K", "state_counters"])
+def test_a_snapshot_of_other_shapes_is_refused(name: str) -> None:
+    online = Online(motion(2, 1e-3).to_model(0.01, 0.09))
+    online.run(np.random.default_rng(1).normal(size=50))
+    with np.load(io.BytesIO(online.snapshot())) as stored:
+        arrays = {key: stored[key] for key in stored.files}
+    for wrong in (np.ones(9), arrays[name].astype(np.float32), arrays[name] * np.nan):
+        buffer = io.BytesIO()
+        np.savez(buffer, **{**arrays, name: wrong})
+        with pytest.raises(ModelError, match="snapshot"):
+            Online.resume(buffer.getvalue())

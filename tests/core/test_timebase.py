@@ -64,7 +64,7 @@ def test_jittered_stamps_are_stamped() -> None:
     time = Timebase.from_stamps(stamps)
     assert not time.uniform
     assert time.rate_hz == pytest.approx(99, rel=0.01)
-    assert time.jitter_s == pytest.approx(5e-4 * np.sqrt(2), rel=0.1)
+    assert time.jitter_s == pytest.approx(5e-4, rel=0.1)
     np.testing.assert_allclose(time.times_s, stamps, rtol=0, atol=1e-9)
 
 
@@ -115,8 +115,8 @@ def test_two_rows_are_enough() -> None:
 @pytest.mark.parametrize(
     ("stamps", "says"),
     [
-        ([], "stamps tell no rate; two or more are needed"),
-        ([1.0], "stamps tell no rate; two or more are needed"),
+        ([], "no rate; two or more are needed"),
+        ([1.0], "no rate; two or more are needed"),
         ([0.0, 1.0, np.nan, 3.0], "row 3 is missing or not finite"),
         ([0.0, 1.0, np.inf], "row 3 is missing or not finite"),
         ([0.0, 2.0, 1.0, 3.0], r"backwards at row 3, from 2 s to 1 s \(1 such row\)"),

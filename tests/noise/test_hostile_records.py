@@ -93,7 +93,7 @@ def test_a_hostile_record_is_tuned_soundly_in_irregular_time(name: str) -> None:
 
 
 @pytest.mark.parametrize("value", [0.0, -3.7, 1e15, 1e-300])
-@pytest.mark.parametrize("count", [1, 2, 7, 8, 1000])
+@pytest.mark.parametrize("count", [8, 9, 1000])
 def test_readings_that_are_all_equal_are_a_constant(value: float, count: int) -> None:
     z = np.full(count, value)
     assert choose(z, even(count)).kind == "constant"
@@ -102,10 +102,9 @@ def test_readings_that_are_all_equal_are_a_constant(value: float, count: int) ->
 
 @pytest.mark.parametrize("count", range(FEWEST_READINGS))
 def test_few_readings_are_untold(count: int) -> None:
-    z = np.arange(float(count))
-    expected = "constant" if count == 1 else "untold"
-    assert choose(z, even(count)).kind == expected
-    assert choose(np.append(z, [np.nan] * 50), even(count + 50)).kind == expected
+    for z in (np.arange(float(count)), np.ones(count)):
+        assert choose(z, even(count)).kind == "untold"
+        assert choose(np.append(z, [np.nan] * 50), even(count + 50)).kind == "untold"
 
 
 @pytest.mark.parametrize("seed", range(5))

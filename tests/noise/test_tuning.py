@@ -153,4 +153,3 @@ def test_evidence_keeps_the_time_between_the_readings_that_arrived() -> None:
     evidence = Evidence.of(z, even(7))
     assert np.array_equal(evidence.z, [[1.0], [2.0], [3.0]])
     assert np.array_equal(evidence.elapsed, [0.0, 3.0, 1.0])
-    assert np.array_equal(evidence.head(2).z, [[1.0], [2.0]])

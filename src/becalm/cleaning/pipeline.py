@@ -167,7 +167,7 @@ def _tune_channel(recording: Recording, causal: bool, progress: Progress, name: 
 def _clean_channel(recording: Recording, causal: bool, progress: Progress, channel: ChannelRecipe) -> _Part:
     judged = judge(recording.channel(channel.name))
     if channel.motion is None:
-        part = _pass_unchanged(judged, channel)
+        part = _pass_unchanged(judged)
     else:
         part = _run_motion(judged, recording.timebase, channel.motion, causal)
     report = replace(part.report, name=channel.name, unit=channel.unit, model=channel.model)
@@ -175,16 +175,19 @@ def _clean_channel(recording: Recording, causal: bool, progress: Progress, chann
     return part._replace(report=report)
 
 
-def _pass_unchanged(judged: Judged, channel: ChannelRecipe) -> _Part:
+def _pass_unchanged(judged: Judged) -> _Part:
     """Give the readings back; of a constant or nearly empty channel no uncertainty can be told."""
-    says = (
-        "All readings are equal: the noise is below the resolution, or the sensor is stuck; sigma cannot be told."
-        if channel.model == "constant"
-        else f"Fewer than {FEWEST_READINGS} readings cannot tell noise from signal; the channel passes unchanged."
-    )
+    seen = judged.readings[np.isfinite(judged.readings)]
+    constant = len(seen) >= FEWEST_READINGS and bool(np.all(seen == seen[0]))
+    if constant:
+        says = "All readings are equal: the noise is below the resolution, or the sensor is stuck; sigma is unknown."
+    elif len(seen) < FEWEST_READINGS:
+        says = f"Fewer than {FEWEST_READINGS} readings cannot tell noise from signal; the channel passes unchanged."
+    else:
+        says = "The recipe passes this channel unchanged, but its readings vary; tune a recipe on this recording."
     report = ChannelReport(
         verdicts=judged.counts(),
-        describes=channel.model == "constant",
+        describes=constant,
         says=_with_advice(says, judged, but=Verdict.MISSING),
     )
     return _Part(judged.readings, np.full(len(judged.readings), np.nan), report)

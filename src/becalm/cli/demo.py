@@ -36,13 +36,13 @@ def run(folder: Path) -> None:
     for path, cleaned in ((calm, smoothed), (live, causal)):
         write(path, cleaned.signal, cleaned.sigma)
         write_text(Path(f"{path}.recipe.toml"), cleaned.recipe.to_toml())
-    out = Console(highlight=False, soft_wrap=True)
+    out = Console(highlight=False, soft_wrap=True, markup=False)
     out.print("A simulated test drive, 60 s at 500 Hz, cleaned with nothing chosen. Best classic: the best causal")
     out.print("Butterworth (order 1, 2, 4) or moving average, its cut-off chosen knowing the truth.\n")
     out.print(_figures(drive, smoothed, causal))
     out.print("\nThe files:")
-    out.print("\n".join(f"  {path}" for path in (raw, calm, live)), markup=False)
-    out.print(f"Try it on a file of yours: becalm clean FILE -o {folder / 'mine.csv'}", markup=False)
+    out.print("\n".join(f"  {path}" for path in (raw, calm, live)))
+    out.print(f"Try it on a file of yours: becalm clean FILE -o {folder / 'mine.csv'}")
 
 
 def _figures(drive: Drive, smoothed: Cleaned, causal: Cleaned) -> Table:

@@ -14,10 +14,10 @@ if TYPE_CHECKING:
 
 def show(file: Path, source: SourceFile) -> None:
     """Print the layout of a file on stdout."""
-    out = Console(highlight=False, soft_wrap=True)
+    out = Console(highlight=False, soft_wrap=True, markup=False)
     told = source.layout.as_dict()
     columns = told.pop("columns")
-    out.print(f"{file}", markup=False)
+    out.print(f"{file}")
     facts = Table(box=None, show_header=False, pad_edge=False)
     for key, value in told.items():
         if value not in (None, "", [], ()):

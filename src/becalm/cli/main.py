@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import json
+import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
@@ -58,13 +60,13 @@ def clean(  # noqa: PLR0913  (the contract's options)
 ) -> None:
     """Remove the noise from a recording; nothing needs to be chosen."""
     from becalm.cleaning.pipeline import clean as clean_recording
-    from becalm.cli.talk import progress, tell
+    from becalm.cli.talk import progress, tell, tell_columns
     from becalm.files.plain import refuse_unwritable, write_text
     from becalm.files.writing import output_table, write_table
 
     beside = Path(f"{output}.recipe.toml")
     _refuse_overwriting(file, output, beside)
-    refuse_unwritable(output)
+    refuse_unwritable(output, beside)
     said = Said(channels, rate, time)
     given = _load(recipe)
     source = _read(file, said if given is None else said.or_as(given))
@@ -74,9 +76,12 @@ def clean(  # noqa: PLR0913  (the contract's options)
     with progress("cleaning", len(decided.channel)) as step:
         out = clean_recording(source.recording, decided, causal=mode, channels=named, progress=step)
     text = out.recipe.to_toml()
+    if recipe is not None and beside.exists() and beside.samefile(recipe) and out.recipe != given:
+        raise UsageError(f"{beside} is the recipe itself and would change; name another output with -o.")
     write_table(output, output_table(source, out.signal, out.sigma), {"becalm.recipe": text})
     write_text(beside, text)
     tell(out.reports, out.recipe.mode == "causal")
+    tell_columns(source)
     if as_json:
         summary = {
             "file": str(file),
@@ -141,8 +146,10 @@ class Said(NamedTuple):
     recipe: Recipe | None = None
 
     def or_as(self, recipe: Recipe) -> Said:
-        """Fill in from a recipe what was not said."""
-        return Said(self.channels, self.rate_hz or recipe.rate_hz, self.time or recipe.time, recipe)
+        """Take the time from a recipe, if nothing was said of it."""
+        if self.rate_hz is None and self.time is None:
+            return Said(self.channels, recipe.rate_hz, recipe.time, recipe)
+        return self._replace(recipe=recipe)
 
     @property
     def names(self) -> tuple[str, ...] | None:
@@ -189,17 +196,29 @@ def _refuse_overwriting(file: Path, *outputs: Path) -> None:
 
 def main() -> None:
     """Run the command line; a person's mistake ends in a sentence and an exit code."""
+    code = _run()
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except OSError:  # nobody listens any more
+            code = code or UsageError.exit_code
+    os._exit(code)  # the table library's threads may abort the process while Python takes itself apart
+
+
+def _run() -> int:
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # a name the terminal cannot show is no reason to stop
     try:
         app()
+    except SystemExit as ended:
+        return ended.code if isinstance(ended.code, int) else 0
     except BecalmError as cause:
         typer.echo(f"becalm: {cause}", err=True)
-        sys.exit(cause.exit_code)
+        return cause.exit_code
     except OSError as cause:
-        where = f" ({cause.filename})" if cause.filename else ""
-        typer.echo(
-            f"becalm: The system refused a file: {cause.strerror}{where}. Make room or rights, and repeat.", err=True
-        )
-        sys.exit(UsageError.exit_code)
+        what = cause.filename or "standard output"
+        typer.echo(f"becalm: {what} cannot be written: {cause.strerror}. Make room or rights, and repeat.", err=True)
     except MemoryError:
         typer.echo("becalm: Not enough memory for this recording; clean fewer channels with --channels.", err=True)
-        sys.exit(UsageError.exit_code)
+    return UsageError.exit_code

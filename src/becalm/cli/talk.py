@@ -11,8 +11,9 @@ from rich.table import Table
 
 if TYPE_CHECKING:
     from becalm.cleaning.judging import ChannelReport
+    from becalm.files.source import SourceFile
 
-stderr = Console(stderr=True, highlight=False, soft_wrap=True)
+stderr = Console(stderr=True, highlight=False, soft_wrap=True, markup=False)
 
 
 @contextmanager
@@ -44,7 +45,20 @@ def tell(reports: tuple[ChannelReport, ...], causal: bool) -> None:
     stderr.print(table)
     for report in reports:
         if report.says != DESCRIBED:
-            stderr.print(f"{report.name}: {report.says}", markup=False)
+            stderr.print(f"{report.name}: {report.says}")
+
+
+def tell_columns(source: SourceFile) -> None:
+    """Say which columns were not cleaned, and which of the file's own were replaced."""
+    passed = [f"{column.name} ({column.why})" for column in source.layout.columns if column.role == "passed through"]
+    names = source.recording.names
+    replaced = [
+        name for name in source.table.column_names if name.removesuffix("_sigma") in names and name not in names
+    ]
+    if replaced:
+        stderr.print(f"Replaced by the new uncertainty: {', '.join(replaced)}.")
+    if kept := [text for text in passed if text.partition(" (")[0] not in replaced]:
+        stderr.print(f"Passed through unchanged: {', '.join(kept[:20])}{' and more' if len(kept) > 20 else ''}.")
 
 
 def _number(value: float | None, unit: str) -> str:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from typing import TypeVar
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
+Number = TypeVar("Number", np.float64, np.int64)
 Booleans = NDArray[np.bool_]
 
 
@@ -22,6 +25,13 @@ def real(values: ArrayLike) -> ArrayLike:
     if kind in "cSUMm":
         raise TypeError(f"real numbers are needed, {np.asarray(values).dtype} came")
     return values
+
+
+def read_only(values: NDArray[Number]) -> NDArray[Number]:
+    """Return a read-only view: kernels get no other inputs, so that they are compiled once."""
+    view = values.view()
+    view.flags.writeable = False
+    return view
 
 
 def frozen(values: ArrayLike) -> Floats:

@@ -15,6 +15,8 @@ _OPTIONS: dict[str, Any] = {
     "no_cfunc_wrapper": True,
 }
 
+_PART: dict[str, Any] = {"no_cpython_wrapper": True}
+
 Kernel = TypeVar("Kernel", bound=Callable[..., object])
 
 
@@ -24,11 +26,11 @@ def compiled(function: Kernel) -> Kernel:
     Kernels get their scratch arrays from the caller, so reference counting is left out (`_nrt`):
     it would take half of their time and of their compilation.
     """
-    kernel: Kernel = njit(**_OPTIONS)(function)
-    return kernel
+    compile_now: Callable[[Kernel], Kernel] = njit(**_OPTIONS)
+    return compile_now(function)
 
 
 def compiled_part(function: Kernel) -> Kernel:
     """Compile a step that only other kernels call; a door from Python would take a quarter of the time."""
-    part: Kernel = njit(no_cpython_wrapper=True, **_OPTIONS)(function)
-    return part
+    compile_now: Callable[[Kernel], Kernel] = njit(**_OPTIONS, **_PART)
+    return compile_now(function)

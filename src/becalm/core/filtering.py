@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from becalm.core import starting
-from becalm.core.arrays import Floats, Integers, real
+from becalm.core.arrays import Floats, Integers, frozen, read_only, real
 from becalm.core.components import Component, discretise
 from becalm.core.kernel_steps import State, System, new_state
 from becalm.core.kernels import Trace, forward
 from becalm.core.model import Model
+from becalm.core.verdict import BEYOND_ANY_SENSOR
 from becalm.errors import ModelError
 
 
@@ -85,12 +86,12 @@ def elapsed_timeline(component: Component, noise_variance: float, elapsed: Float
     """
     lengths, which = np.unique(elapsed[1:], return_inverse=True)
     F, Q = discretise(component, lengths if len(lengths) else np.ones(1))
-    system = System(F, Q, component.output, np.array([[noise_variance]]))
+    system = System(frozen(F), frozen(Q), component.output, frozen([[noise_variance]]))
     return Timeline(system, np.concatenate([[-1], which]).astype(np.int64)[: len(elapsed)])
 
 
 def checked_readings(model: Model, z: ArrayLike) -> Floats:
-    """Return z as (N, m) float64; Inf counts as missing.
+    """Return z as (N, m) float64; Inf and magnitudes beyond any sensor become NaN, missing.
 
     Raises
     ------
@@ -108,7 +109,9 @@ def checked_readings(model: Model, z: ArrayLike) -> Floats:
     if readings.ndim != 2 or readings.shape[1] != model.channels:
         wanted = "(N,) or (N, 1)" if model.channels == 1 else f"(N, {model.channels})"
         raise ModelError(f"z has shape {np.shape(z)}; this model needs {wanted}.")
-    return np.ascontiguousarray(readings)
+    with np.errstate(invalid="ignore"):
+        impossible = np.abs(readings) > BEYOND_ANY_SENSOR
+    return np.where(impossible, np.nan, readings) if impossible.any() else np.ascontiguousarray(readings)
 
 
 def kalman_filter(model: Model, z: ArrayLike, *, states: bool = False, covariances: bool = False) -> Estimate:
@@ -163,7 +166,7 @@ def run_filter(model: Model, timeline: Timeline, z: Floats, *, states: bool = Fa
         state, begun = new_state(opening.x, opening.P, model.channels), opening.rows
         write_opening(model, opening, trace)
     rest = Trace(*(array[begun:] for array in trace))
-    squares, log_det, used = forward(system, which[begun:], z[begun:], state, rest)
+    squares, log_det, used = forward(system, read_only(which[begun:]), read_only(z[begun:]), state, rest)
     estimate = Estimate(
         signal=trace.signal,
         sigma=np.sqrt(trace.variance),

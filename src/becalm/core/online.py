@@ -3,16 +3,26 @@
 from __future__ import annotations
 
 import io
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from becalm.core.arrays import Floats
-from becalm.core.filtering import checked_readings, even_timeline, model_system, new_trace, run_filter
+from becalm.core.arrays import Floats, read_only
+from becalm.core.filtering import checked_readings, model_system, new_trace
 from becalm.core.kernel_steps import State, new_state
 from becalm.core.kernels import Trace, forward
 from becalm.core.model import Model
+from becalm.core.starting import (
+    Information,
+    carry,
+    estimable,
+    is_determined,
+    known_state,
+    learn,
+    nothing_known,
+    refuse_singular,
+)
 from becalm.errors import ModelError
 
 _VERSION = 1
@@ -34,13 +44,15 @@ class Online:
         self._system = model_system(model)
         self._state: State | None = None
         self._fresh = True
-        self._opening: Floats = np.empty((0, model.channels))
+        self._known: Information | None = None  # what the opening has gathered, once a reading came
         if model.x0 is not None and model.P0 is not None:
             self._state = new_state(model.x0, model.P0, model.channels)
+        else:
+            refuse_singular(self._system)
 
     def step(self, z_k: ArrayLike) -> tuple[Floats, Floats]:
         """Take one reading, (m,) or a number, NaN where a channel is missing; return signal and sigma, (m,) each."""
-        row = np.asarray(z_k, dtype=np.float64).reshape(-1)
+        row = np.ravel(z_k)
         if len(row) != self.model.channels:
             raise ModelError(f"z_k has {len(row)} values; this model has {self.model.channels} channels.")
         signal, sigma = self.run(row[np.newaxis])
@@ -57,19 +69,29 @@ class Online:
         z = checked_readings(self.model, block)
         if self._state is not None:
             return self._run(z, self._state)
-        held = len(self._opening)
-        return self._open(np.vstack([self._opening, z]), held)
+        signal, sigma = np.full(z.shape, np.nan), np.full(z.shape, np.inf)
+        for k, row in enumerate(z):
+            signal[k], variance = self._gather(row)
+            sigma[k] = np.sqrt(variance)
+            if self._state is not None:
+                signal[k + 1 :], sigma[k + 1 :] = self._run(z[k + 1 :], self._state)
+                break
+        return signal, sigma
 
-    def _open(self, z: Floats, held: int) -> tuple[Floats, Floats]:
-        """Filter from the first reading on; until the state is known, the readings are kept."""
-        run = run_filter(self.model, even_timeline(self.model, len(z)), z)
-        if run.opening is not None and run.opening.known:
-            self._state, self._fresh = run.state, False
-            self._opening = self._opening[:0]
+    def _gather(self, row: Floats) -> tuple[Floats, Floats]:
+        """Take one reading of the opening; return H x and its variance as far as they are known."""
+        F, Q, H, R = self._system.F[0], self._system.Q[0], self._system.H, self._system.R
+        if self._known is None:
+            if not np.isfinite(row).any():
+                return np.full(len(H), np.nan), np.full(len(H), np.inf)
+            self._known = learn(nothing_known(self.model.unobservable), H, R, row)
         else:
-            read = np.isfinite(z).any(axis=1)
-            self._opening = z[int(read.argmax()) :] if read.any() else z[:0]
-        return run.estimate.signal[held:], run.estimate.sigma[held:]
+            self._known = learn(carry(self._known, F, Q), H, R, row)
+        if not is_determined(self._known.Y):
+            return estimable(self._known, H)
+        x, P = known_state(self._known)
+        self._state, self._known, self._fresh = new_state(x, P, len(H)), None, False
+        return H @ x, np.einsum("ai,ij,aj->a", H, P, H)
 
     def _run(self, z: Floats, state: State) -> tuple[Floats, Floats]:
         which = np.zeros(len(z), dtype=np.int64)
@@ -79,16 +101,18 @@ class Online:
         trace = Trace(
             full.signal, full.variance, full.innovation[:0], full.innovation_variance[:0], full.mean, full.cov
         )
-        forward(self._system, which, z, state, trace)
+        forward(self._system, read_only(which), read_only(z), state, trace)
         return trace.signal, np.sqrt(trace.variance)
 
     def snapshot(self) -> bytes:
         """Return all that is needed to go on later, as plain bytes."""
-        arrays: dict[str, Floats] = {"opening": self._opening}
+        arrays: dict[str, Floats] = {}
         for name in ("F", "H", "Q", "R", "G", "x0", "P0"):
             value = getattr(self.model, name)
             if value is not None:
                 arrays[f"model_{name}"] = value
+        if self._known is not None:
+            arrays |= {"known_Y": self._known.Y, "known_y": self._known.y}
         if self._state is not None:
             arrays |= {f"state_{name}": getattr(self._state, name) for name in _MOVING}
         buffer = io.BytesIO()
@@ -120,18 +144,20 @@ class Online:
     def _restore(self, arrays: dict[str, Floats]) -> None:
         """Take over what moves, of the right shapes and types only: kernels trust them."""
         n, m = self.model.states, self.model.channels
-        self._fresh, opening = bool(arrays["fresh"]), arrays["opening"]
-        _refuse_unlike("opening", opening, np.empty((len(opening), m)))
-        self._opening = opening
-        self._state = None
+        self._fresh, self._state, self._known = bool(arrays["fresh"]), None, None
+        if "known_Y" in arrays:
+            self._known = Information(arrays["known_Y"], arrays["known_y"])
+            _refuse_unlike("known_Y", self._known.Y, np.empty((n, n)))
+            _refuse_unlike("known_y", self._known.y, np.empty(n))
         if "state_x" in arrays:
             blank = new_state(np.zeros(n), np.zeros((n, n)), m)
             for name in _MOVING:
                 _refuse_unlike(name, arrays[f"state_{name}"], getattr(blank, name))
-            self._state = blank._replace(**{name: arrays[f"state_{name}"].copy() for name in _MOVING})
+            moving: dict[str, Any] = {name: arrays[f"state_{name}"].copy() for name in _MOVING}
+            self._state = blank._replace(**moving)
 
 
 def _refuse_unlike(name: str, found: Floats, wanted: Floats) -> None:
     same = found.shape == wanted.shape and found.dtype == wanted.dtype
-    if not same or (name != "opening" and not np.isfinite(found).all()):
+    if not same or not np.isfinite(found).all():
         raise ModelError(f"{_NOT_A_SNAPSHOT} Its {name} is {found.dtype} of shape {found.shape}, or not finite.")

@@ -113,6 +113,8 @@ def steady(model: Model) -> SteadyFilter:
         P = (ahead + ahead.T) / 2
         if settled:
             break
+    else:
+        raise ModelError("This model has no steady gain; some state is never observed and grows. Leave it out.")
     S = float((model.H @ P @ model.H.T)[0, 0]) + R
     K = P @ model.H.T / S
     return SteadyFilter(model, P, K, (eye - K @ model.H) @ model.F, S)

@@ -57,9 +57,9 @@ def open_record(system: System, which: Integers, z: Floats, unobservable: Floats
     ModelError
         If F or R has no inverse; such a model needs x0 and P0.
     """
-    _refuse_singular(system)
+    refuse_singular(system)
     n = len(system.F[0])
-    now = Information(unobservable @ unobservable.T, np.zeros(n))
+    now = nothing_known(unobservable)
     readings = np.isfinite(z).any(axis=1)
     first = int(readings.argmax()) if readings.any() else len(z)
     gathered: list[Information] = []
@@ -69,9 +69,19 @@ def open_record(system: System, which: Integers, z: Floats, unobservable: Floats
         now = learn(now, system.H, system.R, z[k])
         gathered.append(now)
         if is_determined(now.Y):
-            P = _symmetric_inverse(now.Y)
-            return Opening(True, k + 1, gathered, first, P @ now.y, P)
+            return Opening(True, k + 1, gathered, first, *known_state(now))
     return Opening(False, len(z), gathered, first, np.zeros(n), np.zeros((n, n)))
+
+
+def nothing_known(unobservable: Floats) -> Information:
+    """Return a flat prior; directions that no reading sees (n, u) start at zero with unit variance."""
+    return Information(unobservable @ unobservable.T, np.zeros(len(unobservable)))
+
+
+def known_state(now: Information) -> tuple[Floats, Floats]:
+    """Return the state (n,) and covariance (n, n) of information without a weak direction."""
+    P = _symmetric_inverse(now.Y)
+    return P @ now.y, P
 
 
 def carry(now: Information, F: Floats, Q: Floats) -> Information:
@@ -138,7 +148,8 @@ def _symmetric_inverse(Y: Floats) -> Floats:
     return (P + P.T) / 2
 
 
-def _refuse_singular(system: System) -> None:
+def refuse_singular(system: System) -> None:
+    """Raise a ModelError if F or R has no inverse, which a flat start needs."""
     for name, matrix in (("F", system.F[0]), ("R", system.R)):
         if not (np.linalg.cond(matrix) < 1e14):
             raise ModelError(

@@ -43,7 +43,8 @@ class Timebase:
     uniform : bool
         Whether every distance is a whole number of steps.
     jitter_s : float
-        Standard deviation of the stamps about the even grid, in seconds, gaps left aside.
+        Standard deviation of one stamp about its place, in seconds: about the even grid of uniform
+        time; of the distances over the root of two otherwise, gaps left aside.
     """
 
     elapsed_steps: Floats
@@ -61,7 +62,11 @@ class Timebase:
         TimeError
             If the rate is not a positive number.
         """
-        if not isinstance(rate_hz, int | float | np.number) or not (SLOWEST_HZ <= rate_hz <= FASTEST_HZ):
+        try:
+            possible = SLOWEST_HZ <= float(rate_hz) <= FASTEST_HZ and not isinstance(rate_hz, str)
+        except (TypeError, ValueError):
+            possible = False
+        if not possible:
             raise TimeError(f"rate_hz = {rate_hz!r} is not a rate; give hertz, {SLOWEST_HZ:g} to {FASTEST_HZ:g}.")
         elapsed = np.ones(count)
         elapsed[:1] = 0.0
@@ -95,7 +100,7 @@ class Timebase:
             elapsed = np.concatenate([[0.0], steps])
             return cls(frozen(elapsed), _twelve_digits(fitted), float(stamps[0]), True, float(residual.std()))
         elapsed = np.concatenate([[0.0], distances / step])
-        return cls(frozen(elapsed), step, float(stamps[0]), False, float((near - step).std()))
+        return cls(frozen(elapsed), step, float(stamps[0]), False, float((near - step).std() / np.sqrt(2)))
 
     @property
     def count(self) -> int:
@@ -130,7 +135,8 @@ class Timebase:
 
 def _refuse_unfinished(stamps: Floats) -> None:
     if len(stamps) < 2:
-        raise TimeError(f"{len(stamps)} stamps tell no rate; two or more are needed. Give --rate HZ.")
+        rows = "One row has" if len(stamps) else "No rows have"
+        raise TimeError(f"{rows} no rate; two or more are needed. Give --rate HZ.")
     if not np.isfinite(stamps).all():
         row = int(np.flatnonzero(~np.isfinite(stamps))[0])
         raise TimeError(f"The time of row {row + 1} is missing or not finite. {_WAY_OUT}")

@@ -30,6 +30,8 @@ def read_parquet(path: Path, data: bytes) -> RawTable:
         raise InputError(f"{path} has no columns; a time and one or more columns of numbers are needed.")
     table = table.rename_columns(unique_names(table.column_names))
     for position, field in enumerate(table.schema):
+        if pa.types.is_string_view(field.type):
+            table = table.set_column(position, field.with_type(pa.string()), table.column(position).cast(pa.string()))
         if pa.types.is_dictionary(field.type):
             plain = table.column(position).cast(field.type.value_type)
             table = table.set_column(position, field.with_type(field.type.value_type), plain)

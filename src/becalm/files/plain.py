@@ -29,8 +29,8 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
     replace_file(target, fill)
 
 
-def refuse_unwritable(path: str | os.PathLike[str]) -> None:
-    """Raise what writing a table to `path` would raise for its ending or its folder.
+def refuse_unwritable(path: str | os.PathLike[str], *others: str | os.PathLike[str]) -> None:
+    """Raise what writing a table to `path`, or anything to the others, would raise for its ending or folder.
 
     Raises
     ------
@@ -39,8 +39,9 @@ def refuse_unwritable(path: str | os.PathLike[str]) -> None:
     """
     target = Path(path)
     format_to_write(target)
-    if target.is_dir():
-        raise OutputError(f"{target} is a directory; give the path of a file in it.")
+    for place in (target, *map(Path, others)):
+        if place.is_dir():
+            raise OutputError(f"{place} is a directory; give the path of a file in it.")
     probe = target.with_name(f".{target.name[:80]}.probe")
     replace_file(probe, lambda _: None)
     probe.unlink()

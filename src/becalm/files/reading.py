@@ -7,11 +7,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from becalm.core.arrays import Floats
 from becalm.core.recording import Recording
-from becalm.core.timebase import Timebase
+from becalm.core.timebase import FASTEST_HZ, SLOWEST_HZ, Timebase
 from becalm.errors import InputError, TimeError, UsageError
 from becalm.files.registry import read_raw
 from becalm.files.roles import choose_channels, samples_of, unit_of
@@ -43,8 +41,8 @@ def read_source(path: str | os.PathLike[str], options: ReadOptions | None = None
         If the options do not fit the file.
     """
     file, options = Path(path), options or ReadOptions()
-    if options.rate_hz is not None and not 0.0 < options.rate_hz < np.inf:
-        raise UsageError(f"--rate {options.rate_hz:g} is not a rate; give a positive number of hertz.")
+    if options.rate_hz is not None and not SLOWEST_HZ <= options.rate_hz <= FASTEST_HZ:
+        raise UsageError(f"--rate {options.rate_hz:g} is not a rate; give hertz, {SLOWEST_HZ:g} to {FASTEST_HZ:g}.")
     raw = read_raw(file)
     try:
         return _understand(raw, options)

@@ -16,6 +16,7 @@ from becalm.files.time_column import NUMBERS, is_counter, kind_of_column, named_
 from becalm.files.units import parse_header, tidy_unit
 
 SIGMA = "_sigma"
+_EXACT = 2.0**53
 
 
 def choose_channels(
@@ -106,6 +107,8 @@ def _why_passed(raw: RawTable, name: str) -> str:
     if kind_of_column(column) != NUMBERS:
         return _why_not_numbers(raw, name)
     values = numbers(column)
+    if pa.types.is_integer(column.type) and np.abs(values).max(initial=0.0, where=np.isfinite(values)) > _EXACT:
+        return "whole numbers beyond 2^53, which float64 cannot tell apart"
     if is_counter(values):
         return "a counter (steps of exactly 1)"
     return "a flag (only 0 and 1)" if _is_flag(values) else ""

@@ -22,6 +22,7 @@ _NAMES = re.compile(
     r"fechahora|tiempo|tijd|tid|tijdstip|czas"
 )
 _LIKE = re.compile(r"^(?:time|timestamp|elapsed|zeit)(?:since|stamp|from|utc|local|abs|rel|seit)\w*$")
+_UNITS_OF_TIME = ("s", "ms", "us", "ns", "min", "h", "-", "1")
 _NEARLY_EVEN = 0.5
 COUNT = "or give --rate HZ to count rows at a known rate"
 """The end of every sentence about a time that cannot be used."""
@@ -43,7 +44,9 @@ def kind_of_column(column: pa.ChunkedArray) -> str:
 
 def is_time_name(header: str) -> bool:
     """Tell whether a header says time, in one of the usual languages."""
-    bare, _ = parse_header(header)
+    bare, unit = parse_header(header)
+    if unit and unit not in _UNITS_OF_TIME:
+        return False
     plain = re.sub(r"[\W_]+", "", bare.rpartition(".")[2].lower())
     return _NAMES.fullmatch(plain) is not None or _LIKE.match(plain) is not None
 

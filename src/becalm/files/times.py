@@ -137,7 +137,9 @@ def _refuse_unknown_unit(name: str, values: Floats, steps: Floats) -> None:
     known = steps[np.isfinite(steps)]
     if is_counter(values):
         raise TimeError(f"The time column {name!r} only counts rows, so the rate is unknown; give it with --rate HZ.")
-    median = float(np.median(known)) if len(known) else 0.0
+    if not len(known) or (known < 0).any() or not (np.median(known) > 0):
+        return  # the time base says what is wrong with it
+    median = float(np.median(known))
     first = float(values[0])
     if any(low <= first <= high for low, high in _DAY_COUNTS) and 0.0 < median < _TEN_SECONDS:
         raise TimeError(

@@ -1,6 +1,6 @@
 """The zero-knob choice: motions of order 1, 2 and 3, each tuned by likelihood; the likeliest wins.
 
-Where even the likeliest does not describe the signal, `risk` gives back what it took for motion.
+Where even the likeliest does not describe the signal, `risk` gives a causal filter back what it took for motion.
 """
 
 from __future__ import annotations

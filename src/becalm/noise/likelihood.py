@@ -16,7 +16,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from becalm.core import starting
-from becalm.core.arrays import Floats, Integers
+from becalm.core.arrays import Floats, read_only
 from becalm.core.components import motion
 from becalm.core.filtering import Timeline, elapsed_timeline
 from becalm.core.kernel_score import score
@@ -54,7 +54,7 @@ class Tuning:
     noise_variance : float
         r, in unit^2.
     log_likelihood : float
-        Exact, of all readings but the first three.
+        Exact, of all readings but the first three, at this ratio and the likeliest noise variance for it.
     count : int
         Readings scored.
     at_edge : {"", "low", "high"}
@@ -94,10 +94,6 @@ class Evidence:
             whole = np.round(whole)
         return cls(np.ascontiguousarray(readings[seen, np.newaxis]), whole)
 
-    def head(self, count: int) -> Evidence:
-        """Return the first readings alone."""
-        return Evidence(self.z[:count], self.elapsed[:count])
-
 
 class Candidate:
     """A motion of one order over a record, to be scored at any ratio q/r."""
@@ -110,13 +106,13 @@ class Candidate:
     def score(self, ratio: float) -> Score:
         """Return the likelihood at q/r = `ratio`, maximised over r."""
         z, which = self.evidence.z, self._unit.which
-        system = self._unit.system._replace(Q=self._unit.system.Q * ratio)
+        system = self._unit.system._replace(Q=read_only(self._unit.system.Q * ratio))
         opening = starting.open_record(system, which, z, np.empty((self.order, 0)))
         if not opening.known or opening.rows >= len(z):
             return Score(-np.inf, 0.0, 0)
         state = new_state(opening.x, opening.P, 1)
-        rest: Integers = which[opening.rows :]
-        squares, log_det, count = score(system, rest, z[opening.rows :, 0], state, max(0, UNSCORED - opening.rows))
+        rest, readings = read_only(which[opening.rows :]), read_only(z[opening.rows :, 0])
+        squares, log_det, count = score(system, rest, readings, state, max(0, UNSCORED - opening.rows))
         if count == 0:
             return Score(-np.inf, 0.0, 0)
         r = max(squares / count, self._smallest_variance())
@@ -129,7 +125,7 @@ class Candidate:
 
 
 def cutoff_to_ratio(order: int, cutoff: float) -> float:
-    """Return q/r of the steady motion filter with its cut-off in radians a step (facts of section 3.6)."""
+    """Return q/r of the steady motion filter with its cut-off in radians a step (motion's Notes, with T = 1)."""
     return float(cutoff ** (2 * order))
 
 

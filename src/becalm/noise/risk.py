@@ -18,7 +18,7 @@ from becalm.core.components import motion
 from becalm.core.filtering import elapsed_timeline, run_filter
 from becalm.core.response import steady
 from becalm.metrics.whiteness import whiteness
-from becalm.noise.likelihood import Evidence, Tuning, cutoff_to_ratio
+from becalm.noise.likelihood import Candidate, Evidence, Tuning, cutoff_to_ratio
 
 MISFIT = 0.02
 """Share of the innovation power above which a motion does not describe the signal."""
@@ -57,7 +57,9 @@ def retune(tuning: Tuning, evidence: Evidence) -> Tuning:
         method="bounded",
         options={"xatol": _PRECISION},
     )
-    return at(float(found.x))
+    best = at(float(found.x))
+    likelihood = Candidate(tuning.order, evidence).score(best.ratio).log_likelihood
+    return replace(best, log_likelihood=float(likelihood), at_edge="")
 
 
 def white_floor(z: Floats) -> float:
