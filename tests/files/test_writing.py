@@ -246,3 +246,12 @@ def test_names_and_rows_must_agree(tmp_path: Path) -> None:
         write(tmp_path / "o.csv", Recording([1.0, 2.0], names=["time_s"], rate_hz=1.0))
     with pytest.raises(RecordingError, match="sigma"):
         write(tmp_path / "o.csv", signal, stranger)
+
+
+def test_an_epoch_in_milliseconds_keeps_its_digits(tmp_path: Path) -> None:
+    lines = [f"{1_700_000_000_000 + 10 * k},{np.sin(k):.6f}" for k in range(50)]
+    (tmp_path / "in.csv").write_text("time,a\n" + "\n".join(lines) + "\n", encoding="utf-8")
+    source = read_source(tmp_path / "in.csv")
+    write_table(tmp_path / "out.csv", output_table(source, source.recording, source.recording))
+    written = (tmp_path / "out.csv").read_text(encoding="utf-8").splitlines()[1:]
+    assert [line.split(",")[0] for line in written] == [line.split(",")[0] for line in lines]

@@ -108,7 +108,8 @@ def clean(
     recipe : Recipe, optional
         What to do; `tune(recording)` by default.
     causal : bool, optional
-        Whether estimates know only the past; False by default, or as the recipe says.
+        Whether estimates know only the past; False by default, or as the recipe says. A recipe tuned
+        for the other mode keeps its numbers, which `tune(..., causal=...)` might choose differently.
     channels : sequence of str, optional
         Names of the channels to clean; all, or all of the recipe, by default.
     progress : callable, optional

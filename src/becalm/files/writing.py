@@ -16,6 +16,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from becalm.core.arrays import Floats
 from becalm.core.recording import Recording
 from becalm.errors import OutputError, RecordingError
 from becalm.files.registry import CSV, CSV_GZ, PARQUET_FORMAT, format_to_write
@@ -243,7 +244,16 @@ def _without_nan(column: pa.ChunkedArray) -> pa.ChunkedArray:
     if pa.types.is_float16(column.type):
         column = column.cast(pa.float32())
     values = np.asarray(column.to_numpy())
-    return pa.chunked_array([pa.array(values, mask=np.isnan(values))])
+    missing = np.isnan(values)
+    if _is_long_count(values[~missing]):  # an epoch in milliseconds: digits, not 1.7e+12
+        values = np.where(missing, 0.0, values).astype(np.int64)
+    return pa.chunked_array([pa.array(values, mask=missing)])
+
+
+def _is_long_count(values: Floats) -> bool:
+    """Tell whether all are whole, some with so many digits that they would be written as a power of ten."""
+    largest = np.abs(values).max(initial=0.0)
+    return bool(1e10 <= largest <= 2.0**53 and np.all(values == np.round(values)) and np.all(values != 0.0))
 
 
 def _plain(kind: Any) -> bool:
