@@ -158,15 +158,19 @@ def run_filter(model: Model, timeline: Timeline, z: Floats, *, states: bool = Fa
     """Filter z (N, m) over a timeline; see `kalman_filter`."""
     system, which = timeline
     trace = new_trace(model, len(z), states, covariances)
-    opening = None
-    if model.x0 is not None and model.P0 is not None:
+    opening, prior = None, starting.wide_prior(model)
+    before = Sums(0.0, 0.0, 0)
+    if model.x0 is not None and model.P0 is not None and prior is None:
         state, begun = new_state(model.x0, model.P0, model.channels), 0
     else:
-        opening = starting.open_record(system, which, z, model.unobservable)
+        opening = starting.open_record(system, which, z, model.unobservable, prior)
         state, begun = new_state(opening.x, opening.P, model.channels), opening.rows
         write_opening(model, opening, trace)
+        if prior is not None:
+            before = score_opening(timeline, z, prior, opening, trace)
     rest = Trace(*(array[begun:] for array in trace))
-    squares, log_det, used = forward(system, read_only(which[begun:]), read_only(z[begun:]), state, rest)
+    after = Sums(*forward(system, read_only(which[begun:]), read_only(z[begun:]), state, rest))
+    squares, log_det, used = (a + b for a, b in zip(before, after, strict=True))
     estimate = Estimate(
         signal=trace.signal,
         sigma=np.sqrt(trace.variance),
@@ -178,6 +182,41 @@ def run_filter(model: Model, timeline: Timeline, z: Floats, *, states: bool = Fa
         used=int(used),
     )
     return Run(estimate, opening, trace, state)
+
+
+class Sums(NamedTuple):
+    """What makes a log-likelihood."""
+
+    squares: float  # of nu' S^-1 nu
+    log_det: float  # of log det S
+    used: int
+
+
+def score_opening(
+    timeline: Timeline, z: Floats, prior: starting.Information, opening: starting.Opening, trace: Trace
+) -> Sums:
+    """Predict each reading of an opening that had a prior, (3), (4) and (8), and write the innovations."""
+    F, Q, H, R = timeline.system
+    squares, log_det, used = 0.0, 0.0, 0
+    x, P = starting.known_state(prior)
+    for k, known in enumerate(opening.information):
+        if k:
+            step = timeline.which[k]
+            x, P = F[step] @ x, F[step] @ P @ F[step].T + Q[step]
+        arrived = np.isfinite(z[k])
+        nu = (z[k] - H @ x)[arrived]
+        S = (H @ P @ H.T + R)[np.ix_(arrived, arrived)]
+        trace.innovation[k, arrived], trace.innovation_variance[k, arrived] = nu, np.diag(S)
+        if arrived.any():
+            squares += float(nu @ np.linalg.solve(S, nu))
+            log_det += float(np.linalg.slogdet(S)[1])
+            used += len(nu)
+        x, P = starting.known_state(known)
+        if len(trace.mean):
+            trace.mean[k] = x
+        if len(trace.cov):
+            trace.cov[k] = P
+    return Sums(squares, log_det, used)
 
 
 def new_trace(model: Model, count: int, states: bool, covariances: bool) -> Trace:
@@ -202,6 +241,4 @@ def write_opening(model: Model, opening: starting.Opening, trace: Trace) -> None
         trace.signal[k], trace.variance[k] = starting.estimable(now, model.H)
     if opening.known:
         last = rows - 1
-        trace.signal[last] = model.H @ opening.x
-        trace.variance[last] = np.einsum("ai,ij,aj->a", model.H, opening.P, model.H)
         trace.mean[last:rows], trace.cov[last:rows] = opening.x, opening.P

@@ -18,10 +18,12 @@ from becalm.core.starting import (
     carry,
     estimable,
     is_determined,
+    is_narrow,
     known_state,
     learn,
     nothing_known,
     refuse_singular,
+    wide_prior,
 )
 from becalm.errors import ModelError
 
@@ -45,7 +47,8 @@ class Online:
         self._state: State | None = None
         self._fresh = True
         self._known: Information | None = None  # what the opening has gathered, once a reading came
-        if model.x0 is not None and model.P0 is not None:
+        self._prior = wide_prior(model)
+        if model.x0 is not None and model.P0 is not None and self._prior is None:
             self._state = new_state(model.x0, model.P0, model.channels)
         else:
             refuse_singular(self._system)
@@ -82,16 +85,16 @@ class Online:
         """Take one reading of the opening; return H x and its variance as far as they are known."""
         F, Q, H, R = self._system.F[0], self._system.Q[0], self._system.H, self._system.R
         if self._known is None:
-            if not np.isfinite(row).any():
+            if self._prior is None and not np.isfinite(row).any():
                 return np.full(len(H), np.nan), np.full(len(H), np.inf)
-            self._known = learn(nothing_known(self.model.unobservable), H, R, row)
+            self._known = learn(self._prior or nothing_known(self.model.unobservable), H, R, row)
         else:
             self._known = learn(carry(self._known, F, Q), H, R, row)
-        if not is_determined(self._known.Y):
-            return estimable(self._known, H)
-        x, P = known_state(self._known)
-        self._state, self._known, self._fresh = new_state(x, P, len(H)), None, False
-        return H @ x, np.einsum("ai,ij,aj->a", H, P, H)
+        narrow = self._prior is None or is_narrow(self._known, self._system)
+        told = estimable(self._known, H)
+        if narrow and is_determined(self._known.Y):
+            self._state, self._known, self._fresh = new_state(*known_state(self._known), len(H)), None, False
+        return told
 
     def _run(self, z: Floats, state: State) -> tuple[Floats, Floats]:
         which = np.zeros(len(z), dtype=np.int64)

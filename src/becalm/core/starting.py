@@ -14,10 +14,13 @@ import numpy as np
 
 from becalm.core.arrays import Floats, Integers
 from becalm.core.kernel_steps import System
+from becalm.core.model import Model
 from becalm.errors import ModelError
 
 _WELL_DETERMINED = 1e-6  # smallest eigenvalue of the information, scaled to a unit diagonal
 _IN_RANGE = 1e-9
+_WIDE = 1e9  # of P0 over R: P - K S K' keeps less than seven digits
+_INVERTIBLE = 1e14
 
 
 class Information(NamedTuple):
@@ -38,7 +41,9 @@ class Opening(NamedTuple):
     P: Floats  # (n, n)
 
 
-def open_record(system: System, which: Integers, z: Floats, unobservable: Floats) -> Opening:
+def open_record(
+    system: System, which: Integers, z: Floats, unobservable: Floats, prior: Information | None = None
+) -> Opening:
     """Gather information from z (N, m) until the state is known.
 
     Parameters
@@ -51,6 +56,8 @@ def open_record(system: System, which: Integers, z: Floats, unobservable: Floats
         Readings, NaN where missing.
     unobservable : (n, u) float array
         Directions that no reading sees; they start at zero with unit variance.
+    prior : Information, optional
+        What is known before the first reading; nothing by default.
 
     Raises
     ------
@@ -59,17 +66,19 @@ def open_record(system: System, which: Integers, z: Floats, unobservable: Floats
     """
     refuse_singular(system)
     n = len(system.F[0])
-    now = nothing_known(unobservable)
+    now = nothing_known(unobservable) if prior is None else prior
     readings = np.isfinite(z).any(axis=1)
-    first = int(readings.argmax()) if readings.any() else len(z)
+    first = 0 if prior is not None else int(readings.argmax()) if readings.any() else len(z)
     gathered: list[Information] = []
     for k in range(first, len(z)):
         if gathered:
             now = carry(now, system.F[which[k]], system.Q[which[k]])
         now = learn(now, system.H, system.R, z[k])
         gathered.append(now)
-        if is_determined(now.Y):
+        if is_determined(now.Y) and (prior is None or is_narrow(now, system)):
             return Opening(True, k + 1, gathered, first, *known_state(now))
+    if prior is not None and gathered:
+        return Opening(True, len(z), gathered, first, *known_state(now))
     return Opening(False, len(z), gathered, first, np.zeros(n), np.zeros((n, n)))
 
 
@@ -112,6 +121,29 @@ def is_determined(Y: Floats) -> bool:
     return bool(np.linalg.eigvalsh(Y * np.outer(scale, scale))[0] > _WELL_DETERMINED)
 
 
+def is_narrow(now: Information, system: System) -> bool:
+    """Whether the next reading is predicted well enough for the covariance form to keep its digits."""
+    ahead = system.F[0] @ known_state(now)[1] @ system.F[0].T + system.Q[0]
+    return bool((np.diag(system.H @ ahead @ system.H.T) <= _WIDE * np.diag(system.R)).all())
+
+
+def wide_prior(model: Model) -> Information | None:
+    """Return x0 and P0 as information where P0 is so wide that covariances would lose the readings' digits."""
+    if model.x0 is None or model.P0 is None or model.unobservable.size:
+        return None
+    told = np.diag(model.H @ model.P0 @ model.H.T)
+    gathered = np.zeros_like(model.P0)
+    for _ in range(model.states):
+        gathered = model.F @ gathered @ model.F.T + model.process_covariance
+    moves = np.diag(model.H @ gathered @ model.H.T)
+    if not (told > _WIDE * np.diag(model.R)).any() or (moves > 0.1 * _WIDE * np.diag(model.R)).any():
+        return None
+    if any(not np.linalg.cond(matrix) < _INVERTIBLE for matrix in (model.P0, model.F, model.R)):
+        return None
+    Y = _symmetric_inverse(model.P0)
+    return Information(Y, Y @ model.x0)
+
+
 def estimable(now: Information, H: Floats) -> tuple[Floats, Floats]:
     """Return H x and its variance, (m,) each; NaN and inf where the readings do not tell yet."""
     scale = np.sqrt(np.diag(now.Y))
@@ -151,7 +183,7 @@ def _symmetric_inverse(Y: Floats) -> Floats:
 def refuse_singular(system: System) -> None:
     """Raise a ModelError if F or R has no inverse, which a flat start needs."""
     for name, matrix in (("F", system.F[0]), ("R", system.R)):
-        if not (np.linalg.cond(matrix) < 1e14):
+        if not (np.linalg.cond(matrix) < _INVERTIBLE):
             raise ModelError(
                 f"{name} has no inverse, so the filter cannot start from the first readings alone. "
                 "Give x0 and P0, the state expected before the first reading and its covariance."
