@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import resource
 import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -186,3 +187,11 @@ def test_what_a_person_says_of_time_wins_over_the_recipe(run: Run, drive: Path, 
     assert run("clean", drive, "-o", "out.csv", "--recipe", "r.toml", "--rate", "0").returncode == 2
     told = run("clean", drive, "-o", "out.csv", "--recipe", "r.toml", "--time", "time_s", "--json").stdout
     assert '"rate_hz": 100.0' in told
+
+
+@pytest.mark.parametrize("stream", ["2", "1"])
+def test_a_full_terminal_does_not_end_in_a_traceback(stream: str, drive: Path, tmp_path: Path) -> None:
+    command = f"{sys.executable} -m becalm inspect {drive if stream == '1' else 'none.csv'} {stream}>/dev/full"
+    ran = subprocess.run(command, shell=True, capture_output=True, text=True, cwd=tmp_path, check=False)
+    assert ran.returncode == (2 if stream == "1" else 3)
+    assert "Traceback" not in ran.stderr

@@ -6,6 +6,7 @@ import io
 import json
 import os
 import sys
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
@@ -214,11 +215,16 @@ def _run() -> int:
     except SystemExit as ended:
         return ended.code if isinstance(ended.code, int) else 0
     except BecalmError as cause:
-        typer.echo(f"becalm: {cause}", err=True)
+        _say(str(cause))
         return cause.exit_code
     except OSError as cause:
         what = cause.filename or "standard output"
-        typer.echo(f"becalm: {what} cannot be written: {cause.strerror}. Make room or rights, and repeat.", err=True)
+        _say(f"{what} cannot be written: {cause.strerror}. Make room or rights, and repeat.")
     except MemoryError:
-        typer.echo("becalm: Not enough memory for this recording; clean fewer channels with --channels.", err=True)
+        _say("Not enough memory for this recording; clean fewer channels with --channels.")
     return UsageError.exit_code
+
+
+def _say(sentence: str) -> None:
+    with suppress(OSError):  # where even the error output is closed or full, the exit code must do
+        typer.echo(f"becalm: {sentence}", err=True)

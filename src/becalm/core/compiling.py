@@ -31,6 +31,6 @@ def compiled(function: Kernel) -> Kernel:
 
 
 def compiled_part(function: Kernel) -> Kernel:
-    """Compile a step that only other kernels call; a door from Python would take a quarter of the time."""
+    """Compile a step that only other kernels call; a door from Python would cost a quarter of the compilation."""
     compile_now: Callable[[Kernel], Kernel] = njit(**_OPTIONS, **_PART)
     return compile_now(function)

@@ -149,7 +149,7 @@ class Run(NamedTuple):
     """A forward pass, with what a backward pass needs of it."""
 
     estimate: Estimate
-    opening: starting.Opening | None  # of a flat start
+    opening: starting.Opening | None  # of a start as information: no prior, or a wide one
     trace: Trace
     state: State
 
@@ -233,7 +233,7 @@ def new_trace(model: Model, count: int, states: bool, covariances: bool) -> Trac
 
 
 def write_opening(model: Model, opening: starting.Opening, trace: Trace) -> None:
-    """Write the rows of a flat start; NaN and inf where nothing is known yet."""
+    """Write the rows of a start as information; NaN and inf where nothing is known yet."""
     rows = opening.rows
     trace.signal[:rows], trace.variance[:rows] = np.nan, np.inf
     trace.mean[:rows], trace.cov[:rows] = np.nan, np.inf

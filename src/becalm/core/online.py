@@ -38,7 +38,13 @@ class Online:
     Parameters
     ----------
     model : Model
-        The signal and its sensors. Without x0 and P0 it starts from the first readings.
+        The signal and its sensors, one step a reading. Without x0 and P0 it starts from the first
+        readings; until they tell, the signal is NaN and sigma inf.
+
+    Raises
+    ------
+    ModelError
+        If the model cannot start without x0 and P0.
     """
 
     def __init__(self, model: Model) -> None:
@@ -54,7 +60,13 @@ class Online:
             refuse_singular(self._system)
 
     def step(self, z_k: ArrayLike) -> tuple[Floats, Floats]:
-        """Take one reading, (m,) or a number, NaN where a channel is missing; return signal and sigma, (m,) each."""
+        """Take one reading, (m,) or a number, NaN where a channel is missing; return signal and sigma, (m,) each.
+
+        Raises
+        ------
+        ModelError
+            If the reading is not m real numbers.
+        """
         row = np.ravel(z_k)
         if len(row) != self.model.channels:
             raise ModelError(f"z_k has {len(row)} values; this model has {self.model.channels} channels.")

@@ -33,7 +33,7 @@ class Information(NamedTuple):
 class Opening(NamedTuple):
     """The first rows of a record, until the state is known."""
 
-    known: bool  # whether the readings ever determine the state
+    known: bool  # whether the readings, with the prior if there is one, determine the state
     rows: int  # rows in the opening; the last of them is the first with a known state
     information: list[Information]  # after each row from the first reading on
     first: int  # the row of the first reading
