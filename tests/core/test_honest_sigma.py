@@ -7,9 +7,10 @@ import pytest
 
 from becalm.core.arrays import Floats
 from becalm.core.components import motion
-from becalm.core.filtering import Estimate, elapsed_timeline, kalman_filter, run_filter
+from becalm.core.filtering import Estimate, kalman_filter, run_filter
 from becalm.core.model import Model
 from becalm.core.smoothing import kalman_smoother, run_smoother
+from becalm.core.timeline import elapsed_timeline
 from becalm.metrics.truth import coverage, rms_error
 from becalm.metrics.whiteness import mean_nis, whiteness
 
@@ -70,7 +71,7 @@ def test_sigma_is_honest_in_irregular_time(causal: bool) -> None:
         x, truth = np.zeros(2), np.empty(ROWS)
         for k in range(ROWS):
             if k:
-                step = line.which[k]
+                step = line.step_before(k)
                 x = line.system.F[step] @ x + np.linalg.cholesky(line.system.Q[step]) @ rng.normal(size=2)
             truth[k] = x[0]
         z = (truth + rng.normal(size=ROWS))[:, np.newaxis]

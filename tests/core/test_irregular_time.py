@@ -7,9 +7,10 @@ import pytest
 
 from becalm.core.arrays import Floats
 from becalm.core.components import motion
-from becalm.core.filtering import elapsed_timeline, even_timeline, kalman_filter, run_filter
+from becalm.core.filtering import kalman_filter, run_filter
 from becalm.core.model import Model
 from becalm.core.smoothing import kalman_smoother, run_smoother
+from becalm.core.timeline import elapsed_timeline, even_timeline
 
 GRID = 1e-10
 

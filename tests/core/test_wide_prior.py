@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from becalm.core import reference
-from becalm.core.filtering import even_timeline, kalman_filter, run_filter
+from becalm.core.filtering import kalman_filter, run_filter
 from becalm.core.model import Model
 from becalm.core.online import Online
 from becalm.core.smoothing import kalman_smoother
+from becalm.core.timeline import even_timeline
 
 
 def track(P0: float, R: float, q: float = 0.0) -> Model:

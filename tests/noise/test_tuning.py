@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from becalm.core.arrays import Floats
 from becalm.core.components import motion
-from becalm.core.filtering import elapsed_timeline, run_filter
+from becalm.core.filtering import run_filter
+from becalm.core.timeline import elapsed_timeline
 from becalm.noise.choose import ORDERS, choose
 from becalm.noise.likelihood import UNSCORED, Candidate, Evidence, Tuning, cutoff_to_ratio, tune_motion
 
@@ -23,7 +24,8 @@ def simulate(order: int, ratio: float, r: float, elapsed: Floats, seed: int) -> 
     line = elapsed_timeline(motion(order, ratio * r), r, elapsed)
     roots = [np.linalg.cholesky(Q) if Q.any() else Q for Q in line.system.Q]
     w, x, truth = rng.normal(size=(len(elapsed), order)), np.zeros(order), np.empty(len(elapsed))
-    for k, step in enumerate(line.which):
+    for k in range(len(elapsed)):
+        step = line.step_before(k)
         if step >= 0:
             x = line.system.F[step] @ x + roots[step] @ w[k]
         truth[k] = x[0]

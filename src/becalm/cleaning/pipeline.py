@@ -15,11 +15,12 @@ from becalm.cleaning.judging import NOTHING_REMOVED, ChannelReport, judge_innova
 from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe, TunedMotion
 from becalm.core.arrays import Floats
 from becalm.core.components import motion
-from becalm.core.filtering import elapsed_timeline, run_filter
+from becalm.core.filtering import run_filter
 from becalm.core.recording import Recording
 from becalm.core.response import Response, describe
 from becalm.core.smoothing import run_smoother
 from becalm.core.timebase import Timebase
+from becalm.core.timeline import elapsed_timeline
 from becalm.core.verdict import ADVICE, Judged, Verdict, judge
 from becalm.errors import RecipeError, RecordingError
 from becalm.noise.choose import FEWEST_READINGS, choose

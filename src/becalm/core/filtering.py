@@ -9,12 +9,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from becalm.core import starting
-from becalm.core.arrays import Floats, Integers, frozen, read_only, real
-from becalm.core.components import Component, discretise
-from becalm.core.kernel_steps import State, System, new_state
+from becalm.core.arrays import Floats, real
+from becalm.core.kernel_ahead import BLOCK
+from becalm.core.kernel_settling import COVARIANCE, GAIN, new_memory
 from becalm.core.kernels import Trace, forward
 from becalm.core.model import Model
-from becalm.core.verdict import BEYOND_ANY_SENSOR
+from becalm.core.sized import Sizes, size
+from becalm.core.timeline import Timeline, even_timeline
 from becalm.errors import ModelError
 
 
@@ -41,6 +42,12 @@ class Estimate:
         (`Model.observable_states`) it is only what was gathered since the start.
     used : int
         Readings, channels counted one by one, that entered the likelihood.
+    settled_row : int or None
+        The first row whose gain was the settled one; None if it never settled.
+
+    Notes
+    -----
+    `sigma`, or `innovations` and `innovation_sigma`, have no rows where they were not asked for.
     """
 
     signal: Floats
@@ -51,47 +58,24 @@ class Estimate:
     mean: Floats | None
     cov: Floats | None
     used: int
+    settled_row: int | None
 
 
-class Timeline(NamedTuple):
-    """The step matrices of a record, and which of them precedes each row (-1: none)."""
+class Wanted(NamedTuple):
+    """Which results are to be written; the likelihood always is."""
 
-    system: System
-    which: Integers  # (N,)
-
-
-def even_timeline(model: Model, count: int) -> Timeline:
-    """Give every row of `count` the model's own step."""
-    which = np.zeros(count, dtype=np.int64)
-    which[:1] = -1
-    return Timeline(model_system(model), which)
+    states: bool = False
+    covariances: bool = False
+    sigma: bool = True
+    innovations: bool = True
+    signal: bool = True
 
 
-def model_system(model: Model) -> System:
-    """Lay a model out for the kernels."""
-    return System(model.F[np.newaxis], model.process_covariance[np.newaxis], model.H, model.R)
-
-
-def elapsed_timeline(component: Component, noise_variance: float, elapsed: Floats) -> Timeline:
-    """Give every row the exact step over the time since the row before.
-
-    Parameters
-    ----------
-    component : Component
-        The signal's model, in the time unit of `elapsed`.
-    noise_variance : float
-        R, in unit^2.
-    elapsed : (N,) float array
-        Time since the row before, 0 or more; the first is not used.
-    """
-    lengths, which = np.unique(elapsed[1:], return_inverse=True)
-    F, Q = discretise(component, lengths if len(lengths) else np.ones(1))
-    system = System(frozen(F), frozen(Q), component.output, frozen([[noise_variance]]))
-    return Timeline(system, np.concatenate([[-1], which]).astype(np.int64)[: len(elapsed)])
+EVERYTHING = Wanted()
 
 
 def checked_readings(model: Model, z: ArrayLike) -> Floats:
-    """Return z as (N, m) float64; Inf and magnitudes beyond any sensor become NaN, missing.
+    """Return z as (N, m) float64 in rows.
 
     Raises
     ------
@@ -100,21 +84,31 @@ def checked_readings(model: Model, z: ArrayLike) -> Floats:
     """
     if not isinstance(model, Model):
         raise ModelError(f"A Model is needed; {type(model).__name__} came. Make one: becalm.Model(F=, H=, Q=, R=).")
-    try:
-        readings = np.asarray(real(z), dtype=np.float64)
-    except (TypeError, ValueError) as cause:
-        raise ModelError(f"z is not an array of numbers ({cause}).") from cause
+    readings = z if isinstance(z, np.ndarray) and z.dtype == np.float64 else _numbers(z)
     if readings.ndim == 1 and model.channels == 1:
         readings = readings[:, np.newaxis]
     if readings.ndim != 2 or readings.shape[1] != model.channels:
         wanted = "(N,) or (N, 1)" if model.channels == 1 else f"(N, {model.channels})"
         raise ModelError(f"z has shape {np.shape(z)}; this model needs {wanted}.")
-    with np.errstate(invalid="ignore"):
-        impossible = np.abs(readings) > BEYOND_ANY_SENSOR
-    return np.where(impossible, np.nan, readings) if impossible.any() else np.ascontiguousarray(readings)
+    return np.ascontiguousarray(readings)
 
 
-def kalman_filter(model: Model, z: ArrayLike, *, states: bool = False, covariances: bool = False) -> Estimate:
+def _numbers(z: ArrayLike) -> Floats:
+    try:
+        return np.asarray(real(z), dtype=np.float64)
+    except (TypeError, ValueError) as cause:
+        raise ModelError(f"z is not an array of numbers ({cause}).") from cause
+
+
+def kalman_filter(  # noqa: PLR0913  (what is wanted, each by its name)
+    model: Model,
+    z: ArrayLike,
+    *,
+    states: bool = False,
+    covariances: bool = False,
+    sigma: bool = True,
+    innovations: bool = True,
+) -> Estimate:
     """Filter readings causally: each estimate knows the readings up to its own.
 
     Parameters
@@ -122,9 +116,12 @@ def kalman_filter(model: Model, z: ArrayLike, *, states: bool = False, covarianc
     model : Model
         The signal and its sensors, one step a row.
     z : (N,) or (N, m) array_like
-        Readings in the channels' units; NaN or Inf where one did not arrive. Never modified.
+        Readings in the channels' units; NaN or Inf where one did not arrive, and what no sensor
+        reads (beyond 1e100) counts as such. Never modified.
     states, covariances : bool
         Whether to return `mean` (N, n) and `cov` (N, n, n).
+    sigma, innovations : bool
+        Whether to return `sigma`, and `innovations` with `innovation_sigma`; without them less is written.
 
     Returns
     -------
@@ -141,8 +138,8 @@ def kalman_filter(model: Model, z: ArrayLike, *, states: bool = False, covarianc
     confused with `kalman_smoother`, whose estimates also know the readings after their own.
     """
     readings = checked_readings(model, z)
-    run = run_filter(model, even_timeline(model, len(readings)), readings, states=states, covariances=covariances)
-    return run.estimate
+    wanted = Wanted(states, covariances, sigma, innovations)
+    return run_filter(model, even_timeline(model, len(readings)), readings, wanted).estimate
 
 
 class Run(NamedTuple):
@@ -150,38 +147,56 @@ class Run(NamedTuple):
 
     estimate: Estimate
     opening: starting.Opening | None  # of a start as information: no prior, or a wide one
-    trace: Trace
-    state: State
+    begun: int  # the first row after the opening
+    memory: Floats  # (1, M), or with room for one more each block, as `forward` leaves it
 
 
-def run_filter(model: Model, timeline: Timeline, z: Floats, *, states: bool = False, covariances: bool = False) -> Run:
-    """Filter z (N, m) over a timeline; see `kalman_filter`."""
-    system, which = timeline
-    trace = new_trace(model, len(z), states, covariances)
+def run_filter(  # noqa: PLR0913  (what is filtered, what is wanted, what is kept)
+    model: Model,
+    timeline: Timeline,
+    z: Floats,
+    wanted: Wanted = EVERYTHING,
+    *,
+    enough: float | None = None,
+    remember: bool = False,
+) -> Run:
+    """Filter z (N, m) over a timeline; see `kalman_filter`.
+
+    With `remember` it can be smoothed afterwards. A settled gain is used once `enough` has settled.
+    """
+    trace = new_trace(model, len(z), wanted)
     opening, prior = None, starting.wide_prior(model)
     before = Sums(0.0, 0.0, 0)
-    if model.x0 is not None and model.P0 is not None and prior is None:
-        state, begun = new_state(model.x0, model.P0, model.channels), 0
-    else:
-        opening = starting.open_record(system, which, z, model.unobservable, prior)
-        state, begun = new_state(opening.x, opening.P, model.channels), opening.rows
+    x, P, begun = model.x0, model.P0, 0
+    if x is None or P is None or prior is not None:
+        opening = starting.open_record(timeline, z, model.unobservable, prior)
+        x, P, begun = opening.x, opening.P, opening.rows
         write_opening(model, opening, trace)
         if prior is not None:
             before = score_opening(timeline, z, prior, opening, trace)
-    rest = Trace(*(array[begun:] for array in trace))
-    after = Sums(*forward(system, read_only(which[begun:]), read_only(z[begun:]), state, rest))
-    squares, log_det, used = (a + b for a, b in zip(before, after, strict=True))
+    memory = new_memory(x, P, model.channels, 2 + len(z) // BLOCK if remember else 1)
+    if enough is None:
+        enough = COVARIANCE if wanted.covariances else GAIN
+    record = timeline.record(z)
+    *sums, settled = forward(sizes_of(model), timeline.system, record, begun, enough, memory, trace)
+    squares, log_det, used = (a + b for a, b in zip(before, sums, strict=True))
     estimate = Estimate(
-        signal=trace.signal,
-        sigma=np.sqrt(trace.variance),
+        signal=trace.signal.T,
+        sigma=trace.sigma.T,
         log_likelihood=float(-0.5 * (squares + log_det + used * np.log(2 * np.pi))),
-        innovations=trace.innovation,
-        innovation_sigma=np.sqrt(trace.innovation_variance),
-        mean=trace.mean if states else None,
-        cov=trace.cov if covariances else None,
+        innovations=trace.innovation.T,
+        innovation_sigma=trace.innovation_sigma.T,
+        mean=trace.mean.T if wanted.states else None,
+        cov=np.moveaxis(trace.cov, 2, 0) if wanted.covariances else None,
         used=int(used),
+        settled_row=None if settled < 0 else int(settled),
     )
-    return Run(estimate, opening, trace, state)
+    return Run(estimate, opening, begun, memory)
+
+
+def sizes_of(model: Model) -> Sizes:
+    """Return the sizes that kernels are specialised for."""
+    return Sizes(size(model.states), size(model.channels))
 
 
 class Sums(NamedTuple):
@@ -201,44 +216,51 @@ def score_opening(
     x, P = starting.known_state(prior)
     for k, known in enumerate(opening.information):
         if k:
-            step = timeline.which[k]
+            step = timeline.step_before(k)
             x, P = F[step] @ x, F[step] @ P @ F[step].T + Q[step]
-        arrived = np.isfinite(z[k])
+        arrived = starting.arrived(z[k])
         nu = (z[k] - H @ x)[arrived]
         S = (H @ P @ H.T + R)[np.ix_(arrived, arrived)]
-        trace.innovation[k, arrived], trace.innovation_variance[k, arrived] = nu, np.diag(S)
+        if trace.innovation.size:
+            trace.innovation[arrived, k], trace.innovation_sigma[arrived, k] = nu, np.sqrt(np.diag(S))
         if arrived.any():
             squares += float(nu @ np.linalg.solve(S, nu))
             log_det += float(np.linalg.slogdet(S)[1])
             used += len(nu)
         x, P = starting.known_state(known)
-        if len(trace.mean):
-            trace.mean[k] = x
-        if len(trace.cov):
-            trace.cov[k] = P
+        if trace.mean.size:
+            trace.mean[:, k] = x
+        if trace.cov.size:
+            trace.cov[:, :, k] = P
     return Sums(squares, log_det, used)
 
 
-def new_trace(model: Model, count: int, states: bool, covariances: bool) -> Trace:
-    """Make room for the results of `count` rows; innovations start as NaN."""
+def new_trace(model: Model, count: int, wanted: Wanted) -> Trace:
+    """Make room for the results of `count` rows."""
     n, m = model.states, model.channels
     return Trace(
-        signal=np.empty((count, m)),
-        variance=np.empty((count, m)),
-        innovation=np.full((count, m), np.nan),
-        innovation_variance=np.full((count, m), np.nan),
-        mean=np.empty((count if states else 0, n)),
-        cov=np.empty((count if covariances else 0, n, n)),
+        signal=np.empty((m, count if wanted.signal else 0)),
+        sigma=np.empty((m, count if wanted.sigma else 0)),
+        innovation=np.empty((m, count if wanted.innovations else 0)),
+        innovation_sigma=np.empty((m, count if wanted.innovations else 0)),
+        mean=np.empty((n, count if wanted.states else 0)),
+        cov=np.empty((n, n, count if wanted.covariances else 0)),
     )
 
 
 def write_opening(model: Model, opening: starting.Opening, trace: Trace) -> None:
     """Write the rows of a start as information; NaN and inf where nothing is known yet."""
     rows = opening.rows
-    trace.signal[:rows], trace.variance[:rows] = np.nan, np.inf
-    trace.mean[:rows], trace.cov[:rows] = np.nan, np.inf
+    trace.signal[:, :rows], trace.sigma[:, :rows] = np.nan, np.inf
+    trace.mean[:, :rows], trace.cov[:, :, :rows] = np.nan, np.inf
+    trace.innovation[:, :rows], trace.innovation_sigma[:, :rows] = np.nan, np.nan
     for k, now in enumerate(opening.information, start=opening.first):
-        trace.signal[k], trace.variance[k] = starting.estimable(now, model.H)
+        signal, variance = starting.estimable(now, model.H)
+        if trace.signal.size:
+            trace.signal[:, k] = signal
+        if trace.sigma.size:
+            trace.sigma[:, k] = np.sqrt(variance)
     if opening.known:
         last = rows - 1
-        trace.mean[last:rows], trace.cov[last:rows] = opening.x, opening.P
+        trace.mean[:, last:rows] = opening.x[:, np.newaxis]
+        trace.cov[:, :, last:rows] = opening.P[:, :, np.newaxis]

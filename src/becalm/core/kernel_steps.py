@@ -1,6 +1,7 @@
 """Single steps of the numbered equations in Numba: the twins of `reference.predict` and `update`.
 
-Every function works in place on a `State`, whose scratch arrays spare the loops any allocation.
+A channel that did not arrive keeps its place: its row of H counts as zero, its variance as one and
+its innovation as zero, so that every loop has a length that the compiler knows.
 """
 
 from __future__ import annotations
@@ -9,14 +10,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from becalm.core.arrays import Floats, Integers
-from becalm.core.compiling import compiled_part
+from becalm.core.arrays import Floats
+from becalm.core.compiling import compiled_part, woven
+from becalm.core.sized import Sizes, stack_matrix, stack_vector
+from becalm.core.verdict import BEYOND_ANY_SENSOR
 
-SETTLED, STEADY, NEXT_CHECK, LAST_STEP = 0, 1, 2, 3
-FIRST_CHECK = 64
-_UNCHANGED = 1e-13
 _LARGEST = 1e200  # an unobservable, unstable state saturates here and cannot spoil the others
 _DEAD_PIVOT = 1e-15
+LARGEST_READING = BEYOND_ANY_SENSOR
 
 
 class System(NamedTuple):
@@ -28,73 +29,59 @@ class System(NamedTuple):
     R: Floats  # (m, m)
 
 
+class Step(NamedTuple):
+    """One step, and the sensors that read after it."""
+
+    F: Floats  # (n, n)
+    Q: Floats  # (n, n)
+    H: Floats  # (m, n)
+    R: Floats  # (m, m)
+
+
 class State(NamedTuple):
-    """All that moves; changed in place. The last five are scratch and carry nothing over."""
+    """What is believed after a reading, and how it was learnt; changed in place."""
 
     x: Floats  # (n,)
     P: Floats  # (n, n)
-    K: Floats  # (n, m) gain, one column a channel seen
+    K: Floats  # (n, m) gain; a zero column for a channel that is missing
     L: Floats  # (m, m) unit lower triangle of S = L D L'
     D: Floats  # (m,) pivots of S; 0 where a channel carries no new information
-    checkpoint: Floats  # (n, n) covariance when last compared
-    counters: Integers  # (4,) settled, steady, next check, last step
-    seen: Integers  # (m,) which channels arrived
-    nu: Floats  # (m,) innovations of the channels seen
-    S: Floats  # (m, m)
-    nn: Floats  # (2, n, n)
-    nm: Floats  # (n, m)
+    nu: Floats  # (m,) innovations
+    seen: Floats  # (m,) 1 where a channel arrived, else 0
 
 
-def new_state(x: Floats, P: Floats, channels: int) -> State:
-    """Make a state to start from; x (n,) and P (n, n) are copied."""
-    n, m = len(x), channels
+@woven
+def new_state(sizes: Sizes) -> State:
+    """Make room for a state on the stack."""
+    n, m = sizes
     return State(
-        x=np.array(x, dtype=np.float64),
-        P=np.array(P, dtype=np.float64),
-        K=np.zeros((n, m)),
-        L=np.eye(m),
-        D=np.zeros(m),
-        checkpoint=np.zeros((n, n)),
-        counters=np.array([0, 0, FIRST_CHECK, -2], dtype=np.int64),
-        seen=np.zeros(m, dtype=np.int64),
-        nu=np.zeros(m),
-        S=np.zeros((m, m)),
-        nn=np.zeros((2, n, n)),
-        nm=np.zeros((n, m)),
+        stack_vector(n),
+        stack_matrix(n, n),
+        stack_matrix(n, m),
+        stack_matrix(m, m),
+        stack_vector(m),
+        stack_vector(m),
+        stack_vector(m),
     )
 
 
 @compiled_part
-def copy_vector(source: Floats, target: Floats) -> None:
-    """Copy (n,) numbers."""
-    for i in range(len(source)):
-        target[i] = source[i]
-
-
-@compiled_part
-def copy_matrix(source: Floats, target: Floats) -> None:
-    """Copy (n, n) numbers."""
-    for i in range(len(source)):
-        for j in range(len(source)):
-            target[i, j] = source[i, j]
-
-
-@compiled_part
-def saturate(P: Floats) -> None:
+def saturate(sizes: Sizes, P: Floats) -> None:
     """Shrink what has grown beyond measure, row and column alike, so that P stays a covariance."""
-    for i in range(len(P)):
+    for i in range(len(sizes.states)):
         if P[i, i] > _LARGEST:
             factor = np.sqrt(_LARGEST / P[i, i])
-            for j in range(len(P)):
+            for j in range(len(sizes.states)):
                 P[i, j] *= factor
                 P[j, i] *= factor
 
 
 @compiled_part
-def predict(F: Floats, Q: Floats, state: State) -> None:
+def predict(sizes: Sizes, F: Floats, Q: Floats, state: State) -> None:
     """Equations (1) and (2)."""
-    x, P, FP, Fx = state.x, state.P, state.nn[0], state.nn[1, 0]
-    n = len(x)
+    n = len(sizes.states)
+    x, P = state.x, state.P
+    Fx, FP = stack_vector(sizes.states), stack_matrix(sizes.states, sizes.states)
     for i in range(n):
         s = 0.0
         for k in range(n):
@@ -113,30 +100,52 @@ def predict(F: Floats, Q: Floats, state: State) -> None:
                 s += FP[i, k] * F[j, k]
             P[i, j] = s
             P[j, i] = s
-    saturate(P)
+    saturate(sizes, P)
 
 
 @compiled_part
-def look(reading: Floats, state: State) -> int:
-    """Note the channels that arrived; return how many."""
+def look(sizes: Sizes, readings: Floats, row: int, state: State) -> int:
+    """Note which channels of a row of readings (N, m) arrived; return how many."""
     count = 0
-    for c in range(len(reading)):
-        if np.isfinite(reading[c]):
-            state.seen[count] = c
-            count += 1
+    for c in range(len(sizes.channels)):
+        arrived = abs(readings[row, c]) <= LARGEST_READING
+        state.seen[c] = 1.0 if arrived else 0.0
+        count += arrived
     return count
 
 
 @compiled_part
-def decompose(state: State, count: int) -> None:
+def weigh(sizes: Sizes, H: Floats, R: Floats, state: State) -> None:
+    """Equations (4) and (5): S = H P H' + R as L D L', and the gain K = P H' S^-1."""
+    n, m, seen = len(sizes.states), len(sizes.channels), state.seen
+    S = stack_matrix(sizes.channels, sizes.channels)
+    for a in range(m):
+        for i in range(n):
+            s = 0.0
+            for j in range(n):
+                s += state.P[i, j] * H[a, j]
+            state.K[i, a] = s * seen[a]  # P H', for now
+    for a in range(m):
+        for b in range(a + 1):
+            s = R[a, b]
+            for i in range(n):
+                s += H[a, i] * state.K[i, b]
+            S[a, b] = s * seen[a] * seen[b]
+        S[a, a] += 1.0 - seen[a]
+    factor(sizes, S, state.L, state.D)
+    divide(sizes, state)
+
+
+@compiled_part
+def factor(sizes: Sizes, S: Floats, L: Floats, D: Floats) -> None:
     """Factor S = L D L'; a pivot that rounding alone has left is dead."""
-    S, L, D = state.S, state.L, state.D
-    for a in range(count):
+    m = len(sizes.channels)
+    for a in range(m):
         d = S[a, a]
         for c in range(a):
             d -= L[a, c] * L[a, c] * D[c]
         D[a] = d if d > _DEAD_PIVOT * S[a, a] else 0.0
-        for b in range(a + 1, count):
+        for b in range(a + 1, m):
             s = S[b, a]
             for c in range(a):
                 s -= L[b, c] * L[a, c] * D[c]
@@ -144,61 +153,39 @@ def decompose(state: State, count: int) -> None:
 
 
 @compiled_part
-def factor(H: Floats, R: Floats, state: State, count: int) -> None:
-    """Equation (4), S = H P H' + R of the channels seen, and its factors L D L'."""
-    P, PH, S, seen = state.P, state.nm, state.S, state.seen
-    n = len(P)
-    for a in range(count):
-        for i in range(n):
-            s = 0.0
-            for j in range(n):
-                s += P[i, j] * H[seen[a], j]
-            PH[i, a] = s
-    for a in range(count):
-        for b in range(a + 1):
-            s = R[seen[a], seen[b]]
-            for i in range(n):
-                s += H[seen[a], i] * PH[i, b]
-            S[a, b] = s
-            S[b, a] = s
-    decompose(state, count)
-
-
-@compiled_part
-def gain(state: State, count: int) -> None:
-    """Equation (5), K = P H' S^-1, from the factors."""
-    K, L, D, PH = state.K, state.L, state.D, state.nm
-    for i in range(len(state.x)):
-        for a in range(count):
-            s = PH[i, a]
+def divide(sizes: Sizes, state: State) -> None:
+    """Equation (5): K holds P H' and becomes P H' S^-1."""
+    m, K, L, D = len(sizes.channels), state.K, state.L, state.D
+    for i in range(len(sizes.states)):
+        for a in range(m):
             for c in range(a):
-                s -= L[a, c] * K[i, c]
-            K[i, a] = s
-        for a in range(count):
+                K[i, a] -= L[a, c] * K[i, c]
+        for a in range(m):
             K[i, a] = K[i, a] / D[a] if D[a] > 0.0 else 0.0
-        for a in range(count - 1, -1, -1):
-            for c in range(a + 1, count):
+        for a in range(m - 1, -1, -1):
+            for c in range(a + 1, m):
                 K[i, a] -= L[c, a] * K[i, c]
 
 
 @compiled_part
-def shrink(H: Floats, state: State, count: int) -> None:
-    """Write A = I - K H of the channels seen into nn[0]."""
-    A, K = state.nn[0], state.K
-    for i in range(len(A)):
-        for j in range(len(A)):
+def shrink(sizes: Sizes, H: Floats, K: Floats, A: Floats) -> None:
+    """Write I - K H into A (n, n)."""
+    n, m = len(sizes.states), len(sizes.channels)
+    for i in range(n):
+        for j in range(n):
             s = 1.0 if i == j else 0.0
-            for a in range(count):
-                s -= K[i, a] * H[state.seen[a], j]
+            for a in range(m):
+                s -= K[i, a] * H[a, j]
             A[i, j] = s
 
 
 @compiled_part
-def joseph(H: Floats, R: Floats, state: State, count: int) -> None:
-    """Equation (7), P = A P A' + K R K'."""
-    P, K, seen, A, AP = state.P, state.K, state.seen, state.nn[0], state.nn[1]
-    shrink(H, state, count)
-    n = len(P)
+def joseph(sizes: Sizes, H: Floats, R: Floats, state: State) -> None:
+    """Equation (7), P = A P A' + K R K' with A = I - K H."""
+    n, m = len(sizes.states), len(sizes.channels)
+    P, K = state.P, state.K
+    A, AP = stack_matrix(sizes.states, sizes.states), stack_matrix(sizes.states, sizes.states)
+    shrink(sizes, H, K, A)
     for i in range(n):
         for j in range(n):
             s = 0.0
@@ -210,88 +197,58 @@ def joseph(H: Floats, R: Floats, state: State, count: int) -> None:
             s = 0.0
             for k in range(n):
                 s += AP[i, k] * A[j, k]
-            for a in range(count):
-                for b in range(count):
-                    s += K[i, a] * R[seen[a], seen[b]] * K[j, b]
+            for a in range(m):
+                for b in range(m):
+                    s += K[i, a] * R[a, b] * K[j, b]
             P[i, j] = s
             P[j, i] = s
 
 
 @compiled_part
-def correct(H: Floats, state: State, reading: Floats, count: int) -> None:
+def correct(sizes: Sizes, H: Floats, readings: Floats, row: int, state: State) -> None:
     """Equations (3) and (6): the innovation, and the state that it corrects."""
+    n, m = len(sizes.states), len(sizes.channels)
     x, K, nu = state.x, state.K, state.nu
-    for a in range(count):
-        s = reading[state.seen[a]]
-        for i in range(len(x)):
-            s -= H[state.seen[a], i] * x[i]
+    for a in range(m):
+        s = readings[row, a] if state.seen[a] else 0.0
+        for i in range(n):
+            s -= H[a, i] * x[i] * state.seen[a]
         nu[a] = s
-    for i in range(len(x)):
+    for i in range(n):
         s = x[i]
-        for a in range(count):
+        for a in range(m):
             s += K[i, a] * nu[a]
         x[i] = s
 
 
 @compiled_part
-def full_step(system: System, step: int, reading: Floats, state: State) -> int:
-    """One step of the full recursion, (1) to (7); returns how many channels were seen."""
-    if step >= 0:
-        predict(system.F[step], system.Q[step], state)
-    count = look(reading, state)
-    if count:
-        factor(system.H, system.R, state, count)
-        gain(state, count)
-        correct(system.H, state, reading, count)
-        joseph(system.H, system.R, state, count)
-    return count
-
-
-@compiled_part
-def settled_step(system: System, step: int, reading: Floats, state: State) -> None:
+def settled_step(  # noqa: PLR0913
+    sizes: Sizes, F: Floats, H: Floats, readings: Floats, row: int, state: State
+) -> None:
     """Equations (1), (3), (6) with the gain that has settled; the covariance stays."""
-    x, Fx, F = state.x, state.nn[1, 0], system.F[step]
-    for i in range(len(x)):
+    n = len(sizes.states)
+    Fx = stack_vector(sizes.states)
+    for i in range(n):
         s = 0.0
-        for k in range(len(x)):
-            s += F[i, k] * x[k]
-        Fx[i] = min(max(s, -_LARGEST), _LARGEST)
-    copy_vector(Fx, x)
-    correct(system.H, state, reading, look(reading, state))
+        for k in range(n):
+            s += F[i, k] * state.x[k]
+        Fx[i] = s
+    for i in range(n):
+        state.x[i] = min(max(Fx[i], -_LARGEST), _LARGEST)
+    correct(sizes, H, readings, row, state)
 
 
 @compiled_part
-def watch(state: State, step: int, complete: bool) -> None:
-    """Notice that the covariance has settled: the same now as at half of the stretch."""
-    counters, P = state.counters, state.P
-    if not complete or step != counters[LAST_STEP]:
-        counters[SETTLED], counters[STEADY], counters[NEXT_CHECK] = 0, 0, FIRST_CHECK
-        counters[LAST_STEP] = step if complete else -2
-        return
-    counters[STEADY] += 1
-    if counters[STEADY] < counters[NEXT_CHECK]:
-        return
-    counters[NEXT_CHECK] *= 2
-    unchanged = 1
-    for i in range(len(P)):
-        for j in range(len(P)):
-            if not abs(P[i, j] - state.checkpoint[i, j]) <= _UNCHANGED * np.sqrt(P[i, i]) * np.sqrt(P[j, j]):
-                unchanged = 0
-            state.checkpoint[i, j] = P[i, j]
-    counters[SETTLED] = unchanged
-
-
-@compiled_part
-def whiten(state: State, count: int) -> tuple[float, float, int]:
+def whiten(sizes: Sizes, state: State) -> tuple[float, float, int]:
     """Return nu' S^-1 nu, log det S and their dimension from the factors; dead pivots are left out (8)."""
-    L, D, e = state.L, state.D, state.S[0]
+    L, D, e = state.L, state.D, stack_vector(sizes.channels)
     squares, log_det, live = 0.0, 0.0, 0
-    for a in range(count):
+    for a in range(len(sizes.channels)):
         s = state.nu[a]
         for c in range(a):
             s -= L[a, c] * e[c]
         e[a] = s
-        if D[a] > 0.0:
+        if D[a] > 0.0 and state.seen[a]:
             squares += s * s / D[a]
             log_det += np.log(D[a])
             live += 1

@@ -1,213 +1,177 @@
-"""Many readings in Numba, forward and backward: the twins of `reference.filter_readings` and `smooth`.
+"""Many readings in Numba, forward: the twin of `reference.filter_readings`.
 
-A gain that has settled is used as it is: once the covariance has stayed the same over half of the
-time since the last gap, its recursion stops, and starts anew where a reading is missing.
+Rows are taken one by one until the gain has settled, and after every gap until it has settled again;
+then in blocks. Blocks begin at rows that are multiples of their length, so that a record cut there
+gives the same bits.
 """
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
-from becalm.core.arrays import Floats, Integers
+import numpy as np
+
+from becalm.core.arrays import Floats
 from becalm.core.compiling import compiled, compiled_part
-from becalm.core.kernel_steps import (
-    LAST_STEP,
-    SETTLED,
-    State,
-    System,
-    copy_matrix,
-    copy_vector,
-    factor,
-    full_step,
-    gain,
-    look,
-    predict,
-    settled_step,
-    shrink,
-    watch,
-    whiten,
+from becalm.core.kernel_ahead import BLOCK, combine, copy, fill, new_loop
+from becalm.core.kernel_block import (
+    Block,
+    Record,
+    close_loop,
+    is_settled,
+    log_det_of,
+    new_block,
+    run_of,
+    settled_block,
+    step_of,
 )
+from becalm.core.kernel_settling import LOAD, SAVE, SETTLED, Watch, advance, new_watch, transfer
+from becalm.core.kernel_steps import State, System, new_state, whiten
+from becalm.core.sized import Sizes, across, stack_matrix
 
 
 class Trace(NamedTuple):
-    """Where results go; an array without rows is not wanted."""
+    """Where results go; an array of no columns is not wanted."""
 
-    signal: Floats  # (N, m) H x
-    variance: Floats  # (N, m) diagonal of H P H'
-    innovation: Floats  # (N, m)
-    innovation_variance: Floats  # (N, m) diagonal of S
-    mean: Floats  # (N, n)
-    cov: Floats  # (N, n, n)
+    signal: Floats  # (m, N) H x
+    sigma: Floats  # (m, N) square root of the diagonal of H P H'
+    innovation: Floats  # (m, N) NaN where a channel is missing
+    innovation_sigma: Floats  # (m, N) square root of the diagonal of S
+    mean: Floats  # (n, N)
+    cov: Floats  # (n, n, N)
 
 
 @compiled_part
-def write_row(trace: Trace, k: int, H: Floats, state: State) -> None:
-    """Write what is believed after reading k."""
-    n = len(state.x)
-    for a in range(trace.signal.shape[1] if len(trace.signal) else 0):
-        y = v = 0.0
+def spread(sizes: Sizes, H: Floats, P: Floats, channel: int) -> float:
+    """Return the standard deviation of H x of one channel."""
+    v = 0.0
+    for i in range(len(sizes.states)):
+        for j in range(len(sizes.states)):
+            v += H[channel, i] * P[i, j] * H[channel, j]
+    return float(np.sqrt(max(v, 0.0)))
+
+
+@compiled_part
+def innovation_spread(state: State, channel: int) -> float:
+    """Return the square root of a diagonal element of S = L D L'."""
+    s = state.D[channel]
+    for b in range(channel):
+        s += state.L[channel, b] * state.L[channel, b] * state.D[b]
+    return float(np.sqrt(s))
+
+
+@compiled_part
+def write_belief(sizes: Sizes, trace: Trace, k: int, H: Floats, state: State) -> None:
+    """Write what is believed of row k."""
+    n = len(sizes.states)
+    for c in range(len(sizes.channels)):
+        if trace.signal.shape[1]:
+            y = 0.0
+            for i in range(n):
+                y += H[c, i] * state.x[i]
+            trace.signal[c, k] = y
+        if trace.sigma.shape[1]:
+            trace.sigma[c, k] = spread(sizes, H, state.P, c)
+    if trace.mean.shape[1]:
         for i in range(n):
-            y += H[a, i] * state.x[i]
-            for j in range(n):
-                v += H[a, i] * state.P[i, j] * H[a, j]
-        trace.signal[k, a] = y
-        trace.variance[k, a] = max(v, 0.0)
-    if len(trace.mean):
-        copy_vector(state.x, trace.mean[k])
-    if len(trace.cov):
-        copy_matrix(state.P, trace.cov[k])
+            trace.mean[i, k] = state.x[i]
+    if trace.cov.shape[2]:
+        write_cov(sizes, trace, k, state.P)
 
 
 @compiled_part
-def write_innovation(trace: Trace, k: int, system: System, state: State, count: int) -> None:
-    """Write the innovations of reading k and, before them, their variances."""
-    for a in range(count):
-        c = state.seen[a]
-        trace.innovation[k, c] = state.nu[a]
-        s = 0.0  # the diagonal of L D L'
-        for b in range(a):
-            s += state.L[a, b] * state.L[a, b] * state.D[b]
-        trace.innovation_variance[k, c] = s + state.D[a]
+def write_innovation(sizes: Sizes, trace: Trace, k: int, state: State) -> None:
+    """Write the innovations of row k and what was expected of them."""
+    for c in range(len(sizes.channels)):
+        if trace.innovation.shape[1]:
+            trace.innovation[c, k] = state.nu[c] if state.seen[c] else np.nan
+        if trace.innovation_sigma.shape[1]:
+            trace.innovation_sigma[c, k] = innovation_spread(state, c) if state.seen[c] else np.nan
+
+
+@compiled_part
+def write_block(sizes: Sizes, trace: Trace, row: int, H: Floats, state: State, block: Block) -> None:  # noqa: PLR0913
+    """Write a block with a settled gain."""
+    for c in range(len(sizes.channels)):
+        if trace.signal.shape[1]:
+            combine(sizes.states, H[c], block.x, 1, across(trace.signal, c, row, BLOCK))
+        if trace.sigma.shape[1]:
+            fill(across(trace.sigma, c, row, BLOCK), spread(sizes, H, state.P, c))
+        if trace.innovation.shape[1]:
+            copy(block.nu[c], 0, across(trace.innovation, c, row, BLOCK))
+        if trace.innovation_sigma.shape[1]:
+            fill(across(trace.innovation_sigma, c, row, BLOCK), innovation_spread(state, c))
+    if trace.mean.shape[1]:
+        for i in range(len(sizes.states)):
+            copy(block.x[i], 1, across(trace.mean, i, row, BLOCK))
+    if trace.cov.shape[2]:
+        for k in range(BLOCK):
+            write_cov(sizes, trace, row + k, state.P)
+
+
+@compiled_part
+def write_cov(sizes: Sizes, trace: Trace, k: int, P: Floats) -> None:
+    """Write the covariance of row k."""
+    for i in range(len(sizes.states)):
+        for j in range(len(sizes.states)):
+            trace.cov[i, j, k] = P[i, j]
+
+
+@compiled_part
+def take_row(  # noqa: PLR0913
+    sizes: Sizes, system: System, record: Record, run: int, row: int, state: State, watch: Watch, enough: float,
+    trace: Trace,
+) -> tuple[float, float, int]:  # fmt: skip
+    """Filter and write one row; return nu' S^-1 nu, log det S and their dimension (8)."""
+    step = record.step[run]
+    advance(sizes, step_of(system, step), step, record.z, row, state, watch, enough)
+    write_innovation(sizes, trace, row, state)
+    write_belief(sizes, trace, row, system.H, state)
+    return whiten(sizes, state)
 
 
 @compiled
-def forward(system: System, which: Integers, z: Floats, state: State, trace: Trace) -> tuple[float, float, int]:
-    """Filter readings z (N, m); `which` (N,) names each row's step, -1 for no step before it.
+def forward(  # noqa: PLR0913  (a door for Python: what is read, what moves, what is written)
+    sizes: Sizes, system: System, record: Record, begun: int, enough: float, memory: Floats, trace: Trace
+) -> tuple[float, float, int, int]:
+    """Filter the rows of a record from `begun` on.
 
-    Returns the sums of nu' S^-1 nu and of log det S, and the number of readings used.
+    A gain is used again once `enough` has settled, GAIN or COVARIANCE (which covariances need).
+    `memory` holds the state before them in row 0, and the state after them when done; further rows,
+    one a block, are filled with the state before each block.
+
+    Returns the sums of nu' S^-1 nu and of log det S, the number of readings used, and the first row
+    with a settled gain (-1: none).
     """
-    m = len(system.H)
-    squares, log_det, used = 0.0, 0.0, 0
-    for k in range(len(z)):
-        complete = look(z[k], state) == m
-        count = m
-        if state.counters[SETTLED] and complete and which[k] == state.counters[LAST_STEP]:
-            settled_step(system, which[k], z[k], state)
-        else:
-            count = full_step(system, which[k], z[k], state)
-            watch(state, which[k], complete)
-        s, d, live = whiten(state, count)
-        squares += s
-        log_det += d
-        used += live
-        if len(trace.innovation):
-            write_innovation(trace, k, system, state, count)
-        write_row(trace, k, system.H, state)
-    return squares, log_det, used
-
-
-class Future(NamedTuple):
-    """What the later readings say of the state; changed in place."""
-
-    r: Floats  # (n,)
-    N: Floats  # (n, n)
-    work: Floats  # (2, n, n)
-
-
-@compiled_part
-def write_smoothed(trace: Trace, k: int, H: Floats, state: State, future: Future) -> None:
-    """Equations (9) and (10), written over row k; `state` holds the filtered belief."""
-    x, P, r, N = state.x, state.P, future.r, future.N
-    n, PN = len(x), future.work[0]
-    for i in range(n):
-        for j in range(n):
-            s = 0.0
-            for g in range(n):
-                s += P[i, g] * N[g, j]
-            PN[i, j] = s
-    for i in range(n):
-        s = 0.0
-        for g in range(n):
-            s += P[i, g] * r[g]
-        x[i] += s
-    smoothed = future.work[1]
-    for i in range(n):
-        for j in range(i + 1):
-            s = P[i, j]
-            for g in range(n):
-                s -= PN[i, g] * P[g, j]
-            smoothed[i, j] = s
-            smoothed[j, i] = s
-    copy_matrix(smoothed, P)
-    write_row(trace, k, H, state)
-
-
-@compiled_part
-def pull_back(A: Floats, future: Future, u: Floats) -> None:
-    """Carry r and N back through one linear map: r = A' r, N = A' N A; u is scratch."""
-    r, N, NA = future.r, future.N, future.work[1]
-    n = len(r)
-    for i in range(n):
-        s = 0.0
-        for k in range(n):
-            s += A[k, i] * r[k]
-        u[i] = s
-        for j in range(n):
-            s = 0.0
-            for k in range(n):
-                s += N[i, k] * A[k, j]
-            NA[i, j] = s
-    copy_vector(u, r)
-    for i in range(n):
-        for j in range(i + 1):
-            s = 0.0
-            for k in range(n):
-                s += A[k, i] * NA[k, j]
-            N[i, j] = s
-            N[j, i] = s
-
-
-@compiled_part
-def add_innovation(H: Floats, state: State, count: int, future: Future) -> None:
-    """Add H' S^-1 nu to r and H' S^-1 H to N, from the factors L D L' of S."""
-    L, D, seen, V, e = state.L, state.D, state.seen, state.nm, state.S[0]
-    n = len(future.r)
-    for a in range(count):  # V = H' L^-T, e = L^-1 nu
-        s = state.nu[a]
-        for c in range(a):
-            s -= L[a, c] * e[c]
-        e[a] = s
-        for i in range(n):
-            s = H[seen[a], i]
-            for c in range(a):
-                s -= L[a, c] * V[i, c]
-            V[i, a] = s
-    for a in range(count):
-        weight = 1.0 / D[a] if D[a] > 0.0 else 0.0
-        for i in range(n):
-            future.r[i] += V[i, a] * e[a] * weight
-            for j in range(n):
-                future.N[i, j] += V[i, a] * V[j, a] * weight
-
-
-@compiled_part
-def step_back(F: Floats, H: Floats, state: State, count: int, future: Future) -> None:
-    """Equations (11) and (12); `state` holds the prediction, its gain and the innovation."""
-    shrink(H, state, count)
-    pull_back(state.nn[0], future, state.x)
-    add_innovation(H, state, count, future)
-    pull_back(F, future, state.x)
-
-
-@compiled
-def backward(system: System, which: Integers, trace: Trace, state: State, future: Future) -> None:
-    """Smooth what `forward` wrote, in place, from the last row to row 0; mean and cov must be there.
-
-    Afterwards `future` holds what rows 1, 2, ... say of the filtered state of row 0.
-    """
-    for k in range(len(which) - 1, -1, -1):
-        copy_vector(trace.mean[k], state.x)
-        copy_matrix(trace.cov[k], state.P)
-        write_smoothed(trace, k, system.H, state, future)
-        if k == 0:
-            return
-        step = which[k]
-        copy_vector(trace.mean[k - 1], state.x)
-        copy_matrix(trace.cov[k - 1], state.P)
-        predict(system.F[step], system.Q[step], state)
-        count = look(trace.innovation[k], state)
-        factor(system.H, system.R, state, count)
-        gain(state, count)
-        for a in range(count):
-            state.nu[a] = trace.innovation[k, state.seen[a]]
-        step_back(system.F[step], system.H, state, count, future)
+    state, watch, block = new_state(sizes), new_watch(sizes), new_block(sizes)
+    loop, HF, ready = new_loop(sizes.states, sizes.channels), stack_matrix(sizes.channels, sizes.states), False
+    transfer(sizes, state, watch, memory[0], LOAD)
+    squares, log_det, used, settled, run = 0.0, 0.0, 0, -1, 0
+    block_log_det, live = 0.0, 0
+    row, count = begun, len(record.z)
+    while row < count:
+        stop = min((row // BLOCK + 1) * BLOCK, count)
+        if len(memory) > 1:
+            transfer(sizes, state, watch, memory[1 + row // BLOCK], SAVE)
+        run = run_of(record, row, run)
+        if stop - row == BLOCK and is_settled(watch, record, run, row, enough):
+            if not ready:
+                close_loop(sizes, system, record.step[run], state, loop, HF)
+                block_log_det, live = log_det_of(sizes, state.D)
+                ready = True
+            s = settled_block(sizes, record.z, row, state, loop, HF, block)
+            if s >= 0.0:
+                settled = row if settled < 0 else settled
+                write_block(sizes, trace, row, system.H, state, block)
+                squares, log_det, used, row = squares + s, log_det + BLOCK * block_log_det, used + BLOCK * live, stop
+                continue
+        ready = False
+        while row < stop:
+            run = run_of(record, row, run)
+            s, d, dimension = take_row(sizes, system, record, run, row, state, watch, enough, trace)
+            squares, log_det, used = squares + s, log_det + d, used + dimension
+            if settled < 0 and watch.counters[SETTLED] >= enough:
+                settled = row
+            row += 1
+    transfer(sizes, state, watch, memory[0], SAVE)
+    return squares, log_det, used, settled

@@ -1,20 +1,22 @@
-"""One reading or one block in, the estimate out; the same numbers as `kalman_filter`, to the bit."""
+"""One reading or one block in, the estimate out: the numbers of `kalman_filter` to 1e-12, for any blocks to the bit."""
 
 from __future__ import annotations
 
 import io
-from typing import Any, Self
+from collections.abc import Callable
+from functools import partial
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from becalm.core.arrays import Floats, read_only
-from becalm.core.filtering import checked_readings, model_system, new_trace
-from becalm.core.kernel_steps import State, new_state
-from becalm.core.kernels import Trace, forward
+from becalm.core.arrays import Floats
+from becalm.core.filtering import checked_readings, sizes_of
+from becalm.core.kernel_online import live_kernels, new_live
 from becalm.core.model import Model
 from becalm.core.starting import (
     Information,
+    arrived,
     carry,
     estimable,
     is_determined,
@@ -25,11 +27,12 @@ from becalm.core.starting import (
     refuse_singular,
     wide_prior,
 )
+from becalm.core.timeline import model_system
 from becalm.errors import ModelError
 
-_VERSION = 1
+_VERSION = 2
+_FLOAT64 = np.dtype(np.float64)
 _NOT_A_SNAPSHOT = "These bytes are not a snapshot of becalm.Online; pass what snapshot() returned."
-_MOVING = ("x", "P", "K", "L", "D", "checkpoint", "counters")
 
 
 class Online:
@@ -49,28 +52,44 @@ class Online:
 
     def __init__(self, model: Model) -> None:
         self.model = model
-        self._system = model_system(model)
-        self._state: State | None = None
-        self._fresh = True
+        self._kernels = live_kernels(*sizes_of(model))
+        self._live: Floats | None = None
+        self._quick: Callable[[float], tuple[float, float]] | None = None
         self._known: Information | None = None  # what the opening has gathered, once a reading came
         self._prior = wide_prior(model)
         if model.x0 is not None and model.P0 is not None and self._prior is None:
-            self._state = new_state(model.x0, model.P0, model.channels)
+            self._begin(new_live(model, model.x0, model.P0, fresh=True))
         else:
-            refuse_singular(self._system)
+            refuse_singular(model_system(model))
 
-    def step(self, z_k: ArrayLike) -> tuple[Floats, Floats]:
-        """Take one reading, (m,) or a number, NaN where a channel is missing; return signal and sigma, (m,) each.
+    def _begin(self, live: Floats) -> None:
+        """Go on from a state that is known; a number to a model of one channel then takes the shortest way."""
+        self._live, self._known = live, None
+        if self.model.channels == 1:
+            self._quick = partial(self._kernels.step, live)
+
+    def step(self, z_k: ArrayLike) -> tuple[Floats, Floats] | tuple[float, float]:
+        """Take one reading; return signal and sigma.
+
+        Parameters
+        ----------
+        z_k : float or (m,) array_like
+            The reading in the channels' units, NaN where one is missing. For a model of one channel
+            a number will do, and two numbers come back; otherwise signal and sigma are (m,) each.
 
         Raises
         ------
         ModelError
             If the reading is not m real numbers.
         """
+        if self._quick is not None and isinstance(z_k, float):
+            return self._quick(z_k)
         row = np.ravel(z_k)
         if len(row) != self.model.channels:
             raise ModelError(f"z_k has {len(row)} values; this model has {self.model.channels} channels.")
         signal, sigma = self.run(row[np.newaxis])
+        if np.ndim(z_k) == 0:
+            return float(signal[0, 0]), float(sigma[0, 0])
         return signal[0], sigma[0]
 
     def run(self, block: ArrayLike) -> tuple[Floats, Floats]:
@@ -81,43 +100,49 @@ class Online:
         ModelError
             If the block does not fit the model.
         """
+        live = self._live
+        if (
+            live is not None
+            and self._quick is not None
+            and type(block) is np.ndarray
+            and block.ndim == 1
+            and block.dtype is _FLOAT64
+        ):  # the shortest way: these need no look
+            out = np.empty((2, len(block), 1))
+            self._kernels.run(live, block.copy(), out)
+            return out[0], out[1]
         z = checked_readings(self.model, block)
-        if self._state is not None:
-            return self._run(z, self._state)
-        signal, sigma = np.full(z.shape, np.nan), np.full(z.shape, np.inf)
+        if live is not None:
+            return self._run(z, live)
+        signal, sigma = np.empty(z.shape), np.empty(z.shape)
         for k, row in enumerate(z):
             signal[k], variance = self._gather(row)
             sigma[k] = np.sqrt(variance)
-            if self._state is not None:
-                signal[k + 1 :], sigma[k + 1 :] = self._run(z[k + 1 :], self._state)
+            if self._live is not None:
+                signal[k + 1 :], sigma[k + 1 :] = self._run(z[k + 1 :], self._live)
                 break
         return signal, sigma
 
+    def _run(self, z: Floats, live: Floats) -> tuple[Floats, Floats]:
+        out = np.empty((2, *z.shape))
+        self._kernels.run(live, z.ravel().copy(), out)  # a copy: kernels know one kind of array
+        return out[0], out[1]
+
     def _gather(self, row: Floats) -> tuple[Floats, Floats]:
         """Take one reading of the opening; return H x and its variance as far as they are known."""
-        F, Q, H, R = self._system.F[0], self._system.Q[0], self._system.H, self._system.R
+        system = model_system(self.model)
+        F, Q, H, R = system.F[0], system.Q[0], system.H, system.R
         if self._known is None:
-            if self._prior is None and not np.isfinite(row).any():
+            if self._prior is None and not arrived(row).any():
                 return np.full(len(H), np.nan), np.full(len(H), np.inf)
             self._known = learn(self._prior or nothing_known(self.model.unobservable), H, R, row)
         else:
             self._known = learn(carry(self._known, F, Q), H, R, row)
-        narrow = self._prior is None or is_narrow(self._known, self._system)
+        narrow = self._prior is None or is_narrow(self._known, system)
         told = estimable(self._known, H)
         if narrow and is_determined(self._known.Y):
-            self._state, self._known, self._fresh = new_state(*known_state(self._known), len(H)), None, False
+            self._begin(new_live(self.model, *known_state(self._known), fresh=False))
         return told
-
-    def _run(self, z: Floats, state: State) -> tuple[Floats, Floats]:
-        which = np.zeros(len(z), dtype=np.int64)
-        if self._fresh and len(z):
-            which[0], self._fresh = -1, False
-        full = new_trace(self.model, len(z), states=False, covariances=False)
-        trace = Trace(
-            full.signal, full.variance, full.innovation[:0], full.innovation_variance[:0], full.mean, full.cov
-        )
-        forward(self._system, read_only(which), read_only(z), state, trace)
-        return trace.signal, np.sqrt(trace.variance)
 
     def snapshot(self) -> bytes:
         """Return all that is needed to go on later, as plain bytes."""
@@ -128,10 +153,10 @@ class Online:
                 arrays[f"model_{name}"] = value
         if self._known is not None:
             arrays |= {"known_Y": self._known.Y, "known_y": self._known.y}
-        if self._state is not None:
-            arrays |= {f"state_{name}": getattr(self._state, name) for name in _MOVING}
+        if self._live is not None:
+            arrays["live"] = self._live
         buffer = io.BytesIO()
-        np.savez(buffer, version=np.array(_VERSION), fresh=np.array(self._fresh), **arrays)  # type: ignore[arg-type]
+        np.savez(buffer, version=np.array(_VERSION), **arrays)  # type: ignore[arg-type]
         return buffer.getvalue()
 
     @classmethod
@@ -158,18 +183,16 @@ class Online:
 
     def _restore(self, arrays: dict[str, Floats]) -> None:
         """Take over what moves, of the right shapes and types only: kernels trust them."""
-        n, m = self.model.states, self.model.channels
-        self._fresh, self._state, self._known = bool(arrays["fresh"]), None, None
+        n = self.model.states
+        blank = new_live(self.model, np.zeros(n), np.zeros((n, n)), fresh=False)
+        self._live, self._quick, self._known = None, None, None
         if "known_Y" in arrays:
             self._known = Information(arrays["known_Y"], arrays["known_y"])
             _refuse_unlike("known_Y", self._known.Y, np.empty((n, n)))
             _refuse_unlike("known_y", self._known.y, np.empty(n))
-        if "state_x" in arrays:
-            blank = new_state(np.zeros(n), np.zeros((n, n)), m)
-            for name in _MOVING:
-                _refuse_unlike(name, arrays[f"state_{name}"], getattr(blank, name))
-            moving: dict[str, Any] = {name: arrays[f"state_{name}"].copy() for name in _MOVING}
-            self._state = blank._replace(**moving)
+        if "live" in arrays:
+            _refuse_unlike("live", arrays["live"], blank)
+            self._begin(arrays["live"].copy())
 
 
 def _refuse_unlike(name: str, found: Floats, wanted: Floats) -> None:

@@ -2,18 +2,32 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from becalm.core import starting
 from becalm.core.arrays import Floats
-from becalm.core.filtering import Estimate, Run, Timeline, checked_readings, even_timeline, run_filter
-from becalm.core.kernel_steps import new_state
-from becalm.core.kernels import Future, Trace, backward
+from becalm.core.filtering import EVERYTHING, Estimate, Wanted, checked_readings, new_trace, run_filter, sizes_of
+from becalm.core.kernel_ahead import BLOCK
+from becalm.core.kernel_backward import backward
+from becalm.core.kernel_return import Future, new_future
+from becalm.core.kernel_settling import COVARIANCE, GAIN
+from becalm.core.kernels import Trace
 from becalm.core.model import Model
+from becalm.core.timeline import Timeline, even_timeline
 
 
-def kalman_smoother(model: Model, z: ArrayLike, *, states: bool = False, covariances: bool = False) -> Estimate:
+def kalman_smoother(  # noqa: PLR0913  (what is wanted, each by its name)
+    model: Model,
+    z: ArrayLike,
+    *,
+    states: bool = False,
+    covariances: bool = False,
+    sigma: bool = True,
+    innovations: bool = True,
+) -> Estimate:
     """Smooth readings: each estimate knows the whole record, before and after its own time.
 
     Parameters
@@ -24,6 +38,8 @@ def kalman_smoother(model: Model, z: ArrayLike, *, states: bool = False, covaria
         Readings in the channels' units; NaN or Inf where one did not arrive. Never modified.
     states, covariances : bool
         Whether to return `mean` (N, n) and `cov` (N, n, n).
+    sigma, innovations : bool
+        Whether to return `sigma`, and `innovations` with `innovation_sigma`; without them less is done.
 
     Returns
     -------
@@ -42,52 +58,49 @@ def kalman_smoother(model: Model, z: ArrayLike, *, states: bool = False, covaria
     `becalm.core.reference`. With a flat start the mean is that of penalised least squares.
     """
     readings = checked_readings(model, z)
-    return run_smoother(model, even_timeline(model, len(readings)), readings, states=states, covariances=covariances)
+    wanted = Wanted(states, covariances, sigma or covariances, innovations)
+    return run_smoother(model, even_timeline(model, len(readings)), readings, wanted)
 
 
-def run_smoother(
-    model: Model, timeline: Timeline, z: Floats, *, states: bool = False, covariances: bool = False
-) -> Estimate:
+def run_smoother(model: Model, timeline: Timeline, z: Floats, wanted: Wanted = EVERYTHING) -> Estimate:
     """Smooth z (N, m) over a timeline; see `kalman_smoother`."""
-    run = run_filter(model, timeline, z, states=True, covariances=True)
-    if len(z) and (run.opening is None or run.opening.known):
-        _go_back(model, timeline, run)
-    forward = run.estimate
-    return Estimate(
-        signal=run.trace.signal,
-        sigma=np.sqrt(run.trace.variance),
-        log_likelihood=forward.log_likelihood,
-        innovations=forward.innovations,
-        innovation_sigma=forward.innovation_sigma,
-        mean=run.trace.mean if states else None,
-        cov=run.trace.cov if covariances else None,
-        used=forward.used,
+    forward = Wanted(signal=False, sigma=False, innovations=wanted.innovations)
+    enough = COVARIANCE if wanted.covariances else GAIN
+    run = run_filter(model, timeline, z, forward, enough=enough, remember=True)
+    if run.opening is not None and not run.opening.known:
+        return run_filter(model, timeline, z, wanted).estimate
+    trace = new_trace(model, len(z), wanted._replace(innovations=False))
+    future = new_future(model.states)
+    rows = np.empty((BLOCK, run.memory.shape[1]))
+    record = timeline.record(z)
+    backward(sizes_of(model), timeline.system, record, run.begun, enough, run.memory, rows, future, trace)
+    if run.opening is not None:
+        _smooth_opening(timeline, run.opening, future, trace)
+    return replace(
+        run.estimate,
+        signal=trace.signal.T,
+        sigma=trace.sigma.T,
+        mean=trace.mean.T if wanted.states else None,
+        cov=np.moveaxis(trace.cov, 2, 0) if wanted.covariances else None,
     )
 
 
-def _go_back(model: Model, timeline: Timeline, run: Run) -> None:
-    """Overwrite the filtered results of a run by smoothed ones."""
-    n = model.states
-    begun = 0 if run.opening is None else run.opening.rows - 1
-    rest = Trace(*(array[begun:] for array in run.trace))
-    future = Future(np.zeros(n), np.zeros((n, n)), np.zeros((2, n, n)))
-    state = new_state(np.zeros(n), np.zeros((n, n)), model.channels)
-    backward(timeline.system, timeline.which[begun:], rest, state, future)
-    if run.opening is not None:
-        _smooth_opening(model, timeline, run.opening, run.trace)
-
-
-def _smooth_opening(model: Model, timeline: Timeline, opening: starting.Opening, trace: Trace) -> None:
-    """Regress each row of the opening on the row after it, backwards."""
-    system, which = timeline
+def _smooth_opening(timeline: Timeline, opening: starting.Opening, future: Future, trace: Trace) -> None:
+    """Smooth the last row of the opening, (9) and (10), and regress each row before on the row after it."""
+    system, last = timeline.system, opening.rows - 1
     nothing = starting.Information(np.zeros_like(opening.P), np.zeros_like(opening.x))
-    H = model.H
-    for k in range(opening.rows - 2, -1, -1):
-        now = opening.information[k - opening.first] if k >= opening.first else nothing
-        step = which[k + 1]
-        J, c, W = starting.regress(now, system.F[step], system.Q[step])
-        trace.mean[k] = J @ trace.mean[k + 1] + c
-        cov = J @ trace.cov[k + 1] @ J.T + W
-        trace.cov[k] = (cov + cov.T) / 2
-        trace.signal[k] = H @ trace.mean[k]
-        trace.variance[k] = np.einsum("ai,ij,aj->a", H, trace.cov[k], H)
+    x, P = opening.x + opening.P @ future.r, opening.P - opening.P @ future.N @ opening.P
+    for k in range(last, -1, -1):
+        if k < last:
+            now = opening.information[k - opening.first] if k >= opening.first else nothing
+            step = timeline.step_before(k + 1)
+            J, c, W = starting.regress(now, system.F[step], system.Q[step])
+            x, P = J @ x + c, J @ P @ J.T + W
+        P = (P + P.T) / 2
+        trace.signal[:, k] = system.H @ x
+        if trace.sigma.size:
+            trace.sigma[:, k] = np.sqrt(np.maximum(np.einsum("ai,ij,aj->a", system.H, P, system.H), 0.0))
+        if trace.mean.size:
+            trace.mean[:, k] = x
+        if trace.cov.size:
+            trace.cov[:, :, k] = P

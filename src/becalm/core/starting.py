@@ -12,15 +12,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from becalm.core.arrays import Floats, Integers
+from becalm.core.arrays import Booleans, Floats
 from becalm.core.kernel_steps import System
 from becalm.core.model import Model
+from becalm.core.timeline import Timeline
+from becalm.core.verdict import BEYOND_ANY_SENSOR
 from becalm.errors import ModelError
 
 _WELL_DETERMINED = 1e-6  # smallest eigenvalue of the information, scaled to a unit diagonal
 _IN_RANGE = 1e-9
 _WIDE = 1e9  # of P0 over R: P - K S K' keeps less than seven digits
 _INVERTIBLE = 1e14
+_STRETCH = 4096
 
 
 class Information(NamedTuple):
@@ -41,17 +44,13 @@ class Opening(NamedTuple):
     P: Floats  # (n, n)
 
 
-def open_record(
-    system: System, which: Integers, z: Floats, unobservable: Floats, prior: Information | None = None
-) -> Opening:
+def open_record(timeline: Timeline, z: Floats, unobservable: Floats, prior: Information | None = None) -> Opening:
     """Gather information from z (N, m) until the state is known.
 
     Parameters
     ----------
-    system : System
-        Step matrices and sensors.
-    which : (N,) int array
-        The step before each row.
+    timeline : Timeline
+        Step matrices and sensors, and the step before each row.
     z : (N, m) float array
         Readings, NaN where missing.
     unobservable : (n, u) float array
@@ -64,15 +63,16 @@ def open_record(
     ModelError
         If F or R has no inverse; such a model needs x0 and P0.
     """
+    system = timeline.system
     refuse_singular(system)
     n = len(system.F[0])
     now = nothing_known(unobservable) if prior is None else prior
-    readings = np.isfinite(z).any(axis=1)
-    first = 0 if prior is not None else int(readings.argmax()) if readings.any() else len(z)
+    first = 0 if prior is not None else first_reading(z)
     gathered: list[Information] = []
     for k in range(first, len(z)):
         if gathered:
-            now = carry(now, system.F[which[k]], system.Q[which[k]])
+            step = timeline.step_before(k)
+            now = carry(now, system.F[step], system.Q[step])
         now = learn(now, system.H, system.R, z[k])
         gathered.append(now)
         if is_determined(now.Y) and (prior is None or is_narrow(now, system)):
@@ -80,6 +80,22 @@ def open_record(
     if prior is not None and gathered:
         return Opening(True, len(z), gathered, first, *known_state(now))
     return Opening(False, len(z), gathered, first, np.zeros(n), np.zeros((n, n)))
+
+
+def first_reading(z: Floats) -> int:
+    """Return the first row of z (N, m) in which a channel arrived; N if there is none."""
+    for begin in range(0, len(z), _STRETCH):
+        rows = arrived(z[begin : begin + _STRETCH]).any(axis=1)
+        if rows.any():
+            return begin + int(rows.argmax())
+    return len(z)
+
+
+def arrived(readings: Floats) -> Booleans:
+    """Tell which readings can be used: what is NaN or infinite, or what no sensor reads, did not arrive."""
+    with np.errstate(invalid="ignore"):
+        usable: Booleans = np.abs(readings) <= BEYOND_ANY_SENSOR
+    return usable
 
 
 def nothing_known(unobservable: Floats) -> Information:
@@ -104,12 +120,12 @@ def carry(now: Information, F: Floats, Q: Floats) -> Information:
 
 def learn(now: Information, H: Floats, R: Floats, reading: Floats) -> Information:
     """Add the information of the channels that arrived."""
-    arrived = np.isfinite(reading)
-    if not arrived.any():
+    seen = arrived(reading)
+    if not seen.any():
         return now
-    H = H[arrived]
-    weighted = H.T @ np.linalg.inv(R[np.ix_(arrived, arrived)])
-    return Information(now.Y + weighted @ H, now.y + weighted @ reading[arrived])
+    H = H[seen]
+    weighted = H.T @ np.linalg.inv(R[np.ix_(seen, seen)])
+    return Information(now.Y + weighted @ H, now.y + weighted @ reading[seen])
 
 
 def is_determined(Y: Floats) -> bool:

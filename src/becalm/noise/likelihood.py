@@ -15,12 +15,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from becalm.core import starting
 from becalm.core.arrays import Floats, read_only
 from becalm.core.components import motion
-from becalm.core.filtering import Timeline, elapsed_timeline
-from becalm.core.kernel_score import score
-from becalm.core.kernel_steps import new_state
+from becalm.core.likelihood import score
+from becalm.core.timeline import elapsed_timeline
 
 UNSCORED = 3
 """Readings that only start the filter, for every order alike, so that likelihoods compare."""
@@ -101,22 +99,19 @@ class Candidate:
     def __init__(self, order: int, evidence: Evidence) -> None:
         self.order = order
         self.evidence = evidence
-        self._unit: Timeline = elapsed_timeline(motion(order), 1.0, evidence.elapsed)
+        unit = motion(order)
+        self._model = unit.to_model(1.0, 1.0)
+        self._timeline = elapsed_timeline(unit, 1.0, evidence.elapsed)
 
     def score(self, ratio: float) -> Score:
         """Return the likelihood at q/r = `ratio`, maximised over r."""
-        z, which = self.evidence.z, self._unit.which
-        system = self._unit.system._replace(Q=read_only(self._unit.system.Q * ratio))
-        opening = starting.open_record(system, which, z, np.empty((self.order, 0)))
-        if not opening.known or opening.rows >= len(z):
+        system = self._timeline.system
+        scaled = self._timeline._replace(system=system._replace(Q=read_only(system.Q * ratio)))
+        found = score(self._model, scaled, self.evidence.z, UNSCORED)
+        if found is None or not found.used:
             return Score(-np.inf, 0.0, 0)
-        state = new_state(opening.x, opening.P, 1)
-        rest, readings = read_only(which[opening.rows :]), read_only(z[opening.rows :, 0])
-        squares, log_det, count = score(system, rest, readings, state, max(0, UNSCORED - opening.rows))
-        if count == 0:
-            return Score(-np.inf, 0.0, 0)
-        r = max(squares / count, self._smallest_variance())
-        return Score(-0.5 * (count * (np.log(2 * np.pi * r) + 1) + log_det), r, count)
+        r = max(found.squares / found.used, self._smallest_variance())
+        return Score(-0.5 * (found.used * (np.log(2 * np.pi * r) + 1) + found.log_det), r, found.used)
 
     def _smallest_variance(self) -> float:
         """Return what rounding alone leaves of a noise-free record, in unit^2."""

@@ -15,8 +15,9 @@ from scipy.optimize import minimize_scalar
 
 from becalm.core.arrays import Floats
 from becalm.core.components import motion
-from becalm.core.filtering import elapsed_timeline, run_filter
+from becalm.core.filtering import run_filter
 from becalm.core.response import steady
+from becalm.core.timeline import elapsed_timeline
 from becalm.metrics.whiteness import whiteness
 from becalm.noise.likelihood import Candidate, Evidence, Tuning, cutoff_to_ratio
 

@@ -1,0 +1,147 @@
+"""Many readings in Numba, backward: the twin of `reference.smooth`.
+
+The forward pass leaves a memory of its state before each block. Going back, each block is filtered
+again from there, on the stack, and smoothed; so no covariance of a whole record is ever kept.
+"""
+
+from __future__ import annotations
+
+from becalm.core.arrays import Floats
+from becalm.core.compiling import compiled, compiled_part
+from becalm.core.kernel_ahead import BLOCK, multiply, new_loop
+from becalm.core.kernel_block import Record, close_loop, is_settled, new_block, run_of, settled_block, step_of
+from becalm.core.kernel_return import (
+    Future,
+    inform,
+    new_return,
+    prepare_return,
+    return_through,
+    smooth_cov,
+    write_smoothed_block,
+    write_spread_block,
+)
+from becalm.core.kernel_settling import (
+    FIRST_CHECK,
+    LOAD,
+    NEXT_CHECK,
+    SAVE,
+    SETTLED,
+    STEADY,
+    Watch,
+    advance,
+    new_watch,
+    transfer,
+)
+from becalm.core.kernel_steps import State, System, new_state, shrink
+from becalm.core.kernels import Trace, write_belief
+from becalm.core.sized import Sizes, stack_matrix, stack_vector
+
+
+@compiled_part
+def pull_back(sizes: Sizes, A: Floats, future: Future) -> None:
+    """Carry r and N back through one linear map: r = A' r, N = A' N A."""
+    n, r, N = len(sizes.states), future.r, future.N
+    u, NA = stack_vector(sizes.states), stack_matrix(sizes.states, sizes.states)
+    multiply(sizes.states, sizes.states, N, A, NA)
+    for i in range(n):
+        s = 0.0
+        for k in range(n):
+            s += A[k, i] * r[k]
+        u[i] = s
+        for j in range(i + 1):
+            s = 0.0
+            for k in range(n):
+                s += A[k, i] * NA[k, j]
+            N[i, j] = s
+            N[j, i] = s
+    for i in range(n):
+        r[i] = u[i]
+
+
+@compiled_part
+def step_back(sizes: Sizes, F: Floats, H: Floats, state: State, future: Future) -> None:
+    """Equations (11) and (12); `state` holds the gain, the factors of S and the innovation of the row."""
+    n, m = len(sizes.states), len(sizes.channels)
+    A, G = stack_matrix(sizes.states, sizes.states), stack_matrix(sizes.states, sizes.channels)
+    shrink(sizes, H, state.K, A)
+    pull_back(sizes, A, future)
+    inform(sizes, H, state, G)
+    for i in range(n):
+        for a in range(m):
+            future.r[i] += G[i, a] * state.nu[a]
+            for j in range(n):
+                future.N[i, j] += G[i, a] * H[a, j]
+    pull_back(sizes, F, future)
+
+
+@compiled_part
+def write_smoothed(sizes: Sizes, trace: Trace, row: int, H: Floats, state: State, future: Future) -> None:  # noqa: PLR0913
+    """Equations (9) and (10), written to a row; `state` holds the filtered belief and becomes the smoothed one."""
+    n = len(sizes.states)
+    smoothed = stack_matrix(sizes.states, sizes.states)
+    for i in range(n):
+        s = state.x[i]
+        for j in range(n):
+            s += state.P[i, j] * future.r[j]
+        state.x[i] = s
+    if trace.sigma.shape[1]:
+        smooth_cov(sizes, state.P, future.N, smoothed)
+        for i in range(n):
+            for j in range(n):
+                state.P[i, j] = smoothed[i, j]
+    write_belief(sizes, trace, row, H, state)
+
+
+@compiled_part
+def return_row(  # noqa: PLR0913
+    sizes: Sizes, system: System, step: int, row: int, memory: Floats, state: State, watch: Watch, future: Future,
+    trace: Trace,
+) -> None:  # fmt: skip
+    """Smooth and write one row, whose own memory is given."""
+    transfer(sizes, state, watch, memory, LOAD)
+    write_smoothed(sizes, trace, row, system.H, state, future)
+    if step >= 0:
+        transfer(sizes, state, watch, memory, LOAD)
+        step_back(sizes, system.F[step], system.H, state, future)
+
+
+@compiled
+def backward(  # noqa: PLR0913  (a door for Python: what is read, what moves, what is written)
+    sizes: Sizes, system: System, record: Record, begun: int, enough: float, memory: Floats, rows: Floats,
+    future: Future, trace: Trace,
+) -> None:  # fmt: skip
+    """Smooth the rows of a record from the last to `begun`, after `forward` has filled `memory`.
+
+    `rows` is room for the memory of each row of a block. Afterwards `future` holds what the rows from
+    `begun` on say of the filtered state before them.
+    """
+    state, watch, block, back = new_state(sizes), new_watch(sizes), new_block(sizes), new_return(sizes)
+    loop, HF, ready = new_loop(sizes.states, sizes.channels), stack_matrix(sizes.channels, sizes.states), False
+    stop, run = len(record.z), len(record.step) - 1
+    while stop > begun:
+        start = max((stop - 1) // BLOCK * BLOCK, begun)
+        transfer(sizes, state, watch, memory[1 + start // BLOCK], LOAD)
+        run = run_of(record, start, run)
+        if is_settled(watch, record, run, start, enough) and start + BLOCK == stop:
+            if not ready:
+                close_loop(sizes, system, record.step[run], state, loop, HF)
+                prepare_return(sizes, system.H, HF, state, loop, back)
+                ready = True
+            if settled_block(sizes, record.z, start, state, loop, HF, block) >= 0.0:
+                return_through(sizes, block, back, future)
+                write_smoothed_block(sizes, trace, start, system.H, state.P, block, back)
+                if trace.sigma.shape[1]:
+                    write_spread_block(sizes, trace, start, system.H, state.P, loop.A, back.C, future)
+                stop = start
+                continue
+        ready = False
+        for row in range(start, stop):
+            run = run_of(record, row, run)
+            step = record.step[run]
+            advance(sizes, step_of(system, step), step, record.z, row, state, watch, enough)
+            transfer(sizes, state, watch, rows[row - start], SAVE)
+        for row in range(stop - 1, start - 1, -1):
+            run = run_of(record, row, run)
+            return_row(sizes, system, record.step[run], row, rows[row - start], state, watch, future, trace)
+        future.counters[SETTLED], future.counters[STEADY], future.counters[NEXT_CHECK] = 0.0, 0.0, FIRST_CHECK
+        stop = start

@@ -1,0 +1,158 @@
+"""When a gain has settled: one row of the recursion, full or with the gain that no longer changes."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from becalm.core.arrays import Floats
+from becalm.core.compiling import compiled_part, woven
+from becalm.core.kernel_steps import State, Step, correct, joseph, look, predict, settled_step, weigh
+from becalm.core.sized import Size, Sizes, size, stack_matrix, stack_vector
+
+FOUR: Size = size(4)
+SETTLED, STEADY, NEXT_CHECK, LAST_STEP = 0, 1, 2, 3
+GAIN, COVARIANCE = 1.0, 2.0
+"""What has settled: the gain, or the covariance as well."""
+
+FIRST_CHECK = 32.0
+_STRETCHED = 1.125  # the next check comes when the stretch has grown by this
+_UNCHANGED = 1e-13
+_NO_STEP = -2.0
+LOAD, SAVE = 0.0, 1.0
+
+
+class Watch(NamedTuple):
+    """What is compared to notice that a gain has settled; changed in place."""
+
+    K: Floats  # (n, m) as it was at the last check, and so are the next three
+    L: Floats  # (m, m)
+    D: Floats  # (m,)
+    P: Floats  # (n, n)
+    counters: Floats  # (4,) what has settled, rows since the last gap, next check, last step
+
+
+@woven
+def new_watch(sizes: Sizes) -> Watch:
+    """Make room for a watch on the stack."""
+    n, m = sizes
+    return Watch(stack_matrix(n, m), stack_matrix(m, m), stack_vector(m), stack_matrix(n, n), stack_vector(FOUR))
+
+
+def new_memory(x: Floats, P: Floats, channels: int, rows: int = 1) -> Floats:
+    """Make a memory to start from: rows that each hold a State and its Watch, of which the first is set."""
+    n, m = len(x), channels
+    memory = np.zeros((rows, 2 * n * n + 2 * n * m + 2 * m * m + n + 4 * m + len(FOUR)))
+    memory[0, :n] = x
+    memory[0, n : n + n * n] = np.ravel(P)
+    counters = n + 2 * n * n + 2 * n * m + 2 * m * m + 2 * m
+    memory[0, counters : counters + len(FOUR)] = 0.0, 0.0, FIRST_CHECK, _NO_STEP
+    return memory
+
+
+@compiled_part
+def transfer_vector(extent: Size, own: Floats, memory: Floats, at: int, saving: float) -> int:
+    """Save (extent,) numbers in memory, or load them; return where the next ones are."""
+    for i in range(len(extent)):
+        if saving:
+            memory[at + i] = own[i]
+        else:
+            own[i] = memory[at + i]
+    return at + len(extent)
+
+
+@compiled_part
+def transfer_matrix(rows: Size, columns: Size, own: Floats, memory: Floats, at: int, saving: float) -> int:  # noqa: PLR0913
+    """Save (rows, columns) numbers in memory, or load them; return where the next ones are."""
+    for i in range(len(rows)):
+        for j in range(len(columns)):
+            if saving:
+                memory[at] = own[i, j]
+            else:
+                own[i, j] = memory[at]
+            at += 1
+    return at
+
+
+@compiled_part
+def transfer(sizes: Sizes, state: State, watch: Watch, memory: Floats, saving: float) -> int:
+    """Save a state and its watch in a row of memory, or load them from it; return the column after them."""
+    n, m = sizes.states, sizes.channels
+    at = transfer_vector(n, state.x, memory, 0, saving)
+    at = transfer_matrix(n, n, state.P, memory, at, saving)
+    at = transfer_matrix(n, m, state.K, memory, at, saving)
+    at = transfer_matrix(m, m, state.L, memory, at, saving)
+    at = transfer_vector(m, state.D, memory, at, saving)
+    at = transfer_matrix(n, m, watch.K, memory, at, saving)
+    at = transfer_matrix(m, m, watch.L, memory, at, saving)
+    at = transfer_vector(m, watch.D, memory, at, saving)
+    at = transfer_matrix(n, n, watch.P, memory, at, saving)
+    at = transfer_vector(FOUR, watch.counters, memory, at, saving)
+    at = transfer_vector(m, state.nu, memory, at, saving)
+    return transfer_vector(m, state.seen, memory, at, saving)
+
+
+@compiled_part
+def near(now: float, then: float, scale: float) -> bool:
+    """Whether a number has kept its value; NaN and Inf have not."""
+    return abs(now - then) <= _UNCHANGED * scale
+
+
+@compiled_part
+def compare(sizes: Sizes, state: State, watch: Watch) -> float:
+    """Tell what has settled since the last check, measured by the state's own spread, and remember it anew."""
+    n, m = len(sizes.states), len(sizes.channels)
+    P, K, L, D = state.P, state.K, state.L, state.D
+    gain, covariance = True, True
+    for a in range(m):
+        gain = gain and near(D[a], watch.D[a], D[a])
+        watch.D[a] = D[a]
+        for b in range(a):
+            gain = gain and near(L[a, b], watch.L[a, b], 1.0 + abs(L[a, b]))
+            watch.L[a, b] = L[a, b]
+        for i in range(n):
+            spread = np.sqrt(P[i, i] / D[a]) if D[a] > 0.0 else 0.0
+            gain = gain and near(K[i, a], watch.K[i, a], spread + abs(K[i, a]))
+            watch.K[i, a] = K[i, a]
+    for i in range(n):
+        for j in range(n):
+            covariance = covariance and near(P[i, j], watch.P[i, j], np.sqrt(P[i, i]) * np.sqrt(P[j, j]))
+            watch.P[i, j] = P[i, j]
+    return (COVARIANCE if covariance else GAIN) if gain else 0.0
+
+
+@compiled_part
+def notice(sizes: Sizes, state: State, watch: Watch, step: int, complete: bool) -> None:
+    """Notice that the gain has settled: the same now as at an eighth of the stretch before."""
+    counters = watch.counters
+    if not complete or step != counters[LAST_STEP]:
+        counters[SETTLED], counters[STEADY], counters[NEXT_CHECK] = 0.0, 0.0, FIRST_CHECK
+        counters[LAST_STEP] = step if complete else _NO_STEP
+        return
+    counters[STEADY] += 1.0
+    if counters[STEADY] >= counters[NEXT_CHECK]:
+        counters[NEXT_CHECK] = max(counters[NEXT_CHECK] + FIRST_CHECK, counters[NEXT_CHECK] * _STRETCHED)
+        counters[SETTLED] = compare(sizes, state, watch)
+
+
+@compiled_part
+def advance(  # noqa: PLR0913  (a part of the loops, which keep these apart for the compiler)
+    sizes: Sizes, step: Step, number: int, z: Floats, row: int, state: State, watch: Watch, enough: float
+) -> None:
+    """Take one row of readings (N, m) after a step; its number tells steps apart, -1 stands for none.
+
+    A gain is used again once `enough` has settled.
+    """
+    count = look(sizes, z, row, state)
+    complete = count == len(sizes.channels)
+    if complete and watch.counters[SETTLED] >= enough and number == watch.counters[LAST_STEP]:
+        settled_step(sizes, step.F, step.H, z, row, state)
+        return
+    if number >= 0:
+        predict(sizes, step.F, step.Q, state)
+    weigh(sizes, step.H, step.R, state)
+    correct(sizes, step.H, z, row, state)
+    if count:
+        joseph(sizes, step.H, step.R, state)
+    notice(sizes, state, watch, number, complete)
