@@ -10,8 +10,9 @@ from scipy.stats import chi2, kstest
 
 from becalm.core.arrays import Floats
 from becalm.metrics.evenness import uneven_share
+from becalm.metrics.lagged import LaggedSums
 from becalm.metrics.truth import coverage, rms_error
-from becalm.metrics.whiteness import LAGS, autocorrelation, mean_nis, prediction_error, whiteness
+from becalm.metrics.whiteness import LAGS, mean_nis, prediction_error, whiteness
 
 
 def white(rows: int, seed: int = 0) -> Floats:
@@ -21,6 +22,12 @@ def white(rows: int, seed: int = 0) -> Floats:
 def autoregressive(phi: float, rows: int, seed: int = 1) -> Floats:
     coloured: Floats = lfilter([1.0], [1.0, -phi], white(rows + 200, seed))[200:]
     return coloured
+
+
+def autocorrelation(e: Floats, lags: int) -> Floats:
+    about = LaggedSums().extended(e).about_mean(lags)
+    correlation: Floats = about / about[0]
+    return correlation
 
 
 def test_ljung_box_gives_white_noise_uniform_p_values() -> None:

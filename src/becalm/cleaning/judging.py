@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.core.filtering import Estimate
-from becalm.metrics.evenness import uneven_share
-from becalm.metrics.whiteness import mean_nis, whiteness
+from becalm.metrics.evenness import BlockCount
+from becalm.metrics.lagged import LaggedSums
+from becalm.metrics.running import PIECE, Running
+from becalm.metrics.whiteness import Power, Whiteness, judge_whiteness
 
 PREDICTABLE = 0.10
 """Share of the innovation power that may still be predictable: 10 % costs 5 % in rms prediction."""
@@ -97,10 +100,71 @@ class Judgement:
     says: str
 
 
+class _Sums(NamedTuple):
+    """What is summed of the normalised innovations."""
+
+    lagged: LaggedSums = LaggedSums()
+    blocks: BlockCount = BlockCount()
+    power: Power = Power()
+
+    def extended(self, piece: Floats) -> _Sums:
+        return _Sums(self.lagged.extended(piece), self.blocks.extended(piece), self.power.extended(piece))
+
+
+class InnovationJudge:
+    """Judges one channel by its innovations, which come in blocks of any length; its memory is constant.
+
+    Examples
+    --------
+    >>> judge = InnovationJudge()
+    >>> for innovations in np.random.default_rng(1).normal(scale=0.2, size=(10, 500)):
+    ...     judge.add(innovations, 0.2)
+    >>> judge.judgement().says
+    'The model describes the signal.'
+    """
+
+    def __init__(self) -> None:
+        self._running = Running(_Sums(), _Sums.extended)
+
+    def add(self, innovations: Floats, innovation_sigma: Floats | float) -> None:
+        """Add a block.
+
+        Parameters
+        ----------
+        innovations : (B,) float array
+            Reading minus prediction, in order of time; NaN where there is none.
+        innovation_sigma : (B,) float array or float
+            Standard deviation expected of them, same unit; one number for a settled filter.
+        """
+        sigma = np.broadcast_to(innovation_sigma, innovations.shape)
+        for start in range(0, len(innovations), PIECE):
+            part = slice(start, start + PIECE)
+            self._running.add(innovations[part] / sigma[part])
+
+    def judgement(self) -> Judgement:
+        """Judge all innovations so far; more may follow."""
+        sums = self._running.sums()
+        found, uneven = judge_whiteness(sums.lagged), sums.blocks.share()
+        faults = _faults(found, uneven)
+        return Judgement(
+            found.p_value,
+            found.first_correlation,
+            found.predictable_share,
+            uneven,
+            sums.power.mean(),
+            not faults,
+            _sentence(faults),
+        )
+
+
 def judge_innovations(estimate: Estimate) -> Judgement:
     """Judge a filtered channel by its innovations."""
-    normalised: Floats = (estimate.innovations / estimate.innovation_sigma)[:, 0]
-    found, uneven = whiteness(normalised), uneven_share(normalised)
+    judge = InnovationJudge()
+    judge.add(estimate.innovations[:, 0], estimate.innovation_sigma[:, 0])
+    return judge.judgement()
+
+
+def _faults(found: Whiteness, uneven: float) -> list[str]:
     faults = []
     if found.predictable_share > PREDICTABLE:
         character = "sluggish" if found.first_correlation > 0 else "nervous"
@@ -113,15 +177,7 @@ def judge_innovations(estimate: Estimate) -> Judgement:
             f"noise or motion changes so much that sigma is wrong by more than a factor of two in {uneven:.0%} of"
             " the record"
         )
-    return Judgement(
-        found.p_value,
-        found.first_correlation,
-        found.predictable_share,
-        uneven,
-        mean_nis(normalised),
-        not faults,
-        _sentence(faults),
-    )
+    return faults
 
 
 def _sentence(faults: list[str]) -> str:

@@ -2,12 +2,45 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from becalm.core.arrays import Floats
+from becalm.metrics.running import Running
 
 _BLOCK = 50
 _FACTOR = 4.0  # in power: sigma is off by two
+
+
+class BlockCount(NamedTuple):
+    """How many blocks of 50 values there were, and how many of them were uneven."""
+
+    blocks: int = 0
+    uneven: int = 0
+
+    def extended(self, piece: Floats) -> BlockCount:
+        """Return the count with a piece (n,) of finite values; only the last may end within a block."""
+        blocks = len(piece) // _BLOCK
+        rows = piece[: blocks * _BLOCK].reshape(blocks, _BLOCK)
+        power = np.vecdot(rows, rows) / _BLOCK
+        even = int(np.count_nonzero((power >= 1 / _FACTOR) & (power <= _FACTOR)))
+        return BlockCount(self.blocks + blocks, self.uneven + blocks - even)
+
+    def share(self) -> float:
+        """Return the share of uneven blocks."""
+        return self.uneven / self.blocks if self.blocks else 0.0
+
+
+class RunningEvenness(Running[BlockCount]):
+    """The uneven share of a sequence that comes in blocks of any length."""
+
+    def __init__(self) -> None:
+        super().__init__(BlockCount(), BlockCount.extended)
+
+    def result(self) -> float:
+        """Return `uneven_share` of all values so far; more may follow."""
+        return self.sums().share()
 
 
 def uneven_share(normalised: Floats) -> float:
@@ -23,9 +56,6 @@ def uneven_share(normalised: Floats) -> float:
     The mean power of 50 white Gaussian innovations is 1 with a standard deviation of 0.2, so that
     chance alone gives none. A large share says that sigma holds on average only.
     """
-    e = normalised[np.isfinite(normalised)]
-    blocks = len(e) // _BLOCK
-    if blocks == 0:
-        return 0.0
-    power = np.mean(e[: blocks * _BLOCK].reshape(blocks, _BLOCK) ** 2, axis=1)
-    return float(np.mean((power > _FACTOR) | (power < 1 / _FACTOR)))
+    running = RunningEvenness()
+    running.add(normalised)
+    return running.result()

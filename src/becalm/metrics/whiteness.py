@@ -1,16 +1,19 @@
-"""Whether innovations are white, and how much of them is still predictable."""
+"""Whether innovations are white, how much of them is still predictable, and whether their size is right."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import gammaincc
 
 from becalm.core.arrays import Floats
+from becalm.metrics.lagged import MOST_LAGS, LaggedSums
+from becalm.metrics.running import Running
 
 LAGS = 20
-_PREDICTOR_LAGS = 32
+_PREDICTOR_LAGS = MOST_LAGS
 _READINGS_PER_LAG = 8  # a short sequence is asked fewer questions
 
 
@@ -35,35 +38,45 @@ class Whiteness:
     predictable_share: float
 
 
+class RunningWhiteness(Running[LaggedSums]):
+    """The whiteness of a sequence that comes in blocks of any length."""
+
+    def __init__(self) -> None:
+        super().__init__(LaggedSums(), LaggedSums.extended)
+
+    def result(self) -> Whiteness:
+        """Return `whiteness` of all values so far; more may follow."""
+        return judge_whiteness(self.sums())
+
+
 def whiteness(normalised: Floats) -> Whiteness:
-    """Judge a sequence (N,) of normalised innovations; NaN is left out.
+    """Judge a sequence (N,) of normalised innovations; NaN is left out, and lags run over the others."""
+    running = RunningWhiteness()
+    running.add(normalised)
+    return running.result()
+
+
+def judge_whiteness(sums: LaggedSums) -> Whiteness:
+    """Judge a sequence by its lagged sums.
 
     Notes
     -----
     Ljung and Box, Biometrika 65 (1978) 297. The predictor is that of Levinson and Durbin.
     """
-    e = normalised[np.isfinite(normalised)]
-    n = len(e)
+    n = sums.seen
     tested, foreseen = min(LAGS, n // _READINGS_PER_LAG), min(_PREDICTOR_LAGS, n // _READINGS_PER_LAG)
-    if foreseen < 1 or not np.any(e != e[0]):
+    if foreseen < 1 or not sums.varies:
         return Whiteness(1.0, 0.0, 0.0)
-    correlation = autocorrelation(e, foreseen)
+    covariance = sums.about_mean(foreseen)
+    if not 0 < covariance[0] < np.inf:  # squares too small or too large for float64
+        return Whiteness(1.0, 0.0, 0.0)
+    correlation = covariance / covariance[0]
     lags = np.arange(1, tested + 1)
     statistic = n * (n + 2) * float((correlation[1 : tested + 1] ** 2 / (n - lags)).sum())
     p_value = float(gammaincc(tested / 2, statistic / 2))
-    share = 1 - prediction_error(correlation)
+    share = 1 - float(prediction_error(correlation))
     chance = foreseen / n
     return Whiteness(p_value, float(correlation[1]), max(0.0, (share - chance) / (1 - chance)))
-
-
-def autocorrelation(e: Floats, lags: int) -> Floats:
-    """Return the autocorrelation of e (N,) about its mean at lags 0 to `lags`."""
-    centred = e - e.mean()
-    padded = 1 << (len(e) + lags).bit_length()  # so that the circular correlation does not wrap
-    spectrum = np.abs(np.fft.rfft(centred, padded)) ** 2
-    correlation: Floats = np.fft.irfft(spectrum, padded)[: lags + 1]
-    correlation /= correlation[0]
-    return correlation
 
 
 def prediction_error(correlation: Floats) -> float:
@@ -78,7 +91,34 @@ def prediction_error(correlation: Floats) -> float:
     return error
 
 
+class Power(NamedTuple):
+    """How many values there were, and the sum of their squares."""
+
+    seen: int = 0
+    squares: float = 0.0
+
+    def extended(self, piece: Floats) -> Power:
+        """Return the sums with a piece (n,) of finite values."""
+        return Power(self.seen + len(piece), self.squares + float(np.dot(piece, piece)))
+
+    def mean(self) -> float:
+        """Return the mean square; NaN of no values."""
+        return self.squares / self.seen if self.seen else float("nan")
+
+
+class RunningNis(Running[Power]):
+    """The mean squared normalised innovation of a sequence that comes in blocks of any length."""
+
+    def __init__(self) -> None:
+        super().__init__(Power(), Power.extended)
+
+    def result(self) -> float:
+        """Return `mean_nis` of all values so far; more may follow."""
+        return self.sums().mean()
+
+
 def mean_nis(normalised: Floats) -> float:
-    """Return the mean squared normalised innovation; 1 when the scale of the noise is right."""
-    e = normalised[np.isfinite(normalised)]
-    return float(np.mean(e**2)) if len(e) else float("nan")
+    """Return the mean squared normalised innovation, NaN left out; 1 when the scale of the noise is right."""
+    running = RunningNis()
+    running.add(normalised)
+    return running.result()

@@ -1,0 +1,81 @@
+"""The autocorrelation of a sequence that comes in pieces, exact at their borders."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from becalm.core.arrays import Floats, frozen
+
+MOST_LAGS = 32
+_ROW = 8  # the shortest row that BLAS still multiplies fast
+_SHIFTS = MOST_LAGS // _ROW + 1
+
+
+class LaggedSums(NamedTuple):
+    """Sums over a sequence e, and over its products with itself up to 32 values earlier.
+
+    Attributes
+    ----------
+    seen : int
+        Values so far.
+    shift : float
+        Mean of the first piece; what is summed is c = e - shift.
+    total : float
+        Sum of c.
+    products : (5, 8, 8) float array
+        Of c in rows of 8 with c up to 32 values earlier, in rows of 8; see `about_mean`.
+    head, tail : (32,) float array
+        The first and the last c; zero where there are fewer.
+    varies : bool
+        Whether not all c are equal.
+
+    Notes
+    -----
+    Nothing is lost to the shift: n var = sum (e - mean)^2 >= P (shift - mean)^2 for a first piece of
+    P values, so that rounding errors grow by n/P at most, whatever the mean is.
+    """
+
+    seen: int = 0
+    shift: float = 0.0
+    total: float = 0.0
+    products: Floats = frozen(np.zeros((_SHIFTS, _ROW, _ROW)))
+    head: Floats = frozen(np.zeros(MOST_LAGS))
+    tail: Floats = frozen(np.zeros(MOST_LAGS))
+    varies: bool = False
+
+    def extended(self, piece: Floats) -> LaggedSums:
+        """Return the sums with a piece (n,) of finite values; the first must be long, or the only one."""
+        n = len(piece)
+        shift = self.shift if self.seen else float(np.mean(piece))
+        rows = -(-n // _ROW)
+        own = np.zeros(rows * _ROW)
+        np.subtract(piece, shift, out=own[:n])
+        c = np.append(self.tail, own)  # not a view: of one array with itself, BLAS takes a slower road
+        step = c.itemsize
+        earlier = np.ndarray((_SHIFTS, rows, _ROW), float, c, strides=(_ROW * step, _ROW * step, step))
+        head = self.head if self.seen else np.append(own[:MOST_LAGS], np.zeros(MOST_LAGS))[:MOST_LAGS]
+        return LaggedSums(
+            self.seen + n,
+            shift,
+            self.total + float(own.sum()),
+            self.products + own.reshape(rows, _ROW).T @ earlier,
+            head,
+            c[n : n + MOST_LAGS].copy(),
+            self.varies or bool(np.any(own[:n] != head[0])),
+        )
+
+    def about_mean(self, lags: int) -> Floats:
+        """Return the sum of (e[i] - mean) (e[i - j] - mean) over i, for j = 0 to `lags`, up to 32."""
+        # products[k, a, b] sums c[i] c[i - j] over every eighth i, with j = 32 + a - 8 k - b
+        by_row = self.products.transpose(1, 0, 2).reshape(_ROW, _SHIFTS * _ROW)
+        diagonals = np.array([by_row[a, a : a + MOST_LAGS + 1] for a in range(_ROW)])
+        j = np.arange(lags + 1)
+        first = np.append(0.0, np.cumsum(self.head))[: lags + 1]
+        last = np.append(0.0, np.cumsum(self.tail[::-1]))[: lags + 1]
+        mean = self.total / self.seen
+        with np.errstate(over="ignore", invalid="ignore"):  # squares beyond float64 come out as inf or NaN
+            lagged = diagonals.sum(axis=0)[::-1][: lags + 1]
+            about: Floats = lagged - mean * (2 * self.total - first - last) + (self.seen - j) * mean * mean
+        return about
