@@ -84,16 +84,18 @@ def checked_readings(model: Model, z: ArrayLike) -> Floats:
     """
     if not isinstance(model, Model):
         raise ModelError(f"A Model is needed; {type(model).__name__} came. Make one: becalm.Model(F=, H=, Q=, R=).")
-    readings = z if isinstance(z, np.ndarray) and z.dtype == np.float64 else _numbers(z)
+    readings = z if isinstance(z, np.ndarray) and z.dtype == np.float64 else numbers(z)
     if readings.ndim == 1 and model.channels == 1:
         readings = readings[:, np.newaxis]
     if readings.ndim != 2 or readings.shape[1] != model.channels:
         wanted = "(N,) or (N, 1)" if model.channels == 1 else f"(N, {model.channels})"
-        raise ModelError(f"z has shape {np.shape(z)}; this model needs {wanted}.")
+        many = " For many records at once use becalm.core.batch.filter_batch." if readings.ndim == 3 else ""
+        raise ModelError(f"z has shape {np.shape(z)}; this model needs {wanted}.{many}")
     return np.ascontiguousarray(readings)
 
 
-def _numbers(z: ArrayLike) -> Floats:
+def numbers(z: ArrayLike) -> Floats:
+    """Return float64 numbers, or say that these are none."""
     try:
         return np.asarray(real(z), dtype=np.float64)
     except (TypeError, ValueError) as cause:
@@ -142,8 +144,16 @@ def kalman_filter(  # noqa: PLR0913  (what is wanted, each by its name)
     return run_filter(model, even_timeline(model, len(readings)), readings, wanted).estimate
 
 
+class Sums(NamedTuple):
+    """What makes a log-likelihood."""
+
+    squares: float  # of nu' S^-1 nu
+    log_det: float  # of log det S
+    used: int
+
+
 class Run(NamedTuple):
-    """A forward pass, with what a backward pass needs of it."""
+    """A forward pass, with what a backward pass, or the rows that follow, need of it."""
 
     estimate: Estimate
     opening: starting.Opening | None  # of a start as information: no prior, or a wide one
@@ -151,34 +161,57 @@ class Run(NamedTuple):
     memory: Floats  # (1, M), or with room for one more each block, as `forward` leaves it
 
 
-def run_filter(  # noqa: PLR0913  (what is filtered, what is wanted, what is kept)
-    model: Model,
-    timeline: Timeline,
-    z: Floats,
-    wanted: Wanted = EVERYTHING,
-    *,
-    enough: float | None = None,
-    remember: bool = False,
-) -> Run:
-    """Filter z (N, m) over a timeline; see `kalman_filter`.
+class Pass(NamedTuple):
+    """How a forward pass is made."""
 
-    With `remember` it can be smoothed afterwards. A settled gain is used once `enough` has settled.
-    """
-    trace = new_trace(model, len(z), wanted)
-    opening, prior = None, starting.wide_prior(model)
-    before = Sums(0.0, 0.0, 0)
-    x, P, begun = model.x0, model.P0, 0
-    if x is None or P is None or prior is not None:
-        opening = starting.open_record(timeline, z, model.unobservable, prior)
-        x, P, begun = opening.x, opening.P, opening.rows
-        write_opening(model, opening, trace)
-        if prior is not None:
-            before = score_opening(timeline, z, prior, opening, trace)
-    memory = new_memory(x, P, model.channels, 2 + len(z) // BLOCK if remember else 1)
-    if enough is None:
-        enough = COVARIANCE if wanted.covariances else GAIN
-    record = timeline.record(z)
-    *sums, settled = forward(sizes_of(model), timeline.system, record, begun, enough, memory, trace)
+    wanted: Wanted = EVERYTHING
+    enough: float = GAIN  # what has to settle before a gain is used again
+    remember: bool = False  # what a backward pass needs
+
+
+def run_filter(model: Model, timeline: Timeline, z: Floats, wanted: Wanted = EVERYTHING) -> Run:
+    """Filter z (N, m) over a timeline; see `kalman_filter`."""
+    return start_filter(model, timeline, z, Pass(wanted, COVARIANCE if wanted.covariances else GAIN))
+
+
+def start_filter(model: Model, timeline: Timeline, z: Floats, how: Pass) -> Run:
+    """Filter a record from its first row on."""
+    prior = starting.wide_prior(model)
+    if model.x0 is not None and model.P0 is not None and prior is None:
+        memory = new_memory(model.x0, model.P0, model.channels, _rows_to_remember(z, how))
+        return go_on(model, timeline, z, memory, how)
+    opening = starting.open_record(timeline, z, model.unobservable, prior)
+    trace, before = new_trace(model, len(z), how.wanted), Sums(0.0, 0.0, 0)
+    write_opening(model, opening, trace)
+    if prior is not None:
+        before = score_opening(timeline, z, prior, opening, trace)
+    memory = new_memory(opening.x, opening.P, model.channels, _rows_to_remember(z, how))
+    return _run(Task(model, timeline, z, opening.rows), memory, how, trace, before)._replace(opening=opening)
+
+
+def go_on(model: Model, timeline: Timeline, z: Floats, memory: Floats, how: Pass) -> Run:
+    """Filter the rows of a record that follow those that left a memory (1 or more, M), changed in place."""
+    if how.remember and len(memory) != _rows_to_remember(z, how):
+        memory = np.concatenate([memory[:1], np.empty((_rows_to_remember(z, how) - 1, memory.shape[1]))])
+    return _run(Task(model, timeline, z, 0), memory, how, new_trace(model, len(z), how.wanted), Sums(0.0, 0.0, 0))
+
+
+def _rows_to_remember(z: Floats, how: Pass) -> int:
+    return 2 + len(z) // BLOCK if how.remember else 1
+
+
+class Task(NamedTuple):
+    """What is to be filtered."""
+
+    model: Model
+    timeline: Timeline
+    z: Floats  # (N, m)
+    begun: int  # rows before are done
+
+
+def _run(task: Task, memory: Floats, how: Pass, trace: Trace, before: Sums) -> Run:
+    model, timeline, z, begun = task
+    *sums, settled = forward(sizes_of(model), timeline.system, timeline.record(z), begun, how.enough, memory, trace)
     squares, log_det, used = (a + b for a, b in zip(before, sums, strict=True))
     estimate = Estimate(
         signal=trace.signal.T,
@@ -186,25 +219,17 @@ def run_filter(  # noqa: PLR0913  (what is filtered, what is wanted, what is kep
         log_likelihood=float(-0.5 * (squares + log_det + used * np.log(2 * np.pi))),
         innovations=trace.innovation.T,
         innovation_sigma=trace.innovation_sigma.T,
-        mean=trace.mean.T if wanted.states else None,
-        cov=np.moveaxis(trace.cov, 2, 0) if wanted.covariances else None,
+        mean=trace.mean.T if how.wanted.states else None,
+        cov=np.moveaxis(trace.cov, 2, 0) if how.wanted.covariances else None,
         used=int(used),
         settled_row=None if settled < 0 else int(settled),
     )
-    return Run(estimate, opening, begun, memory)
+    return Run(estimate, None, begun, memory)
 
 
 def sizes_of(model: Model) -> Sizes:
     """Return the sizes that kernels are specialised for."""
     return Sizes(size(model.states), size(model.channels))
-
-
-class Sums(NamedTuple):
-    """What makes a log-likelihood."""
-
-    squares: float  # of nu' S^-1 nu
-    log_det: float  # of log det S
-    used: int
 
 
 def score_opening(

@@ -21,8 +21,8 @@ BLOCK = 256
 AFTER = BLOCK + 1
 """Rows of states: the one before the block, and those of the block."""
 
-_AHEAD = 4
-FOUR: Size = size(_AHEAD)
+AHEAD = 4
+FOUR: Size = size(AHEAD)
 _FEW_STATES = 4
 
 Rows = tuple[Floats, ...]
@@ -89,9 +89,9 @@ def run_block(states: Size, inputs: Size, loop: Loop, u: Rows, x: Rows) -> None:
     if not looks_ahead(states, inputs):
         _one_by_one(states, inputs, loop, u, x, BLOCK)
         return
-    _one_by_one(states, inputs, loop, u, x, _AHEAD - 1)
+    _one_by_one(states, inputs, loop, u, x, AHEAD - 1)
     A4, W, v = loop.A4, loop.W, u[0]
-    for k in range(BLOCK - _AHEAD + 1):
+    for k in range(BLOCK - AHEAD + 1):
         for i in range(len(states)):
             s = W[i, 0] * v[k] + W[i, 1] * v[k + 1] + W[i, 2] * v[k + 2] + W[i, 3] * v[k + 3]
             for j in range(len(states)):

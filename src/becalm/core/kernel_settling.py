@@ -43,12 +43,21 @@ def new_watch(sizes: Sizes) -> Watch:
 def new_memory(x: Floats, P: Floats, channels: int, rows: int = 1) -> Floats:
     """Make a memory to start from: rows that each hold a State and its Watch, of which the first is set."""
     n, m = len(x), channels
-    memory = np.zeros((rows, 2 * n * n + 2 * n * m + 2 * m * m + n + 4 * m + len(FOUR)))
+    counters = _counters_at(n, m)
+    memory = np.zeros((rows, counters + len(FOUR) + 2 * m))
     memory[0, :n] = x
     memory[0, n : n + n * n] = np.ravel(P)
-    counters = n + 2 * n * n + 2 * n * m + 2 * m * m + 2 * m
     memory[0, counters : counters + len(FOUR)] = 0.0, 0.0, FIRST_CHECK, _NO_STEP
     return memory
+
+
+def rename_last_step(memory: Floats, n: int, m: int, number: int | None) -> None:
+    """Say which number the last step before a memory (M,) has from now on; None if it has none."""
+    memory[_counters_at(n, m) + LAST_STEP] = _NO_STEP if number is None else number
+
+
+def _counters_at(n: int, m: int) -> int:
+    return n + 2 * n * n + 2 * n * m + 2 * m * m + 2 * m
 
 
 @compiled_part

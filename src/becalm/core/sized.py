@@ -124,6 +124,17 @@ def _down(_: Any, source: Any, row: Any, column: Any, columns: Any, length: Any)
     return kind(source, types.intp, types.intp, columns, length), generate
 
 
+def _piece(_: Any, source: Any, first: Any, length: Any) -> Any:
+    if not isinstance(length, types.IntegerLiteral):
+        return None
+    kind = types.Array(types.float64, 1, "C", readonly=not source.mutable)
+
+    def generate(context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+        return _view(context, builder, source, kind, arguments[:2], length.literal_value, _DOUBLE)
+
+    return kind(source, types.intp, length), generate
+
+
 stack_vector: Callable[..., Any] = intrinsic(_vector)
 """stack_vector(rows): an uninitialised (rows,) float64 array."""
 
@@ -138,3 +149,6 @@ across: Callable[..., Any] = intrinsic(_across)
 
 down: Callable[..., Any] = intrinsic(_down)
 """down(matrix, row, column, columns, length): `length` elements downwards, of a matrix of `columns` columns."""
+
+piece: Callable[..., Any] = intrinsic(_piece)
+"""piece(vector, first, length): `length` elements from `first` on."""

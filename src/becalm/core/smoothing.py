@@ -9,7 +9,19 @@ from numpy.typing import ArrayLike
 
 from becalm.core import starting
 from becalm.core.arrays import Floats
-from becalm.core.filtering import EVERYTHING, Estimate, Wanted, checked_readings, new_trace, run_filter, sizes_of
+from becalm.core.filtering import (
+    EVERYTHING,
+    Estimate,
+    Pass,
+    Run,
+    Task,
+    Wanted,
+    checked_readings,
+    new_trace,
+    run_filter,
+    sizes_of,
+    start_filter,
+)
 from becalm.core.kernel_ahead import BLOCK
 from becalm.core.kernel_backward import backward
 from becalm.core.kernel_return import Future, new_future
@@ -64,18 +76,12 @@ def kalman_smoother(  # noqa: PLR0913  (what is wanted, each by its name)
 
 def run_smoother(model: Model, timeline: Timeline, z: Floats, wanted: Wanted = EVERYTHING) -> Estimate:
     """Smooth z (N, m) over a timeline; see `kalman_smoother`."""
-    forward = Wanted(signal=False, sigma=False, innovations=wanted.innovations)
-    enough = COVARIANCE if wanted.covariances else GAIN
-    run = run_filter(model, timeline, z, forward, enough=enough, remember=True)
+    how = forward_pass(wanted)
+    run = start_filter(model, timeline, z, how)
     if run.opening is not None and not run.opening.known:
         return run_filter(model, timeline, z, wanted).estimate
     trace = new_trace(model, len(z), wanted._replace(innovations=False))
-    future = new_future(model.states)
-    rows = np.empty((BLOCK, run.memory.shape[1]))
-    record = timeline.record(z)
-    backward(sizes_of(model), timeline.system, record, run.begun, enough, run.memory, rows, future, trace)
-    if run.opening is not None:
-        _smooth_opening(timeline, run.opening, future, trace)
+    go_back(Task(model, timeline, z, run.begun), run, how, new_future(model.states), trace)
     return replace(
         run.estimate,
         signal=trace.signal.T,
@@ -83,6 +89,21 @@ def run_smoother(model: Model, timeline: Timeline, z: Floats, wanted: Wanted = E
         mean=trace.mean.T if wanted.states else None,
         cov=np.moveaxis(trace.cov, 2, 0) if wanted.covariances else None,
     )
+
+
+def forward_pass(wanted: Wanted) -> Pass:
+    """Say how the forward pass is made whose backward pass shall give what is wanted."""
+    forward = Wanted(signal=False, sigma=False, innovations=wanted.innovations)
+    return Pass(forward, COVARIANCE if wanted.covariances else GAIN, remember=True)
+
+
+def go_back(task: Task, run: Run, how: Pass, future: Future, trace: Trace) -> None:
+    """Smooth the rows that were filtered; `future`, what later rows say, is carried back before them."""
+    model, timeline, z, begun = task
+    rows = np.empty((BLOCK, run.memory.shape[1]))
+    backward(sizes_of(model), timeline.system, timeline.record(z), begun, how.enough, run.memory, rows, future, trace)
+    if run.opening is not None:
+        _smooth_opening(timeline, run.opening, future, trace)
 
 
 def _smooth_opening(timeline: Timeline, opening: starting.Opening, future: Future, trace: Trace) -> None:

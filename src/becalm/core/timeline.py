@@ -19,6 +19,7 @@ class Timeline(NamedTuple):
     system: System
     first: Integers  # (runs + 1,) the last is the number of rows
     step: Integers  # (runs,) -1: no step, as before the first row
+    lengths: Floats  # (u,) of the steps, in steps of the model
 
     def step_before(self, row: int) -> int:
         """Return which step precedes a row; -1 for none."""
@@ -36,7 +37,7 @@ def model_system(model: Model) -> System:
 
 def even_timeline(model: Model, count: int, *, goes_on: bool = False) -> Timeline:
     """Give every row of `count` the model's own step, but the first only where the record goes on."""
-    return Timeline(model_system(model), *_runs([0, 1, count], [0 if goes_on else -1, 0]))
+    return Timeline(model_system(model), *_runs([0, 1, count], [0 if goes_on else -1, 0]), np.ones(1))
 
 
 def elapsed_timeline(
@@ -62,8 +63,10 @@ def elapsed_timeline(
     F, Q = discretise(component, lengths if len(lengths) else np.ones(1))
     system = System(frozen(F), frozen(Q), component.output, frozen([[noise_variance]]))
     if goes_on:
-        return Timeline(system, *_runs([*first, len(elapsed)], step))
-    return Timeline(system, *_runs(np.concatenate([[0], first + 1, [len(elapsed)]]), np.concatenate([[-1], step])))
+        return Timeline(system, *_runs([*first, len(elapsed)], step), lengths)
+    return Timeline(
+        system, *_runs(np.concatenate([[0], first + 1, [len(elapsed)]]), np.concatenate([[-1], step])), lengths
+    )
 
 
 def _runs(first: object, step: object) -> tuple[Integers, Integers]:

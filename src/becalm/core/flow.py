@@ -1,0 +1,208 @@
+"""A channel of any length, a stretch of rows at a time, in constant memory; the numbers are those of the whole.
+
+Causal, each stretch goes on from the memory of the one before. Smoothed, a stretch waits until so many
+later rows are there that all later ones could change nothing any more: how far the last of them still
+reaches back is measured, by coming back from there with two futures as different as can be.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from becalm.core.arrays import Floats
+from becalm.core.components import Component
+from becalm.core.filtering import Pass, Run, Task, Wanted, go_on, new_trace, start_filter
+from becalm.core.kernel_ahead import BLOCK
+from becalm.core.kernel_return import Future, new_future
+from becalm.core.kernel_settling import rename_last_step
+from becalm.core.response import steady
+from becalm.core.smoothing import forward_pass, go_back
+from becalm.core.timeline import Timeline, elapsed_timeline
+from becalm.errors import ModelError
+
+FORGOTTEN = 1e-13
+"""Share by which what later rows say may still depend on rows that are not there yet."""
+
+_DIFFERENT = 1e14  # two futures this far apart ...
+_SAME = 1e-12  # ... have come this close: then FORGOTTEN, squared, lies between
+_FAR = 1 << 40
+
+Judge = Callable[[Floats, Floats], None]
+"""Takes innovations and their expected standard deviations, (B,) each."""
+
+
+class Told(NamedTuple):
+    """The result of some rows."""
+
+    signal: Floats  # (B,)
+    sigma: Floats  # (B,)
+
+
+class _Stretch(NamedTuple):
+    timeline: Timeline
+    z: Floats  # (B, 1)
+    run: Run
+
+
+class Flow:
+    """A filter, or a smoother, of one channel that is fed a stretch of rows at a time.
+
+    Parameters
+    ----------
+    component : Component
+        The signal's model, in steps.
+    noise_variance : float
+        R, in unit^2.
+    causal : bool
+        Whether to filter (True) or to smooth.
+    judge : callable, optional
+        Shown the innovations of each stretch.
+    """
+
+    def __init__(
+        self, component: Component, noise_variance: float, *, causal: bool, judge: Judge | None = None
+    ) -> None:
+        self._component, self._variance, self._judge = component, noise_variance, judge
+        self._model = component.to_model(1.0, noise_variance)
+        self._wanted = Wanted(innovations=judge is not None)
+        self._how = Pass(self._wanted) if causal else forward_pass(self._wanted)
+        self._causal = causal
+        self._memory: Floats | None = None
+        self._last_step = 0.0
+        self._waiting: list[tuple[Floats, Floats]] = []  # until the readings tell the state
+        self._held: deque[_Stretch] = deque()  # until what follows tells the future
+        self.rows = 0
+        self.log_likelihood = 0.0
+        self.settled_row: int | None = None
+
+    def push(self, z: Floats, elapsed: Floats) -> list[Told]:
+        """Take the next rows, readings (B,) and the steps before them; return what can be told for good.
+
+        All stretches but the last should be of a multiple of 256 rows, so that the bits are those of one.
+        """
+        if self._waiting:
+            z, elapsed = (np.concatenate(parts) for parts in zip(*self._waiting, (z, elapsed), strict=True))
+        self._waiting = []
+        if not len(z):
+            return []
+        goes_on = self._memory is not None
+        timeline = elapsed_timeline(self._component, self._variance, elapsed, goes_on=goes_on)
+        stretch = self._filter(timeline, z[:, np.newaxis], elapsed)
+        if stretch is None:
+            self._waiting = [(z, elapsed)]
+            return []
+        return self._tell(stretch)
+
+    def finish(self) -> list[Told]:
+        """Say that no more rows will come; return what was waiting for them."""
+        told = []
+        if self._waiting:
+            (z, elapsed), self._waiting = self._waiting[0], []
+            timeline = elapsed_timeline(self._component, self._variance, elapsed)
+            run = start_filter(self._model, timeline, z[:, np.newaxis], Pass(self._wanted))
+            told.append(_told(run.estimate.signal.T, run.estimate.sigma.T))
+            self._count(run, len(z))
+        future = new_future(self._model.states)
+        back = [self._smooth(stretch, future) for stretch in reversed(self._held)]
+        self._held.clear()
+        return [*told, *reversed(back)]
+
+    def _filter(self, timeline: Timeline, z: Floats, elapsed: Floats) -> _Stretch | None:
+        """Run forward over a stretch; None while the readings do not tell the state."""
+        if self._memory is None:
+            run = start_filter(self._model, timeline, z, self._how)
+            if run.opening is not None and not run.opening.known:
+                return None
+        else:
+            same = np.flatnonzero(timeline.lengths == self._last_step)
+            rename_last_step(self._memory[0], self._model.states, 1, int(same[0]) if len(same) else None)
+            run = go_on(self._model, timeline, z, self._memory, self._how)
+        self._memory, self._last_step = run.memory[:1].copy(), float(elapsed[-1])
+        self._count(run, len(z))
+        return _Stretch(timeline, z, run)
+
+    def _count(self, run: Run, rows: int) -> None:
+        found = run.estimate
+        self.log_likelihood += found.log_likelihood
+        if self.settled_row is None and found.settled_row is not None:
+            self.settled_row = self.rows + found.settled_row
+        self.rows += rows
+        if self._judge is not None:
+            self._judge(found.innovations[:, 0], found.innovation_sigma[:, 0])
+
+    def _tell(self, stretch: _Stretch) -> list[Told]:
+        if self._causal:
+            return [_told(stretch.run.estimate.signal.T, stretch.run.estimate.sigma.T)]
+        self._held.append(stretch)
+        told: list[Told] = []
+        while len(self._held) > 1:
+            future = self._future_of(list(self._held)[1:])
+            if future is None:
+                break
+            told.append(self._smooth(self._held.popleft(), future))
+        return told
+
+    def _smooth(self, stretch: _Stretch, future: Future) -> Told:
+        trace = new_trace(self._model, len(stretch.z), Wanted(innovations=False))
+        go_back(
+            Task(self._model, stretch.timeline, stretch.z, stretch.run.begun), stretch.run, self._how, future, trace
+        )
+        return _told(trace.signal, trace.sigma)
+
+    def _future_of(self, later: Sequence[_Stretch]) -> Future | None:
+        """Return what all rows after a stretch say of its end; None if more of them are needed to know."""
+        available, reach = sum(len(stretch.z) for stretch in later), self._reach
+        while True:
+            future = self._come_back(later, reach, new_future(self._model.states))
+            other = new_future(self._model.states)
+            other.N[:] = _DIFFERENT * self._most_that_can_be_said(later)
+            other = self._come_back(later, reach, other)
+            scale = np.sqrt(np.diag(future.N))
+            if np.all(np.abs(other.N - future.N) <= _SAME * np.outer(scale, scale)):
+                return future
+            if reach >= available:
+                return None
+            reach *= 2
+
+    def _most_that_can_be_said(self, later: Sequence[_Stretch]) -> Floats:
+        """Return the diagonal matrix of 1 / P at its smallest: P - P N P >= 0 bounds every N."""
+        n = self._model.states
+        variances = slice(n, n + n * n, n + 1)
+        filled = [stretch.run.memory[: 2 + (len(stretch.z) - 1) // BLOCK, variances] for stretch in later]
+        smallest = np.concatenate(filled).min(axis=0)
+        return np.diag(1 / smallest)
+
+    def _come_back(self, later: Sequence[_Stretch], reach: int, future: Future) -> Future:
+        """Carry a future back from `reach` rows ahead, or from the last there is."""
+        parts = []
+        for stretch in later:
+            count = min(len(stretch.z), reach)
+            parts.append((stretch, count))
+            reach -= count
+        for stretch, count in reversed(parts):
+            if count:
+                task = Task(self._model, stretch.timeline, stretch.z[:count], stretch.run.begun)
+                trace = new_trace(self._model, count, Wanted(innovations=False, signal=False))
+                go_back(task, stretch.run, self._how, future, trace)
+        return future
+
+    @cached_property
+    def _reach(self) -> int:
+        """Rows after which a steady filter has forgotten where it came from, in whole blocks."""
+        try:
+            radius = float(np.abs(np.linalg.eigvals(steady(self._model).closed_loop)).max())
+        except ModelError:  # it never forgets
+            return _FAR
+        if not radius < 1.0:
+            return _FAR
+        rows = np.log(1 / FORGOTTEN) / -np.log(max(radius, 1e-300))
+        return BLOCK * (1 + int(min(rows, _FAR) // BLOCK))
+
+
+def _told(signal: Floats, sigma: Floats) -> Told:
+    return Told(signal[0], sigma[0])
