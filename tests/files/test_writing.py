@@ -208,13 +208,13 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(
 
 
 def test_an_interrupted_write_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import becalm.files.writing as writing
+    import becalm.files.csv_writer as csv_writer
 
     def interrupt(table: pa.Table, file: IO[bytes]) -> None:
         file.write(b"half")
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(writing, "_write_csv", interrupt)
+    monkeypatch.setattr(csv_writer, "_write_block", interrupt)
     with pytest.raises(KeyboardInterrupt):
         write(tmp_path / "out.csv", Recording([1.0, 2.0], rate_hz=1.0))
     assert left_in(tmp_path) == []

@@ -1,14 +1,24 @@
 """Files: recordings in, recordings out; CSV, CSV.GZ and Parquet, found by content and by ending."""
 
+from becalm.files.opening import Chunk, OpenSource, open_source
 from becalm.files.reading import read, read_source
 from becalm.files.source import ColumnLayout, Layout, ReadOptions, SourceFile
-from becalm.files.writing import output_table, recording_table, replace_file, write, write_table
+from becalm.files.tables import CleanChannel, output_block, output_table, recording_table
+from becalm.files.whole import replace_file
+from becalm.files.writing import Output, open_output, write, write_table
 
 __all__ = [
+    "Chunk",
+    "CleanChannel",
     "ColumnLayout",
     "Layout",
+    "OpenSource",
+    "Output",
     "ReadOptions",
     "SourceFile",
+    "open_output",
+    "open_source",
+    "output_block",
     "output_table",
     "read",
     "read_source",

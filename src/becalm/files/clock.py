@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,9 +15,10 @@ from becalm.core.arrays import Booleans, Integers
 from becalm.errors import TimeError
 
 DATE_TIME, DATE, TIME_OF_DAY = "date-time", "date", "time of day"
+YEAR_FIRST, DAY_FIRST, MONTH_FIRST, MIXED = "year first", "day first", "month first", "mixed"
 
 _SECOND = 1_000_000_000
-_DAY = 86_400 * _SECOND
+DAY_NS = 86_400 * _SECOND
 _MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
 
 _DATE = r"(?P<a>[0-9]{1,4})(?P<mark>[-/.])(?P<b>[0-9]{1,2}|[A-Za-z]{3})[-/.](?P<c>[0-9]{1,4})"
@@ -47,6 +49,10 @@ class Instants:
     missing: Booleans
     zoned: bool = False
 
+    def cut(self, start: int, stop: int | None) -> Instants:
+        """Return some of the rows."""
+        return Instants(self.kind, self.ns[start:stop], self.missing[start:stop], self.zoned)
+
 
 def kind_of_text(column: pa.ChunkedArray) -> str:
     """Tell by the most of its first cells whether a column of text holds times; "" if not."""
@@ -65,37 +71,76 @@ def _kind_of_cell(cell: str) -> str:
     return DATE_TIME if found["h"] is not None else DATE
 
 
-def parse(name: str, column: pa.ChunkedArray, kind: str) -> Instants:
-    """Read a column of dates, times of day, or both.
+class Reader:
+    """Reads a column of dates, times of day, or both, block by block.
+
+    Parameters
+    ----------
+    name : str
+        The column, for messages.
+    kind : str
+        What its first cells hold.
+    column : callable
+        Gives the column in blocks; called for each pass.
 
     Raises
     ------
     TimeError
-        If a cell is no time, or day and month cannot be told apart.
+        If a cell is no time, now or while the blocks are read, or day and month cannot be told apart.
     """
-    text = column.combine_chunks().cast(pa.string())
-    parts = pc.extract_regex(text, _PATTERN)
+
+    def __init__(self, name: str, kind: str, column: Callable[[], Iterable[pa.ChunkedArray]]) -> None:
+        self._name, self._kind, self._column = name, kind, column
+        self._order = YEAR_FIRST if kind == TIME_OF_DAY or _all_years_first(column()) else ""
+        if not self._order:
+            dates = _Dates()
+            for block in column():
+                dates.add(*_parts(block)[1:])
+            self._order = dates.order(name)
+
+    def blocks(self) -> Iterator[Instants]:
+        """Read the column."""
+        midnights, row = Midnights(), 0
+        for block in self._column():
+            text, parts, missing = _parts(block)
+            broken = ~missing & np.asarray(pc.is_null(parts))
+            ns = np.zeros(len(text), np.int64)
+            zones = _field(parts, "zone")
+            if self._kind != TIME_OF_DAY:
+                days, wrong = _days(parts, ~missing & ~broken, self._order)
+                ns += days * DAY_NS
+                broken |= wrong & ~missing
+            if self._kind != DATE:
+                clock, wrong = _time_of_day(parts)
+                ns += clock - _zone_ns(zones)
+                broken |= wrong & ~missing
+            if broken.any():
+                at = int(np.flatnonzero(broken)[0])
+                raise TimeError(
+                    f"Row {row + at + 1} of the time column {self._name!r} holds {text[at].as_py()!r}, which is not a"
+                    f" {self._kind} as the rows before it. Mend the cell, name another column with --time, or count"
+                    " rows with --rate HZ."
+                )
+            if self._kind == TIME_OF_DAY:
+                ns = midnights.passed(ns, missing)
+            row += len(text)
+            yield Instants(self._kind, ns, missing, bool(pc.any(pc.not_equal(zones, "")).as_py()))
+
+
+def _parts(block: pa.ChunkedArray) -> tuple[pa.Array, pa.Array, Booleans]:
+    """Take the cells apart; also the cells, and where they are empty."""
+    text = block.combine_chunks().cast(pa.string())
     missing = np.asarray(pc.fill_null(pc.equal(pc.utf8_trim_whitespace(text), ""), True))
-    broken = ~missing & np.asarray(pc.is_null(parts))
-    ns = np.zeros(len(text), np.int64)
-    zones = _field(parts, "zone")
-    if kind != TIME_OF_DAY:
-        days, wrong = _days(name, parts, ~missing & ~broken)
-        ns += days * _DAY
-        broken |= wrong & ~missing
-    if kind != DATE:
-        clock, wrong = _time_of_day(parts)
-        ns += clock - _zone_ns(zones)
-        broken |= wrong & ~missing
-    if broken.any():
-        row = int(np.flatnonzero(broken)[0])
-        raise TimeError(
-            f"Row {row + 1} of the time column {name!r} holds {text[row].as_py()!r}, which is not a {kind}"
-            " as the rows before it. Mend the cell, name another column with --time, or count rows with --rate HZ."
-        )
-    if kind == TIME_OF_DAY:
-        ns = past_midnight(ns, missing)
-    return Instants(kind, ns, missing, bool(pc.any(pc.not_equal(zones, "")).as_py()))
+    return text, pc.extract_regex(text, _PATTERN), missing
+
+
+def _all_years_first(column: Iterable[pa.ChunkedArray]) -> bool:
+    """Tell whether all dates begin with a year of four digits, as nearly all do."""
+    for block in column:
+        first = pc.or_(pc.match_substring_regex(block, r"^\s*[0-9]{4}[-/.]"), pc.match_substring_regex(block, r"^\s*$"))
+        if not pc.all(first, min_count=0).as_py():
+            return False
+    return True
 
 
 def _field(parts: pa.Array, name: str) -> pa.Array:
@@ -108,41 +153,60 @@ def _whole(text: pa.Array, empty: int = 0) -> Integers:
     return np.asarray(filled.cast(pa.int64()))
 
 
-def _days(name: str, parts: pa.Array, present: Booleans) -> tuple[Integers, Booleans]:
+class _Dates:
+    """What all dates of a column say about the order of day, month and year."""
+
+    def __init__(self) -> None:
+        self._some = self._named = self._day_wrong = self._month_wrong = False
+        self._first_years = self._last_years = False
+        self._same = True
+        self._mark = ""
+        self._last: int | None = None
+
+    def add(self, parts: pa.Array, missing: Booleans) -> None:
+        """Look at the next dates."""
+        present = ~missing & ~np.asarray(pc.is_null(parts))
+        year_first = np.asarray(pc.utf8_length(_field(parts, "a"))) == 4
+        self._mark = self._mark or next((mark for mark in _field(parts, "mark").to_pylist() if mark), "")
+        self._named = self._named or _month_numbers(_field(parts, "b"))[1]
+        self._first_years = self._first_years or bool(year_first[present].any())
+        self._last_years = self._last_years or not year_first[present].all()
+        if not present.any() or self._first_years:
+            return
+        (days, day_wrong), (months, month_wrong) = (_days(parts, present, order) for order in (DAY_FIRST, MONTH_FIRST))
+        self._day_wrong = self._day_wrong or bool(day_wrong[present].any())
+        self._month_wrong = self._month_wrong or bool(month_wrong[present].any())
+        apart = days[present] - months[present]
+        last = int(apart[0]) if self._last is None else self._last
+        self._same = self._same and bool(np.all(apart == last))
+        self._last = last
+
+    def order(self, name: str) -> str:
+        """Decide the order."""
+        if self._first_years:
+            return MIXED if self._last_years else YEAR_FIRST
+        if self._named or not self._day_wrong:
+            if self._named or self._month_wrong or self._mark == "." or self._same:
+                return DAY_FIRST
+            raise TimeError(
+                f"The dates in {name!r} can be read day first or month first, and the two differ. "
+                "Write them as YYYY-MM-DD, name another column with --time, or count rows with --rate HZ."
+            )
+        return DAY_FIRST if self._month_wrong else MONTH_FIRST
+
+
+def _days(parts: pa.Array, present: Booleans, order: str) -> tuple[Integers, Booleans]:
     """Days since 1970 and where the date does not exist."""
     first, last = _field(parts, "a"), _field(parts, "c")
-    middle, named_month = _month_numbers(_field(parts, "b"))
-    a, b, c = _whole(first), _whole(middle), _whole(last)
     if not present.any():
-        return np.zeros(len(a), np.int64), ~present
-    year_first = np.asarray(pc.utf8_length(first)) == 4
-    if year_first[present].all():
+        return np.zeros(len(first), np.int64), ~present
+    if order == MIXED:
+        return np.zeros(len(first), np.int64), np.asarray(pc.utf8_length(first)) == 4
+    a, b, c = _whole(first), _whole(_month_numbers(_field(parts, "b"))[0]), _whole(last)
+    if order == YEAR_FIRST:
         return _civil(a, b, c)
-    if year_first[present].any():
-        return np.zeros(len(a), np.int64), year_first
     c = np.where(c < 100, c + 2000, c)
-    day_first, month_first = _civil(c, b, a), _civil(c, a, b)
-    if named_month or not day_first[1][present].any():
-        if named_month or month_first[1][present].any() or _points(parts):
-            return day_first
-        return _same_either_way(name, day_first, month_first, present)
-    return day_first if month_first[1][present].any() else month_first
-
-
-def _points(parts: pa.Array) -> bool:
-    """Tell whether the first date is written with points: then the day comes first."""
-    return next((mark for mark in _field(parts, "mark").to_pylist() if mark), "") == "."
-
-
-def _same_either_way(
-    name: str, day_first: tuple[Integers, Booleans], month_first: tuple[Integers, Booleans], present: Booleans
-) -> tuple[Integers, Booleans]:
-    if np.array_equal(np.diff(day_first[0][present]), np.diff(month_first[0][present])):
-        return day_first
-    raise TimeError(
-        f"The dates in {name!r} can be read day first or month first, and the two differ. "
-        "Write them as YYYY-MM-DD, name another column with --time, or count rows with --rate HZ."
-    )
+    return _civil(c, b, a) if order == DAY_FIRST else _civil(c, a, b)
 
 
 def _month_numbers(middle: pa.Array) -> tuple[pa.Array, bool]:
@@ -193,10 +257,21 @@ def _offset_ns(zone: str) -> int:
     return (-minutes if zone[0] == "-" else minutes) * 60 * _SECOND
 
 
-def past_midnight(ns: Integers, missing: Booleans) -> Integers:
-    """Add a day wherever the clock jumps back by more than half a day."""
-    known = np.flatnonzero(~missing)
-    out = ns.copy()
-    jumps = np.diff(ns[known], prepend=ns[known][:1]) < -_DAY // 2
-    out[known] += np.cumsum(jumps) * _DAY
-    return out
+class Midnights:
+    """Adds a day wherever the clock jumps back by more than half a day."""
+
+    def __init__(self) -> None:
+        self._last: int | None = None
+        self._days = 0
+
+    def passed(self, ns: Integers, missing: Booleans) -> Integers:
+        """Return the next times of day, in nanoseconds since the first midnight."""
+        known = np.flatnonzero(~missing)
+        if not len(known):
+            return ns
+        out = ns.copy()
+        before = ns[known[0]] if self._last is None else self._last
+        days = self._days + np.cumsum(np.diff(ns[known], prepend=before) < -DAY_NS // 2)
+        out[known] += days * DAY_NS
+        self._last, self._days = int(ns[known[-1]]), int(days[-1])
+        return out

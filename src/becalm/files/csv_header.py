@@ -65,6 +65,22 @@ def find_header(above: Sequence[str], start: int, separator: str, kinds: tuple[s
     return _read(rows, kinds, len(filled) + start)
 
 
+def unique_names(names: Sequence[str]) -> tuple[str, ...]:
+    """Give every column a name of its own: `column_3` where there is none, `x_2` for a second `x`."""
+    taken = set(names)
+    used: set[str] = set()
+    out = []
+    for number, name in enumerate(names, start=1):
+        own = name or f"column_{number}"
+        base, copy = own, 1
+        while own in used or (own != name and own in taken):
+            copy += 1
+            own = f"{base}_{copy}"
+        used.add(own)
+        out.append(own)
+    return tuple(out)
+
+
 def _read(rows: list[list[str]], kinds: tuple[str, ...], lines: int) -> Header:
     width = len(kinds)
     units: list[str] = []

@@ -1,41 +1,125 @@
-"""Parquet: pyarrow's own table; dictionaries are decoded, units come from the field metadata."""
+"""Parquet: pyarrow's own table, block by block; dictionaries are decoded, units come from the field metadata."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from itertools import accumulate
 from pathlib import Path
+from typing import Any
 
 import pyarrow as pa
 
 from becalm.errors import InputError
-from becalm.files.csv_reader import unique_names
+from becalm.files.csv_header import unique_names
 from becalm.files.source import RawTable
 
+_READ_BYTES = 1 << 20
 
-def read_parquet(path: Path, data: bytes) -> RawTable:
-    """Read the bytes of a Parquet file.
+
+def read_parquet(path: Path, data: bytes | None = None) -> RawTable:
+    """Look into a Parquet file; its rows are read when they are asked for.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    data : bytes, optional
+        What is in it, where it cannot be read twice.
 
     Raises
     ------
     InputError
         If the file is damaged or has no columns.
     """
-    import pyarrow.parquet as pq
-
-    try:
-        table = pq.ParquetFile(pa.BufferReader(data)).read()
-    except (pa.ArrowException, OSError) as cause:
-        reason = " ".join(str(cause).split())[:200]
-        raise InputError(f"{path} is a damaged Parquet file ({reason}); copy or write it again.") from cause
-    if not table.num_columns:
+    rows = ParquetRows(path, pa.BufferReader(data) if data is not None else str(path))
+    if not len(rows.schema):
         raise InputError(f"{path} has no columns; a time and one or more columns of numbers are needed.")
-    table = table.rename_columns(unique_names(table.column_names))
-    for position, field in enumerate(table.schema):
-        if pa.types.is_string_view(field.type):
-            table = table.set_column(position, field.with_type(pa.string()), table.column(position).cast(pa.string()))
-        if pa.types.is_dictionary(field.type):
-            plain = table.column(position).cast(field.type.value_type)
-            table = table.set_column(position, field.with_type(field.type.value_type), plain)
-    return RawTable(table, "parquet", {field.name: unit for field in table.schema if (unit := _unit(field))})
+    units = {field.name: unit for field in rows.schema if (unit := _unit(field))}
+    return RawTable(rows, rows.count, "parquet", units)
+
+
+class ParquetRows:
+    """The rows of a Parquet file, read by its row groups.
+
+    Parameters
+    ----------
+    path : Path
+        For messages.
+    source : str or pyarrow file
+        Where to read.
+
+    Raises
+    ------
+    InputError
+        If the file is damaged, now or while it is read.
+    """
+
+    def __init__(self, path: Path, source: Any) -> None:
+        self._path, self._source = path, source
+        with self._damage_told(), self._open() as file:
+            self._stored: pa.Schema = file.schema_arrow
+            self._ends = list(accumulate(file.metadata.row_group(i).num_rows for i in range(file.num_row_groups)))
+        self.count: int = self._ends[-1] if self._ends else 0
+        names = unique_names(self._stored.names)
+        fields = [_plain(field.with_name(name)) for field, name in zip(self._stored, names, strict=True)]
+        self.schema: pa.Schema = pa.schema(fields, metadata=self._stored.metadata)
+        self._by_name = _told_apart(self._stored.names)
+
+    def blocks(self, names: Sequence[str], most_rows: int, start: int = 0) -> Iterator[pa.Table]:
+        """Read the row groups from `start` on, only the columns that are asked for."""
+        positions = [self.schema.names.index(name) for name in names]
+        groups = [number for number, end in enumerate(self._ends) if end > start]
+        skipped = start - (self._ends[groups[0] - 1] if groups and groups[0] else 0)
+        wanted = [self._stored.names[position] for position in positions] if self._by_name else None
+        with self._damage_told(), self._open() as file:
+            for batch in file.iter_batches(most_rows, row_groups=groups, columns=wanted):
+                if skipped >= batch.num_rows:
+                    skipped -= batch.num_rows
+                    continue
+                found = dict(zip(_positions(self._stored, wanted), batch.columns, strict=True))
+                columns = [self._as_told(position, found[position]) for position in positions]
+                schema = pa.schema([self.schema.field(position) for position in positions], self.schema.metadata)
+                table = pa.table(columns, schema=schema)
+                yield table.slice(skipped) if skipped else table
+                skipped = 0
+
+    def close(self) -> None:
+        """Do nothing: the file is opened anew for each reading."""
+
+    def _as_told(self, position: int, column: pa.Array) -> pa.Array:
+        kind = self.schema.field(position).type
+        return column if column.type == kind else column.cast(kind)
+
+    def _open(self) -> Any:
+        import pyarrow.parquet as pq
+
+        return pq.ParquetFile(self._source, buffer_size=_READ_BYTES, pre_buffer=False)
+
+    @contextmanager
+    def _damage_told(self) -> Iterator[None]:
+        try:
+            yield
+        except (pa.ArrowException, OSError) as cause:
+            reason = " ".join(str(cause).split())[:200]
+            raise InputError(f"{self._path} is a damaged Parquet file ({reason}); copy or write it again.") from cause
+
+
+def _told_apart(names: Sequence[str]) -> bool:
+    """Tell whether columns can be asked for by name: `a` would also bring `a.b`."""
+    known = set(names)
+    stems = (".".join(name.split(".")[:count]) for name in names for count in range(1, name.count(".") + 1))
+    return len(known) == len(names) and known.isdisjoint(stems)
+
+
+def _positions(stored: pa.Schema, wanted: Sequence[str] | None) -> list[int]:
+    return [position for position, name in enumerate(stored.names) if wanted is None or name in wanted]
+
+
+def _plain(field: pa.Field) -> pa.Field:
+    if pa.types.is_string_view(field.type):
+        return field.with_type(pa.string())
+    return field.with_type(field.type.value_type) if pa.types.is_dictionary(field.type) else field
 
 
 def _unit(field: pa.Field) -> str:

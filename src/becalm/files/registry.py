@@ -6,9 +6,11 @@ from pathlib import Path
 
 from becalm.errors import OutputError
 from becalm.files.csv_reader import read_csv
+from becalm.files.csv_spool import spool_csv
 from becalm.files.parquet import read_parquet
 from becalm.files.source import RawTable
 from becalm.files.text import PARQUET, read_bytes
+from becalm.files.text_blocks import is_large
 
 CSV, CSV_GZ, PARQUET_FORMAT = "csv", "csv.gz", "parquet"
 
@@ -24,17 +26,20 @@ ENDINGS: dict[str, str] = {
 
 
 def read_raw(path: Path) -> RawTable:
-    """Read a file of any known format; its content decides, whatever it is called.
+    """Look into a file of any known format; its content decides, whatever it is called.
 
     Raises
     ------
     InputError
         If it cannot be read.
     """
-    data = read_bytes(path)
-    if data.startswith(PARQUET):
-        return read_parquet(path, data)
-    return read_csv(path, data)
+    if not path.is_file():  # a pipe, which can be read only once; or nothing
+        data = read_bytes(path)
+        return read_parquet(path, data) if data.startswith(PARQUET) else read_csv(path, data)
+    head = read_bytes(path, len(PARQUET))
+    if head.startswith(PARQUET):
+        return read_parquet(path)
+    return spool_csv(path) if is_large(path, head) else read_csv(path, read_bytes(path))
 
 
 def format_to_write(path: Path) -> str:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -11,12 +12,14 @@ import pyarrow.compute as pc
 from becalm.core.arrays import Floats
 from becalm.errors import InputError, UsageError
 from becalm.files.cells import to_numbers
+from becalm.files.numbers import Signal
+from becalm.files.rows import block_rows
 from becalm.files.source import CHANNEL, PASSED, TIME, ColumnLayout, RawTable
-from becalm.files.time_column import NUMBERS, is_counter, kind_of_column, named_column, numbers
+from becalm.files.time_column import NUMBERS, kind_of_column, named_column, numbers
 from becalm.files.units import parse_header, tidy_unit
 
 SIGMA = "_sigma"
-_EXACT = 2.0**53
+_FIRST_ROWS = 1 << 16
 
 
 def choose_channels(
@@ -50,8 +53,11 @@ def choose_channels(
         If a numeric column has a cell that is no number, or there is no channel.
     """
     wanted = None if asked is None else _resolved(raw, asked, time)
+    if wanted is None:
+        looked_at = [name for name in raw.names if name not in time and name not in other_times]
+        passed = _why_passed(raw, looked_at)
     columns = []
-    for name in raw.table.column_names:
+    for name in raw.names:
         role, why = PASSED, ""
         if name in time:
             role = TIME
@@ -59,13 +65,15 @@ def choose_channels(
             role, why = (CHANNEL, "asked for") if name in wanted else (PASSED, "not asked for")
         elif name in other_times:
             why = "another time" if time else "a time; rows are counted at the rate given"
-        elif not (why := _why_passed(raw, name)):
+        elif not (why := passed[name]):
             role = CHANNEL
-        columns.append(ColumnLayout(name, role, why, unit_of(raw, name), _missing(raw.table.column(name))))
+        columns.append(ColumnLayout(name, role, why, unit_of(raw, name)))
     channels = tuple(column.name for column in columns if column.role == CHANNEL)
     if not channels:
         reasons = "; ".join(f"{c.name!r}: {c.why or c.role}" for c in columns[:10])
         raise InputError(f"There is no column of numbers to clean ({reasons}). Name one with --channels to insist.")
+    for name in channels if wanted is None else wanted:
+        _refuse_no_numbers(raw, name)
     return (channels if wanted is None else wanted), tuple(columns)
 
 
@@ -74,97 +82,127 @@ def unit_of(raw: RawTable, name: str) -> str:
     return tidy_unit(raw.units[name]) if name in raw.units else parse_header(name)[1]
 
 
-def samples_of(raw: RawTable, channels: Sequence[str]) -> Floats:
-    """Return the channels as (N, m) float64, NaN where a cell is missing.
+def values_of(column: pa.ChunkedArray, decimal: str) -> Floats:
+    """Return (n,) cells of a channel as float64, NaN where one is missing; the file's own memory where it can be."""
+    if pa.types.is_boolean(column.type):
+        column = column.cast(pa.int8())
+    elif _is_text(column.type):
+        column = pa.chunked_array([to_numbers(column.combine_chunks(), decimal)[0]])
+    return numbers(column)
 
-    Raises
-    ------
-    InputError
-        If a cell is no number.
-    """
-    return np.column_stack([_values(raw, name) for name in channels])
+
+def missing_in(raw: RawTable) -> list[int]:
+    """Count the missing cells of each column, in one reading of the file."""
+    counts = [0] * len(raw.names)
+    for block in raw.blocks(raw.names):
+        for position, column in enumerate(block.columns):
+            counts[position] += _missing(column)
+    return counts
 
 
 def _resolved(raw: RawTable, asked: Sequence[str], time: Sequence[str]) -> tuple[str, ...]:
     wanted = tuple(dict.fromkeys(named_column(raw, name, "--channels") for name in asked))
     if not wanted:
-        raise UsageError(f"--channels is empty; name some of {', '.join(map(repr, raw.table.column_names[:20]))}.")
+        raise UsageError(f"--channels is empty; name some of {', '.join(map(repr, raw.names[:20]))}.")
     for name in wanted:
         if name in time:
             raise UsageError(f"--channels names {name!r}, which is the time column; leave it out.")
     return wanted
 
 
-def _why_passed(raw: RawTable, name: str) -> str:
-    """Say why a column is no channel, "" if it is one."""
-    column = raw.table.column(name)
-    if name.endswith(SIGMA) and name.removesuffix(SIGMA) in raw.table.column_names:
-        return f"the uncertainty of {name.removesuffix(SIGMA)!r}"
-    if pa.types.is_boolean(column.type):
-        return "a flag (true and false)"
-    if pa.types.is_null(column.type):
-        return ""
-    if kind_of_column(column) != NUMBERS:
-        return _why_not_numbers(raw, name)
-    values = numbers(column)
-    if pa.types.is_integer(column.type) and np.abs(values).max(initial=0.0, where=np.isfinite(values)) > _EXACT:
-        return "whole numbers beyond 2^53, which float64 cannot tell apart"
-    if is_counter(values):
-        return "a counter (steps of exactly 1)"
-    return "a flag (only 0 and 1)" if _is_flag(values) else ""
+def _why_passed(raw: RawTable, names: Sequence[str]) -> dict[str, str]:
+    """Say for each column why it is no channel, "" if it is one."""
+    told: dict[str, str] = {}
+    signals = {}
+    for name in names:
+        kind = raw.type_of(name)
+        if name.endswith(SIGMA) and name.removesuffix(SIGMA) in raw.names:
+            told[name] = f"the uncertainty of {name.removesuffix(SIGMA)!r}"
+        elif pa.types.is_boolean(kind):
+            told[name] = "a flag (true and false)"
+        elif pa.types.is_null(kind):
+            told[name] = ""
+        elif kind_of_column(raw.head.column(name)) != NUMBERS:
+            told[name] = _why_not_numbers(raw, name)
+        else:
+            signals[name] = Signal(pa.types.is_integer(kind))
+    _look(raw, signals, _FIRST_ROWS)
+    open_ones = {name: Signal(pa.types.is_integer(raw.type_of(name))) for name in signals if not signals[name].decided}
+    if raw.count > _FIRST_ROWS and open_ones:
+        _look(raw, open_ones, raw.count)
+        signals |= open_ones
+    return told | {name: signal.why_passed for name, signal in signals.items()}
+
+
+def _look(raw: RawTable, signals: Mapping[str, Signal], rows: int) -> None:
+    """Show the columns their first rows, until all are decided."""
+    if not signals:
+        return
+    for block in raw.blocks(list(signals), most_rows=min(rows, block_rows(raw.rows.schema))):
+        for name, signal in signals.items():
+            signal.add(numbers(block.column(name)))
+        rows -= block.num_rows
+        if rows <= 0 or all(signal.decided for signal in signals.values()):
+            return
 
 
 def _why_not_numbers(raw: RawTable, name: str) -> str:
-    kind = raw.table.column(name).type
-    if pa.types.is_string(kind) or pa.types.is_large_string(kind):
-        if raw.format == "csv" and not kind_of_column(raw.table.column(name)):
-            _refuse_few_bad_cells(raw, name)
+    kind = raw.type_of(name)
+    if _is_text(kind):
+        if raw.format == "csv" and not kind_of_column(raw.head.column(name)):
+            bad = _bad_cells(raw, name)
+            if bad.cells < bad.numbers:  # a column of numbers with a few cells of text; a column of text passes
+                raise _bad_cell(raw, name, bad)
         return "text"
     if pa.types.is_nested(kind):
         return "nested"
     return "dates or times" if pa.types.is_temporal(kind) else f"not numbers ({kind})"
 
 
-def _is_flag(values: Floats) -> bool:
-    zeros, ones = values == 0.0, values == 1.0
-    return bool(zeros.any() and ones.any() and np.all(zeros | ones | np.isnan(values)))
+def _is_text(kind: pa.DataType) -> bool:
+    return bool(pa.types.is_string(kind) or pa.types.is_large_string(kind))
 
 
-def _refuse_few_bad_cells(raw: RawTable, name: str) -> None:
-    """Refuse a column of numbers with a few cells of text; a column of text passes."""
-    parsed, bad = to_numbers(raw.table.column(name).combine_chunks(), _decimal(raw))
-    if bad.sum() < len(parsed) - parsed.null_count:
-        raise _bad_cell(raw, name, int(np.flatnonzero(bad)[0]), int(bad.sum()))
+class _Bad(NamedTuple):
+    cells: int
+    numbers: int
+    row: int
+    cell: str
 
 
-def _bad_cell(raw: RawTable, name: str, row: int, count: int) -> InputError:
-    cell = str(raw.table.column(name)[row].as_py())[:40]
-    more = f" ({count} such cells)" if count > 1 else ""
-    others = [n for n in raw.table.column_names if n != name and kind_of_column(raw.table.column(n)) == NUMBERS]
+def _bad_cells(raw: RawTable, name: str) -> _Bad:
+    """Look for cells of text that are no numbers."""
+    found, row = _Bad(0, 0, 0, ""), 0
+    for column in raw.column(name):
+        parsed, bad = to_numbers(column.combine_chunks(), raw.decimal)
+        if not found.cells and bad.any():
+            at = int(np.flatnonzero(bad)[0])
+            found = found._replace(row=row + at, cell=str(column[at].as_py())[:40])
+        count, good = int(bad.sum()), len(parsed) - parsed.null_count
+        found = found._replace(cells=found.cells + count, numbers=found.numbers + good)
+        row += len(parsed)
+    return found
+
+
+def _bad_cell(raw: RawTable, name: str, bad: _Bad) -> InputError:
+    more = f" ({bad.cells} such cells)" if bad.cells > 1 else ""
+    others = [n for n in raw.names if n != name and kind_of_column(raw.head.column(n)) == NUMBERS]
     listed = ",".join(others[:3]) or "..."
     return InputError(
-        f"Column {name!r} holds {cell!r} in {raw.place(row)}, which is not a number{more}. "
+        f"Column {name!r} holds {bad.cell!r} in {raw.place(bad.row)}, which is not a number{more}. "
         f"Mend the cell, or leave the column out by naming the others: --channels {listed!r}."
     )
 
 
-def _decimal(raw: RawTable) -> str:
-    return raw.text.decimal if raw.text else "."
-
-
-def _values(raw: RawTable, name: str) -> Floats:
-    column = raw.table.column(name)
-    kind = column.type
-    if pa.types.is_boolean(kind):
-        return numbers(column.cast(pa.int8()))
-    if pa.types.is_string(kind) or pa.types.is_large_string(kind):
-        parsed, bad = to_numbers(column.combine_chunks(), _decimal(raw))
-        if bad.any():
-            raise _bad_cell(raw, name, int(np.flatnonzero(bad)[0]), int(bad.sum()))
-        return numbers(pa.chunked_array([parsed]))
-    if kind_of_column(column) != NUMBERS and not pa.types.is_null(kind):
+def _refuse_no_numbers(raw: RawTable, name: str) -> None:
+    """Refuse a channel that was asked for and holds no numbers."""
+    kind = raw.type_of(name)
+    if _is_text(kind):
+        bad = _bad_cells(raw, name)
+        if bad.cells:
+            raise _bad_cell(raw, name, bad)
+    elif not (pa.types.is_boolean(kind) or pa.types.is_null(kind) or kind_of_column(raw.head.column(name)) == NUMBERS):
         raise InputError(f"Column {name!r} holds {kind}, not numbers; leave it out of --channels.")
-    return numbers(column)
 
 
 def _missing(column: pa.ChunkedArray) -> int:

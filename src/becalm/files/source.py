@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import cached_property
 from typing import Any
 
 import pyarrow as pa
 
+from becalm.core.clock import Clock
 from becalm.core.recording import Recording
+from becalm.files.rows import Rows, block_rows
 
 TIME = "time"
 CHANNEL = "channel"
 PASSED = "passed through"
+HEAD_ROWS = 200
 
 
 @dataclass(frozen=True)
@@ -70,8 +75,10 @@ class RawTable:
 
     Attributes
     ----------
-    table : pyarrow.Table
+    rows : Rows
         Numbers as numbers, all else as it was; names are all different.
+    count : int
+        How many of the rows count: blank ones at the end of a text file do not.
     format : str
         "csv" or "parquet".
     units : dict of str to str
@@ -80,10 +87,45 @@ class RawTable:
         How the text was written, for text files.
     """
 
-    table: pa.Table
+    rows: Rows
+    count: int
     format: str
     units: dict[str, str] = field(default_factory=dict)
     text: TextLayout | None = None
+
+    @property
+    def names(self) -> list[str]:
+        """The columns in the order of the file."""
+        return list(self.rows.schema.names)
+
+    @property
+    def decimal(self) -> str:
+        """The decimal sign of numbers in text."""
+        return self.text.decimal if self.text else "."
+
+    @cached_property
+    def head(self) -> pa.Table:
+        """The first rows of all columns: enough to see what they hold."""
+        for block in self.blocks(self.names, most_rows=HEAD_ROWS):
+            return block
+        return self.rows.schema.empty_table()
+
+    def type_of(self, name: str) -> pa.DataType:
+        """Return the type of a column."""
+        return self.rows.schema.field(name).type
+
+    def blocks(self, names: Sequence[str], start: int = 0, most_rows: int | None = None) -> Iterator[pa.Table]:
+        """Give columns in blocks from row `start` on, in the order asked."""
+        left = self.count - start
+        for block in self.rows.blocks(names, most_rows or block_rows(self.rows.schema), start):
+            if left <= 0:
+                return
+            yield block.slice(0, left)
+            left -= block.num_rows
+
+    def column(self, name: str) -> Iterator[pa.ChunkedArray]:
+        """Give one column in blocks."""
+        return (block.column(0) for block in self.blocks([name]))
 
     def place(self, row: int) -> str:
         """Say where a row of data is, counted from 0, for a person who opens the file."""
@@ -116,13 +158,13 @@ class TimeLayout:
 
 @dataclass(frozen=True)
 class ColumnLayout:
-    """What a column was taken for, and why; `missing` counts its empty cells."""
+    """What a column was taken for, and why; `missing` counts its empty cells, None before anyone counted."""
 
     name: str
     role: str
     why: str
     unit: str
-    missing: int
+    missing: int | None = None
 
 
 @dataclass(frozen=True)
@@ -180,13 +222,12 @@ class SourceFile:
     layout: Layout
 
 
-def layout_of(raw: RawTable, time: TimeLayout, recording: Recording, columns: tuple[ColumnLayout, ...]) -> Layout:
+def layout_of(raw: RawTable, time: TimeLayout, clock: Clock, columns: tuple[ColumnLayout, ...]) -> Layout:
     """Put together what the rooms' readers found."""
     text = raw.text or TextLayout("", "", "", "", 0, 0, 1)
-    base = recording.timebase
     return Layout(
         format=raw.format,
-        rows=len(recording),
+        rows=raw.count,
         encoding=text.encoding,
         compression=text.compression,
         separator=text.separator,
@@ -197,11 +238,11 @@ def layout_of(raw: RawTable, time: TimeLayout, recording: Recording, columns: tu
         time_kind=time.kind,
         time_unit=time.unit,
         time_start=time.start,
-        rate_hz=base.rate_hz,
-        uniform=base.uniform,
-        jitter_s=base.jitter_s,
-        duration_s=base.duration_s,
-        gaps=len(base.gaps),
-        repeats=len(base.repeats),
+        rate_hz=clock.rate_hz,
+        uniform=clock.uniform,
+        jitter_s=clock.jitter_s,
+        duration_s=clock.duration_s,
+        gaps=clock.gaps,
+        repeats=clock.repeats,
         columns=columns,
     )

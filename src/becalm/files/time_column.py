@@ -10,6 +10,7 @@ import pyarrow as pa
 from becalm.core.arrays import Floats
 from becalm.errors import InputError, UsageError
 from becalm.files import clock
+from becalm.files.numbers import Numbers
 from becalm.files.source import RawTable
 from becalm.files.units import parse_header
 
@@ -51,28 +52,18 @@ def is_time_name(header: str) -> bool:
     return _NAMES.fullmatch(plain) is not None or _LIKE.match(plain) is not None
 
 
-def is_counter(values: Floats) -> bool:
-    """Tell whether a column counts rows: whole numbers in steps of exactly 1."""
-    return len(values) > 2 and bool(values[0] == np.round(values[0])) and bool(np.all(differences(values) == 1.0))
-
-
 def numbers(column: pa.ChunkedArray) -> Floats:
-    """Return a numeric column as float64, NaN where a cell is missing."""
+    """Return a numeric column as float64, NaN where a cell is missing; the file's own memory where it can be."""
     if pa.types.is_float16(column.type):
         column = column.cast(pa.float32())
-    values = column.cast(pa.float64(), safe=False).to_numpy()
+    column = column.cast(pa.float64(), safe=False)
+    values = column.chunk(0).to_numpy(zero_copy_only=False) if column.num_chunks == 1 else column.to_numpy()
     return np.asarray(values, np.float64)
-
-
-def differences(values: Floats) -> Floats:
-    """Return what each value adds to the one before, NaN where that has no answer."""
-    with np.errstate(invalid="ignore"):
-        return np.diff(values)
 
 
 def find_time(raw: RawTable) -> list[tuple[str, ...]]:
     """List what could be the time: each entry is a column, or a date and a time of day together."""
-    kinds = {name: kind_of_column(raw.table.column(name)) for name in raw.table.column_names}
+    kinds = {name: kind_of_column(raw.head.column(name)) for name in raw.names}
     named = [name for name, kind in kinds.items() if kind and is_time_name(name)]
     if not named:
         named = [n for n, k in kinds.items() if k in (clock.DATE_TIME, clock.DATE, clock.TIME_OF_DAY, TEMPORAL)]
@@ -88,19 +79,33 @@ def find_time(raw: RawTable) -> list[tuple[str, ...]]:
 
 
 def _first_column(raw: RawTable, kinds: dict[str, str]) -> list[tuple[str, ...]]:
-    name = raw.table.column_names[0]
-    if kinds[name] != NUMBERS or raw.table.num_columns < 2:
+    name = raw.names[0]
+    if kinds[name] != NUMBERS or len(raw.names) < 2:
         return []
-    steps = differences(numbers(raw.table.column(name)))
-    if not (len(steps) and np.all(steps > 0)):
+    seen = Numbers(raw.count)
+    for column in raw.column(name):
+        seen.add(numbers(column))
+        if not seen.rises:
+            return []
+    steps = seen.steps
+    if not len(steps):
         return []
     median = np.median(steps)
     even = np.mean(np.abs(steps - median) <= _NEARLY_EVEN * median)
     return [(name,)] if even >= 0.9 else []
 
 
-def choose_time(raw: RawTable, asked: str | None) -> tuple[str, ...]:
+def choose_time(raw: RawTable, found: list[tuple[str, ...]], asked: str | None) -> tuple[str, ...]:
     """Return the time column, or the date and the time of day.
+
+    Parameters
+    ----------
+    raw : RawTable
+        The file.
+    found : list of tuple of str
+        What `find_time` found in it.
+    asked : str, optional
+        The column that a person named.
 
     Raises
     ------
@@ -111,7 +116,6 @@ def choose_time(raw: RawTable, asked: str | None) -> tuple[str, ...]:
     """
     if asked is not None:
         return (named_column(raw, asked, "--time"),)
-    found = find_time(raw)
     if not found:
         raise InputError(
             "There is no time column (none is called time, and the first does not rise evenly)."
@@ -131,7 +135,7 @@ def named_column(raw: RawTable, asked: str, option: str) -> str:
     UsageError
         If there is none, or more than one.
     """
-    names: list[str] = raw.table.column_names
+    names = raw.names
     if asked in names:
         return asked
     bare = [name for name in names if parse_header(name)[0] == asked.strip() or name.strip() == asked.strip()]

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from typing import Any
+
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
@@ -9,8 +12,10 @@ import pyarrow.compute as pc
 from becalm.core.arrays import Booleans, Floats, Integers
 from becalm.errors import TimeError
 from becalm.files import clock
+from becalm.files.numbers import Numbers
+from becalm.files.rows import Spool
 from becalm.files.source import RawTable, TimeLayout
-from becalm.files.time_column import COUNT, NUMBERS, TEMPORAL, is_counter, kind_of_column, numbers
+from becalm.files.time_column import COUNT, NUMBERS, TEMPORAL, kind_of_column, numbers
 from becalm.files.units import parse_header
 
 PER_SECOND = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
@@ -22,7 +27,32 @@ _IMPLIED = {"millis": "ms", "micros": "us", "sec": "s", "secs": "s", "second": "
 _EPOCHS = (("s", 9.4e8, 4.2e9), ("ms", 9.4e11, 4.2e12), ("us", 9.4e14, 4.2e15), ("ns", 9.4e17, 4.2e18))
 
 
-def read_time(raw: RawTable, columns: tuple[str, ...]) -> tuple[Floats, TimeLayout]:
+class Stamps:
+    """The time of every row in seconds, NaN where it is missing.
+
+    Parameters
+    ----------
+    spool : Spool
+        Numbers as in the file.
+    in_seconds : callable
+        Makes seconds of them.
+    """
+
+    def __init__(self, spool: Spool, in_seconds: Callable[[Any], Floats] = np.asarray) -> None:
+        self._spool, self._in_seconds = spool, in_seconds
+        self.count = spool.count
+        self.close = spool.close
+
+    def read(self, start: int, stop: int) -> Floats:
+        """Return the seconds of the rows from `start` up to `stop`."""
+        return self._in_seconds(self._spool.read(start, stop))
+
+    def blocks(self) -> Iterator[Floats]:
+        """Give the seconds of all rows in small blocks."""
+        return map(self._in_seconds, self._spool.blocks())
+
+
+def read_time(raw: RawTable, columns: tuple[str, ...]) -> tuple[Stamps, TimeLayout]:
     """Read the time in seconds: as in the file, or since the first row where the file gives dates.
 
     Raises
@@ -31,122 +61,176 @@ def read_time(raw: RawTable, columns: tuple[str, ...]) -> tuple[Floats, TimeLayo
         If the cells are not times, or their unit cannot be known.
     """
     if len(columns) == 2:
-        return _date_and_time(raw, columns)
+        return _written(raw, columns, clock.DATE_TIME, _date_and_time(raw, *columns))
     name = columns[0]
-    column = raw.table.column(name)
-    kind = kind_of_column(column)
+    kind = kind_of_column(raw.head.column(name))
     if kind == NUMBERS:
-        return _numeric(raw, name, column)
+        return _numeric(raw, name)
     if kind == TEMPORAL:
-        return _temporal(name, column)
+        return _temporal(raw, name)
     if not kind:
         raise TimeError(f"The column {name!r} does not hold times; name another with --time, {COUNT}.")
-    read = clock.parse(name, column, kind)
-    return _since_first(read.ns, read.missing), TimeLayout(columns, read.kind, "", _start(read))
+    return _written(raw, columns, kind, _reader(raw, name, kind).blocks())
 
 
-def _date_and_time(raw: RawTable, columns: tuple[str, ...]) -> tuple[Floats, TimeLayout]:
-    date = clock.parse(columns[0], raw.table.column(columns[0]), clock.DATE)
-    time = clock.parse(columns[1], raw.table.column(columns[1]), clock.TIME_OF_DAY)
-    day = 86_400_000_000_000
-    read = clock.Instants(clock.DATE_TIME, date.ns + time.ns % day, date.missing | time.missing, time.zoned)
-    return _since_first(read.ns, read.missing), TimeLayout(columns, clock.DATE_TIME, "", _start(read))
+def _reader(raw: RawTable, name: str, kind: str) -> clock.Reader:
+    return clock.Reader(name, kind, lambda: raw.column(name))
 
 
-def _since_first(ns: Integers, missing: Booleans) -> Floats:
-    known = np.flatnonzero(~missing)
-    seconds: Floats = (ns - (ns[known[0]] if len(known) else 0)) / 1e9
-    seconds[missing] = np.nan
-    return seconds
+def _date_and_time(raw: RawTable, date: str, time: str) -> Iterator[clock.Instants]:
+    dates, times = _reader(raw, date, clock.DATE).blocks(), _reader(raw, time, clock.TIME_OF_DAY).blocks()
+    for day, of_day in _in_step(dates, times):
+        ns, missing = day.ns + of_day.ns % clock.DAY_NS, day.missing | of_day.missing
+        yield clock.Instants(clock.DATE_TIME, ns, missing, of_day.zoned)
 
 
-def _start(read: clock.Instants) -> str:
-    known = np.flatnonzero(~read.missing)
-    if read.kind == clock.TIME_OF_DAY or not len(known):
-        return ""
-    return str(read.ns[known[0]].astype("datetime64[ns]")) + ("Z" if read.zoned else "")
+def _in_step(
+    first: Iterator[clock.Instants], second: Iterator[clock.Instants]
+) -> Iterator[tuple[clock.Instants, clock.Instants]]:
+    """Pair blocks of two columns; each is cut where either ends."""
+    one, other = next(first, None), next(second, None)
+    while one is not None and other is not None:
+        count = min(len(one.ns), len(other.ns))
+        yield one.cut(0, count), other.cut(0, count)
+        one = one.cut(count, None) if len(one.ns) > count else next(first, None)
+        other = other.cut(count, None) if len(other.ns) > count else next(second, None)
 
 
-def _temporal(name: str, column: pa.ChunkedArray) -> tuple[Floats, TimeLayout]:
-    kind = column.type
-    missing = np.asarray(column.is_null().to_numpy())
-    if pa.types.is_date(kind):
-        column = column.cast(pa.timestamp("ms"))
-    unit = column.type.unit
-    ticks = column.cast(pa.int32() if pa.types.is_time32(kind) else pa.int64())
-    count = np.asarray(pc.fill_null(ticks, 0).to_numpy()).astype(np.int64)
-    first = count[np.flatnonzero(~missing)[0]] if not missing.all() else np.int64(0)
-    if pa.types.is_duration(kind):
-        seconds: Floats = count / PER_SECOND[unit]
+def _written(
+    raw: RawTable, columns: tuple[str, ...], kind: str, blocks: Iterator[clock.Instants]
+) -> tuple[Stamps, TimeLayout]:
+    since, zoned = _SinceFirst(1e9), False
+
+    def seconds() -> Iterator[Floats]:
+        nonlocal zoned
+        for block in blocks:
+            zoned = zoned or block.zoned
+            yield since.seconds(block.ns, block.missing)
+
+    stamps = Stamps(Spool(seconds(), raw.count))
+    dated = kind != clock.TIME_OF_DAY and since.first is not None
+    start = str(np.datetime64(since.first, "ns")) + ("Z" if zoned else "") if dated else ""
+    return stamps, TimeLayout(columns, kind, "", start)
+
+
+class _SinceFirst:
+    """Seconds since the first tick that is not missing."""
+
+    def __init__(self, per_second: float) -> None:
+        self._per_second = per_second
+        self.first: int | None = None
+
+    def seconds(self, ticks: Integers, missing: Booleans) -> Floats:
+        if self.first is None and not missing.all():
+            self.first = int(ticks[np.flatnonzero(~missing)[0]])
+        seconds: Floats = (ticks - (self.first or 0)) / self._per_second
         seconds[missing] = np.nan
-        return seconds, TimeLayout((name,), "duration", unit)
+        return seconds
+
+
+def _temporal(raw: RawTable, name: str) -> tuple[Stamps, TimeLayout]:
+    kind = raw.type_of(name)
+    unit = "ms" if pa.types.is_date(kind) else kind.unit
+    since, midnights = _SinceFirst(PER_SECOND[unit]), clock.Midnights()
     if pa.types.is_time(kind):
-        scaled = clock.past_midnight(count * (10**9 // int(PER_SECOND[unit])), missing)
-        return _since_first(scaled, missing), TimeLayout((name,), clock.TIME_OF_DAY)
-    seconds = (count - first) / PER_SECOND[unit]
-    seconds[missing] = np.nan
+        since = _SinceFirst(1e9)
+    elif pa.types.is_duration(kind):
+        since.first = 0
+
+    def seconds() -> Iterator[Floats]:
+        for column in raw.column(name):
+            ticks, missing = _ticks(column)
+            if pa.types.is_time(kind):
+                ticks = midnights.passed(ticks * (10**9 // int(PER_SECOND[unit])), missing)
+            yield since.seconds(ticks, missing)
+
+    stamps = Stamps(Spool(seconds(), raw.count))
+    if pa.types.is_duration(kind):
+        return stamps, TimeLayout((name,), "duration", unit)
+    if pa.types.is_time(kind):
+        return stamps, TimeLayout((name,), clock.TIME_OF_DAY)
     zoned = "Z" if getattr(kind, "tz", None) else ""
-    return seconds, TimeLayout((name,), clock.DATE_TIME, "", str(first.astype(f"datetime64[{unit}]")) + zoned)
+    return stamps, TimeLayout(
+        (name,), clock.DATE_TIME, "", str(np.int64(since.first or 0).astype(f"datetime64[{unit}]")) + zoned
+    )
 
 
-def _numeric(raw: RawTable, name: str, column: pa.ChunkedArray) -> tuple[Floats, TimeLayout]:
+def _ticks(column: pa.ChunkedArray) -> tuple[Integers, Booleans]:
+    missing = np.asarray(column.is_null().to_numpy())
+    if pa.types.is_date(column.type):
+        column = column.cast(pa.timestamp("ms"))
+    ticks = column.cast(pa.int32() if pa.types.is_time32(column.type) else pa.int64())
+    return np.asarray(pc.fill_null(ticks, 0).to_numpy()).astype(np.int64), missing
+
+
+def _numeric(raw: RawTable, name: str) -> tuple[Stamps, TimeLayout]:
     bare, unit = parse_header(name)
     unit = raw.units.get(name, "") or unit or _IMPLIED.get(bare.lower(), "")
-    if pa.types.is_float32(column.type):
-        column = column.cast(pa.string())  # its shortest decimals: 0.01, not 0.009999999776
-    values = np.where(np.isfinite(values := numbers(column)), values, np.nan)
-    steps = np.diff(values)
-    epoch = _epoch(values, steps, unit)
+    seen = Numbers(raw.count)
+    exact = pa.types.is_integer(raw.type_of(name)) and not any(column.null_count for column in raw.column(name))
+    spool = Spool(_as_they_are(raw, name, seen, exact), raw.count)
+    epoch = _epoch(seen, unit)
     if epoch:
-        return _epoch_seconds(column, values, epoch), TimeLayout((name,), "epoch", epoch, _epoch_start(values, epoch))
+        start = str(np.datetime64(int(seen.first_known / PER_SECOND[epoch] * 1e6), "us")) + "Z"
+        return Stamps(spool, _epoch_seconds(spool, seen, epoch, exact)), TimeLayout((name,), "epoch", epoch, start)
     if unit in PER_SECOND:
-        return values / PER_SECOND[unit], TimeLayout((name,), "numbers", unit)
+        return Stamps(spool, lambda values: values / PER_SECOND[unit]), TimeLayout((name,), "numbers", unit)
     if unit in SECONDS:
-        return values * SECONDS[unit], TimeLayout((name,), "numbers", unit)
-    _refuse_unknown_unit(name, values, steps)
-    return values, TimeLayout((name,), "numbers", "s")
+        return Stamps(spool, lambda values: values * SECONDS[unit]), TimeLayout((name,), "numbers", unit)
+    try:
+        _refuse_unknown_unit(name, seen)
+    except TimeError:
+        spool.close()
+        raise
+    return Stamps(spool, lambda values: np.asarray(values, np.float64)), TimeLayout((name,), "numbers", "s")
 
 
-def _epoch(values: Floats, steps: Floats, unit: str) -> str:
+def _as_they_are(raw: RawTable, name: str, seen: Numbers, exact: bool) -> Iterator[Floats | Integers]:
+    """Look at each block on its way to the spool."""
+    for column in raw.column(name):
+        if pa.types.is_float32(column.type):
+            column = column.cast(pa.string())  # its shortest decimals: 0.01, not 0.009999999776
+        values = numbers(column)
+        if not np.isfinite(values).all():
+            values = np.where(np.isfinite(values), values, np.nan)
+        seen.add(values)
+        yield np.asarray(column.to_numpy()).astype(np.int64) if exact else values
+
+
+def _epoch(seen: Numbers, unit: str) -> str:
     """Return the unit of a count since 1970, "" if the numbers are none."""
-    known, moved = values[np.isfinite(values)], steps[np.isfinite(steps)]
+    moved = seen.steps
     if not len(moved):
         return ""
-    middle, step = float(np.median(known)), abs(float(np.median(moved)))
+    middle, step = float(np.median(seen.values)), abs(float(np.median(moved)))
     for name, low, high in _EPOCHS:
         if low <= middle <= high and unit in ("", name):
             return name if step <= 3600.0 * PER_SECOND[name] else ""
     return ""
 
 
-def _epoch_seconds(column: pa.ChunkedArray, values: Floats, unit: str) -> Floats:
-    if pa.types.is_integer(column.type) and not column.null_count:
-        ticks = np.asarray(column.to_numpy()).astype(np.int64)
-        return np.asarray((ticks - ticks[0]) / PER_SECOND[unit], np.float64)
-    first = values[np.flatnonzero(np.isfinite(values))[0]]
-    seconds: Floats = np.round((values - first) / PER_SECOND[unit], 6)  # an epoch in float64 holds no more
-    return seconds
+def _epoch_seconds(spool: Spool, seen: Numbers, unit: str, exact: bool) -> Callable[[Any], Floats]:
+    per_second = PER_SECOND[unit]
+    if exact:
+        first = spool.read(0, 1)[0]
+        return lambda ticks: np.asarray((ticks - first) / per_second, np.float64)
+    return lambda values: np.round((values - seen.first_known) / per_second, 6)  # an epoch in float64 holds no more
 
 
-def _epoch_start(values: Floats, unit: str) -> str:
-    first = values[np.flatnonzero(np.isfinite(values))[0]]
-    return str(np.datetime64(int(first / PER_SECOND[unit] * 1e6), "us")) + "Z"
-
-
-def _refuse_unknown_unit(name: str, values: Floats, steps: Floats) -> None:
-    known = steps[np.isfinite(steps)]
-    if is_counter(values):
+def _refuse_unknown_unit(name: str, seen: Numbers) -> None:
+    if seen.counts:
         raise TimeError(f"The time column {name!r} only counts rows, so the rate is unknown; give it with --rate HZ.")
-    if not len(known) or (known < 0).any() or not (np.median(known) > 0):
+    steps = seen.steps
+    if not len(steps) or seen.falls or not (np.median(steps) > 0):
         return  # the time base says what is wrong with it
-    median = float(np.median(known))
-    first = float(values[0])
+    median = float(np.median(steps))
+    first = seen.first
     if any(low <= first <= high for low, high in _DAY_COUNTS) and 0.0 < median < _TEN_SECONDS:
         raise TimeError(
             f"The time column {name!r} has no unit and looks like days (an Excel or MATLAB date: {first:.6f})."
             f" Write it as YYYY-MM-DD hh:mm:ss.fff, or name it '{name} (s)' if it is seconds, {COUNT}."
         )
-    if not 0.0 < median < 1.0 or np.all(known == np.round(known)):
+    if not 0.0 < median < 1.0 or seen.whole:
         raise TimeError(
             f"The time column {name!r} has no unit and steps of {median:.6g}: seconds, milliseconds or ticks?"
             f" Put the unit in its name (as in '{name} (ms)'), {COUNT}."

@@ -1,0 +1,150 @@
+"""Tables as CSV text: the same bytes however the rows are cut into chunks."""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import io
+from contextlib import suppress
+from typing import IO, Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from becalm.errors import OutputError
+
+_ROWS = 1 << 16
+_LONG, _EXACT = 1e10, 2.0**53
+_SPECIAL = '[",\r\n]'
+
+
+class CsvRows:
+    """Writes tables of one schema below each other.
+
+    Parameters
+    ----------
+    file : binary file
+        Where to.
+    packed : bool
+        Whether to compress with gzip.
+    """
+
+    def __init__(self, file: IO[bytes], packed: bool = False) -> None:
+        self._packed = gzip.GzipFile(filename="", fileobj=file, mode="wb", compresslevel=6, mtime=0) if packed else None
+        self._file: Any = self._packed or file
+        self._begun = False
+
+    def write(self, table: pa.Table) -> None:
+        """Write some rows; the names above the first."""
+        if not self._begun:
+            self._file.write(_header(table.column_names))
+            self._begun = True
+        _refuse_strange_types(table.schema)
+        for start in range(0, table.num_rows, _ROWS):
+            _write_block(table.slice(start, _ROWS), self._file)
+
+    def close(self) -> None:
+        """Finish the text; the file stays open."""
+        if self._packed is not None:
+            self._packed.close()
+
+    def drop(self) -> None:
+        """Let go of the file."""
+        with suppress(OSError):
+            self.close()
+
+
+def _header(names: list[str]) -> bytes:
+    text = io.StringIO()
+    like_comment = names[0].lstrip().startswith(("#", "%", "//"))
+    dialect: type[csv.Dialect] = csv.unix_dialect if like_comment else csv.excel
+    csv.writer(text, dialect, lineterminator="\n").writerow(names)
+    return text.getvalue().encode("utf-8")
+
+
+def _refuse_strange_types(schema: pa.Schema) -> None:
+    for field in schema:
+        if pa.types.is_nested(field.type) or pa.types.is_binary(field.type):
+            raise OutputError(
+                f"Column {field.name!r} holds {field.type}, which CSV cannot hold; write .parquet instead."
+            )
+
+
+def _write_block(table: pa.Table, file: Any) -> None:
+    import pyarrow.csv as arrow_csv
+
+    columns = [_plain_column(column) for column in table.columns]
+    if any(map(_has_special, columns)):
+        file.write(_joined([_quoted(column) for column in columns]))
+        return
+    plain = pa.table(columns, names=table.column_names)
+    arrow_csv.write_csv(plain, file, arrow_csv.WriteOptions(include_header=False, quoting_style="none"))
+
+
+def _plain_column(column: pa.ChunkedArray) -> pa.Array:
+    """Make a column one that CSV can hold: NaN and empty text become empty cells."""
+    array = column.combine_chunks()
+    if pa.types.is_floating(array.type):
+        return _without_nan(array)
+    if not _is_plain(array.type):
+        array = array.cast(pa.string())
+    if pa.types.is_string(array.type):
+        return pc.if_else(pc.equal(array, ""), pa.scalar(None, pa.string()), array)
+    return array
+
+
+def _without_nan(array: pa.Array) -> pa.Array:
+    if pa.types.is_float16(array.type):
+        array = array.cast(pa.float32())
+    values = array.to_numpy(zero_copy_only=False)
+    missing = np.isnan(values)
+    numbers = pa.array(values, mask=missing) if missing.any() else pa.array(values)
+    with np.errstate(invalid="ignore"):
+        size = np.abs(values)
+        long = (size >= _LONG) & (size <= _EXACT)
+    if not long.any():
+        return numbers
+    long &= values == np.round(values)  # an epoch in milliseconds: digits, not 1.7e+12
+    digits = pa.array(np.where(long, values, 0.0).astype(np.int64), mask=missing)
+    if np.all(long | missing):
+        return digits
+    return pc.if_else(pa.array(long), digits.cast(pa.string()), numbers.cast(pa.string()))
+
+
+def _is_plain(kind: Any) -> bool:
+    whole = pa.types.is_integer(kind) or pa.types.is_decimal(kind) or pa.types.is_boolean(kind)
+    return bool(whole or pa.types.is_temporal(kind) or pa.types.is_string(kind) or pa.types.is_null(kind))
+
+
+def _has_special(array: pa.Array) -> bool:
+    return pa.types.is_string(array.type) and bool(pc.any(pc.match_substring_regex(array, _SPECIAL)).as_py())
+
+
+def _quoted(array: pa.Array) -> pa.Array:
+    """Write a column as text, with quotes around the cells that need them."""
+    if not pa.types.is_string(array.type):
+        return _as_text(array)
+    wrapped = pc.binary_join_element_wise("", pc.replace_substring(array, '"', '""'), "", '"')
+    return pc.if_else(pc.match_substring_regex(array, _SPECIAL), wrapped, array)
+
+
+def _as_text(array: pa.Array) -> pa.Array:
+    """Write numbers and times as pyarrow's own writer does."""
+    import pyarrow.csv as arrow_csv
+
+    if pa.types.is_null(array.type) or not pa.types.is_temporal(array.type):
+        return array.cast(pa.string())
+    text = io.BytesIO()
+    table = pa.table([array, pa.nulls(len(array))], names=["a", "b"])  # the second, so that no line is empty
+    arrow_csv.write_csv(table, text, arrow_csv.WriteOptions(include_header=False, quoting_style="none"))
+    cells = [line[:-1] or None for line in text.getvalue().decode("utf-8").splitlines()]
+    return pa.array(cells, pa.string())
+
+
+def _joined(columns: list[pa.Array]) -> bytes:
+    """Join cells to rows, and rows to text."""
+    how = {"null_handling": "replace", "null_replacement": ""}
+    ended = pc.binary_join_element_wise(columns[-1], "", "\n", **how)
+    rows = pc.binary_join_element_wise(*columns[:-1], ended, ",", **how)
+    return "".join(rows.to_pylist()).encode("utf-8")

@@ -1,0 +1,147 @@
+"""What a long column of numbers is like, seen block by block."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from becalm.core.arrays import Floats
+from becalm.core.summing import Thinned
+
+_EXACT = 2.0**53
+
+
+class Numbers:
+    """A column that may be time: its first values, and an even choice of values and steps.
+
+    Parameters
+    ----------
+    count : int
+        How many values will come.
+
+    Attributes
+    ----------
+    first, first_known : float
+        The first value, and the first that is finite; NaN where there is none.
+    rises : bool
+        Whether every value is greater than the one before.
+    falls : bool
+        Whether a value is less than the one before.
+    whole : bool
+        Whether all steps are whole numbers.
+    """
+
+    def __init__(self, count: int) -> None:
+        self._values, self._steps = Thinned(count), Thinned(max(0, count - 1))
+        self._last: float | None = None
+        self._counter = Counter()
+        self.first = self.first_known = np.nan
+        self.rises, self.falls, self.whole = True, False, True
+
+    def add(self, values: Floats) -> None:
+        """Look at the next values, NaN where one is missing."""
+        steps = following(values, self._last)
+        if self._last is None:
+            self.first = float(values[0])
+        if np.isnan(self.first_known) and np.isfinite(values).any():
+            self.first_known = float(values[np.isfinite(values)][0])
+        self._last = float(values[-1])
+        self._values.add(values)
+        self._steps.add(steps)
+        self._counter.add(values, steps)
+        self.rises = self.rises and bool(np.all(steps > 0))
+        self.falls = self.falls or (not self.rises and bool(np.any(steps < 0)))
+        if self.whole:
+            known = steps if self.rises else steps[np.isfinite(steps)]
+            self.whole = bool(np.all(known == np.round(known)))
+
+    @property
+    def counts(self) -> bool:
+        """Whether the values are whole numbers in steps of exactly 1."""
+        return self._counter.counts
+
+    @property
+    def values(self) -> Floats:
+        """Finite values, evenly chosen where there are more than a million."""
+        values = self._values.values
+        return values[np.isfinite(values)]
+
+    @property
+    def steps(self) -> Floats:
+        """Finite steps, chosen in the same way."""
+        steps = self._steps.values
+        return steps[np.isfinite(steps)]
+
+
+class Counter:
+    """Tells whether a column counts rows: whole numbers in steps of exactly 1."""
+
+    def __init__(self) -> None:
+        self._seen = 0
+        self._possible = True
+
+    def add(self, values: Floats, steps: Floats) -> None:
+        """Look at the next values and the steps that lead to them."""
+        if not self._seen:
+            self._possible = bool(values[0] == np.round(values[0]))
+        self._seen += len(values)
+        self._possible = self._possible and bool(np.all(steps == 1.0))
+
+    @property
+    def possible(self) -> bool:
+        """Whether what was seen may be the beginning of a counter."""
+        return self._possible
+
+    @property
+    def counts(self) -> bool:
+        """Whether what was seen is a counter."""
+        return self._possible and self._seen > 2
+
+
+class Signal:
+    """A column that may be a channel: no counter, no flag, no number that float64 cannot hold.
+
+    Parameters
+    ----------
+    integer : bool
+        Whether the file keeps it as whole numbers.
+    """
+
+    def __init__(self, integer: bool) -> None:
+        self._integer = integer
+        self._last: float | None = None
+        self._counter = Counter()
+        self._zeros = self._ones = False
+        self._only_flags = True
+        self._largest = 0.0
+
+    def add(self, values: Floats) -> None:
+        """Look at the next values, NaN where one is missing."""
+        if self._counter.possible:
+            self._counter.add(values, following(values, self._last))
+            self._last = float(values[-1])
+        if self._only_flags:
+            zeros, ones = values == 0.0, values == 1.0
+            self._zeros, self._ones = self._zeros or bool(zeros.any()), self._ones or bool(ones.any())
+            self._only_flags = bool(np.all(zeros | ones | np.isnan(values)))
+        if self._integer:
+            self._largest = max(self._largest, float(np.abs(values).max(initial=0.0, where=np.isfinite(values))))
+
+    @property
+    def decided(self) -> bool:
+        """Whether no later value can change what it is."""
+        return self._largest > _EXACT or not (self._integer or self._counter.possible or self._only_flags)
+
+    @property
+    def why_passed(self) -> str:
+        """Why the column is no channel, "" if it is one."""
+        if self._largest > _EXACT:
+            return "whole numbers beyond 2^53, which float64 cannot tell apart"
+        if self._counter.counts:
+            return "a counter (steps of exactly 1)"
+        return "a flag (only 0 and 1)" if self._only_flags and self._zeros and self._ones else ""
+
+
+def following(values: Floats, last: float | None) -> Floats:
+    """Return what each value adds to the one before, NaN where that has no answer; `last` came before the first."""
+    with np.errstate(invalid="ignore"):
+        return np.diff(values) if last is None else np.diff(values, prepend=last)

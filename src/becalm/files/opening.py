@@ -1,0 +1,278 @@
+"""A file understood and ready to be read in chunks, however long it is."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+import pyarrow as pa
+
+from becalm.core.arrays import Floats
+from becalm.core.clock import FASTEST_HZ, SLOWEST_HZ, Clock
+from becalm.core.recording import Recording
+from becalm.core.timebase import Timebase
+from becalm.errors import InputError, TimeError, UsageError
+from becalm.files.registry import read_raw
+from becalm.files.roles import choose_channels, missing_in, unit_of, values_of
+from becalm.files.rows import HeldRows, block_rows, rebatched
+from becalm.files.source import Layout, RawTable, ReadOptions, TimeLayout, layout_of
+from becalm.files.time_column import choose_time, find_time, named_column
+from becalm.files.times import Stamps, read_time
+
+STRETCHES = 8
+"""A sample of a long recording is made of so many parts."""
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """Some consecutive rows of a file.
+
+    Attributes
+    ----------
+    first_row : int
+        The row of the file that comes first, counted from 0.
+    table : pyarrow.Table
+        All columns in the order of the file, as they are to be passed through.
+    elapsed_steps : (n,) float array
+        Time since the row before, in steps of the clock; 0 for the first of the file.
+    names : tuple of str
+        The channels.
+    """
+
+    first_row: int
+    table: pa.Table
+    elapsed_steps: Floats
+    names: tuple[str, ...]
+    decimal: str = "."
+
+    def __len__(self) -> int:
+        """Return the number of rows."""
+        return int(self.table.num_rows)
+
+    def channel(self, number: int) -> Floats:
+        """Return one channel, (n,), NaN where a cell is missing; read-only where it is the file's own memory."""
+        return values_of(self.table.column(self.names[number]), self.decimal)
+
+    @property
+    def samples(self) -> Floats:
+        """All channels, (n, m)."""
+        out = np.empty((len(self), len(self.names)))
+        for number in range(len(self.names)):
+            out[:, number] = self.channel(number)
+        return out
+
+
+class OpenSource:
+    """A file that was understood; made by `open_source`, to be closed after use.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    names, units : tuple of str
+        The channels to clean.
+    clock : Clock
+        What its time is like.
+    columns : tuple of ColumnLayout
+        What each column was taken for; missing cells are not counted yet (`layout` does).
+    rows : int
+        How many rows there are.
+    schema : pyarrow.Schema
+        Of the tables of its chunks.
+    """
+
+    def __init__(self, path: Path, raw: RawTable, options: ReadOptions) -> None:
+        self.path, self._raw = path, raw
+        self._stamps: Stamps | None = None
+        self._time = TimeLayout((), "counted rows")
+        try:
+            self._understand(raw, options)
+        except BaseException:
+            self.close()
+            raise
+
+    def _understand(self, raw: RawTable, options: ReadOptions) -> None:
+        if raw.count == 0:
+            raise InputError("It has a header but no rows; two or more rows are needed.")
+        found = find_time(raw)
+        if (count := _without_blank_end(raw, found)) < raw.count:
+            self._raw = raw = replace(raw, count=count)
+            found = find_time(raw)
+        candidates = [column for columns in found for column in columns]
+        if options.rate_hz is None:
+            self._stamps, self._time = read_time(raw, choose_time(raw, found, options.time))
+        elif options.time is not None:
+            candidates.append(named_column(raw, options.time, "--time"))
+        self.names, self.columns = choose_channels(raw, self._time.columns, candidates, options.channels)
+        self.units = tuple(unit_of(raw, name) for name in self.names)
+        self.rows: int = raw.count
+        self.schema: pa.Schema = raw.rows.schema
+        self.clock = (
+            Clock.from_stamps(self.rows, self._stamps.blocks)
+            if self._stamps is not None
+            else Clock.counted(self.rows, options.rate_hz or 1.0)
+        )
+        if self._stamps is not None and self.clock.even:  # then rows can be counted
+            self._stamps.close()
+            self._stamps = None
+
+    @cached_property
+    def layout(self) -> Layout:
+        """How the file was understood; reads all of it once, to count the missing cells."""
+        counts = missing_in(self._raw)
+        columns = tuple(replace(column, missing=count) for column, count in zip(self.columns, counts, strict=True))
+        return layout_of(self._raw, self._time, self.clock, columns)
+
+    @property
+    def rate_hz(self) -> float:
+        """Samples per second, by the median step."""
+        return self.clock.rate_hz
+
+    def chunks(self, rows: int | None = None) -> Iterator[Chunk]:
+        """Read the file from the first row to the last, as often as asked.
+
+        Parameters
+        ----------
+        rows : int, optional
+            Of each chunk but the last; by default about a million, fewer where there are many columns.
+
+        Raises
+        ------
+        InputError
+            If the file turns out to be damaged.
+        """
+        size = rows or block_rows(self.schema)
+        row = 0
+        for table in rebatched(self._raw.blocks(self._raw.names, most_rows=size), size):
+            yield Chunk(row, table, self.elapsed_steps(row, table.num_rows), self.names, self._raw.decimal)
+            row += table.num_rows
+
+    def elapsed_steps(self, first: int, count: int, before: int | None = None) -> Floats:
+        """Return the steps before each of `count` rows; `before` is the row read before, if not the last."""
+        if self._stamps is None:
+            return self.clock.elapsed_rows(first, count, before)
+        if before is None and first > 0:
+            before = first - 1
+        last = None if before is None else float(self._stamps.read(before, before + 1)[0])
+        return self.clock.elapsed(self._stamps.read(first, first + count), last)
+
+    def recording(self) -> Recording:
+        """Read all of it at once."""
+        return self.stretches([(0, self.rows)])
+
+    def sample(self, most_rows: int) -> Recording:
+        """Read some of it, for tuning: all, or evenly spread stretches with the time between them.
+
+        Parameters
+        ----------
+        most_rows : int
+            How many rows are enough.
+        """
+        if self.rows <= most_rows:
+            return self.recording()
+        count = min(STRETCHES, most_rows)
+        length = most_rows // count
+        starts = np.linspace(0, self.rows - length, count).astype(int).tolist()
+        return self.stretches([(start, start + length) for start in starts])
+
+    def stretches(self, parts: list[tuple[int, int]]) -> Recording:
+        """Read rows from each start up to each stop, in order; the time between them is kept as a gap."""
+        samples = np.empty((sum(stop - start for start, stop in parts), len(self.names)))
+        elapsed = [self.elapsed_steps(parts[0][0], parts[0][1] - parts[0][0], parts[0][0] or None)]
+        for (_, before), (start, stop) in pairwise(parts):
+            elapsed.append(self.elapsed_steps(start, stop - start, before - 1))
+        at = 0
+        for start, stop in parts:
+            for block in self._raw.blocks(self.names, start, most_rows=min(stop - start, block_rows(self.schema))):
+                table = block.slice(0, stop - start)
+                for number in range(len(self.names)):
+                    values = values_of(table.column(number), self._raw.decimal)
+                    samples[at : at + table.num_rows, number] = values
+                at += table.num_rows
+                start += table.num_rows
+                if start >= stop:
+                    break
+        return Recording(
+            samples, names=self.names, units=self.units, timebase=Timebase.of(self.clock, np.concatenate(elapsed))
+        )
+
+    def table(self) -> pa.Table:
+        """Read all columns of all rows; they are held in memory from then on."""
+        table = pa.concat_tables(list(self._raw.blocks(self._raw.names)))
+        self._raw.rows.close()
+        self._raw = replace(self._raw, rows=HeldRows(table))
+        return table
+
+    def close(self) -> None:
+        """Remove temporary files."""
+        if self._stamps is not None:
+            self._stamps.close()
+        self._raw.rows.close()
+
+    def __enter__(self) -> OpenSource:
+        """Return itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, cause: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close it."""
+        self.close()
+
+
+def open_source(path: str | os.PathLike[str], options: ReadOptions | None = None) -> OpenSource:
+    """Understand a CSV, CSV.GZ or Parquet file without holding it in memory.
+
+    Parameters
+    ----------
+    path : path-like
+        The file; its content decides the format.
+    options : ReadOptions, optional
+        What a person said about time, rate and channels; by default all is found out.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or can be read in more than one way.
+    UsageError
+        If the options do not fit the file.
+    """
+    file, options = Path(path), options or ReadOptions()
+    if options.rate_hz is not None and not SLOWEST_HZ <= options.rate_hz <= FASTEST_HZ:
+        raise UsageError(f"--rate {options.rate_hz:g} is not a rate; give hertz, {SLOWEST_HZ:g} to {FASTEST_HZ:g}.")
+    raw = read_raw(file)
+    try:
+        return OpenSource(file, raw, options)
+    except InputError as cause:
+        if str(cause).startswith(str(file)):  # damage found on the way
+            raise
+        kind = TimeError if isinstance(cause, TimeError) else InputError
+        raise kind(f"{file}: {cause}") from cause
+
+
+def _without_blank_end(raw: RawTable, found: list[tuple[str, ...]]) -> int:
+    """Leave out rows of nothing but separators at the end of a text file, if it has a time to tell them by."""
+    rows = raw.count
+    if raw.format != "csv" or not found:
+        return rows
+    length = 256
+    while rows > 1:
+        start = max(0, rows - length)
+        table = pa.concat_tables(list(raw.blocks(raw.names, start, most_rows=length)))
+        last = table.num_rows - (raw.count - rows)
+        while last > 0 and rows > 1 and _is_blank(table, last - 1):
+            last -= 1
+            rows -= 1
+        if last > 0:
+            return rows
+    return rows
+
+
+def _is_blank(table: pa.Table, row: int) -> bool:
+    return all(column[row].as_py() in (None, "") for column in table.columns)

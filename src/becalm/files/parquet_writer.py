@@ -1,0 +1,74 @@
+"""Tables to Parquet: row groups of a million rows, dictionaries only where values repeat."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from typing import IO, Any
+
+import numpy as np
+import pyarrow as pa
+
+_GROUP_ROWS = 1 << 20
+_GROUP_BYTES = 256 << 20
+_LOOKED_AT = 4096
+
+
+class ParquetRows:
+    """Writes tables of one schema below each other.
+
+    Parameters
+    ----------
+    file : binary file
+        Where to.
+    """
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self._file = file
+        self._writer: Any = None
+        self._held: list[pa.Table] = []
+        self._rows = self._bytes = 0
+
+    def write(self, table: pa.Table) -> None:
+        """Write some rows, or hold them until they fill a row group."""
+        if self._writer is None:
+            self._writer = _begun(self._file, table)
+        self._held.append(table)
+        self._rows += table.num_rows
+        self._bytes += table.nbytes
+        if self._rows >= _GROUP_ROWS or self._bytes >= _GROUP_BYTES:
+            self._flush()
+
+    def close(self) -> None:
+        """Write what is held, and the end of the file; the file stays open."""
+        if self._writer is not None:
+            self._flush()
+            self._writer.close()
+
+    def drop(self) -> None:
+        """Forget what is held, and let go of the file."""
+        self._held = []
+        if self._writer is not None and self._writer.is_open:
+            with suppress(OSError, pa.ArrowException):
+                self._writer.close()
+            self._writer.is_open = False  # or it would try again when it is collected
+
+    def _flush(self) -> None:
+        if self._held:
+            self._writer.write_table(pa.concat_tables(self._held), row_group_size=_GROUP_ROWS)
+        self._held, self._rows, self._bytes = [], 0, 0
+
+
+def _begun(file: IO[bytes], table: pa.Table) -> Any:
+    import pyarrow.parquet as pq
+
+    nested = any(pa.types.is_nested(field.type) for field in table.schema)
+    repeating = [name for name in table.column_names if _repeats(table.column(name))]
+    return pq.ParquetWriter(file, table.schema, use_dictionary=True if nested else repeating)
+
+
+def _repeats(column: pa.ChunkedArray) -> bool:
+    """Tell by some values whether a dictionary makes a column shorter: a settled sigma, but no clean signal."""
+    if not pa.types.is_floating(column.type) or len(column) < _LOOKED_AT:
+        return True
+    some = column.take(np.linspace(0, len(column) - 1, _LOOKED_AT).astype(np.int64)).to_numpy()
+    return len(np.unique(some)) * 2 < _LOOKED_AT

@@ -1,0 +1,120 @@
+"""What is written: the columns of the file, clean channels in the place of the noisy ones."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import pyarrow as pa
+
+from becalm.core.arrays import Floats
+from becalm.core.recording import Recording
+from becalm.errors import RecordingError
+from becalm.files.roles import SIGMA
+from becalm.files.source import SourceFile
+
+_TIME = "time_s"
+
+
+class CleanChannel(NamedTuple):
+    """Some rows of a clean channel: signal and standard uncertainty, (n,) each, and the unit of both."""
+
+    signal: Floats
+    sigma: Floats
+    unit: str = ""
+
+
+def output_table(source: SourceFile, signal: Recording, sigma: Recording) -> pa.Table:
+    """Put clean channels and their uncertainties in the place of the noisy ones.
+
+    Parameters
+    ----------
+    source : SourceFile
+        The file that was cleaned.
+    signal, sigma : Recording
+        The clean channels and their standard uncertainties; same names, as many rows as the file.
+
+    Returns
+    -------
+    pyarrow.Table
+        The columns of the file in their order, each NAME of `signal` followed by NAME_sigma.
+
+    Raises
+    ------
+    RecordingError
+        If names or numbers of rows do not agree.
+    """
+    _refuse_strangers(source, signal, sigma)
+    clean = {
+        name: CleanChannel(signal.channel(name), sigma.channel(name), unit)
+        for name, unit in zip(signal.names, signal.units, strict=True)
+    }
+    return output_block(source.table, clean)
+
+
+def output_block(table: pa.Table, clean: Mapping[str, CleanChannel]) -> pa.Table:
+    """Put clean channels in the place of the noisy ones, in a table or in a chunk of one.
+
+    Parameters
+    ----------
+    table : pyarrow.Table
+        Columns in the order of the file.
+    clean : mapping of str to CleanChannel
+        By the names of the columns that they replace; contiguous arrays are not copied.
+
+    Returns
+    -------
+    pyarrow.Table
+        The columns in their order, each NAME of `clean` followed by NAME_sigma; an older NAME_sigma is left out.
+    """
+    fields, columns = [], []
+    replaced = {name + SIGMA for name in clean}
+    for field, column in zip(table.schema, table.columns, strict=True):
+        if field.name in clean:
+            own = clean[field.name]
+            fields += [_field(field.name, own.unit, field.metadata), _field(field.name + SIGMA, own.unit)]
+            columns += [pa.array(own.signal), pa.array(own.sigma)]
+        elif field.name not in replaced:
+            fields.append(field)
+            columns.append(column)
+    return pa.table(columns, schema=pa.schema(fields, metadata=table.schema.metadata))
+
+
+def recording_table(recording: Recording, sigma: Recording | None = None) -> pa.Table:
+    """Make a table of a recording: `time_s`, the channels, and NAME_sigma after each where given.
+
+    Raises
+    ------
+    RecordingError
+        If the names or numbers of rows do not agree, or a channel is called `time_s`.
+    """
+    if _TIME in recording.names:
+        raise RecordingError(f"A channel is called {_TIME!r}, which is the time column's name; rename the channel.")
+    if sigma is not None and (sigma.names != recording.names or len(sigma) != len(recording)):
+        raise RecordingError(
+            f"sigma has {len(sigma)} rows of {sigma.names}; {recording!r} needs its own names and rows."
+        )
+    fields, columns = [_field(_TIME, "s")], [pa.array(recording.times_s)]
+    for name, unit in zip(recording.names, recording.units, strict=True):
+        fields.append(_field(name, unit))
+        columns.append(pa.array(recording.channel(name)))
+        if sigma is not None:
+            fields.append(_field(name + SIGMA, unit))
+            columns.append(pa.array(sigma.channel(name)))
+    return pa.table(columns, schema=pa.schema(fields))
+
+
+def _field(name: str, unit: str, metadata: Mapping[bytes, bytes] | None = None) -> pa.Field:
+    own = {**(metadata or {}), **({b"unit": unit.encode()} if unit else {})}
+    return pa.field(name, pa.float64(), metadata=own or None)
+
+
+def _refuse_strangers(source: SourceFile, signal: Recording, sigma: Recording) -> None:
+    rows = source.table.num_rows
+    if len(signal) != rows or len(sigma) != rows:
+        raise RecordingError(f"{len(signal)} clean rows and {len(sigma)} uncertainties came for a file of {rows} rows.")
+    if signal.names != sigma.names:
+        raise RecordingError(f"Clean channels are {signal.names}, uncertainties {sigma.names}; they must be the same.")
+    strangers = [name for name in signal.names if name not in source.table.column_names]
+    if strangers:
+        raise RecordingError(f"The file has no column {strangers[0]!r}; it has {', '.join(source.table.column_names)}.")

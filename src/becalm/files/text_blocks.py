@@ -1,0 +1,172 @@
+"""A text file too large to be held: its rows as UTF-8, in blocks, as often as asked."""
+
+from __future__ import annotations
+
+import codecs
+import gzip
+import re
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import IO, cast
+
+from becalm.errors import InputError
+from becalm.files.text import (
+    BOMS,
+    GZIP,
+    damaged_text,
+    read_bytes,
+    refuse_binary,
+    refuse_nothing,
+    refuse_nul,
+    refuse_other_formats,
+    told,
+)
+
+WHOLE_BYTES = 64 << 20
+"""Text files up to this size are held in memory."""
+
+BLOCK_BYTES = 16 << 20
+_LONGEST_BYTES = 256 << 20
+_PACKED = 8  # gzip makes tables of numbers smaller by less than this, mostly
+
+
+class OtherEncodingError(Exception):
+    """The text is not in the encoding that it was taken for; begin again."""
+
+
+def is_large(path: Path, head: bytes) -> bool:
+    """Tell whether a text file is better read in blocks."""
+    with told(path):
+        size = path.stat().st_size
+        if not head.startswith(GZIP):
+            return size > WHOLE_BYTES
+        with path.open("rb") as file:
+            file.seek(max(0, size - 4))
+            told_size = int.from_bytes(file.read(4), "little")  # of the last part, below 4 GB
+        return size * _PACKED > WHOLE_BYTES or told_size > WHOLE_BYTES
+
+
+class TextFile:
+    """A text file, compressed or not, in any of the usual encodings.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Attributes
+    ----------
+    encoding : str
+        As in `TextLayout`; UTF-8 until it is found to be another.
+    compression : str
+        "gzip" or "".
+
+    Raises
+    ------
+    InputError
+        If it is no text, now or while it is read.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self.compression = "gzip" if read_bytes(path, 2) == GZIP else ""
+        with told(path), self._open() as file:
+            head = file.read(4096)
+        if self.compression:
+            refuse_nothing(path, head)
+        refuse_other_formats(path, head)
+        self._mark, self._codec, self.encoding = b"", "utf-8", "utf-8"
+        for mark, codec, name in BOMS:
+            if head.startswith(mark):
+                self._mark, self._codec, self.encoding = mark, codec, name
+
+    def take_for_western(self) -> None:
+        """Read it as a text of before Unicode from now on."""
+        self._codec = "latin-1" if self._codec == "cp1252" else "cp1252"
+        self.encoding = "cp1252"
+
+    def blocks(self) -> Iterator[bytes]:
+        """Give the text as UTF-8 without a byte-order mark.
+
+        Raises
+        ------
+        OtherEncodingError
+            If it is in another encoding: call `take_for_western` and begin again.
+        InputError
+            If it is damaged.
+        """
+        decoder = codecs.getincrementaldecoder(self._codec)()
+        lines = 0
+        with told(self._path), self._open() as file:
+            file.read(len(self._mark))
+            while data := file.read(BLOCK_BYTES):
+                block = self._as_utf8(decoder, data)
+                (refuse_nul(self._path, block, lines) if lines else refuse_binary(self._path, block))
+                lines += block.count(b"\n")
+                yield block
+            self._as_utf8(decoder, b"")
+
+    def _as_utf8(self, decoder: codecs.IncrementalDecoder, data: bytes) -> bytes:
+        if self._codec == "utf-8" and data.isascii() and not decoder.getstate()[0] and data:
+            return data
+        try:
+            text = decoder.decode(data, final=not data)
+        except UnicodeError as cause:
+            if self._mark:
+                raise damaged_text(self._path, self._codec, cause) from cause
+            raise OtherEncodingError from cause
+        return data if self._codec == "utf-8" else text.encode("utf-8")
+
+    def _open(self) -> IO[bytes]:
+        return cast(IO[bytes], gzip.open(self._path, "rb")) if self.compression else self._path.open("rb")
+
+
+def whole_lines(path: Path, blocks: Iterable[bytes]) -> Iterator[bytes]:
+    """Cut blocks of text anew, at the ends of lines.
+
+    Raises
+    ------
+    InputError
+        If a line does not end.
+    """
+    rest = b""
+    for block in blocks:
+        held = rest + block
+        end = held.rfind(b"\n") + 1 or held.rfind(b"\r", 0, len(held) - 1) + 1
+        if end:
+            yield held[:end]
+        rest = held[end:]
+        if len(rest) > _LONGEST_BYTES:
+            raise InputError(f"{path} has a line of over {_LONGEST_BYTES >> 20} MB; a table has shorter ones.")
+    if rest:
+        yield rest
+
+
+def rows_of_text(blocks: Iterable[bytes], offset: int, separator: str) -> Iterator[bytes]:
+    """Leave out the first bytes and blank lines at the end, and join runs of spaces where they separate.
+
+    Parameters
+    ----------
+    blocks : iterable of bytes
+        Whole lines.
+    offset : int
+        Where the rows of data begin.
+    separator : str
+        As in `Dialect`.
+    """
+    blank = b" \r\n\x1a" if separator == "\t" else b" \t\r\n\x1a"
+    held = b""
+    for block in blocks:
+        own, offset = block[offset:], max(0, offset - len(block))
+        if held.strip(blank) and own.strip(blank):
+            yield _joined_spaces(held, separator)
+            held = b""
+        held += own
+    yield _joined_spaces(held.rstrip(blank), separator) + b"\n"
+
+
+def _joined_spaces(block: bytes, separator: str) -> bytes:
+    if separator != " ":
+        return block
+    block = re.sub(rb"(?m)^[ \t]+|[ \t]+(?=\r?$)", b"", block)
+    return re.sub(rb"[ \t]+", b" ", block)

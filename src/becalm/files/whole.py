@@ -1,0 +1,111 @@
+"""A file appears whole or not at all: a temporary name first, renamed when it is safely on disk."""
+
+from __future__ import annotations
+
+import errno
+import os
+import secrets
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import IO
+
+import pyarrow as pa
+
+from becalm.errors import OutputError
+
+
+def replace_file(path: Path, fill: Callable[[IO[bytes]], None]) -> None:
+    """Write a file under a temporary name in the same folder, and rename it when it is safely on disk.
+
+    Raises
+    ------
+    OutputError
+        If that fails; the temporary file is removed.
+    """
+    with replacing(path) as file, sentences(path):
+        fill(file)
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[IO[bytes]]:
+    """Give a file to fill that takes the place of `path` at the end, if nothing was raised until then.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be made or finished; the temporary file is removed.
+    """
+    target = path.resolve()
+    temporary = target.with_name(f".{target.name[:80]}.{secrets.token_hex(4)}.part")
+    try:
+        with sentences(path):
+            file = temporary.open("xb")
+        try:
+            yield file
+            with sentences(path):
+                file.flush()
+                os.fsync(file.fileno())
+                file.close()
+        finally:
+            with suppress(OSError):  # what is left to write has no place, and is not wanted
+                file.close()
+        with sentences(path):
+            temporary.replace(target)
+            _sync_folder(target.parent)
+    finally:
+        _remove(temporary)
+
+
+@contextmanager
+def sentences(path: Path) -> Iterator[None]:
+    """Say in a sentence why `path` cannot be written.
+
+    Raises
+    ------
+    OutputError
+        In the place of what the system or the table library raises.
+    """
+    try:
+        yield
+    except OSError as cause:
+        raise OutputError(_why_not(path, cause)) from cause
+    except pa.ArrowException as cause:
+        raise OutputError(f"{path} cannot be written: {' '.join(str(cause).split())[:200]}.") from cause
+
+
+def _remove(path: Path) -> None:
+    try:
+        path.unlink(missing_ok=True)
+    except OSError:  # the folder is not writable or not there: then nothing was made
+        return
+
+
+def _sync_folder(folder: Path) -> None:
+    """Make the new name last through a power cut, where the system can."""
+    if os.name != "posix":
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    except OSError:  # some network folders cannot; the file itself is safe
+        return
+    finally:
+        os.close(handle)
+
+
+def _why_not(path: Path, cause: OSError) -> str:
+    folder = path.parent
+    sentences = {
+        errno.ENOSPC: f"The disk of {folder} is full; make room or write elsewhere.",
+        errno.EDQUOT: f"Your quota on the disk of {folder} is used up; make room or write elsewhere.",
+        errno.EACCES: f"{folder} may not be written to; choose another folder with -o.",
+        errno.EPERM: f"{folder} may not be written to; choose another folder with -o.",
+        errno.EROFS: f"{folder} is on a read-only disk; choose another folder with -o.",
+        errno.ENOENT: f"The folder {folder} does not exist; make it first (`mkdir -p {folder}`).",
+        errno.ENOTDIR: f"{folder} is a file, not a folder; choose another path with -o.",
+        errno.EISDIR: f"{path} is a directory; give the path of a file in it.",
+        errno.ENAMETOOLONG: f"The name {path.name[:40]}... is too long; choose a shorter one.",
+    }
+    text = sentences.get(cause.errno or 0, f"{path} cannot be written: {cause.strerror or cause}.")
+    return f"{text} Nothing was written."
