@@ -13,7 +13,8 @@ from scipy.signal import lfilter
 from becalm.cleaning.judging import DESCRIBED, InnovationJudge, Judgement, judge_innovations
 from becalm.core.arrays import Floats
 from becalm.core.components import motion
-from becalm.core.filtering import elapsed_timeline, run_filter
+from becalm.core.filtering import run_filter
+from becalm.core.timeline import elapsed_timeline
 from becalm.metrics.evenness import uneven_share
 from becalm.metrics.whiteness import mean_nis, whiteness
 

@@ -14,12 +14,14 @@ from becalm.errors import ModelError
 T = 1e-4
 MODELS = {
     "gyroscope, never settles here": Model(
-        F=[[1, T], [0, 1]], H=[[1, 0]], Q=np.eye(2), R=[[1e-6]], G=T * np.eye(2), x0=[0, 0], P0=np.eye(2)
+        F=np.array([[1, T], [0, 1]]), H=[[1, 0]], Q=np.eye(2), R=[[1e-6]], G=T * np.eye(2), x0=[0, 0], P0=np.eye(2)
     ),
     "flat start": Model(F=[[1, 1], [0, 1]], H=[[1, 0]], Q=0.1 * np.eye(2), R=[[1]]),
     "two channels": Model(F=[[1.0, 1.0], [0.0, 0.9]], H=[[1, 0], [1, 1]], Q=np.eye(2), R=[[1.0, 0.3], [0.3, 2.0]]),
     "wide prior": Model(F=[[1, 1], [0, 1]], H=[[1, 0]], Q=0.1 * np.eye(2), R=[[1]], x0=[0, 0], P0=1e12 * np.eye(2)),
-    "never observed": Model(F=[[1, T], [0, 1]], H=[[0, 1]], Q=np.eye(2), R=[[1]], x0=[0, 0], P0=np.ones((2, 2))),
+    "never observed": Model(
+        F=np.array([[1, T], [0, 1]]), H=[[0, 1]], Q=np.eye(2), R=[[1]], x0=[0, 0], P0=np.ones((2, 2))
+    ),
 }
 
 

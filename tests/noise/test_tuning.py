@@ -155,3 +155,15 @@ def test_evidence_keeps_the_time_between_the_readings_that_arrived() -> None:
     evidence = Evidence.of(z, even(7))
     assert np.array_equal(evidence.z, [[1.0], [2.0], [3.0]])
     assert np.array_equal(evidence.elapsed, [0.0, 3.0, 1.0])
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_stretches_a_long_time_apart_are_tuned_like_one(order: int) -> None:
+    """Nothing can be followed across ten million steps; each stretch tells the same noise."""
+    elapsed, z = even(4000), RECORDS[order].copy()
+    elapsed[[1000, 2500]] = 1e7
+    apart, whole = tuned(order, z, elapsed), tuned(order, z, even(4000))
+    assert apart.noise_variance == pytest.approx(whole.noise_variance, rel=0.02)
+    assert np.log(apart.ratio / whole.ratio) == pytest.approx(0.0, abs=2 * order * 0.05)
+    assert apart.count == 4000 - 3 * UNSCORED
+    assert choose(z, elapsed).tuning is not None

@@ -46,6 +46,8 @@ class ChannelReport:
         -3 dB bandwidth and delay of a slow signal.
     log_likelihood : float or None
         Of the readings, given the recipe.
+    settled_row : int or None
+        The first row whose gain was the settled one.
     whiteness_p : float or None
         Ljung-Box, 20 lags.
     first_correlation : float or None
@@ -73,6 +75,7 @@ class ChannelReport:
     bandwidth_hz: float | None = None
     lag_s: float | None = None
     log_likelihood: float | None = None
+    settled_row: int | None = None
     whiteness_p: float | None = None
     first_correlation: float | None = None
     predictable_share: float | None = None

@@ -9,13 +9,13 @@ from rich.console import Console
 from rich.table import Table
 
 if TYPE_CHECKING:
-    from becalm.files.source import SourceFile
+    from becalm.files.source import Layout
 
 
-def show(file: Path, source: SourceFile) -> None:
+def show(file: Path, layout: Layout) -> None:
     """Print the layout of a file on stdout."""
     out = Console(highlight=False, soft_wrap=True, markup=False)
-    told = source.layout.as_dict()
+    told = layout.as_dict()
     columns = told.pop("columns")
     out.print(f"{file}")
     facts = Table(box=None, show_header=False, pad_edge=False)

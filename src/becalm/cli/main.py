@@ -1,4 +1,4 @@
-"""The commands: inspect, clean, tune, demo. Rooms are loaded inside them, so that --help is quick."""
+"""The commands: inspect, clean, tune, demo, warm. Rooms are loaded inside them, so that --help is quick."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from becalm.errors import BecalmError, UsageError
 
 if TYPE_CHECKING:
     from becalm.cleaning.recipe import Recipe
-    from becalm.files.source import SourceFile
+    from becalm.files.opening import OpenSource
 
 NOT_DESCRIBED = 4
 
@@ -39,13 +39,14 @@ def inspect(
     as_json: o.Json = False,
 ) -> None:
     """Show how a file is understood: columns, units, time."""
-    source = _read(file, Said(channels, rate, time))
-    if as_json:
-        print(json.dumps({"file": str(file), **source.layout.as_dict()}, indent=2))  # noqa: T201
-    else:
-        from becalm.cli.layouts import show
+    from becalm.cli.layouts import show
 
-        show(file, source)
+    with _open(file, Said(channels, rate, time)) as source:
+        layout = source.layout
+    if as_json:
+        print(json.dumps({"file": str(file), **layout.as_dict()}, indent=2))  # noqa: T201
+    else:
+        show(file, layout)
 
 
 @app.command()
@@ -60,43 +61,45 @@ def clean(  # noqa: PLR0913  (the contract's options)
     as_json: o.Json = False,
 ) -> None:
     """Remove the noise from a recording; nothing needs to be chosen."""
-    from becalm.cleaning.pipeline import clean as clean_recording
+    from becalm.cleaning.pipeline import fitted
+    from becalm.cli.streaming import clean_chunks
     from becalm.cli.talk import progress, tell, tell_columns
     from becalm.files.plain import refuse_unwritable, write_text
-    from becalm.files.writing import output_table, write_table
+    from becalm.files.writing import open_output
 
     beside = Path(f"{output}.recipe.toml")
     _refuse_overwriting(file, output, beside)
     refuse_unwritable(output, beside)
     said = Said(channels, rate, time)
     given = _load(recipe)
-    source = _read(file, said if given is None else said.or_as(given))
-    decided = _tuned(source, file, causal, said) if given is None else given
-    mode = True if causal else None
-    named = source.recording.names if channels else None
-    with progress("cleaning", len(decided.channel)) as step:
-        out = clean_recording(source.recording, decided, causal=mode, channels=named, progress=step)
-    text = out.recipe.to_toml()
-    if recipe is not None and beside.exists() and beside.samefile(recipe) and out.recipe != given:
-        raise UsageError(f"{beside} is the recipe itself and would change; name another output with -o.")
-    write_table(output, output_table(source, out.signal, out.sigma), {"becalm.recipe": text})
-    write_text(beside, text)
-    tell(out.reports, out.recipe.mode == "causal")
-    tell_columns(source)
+    with _open(file, said if given is None else said.or_as(given)) as source:
+        decided = _tuned(source, file, causal, said) if given is None else given
+        mode, named = True if causal else None, source.names if channels else None
+        decided = fitted(decided, source.names, source.units, causal=mode, channels=named)
+        text = decided.to_toml()
+        if recipe is not None and beside.exists() and beside.samefile(recipe) and decided != given:
+            raise UsageError(f"{beside} is the recipe itself and would change; name another output with -o.")
+        with progress("cleaning", source.rows) as step, open_output(output, {"becalm.recipe": text}) as out:
+            reports = clean_chunks(source, decided, out.write, step)
+        write_text(beside, text)
+        tell(reports, decided.mode == "causal")
+        tell_columns(source)
+        rows, rate_hz = source.rows, source.rate_hz
+    describes = all(report.describes for report in reports)
     if as_json:
         summary = {
             "file": str(file),
             "output": str(output),
             "recipe": str(beside),
-            "rows": len(source.recording),
-            "rate_hz": source.recording.rate_hz,
-            "mode": out.recipe.mode,
-            "describes": out.describes,
-            "channels": [report.as_dict() for report in out.reports],
+            "rows": rows,
+            "rate_hz": rate_hz,
+            "mode": decided.mode,
+            "describes": describes,
+            "channels": [report.as_dict() for report in reports],
         }
         print(json.dumps(summary, indent=2))  # noqa: T201
     typer.echo(f"Wrote {output} and {beside}.", err=True)
-    if not out.describes:
+    if not describes:
         typer.echo(
             "The output is written, but not every channel is described by its model: leave those out with"
             f" --channels, or look at them with: becalm inspect {file}",
@@ -120,8 +123,8 @@ def tune(  # noqa: PLR0913  (the contract's options)
 
     _refuse_overwriting(file, output)
     said = Said(channels, rate, time)
-    source = _read(file, said)
-    found = _tuned(source, file, causal, said)
+    with _open(file, said) as source:
+        found = _tuned(source, file, causal, said)
     write_text(output, found.to_toml())
     if as_json:
         print(json.dumps({"file": str(file), "recipe": str(output), **found.model_dump()}, indent=2))  # noqa: T201
@@ -136,6 +139,14 @@ def demo(
     from becalm.cli.demo import run
 
     run(output)
+
+
+@app.command()
+def warm() -> None:
+    """Compile ahead what the first run would compile, once for all later ones."""
+    from becalm.cli.warm import run
+
+    run()
 
 
 class Said(NamedTuple):
@@ -163,11 +174,11 @@ class Said(NamedTuple):
         return names
 
 
-def _read(file: Path, said: Said) -> SourceFile:
-    from becalm.files.reading import read_source
+def _open(file: Path, said: Said) -> OpenSource:
+    from becalm.files.opening import open_source
     from becalm.files.source import ReadOptions
 
-    return read_source(file, ReadOptions(time=said.time, rate_hz=said.rate_hz, channels=said.names))
+    return open_source(file, ReadOptions(time=said.time, rate_hz=said.rate_hz, channels=said.names))
 
 
 def _load(path: Path | None) -> Recipe | None:
@@ -178,13 +189,16 @@ def _load(path: Path | None) -> Recipe | None:
     return Recipe.load(path)
 
 
-def _tuned(source: SourceFile, file: Path, causal: bool, said: Said) -> Recipe:
+def _tuned(source: OpenSource, file: Path, causal: bool, said: Said) -> Recipe:
     from becalm.cleaning.pipeline import tune as tune_recording
+    from becalm.cli.streaming import rows_to_tune_on
     from becalm.cli.talk import progress
     from becalm.files.hashing import sha256
 
-    with progress("tuning", len(source.recording.names)) as step:
-        found = tune_recording(source.recording, causal=causal, progress=step)
+    with progress("tuning", len(source.names)) as step:
+        found = tune_recording(
+            source.sample(rows_to_tune_on(len(source.names))), causal=causal, progress=lambda name: step(name, 1)
+        )
     origin = found.tuned_on.model_copy(update={"sha256": sha256(file)})
     return found.model_copy(update={"tuned_on": origin, "rate_hz": said.rate_hz, "time": said.time})
 

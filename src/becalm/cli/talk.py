@@ -11,19 +11,19 @@ from rich.table import Table
 
 if TYPE_CHECKING:
     from becalm.cleaning.judging import ChannelReport
-    from becalm.files.source import SourceFile
+    from becalm.files.opening import OpenSource
 
 stderr = Console(stderr=True, highlight=False, soft_wrap=True, markup=False)
 
 
 @contextmanager
-def progress(title: str, count: int) -> Iterator[Callable[[str], None]]:
-    """Show a bar of `count` steps on a terminal, and nothing elsewhere."""
+def progress(title: str, count: int) -> Iterator[Callable[[str, int], None]]:
+    """Show a bar of `count` steps on a terminal, and nothing elsewhere; it is told what was done, and how many."""
     from rich.progress import Progress
 
     with Progress(console=stderr, transient=True, disable=not stderr.is_terminal) as bar:
         task = bar.add_task(title, total=count)
-        yield lambda name: bar.update(task, advance=1, description=f"{title} {name}")
+        yield lambda name, steps: bar.update(task, advance=steps, description=f"{title} {name}".strip())
 
 
 def tell(reports: tuple[ChannelReport, ...], causal: bool) -> None:
@@ -48,13 +48,11 @@ def tell(reports: tuple[ChannelReport, ...], causal: bool) -> None:
             stderr.print(f"{report.name}: {report.says}")
 
 
-def tell_columns(source: SourceFile) -> None:
+def tell_columns(source: OpenSource) -> None:
     """Say which columns were not cleaned, and which of the file's own were replaced."""
-    passed = [f"{column.name} ({column.why})" for column in source.layout.columns if column.role == "passed through"]
-    names = source.recording.names
-    replaced = [
-        name for name in source.table.column_names if name.removesuffix("_sigma") in names and name not in names
-    ]
+    passed = [f"{column.name} ({column.why})" for column in source.columns if column.role == "passed through"]
+    names = source.names
+    replaced = [name for name in source.schema.names if name.removesuffix("_sigma") in names and name not in names]
     if replaced:
         stderr.print(f"Replaced by the new uncertainty: {', '.join(replaced)}.")
     if kept := [text for text in passed if text.partition(" (")[0] not in replaced]:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from becalm.core.arrays import Floats, Integers
+from becalm.core.arrays import Floats
 
 BEYOND_ANY_SENSOR = 1e100
 """A magnitude whose square would leave float64; no sensor reads it."""
@@ -30,21 +30,21 @@ ADVICE = {
 
 
 class Judged(NamedTuple):
-    """Readings that may enter a filter, and the verdict on each."""
+    """Readings that may enter a filter, and how many met each verdict."""
 
     readings: Floats  # (N,) NaN where not used
-    verdicts: Integers  # (N,)
-
-    def counts(self) -> dict[str, int]:
-        """Count each verdict by its name."""
-        return {verdict.name.lower(): int((self.verdicts == verdict).sum()) for verdict in Verdict}
+    counts: dict[Verdict, int]
 
 
 def judge(z: Floats) -> Judged:
-    """Let only finite, possible readings of one channel (N,) through."""
-    verdicts = np.full(z.shape, int(Verdict.USED), dtype=np.int64)
-    with np.errstate(invalid="ignore"):
-        verdicts[np.abs(z) > BEYOND_ANY_SENSOR] = Verdict.OVERRANGE
-    verdicts[np.isinf(z)] = Verdict.NONFINITE
-    verdicts[np.isnan(z)] = Verdict.MISSING
-    return Judged(np.where(verdicts == Verdict.USED, z, np.nan), verdicts)
+    """Let only finite, possible readings of one channel (N,) through; where all are, they come back as they are."""
+    counts = dict.fromkeys(Verdict, 0)
+    if not len(z) or -BEYOND_ANY_SENSOR <= z.min() <= z.max() <= BEYOND_ANY_SENSOR:  # NaN makes both NaN
+        counts[Verdict.USED] = len(z)
+        return Judged(z, counts)
+    used = np.abs(z) <= BEYOND_ANY_SENSOR
+    counts[Verdict.USED] = int(used.sum())
+    counts[Verdict.MISSING] = int(np.isnan(z).sum())
+    counts[Verdict.NONFINITE] = int(np.isinf(z).sum())
+    counts[Verdict.OVERRANGE] = len(z) - sum(counts.values())
+    return Judged(np.where(used, z, np.nan), counts)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -23,6 +24,10 @@ from becalm.core.timeline import elapsed_timeline
 UNSCORED = 3
 """Readings that only start the filter, for every order alike, so that likelihoods compare."""
 
+LONG_GAP = 1000.0
+"""Steps across which a motion is not followed for tuning: what it would predict says next to nothing."""
+
+_MOST_GAPS = 63
 _SLOWEST_CYCLES = 0.2  # of the record: slower cut-offs are a polynomial
 _FASTEST = 4.0  # radians a step: faster cut-offs pass everything
 _GRID_POINTS = 17
@@ -92,6 +97,14 @@ class Evidence:
             whole = np.round(whole)
         return cls(np.ascontiguousarray(readings[seen, np.newaxis]), whole)
 
+    @cached_property
+    def stretches(self) -> list[slice]:
+        """Rows between the longest gaps; across those nothing can be predicted, and each stretch starts anew."""
+        long = np.flatnonzero(self.elapsed > LONG_GAP)
+        long = np.sort(long[np.argsort(self.elapsed[long])[-_MOST_GAPS:]])
+        bounds = [0, *long[long > 0].tolist(), len(self.z)]
+        return [slice(start, stop) for start, stop in pairwise(bounds)]
+
 
 class Candidate:
     """A motion of one order over a record, to be scored at any ratio q/r."""
@@ -101,17 +114,23 @@ class Candidate:
         self.evidence = evidence
         unit = motion(order)
         self._model = unit.to_model(1.0, 1.0)
-        self._timeline = elapsed_timeline(unit, 1.0, evidence.elapsed)
+        self._stretches = [
+            (elapsed_timeline(unit, 1.0, evidence.elapsed[part]), evidence.z[part]) for part in evidence.stretches
+        ]
 
     def score(self, ratio: float) -> Score:
         """Return the likelihood at q/r = `ratio`, maximised over r."""
-        system = self._timeline.system
-        scaled = self._timeline._replace(system=system._replace(Q=read_only(system.Q * ratio)))
-        found = score(self._model, scaled, self.evidence.z, UNSCORED)
-        if found is None or not found.used:
+        squares, log_det, used = 0.0, 0.0, 0
+        for timeline, z in self._stretches:
+            system = timeline.system
+            scaled = timeline._replace(system=system._replace(Q=read_only(system.Q * ratio)))
+            found = score(self._model, scaled, z, UNSCORED)
+            if found is not None:
+                squares, log_det, used = squares + found.squares, log_det + found.log_det, used + found.used
+        if not used:
             return Score(-np.inf, 0.0, 0)
-        r = max(found.squares / found.used, self._smallest_variance())
-        return Score(-0.5 * (found.used * (np.log(2 * np.pi * r) + 1) + found.log_det), r, found.used)
+        r = max(squares / used, self._smallest_variance())
+        return Score(-0.5 * (used * (np.log(2 * np.pi * r) + 1) + log_det), r, used)
 
     def _smallest_variance(self) -> float:
         """Return what rounding alone leaves of a noise-free record, in unit^2."""
@@ -139,7 +158,7 @@ def tune_motion(order: int, evidence: Evidence) -> Tuning:
     A grid over the logarithm of the cut-off finds the region, from the fastest downwards and until
     the likelihood has fallen far; Brent's method finds the maximum.
     """
-    span = max(float(evidence.elapsed.sum()), 4.0)
+    span = max(4.0, *(float(evidence.elapsed[part][1:].sum()) for part in evidence.stretches))
     slowest, fastest = 2 * np.pi * _SLOWEST_CYCLES / span, _FASTEST
     grid = np.linspace(np.log(fastest), np.log(slowest), _GRID_POINTS)
     candidate = Candidate(order, evidence)

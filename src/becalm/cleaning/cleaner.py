@@ -1,0 +1,114 @@
+"""All channels of a recording on their way through a recipe, some rows at a time."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+
+from becalm.cleaning.channels import Channel, open_channel
+from becalm.cleaning.judging import ChannelReport
+from becalm.cleaning.recipe import Recipe
+from becalm.core.arrays import Floats
+from becalm.core.flow import Told
+
+
+class Cleaner:
+    """Cleans a recording of any length in constant memory; use it in a `with`, which ends its threads.
+
+    Parameters
+    ----------
+    recipe : Recipe
+        What to do; its channels are those of every push, in this order.
+    step_s : float
+        The step that elapsed steps are counted in, in seconds.
+
+    Raises
+    ------
+    RecipeError
+        If a channel's numbers make no filter at this step.
+    """
+
+    def __init__(self, recipe: Recipe, step_s: float) -> None:
+        causal = recipe.mode == "causal"
+        self._channels: list[Channel] = [open_channel(channel, step_s, causal) for channel in recipe.channel]
+        self._ready = [_Rows() for _ in self._channels]
+        self._sizes: deque[int] = deque()  # of pushes that were not answered yet
+        self._pool = ThreadPoolExecutor()
+
+    def push(self, columns: Sequence[Floats], elapsed: Floats) -> list[list[Told]]:
+        """Take the next rows of all channels.
+
+        Parameters
+        ----------
+        columns : sequence of (B,) float arrays
+            One a channel, NaN where missing.
+        elapsed : (B,) float array
+            Steps since the row before.
+
+        Returns
+        -------
+        list of list of Told
+            One for each push that is answered now, in order: what each channel says of its rows.
+        """
+        self._sizes.append(len(elapsed))
+        told = self._pool.map(lambda channel, z: channel.push(z, elapsed), self._channels, columns)
+        return self._answers(list(told))
+
+    def finish(self) -> list[list[Told]]:
+        """Say that no more rows will come; answer the pushes that are left."""
+        return self._answers(list(self._pool.map(lambda channel: channel.finish(), self._channels)))
+
+    def reports(self) -> tuple[ChannelReport, ...]:
+        """Say what was found for each channel, once finished."""
+        return tuple(self._pool.map(lambda channel: channel.report(), self._channels))
+
+    def _answers(self, told: list[list[Told]]) -> list[list[Told]]:
+        for rows, parts in zip(self._ready, told, strict=True):
+            rows.add(parts)
+        answers = []
+        while self._sizes and all(rows.count >= self._sizes[0] for rows in self._ready):
+            size = self._sizes.popleft()
+            answers.append([rows.take(size) for rows in self._ready])
+        return answers
+
+    def __enter__(self) -> Self:
+        """Return itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, cause: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """End the threads."""
+        self._pool.shutdown(cancel_futures=True)
+
+
+class _Rows:
+    """Clean rows of a channel that were not asked for yet."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._parts: deque[Told] = deque()
+
+    def add(self, parts: list[Told]) -> None:
+        self._parts.extend(parts)
+        self.count += sum(len(part.signal) for part in parts)
+
+    def take(self, count: int) -> Told:
+        """Return the first `count` rows; a part of that length as it is."""
+        taken: list[Told] = []
+        self.count -= count
+        while count or not taken:
+            part = self._parts.popleft() if self._parts else Told(np.empty(0), np.empty(0))
+            if len(part.signal) > count:
+                self._parts.appendleft(Told(part.signal[count:], part.sigma[count:]))
+                part = Told(part.signal[:count], part.sigma[:count])
+            count -= len(part.signal)
+            taken.append(part)
+        if len(taken) == 1:
+            return taken[0]
+        return Told(*(np.concatenate(arrays) for arrays in zip(*taken, strict=True)))
