@@ -9,7 +9,17 @@ from __future__ import annotations
 from becalm.core.arrays import Floats
 from becalm.core.compiling import compiled, compiled_part
 from becalm.core.kernel_ahead import BLOCK, multiply, new_loop
-from becalm.core.kernel_block import Record, close_loop, is_settled, new_block, run_of, settled_block, step_of
+from becalm.core.kernel_block import (
+    Record,
+    close_loop,
+    is_settled,
+    new_block,
+    read_block,
+    run_of,
+    settled_block,
+    step_of,
+)
+from becalm.core.kernel_one import moving_block, new_moving
 from becalm.core.kernel_return import (
     Future,
     inform,
@@ -20,6 +30,8 @@ from becalm.core.kernel_return import (
     write_smoothed_block,
     write_spread_block,
 )
+from becalm.core.kernel_return_one import return_moving
+from becalm.core.kernel_row import advance
 from becalm.core.kernel_settling import (
     FIRST_CHECK,
     LOAD,
@@ -28,12 +40,11 @@ from becalm.core.kernel_settling import (
     SETTLED,
     STEADY,
     Watch,
-    advance,
     new_watch,
     transfer,
 )
 from becalm.core.kernel_steps import State, System, new_state, shrink
-from becalm.core.kernels import Trace, write_belief
+from becalm.core.kernels import Trace, can_move, write_belief
 from becalm.core.sized import Sizes, stack_matrix, stack_vector
 
 
@@ -93,6 +104,18 @@ def write_smoothed(sizes: Sizes, trace: Trace, row: int, H: Floats, state: State
 
 
 @compiled_part
+def can_return_moving(sizes: Sizes, record: Record, run: int, row: int, trace: Trace) -> bool:
+    """Whether a whole block of one channel follows one step, and no states of its rows are wanted."""
+    return bool(trace.mean.shape[1] == 0 and can_move(sizes, record, run, row, trace))
+
+
+@compiled_part
+def unsettle(future: Future) -> None:
+    """Note that N has not settled."""
+    future.counters[SETTLED], future.counters[STEADY], future.counters[NEXT_CHECK] = 0.0, 0.0, FIRST_CHECK
+
+
+@compiled_part
 def return_row(  # noqa: PLR0913
     sizes: Sizes, system: System, step: int, row: int, memory: Floats, state: State, watch: Watch, future: Future,
     trace: Trace,
@@ -117,7 +140,7 @@ def backward(  # noqa: PLR0913  (a door for Python: what is read, what moves, wh
     """
     state, watch, block, back = new_state(sizes), new_watch(sizes), new_block(sizes), new_return(sizes)
     loop, HF, ready = new_loop(sizes.states, sizes.channels), stack_matrix(sizes.channels, sizes.states), False
-    stop, run = len(record.z), len(record.step) - 1
+    stop, run, moving = len(record.z), len(record.step) - 1, new_moving(sizes)
     while stop > begun:
         start = max((stop - 1) // BLOCK * BLOCK, begun)
         transfer(sizes, state, watch, memory[1 + start // BLOCK], LOAD)
@@ -135,6 +158,14 @@ def backward(  # noqa: PLR0913  (a door for Python: what is read, what moves, wh
                 stop = start
                 continue
         ready = False
+        if start + BLOCK == stop and can_return_moving(sizes, record, run, start, trace):
+            step = step_of(system, record.step[run])
+            read_block(sizes, record.z, start, block)
+            if moving_block(sizes, step, state, block, moving):
+                return_moving(sizes, step, block, moving, future, trace, start)
+                unsettle(future)
+                stop = start
+                continue
         for row in range(start, stop):
             run = run_of(record, row, run)
             step = record.step[run]
@@ -143,5 +174,5 @@ def backward(  # noqa: PLR0913  (a door for Python: what is read, what moves, wh
         for row in range(stop - 1, start - 1, -1):
             run = run_of(record, row, run)
             return_row(sizes, system, record.step[run], row, rows[row - start], state, watch, future, trace)
-        future.counters[SETTLED], future.counters[STEADY], future.counters[NEXT_CHECK] = 0.0, 0.0, FIRST_CHECK
+        unsettle(future)
         stop = start

@@ -80,7 +80,7 @@ def rehearse(  # noqa: PLR0913  (a door for Python)
         joseph(sizes, system.H, system.R, state)
         for c in range(len(sizes.channels)):
             table.sigma[c, row] = spread(sizes, system.H, state.P, c)
-        notice(sizes, state, watch, step, True)
+        notice(sizes, state, watch, step, True, 1)
         row += 1
     transfer(sizes, state, watch, memory[0], SAVE)
     return row

@@ -65,6 +65,15 @@ def close_loop(sizes: Sizes, system: System, step: int, state: State, loop: Loop
 
 
 @compiled_part
+def read_block(sizes: Sizes, z: Floats, row: int, block: Block) -> None:
+    """Copy the readings of a block, a row of their own for each channel."""
+    for c in range(len(sizes.channels)):
+        readings, own = down(z, row, c, sizes.channels, BLOCK), block.z[c]
+        for k in range(BLOCK):
+            own[k] = readings[k]
+
+
+@compiled_part
 def settled_block(  # noqa: PLR0913
     sizes: Sizes, z: Floats, row: int, state: State, loop: Loop, HF: Floats, block: Block
 ) -> float:
@@ -73,10 +82,7 @@ def settled_block(  # noqa: PLR0913
     -1, and nothing done, where a reading is missing or a state runs away.
     """
     n, x = len(sizes.states), block.x
-    for c in range(len(sizes.channels)):
-        readings, own = down(z, row, c, sizes.channels, BLOCK), block.z[c]
-        for k in range(BLOCK):
-            own[k] = readings[k]
+    read_block(sizes, z, row, block)
     for i in range(n):
         x[i][0] = state.x[i]
     run_block(sizes.states, sizes.channels, loop, block.z, x)

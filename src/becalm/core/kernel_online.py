@@ -16,6 +16,7 @@ from becalm.core.arrays import Floats
 from becalm.core.compiling import compiled, compiled_part, woven
 from becalm.core.kernel_ahead import multiply
 from becalm.core.kernel_block import TAME
+from becalm.core.kernel_row import advance
 from becalm.core.kernel_settling import (
     GAIN,
     LAST_STEP,
@@ -23,7 +24,6 @@ from becalm.core.kernel_settling import (
     SAVE,
     SETTLED,
     Watch,
-    advance,
     new_memory,
     new_watch,
     transfer,

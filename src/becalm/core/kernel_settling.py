@@ -8,7 +8,7 @@ import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.core.compiling import compiled_part, woven
-from becalm.core.kernel_steps import State, Step, correct, joseph, look, predict, settled_step, weigh
+from becalm.core.kernel_steps import State
 from becalm.core.sized import Size, Sizes, size, stack_matrix, stack_vector
 
 FOUR: Size = size(4)
@@ -132,36 +132,15 @@ def compare(sizes: Sizes, state: State, watch: Watch) -> float:
 
 
 @compiled_part
-def notice(sizes: Sizes, state: State, watch: Watch, step: int, complete: bool) -> None:
-    """Notice that the gain has settled: the same now as at an eighth of the stretch before."""
+def notice(  # noqa: PLR0913
+    sizes: Sizes, state: State, watch: Watch, step: int, complete: bool, rows: int
+) -> None:
+    """Notice, after some rows, that the gain has settled: the same now as at an eighth of the stretch before."""
     counters = watch.counters
     if not complete or step != counters[LAST_STEP]:
-        counters[SETTLED], counters[STEADY], counters[NEXT_CHECK] = 0.0, 0.0, FIRST_CHECK
+        counters[SETTLED], counters[STEADY], counters[NEXT_CHECK] = 0.0, -1.0, FIRST_CHECK
         counters[LAST_STEP] = step if complete else _NO_STEP
-        return
-    counters[STEADY] += 1.0
+    counters[STEADY] += rows
     if counters[STEADY] >= counters[NEXT_CHECK]:
-        counters[NEXT_CHECK] = max(counters[NEXT_CHECK] + FIRST_CHECK, counters[NEXT_CHECK] * _STRETCHED)
+        counters[NEXT_CHECK] = max(counters[STEADY] + FIRST_CHECK, counters[STEADY] * _STRETCHED)
         counters[SETTLED] = compare(sizes, state, watch)
-
-
-@compiled_part
-def advance(  # noqa: PLR0913  (a part of the loops, which keep these apart for the compiler)
-    sizes: Sizes, step: Step, number: int, z: Floats, row: int, state: State, watch: Watch, enough: float
-) -> None:
-    """Take one row of readings (N, m) after a step; its number tells steps apart, -1 stands for none.
-
-    A gain is used again once `enough` has settled.
-    """
-    count = look(sizes, z, row, state)
-    complete = count == len(sizes.channels)
-    if complete and watch.counters[SETTLED] >= enough and number == watch.counters[LAST_STEP]:
-        settled_step(sizes, step.F, step.H, z, row, state)
-        return
-    if number >= 0:
-        predict(sizes, step.F, step.Q, state)
-    weigh(sizes, step.H, step.R, state)
-    correct(sizes, step.H, z, row, state)
-    if count:
-        joseph(sizes, step.H, step.R, state)
-    notice(sizes, state, watch, number, complete)

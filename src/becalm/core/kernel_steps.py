@@ -15,7 +15,7 @@ from becalm.core.compiling import compiled_part, woven
 from becalm.core.sized import Sizes, stack_matrix, stack_vector
 from becalm.core.verdict import BEYOND_ANY_SENSOR
 
-_LARGEST = 1e200  # an unobservable, unstable state saturates here and cannot spoil the others
+LARGEST = 1e200  # an unobservable, unstable state saturates here and cannot spoil the others
 _DEAD_PIVOT = 1e-15
 LARGEST_READING = BEYOND_ANY_SENSOR
 
@@ -69,31 +69,24 @@ def new_state(sizes: Sizes) -> State:
 def saturate(sizes: Sizes, P: Floats) -> None:
     """Shrink what has grown beyond measure, row and column alike, so that P stays a covariance."""
     for i in range(len(sizes.states)):
-        if P[i, i] > _LARGEST:
-            factor = np.sqrt(_LARGEST / P[i, i])
+        if P[i, i] > LARGEST:
+            factor = np.sqrt(LARGEST / P[i, i])
             for j in range(len(sizes.states)):
                 P[i, j] *= factor
                 P[j, i] *= factor
 
 
 @compiled_part
-def predict(sizes: Sizes, F: Floats, Q: Floats, state: State) -> None:
-    """Equations (1) and (2)."""
-    n = len(sizes.states)
-    x, P = state.x, state.P
-    Fx, FP = stack_vector(sizes.states), stack_matrix(sizes.states, sizes.states)
+def move(sizes: Sizes, F: Floats, Q: Floats, P: Floats) -> None:
+    """Equation (2), P = F P F' + Q."""
+    n, FP = len(sizes.states), stack_matrix(sizes.states, sizes.states)
     for i in range(n):
-        s = 0.0
-        for k in range(n):
-            s += F[i, k] * x[k]
-        Fx[i] = s
         for j in range(n):
             s = 0.0
             for k in range(n):
                 s += F[i, k] * P[k, j]
             FP[i, j] = s
     for i in range(n):
-        x[i] = min(max(Fx[i], -_LARGEST), _LARGEST)
         for j in range(i + 1):
             s = Q[i, j]
             for k in range(n):
@@ -101,6 +94,20 @@ def predict(sizes: Sizes, F: Floats, Q: Floats, state: State) -> None:
             P[i, j] = s
             P[j, i] = s
     saturate(sizes, P)
+
+
+@compiled_part
+def predict(sizes: Sizes, F: Floats, Q: Floats, state: State) -> None:
+    """Equations (1) and (2)."""
+    n, Fx = len(sizes.states), stack_vector(sizes.states)
+    for i in range(n):
+        s = 0.0
+        for k in range(n):
+            s += F[i, k] * state.x[k]
+        Fx[i] = s
+    for i in range(n):
+        state.x[i] = min(max(Fx[i], -LARGEST), LARGEST)
+    move(sizes, F, Q, state.P)
 
 
 @compiled_part
@@ -234,7 +241,7 @@ def settled_step(  # noqa: PLR0913
             s += F[i, k] * state.x[k]
         Fx[i] = s
     for i in range(n):
-        state.x[i] = min(max(Fx[i], -_LARGEST), _LARGEST)
+        state.x[i] = min(max(Fx[i], -LARGEST), LARGEST)
     correct(sizes, H, readings, row, state)
 
 

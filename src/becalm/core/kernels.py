@@ -21,11 +21,14 @@ from becalm.core.kernel_block import (
     is_settled,
     log_det_of,
     new_block,
+    read_block,
     run_of,
     settled_block,
     step_of,
 )
-from becalm.core.kernel_settling import LOAD, SAVE, SETTLED, Watch, advance, new_watch, transfer
+from becalm.core.kernel_one import Moving, moving_block, new_moving, score_moving
+from becalm.core.kernel_row import advance
+from becalm.core.kernel_settling import LOAD, SAVE, SETTLED, Watch, new_watch, notice, transfer
 from becalm.core.kernel_steps import State, System, new_state, whiten
 from becalm.core.sized import Sizes, across, stack_matrix
 
@@ -118,6 +121,31 @@ def write_cov(sizes: Sizes, trace: Trace, k: int, P: Floats) -> None:
 
 
 @compiled_part
+def can_move(sizes: Sizes, record: Record, run: int, row: int, trace: Trace) -> bool:
+    """Whether a whole block of one channel follows one step, and no covariances of its rows are wanted."""
+    alike = record.step[run] >= 0 and row + BLOCK <= record.first[run + 1]
+    return bool(len(sizes.channels) == 1 and alike and trace.cov.shape[2] == 0)
+
+
+@compiled_part
+def write_moving(sizes: Sizes, trace: Trace, row: int, H: Floats, block: Block, moving: Moving) -> None:  # noqa: PLR0913
+    """Write a block of one channel whose gain still moves."""
+    if trace.signal.shape[1]:
+        combine(sizes.states, H[0], block.x, 1, across(trace.signal, 0, row, BLOCK))
+    if trace.sigma.shape[1]:
+        copy(moving.sigma, 0, across(trace.sigma, 0, row, BLOCK))
+    if trace.innovation.shape[1]:
+        copy(block.nu[0], 0, across(trace.innovation, 0, row, BLOCK))
+    if trace.innovation_sigma.shape[1]:
+        expected = across(trace.innovation_sigma, 0, row, BLOCK)
+        for k in range(BLOCK):
+            expected[k] = np.sqrt(moving.S[k])
+    if trace.mean.shape[1]:
+        for i in range(len(sizes.states)):
+            copy(block.x[i], 1, across(trace.mean, i, row, BLOCK))
+
+
+@compiled_part
 def take_row(  # noqa: PLR0913
     sizes: Sizes, system: System, record: Record, run: int, row: int, state: State, watch: Watch, enough: float,
     trace: Trace,
@@ -146,8 +174,8 @@ def forward(  # noqa: PLR0913  (a door for Python: what is read, what moves, wha
     state, watch, block = new_state(sizes), new_watch(sizes), new_block(sizes)
     loop, HF, ready = new_loop(sizes.states, sizes.channels), stack_matrix(sizes.channels, sizes.states), False
     transfer(sizes, state, watch, memory[0], LOAD)
+    moving, block_log_det, live = new_moving(sizes), 0.0, 0
     squares, log_det, used, settled, run = 0.0, 0.0, 0, -1, 0
-    block_log_det, live = 0.0, 0
     row, count = begun, len(record.z)
     while row < count:
         stop = min((row // BLOCK + 1) * BLOCK, count)
@@ -166,6 +194,14 @@ def forward(  # noqa: PLR0913  (a door for Python: what is read, what moves, wha
                 squares, log_det, used, row = squares + s, log_det + BLOCK * block_log_det, used + BLOCK * live, stop
                 continue
         ready = False
+        if stop - row == BLOCK and can_move(sizes, record, run, row, trace):
+            read_block(sizes, record.z, row, block)
+            if moving_block(sizes, step_of(system, record.step[run]), state, block, moving):
+                notice(sizes, state, watch, record.step[run], True, BLOCK)
+                write_moving(sizes, trace, row, system.H, block, moving)
+                s, d, dimension = score_moving(block, moving)
+                squares, log_det, used, row = squares + s, log_det + d, used + dimension, stop
+                continue
         while row < stop:
             run = run_of(record, row, run)
             s, d, dimension = take_row(sizes, system, record, run, row, state, watch, enough, trace)

@@ -1,0 +1,95 @@
+"""`becalm warm` compiles once, says where it keeps what it made, and leaves nothing for the first clean."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+SOURCE = Path(__file__).parents[2] / "src" / "becalm"
+
+Run = Callable[..., subprocess.CompletedProcess[str]]
+
+
+@pytest.fixture
+def fresh(tmp_path: Path) -> Run:
+    """Run a copy of becalm, of which nothing was compiled."""
+    site = tmp_path / "site"
+    shutil.copytree(SOURCE, site / "becalm", ignore=shutil.ignore_patterns("__pycache__"))
+
+    def becalm(*words: object, **more: str) -> subprocess.CompletedProcess[str]:
+        environment = {key: value for key, value in os.environ.items() if not key.startswith(("NUMBA", "XDG"))}
+        environment |= {"PYTHONPATH": str(site), "COLUMNS": "200"} | more
+        command = [sys.executable, "-m", "becalm", *map(str, words)]
+        return subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, env=environment, check=False)
+
+    return becalm
+
+
+def kernels(folder: Path) -> dict[Path, int]:
+    return {path: path.stat().st_mtime_ns for path in folder.rglob("*.nbc")}
+
+
+def test_where_nothing_can_be_kept_it_says_so(fresh: Run, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("", encoding="utf-8")
+    (tmp_path / "site" / "becalm" / "core" / "__pycache__").write_text("", encoding="utf-8")
+    ran = fresh("warm", XDG_CACHE_HOME=str(tmp_path / "file"))
+    assert ran.returncode == 2
+    assert "NUMBA_CACHE_DIR" in ran.stderr
+    assert "Traceback" not in ran.stderr
+
+
+@pytest.mark.parametrize("command", ["warm", "clean"])
+def test_an_interpreter_that_may_not_compile_is_told(fresh: Run, drive: Path, command: str) -> None:
+    words = [] if command == "warm" else [drive, "-o", "out.csv"]
+    ran = fresh(command, *words, NUMBA_DISABLE_JIT="1")
+    assert ran.returncode == 2, ran.stderr
+    assert ran.stderr.startswith("becalm: NUMBA_DISABLE_JIT is set")
+    assert "Traceback" not in ran.stderr
+    assert not (drive.parent / "out.csv").exists()
+
+
+@pytest.mark.slow
+def test_warm_leaves_nothing_to_compile(fresh: Run, drive: Path, tmp_path: Path) -> None:
+    cache = tmp_path / "cache"
+    first = fresh("warm", NUMBA_CACHE_DIR=str(cache))
+    assert first.returncode == 0, first.stderr
+    assert first.stdout == ""
+    assert [line.partition(":")[0] for line in first.stderr.splitlines()[:-1]] == [
+        f"{kernel}, order {order}" for order in (1, 2, 3) for kernel in ("forward", "backward", "live run", "live step")
+    ]
+    assert str(cache) in first.stderr.splitlines()[-1]
+    made = kernels(cache)
+    second = fresh("warm", NUMBA_CACHE_DIR=str(cache))
+    assert second.returncode == 0, second.stderr
+    assert len(second.stderr.splitlines()) == 1
+    assert "already" in second.stderr
+    for mode in ([], ["--causal"]):
+        ran = fresh("clean", drive, "-o", "out.csv", *mode, NUMBA_CACHE_DIR=str(cache))
+        assert ran.returncode in (0, 4), ran.stderr
+    assert kernels(cache) == made
+
+
+@pytest.mark.slow
+def test_three_first_runs_at_once(fresh: Run, drive: Path, tmp_path: Path) -> None:
+    assert fresh("--help").returncode == 0
+    environment = os.environ | {"PYTHONPATH": str(tmp_path / "site"), "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    started = [
+        subprocess.Popen(
+            [sys.executable, "-m", "becalm", "clean", drive, "-o", tmp_path / f"out{k}.csv"],
+            stderr=subprocess.PIPE,
+            text=True,
+            env=environment,
+        )
+        for k in range(3)
+    ]
+    for process in started:
+        said = process.communicate()[1]
+        assert process.returncode in (0, 4), said
+    outputs = {(tmp_path / f"out{k}.csv").read_bytes() for k in range(3)}
+    assert len(outputs) == 1
