@@ -53,6 +53,7 @@ class Online:
     def __init__(self, model: Model) -> None:
         self.model = model
         self._kernels = live_kernels(*sizes_of(model))
+        self._width = model.channels
         self._live: Floats | None = None
         self._quick: Callable[[float], tuple[float, float]] | None = None
         self._known: Information | None = None  # what the opening has gathered, once a reading came
@@ -100,20 +101,20 @@ class Online:
         ModelError
             If the block does not fit the model.
         """
-        live = self._live
-        if (
-            live is not None
-            and self._quick is not None
-            and type(block) is np.ndarray
-            and block.ndim == 1
-            and block.dtype is _FLOAT64
-        ):  # the shortest way: these need no look
-            out = np.empty((2, len(block), 1))
-            self._kernels.run(live, block.copy(), out)
+        live, width = self._live, self._width
+        if live is None or type(block) is not np.ndarray or block.dtype is not _FLOAT64:
+            return self._run_any(block)
+        if (block.ndim == 2 and block.shape[1] == width) or block.ndim == width == 1:
+            out = np.empty((2, len(block), width))
+            self._kernels.run(live, block.flatten(), out)  # a copy: kernels know one kind of array
             return out[0], out[1]
+        return self._run_any(block)
+
+    def _run_any(self, block: ArrayLike) -> tuple[Floats, Floats]:
+        """Take a block of any kind, perhaps while nothing is known yet."""
         z = checked_readings(self.model, block)
-        if live is not None:
-            return self._run(z, live)
+        if self._live is not None:
+            return self._run(z, self._live)
         signal, sigma = np.empty(z.shape), np.empty(z.shape)
         for k, row in enumerate(z):
             signal[k], variance = self._gather(row)
@@ -125,7 +126,7 @@ class Online:
 
     def _run(self, z: Floats, live: Floats) -> tuple[Floats, Floats]:
         out = np.empty((2, *z.shape))
-        self._kernels.run(live, z.ravel().copy(), out)  # a copy: kernels know one kind of array
+        self._kernels.run(live, z.flatten(), out)
         return out[0], out[1]
 
     def _gather(self, row: Floats) -> tuple[Floats, Floats]:
