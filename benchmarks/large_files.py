@@ -1,0 +1,113 @@
+"""`becalm clean` with a recipe on a large Parquet file, beside reading and writing it with pyarrow.
+
+A time column and six channels of random walks in white noise, float64, snappy. Whole processes, wall
+clock, in turns; medians are told, and the most memory that any run held. pyarrow reads the whole table
+and writes it again as it is; becalm also writes a column of uncertainties for each channel.
+
+Run: python benchmarks/large_files.py [--rows 10000000] [--repeats 7] [-o docs/large-files.md]
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from statistics import median
+from typing import NamedTuple
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+CHANNELS, BLOCK = 6, 1 << 20
+COPY = "import sys, pyarrow.parquet as pq; pq.write_table(pq.read_table(sys.argv[1]), sys.argv[2])"
+
+
+class Ran(NamedTuple):
+    """What one process took."""
+
+    seconds: float
+    megabytes: float
+
+
+def make(path: Path, rows: int) -> None:
+    """Write the recording, a block at a time."""
+    rng, last = np.random.default_rng(3), np.zeros(CHANNELS)
+    writer: pq.ParquetWriter | None = None
+    for first in range(0, rows, BLOCK):
+        count = min(BLOCK, rows - first)
+        columns = {"time_s": (first + np.arange(count)) / 1000}
+        for i in range(CHANNELS):
+            walk = last[i] + np.cumsum(rng.normal(0, 10.0 ** (-i / 2 - 1), count))
+            last[i] = walk[-1]
+            columns[f"channel_{i}"] = walk + rng.normal(0, 1, count)
+        table = pa.table(columns)
+        writer = writer or pq.ParquetWriter(path, table.schema)
+        writer.write_table(table)
+    if writer:
+        writer.close()
+
+
+def run(words: list[str]) -> Ran:
+    """Run a process to its end."""
+    start = time.perf_counter()
+    with subprocess.Popen([sys.executable, *words], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+        _, status, usage = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode not in (0, 4):
+        raise SystemExit(f"{' '.join(words)} ended with exit code {process.returncode}.")
+    return Ran(time.perf_counter() - start, usage.ru_maxrss / 1024)
+
+
+def table(rows: int, repeats: int) -> str:
+    """Measure, and write the rows of the table."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        source = folder / "in.parquet"
+        make(source, rows)
+        jobs = {"pyarrow: read and write": ["-c", COPY, str(source), str(folder / "copy.parquet")]}
+        for mode, words in (("causal", ["--causal"]), ("smoothed", [])):
+            recipe = str(folder / f"{mode}.toml")
+            run(["-m", "becalm", "tune", str(source), "-o", recipe, *words])
+            output = str(folder / f"{mode}.parquet")
+            jobs[f"becalm clean, {mode}"] = ["-m", "becalm", "clean", str(source), "-o", output, "--recipe", recipe]
+        took: dict[str, list[Ran]] = {job: [] for job in jobs}
+        for _ in range(repeats):
+            for job, words in jobs.items():
+                took[job].append(run(words))
+    asked = {"becalm clean, causal": "at most 1.6", "becalm clean, smoothed": "at most 2"}
+    base = [ran.seconds for ran in next(iter(took.values()))]
+    lines = [
+        f"{rows:,} rows, {repeats} turns.",
+        "",
+        "| job | seconds | ratio | asked | most MB |",
+        "|---|---|---|---|---|",
+    ]
+    for job, runs in took.items():
+        ratio = median(ran.seconds / copied for ran, copied in zip(runs, base, strict=True))
+        most = max(ran.megabytes for ran in runs)
+        seconds = median(ran.seconds for ran in runs)
+        lines.append(f"| {job} | {seconds:.2f} | {ratio:.2f} | {asked.get(job, '')} | {most:.0f} |")
+    return "\n".join([*lines, ""])
+
+
+def main() -> None:
+    """Print the table; with -o, write it as a page."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser.add_argument("--rows", type=int, nargs="+", default=[10_000_000], help="how long; several may be given")
+    parser.add_argument("--repeats", type=int, default=7, help="turns")
+    parser.add_argument("-o", "--output", type=Path, help="page to write the table to")
+    chosen = parser.parse_args()
+    text = "\n".join(table(rows, chosen.repeats) for rows in chosen.rows)
+    print(text)
+    output: Path | None = chosen.output
+    if output:
+        output.write_text(f"# Large files\n\n{(__doc__ or '').strip()}\n\n{text}", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
