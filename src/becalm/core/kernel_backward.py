@@ -104,9 +104,11 @@ def write_smoothed(sizes: Sizes, trace: Trace, row: int, H: Floats, state: State
 
 
 @compiled_part
-def can_return_moving(sizes: Sizes, record: Record, run: int, row: int, trace: Trace) -> bool:
+def can_return_moving(  # noqa: PLR0913
+    sizes: Sizes, record: Record, run: int, row: int, watch: Watch, trace: Trace
+) -> bool:
     """Whether a whole block of one channel follows one step, and no states of its rows are wanted."""
-    return bool(trace.mean.shape[1] == 0 and can_move(sizes, record, run, row, trace))
+    return bool(trace.mean.shape[1] == 0 and can_move(sizes, record, run, row, watch, trace))
 
 
 @compiled_part
@@ -158,7 +160,7 @@ def backward(  # noqa: PLR0913  (a door for Python: what is read, what moves, wh
                 stop = start
                 continue
         ready = False
-        if start + BLOCK == stop and can_return_moving(sizes, record, run, start, trace):
+        if start + BLOCK == stop and can_return_moving(sizes, record, run, start, watch, trace):
             step = step_of(system, record.step[run])
             read_block(sizes, record.z, start, block)
             if moving_block(sizes, step, state, block, moving):

@@ -12,9 +12,9 @@ import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.core.compiling import compiled_part, woven
-from becalm.core.kernel_ahead import BLOCK, Rows, add_up
-from becalm.core.kernel_block import Block
-from becalm.core.kernel_steps import LARGEST, LARGEST_READING, State, Step, joseph, move, new_state
+from becalm.core.kernel_ahead import BLOCK, Rows, add_up, combine
+from becalm.core.kernel_block import TAME, Block
+from becalm.core.kernel_steps import LARGEST, State, Step, joseph, move, new_state
 from becalm.core.sized import Sizes, stack_rows, stack_vector
 
 _PRODUCTS = 16  # of a block's numbers, whose logarithms are taken
@@ -25,16 +25,13 @@ class Moving(NamedTuple):
     """What changes from row to row of a block while its gain still moves."""
 
     S: Floats  # (BLOCK,) innovation variance
-    sigma: Floats  # (BLOCK,) of H x
     K: Rows  # n of (BLOCK,)
 
 
 @woven
 def new_moving(sizes: Sizes) -> Moving:
     """Make room for it on the stack."""
-    return Moving(
-        stack_rows(sizes.channels, BLOCK)[0], stack_rows(sizes.channels, BLOCK)[0], stack_rows(sizes.states, BLOCK)
-    )
+    return Moving(stack_rows(sizes.channels, BLOCK)[0], stack_rows(sizes.states, BLOCK))
 
 
 class Reach(NamedTuple):
@@ -106,32 +103,39 @@ def subtract(sizes: Sizes, PH: Floats, state: State) -> None:
 def moving_block(sizes: Sizes, step: Step, state: State, block: Block, moving: Moving) -> bool:
     """Run a block of readings, there in block.z, whose gain still moves.
 
-    False, and nothing done, where one of them is missing.
+    False, and nothing done, where one of them is missing or a state runs away, as in `settled_block`.
     """
-    n, reach, missing = len(sizes.states), new_reach(sizes), 0
-    for k in range(BLOCK):
-        missing += not abs(block.z[0][k]) <= LARGEST_READING
-    if missing:
-        return False
+    n, reach, own = len(sizes.states), new_reach(sizes), new_state(sizes)
     reach_back(sizes, step, reach)
-    own = new_state(sizes)  # of this loop alone, so that it stays in registers
-    copy_belief(sizes, state, own)
+    copy_belief(sizes, state, own)  # of this loop alone, so that it stays in registers
     for i in range(n):
         block.x[i][0] = own.x[i]
     for k in range(BLOCK):
         take_one(sizes, step, reach, block.z[0][k], own)
-        HK = 0.0
         for i in range(n):
             block.x[i][k + 1], moving.K[i][k] = own.x[i], own.K[i, 0]
-            HK += step.H[0, i] * own.K[i, 0]
-        block.nu[0][k], moving.S[k], moving.sigma[k] = own.nu[0], own.D[0], HK
+        block.nu[0][k], moving.S[k] = own.nu[0], own.D[0]
+    terms = block.sums[0]
     for k in range(BLOCK):
-        moving.sigma[k] = np.sqrt(max(step.R[0, 0] * moving.sigma[k], 0.0))  # P H' = K R once it is corrected
+        terms[k] = block.nu[0][k] * block.nu[0][k]
+    total = add_up(terms)
+    for i in range(n):
+        total += own.x[i] * own.x[i]
+    if not total <= TAME:
+        return False
     copy_belief(sizes, own, state)
     state.D[0], state.nu[0], state.seen[0] = own.D[0], own.nu[0], 1.0
     for i in range(n):
         state.K[i, 0] = own.K[i, 0]
     return True
+
+
+@compiled_part
+def spread_moving(sizes: Sizes, step: Step, moving: Moving, sigma: Floats) -> None:
+    """Write the standard deviation of H x of a block: P H' = K R once it is corrected."""
+    combine(sizes.states, step.H[0], moving.K, 0, sigma)
+    for k in range(BLOCK):
+        sigma[k] = np.sqrt(max(step.R[0, 0] * sigma[k], 0.0))
 
 
 @compiled_part
@@ -144,16 +148,15 @@ def copy_belief(sizes: Sizes, source: State, target: State) -> None:
 
 
 @compiled_part
-def score_moving(block: Block, moving: Moving) -> tuple[float, float, int]:
+def score_moving(R: float, block: Block, moving: Moving) -> tuple[float, float, int]:
     """Return the sums of nu^2 / S and of log S over a block, and their number; the dead are left out (8)."""
     terms, S, live, squares, log_det = block.sums[0], moving.S, 0, 0.0, 0.0
-    for k in range(BLOCK):
-        live += S[k] > 0.0
-    if live < BLOCK:
+    if not R > 0.0:
         for k in range(BLOCK):
             if S[k] > 0.0:
                 squares += block.nu[0][k] * block.nu[0][k] / S[k]
                 log_det += np.log(S[k])
+                live += 1
         return squares, log_det, live
     for k in range(BLOCK):
         terms[k] = block.nu[0][k] * block.nu[0][k] / S[k]

@@ -88,9 +88,9 @@ def take(  # noqa: PLR0913
         if closed_step(sizes, z, row, state, held.A):
             return
     advance(sizes, step, -1 if live[at] > 0.0 else 0, z, row, state, watch, GAIN)
-    live[at] = 0.0
-    hold(sizes, step, state, held)
-    held.ready[0] = 0.0
+    live[at] = held.ready[0] = 0.0
+    for c in range(len(sizes.channels)):
+        held.sigma[c] = spread(sizes, step.H, state.P, c)
 
 
 @compiled_part

@@ -19,14 +19,14 @@ from becalm.core.sized import Sizes, across, stack_matrix, stack_vector
 def return_moving(  # noqa: PLR0913
     sizes: Sizes, step: Step, block: Block, moving: Moving, future: Future, trace: Trace, row: int
 ) -> None:
-    """Equations (9) to (12) for a block that `moving_block` has run; uses up its sums and sigma."""
+    """Equations (9) to (12) for a block that `moving_block` has run; uses up its sums."""
     reach = new_reach(sizes)
     reach_back(sizes, step, reach)
     if trace.sigma.shape[1]:
-        return_spread(sizes, step, reach, moving, future)
-        sigmas = across(trace.sigma, 0, row, BLOCK)
+        return_spread(sizes, step, reach, moving, future, block.sums[0])
+        sigmas, variances = across(trace.sigma, 0, row, BLOCK), block.sums[0]
         for k in range(BLOCK):
-            sigmas[k] = np.sqrt(max(moving.sigma[k], 0.0))
+            sigmas[k] = np.sqrt(max(variances[k], 0.0))
     return_means(sizes, step, reach, block, moving, future)
     if trace.signal.shape[1]:
         signal, change = across(trace.signal, 0, row, BLOCK), block.sums[0]
@@ -61,8 +61,10 @@ def return_means(  # noqa: PLR0913
 
 
 @compiled_part
-def return_spread(sizes: Sizes, step: Step, reach: Reach, moving: Moving, future: Future) -> None:
-    """Equations (10) and (12): moving.sigma holds sigma and becomes the smoothed variance."""
+def return_spread(  # noqa: PLR0913
+    sizes: Sizes, step: Step, reach: Reach, moving: Moving, future: Future, variance: Floats
+) -> None:
+    """Equations (10) and (12): write the smoothed variance of H x of each row."""
     n, R = len(sizes.states), step.R[0, 0]
     N, A, C = (
         stack_matrix(sizes.states, sizes.states),
@@ -76,9 +78,10 @@ def return_spread(sizes: Sizes, step: Step, reach: Reach, moving: Moving, future
             K[i, 0] = moving.K[i][k]
         s = 0.0
         for i in range(n):
+            s += step.H[0, i] * K[i, 0] * R
             for j in range(n):
-                s += K[i, 0] * N[i, j] * K[j, 0]
-        moving.sigma[k] = moving.sigma[k] * moving.sigma[k] - R * R * s
+                s -= R * K[i, 0] * N[i, j] * K[j, 0] * R
+        variance[k] = s
         shrink(sizes, step.H, K, shrunk)
         multiply(sizes.states, sizes.states, shrunk, step.F, A)
         weight = 1.0 / moving.S[k] if moving.S[k] > 0.0 else 0.0

@@ -11,14 +11,15 @@ from becalm.core.compiling import compiled_part, woven
 from becalm.core.kernel_steps import State
 from becalm.core.sized import Size, Sizes, size, stack_matrix, stack_vector
 
-FOUR: Size = size(4)
-SETTLED, STEADY, NEXT_CHECK, LAST_STEP = 0, 1, 2, 3
+SIX: Size = size(6)
+SETTLED, STEADY, NEXT_CHECK, LAST_STEP, AGREED, PROVEN = 0, 1, 2, 3, 4, 5
 GAIN, COVARIANCE = 1.0, 2.0
 """What has settled: the gain, or the covariance as well."""
 
 FIRST_CHECK = 32.0
 _STRETCHED = 1.125  # the next check comes when the stretch has grown by this
 _UNCHANGED = 1e-13
+_STEADY = 1e-9  # of a variance
 _NO_STEP = -2.0
 LOAD, SAVE = 0.0, 1.0
 
@@ -30,24 +31,25 @@ class Watch(NamedTuple):
     L: Floats  # (m, m)
     D: Floats  # (m,)
     P: Floats  # (n, n)
-    counters: Floats  # (4,) what has settled, rows since the last gap, next check, last step
+    counters: Floats  # (6,) what has settled, rows since the last gap, next check, last step, checks that
+    # agreed one after the other, and what they have proven
 
 
 @woven
 def new_watch(sizes: Sizes) -> Watch:
     """Make room for a watch on the stack."""
     n, m = sizes
-    return Watch(stack_matrix(n, m), stack_matrix(m, m), stack_vector(m), stack_matrix(n, n), stack_vector(FOUR))
+    return Watch(stack_matrix(n, m), stack_matrix(m, m), stack_vector(m), stack_matrix(n, n), stack_vector(SIX))
 
 
 def new_memory(x: Floats, P: Floats, channels: int, rows: int = 1) -> Floats:
     """Make a memory to start from: rows that each hold a State and its Watch, of which the first is set."""
     n, m = len(x), channels
     counters = _counters_at(n, m)
-    memory = np.zeros((rows, counters + len(FOUR) + 2 * m))
+    memory = np.zeros((rows, counters + len(SIX) + 2 * m))
     memory[0, :n] = x
     memory[0, n : n + n * n] = np.ravel(P)
-    memory[0, counters : counters + len(FOUR)] = 0.0, 0.0, FIRST_CHECK, _NO_STEP
+    memory[0, counters : counters + len(SIX)] = 0.0, 0.0, FIRST_CHECK, _NO_STEP, 0.0, 0.0
     return memory
 
 
@@ -97,7 +99,7 @@ def transfer(sizes: Sizes, state: State, watch: Watch, memory: Floats, saving: f
     at = transfer_matrix(m, m, watch.L, memory, at, saving)
     at = transfer_vector(m, watch.D, memory, at, saving)
     at = transfer_matrix(n, n, watch.P, memory, at, saving)
-    at = transfer_vector(FOUR, watch.counters, memory, at, saving)
+    at = transfer_vector(SIX, watch.counters, memory, at, saving)
     at = transfer_vector(m, state.nu, memory, at, saving)
     return transfer_vector(m, state.seen, memory, at, saving)
 
@@ -121,7 +123,8 @@ def compare(sizes: Sizes, state: State, watch: Watch) -> float:
             gain = gain and near(L[a, b], watch.L[a, b], 1.0 + abs(L[a, b]))
             watch.L[a, b] = L[a, b]
         for i in range(n):
-            spread = np.sqrt(P[i, i] / D[a]) if D[a] > 0.0 else 0.0
+            steady = abs(P[i, i] - watch.P[i, i]) <= _STEADY * P[i, i]  # else a gain may be small, and grow
+            spread = np.sqrt(P[i, i] / D[a]) if steady and D[a] > 0.0 else 0.0
             gain = gain and near(K[i, a], watch.K[i, a], spread + abs(K[i, a]))
             watch.K[i, a] = K[i, a]
     for i in range(n):
@@ -135,12 +138,24 @@ def compare(sizes: Sizes, state: State, watch: Watch) -> float:
 def notice(  # noqa: PLR0913
     sizes: Sizes, state: State, watch: Watch, step: int, complete: bool, rows: int
 ) -> None:
-    """Notice, after some rows, that the gain has settled: the same now as at an eighth of the stretch before."""
+    """Notice, after some rows, that the gain has settled.
+
+    It is the same now as an eighth of the stretch before, and stays so for n rows more, lest it comes
+    back at every check and moves between them, as an oscillator's can.
+    """
     counters = watch.counters
     if not complete or step != counters[LAST_STEP]:
-        counters[SETTLED], counters[STEADY], counters[NEXT_CHECK] = 0.0, -1.0, FIRST_CHECK
+        counters[SETTLED], counters[STEADY], counters[NEXT_CHECK], counters[AGREED] = 0.0, -1.0, FIRST_CHECK, 0.0
         counters[LAST_STEP] = step if complete else _NO_STEP
+        watch.D[0] = -1.0  # a check must not find what another stretch has left
     counters[STEADY] += rows
-    if counters[STEADY] >= counters[NEXT_CHECK]:
-        counters[NEXT_CHECK] = max(counters[STEADY] + FIRST_CHECK, counters[STEADY] * _STRETCHED)
-        counters[SETTLED] = compare(sizes, state, watch)
+    if counters[STEADY] < counters[NEXT_CHECK]:
+        return
+    same = compare(sizes, state, watch)
+    counters[PROVEN] = min(same, counters[PROVEN]) if counters[AGREED] > 0.0 else same
+    counters[AGREED] = counters[AGREED] + 1.0 if same > 0.0 else 0.0
+    if 0.0 < counters[AGREED] <= len(sizes.states):
+        counters[NEXT_CHECK] = counters[STEADY] + 1.0
+        return
+    counters[SETTLED], counters[AGREED] = counters[PROVEN], 0.0
+    counters[NEXT_CHECK] = max(counters[STEADY] + FIRST_CHECK, counters[STEADY] * _STRETCHED)

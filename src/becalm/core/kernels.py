@@ -26,10 +26,10 @@ from becalm.core.kernel_block import (
     settled_block,
     step_of,
 )
-from becalm.core.kernel_one import Moving, moving_block, new_moving, score_moving
+from becalm.core.kernel_one import Moving, moving_block, new_moving, score_moving, spread_moving
 from becalm.core.kernel_row import advance
-from becalm.core.kernel_settling import LOAD, SAVE, SETTLED, Watch, new_watch, notice, transfer
-from becalm.core.kernel_steps import State, System, new_state, whiten
+from becalm.core.kernel_settling import AGREED, LOAD, SAVE, SETTLED, Watch, new_watch, notice, transfer
+from becalm.core.kernel_steps import State, Step, System, new_state, whiten
 from becalm.core.sized import Sizes, across, stack_matrix
 
 
@@ -121,19 +121,20 @@ def write_cov(sizes: Sizes, trace: Trace, k: int, P: Floats) -> None:
 
 
 @compiled_part
-def can_move(sizes: Sizes, record: Record, run: int, row: int, trace: Trace) -> bool:
-    """Whether a whole block of one channel follows one step, and no covariances of its rows are wanted."""
+def can_move(sizes: Sizes, record: Record, run: int, row: int, watch: Watch, trace: Trace) -> bool:  # noqa: PLR0913
+    """Whether a whole block of one channel follows one step; not while its rows are looked at one by one."""
     alike = record.step[run] >= 0 and row + BLOCK <= record.first[run + 1]
-    return bool(len(sizes.channels) == 1 and alike and trace.cov.shape[2] == 0)
+    singly = trace.cov.shape[2] > 0 or watch.counters[AGREED] > 0.0
+    return bool(len(sizes.channels) == 1 and alike and not singly)
 
 
 @compiled_part
-def write_moving(sizes: Sizes, trace: Trace, row: int, H: Floats, block: Block, moving: Moving) -> None:  # noqa: PLR0913
+def write_moving(sizes: Sizes, trace: Trace, row: int, step: Step, block: Block, moving: Moving) -> None:  # noqa: PLR0913
     """Write a block of one channel whose gain still moves."""
     if trace.signal.shape[1]:
-        combine(sizes.states, H[0], block.x, 1, across(trace.signal, 0, row, BLOCK))
+        combine(sizes.states, step.H[0], block.x, 1, across(trace.signal, 0, row, BLOCK))
     if trace.sigma.shape[1]:
-        copy(moving.sigma, 0, across(trace.sigma, 0, row, BLOCK))
+        spread_moving(sizes, step, moving, across(trace.sigma, 0, row, BLOCK))
     if trace.innovation.shape[1]:
         copy(block.nu[0], 0, across(trace.innovation, 0, row, BLOCK))
     if trace.innovation_sigma.shape[1]:
@@ -194,12 +195,12 @@ def forward(  # noqa: PLR0913  (a door for Python: what is read, what moves, wha
                 squares, log_det, used, row = squares + s, log_det + BLOCK * block_log_det, used + BLOCK * live, stop
                 continue
         ready = False
-        if stop - row == BLOCK and can_move(sizes, record, run, row, trace):
+        if stop - row == BLOCK and can_move(sizes, record, run, row, watch, trace):
             read_block(sizes, record.z, row, block)
             if moving_block(sizes, step_of(system, record.step[run]), state, block, moving):
                 notice(sizes, state, watch, record.step[run], True, BLOCK)
-                write_moving(sizes, trace, row, system.H, block, moving)
-                s, d, dimension = score_moving(block, moving)
+                write_moving(sizes, trace, row, step_of(system, 0), block, moving)
+                s, d, dimension = score_moving(system.R[0, 0], block, moving)
                 squares, log_det, used, row = squares + s, log_det + d, used + dimension, stop
                 continue
         while row < stop:

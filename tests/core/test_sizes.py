@@ -1,0 +1,266 @@
+"""Every size of model has kernels of its own: each is the reference, in blocks, across gaps, at any scale."""
+
+from __future__ import annotations
+
+from functools import cache
+from itertools import pairwise, product
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+
+from becalm.core import reference
+from becalm.core.arrays import Floats
+from becalm.core.filtering import Estimate, kalman_filter
+from becalm.core.likelihood import log_likelihood
+from becalm.core.model import Model
+from becalm.core.online import Online
+from becalm.core.smoothing import kalman_smoother
+
+TWIN = 1e-12
+ROWS = 1500
+QUICK = [(1, 1), (2, 1), (3, 1), (4, 1), (1, 3), (2, 2), (4, 3)]  # one channel and up to four states look ahead
+LARGE = [(5, 1), (2, 6), (6, 6), (12, 1), (12, 4)]
+PAIRS = [*QUICK, *(pytest.param(pair, marks=pytest.mark.slow) for pair in LARGE)]
+
+
+class Known(NamedTuple):
+    """A record and what the reference says of it."""
+
+    model: Model
+    z: Floats
+    steps: list[reference.Step]
+    beliefs: list[reference.Belief]
+
+
+def covariance(rng: np.random.Generator, size: int) -> Floats:
+    """Draw a covariance whose channels are correlated."""
+    A = rng.normal(size=(size, size))
+    drawn: Floats = A @ A.T / size + 0.3 * np.eye(size)
+    return drawn
+
+
+def model_of(n: int, m: int) -> Model:
+    """Draw a model that settles within 256 rows."""
+    rng = np.random.default_rng(100 * n + m)
+    F = np.linalg.qr(rng.normal(size=(n, n)))[0] @ np.diag(np.linspace(0.6, 0.97, n)) + 0.02 * rng.normal(size=(n, n))
+    F *= 0.95 / max(0.95, np.abs(np.linalg.eigvals(F)).max())
+    H = rng.normal(size=(m, n))
+    return Model(F, H, 0.2 * covariance(rng, n), covariance(rng, m), x0=rng.normal(size=n), P0=2 * covariance(rng, n))
+
+
+def filtered(model: Model, z: Floats) -> list[reference.Step]:
+    assert model.x0 is not None
+    assert model.P0 is not None
+    belief = reference.Belief(model.x0, model.P0)
+    return reference.filter_readings(belief, model.F, model.process_covariance, (model.H, model.R), z)
+
+
+@cache
+def known(pair: tuple[int, int], damaged: bool) -> Known:
+    """Draw readings as large as the model expects, and lose some of them; the reference is slow, so once."""
+    model = model_of(*pair)
+    z = 2 * np.random.default_rng(7).normal(size=(ROWS, model.channels))
+    if damaged:
+        z[255], z[256, 0], z[511, -1] = np.nan, np.nan, np.nan
+        z[700, :1], z[830:833], z[1290:, -1] = np.nan, np.nan, np.nan
+    steps = filtered(model, z)
+    return Known(model, z, steps, reference.smooth(steps, model.F, model.H))
+
+
+def assert_twins(got: Floats | None, expected: Any, measure: Any = None) -> None:
+    """Agree to 1e-12 of each component's largest value, or that of what it is a difference of; NaN where NaN."""
+    assert got is not None
+    expected = np.asarray(expected)
+    size = np.nanmax(np.abs(expected if measure is None else np.asarray(measure)), axis=0, initial=0.0)
+    assert got.shape == expected.shape
+    assert np.array_equal(np.isnan(got), np.isnan(expected))
+    assert np.nanmax(np.abs(got - expected) - TWIN * size, initial=0.0) <= 0
+
+
+def variances(H: Floats, covs: list[Floats]) -> Floats:
+    return np.array([np.maximum(np.diag(H @ P @ H.T), 0) for P in covs])
+
+
+def assert_filter(got: Estimate, about: Known) -> None:
+    H, steps = about.model.H, about.steps
+    spread = np.full(about.z.shape, np.nan)
+    for k, step in enumerate(steps):
+        spread[k, np.isfinite(about.z[k])] = np.diag(step.innovation_cov)
+    assert_twins(got.signal, [H @ step.filtered.mean for step in steps])
+    assert_twins(got.sigma**2, variances(H, [step.filtered.cov for step in steps]))
+    assert_twins(got.mean, [step.filtered.mean for step in steps])
+    assert_twins(got.innovations, [step.innovation for step in steps])
+    assert_twins(got.innovation_sigma**2, spread)
+    assert got.log_likelihood == pytest.approx(sum(step.log_likelihood for step in steps), rel=TWIN)
+    assert got.used == np.isfinite(about.z).sum()
+    if got.cov is not None:
+        assert_twins(got.cov, [step.filtered.cov for step in steps])
+
+
+def assert_smoother(got: Estimate, about: Known) -> None:
+    H, beliefs, covs = about.model.H, about.beliefs, [step.filtered.cov for step in about.steps]
+    assert_twins(got.signal, [H @ belief.mean for belief in beliefs])
+    assert_twins(got.sigma**2, variances(H, [belief.cov for belief in beliefs]), variances(H, covs))
+    assert_twins(got.mean, [belief.mean for belief in beliefs])
+    if got.cov is not None:
+        assert_twins(got.cov, [belief.cov for belief in beliefs], covs)
+
+
+@pytest.mark.parametrize("damaged", [False, True], ids=["whole", "damaged"])
+@pytest.mark.parametrize("pair", PAIRS, ids=str)
+class TestEverySize:
+    """One model a size, correlated R, with and without covariances: they settle differently."""
+
+    def test_the_filter_is_the_reference(self, pair: tuple[int, int], damaged: bool) -> None:
+        about = known(pair, damaged)
+        for covariances in (False, True):
+            got = kalman_filter(about.model, about.z, states=True, covariances=covariances)
+            assert got.settled_row is not None, "the gain never settled, so no block was tested"
+            assert got.settled_row < 512
+            assert_filter(got, about)
+            assert log_likelihood(about.model, about.z) == pytest.approx(got.log_likelihood, rel=TWIN)
+
+    def test_the_smoother_is_the_reference(self, pair: tuple[int, int], damaged: bool) -> None:
+        about = known(pair, damaged)
+        for covariances in (False, True):
+            got = kalman_smoother(about.model, about.z, states=True, covariances=covariances)
+            assert_smoother(got, about)
+            ahead = kalman_filter(about.model, about.z, covariances=covariances)
+            np.testing.assert_allclose(got.innovations, ahead.innovations, rtol=1e-12, atol=1e-12)
+            assert got.log_likelihood == ahead.log_likelihood
+
+    def test_online_is_the_reference(self, pair: tuple[int, int], damaged: bool) -> None:
+        about = known(pair, damaged)
+        signal, sigma = Online(about.model).run(about.z)
+        assert_twins(signal, [about.model.H @ step.filtered.mean for step in about.steps])
+        assert_twins(sigma**2, variances(about.model.H, [step.filtered.cov for step in about.steps]))
+
+
+FLAGS = ("states", "covariances", "sigma", "innovations")
+RESULTS = {"mean": "states", "cov": "covariances", "sigma": "sigma", "innovations": "innovations"}
+
+
+@pytest.mark.parametrize("run", [kalman_filter, kalman_smoother])
+@pytest.mark.parametrize("pair", [(2, 1), (2, 2)], ids=str)
+def test_what_is_wanted_does_not_change_what_comes(pair: tuple[int, int], run: Any) -> None:
+    """Bit for bit where the path is the same; covariances settle later, which shows in the last digits."""
+    about = known(pair, True)
+    for covariances in (False, True):
+        everything = run(about.model, about.z, states=True, covariances=covariances)
+        for states, sigma, innovations in product((False, True), repeat=3):
+            wanted = dict(zip(FLAGS, (states, covariances, sigma, innovations), strict=True))
+            got = run(about.model, about.z, **wanted)
+            assert np.array_equal(got.signal, everything.signal)
+            assert got.log_likelihood == everything.log_likelihood
+            assert (got.used, got.settled_row) == (everything.used, everything.settled_row)
+            for name, flag in RESULTS.items():
+                if wanted[flag]:
+                    assert np.array_equal(getattr(got, name), getattr(everything, name), equal_nan=True), name
+            assert (got.mean is None, got.cov is None) == (not states, not covariances)
+            assert innovations or got.innovations.size == got.innovation_sigma.size == 0
+            assert sigma or covariances or got.sigma.size == 0
+
+
+def bits(results: tuple[Floats, Floats]) -> tuple[bytes, bytes]:
+    return np.ascontiguousarray(results[0]).tobytes(), np.ascontiguousarray(results[1]).tobytes()
+
+
+LONG = 5000
+CUTS = [0, 1, 2, 31, 33, 200, 256, 257, 600, 1100, 1101, 1500, 1501, 3000, 4999, LONG]
+
+
+@pytest.mark.parametrize("flat", [False, True], ids=["prior", "flat"])
+@pytest.mark.parametrize("pair", [(1, 1), (3, 1), (2, 2), (4, 3)], ids=str)
+class TestOnline:
+    """A file and its stream, over settled stretches, gaps and pauses."""
+
+    def record(self, pair: tuple[int, int], flat: bool) -> tuple[Model, Floats]:
+        drawn = model_of(*pair)
+        z = 2 * np.random.default_rng(8).normal(size=(LONG, drawn.channels))
+        z[1000:1100], z[1500, 0], z[2047:2050, -1], z[4000] = np.nan, np.inf, np.nan, 1e101
+        return (Model(drawn.F, drawn.H, drawn.Q, drawn.R) if flat else drawn), z
+
+    def test_a_file_is_its_stream(self, pair: tuple[int, int], flat: bool) -> None:
+        model, z = self.record(pair, flat)
+        expected = kalman_filter(model, z)
+        told = np.flatnonzero(np.isfinite(expected.sigma).all(axis=1))
+        assert told[0] < pair[0]
+        assert len(told) == LONG - told[0]
+        signal, sigma = Online(model).run(z)
+        assert_twins(signal, expected.signal)
+        assert_twins(sigma[told], expected.sigma[told])
+
+    def test_any_chunks_are_the_same_bits(self, pair: tuple[int, int], flat: bool) -> None:
+        model, z = self.record(pair, flat)
+        whole = Online(model).run(z)
+        online = Online(model)
+        parts = [online.run(z[begin:end]) for begin, end in pairwise(CUTS)]
+        assert bits((np.vstack([p[0] for p in parts]), np.vstack([p[1] for p in parts]))) == bits(whole)
+        online = Online(model)
+        rows = [online.step(row) for row in z]
+        assert bits((np.array([r[0] for r in rows]), np.array([r[1] for r in rows]))) == bits(whole)
+        if model.channels == 1:
+            online = Online(model)
+            numbers = np.array([online.step(number) for number in z[:, 0].tolist()])
+            assert bits((numbers[:, :1], numbers[:, 1:])) == bits(whole)
+
+    @pytest.mark.parametrize("cut", [1, 40, 700, 1050, 1100, 1120, 2500, 2501])
+    def test_a_pause_in_a_settled_stretch_changes_no_bit(self, pair: tuple[int, int], flat: bool, cut: int) -> None:
+        model, z = self.record(pair, flat)
+        whole = Online(model).run(z)
+        online = Online(model)
+        before = online.run(z[:cut])
+        resumed = Online.resume(online.snapshot())
+        after = resumed.run(z[cut:])
+        assert bits((np.vstack([before[0], after[0]]), np.vstack([before[1], after[1]]))) == bits(whole)
+        online.run(z[cut:])
+        assert resumed.snapshot() == online.snapshot()
+
+
+PLAIN: dict[str, Any] = {
+    "F": [[1, 0.5], [0, 0.95]],
+    "H": [[1, 0], [0.5, 1]],
+    "Q": np.diag([0.1, 0.2]),
+    "R": [[1, 0.4], [0.4, 0.8]],
+    "x0": [1, -1],
+    "P0": 3 * np.eye(2),
+}
+NONE = np.zeros((2, 2))
+DEGENERATE: dict[str, dict[str, Any]] = {
+    "R = 0": {"R": NONE},
+    "Q = 0": {"Q": NONE},
+    "P0 = 0": {"P0": NONE},
+    "P0 of ones": {"P0": np.ones((2, 2))},
+    "Q = 0, P0 = 0": {"Q": NONE, "P0": NONE},
+    "R = 0, P0 = 0": {"R": NONE, "P0": NONE},
+    "R of ones": {"R": np.ones((2, 2))},
+    "one channel exact": {"R": np.diag([0.0, 1.0])},
+    "Q of rank one": {"Q": np.ones((2, 2))},
+    "no P0, one state still": {"Q": np.diag([0.0, 1.0]), "P0": np.diag([0.0, 1.0])},
+}
+
+
+def scaled(factor: float, changes: dict[str, Any]) -> Model:
+    matrices = PLAIN | changes
+    variances_too = {name: factor**2 * np.asarray(matrices[name]) for name in ("Q", "R", "P0")}
+    return Model(**matrices | variances_too | {"x0": factor * np.asarray(matrices["x0"])})
+
+
+@pytest.mark.parametrize("factor", [1.0, 1e-30, 1e30], ids=str)
+@pytest.mark.parametrize("name", DEGENERATE)
+def test_degenerate_noise_and_any_scale(name: str, factor: float) -> None:
+    model = scaled(factor, DEGENERATE[name])
+    z = factor * np.random.default_rng(9).normal(size=(1000, 2))
+    z[600:610] = np.nan
+    steps = filtered(model, z)
+    covs, beliefs = [step.filtered.cov for step in steps], reference.smooth(steps, model.F, model.H)
+    for covariances in (False, True):
+        got = kalman_filter(model, z, states=True, covariances=covariances)
+        back = kalman_smoother(model, z, states=True, covariances=covariances)
+        assert_twins(got.mean, [step.filtered.mean for step in steps])
+        assert_twins(got.sigma**2, variances(model.H, covs), factor**2 * np.ones((1, 2)))
+        assert_twins(back.mean, [belief.mean for belief in beliefs])
+        assert_twins(back.sigma**2, variances(model.H, [b.cov for b in beliefs]), factor**2 * np.ones((1, 2)))
+        assert got.log_likelihood == pytest.approx(sum(step.log_likelihood for step in steps), rel=TWIN)
+    assert_twins(Online(model).run(z)[0], [model.H @ step.filtered.mean for step in steps])
