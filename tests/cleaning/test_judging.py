@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
-from becalm.cleaning.judging import DESCRIBED, InnovationJudge, Judgement, judge_innovations
+from becalm.cleaning.judging import DESCRIBED, InnovationJudge, Judgement
 from becalm.core.arrays import Floats
 from becalm.core.components import motion
 from becalm.core.filtering import run_filter
@@ -105,7 +105,9 @@ def test_an_estimate_is_one_block() -> None:
     component = motion(1, 0.01)
     timeline = elapsed_timeline(component, 1.0, np.ones(10_000))
     estimate = run_filter(component.to_model(1.0, 1.0), timeline, z[:, np.newaxis]).estimate
-    found = judge_innovations(estimate)
+    judge = InnovationJudge()
+    judge.add(estimate.innovations[:, 0], estimate.innovation_sigma[:, 0])
+    found = judge.judgement()
     judge = InnovationJudge()
     for rows in np.split(np.arange(10_000), [1, 2, 3, 5000]):
         judge.add(estimate.innovations[rows, 0], estimate.innovation_sigma[rows, 0])

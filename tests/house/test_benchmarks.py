@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import importlib.util
+import subprocess
+import sys
 from pathlib import Path
 from types import ModuleType
 
@@ -27,3 +29,16 @@ def test_no_truth_tuned_classic_filter_beats_the_one_that_nobody_tuned() -> None
     assert len(ratios) == 14
     assert ratios.max() <= 1.01
     assert np.exp(np.log(ratios).mean()) <= 0.89
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("words", [["peers.py", "--quick"], ["large_files.py", "--rows", "20000", "--repeats", "1"]])
+def test_a_benchmark_runs_and_agrees(words: list[str], tmp_path: Path) -> None:
+    """Small and untimed; peers that are not installed are named and left out."""
+    page = tmp_path / "page.md"
+    script = str(ROOT / "benchmarks" / words[0])
+    ran = subprocess.run(
+        [sys.executable, script, *words[1:], "-o", str(page)], capture_output=True, text=True, check=False
+    )
+    assert ran.returncode == 0, ran.stderr
+    assert "becalm" in page.read_text(encoding="utf-8")

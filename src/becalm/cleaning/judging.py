@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.core.filtering import Estimate
 from becalm.metrics.evenness import BlockCount
 from becalm.metrics.lagged import LaggedSums
 from becalm.metrics.running import PIECE, Running
@@ -158,13 +157,6 @@ class InnovationJudge:
             not faults,
             _sentence(faults),
         )
-
-
-def judge_innovations(estimate: Estimate) -> Judgement:
-    """Judge a filtered channel by its innovations."""
-    judge = InnovationJudge()
-    judge.add(estimate.innovations[:, 0], estimate.innovation_sigma[:, 0])
-    return judge.judgement()
 
 
 def _faults(found: Whiteness, uneven: float) -> list[str]:

@@ -113,8 +113,9 @@ def can_return_moving(  # noqa: PLR0913
 
 @compiled_part
 def unsettle(future: Future) -> None:
-    """Note that N has not settled."""
+    """Note that N has not settled; a check must not find what another stretch has left."""
     future.counters[SETTLED], future.counters[STEADY], future.counters[NEXT_CHECK] = 0.0, 0.0, FIRST_CHECK
+    future.then[0, 0] = -1.0
 
 
 @compiled_part

@@ -41,7 +41,7 @@ class Future(NamedTuple):
 
 def new_future(n: int) -> Future:
     """Nothing is known after the last row."""
-    return Future(np.zeros(n), np.zeros((n, n)), np.zeros((n, n)), np.array([0.0, 0.0, FIRST_CHECK, 0.0]))
+    return Future(np.zeros(n), np.zeros((n, n)), np.full((n, n), -1.0), np.array([0.0, 0.0, FIRST_CHECK, 0.0]))
 
 
 class Return(NamedTuple):
