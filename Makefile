@@ -30,7 +30,6 @@ bench: .venv/tested
 	$(BIN)/python benchmarks/accuracy.py -o docs/accuracy.md
 	$(BIN)/python benchmarks/speed.py -o docs/speed.md
 	$(BIN)/python benchmarks/large_files.py -o docs/large-files.md
-	$(BIN)/python benchmarks/peers.py -o docs/benchmarks.md
 	$(BIN)/python docs/real_files.py -o docs/real-files.md
 
 .venv/bin/python:

@@ -52,6 +52,7 @@ def kalman_smoother(  # noqa: PLR0913  (what is wanted, each by its name)
         Whether to return `mean` (N, n) and `cov` (N, n, n).
     sigma, innovations : bool
         Whether to return `sigma`, and `innovations` with `innovation_sigma`; without them less is done.
+        Covariances bring `sigma` with them.
 
     Returns
     -------
