@@ -19,7 +19,7 @@ from becalm.core.kernel_block import (
     settled_block,
     step_of,
 )
-from becalm.core.kernel_one import moving_block, new_moving
+from becalm.core.kernel_moving import moving_block, new_moving
 from becalm.core.kernel_return import (
     Future,
     inform,
@@ -164,7 +164,7 @@ def backward(  # noqa: PLR0913  (a door for Python: what is read, what moves, wh
         if start + BLOCK == stop and can_return_moving(sizes, record, run, start, watch, trace):
             step = step_of(system, record.step[run])
             read_block(sizes, record.z, start, block)
-            if moving_block(sizes, step, state, block, moving):
+            if moving_block(sizes, step, record.step[run], state, block, moving):
                 return_moving(sizes, step, block, moving, future, trace, start)
                 unsettle(future)
                 stop = start

@@ -8,30 +8,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-
 from becalm.core.arrays import Floats
 from becalm.core.compiling import compiled_part, woven
-from becalm.core.kernel_ahead import BLOCK, Rows, add_up, combine
-from becalm.core.kernel_block import TAME, Block
-from becalm.core.kernel_steps import LARGEST, State, Step, joseph, move, new_state
-from becalm.core.sized import Sizes, stack_rows, stack_vector
-
-_PRODUCTS = 16  # of a block's numbers, whose logarithms are taken
-_LEAST = 1e-280
-
-
-class Moving(NamedTuple):
-    """What changes from row to row of a block while its gain still moves."""
-
-    S: Floats  # (BLOCK,) innovation variance
-    K: Rows  # n of (BLOCK,)
-
-
-@woven
-def new_moving(sizes: Sizes) -> Moving:
-    """Make room for it on the stack."""
-    return Moving(stack_rows(sizes.channels, BLOCK)[0], stack_rows(sizes.states, BLOCK))
+from becalm.core.kernel_steps import LARGEST, State, Step, joseph, move
+from becalm.core.sized import Sizes, stack_vector
 
 
 class Reach(NamedTuple):
@@ -97,91 +77,3 @@ def subtract(sizes: Sizes, PH: Floats, state: State) -> None:
             s = state.P[i, j] - state.K[i, 0] * PH[j]
             state.P[i, j] = s
             state.P[j, i] = s
-
-
-@compiled_part
-def moving_block(sizes: Sizes, step: Step, state: State, block: Block, moving: Moving) -> bool:
-    """Run a block of readings, there in block.z, whose gain still moves.
-
-    False, and nothing done, where one of them is missing or a state runs away, as in `settled_block`.
-    """
-    n, reach, own = len(sizes.states), new_reach(sizes), new_state(sizes)
-    reach_back(sizes, step, reach)
-    copy_belief(sizes, state, own)  # of this loop alone, so that it stays in registers
-    for i in range(n):
-        block.x[i][0] = own.x[i]
-    for k in range(BLOCK):
-        take_one(sizes, step, reach, block.z[0][k], own)
-        for i in range(n):
-            block.x[i][k + 1], moving.K[i][k] = own.x[i], own.K[i, 0]
-        block.nu[0][k], moving.S[k] = own.nu[0], own.D[0]
-    terms = block.sums[0]
-    for k in range(BLOCK):
-        terms[k] = block.nu[0][k] * block.nu[0][k]
-    total = add_up(terms)
-    for i in range(n):
-        total += own.x[i] * own.x[i]
-    if not total <= TAME:
-        return False
-    copy_belief(sizes, own, state)
-    state.D[0], state.nu[0], state.seen[0] = own.D[0], own.nu[0], 1.0
-    for i in range(n):
-        state.K[i, 0] = own.K[i, 0]
-    return True
-
-
-@compiled_part
-def spread_moving(sizes: Sizes, step: Step, moving: Moving, sigma: Floats) -> None:
-    """Write the standard deviation of H x of a block: P H' = K R once it is corrected."""
-    combine(sizes.states, step.H[0], moving.K, 0, sigma)
-    for k in range(BLOCK):
-        sigma[k] = np.sqrt(max(step.R[0, 0] * sigma[k], 0.0))
-
-
-@compiled_part
-def copy_belief(sizes: Sizes, source: State, target: State) -> None:
-    """Copy x and P."""
-    for i in range(len(sizes.states)):
-        target.x[i] = source.x[i]
-        for j in range(len(sizes.states)):
-            target.P[i, j] = source.P[i, j]
-
-
-@compiled_part
-def score_moving(R: float, block: Block, moving: Moving) -> tuple[float, float, int]:
-    """Return the sums of nu^2 / S and of log S over a block, and their number; the dead are left out (8)."""
-    terms, S, live, squares, log_det = block.sums[0], moving.S, 0, 0.0, 0.0
-    if not R > 0.0:
-        for k in range(BLOCK):
-            if S[k] > 0.0:
-                squares += block.nu[0][k] * block.nu[0][k] / S[k]
-                log_det += np.log(S[k])
-                live += 1
-        return squares, log_det, live
-    for k in range(BLOCK):
-        terms[k] = block.nu[0][k] * block.nu[0][k] / S[k]
-    squares = add_up(terms)
-    return squares, sum_of_logs(S, terms), BLOCK
-
-
-@compiled_part
-def sum_of_logs(S: Floats, terms: Floats) -> float:
-    """Return the sum of log S over a block: a few logarithms, of products of all."""
-    scale = 1.0 / S[0]
-    for k in range(BLOCK):
-        terms[k] = S[k] * scale
-    half = BLOCK
-    while half > _PRODUCTS:
-        half //= 2
-        for k in range(half):
-            terms[k] *= terms[k + half]
-    log_det, possible = 0.0, True
-    for k in range(_PRODUCTS):
-        possible = possible and _LEAST < terms[k] < 1.0 / _LEAST
-        log_det += np.log(terms[k])
-    if possible:
-        return float(log_det + BLOCK * np.log(S[0]))
-    log_det = 0.0
-    for k in range(BLOCK):
-        log_det += np.log(S[k])
-    return float(log_det)

@@ -8,7 +8,8 @@ from becalm.core.arrays import Floats
 from becalm.core.compiling import compiled_part
 from becalm.core.kernel_ahead import BLOCK, combine, multiply
 from becalm.core.kernel_block import Block
-from becalm.core.kernel_one import Moving, Reach, new_reach, reach_back
+from becalm.core.kernel_moving import Moving
+from becalm.core.kernel_one import Reach, new_reach, reach_back
 from becalm.core.kernel_return import Future, pull_back_spread
 from becalm.core.kernel_steps import Step, shrink
 from becalm.core.kernels import Trace

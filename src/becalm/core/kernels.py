@@ -13,7 +13,7 @@ import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.core.compiling import compiled, compiled_part
-from becalm.core.kernel_ahead import BLOCK, combine, copy, fill, new_loop
+from becalm.core.kernel_ahead import BLOCK, combine, copy, fill, looks_ahead, new_loop
 from becalm.core.kernel_block import (
     Block,
     Record,
@@ -26,7 +26,7 @@ from becalm.core.kernel_block import (
     settled_block,
     step_of,
 )
-from becalm.core.kernel_one import Moving, moving_block, new_moving, score_moving, spread_moving
+from becalm.core.kernel_moving import Moving, moving_block, new_moving, score_moving, spread_moving
 from becalm.core.kernel_row import advance
 from becalm.core.kernel_settling import AGREED, LOAD, SAVE, SETTLED, Watch, new_watch, notice, transfer
 from becalm.core.kernel_steps import State, Step, System, new_state, whiten
@@ -125,7 +125,7 @@ def can_move(sizes: Sizes, record: Record, run: int, row: int, watch: Watch, tra
     """Whether a whole block of one channel follows one step; not while its rows are looked at one by one."""
     alike = record.step[run] >= 0 and row + BLOCK <= record.first[run + 1]
     singly = trace.cov.shape[2] > 0 or watch.counters[AGREED] > 0.0
-    return bool(len(sizes.channels) == 1 and alike and not singly)
+    return bool(looks_ahead(sizes.states, sizes.channels) and alike and not singly)
 
 
 @compiled_part
@@ -197,11 +197,11 @@ def forward(  # noqa: PLR0913  (a door for Python: what is read, what moves, wha
         ready = False
         if stop - row == BLOCK and can_move(sizes, record, run, row, watch, trace):
             read_block(sizes, record.z, row, block)
-            if moving_block(sizes, step_of(system, record.step[run]), state, block, moving):
+            if moving_block(sizes, step_of(system, record.step[run]), record.step[run], state, block, moving):
                 notice(sizes, state, watch, record.step[run], True, BLOCK)
                 write_moving(sizes, trace, row, step_of(system, 0), block, moving)
-                s, d, dimension = score_moving(system.R[0, 0], block, moving)
-                squares, log_det, used, row = squares + s, log_det + d, used + dimension, stop
+                s, d = score_moving(block, moving)
+                squares, log_det, used, row = squares + s, log_det + d, used + BLOCK, stop
                 continue
         while row < stop:
             run = run_of(record, row, run)

@@ -85,6 +85,19 @@ def _rows(_: Any, rows: Any, length: Any) -> Any:
     return kind(rows, length), generate
 
 
+def _triangle(_: Any, extent: Any, length: Any) -> Any:
+    if not isinstance(length, types.IntegerLiteral):
+        return None
+    row = types.Array(types.float64, 1, "C")
+    kind = types.UniTuple(row, extent.count * (extent.count + 1) // 2)
+
+    def generate(context: Any, builder: Any, _signature: Any, _arguments: Any) -> Any:
+        made = [_stack_array(context, builder, row, [length.literal_value]) for _ in range(kind.count)]
+        return context.make_tuple(builder, kind, made)
+
+    return kind(extent, length), generate
+
+
 def _view(context: Any, builder: Any, source: Any, kind: Any, corner: Any, length: int, stride: int) -> Any:  # noqa: PLR0913
     """Describe `length` elements of the matrix `source` from a corner (array, row, column) on as an array."""
     whole = make_array(source)(context, builder, corner[0])
@@ -143,6 +156,9 @@ stack_matrix: Callable[..., Any] = intrinsic(_matrix)
 
 stack_rows: Callable[..., Any] = intrinsic(_rows)
 """stack_rows(rows, length): a tuple of uninitialised (length,) arrays, which the compiler knows to be apart."""
+
+stack_triangle: Callable[..., Any] = intrinsic(_triangle)
+"""stack_triangle(extent, length): such a tuple with one array for each element of a lower triangle, row by row."""
 
 across: Callable[..., Any] = intrinsic(_across)
 """across(matrix, row, column, length): `length` elements to the right, as an array of their own."""

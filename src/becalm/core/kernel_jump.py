@@ -1,0 +1,250 @@
+"""Covariances of one channel's moving gain, eight rows side by side: each from the one eight rows before.
+
+Over d rows a predicted covariance moves by M -> A (M^-1 + L L')^-1 A' + Q, as it does over one row, with
+other A, L, Q; and two such moves are again one. So one row gives two, two give four, and of eight rows
+none waits for another. Source: the doubling algorithm of Anderson, Int. J. Control 28 (1978) 295.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from becalm.core.arrays import Floats
+from becalm.core.compiling import compiled_part, woven
+from becalm.core.kernel_ahead import BLOCK, Rows, multiply
+from becalm.core.kernel_steps import Step
+from becalm.core.sized import Size, size, stack_matrix, stack_vector
+
+FAR = 8
+"""Rows of the longest jump: enough to be computed side by side."""
+
+_DEAD_PIVOT = 1e-15
+_MOST_LOST = 64.0  # variances lost over a jump, in those left: rounding grows by as much
+_ONE: Size = size(1)
+
+
+class Jump(NamedTuple):
+    """A move over some rows."""
+
+    A: Floats  # (n, n)
+    L: Floats  # (n, n) lower triangle; L L' is what their readings tell of the state
+    Q: Floats  # (n, n)
+
+
+class Jumps(NamedTuple):
+    """Moves over one, two, four and eight rows."""
+
+    one: Jump
+    two: Jump
+    four: Jump
+    eight: Jump
+    step: Floats  # (1,) the number of the step that they were made of
+
+
+class Loss(NamedTuple):
+    """What readings take away from a covariance M: W D W', where I + L' M L = T D T'."""
+
+    W: Floats  # (n, n) M L (T D)'^-1
+    T: Floats  # (n, n) lower triangle
+    D: Floats  # (n,) one over its diagonal
+
+
+@woven
+def new_jump(states: Size) -> Jump:
+    """Make room for a jump on the stack."""
+    return Jump(stack_matrix(states, states), stack_matrix(states, states), stack_matrix(states, states))
+
+
+@woven
+def new_jumps(states: Size) -> Jumps:
+    """Make room for jumps on the stack; they are of no step yet."""
+    step = stack_vector(_ONE)
+    step[0] = -1.0
+    return Jumps(new_jump(states), new_jump(states), new_jump(states), new_jump(states), step)
+
+
+@woven
+def new_loss(states: Size) -> Loss:
+    """Make room for a loss on the stack."""
+    return Loss(stack_matrix(states, states), stack_matrix(states, states), stack_vector(states))
+
+
+@compiled_part
+def prepare_jumps(states: Size, step: Step, number: int, jumps: Jumps) -> None:
+    """Make the jumps of a step whose sensor is noisy."""
+    if jumps.step[0] == number:
+        return
+    jumps.step[0] = number
+    one = jumps.one
+    for i in range(len(states)):
+        for j in range(len(states)):
+            one.A[i, j] = step.F[i, j]
+            one.Q[i, j] = step.Q[i, j]
+            one.L[i, j] = step.H[0, i] * step.H[0, j] / step.R[0, 0]
+    root(states, one.L)
+    double(states, one, jumps.two)
+    double(states, jumps.two, jumps.four)
+    double(states, jumps.four, jumps.eight)
+
+
+@compiled_part
+def root(states: Size, C: Floats) -> None:
+    """C = L L' becomes L; a pivot that rounding alone has left is dead."""
+    n = len(states)
+    for j in range(n):
+        d = C[j, j]
+        for k in range(j):
+            d -= C[j, k] * C[j, k]
+        d = np.sqrt(d) if d > _DEAD_PIVOT * C[j, j] else 0.0
+        C[j, j] = d
+        for i in range(j + 1, n):
+            s = C[i, j]
+            for k in range(j):
+                s -= C[i, k] * C[j, k]
+            C[i, j] = s / d if d > 0.0 else 0.0
+            C[j, i] = 0.0
+
+
+@compiled_part
+def weigh_loss(states: Size, L: Floats, M: Floats, loss: Loss) -> None:
+    """Find what readings that tell L L' take away from M."""
+    n, W, T, D = len(states), loss.W, loss.T, loss.D
+    for i in range(n):
+        for j in range(n):
+            s = 0.0
+            for k in range(j, n):
+                s += M[i, k] * L[k, j]
+            W[i, j] = s
+    for j in range(n):
+        for i in range(j, n):
+            s = 1.0 if i == j else 0.0
+            for k in range(i, n):
+                s += L[k, i] * W[k, j]
+            for k in range(j):
+                s -= T[i, k] * T[j, k] * D[k]
+            T[i, j] = s
+        D[j] = 1.0 / T[j, j]
+    divide_by(states, loss, W)
+
+
+@compiled_part
+def divide_by(states: Size, loss: Loss, W: Floats) -> None:
+    """W becomes W (T D)'^-1."""
+    for i in range(len(states)):
+        for j in range(len(states)):
+            for k in range(j):
+                W[i, j] -= loss.T[j, k] * loss.D[k] * W[i, k]
+
+
+@compiled_part
+def leap(states: Size, jump: Jump, M: Floats) -> None:
+    """Move a predicted covariance over the rows of a jump."""
+    n, AM, loss = len(states), stack_matrix(states, states), new_loss(states)
+    weigh_loss(states, jump.L, M, loss)
+    for i in range(n):
+        for j in range(i + 1):
+            s = M[i, j]
+            for k in range(n):
+                s -= loss.W[i, k] * loss.W[j, k] * loss.D[k]
+            M[i, j] = s
+            M[j, i] = s
+    multiply(states, states, jump.A, M, AM)
+    for i in range(n):
+        for j in range(i + 1):
+            s = jump.Q[i, j]
+            for k in range(n):
+                s += AM[i, k] * jump.A[j, k]
+            M[i, j] = s
+            M[j, i] = s
+
+
+@compiled_part
+def double(states: Size, once: Jump, twice: Jump) -> None:
+    """Make one jump of two: A (I + Q C)^-1 A, C + A' C (I + Q C)^-1 A and Q moved once, with C = L L'."""
+    loss, V = new_loss(states), stack_matrix(states, states)
+    weigh_loss(states, once.L, once.Q, loss)
+    for i in range(len(states)):
+        for j in range(len(states)):
+            V[i, j], twice.Q[i, j] = once.L[i, j], once.Q[i, j]
+    divide_by(states, loss, V)
+    join_transitions(states, once, loss, V, twice)
+    join_information(states, once, loss, V, twice)
+    leap(states, once, twice.Q)
+
+
+@compiled_part
+def join_transitions(states: Size, once: Jump, loss: Loss, V: Floats, twice: Jump) -> None:
+    """Write A (I + Q C)^-1 A = A (I - W D V') A, where V = L (T D)'^-1."""
+    kept, moved = stack_matrix(states, states), stack_matrix(states, states)
+    for i in range(len(states)):
+        for j in range(len(states)):
+            s = 1.0 if i == j else 0.0
+            for k in range(len(states)):
+                s -= loss.W[i, k] * loss.D[k] * V[j, k]
+            kept[i, j] = s
+    multiply(states, states, once.A, kept, moved)
+    multiply(states, states, moved, once.A, twice.A)
+
+
+@compiled_part
+def join_information(states: Size, once: Jump, loss: Loss, V: Floats, twice: Jump) -> None:
+    """Write the root of C + A' C (I + Q C)^-1 A = L L' + A' V D V' A."""
+    n, AV = len(states), stack_matrix(states, states)
+    for i in range(n):
+        for j in range(n):
+            s = 0.0
+            for k in range(n):
+                s += once.A[k, i] * V[k, j]
+            AV[i, j] = s
+    for i in range(n):
+        for j in range(n):
+            s = 0.0
+            for k in range(n):
+                s += once.L[i, k] * once.L[j, k] + AV[i, k] * loss.D[k] * AV[j, k]
+            twice.L[i, j] = s
+    root(states, twice.L)
+
+
+@compiled_part
+def can_leap(states: Size, jumps: Jumps, M: Rows) -> bool:
+    """Whether the first of M loses so little over the longest jump that digits are kept; not where it is NaN."""
+    n, L, s, at = len(states), jumps.eight.L, 0.0, 0
+    for i in range(n):
+        for j in range(i + 1):
+            told = 0.0
+            for k in range(n):
+                told += L[i, k] * L[j, k]
+            s += told * M[at][0] if i == j else 2.0 * told * M[at][0]
+            at += 1
+    return bool(s <= _MOST_LOST)
+
+
+@compiled_part
+def leap_from(states: Size, jump: Jump, M: Rows, k: int, far: int) -> None:
+    """Fill in row k + far of M, the rows of a lower triangle, from row k."""
+    own, at = stack_matrix(states, states), 0
+    for i in range(len(states)):
+        for j in range(i + 1):
+            own[i, j] = M[at][k]
+            own[j, i] = M[at][k]
+            at += 1
+    leap(states, jump, own)
+    at = 0
+    for i in range(len(states)):
+        for j in range(i + 1):
+            M[at][k + far] = own[i, j]
+            at += 1
+
+
+@compiled_part
+def leap_through(states: Size, jumps: Jumps, M: Rows) -> None:
+    """Fill in a block of covariances from the first of them."""
+    leap_from(states, jumps.one, M, 0, 1)
+    for k in range(2):
+        leap_from(states, jumps.two, M, k, 2)
+    for k in range(4):
+        leap_from(states, jumps.four, M, k, 4)
+    for k in range(BLOCK - FAR):
+        leap_from(states, jumps.eight, M, k, FAR)
