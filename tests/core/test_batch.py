@@ -12,8 +12,9 @@ from becalm.core.model import Model
 from becalm.errors import ModelError
 
 T = 1e-4
+SUMMED = 1e-13  # thousands of rows, added up in another order; 1.7e-15 is reached
 MODELS = {
-    "gyroscope, never settles here": Model(
+    "the IMU paper's form, Q / R = 1e6, never settles here": Model(
         F=np.array([[1, T], [0, 1]]), H=[[1, 0]], Q=np.eye(2), R=[[1e-6]], G=T * np.eye(2), x0=[0, 0], P0=np.eye(2)
     ),
     "flat start": Model(F=[[1, 1], [0, 1]], H=[[1, 0]], Q=0.1 * np.eye(2), R=[[1]]),
@@ -47,7 +48,7 @@ def assert_each_alone(model: Model, z: Floats) -> None:
             size = np.abs(expected[np.isfinite(expected)]).max(initial=0.0)
             np.testing.assert_allclose(got, expected, rtol=1e-12, atol=1e-12 * size)
         assert batch.used[at] == alone.used
-        assert batch.log_likelihood[at] == pytest.approx(alone.log_likelihood, rel=1e-11)
+        assert batch.log_likelihood[at] == pytest.approx(alone.log_likelihood, rel=SUMMED)
 
 
 @pytest.mark.parametrize("rows", [1, 2, 3, 255, 256, 259, 1500])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,86 +11,32 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.lib.stride_tricks import as_strided
 
+from against_reference import (
+    TWIN,
+    Known,
+    arrived,
+    assert_filter,
+    assert_right,
+    assert_smoother,
+    drawn,
+    known,
+    settled_by,
+    slowest_pole,
+)
 from becalm.core import reference
 from becalm.core.arrays import Floats
 from becalm.core.components import discretise, motion
-from becalm.core.filtering import Estimate, kalman_filter, run_filter
-from becalm.core.likelihood import log_likelihood, score
+from becalm.core.filtering import Estimate, Wanted, kalman_filter, run_filter
+from becalm.core.likelihood import score
 from becalm.core.model import Model
 from becalm.core.online import Online
 from becalm.core.smoothing import kalman_smoother, run_smoother
 from becalm.core.timeline import elapsed_timeline, even_timeline
 
-TWIN = 1e-12
 SLOPE: dict[str, Any] = {"F": [[0.95, 0.5], [0, 0.9]], "H": [[1, 0]], "Q": [[0.1, 0], [0, 0.2]], "R": [[1]]}
 PAIR: dict[str, Any] = SLOPE | {"H": [[1, 0], [0.5, 1]], "R": [[1, 0.4], [0.4, 0.8]]}
 PRIOR: dict[str, Any] = {"x0": [1, -1], "P0": 3 * np.eye(2)}
 MODELS = {"one channel": Model(**SLOPE, **PRIOR), "two channels": Model(**PAIR, **PRIOR)}
-
-
-def drawn(model: Model, rows: int) -> Floats:
-    values: Floats = 2 * np.random.default_rng(rows).normal(size=(rows, model.channels))
-    return values
-
-
-def arrived(z: Floats) -> Floats:
-    """What the reference is given: it knows no magnitude that no sensor reads."""
-    usable: Floats = np.where(np.abs(z) <= 1e100, z, np.nan)
-    return usable
-
-
-def steps_of(model: Model, z: Floats) -> list[reference.Step]:
-    assert model.x0 is not None
-    assert model.P0 is not None
-    belief = reference.Belief(model.x0, model.P0)
-    return reference.filter_readings(belief, model.F, model.process_covariance, (model.H, model.R), arrived(z))
-
-
-def assert_twins(got: Floats | None, expected: Any, measure: Any = None) -> None:
-    """Agree to 1e-12 of each component's largest value, or that of what it is a difference of; NaN where NaN."""
-    assert got is not None
-    expected = np.asarray(expected).reshape(got.shape)
-    size = np.nanmax(np.abs(expected if measure is None else np.asarray(measure)), axis=0, initial=0.0)
-    assert np.array_equal(np.isnan(got), np.isnan(expected))
-    assert np.nanmax(np.abs(got - expected) - TWIN * size, initial=0.0) <= 0
-
-
-def variances(H: Floats, covs: list[Floats]) -> Floats:
-    return np.array([np.maximum(np.diag(H @ P @ H.T), 0) for P in covs])
-
-
-def assert_filter(got: Estimate, model: Model, steps: list[reference.Step]) -> None:
-    means, covs = [step.filtered.mean for step in steps], [step.filtered.cov for step in steps]
-    assert_twins(got.signal, [model.H @ mean for mean in means])
-    assert_twins(got.sigma**2, variances(model.H, covs))
-    assert_twins(got.mean, means)
-    assert_twins(got.innovations, [step.innovation for step in steps])
-    assert got.log_likelihood == pytest.approx(sum(step.log_likelihood for step in steps), rel=TWIN)
-    if got.cov is not None:
-        assert_twins(got.cov, covs)
-
-
-def assert_smoother(got: Estimate, model: Model, steps: list[reference.Step]) -> None:
-    beliefs, covs = reference.smooth(steps, model.F, model.H), [step.filtered.cov for step in steps]
-    assert_twins(got.signal, [model.H @ belief.mean for belief in beliefs])
-    assert_twins(got.sigma**2, variances(model.H, [belief.cov for belief in beliefs]), variances(model.H, covs))
-    assert_twins(got.mean, [belief.mean for belief in beliefs])
-    if got.cov is not None:
-        assert_twins(got.cov, [belief.cov for belief in beliefs], covs)
-
-
-def assert_right(model: Model, z: Floats) -> None:
-    """The filter and the smoother, with and without covariances, which settle differently, and the stream."""
-    steps = steps_of(model, z)
-    for covariances in (False, True):
-        assert_filter(kalman_filter(model, z, states=True, covariances=covariances), model, steps)
-        assert_smoother(kalman_smoother(model, z, states=True, covariances=covariances), model, steps)
-    assert log_likelihood(model, z) == kalman_filter(model, z).log_likelihood
-    signal, sigma = Online(model).run(z)
-    assert_twins(signal, [model.H @ step.filtered.mean for step in steps])
-    assert_twins(sigma**2, variances(model.H, [step.filtered.cov for step in steps]))
-
-
 ROWS = 1100
 EDGES = st.sampled_from([0, 1, 254, 255, 256, 257, 510, 511, 512, 513, 767, 768, 1023, 1024, ROWS - 1])
 SPOILT = st.tuples(
@@ -109,9 +56,9 @@ def test_whatever_does_not_arrive(name: str, spoilt: list[Any], gaps: list[Any])
         z[row, channel % model.channels] = value
     for row, length, channel in gaps:  # -1: all channels
         z[row : row + length, slice(None) if channel < 0 else channel % model.channels] = np.nan
-    steps = steps_of(model, z)
-    assert_filter(kalman_filter(model, z, states=True), model, steps)
-    assert_smoother(kalman_smoother(model, z, states=True), model, steps)
+    about = known(model, z)
+    assert_filter(kalman_filter(model, z, states=True), about)
+    assert_smoother(kalman_smoother(model, z, states=True), about)
 
 
 @pytest.mark.parametrize("name", MODELS)
@@ -128,25 +75,28 @@ def test_no_rows(run: Any) -> None:
         assert (got.log_likelihood, got.used, got.settled_row) == (0.0, 0, None)
 
 
+def rows_from(whole: Estimate, begin: int) -> Estimate:
+    fields = ("signal", "sigma", "innovations", "innovation_sigma", "mean", "cov")
+    return replace(whole, **{field: getattr(whole, field)[begin:] for field in fields})
+
+
 @pytest.mark.parametrize("rows", [4, 255, 256, 257, 512, 1300])
 def test_a_flat_start_goes_on_as_the_reference(rows: int) -> None:
     model = Model(**PAIR)
     z = drawn(model, rows)
     z[:2] = np.nan  # the third row tells both states; from there on the reference can follow
-    got, smoothed = kalman_filter(model, z, states=True, covariances=True), kalman_smoother(model, z, states=True)
+    got, back = (run(model, z, states=True, covariances=True) for run in (kalman_filter, kalman_smoother))
     assert got.mean is not None
     assert got.cov is not None
     after = z[2:].copy()
     after[0] = np.nan
-    steps = steps_of(Model(**PAIR, x0=got.mean[2], P0=got.cov[2]), after)
-    beliefs = reference.smooth(steps, model.F, model.H)
-    assert_twins(got.mean[2:], [step.filtered.mean for step in steps])
-    assert_twins(smoothed.signal[2:], [model.H @ belief.mean for belief in beliefs])
-    assert np.isfinite(smoothed.signal).all()
-    assert got.log_likelihood == pytest.approx(sum(step.log_likelihood for step in steps), rel=TWIN)
+    about = known(Model(**PAIR, x0=got.mean[2], P0=got.cov[2]), after)
+    assert_filter(rows_from(got, 2), about)
+    assert_smoother(rows_from(back, 2), about)
+    assert np.isfinite(back.signal).all()
     for begin in (0, 3, 100, 255, 256, 300, 512, 1000):
         if begin < rows:
-            expected = sum(step.log_likelihood for step in steps[max(begin - 2, 0) :])
+            expected = sum(step.log_likelihood for step in about.steps[max(begin - 2, 0) :])
             sums = score(model, even_timeline(model, rows), z, begin)
             assert sums is not None
             told = -0.5 * (sums.squares + sums.log_det + sums.used * np.log(2 * np.pi))
@@ -195,7 +145,7 @@ def test_the_memory_layout_changes_no_bit(name: str, layout: str) -> None:
     assert np.array_equal(np.array(other), before)
 
 
-def followed(model: Model, F: Floats, Q: Floats, z: Floats) -> tuple[list[reference.Step], list[reference.Belief]]:
+def followed(model: Model, F: Floats, Q: Floats, z: Floats) -> Known:
     """Filter and smooth with the reference's own steps, row k following F[k], Q[k]."""
     assert model.x0 is not None
     assert model.P0 is not None
@@ -213,7 +163,7 @@ def followed(model: Model, F: Floats, Q: Floats, z: Floats) -> tuple[list[refere
         A = np.eye(2) - steps[k].predicted.cov @ H.T @ S_inverse @ H
         r = F[k].T @ (H.T @ S_inverse @ nu[np.isfinite(nu)] + A.T @ r)  # (11)
         N = F[k].T @ (H.T @ S_inverse @ H + A.T @ N @ A) @ F[k]  # (12)
-    return steps, smoothed[::-1]
+    return Known(model, steps, smoothed[::-1])
 
 
 def test_uneven_time_between_even_stretches() -> None:
@@ -229,15 +179,11 @@ def test_uneven_time_between_even_stretches() -> None:
     model = Model(even.F, even.H, even.Q, even.R, x0=[0, 0], P0=np.eye(2))
     z = drawn(model, len(elapsed))
     z[900], z[1700:1760], z[2300] = np.nan, np.nan, 1e101
-    steps, beliefs = followed(model, *discretise(component, elapsed), arrived(z))
+    about = followed(model, *discretise(component, elapsed), arrived(z))
     timeline = elapsed_timeline(component, 1.0, elapsed)
-    got, back = run_filter(model, timeline, z).estimate, run_smoother(model, timeline, z)
+    wanted = Wanted(states=True)
+    got, back = run_filter(model, timeline, z, wanted).estimate, run_smoother(model, timeline, z, wanted)
     assert got.settled_row is not None
-    assert got.settled_row < 256
-    covs = [step.filtered.cov for step in steps]
-    assert_twins(got.signal, [model.H @ step.filtered.mean for step in steps])
-    assert_twins(got.sigma**2, variances(model.H, covs))
-    assert_twins(got.innovations, [step.innovation for step in steps])
-    assert got.log_likelihood == pytest.approx(sum(step.log_likelihood for step in steps), rel=TWIN)
-    assert_twins(back.signal, [model.H @ belief.mean for belief in beliefs])
-    assert_twins(back.sigma**2, variances(model.H, [belief.cov for belief in beliefs]), variances(model.H, covs))
+    assert got.settled_row <= settled_by(slowest_pole(model) ** 2) + 3  # three checks in a row confirm it
+    assert_filter(got, about)
+    assert_smoother(back, about)

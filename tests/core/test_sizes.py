@@ -4,33 +4,23 @@ from __future__ import annotations
 
 from functools import cache
 from itertools import pairwise, product
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pytest
 
-from becalm.core import reference
+from against_reference import TWIN, Known, assert_filter, assert_online, assert_smoother, assert_twins, known
 from becalm.core.arrays import Floats
-from becalm.core.filtering import Estimate, kalman_filter
+from becalm.core.filtering import kalman_filter
 from becalm.core.likelihood import log_likelihood
 from becalm.core.model import Model
 from becalm.core.online import Online
 from becalm.core.smoothing import kalman_smoother
 
-TWIN = 1e-12
 ROWS = 1500
 QUICK = [(1, 1), (2, 1), (3, 1), (4, 1), (1, 3), (2, 2), (4, 3)]  # one channel and up to four states look ahead
 LARGE = [(5, 1), (2, 6), (6, 6), (12, 1), (12, 4)]
 PAIRS = [*QUICK, *(pytest.param(pair, marks=pytest.mark.slow) for pair in LARGE)]
-
-
-class Known(NamedTuple):
-    """A record and what the reference says of it."""
-
-    model: Model
-    z: Floats
-    steps: list[reference.Step]
-    beliefs: list[reference.Belief]
 
 
 def covariance(rng: np.random.Generator, size: int) -> Floats:
@@ -49,62 +39,15 @@ def model_of(n: int, m: int) -> Model:
     return Model(F, H, 0.2 * covariance(rng, n), covariance(rng, m), x0=rng.normal(size=n), P0=2 * covariance(rng, n))
 
 
-def filtered(model: Model, z: Floats) -> list[reference.Step]:
-    assert model.x0 is not None
-    assert model.P0 is not None
-    belief = reference.Belief(model.x0, model.P0)
-    return reference.filter_readings(belief, model.F, model.process_covariance, (model.H, model.R), z)
-
-
 @cache
-def known(pair: tuple[int, int], damaged: bool) -> Known:
+def record(pair: tuple[int, int], damaged: bool) -> tuple[Known, Floats]:
     """Draw readings as large as the model expects, and lose some of them; the reference is slow, so once."""
     model = model_of(*pair)
     z = 2 * np.random.default_rng(7).normal(size=(ROWS, model.channels))
     if damaged:
         z[255], z[256, 0], z[511, -1] = np.nan, np.nan, np.nan
         z[700, :1], z[830:833], z[1290:, -1] = np.nan, np.nan, np.nan
-    steps = filtered(model, z)
-    return Known(model, z, steps, reference.smooth(steps, model.F, model.H))
-
-
-def assert_twins(got: Floats | None, expected: Any, measure: Any = None) -> None:
-    """Agree to 1e-12 of each component's largest value, or that of what it is a difference of; NaN where NaN."""
-    assert got is not None
-    expected = np.asarray(expected)
-    size = np.nanmax(np.abs(expected if measure is None else np.asarray(measure)), axis=0, initial=0.0)
-    assert got.shape == expected.shape
-    assert np.array_equal(np.isnan(got), np.isnan(expected))
-    assert np.nanmax(np.abs(got - expected) - TWIN * size, initial=0.0) <= 0
-
-
-def variances(H: Floats, covs: list[Floats]) -> Floats:
-    return np.array([np.maximum(np.diag(H @ P @ H.T), 0) for P in covs])
-
-
-def assert_filter(got: Estimate, about: Known) -> None:
-    H, steps = about.model.H, about.steps
-    spread = np.full(about.z.shape, np.nan)
-    for k, step in enumerate(steps):
-        spread[k, np.isfinite(about.z[k])] = np.diag(step.innovation_cov)
-    assert_twins(got.signal, [H @ step.filtered.mean for step in steps])
-    assert_twins(got.sigma**2, variances(H, [step.filtered.cov for step in steps]))
-    assert_twins(got.mean, [step.filtered.mean for step in steps])
-    assert_twins(got.innovations, [step.innovation for step in steps])
-    assert_twins(got.innovation_sigma**2, spread)
-    assert got.log_likelihood == pytest.approx(sum(step.log_likelihood for step in steps), rel=TWIN)
-    assert got.used == np.isfinite(about.z).sum()
-    if got.cov is not None:
-        assert_twins(got.cov, [step.filtered.cov for step in steps])
-
-
-def assert_smoother(got: Estimate, about: Known) -> None:
-    H, beliefs, covs = about.model.H, about.beliefs, [step.filtered.cov for step in about.steps]
-    assert_twins(got.signal, [H @ belief.mean for belief in beliefs])
-    assert_twins(got.sigma**2, variances(H, [belief.cov for belief in beliefs]), variances(H, covs))
-    assert_twins(got.mean, [belief.mean for belief in beliefs])
-    if got.cov is not None:
-        assert_twins(got.cov, [belief.cov for belief in beliefs], covs)
+    return known(model, z), z
 
 
 @pytest.mark.parametrize("damaged", [False, True], ids=["whole", "damaged"])
@@ -113,28 +56,26 @@ class TestEverySize:
     """One model a size, correlated R, with and without covariances: they settle differently."""
 
     def test_the_filter_is_the_reference(self, pair: tuple[int, int], damaged: bool) -> None:
-        about = known(pair, damaged)
+        about, z = record(pair, damaged)
         for covariances in (False, True):
-            got = kalman_filter(about.model, about.z, states=True, covariances=covariances)
+            got = kalman_filter(about.model, z, states=True, covariances=covariances)
             assert got.settled_row is not None, "the gain never settled, so no block was tested"
             assert got.settled_row < 512
             assert_filter(got, about)
-            assert log_likelihood(about.model, about.z) == pytest.approx(got.log_likelihood, rel=TWIN)
+            assert log_likelihood(about.model, z) == pytest.approx(got.log_likelihood, rel=TWIN)
 
     def test_the_smoother_is_the_reference(self, pair: tuple[int, int], damaged: bool) -> None:
-        about = known(pair, damaged)
+        about, z = record(pair, damaged)
         for covariances in (False, True):
-            got = kalman_smoother(about.model, about.z, states=True, covariances=covariances)
+            got = kalman_smoother(about.model, z, states=True, covariances=covariances)
             assert_smoother(got, about)
-            ahead = kalman_filter(about.model, about.z, covariances=covariances)
+            ahead = kalman_filter(about.model, z, covariances=covariances)
             np.testing.assert_allclose(got.innovations, ahead.innovations, rtol=1e-12, atol=1e-12)
             assert got.log_likelihood == pytest.approx(ahead.log_likelihood, rel=TWIN)
 
     def test_online_is_the_reference(self, pair: tuple[int, int], damaged: bool) -> None:
-        about = known(pair, damaged)
-        signal, sigma = Online(about.model).run(about.z)
-        assert_twins(signal, [about.model.H @ step.filtered.mean for step in about.steps])
-        assert_twins(sigma**2, variances(about.model.H, [step.filtered.cov for step in about.steps]))
+        about, z = record(pair, damaged)
+        assert_online(about, z)
 
 
 FLAGS = ("states", "covariances", "sigma", "innovations")
@@ -145,12 +86,12 @@ RESULTS = {"mean": "states", "cov": "covariances", "sigma": "sigma", "innovation
 @pytest.mark.parametrize("pair", [(2, 1), (2, 2)], ids=str)
 def test_what_is_wanted_does_not_change_what_comes(pair: tuple[int, int], run: Any) -> None:
     """Bit for bit where the path is the same; covariances settle later, which shows in the last digits."""
-    about = known(pair, True)
+    about, z = record(pair, True)
     for covariances in (False, True):
-        everything = run(about.model, about.z, states=True, covariances=covariances)
+        everything = run(about.model, z, states=True, covariances=covariances)
         for states, sigma, innovations in product((False, True), repeat=3):
             wanted = dict(zip(FLAGS, (states, covariances, sigma, innovations), strict=True))
-            got = run(about.model, about.z, **wanted)
+            got = run(about.model, z, **wanted)
             assert np.array_equal(got.signal, everything.signal)
             assert got.log_likelihood == everything.log_likelihood
             assert (got.used, got.settled_row) == (everything.used, everything.settled_row)
@@ -253,14 +194,11 @@ def test_degenerate_noise_and_any_scale(name: str, factor: float) -> None:
     model = scaled(factor, DEGENERATE[name])
     z = factor * np.random.default_rng(9).normal(size=(1000, 2))
     z[600:610] = np.nan
-    steps = filtered(model, z)
-    covs, beliefs = [step.filtered.cov for step in steps], reference.smooth(steps, model.F, model.H)
+    about = known(model, z)
     for covariances in (False, True):
         got = kalman_filter(model, z, states=True, covariances=covariances)
         back = kalman_smoother(model, z, states=True, covariances=covariances)
-        assert_twins(got.mean, [step.filtered.mean for step in steps])
-        assert_twins(got.sigma**2, variances(model.H, covs), factor**2 * np.ones((1, 2)))
-        assert_twins(back.mean, [belief.mean for belief in beliefs])
-        assert_twins(back.sigma**2, variances(model.H, [b.cov for b in beliefs]), factor**2 * np.ones((1, 2)))
-        assert got.log_likelihood == pytest.approx(sum(step.log_likelihood for step in steps), rel=TWIN)
-    assert_twins(Online(model).run(z)[0], [model.H @ step.filtered.mean for step in steps])
+        assert_filter(got, about, scale=factor**2)
+        assert_smoother(back, about, scale=factor**2)
+    signal = Online(model).run(z)[0]
+    assert_twins(signal, [model.H @ step.filtered.mean for step in about.steps])

@@ -7,13 +7,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from becalm.core import reference
+from against_reference import assert_filter, assert_smoother, assert_twins, known
 from becalm.core.arrays import Floats
 from becalm.core.filtering import kalman_filter
 from becalm.core.model import Model
 from becalm.core.smoothing import kalman_smoother
 
-TWIN = 1e-12
 ROWS = 300
 DAMPED = 0.9 * (np.eye(4) + np.eye(4, k=1) * 0.1 + np.eye(4, k=2) * 0.005)
 ROTATION = [[0.95, -0.3, 0.0], [0.3, 0.95, 0.0], [0.02, 0.01, 0.9]]
@@ -101,24 +100,6 @@ def simulate(model: Model, missing: str, rows: int = ROWS) -> Floats:
     return z
 
 
-def steps_of(model: Model, z: Floats) -> list[reference.Step]:
-    assert model.x0 is not None
-    assert model.P0 is not None
-    belief = reference.Belief(model.x0, model.P0)
-    return reference.filter_readings(belief, model.F, model.process_covariance, (model.H, model.R), z)
-
-
-def assert_twins(got: Floats, expected: Any, measure: Any = None) -> None:
-    """Agree to 1e-12 of each component's largest value over the record, and in where nothing is.
-
-    A smoothed covariance is a difference, P - P N P; its `measure` is the P that it is taken from.
-    """
-    expected = np.asarray(expected)
-    size = np.nanmax(np.abs(expected if measure is None else np.asarray(measure)), axis=0, initial=0.0)
-    assert np.array_equal(np.isnan(got), np.isnan(expected))
-    assert np.nanmax(np.abs(got - expected) - TWIN * size, initial=0.0) <= 0
-
-
 @pytest.fixture(params=list(CASES.values()), ids=list(CASES))
 def case(request: pytest.FixtureRequest) -> tuple[Model, Floats]:
     found: Case = request.param
@@ -128,32 +109,9 @@ def case(request: pytest.FixtureRequest) -> tuple[Model, Floats]:
 
 def test_the_filter_is_its_twin(case: tuple[Model, Floats]) -> None:
     model, z = case
-    steps = steps_of(model, z)
-    got = kalman_filter(model, z, states=True, covariances=True)
-    assert got.mean is not None
-    assert got.cov is not None
-    assert_twins(got.mean, [step.filtered.mean for step in steps])
-    assert_twins(got.cov, [step.filtered.cov for step in steps])
-    assert_twins(got.signal, [model.H @ step.filtered.mean for step in steps])
-    variance = [np.maximum(np.diag(model.H @ step.filtered.cov @ model.H.T), 0) for step in steps]
-    assert_twins(got.sigma**2, variance)
-    assert_twins(got.innovations, [step.innovation for step in steps])
-
-
-def test_the_innovations_spread_is_its_twin(case: tuple[Model, Floats]) -> None:
-    model, z = case
-    expected = np.full(z.shape, np.nan)
-    for k, step in enumerate(steps_of(model, z)):
-        expected[k, np.isfinite(z[k])] = np.diag(step.innovation_cov)
-    assert_twins(kalman_filter(model, z).innovation_sigma ** 2, expected)
-
-
-def test_the_likelihood_is_its_twin(case: tuple[Model, Floats]) -> None:
-    model, z = case
-    steps = steps_of(model, z)
-    got = kalman_filter(model, z)
-    assert got.log_likelihood == pytest.approx(sum(step.log_likelihood for step in steps), rel=TWIN, abs=TWIN)
-    assert got.used == sum(np.linalg.matrix_rank(step.innovation_cov, hermitian=True) for step in steps)
+    about = known(model, z, smooth=False)
+    for covariances in (False, True):
+        assert_filter(kalman_filter(model, z, states=True, covariances=covariances), about)
 
 
 def test_a_reading_that_can_teach_nothing_does_not_enter_the_likelihood() -> None:
@@ -166,16 +124,9 @@ def test_a_reading_that_can_teach_nothing_does_not_enter_the_likelihood() -> Non
 
 def test_the_smoother_is_its_twin(case: tuple[Model, Floats]) -> None:
     model, z = case
-    steps = steps_of(model, z)
-    beliefs = reference.smooth(steps, model.F, model.H)
-    got = kalman_smoother(model, z, states=True, covariances=True)
-    assert got.mean is not None
-    assert got.cov is not None
-    assert_twins(got.mean, [belief.mean for belief in beliefs])
-    assert_twins(got.cov, [belief.cov for belief in beliefs], [step.filtered.cov for step in steps])
-    assert_twins(got.signal, [model.H @ belief.mean for belief in beliefs])
-    variance = [np.maximum(np.diag(model.H @ belief.cov @ model.H.T), 0) for belief in beliefs]
-    assert_twins(got.sigma**2, variance, [np.diag(model.H @ step.filtered.cov @ model.H.T) for step in steps])
+    about = known(model, z)
+    for covariances in (False, True):
+        assert_smoother(kalman_smoother(model, z, states=True, covariances=covariances), about)
 
 
 SETTLING: dict[str, dict[str, Any]] = {
@@ -193,13 +144,9 @@ def test_a_settled_gain_gives_what_the_full_recursion_gives(name: str) -> None:
     model = Model(**SETTLING[name])
     z = simulate(model, "none", rows=4000)
     got = kalman_filter(model, z, states=True, covariances=True)
-    steps = steps_of(model, z)
-    assert got.mean is not None
     assert got.cov is not None
     assert np.array_equal(got.cov[-1], got.cov[-2]), "the gain never settled, so nothing was tested"
-    assert_twins(got.mean, [step.filtered.mean for step in steps])
-    assert_twins(got.cov, [step.filtered.cov for step in steps])
-    assert got.log_likelihood == pytest.approx(sum(step.log_likelihood for step in steps), rel=TWIN)
+    assert_filter(got, known(model, z, smooth=False))
 
 
 @pytest.mark.parametrize("name", SETTLING)
@@ -209,16 +156,9 @@ def test_a_gap_wakes_a_settled_gain(name: str) -> None:
     z[1500:1530] = np.nan
     z[1700, 0] = np.nan
     z[2500, -1] = np.inf
-    got = kalman_filter(model, z, states=True, covariances=True)
-    steps = steps_of(model, z)
-    assert got.mean is not None
-    assert got.cov is not None
-    assert_twins(got.mean, [step.filtered.mean for step in steps])
-    assert_twins(got.cov, [step.filtered.cov for step in steps])
-    assert_twins(got.innovations, [step.innovation for step in steps])
-    after = kalman_smoother(model, z, states=True)
-    assert after.mean is not None
-    assert_twins(after.mean, [belief.mean for belief in reference.smooth(steps, model.F, model.H)])
+    about = known(model, z)
+    assert_filter(kalman_filter(model, z, states=True, covariances=True), about)
+    assert_smoother(kalman_smoother(model, z, states=True), about)
 
 
 def test_settling_is_noticed_at_all() -> None:
