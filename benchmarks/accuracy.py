@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 
 import becalm
 from becalm.classic.with_truth import best_causal
-from becalm.core.components import motion
+from becalm.core.components import ORDERS, motion
 from becalm.metrics.truth import coverage, rms_error
-from becalm.noise.choose import ORDERS
 
 Floats = NDArray[np.float64]
 

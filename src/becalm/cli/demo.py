@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 def run(folder: Path) -> None:
     """Write the drive and its clean signal into a folder, and print the figures."""
     from becalm.cleaning.pipeline import clean
+    from becalm.cli.warm import ahead
     from becalm.files.plain import write_text
     from becalm.files.reading import read
     from becalm.files.writing import write
@@ -27,6 +28,7 @@ def run(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as cause:
         raise OutputError(f"The folder {folder} cannot be made ({cause.strerror}); name another with -o.") from cause
+    ahead()
     drive = simulate()
     raw, calm, live = folder / "drive.csv", folder / "drive_clean.csv", folder / "drive_causal.csv"
     write(folder / "drive_truth.csv", drive.truth)

@@ -193,8 +193,10 @@ def _tuned(source: OpenSource, file: Path, causal: bool, said: Said) -> Recipe:
     from becalm.cleaning.pipeline import tune as tune_recording
     from becalm.cli.streaming import rows_to_tune_on
     from becalm.cli.talk import progress
+    from becalm.cli.warm import ahead
     from becalm.files.hashing import sha256
 
+    ahead()
     with progress("tuning", len(source.names)) as step:
         found = tune_recording(
             source.sample(rows_to_tune_on(len(source.names))), causal=causal, progress=lambda name: step(name, 1)

@@ -3,11 +3,22 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 
 from becalm.cli.talk import stderr
 from becalm.errors import OutputError
 
 _WAY_OUT = "Set NUMBA_CACHE_DIR to a folder that can be written, and repeat."
+
+
+def ahead() -> None:
+    """Compile side by side what tuning and cleaning would compile one after the other, if it was never done."""
+    from becalm.core.compiling import kernel_folder
+    from becalm.core.warming import CLEANING, is_cold, warm
+
+    if kernel_folder() is not None and is_cold():
+        stderr.print("Compiling the filters for this machine, which is done once.")
+        deque(warm(CLEANING), maxlen=0)
 
 
 def run() -> None:
@@ -24,7 +35,7 @@ def run() -> None:
         )
     for kernel in warm():
         if kernel.trouble is not None:
-            raise OutputError(f"Compiled kernels cannot be kept in {folder}: {kernel.trouble.strerror}. {_WAY_OUT}")
+            raise OutputError(f"Compiled kernels cannot be kept in {folder}: {kernel.trouble}. {_WAY_OUT}")
         if kernel.compiled:
             made += 1
             stderr.print(f"{kernel.name}, order {kernel.order}: compiled in {kernel.seconds:.1f} s")

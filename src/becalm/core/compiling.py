@@ -135,6 +135,15 @@ class Shelf:
         kind = repr((signature, codegen.magic_tuple(), self._held))
         return f"{self._stem}.{hashlib.sha256(kind.encode()).hexdigest()[:16]}.nbc"
 
+    def count(self) -> int:
+        """Return how many kinds are kept, made of these sources."""
+        return sum(
+            stored[:_SEAL] == _seal(stored[_SEAL:])
+            for folder in {self.folder, _BESIDE}
+            if folder is not None
+            for stored in (file.read_bytes() for file in folder.glob(f"{self._stem}.*.nbc"))
+        )
+
     @property
     def cache_path(self) -> str | None:
         """The folder, as Numba's statistics show it."""
@@ -186,6 +195,15 @@ def save_trouble(kernel: object) -> OSError | None:
     """Return why a compiled kernel could not be kept; None where it was, or nothing was to be kept."""
     shelf = getattr(kernel, "_cache", None)
     return shelf.trouble if isinstance(shelf, Shelf) else None
+
+
+def count_kept(kernel: object) -> int:
+    """Return for how many kinds of arguments a kernel is kept on disk; 0 where nothing can be read."""
+    shelf = getattr(kernel, "_cache", None)
+    try:
+        return shelf.count() if isinstance(shelf, Shelf) else 0
+    except OSError:
+        return 0
 
 
 def times_compiled(kernel: object) -> int:

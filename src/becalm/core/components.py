@@ -19,6 +19,9 @@ from becalm.errors import ModelError
 
 HIGHEST_ORDER = 5
 
+ORDERS = (1, 2, 3)
+"""Orders of motion that are chosen between."""
+
 
 @dataclass(frozen=True, eq=False)
 class Component:

@@ -1,16 +1,24 @@
-"""All kernels that cleaning, tuning and live filters of one channel use, compiled ahead of their first use."""
+"""The kernels that cleaning, tuning and live filters of one channel use, compiled ahead of their first use.
+
+Compiling is slow, and one process compiles one kernel at a time; so each order has a process of its own.
+"""
 
 from __future__ import annotations
 
+import json
+import os
+import subprocess
+import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from becalm.core.compiling import save_trouble, times_compiled
-from becalm.core.components import motion
+from becalm.core.compiling import count_kept, save_trouble, times_compiled
+from becalm.core.components import ORDERS, motion
 from becalm.core.filtering import kalman_filter, sizes_of
 from becalm.core.kernel_backward import backward
 from becalm.core.kernel_online import live_kernels
@@ -18,8 +26,11 @@ from becalm.core.kernels import forward
 from becalm.core.online import Online
 from becalm.core.smoothing import kalman_smoother
 
-ORDERS = (1, 2, 3)
+KERNELS = ("forward", "backward", "live run", "live step")
+CLEANING = KERNELS[:2]
+
 _READINGS = np.linspace(0.0, 1.0, 100)
+_SOURCES = Path(__file__).parents[2]
 
 
 class Warmed(NamedTuple):
@@ -29,23 +40,66 @@ class Warmed(NamedTuple):
     order: int
     seconds: float
     compiled: bool  # False where it was there already
-    trouble: OSError | None  # why it could not be kept
+    trouble: str | None  # why it could not be kept
 
 
-def warm() -> Iterator[Warmed]:
-    """Compile the kernels for motions of order 1, 2, 3 with one channel, one after the other."""
-    for order in ORDERS:
-        model = motion(order).to_model(step_s=1.0, noise_variance=1.0)
-        online = Online(model)
-        live = live_kernels(*sizes_of(model))
-        yield _warmed("forward", order, forward, partial(kalman_filter, model, _READINGS))
-        yield _warmed("backward", order, backward, partial(kalman_smoother, model, _READINGS))
-        yield _warmed("live run", order, live.run, partial(online.run, _READINGS))
-        yield _warmed("live step", order, live.step, partial(online.step, 1.0))
+def is_cold() -> bool:
+    """Whether the kernels that tuning needs were not compiled yet."""
+    return count_kept(forward) < len(ORDERS)
+
+
+def warm(names: Sequence[str] = KERNELS) -> Iterator[Warmed]:
+    """Compile the kernels for motions of order 1, 2, 3 with one channel, side by side.
+
+    A process that comes to grief is no error: what it has not compiled is compiled when it is used.
+    """
+    places = [str(_SOURCES), os.environ.get("PYTHONPATH", "")]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, places))}
+    started = [
+        subprocess.Popen(
+            [sys.executable, "-P", "-m", __name__, str(order), *names],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            env=environment,
+            text=True,
+        )
+        for order in ORDERS
+    ]
+    try:
+        for process in started:
+            assert process.stdout is not None, "stdout=PIPE gives it"
+            for line in process.stdout:
+                yield Warmed(*json.loads(line))
+    finally:
+        for process in started:
+            process.kill()
+            process.communicate()
+
+
+def warm_order(order: int, names: Sequence[str]) -> Iterator[Warmed]:
+    """Compile kernels for a motion of one order in this process, one after the other."""
+    model = motion(order).to_model(step_s=1.0, noise_variance=1.0)
+    online = Online(model)
+    live = live_kernels(*sizes_of(model))
+    uses: dict[str, tuple[object, Callable[[], object]]] = {
+        "forward": (forward, partial(kalman_filter, model, _READINGS)),
+        "backward": (backward, partial(kalman_smoother, model, _READINGS)),
+        "live run": (live.run, partial(online.run, _READINGS)),
+        "live step": (live.step, partial(online.step, 1.0)),
+    }
+    for name in names:
+        yield _warmed(name, order, *uses[name])
 
 
 def _warmed(name: str, order: int, kernel: object, use: Callable[[], object]) -> Warmed:
     before, begun = times_compiled(kernel), time.perf_counter()
     use()
     took, compiled = time.perf_counter() - begun, times_compiled(kernel) > before
-    return Warmed(name, order, took, compiled, save_trouble(kernel))
+    trouble = save_trouble(kernel)
+    return Warmed(name, order, took, compiled, None if trouble is None else trouble.strerror)
+
+
+if __name__ == "__main__":
+    for one in warm_order(int(sys.argv[1]), sys.argv[2:]):
+        print(json.dumps(one), flush=True)  # noqa: T201  (read by `warm`)

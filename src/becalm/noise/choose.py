@@ -11,10 +11,10 @@ from typing import Literal
 import numpy as np
 
 from becalm.core.arrays import Floats
+from becalm.core.components import ORDERS
 from becalm.noise.likelihood import Evidence, Tuning, tune_motion
 from becalm.noise.risk import retune
 
-ORDERS = (1, 2, 3)
 FEWEST_READINGS = 8
 """Fewer readings than this cannot tell noise from signal."""
 
