@@ -40,7 +40,7 @@ class ChannelReport:
     noise_std : float or None
         Standard deviation of one reading's noise, in unit.
     q_over_r : float or None
-        Ratio of process to measurement noise, per median step.
+        Ratio of process to measurement noise, per step.
     bandwidth_hz, lag_s : float or None
         -3 dB bandwidth and delay of a slow signal.
     log_likelihood : float or None

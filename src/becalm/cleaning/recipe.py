@@ -80,7 +80,7 @@ class Origin(_Settings):
     rows : int
         Samples.
     rate_hz : float
-        Samples per second, by the median step.
+        Samples per second, 1 over the step.
     becalm : str
         Version that tuned it.
     """

@@ -1,4 +1,4 @@
-"""A file through a recipe, chunk by chunk: what is read, what is cleaned and what is written go side by side."""
+"""A file through a recipe, chunk by chunk: channels are cleaned side by side, and written beside that."""
 
 from __future__ import annotations
 

@@ -78,7 +78,7 @@ def filter_batch(model: Model, z: ArrayLike, *, states: bool = False, innovation
     readings = np.ascontiguousarray(numbers(z))
     if readings.ndim != 3 or readings.shape[2] != model.channels:
         raise ModelError(f"z has shape {np.shape(z)}; (records, N, {model.channels}) is needed.")
-    wanted = Wanted(states=states, innovations=innovations)
+    wanted = Wanted(states=states, innovations=innovations, innovation_sigma=innovations)
     together = wide_prior(model) is None and readings.size > 0
     room = _room(model, readings, wanted)
     alone = _filter_complete(model, readings, room, wanted) if together else range(len(readings))
@@ -208,7 +208,12 @@ def _start(model: Model, z: Floats, room: _Room, wanted: Wanted) -> _Start:
 
 def _opened(model: Model, z: Floats) -> tuple[Estimate, Floats]:
     """Return what an opening of readings (begun, m) tells, and the state at its end."""
-    run = run_filter(model, even_timeline(model, len(z)), z, Wanted(states=True, sigma=False, innovations=False))
+    run = run_filter(
+        model,
+        even_timeline(model, len(z)),
+        z,
+        Wanted(states=True, sigma=False, innovations=False, innovation_sigma=False),
+    )
     return run.estimate, run.memory[0, : model.states]
 
 

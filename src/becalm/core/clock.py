@@ -36,7 +36,7 @@ class Clock:
     count : int
         Number of samples.
     step_s : float
-        One step in seconds: the median distance of two samples.
+        One step in seconds: the slope of stamps that lie on a line, else the median distance of two.
     start_s : float
         Time of the first sample, in seconds.
     uniform : bool
@@ -116,7 +116,7 @@ class Clock:
 
     @property
     def rate_hz(self) -> float:
-        """Samples per second, by the median step."""
+        """Samples per second, 1 over the step."""
         return 1.0 / self.step_s
 
     @property

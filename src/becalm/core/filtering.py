@@ -68,6 +68,7 @@ class Wanted(NamedTuple):
     covariances: bool = False
     sigma: bool = True
     innovations: bool = True
+    innovation_sigma: bool = True
     signal: bool = True
 
 
@@ -140,7 +141,7 @@ def kalman_filter(  # noqa: PLR0913  (what is wanted, each by its name)
     confused with `kalman_smoother`, whose estimates also know the readings after their own.
     """
     readings = checked_readings(model, z)
-    wanted = Wanted(states, covariances, sigma, innovations)
+    wanted = Wanted(states, covariances, sigma, innovations, innovations)
     return run_filter(model, even_timeline(model, len(readings)), readings, wanted).estimate
 
 
@@ -247,7 +248,9 @@ def score_opening(
         nu = (z[k] - H @ x)[arrived]
         S = (H @ P @ H.T + R)[np.ix_(arrived, arrived)]
         if trace.innovation.size:
-            trace.innovation[arrived, k], trace.innovation_sigma[arrived, k] = nu, np.sqrt(np.diag(S))
+            trace.innovation[arrived, k] = nu
+        if trace.innovation_sigma.size:
+            trace.innovation_sigma[arrived, k] = np.sqrt(np.diag(S))
         if arrived.any():
             squares += float(nu @ np.linalg.solve(S, nu))
             log_det += float(np.linalg.slogdet(S)[1])
@@ -267,7 +270,7 @@ def new_trace(model: Model, count: int, wanted: Wanted) -> Trace:
         signal=np.empty((m, count if wanted.signal else 0)),
         sigma=np.empty((m, count if wanted.sigma else 0)),
         innovation=np.empty((m, count if wanted.innovations else 0)),
-        innovation_sigma=np.empty((m, count if wanted.innovations else 0)),
+        innovation_sigma=np.empty((m, count if wanted.innovation_sigma else 0)),
         mean=np.empty((n, count if wanted.states else 0)),
         cov=np.empty((n, n, count if wanted.covariances else 0)),
     )

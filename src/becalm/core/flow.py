@@ -16,12 +16,13 @@ import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.core.components import Component
-from becalm.core.filtering import Pass, Run, Task, Wanted, go_on, new_trace, start_filter
+from becalm.core.filtering import Pass, Run, Task, Wanted, go_on, start_filter
 from becalm.core.kernel_ahead import BLOCK
 from becalm.core.kernel_return import Future, new_future
 from becalm.core.kernel_settling import rename_last_step
 from becalm.core.response import steady
-from becalm.core.smoothing import forward_pass, go_back
+from becalm.core.smoothing import forward_pass, go_back, room_to_return
+from becalm.core.starting import first_reading
 from becalm.core.timeline import Timeline, elapsed_timeline
 from becalm.errors import ModelError
 
@@ -69,7 +70,7 @@ class Flow:
     ) -> None:
         self._component, self._variance, self._judge = component, noise_variance, judge
         self._model = component.to_model(1.0, noise_variance)
-        self._wanted = Wanted(innovations=judge is not None)
+        self._wanted = Wanted(innovations=judge is not None, innovation_sigma=judge is not None)
         self._how = Pass(self._wanted) if causal else forward_pass(self._wanted)
         self._causal = causal
         self._memory: Floats | None = None
@@ -87,16 +88,18 @@ class Flow:
         """
         if self._waiting:
             z, elapsed = (np.concatenate(parts) for parts in zip(*self._waiting, (z, elapsed), strict=True))
-        self._waiting = []
+        self._waiting, told = [], []
+        if self._causal and self._memory is None and (unread := first_reading(z[:, np.newaxis]) // BLOCK * BLOCK):
+            told, z, elapsed = [self._nothing(unread)], z[unread:], elapsed[unread:]
         if not len(z):
-            return []
+            return told
         goes_on = self._memory is not None
         timeline = elapsed_timeline(self._component, self._variance, elapsed, goes_on=goes_on)
         stretch = self._filter(timeline, z[:, np.newaxis], elapsed)
         if stretch is None:
             self._waiting = [(z, elapsed)]
-            return []
-        return self._tell(stretch)
+            return told
+        return [*told, *self._tell(stretch)]
 
     def finish(self) -> list[Told]:
         """Say that no more rows will come; return what was waiting for them."""
@@ -135,6 +138,14 @@ class Flow:
         if self._judge is not None:
             self._judge(found.innovations[:, 0], found.innovation_sigma[:, 0])
 
+    def _nothing(self, rows: int) -> Told:
+        """Tell of rows before the first reading, which need not wait for it."""
+        unknown = np.full(rows, np.nan)
+        self.rows += rows
+        if self._judge is not None:
+            self._judge(unknown, unknown)
+        return Told(unknown, np.full(rows, np.inf))
+
     def _tell(self, stretch: _Stretch) -> list[Told]:
         if self._causal:
             return [_told(stretch.run.estimate.signal.T, stretch.run.estimate.sigma.T)]
@@ -148,7 +159,7 @@ class Flow:
         return told
 
     def _smooth(self, stretch: _Stretch, future: Future) -> Told:
-        trace = new_trace(self._model, len(stretch.z), Wanted(innovations=False))
+        trace = room_to_return(self._model, stretch.run, Wanted(innovations=False))
         go_back(
             Task(self._model, stretch.timeline, stretch.z, stretch.run.begun), stretch.run, self._how, future, trace
         )
@@ -187,7 +198,7 @@ class Flow:
         for stretch, count in reversed(parts):
             if count:
                 task = Task(self._model, stretch.timeline, stretch.z[:count], stretch.run.begun)
-                trace = new_trace(self._model, count, Wanted(innovations=False, signal=False))
+                trace = room_to_return(self._model, stretch.run, Wanted(signal=False, sigma=True))
                 go_back(task, stretch.run, self._how, future, trace)
         return future
 

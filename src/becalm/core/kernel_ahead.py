@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 from becalm.core.arrays import Floats
 from becalm.core.compiling import compiled_part, woven
+from becalm.core.kernel_steps import multiply
 from becalm.core.sized import Size, size, stack_matrix, stack_vector
 
 BLOCK = 256
@@ -23,20 +24,9 @@ AFTER = BLOCK + 1
 
 AHEAD = 4
 FOUR: Size = size(AHEAD)
-_FEW_STATES = 4
+_FEW_STATES = 4  # looking ahead costs n + 4 products a state instead of n + 1
 
 Rows = tuple[Floats, ...]
-
-
-@compiled_part
-def multiply(rows: Size, columns: Size, A: Floats, B: Floats, C: Floats) -> None:
-    """C = A B, with A (rows, rows), B and C (rows, columns); C is another array than B."""
-    for i in range(len(rows)):
-        for j in range(len(columns)):
-            s = 0.0
-            for k in range(len(rows)):
-                s += A[i, k] * B[k, j]
-            C[i, j] = s
 
 
 class Loop(NamedTuple):
@@ -86,10 +76,10 @@ def looks_ahead(states: Size, inputs: Size) -> bool:
 @compiled_part
 def run_block(states: Size, inputs: Size, loop: Loop, u: Rows, x: Rows) -> None:
     """Run x[:, k + 1] = A x[:, k] + G u[:, k] over a block; x[:, 0] is there."""
-    if not looks_ahead(states, inputs):
-        _one_by_one(states, inputs, loop, u, x, BLOCK)
+    ahead = looks_ahead(states, inputs)
+    _one_by_one(states, inputs, loop, u, x, 1, AHEAD - 1 if ahead else BLOCK)
+    if not ahead:
         return
-    _one_by_one(states, inputs, loop, u, x, AHEAD - 1)
     A4, W, v = loop.A4, loop.W, u[0]
     for k in range(BLOCK - AHEAD + 1):
         for i in range(len(states)):
@@ -100,28 +90,45 @@ def run_block(states: Size, inputs: Size, loop: Loop, u: Rows, x: Rows) -> None:
 
 
 @compiled_part
+def run_back(states: Size, inputs: Size, loop: Loop, u: Rows, x: Rows) -> None:
+    """Run x[:, k] = A x[:, k + 1] + G u[:, k] over a block, from its end on; x[:, BLOCK] is there."""
+    ahead = looks_ahead(states, inputs)
+    _one_by_one(states, inputs, loop, u, x, -1, AHEAD - 1 if ahead else BLOCK)
+    if not ahead:
+        return
+    A4, W, v = loop.A4, loop.W, u[0]
+    for k in range(BLOCK - AHEAD, -1, -1):
+        for i in range(len(states)):
+            s = W[i, 3] * v[k] + W[i, 2] * v[k + 1] + W[i, 1] * v[k + 2] + W[i, 0] * v[k + 3]
+            for j in range(len(states)):
+                s += A4[i, j] * x[j][k + 4]
+            x[i][k] = s
+
+
+@compiled_part
 def _one_by_one(  # noqa: PLR0913
-    states: Size, inputs: Size, loop: Loop, u: Rows, x: Rows, count: int
+    states: Size, inputs: Size, loop: Loop, u: Rows, x: Rows, way: int, count: int
 ) -> None:
-    n = len(states)
+    """Run some rows onwards (`way` is 1) from the first of x, or backwards (-1) from the last."""
+    n, at, enters_at = len(states), 0 if way > 0 else BLOCK, 0 if way > 0 else BLOCK - 1
     now, then = stack_vector(states), stack_vector(states)
     columns, enters = stack_matrix(states, states), stack_matrix(inputs, states)
     transpose(states, states, loop.A, columns)  # so that a column lies in one piece
     transpose(states, inputs, loop.G, enters)
     for i in range(n):
-        now[i] = x[i][0]
+        now[i] = x[i][at]
     for k in range(count):
         for i in range(n):
             then[i] = 0.0
         for c in range(len(inputs)):
             for i in range(n):
-                then[i] += enters[c, i] * u[c][k]
+                then[i] += enters[c, i] * u[c][enters_at + way * k]
         for j in range(n):
             for i in range(n):
                 then[i] += columns[j, i] * now[j]
         for i in range(n):
             now[i] = then[i]
-            x[i][k + 1] = then[i]
+            x[i][at + way * (k + 1)] = then[i]
 
 
 @compiled_part
@@ -130,13 +137,6 @@ def transpose(rows: Size, columns: Size, A: Floats, B: Floats) -> None:
     for i in range(len(rows)):
         for j in range(len(columns)):
             B[j, i] = A[i, j]
-
-
-@compiled_part
-def reverse(u: Floats, v: Floats) -> None:
-    """V is u, last first."""
-    for k in range(BLOCK):
-        v[k] = u[BLOCK - 1 - k]
 
 
 @compiled_part
@@ -151,13 +151,6 @@ def fill(row: Floats, value: float) -> None:
     """Write one value to a block."""
     for k in range(BLOCK):
         row[k] = value
-
-
-@compiled_part
-def add(u: Floats, v: Floats, row: Floats) -> None:
-    """row[k] = u[k] + v[k] over a block."""
-    for k in range(BLOCK):
-        row[k] = u[k] + v[k]
 
 
 @compiled_part

@@ -1,33 +1,35 @@
 """Many readings in Numba, backward: the twin of `reference.smooth`.
 
-The forward pass leaves a memory of its state before each block. Going back, each block is filtered
-again from there, on the stack, and smoothed; so no covariance of a whole record is ever kept.
+The forward pass leaves its innovations, which are all that a gain that is known needs to smooth, and a
+memory of its state before each block. Where more is needed, a block is filtered again from there, on the
+stack; so no covariance of a whole record is ever kept.
 """
 
 from __future__ import annotations
 
 from becalm.core.arrays import Floats
 from becalm.core.compiling import compiled, compiled_part
-from becalm.core.kernel_ahead import BLOCK, multiply, new_loop
+from becalm.core.kernel_ahead import BLOCK, new_loop
 from becalm.core.kernel_block import (
     Record,
     close_loop,
+    fetch_block,
     is_settled,
     new_block,
-    read_block,
     run_of,
-    settled_block,
     step_of,
 )
-from becalm.core.kernel_moving import moving_block, new_moving
+from becalm.core.kernel_moving import move_gains, new_moving
 from becalm.core.kernel_return import (
     Future,
     inform,
     new_return,
     prepare_return,
+    pull_back_spread,
     return_through,
     smooth_cov,
     write_smoothed_block,
+    write_smoothed_means,
     write_spread_block,
 )
 from becalm.core.kernel_return_one import return_moving
@@ -43,28 +45,20 @@ from becalm.core.kernel_settling import (
     new_watch,
     transfer,
 )
-from becalm.core.kernel_steps import State, System, new_state, shrink
+from becalm.core.kernel_steps import State, System, copy_matrix, new_state, shrink
 from becalm.core.kernels import Trace, can_move, write_belief
 from becalm.core.sized import Sizes, stack_matrix, stack_vector
 
 
 @compiled_part
-def pull_back(sizes: Sizes, A: Floats, future: Future) -> None:
-    """Carry r and N back through one linear map: r = A' r, N = A' N A."""
-    n, r, N = len(sizes.states), future.r, future.N
-    u, NA = stack_vector(sizes.states), stack_matrix(sizes.states, sizes.states)
-    multiply(sizes.states, sizes.states, N, A, NA)
+def pull_back(sizes: Sizes, A: Floats, r: Floats) -> None:
+    """Carry r back through a linear map: A' r."""
+    n, u = len(sizes.states), stack_vector(sizes.states)
     for i in range(n):
         s = 0.0
         for k in range(n):
             s += A[k, i] * r[k]
         u[i] = s
-        for j in range(i + 1):
-            s = 0.0
-            for k in range(n):
-                s += A[k, i] * NA[k, j]
-            N[i, j] = s
-            N[j, i] = s
     for i in range(n):
         r[i] = u[i]
 
@@ -73,16 +67,27 @@ def pull_back(sizes: Sizes, A: Floats, future: Future) -> None:
 def step_back(sizes: Sizes, F: Floats, H: Floats, state: State, future: Future) -> None:
     """Equations (11) and (12); `state` holds the gain, the factors of S and the innovation of the row."""
     n, m = len(sizes.states), len(sizes.channels)
-    A, G = stack_matrix(sizes.states, sizes.states), stack_matrix(sizes.states, sizes.channels)
+    A, C, G = (
+        stack_matrix(sizes.states, sizes.states),
+        stack_matrix(sizes.states, sizes.states),
+        stack_matrix(sizes.states, sizes.channels),
+    )
     shrink(sizes, H, state.K, A)
-    pull_back(sizes, A, future)
     inform(sizes, H, state, G)
+    pull_back(sizes, A, future.r)
     for i in range(n):
         for a in range(m):
             future.r[i] += G[i, a] * state.nu[a]
-            for j in range(n):
-                future.N[i, j] += G[i, a] * H[a, j]
-    pull_back(sizes, F, future)
+        for j in range(n):
+            C[i, j] = 0.0
+            for a in range(m):
+                C[i, j] += G[i, a] * H[a, j]
+    pull_back_spread(sizes, A, C, future.N)
+    for i in range(n):
+        for j in range(n):
+            C[i, j] = 0.0
+    pull_back(sizes, F, future.r)
+    pull_back_spread(sizes, F, C, future.N)
 
 
 @compiled_part
@@ -97,9 +102,7 @@ def write_smoothed(sizes: Sizes, trace: Trace, row: int, H: Floats, state: State
         state.x[i] = s
     if trace.sigma.shape[1]:
         smooth_cov(sizes, state.P, future.N, smoothed)
-        for i in range(n):
-            for j in range(n):
-                state.P[i, j] = smoothed[i, j]
+        copy_matrix(sizes.states, sizes.states, smoothed, state.P)
     write_belief(sizes, trace, row, H, state)
 
 
@@ -138,7 +141,8 @@ def backward(  # noqa: PLR0913  (a door for Python: what is read, what moves, wh
 ) -> None:  # fmt: skip
     """Smooth the rows of a record from the last to `begun`, after `forward` has filled `memory`.
 
-    `rows` is room for the memory of each row of a block. Afterwards `future` holds what the rows from
+    So has it `trace.innovation`, which may be the place of the signal. `rows` is room for the memory of
+    each row of a block. Afterwards `future` holds what the rows from
     `begun` on say of the filtered state before them.
     """
     state, watch, block, back = new_state(sizes), new_watch(sizes), new_block(sizes), new_return(sizes)
@@ -148,24 +152,25 @@ def backward(  # noqa: PLR0913  (a door for Python: what is read, what moves, wh
         start = max((stop - 1) // BLOCK * BLOCK, begun)
         transfer(sizes, state, watch, memory[1 + start // BLOCK], LOAD)
         run = run_of(record, start, run)
-        if is_settled(watch, record, run, start, enough) and start + BLOCK == stop:
+        whole = start + BLOCK == stop and fetch_block(sizes, record.z, trace.innovation, start, block)
+        if whole and is_settled(watch, record, run, start, enough):
             if not ready:
                 close_loop(sizes, system, record.step[run], state, loop, HF)
-                prepare_return(sizes, system.H, HF, state, loop, back)
+                prepare_return(sizes, system, HF, state, loop, back)
                 ready = True
-            if settled_block(sizes, record.z, start, state, loop, HF, block) >= 0.0:
-                return_through(sizes, block, back, future)
-                write_smoothed_block(sizes, trace, start, system.H, state.P, block, back)
-                if trace.sigma.shape[1]:
-                    write_spread_block(sizes, trace, start, system.H, state.P, loop.A, back.C, future)
-                stop = start
-                continue
+            return_through(sizes, block, back, future)
+            write_smoothed_block(sizes, trace, start, block, back)
+            if trace.mean.shape[1]:
+                write_smoothed_means(sizes, trace, start, state, loop, block, back)
+            if trace.sigma.shape[1]:
+                write_spread_block(sizes, trace, start, system.H, state.P, loop.A, back.C, future)
+            stop = start
+            continue
         ready = False
-        if start + BLOCK == stop and can_return_moving(sizes, record, run, start, watch, trace):
+        if whole and can_return_moving(sizes, record, run, start, watch, trace):
             step = step_of(system, record.step[run])
-            read_block(sizes, record.z, start, block)
-            if moving_block(sizes, step, record.step[run], state, block, moving):
-                return_moving(sizes, step, block, moving, future, trace, start)
+            if move_gains(sizes, step, record.step[run], state.P, moving):
+                return_moving(sizes, step, block, moving, back.r, future, trace, start)
                 unsettle(future)
                 stop = start
                 continue

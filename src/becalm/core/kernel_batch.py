@@ -21,11 +21,10 @@ from becalm.core.kernel_ahead import (
     combine,
     copy,
     looks_ahead,
-    multiply,
 )
 from becalm.core.kernel_block import TOTAL, Block, Record, new_block, run_of, step_of
 from becalm.core.kernel_settling import LOAD, SAVE, SETTLED, new_watch, notice, transfer
-from becalm.core.kernel_steps import State, System, joseph, new_state, predict, shrink, weigh
+from becalm.core.kernel_steps import State, System, joseph, multiply, new_state, predict, shrink, weigh
 from becalm.core.kernels import innovation_spread, spread
 from becalm.core.sized import Size, Sizes, down, piece, stack_matrix, stack_rows
 
@@ -80,7 +79,7 @@ def rehearse(  # noqa: PLR0913  (a door for Python)
         joseph(sizes, system.H, system.R, state)
         for c in range(len(sizes.channels)):
             table.sigma[c, row] = spread(sizes, system.H, state.P, c)
-        notice(sizes, state, watch, step, True, 1)
+        notice(sizes, state, watch, step, 1.0)
         row += 1
     transfer(sizes, state, watch, memory[0], SAVE)
     return row

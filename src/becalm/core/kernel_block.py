@@ -8,10 +8,10 @@ import numpy as np
 
 from becalm.core.arrays import Floats, Integers
 from becalm.core.compiling import compiled_part, woven
-from becalm.core.kernel_ahead import AFTER, BLOCK, Loop, Rows, add_up, multiply, prepare, run_block
+from becalm.core.kernel_ahead import AFTER, BLOCK, Loop, Rows, add_up, copy, prepare, run_block
 from becalm.core.kernel_settling import LAST_STEP, SETTLED, Watch
-from becalm.core.kernel_steps import State, Step, System, shrink
-from becalm.core.sized import Size, Sizes, down, size, stack_matrix, stack_rows
+from becalm.core.kernel_steps import State, Step, System, close, copy_matrix, see_through
+from becalm.core.sized import Size, Sizes, across, down, size, stack_rows
 
 TAME = 1e190  # sum of squares; NaN, Inf and what no sensor reads are beyond it, as are states that run away
 TOTAL: Size = size(1)
@@ -50,17 +50,9 @@ def step_of(system: System, number: int) -> Step:
 @compiled_part
 def close_loop(sizes: Sizes, system: System, step: int, state: State, loop: Loop, HF: Floats) -> None:  # noqa: PLR0913
     """Prepare x = (I - K H) F x + K z, and write H F."""
-    n, m = len(sizes.states), len(sizes.channels)
-    shrunk = stack_matrix(sizes.states, sizes.states)
-    shrink(sizes, system.H, state.K, shrunk)
-    multiply(sizes.states, sizes.states, shrunk, system.F[step], loop.A)
-    for c in range(m):
-        for i in range(n):
-            loop.G[i, c] = state.K[i, c]
-            s = 0.0
-            for j in range(n):
-                s += system.H[c, j] * system.F[step, j, i]
-            HF[c, i] = s
+    close(sizes, system.H, system.F[step], state.K, loop.A)
+    copy_matrix(sizes.states, sizes.channels, state.K, loop.G)
+    see_through(sizes, system.H, system.F[step], HF)
     prepare(sizes.states, sizes.channels, loop)
 
 
@@ -74,12 +66,26 @@ def read_block(sizes: Sizes, z: Floats, row: int, block: Block) -> None:
 
 
 @compiled_part
+def fetch_block(sizes: Sizes, z: Floats, innovation: Floats, row: int, block: Block) -> bool:
+    """Copy the readings and the innovations (m, N) of a block; False where one is missing or runs away."""
+    read_block(sizes, z, row, block)
+    total, terms = 0.0, block.sums[0]
+    for c in range(len(sizes.channels)):
+        nu = block.nu[c]
+        copy(across(innovation, c, row, BLOCK), 0, nu)
+        for k in range(BLOCK):
+            terms[k] = nu[k] * nu[k]
+        total += add_up(terms)
+    return bool(total <= TAME)
+
+
+@compiled_part
 def settled_block(  # noqa: PLR0913
     sizes: Sizes, z: Floats, row: int, state: State, loop: Loop, HF: Floats, block: Block
 ) -> float:
     """Run a block with the settled gain, (1), (3), (6); return the sum of nu' S^-1 nu (8), and use up block.z.
 
-    -1, and nothing done, where a reading is missing or a state runs away.
+    -1, and the state unchanged, where a reading is missing or a state runs away.
     """
     n, x = len(sizes.states), block.x
     read_block(sizes, z, row, block)

@@ -13,14 +13,13 @@ import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.core.compiling import compiled_part, woven
-from becalm.core.kernel_ahead import BLOCK, Rows, multiply
-from becalm.core.kernel_steps import Step
+from becalm.core.kernel_ahead import BLOCK, Rows
+from becalm.core.kernel_steps import DEAD_PIVOT, Step, copy_matrix, multiply
 from becalm.core.sized import Size, size, stack_matrix, stack_vector
 
 FAR = 8
 """Rows of the longest jump: enough to be computed side by side."""
 
-_DEAD_PIVOT = 1e-15
 _MOST_LOST = 64.0  # variances lost over a jump, in those left: rounding grows by as much
 _ONE: Size = size(1)
 
@@ -78,10 +77,10 @@ def prepare_jumps(states: Size, step: Step, number: int, jumps: Jumps) -> None:
         return
     jumps.step[0] = number
     one = jumps.one
+    copy_matrix(states, states, step.F, one.A)
+    copy_matrix(states, states, step.Q, one.Q)
     for i in range(len(states)):
         for j in range(len(states)):
-            one.A[i, j] = step.F[i, j]
-            one.Q[i, j] = step.Q[i, j]
             one.L[i, j] = step.H[0, i] * step.H[0, j] / step.R[0, 0]
     root(states, one.L)
     double(states, one, jumps.two)
@@ -97,7 +96,7 @@ def root(states: Size, C: Floats) -> None:
         d = C[j, j]
         for k in range(j):
             d -= C[j, k] * C[j, k]
-        d = np.sqrt(d) if d > _DEAD_PIVOT * C[j, j] else 0.0
+        d = np.sqrt(d) if d > DEAD_PIVOT * C[j, j] else 0.0
         C[j, j] = d
         for i in range(j + 1, n):
             s = C[i, j]
@@ -165,9 +164,8 @@ def double(states: Size, once: Jump, twice: Jump) -> None:
     """Make one jump of two: A (I + Q C)^-1 A, C + A' C (I + Q C)^-1 A and Q moved once, with C = L L'."""
     loss, V = new_loss(states), stack_matrix(states, states)
     weigh_loss(states, once.L, once.Q, loss)
-    for i in range(len(states)):
-        for j in range(len(states)):
-            V[i, j], twice.Q[i, j] = once.L[i, j], once.Q[i, j]
+    copy_matrix(states, states, once.L, V)
+    copy_matrix(states, states, once.Q, twice.Q)
     divide_by(states, loss, V)
     join_transitions(states, once, loss, V, twice)
     join_information(states, once, loss, V, twice)
@@ -222,26 +220,40 @@ def can_leap(states: Size, jumps: Jumps, M: Rows) -> bool:
 
 
 @compiled_part
-def leap_from(states: Size, jump: Jump, M: Rows, k: int, far: int) -> None:
-    """Fill in row k + far of M, the rows of a lower triangle, from row k."""
-    own, at = stack_matrix(states, states), 0
-    for i in range(len(states)):
-        for j in range(i + 1):
-            own[i, j] = M[at][k]
-            own[j, i] = M[at][k]
-            at += 1
-    leap(states, jump, own)
+def set_row(states: Size, P: Floats, M: Rows, k: int) -> None:
+    """Write a covariance to row k of M, the rows of a lower triangle."""
     at = 0
     for i in range(len(states)):
         for j in range(i + 1):
-            M[at][k + far] = own[i, j]
+            M[at][k] = P[i, j]
             at += 1
+
+
+@compiled_part
+def get_row(states: Size, M: Rows, k: int, P: Floats) -> None:
+    """Read a covariance from row k of M, the rows of a lower triangle."""
+    at = 0
+    for i in range(len(states)):
+        for j in range(i + 1):
+            P[i, j] = M[at][k]
+            P[j, i] = M[at][k]
+            at += 1
+
+
+@compiled_part
+def leap_from(states: Size, jump: Jump, M: Rows, k: int, far: int) -> None:
+    """Fill in row k + far of M from row k."""
+    own = stack_matrix(states, states)
+    get_row(states, M, k, own)
+    leap(states, jump, own)
+    set_row(states, own, M, k + far)
 
 
 @compiled_part
 def leap_through(states: Size, jumps: Jumps, M: Rows) -> None:
     """Fill in a block of covariances from the first of them."""
-    leap_from(states, jumps.one, M, 0, 1)
+    for k in range(1):
+        leap_from(states, jumps.one, M, k, 1)
     for k in range(2):
         leap_from(states, jumps.two, M, k, 2)
     for k in range(4):

@@ -8,11 +8,11 @@ import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.core.compiling import compiled_part, woven
-from becalm.core.kernel_ahead import BLOCK, Rows, add_up, combine
-from becalm.core.kernel_block import TAME, Block
-from becalm.core.kernel_jump import Jumps, can_leap, leap_through, new_jumps, prepare_jumps
+from becalm.core.kernel_ahead import BLOCK, Rows, add_up, combine, looks_ahead
+from becalm.core.kernel_block import TAME, Block, innovate, read_block
+from becalm.core.kernel_jump import Jumps, can_leap, get_row, leap_through, new_jumps, prepare_jumps, set_row
 from becalm.core.kernel_one import subtract
-from becalm.core.kernel_steps import State, Step, joseph, move
+from becalm.core.kernel_steps import State, Step, copy_matrix, joseph, move, see_through
 from becalm.core.sized import Sizes, stack_matrix, stack_rows, stack_triangle, stack_vector
 
 _PRODUCTS = 16  # of a block's numbers, whose logarithms are taken
@@ -36,59 +36,54 @@ def new_moving(sizes: Sizes) -> Moving:
 
 
 @compiled_part
-def moving_block(  # noqa: PLR0913
-    sizes: Sizes, step: Step, number: int, state: State, block: Block, moving: Moving
-) -> bool:
-    """Run a block of readings, there in block.z, whose gain still moves.
+def moves_in_blocks(sizes: Sizes) -> bool:
+    """Whether a model has one channel, and so few states that eight covariances fit into registers and caches."""
+    return looks_ahead(sizes.states, sizes.channels)
 
-    False, and nothing done, where one of them is missing, where a state runs away, as in
-    `settled_block`, or where eight readings tell too much for jumps.
+
+@compiled_part
+def moving_block(  # noqa: PLR0913
+    sizes: Sizes, step: Step, number: int, z: Floats, row: int, state: State, block: Block, moving: Moving
+) -> bool:
+    """Run a block of readings whose gain still moves.
+
+    False, and the state unchanged, where one of them is missing, where a state runs away, as in
+    `settled_block`, or where the gains cannot be found by jumps.
     """
-    n, R, x = len(sizes.states), step.R[0, 0], block.x
-    if not R > 0.0:
+    if not move_gains(sizes, step, number, state.P, moving):
         return False
-    prepare_jumps(sizes.states, step, number, moving.jumps)
-    P = stack_matrix(sizes.states, sizes.states)
-    for i in range(n):
-        for j in range(n):
-            P[i, j] = state.P[i, j]
-    move(sizes, step.F, step.Q, P)
-    set_row(sizes, P, moving.M, 0)
-    if not can_leap(sizes.states, moving.jumps, moving.M):
-        return False
-    leap_through(sizes.states, moving.jumps, moving.M)
-    find_gains(sizes, step, moving)
+    n, x = len(sizes.states), block.x
+    read_block(sizes, z, row, block)
     for i in range(n):
         x[i][0] = state.x[i]
     total = follow(sizes, step, block, moving)
-    get_row(sizes, moving.M, BLOCK - 1, P)
     for i in range(n):
-        total += x[i][BLOCK] * x[i][BLOCK] + P[i, i]
+        total += x[i][BLOCK] * x[i][BLOCK]
     if not total <= TAME:
         return False
-    leave(sizes, step, P, state, block, moving)
+    leave(sizes, step, state, block, moving)
     return True
 
 
 @compiled_part
-def set_row(sizes: Sizes, P: Floats, M: Rows, k: int) -> None:
-    """Write a covariance to a row of M."""
-    at = 0
+def move_gains(sizes: Sizes, step: Step, number: int, P: Floats, moving: Moving) -> bool:
+    """Find the gains of a block after a covariance P; False where jumps would lose digits or variances run away."""
+    if not step.R[0, 0] > 0.0:
+        return False
+    prepare_jumps(sizes.states, step, number, moving.jumps)
+    M = stack_matrix(sizes.states, sizes.states)
+    copy_matrix(sizes.states, sizes.states, P, M)
+    move(sizes, step.F, step.Q, M)
+    set_row(sizes.states, M, moving.M, 0)
+    if not can_leap(sizes.states, moving.jumps, moving.M):
+        return False
+    leap_through(sizes.states, moving.jumps, moving.M)
+    find_gains(sizes, step, moving)
+    get_row(sizes.states, moving.M, BLOCK - 1, M)
+    total = 0.0
     for i in range(len(sizes.states)):
-        for j in range(i + 1):
-            M[at][k] = P[i, j]
-            at += 1
-
-
-@compiled_part
-def get_row(sizes: Sizes, M: Rows, k: int, P: Floats) -> None:
-    """Read a covariance from a row of M."""
-    at = 0
-    for i in range(len(sizes.states)):
-        for j in range(i + 1):
-            P[i, j] = M[at][k]
-            P[j, i] = M[at][k]
-            at += 1
+        total += M[i, i]
+    return bool(total <= TAME)
 
 
 @compiled_part
@@ -97,7 +92,7 @@ def find_gains(sizes: Sizes, step: Step, moving: Moving) -> None:
     n, h = len(sizes.states), step.H[0]
     M, MH = stack_matrix(sizes.states, sizes.states), stack_vector(sizes.states)
     for k in range(BLOCK):
-        get_row(sizes, moving.M, k, M)
+        get_row(sizes.states, moving.M, k, M)
         S = step.R[0, 0]
         for i in range(n):
             MH[i] = 0.0
@@ -113,42 +108,34 @@ def find_gains(sizes: Sizes, step: Step, moving: Moving) -> None:
 def follow(sizes: Sizes, step: Step, block: Block, moving: Moving) -> float:
     """Equations (1), (3) and (6) through a block; return the sum of the squared innovations."""
     n, x, z, nu, terms = len(sizes.states), block.x, block.z[0], block.nu[0], block.sums[0]
-    g, now, then = stack_vector(sizes.states), stack_vector(sizes.states), stack_vector(sizes.states)
+    HF, now, then = stack_matrix(sizes.channels, sizes.states), stack_vector(sizes.states), stack_vector(sizes.states)
+    see_through(sizes, step.H, step.F, HF)
     for i in range(n):
         now[i] = x[i][0]
-        g[i] = 0.0
-        for j in range(n):
-            g[i] += step.H[0, j] * step.F[j, i]
     for k in range(BLOCK):
         for i in range(n):
             s = moving.K[i][k] * z[k]
             for j in range(n):
-                s += (step.F[i, j] - moving.K[i][k] * g[j]) * now[j]
+                s += (step.F[i, j] - moving.K[i][k] * HF[0, j]) * now[j]
             then[i] = s
         for i in range(n):
             now[i] = then[i]
             x[i][k + 1] = then[i]
+    innovate(sizes, HF, block)
     for k in range(BLOCK):
-        s = z[k]
-        for i in range(n):
-            s -= g[i] * x[i][k]
-        nu[k] = s
-        terms[k] = s * s
+        terms[k] = nu[k] * nu[k]
     return add_up(terms)
 
 
 @compiled_part
-def leave(  # noqa: PLR0913
-    sizes: Sizes, step: Step, M: Floats, state: State, block: Block, moving: Moving
-) -> None:
-    """Leave the state as after the last row of a block; M is its predicted covariance."""
+def leave(sizes: Sizes, step: Step, state: State, block: Block, moving: Moving) -> None:
+    """Leave the state as after the last row of a block."""
     n, S, MH = len(sizes.states), moving.S[BLOCK - 1], stack_vector(sizes.states)
     state.D[0], state.nu[0], state.seen[0] = S, block.nu[0][BLOCK - 1], 1.0
     for i in range(n):
         state.x[i], state.K[i, 0] = block.x[i][BLOCK], moving.K[i][BLOCK - 1]
         MH[i] = S * state.K[i, 0]
-        for j in range(n):
-            state.P[i, j] = M[i, j]
+    get_row(sizes.states, moving.M, BLOCK - 1, state.P)
     if 2.0 * step.R[0, 0] >= S:
         subtract(sizes, MH, state)
     else:

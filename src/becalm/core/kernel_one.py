@@ -1,4 +1,4 @@
-"""One channel in as short a chain of operations as can be, for the rows before a gain has settled.
+"""A row of one channel in as short a chain of operations as can be, for rows that no block takes.
 
 Each row waits for the covariance of the row before, so what counts is not how much is computed but how
 long the longest chain is. S needs no predicted covariance: with g = H F it is g P g' + H Q H' + R.
@@ -10,14 +10,14 @@ from typing import NamedTuple
 
 from becalm.core.arrays import Floats
 from becalm.core.compiling import compiled_part, woven
-from becalm.core.kernel_steps import LARGEST, State, Step, joseph, move
-from becalm.core.sized import Sizes, stack_vector
+from becalm.core.kernel_steps import LARGEST, State, Step, joseph, move, see_through
+from becalm.core.sized import Sizes, stack_matrix, stack_vector
 
 
 class Reach(NamedTuple):
     """What a reading says of the state one step before."""
 
-    g: Floats  # (n,) H F
+    HF: Floats  # (1, n)
     QH: Floats  # (n,) Q H'
     c: Floats  # (1,) H Q H' + R
 
@@ -25,17 +25,17 @@ class Reach(NamedTuple):
 @woven
 def new_reach(sizes: Sizes) -> Reach:
     """Make room for a reach on the stack."""
-    return Reach(stack_vector(sizes.states), stack_vector(sizes.states), stack_vector(sizes.channels))
+    return Reach(stack_matrix(sizes.channels, sizes.states), stack_vector(sizes.states), stack_vector(sizes.channels))
 
 
 @compiled_part
 def reach_back(sizes: Sizes, step: Step, reach: Reach) -> None:
     """Fill in what follows from a step."""
+    see_through(sizes, step.H, step.F, reach.HF)
     reach.c[0] = step.R[0, 0]
     for i in range(len(sizes.states)):
-        reach.g[i], reach.QH[i] = 0.0, 0.0
+        reach.QH[i] = 0.0
         for j in range(len(sizes.states)):
-            reach.g[i] += step.H[0, j] * step.F[j, i]
             reach.QH[i] += step.Q[i, j] * step.H[0, j]
         reach.c[0] += step.H[0, i] * reach.QH[i]
 
@@ -50,10 +50,10 @@ def take_one(sizes: Sizes, step: Step, reach: Reach, reading: float, state: Stat
         Fx[i], t[i] = 0.0, 0.0
         for j in range(n):
             Fx[i] += F[i, j] * state.x[j]
-            t[i] += P[i, j] * reach.g[j]
+            t[i] += P[i, j] * reach.HF[0, j]
         Fx[i] = min(max(Fx[i], -LARGEST), LARGEST)
         nu -= step.H[0, i] * Fx[i]
-        S += reach.g[i] * t[i]
+        S += reach.HF[0, i] * t[i]
     for i in range(n):
         PH[i] = reach.QH[i]
         for j in range(n):

@@ -14,7 +14,6 @@ import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.core.compiling import compiled, compiled_part, woven
-from becalm.core.kernel_ahead import multiply
 from becalm.core.kernel_block import TAME
 from becalm.core.kernel_row import advance
 from becalm.core.kernel_settling import (
@@ -29,7 +28,7 @@ from becalm.core.kernel_settling import (
     transfer,
     transfer_matrix,
 )
-from becalm.core.kernel_steps import State, Step, new_state, shrink
+from becalm.core.kernel_steps import State, Step, close, new_state
 from becalm.core.kernels import spread
 from becalm.core.model import Model
 from becalm.core.sized import Size, Sizes, size, stack_matrix, stack_vector
@@ -96,9 +95,7 @@ def take(  # noqa: PLR0913
 @compiled_part
 def hold(sizes: Sizes, step: Step, state: State, held: Held) -> None:
     """Fill in what is held."""
-    shrunk = stack_matrix(sizes.states, sizes.states)
-    shrink(sizes, step.H, state.K, shrunk)
-    multiply(sizes.states, sizes.states, shrunk, step.F, held.A)
+    close(sizes, step.H, step.F, state.K, held.A)
     for c in range(len(sizes.channels)):
         held.sigma[c] = spread(sizes, step.H, state.P, c)
     held.ready[0] = 1.0

@@ -13,19 +13,16 @@ from becalm.core.kernel_ahead import (
     BLOCK,
     Loop,
     Rows,
-    add,
     combine,
-    copy,
     fill,
-    multiply,
     new_loop,
     prepare,
-    reverse,
+    run_back,
     run_block,
 )
 from becalm.core.kernel_block import Block
 from becalm.core.kernel_settling import FIRST_CHECK, NEXT_CHECK, SETTLED, STEADY, near
-from becalm.core.kernel_steps import State
+from becalm.core.kernel_steps import State, System, multiply
 from becalm.core.kernels import Trace, spread, write_cov
 from becalm.core.sized import Sizes, across, stack_matrix, stack_rows, stack_vector
 
@@ -36,12 +33,12 @@ class Future(NamedTuple):
     r: Floats  # (n,)
     N: Floats  # (n, n)
     then: Floats  # (n, n) N as it was at the last check
-    counters: Floats  # (4,) settled, rows since the last gap, next check
+    counters: Floats  # (3,) settled, rows since the last gap, next check
 
 
 def new_future(n: int) -> Future:
     """Nothing is known after the last row."""
-    return Future(np.zeros(n), np.zeros((n, n)), np.full((n, n), -1.0), np.array([0.0, 0.0, FIRST_CHECK, 0.0]))
+    return Future(np.zeros(n), np.zeros((n, n)), np.full((n, n), -1.0), np.array([0.0, 0.0, FIRST_CHECK]))
 
 
 class Return(NamedTuple):
@@ -50,15 +47,15 @@ class Return(NamedTuple):
     loop: Loop  # of r: the transposed closed loop
     C: Floats  # (n, n) what one row adds to N
     HP: Floats  # (m, n)
-    nu: Rows  # m of (BLOCK,) innovations, last first
-    r: Rows  # n of (BLOCK + 1,) r, last first
+    RS: Floats  # (m, m) R S^-1
+    r: Rows  # n of (BLOCK + 1,) what the rows from k on say of the state before row k; at the end, of the last
 
 
 @woven
 def new_return(sizes: Sizes) -> Return:
     """Make room for a way back on the stack."""
     n, m = sizes
-    return Return(new_loop(n, m), stack_matrix(n, n), stack_matrix(m, n), stack_rows(m, BLOCK), stack_rows(n, AFTER))
+    return Return(new_loop(n, m), stack_matrix(n, n), stack_matrix(m, n), stack_matrix(m, m), stack_rows(n, AFTER))
 
 
 @compiled_part
@@ -101,7 +98,9 @@ def smooth_cov(sizes: Sizes, P: Floats, N: Floats, smoothed: Floats) -> None:
 
 
 @compiled_part
-def prepare_return(sizes: Sizes, H: Floats, HF: Floats, state: State, loop: Loop, back: Return) -> None:  # noqa: PLR0913
+def prepare_return(  # noqa: PLR0913
+    sizes: Sizes, system: System, HF: Floats, state: State, loop: Loop, back: Return
+) -> None:
     """Fill in what the way back through settled blocks needs, once for all of them."""
     n, m = len(sizes.states), len(sizes.channels)
     inform(sizes, HF, state, back.loop.G)
@@ -115,41 +114,56 @@ def prepare_return(sizes: Sizes, H: Floats, HF: Floats, state: State, loop: Loop
         for a in range(m):
             s = 0.0
             for j in range(n):
-                s += H[a, j] * state.P[j, i]
+                s += system.H[a, j] * state.P[j, i]
             back.HP[a, i] = s
+    v = stack_vector(sizes.channels)
+    for a in range(m):
+        for b in range(m):
+            v[b] = system.R[b, a]
+        solve(sizes, state, v)
+        for b in range(m):
+            back.RS[a, b] = v[b]
     prepare(sizes.states, sizes.channels, back.loop)
 
 
 @compiled_part
 def return_through(sizes: Sizes, block: Block, back: Return, future: Future) -> None:
     """Carry r back through a block, (11), and leave it at each row."""
-    for c in range(len(sizes.channels)):
-        reverse(block.nu[c], back.nu[c])
     for i in range(len(sizes.states)):
-        back.r[i][0] = future.r[i]
-    run_block(sizes.states, sizes.channels, back.loop, back.nu, back.r)
+        back.r[i][BLOCK] = future.r[i]
+    run_back(sizes.states, sizes.channels, back.loop, block.nu, back.r)
     for i in range(len(sizes.states)):
-        future.r[i] = back.r[i][BLOCK]
+        future.r[i] = back.r[i][0]
 
 
 @compiled_part
-def write_smoothed_block(  # noqa: PLR0913
-    sizes: Sizes, trace: Trace, row: int, H: Floats, P: Floats, block: Block, back: Return
+def write_smoothed_block(sizes: Sizes, trace: Trace, row: int, block: Block, back: Return) -> None:
+    """Equation (9) for the signal of a block: H (x + P r) = z - R S^-1 nu + H P r, which needs no states."""
+    for c in range(len(sizes.channels) if trace.signal.shape[1] else 0):
+        z, signal = block.z[c], across(trace.signal, c, row, BLOCK)
+        for k in range(BLOCK):
+            s = z[k]
+            for a in range(len(sizes.channels)):
+                s -= back.RS[c, a] * block.nu[a][k]
+            for i in range(len(sizes.states)):
+                s += back.HP[c, i] * back.r[i][k + 1]
+            signal[k] = s
+
+
+@compiled_part
+def write_smoothed_means(  # noqa: PLR0913
+    sizes: Sizes, trace: Trace, row: int, state: State, loop: Loop, block: Block, back: Return
 ) -> None:
-    """Equation (9) for a block; uses up block.z and block.sums."""
-    x, change, told = block.x, block.z[0], block.sums[0]
-    if trace.signal.shape[1]:
-        for c in range(len(sizes.channels)):
-            combine(sizes.states, back.HP[c], back.r, 0, change)
-            reverse(change, told)
-            combine(sizes.states, H[c], x, 1, change)
-            add(change, told, across(trace.signal, c, row, BLOCK))
-    if trace.mean.shape[1]:
-        for i in range(len(sizes.states)):
-            combine(sizes.states, P[i], back.r, 0, change)
-            reverse(change, told)
-            copy(x[i], 1, change)
-            add(change, told, across(trace.mean, i, row, BLOCK))
+    """Equation (9) for a block, whose states are found again; uses up block.sums."""
+    x, change = block.x, block.sums[0]
+    for i in range(len(sizes.states)):
+        x[i][0] = state.x[i]
+    run_block(sizes.states, sizes.channels, loop, block.z, x)
+    for i in range(len(sizes.states)):
+        mean = across(trace.mean, i, row, BLOCK)
+        combine(sizes.states, state.P[i], back.r, 1, change)
+        for k in range(BLOCK):
+            mean[k] = x[i][k + 1] + change[k]
 
 
 @compiled_part
@@ -177,7 +191,7 @@ def write_spread_block(  # noqa: PLR0913
 
 @compiled_part
 def pull_back_spread(sizes: Sizes, A: Floats, C: Floats, N: Floats) -> None:
-    """Equation (12) with a settled gain: N = A' N A + C."""
+    """Equation (12) through a linear map that a reading follows or precedes: N = A' N A + C."""
     n, NA = len(sizes.states), stack_matrix(sizes.states, sizes.states)
     multiply(sizes.states, sizes.states, N, A, NA)
     for i in range(n):

@@ -1,4 +1,4 @@
-"""When a gain has settled: one row of the recursion, full or with the gain that no longer changes."""
+"""When a gain has settled, and what is remembered of a filter to tell."""
 
 from __future__ import annotations
 
@@ -135,20 +135,18 @@ def compare(sizes: Sizes, state: State, watch: Watch) -> float:
 
 
 @compiled_part
-def notice(  # noqa: PLR0913
-    sizes: Sizes, state: State, watch: Watch, step: int, complete: bool, rows: int
-) -> None:
-    """Notice, after some rows, that the gain has settled.
+def notice(sizes: Sizes, state: State, watch: Watch, step: int, rows: float) -> None:
+    """Notice, after some complete rows, that the gain has settled; rows = 0 stands for a row that is not complete.
 
     It is the same now as an eighth of the stretch before, and stays so for n rows more, lest it comes
     back at every check and moves between them, as an oscillator's can.
     """
-    counters = watch.counters
+    counters, complete = watch.counters, rows > 0.0
     if not complete or step != counters[LAST_STEP]:
         counters[SETTLED], counters[STEADY], counters[NEXT_CHECK], counters[AGREED] = 0.0, -1.0, FIRST_CHECK, 0.0
         counters[LAST_STEP] = step if complete else _NO_STEP
         watch.D[0] = -1.0  # a check must not find what another stretch has left
-    counters[STEADY] += rows
+    counters[STEADY] += max(rows, 1.0)
     if counters[STEADY] < counters[NEXT_CHECK]:
         return
     same = compare(sizes, state, watch)

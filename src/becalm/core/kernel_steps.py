@@ -12,11 +12,11 @@ import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.core.compiling import compiled_part, woven
-from becalm.core.sized import Sizes, stack_matrix, stack_vector
+from becalm.core.sized import Size, Sizes, stack_matrix, stack_vector
 from becalm.core.verdict import BEYOND_ANY_SENSOR
 
 LARGEST = 1e200  # an unobservable, unstable state saturates here and cannot spoil the others
-_DEAD_PIVOT = 1e-15
+DEAD_PIVOT = 1e-15
 LARGEST_READING = BEYOND_ANY_SENSOR
 
 
@@ -151,7 +151,7 @@ def factor(sizes: Sizes, S: Floats, L: Floats, D: Floats) -> None:
         d = S[a, a]
         for c in range(a):
             d -= L[a, c] * L[a, c] * D[c]
-        D[a] = d if d > _DEAD_PIVOT * S[a, a] else 0.0
+        D[a] = d if d > DEAD_PIVOT * S[a, a] else 0.0
         for b in range(a + 1, m):
             s = S[b, a]
             for c in range(a):
@@ -184,6 +184,44 @@ def shrink(sizes: Sizes, H: Floats, K: Floats, A: Floats) -> None:
             for a in range(m):
                 s -= K[i, a] * H[a, j]
             A[i, j] = s
+
+
+@compiled_part
+def see_through(sizes: Sizes, H: Floats, F: Floats, HF: Floats) -> None:
+    """Write H F (m, n)."""
+    for c in range(len(sizes.channels)):
+        for i in range(len(sizes.states)):
+            s = 0.0
+            for j in range(len(sizes.states)):
+                s += H[c, j] * F[j, i]
+            HF[c, i] = s
+
+
+@compiled_part
+def close(sizes: Sizes, H: Floats, F: Floats, K: Floats, A: Floats) -> None:
+    """Write the closed loop, (I - K H) F."""
+    shrunk = stack_matrix(sizes.states, sizes.states)
+    shrink(sizes, H, K, shrunk)
+    multiply(sizes.states, sizes.states, shrunk, F, A)
+
+
+@compiled_part
+def copy_matrix(rows: Size, columns: Size, A: Floats, B: Floats) -> None:
+    """B = A, both (rows, columns)."""
+    for i in range(len(rows)):
+        for j in range(len(columns)):
+            B[i, j] = A[i, j]
+
+
+@compiled_part
+def multiply(rows: Size, columns: Size, A: Floats, B: Floats, C: Floats) -> None:
+    """C = A B, with A (rows, rows), B and C (rows, columns); C is another array than B."""
+    for i in range(len(rows)):
+        for j in range(len(columns)):
+            s = 0.0
+            for k in range(len(rows)):
+                s += A[i, k] * B[k, j]
+            C[i, j] = s
 
 
 @compiled_part

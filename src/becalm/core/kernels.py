@@ -1,8 +1,8 @@
 """Many readings in Numba, forward: the twin of `reference.filter_readings`.
 
-Rows are taken one by one until the gain has settled, and after every gap until it has settled again;
-then in blocks. Blocks begin at rows that are multiples of their length, so that a record cut there
-gives the same bits.
+Readings are taken in blocks: with the gain that has settled, or, of one channel, with one that still
+moves. Rows are taken one by one around gaps, and where a block cannot be. Blocks begin at rows that are
+multiples of their length, so that a record cut there gives the same bits.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.core.compiling import compiled, compiled_part
-from becalm.core.kernel_ahead import BLOCK, combine, copy, fill, looks_ahead, new_loop
+from becalm.core.kernel_ahead import BLOCK, combine, copy, fill, new_loop
 from becalm.core.kernel_block import (
     Block,
     Record,
@@ -21,12 +21,11 @@ from becalm.core.kernel_block import (
     is_settled,
     log_det_of,
     new_block,
-    read_block,
     run_of,
     settled_block,
     step_of,
 )
-from becalm.core.kernel_moving import Moving, moving_block, new_moving, score_moving, spread_moving
+from becalm.core.kernel_moving import Moving, moves_in_blocks, moving_block, new_moving, score_moving, spread_moving
 from becalm.core.kernel_row import advance
 from becalm.core.kernel_settling import AGREED, LOAD, SAVE, SETTLED, Watch, new_watch, notice, transfer
 from becalm.core.kernel_steps import State, Step, System, new_state, whiten
@@ -122,10 +121,10 @@ def write_cov(sizes: Sizes, trace: Trace, k: int, P: Floats) -> None:
 
 @compiled_part
 def can_move(sizes: Sizes, record: Record, run: int, row: int, watch: Watch, trace: Trace) -> bool:  # noqa: PLR0913
-    """Whether a whole block of one channel follows one step; not while its rows are looked at one by one."""
+    """Whether a whole block of few states follows one step; not while its rows are looked at one by one."""
     alike = record.step[run] >= 0 and row + BLOCK <= record.first[run + 1]
     singly = trace.cov.shape[2] > 0 or watch.counters[AGREED] > 0.0
-    return bool(looks_ahead(sizes.states, sizes.channels) and alike and not singly)
+    return bool(moves_in_blocks(sizes) and alike and not singly)
 
 
 @compiled_part
@@ -196,10 +195,10 @@ def forward(  # noqa: PLR0913  (a door for Python: what is read, what moves, wha
                 continue
         ready = False
         if stop - row == BLOCK and can_move(sizes, record, run, row, watch, trace):
-            read_block(sizes, record.z, row, block)
-            if moving_block(sizes, step_of(system, record.step[run]), record.step[run], state, block, moving):
-                notice(sizes, state, watch, record.step[run], True, BLOCK)
-                write_moving(sizes, trace, row, step_of(system, 0), block, moving)
+            step = step_of(system, record.step[run])
+            if moving_block(sizes, step, record.step[run], record.z, row, state, block, moving):
+                notice(sizes, state, watch, record.step[run], float(BLOCK))
+                write_moving(sizes, trace, row, step, block, moving)
                 s, d = score_moving(block, moving)
                 squares, log_det, used, row = squares + s, log_det + d, used + BLOCK, stop
                 continue

@@ -65,7 +65,7 @@ class Recording:
 
     @property
     def rate_hz(self) -> float:
-        """Samples per second, by the median step."""
+        """Samples per second, 1 over the step."""
         return self.timebase.rate_hz
 
     @property

@@ -71,7 +71,7 @@ def kalman_smoother(  # noqa: PLR0913  (what is wanted, each by its name)
     `becalm.core.reference`. With a flat start the mean is that of penalised least squares.
     """
     readings = checked_readings(model, z)
-    wanted = Wanted(states, covariances, sigma or covariances, innovations)
+    wanted = Wanted(states, covariances, sigma or covariances, innovations, innovations)
     return run_smoother(model, even_timeline(model, len(readings)), readings, wanted)
 
 
@@ -81,10 +81,11 @@ def run_smoother(model: Model, timeline: Timeline, z: Floats, wanted: Wanted = E
     run = start_filter(model, timeline, z, how)
     if run.opening is not None and not run.opening.known:
         return run_filter(model, timeline, z, wanted).estimate
-    trace = new_trace(model, len(z), wanted._replace(innovations=False))
+    trace = room_to_return(model, run, wanted)
     go_back(Task(model, timeline, z, run.begun), run, how, new_future(model.states), trace)
     return replace(
         run.estimate,
+        innovations=run.estimate.innovations if wanted.innovations else np.empty((0, model.channels)),
         signal=trace.signal.T,
         sigma=trace.sigma.T,
         mean=trace.mean.T if wanted.states else None,
@@ -94,8 +95,17 @@ def run_smoother(model: Model, timeline: Timeline, z: Floats, wanted: Wanted = E
 
 def forward_pass(wanted: Wanted) -> Pass:
     """Say how the forward pass is made whose backward pass shall give what is wanted."""
-    forward = Wanted(signal=False, sigma=False, innovations=wanted.innovations)
+    forward = Wanted(signal=False, sigma=False, innovation_sigma=wanted.innovation_sigma)
     return Pass(forward, COVARIANCE if wanted.covariances else GAIN, remember=True)
+
+
+def room_to_return(model: Model, run: Run, wanted: Wanted) -> Trace:
+    """Make room for what a backward pass writes: the signal in place of innovations that nobody wants."""
+    innovation = run.estimate.innovations.T
+    in_place = wanted.signal and not wanted.innovations
+    room = wanted._replace(innovations=False, innovation_sigma=False, signal=wanted.signal and not in_place)
+    trace = new_trace(model, innovation.shape[1], room)
+    return trace._replace(innovation=innovation, signal=innovation if in_place else trace.signal)
 
 
 def go_back(task: Task, run: Run, how: Pass, future: Future, trace: Trace) -> None:

@@ -1,4 +1,4 @@
-"""When the samples were taken: the rate by median, jitter, gaps, repeats, reversals.
+"""When the samples were taken: the rate, jitter, gaps, repeats.
 
 Stamps that lie on a straight line but for the rounding of their last digit are *uniform*
 (with whole steps missing where there are gaps); all others are *stamped* and used as they are.
@@ -31,7 +31,7 @@ class Timebase:
         Time since the sample before, in steps of `step_s`; 0 for the first. Whole numbers when
         the time is uniform.
     step_s : float
-        One step in seconds: the median distance of two samples.
+        One step in seconds: the slope of stamps that lie on a line, else the median distance of two.
     start_s : float
         Time of the first sample, in seconds.
     uniform : bool
@@ -90,7 +90,7 @@ class Timebase:
 
     @property
     def rate_hz(self) -> float:
-        """Samples per second, by the median step."""
+        """Samples per second, 1 over the step."""
         return 1.0 / self.step_s
 
     @cached_property

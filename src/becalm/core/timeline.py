@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from becalm.core.arrays import Floats, Integers, frozen, read_only
+from becalm.core.arrays import Floats, Integers, read_only
 from becalm.core.components import Component, discretise
 from becalm.core.kernel_block import Record
 from becalm.core.kernel_steps import System
@@ -31,8 +31,10 @@ class Timeline(NamedTuple):
 
 
 def model_system(model: Model) -> System:
-    """Lay a model out for the kernels."""
-    return System(model.F[np.newaxis], model.process_covariance[np.newaxis], model.H, model.R)
+    """Lay a model out for the kernels, in copies: of arrays that may be written kernels know one kind."""
+    return System(
+        model.F[np.newaxis].copy(), model.process_covariance[np.newaxis].copy(), model.H.copy(), model.R.copy()
+    )
 
 
 def even_timeline(model: Model, count: int, *, goes_on: bool = False) -> Timeline:
@@ -61,7 +63,7 @@ def elapsed_timeline(
     first = np.concatenate([[0], np.flatnonzero(rest[1:] != rest[:-1]) + 1]) if len(rest) else np.zeros(0, np.int64)
     lengths, step = np.unique(rest[first], return_inverse=True)
     F, Q = discretise(component, lengths if len(lengths) else np.ones(1))
-    system = System(frozen(F), frozen(Q), component.output, frozen([[noise_variance]]))
+    system = System(F, Q, component.output.copy(), np.array([[noise_variance]], dtype=np.float64))
     if goes_on:
         return Timeline(system, *_runs([*first, len(elapsed)], step), lengths)
     return Timeline(

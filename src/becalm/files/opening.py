@@ -131,7 +131,7 @@ class OpenSource:
 
     @property
     def rate_hz(self) -> float:
-        """Samples per second, by the median step."""
+        """Samples per second, 1 over the step."""
         return self.clock.rate_hz
 
     def chunks(self, rows: int | None = None) -> Iterator[Chunk]:
