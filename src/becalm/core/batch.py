@@ -78,7 +78,7 @@ def filter_batch(model: Model, z: ArrayLike, *, states: bool = False, innovation
     readings = np.ascontiguousarray(numbers(z))
     if readings.ndim != 3 or readings.shape[2] != model.channels:
         raise ModelError(f"z has shape {np.shape(z)}; (records, N, {model.channels}) is needed.")
-    wanted = Wanted(states=states, innovations=innovations, innovation_sigma=innovations)
+    wanted = Wanted(states=states, innovations=innovations)
     together = wide_prior(model) is None and readings.size > 0
     room = _room(model, readings, wanted)
     alone = _filter_complete(model, readings, room, wanted) if together else range(len(readings))
@@ -167,7 +167,7 @@ def _finish(model: Model, record: Record, begun: int, memory: Floats, room: _Roo
     """Filter one record from where the gain has settled."""
     nothing = np.empty((model.channels, 0))
     cov = np.empty((model.states, model.states, 0))
-    trace = Trace(room.signal[at], nothing, room.innovation[at], nothing, room.mean[at], cov)
+    trace = Trace(room.signal[at], nothing, room.innovation[at], nothing, nothing, room.mean[at], cov)
     system = model_system(model)
     squares, log_det, used, _ = forward(sizes_of(model), system, record, begun, GAIN, memory, trace)
     room.squares[at] += squares
@@ -212,7 +212,7 @@ def _opened(model: Model, z: Floats) -> tuple[Estimate, Floats]:
         model,
         even_timeline(model, len(z)),
         z,
-        Wanted(states=True, sigma=False, innovations=False, innovation_sigma=False),
+        Wanted(states=True, sigma=False, innovations=False),
     )
     return run.estimate, run.memory[0, : model.states]
 

@@ -68,8 +68,8 @@ class Wanted(NamedTuple):
     covariances: bool = False
     sigma: bool = True
     innovations: bool = True
-    innovation_sigma: bool = True
     signal: bool = True
+    predictions: bool = False  # of the readings, which a backward pass needs
 
 
 EVERYTHING = Wanted()
@@ -141,7 +141,7 @@ def kalman_filter(  # noqa: PLR0913  (what is wanted, each by its name)
     confused with `kalman_smoother`, whose estimates also know the readings after their own.
     """
     readings = checked_readings(model, z)
-    wanted = Wanted(states, covariances, sigma, innovations, innovations)
+    wanted = Wanted(states, covariances, sigma, innovations)
     return run_filter(model, even_timeline(model, len(readings)), readings, wanted).estimate
 
 
@@ -160,6 +160,7 @@ class Run(NamedTuple):
     opening: starting.Opening | None  # of a start as information: no prior, or a wide one
     begun: int  # the first row after the opening
     memory: Floats  # (1, M), or with room for one more each block, as `forward` leaves it
+    prediction: Floats  # (m, N) where wanted
 
 
 class Pass(NamedTuple):
@@ -225,7 +226,7 @@ def _run(task: Task, memory: Floats, how: Pass, trace: Trace, before: Sums) -> R
         used=int(used),
         settled_row=None if settled < 0 else int(settled),
     )
-    return Run(estimate, None, begun, memory)
+    return Run(estimate, None, begun, memory, trace.prediction)
 
 
 def sizes_of(model: Model) -> Sizes:
@@ -248,9 +249,7 @@ def score_opening(
         nu = (z[k] - H @ x)[arrived]
         S = (H @ P @ H.T + R)[np.ix_(arrived, arrived)]
         if trace.innovation.size:
-            trace.innovation[arrived, k] = nu
-        if trace.innovation_sigma.size:
-            trace.innovation_sigma[arrived, k] = np.sqrt(np.diag(S))
+            trace.innovation[arrived, k], trace.innovation_sigma[arrived, k] = nu, np.sqrt(np.diag(S))
         if arrived.any():
             squares += float(nu @ np.linalg.solve(S, nu))
             log_det += float(np.linalg.slogdet(S)[1])
@@ -270,7 +269,8 @@ def new_trace(model: Model, count: int, wanted: Wanted) -> Trace:
         signal=np.empty((m, count if wanted.signal else 0)),
         sigma=np.empty((m, count if wanted.sigma else 0)),
         innovation=np.empty((m, count if wanted.innovations else 0)),
-        innovation_sigma=np.empty((m, count if wanted.innovation_sigma else 0)),
+        innovation_sigma=np.empty((m, count if wanted.innovations else 0)),
+        prediction=np.empty((m, count if wanted.predictions else 0)),
         mean=np.empty((n, count if wanted.states else 0)),
         cov=np.empty((n, n, count if wanted.covariances else 0)),
     )
@@ -281,7 +281,8 @@ def write_opening(model: Model, opening: starting.Opening, trace: Trace) -> None
     rows = opening.rows
     trace.signal[:, :rows], trace.sigma[:, :rows] = np.nan, np.inf
     trace.mean[:, :rows], trace.cov[:, :, :rows] = np.nan, np.inf
-    trace.innovation[:, :rows], trace.innovation_sigma[:, :rows] = np.nan, np.nan
+    for missing in (trace.innovation, trace.innovation_sigma, trace.prediction):
+        missing[:, :rows] = np.nan
     for k, now in enumerate(opening.information, start=opening.first):
         signal, variance = starting.estimable(now, model.H)
         if trace.signal.size:

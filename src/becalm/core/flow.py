@@ -70,7 +70,7 @@ class Flow:
     ) -> None:
         self._component, self._variance, self._judge = component, noise_variance, judge
         self._model = component.to_model(1.0, noise_variance)
-        self._wanted = Wanted(innovations=judge is not None, innovation_sigma=judge is not None)
+        self._wanted = Wanted(innovations=judge is not None)
         self._how = Pass(self._wanted) if causal else forward_pass(self._wanted)
         self._causal = causal
         self._memory: Floats | None = None

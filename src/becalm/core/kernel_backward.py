@@ -1,6 +1,6 @@
 """Many readings in Numba, backward: the twin of `reference.smooth`.
 
-The forward pass leaves its innovations, which are all that a gain that is known needs to smooth, and a
+The forward pass leaves its predictions, which are all that a gain that is known needs to smooth, and a
 memory of its state before each block. Where more is needed, a block is filtered again from there, on the
 stack; so no covariance of a whole record is ever kept.
 """
@@ -141,7 +141,7 @@ def backward(  # noqa: PLR0913  (a door for Python: what is read, what moves, wh
 ) -> None:  # fmt: skip
     """Smooth the rows of a record from the last to `begun`, after `forward` has filled `memory`.
 
-    So has it `trace.innovation`, which may be the place of the signal. `rows` is room for the memory of
+    So has it `trace.prediction`, which may be the place of the signal. `rows` is room for the memory of
     each row of a block. Afterwards `future` holds what the rows from
     `begun` on say of the filtered state before them.
     """
@@ -152,7 +152,7 @@ def backward(  # noqa: PLR0913  (a door for Python: what is read, what moves, wh
         start = max((stop - 1) // BLOCK * BLOCK, begun)
         transfer(sizes, state, watch, memory[1 + start // BLOCK], LOAD)
         run = run_of(record, start, run)
-        whole = start + BLOCK == stop and fetch_block(sizes, record.z, trace.innovation, start, block)
+        whole = start + BLOCK == stop and fetch_block(sizes, record.z, trace.prediction, start, block)
         if whole and is_settled(watch, record, run, start, enough):
             if not ready:
                 close_loop(sizes, system, record.step[run], state, loop, HF)

@@ -29,7 +29,8 @@ class Block(NamedTuple):
     """What a block works on: BLOCK rows, one more for the states before it."""
 
     z: Rows  # m of (BLOCK,)
-    nu: Rows  # m of (BLOCK,)
+    p: Rows  # m of (BLOCK,) predictions of the readings, H F x
+    nu: Rows  # m of (BLOCK,) innovations
     x: Rows  # n of (BLOCK + 1,)
     sums: Rows  # 1 of (BLOCK,)
 
@@ -38,7 +39,13 @@ class Block(NamedTuple):
 def new_block(sizes: Sizes) -> Block:
     """Make room for a block on the stack."""
     n, m = sizes
-    return Block(stack_rows(m, BLOCK), stack_rows(m, BLOCK), stack_rows(n, AFTER), stack_rows(TOTAL, BLOCK))
+    return Block(
+        stack_rows(m, BLOCK),
+        stack_rows(m, BLOCK),
+        stack_rows(m, BLOCK),
+        stack_rows(n, AFTER),
+        stack_rows(TOTAL, BLOCK),
+    )
 
 
 @compiled_part
@@ -66,14 +73,15 @@ def read_block(sizes: Sizes, z: Floats, row: int, block: Block) -> None:
 
 
 @compiled_part
-def fetch_block(sizes: Sizes, z: Floats, innovation: Floats, row: int, block: Block) -> bool:
-    """Copy the readings and the innovations (m, N) of a block; False where one is missing or runs away."""
+def fetch_block(sizes: Sizes, z: Floats, prediction: Floats, row: int, block: Block) -> bool:
+    """Copy the readings (N, m) of a block, and their predictions (m, N); False where one is missing or runs away."""
     read_block(sizes, z, row, block)
     total, terms = 0.0, block.sums[0]
     for c in range(len(sizes.channels)):
-        nu = block.nu[c]
-        copy(across(innovation, c, row, BLOCK), 0, nu)
+        p, nu = block.p[c], block.nu[c]
+        copy(across(prediction, c, row, BLOCK), 0, p)
         for k in range(BLOCK):
+            nu[k] = block.z[c][k] - p[k]
             terms[k] = nu[k] * nu[k]
         total += add_up(terms)
     return bool(total <= TAME)
@@ -107,14 +115,15 @@ def settled_block(  # noqa: PLR0913
 
 @compiled_part
 def innovate(sizes: Sizes, HF: Floats, block: Block) -> None:
-    """Write the innovations of a block, (3)."""
+    """Write the predictions and the innovations of a block, (3)."""
     for c in range(len(sizes.channels)):
-        z, nu = block.z[c], block.nu[c]
+        z, p, nu = block.z[c], block.p[c], block.nu[c]
         for k in range(BLOCK):
-            s = z[k]
+            s = 0.0
             for i in range(len(sizes.states)):
-                s -= HF[c, i] * block.x[i][k]
-            nu[k] = s
+                s += HF[c, i] * block.x[i][k]
+            p[k] = s
+            nu[k] = z[k] - s
 
 
 @compiled_part

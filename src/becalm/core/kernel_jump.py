@@ -13,14 +13,14 @@ import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.core.compiling import compiled_part, woven
-from becalm.core.kernel_ahead import BLOCK, Rows
-from becalm.core.kernel_steps import DEAD_PIVOT, Step, copy_matrix, multiply
+from becalm.core.kernel_ahead import BLOCK, Rows, add_up
+from becalm.core.kernel_steps import Step, copy_matrix, multiply
 from becalm.core.sized import Size, size, stack_matrix, stack_vector
 
 FAR = 8
 """Rows of the longest jump: enough to be computed side by side."""
 
-_MOST_LOST = 64.0  # variances lost over a jump, in those left: rounding grows by as much
+_MOST_TOLD = 64.0  # by the readings of a jump, sum of |L L'| |M|: rounding grows by no more than as much
 _ONE: Size = size(1)
 
 
@@ -28,7 +28,7 @@ class Jump(NamedTuple):
     """A move over some rows."""
 
     A: Floats  # (n, n)
-    L: Floats  # (n, n) lower triangle; L L' is what their readings tell of the state
+    L: Floats  # (n, n) L L' is what their readings tell of the state
     Q: Floats  # (n, n)
 
 
@@ -76,34 +76,36 @@ def prepare_jumps(states: Size, step: Step, number: int, jumps: Jumps) -> None:
     if jumps.step[0] == number:
         return
     jumps.step[0] = number
-    one = jumps.one
+    one, C = jumps.one, stack_matrix(states, states)
     copy_matrix(states, states, step.F, one.A)
     copy_matrix(states, states, step.Q, one.Q)
     for i in range(len(states)):
         for j in range(len(states)):
-            one.L[i, j] = step.H[0, i] * step.H[0, j] / step.R[0, 0]
-    root(states, one.L)
+            C[i, j] = step.H[0, i] * step.H[0, j] / step.R[0, 0]
+    root(states, C, one.L)
     double(states, one, jumps.two)
     double(states, jumps.two, jumps.four)
     double(states, jumps.four, jumps.eight)
 
 
 @compiled_part
-def root(states: Size, C: Floats) -> None:
-    """C = L L' becomes L; a pivot that rounding alone has left is dead."""
-    n = len(states)
-    for j in range(n):
-        d = C[j, j]
-        for k in range(j):
-            d -= C[j, k] * C[j, k]
-        d = np.sqrt(d) if d > DEAD_PIVOT * C[j, j] else 0.0
-        C[j, j] = d
-        for i in range(j + 1, n):
-            s = C[i, j]
-            for k in range(j):
-                s -= C[i, k] * C[j, k]
-            C[i, j] = s / d if d > 0.0 else 0.0
-            C[j, i] = 0.0
+def root(states: Size, C: Floats, L: Floats) -> None:
+    """Factor C = L L', the pivot first of which most is left, and use C up; NaN where it is beyond any number."""
+    n, known, whole = len(states), 0.0, stack_vector(states)
+    for i in range(n):
+        whole[i] = C[i, i] if C[i, i] > 0.0 else 1.0
+        for j in range(n):
+            known += 0.0 * C[i, j]
+    for s in range(n):
+        p = 0
+        for i in range(1, n):
+            p = i if C[i, i] * whole[p] > C[p, p] * whole[i] else p
+        scale = 1.0 / np.sqrt(C[p, p]) if C[p, p] > 0.0 else 0.0
+        for i in range(n):
+            L[i, s] = scale * C[i, p] + known
+        for i in range(n):
+            for j in range(n):
+                C[i, j] -= L[i, s] * L[j, s]
 
 
 @compiled_part
@@ -113,13 +115,13 @@ def weigh_loss(states: Size, L: Floats, M: Floats, loss: Loss) -> None:
     for i in range(n):
         for j in range(n):
             s = 0.0
-            for k in range(j, n):
+            for k in range(n):
                 s += M[i, k] * L[k, j]
             W[i, j] = s
     for j in range(n):
         for i in range(j, n):
             s = 1.0 if i == j else 0.0
-            for k in range(i, n):
+            for k in range(n):
                 s += L[k, i] * W[k, j]
             for k in range(j):
                 s -= T[i, k] * T[j, k] * D[k]
@@ -189,7 +191,7 @@ def join_transitions(states: Size, once: Jump, loss: Loss, V: Floats, twice: Jum
 @compiled_part
 def join_information(states: Size, once: Jump, loss: Loss, V: Floats, twice: Jump) -> None:
     """Write the root of C + A' C (I + Q C)^-1 A = L L' + A' V D V' A."""
-    n, AV = len(states), stack_matrix(states, states)
+    n, AV, C = len(states), stack_matrix(states, states), stack_matrix(states, states)
     for i in range(n):
         for j in range(n):
             s = 0.0
@@ -201,22 +203,8 @@ def join_information(states: Size, once: Jump, loss: Loss, V: Floats, twice: Jum
             s = 0.0
             for k in range(n):
                 s += once.L[i, k] * once.L[j, k] + AV[i, k] * loss.D[k] * AV[j, k]
-            twice.L[i, j] = s
-    root(states, twice.L)
-
-
-@compiled_part
-def can_leap(states: Size, jumps: Jumps, M: Rows) -> bool:
-    """Whether the first of M loses so little over the longest jump that digits are kept; not where it is NaN."""
-    n, L, s, at = len(states), jumps.eight.L, 0.0, 0
-    for i in range(n):
-        for j in range(i + 1):
-            told = 0.0
-            for k in range(n):
-                told += L[i, k] * L[j, k]
-            s += told * M[at][0] if i == j else 2.0 * told * M[at][0]
-            at += 1
-    return bool(s <= _MOST_LOST)
+            C[i, j] = s
+    root(states, C, twice.L)
 
 
 @compiled_part
@@ -260,3 +248,23 @@ def leap_through(states: Size, jumps: Jumps, M: Rows) -> None:
         leap_from(states, jumps.four, M, k, 4)
     for k in range(BLOCK - FAR):
         leap_from(states, jumps.eight, M, k, FAR)
+
+
+@compiled_part
+def keeps_digits(states: Size, jumps: Jumps, M: Rows, terms: Floats) -> bool:
+    """Whether no row of M loses so much over the longest jump that digits go with it; not where it is NaN."""
+    n, L, C = len(states), jumps.eight.L, stack_matrix(states, states)
+    for i in range(n):
+        for j in range(i + 1):
+            s = 0.0
+            for k in range(n):
+                s += L[i, k] * L[j, k]
+            C[i, j] = abs(s) if i == j else 2.0 * abs(s)
+    for k in range(BLOCK):
+        told, at = 0.0, 0
+        for i in range(n):
+            for j in range(i + 1):
+                told += C[i, j] * abs(M[at][k])
+                at += 1
+        terms[k] = 0.0 if told <= _MOST_TOLD else 1.0
+    return add_up(terms) == 0.0

@@ -10,7 +10,7 @@ from becalm.core.arrays import Floats
 from becalm.core.compiling import compiled_part, woven
 from becalm.core.kernel_ahead import BLOCK, Rows, add_up, combine, looks_ahead
 from becalm.core.kernel_block import TAME, Block, innovate, read_block
-from becalm.core.kernel_jump import Jumps, can_leap, get_row, leap_through, new_jumps, prepare_jumps, set_row
+from becalm.core.kernel_jump import Jumps, get_row, keeps_digits, leap_through, new_jumps, prepare_jumps, set_row
 from becalm.core.kernel_one import subtract
 from becalm.core.kernel_steps import State, Step, copy_matrix, joseph, move, see_through
 from becalm.core.sized import Sizes, stack_matrix, stack_rows, stack_triangle, stack_vector
@@ -75,9 +75,9 @@ def move_gains(sizes: Sizes, step: Step, number: int, P: Floats, moving: Moving)
     copy_matrix(sizes.states, sizes.states, P, M)
     move(sizes, step.F, step.Q, M)
     set_row(sizes.states, M, moving.M, 0)
-    if not can_leap(sizes.states, moving.jumps, moving.M):
-        return False
     leap_through(sizes.states, moving.jumps, moving.M)
+    if not keeps_digits(sizes.states, moving.jumps, moving.M, moving.S):
+        return False
     find_gains(sizes, step, moving)
     get_row(sizes.states, moving.M, BLOCK - 1, M)
     total = 0.0

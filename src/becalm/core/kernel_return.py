@@ -47,7 +47,7 @@ class Return(NamedTuple):
     loop: Loop  # of r: the transposed closed loop
     C: Floats  # (n, n) what one row adds to N
     HP: Floats  # (m, n)
-    RS: Floats  # (m, m) R S^-1
+    HK: Floats  # (m, m)
     r: Rows  # n of (BLOCK + 1,) what the rows from k on say of the state before row k; at the end, of the last
 
 
@@ -116,13 +116,12 @@ def prepare_return(  # noqa: PLR0913
             for j in range(n):
                 s += system.H[a, j] * state.P[j, i]
             back.HP[a, i] = s
-    v = stack_vector(sizes.channels)
     for a in range(m):
         for b in range(m):
-            v[b] = system.R[b, a]
-        solve(sizes, state, v)
-        for b in range(m):
-            back.RS[a, b] = v[b]
+            s = 0.0
+            for i in range(n):
+                s += system.H[a, i] * state.K[i, b]
+            back.HK[a, b] = s
     prepare(sizes.states, sizes.channels, back.loop)
 
 
@@ -138,13 +137,13 @@ def return_through(sizes: Sizes, block: Block, back: Return, future: Future) -> 
 
 @compiled_part
 def write_smoothed_block(sizes: Sizes, trace: Trace, row: int, block: Block, back: Return) -> None:
-    """Equation (9) for the signal of a block: H (x + P r) = z - R S^-1 nu + H P r, which needs no states."""
+    """Equation (9) for the signal of a block: H (x + P r) = H F x- + H K nu + H P r, which needs no states."""
     for c in range(len(sizes.channels) if trace.signal.shape[1] else 0):
-        z, signal = block.z[c], across(trace.signal, c, row, BLOCK)
+        p, signal = block.p[c], across(trace.signal, c, row, BLOCK)
         for k in range(BLOCK):
-            s = z[k]
+            s = p[k]
             for a in range(len(sizes.channels)):
-                s -= back.RS[c, a] * block.nu[a][k]
+                s += back.HK[c, a] * block.nu[a][k]
             for i in range(len(sizes.states)):
                 s += back.HP[c, i] * back.r[i][k + 1]
             signal[k] = s

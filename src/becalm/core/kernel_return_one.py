@@ -21,7 +21,7 @@ def return_moving(  # noqa: PLR0913
 ) -> None:
     """Equations (9) to (12) for a block whose gains `move_gains` has found; uses up block.sums.
 
-    H P r = R K' r, so that H (x + P r) = z - R (nu / S - K' r): no states are needed.
+    H P r = R K' r, so that H (x + P r) needs no states, only the prediction of the reading.
     """
     HF, told = stack_matrix(sizes.channels, sizes.states), block.sums[0]
     see_through(sizes, step.H, step.F, HF)
@@ -34,12 +34,12 @@ def return_moving(  # noqa: PLR0913
         told[k] = block.nu[0][k] / moving.S[k]
     return_means(sizes, step, HF, told, moving, r, future)
     if trace.signal.shape[1]:
-        z, signal = block.z[0], across(trace.signal, 0, row, BLOCK)
+        p, nu, signal = block.p[0], block.nu[0], across(trace.signal, 0, row, BLOCK)
         for k in range(BLOCK):
-            s = told[k]
+            s = p[k]
             for i in range(len(sizes.states)):
-                s -= moving.K[i][k] * r[i][k + 1]
-            signal[k] = z[k] - step.R[0, 0] * s
+                s += moving.K[i][k] * (step.H[0, i] * nu[k] + step.R[0, 0] * r[i][k + 1])
+            signal[k] = s
 
 
 @compiled_part

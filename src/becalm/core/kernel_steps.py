@@ -16,7 +16,7 @@ from becalm.core.sized import Size, Sizes, stack_matrix, stack_vector
 from becalm.core.verdict import BEYOND_ANY_SENSOR
 
 LARGEST = 1e200  # an unobservable, unstable state saturates here and cannot spoil the others
-DEAD_PIVOT = 1e-15
+_DEAD_PIVOT = 1e-15
 LARGEST_READING = BEYOND_ANY_SENSOR
 
 
@@ -151,7 +151,7 @@ def factor(sizes: Sizes, S: Floats, L: Floats, D: Floats) -> None:
         d = S[a, a]
         for c in range(a):
             d -= L[a, c] * L[a, c] * D[c]
-        D[a] = d if d > DEAD_PIVOT * S[a, a] else 0.0
+        D[a] = d if d > _DEAD_PIVOT * S[a, a] else 0.0
         for b in range(a + 1, m):
             s = S[b, a]
             for c in range(a):

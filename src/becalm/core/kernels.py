@@ -39,6 +39,7 @@ class Trace(NamedTuple):
     sigma: Floats  # (m, N) square root of the diagonal of H P H'
     innovation: Floats  # (m, N) NaN where a channel is missing
     innovation_sigma: Floats  # (m, N) square root of the diagonal of S
+    prediction: Floats  # (m, N) of the readings, H F x; NaN where a channel is missing
     mean: Floats  # (n, N)
     cov: Floats  # (n, n, N)
 
@@ -82,33 +83,44 @@ def write_belief(sizes: Sizes, trace: Trace, k: int, H: Floats, state: State) ->
 
 
 @compiled_part
-def write_innovation(sizes: Sizes, trace: Trace, k: int, state: State) -> None:
-    """Write the innovations of row k and what was expected of them."""
+def write_innovation(sizes: Sizes, trace: Trace, k: int, reading: Floats, state: State) -> None:
+    """Write the innovations of row k and what was expected of them; `reading` is (m,)."""
     for c in range(len(sizes.channels)):
         if trace.innovation.shape[1]:
             trace.innovation[c, k] = state.nu[c] if state.seen[c] else np.nan
         if trace.innovation_sigma.shape[1]:
             trace.innovation_sigma[c, k] = innovation_spread(state, c) if state.seen[c] else np.nan
+        if trace.prediction.shape[1]:
+            trace.prediction[c, k] = reading[c] - state.nu[c] if state.seen[c] else np.nan
 
 
 @compiled_part
 def write_block(sizes: Sizes, trace: Trace, row: int, H: Floats, state: State, block: Block) -> None:  # noqa: PLR0913
     """Write a block with a settled gain."""
     for c in range(len(sizes.channels)):
-        if trace.signal.shape[1]:
-            combine(sizes.states, H[c], block.x, 1, across(trace.signal, c, row, BLOCK))
         if trace.sigma.shape[1]:
             fill(across(trace.sigma, c, row, BLOCK), spread(sizes, H, state.P, c))
-        if trace.innovation.shape[1]:
-            copy(block.nu[c], 0, across(trace.innovation, c, row, BLOCK))
         if trace.innovation_sigma.shape[1]:
             fill(across(trace.innovation_sigma, c, row, BLOCK), innovation_spread(state, c))
-    if trace.mean.shape[1]:
-        for i in range(len(sizes.states)):
-            copy(block.x[i], 1, across(trace.mean, i, row, BLOCK))
+    write_found(sizes, trace, row, H, block)
     if trace.cov.shape[2]:
         for k in range(BLOCK):
             write_cov(sizes, trace, row + k, state.P)
+
+
+@compiled_part
+def write_found(sizes: Sizes, trace: Trace, row: int, H: Floats, block: Block) -> None:
+    """Write what depends on the readings of a block."""
+    for c in range(len(sizes.channels)):
+        if trace.signal.shape[1]:
+            combine(sizes.states, H[c], block.x, 1, across(trace.signal, c, row, BLOCK))
+        if trace.innovation.shape[1]:
+            copy(block.nu[c], 0, across(trace.innovation, c, row, BLOCK))
+        if trace.prediction.shape[1]:
+            copy(block.p[c], 0, across(trace.prediction, c, row, BLOCK))
+    if trace.mean.shape[1]:
+        for i in range(len(sizes.states)):
+            copy(block.x[i], 1, across(trace.mean, i, row, BLOCK))
 
 
 @compiled_part
@@ -130,19 +142,13 @@ def can_move(sizes: Sizes, record: Record, run: int, row: int, watch: Watch, tra
 @compiled_part
 def write_moving(sizes: Sizes, trace: Trace, row: int, step: Step, block: Block, moving: Moving) -> None:  # noqa: PLR0913
     """Write a block of one channel whose gain still moves."""
-    if trace.signal.shape[1]:
-        combine(sizes.states, step.H[0], block.x, 1, across(trace.signal, 0, row, BLOCK))
+    write_found(sizes, trace, row, step.H, block)
     if trace.sigma.shape[1]:
         spread_moving(sizes, step, moving, across(trace.sigma, 0, row, BLOCK))
-    if trace.innovation.shape[1]:
-        copy(block.nu[0], 0, across(trace.innovation, 0, row, BLOCK))
     if trace.innovation_sigma.shape[1]:
         expected = across(trace.innovation_sigma, 0, row, BLOCK)
         for k in range(BLOCK):
             expected[k] = np.sqrt(moving.S[k])
-    if trace.mean.shape[1]:
-        for i in range(len(sizes.states)):
-            copy(block.x[i], 1, across(trace.mean, i, row, BLOCK))
 
 
 @compiled_part
@@ -153,7 +159,7 @@ def take_row(  # noqa: PLR0913
     """Filter and write one row; return nu' S^-1 nu, log det S and their dimension (8)."""
     step = record.step[run]
     advance(sizes, step_of(system, step), step, record.z, row, state, watch, enough)
-    write_innovation(sizes, trace, row, state)
+    write_innovation(sizes, trace, row, record.z[row], state)
     write_belief(sizes, trace, row, system.H, state)
     return whiten(sizes, state)
 

@@ -12,7 +12,7 @@ from becalm.core.kernels import forward
 from becalm.core.model import Model
 from becalm.core.timeline import Timeline, even_timeline
 
-NOTHING = Wanted(sigma=False, innovations=False, innovation_sigma=False, signal=False)
+NOTHING = Wanted(sigma=False, innovations=False, signal=False)
 
 
 def log_likelihood(model: Model, z: ArrayLike) -> float:

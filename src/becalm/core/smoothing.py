@@ -71,7 +71,7 @@ def kalman_smoother(  # noqa: PLR0913  (what is wanted, each by its name)
     `becalm.core.reference`. With a flat start the mean is that of penalised least squares.
     """
     readings = checked_readings(model, z)
-    wanted = Wanted(states, covariances, sigma or covariances, innovations, innovations)
+    wanted = Wanted(states, covariances, sigma or covariances, innovations)
     return run_smoother(model, even_timeline(model, len(readings)), readings, wanted)
 
 
@@ -85,7 +85,6 @@ def run_smoother(model: Model, timeline: Timeline, z: Floats, wanted: Wanted = E
     go_back(Task(model, timeline, z, run.begun), run, how, new_future(model.states), trace)
     return replace(
         run.estimate,
-        innovations=run.estimate.innovations if wanted.innovations else np.empty((0, model.channels)),
         signal=trace.signal.T,
         sigma=trace.sigma.T,
         mean=trace.mean.T if wanted.states else None,
@@ -95,17 +94,14 @@ def run_smoother(model: Model, timeline: Timeline, z: Floats, wanted: Wanted = E
 
 def forward_pass(wanted: Wanted) -> Pass:
     """Say how the forward pass is made whose backward pass shall give what is wanted."""
-    forward = Wanted(signal=False, sigma=False, innovation_sigma=wanted.innovation_sigma)
+    forward = Wanted(signal=False, sigma=False, innovations=wanted.innovations, predictions=True)
     return Pass(forward, COVARIANCE if wanted.covariances else GAIN, remember=True)
 
 
 def room_to_return(model: Model, run: Run, wanted: Wanted) -> Trace:
-    """Make room for what a backward pass writes: the signal in place of innovations that nobody wants."""
-    innovation = run.estimate.innovations.T
-    in_place = wanted.signal and not wanted.innovations
-    room = wanted._replace(innovations=False, innovation_sigma=False, signal=wanted.signal and not in_place)
-    trace = new_trace(model, innovation.shape[1], room)
-    return trace._replace(innovation=innovation, signal=innovation if in_place else trace.signal)
+    """Make room for what a backward pass writes, the signal in the place of the predictions."""
+    room = new_trace(model, run.prediction.shape[1], wanted._replace(innovations=False, signal=False))
+    return room._replace(prediction=run.prediction, signal=run.prediction if wanted.signal else room.signal)
 
 
 def go_back(task: Task, run: Run, how: Pass, future: Future, trace: Trace) -> None:
