@@ -19,8 +19,10 @@ from becalm.core.kernel_block import (
     run_of,
     step_of,
 )
+from becalm.core.kernel_gap import has_lost_digits, regress
 from becalm.core.kernel_moving import move_gains, new_moving
 from becalm.core.kernel_return import (
+    LATER,
     Future,
     inform,
     new_return,
@@ -91,19 +93,29 @@ def step_back(sizes: Sizes, F: Floats, H: Floats, state: State, future: Future) 
 
 
 @compiled_part
-def write_smoothed(sizes: Sizes, trace: Trace, row: int, H: Floats, state: State, future: Future) -> None:  # noqa: PLR0913
-    """Equations (9) and (10), written to a row; `state` holds the filtered belief and becomes the smoothed one."""
+def smooth_state(sizes: Sizes, state: State, future: Future) -> None:
+    """Equation (9); `state` holds the filtered belief, and its x becomes the smoothed one."""
     n = len(sizes.states)
-    smoothed = stack_matrix(sizes.states, sizes.states)
     for i in range(n):
-        s = state.x[i]
         for j in range(n):
-            s += state.P[i, j] * future.r[j]
-        state.x[i] = s
-    if trace.sigma.shape[1]:
-        smooth_cov(sizes, state.P, future.N, smoothed)
-        copy_matrix(sizes.states, sizes.states, smoothed, state.P)
-    write_belief(sizes, trace, row, H, state)
+            state.x[i] += state.P[i, j] * future.r[j]
+
+
+@compiled_part
+def smooth_spread(sizes: Sizes, system: System, step: int, state: State, future: Future) -> None:
+    """Equation (10), from the row after where that keeps more digits; the filtered P becomes the smoothed one.
+
+    `step` is the one before this row.
+    """
+    n, smoothed = sizes.states, stack_matrix(sizes.states, sizes.states)
+    smooth_cov(sizes, state.P, future.N, smoothed)
+    if future.counters[LATER] and has_lost_digits(n, state.P, smoothed):
+        regress(sizes, future.F, future.Q, state.P, future.P, smoothed)
+    copy_matrix(n, n, smoothed, state.P)
+    copy_matrix(n, n, smoothed, future.P)
+    copy_matrix(n, n, system.F[step], future.F)
+    copy_matrix(n, n, system.Q[step], future.Q)
+    future.counters[LATER] = 1.0 if step >= 0 else 0.0
 
 
 @compiled_part
@@ -128,7 +140,10 @@ def return_row(  # noqa: PLR0913
 ) -> None:  # fmt: skip
     """Smooth and write one row, whose own memory is given."""
     transfer(sizes, state, watch, memory, LOAD)
-    write_smoothed(sizes, trace, row, system.H, state, future)
+    smooth_state(sizes, state, future)
+    if trace.sigma.shape[1]:
+        smooth_spread(sizes, system, step, state, future)
+    write_belief(sizes, trace, row, system.H, state)
     if step >= 0:
         transfer(sizes, state, watch, memory, LOAD)
         step_back(sizes, system.F[step], system.H, state, future)
@@ -164,6 +179,7 @@ def backward(  # noqa: PLR0913  (a door for Python: what is read, what moves, wh
                 write_smoothed_means(sizes, trace, start, state, loop, block, back)
             if trace.sigma.shape[1]:
                 write_spread_block(sizes, trace, start, system.H, state.P, loop.A, back.C, future)
+            future.counters[LATER] = 0.0
             stop = start
             continue
         ready = False
@@ -172,6 +188,7 @@ def backward(  # noqa: PLR0913  (a door for Python: what is read, what moves, wh
             if move_gains(sizes, step, record.step[run], state.P, moving):
                 return_moving(sizes, step, block, moving, back.r, future, trace, start)
                 unsettle(future)
+                future.counters[LATER] = 0.0
                 stop = start
                 continue
         for row in range(start, stop):
@@ -179,8 +196,8 @@ def backward(  # noqa: PLR0913  (a door for Python: what is read, what moves, wh
             step = record.step[run]
             advance(sizes, step_of(system, step), step, record.z, row, state, watch, enough)
             transfer(sizes, state, watch, rows[row - start], SAVE)
+        unsettle(future)
         for row in range(stop - 1, start - 1, -1):
             run = run_of(record, row, run)
             return_row(sizes, system, record.step[run], row, rows[row - start], state, watch, future, trace)
-        unsettle(future)
         stop = start

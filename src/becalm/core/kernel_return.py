@@ -22,9 +22,11 @@ from becalm.core.kernel_ahead import (
 )
 from becalm.core.kernel_block import Block
 from becalm.core.kernel_settling import FIRST_CHECK, NEXT_CHECK, SETTLED, STEADY, near
-from becalm.core.kernel_steps import State, System, multiply
+from becalm.core.kernel_steps import State, System, multiply, solve
 from becalm.core.kernels import Trace, spread, write_cov
 from becalm.core.sized import Sizes, across, stack_matrix, stack_rows, stack_vector
+
+LATER = 3
 
 
 class Future(NamedTuple):
@@ -33,12 +35,16 @@ class Future(NamedTuple):
     r: Floats  # (n,)
     N: Floats  # (n, n)
     then: Floats  # (n, n) N as it was at the last check
-    counters: Floats  # (3,) settled, rows since the last gap, next check
+    P: Floats  # (n, n) smoothed covariance of the row after
+    F: Floats  # (n, n) of the step to it
+    Q: Floats  # (n, n) of the step to it
+    counters: Floats  # (4,) settled, rows since the last gap, next check, whether P, F and Q are known
 
 
 def new_future(n: int) -> Future:
-    """Nothing is known after the last row."""
-    return Future(np.zeros(n), np.zeros((n, n)), np.full((n, n), -1.0), np.array([0.0, 0.0, FIRST_CHECK]))
+    """Make the future of the last row, of which nothing is known."""
+    after = np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n))
+    return Future(np.zeros(n), np.zeros((n, n)), np.full((n, n), -1.0), *after, np.array([0.0, 0.0, FIRST_CHECK, 0.0]))
 
 
 class Return(NamedTuple):
@@ -59,27 +65,13 @@ def new_return(sizes: Sizes) -> Return:
 
 
 @compiled_part
-def solve(sizes: Sizes, state: State, v: Floats) -> None:
-    """Replace v (m,) by S^-1 v, from the factors L D L'."""
-    m, L, D = len(sizes.channels), state.L, state.D
-    for a in range(m):
-        for c in range(a):
-            v[a] -= L[a, c] * v[c]
-    for a in range(m):
-        v[a] = v[a] / D[a] if D[a] > 0.0 else 0.0
-    for a in range(m - 1, -1, -1):
-        for c in range(a + 1, m):
-            v[a] -= L[c, a] * v[c]
-
-
-@compiled_part
 def inform(sizes: Sizes, H: Floats, state: State, G: Floats) -> None:
     """Write G = H' S^-1 (n, m) of the channels seen."""
     m, v = len(sizes.channels), stack_vector(sizes.channels)
     for i in range(len(sizes.states)):
         for a in range(m):
             v[a] = H[a, i] * state.seen[a]
-        solve(sizes, state, v)
+        solve(sizes.channels, state.L, state.D, v)
         for a in range(m):
             G[i, a] = v[a] * state.seen[a]
 

@@ -160,6 +160,20 @@ def factor(sizes: Sizes, S: Floats, L: Floats, D: Floats) -> None:
 
 
 @compiled_part
+def solve(channels: Size, L: Floats, D: Floats, v: Floats) -> None:
+    """Replace v (m,) by S^-1 v, from the factors L D L'."""
+    m = len(channels)
+    for a in range(m):
+        for c in range(a):
+            v[a] -= L[a, c] * v[c]
+    for a in range(m):
+        v[a] = v[a] / D[a] if D[a] > 0.0 else 0.0
+    for a in range(m - 1, -1, -1):
+        for c in range(a + 1, m):
+            v[a] -= L[c, a] * v[c]
+
+
+@compiled_part
 def divide(sizes: Sizes, state: State) -> None:
     """Equation (5): K holds P H' and becomes P H' S^-1."""
     m, K, L, D = len(sizes.channels), state.K, state.L, state.D
