@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from becalm.core.arrays import Floats
 from becalm.core.compiling import compiled_part, woven
-from becalm.core.kernel_steps import multiply
+from becalm.core.kernel_matrices import multiply, transpose
 from becalm.core.sized import Size, size, stack_matrix, stack_vector
 
 BLOCK = 256
@@ -24,7 +24,7 @@ AFTER = BLOCK + 1
 
 AHEAD = 4
 FOUR: Size = size(AHEAD)
-_FEW_STATES = 4  # looking ahead costs n + 4 products a state instead of n + 1
+_FEW_STATES, _FEW_INPUTS = 4, 3  # looking ahead costs n + 4 m products a state instead of n + m
 
 Rows = tuple[Floats, ...]
 
@@ -35,7 +35,7 @@ class Loop(NamedTuple):
     A: Floats  # (n, n)
     G: Floats  # (n, m)
     A4: Floats  # (n, n) fourth power of A
-    W: Floats  # (n, 4) A^3 G, A^2 G, A G, G of one input
+    W: Floats  # (n, 4 m) A^3 G, A^2 G, A G, G of each input
 
 
 @woven
@@ -45,7 +45,7 @@ def new_loop(states: Size, inputs: Size) -> Loop:
         stack_matrix(states, states),
         stack_matrix(states, inputs),
         stack_matrix(states, states),
-        stack_matrix(states, FOUR),
+        stack_matrix(states, inputs + inputs + inputs + inputs),
     )
 
 
@@ -57,20 +57,21 @@ def prepare(states: Size, inputs: Size, loop: Loop) -> None:
     A2 = stack_matrix(states, states)
     multiply(states, states, loop.A, loop.A, A2)
     multiply(states, states, A2, A2, loop.A4)
-    for i in range(len(states)):
-        loop.W[i, 3] = loop.G[i, 0]
-    for lag in range(2, -1, -1):
+    for c in range(len(inputs)):
         for i in range(len(states)):
-            s = 0.0
-            for j in range(len(states)):
-                s += loop.A[i, j] * loop.W[j, lag + 1]
-            loop.W[i, lag] = s
+            loop.W[i, AHEAD * c + 3] = loop.G[i, c]
+        for lag in range(2, -1, -1):
+            for i in range(len(states)):
+                s = 0.0
+                for j in range(len(states)):
+                    s += loop.A[i, j] * loop.W[j, AHEAD * c + lag + 1]
+                loop.W[i, AHEAD * c + lag] = s
 
 
 @compiled_part
 def looks_ahead(states: Size, inputs: Size) -> bool:
     """Whether a row is too little work for the machine, so that looking ahead pays."""
-    return len(states) <= _FEW_STATES and len(inputs) == 1
+    return len(states) <= _FEW_STATES and len(inputs) <= _FEW_INPUTS
 
 
 @compiled_part
@@ -80,12 +81,14 @@ def run_block(states: Size, inputs: Size, loop: Loop, u: Rows, x: Rows) -> None:
     _one_by_one(states, inputs, loop, u, x, 1, AHEAD - 1 if ahead else BLOCK)
     if not ahead:
         return
-    A4, W, v = loop.A4, loop.W, u[0]
     for k in range(BLOCK - AHEAD + 1):
         for i in range(len(states)):
-            s = W[i, 0] * v[k] + W[i, 1] * v[k + 1] + W[i, 2] * v[k + 2] + W[i, 3] * v[k + 3]
+            s = 0.0
+            for c in range(len(inputs)):
+                for lag in range(len(FOUR)):
+                    s += loop.W[i, AHEAD * c + lag] * u[c][k + lag]
             for j in range(len(states)):
-                s += A4[i, j] * x[j][k]
+                s += loop.A4[i, j] * x[j][k]
             x[i][k + 4] = s
 
 
@@ -96,12 +99,14 @@ def run_back(states: Size, inputs: Size, loop: Loop, u: Rows, x: Rows) -> None:
     _one_by_one(states, inputs, loop, u, x, -1, AHEAD - 1 if ahead else BLOCK)
     if not ahead:
         return
-    A4, W, v = loop.A4, loop.W, u[0]
     for k in range(BLOCK - AHEAD, -1, -1):
         for i in range(len(states)):
-            s = W[i, 3] * v[k] + W[i, 2] * v[k + 1] + W[i, 1] * v[k + 2] + W[i, 0] * v[k + 3]
+            s = 0.0
+            for c in range(len(inputs)):
+                for lag in range(len(FOUR)):
+                    s += loop.W[i, AHEAD * c + 3 - lag] * u[c][k + lag]
             for j in range(len(states)):
-                s += A4[i, j] * x[j][k + 4]
+                s += loop.A4[i, j] * x[j][k + 4]
             x[i][k] = s
 
 
@@ -129,14 +134,6 @@ def _one_by_one(  # noqa: PLR0913
         for i in range(n):
             now[i] = then[i]
             x[i][at + way * (k + 1)] = then[i]
-
-
-@compiled_part
-def transpose(rows: Size, columns: Size, A: Floats, B: Floats) -> None:
-    """B = A', with A (rows, columns)."""
-    for i in range(len(rows)):
-        for j in range(len(columns)):
-            B[j, i] = A[i, j]
 
 
 @compiled_part

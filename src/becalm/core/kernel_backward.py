@@ -20,6 +20,7 @@ from becalm.core.kernel_block import (
     step_of,
 )
 from becalm.core.kernel_gap import has_lost_digits, regress
+from becalm.core.kernel_matrices import copy_matrix
 from becalm.core.kernel_moving import move_gains, new_moving
 from becalm.core.kernel_return import (
     LATER,
@@ -47,7 +48,7 @@ from becalm.core.kernel_settling import (
     new_watch,
     transfer,
 )
-from becalm.core.kernel_steps import State, System, copy_matrix, new_state, shrink
+from becalm.core.kernel_steps import State, System, new_state, shrink
 from becalm.core.kernels import Trace, can_move, write_belief
 from becalm.core.sized import Sizes, stack_matrix, stack_vector
 

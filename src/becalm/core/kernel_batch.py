@@ -12,19 +12,11 @@ import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.core.compiling import compiled, compiled_part
-from becalm.core.kernel_ahead import (
-    AHEAD,
-    BLOCK,
-    FOUR,
-    Rows,
-    add_up,
-    combine,
-    copy,
-    looks_ahead,
-)
+from becalm.core.kernel_ahead import AHEAD, BLOCK, FOUR, Rows, add_up, combine, copy, looks_ahead
 from becalm.core.kernel_block import TOTAL, Block, Record, new_block, run_of, step_of
+from becalm.core.kernel_matrices import multiply
 from becalm.core.kernel_settling import LOAD, SAVE, SETTLED, new_watch, notice, transfer
-from becalm.core.kernel_steps import State, System, joseph, multiply, new_state, predict, shrink, weigh
+from becalm.core.kernel_steps import State, System, joseph, new_state, predict, shrink, weigh
 from becalm.core.kernels import innovation_spread, spread
 from becalm.core.sized import Size, Sizes, down, piece, stack_matrix, stack_rows
 
@@ -74,7 +66,7 @@ def rehearse(  # noqa: PLR0913  (a door for Python)
         weigh(sizes, system.H, system.R, state)
         note(sizes, system, step, row, state, table)
         note_scale(sizes, row, state, table)
-        if looks_ahead(sizes.states, sizes.channels) and row >= begun + AHEAD:
+        if reads_ahead(sizes) and row >= begun + AHEAD:
             note_ahead(sizes, row, table)
         joseph(sizes, system.H, system.R, state)
         for c in range(len(sizes.channels)):
@@ -83,6 +75,12 @@ def rehearse(  # noqa: PLR0913  (a door for Python)
         row += 1
     transfer(sizes, state, watch, memory[0], SAVE)
     return row
+
+
+@compiled_part
+def reads_ahead(sizes: Sizes) -> bool:
+    """Whether a table of what looking ahead needs is noted; of one channel."""
+    return len(sizes.channels) == 1 and looks_ahead(sizes.states, sizes.channels)
 
 
 @compiled_part
@@ -170,7 +168,7 @@ def run_together(  # noqa: PLR0913  (a door for Python)
     block, near, told = new_block(sizes), stack_rows(weights, BLOCK), stack_rows(TOTAL, BLOCK)[0]
     for first in range(begun, stop, BLOCK):
         count = min(BLOCK, stop - first)
-        ahead = looks_ahead(sizes.states, sizes.channels) and first > begun and count == BLOCK
+        ahead = reads_ahead(sizes) and first > begun and count == BLOCK
         fetch(sizes, table, first, near)
         for b in range(len(z)):
             for c in range(len(sizes.channels)):

@@ -9,8 +9,9 @@ import numpy as np
 from becalm.core.arrays import Floats, Integers
 from becalm.core.compiling import compiled_part, woven
 from becalm.core.kernel_ahead import AFTER, BLOCK, Loop, Rows, add_up, copy, prepare, run_block
+from becalm.core.kernel_matrices import copy_matrix
 from becalm.core.kernel_settling import LAST_STEP, SETTLED, Watch
-from becalm.core.kernel_steps import State, Step, System, close, copy_matrix, see_through
+from becalm.core.kernel_steps import State, Step, System, close, see_through
 from becalm.core.sized import Size, Sizes, across, down, size, stack_rows
 
 TAME = 1e190  # sum of squares; NaN, Inf and what no sensor reads are beyond it, as are states that run away

@@ -14,7 +14,8 @@ import numpy as np
 from becalm.core.arrays import Floats
 from becalm.core.compiling import compiled_part, woven
 from becalm.core.kernel_ahead import BLOCK, Rows, add_up
-from becalm.core.kernel_steps import Step, copy_matrix, multiply
+from becalm.core.kernel_matrices import copy_matrix, multiply
+from becalm.core.kernel_steps import Step
 from becalm.core.sized import Size, size, stack_matrix, stack_vector
 
 FAR = 8

@@ -11,8 +11,9 @@ from becalm.core.compiling import compiled_part, woven
 from becalm.core.kernel_ahead import BLOCK, Rows, add_up, combine, looks_ahead
 from becalm.core.kernel_block import TAME, Block, innovate, read_block
 from becalm.core.kernel_jump import Jumps, get_row, keeps_digits, leap_through, new_jumps, prepare_jumps, set_row
+from becalm.core.kernel_matrices import copy_matrix
 from becalm.core.kernel_one import subtract
-from becalm.core.kernel_steps import State, Step, copy_matrix, joseph, move, see_through
+from becalm.core.kernel_steps import State, Step, joseph, move, see_through
 from becalm.core.sized import Sizes, stack_matrix, stack_rows, stack_triangle, stack_vector
 
 _PRODUCTS = 16  # of a block's numbers, whose logarithms are taken
@@ -38,7 +39,7 @@ def new_moving(sizes: Sizes) -> Moving:
 @compiled_part
 def moves_in_blocks(sizes: Sizes) -> bool:
     """Whether a model has one channel, and so few states that eight covariances fit into registers and caches."""
-    return looks_ahead(sizes.states, sizes.channels)
+    return len(sizes.channels) == 1 and looks_ahead(sizes.states, sizes.channels)
 
 
 @compiled_part

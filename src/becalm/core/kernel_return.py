@@ -8,21 +8,11 @@ import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.core.compiling import compiled_part, woven
-from becalm.core.kernel_ahead import (
-    AFTER,
-    BLOCK,
-    Loop,
-    Rows,
-    combine,
-    fill,
-    new_loop,
-    prepare,
-    run_back,
-    run_block,
-)
+from becalm.core.kernel_ahead import AFTER, BLOCK, Loop, Rows, combine, fill, new_loop, prepare, run_back, run_block
 from becalm.core.kernel_block import Block
+from becalm.core.kernel_matrices import multiply, solve
 from becalm.core.kernel_settling import FIRST_CHECK, NEXT_CHECK, SETTLED, STEADY, near
-from becalm.core.kernel_steps import State, System, multiply, solve
+from becalm.core.kernel_steps import State, System
 from becalm.core.kernels import Trace, spread, write_cov
 from becalm.core.sized import Sizes, across, stack_matrix, stack_rows, stack_vector
 

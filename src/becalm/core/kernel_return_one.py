@@ -8,9 +8,10 @@ from becalm.core.arrays import Floats
 from becalm.core.compiling import compiled_part
 from becalm.core.kernel_ahead import BLOCK, Rows
 from becalm.core.kernel_block import Block
+from becalm.core.kernel_matrices import copy_matrix
 from becalm.core.kernel_moving import Moving
 from becalm.core.kernel_return import Future, pull_back_spread
-from becalm.core.kernel_steps import Step, close, copy_matrix, see_through
+from becalm.core.kernel_steps import Step, close, see_through
 from becalm.core.kernels import Trace
 from becalm.core.sized import Sizes, across, stack_matrix, stack_vector
 

@@ -12,11 +12,11 @@ import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.core.compiling import compiled_part, woven
-from becalm.core.sized import Size, Sizes, stack_matrix, stack_vector
+from becalm.core.kernel_matrices import factor, multiply
+from becalm.core.sized import Sizes, stack_matrix, stack_vector
 from becalm.core.verdict import BEYOND_ANY_SENSOR
 
 LARGEST = 1e200  # an unobservable, unstable state saturates here and cannot spoil the others
-_DEAD_PIVOT = 1e-15
 LARGEST_READING = BEYOND_ANY_SENSOR
 
 
@@ -139,38 +139,8 @@ def weigh(sizes: Sizes, H: Floats, R: Floats, state: State) -> None:
                 s += H[a, i] * state.K[i, b]
             S[a, b] = s * seen[a] * seen[b]
         S[a, a] += 1.0 - seen[a]
-    factor(sizes, S, state.L, state.D)
+    factor(sizes.channels, S, state.L, state.D)
     divide(sizes, state)
-
-
-@compiled_part
-def factor(sizes: Sizes, S: Floats, L: Floats, D: Floats) -> None:
-    """Factor S = L D L'; a pivot that rounding alone has left is dead."""
-    m = len(sizes.channels)
-    for a in range(m):
-        d = S[a, a]
-        for c in range(a):
-            d -= L[a, c] * L[a, c] * D[c]
-        D[a] = d if d > _DEAD_PIVOT * S[a, a] else 0.0
-        for b in range(a + 1, m):
-            s = S[b, a]
-            for c in range(a):
-                s -= L[b, c] * L[a, c] * D[c]
-            L[b, a] = s / D[a] if D[a] > 0.0 else 0.0
-
-
-@compiled_part
-def solve(channels: Size, L: Floats, D: Floats, v: Floats) -> None:
-    """Replace v (m,) by S^-1 v, from the factors L D L'."""
-    m = len(channels)
-    for a in range(m):
-        for c in range(a):
-            v[a] -= L[a, c] * v[c]
-    for a in range(m):
-        v[a] = v[a] / D[a] if D[a] > 0.0 else 0.0
-    for a in range(m - 1, -1, -1):
-        for c in range(a + 1, m):
-            v[a] -= L[c, a] * v[c]
 
 
 @compiled_part
@@ -217,25 +187,6 @@ def close(sizes: Sizes, H: Floats, F: Floats, K: Floats, A: Floats) -> None:
     shrunk = stack_matrix(sizes.states, sizes.states)
     shrink(sizes, H, K, shrunk)
     multiply(sizes.states, sizes.states, shrunk, F, A)
-
-
-@compiled_part
-def copy_matrix(rows: Size, columns: Size, A: Floats, B: Floats) -> None:
-    """B = A, both (rows, columns)."""
-    for i in range(len(rows)):
-        for j in range(len(columns)):
-            B[i, j] = A[i, j]
-
-
-@compiled_part
-def multiply(rows: Size, columns: Size, A: Floats, B: Floats, C: Floats) -> None:
-    """C = A B, with A (rows, rows), B and C (rows, columns); C is another array than B."""
-    for i in range(len(rows)):
-        for j in range(len(columns)):
-            s = 0.0
-            for k in range(len(rows)):
-                s += A[i, k] * B[k, j]
-            C[i, j] = s
 
 
 @compiled_part
