@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
+from collections.abc import Sequence
 
 import numpy as np
 import pyarrow as pa
@@ -60,6 +61,37 @@ def decimal_of(cell: str) -> str:
     if "." in cell and _POINT.match(cell):
         return "."
     return "," if "," in cell and _COMMA.match(cell) else ""
+
+
+def is_row(line: str, separator: str, kinds: Sequence[str]) -> bool:
+    """Tell whether a line has cells enough for a row, and numbers and times where they are needed.
+
+    Separators within its cells are counted as well: nobody knows which of its quotes are strays.
+
+    Parameters
+    ----------
+    line : str
+        Part of a text, without its line end.
+    separator : str
+        As in `Dialect`.
+    kinds : sequence of str
+        What each column holds.
+    """
+    cells = [cell.strip('" \t') for cell in (line.split(separator or "\x1f") if line else ())]
+    width = len(kinds)
+    if len(cells) < width:
+        return False
+    signals = (column for column, kind in enumerate(kinds) if kind in (NUMBER, TIME))
+    found = [{kind_of(cells[column]), kind_of(cells[column - width])} for column in signals]
+    return 2 * found.count({WORDS}) <= len(found)
+
+
+def is_left_open(line: str, separator: str) -> bool:
+    """Tell whether a quoted cell begins in a line and does not end in it."""
+    try:
+        return len(list(csv.reader([line + "\n", "next"], delimiter=separator or "\x1f"))) == 1
+    except csv.Error:  # a cell beyond the module's limit
+        return False
 
 
 def to_numbers(text: pa.Array, decimal: str) -> tuple[pa.Array, Booleans]:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +11,6 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from becalm.errors import InputError
 from becalm.files.cells import COMMA, GONE, MISSING, NUMBER, TIME, to_numbers
 from becalm.files.csv_header import unique_names
 from becalm.files.csv_sniffing import Dialect, sniff
@@ -21,6 +18,7 @@ from becalm.files.rows import HeldRows
 from becalm.files.source import RawTable, TextLayout
 from becalm.files.text import decode
 from becalm.files.text_blocks import rows_of_text
+from becalm.files.text_rows import ragged, refuse_strays, spans_lines
 
 _EXACT_DIGITS = 15  # float64 keeps whole numbers of this many digits
 
@@ -67,8 +65,10 @@ def _parse(path: Path, body: bytes, dialect: Dialect, names: Sequence[str]) -> t
         table = _arrow(body, dialect, names, column_types(dialect, names))
     except pa.ArrowInvalid as cause:
         if not is_conversion(cause):
-            raise ragged(path, [body], dialect, str(cause)) from cause
+            raise ragged(path, lambda: [body], dialect, str(cause)) from cause
         table = _arrow_text(path, body, dialect, names)
+    if spans_lines(table):
+        refuse_strays(path, lambda: [body], dialect)
     decimal = dialect.decimal or _decimal_of(table, dialect)
     for position, kind in enumerate(dialect.kinds):
         if kind != TIME and pa.types.is_string(table.schema.field(position).type):
@@ -136,7 +136,7 @@ def _arrow_text(path: Path, body: bytes, dialect: Dialect, names: Sequence[str])
     try:
         return _arrow(body, dialect, names, dict.fromkeys(names, pa.string()))
     except pa.ArrowInvalid as cause:
-        raise ragged(path, [body], dialect, str(cause)) from cause
+        raise ragged(path, lambda: [body], dialect, str(cause)) from cause
 
 
 def _decimal_of(table: pa.Table, dialect: Dialect) -> str:
@@ -213,21 +213,3 @@ def without_padding(dialect: Dialect, names: Sequence[str], empty: Sequence[bool
     while last > 1 and not dialect.header.names[last - 1] and empty[last - 1]:
         last -= 1
     return list(names[:last])
-
-
-def ragged(path: Path, body: Iterable[bytes], dialect: Dialect, cause: str) -> InputError:
-    """Find the first row with another number of cells, in a body that comes in blocks of whole lines."""
-    width = len(dialect.kinds)
-    lines = (line for block in body for line in io.StringIO(block.decode("utf-8"), newline=""))
-    rows = csv.reader(lines, delimiter=dialect.separator or "\x1f")
-    try:
-        for number, row in enumerate((row for row in rows if row), start=1):
-            if len(row) != width:
-                line = dialect.first_line + rows.line_num
-                return InputError(
-                    f"Row {number} (line {line}) of {path} has {len(row)} cell{'s' * (len(row) != 1)} where {width} are"
-                    f" needed: {(dialect.separator or ' ').join(row)[:60]!r}. Mend or remove that line."
-                )
-    except csv.Error as error:
-        cause = str(error)
-    return InputError(f"{path} cannot be read as a table: {' '.join(cause.split())[:200]}. Save it again as plain CSV.")

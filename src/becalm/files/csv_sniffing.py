@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from becalm.errors import InputError
-from becalm.files.cells import GONE, NUMBER, TIME, WORDS, decimal_of, kind_of, split
+from becalm.files.cells import GONE, NUMBER, TIME, WORDS, decimal_of, is_left_open, kind_of, split
 from becalm.files.csv_header import Header, find_header
 
 _SEPARATORS = (";", "\t", ",", "|", "", " ")  # in a draw the earlier one wins; "" is a file of one column
@@ -88,6 +88,7 @@ def sniff(path: Path, data: bytes) -> Dialect:
     body = [cells[number] for number in plain[-_JUDGED:] if len(cells[number]) == width]
     kinds = _column_kinds(body, width)
     first = _first_row(path, plain, cells, kinds)
+    _refuse_open_cells(path, {number: lines[number].text for number in plain if number < first}, separator, width)
     header = find_header([line.text for line in lines[:first]], start, separator, kinds)
     _refuse_misfit(path, separator, header, width)
     data_rows = [cells[number] for number in plain if number >= first][:_JUDGED]
@@ -172,6 +173,17 @@ def _first_row(path: Path, plain: Sequence[int], cells: dict[int, list[str]], ki
     if at == 0 and len(found) > 1 and any(kind_of(cells[first][column]) == WORDS for column in signals):
         return found[1]  # names that are mostly numbers
     return plain[at - 1] if at >= 2 and _is_damaged(cells[plain[at - 2]], cells[plain[at - 1]], signals) else first
+
+
+def _refuse_open_cells(path: Path, above: dict[int, str], separator: str, width: int) -> None:
+    """Refuse a quote above the table that takes the first row, or the names, into its cell."""
+    for number, line in above.items():
+        in_table = number == max(above) or line.count(separator or "\x1f") >= max(1, width - 1)
+        if in_table and is_left_open(line, separator):
+            raise InputError(
+                f"Line {number + 1} of {path} opens a quoted cell and does not close it: {line[:60]!r}. Remove that"
+                " quote, or close the cell with another; in the first row and above it, a cell must be on one line."
+            )
 
 
 def _is_damaged(above: Sequence[str], row: Sequence[str], signals: Sequence[int]) -> bool:

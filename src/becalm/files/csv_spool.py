@@ -20,7 +20,6 @@ from becalm.files.csv_reader import (
     has_decimal_commas,
     is_conversion,
     numbers_of,
-    ragged,
     refuse_long_numbers,
     text_layout,
     units_of,
@@ -30,6 +29,7 @@ from becalm.files.csv_sniffing import Dialect, sniff
 from becalm.files.rows import SpooledRows
 from becalm.files.source import RawTable
 from becalm.files.text_blocks import OtherEncodingError, TextFile, rows_of_text, whole_lines
+from becalm.files.text_rows import ragged, refuse_strays, spans_lines
 
 _PARSED_BYTES = 1 << 20
 _HEAD_BYTES = 8 << 20
@@ -88,9 +88,13 @@ class _Spooling:
 
     def _spooled(self, types: dict[str, pa.DataType]) -> SpooledRows:
         rows = SpooledRows(pa.schema(list(types.items())))
+        lines_in_cells = False
         try:
             for table in self._parsed(types):
+                lines_in_cells = lines_in_cells or spans_lines(table)
                 rows.add(table)
+            if lines_in_cells:
+                refuse_strays(self._path, self._body, self._dialect)
         except BaseException:
             rows.close()
             raise
@@ -111,7 +115,7 @@ class _Spooling:
             yield arrow_csv.read_csv(pa.BufferReader(block), **how)
 
     def _ragged(self, cause: pa.ArrowInvalid) -> InputError:
-        return ragged(self._path, self._body(), self._dialect, str(cause))
+        return ragged(self._path, self._body, self._dialect, str(cause))
 
     def _texts(self, rows: SpooledRows) -> dict[str, str]:
         """Return the columns of text that may yet be numbers, and what their heads say."""
