@@ -10,10 +10,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from becalm.classic.causal import butterworth, moving_average
+from becalm.cleaning.channels import MotionChannel
+from becalm.cleaning.judging import ChannelReport
 from becalm.cleaning.pipeline import Cleaned, clean, tune
 from becalm.cleaning.recipe import Recipe
 from becalm.core.arrays import Floats
 from becalm.core.components import motion
+from becalm.core.flow import Told
 from becalm.core.recording import Recording
 from becalm.core.smoothing import kalman_smoother
 from becalm.errors import RecipeError, RecordingError
@@ -207,8 +210,27 @@ def test_a_recipe_says_the_density_in_seconds(order: int, rate: float) -> None:
 
 def test_progress_names_every_channel() -> None:
     told: list[str] = []
-    clean(record(Z), progress=told.append)
-    assert sorted(told) == sorted(2 * NAMES)
+    tune(record(Z), progress=told.append)
+    assert sorted(told) == sorted(NAMES)
+
+
+@pytest.mark.parametrize("causal", MODES)
+def test_every_channel_is_finished_before_it_reports(causal: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    finished: list[MotionChannel] = []
+    finish, report = MotionChannel.finish, MotionChannel.report
+
+    def finish_and_tell(channel: MotionChannel) -> list[Told]:
+        finished.append(channel)
+        return finish(channel)
+
+    def report_once_finished(channel: MotionChannel) -> ChannelReport:
+        assert channel in finished
+        return report(channel)
+
+    monkeypatch.setattr(MotionChannel, "finish", finish_and_tell)
+    monkeypatch.setattr(MotionChannel, "report", report_once_finished)
+    assert len(clean(record(Z), RECIPES[causal]).reports) == 4
+    assert len(finished) == 3
 
 
 def test_verdicts_count_every_reading() -> None:

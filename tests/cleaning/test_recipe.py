@@ -33,7 +33,7 @@ def channels(draw: st.DrawFn, name: str) -> ChannelRecipe:
 
 @st.composite
 def recipes(draw: st.DrawFn) -> Recipe:
-    names = draw(st.lists(text, max_size=4, unique=True))
+    names = draw(st.lists(text, min_size=1, max_size=4, unique=True))
     return Recipe(
         mode=draw(st.sampled_from(["smoothed", "causal"])),
         time=draw(st.none() | text),

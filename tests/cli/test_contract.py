@@ -50,6 +50,21 @@ def test_a_recipe_gives_the_same_bytes_again(run: Run, drive: Path, tmp_path: Pa
         assert first.read_bytes() == again.read_bytes()
 
 
+@pytest.mark.parametrize("said", [["--rate", "50"], ["--time", "walk"], ["--causal"]], ids=lambda said: said[0])
+def test_what_is_said_beside_a_recipe_is_in_the_new_one(said: list[str], run: Run, tmp_path: Path) -> None:
+    t = np.arange(300) / 100
+    a = np.random.default_rng(3).normal(size=300)
+    rows = "".join(f"{t[k]:.2f},{2 * t[k]:.2f},{a[k]:.6f}\n" for k in range(300))
+    (tmp_path / "in.csv").write_text(f"time_s,walk,a\n{rows}", encoding="utf-8")
+    run("tune", "in.csv", "-o", "r.toml", "--channels", "a")
+    ran = run("clean", "in.csv", "-o", "first.csv", "--recipe", "r.toml", *said)
+    assert ran.returncode in (0, 4), ran.stderr
+    run("clean", "in.csv", "-o", "again.csv", "--recipe", "first.csv.recipe.toml")
+    for ending in ("", ".recipe.toml"):
+        first, again = tmp_path / f"first.csv{ending}", tmp_path / f"again.csv{ending}"
+        assert first.read_bytes() == again.read_bytes()
+
+
 def test_tune_then_clean_is_clean(run: Run, drive: Path, tmp_path: Path) -> None:
     run("clean", drive, "-o", "one.csv")
     assert run("tune", drive, "-o", "r.toml").returncode == 0

@@ -189,6 +189,31 @@ def test_what_a_person_says_of_time_wins_over_the_recipe(run: Run, drive: Path, 
     assert '"rate_hz": 100.0' in told
 
 
+def test_a_recipe_for_other_channels_is_said_to_be_one(run: Run, drive: Path, tmp_path: Path) -> None:
+    (tmp_path / "in.csv").write_text(column(NOISE), encoding="utf-8")
+    run("tune", "in.csv", "-o", "r.toml")
+    for words in ([drive, "-o", "x.csv"], ["in.csv", "-o", "x.csv", "--time", "a"]):
+        ran = run("clean", *words, "--recipe", "r.toml")
+        assert ran.returncode == 2, ran.stderr
+        assert ran.stderr.startswith("becalm: The recipe names 'a', which is ")
+        assert "with: becalm tune" in ran.stderr
+    empty = (tmp_path / "r.toml").read_text(encoding="utf-8").partition("[[channel]]")[0]
+    (tmp_path / "r.toml").write_text("channel = []\n" + empty, encoding="utf-8")
+    ran = run("clean", "in.csv", "-o", "x.csv", "--recipe", "r.toml")
+    assert ran.returncode == 2
+    assert ran.stderr.startswith("becalm: The recipe r.toml does not say what a recipe must: channel: ")
+
+
+@pytest.mark.parametrize("words", [["clean", "in.csv", "-o"], ["tune", "in.csv", "-o"]], ids=["clean", "tune"])
+def test_a_name_that_is_too_long_is_said(words: list[str], run: Run, tmp_path: Path) -> None:
+    (tmp_path / "in.csv").write_text(column(NOISE), encoding="utf-8")
+    ran = run(*words, 260 * "n" + ".csv")
+    assert ran.returncode == 2
+    assert "is too long; choose a shorter one" in ran.stderr
+    assert run("clean", "in.csv", "-o", 245 * "n" + ".csv").stderr == ran.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["in.csv"]
+
+
 @pytest.mark.parametrize("stream", ["2", "1"])
 def test_a_full_terminal_does_not_end_in_a_traceback(stream: str, drive: Path, tmp_path: Path) -> None:
     command = f"{sys.executable} -m becalm inspect {drive if stream == '1' else 'none.csv'} {stream}>/dev/full"

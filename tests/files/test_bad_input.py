@@ -113,6 +113,36 @@ def test_a_bad_cell_is_named_with_the_way_out(row: int, cell: str, tmp_path: Pat
         read(path, channels=["b"])
 
 
+@pytest.mark.parametrize("column", [1, 2])
+def test_leaving_a_bad_cell_out_never_names_the_time(column: int, tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    cells = [line.split(",") for line in GOOD.splitlines()]
+    cells[300][column] = "err"
+    path.write_text("\n".join(map(",".join, cells)))
+    with pytest.raises(InputError, match=f"naming the others: --channels '{'ba'[column - 1]}'"):
+        read(path)
+    path.write_text(
+        "\n".join(",".join(line[: column + 1]) if column == 1 else line[0] + "," + line[2] for line in cells)
+    )
+    with pytest.raises(InputError, match=r"which is not a number\. Mend the cell\."):
+        read(path)
+
+
+@pytest.mark.parametrize("row", [1, 300])
+@pytest.mark.parametrize("time", [None, "time_s"])
+def test_a_bad_cell_in_the_time_is_named(row: int, time: str | None, tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    lines = GOOD.splitlines()
+    lines[row] = "ERR," + lines[row].partition(",")[2]
+    path.write_text("\n".join(lines))
+    says = rf"'time_s' holds 'ERR' in row {row} \(line {row + 1}\), which is not a number\. .*--rate HZ"
+    with pytest.raises(InputError, match=says):
+        read(path, time=time)
+    counted = read_source(path, ReadOptions(rate_hz=10.0))
+    assert counted.recording.names == ("a", "b")
+    assert counted.table["time_s"][row - 1].as_py() == "ERR"
+
+
 def test_options_that_do_not_fit_are_refused_with_what_there_is(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     path.write_text(GOOD)

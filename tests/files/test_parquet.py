@@ -120,8 +120,27 @@ def test_units_come_from_the_field_or_the_name(tmp_path: Path) -> None:
     assert source.recording.rate_hz == pytest.approx(100)
 
 
+def test_nested_columns_of_several_row_groups_pass_through(tmp_path: Path) -> None:
+    words = pa.array([f"w{i % 7}" for i in range(COUNT)]).dictionary_encode()
+    table = pa.table({"time": TICKS["duration"], "a": SIGNAL, "pair": pa.StructArray.from_arrays([words], ["k"])})
+    pq.write_table(table, tmp_path / "log.parquet", row_group_size=10)
+    with pytest.raises(pa.ArrowNotImplementedError):
+        list(pq.ParquetFile(tmp_path / "log.parquet").iter_batches())
+    assert read_source(tmp_path / "log.parquet").table["pair"].to_pylist() == table["pair"].to_pylist()
+
+
+def test_a_column_that_cannot_be_read_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise pa.ArrowNotImplementedError("Nested data conversions not implemented")
+
+    monkeypatch.setattr(pq.ParquetFile, "iter_batches", refuse)
+    with pytest.raises(InputError, match=r"cannot be read, in 'pair' .*without that column") as refusal:
+        source_of(tmp_path, {"time": TICKS["duration"], "a": SIGNAL, "pair": pa.array([{"x": 1}] * COUNT)})
+    assert "damaged" not in str(refusal.value)
+
+
 def test_no_rows_and_no_columns_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no rows"):
+    with pytest.raises(InputError, match="It has columns but no rows"):
         source_of(tmp_path, {"time": pa.array([], pa.float64()), "a": pa.array([], pa.float64())})
     with pytest.raises(InputError, match="no columns"):
         source_of(tmp_path, {})

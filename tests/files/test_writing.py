@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import gzip
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import IO
 
@@ -17,7 +18,9 @@ from hypothesis import strategies as st
 
 from becalm.core.recording import Recording
 from becalm.errors import OutputError, RecordingError
-from becalm.files import ReadOptions, output_table, read, read_source, write, write_table
+from becalm.files import ReadOptions, output_table, plain, read, read_source, replace_file, write, write_table
+from becalm.files.plain import refuse_unwritable
+from becalm.files.writing import refuse_columns
 
 ENDINGS = ["csv", "csv.gz", "parquet"]
 LOG = 'time_s,note,force (kN),n\n0.000000,a,1.5,7\n0.009583,,2.5,8\n0.019196,NA,NA,7\n0.028809,"b, c",-1e-05,9\n'
@@ -229,6 +232,37 @@ def test_a_disk_that_fills_up_while_writing(ending: str, tmp_path: Path, monkeyp
     )
     with pytest.raises(OutputError, match="full"):
         write(tmp_path / f"out.{ending}", Recording(np.arange(100_000.0) / 7, rate_hz=1.0))
+    assert left_in(tmp_path) == []
+
+
+def test_looking_whether_a_file_can_be_written_touches_no_other(tmp_path: Path) -> None:
+    own = tmp_path / ".out.csv.probe"
+    own.write_text("mine")
+    for _ in range(2):
+        refuse_unwritable(tmp_path / "out.csv")
+    assert own.read_text() == "mine"
+    assert left_in(tmp_path) == [own.name]
+
+
+def test_looking_twice_at_once_is_no_trouble(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def replace_and_look_again(path: Path, fill: Callable[[IO[bytes]], None]) -> None:
+        monkeypatch.undo()
+        replace_file(path, fill)
+        refuse_unwritable(tmp_path / "out.csv")
+
+    monkeypatch.setattr(plain, "replace_file", replace_and_look_again)
+    refuse_unwritable(tmp_path / "out.csv")
+    assert left_in(tmp_path) == []
+
+
+@pytest.mark.parametrize("name", ["out.csv", "out.csv.gz", "out.parquet"])
+def test_columns_are_refused_before_a_row_is_there(name: str, tmp_path: Path) -> None:
+    plain_ones = pa.schema({"time": pa.timestamp("ns"), "a": pa.float64(), "n": pa.null(), "words": pa.string()})
+    refuse_columns(tmp_path / name, plain_ones)
+    odd = [pa.binary(), pa.list_(pa.int8())] if "csv" in name else [pa.month_day_nano_interval()]
+    for kind in odd:
+        with pytest.raises(OutputError):
+            refuse_columns(tmp_path / name, plain_ones.append(pa.field("odd", kind)))
     assert left_in(tmp_path) == []
 
 

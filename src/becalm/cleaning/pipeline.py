@@ -77,8 +77,11 @@ def tune(
     chosen = recording if channels is None else recording.select(_listed(channels))
     _refuse_empty(chosen)
     one = partial(_tune_channel, chosen, causal, progress or _silent)
-    with ThreadPoolExecutor() as pool:
+    pool = ThreadPoolExecutor()
+    try:
         found = tuple(pool.map(one, chosen.names))
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)  # who stops it need not wait for the others
     origin = Origin(rows=len(chosen), rate_hz=chosen.rate_hz, becalm=version("becalm"))
     return Recipe(mode="causal" if causal else "smoothed", tuned_on=origin, channel=found)
 
@@ -89,7 +92,6 @@ def clean(
     *,
     causal: bool | None = None,
     channels: Sequence[str] | None = None,
-    progress: Progress | None = None,
 ) -> Cleaned:
     """Clean a recording, by a recipe or by one found in it.
 
@@ -104,8 +106,6 @@ def clean(
         for the other mode keeps its numbers, which `tune(..., causal=...)` might choose differently.
     channels : sequence of str, optional
         Names of the channels to clean; all, or all of the recipe, by default.
-    progress : callable, optional
-        Called with a channel's name when a step of it is done.
 
     Raises
     ------
@@ -116,7 +116,7 @@ def clean(
     """
     _refuse_empty(recording)
     if recipe is None:
-        recipe = tune(recording, causal=bool(causal), channels=channels, progress=progress)
+        recipe = tune(recording, causal=bool(causal), channels=channels)
     else:
         recipe = fitted(recipe, recording.names, recording.units, causal=causal, channels=channels)
     chosen = recording.select([channel.name for channel in recipe.channel])
@@ -124,10 +124,8 @@ def clean(
     time = chosen.timebase
     with Cleaner(recipe, time.step_s) as cleaner:
         columns = [np.ascontiguousarray(chosen.channel(name)) for name in chosen.names]
-        (told,) = cleaner.push(columns, time.elapsed_steps) or cleaner.finish()
+        (told,) = [*cleaner.push(columns, time.elapsed_steps), *cleaner.finish()]
         reports = cleaner.reports()
-    for name in chosen.names:
-        (progress or _silent)(name)
     return Cleaned(
         chosen.with_samples(np.column_stack([channel.signal for channel in told])),
         chosen.with_samples(np.column_stack([channel.sigma for channel in told])),

@@ -115,7 +115,7 @@ class Recipe(_Settings):
     time: str | None = None
     rate_hz: Positive | None = None
     tuned_on: Origin
-    channel: tuple[ChannelRecipe, ...]
+    channel: Annotated[tuple[ChannelRecipe, ...], Field(min_length=1)]
 
     @model_validator(mode="after")
     def _names_differ(self) -> Self:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import typer
 
 from becalm.cli import options as o
+from becalm.cli.stopping import STOPPED, stop_cleanly
 from becalm.errors import BecalmError, UsageError
 
 if TYPE_CHECKING:
@@ -64,24 +65,30 @@ def clean(  # noqa: PLR0913  (the contract's options)
     from becalm.cleaning.pipeline import fitted
     from becalm.cli.streaming import clean_chunks
     from becalm.cli.talk import progress, tell, tell_columns
-    from becalm.files.plain import refuse_unwritable, write_text
-    from becalm.files.writing import open_output
+    from becalm.files.plain import refuse_unwritable, text_in_waiting
+    from becalm.files.registry import format_to_write
+    from becalm.files.writing import open_output, refuse_columns
 
     beside = Path(f"{output}.recipe.toml")
+    format_to_write(output)
     _refuse_overwriting(file, output, beside)
     refuse_unwritable(output, beside)
-    said = Said(channels, rate, time)
     given = _load(recipe)
-    with _open(file, said if given is None else said.or_as(given)) as source:
-        decided = _tuned(source, file, causal, said) if given is None else given
+    said = Said(channels, rate, time) if given is None else Said(channels, rate, time).or_as(given)
+    with _open(file, said) as source:
+        refuse_columns(output, source.schema)
+        decided = _tuned(source, causal) if given is None else given
         mode, named = True if causal else None, source.names if channels else None
-        decided = fitted(decided, source.names, source.units, causal=mode, channels=named)
+        decided = said.kept_in(fitted(decided, source.names, source.units, causal=mode, channels=named))
         text = decided.to_toml()
-        if recipe is not None and beside.exists() and beside.samefile(recipe) and decided != given:
+        if recipe is not None and _is_same(beside, recipe) and decided != given:
             raise UsageError(f"{beside} is the recipe itself and would change; name another output with -o.")
-        with progress("cleaning", source.rows) as step, open_output(output, {"becalm.recipe": text}) as out:
+        with (
+            text_in_waiting(beside, text),
+            open_output(output, {"becalm.recipe": text}) as out,
+            progress("cleaning", source.rows) as step,
+        ):
             reports = clean_chunks(source, decided, out.write, step)
-        write_text(beside, text)
         tell(reports, decided.mode == "causal")
         tell_columns(source)
         rows, rate_hz = source.rows, source.rate_hz
@@ -119,12 +126,13 @@ def tune(  # noqa: PLR0913  (the contract's options)
     as_json: o.Json = False,
 ) -> None:
     """Find the filter of each channel and write it as a recipe."""
-    from becalm.files.plain import write_text
+    from becalm.files.plain import refuse_unwritable, write_text
 
     _refuse_overwriting(file, output)
+    refuse_unwritable(output)
     said = Said(channels, rate, time)
     with _open(file, said) as source:
-        found = _tuned(source, file, causal, said)
+        found = said.kept_in(_tuned(source, causal))
     write_text(output, found.to_toml())
     if as_json:
         print(json.dumps({"file": str(file), "recipe": str(output), **found.model_dump()}, indent=2))  # noqa: T201
@@ -163,6 +171,10 @@ class Said(NamedTuple):
             return Said(self.channels, recipe.rate_hz, recipe.time, recipe)
         return self._replace(recipe=recipe)
 
+    def kept_in(self, recipe: Recipe) -> Recipe:
+        """Put into a recipe what was said of the time, so that it gives the same bytes again."""
+        return recipe.model_copy(update={"rate_hz": self.rate_hz, "time": self.time})
+
     @property
     def names(self) -> tuple[str, ...] | None:
         """The channels to clean, or None for all."""
@@ -176,9 +188,13 @@ class Said(NamedTuple):
 
 def _open(file: Path, said: Said) -> OpenSource:
     from becalm.files.opening import open_source
-    from becalm.files.source import ReadOptions
+    from becalm.files.source import COMMAND_LINE, Asker, ReadOptions
 
-    return open_source(file, ReadOptions(time=said.time, rate_hz=said.rate_hz, channels=said.names))
+    asker = COMMAND_LINE
+    if said.recipe is not None and said.channels is None:
+        another = f"make another recipe with: becalm tune {file} -o R.toml"
+        asker = Asker("The recipe", f" Choose some of its channels with --channels, or {another}")
+    return open_source(file, ReadOptions(said.time, said.rate_hz, said.names, asker))
 
 
 def _load(path: Path | None) -> Recipe | None:
@@ -189,30 +205,36 @@ def _load(path: Path | None) -> Recipe | None:
     return Recipe.load(path)
 
 
-def _tuned(source: OpenSource, file: Path, causal: bool, said: Said) -> Recipe:
+def _tuned(source: OpenSource, causal: bool) -> Recipe:
     from becalm.cleaning.pipeline import tune as tune_recording
     from becalm.cli.streaming import rows_to_tune_on
     from becalm.cli.talk import progress
     from becalm.cli.warm import ahead
-    from becalm.files.hashing import sha256
 
     ahead()
     with progress("tuning", len(source.names)) as step:
         found = tune_recording(
-            source.sample(rows_to_tune_on(len(source.names))), causal=causal, progress=lambda name: step(name, 1)
+            source.sample(rows_to_tune_on(source)), causal=causal, progress=lambda name: step(name, 1)
         )
-    origin = found.tuned_on.model_copy(update={"sha256": sha256(file)})
-    return found.model_copy(update={"tuned_on": origin, "rate_hz": said.rate_hz, "time": said.time})
+    return found.model_copy(update={"tuned_on": found.tuned_on.model_copy(update={"sha256": source.sha256()})})
 
 
 def _refuse_overwriting(file: Path, *outputs: Path) -> None:
     for output in outputs:
-        if output.exists() and file.exists() and output.samefile(file):
+        if _is_same(output, file):
             raise UsageError(f"{output} is the input itself; raw data are never overwritten. Name another with -o.")
+
+
+def _is_same(one: Path, other: Path) -> bool:
+    try:
+        return one.samefile(other)
+    except OSError:  # one of them is not there, or cannot be: who reads or writes it says why
+        return False
 
 
 def main() -> None:
     """Run the command line; a person's mistake ends in a sentence and an exit code."""
+    stop_cleanly()
     code = _run()
     for stream in (sys.stdout, sys.stderr):
         try:
@@ -229,7 +251,10 @@ def _run() -> int:
     try:
         app()
     except SystemExit as ended:
-        return ended.code if isinstance(ended.code, int) else 0
+        code = ended.code if isinstance(ended.code, int) else 0
+        if code > STOPPED:
+            _say("Stopped; nothing half-written is left.")
+        return code
     except BecalmError as cause:
         _say(str(cause))
         return cause.exit_code

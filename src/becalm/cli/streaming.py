@@ -25,17 +25,24 @@ TUNED_ROWS = 1 << 20
 CHUNK_ROWS = 1 << 18
 """Rows that are cleaned at once: much to do, and little to hold."""
 
+TUNED_ROWS_UNEVEN = 1 << 18
+"""As many of uneven time, where each row has step matrices of its own."""
+
 _TUNED_SAMPLES = 1 << 26  # in all channels together
 
 
-def rows_to_tune_on(channels: int) -> int:
+def rows_to_tune_on(source: OpenSource) -> int:
     """Return how many rows tell enough, so that many channels still fit into memory."""
-    return min(TUNED_ROWS, max(1 << 16, _TUNED_SAMPLES // max(1, channels)))
+    most = TUNED_ROWS if source.clock.uniform else TUNED_ROWS_UNEVEN
+    return min(most, max(1 << 16, _TUNED_SAMPLES // max(1, len(source.names))))
 
 
-def _rows_of_chunks(source: OpenSource) -> int:
+def rows_of_chunks(source: OpenSource, channels: int) -> int:
     """Return how many rows to clean at once, in whole blocks, so that where a file is cut changes no bit."""
-    return max(BLOCK, min(CHUNK_ROWS, block_rows(source.schema)) // BLOCK * BLOCK)
+    rows = min(CHUNK_ROWS, block_rows(source.schema))
+    if not source.clock.uniform:  # then each row has step matrices of its own, in each channel
+        rows = min(rows, max(CHUNK_ROWS // max(4, channels), 16 * BLOCK))
+    return max(BLOCK, rows // BLOCK * BLOCK)
 
 
 def clean_chunks(
@@ -51,7 +58,7 @@ def clean_chunks(
     tables: deque[pa.Table] = deque()
     numbers = [source.names.index(channel.name) for channel in recipe.channel]
     with Cleaner(recipe, source.clock.step_s) as cleaner:
-        for chunk in source.chunks(_rows_of_chunks(source)):
+        for chunk in source.chunks(rows_of_chunks(source, len(numbers))):
             tables.append(chunk.table)
             columns = [chunk.channel(number) for number in numbers]
             for answer in cleaner.push(columns, chunk.elapsed_steps):

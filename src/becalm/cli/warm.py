@@ -4,29 +4,33 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from contextlib import suppress
 
 from becalm.cli.talk import stderr
-from becalm.errors import OutputError
+from becalm.errors import OutputError, UsageError
 
 _WAY_OUT = "Set NUMBA_CACHE_DIR to a folder that can be written, and repeat."
 
 
 def ahead() -> None:
     """Compile side by side what tuning and cleaning would compile one after the other, if it was never done."""
-    from becalm.core.compiling import kernel_folder
+    from becalm.core.compiling import kernel_folder, require_compiler
     from becalm.core.warming import CLEANING, is_cold, warm
 
+    require_compiler()
     if kernel_folder() is not None and is_cold():
         stderr.print("Compiling the filters for this machine, which is done once.")
-        deque(warm(CLEANING), maxlen=0)
+        with suppress(UsageError):  # then they are compiled when they are used
+            deque(warm(CLEANING), maxlen=0)
 
 
 def run() -> None:
     """Compile the kernels, unless they are there already; say so on stderr."""
     begun = time.perf_counter()
-    from becalm.core.compiling import kernel_folder
+    from becalm.core.compiling import kernel_folder, require_compiler
     from becalm.core.warming import warm
 
+    require_compiler()
     folder, made = kernel_folder(), 0
     if folder is None:
         raise OutputError(

@@ -83,6 +83,12 @@ def _compile(function: Kernel, options: dict[str, Any]) -> Kernel:
     return cast(Kernel, dispatcher)
 
 
+def require_compiler() -> None:
+    """Raise a UsageError where Numba may not compile."""
+    if _CONFIG.DISABLE_JIT:
+        _refuse()
+
+
 def _refuse(*_arguments: object, **_named: object) -> object:
     raise UsageError(
         "NUMBA_DISABLE_JIT is set, but becalm's kernels exist only compiled. Unset it and repeat:"

@@ -25,6 +25,7 @@ from becalm.core.kernel_online import live_kernels
 from becalm.core.kernels import forward
 from becalm.core.online import Online
 from becalm.core.smoothing import kalman_smoother
+from becalm.errors import UsageError
 
 KERNELS = ("forward", "backward", "live run", "live step")
 CLEANING = KERNELS[:2]
@@ -51,7 +52,10 @@ def is_cold() -> bool:
 def warm(names: Sequence[str] = KERNELS) -> Iterator[Warmed]:
     """Compile the kernels for motions of order 1, 2, 3 with one channel, side by side.
 
-    A process that comes to grief is no error: what it has not compiled is compiled when it is used.
+    Raises
+    ------
+    UsageError
+        If a process came to grief; what it has not compiled is compiled when it is used.
     """
     places = [str(_SOURCES), os.environ.get("PYTHONPATH", "")]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, places))}
@@ -71,6 +75,11 @@ def warm(names: Sequence[str] = KERNELS) -> Iterator[Warmed]:
             assert process.stdout is not None, "stdout=PIPE gives it"
             for line in process.stdout:
                 yield Warmed(*json.loads(line))
+        if codes := [process.wait() for process in started if process.wait()]:
+            raise UsageError(
+                f"Compiling ahead ended with exit code {codes[0]}; kernels are compiled when they are first used."
+                f" To see why: {sys.executable} -P -m {__name__} 1 {KERNELS[0]}"
+            )
     finally:
         for process in started:
             process.kill()

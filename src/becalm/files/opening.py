@@ -22,7 +22,7 @@ from becalm.files.registry import read_raw
 from becalm.files.roles import choose_channels, missing_in, unit_of, values_of
 from becalm.files.rows import HeldRows, block_rows, rebatched
 from becalm.files.source import Layout, RawTable, ReadOptions, TimeLayout, layout_of
-from becalm.files.time_column import choose_time, find_time, named_column
+from becalm.files.time_column import TIME_OPTION, choose_time, find_time, named_column, spoilt_times
 from becalm.files.times import Stamps, read_time
 
 STRETCHES = 8
@@ -99,17 +99,18 @@ class OpenSource:
 
     def _understand(self, raw: RawTable, options: ReadOptions) -> None:
         if raw.count == 0:
-            raise InputError("It has a header but no rows; two or more rows are needed.")
+            raise InputError("It has columns but no rows; two or more rows are needed.")
         found = find_time(raw)
         if (count := _without_blank_end(raw, found)) < raw.count:
             self._raw = raw = replace(raw, count=count)
             found = find_time(raw)
-        candidates = [column for columns in found for column in columns]
+        candidates = [column for columns in found for column in columns] + spoilt_times(raw)
         if options.rate_hz is None:
             self._stamps, self._time = read_time(raw, choose_time(raw, found, options.time))
         elif options.time is not None:
-            candidates.append(named_column(raw, options.time, "--time"))
-        self.names, self.columns = choose_channels(raw, self._time.columns, candidates, options.channels)
+            candidates.append(named_column(raw, options.time, TIME_OPTION))
+        chosen = choose_channels(raw, self._time.columns, candidates, options.channels, options.asker)
+        self.names, self.columns = chosen
         self.units = tuple(unit_of(raw, name) for name in self.names)
         self.rows: int = raw.count
         self.schema: pa.Schema = raw.rows.schema
@@ -145,13 +146,25 @@ class OpenSource:
         Raises
         ------
         InputError
-            If the file turns out to be damaged.
+            If the file turns out to be damaged, or changes meanwhile.
         """
         size = rows or block_rows(self.schema)
         row = 0
         for table in rebatched(self._raw.blocks(self._raw.names, most_rows=size), size):
             yield Chunk(row, table, self.elapsed_steps(row, table.num_rows), self.names, self._raw.decimal)
             row += table.num_rows
+        if self._raw.original is not None:
+            self._raw.original.refuse_changed()
+
+    def sha256(self) -> str:
+        """Return the hash of the file that was opened, "" where it cannot be read again.
+
+        Raises
+        ------
+        InputError
+            If the file changed since.
+        """
+        return "" if self._raw.original is None else self._raw.original.sha256()
 
     def elapsed_steps(self, first: int, count: int, before: int | None = None) -> Floats:
         """Return the steps before each of `count` rows; `before` is the row read before, if not the last."""

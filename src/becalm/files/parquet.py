@@ -12,27 +12,28 @@ import pyarrow as pa
 
 from becalm.errors import InputError
 from becalm.files.csv_header import unique_names
+from becalm.files.identity import Original
 from becalm.files.source import RawTable
 
 _READ_BYTES = 1 << 20
 
 
-def read_parquet(path: Path, data: bytes | None = None) -> RawTable:
+def read_parquet(path: Path, kept: Original | bytes) -> RawTable:
     """Look into a Parquet file; its rows are read when they are asked for.
 
     Parameters
     ----------
     path : Path
         The file.
-    data : bytes, optional
-        What is in it, where it cannot be read twice.
+    kept : Original or bytes
+        The file as it was when reading began; where it cannot be read twice, what is in it.
 
     Raises
     ------
     InputError
         If the file is damaged or has no columns.
     """
-    rows = ParquetRows(path, pa.BufferReader(data) if data is not None else str(path))
+    rows = ParquetRows(path, kept)
     if not len(rows.schema):
         raise InputError(f"{path} has no columns; a time and one or more columns of numbers are needed.")
     units = {field.name: unit for field in rows.schema if (unit := _unit(field))}
@@ -45,18 +46,18 @@ class ParquetRows:
     Parameters
     ----------
     path : Path
-        For messages.
-    source : str or pyarrow file
-        Where to read.
+        The file; only for messages where its bytes are given.
+    kept : Original or bytes
+        As in `read_parquet`.
 
     Raises
     ------
     InputError
-        If the file is damaged, now or while it is read.
+        If the file is damaged or changed, now or while it is read.
     """
 
-    def __init__(self, path: Path, source: Any) -> None:
-        self._path, self._source = path, source
+    def __init__(self, path: Path, kept: Original | bytes) -> None:
+        self._path, self._kept = path, kept
         with self._damage_told(), self._open() as file:
             self._stored: pa.Schema = file.schema_arrow
             self._ends = list(accumulate(file.metadata.row_group(i).num_rows for i in range(file.num_row_groups)))
@@ -72,8 +73,9 @@ class ParquetRows:
         groups = [number for number, end in enumerate(self._ends) if end > start]
         skipped = start - (self._ends[groups[0] - 1] if groups and groups[0] else 0)
         wanted = [self._stored.names[position] for position in positions] if self._by_name else None
-        with self._damage_told(), self._open() as file:
-            for batch in file.iter_batches(most_rows, row_groups=groups, columns=wanted):
+        with self._damage_told(names), self._open() as file:
+            for batch in self._batches(file, most_rows, groups, wanted):
+                self._refuse_changed()
                 if skipped >= batch.num_rows:
                     skipped -= batch.num_rows
                     continue
@@ -87,6 +89,12 @@ class ParquetRows:
     def close(self) -> None:
         """Do nothing: the file is opened anew for each reading."""
 
+    def _batches(self, file: Any, most_rows: int, groups: list[int], wanted: list[str] | None) -> Iterator[Any]:
+        """Read batches; of nested columns, pyarrow cannot always join those of two row groups."""
+        nested = any(pa.types.is_nested(self._stored.field(i).type) for i in _positions(self._stored, wanted))
+        for together in [[group] for group in groups] if nested else [groups]:
+            yield from file.iter_batches(most_rows, row_groups=together, columns=wanted)
+
     def _as_told(self, position: int, column: pa.Array) -> pa.Array:
         kind = self.schema.field(position).type
         return column if column.type == kind else column.cast(kind)
@@ -94,14 +102,28 @@ class ParquetRows:
     def _open(self) -> Any:
         import pyarrow.parquet as pq
 
-        return pq.ParquetFile(self._source, buffer_size=_READ_BYTES, pre_buffer=False)
+        source = pa.BufferReader(self._kept) if isinstance(self._kept, bytes) else str(self._path)
+        file = pq.ParquetFile(source, buffer_size=_READ_BYTES, pre_buffer=False)
+        self._refuse_changed()
+        return file
+
+    def _refuse_changed(self) -> None:
+        if isinstance(self._kept, Original):
+            self._kept.refuse_changed()
 
     @contextmanager
-    def _damage_told(self) -> Iterator[None]:
+    def _damage_told(self, names: Sequence[str] = ()) -> Iterator[None]:
         try:
             yield
         except (pa.ArrowException, OSError) as cause:
+            self._refuse_changed()
             reason = " ".join(str(cause).split())[:200]
+            if isinstance(cause, pa.ArrowNotImplementedError):
+                nested = [name for name in names if pa.types.is_nested(self.schema.field(name).type)]
+                raise InputError(
+                    f"{self._path} holds what cannot be read, in {', '.join(map(repr, nested or names)) or 'a column'}"
+                    f" ({reason}); write it again without that column, or as plain numbers and text."
+                ) from cause
             raise InputError(f"{self._path} is a damaged Parquet file ({reason}); copy or write it again.") from cause
 
 

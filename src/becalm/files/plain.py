@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import os
+import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import IO
 
-from becalm.errors import OutputError
-from becalm.files.registry import format_to_write
-from becalm.files.writing import replace_file
+from becalm.files.whole import refuse_folder, replace_file, replacing, sentences
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
@@ -19,29 +19,47 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
     OutputError
         If it cannot be written; nothing is left behind.
     """
-    target = Path(path)
-    if target.is_dir():
-        raise OutputError(f"{target} is a directory; give the path of a file in it.")
-
-    def fill(file: IO[bytes]) -> None:
-        file.write(text.encode("utf-8"))
-
-    replace_file(target, fill)
+    with text_in_waiting(path, text):
+        pass
 
 
-def refuse_unwritable(path: str | os.PathLike[str], *others: str | os.PathLike[str]) -> None:
-    """Raise what writing a table to `path`, or anything to the others, would raise for its ending or folder.
+@contextmanager
+def text_in_waiting(path: str | os.PathLike[str], text: str) -> Iterator[None]:
+    """Write text as UTF-8 under a temporary name; it gets its own at the end, if nothing was raised until then.
+
+    Parameters
+    ----------
+    path : path-like
+        Where to; an older file of that name is replaced.
+    text : str
+        What to write.
 
     Raises
     ------
     OutputError
-        If the ending is not known, or a file cannot be made in the folder.
+        If it cannot be written; nothing is left behind.
     """
     target = Path(path)
-    format_to_write(target)
-    for place in (target, *map(Path, others)):
-        if place.is_dir():
-            raise OutputError(f"{place} is a directory; give the path of a file in it.")
-    probe = target.with_name(f".{target.name[:80]}.probe")
-    replace_file(probe, lambda _: None)
-    probe.unlink()
+    refuse_folder(target)
+    with replacing(target) as file:
+        with sentences(target):
+            file.write(text.encode("utf-8"))
+            file.flush()
+            os.fsync(file.fileno())
+        yield
+
+
+def refuse_unwritable(*paths: str | os.PathLike[str]) -> None:
+    """Raise what writing files of these names would raise for their names or folders.
+
+    Raises
+    ------
+    OutputError
+        If no file can have such a name, or none can be made in the folder.
+    """
+    for path in paths:
+        refuse_folder(Path(path))
+    for folder in {Path(path).parent for path in paths}:
+        probe = folder / f".becalm.{secrets.token_hex(4)}.probe"
+        replace_file(probe, lambda _: None)
+        probe.unlink(missing_ok=True)

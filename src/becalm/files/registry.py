@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from becalm.errors import OutputError
 from becalm.files.csv_reader import read_csv
 from becalm.files.csv_spool import spool_csv
+from becalm.files.identity import Original
 from becalm.files.parquet import read_parquet
 from becalm.files.source import RawTable
-from becalm.files.text import PARQUET, read_bytes
+from becalm.files.text import PARQUET, read_bytes, told
 from becalm.files.text_blocks import is_large
 
 CSV, CSV_GZ, PARQUET_FORMAT = "csv", "csv.gz", "parquet"
@@ -31,14 +33,24 @@ def read_raw(path: Path) -> RawTable:
     Raises
     ------
     InputError
-        If it cannot be read.
+        If it cannot be read, or changes meanwhile.
     """
-    if not path.is_file():  # a pipe, which can be read only once; or nothing
+    with told(path):
+        once = not path.is_file()  # a pipe; or nothing
+    if once:
         data = read_bytes(path)
         return read_parquet(path, data) if data.startswith(PARQUET) else read_csv(path, data)
+    original = Original(path)
+    try:
+        return replace(_read_again_and_again(path, original), original=original)
+    finally:
+        original.refuse_changed()
+
+
+def _read_again_and_again(path: Path, original: Original) -> RawTable:
     head = read_bytes(path, len(PARQUET))
     if head.startswith(PARQUET):
-        return read_parquet(path)
+        return read_parquet(path, original)
     return spool_csv(path) if is_large(path, head) else read_csv(path, read_bytes(path))
 
 

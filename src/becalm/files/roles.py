@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
 from becalm.core.arrays import Floats
 from becalm.errors import InputError, UsageError
+from becalm.files.bad_cells import bad_cell, find_bad_cells, is_text
 from becalm.files.cells import to_numbers
 from becalm.files.numbers import Signal
 from becalm.files.rows import block_rows
-from becalm.files.source import CHANNEL, PASSED, TIME, ColumnLayout, RawTable
+from becalm.files.source import CHANNEL, COMMAND_LINE, PASSED, TIME, Asker, ColumnLayout, RawTable
 from becalm.files.time_column import NUMBERS, kind_of_column, named_column, numbers
 from becalm.files.units import parse_header, tidy_unit
 
@@ -23,7 +22,11 @@ _FIRST_ROWS = 1 << 16
 
 
 def choose_channels(
-    raw: RawTable, time: Sequence[str], other_times: Sequence[str], asked: Sequence[str] | None
+    raw: RawTable,
+    time: Sequence[str],
+    other_times: Sequence[str],
+    asked: Sequence[str] | None,
+    asker: Asker = COMMAND_LINE,
 ) -> tuple[tuple[str, ...], tuple[ColumnLayout, ...]]:
     """Decide what each column is.
 
@@ -37,6 +40,8 @@ def choose_channels(
         Columns that look like time and are not used as such.
     asked : sequence of str, optional
         Channels that a person asked for; by default all that look like signals.
+    asker : Asker
+        Who asked for them.
 
     Returns
     -------
@@ -52,10 +57,9 @@ def choose_channels(
     InputError
         If a numeric column has a cell that is no number, or there is no channel.
     """
-    wanted = None if asked is None else _resolved(raw, asked, time)
-    if wanted is None:
-        looked_at = [name for name in raw.names if name not in time and name not in other_times]
-        passed = _why_passed(raw, looked_at)
+    times = (*time, *other_times)
+    wanted = None if asked is None else _resolved(raw, asked, time, asker)
+    passed = _why_passed(raw, times) if wanted is None else {}
     columns = []
     for name in raw.names:
         role, why = PASSED, ""
@@ -73,7 +77,7 @@ def choose_channels(
         reasons = "; ".join(f"{c.name!r}: {c.why or c.role}" for c in columns[:10])
         raise InputError(f"There is no column of numbers to clean ({reasons}). Name one with --channels to insist.")
     for name in channels if wanted is None else wanted:
-        _refuse_no_numbers(raw, name)
+        _refuse_no_numbers(raw, name, times)
     return (channels if wanted is None else wanted), tuple(columns)
 
 
@@ -86,7 +90,7 @@ def values_of(column: pa.ChunkedArray, decimal: str) -> Floats:
     """Return (n,) cells of a channel as float64, NaN where one is missing; the file's own memory where it can be."""
     if pa.types.is_boolean(column.type):
         column = column.cast(pa.int8())
-    elif _is_text(column.type):
+    elif is_text(column.type):
         column = pa.chunked_array([to_numbers(column.combine_chunks(), decimal)[0]])
     return numbers(column)
 
@@ -100,21 +104,26 @@ def missing_in(raw: RawTable) -> list[int]:
     return counts
 
 
-def _resolved(raw: RawTable, asked: Sequence[str], time: Sequence[str]) -> tuple[str, ...]:
-    wanted = tuple(dict.fromkeys(named_column(raw, name, "--channels") for name in asked))
+def _resolved(raw: RawTable, asked: Sequence[str], time: Sequence[str], asker: Asker) -> tuple[str, ...]:
+    wanted = tuple(dict.fromkeys(named_column(raw, name, asker) for name in asked))
     if not wanted:
         raise UsageError(f"--channels is empty; name some of {', '.join(map(repr, raw.names[:20]))}.")
     for name in wanted:
         if name in time:
-            raise UsageError(f"--channels names {name!r}, which is the time column; leave it out.")
+            raise UsageError(
+                f"{asker.name} names {name!r}, which is the time column; leave it out, or name another time with"
+                f" --time.{asker.way_out}"
+            )
     return wanted
 
 
-def _why_passed(raw: RawTable, names: Sequence[str]) -> dict[str, str]:
-    """Say for each column why it is no channel, "" if it is one."""
+def _why_passed(raw: RawTable, times: Sequence[str]) -> dict[str, str]:
+    """Say for each column but the times why it is no channel, "" if it is one."""
     told: dict[str, str] = {}
     signals = {}
-    for name in names:
+    for name in raw.names:
+        if name in times:
+            continue
         kind = raw.type_of(name)
         if name.endswith(SIGMA) and name.removesuffix(SIGMA) in raw.names:
             told[name] = f"the uncertainty of {name.removesuffix(SIGMA)!r}"
@@ -123,7 +132,7 @@ def _why_passed(raw: RawTable, names: Sequence[str]) -> dict[str, str]:
         elif pa.types.is_null(kind):
             told[name] = ""
         elif kind_of_column(raw.head.column(name)) != NUMBERS:
-            told[name] = _why_not_numbers(raw, name)
+            told[name] = _why_not_numbers(raw, name, times)
         else:
             signals[name] = Signal(pa.types.is_integer(kind))
     _look(raw, signals, _FIRST_ROWS)
@@ -146,63 +155,34 @@ def _look(raw: RawTable, signals: Mapping[str, Signal], rows: int) -> None:
             return
 
 
-def _why_not_numbers(raw: RawTable, name: str) -> str:
+def _why_not_numbers(raw: RawTable, name: str, times: Sequence[str]) -> str:
     kind = raw.type_of(name)
-    if _is_text(kind):
+    if is_text(kind):
         if raw.format == "csv" and not kind_of_column(raw.head.column(name)):
-            bad = _bad_cells(raw, name)
-            if bad.cells < bad.numbers:  # a column of numbers with a few cells of text; a column of text passes
-                raise _bad_cell(raw, name, bad)
+            bad = find_bad_cells(raw, name)
+            if bad.few:
+                raise bad_cell(raw, name, bad, _or_without(raw, name, times))
         return "text"
     if pa.types.is_nested(kind):
         return "nested"
     return "dates or times" if pa.types.is_temporal(kind) else f"not numbers ({kind})"
 
 
-def _is_text(kind: pa.DataType) -> bool:
-    return bool(pa.types.is_string(kind) or pa.types.is_large_string(kind))
+def _or_without(raw: RawTable, name: str, times: Sequence[str]) -> str:
+    """Say how to leave a column out, if others are left."""
+    others = [n for n in raw.names if n not in (name, *times) and kind_of_column(raw.head.column(n)) == NUMBERS]
+    return f", or leave the column out by naming the others: --channels {','.join(others[:3])!r}" if others else ""
 
 
-class _Bad(NamedTuple):
-    cells: int
-    numbers: int
-    row: int
-    cell: str
-
-
-def _bad_cells(raw: RawTable, name: str) -> _Bad:
-    """Look for cells of text that are no numbers."""
-    found, row = _Bad(0, 0, 0, ""), 0
-    for column in raw.column(name):
-        parsed, bad = to_numbers(column.combine_chunks(), raw.decimal)
-        if not found.cells and bad.any():
-            at = int(np.flatnonzero(bad)[0])
-            found = found._replace(row=row + at, cell=str(column[at].as_py())[:40])
-        count, good = int(bad.sum()), len(parsed) - parsed.null_count
-        found = found._replace(cells=found.cells + count, numbers=found.numbers + good)
-        row += len(parsed)
-    return found
-
-
-def _bad_cell(raw: RawTable, name: str, bad: _Bad) -> InputError:
-    more = f" ({bad.cells} such cells)" if bad.cells > 1 else ""
-    others = [n for n in raw.names if n != name and kind_of_column(raw.head.column(n)) == NUMBERS]
-    listed = ",".join(others[:3]) or "..."
-    return InputError(
-        f"Column {name!r} holds {bad.cell!r} in {raw.place(bad.row)}, which is not a number{more}. "
-        f"Mend the cell, or leave the column out by naming the others: --channels {listed!r}."
-    )
-
-
-def _refuse_no_numbers(raw: RawTable, name: str) -> None:
+def _refuse_no_numbers(raw: RawTable, name: str, times: Sequence[str]) -> None:
     """Refuse a channel that was asked for and holds no numbers."""
     kind = raw.type_of(name)
-    if _is_text(kind):
-        bad = _bad_cells(raw, name)
+    if is_text(kind):
+        bad = find_bad_cells(raw, name)
         if bad.cells:
-            raise _bad_cell(raw, name, bad)
+            raise bad_cell(raw, name, bad, _or_without(raw, name, times))
     elif not (pa.types.is_boolean(kind) or pa.types.is_null(kind) or kind_of_column(raw.head.column(name)) == NUMBERS):
-        raise InputError(f"Column {name!r} holds {kind}, not numbers; leave it out of --channels.")
+        raise InputError(f"Column {name!r} holds {kind}, not numbers; name others with --channels.")
 
 
 def _missing(column: pa.ChunkedArray) -> int:

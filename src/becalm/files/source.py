@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import pyarrow as pa
 
 from becalm.core.clock import Clock
 from becalm.core.recording import Recording
-from becalm.files.rows import Rows, block_rows
+from becalm.files.identity import Original
+from becalm.files.rows import Rows, block_rows, rebatched
 
 TIME = "time"
 CHANNEL = "channel"
@@ -19,9 +20,27 @@ PASSED = "passed through"
 HEAD_ROWS = 200
 
 
+class Asker(NamedTuple):
+    """Who names columns, for messages.
+
+    Attributes
+    ----------
+    name : str
+        As a sentence begins.
+    way_out : str
+        What else can be done, as a further sentence.
+    """
+
+    name: str
+    way_out: str = ""
+
+
+COMMAND_LINE = Asker("--channels")
+
+
 @dataclass(frozen=True)
 class ReadOptions:
-    """What a person said on the command line.
+    """What a person said, on the command line or by a recipe.
 
     Attributes
     ----------
@@ -31,11 +50,14 @@ class ReadOptions:
         Rows are counted at this rate; the time column, if any, only passes through.
     channels : tuple of str, optional
         Columns to read, as in the header or without their units; all that look like signals by default.
+    asker : Asker
+        Who names the channels.
     """
 
     time: str | None = None
     rate_hz: float | None = None
     channels: tuple[str, ...] | None = None
+    asker: Asker = COMMAND_LINE
 
 
 @dataclass(frozen=True)
@@ -85,6 +107,8 @@ class RawTable:
         Units that the file gives apart from the names (a row of units, field metadata).
     text : TextLayout, optional
         How the text was written, for text files.
+    original : Original, optional
+        The file as it was when reading began, if it can be read again.
     """
 
     rows: Rows
@@ -92,6 +116,7 @@ class RawTable:
     format: str
     units: dict[str, str] = field(default_factory=dict)
     text: TextLayout | None = None
+    original: Original | None = None
 
     @property
     def names(self) -> list[str]:
@@ -106,9 +131,8 @@ class RawTable:
     @cached_property
     def head(self) -> pa.Table:
         """The first rows of all columns: enough to see what they hold."""
-        for block in self.blocks(self.names, most_rows=HEAD_ROWS):
-            return block
-        return self.rows.schema.empty_table()
+        blocks = rebatched(self.blocks(self.names, most_rows=HEAD_ROWS), HEAD_ROWS)
+        return next(blocks, self.rows.schema.empty_table())
 
     def type_of(self, name: str) -> pa.DataType:
         """Return the type of a column."""

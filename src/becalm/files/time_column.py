@@ -10,8 +10,9 @@ import pyarrow as pa
 from becalm.core.arrays import Floats
 from becalm.errors import InputError, UsageError
 from becalm.files import clock
+from becalm.files.bad_cells import bad_cell, find_bad_cells, meant_as_numbers
 from becalm.files.numbers import Numbers
-from becalm.files.source import RawTable
+from becalm.files.source import Asker, RawTable
 from becalm.files.units import parse_header
 
 _NAMES = re.compile(
@@ -27,6 +28,8 @@ _UNITS_OF_TIME = ("s", "ms", "us", "ns", "min", "h", "-", "1")
 _NEARLY_EVEN = 0.5
 COUNT = "or give --rate HZ to count rows at a known rate"
 """The end of every sentence about a time that cannot be used."""
+
+TIME_OPTION = Asker("--time")
 
 NUMBERS, TEMPORAL, NO_TIME = "numbers", "temporal", ""
 
@@ -75,7 +78,21 @@ def find_time(raw: RawTable) -> list[tuple[str, ...]]:
     found: list[tuple[str, ...]] = [(name,) for name in named if kinds[name] != clock.DATE] or [
         (name,) for name in named
     ]
-    return found or _first_column(raw, kinds)
+    return found or ([] if spoilt_times(raw) else _first_column(raw, kinds))
+
+
+def spoilt_times(raw: RawTable) -> list[str]:
+    """List columns that are called time and would be, but for cells that are no numbers."""
+    return [name for name in raw.names if is_time_name(name) and _is_spoilt(raw, name)]
+
+
+def _is_spoilt(raw: RawTable, name: str) -> bool:
+    return not kind_of_column(raw.head.column(name)) and meant_as_numbers(raw, name)
+
+
+def spoilt(raw: RawTable, name: str) -> InputError:
+    """Name the first cell of a time column that is no number."""
+    return bad_cell(raw, name, find_bad_cells(raw, name), f", name another time column with --time, {COUNT}")
 
 
 def _first_column(raw: RawTable, kinds: dict[str, str]) -> list[tuple[str, ...]]:
@@ -112,11 +129,13 @@ def choose_time(raw: RawTable, found: list[tuple[str, ...]], asked: str | None) 
     UsageError
         If `asked` is not a column.
     InputError
-        If there is no time, or more than one.
+        If there is no time, or more than one, or a cell of it is no number.
     """
     if asked is not None:
-        return (named_column(raw, asked, "--time"),)
+        return (named_column(raw, asked, TIME_OPTION),)
     if not found:
+        for name in spoilt_times(raw):
+            raise spoilt(raw, name)
         raise InputError(
             "There is no time column (none is called time, and the first does not rise evenly)."
             " Name it with --time COLUMN, " + COUNT + "."
@@ -127,7 +146,7 @@ def choose_time(raw: RawTable, found: list[tuple[str, ...]], asked: str | None) 
     return found[0]
 
 
-def named_column(raw: RawTable, asked: str, option: str) -> str:
+def named_column(raw: RawTable, asked: str, asker: Asker) -> str:
     """Find a column by its header, or by its header without the unit.
 
     Raises
@@ -142,6 +161,6 @@ def named_column(raw: RawTable, asked: str, option: str) -> str:
     if len(bare) == 1:
         return bare[0]
     if bare:
-        raise UsageError(f"{option} {asked!r} fits {', '.join(map(repr, bare))}; write one of these in full.")
+        raise UsageError(f"{asker.name} {asked!r} fits {', '.join(map(repr, bare))}; write one of these in full.")
     listed = ", ".join(map(repr, names[:20])) + (f" and {len(names) - 20} more" if len(names) > 20 else "")
-    raise UsageError(f"{option} names {asked!r}, which is not a column; there are {listed}.")
+    raise UsageError(f"{asker.name} names {asked!r}, which is not a column; there are {listed}.{asker.way_out}")

@@ -12,10 +12,11 @@ import pyarrow.compute as pc
 from becalm.core.arrays import Booleans, Floats, Integers
 from becalm.errors import TimeError
 from becalm.files import clock
+from becalm.files.bad_cells import meant_as_numbers
 from becalm.files.numbers import Numbers
 from becalm.files.rows import Spool
 from becalm.files.source import RawTable, TimeLayout
-from becalm.files.time_column import COUNT, NUMBERS, TEMPORAL, kind_of_column, numbers
+from becalm.files.time_column import COUNT, NUMBERS, TEMPORAL, kind_of_column, numbers, spoilt
 from becalm.files.units import parse_header
 
 PER_SECOND = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
@@ -69,6 +70,8 @@ def read_time(raw: RawTable, columns: tuple[str, ...]) -> tuple[Stamps, TimeLayo
     if kind == TEMPORAL:
         return _temporal(raw, name)
     if not kind:
+        if meant_as_numbers(raw, name):
+            raise spoilt(raw, name)
         raise TimeError(f"The column {name!r} does not hold times; name another with --time, {COUNT}.")
     return _written(raw, columns, kind, _reader(raw, name, kind).blocks())
 

@@ -57,6 +57,19 @@ def replacing(path: Path) -> Iterator[IO[bytes]]:
         _remove(temporary)
 
 
+def refuse_folder(path: Path) -> None:
+    """Refuse a path that is a folder, or that no file can have.
+
+    Raises
+    ------
+    OutputError
+        If it is such a path.
+    """
+    with sentences(path):
+        if path.is_dir():
+            raise OutputError(f"{path} is a directory; give the path of a file in it.")
+
+
 @contextmanager
 def sentences(path: Path) -> Iterator[None]:
     """Say in a sentence why `path` cannot be written.

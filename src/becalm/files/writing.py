@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -13,12 +14,11 @@ from typing import IO, Protocol
 import pyarrow as pa
 
 from becalm.core.recording import Recording
-from becalm.errors import OutputError
 from becalm.files.csv_writer import CsvRows
 from becalm.files.parquet_writer import ParquetRows
 from becalm.files.registry import CSV, CSV_GZ, PARQUET_FORMAT, format_to_write
 from becalm.files.tables import output_table, recording_table
-from becalm.files.whole import replace_file, replacing, sentences
+from becalm.files.whole import refuse_folder, replace_file, replacing, sentences
 
 __all__ = ["Output", "open_output", "output_table", "recording_table", "replace_file", "write", "write_table"]
 
@@ -84,8 +84,7 @@ def open_output(path: str | os.PathLike[str], metadata: Mapping[str, str] | None
     """
     target = Path(path)
     form = format_to_write(target)
-    if target.is_dir():
-        raise OutputError(f"{target} is a directory; give the path of a file in it.")
+    refuse_folder(target)
     with replacing(target) as file:
         output = Output(target, _WRITERS[form](file), metadata)
         try:
@@ -94,6 +93,28 @@ def open_output(path: str | os.PathLike[str], metadata: Mapping[str, str] | None
             output.abandon()
             raise
         output.finish()
+
+
+def refuse_columns(path: str | os.PathLike[str], schema: pa.Schema) -> None:
+    """Raise what writing a table of these columns would raise for their types, by writing none of its rows.
+
+    Parameters
+    ----------
+    path : path-like
+        Where the table is to go; nothing is written there.
+    schema : pyarrow.Schema
+        Its columns.
+
+    Raises
+    ------
+    OutputError
+        If the format cannot hold one of them.
+    """
+    target = Path(path)
+    with sentences(target):
+        writer = _WRITERS[format_to_write(target)](io.BytesIO())
+        writer.write(schema.empty_table())
+        writer.close()
 
 
 class _Writer(Protocol):
