@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from becalm.core.arrays import Floats, read_only
+from becalm.core.arrays import Floats
 from becalm.core.components import motion
 from becalm.core.likelihood import score
 from becalm.core.timeline import elapsed_timeline
@@ -123,7 +123,7 @@ class Candidate:
         squares, log_det, used = 0.0, 0.0, 0
         for timeline, z in self._stretches:
             system = timeline.system
-            scaled = timeline._replace(system=system._replace(Q=read_only(system.Q * ratio)))
+            scaled = timeline._replace(system=system._replace(Q=system.Q * ratio))
             found = score(self._model, scaled, z, UNSCORED)
             if found is not None:
                 squares, log_det, used = squares + found.squares, log_det + found.log_det, used + found.used
