@@ -114,8 +114,9 @@ def smooth_spread(sizes: Sizes, system: System, step: int, state: State, future:
         regress(sizes, future.F, future.Q, state.P, future.P, smoothed)
     copy_matrix(n, n, smoothed, state.P)
     copy_matrix(n, n, smoothed, future.P)
-    copy_matrix(n, n, system.F[step], future.F)
-    copy_matrix(n, n, system.Q[step], future.Q)
+    before = step_of(sizes, system, step)
+    copy_matrix(n, n, before.F, future.F)
+    copy_matrix(n, n, before.Q, future.Q)
     future.counters[LATER] = 1.0 if step >= 0 else 0.0
 
 
@@ -144,10 +145,11 @@ def return_row(  # noqa: PLR0913
     smooth_state(sizes, state, future)
     if trace.sigma.shape[1]:
         smooth_spread(sizes, system, step, state, future)
-    write_belief(sizes, trace, row, system.H, state)
+    one = step_of(sizes, system, step)
+    write_belief(sizes, trace, row, one.H, state)
     if step >= 0:
         transfer(sizes, state, watch, memory, LOAD)
-        step_back(sizes, system.F[step], system.H, state, future)
+        step_back(sizes, one.F, one.H, state, future)
 
 
 @compiled
@@ -172,20 +174,20 @@ def backward(  # noqa: PLR0913  (a door for Python: what is read, what moves, wh
         if whole and is_settled(watch, record, run, start, enough):
             if not ready:
                 close_loop(sizes, system, record.step[run], state, loop, HF)
-                prepare_return(sizes, system, HF, state, loop, back)
+                prepare_return(sizes, step_of(sizes, system, 0).H, HF, state, loop, back)
                 ready = True
             return_through(sizes, block, back, future)
             write_smoothed_block(sizes, trace, start, block, back)
             if trace.mean.shape[1]:
                 write_smoothed_means(sizes, trace, start, state, loop, block, back)
             if trace.sigma.shape[1]:
-                write_spread_block(sizes, trace, start, system.H, state.P, loop.A, back.C, future)
+                write_spread_block(sizes, trace, start, step_of(sizes, system, 0).H, state.P, loop.A, back.C, future)
             future.counters[LATER] = 0.0
             stop = start
             continue
         ready = False
         if whole and can_return_moving(sizes, record, run, start, watch, trace):
-            step = step_of(system, record.step[run])
+            step = step_of(sizes, system, record.step[run])
             if move_gains(sizes, step, record.step[run], state.P, moving):
                 return_moving(sizes, step, block, moving, back.r, future, trace, start)
                 unsettle(future)
@@ -195,7 +197,7 @@ def backward(  # noqa: PLR0913  (a door for Python: what is read, what moves, wh
         for row in range(start, stop):
             run = run_of(record, row, run)
             step = record.step[run]
-            advance(sizes, step_of(system, step), step, record.z, row, state, watch, enough)
+            advance(sizes, step_of(sizes, system, step), step, record.z, row, state, watch, enough)
             transfer(sizes, state, watch, rows[row - start], SAVE)
         unsettle(future)
         for row in range(stop - 1, start - 1, -1):

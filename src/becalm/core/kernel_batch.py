@@ -61,16 +61,17 @@ def rehearse(  # noqa: PLR0913  (a door for Python)
     while row < len(record.z) and watch.counters[SETTLED] == 0.0:
         run = run_of(record, row, run)
         step = record.step[run]
+        one = step_of(sizes, system, step)
         if step >= 0:
-            predict(sizes, system.F[step], system.Q[step], state)
-        weigh(sizes, system.H, system.R, state)
+            predict(sizes, one.F, one.Q, state)
+        weigh(sizes, one.H, one.R, state)
         note(sizes, system, step, row, state, table)
         note_scale(sizes, row, state, table)
         if reads_ahead(sizes) and row >= begun + AHEAD:
             note_ahead(sizes, row, table)
-        joseph(sizes, system.H, system.R, state)
+        joseph(sizes, one.H, one.R, state)
         for c in range(len(sizes.channels)):
-            table.sigma[c, row] = spread(sizes, system.H, state.P, c)
+            table.sigma[c, row] = spread(sizes, one.H, state.P, c)
         notice(sizes, state, watch, step, 1.0)
         row += 1
     transfer(sizes, state, watch, memory[0], SAVE)
@@ -88,16 +89,17 @@ def note(sizes: Sizes, system: System, step: int, row: int, state: State, table:
     """Note what a row does to every record."""
     n, m = len(sizes.states), len(sizes.channels)
     A, moved = stack_matrix(sizes.states, sizes.states), stack_matrix(sizes.states, sizes.states)
-    shrink(sizes, system.H, state.K, A)
-    F = step_of(system, step).F
+    one = step_of(sizes, system, step)
+    F, H = one.F, one.H
+    shrink(sizes, H, state.K, A)
     multiply(sizes.states, sizes.states, A, F, moved)
     for i in range(n):
         for c in range(m):
             table.K[i, c, row] = state.K[i, c]
             s = 0.0
             for j in range(n):
-                s += system.H[c, j] * F[j, i]
-            table.C[c, i, row] = s if step >= 0 else system.H[c, i]
+                s += H[c, j] * F[j, i]
+            table.C[c, i, row] = s if step >= 0 else H[c, i]
         for j in range(n):
             table.A[i, j, row] = moved[i, j] if step >= 0 else A[i, j]
 

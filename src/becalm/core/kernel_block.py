@@ -12,7 +12,7 @@ from becalm.core.kernel_ahead import AFTER, BLOCK, Loop, Rows, add_up, copy, pre
 from becalm.core.kernel_matrices import copy_matrix
 from becalm.core.kernel_settling import LAST_STEP, SETTLED, Watch
 from becalm.core.kernel_steps import State, Step, System, close, see_through
-from becalm.core.sized import Size, Sizes, across, down, size, stack_rows
+from becalm.core.sized import Size, Sizes, across, down, layer, size, stack_rows
 
 TAME = 1e190  # sum of squares; NaN, Inf and what no sensor reads are beyond it, as are states that run away
 TOTAL: Size = size(1)
@@ -50,17 +50,22 @@ def new_block(sizes: Sizes) -> Block:
 
 
 @compiled_part
-def step_of(system: System, number: int) -> Step:
-    """Return one step of a system; the number of no step, -1, may name any."""
-    return Step(system.F[number], system.Q[number], system.H, system.R)
+def step_of(sizes: Sizes, system: System, number: int) -> Step:
+    """Return one step of a system; the number of no step, -1, names the first."""
+    n, m = sizes.states, sizes.channels
+    number = max(number, 0)
+    return Step(
+        layer(system.F, number, n, n), layer(system.Q, number, n, n), layer(system.H, 0, m, n), layer(system.R, 0, m, m)
+    )
 
 
 @compiled_part
 def close_loop(sizes: Sizes, system: System, step: int, state: State, loop: Loop, HF: Floats) -> None:  # noqa: PLR0913
     """Prepare x = (I - K H) F x + K z, and write H F."""
-    close(sizes, system.H, system.F[step], state.K, loop.A)
+    one = step_of(sizes, system, step)
+    close(sizes, one.H, one.F, state.K, loop.A)
     copy_matrix(sizes.states, sizes.channels, state.K, loop.G)
-    see_through(sizes, system.H, system.F[step], HF)
+    see_through(sizes, one.H, one.F, HF)
     prepare(sizes.states, sizes.channels, loop)
 
 

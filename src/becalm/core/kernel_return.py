@@ -12,7 +12,7 @@ from becalm.core.kernel_ahead import AFTER, BLOCK, Loop, Rows, combine, fill, ne
 from becalm.core.kernel_block import Block
 from becalm.core.kernel_matrices import multiply, solve
 from becalm.core.kernel_settling import FIRST_CHECK, NEXT_CHECK, SETTLED, STEADY, near
-from becalm.core.kernel_steps import State, System
+from becalm.core.kernel_steps import State
 from becalm.core.kernels import Trace, spread, write_cov
 from becalm.core.sized import Sizes, across, stack_matrix, stack_rows, stack_vector
 
@@ -81,7 +81,7 @@ def smooth_cov(sizes: Sizes, P: Floats, N: Floats, smoothed: Floats) -> None:
 
 @compiled_part
 def prepare_return(  # noqa: PLR0913
-    sizes: Sizes, system: System, HF: Floats, state: State, loop: Loop, back: Return
+    sizes: Sizes, H: Floats, HF: Floats, state: State, loop: Loop, back: Return
 ) -> None:
     """Fill in what the way back through settled blocks needs, once for all of them."""
     n, m = len(sizes.states), len(sizes.channels)
@@ -96,13 +96,13 @@ def prepare_return(  # noqa: PLR0913
         for a in range(m):
             s = 0.0
             for j in range(n):
-                s += system.H[a, j] * state.P[j, i]
+                s += H[a, j] * state.P[j, i]
             back.HP[a, i] = s
     for a in range(m):
         for b in range(m):
             s = 0.0
             for i in range(n):
-                s += system.H[a, i] * state.K[i, b]
+                s += H[a, i] * state.K[i, b]
             back.HK[a, b] = s
     prepare(sizes.states, sizes.channels, back.loop)
 

@@ -158,9 +158,9 @@ def take_row(  # noqa: PLR0913
 ) -> tuple[float, float, int]:  # fmt: skip
     """Filter and write one row; return nu' S^-1 nu, log det S and their dimension (8)."""
     step = record.step[run]
-    advance(sizes, step_of(system, step), step, record.z, row, state, watch, enough)
+    advance(sizes, step_of(sizes, system, step), step, record.z, row, state, watch, enough)
     write_innovation(sizes, trace, row, record.z[row], state)
-    write_belief(sizes, trace, row, system.H, state)
+    write_belief(sizes, trace, row, step_of(sizes, system, step).H, state)
     return whiten(sizes, state)
 
 
@@ -196,12 +196,12 @@ def forward(  # noqa: PLR0913  (a door for Python: what is read, what moves, wha
             s = settled_block(sizes, record.z, row, state, loop, HF, block)
             if s >= 0.0:
                 settled = row if settled < 0 else settled
-                write_block(sizes, trace, row, system.H, state, block)
+                write_block(sizes, trace, row, step_of(sizes, system, 0).H, state, block)
                 squares, log_det, used, row = squares + s, log_det + BLOCK * block_log_det, used + BLOCK * live, stop
                 continue
         ready = False
         if stop - row == BLOCK and can_move(sizes, record, run, row, watch, trace):
-            step = step_of(system, record.step[run])
+            step = step_of(sizes, system, record.step[run])
             if moving_block(sizes, step, record.step[run], record.z, row, state, block, moving):
                 notice(sizes, state, watch, record.step[run], float(BLOCK))
                 write_moving(sizes, trace, row, step, block, moving)

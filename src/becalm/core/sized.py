@@ -14,12 +14,12 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
-from numba.np.arrayobj import make_array, populate_array
+from numba.np.arrayobj import make_array
+
+from becalm.core.small import Small, small
 
 Size = tuple[None, ...]
 """A number that the compiler knows: that many None."""
-
-_DOUBLE = 8  # bytes
 
 
 def size(count: int) -> Size:
@@ -34,122 +34,83 @@ class Sizes(NamedTuple):
     channels: Size  # m
 
 
-def _stack_array(context: Any, builder: Any, kind: Any, shape: list[int]) -> Any:
-    """Reserve room on the stack and describe it as an array of `shape`."""
-    count = 1
-    strides: list[int] = []
-    for extent in reversed(shape):
-        strides.insert(0, count * _DOUBLE)
-        count *= extent
-    data = cgutils.alloca_once(builder, ir.DoubleType(), size=ir.Constant(ir.IntType(64), count))
-    array = make_array(kind)(context, builder)
-    populate_array(
-        array,
-        data=data,
-        shape=[context.get_constant(types.intp, extent) for extent in shape],
-        strides=[context.get_constant(types.intp, stride) for stride in strides],
-        itemsize=context.get_constant(types.intp, _DOUBLE),
-        meminfo=None,
-    )
-    return array._getvalue()
+def _reserve(builder: Any, count: int) -> Any:
+    """Reserve room on the stack."""
+    return cgutils.alloca_once(builder, ir.DoubleType(), size=ir.Constant(ir.IntType(64), count))
 
 
 def _vector(_: Any, rows: Any) -> Any:
-    kind = types.Array(types.float64, 1, "C")
+    def generate(_context: Any, builder: Any, _signature: Any, _arguments: Any) -> Any:
+        return _reserve(builder, rows.count)
 
-    def generate(context: Any, builder: Any, _signature: Any, _arguments: Any) -> Any:
-        return _stack_array(context, builder, kind, [rows.count])
-
-    return kind(rows), generate
+    return small(rows.count)(rows), generate
 
 
 def _matrix(_: Any, rows: Any, columns: Any) -> Any:
-    kind = types.Array(types.float64, 2, "C")
+    def generate(_context: Any, builder: Any, _signature: Any, _arguments: Any) -> Any:
+        return _reserve(builder, rows.count * columns.count)
 
-    def generate(context: Any, builder: Any, _signature: Any, _arguments: Any) -> Any:
-        return _stack_array(context, builder, kind, [rows.count, columns.count])
-
-    return kind(rows, columns), generate
+    return small(rows.count, columns.count)(rows, columns), generate
 
 
-def _rows(_: Any, rows: Any, length: Any) -> Any:
+def _apart(count: int, length: Any, extent: Any) -> Any:
+    """Describe a tuple of `count` arrays, each with room of its own."""
     if not isinstance(length, types.IntegerLiteral):
         return None
-    row = types.Array(types.float64, 1, "C")
-    kind = types.UniTuple(row, rows.count)
+    kind = types.UniTuple(small(length.literal_value), count)
 
     def generate(context: Any, builder: Any, _signature: Any, _arguments: Any) -> Any:
-        made = [_stack_array(context, builder, row, [length.literal_value]) for _ in range(rows.count)]
-        return context.make_tuple(builder, kind, made)
-
-    return kind(rows, length), generate
-
-
-def _triangle(_: Any, extent: Any, length: Any) -> Any:
-    if not isinstance(length, types.IntegerLiteral):
-        return None
-    row = types.Array(types.float64, 1, "C")
-    kind = types.UniTuple(row, extent.count * (extent.count + 1) // 2)
-
-    def generate(context: Any, builder: Any, _signature: Any, _arguments: Any) -> Any:
-        made = [_stack_array(context, builder, row, [length.literal_value]) for _ in range(kind.count)]
-        return context.make_tuple(builder, kind, made)
+        return context.make_tuple(builder, kind, [_reserve(builder, length.literal_value) for _ in range(count)])
 
     return kind(extent, length), generate
 
 
-def _view(context: Any, builder: Any, source: Any, kind: Any, corner: Any, length: int, stride: int) -> Any:  # noqa: PLR0913
-    """Describe `length` elements of the matrix `source` from a corner (array, row, column) on as an array."""
-    whole = make_array(source)(context, builder, corner[0])
-    data = cgutils.get_item_pointer(context, builder, source, whole, corner[1:], wraparound=False)
-    array = make_array(kind)(context, builder)
-    populate_array(
-        array,
-        data=data,
-        shape=[context.get_constant(types.intp, length)],
-        strides=[context.get_constant(types.intp, stride)],
-        itemsize=context.get_constant(types.intp, _DOUBLE),
-        meminfo=None,
-    )
-    return array._getvalue()
+def _rows(_: Any, rows: Any, length: Any) -> Any:
+    return _apart(rows.count, length, rows)
+
+
+def _triangle(_: Any, extent: Any, length: Any) -> Any:
+    return _apart(extent.count * (extent.count + 1) // 2, length, extent)
+
+
+def _view(source: Any, kind: Any, *sizes: Any) -> Any:
+    """Describe a part of the array `source` from a corner (array, indices) on as a small array."""
+
+    def generate(context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+        whole, corner = make_array(source)(context, builder, arguments[0]), arguments[1 : 1 + source.ndim]
+        return cgutils.get_item_pointer(context, builder, source, whole, corner, wraparound=False)
+
+    return kind(source, *(types.intp,) * source.ndim, *sizes), generate
 
 
 def _across(_: Any, source: Any, row: Any, column: Any, length: Any) -> Any:
-    if not isinstance(length, types.IntegerLiteral):
-        return None
-    kind = types.Array(types.float64, 1, "C", readonly=not source.mutable)
-
-    def generate(context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
-        return _view(context, builder, source, kind, arguments[:3], length.literal_value, _DOUBLE)
-
-    return kind(source, types.intp, types.intp, length), generate
+    known = isinstance(length, types.IntegerLiteral)
+    return _view(source, small(length.literal_value), length) if known else None
 
 
 def _down(_: Any, source: Any, row: Any, column: Any, columns: Any, length: Any) -> Any:
-    if not isinstance(length, types.IntegerLiteral):
-        return None
-    kind = types.Array(types.float64, 1, "C" if columns.count == 1 else "A", readonly=not source.mutable)
-
-    def generate(context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
-        stride = _DOUBLE * columns.count
-        return _view(context, builder, source, kind, arguments[:3], length.literal_value, stride)
-
-    return kind(source, types.intp, types.intp, columns, length), generate
+    known = isinstance(length, types.IntegerLiteral)
+    return _view(source, Small((length.literal_value,), (columns.count,)), columns, length) if known else None
 
 
 def _piece(_: Any, source: Any, first: Any, length: Any) -> Any:
-    if not isinstance(length, types.IntegerLiteral):
-        return None
-    kind = types.Array(types.float64, 1, "C", readonly=not source.mutable)
+    known = isinstance(length, types.IntegerLiteral)
+    return _view(source, small(length.literal_value), length) if known else None
+
+
+def _layer(_: Any, source: Any, number: Any, rows: Any, columns: Any) -> Any:
+    kind = small(rows.count, columns.count)
 
     def generate(context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
-        return _view(context, builder, source, kind, arguments[:2], length.literal_value, _DOUBLE)
+        whole, zero = make_array(source)(context, builder, arguments[0]), context.get_constant(types.intp, 0)
+        corner = [arguments[1], *[zero] * (source.ndim - 1)]
+        return cgutils.get_item_pointer(context, builder, source, whole, corner, wraparound=False)
 
-    return kind(source, types.intp, length), generate
+    return kind(source, types.intp, rows, columns), generate
 
 
 stack_vector: Callable[..., Any] = intrinsic(_vector)
-"""stack_vector(rows): an uninitialised (rows,) float64 array."""
+"""stack_vector(rows): an uninitialised (rows,) float64 array, a `Small`."""
 
 stack_matrix: Callable[..., Any] = intrinsic(_matrix)
 """stack_matrix(rows, columns): an uninitialised (rows, columns) float64 array."""
@@ -165,6 +126,9 @@ across: Callable[..., Any] = intrinsic(_across)
 
 down: Callable[..., Any] = intrinsic(_down)
 """down(matrix, row, column, columns, length): `length` elements downwards, of a matrix of `columns` columns."""
+
+layer: Callable[..., Any] = intrinsic(_layer)
+"""layer(arrays, number, rows, columns): one matrix of several in one piece; number 0 of a single one."""
 
 piece: Callable[..., Any] = intrinsic(_piece)
 """piece(vector, first, length): `length` elements from `first` on."""
