@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import typer
 
 from becalm.cli import options as o
-from becalm.cli.stopping import STOPPED, stop_cleanly
+from becalm.cli.stopping import stop_cleanly
 from becalm.errors import BecalmError, UsageError
 
 if TYPE_CHECKING:
@@ -251,10 +251,7 @@ def _run() -> int:
     try:
         app()
     except SystemExit as ended:
-        code = ended.code if isinstance(ended.code, int) else 0
-        if code > STOPPED:
-            _say("Stopped; nothing half-written is left.")
-        return code
+        return ended.code if isinstance(ended.code, int) else 0
     except BecalmError as cause:
         _say(str(cause))
         return cause.exit_code

@@ -1,35 +1,30 @@
-"""A signal to stop ends the work as an error does, so that nothing half-written is left."""
+"""A signal to stop ends the process at once, and leaves nothing half-written."""
 
 from __future__ import annotations
 
-import math
+import os
 import signal
-import time
+from contextlib import suppress
 from types import FrameType
 
-STOPPED = 128
-"""Exit code of a process that a signal stopped, less the signal's number."""
+from becalm.files.waiting import abandon
 
 _SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
-_TIDYING_S = 1.0
+_STOPPED = 128  # exit code of a process that a signal stopped, less the signal's number
+_WORD = b"becalm: Stopped; nothing half-written is left.\n"
+_SHOW_CURSOR = b"\r\x1b[K\x1b[?25h"  # which a progress bar hides
 
 
 def stop_cleanly() -> None:
-    """Let signals to stop raise SystemExit; what is ignored stays so, as under nohup."""
-    stop = _Stop()
+    """Let signals to stop do so; what is ignored stays so, as under nohup."""
     for number in _SIGNALS:
         if signal.getsignal(number) is not signal.SIG_IGN:
-            signal.signal(number, stop)
+            signal.signal(number, _stop)
 
 
-class _Stop:
-    """Raises, but not again at once: a closing terminal sends two signals, and the second would stop the tidying up."""
-
-    def __init__(self) -> None:
-        self._last = -math.inf
-
-    def __call__(self, number: int, _: FrameType | None) -> None:
-        now = time.monotonic()
-        if now - self._last > _TIDYING_S:
-            self._last = now
-            raise SystemExit(STOPPED + number)
+def _stop(number: int, _: FrameType | None) -> None:
+    """Tidy up and end here: an exception might be raised where the interpreter ignores it, as in a finaliser."""
+    abandon()
+    with suppress(OSError):
+        os.write(2, _SHOW_CURSOR + _WORD if os.isatty(2) else _WORD)
+    os._exit(_STOPPED + number)

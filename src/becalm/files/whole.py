@@ -13,6 +13,7 @@ from typing import IO
 import pyarrow as pa
 
 from becalm.errors import OutputError
+from becalm.files.waiting import in_waiting
 
 
 def replace_file(path: Path, fill: Callable[[IO[bytes]], None]) -> None:
@@ -38,7 +39,7 @@ def replacing(path: Path) -> Iterator[IO[bytes]]:
     """
     target = path.resolve()
     temporary = target.with_name(f".{target.name[:80]}.{secrets.token_hex(4)}.part")
-    try:
+    with in_waiting(temporary):
         with sentences(path):
             file = temporary.open("xb")
         try:
@@ -53,8 +54,6 @@ def replacing(path: Path) -> Iterator[IO[bytes]]:
         with sentences(path):
             temporary.replace(target)
             _sync_folder(target.parent)
-    finally:
-        _remove(temporary)
 
 
 def refuse_folder(path: Path) -> None:
@@ -85,13 +84,6 @@ def sentences(path: Path) -> Iterator[None]:
         raise OutputError(_why_not(path, cause)) from cause
     except pa.ArrowException as cause:
         raise OutputError(f"{path} cannot be written: {' '.join(str(cause).split())[:200]}.") from cause
-
-
-def _remove(path: Path) -> None:
-    try:
-        path.unlink(missing_ok=True)
-    except OSError:  # the folder is not writable or not there: then nothing was made
-        return
 
 
 def _sync_folder(folder: Path) -> None:

@@ -1,0 +1,33 @@
+"""Files that this process is writing under temporary names, so that they can be removed whatever happens."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+_waiting: set[Path] = set()
+
+
+@contextmanager
+def in_waiting(path: Path) -> Iterator[None]:
+    """Keep in mind that a file is half-written; in the end it is removed, if it still has this name."""
+    _waiting.add(path)
+    try:
+        yield
+    finally:
+        _remove(path)
+        _waiting.discard(path)
+
+
+def abandon() -> None:
+    """Remove all that is half-written, for a process that ends at once."""
+    for path in tuple(_waiting):
+        _remove(path)
+
+
+def _remove(path: Path) -> None:
+    try:
+        path.unlink(missing_ok=True)
+    except OSError:  # the folder is not writable or not there: then nothing was made
+        return
