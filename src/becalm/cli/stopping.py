@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 from contextlib import suppress
 from types import FrameType
-
-from becalm.files.waiting import abandon
 
 _SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 _STOPPED = 128  # exit code of a process that a signal stopped, less the signal's number
@@ -24,7 +23,8 @@ def stop_cleanly() -> None:
 
 def _stop(number: int, _: FrameType | None) -> None:
     """Tidy up and end here: an exception might be raised where the interpreter ignores it, as in a finaliser."""
-    abandon()
+    if waiting := sys.modules.get("becalm.files.waiting"):  # not loaded, it has nothing half-written
+        waiting.abandon()
     with suppress(OSError):
         os.write(2, _SHOW_CURSOR + _WORD if os.isatty(2) else _WORD)
     os._exit(_STOPPED + number)
