@@ -24,6 +24,7 @@ from becalm.core.components import motion
 from becalm.core.filtering import kalman_filter
 from becalm.core.model import Model
 from becalm.core.online import Online
+from becalm.core.response import steady
 from becalm.core.smoothing import kalman_smoother
 
 
@@ -147,6 +148,23 @@ def test_a_gain_that_looks_settled_and_is_not(name: str) -> None:
     about = known(model, z)
     assert_filter(kalman_filter(model, z, states=True), about)
     assert_smoother(kalman_smoother(model, z, states=True), about)
+
+
+CREEPING = Model([[1]], [[1]], [[1e-12]], [[1]], x0=[0], P0=[[1e-6]])  # half a millionth from the settled one
+SETTLED_AND_SLOW = Model([[1]], [[1]], [[1e-12]], [[1]], x0=[0], P0=steady(CREEPING).predicted_cov)
+
+
+@pytest.mark.parametrize("model", [CREEPING, SETTLED_AND_SLOW], ids=["P0 is near", "after a gap"])
+@pytest.mark.parametrize("covariances", [False, True])
+def test_a_gain_that_creeps_has_not_settled(model: Model, covariances: bool) -> None:
+    """A closed-loop pole of 1 - 1e-6: within 32 rows or 1000, what is far from settled moves by less than rounding."""
+    z = drawn(model, 3000)
+    if model is SETTLED_AND_SLOW:
+        z[40] = np.nan
+    about = known(model, z)
+    assert_filter(kalman_filter(model, z, states=True, covariances=covariances), about)
+    assert_smoother(kalman_smoother(model, z, states=True, covariances=covariances), about)
+    assert_online(about, z)
 
 
 @pytest.mark.parametrize("bursts", [19, 20, 21, 57, 58, 59])

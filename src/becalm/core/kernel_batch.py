@@ -72,7 +72,7 @@ def rehearse(  # noqa: PLR0913  (a door for Python)
         joseph(sizes, one.H, one.R, state)
         for c in range(len(sizes.channels)):
             table.sigma[c, row] = spread(sizes, one.H, state.P, c)
-        notice(sizes, state, watch, step, 1.0)
+        notice(sizes, one, step, state, watch, 1.0)
         row += 1
     transfer(sizes, state, watch, memory[0], SAVE)
     return row

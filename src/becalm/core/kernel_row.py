@@ -27,7 +27,7 @@ def advance(  # noqa: PLR0913  (a part of the loops, which keep these apart for 
         reach = new_reach(sizes)
         reach_back(sizes, step, reach)
         take_one(sizes, step, reach, z[row, 0], state)
-        notice(sizes, state, watch, number, 1.0)
+        notice(sizes, step, number, state, watch, 1.0)
         return
     if number >= 0:
         predict(sizes, step.F, step.Q, state)
@@ -35,4 +35,4 @@ def advance(  # noqa: PLR0913  (a part of the loops, which keep these apart for 
     correct(sizes, step.H, z, row, state)
     if count:
         joseph(sizes, step.H, step.R, state)
-    notice(sizes, state, watch, number, 1.0 if complete else 0.0)
+    notice(sizes, step, number, state, watch, 1.0 if complete else 0.0)

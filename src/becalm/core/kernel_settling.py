@@ -8,7 +8,8 @@ import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.core.compiling import compiled_part, woven
-from becalm.core.kernel_steps import State
+from becalm.core.kernel_matrices import copy_matrix, multiply
+from becalm.core.kernel_steps import State, Step, close
 from becalm.core.sized import Size, Sizes, size, stack_matrix, stack_vector
 
 SIX: Size = size(6)
@@ -20,6 +21,7 @@ FIRST_CHECK = 32.0
 _STRETCHED = 1.125  # the next check comes when the stretch has grown by this
 _UNCHANGED = 1e-13
 _STEADY = 1e-9  # of a variance
+_FORGOTTEN = 0.9  # what the last eighth of a stretch may leave of the spread before it
 _NO_STEP = -2.0
 LOAD, SAVE = 0.0, 1.0
 
@@ -135,21 +137,52 @@ def compare(sizes: Sizes, state: State, watch: Watch) -> float:
 
 
 @compiled_part
-def notice(sizes: Sizes, state: State, watch: Watch, step: int, rows: float) -> None:
+def forgets(sizes: Sizes, step: Step, state: State, rows: float) -> bool:
+    """Whether signals forget within some rows, or half as many, a tenth at least of what was believed before.
+
+    What is left of a deviation of P is the closed loop's power, on both sides of it; a gain that is slow to
+    forget only creeps, and would be the same an eighth before wherever it is.
+    """
+    n, A = len(sizes.states), stack_matrix(sizes.states, sizes.states)
+    squared = stack_matrix(sizes.states, sizes.states)
+    close(sizes, step.H, step.F, state.K, A)
+    while rows >= 2.0:
+        multiply(sizes.states, sizes.states, A, A, squared)
+        copy_matrix(sizes.states, sizes.states, squared, A)
+        rows *= 0.5
+    forgotten = True
+    for c in range(len(sizes.channels)):
+        before, left = 0.0, 0.0
+        for i in range(n):
+            s, spread = 0.0, np.sqrt(state.P[i, i])
+            for j in range(n):
+                s += step.H[c, j] * A[j, i]
+            before += abs(step.H[c, i]) * spread
+            left += abs(s) * spread
+        forgotten = forgotten and left <= _FORGOTTEN * before
+    return forgotten
+
+
+@compiled_part
+def notice(  # noqa: PLR0913
+    sizes: Sizes, step: Step, number: int, state: State, watch: Watch, rows: float
+) -> None:
     """Notice, after some complete rows, that the gain has settled; rows = 0 stands for a row that is not complete.
 
     It is the same now as an eighth of the stretch before, and stays so for n rows more, lest it comes
     back at every check and moves between them, as an oscillator's can.
     """
     counters, complete = watch.counters, rows > 0.0
-    if not complete or step != counters[LAST_STEP]:
+    if not complete or number != counters[LAST_STEP]:
         counters[SETTLED], counters[STEADY], counters[NEXT_CHECK], counters[AGREED] = 0.0, -1.0, FIRST_CHECK, 0.0
-        counters[LAST_STEP] = step if complete else _NO_STEP
+        counters[LAST_STEP] = number if complete else _NO_STEP
         watch.D[0] = -1.0  # a check must not find what another stretch has left
     counters[STEADY] += max(rows, 1.0)
     if counters[STEADY] < counters[NEXT_CHECK]:
         return
     same = compare(sizes, state, watch)
+    if same > 0.0 and not forgets(sizes, step, state, 0.125 * counters[STEADY]):
+        same = 0.0
     counters[PROVEN] = min(same, counters[PROVEN]) if counters[AGREED] > 0.0 else same
     counters[AGREED] = counters[AGREED] + 1.0 if same > 0.0 else 0.0
     if 0.0 < counters[AGREED] <= len(sizes.states):

@@ -203,7 +203,7 @@ def forward(  # noqa: PLR0913  (a door for Python: what is read, what moves, wha
         if stop - row == BLOCK and can_move(sizes, record, run, row, watch, trace):
             step = step_of(sizes, system, record.step[run])
             if moving_block(sizes, step, record.step[run], record.z, row, state, block, moving):
-                notice(sizes, state, watch, record.step[run], float(BLOCK))
+                notice(sizes, step, record.step[run], state, watch, float(BLOCK))
                 write_moving(sizes, trace, row, step, block, moving)
                 s, d = score_moving(block, moving)
                 squares, log_det, used, row = squares + s, log_det + d, used + BLOCK, stop
