@@ -13,15 +13,16 @@ _WAY_OUT = "Set NUMBA_CACHE_DIR to a folder that can be written, and repeat."
 
 
 def ahead() -> None:
-    """Compile side by side what tuning and cleaning would compile one after the other, if it was never done."""
-    from becalm.core.compiling import kernel_folder, require_compiler
-    from becalm.core.warming import CLEANING, is_cold, warm
+    """Compile side by side what tuning would compile one after the other, if it was never done."""
+    from becalm.core.compiling import compile_quickly, kernel_folder, require_compiler
+    from becalm.core.warming import TUNING, is_cold, warm
 
     require_compiler()
+    compile_quickly()
     if kernel_folder() is not None and is_cold():
         stderr.print("Compiling the filters for this machine, which is done once.")
         with suppress(UsageError):  # then they are compiled when they are used
-            deque(warm(CLEANING), maxlen=0)
+            deque(warm(TUNING), maxlen=0)
 
 
 def run() -> None:

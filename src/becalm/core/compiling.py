@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import gc
 import hashlib
 import os
 import pickle
@@ -87,6 +88,11 @@ def require_compiler() -> None:
     """Raise a UsageError where Numba may not compile."""
     if _CONFIG.DISABLE_JIT:
         _refuse()
+
+
+def compile_quickly() -> None:
+    """Look for cycles of garbage seldom in this process: a compiler makes none to speak of, but much to look at."""
+    gc.set_threshold(200_000, 50, 50)
 
 
 def _refuse(*_arguments: object, **_named: object) -> object:

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from becalm.core.compiling import count_kept, save_trouble, times_compiled
+from becalm.core.compiling import compile_quickly, count_kept, save_trouble, times_compiled
 from becalm.core.components import ORDERS, motion
 from becalm.core.filtering import kalman_filter, sizes_of
 from becalm.core.kernel_backward import backward
@@ -28,7 +28,7 @@ from becalm.core.smoothing import kalman_smoother
 from becalm.errors import UsageError
 
 KERNELS = ("forward", "backward", "live run", "live step")
-CLEANING = KERNELS[:2]
+TUNING = KERNELS[:1]
 
 _READINGS = np.linspace(0.0, 1.0, 100)
 _SOURCES = Path(__file__).parents[2]
@@ -110,5 +110,6 @@ def _warmed(name: str, order: int, kernel: object, use: Callable[[], object]) ->
 
 
 if __name__ == "__main__":
+    compile_quickly()
     for one in warm_order(int(sys.argv[1]), sys.argv[2:]):
         print(json.dumps(one), flush=True)  # noqa: T201  (read by `warm`)
