@@ -8,19 +8,21 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.integrate import quad_vec
-from scipy.linalg import expm
+from scipy.linalg import expm, solve_discrete_lyapunov
 
-from becalm.core import components
+from becalm.core import discretisation
 from becalm.core.arrays import Floats
-from becalm.core.components import Component, discretise, level, motion
+from becalm.core.components import Component, Part, bias, gauss_markov, hum, level, motion
+from becalm.core.components import oscillator as tone
 from becalm.errors import ModelError
 
 STEPS = [1e-4, 0.01, 1.0, 30.0]
+RESONANCE = Part("resonance", ("place", "speed"))
 
 
 def oscillator(frequency: float = 2.0, damping: float = 0.1) -> Component:
     drift = np.array([[0.0, 1.0], [-(frequency**2), -2 * damping * frequency]])
-    return Component(drift, np.array([[0.0], [1.0]]), np.array([[0.4]]), np.array([[1.0, 0.0]]), ("place", "speed"))
+    return Component(drift, np.array([[0.0], [1.0]]), np.array([[0.4]]), np.array([[1.0, 0.0]]), (RESONANCE,))
 
 
 def integrated(component: Component, T: float) -> Floats:
@@ -39,7 +41,7 @@ def integrated(component: Component, T: float) -> Floats:
 @pytest.mark.parametrize("order", [1, 2, 3, 4, 5])
 @pytest.mark.parametrize("T", STEPS)
 def test_a_motion_is_discretised_exactly(order: int, T: float) -> None:
-    F, Q = discretise(motion(order, 2.5), np.array([T]))
+    F, Q = motion(order, 2.5).over(np.array([T]))
     np.testing.assert_allclose(F[0], expm(motion(order).drift * T), rtol=1e-12)
     place = np.arange(order)
     closed = np.array(
@@ -59,7 +61,7 @@ def test_a_motion_is_discretised_exactly(order: int, T: float) -> None:
 
 @pytest.mark.parametrize("T", [0.01, 0.3, 2.0])
 def test_a_resonance_is_discretised_exactly(T: float) -> None:
-    F, Q = discretise(oscillator(), np.array([T]))
+    F, Q = oscillator().over(np.array([T]))
     np.testing.assert_allclose(F[0], expm(oscillator().drift * T), rtol=1e-12)
     np.testing.assert_allclose(Q[0], integrated(oscillator(), T), rtol=1e-10, atol=1e-18)
 
@@ -69,8 +71,8 @@ def test_the_polynomial_road_is_van_loans_road(order: int) -> None:
     part = motion(order, 0.7)
     W = part.noise_input @ part.noise_density @ part.noise_input.T
     steps = np.array([0.0, 0.01, 1.0, 2.5])
-    F, Q = components._integrate_polynomial(part.drift, W, steps)
-    F_other, Q_other = components._integrate_van_loan(part.drift, W, steps)
+    F, Q = discretisation._integrate_polynomial(part.drift, W, steps)
+    F_other, Q_other = discretisation._integrate_van_loan(part.drift, W, steps)
     np.testing.assert_allclose(F, F_other, rtol=1e-12, atol=1e-14)
     np.testing.assert_allclose(Q, Q_other, rtol=1e-11, atol=1e-13)
 
@@ -78,9 +80,9 @@ def test_the_polynomial_road_is_van_loans_road(order: int) -> None:
 def test_several_steps_are_each_their_own() -> None:
     steps = np.array([0.0, 0.5, 2.0])
     for part in (motion(3, 0.2), oscillator()):
-        F, Q = discretise(part, steps)
+        F, Q = part.over(steps)
         for k, T in enumerate(steps):
-            alone = discretise(part, np.array([T]))
+            alone = part.over(np.array([T]))
             np.testing.assert_allclose(F[k], alone[0][0], rtol=1e-13, atol=1e-15)
             np.testing.assert_allclose(Q[k], alone[1][0], rtol=1e-13, atol=1e-15)
         assert np.array_equal(F[0], np.eye(len(part.drift)))
@@ -89,7 +91,7 @@ def test_several_steps_are_each_their_own() -> None:
 
 @pytest.mark.parametrize("part", [motion(2, 0.3), motion(4, 0.3), oscillator()], ids=["slope", "jerk", "resonance"])
 def test_two_steps_are_one_long_step(part: Component) -> None:
-    F, Q = discretise(part, np.array([0.4, 0.8]))
+    F, Q = part.over(np.array([0.4, 0.8]))
     np.testing.assert_allclose(F[0] @ F[0], F[1], rtol=1e-12, atol=1e-14)
     np.testing.assert_allclose(F[0] @ Q[0] @ F[0].T + Q[0], Q[1], rtol=1e-11, atol=1e-14)
 
@@ -110,8 +112,8 @@ def test_a_sum_is_two_independent_parts_whose_outputs_add() -> None:
 
 
 def test_a_sum_of_motions_keeps_the_polynomial_road() -> None:
-    F, Q = discretise(motion(3, 0.3) + level(2.0), np.array([0.5]))
-    np.testing.assert_allclose(Q[0, :3, :3], discretise(motion(3, 0.3), np.array([0.5]))[1][0], rtol=1e-14)
+    F, Q = (motion(3, 0.3) + level(2.0)).over(np.array([0.5]))
+    np.testing.assert_allclose(Q[0, :3, :3], motion(3, 0.3).over(np.array([0.5]))[1][0], rtol=1e-14)
     assert Q[0, 3, 3] == 1.0
     assert F[0, 3, 3] == 1.0
 
@@ -160,3 +162,70 @@ def test_a_negative_variance_and_an_unknown_form_are_refused() -> None:
     unknown: Any = "tustin"
     with pytest.raises(ModelError, match=r"^discretisation = 'tustin' is not known"):
         level().to_model(1.0, 1.0, discretisation=unknown)
+
+
+@pytest.mark.parametrize("bandwidth_hz", [0.0, 0.3, 40.0])
+@pytest.mark.parametrize("T", [0.01, 0.3])
+def test_a_tone_turns_and_shrinks(bandwidth_hz: float, T: float) -> None:
+    """In closed form: a rotation times exp(-pi B T), and noise of the same variance on both states."""
+    F, Q = tone(2.0, bandwidth_hz, 0.4).over(np.array([T]))
+    angle, shrunk = 4 * np.pi * T, np.exp(-np.pi * bandwidth_hz * T)
+    rotation = [[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]
+    np.testing.assert_allclose(F[0], shrunk * np.array(rotation), rtol=1e-11, atol=1e-13)
+    variance = 0.4 * (1 - shrunk**2) / (2 * np.pi * bandwidth_hz) if bandwidth_hz else 0.4 * T
+    np.testing.assert_allclose(Q[0], variance * np.eye(2), rtol=1e-11, atol=1e-13 * variance)
+
+
+def test_a_damped_tone_has_the_standard_deviation_that_its_docstring_says() -> None:
+    model = tone(3.0, 0.5, 0.7).to_model(0.02, 1.0)
+    P = solve_discrete_lyapunov(model.F, model.process_covariance)
+    np.testing.assert_allclose(P, 0.7 / (2 * np.pi * 0.5) * np.eye(2), rtol=1e-9, atol=1e-12)
+
+
+def test_gauss_markov_noise_has_its_standard_deviation_and_forgets_in_its_time() -> None:
+    model = gauss_markov(4.0, 0.3).to_model(0.5, 1.0)
+    assert model.F.item() == pytest.approx(np.exp(-0.125), rel=1e-12)
+    assert model.process_covariance.item() / (1 - model.F.item() ** 2) == pytest.approx(0.09, rel=1e-12)
+
+
+def test_hum_is_a_disturbance_of_several_tones() -> None:
+    noise = hum(60.0, 3, 1e-6)
+    assert [part.name for part in noise.parts] == [f"oscillator at {f} Hz" for f in (60, 120, 180)]
+    assert all(part.disturbance for part in noise.parts)
+    assert not noise.signal_output.any()
+    F = noise.over(np.array([1 / 60]))[0]
+    np.testing.assert_allclose(F[0], np.eye(6), atol=1e-10)  # each returns after a period of the mains
+
+
+def test_the_output_is_split_by_component() -> None:
+    both = motion(2, 0.3) + tone(5.0) + bias(1e-3)
+    assert [part.name for part, _ in both.outputs()] == ["motion", "oscillator at 5 Hz", "bias"]
+    np.testing.assert_array_equal(sum(row for _, row in both.outputs()), both.output)
+    np.testing.assert_array_equal(both.signal_output, [[1, 0, 1, 0, 0]])
+    np.testing.assert_array_equal(both.as_disturbance().signal_output, np.zeros((1, 5)))
+
+
+def test_noise_of_very_different_densities_keeps_its_digits() -> None:
+    """A tone of density 1 beside one of density 1e-30: each is discretised as if it were alone."""
+    Q = (tone(1.0, 0.1, 1.0) + tone(2.0, 0.1, 1e-30)).over(np.array([0.01]))[1][0]
+    np.testing.assert_allclose(
+        Q[2:, 2:], tone(2.0, 0.1, 1.0).over(np.array([0.01]))[1][0] * 1e-30, rtol=1e-12, atol=1e-46
+    )
+
+
+@pytest.mark.parametrize(
+    ("make", "says"),
+    [
+        (lambda: tone(0.0), "frequency_hz = 0.0"),
+        (lambda: tone(np.nan), "frequency_hz = nan"),
+        (lambda: tone(1.0, -1.0), "bandwidth_hz = -1.0"),
+        (lambda: tone(1.0, 0.0, np.inf), "noise_density = inf"),
+        (lambda: hum(50.0, 0), "harmonics = 0"),
+        (lambda: gauss_markov(0.0), "correlation_s = 0.0"),
+        (lambda: gauss_markov(1.0, -0.1), "std = -0.1"),
+        (lambda: bias(-1.0), "noise_density = -1.0"),
+    ],
+)
+def test_impossible_numbers_are_refused(make: Any, says: str) -> None:
+    with pytest.raises(ModelError, match=says):
+        make()

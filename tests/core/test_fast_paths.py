@@ -25,7 +25,7 @@ from against_reference import (
 )
 from becalm.core import reference
 from becalm.core.arrays import Floats
-from becalm.core.components import discretise, motion
+from becalm.core.components import motion
 from becalm.core.filtering import Estimate, Wanted, kalman_filter, run_filter
 from becalm.core.likelihood import score
 from becalm.core.model import Model
@@ -179,7 +179,7 @@ def test_uneven_time_between_even_stretches() -> None:
     model = Model(even.F, even.H, even.Q, even.R, x0=[0, 0], P0=np.eye(2))
     z = drawn(model, len(elapsed))
     z[900], z[1700:1760], z[2300] = np.nan, np.nan, 1e101
-    about = followed(model, *discretise(component, elapsed), arrived(z))
+    about = followed(model, *component.over(elapsed), arrived(z))
     timeline = elapsed_timeline(component, 1.0, elapsed)
     wanted = Wanted(states=True)
     got, back = run_filter(model, timeline, z, wanted).estimate, run_smoother(model, timeline, z, wanted)

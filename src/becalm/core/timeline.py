@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Floats, Integers, read_only
-from becalm.core.components import Component, discretise
+from becalm.core.components import Component
 from becalm.core.kernel_block import Record
 from becalm.core.kernel_steps import System
 from becalm.core.model import Model
@@ -62,7 +62,7 @@ def elapsed_timeline(
     rest = elapsed[begin:]
     first = np.concatenate([[0], np.flatnonzero(rest[1:] != rest[:-1]) + 1]) if len(rest) else np.zeros(0, np.int64)
     lengths, step = np.unique(rest[first], return_inverse=True)
-    F, Q = discretise(component, lengths if len(lengths) else np.ones(1))
+    F, Q = component.over(lengths if len(lengths) else np.ones(1))
     system = System(F, Q, component.output.copy(), np.array([[noise_variance]], dtype=np.float64))
     if goes_on:
         return Timeline(system, *_runs([*first, len(elapsed)], step), lengths)
