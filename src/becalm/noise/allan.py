@@ -1,0 +1,253 @@
+"""The overlapping Allan deviation of a motionless sensor, with confidence intervals.
+
+With theta the cumulative sum of the readings x over a step T, and a cluster of m readings, tau = m T,
+
+    sigma^2(tau) = mean of (theta[k + 2 m] - 2 theta[k + m] + theta[k])^2 / (2 tau^2)
+
+over every k. What `allan_terms` reads from the curve is white noise, bias instability, random walk.
+Sources: IEEE Std 952-1997, annex C; Riley, Handbook of Frequency Stability Analysis, NIST SP 1065
+(2008), whose phase is theta and whose frequency is a reading; Riley and Greenhall, 18th EFTF (2004),
+for the type of noise from the lag-1 autocorrelation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.special import gammaincinv
+
+from becalm.core.arrays import Floats, Integers, frozen, real
+from becalm.core.clock import FASTEST_HZ, SLOWEST_HZ
+from becalm.errors import RecordingError, UsageError
+
+_FEWEST_CLUSTERS = 128  # below which the lag-1 autocorrelation takes chance for another type of noise
+_SLOPE_OF_WALK = 0.25  # of delta in Riley and Greenhall: above it the clusters are differenced once
+_STEEPEST = 2  # exponents of f in the spectrum: from -2, random walk, to 2, quantisation
+_WHOLE = 1e-6  # how near to a whole number of steps, relatively, a cluster time must be
+
+
+@dataclass(frozen=True, eq=False)
+class AllanCurve:
+    """The Allan deviation at k cluster times.
+
+    Attributes
+    ----------
+    cluster_times_s : (k,) float array
+        tau, in seconds, ascending.
+    deviation : (k,) float array
+        sigma(tau), in the unit of the readings.
+    low, high : (k,) float array
+        Bounds of the true deviation, in the unit of the readings, each missed with equal chance.
+    degrees_of_freedom : (k,) float array
+        Equivalent degrees of freedom of sigma^2; a *small* number says that the record has few
+        independent clusters of this length, so that the deviation is not to be trusted.
+    noise_exponent : (k,) int array
+        Of the frequency in the noise's spectrum around 1/tau: 2 quantisation, 1 between, 0 white,
+        -1 bias instability (flicker), -2 random walk or steeper.
+    counts : (k,) int array
+        Differences averaged.
+    step_s : float
+        T, the time between two readings, in seconds.
+    confidence : float
+        Chance that an interval holds the true deviation.
+    """
+
+    cluster_times_s: Floats
+    deviation: Floats
+    low: Floats
+    high: Floats
+    degrees_of_freedom: Floats
+    noise_exponent: Integers
+    counts: Integers
+    step_s: float
+    confidence: float
+
+    @property
+    def cluster_sizes(self) -> Integers:
+        """Readings in a cluster, m = tau / T, (k,)."""
+        return np.rint(self.cluster_times_s / self.step_s).astype(np.int64)
+
+
+def allan_deviation(
+    readings: ArrayLike,
+    rate_hz: float,
+    cluster_times_s: ArrayLike | Literal["octave", "decade"] = "octave",
+    confidence: float = 0.95,
+) -> AllanCurve:
+    """Compute the overlapping Allan deviation of a record taken at rest.
+
+    Parameters
+    ----------
+    readings : (N,) array_like
+        Of a rate, an acceleration, a strain: what the sensor reads, not its integral. NaN or inf is a
+        reading that did not come, and the differences that need it are left out, so that a gap costs
+        cluster times about as long as the stretches beside it, and nothing else.
+    rate_hz : float
+        Readings a second, at even distances; rows that are absent must be put in as NaN.
+    cluster_times_s : {"octave", "decade"} or (k,) array_like
+        Steps times 1, 2, 4, 8, ... or 1, 2, 5, 10, ... up to half of the record; or cluster times in
+        seconds, each a whole number of steps.
+    confidence : float
+        Of the intervals, between 0 and 1; a *small* one makes them narrow.
+
+    Raises
+    ------
+    RecordingError
+        If no two readings came in a row, or they are not one column of numbers.
+    UsageError
+        If the rate or the confidence is out of range, or a cluster time cannot be had.
+
+    Notes
+    -----
+    Each cluster time costs one pass over the record. The intervals are those of chi-square with the
+    degrees of freedom of NIST SP 1065, section 5.4, for the type of noise found at that cluster time; where
+    a record has under 128 such clusters, at the longest cluster time that has, or white if none.
+    """
+    x = _column(readings)
+    if not (SLOWEST_HZ <= rate_hz <= FASTEST_HZ):
+        raise UsageError(f"rate_hz = {rate_hz} is not a rate; give the readings a second, as 100.0.")
+    if not (0 < confidence < 1):
+        raise UsageError(f"confidence = {confidence} is not between 0 and 1; give for instance 0.95.")
+    asked = cluster_times_s if isinstance(cluster_times_s, str) else None
+    sizes = _series(asked, len(x)) if asked else _whole_steps(cluster_times_s, rate_hz, len(x))
+    theta, absent = _sums(x)
+    mean_squares, counts = np.array([_mean_square(theta, absent, int(m)) for m in sizes]).T
+    if not asked and not counts.all():
+        longest = sizes[counts == 0][0] / rate_hz
+        raise UsageError(f"No stretch without a gap is twice as long as {longest:g} s; leave this cluster time out.")
+    if not counts.any():
+        raise RecordingError(
+            "An Allan deviation needs readings in a row, and no two are; give the record as it was sampled."
+        )
+    sizes, mean_squares, counts = (each[counts > 0] for each in (sizes, mean_squares, counts))
+    exponents = _exponents(theta, absent, sizes)
+    freedom = np.array([_freedom(*each) for each in zip(exponents, sizes, counts, strict=True)])
+    deviation = np.sqrt(mean_squares / 2) / sizes
+    upper, lower = (_chi_square(freedom, p) for p in ((1 + confidence) / 2, (1 - confidence) / 2))
+    return AllanCurve(
+        cluster_times_s=frozen(sizes / rate_hz),
+        deviation=frozen(deviation),
+        low=frozen(deviation * np.sqrt(freedom / upper)),
+        high=frozen(deviation * np.sqrt(freedom / lower)),
+        degrees_of_freedom=frozen(freedom),
+        noise_exponent=exponents,
+        counts=counts.astype(np.int64),
+        step_s=1.0 / rate_hz,
+        confidence=confidence,
+    )
+
+
+def _column(readings: ArrayLike) -> Floats:
+    """Check that readings are one column of numbers."""
+    try:
+        x = np.asarray(real(readings), dtype=np.float64)
+    except (TypeError, ValueError) as cause:
+        raise RecordingError(f"readings are not numbers ({cause}).") from cause
+    if x.ndim != 1:
+        raise RecordingError(f"readings have shape {x.shape}; one channel, (N,), is needed: give readings[:, 0].")
+    return x
+
+
+def _sums(x: Floats) -> tuple[Floats, Integers]:
+    """Return theta (N + 1,) in steps, of the readings about their mean, and how many are absent before each."""
+    came = np.isfinite(x)
+    mean = x.mean(where=came) if came.any() else 0.0
+    theta = np.cumsum(np.append(0.0, np.where(came, x - mean, 0.0)))
+    return theta, np.cumsum(np.append(0, ~came))
+
+
+def _mean_square(theta: Floats, absent: Integers, m: int) -> tuple[float, int]:
+    """Return the mean square of the second differences over m readings, and how many there are."""
+    if 2 * m >= len(theta):
+        return 0.0, 0
+    sums = theta[m:] - theta[:-m]
+    z = sums[m:] - sums[:-m]
+    if absent[-1]:
+        z = z[absent[2 * m :] == absent[: -2 * m]]
+    return float(np.vecdot(z, z)) / max(len(z), 1), len(z)
+
+
+def _series(name: str, count: int) -> Integers:
+    """Return the cluster sizes of a named series, up to half of the record."""
+    if name not in ("octave", "decade"):
+        raise UsageError(f"cluster_times_s = {name!r} is not known; use 'octave', 'decade', or times in seconds.")
+    factors = np.array([1]) if name == "octave" else np.array([1, 2, 5])
+    base = 2 if name == "octave" else 10
+    sizes = np.multiply.outer(base ** np.arange(60 if base == 2 else 18), factors).ravel()
+    result: Integers = sizes[sizes <= max(count // 2, 1)].astype(np.int64)
+    return result
+
+
+def _whole_steps(cluster_times_s: ArrayLike, rate_hz: float, count: int) -> Integers:
+    """Turn cluster times in seconds into readings."""
+    try:
+        steps = np.unique(np.asarray(real(cluster_times_s), dtype=np.float64).ravel() * rate_hz)
+    except (TypeError, ValueError) as cause:
+        raise UsageError(f"cluster_times_s is not numbers of seconds ({cause}).") from cause
+    if not len(steps):
+        raise UsageError("cluster_times_s is empty; give times in seconds, or 'octave'.")
+    for step in steps:
+        if not (0.5 < step <= count / 2 + 0.5):
+            raise UsageError(
+                f"A cluster time of {step / rate_hz:g} s cannot be had from {count} readings at {rate_hz:g} Hz; "
+                f"give {1 / rate_hz:g} to {count // 2 / rate_hz:g} s."
+            )
+        if abs(step - round(step)) > _WHOLE * step:
+            raise UsageError(
+                f"A cluster time of {step / rate_hz:g} s is not a whole number of steps of {1 / rate_hz:g} s; "
+                f"the nearest is {round(step) / rate_hz:g} s."
+            )
+    sizes: Integers = np.unique(np.rint(steps)).astype(np.int64)
+    return sizes
+
+
+def _exponents(theta: Floats, absent: Integers, sizes: Integers) -> Integers:
+    """Tell the type of noise at each cluster size; long clusters, too few to tell, are taken for the last that told."""
+    found, exponents = 0, []
+    for m in sizes:
+        means = np.diff(theta[::m]) / m
+        means[np.diff(absent[::m]) > 0] = np.nan
+        if np.count_nonzero(np.isfinite(means)) >= _FEWEST_CLUSTERS:
+            found = _exponent(means)
+        exponents.append(found)
+    return np.array(exponents, dtype=np.int64)
+
+
+def _exponent(means: Floats) -> int:
+    """Tell the type of noise from the means of adjacent clusters; NaN is a mean that is not known."""
+    delta, differenced = _delta(means), 0
+    if delta >= _SLOPE_OF_WALK:
+        delta, differenced = _delta(np.diff(means)), 1
+    return int(np.clip(np.rint(-2 * (delta + differenced)), -_STEEPEST, _STEEPEST))
+
+
+def _delta(y: Floats) -> float:
+    """Return r / (1 + r) with r the autocorrelation at lag 1; half of it is the order of fractional integration."""
+    c = np.nan_to_num(y - np.nanmean(y))
+    power = float(np.vecdot(c, c))
+    r = float(np.vecdot(c[1:], c[:-1])) / power if power else 0.0
+    return r / (1 + r)
+
+
+def _freedom(exponent: int, m: int, count: int) -> float:
+    """Return the equivalent degrees of freedom of `count` overlapping differences (NIST SP 1065, table 5)."""
+    n = count + 2.0 * m  # points of theta
+    if exponent == 2:
+        edf = (n + 1) * (n - 2 * m) / (2 * (n - m))
+    elif exponent == 1:
+        edf = np.exp(np.sqrt(np.log((n - 1) / (2 * m)) * np.log((2 * m + 1) * (n - 1) / 4)))
+    elif exponent == 0:
+        edf = (3 * (n - 1) / (2 * m) - 2 * (n - 2) / n) * 4 * m**2 / (4 * m**2 + 5)
+    elif exponent == -1:
+        edf = 2 * (n - 2) ** 2 / (2.3 * n - 4.9) if m == 1 else 5 * n**2 / (4 * m * (n + 3 * m))
+    else:
+        edf = (n - 2) / m * ((n - 1) ** 2 - 3 * m * (n - 1) + 4 * m**2) / max(n - 3, 1) ** 2
+    return float(np.clip(edf, 1.0, count))
+
+
+def _chi_square(freedom: Floats, probability: float) -> Floats:
+    """Return the quantile of chi-square."""
+    return np.asarray(2 * gammaincinv(freedom / 2, probability), dtype=np.float64)
