@@ -1,0 +1,240 @@
+"""Maximum likelihood of Q and R of any model, all its channels together, with standard errors.
+
+The likelihood is the filter's own, exact, with a known or a flat start and with readings missing; nothing
+is concentrated out, so that every entry gets its error from the curvature. What readings cannot tell is
+said in sentences. Sources: Schweppe, IEEE TIT-11 (1965) 61; Shumway and Stoffer, Time Series Analysis
+and Its Applications, section 6.3.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from becalm.core.arrays import Booleans, Floats
+from becalm.core.filtering import checked_readings, new_trace, run_filter, sizes_of
+from becalm.core.kernel_settling import GAIN, new_memory
+from becalm.core.kernels import forward
+from becalm.core.likelihood import NOTHING
+from becalm.core.model import Model
+from becalm.core.starting import arrived, wide_prior
+from becalm.core.timeline import even_timeline
+from becalm.errors import ModelError, RecordingError
+from becalm.noise.autocovariances import Autocovariances, autocovariances
+from becalm.noise.certainty import Certainty, judge
+from becalm.noise.matrices import Freedom, FreeMatrix, Patterns, patterns_of
+from becalm.noise.peak import climb, walk
+
+_LEAST = 1e-3  # of the strongest noise: where a search begins whose start is at or below zero
+
+
+@dataclass(frozen=True, eq=False)
+class TunedModel:
+    """A model whose Q and R come from readings.
+
+    Attributes
+    ----------
+    model : Model
+        The likeliest. What the readings do not tell keeps the value it started from.
+    process_error : (p, p) float array
+        Standard error of each entry of Q, in its unit; 0 where it was not free, inf where it cannot be told.
+    noise_error : (m, m) float array
+        The same of R.
+    log_likelihood : float
+        Exact, at the maximum; see `becalm.core.filtering.Estimate`.
+    used : int
+        Readings, channels counted one by one, that entered it.
+    not_identifiable : tuple of str
+        A sentence for each thing that the readings do not tell, with the reason; empty if they tell all.
+    """
+
+    model: Model
+    process_error: Floats
+    noise_error: Floats
+    log_likelihood: float
+    used: int
+    not_identifiable: tuple[str, ...]
+
+
+def tune_model(
+    model: Model, z: ArrayLike, free_process: Freedom = "diagonal", free_noise: Freedom = "diagonal"
+) -> TunedModel:
+    """Find the process and measurement covariances of a model by maximum likelihood.
+
+    Parameters
+    ----------
+    model : Model
+        F, G and H are taken as they are, and so are x0 and P0 or their absence. Its Q and R are held,
+        scaled, or a place to start from; the search also begins where the readings' autocovariances point.
+    z : (N,) or (N, m) array_like
+        Readings in the channels' units, one step a row; NaN where one did not arrive. Never modified.
+    free_process, free_noise : {"full", "diagonal", "scale", "fixed"}
+        What of Q and of R is free: every entry; the variances, with all else zero; one factor for each
+        independent block, as of components joined by `+`; nothing.
+
+    Raises
+    ------
+    ModelError
+        If z does not fit the model, nothing is free, or the model cannot start without x0 and P0.
+    RecordingError
+        If there are fewer readings than unknowns and states.
+
+    Notes
+    -----
+    Errors come from the observed information by the delta method. Where a variance cannot be told from
+    zero, its error is how far it may grow until the log-likelihood has fallen by one half.
+    """
+    readings = checked_readings(model, z)
+    process, noise = patterns_of("Q", model.Q, free_process), patterns_of("R", model.R, free_noise)
+    unknowns = len(process.names) + len(noise.names)
+    if not unknowns:
+        raise ModelError('Nothing of Q and R is free; give free_process or free_noise = "diagonal".')
+    seen = arrived(readings)
+    if seen.sum() <= unknowns + model.states:
+        raise RecordingError(
+            f"{seen.sum()} readings came; {unknowns} unknowns of Q and R and {model.states} states need more"
+            f" than {unknowns + model.states}. Give a longer record, or free less of Q and R."
+        )
+    told = autocovariances(model, process, noise, seen.T.astype(float) @ seen > 0, _sizes(readings, seen))
+    joint = _start(JointLikelihood(model, readings, process, noise, (free_process, free_noise)), told)
+    peak = climb(joint, walk(joint, np.zeros(unknowns), joint.variances & ~told.unseen), joint.used)
+    return _result(joint, judge(joint, peak, told), peak.theta)
+
+
+class JointLikelihood:
+    """The log-likelihood of readings as a function of numbers that stand for the free entries of Q and R."""
+
+    def __init__(
+        self, model: Model, z: Floats, process: Patterns, noise: Patterns, freedom: tuple[Freedom, Freedom]
+    ) -> None:
+        self.model, self.patterns, self._z = model, (process, noise), z
+        self.freedom, self._timeline = freedom, even_timeline(model, len(z))
+        self.used = 0
+        self._prepare()
+
+    def begin(self, Q: Floats, R: Floats) -> float:
+        """Let all numbers be zero at these covariances; return the log-likelihood there."""
+        process, noise = self.patterns
+        self.process = FreeMatrix(process, Q, self.freedom[0] == "full")
+        self.noise = FreeMatrix(noise, R, self.freedom[1] == "full")
+        value, self.used = self._run(Q, R)
+        return value
+
+    @property
+    def variances(self) -> Booleans:
+        """Which amounts are of variances, (k,); their numbers are logarithms."""
+        return np.concatenate([part.variances for part in self.patterns])
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What the amounts are called."""
+        return self.patterns[0].names + self.patterns[1].names
+
+    def __call__(self, theta: Floats) -> float:
+        """Return the log-likelihood at theta (k,); -inf where it does not count the same readings."""
+        try:
+            value, used = self._run(*self.at(theta))
+        except (ModelError, np.linalg.LinAlgError):
+            return -np.inf
+        return value if used == self.used else -np.inf
+
+    def at(self, theta: Floats) -> tuple[Floats, Floats]:
+        """Return Q and R at theta (k,)."""
+        cut = self.process.count
+        return self.process.at(theta[:cut]), self.noise.at(theta[cut:])
+
+    def amounts(self, theta: Floats) -> Floats:
+        """Return the amounts (k,) of the patterns of Q and R at theta (k,)."""
+        return np.concatenate([part.amounts(M) for part, M in zip(self.patterns, self.at(theta), strict=True)])
+
+    def scales(self, theta: Floats) -> Floats:
+        """Return how large the amounts (k,) could be beside the variances at theta (k,)."""
+        return np.concatenate([part.scales(M) for part, M in zip(self.patterns, self.at(theta), strict=True)])
+
+    def slopes(self, theta: Floats) -> Floats:
+        """Return the derivatives of the amounts by theta, (k, k)."""
+        cut, slopes = self.process.count, np.zeros((len(theta), len(theta)))
+        for i, slope in enumerate(self.process.slopes(theta[:cut])):
+            slopes[:cut, i] = self.patterns[0].amounts(slope)
+        for i, slope in enumerate(self.noise.slopes(theta[cut:])):
+            slopes[cut:, cut + i] = self.patterns[1].amounts(slope)
+        return slopes
+
+    def moments(self, told: Autocovariances) -> Floats | None:
+        """Return the amounts (k,) that the readings' autocovariances point to."""
+        return told.estimate(np.where(arrived(self._z), self._z, np.nan))
+
+    def _run(self, Q: Floats, R: Floats) -> tuple[float, int]:
+        """Return the log-likelihood at Q and R, and of how many readings."""
+        model, G = self.model, self.model.G
+        timeline = self._timeline._replace(system=self._timeline.system._replace(Q=(G @ Q @ G.T)[np.newaxis], R=R))
+        if self._memory is None:
+            found = run_filter(model, timeline, self._z, NOTHING).estimate
+            return found.log_likelihood, found.used
+        squares, log_det, used, _ = forward(
+            self._sizes, timeline.system, self._record, 0, GAIN, self._memory.copy(), self._trace
+        )
+        return -0.5 * (squares + log_det + used * np.log(2 * np.pi)), used
+
+    def _prepare(self) -> None:
+        """Lay out once what every evaluation with a known start needs."""
+        model = self.model
+        self._memory = None
+        if model.x0 is not None and model.P0 is not None and wide_prior(model) is None:
+            self._memory = new_memory(model.x0, model.P0, model.channels)
+        self._sizes, self._record = sizes_of(model), self._timeline.record(self._z)
+        self._trace = new_trace(model, len(self._z), NOTHING)
+
+
+def _sizes(z: Floats, seen: Booleans) -> Floats:
+    """Return how large the readings (N, m) of each channel are beside the largest, (m,); one where all are zero."""
+    largest = np.abs(np.where(seen, z, 0.0)).max()
+    shares = np.where(seen, z, 0.0) / (largest if largest > 0 else 1.0)
+    sizes = np.sqrt((shares**2).sum(axis=0) / np.maximum(seen.sum(axis=0), 1))
+    return np.where(sizes > 0, sizes, 1.0)
+
+
+def _start(joint: JointLikelihood, told: Autocovariances) -> JointLikelihood:
+    """Begin at the model's own Q and R, or where the autocovariances point, whichever is likelier."""
+    process, noise = joint.patterns
+    own = np.concatenate([process.amounts(joint.model.Q), noise.amounts(joint.model.R)])
+    begins, pointed = [_positive(joint, told, own)], joint.moments(told)
+    if pointed is not None:
+        begins.append(_positive(joint, told, np.where(told.unseen, own, pointed)))
+    best = max(begins, key=lambda matrices: joint.begin(*matrices))
+    joint.begin(*best)
+    return joint
+
+
+def _positive(joint: JointLikelihood, told: Autocovariances, amounts: Floats) -> tuple[Floats, Floats]:
+    """Make covariances of amounts (k,), of which each free variance is above zero as far as readings see it."""
+    strongest = (amounts * told.lengths)[joint.variances].max(initial=0.0)
+    least = _LEAST * (strongest if strongest > 0 else 1.0) / np.where(told.unseen, np.inf, told.lengths)
+    amounts = np.where(joint.variances, np.maximum(amounts, least), amounts)
+    cut = len(joint.patterns[0].names)
+    Q, R = joint.patterns[0].covariance(amounts[:cut]), joint.patterns[1].covariance(amounts[cut:])
+    full = [how == "full" for how in joint.freedom]
+    return _definite(Q) if full[0] else Q, _definite(R) if full[1] else R
+
+
+def _definite(covariance: Floats) -> Floats:
+    """Return the nearest matrix of the same variances, roughly, whose correlations are well below one."""
+    sigma = np.sqrt(np.diag(covariance))
+    sigma = np.where(sigma > 0, sigma, sigma[sigma > 0].min(initial=1.0))
+    values, vectors = np.linalg.eigh(covariance / np.outer(sigma, sigma))
+    clipped = (vectors * np.maximum(values, 0.05)) @ vectors.T
+    return np.asarray(clipped * np.outer(sigma, sigma))
+
+
+def _result(joint: JointLikelihood, found: Certainty, theta: Floats) -> TunedModel:
+    """Lay out what was found."""
+    given, (Q, R) = joint.model, joint.at(theta)
+    tuned = Model(F=given.F, H=given.H, Q=Q, R=R, G=given.G, x0=given.x0, P0=given.P0)
+    cut = len(joint.patterns[0].names)
+    process_error, noise_error = (
+        (np.where(part.shapes != 0, each[:, np.newaxis, np.newaxis], 0.0) * np.abs(part.shapes)).sum(axis=0)
+        for part, each in zip(joint.patterns, (found.errors[:cut], found.errors[cut:]), strict=True)
+    )
+    return TunedModel(tuned, process_error, noise_error, joint(theta), joint.used, found.sentences)

@@ -1,0 +1,183 @@
+"""Which entries of Q and R are free, and numbers without bounds that stand for them.
+
+A covariance is a sum of *patterns*, each with an amount: that form is linear, which tells what readings
+can tell. To search, the same covariance is written so that every number gives one that is positive
+definite: C0 L L' C0' with C0 the root of the covariance started from and the logarithms of the diagonal
+of the triangle L free (Pinheiro and Bates, Statistics and Computing 6 (1996) 289), or patterns times e^2t.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal, get_args
+
+import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
+
+from becalm.core.arrays import Booleans, Floats, Integers
+from becalm.errors import ModelError
+
+Freedom = Literal["full", "diagonal", "scale", "fixed"]
+"""How much of a covariance is free.
+
+"full": every entry. "diagonal": the variances, and all else is zero. "scale": one factor for each of
+its independent blocks, as components joined by `+` have them. "fixed": nothing.
+"""
+
+FURTHEST = 20.0
+"""Logarithms of standard deviations go no further than this from where they started."""
+
+
+@dataclass(frozen=True, eq=False)
+class Patterns:
+    """A covariance (d, d) as the sum of k patterns, each with an amount, and of what is held.
+
+    Attributes
+    ----------
+    names : tuple of k str
+        As a sentence names them, such as "Q[0,1]".
+    shapes : (k, d, d) float array
+        No two of them share an entry.
+    held : (d, d) float array
+        What is not free, in unit^2.
+    """
+
+    names: tuple[str, ...]
+    shapes: Floats
+    held: Floats
+
+    @property
+    def variances(self) -> Booleans:
+        """Which patterns hold variances, (k,); the others correlate."""
+        return np.asarray(np.trace(self.shapes, axis1=1, axis2=2) > 0)
+
+    def amounts(self, covariance: Floats) -> Floats:
+        """Return how much of each pattern a covariance (d, d) holds, (k,)."""
+        inside = np.einsum("kij,ij->k", self.shapes, covariance)
+        return np.asarray(inside / np.einsum("kij,kij->k", self.shapes, self.shapes))
+
+    def scales(self, covariance: Floats) -> Floats:
+        """Return amounts (k,) that are large: as if all that a pattern joins were fully correlated."""
+        sigma, sizes = np.sqrt(np.diag(covariance)), np.abs(self.shapes)
+        return np.asarray(np.einsum("kij,i,j->k", sizes, sigma, sigma) / np.einsum("kij,kij->k", sizes, sizes))
+
+    def covariance(self, amounts: Floats) -> Floats:
+        """Return the sum (d, d); with any amounts (k,), so it may have eigenvalues below zero."""
+        return np.asarray(self.held + np.einsum("k,kij->ij", amounts, self.shapes))
+
+
+def patterns_of(letter: str, covariance: Floats, freedom: Freedom) -> Patterns:
+    """Return what is free of a covariance (d, d) that is called `letter`.
+
+    Raises
+    ------
+    ModelError
+        If that freedom is not known.
+    """
+    d, nothing = len(covariance), np.zeros_like(covariance)
+    if freedom == "fixed":
+        return Patterns((), np.zeros((0, d, d)), covariance)
+    if freedom == "scale":
+        blocks = _blocks(covariance)
+        masks = [np.isin(np.arange(d), block) for block in blocks]
+        shapes = [covariance * np.outer(mask, mask) for mask in masks]
+        names = tuple(f"the scale of {letter}[{_range(block)}]" for block in blocks)
+        return Patterns(names, np.array(shapes).reshape(-1, d, d), nothing)
+    if freedom not in ("diagonal", "full"):
+        raise ModelError(f"{freedom!r} does not say what of {letter} is free; use one of {list(get_args(Freedom))}.")
+    pairs = [(i, j) for i in range(d) for j in range(i + 1) if i == j or freedom == "full"]
+    shapes = [_unit(d, i, j) for i, j in pairs]
+    return Patterns(tuple(f"{letter}[{j},{i}]" for i, j in pairs), np.array(shapes), nothing)
+
+
+@dataclass(frozen=True, eq=False)
+class FreeMatrix:
+    """A covariance as a function of k numbers without bounds, which are 0 where it starts.
+
+    Attributes
+    ----------
+    patterns : Patterns
+        What is free.
+    start : (d, d) float array
+        Where the search begins; positive definite if it is fully free.
+    fully : bool
+        Whether every entry is free.
+    """
+
+    patterns: Patterns
+    start: Floats
+    fully: bool
+
+    @property
+    def count(self) -> int:
+        """How many numbers are free, k."""
+        return len(self.patterns.names)
+
+    def at(self, theta: Floats) -> Floats:
+        """Return the covariance (d, d) at theta (k,)."""
+        if self.fully:
+            root = self._root @ self._triangle(theta)
+            return np.asarray(root @ root.T)
+        scaled = self._begins * _bounded_exp(theta) ** 2
+        return self.patterns.covariance(scaled)
+
+    def slopes(self, theta: Floats) -> Floats:
+        """Return the derivative of the covariance by each number, (k, d, d)."""
+        if not self.fully:
+            scaled = self._begins * _bounded_exp(theta) ** 2
+            return np.asarray(2 * scaled[:, np.newaxis, np.newaxis] * self.patterns.shapes)
+        rows, columns = self._places
+        C, L = self._root, self._triangle(theta)
+        moved = np.zeros((self.count, len(C), len(C)))
+        moved[np.arange(self.count), rows, columns] = np.where(self._on_diagonal, L[rows, columns], 1.0)
+        half = C @ moved @ L.T @ C.T
+        return np.asarray(half + np.swapaxes(half, 1, 2))
+
+    @cached_property
+    def _root(self) -> Floats:
+        return np.asarray(np.linalg.cholesky(self.start))
+
+    @cached_property
+    def _places(self) -> tuple[Integers, Integers]:
+        return np.tril_indices(len(self.start))
+
+    @cached_property
+    def _on_diagonal(self) -> Booleans:
+        return np.equal(*self._places)
+
+    @cached_property
+    def _begins(self) -> Floats:
+        return self.patterns.amounts(self.start)
+
+    def _triangle(self, theta: Floats) -> Floats:
+        L = np.zeros(self.start.shape)
+        L[self._places] = np.where(self._on_diagonal, _bounded_exp(theta), theta)
+        return L
+
+
+def _bounded_exp(theta: Floats) -> Floats:
+    return np.asarray(np.exp(np.minimum(np.maximum(theta, -FURTHEST), FURTHEST)))
+
+
+def _unit(d: int, i: int, j: int) -> Floats:
+    """Return the symmetric (d, d) matrix whose entries i, j and j, i are one."""
+    unit = np.zeros((d, d))
+    unit[i, j] = unit[j, i] = 1.0
+    return unit
+
+
+def _blocks(covariance: Floats) -> list[Integers]:
+    """Return the rows of each independent block; those of nothing but zeros are none."""
+    number, labels = connected_components(csr_array(covariance != 0), directed=False)
+    blocks = [np.flatnonzero(labels == label) for label in range(number)]
+    return [block for block in blocks if covariance[block[0]].any()]
+
+
+def _range(block: Integers) -> str:
+    """Name rows: 0 or 0:3, or one by one where they do not follow each other."""
+    first, last = int(block[0]), int(block[-1])
+    if last - first + 1 != len(block):
+        return ",".join(str(int(row)) for row in block)
+    return str(first) if first == last else f"{first}:{last + 1}"
