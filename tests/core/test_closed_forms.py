@@ -112,7 +112,7 @@ def test_alpha_beta_noise_gain_and_lag(index: float) -> None:
     a, b = gains(steady(model))
     told = describe(model, 1.0)
     assert told.noise_gain == pytest.approx((2 * a**2 + 2 * b - 3 * a * b) / (a * (4 - 2 * a - b)), rel=CLOSED)
-    assert told.lag_s == pytest.approx(0.0, abs=1e-9)
+    assert told.dc_delay_s == pytest.approx(0.0, abs=1e-9)
 
 
 def test_alpha_beta_lags_a_constant_acceleration_as_printed() -> None:
@@ -176,7 +176,7 @@ class TestMotionsNearTheContinuousLimit:
         power = steady(model).filter_power(np.geomspace(1e-6, 0.5, 4000))
         assert 10 * np.log10(power.max()) == pytest.approx(peak_db, rel=LIMIT, abs=1e-5)
         lag = 1 / SLOW if order == 1 else 0.0
-        assert told.lag_s == pytest.approx(lag, rel=LIMIT, abs=1e-3)
+        assert told.dc_delay_s == pytest.approx(lag, rel=LIMIT, abs=1e-3)
 
     def test_overshoot_of_a_step(  # noqa: PLR0913
         self, order: int, enbw: float, bandwidth: float, peak_db: float, overshoot: float, variance: float

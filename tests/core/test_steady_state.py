@@ -159,7 +159,7 @@ def test_the_described_noise_gain_is_what_noise_loses(order: int, causal: bool) 
 def test_a_response_is_refused_where_there_is_none() -> None:
     two = Model(F=[[1]], H=[[1], [1]], Q=[[1]], R=np.eye(2))
     exact = Model(F=[[1]], H=[[1]], Q=[[1]], R=[[0]], x0=[0], P0=[[1]])
-    drifting = Model(F=[[2, 0], [0, 1]], H=[[0, 1]], Q=np.eye(2), R=[[1]])
-    for model, word in ((two, "this model has 2"), (exact, "R = 0"), (drifting, "no steady gain")):
+    constant = Model(F=[[1]], H=[[1]], Q=[[0]], R=[[1]])
+    for model, word in ((two, "this model has 2"), (exact, "R = 0"), (constant, "never forgets its start")):
         with pytest.raises(ModelError, match=word):
             describe(model, 1.0)

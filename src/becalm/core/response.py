@@ -1,160 +1,292 @@
-"""What a tuned filter is, in an engineer's words: bandwidth, lag and noise left.
+"""What a tuned filter is, in an engineer's words: bandwidth, lag, overshoot and noise left.
 
-For one channel of a model whose gain settles. With the closed loop A = (I - K H) F the filter is
-G(w) = H (I - A w)^-1 K, where w = exp(-j 2 pi f T) is one step's delay.
+For one channel of a model whose gain settles, told from the model alone, before anything is filtered.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import solve_discrete_lyapunov
-from scipy.optimize import brentq
+from numpy.typing import ArrayLike
+from scipy.integrate import quad
+from scipy.optimize import brentq, minimize_scalar
 
 from becalm.core.arrays import Floats
 from becalm.core.model import Model
+from becalm.core.steady import Complexes, SteadyFilter, steady
 from becalm.errors import ModelError
 
-_DOUBLINGS = 80
-_GRID = np.concatenate([np.geomspace(1e-9, 1e-3, 1200), np.linspace(1e-3, 0.5, 1200)[1:]])
+__all__ = ["Butterworth", "Response", "SteadyFilter", "Step", "decibels", "describe", "lag_steps", "steady"]
+
+_HOLDS = 0.1  # of the largest gain: an output with less at 0 Hz is a band-pass
+_FORGETS = 1 - 1e-13  # largest pole of a filter that does
+_WITHIN = 0.02  # of a step's height: settled
+_LAST = 1e-5  # of a step's height: what is left may be left out
+_LOOKS = 4096
+_BUTTERWORTHS = range(1, 7)
 
 
-@dataclass(frozen=True)
-class Response:
-    """A steady filter of one channel.
+class Step(NamedTuple):
+    """How a causal filter follows a step; the delays are from the input to the output, both drawn as lines."""
 
-    Attributes
-    ----------
-    bandwidth_hz : float
-        Highest frequency that still passes with half of its power (-3 dB); half the rate if all pass.
-    lag_s : float
-        Delay of a slow signal (group delay at 0 Hz), in seconds; 0 for a smoother.
-    noise_gain : float
-        Variance of white noise after the filter over before.
-    """
+    delay_50_s: float  # at half of its height
+    delay_90_s: float  # at nine tenths of it
+    overshoot_percent: float
+    settling_s: float  # from the first reading of the step until all outputs stay within 2 % of its height
 
-    bandwidth_hz: float
-    lag_s: float
+
+class Butterworth(NamedTuple):
+    """The causal low-pass an engineer would draw for the same band."""
+
+    order: int
+    cutoff_hz: float
+    delay_s: float  # of a slow signal
     noise_gain: float
 
 
 @dataclass(frozen=True)
-class SteadyFilter:
-    """A filter whose gain has settled.
+class Response:
+    """A steady filter or smoother of one channel.
 
     Attributes
     ----------
-    model : Model
-        One channel, n states.
-    predicted_cov : (n, n) float array
-        P before the update.
-    gain : (n, 1) float array
-        K, of the filtered form.
-    closed_loop : (n, n) float array
-        (I - K H) F.
-    innovation_variance : float
-        S, in unit^2.
+    bandwidth_hz : float
+        Highest frequency that still passes with half of the power (-3 dB) of 0 Hz, or of the peak
+        where 0 Hz does not pass; half the rate if all pass.
+    bands_hz : tuple of (low, high)
+        Where that much passes; (0, bandwidth) of a low-pass.
+    noise_bandwidth_hz : float
+        Band of the ideal filter that would leave as much white noise, one-sided.
+    noise_gain : float
+        Variance of white noise after the filter over before.
+    dc_gain : float
+        Gain of a constant; below 1 where the model knows that the signal returns to 0.
+    lag_s : float
+        How far the output trails: the delay of a slow signal or that of a step at half of its height,
+        whichever is longer; 0 for a smoother, NaN for a band-pass.
+    dc_delay_s : float
+        Delay of a slow signal (group delay at 0 Hz); 0 from order 2 on, which the step is not.
+    sine_delay_s : float
+        Longest delay of a sine within the bandwidth (phase delay).
+    peak_db, peak_hz : float
+        How far the gain rises above that of 0 Hz, and where; 0 and 0 if nowhere. Of a band-pass 0, and its centre.
+    poles : (n,) complex array
+        Of the filter, each per step, the slowest first.
+    step : Step or None
+        Of a causal filter that passes 0 Hz.
+    butterworth : Butterworth or None
+        Of the same -3 dB bandwidth, and the order whose output differs least in mean square when white
+        noise comes; of a causal low-pass that does not pass everything.
     """
 
-    model: Model
-    predicted_cov: Floats
-    gain: Floats
-    closed_loop: Floats
-    innovation_variance: float
+    bandwidth_hz: float
+    bands_hz: tuple[tuple[float, float], ...]
+    noise_bandwidth_hz: float
+    noise_gain: float
+    dc_gain: float
+    lag_s: float
+    dc_delay_s: float
+    sine_delay_s: float
+    peak_db: float
+    peak_hz: float
+    poles: Complexes
+    step: Step | None = None
+    butterworth: Butterworth | None = None
 
-    def filter_power(self, cycles_per_step: Floats) -> Floats:
-        """Return |G|^2 of the filter at frequencies in cycles a step, (k,)."""
-        result: Floats = np.abs((self.model.H @ self._states(cycles_per_step))[:, 0, 0]) ** 2
-        return result
+    @property
+    def noise_gain_db(self) -> float:
+        """Noise power after over before, in dB; negative: noise is removed."""
+        return decibels(self.noise_gain)
 
-    def smoother_power(self, cycles_per_step: Floats) -> Floats:
-        """Return |G|^2 of the smoother, G = 1 - R |W|^2 / S with W whitening the readings."""
-        delay = np.exp(-2j * np.pi * cycles_per_step)
-        whitening = 1 - delay * (self.model.H @ self.model.F @ self._states(cycles_per_step))[:, 0, 0]
-        result: Floats = (1 - self.model.R[0, 0] * np.abs(whitening) ** 2 / self.innovation_variance) ** 2
-        return result
-
-    def _states(self, cycles_per_step: Floats) -> Floats:
-        """Return (I - A w)^-1 K for each frequency, (k, n, 1), complex."""
-        delay = np.exp(-2j * np.pi * cycles_per_step)[:, np.newaxis, np.newaxis]
-        solved: Floats = np.linalg.solve(np.eye(self.model.states) - self.closed_loop * delay, self.gain[np.newaxis])
-        return solved
-
-
-def steady(model: Model) -> SteadyFilter:
-    """Settle the gain of a one-channel model, by the doubling form of the Riccati equation.
-
-    Raises
-    ------
-    ModelError
-        If the model has several channels, R = 0, or no steady gain.
-
-    Notes
-    -----
-    Anderson, Int. J. Control 28 (1978) 295: each pass doubles the number of steps, and the small
-    process noise of high rates, where eigenvalue methods fail, does it no harm.
-    """
-    if model.channels != 1:
-        raise ModelError(f"A response is told of one channel; this model has {model.channels}.")
-    R = float(model.R[0, 0])
-    if not R > 0:
-        raise ModelError("With R = 0 every reading passes unchanged; give a positive R.")
-    eye = np.eye(model.states)
-    A, G, P = model.F.T.copy(), model.H.T @ model.H / R, model.process_covariance.copy()
-    for _ in range(_DOUBLINGS):
-        with np.errstate(over="ignore", invalid="ignore"):  # refused just below
-            W = np.linalg.inv(eye + G @ P)
-            A, G, ahead = A @ W @ A, G + A @ W @ G @ A.T, P + A.T @ P @ W @ A
-        if not np.isfinite(ahead).all():
-            raise ModelError("This model has no steady gain; some state is never observed and grows.")
-        settled = np.abs(ahead - P).max() <= 1e-15 * np.abs(ahead).max()
-        P = (ahead + ahead.T) / 2
-        if settled:
-            break
-    else:
-        raise ModelError("This model has no steady gain; some state is never observed and grows. Leave it out.")
-    S = float((model.H @ P @ model.H.T)[0, 0]) + R
-    K = P @ model.H.T / S
-    return SteadyFilter(model, P, K, (eye - K @ model.H) @ model.F, S)
+    def __str__(self) -> str:
+        """Say it in a sentence."""
+        noise = f"noise {'down' if self.noise_gain <= 1 else 'up'} {abs(self.noise_gain_db):.1f} dB"
+        bands = " and ".join(f"{low:.4g} to {high:.4g}" for low, high in self.bands_hz)
+        if np.isnan(self.lag_s):
+            return f"a band-pass from {bands} Hz, {noise}"
+        shape = f"{self.bandwidth_hz:.3g} Hz low-pass" if len(self.bands_hz) == 1 else f"filter that passes {bands} Hz"
+        delay = f"{_time(self.lag_s)} delay" if self.step else "no delay"
+        peak = f", {self.peak_db:.1f} dB peaking" if self.peak_db >= 0.05 else ""
+        fades = f", gain {self.dc_gain:.2g} at 0 Hz" if abs(self.dc_gain - 1) >= 0.005 else ""
+        said = f"a {shape} with {delay}{peak}{fades}, {noise}"
+        if self.butterworth is None:
+            return said
+        order, cutoff, late, left = self.butterworth
+        twin = f"order {order}, {cutoff:.3g} Hz, {_time(late)} delay, noise down {-decibels(left):.1f} dB"
+        return f"{said}; matched Butterworth: {twin}"
 
 
-def describe(model: Model, step_s: float, causal: bool = True) -> Response:
+def describe(model: Model, step_s: float, causal: bool = True, output: ArrayLike | None = None) -> Response:
     """Describe the steady filter, or the smoother, of a one-channel model.
 
     Parameters
     ----------
     model : Model
-        One channel, any states.
+        One channel, any states; what no reading ever sees is left out.
     step_s : float
         Step in seconds.
     causal : bool
         Whether to describe the filter (True) or the smoother.
+    output : (n,) array_like, optional
+        The row that makes the output from the states, for one component of several; H if not given.
 
     Raises
     ------
     ModelError
-        If the model has several channels, R = 0, or no steady gain.
+        If the model has several channels, R = 0, or no steady gain; if the step is not positive.
     """
-    loop = steady(model)
-    power = loop.filter_power if causal else loop.smoother_power
-    bandwidth = _last_crossing(power) / step_s
-    if not causal:
-        return Response(bandwidth, 0.0, 2 * float(np.trapezoid(power(_GRID), _GRID)))
-    A, K, H = loop.closed_loop, loop.gain, model.H
-    rest = np.linalg.inv(np.eye(model.states) - A)
-    lag = float((H @ rest @ A @ rest @ K / (H @ rest @ K))[0, 0])
-    noise_gain = float((H @ solve_discrete_lyapunov(A, K @ K.T) @ H.T)[0, 0])
-    return Response(bandwidth, lag * step_s, noise_gain)
+    if not 0 < step_s < np.inf:
+        raise ModelError(f"step_s = {step_s} is not a step; give a positive number of seconds.")
+    found = steady(model, output)
+    if not abs(found.poles[0]) < _FORGETS:
+        raise ModelError(
+            "This filter never forgets its start: a state that stays for ever has no process noise,"
+            " so its gain falls to 0. Give that state a positive Q."
+        )
+    passing = _find_passing(found.filter_response if causal else found.smoother_response, found.frequencies)
+    noise_gain, edge = found.noise_gain(0 if causal else np.inf), passing.bands[-1][1]
+    follows = causal and passing.holds
+    simple = follows and len(passing.bands) == 1 and edge < 0.5
+    still = 0.0 if passing.holds else np.nan  # the delay of a smoother, or of what no step passes
+    rises = not passing.holds or passing.peak > passing.reference * (1 + 1e-12)
+    return Response(
+        bandwidth_hz=edge / step_s,
+        bands_hz=tuple((low / step_s, high / step_s) for low, high in passing.bands),
+        noise_bandwidth_hz=noise_gain / passing.reference / (2 * step_s),
+        noise_gain=noise_gain,
+        dc_gain=passing.dc_gain,
+        lag_s=lag_steps(found) * step_s if follows else still,
+        dc_delay_s=found.dc_delay * step_s if follows else still,
+        sine_delay_s=passing.delay * step_s if follows else still,
+        peak_db=decibels(passing.peak / passing.reference) if rises else 0.0,
+        peak_hz=passing.peak_at / step_s if rises else 0.0,
+        poles=found.poles,
+        step=_tell_step(found, step_s) if follows else None,
+        butterworth=_match_butterworth(found, edge, step_s) if simple else None,
+    )
 
 
-def _last_crossing(power: Callable[[Floats], Floats]) -> float:
-    """Find the highest frequency, in cycles a step, at which half of the power passes."""
-    passes = power(_GRID) > 0.5
-    if passes[-1]:
-        return 0.5
-    if not passes.any():
-        return 0.0
-    last = int(np.flatnonzero(passes)[-1])
-    return float(brentq(lambda f: float(power(np.array([f]))[0]) - 0.5, _GRID[last], _GRID[last + 1], xtol=1e-15))
+def decibels(power_ratio: float) -> float:
+    """Return ten times the decimal logarithm of a ratio of powers."""
+    return float(10 * np.log10(power_ratio))
+
+
+def lag_steps(found: SteadyFilter) -> float:
+    """Return `Response.lag_s` in steps: of a slow signal or of a step at half height, the longer delay."""
+    return max(found.dc_delay, _climb(found).delay(0.5))
+
+
+class _Passing(NamedTuple):
+    """Where a filter passes, in cycles a step."""
+
+    reference: float  # power at 0 Hz, or the largest where 0 Hz does not pass
+    holds: bool  # whether 0 Hz passes
+    dc_gain: float
+    bands: tuple[tuple[float, float], ...]
+    peak: float  # power
+    peak_at: float
+    delay: float  # of the slowest sine, in steps
+
+
+def _find_passing(respond: Callable[[ArrayLike], Complexes], f: Floats) -> _Passing:
+    def power(x: float) -> float:
+        return float(np.abs(respond([x])[0]) ** 2)
+
+    f = np.append(0.0, f)
+    G = respond(f)
+    passed = np.abs(G) ** 2
+    i = int(np.argmax(passed))
+    near = (f[max(i - 1, 0)], f[min(i + 1, len(f) - 1)])
+    fine = minimize_scalar(lambda x: -power(x), bounds=near, method="bounded", options={"xatol": 1e-6 * near[1]})
+    peak_at = max(float(f[i]), float(fine.x), key=power)
+    peak = power(peak_at)
+    holds = bool(passed[0] >= _HOLDS**2 * peak)
+    reference = float(passed[0]) if holds else peak
+    passes = passed > reference / 2
+
+    def edge(j: int) -> float:
+        return float(brentq(lambda x: power(x) - reference / 2, f[j], f[j + 1], xtol=1e-16, rtol=1e-14))
+
+    edges = [edge(j) for j in np.flatnonzero(passes[1:] != passes[:-1]).tolist()]
+    edges = [0.0] * bool(passes[0]) + edges + [0.5] * bool(passes[-1])
+    late = -np.unwrap(np.angle(G / G[0]))[1:] / (2 * np.pi * f[1:]) if holds else np.zeros(1)
+    late = late[passes[1:]] if holds else late
+    bands = tuple(zip(edges[::2], edges[1::2], strict=True))
+    return _Passing(reference, holds, float(G[0].real), bands, peak, peak_at, max(0.0, float(late.max(initial=0.0))))
+
+
+class _Climb(NamedTuple):
+    """What is left of a step's height at some of its readings: every one at first, then evenly fewer."""
+
+    k: Floats  # (m,), from -1, the reading before the step
+    left: Floats  # (m,), from 1
+
+    def delay(self, level: float) -> float:
+        """Return how many steps after the input the output crosses a level, both drawn as lines."""
+        i = int(np.argmax(self.left <= 1 - level))
+        before, now = self.left[i - 1], self.left[i]
+        share = (before - (1 - level)) / (before - now)
+        return float(self.k[i - 1] + share * (self.k[i] - self.k[i - 1]) + 1 - level)
+
+
+def _climb(found: SteadyFilter) -> _Climb:
+    A, K = found.loop.A, found.loop.K
+    x = np.linalg.solve(np.eye(len(A)) - A, K).astype(np.float64)  # of a step that has settled
+    slowest = max(float(np.abs(found.poles[0])), 0.1)
+    total = len(A) + int(np.log(_LAST) / np.log(slowest))
+    stride = max(1, -(-(total - _LOOKS) // _LOOKS))
+    power = np.linalg.matrix_power
+    later = (power(A, _LOOKS) @ x).astype(np.float64)
+    orbit = np.hstack([_orbit(A, x, _LOOKS), _orbit(power(A, stride), later, _LOOKS)])
+    k = np.append(np.arange(_LOOKS), _LOOKS + stride * np.arange(_LOOKS)).astype(np.float64) - 1
+    left: Floats = (found.row @ orbit)[0] / (found.row @ x)[0]
+    return _Climb(k, left)
+
+
+def _orbit(A: Floats, x: Floats, count: int) -> Floats:
+    """Return x, A x, A^2 x and so on side by side, (n, count)."""
+    while x.shape[1] < count:
+        x, A = np.hstack([x, A @ x]), A @ A
+    return x[:, :count]
+
+
+def _tell_step(found: SteadyFilter, step_s: float) -> Step:
+    climb = _climb(found)
+    outside = int(np.flatnonzero(np.abs(climb.left) > _WITHIN)[-1])
+    return Step(
+        delay_50_s=climb.delay(0.5) * step_s,
+        delay_90_s=climb.delay(0.9) * step_s,
+        overshoot_percent=100 * max(0.0, -float(climb.left.min())),
+        settling_s=float(climb.k[min(outside + 1, len(climb.k) - 1)]) * step_s,
+    )
+
+
+def _match_butterworth(found: SteadyFilter, cutoff: float, step_s: float) -> Butterworth:
+    """Find the order of the Butterworth filter of a cut-off, in cycles a step, that follows a filter best."""
+    f = found.frequencies
+    G = found.filter_response(f) / found.dc_gain
+    missed = [np.trapezoid(np.abs(G - butterworth_response(order, cutoff, f)) ** 2, f) for order in _BUTTERWORTHS]
+    order = _BUTTERWORTHS[int(np.argmin(missed))]
+    warp = np.tan(np.pi * cutoff)
+    left, _ = quad(lambda v: 2 * warp / np.pi / (1 + v ** (2 * order)) / (1 + (warp * v) ** 2), 0, np.inf)
+    delay = 1 / (2 * warp * np.sin(np.pi / (2 * order)))
+    return Butterworth(order, cutoff / step_s, delay * step_s, left)
+
+
+def butterworth_response(order: int, cutoff: float, f: Floats) -> Complexes:
+    """Return G (k,) of the digital Butterworth low-pass (bilinear, prewarped), all in cycles a step."""
+    k = np.arange(order)
+    s = 1j * np.tan(np.pi * f) / np.tan(np.pi * cutoff)
+    poles = np.exp(1j * np.pi * (2 * k + order + 1) / (2 * order))
+    response: Complexes = 1 / np.prod(1 - s[:, np.newaxis] / poles, axis=1)
+    return response
+
+
+def _time(seconds: float) -> str:
+    for unit, size in (("s", 1.0), ("ms", 1e-3)):
+        if seconds >= size:
+            return f"{seconds / size:.3g} {unit}"
+    return f"{seconds * 1e6:.3g} us"
