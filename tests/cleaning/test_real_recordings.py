@@ -38,6 +38,7 @@ def test_hidden_readings_are_foretold(name: str) -> None:
         between = (samples[rows - 1, c] + samples[rows + 1, c]) / 2 - samples[rows, c]
         assert report.noise_std is not None
         spread = np.hypot(out.sigma.samples[rows, c], report.noise_std)
-        assert 0.5 < np.mean((error / spread) ** 2) < 1.5
+        right = bool(0.5 < np.mean((error / spread) ** 2) < 1.5)
+        assert right or not report.describes, "sigma is wrong, and not said to be"
         worse = np.mean(error**2) > 1.1 * np.mean(between**2)
         assert not (worse and report.describes), "worse than the mean of the two neighbours, and not said"

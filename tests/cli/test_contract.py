@@ -98,15 +98,34 @@ def test_inspect_tells_columns_and_rate(run: Run, drive: Path) -> None:
     assert told["rate_hz"] == pytest.approx(100.0)
 
 
-def test_a_vibration_is_not_described_and_the_output_is_there(run: Run, tmp_path: Path) -> None:
+def vibration(folder: Path, sweep_hz_per_s: float) -> None:
+    """Write half a minute at 100 Hz of a vibration that begins at 17 Hz."""
     t = np.arange(3000) / 100
-    z = np.sin(2 * np.pi * 17 * t) + 0.1 * np.random.default_rng(2).normal(size=t.size)
+    phase = 2 * np.pi * (17 * t + sweep_hz_per_s * t**2 / 2)
+    z = np.sin(phase) + 0.1 * np.random.default_rng(2).normal(size=t.size)
     rows = "\n".join(f"{a:.2f},{b:.6f}" for a, b in zip(t, z, strict=True))
-    (tmp_path / "v.csv").write_text(f"time_s,a\n{rows}\n", encoding="utf-8")
+    (folder / "v.csv").write_text(f"time_s,a\n{rows}\n", encoding="utf-8")
+
+
+def test_a_vibration_that_changes_is_not_described_and_the_output_is_there(run: Run, tmp_path: Path) -> None:
+    vibration(tmp_path, 0.5)
     ran = run("clean", "v.csv", "-o", "out.csv")
     assert ran.returncode == 4
     assert "does not describe" in ran.stderr
     assert len(pyarrow.csv.read_csv(tmp_path / "out.csv")) == 3000
+
+
+def test_a_steady_vibration_is_a_tone(run: Run, tmp_path: Path) -> None:
+    vibration(tmp_path, 0.0)
+    ran = run("clean", "v.csv", "-o", "out.csv", "--json")
+    assert ran.returncode == 0, ran.stderr
+    assert "tones at 17 Hz" in ran.stderr
+    (channel,) = json.loads(ran.stdout)["channels"]
+    assert channel["tones_hz"] == [pytest.approx(17.0, abs=0.01)]
+    assert "frequency_hz" in (tmp_path / "out.csv.recipe.toml").read_text(encoding="utf-8")
+    again = run("clean", "v.csv", "-o", "again.csv", "--recipe", "out.csv.recipe.toml")
+    assert again.returncode == 0, again.stderr
+    assert (tmp_path / "again.csv").read_bytes() == (tmp_path / "out.csv").read_bytes()
 
 
 def test_demo_prints_figures_and_files(run: Run, tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ import pytest
 from becalm.classic.causal import butterworth, moving_average
 from becalm.core import reference
 from becalm.core.arrays import Floats
-from becalm.core.components import Component
+from becalm.core.components import Component, Part
 from becalm.core.filtering import kalman_filter
 from becalm.core.model import Model
 from becalm.core.online import Online
@@ -86,7 +86,7 @@ class TestCar:
 def imu(output: tuple[float, float], density: float) -> Component:
     """F_c = [[0, 1], [0, 0]], B = I: noise on both states."""
     drift = np.array([[0.0, 1.0], [0.0, 0.0]])
-    return Component(drift, np.eye(2), density * np.eye(2), np.array([output]), ("first", "second"))
+    return Component(drift, np.eye(2), density * np.eye(2), np.array([output]), (Part("drift", ("first", "second")),))
 
 
 ACCELEROMETER, GYROSCOPE = (0.0, 1.0), (1.0, 0.0)

@@ -11,13 +11,14 @@ import numpy as np
 from becalm.cleaning.judging import NOTHING_REMOVED, ChannelReport, InnovationJudge
 from becalm.cleaning.recipe import ChannelRecipe, TunedMotion
 from becalm.core.arrays import Floats
-from becalm.core.components import motion
+from becalm.core.components import Component, motion, oscillator
 from becalm.core.flow import Flow, Told
 from becalm.core.response import Response, describe
 from becalm.core.verdict import ADVICE, Verdict, judge
 from becalm.errors import RecipeError
 from becalm.noise.choose import FEWEST_READINGS
 
+_QUICKEST = 0.5  # cycles a step
 _LEAST_RATIO, _GREATEST_RATIO = 1e-60, 1e12  # of q/r: beyond, every reading is ignored or believed
 
 
@@ -55,8 +56,8 @@ class MotionChannel:
         self._recipe, self._tuned, self._step_s, self._causal = recipe, tuned, step_s, causal
         self._variance, self._density = per_step(tuned, step_s)
         self._judge, self._counts = InnovationJudge(), Counter[Verdict]()
-        component = motion(tuned.order, self._density)
-        self._flow = Flow(component, self._variance, causal=causal, judge=self._judge.add)
+        self._component = sum(_tones(tuned, step_s), motion(tuned.order, self._density))
+        self._flow = Flow(self._component, self._variance, causal=causal, judge=self._judge.add)
 
     def push(self, z: Floats, elapsed: Floats) -> list[Told]:
         """Take readings (B,) and the steps before them; return what is clean, in order."""
@@ -71,13 +72,14 @@ class MotionChannel:
     def report(self) -> ChannelReport:
         """Say what was found, once finished."""
         found, tuned = self._judge.judgement(), self._tuned
-        model = motion(tuned.order, self._density).to_model(1.0, self._variance)
+        model = self._component.to_model(1.0, self._variance)
         response = describe(model, self._step_s, self._causal) if self._density > 0 else None
         return ChannelReport(
             name=self._recipe.name,
             unit=self._recipe.unit,
             model=self._recipe.model,
             order=tuned.order,
+            tones_hz=tuple(tone.frequency_hz for tone in tuned.tones),
             noise_std=tuned.noise_std,
             q_over_r=self._density / self._variance,
             bandwidth_hz=response.bandwidth_hz if response else 0.0,
@@ -152,6 +154,26 @@ def per_step(tuned: TunedMotion, step_s: float) -> tuple[float, float]:
             f" no filter at {1 / step_s:.6g} Hz; mend them in the recipe, or tune one on this recording."
         )
     return variance, density
+
+
+def _tones(tuned: TunedMotion, step_s: float) -> list[Component]:
+    """Return the tones in steps.
+
+    Raises
+    ------
+    RecipeError
+        If one is too quick to be read at this rate.
+    """
+    quick = [tone for tone in tuned.tones if not tone.frequency_hz * step_s < _QUICKEST]
+    if quick:
+        raise RecipeError(
+            f"The recipe has a tone at {quick[0].frequency_hz:.6g} Hz, which {1 / step_s:.6g} readings a second cannot"
+            " tell; leave it out of the recipe, or tune one on this recording."
+        )
+    return [
+        oscillator(tone.frequency_hz * step_s, tone.bandwidth_hz * step_s, tone.process_noise_density * step_s)
+        for tone in tuned.tones
+    ]
 
 
 def _named(counts: Counter[Verdict]) -> dict[str, int]:

@@ -37,6 +37,8 @@ class ChannelReport:
         "motion", "constant" or "untold".
     order : int or None
         Order of the motion.
+    tones_hz : tuple of float
+        Frequencies of the tones beside it.
     noise_std : float or None
         Standard deviation of one reading's noise, in unit.
     q_over_r : float or None
@@ -69,6 +71,7 @@ class ChannelReport:
     unit: str = ""
     model: str = ""
     order: int | None = None
+    tones_hz: tuple[float, ...] = ()
     noise_std: float | None = None
     q_over_r: float | None = None
     bandwidth_hz: float | None = None

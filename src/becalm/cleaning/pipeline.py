@@ -12,11 +12,12 @@ import numpy as np
 
 from becalm.cleaning.cleaner import Cleaner
 from becalm.cleaning.judging import ChannelReport
-from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
+from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe, ToneRecipe
 from becalm.core.recording import Recording
 from becalm.core.verdict import judge
 from becalm.errors import RecipeError, RecordingError
 from becalm.noise.choose import choose
+from becalm.noise.spectrum import Line
 
 Progress = Callable[[str], None]
 
@@ -149,6 +150,15 @@ def _tune_channel(recording: Recording, causal: bool, progress: Progress, name: 
         order=found.order,
         process_noise_density=density,
         noise_std=float(np.sqrt(found.noise_variance)),
+        tone=tuple(_tone(line, time.step_s) for line in found.lines),
+    )
+
+
+def _tone(line: Line, step_s: float) -> ToneRecipe:
+    return ToneRecipe(
+        frequency_hz=line.angle / (2 * np.pi * step_s),
+        bandwidth_hz=line.damping / (np.pi * step_s),
+        process_noise_density=line.density / step_s,
     )
 
 

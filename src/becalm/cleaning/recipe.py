@@ -24,12 +24,31 @@ class _Settings(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
+class ToneRecipe(_Settings):
+    """A tone beside the motion: an oscillator that is driven by white noise.
+
+    Attributes
+    ----------
+    frequency_hz : float
+        Where it oscillates.
+    bandwidth_hz : float
+        Width of its resonance at half the power.
+    process_noise_density : float
+        Of each of its two states, in unit^2/s; a *small* one lets it change slowly.
+    """
+
+    frequency_hz: Positive
+    bandwidth_hz: Positive
+    process_noise_density: NotNegative
+
+
 class TunedMotion(NamedTuple):
-    """The numbers of a motion, all there."""
+    """The numbers of a motion, all there, and the tones beside it."""
 
     order: int
     process_noise_density: float
     noise_std: float
+    tones: tuple[ToneRecipe, ...] = ()
 
 
 class ChannelRecipe(_Settings):
@@ -47,6 +66,8 @@ class ChannelRecipe(_Settings):
         q, in unit^2/s^(2 order - 1); a *small* one trusts the model and smooths more.
     noise_std : float or None
         Standard deviation of one reading's noise, in unit; a *small* one trusts the readings.
+    tone : tuple of ToneRecipe
+        Oscillations beside the motion.
     """
 
     name: str
@@ -55,6 +76,7 @@ class ChannelRecipe(_Settings):
     order: Annotated[int, Field(ge=1, le=5)] | None = None
     process_noise_density: NotNegative | None = None
     noise_std: Positive | None = None
+    tone: tuple[ToneRecipe, ...] = ()
 
     @model_validator(mode="after")
     def _complete(self) -> Self:
@@ -67,7 +89,7 @@ class ChannelRecipe(_Settings):
         """The motion's numbers, or None if the channel passes unchanged."""
         if self.model != "motion" or self.order is None or self.process_noise_density is None or self.noise_std is None:
             return None
-        return TunedMotion(self.order, self.process_noise_density, self.noise_std)
+        return TunedMotion(self.order, self.process_noise_density, self.noise_std, self.tone)
 
 
 class Origin(_Settings):
@@ -134,7 +156,8 @@ class Recipe(_Settings):
         document.add("tuned_on", tomlkit.item(self.tuned_on.model_dump()))
         channels = tomlkit.aot()
         for channel in self.channel:
-            channels.append(tomlkit.item(channel.model_dump(exclude_none=True)))
+            unneeded = None if channel.tone else {"tone"}
+            channels.append(tomlkit.item(channel.model_dump(exclude_none=True, exclude=unneeded)))
         document.add("channel", channels)
         return tomlkit.dumps(document)
 

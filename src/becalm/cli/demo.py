@@ -28,8 +28,8 @@ def run(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as cause:
         raise OutputError(f"The folder {folder} cannot be made ({cause.strerror}); name another with -o.") from cause
-    ahead()
     drive = simulate()
+    ahead(drive.measured, causal=True)
     raw, calm, live = folder / "drive.csv", folder / "drive_clean.csv", folder / "drive_causal.csv"
     write(folder / "drive_truth.csv", drive.truth)
     write(raw, drive.measured)

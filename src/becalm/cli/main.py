@@ -211,11 +211,10 @@ def _tuned(source: OpenSource, causal: bool) -> Recipe:
     from becalm.cli.talk import progress
     from becalm.cli.warm import ahead
 
-    ahead()
+    sample = source.sample(rows_to_tune_on(source))
+    ahead(sample, causal=causal)
     with progress("tuning", len(source.names)) as step:
-        found = tune_recording(
-            source.sample(rows_to_tune_on(source)), causal=causal, progress=lambda name: step(name, 1)
-        )
+        found = tune_recording(sample, causal=causal, progress=lambda name: step(name, 1))
     return found.model_copy(update={"tuned_on": found.tuned_on.model_copy(update={"sha256": source.sha256()})})
 
 

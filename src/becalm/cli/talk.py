@@ -36,7 +36,7 @@ def tell(reports: tuple[ChannelReport, ...], causal: bool) -> None:
     for report in reports:
         table.add_row(
             report.name,
-            report.model if report.order is None else f"{report.model} of order {report.order}",
+            _model(report),
             _number(report.noise_std, report.unit),
             _number(report.bandwidth_hz, "Hz"),
             _number(report.lag_s, "s") if causal else "none",
@@ -57,6 +57,13 @@ def tell_columns(source: OpenSource) -> None:
         stderr.print(f"Replaced by the new uncertainty: {', '.join(replaced)}.")
     if kept := [text for text in passed if text.partition(" (")[0] not in replaced]:
         stderr.print(f"Passed through unchanged: {', '.join(kept[:20])}{' and more' if len(kept) > 20 else ''}.")
+
+
+def _model(report: ChannelReport) -> str:
+    if report.order is None:
+        return report.model
+    tones = ", ".join(f"{frequency:.4g}" for frequency in report.tones_hz)
+    return f"{report.model} of order {report.order}" + (f", tones at {tones} Hz" if tones else "")
 
 
 def _number(value: float | None, unit: str) -> str:

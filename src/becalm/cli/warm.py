@@ -5,24 +5,31 @@ from __future__ import annotations
 import time
 from collections import deque
 from contextlib import suppress
+from typing import TYPE_CHECKING
 
 from becalm.cli.talk import stderr
 from becalm.errors import OutputError, UsageError
 
+if TYPE_CHECKING:
+    from becalm.core.recording import Recording
+
 _WAY_OUT = "Set NUMBA_CACHE_DIR to a folder that can be written, and repeat."
 
 
-def ahead() -> None:
+def ahead(recording: Recording, *, causal: bool) -> None:
     """Compile side by side what tuning would compile one after the other, if it was never done."""
     from becalm.core.compiling import compile_quickly, kernel_folder, require_compiler
-    from becalm.core.warming import TUNING, is_cold, warm
+    from becalm.core.warming import is_cold, warm
+    from becalm.noise.choose import orders_run
 
     require_compiler()
     compile_quickly()
-    if kernel_folder() is not None and is_cold():
+    names = ("forward",) if causal else ("forward", "backward")
+    orders = orders_run(recording.timebase.elapsed_steps, causal)
+    if kernel_folder() is not None and is_cold(names, orders):
         stderr.print("Compiling the filters for this machine, which is done once.")
         with suppress(UsageError):  # then they are compiled when they are used
-            deque(warm(TUNING), maxlen=0)
+            deque(warm(names, orders), maxlen=0)
 
 
 def run() -> None:

@@ -77,6 +77,11 @@ class Component:
         """The output without the disturbances, (1, n)."""
         return sum((output for part, output in self.outputs() if not part.disturbance), np.zeros_like(self.output))
 
+    @property
+    def keeps_level(self) -> bool:
+        """Whether whatever is added to the first state stays, and is added to y."""
+        return bool(self.output[0, 0] == 1.0 and not self.drift[:, 0].any())
+
     def outputs(self) -> list[tuple[Part, Floats]]:
         """Split the output: return each part with the row (1, n) that gives its share of y."""
         rows = []

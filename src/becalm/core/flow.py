@@ -73,6 +73,7 @@ class Flow:
         self._wanted = Wanted(innovations=judge is not None)
         self._how = Pass(self._wanted) if causal else forward_pass(self._wanted)
         self._causal = causal
+        self._level: float | None = None if component.keeps_level else 0.0  # what all readings are told from
         self._memory: Floats | None = None
         self._last_step = 0.0
         self._waiting: list[tuple[Floats, Floats]] = []  # until the readings tell the state
@@ -86,6 +87,7 @@ class Flow:
 
         All stretches but the last should be of a multiple of 256 rows, so that the bits are those of one.
         """
+        z = self._told_from_level(z)
         if self._waiting:
             z, elapsed = (np.concatenate(parts) for parts in zip(*self._waiting, (z, elapsed), strict=True))
         self._waiting, told = [], []
@@ -108,12 +110,21 @@ class Flow:
             (z, elapsed), self._waiting = self._waiting[0], []
             timeline = elapsed_timeline(self._component, self._variance, elapsed)
             run = start_filter(self._model, timeline, z[:, np.newaxis], Pass(self._wanted))
-            told.append(_told(run.estimate.signal.T, run.estimate.sigma.T))
+            told.append(self._told(run.estimate.signal.T, run.estimate.sigma.T))
             self._count(run, len(z))
         future = new_future(self._model.states)
         back = [self._smooth(stretch, future) for stretch in reversed(self._held)]
         self._held.clear()
         return [*told, *reversed(back)]
+
+    def _told_from_level(self, z: Floats) -> Floats:
+        """Tell readings from the first one, so that a large offset does not cost the digits of what moves."""
+        if self._level is None and (row := first_reading(z[:, np.newaxis])) < len(z):
+            self._level = float(z[row])
+        return z - self._level if self._level else z
+
+    def _told(self, signal: Floats, sigma: Floats) -> Told:
+        return Told(signal[0] + self._level if self._level else signal[0], sigma[0])
 
     def _filter(self, timeline: Timeline, z: Floats, elapsed: Floats) -> _Stretch | None:
         """Run forward over a stretch; None while the readings do not tell the state."""
@@ -148,7 +159,7 @@ class Flow:
 
     def _tell(self, stretch: _Stretch) -> list[Told]:
         if self._causal:
-            return [_told(stretch.run.estimate.signal.T, stretch.run.estimate.sigma.T)]
+            return [self._told(stretch.run.estimate.signal.T, stretch.run.estimate.sigma.T)]
         self._held.append(stretch)
         told: list[Told] = []
         while len(self._held) > 1:
@@ -163,7 +174,7 @@ class Flow:
         go_back(
             Task(self._model, stretch.timeline, stretch.z, stretch.run.begun), stretch.run, self._how, future, trace
         )
-        return _told(trace.signal, trace.sigma)
+        return self._told(trace.signal, trace.sigma)
 
     def _future_of(self, later: Sequence[_Stretch]) -> Future | None:
         """Return what all rows after a stretch say of its end; None if more of them are needed to know."""
@@ -213,7 +224,3 @@ class Flow:
             return _FAR
         rows = np.log(1 / FORGOTTEN) / -np.log(max(radius, 1e-300))
         return BLOCK * (1 + int(min(rows, _FAR) // BLOCK))
-
-
-def _told(signal: Floats, sigma: Floats) -> Told:
-    return Told(signal[0], sigma[0])

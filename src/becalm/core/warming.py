@@ -28,7 +28,6 @@ from becalm.core.smoothing import kalman_smoother
 from becalm.errors import UsageError
 
 KERNELS = ("forward", "backward", "live run", "live step")
-TUNING = KERNELS[:1]
 
 _READINGS = np.linspace(0.0, 1.0, 100)
 _SOURCES = Path(__file__).parents[2]
@@ -44,13 +43,13 @@ class Warmed(NamedTuple):
     trouble: str | None  # why it could not be kept
 
 
-def is_cold() -> bool:
-    """Whether the kernels that tuning needs were not compiled yet."""
-    return count_kept(forward) < len(ORDERS)
+def is_cold(names: Sequence[str], orders: Sequence[int]) -> bool:
+    """Whether fewer kernels are kept, of the forward and the backward ones, than there are orders."""
+    return any(count_kept(kernel) < len(orders) for kernel in (forward, backward) if kernel.__name__ in names)
 
 
-def warm(names: Sequence[str] = KERNELS) -> Iterator[Warmed]:
-    """Compile the kernels for motions of order 1, 2, 3 with one channel, side by side.
+def warm(names: Sequence[str] = KERNELS, orders: Sequence[int] = ORDERS) -> Iterator[Warmed]:
+    """Compile the kernels for motions of some orders with one channel, side by side.
 
     Raises
     ------
@@ -68,7 +67,7 @@ def warm(names: Sequence[str] = KERNELS) -> Iterator[Warmed]:
             env=environment,
             text=True,
         )
-        for order in ORDERS
+        for order in orders
     ]
     try:
         for process in started:

@@ -1,6 +1,7 @@
-"""The zero-knob choice: motions of order 1, 2 and 3, each tuned by likelihood; the likeliest wins.
+"""The zero-knob choice of a motion, and of tones beside it.
 
-Where even the likeliest does not describe the signal, `risk` gives a causal filter back what it took for motion.
+A causal filter is tuned by likelihood, orders 1 to 3; where even the likeliest does not describe the
+signal, `risk` gives back what it took for motion. A smoother is tuned by cross-validation, orders 1 to 5.
 """
 
 from __future__ import annotations
@@ -11,8 +12,10 @@ from typing import Literal
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.core.components import ORDERS
+from becalm.core.components import HIGHEST_ORDER, ORDERS
+from becalm.noise.cross_validation import lasting, tune_smoother
 from becalm.noise.likelihood import Evidence, Tuning, tune_motion
+from becalm.noise.lines import add_lines
 from becalm.noise.risk import retune
 
 FEWEST_READINGS = 8
@@ -28,14 +31,22 @@ class Choice:
     kind : {"motion", "constant", "untold"}
         "constant": all readings are equal. "untold": too few readings to tell noise from signal.
     tuning : Tuning or None
-        The winner, of a "motion"; retuned where it does not describe the signal.
+        The winner, of a "motion": perhaps retuned, perhaps with tones.
     rivals : tuple of Tuning
-        Every order that was tried.
+        Every order that was tried, alone.
     """
 
     kind: Literal["motion", "constant", "untold"]
     tuning: Tuning | None = None
     rivals: tuple[Tuning, ...] = ()
+
+
+def orders_run(elapsed: Floats, causal: bool) -> tuple[int, ...]:
+    """Return of which orders choosing runs filters, or smoothers, over a record of these steps (N,), none missing."""
+    if causal:
+        return ORDERS
+    even = Evidence.of(np.zeros(len(elapsed)), elapsed)
+    return () if lasting(even) else tuple(range(1, HIGHEST_ORDER + 1))
 
 
 def choose(readings: Floats, elapsed: Floats, causal: bool = True) -> Choice:
@@ -48,7 +59,7 @@ def choose(readings: Floats, elapsed: Floats, causal: bool = True) -> Choice:
     elapsed : (N,) float array
         Steps since the row before.
     causal : bool
-        Whether the filter shall run causally; where no motion fits, its risk then sets the tuning.
+        Whether the filter shall run causally; a smoother is tuned for smoothing.
     """
     seen = readings[np.isfinite(readings)]
     if len(seen) < FEWEST_READINGS:
@@ -56,6 +67,9 @@ def choose(readings: Floats, elapsed: Floats, causal: bool = True) -> Choice:
     if np.all(seen == seen[0]):
         return Choice("constant")
     evidence = Evidence.of(readings, elapsed)
+    smoothers = () if causal else tune_smoother(evidence)
+    if smoothers:
+        return Choice("motion", add_lines(min(smoothers, key=lambda tuning: tuning.loss), evidence), smoothers)
     rivals = tuple(tune_motion(order, evidence) for order in ORDERS)
     likeliest = max(rivals, key=lambda tuning: tuning.log_likelihood)
-    return Choice("motion", retune(likeliest, evidence) if causal else likeliest, rivals)
+    return Choice("motion", add_lines(retune(likeliest, evidence) if causal else likeliest, evidence), rivals)

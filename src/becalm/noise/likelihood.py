@@ -17,9 +17,10 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from becalm.core.arrays import Floats
-from becalm.core.components import motion
+from becalm.core.components import Component, motion, oscillator
 from becalm.core.likelihood import score
 from becalm.core.timeline import elapsed_timeline
+from becalm.noise.spectrum import Line
 
 UNSCORED = 3
 """Readings that only start the filter, for every order alike, so that likelihoods compare."""
@@ -27,9 +28,12 @@ UNSCORED = 3
 LONG_GAP = 1000.0
 """Steps across which a motion is not followed for tuning: what it would predict says next to nothing."""
 
+LASTING = 1024
+"""Readings in even time, none missing, whose spectrum is worth looking at."""
+
 _MOST_GAPS = 63
-_SLOWEST_CYCLES = 0.2  # of the record: slower cut-offs are a polynomial
-_FASTEST = 4.0  # radians a step: faster cut-offs pass everything
+SLOWEST_CYCLES = 0.2  # of the record: slower cut-offs are a polynomial
+FASTEST = 4.0  # radians a step: faster cut-offs pass everything
 _GRID_POINTS = 17
 _FALLS = 3  # points downhill in a row after which slower cut-offs are not tried
 _DEEP = 50.0  # and this much less likely
@@ -46,7 +50,7 @@ class Score(NamedTuple):
 
 @dataclass(frozen=True)
 class Tuning:
-    """A motion of one order, tuned.
+    """A motion of one order, tuned, and perhaps tones beside it.
 
     Attributes
     ----------
@@ -56,20 +60,33 @@ class Tuning:
         q/r with q in unit^2/step^(2n-1): the density of that noise over the variance of a reading.
     noise_variance : float
         r, in unit^2.
-    log_likelihood : float
-        Exact, of all readings but the first three, at this ratio and the likeliest noise variance for it.
     count : int
         Readings scored.
+    log_likelihood : float
+        Exact, of all readings but the first three, at this ratio and the likeliest noise variance for
+        it; NaN where the motion was tuned for smoothing.
+    loss : float
+        Cross-validated, of a motion that was tuned for smoothing: `cross_validation.criterion`; NaN else.
     at_edge : {"", "low", "high"}
         Whether the search ended at its slowest or fastest filter.
+    lines : tuple of Line
+        Tones beside the motion.
     """
 
     order: int
     ratio: float
     noise_variance: float
-    log_likelihood: float
     count: int
+    log_likelihood: float = np.nan
+    loss: float = np.nan
     at_edge: str = ""
+    lines: tuple[Line, ...] = ()
+
+    @property
+    def component(self) -> Component:
+        """The signal, in steps."""
+        tones = [oscillator(line.angle / (2 * np.pi), line.damping / np.pi, line.density) for line in self.lines]
+        return sum(tones, motion(self.order, self.ratio * self.noise_variance))
 
 
 @dataclass(frozen=True)
@@ -105,6 +122,19 @@ class Evidence:
         bounds = [0, *long[long > 0].tolist(), len(self.z)]
         return [slice(start, stop) for start, stop in pairwise(bounds)]
 
+    @cached_property
+    def complete(self) -> list[slice]:
+        """Long stretches of rows in even time, none missing."""
+        bounds = np.flatnonzero(np.concatenate([[True], self.elapsed[1:] != 1.0, [True]]))
+        long = np.flatnonzero(np.diff(bounds) >= LASTING)
+        return [slice(int(bounds[k]), int(bounds[k + 1])) for k in long]
+
+    @cached_property
+    def smallest_variance(self) -> float:
+        """What rounding alone leaves of a noise-free record, in unit^2."""
+        largest = float(np.abs(self.z).max(initial=0.0))
+        return (np.finfo(float).eps * largest) ** 2 + float(np.finfo(float).tiny)
+
 
 class Candidate:
     """A motion of one order over a record, to be scored at any ratio q/r."""
@@ -129,13 +159,8 @@ class Candidate:
                 squares, log_det, used = squares + found.squares, log_det + found.log_det, used + found.used
         if not used:
             return Score(-np.inf, 0.0, 0)
-        r = max(squares / used, self._smallest_variance())
+        r = max(squares / used, self.evidence.smallest_variance)
         return Score(-0.5 * (used * (np.log(2 * np.pi * r) + 1) + log_det), r, used)
-
-    def _smallest_variance(self) -> float:
-        """Return what rounding alone leaves of a noise-free record, in unit^2."""
-        largest = float(np.abs(self.evidence.z).max(initial=0.0))
-        return (np.finfo(float).eps * largest) ** 2 + np.finfo(float).tiny
 
 
 def cutoff_to_ratio(order: int, cutoff: float) -> float:
@@ -159,7 +184,7 @@ def tune_motion(order: int, evidence: Evidence) -> Tuning:
     the likelihood has fallen far; Brent's method finds the maximum.
     """
     span = max(4.0, *(float(evidence.elapsed[part][1:].sum()) for part in evidence.stretches))
-    slowest, fastest = 2 * np.pi * _SLOWEST_CYCLES / span, _FASTEST
+    slowest, fastest = 2 * np.pi * SLOWEST_CYCLES / span, FASTEST
     grid = np.linspace(np.log(fastest), np.log(slowest), _GRID_POINTS)
     candidate = Candidate(order, evidence)
 
@@ -175,7 +200,8 @@ def tune_motion(order: int, evidence: Evidence) -> Tuning:
     final = candidate.score(ratio)
     near = 0.05 * (grid[0] - grid[1])
     edge = "low" if log_cutoff < grid[-1] + near else "high" if log_cutoff > grid[0] - near else ""
-    return Tuning(order, ratio, final.noise_variance, float(final.log_likelihood), final.used, edge)
+    likeliest = float(final.log_likelihood)
+    return Tuning(order, ratio, final.noise_variance, final.used, likeliest, at_edge=edge)
 
 
 def _descend(cost: Callable[[float], float], grid: Floats) -> list[float]:

@@ -1,0 +1,150 @@
+"""Tuning for smoothing: how well each reading is told by all others, which needs no truth.
+
+The likelihood asks how well the next reading is foretold, and takes too low an order for a smoother.
+Here the residuals of the smoother are weighed by what it keeps for noise: with the mean weight g of a
+reading in its own estimate, P/R, the criterion is mean(z - y)^2 / (1 - c g)^2. With c = 1 that is
+generalised cross-validation, whose minimum is now and then far too nervous on short records; c exceeds
+1 by one over the square root of g N, the number of parameters that the smoother fits: the scatter
+of the criterion itself. Source: Craven and Wahba, Numer. Math. 31 (1979) 377; Kim and Gu, J. R. Statist.
+Soc. B 66 (2004) 337, who take c = 1.4.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from becalm.core.arrays import Floats
+from becalm.core.components import HIGHEST_ORDER, motion
+from becalm.core.filtering import Wanted
+from becalm.core.smoothing import run_smoother
+from becalm.core.timeline import Timeline, elapsed_timeline
+from becalm.noise.likelihood import FASTEST, SLOWEST_CYCLES, Evidence, Tuning, cutoff_to_ratio
+from becalm.noise.spectrum import Spectrum, motion_power, pooled, sine_spectrum
+
+LONG, MOST_OF = 4096, 0.8
+"""Readings in complete stretches, and their share of all, from which on ends do not matter and spectra tell all."""
+
+_MOST = 2048  # readings of a stretch that are smoothed again and again
+_STRETCHES = 16
+_POINTS = 33
+_PRECISION = 3e-3
+_ALIKE = 0.1  # of the logarithm of r, as a few stretches tell it
+_OPAQUE = 0.95  # weight of a reading in its own estimate, beyond which nothing is smoothed
+
+Residuals = Callable[[float], tuple[float, float]]
+"""At a ratio q/r: mean squared residual, and mean weight of a reading in its own estimate."""
+
+
+def criterion(squares: float, weight: float, count: int) -> float:
+    """Return the logarithm of what is minimised, from the mean squared residual and weight of `count` readings."""
+    cautious = weight * (1 + 1 / np.sqrt(max(weight * count, 1.0)))
+    if not cautious < _OPAQUE or not squares > 0:
+        return np.inf
+    return float(np.log(squares) - 2 * np.log1p(-cautious))
+
+
+def tune_smoother(evidence: Evidence) -> tuple[Tuning, ...]:
+    """Tune motions of every order for smoothing.
+
+    Parameters
+    ----------
+    evidence : Evidence
+        At least 8 readings.
+
+    Returns
+    -------
+    tuple of Tuning
+        One for each order from 1 to 5 that can be told, `loss` their criterion; none where no smoother removes noise.
+    """
+    spectra = [sine_spectrum(evidence.z[part, 0]) for part in lasting(evidence)]
+    found = _tuned(evidence, lambda order: _read(order, spectra)) if spectra else ()
+    if not found or not _confirmed(min(found, key=lambda tuning: tuning.loss), evidence):
+        found = _tuned(evidence, lambda order: _smooth(order, evidence))
+    least = evidence.smallest_variance
+    return tuple(replace(tuning, noise_variance=max(tuning.noise_variance, least)) for tuning in found)
+
+
+def lasting(evidence: Evidence) -> list[slice]:
+    """Return the stretches whose spectra tell all; none of a short record, or where too much is missing."""
+    readings = sum(part.stop - part.start for part in evidence.complete)
+    return evidence.complete if readings >= max(LONG, MOST_OF * len(evidence.z)) else []
+
+
+def _tuned(evidence: Evidence, residuals: Callable[[int], tuple[Residuals, int]]) -> tuple[Tuning, ...]:
+    """Tune every order by the residuals that its smoothers leave."""
+    span = max(4.0, *(float(evidence.elapsed[part][1:].sum()) for part in evidence.stretches))
+    grid = np.linspace(np.log(FASTEST), np.log(2 * np.pi * SLOWEST_CYCLES / span), _POINTS)
+    orders = range(1, min(HIGHEST_ORDER, len(evidence.z) - 3) + 1)
+    found = [_least(order, grid, *residuals(order)) for order in orders]
+    return tuple(tuning for tuning in found if tuning is not None)
+
+
+def _confirmed(tuning: Tuning, evidence: Evidence) -> bool:
+    """Whether the smoother leaves what its spectrum foretold; not where a record bends sharply at its ends."""
+    squares, weight = _smooth(tuning.order, evidence)[0](tuning.ratio)
+    return abs(np.log(squares / (1 - weight) / tuning.noise_variance)) < _ALIKE if squares > 0 else False
+
+
+def _least(order: int, grid: Floats, residuals: Residuals, count: int) -> Tuning | None:
+    """Find the ratio of one order that has the least criterion."""
+
+    def loss(log_cutoff: float) -> float:
+        return criterion(*residuals(cutoff_to_ratio(order, float(np.exp(log_cutoff)))), count)
+
+    losses = [loss(float(point)) for point in grid]
+    best = int(np.argmin(losses))
+    if not np.isfinite(losses[best]):
+        return None
+    low, high = grid[min(best + 1, len(grid) - 1)], grid[max(best - 1, 0)]
+    found = minimize_scalar(loss, bounds=(low, high), method="bounded", options={"xatol": _PRECISION})
+    log_cutoff = float(found.x) if found.fun <= losses[best] else float(grid[best])
+    ratio = cutoff_to_ratio(order, float(np.exp(log_cutoff)))
+    edge = "low" if best == len(grid) - 1 else "high" if best == 0 else ""
+    squares, weight = residuals(ratio)
+    return Tuning(order, ratio, squares / (1 - weight), count, loss=criterion(squares, weight, count), at_edge=edge)
+
+
+def _read(order: int, spectra: Sequence[Spectrum]) -> tuple[Residuals, int]:
+    """Read residuals off spectra; return how many readings they are of, too."""
+    spectrum, fixed = pooled(spectra), order * len(spectra)
+    power, readings = motion_power(order, spectrum.angle), int(spectrum.weight.sum())
+
+    def residuals(ratio: float) -> tuple[float, float]:
+        passed = ratio * power / (1 + ratio * power)
+        lost = spectrum.weight * (1 - passed)
+        squares = float(lost @ ((1 - passed) * spectrum.power)) / readings
+        return squares, 1 - (float(lost.sum()) - fixed) / readings
+
+    return residuals, readings
+
+
+def _stretches(order: int, evidence: Evidence) -> list[tuple[Timeline, Floats]]:
+    """Lay out what is smoothed: all of a short record, some stretches of a long one."""
+    parts = [part for part in evidence.stretches if part.stop - part.start > order]
+    if len(evidence.z) > _STRETCHES * _MOST:
+        starts = np.linspace(0, len(evidence.z) - _MOST, _STRETCHES).astype(int)
+        parts = [slice(start, start + _MOST) for start in starts.tolist()]
+    component = motion(order)
+    return [(elapsed_timeline(component, 1.0, evidence.elapsed[part]), evidence.z[part]) for part in parts]
+
+
+def _smooth(order: int, evidence: Evidence) -> tuple[Residuals, int]:
+    """Smooth to find residuals; return how many readings they are of, too."""
+    model, parts = motion(order).to_model(1.0, 1.0), _stretches(order, evidence)
+    count = sum(len(z) for _, z in parts)
+
+    def residuals(ratio: float) -> tuple[float, float]:
+        squares, weight = 0.0, 0.0
+        for timeline, z in parts:
+            system = timeline.system
+            tuned = timeline._replace(system=system._replace(Q=system.Q * ratio))
+            smoothed = run_smoother(model, tuned, z, Wanted(innovations=False))
+            squares += float(((z - smoothed.signal) ** 2).sum())
+            weight += float(np.minimum(smoothed.sigma**2, 1.0).sum())
+        return squares / count, weight / count
+
+    return residuals, count

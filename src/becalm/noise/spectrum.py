@@ -1,0 +1,109 @@
+"""Power over frequency: of a record, in bins, and of the components of a model, in closed form.
+
+Frequencies are angles, in radians a step; the power of white noise is its variance, unit^2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.fft import dst, rfft
+from scipy.special import zeta
+
+from becalm.core.arrays import Floats
+
+_RESOLUTION = 0.02  # width of a bin over its frequency
+_ENDS = 8  # readings whose mean is where a record begins, or ends
+_FIRST = 4  # of the periodogram: below, its window mixes the level in
+_NEAR = 60  # bins on each side of a line that are kept apart
+
+
+class Spectrum(NamedTuple):
+    """The power of a record in bins."""
+
+    angle: Floats  # (k,) mean frequency of each bin, radians a step
+    power: Floats  # (k,) mean power, unit^2
+    weight: Floats  # (k,) how many frequencies it holds
+
+
+class Line(NamedTuple):
+    """A tone: an oscillator that is driven by white noise."""
+
+    angle: float  # radians a step
+    damping: float  # 1/step
+    density: float  # of the noise on each of its states, unit^2/step
+
+
+def sine_spectrum(z: Floats) -> Spectrum:
+    """Return the power of the sine transform of a record (N,) that the line between its ends is taken off.
+
+    A record and its odd reflection at both ends, of which this is the spectrum, have no jumps and no
+    kinks that were not there; white noise stays white, and every reading counts alike. So the residual
+    of a smoother is read off it as its sum of (1 - G)^2 times the power.
+    """
+    first, last = z[:_ENDS].mean(), z[-_ENDS:].mean()
+    place = (np.arange(len(z)) - (_ENDS - 1) / 2) / (len(z) - _ENDS)
+    power = dst(z - (first + (last - first) * place), type=1, norm="ortho") ** 2
+    angle = np.pi * np.arange(1, len(z) + 1) / (len(z) + 1)
+    return _binned(angle, power, [])
+
+
+def pooled(spectra: Sequence[Spectrum]) -> Spectrum:
+    """Return the spectra of several records as one."""
+    return Spectrum(*(np.concatenate(parts) for parts in zip(*spectra, strict=True)))
+
+
+def periodogram(z: Floats) -> Spectrum:
+    """Return the power of a record (N,) in a Hann window, every frequency for itself; the lowest are left out."""
+    window = np.hanning(len(z) + 2)[1:-1]
+    power = np.abs(np.asarray(rfft((z - z.mean()) * window))) ** 2 / (window**2).sum()
+    angle = 2 * np.pi * np.arange(len(power)) / len(z)
+    kept = slice(_FIRST, (len(z) - 1) // 2)
+    return Spectrum(angle[kept], power[kept], np.ones(kept.stop - _FIRST))
+
+
+def gathered(spectrum: Spectrum, lines: Sequence[Line]) -> Spectrum:
+    """Gather frequencies into bins, but for those near a line."""
+    spacing = spectrum.angle[1] - spectrum.angle[0]
+    apart = [round((line.angle - spectrum.angle[0]) / spacing) for line in lines]
+    return _binned(spectrum.angle, spectrum.power, apart)
+
+
+def _binned(angle: Floats, power: Floats, apart: Sequence[int]) -> Spectrum:
+    alone = np.zeros(len(angle), dtype=bool)
+    for line in apart:
+        alone[max(0, line - _NEAR) : line + _NEAR + 1] = True
+    starts, at = [], 0
+    while at < len(angle):
+        starts.append(at)
+        width = max(1, int(_RESOLUTION * (at + _FIRST)))
+        at += 1 if alone[at : at + width].any() else width
+    first = np.array(starts)
+    weight = np.diff(np.append(first, len(angle))).astype(np.float64)
+    return Spectrum(np.add.reduceat(angle, first) / weight, np.add.reduceat(power, first) / weight, weight)
+
+
+def motion_power(order: int, angle: Floats) -> Floats:
+    """Return the power (k,) of a motion of density 1, as it is read once a step.
+
+    Notes
+    -----
+    White noise integrated `order` times has the power w^-2n; reading it once a step folds all
+    frequencies w + 2 pi k onto w, a sum of Hurwitz zeta functions.
+    """
+    turns = angle / (2 * np.pi)
+    folded: Floats = (zeta(2 * order, turns) + zeta(2 * order, 1 - turns)) * (2 * np.pi) ** (-2 * order)
+    return folded
+
+
+def line_power(line: Line, angle: Floats) -> Floats:
+    """Return the power (k,) of a tone, as it is read once a step."""
+    shrunk = np.exp(-line.damping)
+    variance = line.density * -np.expm1(-2 * line.damping) / (2 * line.damping)
+    real, imaginary, turn = shrunk * np.cos(line.angle), shrunk * np.sin(line.angle), np.exp(1j * angle)
+    power: Floats = (
+        variance * (np.abs(turn - real) ** 2 + imaginary**2) / np.abs((turn - real) ** 2 + imaginary**2) ** 2
+    )
+    return power

@@ -1,0 +1,108 @@
+"""Tones: found where they are, at their frequency; none where there is none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from becalm.cleaning.pipeline import clean, tune
+from becalm.cleaning.recipe import Recipe
+from becalm.core.arrays import Floats
+from becalm.core.recording import Recording
+from becalm.errors import RecipeError
+from becalm.metrics.truth import coverage, rms_error
+from becalm.noise.choose import choose
+from becalm.noise.lines import FEWEST, Fit, fit_spectrum
+from becalm.noise.spectrum import Line, Spectrum, line_power, motion_power
+
+ROWS = 8192
+T = np.arange(ROWS)
+
+
+def tones_of(z: Floats, causal: bool) -> list[float]:
+    choice = choose(z, np.ones(len(z)), causal)
+    assert choice.tuning is not None
+    return sorted(line.angle for line in choice.tuning.lines)
+
+
+@pytest.mark.parametrize("causal", [True, False])
+def test_tones_are_found_at_their_frequencies(causal: bool) -> None:
+    rng = np.random.default_rng(1)
+    drift = np.cumsum(0.02 * rng.normal(size=ROWS))
+    z = 5.0 + drift + np.sin(0.2003 * T) + 0.5 * np.sin(0.7001 * T + 1) + 0.5 * rng.normal(size=ROWS)
+    found = tones_of(z, causal)
+    np.testing.assert_allclose(found, [0.2003, 0.7001], atol=0.3 * 2 * np.pi / ROWS)
+
+
+def test_a_tone_that_fades_is_found_with_its_width() -> None:
+    rng = np.random.default_rng(2)
+    turn = 0.99 * np.exp(0.5j)
+    state, z = 0j, np.empty(ROWS)
+    for k in range(ROWS):
+        state = turn * state + 0.3 * (rng.normal() + 1j * rng.normal())
+        z[k] = state.real + 0.3 * rng.normal()
+    choice = choose(z, np.ones(ROWS), True)
+    assert choice.tuning is not None
+    for line in choice.tuning.lines:
+        assert line.angle == pytest.approx(0.5, abs=0.02)
+
+
+NOISES = ["white", "walk", "slope", "steps", "spikes", "integers"]
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("name", NOISES)
+def test_no_tone_is_found_where_there_is_none(name: str, seed: int) -> None:
+    rng = np.random.default_rng([seed, NOISES.index(name)])
+    white = rng.normal(size=ROWS)
+    z = {
+        "white": white,
+        "walk": np.cumsum(0.1 * rng.normal(size=ROWS)) + white,
+        "slope": np.cumsum(np.cumsum(1e-3 * rng.normal(size=ROWS))) + white,
+        "steps": 3.0 * (T // 1000 % 2) + white,
+        "spikes": white + 30.0 * (rng.random(ROWS) < 0.002),
+        "integers": np.round(white),
+    }[name]
+    assert tones_of(z, causal=False) == []
+    assert tones_of(z, causal=True) == []
+
+
+def test_a_spectrum_is_fitted_to_what_it_was_made_of() -> None:
+    """Without scatter the fit ends at the truth, from afar."""
+    angle = np.pi * (np.arange(4000) + 0.5) / 4000
+    line = Line(0.8, 0.004, 3e-4)
+    power = 2.0 + 1e-4 * motion_power(2, angle) + line_power(line, angle)
+    start = Fit(2, 1.0, 1e-5, (Line(0.8005, 0.02, 1e-3),), 0.0)
+    found = fit_spectrum(start, Spectrum(angle, power, np.ones(4000)))
+    assert found.noise_variance == pytest.approx(2.0, rel=1e-3)
+    assert found.density == pytest.approx(1e-4, rel=1e-2)
+    np.testing.assert_allclose(found.lines[0], line, rtol=2e-2)
+
+
+@pytest.mark.parametrize("causal", [True, False])
+def test_a_tone_in_noise_comes_back_calm_and_by_its_recipe_again(causal: bool) -> None:
+    rate_hz = 200.0
+    truth = 2.0 + np.sin(2 * np.pi * 7.0 * T / rate_hz)
+    z = truth + 0.5 * np.random.default_rng(3).normal(size=ROWS)
+    recording = Recording(z, rate_hz=rate_hz)
+    recipe = tune(recording, causal=causal)
+    out = clean(recording, Recipe.from_toml(recipe.to_toml()))
+    assert out.reports[0].tones_hz == pytest.approx((7.0,), abs=0.005)
+    assert out.describes
+    late = slice(1000, None)
+    signal, sigma = out.signal.samples[late, 0], out.sigma.samples[late, 0]
+    assert rms_error(signal, truth[late]) < 0.05
+    assert coverage(signal, sigma, truth[late]) > 0.6
+
+
+def test_a_tone_too_quick_for_a_recording_is_refused() -> None:
+    z = np.sin(0.9 * T) + 0.2 * np.random.default_rng(4).normal(size=ROWS)
+    recipe = tune(Recording(z, rate_hz=1000.0))
+    assert recipe.channel[0].tone
+    with pytest.raises(RecipeError, match=r"a tone at 143\.\d+ Hz, which 100 readings a second cannot tell"):
+        clean(Recording(z, rate_hz=100.0), recipe)
+
+
+def test_short_records_are_not_searched() -> None:
+    z = np.sin(0.3 * T[: FEWEST - 1]) + 0.1 * np.random.default_rng(5).normal(size=FEWEST - 1)
+    assert tones_of(z, causal=True) == []
