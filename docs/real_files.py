@@ -43,11 +43,17 @@ def section(path: Path, folder: Path) -> str:
     facts = ", ".join(f"{key.replace('_', ' ')} {value}" for key, value in seen.items() if _is_fact(key, value))
     lines += [f"`{' '.join(['becalm clean', str(name), *options])}` (exit code {plain.returncode}): {facts}.", ""]
     lines += [
-        "| channel | unit | order | noise | q/r | bandwidth (Hz) | predictable | uneven | the model describes it |",
+        "| channel | unit | order, tones | noise | q/r | bandwidth (Hz) | predictable | uneven | described |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
     lines += [_row(channel) for channel in told["channels"]]
     return "\n".join(lines) + "\n"
+
+
+def _tones(channel: dict[str, object]) -> str:
+    """Name the tones beside a motion."""
+    tones = channel["tones_hz"]
+    return "".join(f", {frequency:.4g} Hz" for frequency in tones) if isinstance(tones, list) else ""
 
 
 def _is_fact(key: str, value: object) -> bool:
@@ -58,7 +64,7 @@ def _row(channel: dict[str, object]) -> str:
     if channel["order"] is None:
         return f"| {channel['name']} | {channel['unit']} | {channel['model']} | | | | | | {_yes(channel)} |"
     return (
-        f"| {channel['name']} | {channel['unit']} | {channel['order']} | {channel['noise_std']:.3g} |"
+        f"| {channel['name']} | {channel['unit']} | {channel['order']}{_tones(channel)} | {channel['noise_std']:.3g} |"
         f" {channel['q_over_r']:.2g} | {channel['bandwidth_hz']:.3g} | {channel['predictable_share']:.0%} |"
         f" {channel['uneven_share']:.0%} | {_yes(channel)} |"
     )

@@ -10,11 +10,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
+from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe, ToneRecipe
 from becalm.errors import RecipeError
 
 positive = st.floats(min_value=0, exclude_min=True, allow_nan=False, allow_infinity=False)
 text = st.text(st.characters(codec="utf-8", exclude_categories=["Cs"]), max_size=12)
+
+
+tones = st.builds(ToneRecipe, **dict.fromkeys(ToneRecipe.model_fields, positive))
 
 
 @st.composite
@@ -28,6 +31,7 @@ def channels(draw: st.DrawFn, name: str) -> ChannelRecipe:
         order=draw(st.integers(1, 5)),
         process_noise_density=draw(positive | st.just(0.0)),
         noise_std=draw(positive),
+        tone=tuple(draw(st.lists(tones, max_size=3))),
     )
 
 
@@ -105,7 +109,17 @@ FAULTS = [
     ('name = "ax"', "", "channel.1.name: Field required"),
     ("rate_hz = 50.0", "", "tuned_on.rate_hz: Field required"),
     ("rate_hz = 50.0", "rate_hz = 0", "tuned_on.rate_hz: Input should be greater than 0"),
-    ("becalm_recipe = 1", "becalm_recipe = 2", "becalm_recipe: Input should be 1"),
+    ("becalm_recipe = 1", "becalm_recipe = 3", "becalm_recipe: Input should be 1 or 2"),
+    (
+        "noise_std = 0.1",
+        "noise_std = 0.1\n[[channel.tone]]\nfrequency_hz = 7",
+        "channel.1.tone.1.bandwidth_hz: Field required",
+    ),
+    (
+        "noise_std = 0.1",
+        "noise_std = 0.1\n[[channel.tone]]\nfrequency_hz = 0\nbandwidth_hz = 1\nprocess_noise_density = 1",
+        "channel.1.tone.1.frequency_hz: Input should be greater than 0",
+    ),
     ("[[channel]]", '[[channel]]\nname = "ax"\nmodel = "constant"\n[[channel]]', "two channels have the same name"),
 ]
 

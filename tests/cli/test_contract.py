@@ -135,3 +135,47 @@ def test_demo_prints_figures_and_files(run: Run, tmp_path: Path) -> None:
     assert {"drive.csv", "drive_clean.csv", "drive_clean.csv.recipe.toml"} <= {
         p.name for p in (tmp_path / "d").iterdir()
     }
+
+
+def noisy(folder: Path) -> None:
+    """Write ten seconds at 200 Hz of a walk in noise."""
+    rng = np.random.default_rng(6)
+    z = np.cumsum(0.1 * rng.normal(size=2000)) + rng.normal(size=2000)
+    rows = "\n".join(f"{k / 200:.3f},{value:.6f}" for k, value in enumerate(z))
+    (folder / "n.csv").write_text(f"time_s,a\n{rows}\n", encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("dial", "kept"),
+    [
+        (["--bandwidth", "5Hz"], lambda told: told["bandwidth_hz"] == pytest.approx(5.0, rel=0.01)),
+        (["--bandwidth", "0.004 kHz", "--causal"], lambda told: told["bandwidth_hz"] == pytest.approx(4.0, rel=0.01)),
+        (["--max-lag", "30ms", "--causal"], lambda told: told["lag_s"] <= 0.0301),
+        (["--noise-gain", "-12dB", "--causal"], lambda told: told["bandwidth_hz"] < 20.0),
+    ],
+)
+def test_a_dial_is_turned(run: Run, tmp_path: Path, dial: list[str], kept: Callable[[dict[str, float]], bool]) -> None:
+    noisy(tmp_path)
+    ran = run("clean", "n.csv", "-o", "out.csv", "--json", *dial)
+    assert ran.returncode in (0, 4), ran.stderr
+    (channel,) = json.loads(ran.stdout)["channels"]
+    assert kept(channel)
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["--bandwidth", "40"], "write a number and then hz or khz"),
+        (["--max-lag", "5 parsecs", "--causal"], "--max-lag 5 parsecs is no number with its unit"),
+        (["--bandwidth", "40Hz", "--noise-gain", "-20dB"], "each of them decides the others"),
+        (["--max-lag", "5ms"], "A smoother has no lag"),
+        (["--bandwidth", "1kHz"], "less than 100 Hz, half the rate"),
+        (["--bandwidth", "4Hz", "--recipe", "r.toml"], "leave --recipe out"),
+    ],
+)
+def test_a_dial_that_cannot_be_turned_is_said(run: Run, tmp_path: Path, words: list[str], says: str) -> None:
+    noisy(tmp_path)
+    ran = run("clean", "n.csv", "-o", "out.csv", *words)
+    assert ran.returncode == 2, ran.stderr
+    assert says in " ".join(ran.stderr.split())
+    assert not (tmp_path / "out.csv").exists()

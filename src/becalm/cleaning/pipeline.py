@@ -17,6 +17,7 @@ from becalm.core.recording import Recording
 from becalm.core.verdict import judge
 from becalm.errors import RecipeError, RecordingError
 from becalm.noise.choose import choose
+from becalm.noise.dial import Dial, turn
 from becalm.noise.spectrum import Line
 
 Progress = Callable[[str], None]
@@ -54,6 +55,7 @@ def tune(
     *,
     causal: bool = False,
     channels: Sequence[str] | None = None,
+    dial: Dial | None = None,
     progress: Progress | None = None,
 ) -> Recipe:
     """Identify the noise of each channel and choose its filter; nothing needs to be said.
@@ -66,6 +68,8 @@ def tune(
         Whether the recipe shall filter (True) or smooth.
     channels : sequence of str, optional
         Names of the channels to clean; all by default.
+    dial : Dial, optional
+        A lag, a bandwidth or a noise gain that every filter shall have; by default the recording decides.
     progress : callable, optional
         Called with a channel's name when it is done.
 
@@ -73,11 +77,13 @@ def tune(
     ------
     RecordingError
         If a channel does not exist, or there are no channels or samples.
+    UsageError
+        If no filter has what the dial asks.
     """
     _refuse_empty(recording)
     chosen = recording if channels is None else recording.select(_listed(channels))
     _refuse_empty(chosen)
-    one = partial(_tune_channel, chosen, causal, progress or _silent)
+    one = partial(_tune_channel, chosen, causal, dial, progress or _silent)
     pool = ThreadPoolExecutor()
     try:
         found = tuple(pool.map(one, chosen.names))
@@ -135,13 +141,15 @@ def clean(
     )
 
 
-def _tune_channel(recording: Recording, causal: bool, progress: Progress, name: str) -> ChannelRecipe:
+def _tune_channel(
+    recording: Recording, causal: bool, dial: Dial | None, progress: Progress, name: str
+) -> ChannelRecipe:
     time, unit = recording.timebase, recording.units[recording.names.index(name)]
     choice = choose(judge(recording.channel(name)).readings, time.elapsed_steps, causal)
     progress(name)
     if choice.tuning is None:
         return ChannelRecipe(name=name, unit=unit, model=choice.kind)
-    found = choice.tuning
+    found = choice.tuning if dial is None else turn(choice.tuning, dial, time.step_s, causal)
     density = found.ratio * found.noise_variance / time.step_s ** (2 * found.order - 1)
     return ChannelRecipe(
         name=name,

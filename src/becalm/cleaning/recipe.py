@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from becalm.errors import RecipeError
 
-VERSION: Literal[1] = 1
+VERSION: Literal[2] = 2  # 1 knew no tones, and is read
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -132,7 +132,7 @@ class Recipe(_Settings):
         One for each channel to clean.
     """
 
-    becalm_recipe: Literal[1] = VERSION
+    becalm_recipe: Literal[1, 2] = VERSION
     mode: Literal["smoothed", "causal"] = "smoothed"
     time: str | None = None
     rate_hz: Positive | None = None

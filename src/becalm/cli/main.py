@@ -19,6 +19,7 @@ from becalm.errors import BecalmError, UsageError
 if TYPE_CHECKING:
     from becalm.cleaning.recipe import Recipe
     from becalm.files.opening import OpenSource
+    from becalm.noise.dial import Dial
 
 NOT_DESCRIBED = 4
 
@@ -59,6 +60,9 @@ def clean(  # noqa: PLR0913  (the contract's options)
     rate: o.Rate = None,
     time: o.Time = None,
     causal: o.Causal = False,
+    max_lag: o.MaxLag = None,
+    bandwidth: o.Bandwidth = None,
+    noise_gain: o.NoiseGain = None,
     as_json: o.Json = False,
 ) -> None:
     """Remove the noise from a recording; nothing needs to be chosen."""
@@ -69,7 +73,9 @@ def clean(  # noqa: PLR0913  (the contract's options)
     from becalm.files.registry import format_to_write
     from becalm.files.writing import open_output, refuse_columns
 
-    beside = Path(f"{output}.recipe.toml")
+    beside, dial = Path(f"{output}.recipe.toml"), o.dial_of(max_lag, bandwidth, noise_gain)
+    if recipe is not None and dial is not None:
+        raise UsageError("A recipe has its filters already; leave --recipe out to turn a dial, or the dial.")
     format_to_write(output)
     _refuse_overwriting(file, output, beside)
     refuse_unwritable(output, beside)
@@ -77,7 +83,7 @@ def clean(  # noqa: PLR0913  (the contract's options)
     said = Said(channels, rate, time) if given is None else Said(channels, rate, time).or_as(given)
     with _open(file, said) as source:
         refuse_columns(output, source.schema)
-        decided = _tuned(source, causal) if given is None else given
+        decided = _tuned(source, causal, dial) if given is None else given
         mode, named = True if causal else None, source.names if channels else None
         decided = said.kept_in(fitted(decided, source.names, source.units, causal=mode, channels=named))
         text = decided.to_toml()
@@ -123,6 +129,9 @@ def tune(  # noqa: PLR0913  (the contract's options)
     rate: o.Rate = None,
     time: o.Time = None,
     causal: o.Causal = False,
+    max_lag: o.MaxLag = None,
+    bandwidth: o.Bandwidth = None,
+    noise_gain: o.NoiseGain = None,
     as_json: o.Json = False,
 ) -> None:
     """Find the filter of each channel and write it as a recipe."""
@@ -130,9 +139,9 @@ def tune(  # noqa: PLR0913  (the contract's options)
 
     _refuse_overwriting(file, output)
     refuse_unwritable(output)
-    said = Said(channels, rate, time)
+    said, dial = Said(channels, rate, time), o.dial_of(max_lag, bandwidth, noise_gain)
     with _open(file, said) as source:
-        found = said.kept_in(_tuned(source, causal))
+        found = said.kept_in(_tuned(source, causal, dial))
     write_text(output, found.to_toml())
     if as_json:
         print(json.dumps({"file": str(file), "recipe": str(output), **found.model_dump()}, indent=2))  # noqa: T201
@@ -205,7 +214,7 @@ def _load(path: Path | None) -> Recipe | None:
     return Recipe.load(path)
 
 
-def _tuned(source: OpenSource, causal: bool) -> Recipe:
+def _tuned(source: OpenSource, causal: bool, dial: Dial | None) -> Recipe:
     from becalm.cleaning.pipeline import tune as tune_recording
     from becalm.cli.streaming import rows_to_tune_on
     from becalm.cli.talk import progress
@@ -214,7 +223,7 @@ def _tuned(source: OpenSource, causal: bool) -> Recipe:
     sample = source.sample(rows_to_tune_on(source))
     ahead(sample, causal=causal)
     with progress("tuning", len(source.names)) as step:
-        found = tune_recording(sample, causal=causal, progress=lambda name: step(name, 1))
+        found = tune_recording(sample, causal=causal, dial=dial, progress=lambda name: step(name, 1))
     return found.model_copy(update={"tuned_on": found.tuned_on.model_copy(update={"sha256": source.sha256()})})
 
 

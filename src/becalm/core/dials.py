@@ -179,12 +179,7 @@ def ratio_for_bandwidth(order: int, bandwidth_hz: float, step_s: float) -> float
     UsageError
         If no filter of this order has it; the sentence says which are possible.
     """
-    cycles = bandwidth_hz * step_s
-    if not 0 < cycles < 0.5:
-        raise UsageError(
-            f"bandwidth_hz = {bandwidth_hz:.6g} is not possible at {1 / step_s:.6g} Hz;"
-            f" ask for more than 0 and less than {0.5 / step_s:.6g} Hz, half the rate."
-        )
+    cycles = cycles_per_step(bandwidth_hz, step_s)
     ratio = float(4 * np.sin(np.pi * cycles) ** 2)
     if order == 1 and ratio >= _SLOWEST[1] ** 2:
         return ratio
@@ -194,6 +189,23 @@ def ratio_for_bandwidth(order: int, bandwidth_hz: float, step_s: float) -> float
         lambda found: float(found.filter_power([cycles])[0]) - 0.5,
         lambda found: describe(found.model, step_s).bandwidth_hz,
     )
+
+
+def cycles_per_step(bandwidth_hz: float, step_s: float) -> float:
+    """Return a bandwidth in cycles a step.
+
+    Raises
+    ------
+    UsageError
+        If it is not between 0 and half the rate.
+    """
+    cycles = bandwidth_hz * step_s
+    if not 0 < cycles < 0.5:
+        raise UsageError(
+            f"bandwidth_hz = {bandwidth_hz:.6g} is not possible at {1 / step_s:.6g} Hz;"
+            f" ask for more than 0 and less than {0.5 / step_s:.6g} Hz, half the rate."
+        )
+    return cycles
 
 
 def ratio_for_lag(order: int, lag_s: float, step_s: float) -> float:
