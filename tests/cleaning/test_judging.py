@@ -83,6 +83,18 @@ def test_what_is_predictable_has_a_character(phi: float, character: str) -> None
     assert "of the record" not in found.says
 
 
+@pytest.mark.parametrize("cycles", [0.0, 0.11, 0.31, 0.5])
+def test_the_guilty_frequency_is_named(cycles: float) -> None:
+    """A resonance in the innovations, at 200 Hz."""
+    turn = 2 * np.pi * cycles
+    innovations = lfilter([1.0], [1.0, -2 * 0.9 * np.cos(turn), 0.81], np.random.default_rng(7).normal(size=20_000))
+    judge = InnovationJudge(1 / 200)
+    judge.add(innovations, float(np.std(innovations)))
+    found = judge.judgement()
+    assert found.loudest_hz == pytest.approx(200 * cycles, abs=2.0)
+    assert f"most of it near {found.loudest_hz:.3g} Hz" in found.says
+
+
 def test_noise_that_changes_is_said() -> None:
     innovations = np.random.default_rng(6).normal(size=20_000)
     innovations[5000:10_000] *= 8

@@ -55,7 +55,7 @@ class MotionChannel:
     def __init__(self, recipe: ChannelRecipe, tuned: TunedMotion, step_s: float, causal: bool) -> None:
         self._recipe, self._tuned, self._step_s, self._causal = recipe, tuned, step_s, causal
         self._variance, self._density = per_step(tuned, step_s)
-        self._judge, self._counts = InnovationJudge(), Counter[Verdict]()
+        self._judge, self._counts = InnovationJudge(step_s), Counter[Verdict]()
         self._component = sum(_tones(tuned, step_s), motion(tuned.order, self._density))
         self._flow = Flow(self._component, self._variance, causal=causal, judge=self._judge.add)
 
@@ -89,6 +89,7 @@ class MotionChannel:
             whiteness_p=found.whiteness_p,
             first_correlation=found.first_correlation,
             predictable_share=found.predictable_share,
+            loudest_hz=found.loudest_hz,
             uneven_share=found.uneven_share,
             nis_mean=found.nis_mean,
             verdicts=_named(self._counts),

@@ -55,6 +55,8 @@ class ChannelReport:
         Of neighbouring innovations; positive: sluggish, negative: nervous.
     predictable_share : float or None
         Share of the innovation power that is still predictable.
+    loudest_hz : float or None
+        Where the spectrum of the innovations is highest.
     uneven_share : float or None
         Share of the record whose innovations are half or twice as large as expected, or worse.
     nis_mean : float or None
@@ -81,6 +83,7 @@ class ChannelReport:
     whiteness_p: float | None = None
     first_correlation: float | None = None
     predictable_share: float | None = None
+    loudest_hz: float | None = None
     uneven_share: float | None = None
     nis_mean: float | None = None
     verdicts: dict[str, int] = field(default_factory=dict)
@@ -99,6 +102,7 @@ class Judgement:
     whiteness_p: float
     first_correlation: float
     predictable_share: float
+    loudest_hz: float | None
     uneven_share: float
     nis_mean: float
     describes: bool
@@ -119,6 +123,11 @@ class _Sums(NamedTuple):
 class InnovationJudge:
     """Judges one channel by its innovations, which come in blocks of any length; its memory is constant.
 
+    Parameters
+    ----------
+    step_s : float
+        Step between them, in seconds.
+
     Examples
     --------
     >>> judge = InnovationJudge()
@@ -128,8 +137,9 @@ class InnovationJudge:
     'The model describes the signal.'
     """
 
-    def __init__(self) -> None:
+    def __init__(self, step_s: float = 1.0) -> None:
         self._running = Running(_Sums(), _Sums.extended)
+        self._step_s = step_s
 
     def add(self, innovations: Floats, innovation_sigma: Floats | float) -> None:
         """Add a block.
@@ -150,11 +160,13 @@ class InnovationJudge:
         """Judge all innovations so far; more may follow."""
         sums = self._running.sums()
         found, uneven = judge_whiteness(sums.lagged), sums.blocks.share()
-        faults = _faults(found, uneven)
+        loudest_hz = None if found.loudest is None else found.loudest / self._step_s
+        faults = _faults(found, loudest_hz, uneven)
         return Judgement(
             found.p_value,
             found.first_correlation,
             found.predictable_share,
+            loudest_hz,
             uneven,
             sums.power.mean(),
             not faults,
@@ -162,13 +174,13 @@ class InnovationJudge:
         )
 
 
-def _faults(found: Whiteness, uneven: float) -> list[str]:
+def _faults(found: Whiteness, loudest_hz: float | None, uneven: float) -> list[str]:
     faults = []
     if found.predictable_share > PREDICTABLE:
         character = "sluggish" if found.first_correlation > 0 else "nervous"
         faults.append(
-            f"{found.predictable_share:.0%} of the innovation power is still predictable (the filter is {character}:"
-            " coloured noise or a vibration passes for signal)"
+            f"{found.predictable_share:.0%} of the innovation power is still predictable, most of it near"
+            f" {loudest_hz:.3g} Hz (the filter is {character}: coloured noise or a vibration passes for signal)"
         )
     if uneven > UNEVEN:
         faults.append(

@@ -14,6 +14,7 @@ from becalm.metrics.running import Running
 
 LAGS = 20
 _PREDICTOR_LAGS = MOST_LAGS
+_FREQUENCIES = 501
 _READINGS_PER_LAG = 8  # a short sequence is asked fewer questions
 
 
@@ -31,11 +32,14 @@ class Whiteness:
     predictable_share : float
         Share of the innovation power that a linear predictor of 32 lags still foresees, less what
         it foresees of white noise by chance; 0 to 1.
+    loudest : float or None
+        Where their spectrum, as 32 lags tell it, is highest: in cycles a value, 0 to 0.5; None where too few came.
     """
 
     p_value: float
     first_correlation: float
     predictable_share: float
+    loudest: float | None = None
 
 
 class RunningWhiteness(Running[LaggedSums]):
@@ -76,7 +80,16 @@ def judge_whiteness(sums: LaggedSums) -> Whiteness:
     p_value = float(gammaincc(tested / 2, statistic / 2))
     share = 1 - float(prediction_error(correlation))
     chance = foreseen / n
-    return Whiteness(p_value, float(correlation[1]), max(0.0, (share - chance) / (1 - chance)))
+    return Whiteness(p_value, float(correlation[1]), max(0.0, (share - chance) / (1 - chance)), _loudest(correlation))
+
+
+def _loudest(correlation: Floats) -> float:
+    """Return where the spectrum of lagged correlations (l + 1,) is highest, in a Parzen window (Parzen 1961)."""
+    place = np.arange(len(correlation)) / len(correlation)
+    window = np.where(place < 0.5, 1 - 6 * place**2 * (1 - place), 2 * (1 - place) ** 3)
+    cycles = np.linspace(0.0, 0.5, _FREQUENCIES)
+    waves = np.cos(2 * np.pi * np.outer(cycles, np.arange(1, len(correlation))))
+    return float(cycles[int(np.argmax(waves @ (window * correlation)[1:]))])
 
 
 def prediction_error(correlation: Floats) -> float:
