@@ -30,6 +30,7 @@ bench: .venv/tested
 	$(BIN)/python benchmarks/accuracy.py -o docs/accuracy.md
 	$(BIN)/python benchmarks/speed.py -o docs/speed.md
 	$(BIN)/python benchmarks/large_files.py -o docs/large-files.md
+	$(BIN)/python benchmarks/constant_velocity.py -o docs/constant-velocity.md
 	$(BIN)/python benchmarks/imu_tuning.py -o docs/imu-tuning.md
 	$(BIN)/python benchmarks/full_noise.py -o docs/full-noise.md
 	$(BIN)/python docs/real_files.py -o docs/real-files.md

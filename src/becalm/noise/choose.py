@@ -13,7 +13,7 @@ import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.core.components import HIGHEST_ORDER, ORDERS
-from becalm.noise.cross_validation import lasting, tune_smoother
+from becalm.noise.cross_validation import lasting, simplest, tune_smoother
 from becalm.noise.likelihood import Evidence, Tuning, tune_motion
 from becalm.noise.lines import add_lines
 from becalm.noise.risk import retune
@@ -69,7 +69,7 @@ def choose(readings: Floats, elapsed: Floats, causal: bool = True) -> Choice:
     evidence = Evidence.of(readings, elapsed)
     smoothers = () if causal else tune_smoother(evidence)
     if smoothers:
-        return Choice("motion", add_lines(min(smoothers, key=lambda tuning: tuning.loss), evidence), smoothers)
+        return Choice("motion", add_lines(simplest(smoothers), evidence), smoothers)
     rivals = tuple(tune_motion(order, evidence) for order in ORDERS)
     likeliest = max(rivals, key=lambda tuning: tuning.log_likelihood)
     return Choice("motion", add_lines(retune(likeliest, evidence) if causal else likeliest, evidence), rivals)

@@ -30,8 +30,9 @@ LONG, MOST_OF = 4096, 0.8
 
 _MOST = 2048  # readings of a stretch that are smoothed again and again
 _STRETCHES = 16
-_POINTS = 33
+_POINTS = 17
 _PRECISION = 3e-3
+_NOT_TOLD = 2.0  # of twice a log-likelihood
 _ALIKE = 0.1  # of the logarithm of r, as a few stretches tell it
 _OPAQUE = 0.95  # weight of a reading in its own estimate, beyond which nothing is smoothed
 
@@ -66,6 +67,12 @@ def tune_smoother(evidence: Evidence) -> tuple[Tuning, ...]:
         found = _tuned(evidence, lambda order: _smooth(order, evidence))
     least = evidence.smallest_variance
     return tuple(replace(tuning, noise_variance=max(tuning.noise_variance, least)) for tuning in found)
+
+
+def simplest(tunings: Sequence[Tuning]) -> Tuning:
+    """Return the lowest order whose loss is not told from the least."""
+    least = min(tuning.loss for tuning in tunings)
+    return next(tuning for tuning in tunings if tuning.loss <= least + _NOT_TOLD / tuning.count)
 
 
 def lasting(evidence: Evidence) -> list[slice]:
