@@ -1,0 +1,110 @@
+"""Signal and derivative of PyNumDiff's simulations, nothing chosen, over PyNumDiff's truth-tuned `rtsdiff`.
+
+Six signals of 4 s at 100 Hz, white noise of 0.1 and 0.4, the median of 20 seeds. The rival is the same kind
+of smoother, of order 1 to 3, with the order and ratio that have the least rms error *knowing the truth*:
+one choice for the signal, another for its derivative. becalm knows the readings alone.
+
+Run: pip install 'becalm[bench]', then python benchmarks/derivatives.py [-o docs/derivatives.md]
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import warnings
+from importlib import import_module
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from becalm.core.smoothing import kalman_smoother
+from becalm.metrics.truth import rms_error
+from becalm.noise.choose import choose
+
+Floats = NDArray[np.float64]
+
+STEP_S, DURATION_S, SEEDS = 0.01, 4, 20
+NOISES = (0.1, 0.4)
+SIGNALS = {
+    "PI cruise control": "pi_cruise_control",
+    "sum of sines": "sine",
+    "triangles": "triangle",
+    "logistic growth": "pop_dyn",
+    "linear autonomous": "linear_autonomous",
+    "Lorenz x": "lorenz_x",
+}
+ORDERS, LOG_RATIOS = (1, 2, 3), np.arange(0.0, 23.0)  # natural logarithms, as rtsdiff takes them
+
+
+class Errors(NamedTuple):
+    """rms errors of a signal and of its derivative."""
+
+    signal: float
+    slope: float
+
+
+def rival(rtsdiff: Any, z: Floats, truth: tuple[Floats, Floats]) -> Errors:
+    """Return the least error of each that rtsdiff can have."""
+    found = []
+    for order in ORDERS:
+        for log_ratio in LOG_RATIOS:
+            signal, slope = rtsdiff(z, STEP_S, order, float(log_ratio))
+            found.append((rms_error(signal, truth[0]), rms_error(slope, truth[1])))
+    return Errors(*np.nanmin(found, axis=0).tolist())
+
+
+def ours(z: Floats, truth: tuple[Floats, Floats]) -> Errors:
+    """Smooth with what was chosen; the derivative is the second state, or a difference where there is none."""
+    tuning = choose(z, np.ones(len(z)), causal=False).tuning
+    if tuning is None:
+        raise ValueError("These readings tell no noise.")
+    smoothed = kalman_smoother(tuning.component.to_model(1.0, tuning.noise_variance), z, states=True)
+    signal, states = smoothed.signal[:, 0], smoothed.mean
+    slope = np.gradient(signal) if tuning.order == 1 or states is None else states[:, 1]
+    return Errors(rms_error(signal, truth[0]), rms_error(slope / STEP_S, truth[1]))
+
+
+def page() -> str:
+    """Run all and write the table."""
+    rtsdiff, simulate = import_module("pynumdiff.kalman_smooth").rtsdiff, import_module("pynumdiff.utils.simulate")
+    lines = ["| signal | noise | x | its worst seed | dx/dt | its worst seed |", "|---|---|---|---|---|---|"]
+    ratios = []
+    for name, function in SIGNALS.items():
+        made = getattr(simulate, function)(duration=DURATION_S, dt=STEP_S)
+        truth = np.asarray(made[1], dtype=np.float64), np.asarray(made[2], dtype=np.float64)
+        for noise in NOISES:
+            case = []
+            for seed in range(SEEDS):
+                z = truth[0] + noise * np.random.default_rng([seed, int(10 * noise)]).normal(size=len(truth[0]))
+                best, found = rival(rtsdiff, z, truth), ours(z, truth)
+                case.append((found.signal / best.signal, found.slope / best.slope))
+            middle, worst = np.median(case, axis=0), np.max(case, axis=0)
+            ratios.append(case)
+            lines.append(f"| {name} | {noise} | {middle[0]:.3f} | {worst[0]:.2f} | {middle[1]:.3f} | {worst[1]:.2f} |")
+    whole = np.median(np.concatenate(ratios), axis=0)
+    lines += [
+        "",
+        f"Median of all: **{whole[0]:.3f}** for x, **{whole[1]:.3f}** for dx/dt.",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def main() -> None:
+    """Print the table; with -o, write it as a page."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser.add_argument("-o", "--output", type=Path, help="page to write the table to")
+    output: Path | None = parser.parse_args().output
+    warnings.simplefilter("ignore")  # of solvers that are not needed here
+    try:
+        text = page()
+    except ModuleNotFoundError as cause:
+        sys.exit(f"{cause.name} is not installed; type: pip install 'becalm[bench]'")
+    print(text)
+    if output:
+        output.write_text(f"# Derivatives\n\n{(__doc__ or '').strip()}\n\n{text}", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
