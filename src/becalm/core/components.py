@@ -21,7 +21,10 @@ from becalm.errors import ModelError
 HIGHEST_ORDER = 5
 
 ORDERS = (1, 2, 3)
-"""Orders of motion that are chosen between."""
+"""Orders of motion that a causal filter is chosen from."""
+
+EVERY_ORDER = tuple(range(1, HIGHEST_ORDER + 1))
+"""Orders of motion that a smoother is chosen from."""
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.core.compiling import compile_quickly, count_kept, save_trouble, times_compiled
-from becalm.core.components import ORDERS, motion
+from becalm.core.components import EVERY_ORDER, motion
 from becalm.core.filtering import kalman_filter, sizes_of
 from becalm.core.kernel_backward import backward
 from becalm.core.kernel_online import live_kernels
@@ -48,8 +48,8 @@ def is_cold(names: Sequence[str], orders: Sequence[int]) -> bool:
     return any(count_kept(kernel) < len(orders) for kernel in (forward, backward) if kernel.__name__ in names)
 
 
-def warm(names: Sequence[str] = KERNELS, orders: Sequence[int] = ORDERS) -> Iterator[Warmed]:
-    """Compile the kernels for motions of some orders with one channel, side by side.
+def warm(names: Sequence[str] = KERNELS, orders: Sequence[int] = EVERY_ORDER) -> Iterator[Warmed]:
+    """Compile the kernels for motions of some orders with one channel, side by side; a tone counts as two more.
 
     Raises
     ------

@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.core.components import HIGHEST_ORDER, ORDERS
+from becalm.core.components import EVERY_ORDER, ORDERS
 from becalm.noise.cross_validation import lasting, simplest, tune_smoother
 from becalm.noise.likelihood import Evidence, Tuning, tune_motion
 from becalm.noise.lines import add_lines
@@ -46,7 +46,7 @@ def orders_run(elapsed: Floats, causal: bool) -> tuple[int, ...]:
     if causal:
         return ORDERS
     even = Evidence.of(np.zeros(len(elapsed)), elapsed)
-    return () if lasting(even) else tuple(range(1, HIGHEST_ORDER + 1))
+    return () if lasting(even) else EVERY_ORDER
 
 
 def choose(readings: Floats, elapsed: Floats, causal: bool = True) -> Choice:

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from becalm.core.arrays import Floats
-from becalm.core.components import HIGHEST_ORDER, motion
+from becalm.core.components import EVERY_ORDER, motion
 from becalm.core.filtering import Wanted
 from becalm.core.smoothing import run_smoother
 from becalm.core.timeline import Timeline, elapsed_timeline
@@ -85,7 +85,7 @@ def _tuned(evidence: Evidence, residuals: Callable[[int], tuple[Residuals, int]]
     """Tune every order by the residuals that its smoothers leave."""
     span = max(4.0, *(float(evidence.elapsed[part][1:].sum()) for part in evidence.stretches))
     grid = np.linspace(np.log(FASTEST), np.log(2 * np.pi * SLOWEST_CYCLES / span), _POINTS)
-    orders = range(1, min(HIGHEST_ORDER, len(evidence.z) - 3) + 1)
+    orders = EVERY_ORDER[: len(evidence.z) - 3]
     found = [_least(order, grid, *residuals(order)) for order in orders]
     return tuple(tuning for tuning in found if tuning is not None)
 

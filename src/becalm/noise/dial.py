@@ -82,7 +82,7 @@ def _smoother_for_noise_gain(order: int, noise_gain_db: float) -> float:
 
     def excess(log_cutoff: float) -> float:
         passed = 1 / (1 + np.exp(-2 * order * log_cutoff) / power)
-        left = float(np.trapezoid(passed**2, _GRID)) / np.pi
+        left = float(_GRID[0] + np.trapezoid(passed**2, _GRID)) / np.pi  # what is slower passes whole
         return float(10 * np.log10(left)) - noise_gain_db
 
     low, high = excess(_SLOWEST), excess(_FASTEST)
