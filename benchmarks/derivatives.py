@@ -2,7 +2,8 @@
 
 Six signals of 4 s at 100 Hz, white noise of 0.1 and 0.4, the median of 20 seeds. The rival is the same kind
 of smoother, of order 1 to 3, with the order and ratio that have the least rms error *knowing the truth*:
-one choice for the signal, another for its derivative. becalm knows the readings alone. rtsdiff runs as it comes, not forward and back.
+one choice for the signal, another for its derivative. becalm knows the readings alone.
+rtsdiff runs as it comes, not forward and back.
 
 Run: pip install 'becalm[bench]', then python benchmarks/derivatives.py [-o docs/derivatives.md]
 """

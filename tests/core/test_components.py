@@ -229,3 +229,12 @@ def test_noise_of_very_different_densities_keeps_its_digits() -> None:
 def test_impossible_numbers_are_refused(make: Any, says: str) -> None:
     with pytest.raises(ModelError, match=says):
         make()
+
+
+def test_what_fades_has_gone_over_a_long_step() -> None:
+    """Gauss-Markov noise and a damped tone have their own variance after any time, and none before it counts."""
+    F, Q = (gauss_markov(1e-5, 2.0) + tone(7.3, 3e4, 0.7)).over(np.array([0.01, 1e3, 1e9]))
+    assert np.abs(F).max() < 1e-100
+    expected = np.diag([4.0, *[0.7 / (2 * np.pi * 3e4)] * 2])
+    for one in Q:
+        np.testing.assert_allclose(one, expected, rtol=1e-9, atol=1e-20)

@@ -99,10 +99,56 @@ def test_a_tone_too_quick_for_a_recording_is_refused() -> None:
     z = np.sin(0.9 * T) + 0.2 * np.random.default_rng(4).normal(size=ROWS)
     recipe = tune(Recording(z, rate_hz=1000.0))
     assert recipe.channel[0].tone
-    with pytest.raises(RecipeError, match=r"a tone at 143\.\d+ Hz, which 100 readings a second cannot tell"):
+    with pytest.raises(
+        RecipeError, match=r"a tone at 143\.\d+ Hz, \S+ Hz wide, which 100 readings a second cannot tell"
+    ):
         clean(Recording(z, rate_hz=100.0), recipe)
 
 
 def test_short_records_are_not_searched() -> None:
     z = np.sin(0.3 * T[: FEWEST - 1]) + 0.1 * np.random.default_rng(5).normal(size=FEWEST - 1)
     assert tones_of(z, causal=True) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("causal", [True, False])
+def test_five_tones_are_found_and_more_are_said_to_be_left(causal: bool) -> None:
+    some, more = ([4 * np.sin(2 * np.pi * f * T / 100) for f in (3, 9, 17, 28, 41, 6.3, 35)[:k]] for k in (5, 7))
+    white = np.random.default_rng(6).normal(size=ROWS)
+    five = clean(Recording(sum(some, white), rate_hz=100.0), causal=causal)
+    assert five.describes
+    assert rms_error(five.signal.samples[2000:, 0], sum(some, np.zeros(ROWS))[2000:]) < 0.3
+    assert not clean(Recording(sum(more, white), rate_hz=100.0), causal=causal).describes
+
+
+@pytest.mark.parametrize("causal", [True, False])
+def test_strong_tones_that_a_motion_would_follow_are_found(causal: bool) -> None:
+    rng = np.random.default_rng(7)
+    walk = np.cumsum(0.01 * rng.normal(size=ROWS))
+    z = walk + 3 * np.sin(2 * np.pi * 0.05 * T) + 2 * np.sin(2 * np.pi * 0.1203 * T) + rng.normal(size=ROWS)
+    np.testing.assert_allclose(tones_of(z, causal), 2 * np.pi * np.array([0.05, 0.1203]), atol=2e-4)
+
+
+def test_a_tone_at_half_the_rate_is_left_alone() -> None:
+    z = 3 * np.sin(2 * np.pi * 0.4999 * T) + np.random.default_rng(8).normal(size=ROWS)
+    assert tones_of(z, causal=True) == []
+
+
+@pytest.mark.parametrize("causal", [True, False])
+def test_a_tone_across_a_gap_of_a_day(causal: bool) -> None:
+    z = 3 * np.sin(0.459 * T) + np.random.default_rng(9).normal(size=ROWS)
+    times = np.round(T / 100 + 1e5 * (T >= 5000), 2)
+    out = clean(Recording(z, times_s=times), causal=causal)
+    assert out.reports[0].tones_hz
+    assert np.isfinite(out.signal.samples[10:]).all()
+    assert np.isfinite(out.sigma.samples[10:]).all()
+
+
+@pytest.mark.parametrize(("key", "value"), [("process_noise_density", 1e40), ("bandwidth_hz", 1e300)])
+def test_a_tone_beyond_measure_is_refused(key: str, value: float) -> None:
+    recipe = tune(Recording(np.sin(0.3 * T) + 0.2 * np.random.default_rng(10).normal(size=ROWS), rate_hz=100.0))
+    channel = recipe.channel[0]
+    odd = channel.tone[0].model_copy(update={key: value})
+    wrong = recipe.model_copy(update={"channel": (channel.model_copy(update={"tone": (odd,)}),)})
+    with pytest.raises(RecipeError, match="tone at"):
+        clean(Recording(np.sin(0.3 * T), rate_hz=100.0), wrong)

@@ -13,12 +13,13 @@ from becalm.cleaning.recipe import ChannelRecipe, TunedMotion
 from becalm.core.arrays import Floats
 from becalm.core.components import Component, motion, oscillator
 from becalm.core.flow import Flow, Told
+from becalm.core.model import Model
 from becalm.core.response import Response, describe
 from becalm.core.verdict import ADVICE, Verdict, judge
-from becalm.errors import RecipeError
+from becalm.errors import ModelError, RecipeError
 from becalm.noise.choose import FEWEST_READINGS
 
-_QUICKEST = 0.5  # cycles a step
+_QUICKEST, _WIDEST = 0.5, 10.0  # cycles a step
 _LEAST_RATIO, _GREATEST_RATIO = 1e-60, 1e12  # of q/r: beyond, every reading is ignored or believed
 
 
@@ -73,7 +74,7 @@ class MotionChannel:
         """Say what was found, once finished."""
         found, tuned = self._judge.judgement(), self._tuned
         model = self._component.to_model(1.0, self._variance)
-        response = describe(model, self._step_s, self._causal) if self._density > 0 else None
+        response = _response(model, self._step_s, self._causal)
         return ChannelReport(
             name=self._recipe.name,
             unit=self._recipe.unit,
@@ -163,18 +164,33 @@ def _tones(tuned: TunedMotion, step_s: float) -> list[Component]:
     Raises
     ------
     RecipeError
-        If one is too quick to be read at this rate.
+        If one is too quick or too wide to be read at this rate, or drowns the noise.
     """
-    quick = [tone for tone in tuned.tones if not tone.frequency_hz * step_s < _QUICKEST]
-    if quick:
-        raise RecipeError(
-            f"The recipe has a tone at {quick[0].frequency_hz:.6g} Hz, which {1 / step_s:.6g} readings a second cannot"
-            " tell; leave it out of the recipe, or tune one on this recording."
-        )
+    variance = tuned.noise_std**2
+    for tone in tuned.tones:
+        ratio = tone.process_noise_density * step_s / variance
+        if not (tone.frequency_hz * step_s < _QUICKEST and tone.bandwidth_hz * step_s < _WIDEST):
+            raise RecipeError(
+                f"The recipe has a tone at {tone.frequency_hz:.6g} Hz, {tone.bandwidth_hz:.6g} Hz wide, which"
+                f" {1 / step_s:.6g} readings a second cannot tell; leave it out, or tune a recipe on this recording."
+            )
+        if not _LEAST_RATIO < ratio < _GREATEST_RATIO:
+            raise RecipeError(
+                f"The tone at {tone.frequency_hz:.6g} Hz with process_noise_density = {tone.process_noise_density:.3g}"
+                f" and noise_std = {tuned.noise_std:.3g} makes no filter at {1 / step_s:.6g} Hz; mend the recipe."
+            )
     return [
         oscillator(tone.frequency_hz * step_s, tone.bandwidth_hz * step_s, tone.process_noise_density * step_s)
         for tone in tuned.tones
     ]
+
+
+def _response(model: Model, step_s: float, causal: bool) -> Response | None:
+    """Describe a filter; None of one that never forgets its start, and so never settles."""
+    try:
+        return describe(model, step_s, causal)
+    except ModelError:
+        return None
 
 
 def _named(counts: Counter[Verdict]) -> dict[str, int]:

@@ -147,9 +147,9 @@ def _tune_channel(
     time, unit = recording.timebase, recording.units[recording.names.index(name)]
     choice = choose(judge(recording.channel(name)).readings, time.elapsed_steps, causal)
     progress(name)
-    if choice.tuning is None:
+    if choice.tuning is None or choice.motion is None:
         return ChannelRecipe(name=name, unit=unit, model=choice.kind)
-    found = choice.tuning if dial is None else turn(choice.tuning, dial, time.step_s, causal)
+    found = choice.tuning if dial is None else turn(choice.motion, dial, time.step_s, causal)
     density = found.ratio * found.noise_variance / time.step_s ** (2 * found.order - 1)
     return ChannelRecipe(
         name=name,

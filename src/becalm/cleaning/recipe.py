@@ -39,7 +39,7 @@ class ToneRecipe(_Settings):
 
     frequency_hz: Positive
     bandwidth_hz: Positive
-    process_noise_density: NotNegative
+    process_noise_density: Positive
 
 
 class TunedMotion(NamedTuple):

@@ -48,10 +48,20 @@ def _integrate_polynomial(A: Floats, W: Floats, steps_s: Floats) -> tuple[Floats
 
 
 def _integrate_van_loan(A: Floats, W: Floats, steps_s: Floats) -> tuple[Floats, Floats]:
-    """Van Loan, IEEE TAC-23 (1978) 395: both from one exponential of a matrix twice as large."""
+    """Van Loan, IEEE TAC-23 (1978) 395: both from one exponential of a matrix twice as large.
+
+    It holds expm(-A T) as well, beyond any number where something fades; so a step is halved until it
+    is short, and doubled again: F <- F F, Q <- F Q F' + Q.
+    """
     n, scale = len(A), float(np.abs(W).max(initial=0.0)) or 1.0
+    reach = np.linalg.norm(A, np.inf) * np.abs(steps_s)
+    halvings = np.ceil(np.log2(np.maximum(reach, 1.0))).astype(int)
     block = np.block([[-A, W / scale], [np.zeros_like(A), A.T]])
-    E = expm(block * steps_s[:, np.newaxis, np.newaxis])
+    E = expm(block * (steps_s / 2.0**halvings)[:, np.newaxis, np.newaxis])
     F = np.swapaxes(E[:, n:, n:], 1, 2)
-    Q = scale * F @ E[:, :n, n:]
-    return F, (Q + np.swapaxes(Q, 1, 2)) / 2
+    Q = F @ E[:, :n, n:]
+    for k in range(int(halvings.max(initial=0))):
+        late = halvings > k
+        Q[late] = F[late] @ Q[late] @ np.swapaxes(F[late], 1, 2) + Q[late]
+        F[late] = F[late] @ F[late]
+    return F, scale * (Q + np.swapaxes(Q, 1, 2)) / 2

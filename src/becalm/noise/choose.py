@@ -32,12 +32,15 @@ class Choice:
         "constant": all readings are equal. "untold": too few readings to tell noise from signal.
     tuning : Tuning or None
         The winner, of a "motion": perhaps retuned, perhaps with tones.
+    motion : Tuning or None
+        The winner without its tones.
     rivals : tuple of Tuning
         Every order that was tried, alone.
     """
 
     kind: Literal["motion", "constant", "untold"]
     tuning: Tuning | None = None
+    motion: Tuning | None = None
     rivals: tuple[Tuning, ...] = ()
 
 
@@ -69,7 +72,9 @@ def choose(readings: Floats, elapsed: Floats, causal: bool = True) -> Choice:
     evidence = Evidence.of(readings, elapsed)
     smoothers = () if causal else tune_smoother(evidence)
     if smoothers:
-        return Choice("motion", add_lines(simplest(smoothers), evidence), smoothers)
+        best = simplest(smoothers)
+        return Choice("motion", add_lines(best, evidence), best, smoothers)
     rivals = tuple(tune_motion(order, evidence) for order in ORDERS)
     likeliest = max(rivals, key=lambda tuning: tuning.log_likelihood)
-    return Choice("motion", add_lines(retune(likeliest, evidence) if causal else likeliest, evidence), rivals)
+    best = retune(likeliest, evidence) if causal else likeliest
+    return Choice("motion", add_lines(best, evidence), best, rivals)

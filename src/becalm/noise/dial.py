@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from becalm.core.dials import cycles_per_step, motion_filter, ratio_for_bandwidth, ratio_for_lag, ratio_for_noise_gain
-from becalm.core.response import lag_steps
+from becalm.core.response import decibels, lag_steps
 from becalm.errors import UsageError
 from becalm.noise.likelihood import Tuning
 from becalm.noise.spectrum import motion_power
@@ -80,15 +80,15 @@ def _smoother_for_noise_gain(order: int, noise_gain_db: float) -> float:
     """Return q/r of the smoother that leaves so much white noise."""
     power = motion_power(order, _GRID)
 
-    def excess(log_cutoff: float) -> float:
+    def left_db(log_cutoff: float) -> float:
         passed = 1 / (1 + np.exp(-2 * order * log_cutoff) / power)
         left = float(_GRID[0] + np.trapezoid(passed**2, _GRID)) / np.pi  # what is slower passes whole
-        return float(10 * np.log10(left)) - noise_gain_db
+        return decibels(left)
 
-    low, high = excess(_SLOWEST), excess(_FASTEST)
-    if not low < 0 < high:
+    low, high = left_db(_SLOWEST), left_db(_FASTEST)
+    if not low < noise_gain_db < high:
         raise UsageError(
-            f"noise_gain_db = {noise_gain_db:.6g} is not possible; ask for {low + noise_gain_db:.3g}"
-            f" to {high + noise_gain_db:.2g} dB."
+            f"noise_gain_db = {noise_gain_db:.6g} is not possible; ask for {low + 0.01:.2f} to {high - 0.01:.2f} dB."
         )
-    return float(np.exp(2 * order * brentq(excess, _SLOWEST, _FASTEST, xtol=1e-12)))
+    found = brentq(lambda log_cutoff: left_db(log_cutoff) - noise_gain_db, _SLOWEST, _FASTEST, xtol=1e-12)
+    return float(np.exp(2 * order * found))

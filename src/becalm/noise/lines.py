@@ -18,18 +18,20 @@ from becalm.noise.cross_validation import criterion
 from becalm.noise.likelihood import Evidence, Tuning
 from becalm.noise.spectrum import Line, Spectrum, gathered, line_power, motion_power, periodogram
 
-MOST = 3
+MOST = 5
 """Tones that are looked for."""
 
 FEWEST = 2048
 """Readings in even time, none missing, that tones are looked for in."""
 
-_CYCLES = 8  # in the record: what is slower belongs to the motion
+_CYCLES = 8  # in the record: what is slower belongs to the motion, and as near to half the rate it is mirrored
+_PARTS = 8  # of the band, the quietest of which bounds the noise
 _STANDS_OUT = 15.0  # mean power of three frequencies over what lies around them
 _AROUND, _APART = 40, 5  # frequencies on each side of a tone that lie around it, but for the nearest
 _GAIN = 100.0  # in log-likelihood, that a tone must bring: it adds three parameters and two states
 _BEYOND = 10.0  # in log-likelihood, by which the tones' loss must be the lesser
-_CALMEST = (1, 2, 3)  # orders of the motion beside tones
+_CALMEST = (1, 2, 3)  # orders of the motion beside tones ...
+_MOST_STATES = 12  # ... so that there are no more states in all
 _ROUNDS, _ENOUGH = 60, 1e-3
 _LONGEST_STEP = 1.0  # of a logarithm, and of a frequency in frequencies of the record
 
@@ -81,7 +83,7 @@ def find_line(spectrum: Spectrum, fit: Fit) -> float | None:
     left = spectrum.power / _power(fit, spectrum.angle)
     raised = np.convolve(left, np.ones(3) / 3, "same")
     spacing = spectrum.angle[1] - spectrum.angle[0]
-    raised[spectrum.angle < _CYCLES * spacing] = 0.0
+    raised[np.minimum(spectrum.angle, np.pi - spectrum.angle) < _CYCLES * spacing] = 0.0
     for place in np.argsort(raised)[:-6:-1].tolist():
         around = left[max(0, place - _AROUND) : place + _AROUND + 1].copy()
         centre = min(place, _AROUND)
@@ -89,6 +91,11 @@ def find_line(spectrum: Spectrum, fit: Fit) -> float | None:
         if raised[place] > _STANDS_OUT * max(1.0, float(np.median(around))):
             return float(spectrum.angle[place])
     return None
+
+
+def quietest(spectrum: Spectrum) -> float:
+    """Return the mean power, unit^2, of the quietest part of the band: white noise is no louder."""
+    return min(float(part.mean()) for part in np.array_split(spectrum.power, _PARTS))
 
 
 def smoother_loss(tuning: Tuning, spectrum: Spectrum, readings: int) -> float:
@@ -135,15 +142,15 @@ def _with_line(now: Fit, angle: float, spectrum: Spectrum) -> Fit:
     """Fit one tone more, beside a motion of the calmest order that serves."""
     spacing = spectrum.angle[1] - spectrum.angle[0]
     at = int(np.argmin(np.abs(spectrum.angle - angle)))
-    fits = []
+    noise, fits = max(now.noise_variance, quietest(spectrum)), []
     for width in (1.0, 30.0):
         damping = width * spacing
         new = Line(angle, damping, float(spectrum.power[at]) * damping**2)
         binned = gathered(spectrum, (*now.lines, new))
-        for order in _CALMEST:
-            cutoff = (now.density / now.noise_variance) ** (1 / (2 * now.order))
-            density = now.noise_variance * min(cutoff, angle / 2) ** (2 * order)
-            fits.append(fit_spectrum(Fit(order, now.noise_variance, density, (*now.lines, new), 0.0), binned))
+        for order in [n for n in _CALMEST if n + 2 * (len(now.lines) + 1) <= _MOST_STATES]:
+            cutoff = (now.density / noise) ** (1 / (2 * now.order))
+            density = noise * min(cutoff, angle / 2) ** (2 * order)
+            fits.append(fit_spectrum(Fit(order, noise, density, (*now.lines, new), 0.0), binned))
     return min(fits, key=lambda fit: fit.cost)
 
 
