@@ -45,7 +45,7 @@ class Choice:
 
 
 def orders_run(elapsed: Floats, causal: bool) -> tuple[int, ...]:
-    """Return of which orders choosing runs filters, or smoothers, over a record of these steps (N,), none missing."""
+    """Return the orders whose kernels choosing runs, over a record of these steps (N,) of which none is missing."""
     if causal:
         return ORDERS
     even = Evidence.of(np.zeros(len(elapsed)), elapsed)
