@@ -10,6 +10,7 @@ import pickle
 import sys
 from collections.abc import Callable
 from contextlib import suppress
+from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -36,13 +37,14 @@ _CONFIG: Any = config
 _RESULT: Any = CompileResult
 _DUMPS: Any = serialize.dumps
 _BESIDE = Path(__file__).parent / "__pycache__"
+_SEALED = ("kernel*", "sized", "small", "compiling")  # modules that kernels are made of
 
 
 def _mark_sources() -> bytes:
     """Return a mark of all that kernels are made of; an upgrade or an edit changes it."""
     here = Path(__file__).parent
     mark = hashlib.sha256(numba.__version__.encode())
-    for file in sorted([*here.glob("[!.]*.py"), *here.glob("[!.]*.pyc")]):
+    for file in sorted(file for name in _SEALED for ending in ("py", "pyc") for file in here.glob(f"{name}.{ending}")):
         mark.update(file.read_bytes())
     return mark.digest()
 
@@ -79,7 +81,8 @@ def _compile(function: Kernel, options: dict[str, Any]) -> Kernel:
     if _CONFIG.DISABLE_JIT:
         return cast(Kernel, functools.wraps(function)(_refuse))
     dispatcher = njit(**options)(function)
-    if function.__module__.rpartition(".")[0] == __package__:  # of others the seal does not know the sources
+    package, _, module = function.__module__.rpartition(".")
+    if package == __package__ and any(fnmatch(module, name) for name in _SEALED):  # of others the seal knows no sources
         dispatcher._cache = Shelf(function)
     return cast(Kernel, dispatcher)
 
