@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -83,16 +84,31 @@ def test_what_is_predictable_has_a_character(phi: float, character: str) -> None
     assert "of the record" not in found.says
 
 
-@pytest.mark.parametrize("cycles", [0.0, 0.11, 0.31, 0.5])
-def test_the_guilty_frequency_is_named(cycles: float) -> None:
-    """A resonance in the innovations, at 200 Hz."""
-    turn = 2 * np.pi * cycles
-    innovations = lfilter([1.0], [1.0, -2 * 0.9 * np.cos(turn), 0.81], np.random.default_rng(7).normal(size=20_000))
+def resonance(cycles: float, radius: float, white: float = 0.0) -> Judgement:
+    """Judge innovations that have a resonance, at 200 Hz, beside white noise."""
+    rng, turn = np.random.default_rng(7), 2 * np.pi * cycles
+    innovations = lfilter([1.0], [1.0, -2 * radius * np.cos(turn), radius**2], rng.normal(size=20_000))
+    innovations = innovations / innovations.std() + white * rng.normal(size=20_000)
     judge = InnovationJudge(1 / 200)
     judge.add(innovations, float(np.std(innovations)))
-    found = judge.judgement()
+    return judge.judgement()
+
+
+@pytest.mark.parametrize("cycles", [0.0, 0.11, 0.31, 0.5])
+def test_the_guilty_frequency_is_named(cycles: float) -> None:
+    found = resonance(cycles, 0.9)
+    assert found.loudest_hz is not None
     assert found.loudest_hz == pytest.approx(200 * cycles, abs=2.0)
     assert f"most of it near {found.loudest_hz:.3g} Hz" in found.says
+    assert found.verdict == "does not fit"
+
+
+@pytest.mark.parametrize("cycles", [0.11, 0.31])
+def test_a_narrow_resonance_is_an_exception(cycles: float) -> None:
+    found = resonance(cycles, 0.99, white=1.0)
+    assert found.verdict == "fits except"
+    assert found.says.startswith(f"The model describes the signal except near {found.loudest_hz:.3g} Hz: ")
+    assert found.describes
 
 
 def test_noise_that_changes_is_said() -> None:
@@ -104,10 +120,27 @@ def test_noise_that_changes_is_said() -> None:
 
 
 def test_of_nothing_nothing_is_claimed() -> None:
-    for found in (InnovationJudge().judgement(), judged(np.full(9, np.nan), np.nan)):
-        assert found.describes
-        assert (found.whiteness_p, found.predictable_share, found.uneven_share) == (1.0, 0.0, 0.0)
-        assert np.isnan(found.nis_mean)
+    for found in (InnovationJudge().judgement(), judged(np.full(9, np.nan), np.nan), judged(np.ones(7), 1.0)):
+        assert found.verdict == "untold"
+        assert not found.describes
+        assert found.predictable_share is None
+        assert "too few to judge" in found.says
+
+
+def test_what_is_predictable_in_a_prediction_costs_as_much() -> None:
+    found = judged(lfilter([0.8], [1.0, -0.6], np.random.default_rng(5).normal(size=200_000)), 1.0)
+    assert found.excess_error == pytest.approx(1 / 0.8 - 1, abs=0.01)
+    assert "costs 25% in rms error" in found.says
+
+
+def test_a_smoother_is_judged_by_what_its_error_could_lose() -> None:
+    """Innovations as predictable as these do not matter to a smoother that loses nothing by it."""
+    innovations = lfilter([0.8], [1.0, -0.6], np.random.default_rng(5).normal(size=20_000))
+    for excess, verdict in ((0.02, "fits"), (0.3, "does not fit")):
+        judge = InnovationJudge(excess=Mock(return_value=excess))
+        judge.add(innovations, 1.0)
+        found = judge.judgement()
+        assert (found.verdict, found.excess_error) == (verdict, excess)
 
 
 def test_an_estimate_is_one_block() -> None:

@@ -12,7 +12,7 @@ from becalm.core.arrays import Floats
 from becalm.metrics.evenness import uneven_share
 from becalm.metrics.lagged import LaggedSums
 from becalm.metrics.truth import coverage, rms_error
-from becalm.metrics.whiteness import LAGS, mean_nis, prediction_error, whiteness
+from becalm.metrics.whiteness import LAGS, mean_nis, predictors, whiteness
 
 
 def white(rows: int, seed: int = 0) -> Floats:
@@ -70,8 +70,19 @@ def test_chance_is_taken_off_short_records(rows: int, phi: float) -> None:
 
 def test_durbin_solves_the_normal_equations() -> None:
     rho = autocorrelation(autoregressive(0.7, 3000), 12)
-    predictor = solve_toeplitz(rho[:-1], rho[1:])
-    assert prediction_error(rho) == pytest.approx(float(1 - predictor @ rho[1:]), rel=1e-10)
+    expected = solve_toeplitz(rho[:-1], rho[1:])
+    *_, found = predictors(rho)
+    np.testing.assert_allclose(found.coefficients, expected, rtol=1e-8, atol=1e-12)
+    assert found.error == pytest.approx(float(1 - expected @ rho[1:]), rel=1e-10)
+
+
+def test_a_predictor_has_as_many_lags_as_pay() -> None:
+    assert all(len(whiteness(white(5000, seed)).predictor.coefficients) == 0 for seed in range(20))
+    found = whiteness(autoregressive(0.8, 20_000)).predictor
+    np.testing.assert_allclose(found.coefficients, [0.8], atol=0.02)
+    angle = np.linspace(0, np.pi, 2001)
+    np.testing.assert_allclose(found.power(angle), 0.36 / np.abs(1 - 0.8 * np.exp(-1j * angle)) ** 2, rtol=0.15)
+    assert np.trapezoid(found.power(angle), angle) / np.pi == pytest.approx(1.0, rel=1e-6)
 
 
 def test_a_tone_is_predictable_nearly_all() -> None:

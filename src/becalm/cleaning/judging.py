@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
-from typing import NamedTuple
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -12,101 +13,72 @@ from becalm.metrics.evenness import BlockCount
 from becalm.metrics.lagged import LaggedSums
 from becalm.metrics.running import PIECE, Running
 from becalm.metrics.whiteness import Power, Whiteness, judge_whiteness
+from becalm.noise.excess import Colour
 
 PREDICTABLE = 0.10
 """Share of the innovation power that may still be predictable: 10 % costs 5 % in rms prediction."""
 
 DESCRIBED = "The model describes the signal."
 
-NOTHING_REMOVED = 0.8
-"""Noise gain above which a filter has found next to no noise to remove."""
+COSTLY = 0.10
+"""Excess of a smoother's rms error over the least possible, above which it matters what is predictable."""
+
+FEWEST_INNOVATIONS = 8
+"""Fewer than this tell nothing."""
 
 UNEVEN = 0.10
 """Share of the record in which sigma may be wrong by more than a factor of two."""
 
 
+_FAR_OFF = 8.0  # in mean square, of a record too short for its evenness to be looked at
+_NARROW = 1 / 32  # cycles a reading, on each side of the loudest frequency: what 32 lags tell apart
+_CHANCE = 0.01  # p-value above which a short record tells nothing, however much seems predictable
+_LEAST = 1e-12  # share that is not predictable
+
+Decision = Literal["fits", "fits except", "does not fit", "constant", "untold"]
+
+
 @dataclass(frozen=True)
-class ChannelReport:
-    """What was found and done for one channel.
+class Judgement:
+    """What the innovations of one channel say of its model.
 
     Attributes
     ----------
-    name, unit : str
-        As in the recording.
-    model : str
-        "motion", "constant" or "untold".
-    order : int or None
-        Order of the motion.
-    tones_hz : tuple of float
-        Frequencies of the tones beside it.
-    noise_std : float or None
-        Standard deviation of one reading's noise, in unit.
-    q_over_r : float or None
-        Ratio of process to measurement noise, per step.
-    bandwidth_hz, lag_s : float or None
-        -3 dB bandwidth; delay of a slow ramp or of a step at half of its height, the longer one.
-    log_likelihood : float or None
-        Of the readings, given the recipe.
-    settled_row : int or None
-        The first row whose gain was the settled one.
+    verdict : {"fits", "fits except", "does not fit", "constant", "untold"}
+        "fits except": a narrow band is not described, near `loudest_hz`. "untold": too few readings.
     whiteness_p : float or None
         Ljung-Box, 20 lags.
     first_correlation : float or None
         Of neighbouring innovations; positive: sluggish, negative: nervous.
     predictable_share : float or None
         Share of the innovation power that is still predictable.
+    excess_error : float or None
+        What that costs: the share by which the rms error exceeds the least possible; of a smoother's
+        signal, of a causal filter's prediction.
     loudest_hz : float or None
         Where the spectrum of the innovations is highest.
     uneven_share : float or None
         Share of the record whose innovations are half or twice as large as expected, or worse.
     nis_mean : float or None
         Mean squared normalised innovation; 1 is right.
-    verdicts : dict
-        How many readings were used, missing, and so on.
-    describes : bool
-        Whether the model describes the signal.
     says : str
         The judgement as a sentence, with what to do.
     """
 
-    name: str = ""
-    unit: str = ""
-    model: str = ""
-    order: int | None = None
-    tones_hz: tuple[float, ...] = ()
-    noise_std: float | None = None
-    q_over_r: float | None = None
-    bandwidth_hz: float | None = None
-    lag_s: float | None = None
-    log_likelihood: float | None = None
-    settled_row: int | None = None
+    verdict: Decision = "untold"
     whiteness_p: float | None = None
     first_correlation: float | None = None
     predictable_share: float | None = None
+    excess_error: float | None = None
     loudest_hz: float | None = None
     uneven_share: float | None = None
     nis_mean: float | None = None
-    verdicts: dict[str, int] = field(default_factory=dict)
-    describes: bool = True
     says: str = ""
 
-    def as_dict(self) -> dict[str, object]:
-        """Return the report for JSON; what is unknown is None."""
-        return {key: _finite(value) for key, value in asdict(self).items()}
-
-
-@dataclass(frozen=True)
-class Judgement:
-    """What the innovations of one channel say of its model."""
-
-    whiteness_p: float
-    first_correlation: float
-    predictable_share: float
-    loudest_hz: float | None
-    uneven_share: float
-    nis_mean: float
-    describes: bool
-    says: str
+    @property
+    def describes(self) -> bool:
+        """Whether the model describes the signal, perhaps but for a narrow band."""
+        return self.verdict in ("fits", "fits except", "constant")
 
 
 class _Sums(NamedTuple):
@@ -127,6 +99,9 @@ class InnovationJudge:
     ----------
     step_s : float
         Step between them, in seconds.
+    excess : callable, optional
+        Takes the colour of the innovations and returns the excess of the rms error, as
+        `becalm.noise.excess.excess_error` does for a smoother; by default that of a prediction is taken.
 
     Examples
     --------
@@ -137,9 +112,9 @@ class InnovationJudge:
     'The model describes the signal.'
     """
 
-    def __init__(self, step_s: float = 1.0) -> None:
+    def __init__(self, step_s: float = 1.0, excess: Callable[[Colour], float] | None = None) -> None:
         self._running = Running(_Sums(), _Sums.extended)
-        self._step_s = step_s
+        self._step_s, self._excess = step_s, excess
 
     def add(self, innovations: Floats, innovation_sigma: Floats | float) -> None:
         """Add a block.
@@ -159,44 +134,78 @@ class InnovationJudge:
     def judgement(self) -> Judgement:
         """Judge all innovations so far; more may follow."""
         sums = self._running.sums()
-        found, uneven = judge_whiteness(sums.lagged), sums.blocks.share()
+        if sums.power.seen < FEWEST_INNOVATIONS:
+            return Judgement(says=f"Only {sums.power.seen} readings could be foretold: too few to judge the model.")
+        found, nis = judge_whiteness(sums.lagged), sums.power.mean()
+        uneven = sums.blocks.share() if sums.blocks.blocks else float(not 1 / _FAR_OFF < nis < _FAR_OFF)
         loudest_hz = None if found.loudest is None else found.loudest / self._step_s
-        faults = _faults(found, loudest_hz, uneven)
+        excess = self._excess_error(found, nis)
+        fault = _predictable(found, excess, loudest_hz, limited=self._excess is not None)
+        narrow = bool(fault) and _is_narrow(found)
+        faults = ([] if narrow or not fault else [fault]) + _changes(uneven)
         return Judgement(
-            found.p_value,
-            found.first_correlation,
-            found.predictable_share,
-            loudest_hz,
-            uneven,
-            sums.power.mean(),
-            not faults,
-            _sentence(faults),
+            verdict="does not fit" if faults else "fits except" if narrow else "fits",
+            whiteness_p=found.p_value,
+            first_correlation=found.first_correlation,
+            predictable_share=found.predictable_share,
+            excess_error=excess,
+            loudest_hz=loudest_hz,
+            uneven_share=uneven,
+            nis_mean=nis,
+            says=_sentence(faults, fault if narrow else "", loudest_hz) + _reserve(found, excess, bool(fault)),
         )
 
+    def _excess_error(self, found: Whiteness, nis: float) -> float:
+        if self._excess is not None:
+            return self._excess(lambda angle: nis * found.predictor.power(angle))
+        return float(1 / np.sqrt(max(1 - found.predictable_share, _LEAST))) - 1
 
-def _faults(found: Whiteness, loudest_hz: float | None, uneven: float) -> list[str]:
-    faults = []
-    if found.predictable_share > PREDICTABLE:
-        character = "sluggish" if found.first_correlation > 0 else "nervous"
-        faults.append(
-            f"{found.predictable_share:.0%} of the innovation power is still predictable, most of it near"
-            f" {loudest_hz:.3g} Hz (the filter is {character}: coloured noise or a vibration passes for signal)"
+
+def _predictable(found: Whiteness, excess: float, loudest_hz: float | None, *, limited: bool) -> str:
+    """Say what is still predictable, if it is much, and, of a smoother, costs much; else nothing."""
+    much = found.predictable_share > PREDICTABLE and found.p_value < _CHANCE
+    if not much or (limited and excess <= COSTLY):
+        return ""
+    character = "sluggish" if found.first_correlation > 0 else "nervous"
+    return (
+        f"{found.predictable_share:.0%} of the innovation power is still predictable, most of it near"
+        f" {loudest_hz:.3g} Hz, which costs {excess:.0%} in rms error (the filter is {character}: coloured noise or a"
+        " vibration passes for signal, or is taken for noise)"
+    )
+
+
+def _is_narrow(found: Whiteness) -> bool:
+    """Whether nothing would be predictable if a band about the loudest frequency were like the rest."""
+    middle = found.loudest or 0.0
+    width = max(_NARROW, middle / 10)
+    inside = width < middle < 0.5 - width
+    return inside and found.predictor.share_outside(middle, width) <= PREDICTABLE
+
+
+def _changes(uneven: float) -> list[str]:
+    if uneven <= UNEVEN:
+        return []
+    return [
+        "noise or motion changes so much that sigma is wrong by more than a factor of two in"
+        f" {uneven:.0%} of the record"
+    ]
+
+
+def _reserve(found: Whiteness, excess: float, at_fault: bool) -> str:
+    """Say what is predictable, though it costs a smoother next to nothing."""
+    if at_fault or found.predictable_share <= PREDICTABLE or found.p_value >= _CHANCE:
+        return ""
+    return (
+        f" It does not foretell the next reading well ({found.predictable_share:.0%} of the innovation power is"
+        f" predictable), but a better one would lower the rms error of the smoothed signal by {excess:.1%} only."
+    )
+
+
+def _sentence(faults: list[str], exception: str, loudest_hz: float | None) -> str:
+    if faults:
+        return (
+            f"The model does not describe this signal: {'; and '.join([*faults, exception] if exception else faults)}."
         )
-    if uneven > UNEVEN:
-        faults.append(
-            f"noise or motion changes so much that sigma is wrong by more than a factor of two in {uneven:.0%} of"
-            " the record"
-        )
-    return faults
-
-
-def _sentence(faults: list[str]) -> str:
-    if not faults:
-        return DESCRIBED
-    return f"The model does not describe this signal: {'; and '.join(faults)}."
-
-
-def _finite(value: object) -> object:
-    if isinstance(value, float | np.floating):
-        return float(value) if np.isfinite(value) else None
-    return value
+    if exception:
+        return f"The model describes the signal except near {loudest_hz:.3g} Hz: {exception}."
+    return DESCRIBED

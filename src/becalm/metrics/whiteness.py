@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -14,8 +15,43 @@ from becalm.metrics.running import Running
 
 LAGS = 20
 _PREDICTOR_LAGS = MOST_LAGS
-_FREQUENCIES = 501
+_CYCLES = np.linspace(0.0, 0.5, 501)
 _READINGS_PER_LAG = 8  # a short sequence is asked fewer questions
+
+
+class Predictor(NamedTuple):
+    """Foretells a value from those before it: the sum of coefficients[j] times the value j + 1 earlier.
+
+    Attributes
+    ----------
+    coefficients : (j,) float array
+        None of white noise.
+    error : float
+        Variance that is left, over the variance.
+    """
+
+    coefficients: Floats
+    error: float
+
+    def share_outside(self, cycles: float, width: float) -> float:
+        """Return the share of the variance that would be foretold if a band about a frequency were like the rest.
+
+        Parameters
+        ----------
+        cycles, width : float
+            The band's middle and its half width, in cycles a value.
+        """
+        outside = self.power(2 * np.pi * _CYCLES[np.abs(_CYCLES - cycles) > width])
+        return 1 - float(np.exp(np.log(outside).mean()) / outside.mean())
+
+    def power(self, angle: Floats) -> Floats:
+        """Return the power (k,) of what it foretells best, at angles (k,) in radians a value; 1 on average."""
+        late = np.arange(1, len(self.coefficients) + 1)
+        power: Floats = self.error / np.abs(1 - np.exp(-1j * np.outer(angle, late)) @ self.coefficients) ** 2
+        return power
+
+
+NO_PREDICTOR = Predictor(np.zeros(0), 1.0)
 
 
 @dataclass(frozen=True)
@@ -34,12 +70,15 @@ class Whiteness:
         it foresees of white noise by chance; 0 to 1.
     loudest : float or None
         Where their spectrum, as 32 lags tell it, is highest: in cycles a value, 0 to 0.5; None where too few came.
+    predictor : Predictor
+        Of as many lags, up to 32, as pay for themselves; none of white noise.
     """
 
     p_value: float
     first_correlation: float
     predictable_share: float
     loudest: float | None = None
+    predictor: Predictor = field(default=NO_PREDICTOR, compare=False)
 
 
 class RunningWhiteness(Running[LaggedSums]):
@@ -65,7 +104,7 @@ def judge_whiteness(sums: LaggedSums) -> Whiteness:
 
     Notes
     -----
-    Ljung and Box, Biometrika 65 (1978) 297. The predictor is that of Levinson and Durbin.
+    Ljung and Box, Biometrika 65 (1978) 297. The predictors are those of Levinson and Durbin.
     """
     n = sums.seen
     tested, foreseen = min(LAGS, n // _READINGS_PER_LAG), min(_PREDICTOR_LAGS, n // _READINGS_PER_LAG)
@@ -78,30 +117,41 @@ def judge_whiteness(sums: LaggedSums) -> Whiteness:
     lags = np.arange(1, tested + 1)
     statistic = n * (n + 2) * float((correlation[1 : tested + 1] ** 2 / (n - lags)).sum())
     p_value = float(gammaincc(tested / 2, statistic / 2))
-    share = 1 - float(prediction_error(correlation))
-    chance = foreseen / n
-    return Whiteness(p_value, float(correlation[1]), max(0.0, (share - chance) / (1 - chance)), _loudest(correlation))
+    every = [NO_PREDICTOR, *predictors(correlation)]
+    share, chance = 1 - every[-1].error, foreseen / n
+    return Whiteness(
+        p_value,
+        float(correlation[1]),
+        max(0.0, (share - chance) / (1 - chance)),
+        _loudest(correlation),
+        min(every, key=lambda predictor: _price(predictor, n)),
+    )
+
+
+def _price(predictor: Predictor, count: int) -> float:
+    """Return what a predictor misses, and costs: Bayes's criterion (Schwarz, Annals of Statistics 6 (1978) 461)."""
+    smallest = np.finfo(float).tiny
+    return count * float(np.log(max(predictor.error, smallest))) + len(predictor.coefficients) * float(np.log(count))
 
 
 def _loudest(correlation: Floats) -> float:
     """Return where the spectrum of lagged correlations (l + 1,) is highest, in a Parzen window (Parzen 1961)."""
     place = np.arange(len(correlation)) / len(correlation)
     window = np.where(place < 0.5, 1 - 6 * place**2 * (1 - place), 2 * (1 - place) ** 3)
-    cycles = np.linspace(0.0, 0.5, _FREQUENCIES)
-    waves = np.cos(2 * np.pi * np.outer(cycles, np.arange(1, len(correlation))))
-    return float(cycles[int(np.argmax(waves @ (window * correlation)[1:]))])
+    waves = np.cos(2 * np.pi * np.outer(_CYCLES, np.arange(1, len(correlation))))
+    return float(_CYCLES[int(np.argmax(waves @ (window * correlation)[1:]))])
 
 
-def prediction_error(correlation: Floats) -> float:
-    """Return the variance left by the best linear predictor, over the variance (Durbin 1960)."""
-    error, predictor = 1.0, np.zeros(0)
+def predictors(correlation: Floats) -> Iterator[Predictor]:
+    """Find the best linear predictors of 1, 2, ... lags from lagged correlations (l + 1,) (Durbin 1960)."""
+    error, coefficients = 1.0, np.zeros(0)
     for j in range(1, len(correlation)):
-        reflection = (correlation[j] - predictor @ correlation[j - 1 : 0 : -1]) / error
-        predictor = np.append(predictor - reflection * predictor[::-1], reflection)
-        error *= 1 - reflection**2
+        reflection = (correlation[j] - coefficients @ correlation[j - 1 : 0 : -1]) / error
+        coefficients = np.append(coefficients - reflection * coefficients[::-1], reflection)
+        error = max(error * (1 - reflection**2), 0.0)
+        yield Predictor(coefficients, float(error))
         if not error > 0:
-            return 0.0
-    return error
+            return
 
 
 class Power(NamedTuple):

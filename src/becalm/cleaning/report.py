@@ -1,0 +1,63 @@
+"""What was found and done for one channel, and whether to trust it."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+
+import numpy as np
+
+from becalm.cleaning.judging import Judgement
+
+
+@dataclass(frozen=True)
+class ChannelReport(Judgement):
+    """What was found and done for one channel, beside the judgement.
+
+    Attributes
+    ----------
+    name, unit : str
+        As in the recording.
+    model : str
+        "motion", "constant" or "untold".
+    order : int or None
+        Order of the motion.
+    tones_hz, removed_hz : tuple of float
+        Frequencies of the tones beside it: of the signal, and of disturbances that were taken off.
+    noise_std, coloured_std : float or None
+        Standard deviation of one reading's white noise, and of its coloured noise, in unit.
+    q_over_r : float or None
+        Ratio of process to measurement noise, per step.
+    bandwidth_hz, lag_s : float or None
+        -3 dB bandwidth; delay of a slow ramp or of a step at half of its height, the longer one.
+    log_likelihood : float or None
+        Of the readings, given the recipe.
+    settled_row : int or None
+        The first row whose gain was the settled one.
+    verdicts : dict
+        How many readings were used, missing, and so on.
+    """
+
+    name: str = ""
+    unit: str = ""
+    model: str = ""
+    order: int | None = None
+    tones_hz: tuple[float, ...] = ()
+    removed_hz: tuple[float, ...] = ()
+    noise_std: float | None = None
+    coloured_std: float | None = None
+    q_over_r: float | None = None
+    bandwidth_hz: float | None = None
+    lag_s: float | None = None
+    log_likelihood: float | None = None
+    settled_row: int | None = None
+    verdicts: dict[str, int] = field(default_factory=dict)
+
+    def as_dict(self) -> dict[str, object]:
+        """Return the report for JSON; what is unknown is None."""
+        return {key: _finite(value) for key, value in asdict(self).items()} | {"describes": self.describes}
+
+
+def _finite(value: object) -> object:
+    if isinstance(value, float | np.floating):
+        return float(value) if np.isfinite(value) else None
+    return value
