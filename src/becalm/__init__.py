@@ -14,8 +14,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from becalm.cleaning.pipeline import clean, tune
+    from becalm.cleaning.pipeline import clean
     from becalm.cleaning.recipe import Recipe
+    from becalm.cleaning.tuning import Wishes, tune
     from becalm.core import components
     from becalm.core.filtering import kalman_filter
     from becalm.core.model import Model
@@ -30,6 +31,7 @@ __all__ = [
     "Online",
     "Recipe",
     "Recording",
+    "Wishes",
     "clean",
     "components",
     "kalman_filter",
@@ -44,11 +46,12 @@ _HOMES = {
     "Online": "becalm.core.online",
     "Recipe": "becalm.cleaning.recipe",
     "Recording": "becalm.core.recording",
+    "Wishes": "becalm.cleaning.tuning",
     "clean": "becalm.cleaning.pipeline",
     "kalman_filter": "becalm.core.filtering",
     "kalman_smoother": "becalm.core.smoothing",
     "read": "becalm.files.reading",
-    "tune": "becalm.cleaning.pipeline",
+    "tune": "becalm.cleaning.tuning",
     "write": "becalm.files.writing",
 }
 

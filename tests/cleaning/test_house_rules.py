@@ -11,9 +11,10 @@ from hypothesis import strategies as st
 
 from becalm.classic.causal import butterworth, moving_average
 from becalm.cleaning.channels import MotionChannel
-from becalm.cleaning.judging import ChannelReport
-from becalm.cleaning.pipeline import Cleaned, clean, tune
+from becalm.cleaning.pipeline import Cleaned, clean
 from becalm.cleaning.recipe import Recipe
+from becalm.cleaning.report import ChannelReport
+from becalm.cleaning.tuning import tune
 from becalm.core.arrays import Floats
 from becalm.core.components import motion
 from becalm.core.flow import Told

@@ -10,14 +10,26 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe, ToneRecipe
+from becalm.cleaning.recipe import ChannelRecipe, ColouredNoiseRecipe, Origin, Recipe, ToneRecipe
 from becalm.errors import RecipeError
 
 positive = st.floats(min_value=0, exclude_min=True, allow_nan=False, allow_infinity=False)
 text = st.text(st.characters(codec="utf-8", exclude_categories=["Cs"]), max_size=12)
 
 
-tones = st.builds(ToneRecipe, **dict.fromkeys(ToneRecipe.model_fields, positive))
+tones = st.builds(
+    ToneRecipe,
+    frequency_hz=positive,
+    bandwidth_hz=positive,
+    process_noise_density=positive,
+    disturbance=st.booleans(),
+)
+coloured = st.builds(
+    ColouredNoiseRecipe,
+    rate_hz=positive,
+    coefficients=st.lists(st.floats(-2, 2), min_size=1, max_size=3).map(tuple),
+    std=positive,
+)
 
 
 @st.composite
@@ -32,6 +44,7 @@ def channels(draw: st.DrawFn, name: str) -> ChannelRecipe:
         process_noise_density=draw(positive | st.just(0.0)),
         noise_std=draw(positive),
         tone=tuple(draw(st.lists(tones, max_size=3))),
+        coloured_noise=draw(st.none() | coloured),
     )
 
 
@@ -109,7 +122,7 @@ FAULTS = [
     ('name = "ax"', "", "channel.1.name: Field required"),
     ("rate_hz = 50.0", "", "tuned_on.rate_hz: Field required"),
     ("rate_hz = 50.0", "rate_hz = 0", "tuned_on.rate_hz: Input should be greater than 0"),
-    ("becalm_recipe = 1", "becalm_recipe = 3", "becalm_recipe: Input should be 1 or 2"),
+    ("becalm_recipe = 1", "becalm_recipe = 4", "becalm_recipe: Input should be 1, 2 or 3"),
     (
         "noise_std = 0.1",
         "noise_std = 0.1\n[[channel.tone]]\nfrequency_hz = 7",

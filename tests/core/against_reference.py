@@ -13,8 +13,8 @@ from becalm.core.filtering import Estimate, kalman_filter
 from becalm.core.likelihood import log_likelihood
 from becalm.core.model import Model
 from becalm.core.online import Online
-from becalm.core.response import steady
 from becalm.core.smoothing import kalman_smoother
+from becalm.core.steady import steady
 
 TWIN = 1e-12
 

@@ -9,8 +9,10 @@ from becalm.core.arrays import Floats
 from becalm.core.components import motion
 from becalm.core.filtering import kalman_filter
 from becalm.core.model import Model
-from becalm.core.response import SteadyFilter, describe, steady
+from becalm.core.response import describe
 from becalm.core.smoothing import kalman_smoother
+from becalm.core.steady import steady
+from becalm.core.steady_filter import SteadyFilter
 
 CLOSED = 1e-10
 SIX_DIGITS = 5e-6  # of numbers printed with six

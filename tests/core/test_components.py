@@ -138,7 +138,7 @@ def test_the_euler_form_is_the_first_order_form() -> None:
     assert np.array_equal(model.Q, [[2.0]])
 
 
-@pytest.mark.parametrize("order", [0, -1, 6, 1.5])
+@pytest.mark.parametrize("order", [0, -1, 6, 1.5, True, "2", None, np.nan, 2.0])
 def test_other_orders_are_refused(order: Any) -> None:
     with pytest.raises(ModelError, match=r"^order = .* is not offered; choose 1"):
         motion(order)
@@ -224,11 +224,30 @@ def test_noise_of_very_different_densities_keeps_its_digits() -> None:
         (lambda: gauss_markov(0.0), "correlation_s = 0.0"),
         (lambda: gauss_markov(1.0, -0.1), "std = -0.1"),
         (lambda: bias(-1.0), "noise_density = -1.0"),
+        (lambda: motion(1, "1"), "noise_density = '1' is not a density; give a positive number or 0"),  # type: ignore[arg-type]
+        (lambda: motion(1, True), "noise_density = True is not a density"),
+        (lambda: motion(1, [1.0]), "noise_density = .* is not a density"),  # type: ignore[arg-type]
+        (lambda: tone("50"), "frequency_hz = '50' is not a frequency"),  # type: ignore[arg-type]
+        (lambda: tone(1e308), "leave the range of float64"),
+        (lambda: hum(None), "mains_hz = None is not a frequency"),  # type: ignore[arg-type]
+        (lambda: hum(50, 2.5), "harmonics = 2.5 is no number of tones"),  # type: ignore[arg-type]
+        (lambda: hum(50, True), "harmonics = True is no number of tones"),
+        (lambda: gauss_markov(1.0, 1e200), "Gauss-Markov noise leave the range of float64"),
+        (lambda: gauss_markov(1e-320), "Gauss-Markov noise leave the range of float64"),
+        (lambda: gauss_markov(1.0, None), "std = None"),  # type: ignore[arg-type]
+        (lambda: level(10**400), "noise_density = 1000"),
+        (lambda: level().to_model("1", 1.0), "step_s = '1' is not a step"),  # type: ignore[arg-type]
     ],
 )
 def test_impossible_numbers_are_refused(make: Any, says: str) -> None:
     with pytest.raises(ModelError, match=says):
         make()
+
+
+def test_numbers_of_any_kind_are_numbers() -> None:
+    expected = motion(2, 3.0).noise_density
+    for order, density in ((np.int64(2), np.float32(3.0)), (2, np.array(3)), (2, 3)):
+        np.testing.assert_array_equal(motion(order, density).noise_density, expected)  # type: ignore[arg-type]
 
 
 def test_what_fades_has_gone_over_a_long_step() -> None:

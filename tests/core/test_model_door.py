@@ -10,6 +10,8 @@ import pytest
 from becalm.core.filtering import kalman_filter
 from becalm.core.model import Model
 from becalm.core.smoothing import kalman_smoother
+from becalm.core.starting import refuse_singular
+from becalm.core.timeline import model_system
 from becalm.errors import BecalmError, ModelError
 
 GOOD: dict[str, Any] = {
@@ -209,6 +211,18 @@ def test_a_flat_start_needs_an_inverse(name: str, value: Any) -> None:
     for run in (kalman_filter, kalman_smoother):
         with pytest.raises(ModelError, match=f"^{name} has no inverse.*Give x0 and P0"):
             run(model, READINGS)
+
+
+@pytest.mark.parametrize("unit", [1e-150, 1e-9, 1e9, 1e150])
+def test_a_flat_start_does_not_depend_on_the_unit_of_a_channel(unit: float) -> None:
+    """A channel of tiny or huge numbers is none without noise; two that are the same are."""
+    plain = Model(F=np.eye(2), H=np.eye(2), Q=np.eye(2), R=[[1.0, 0.5], [0.5, 1.0]])
+    scaled = Model(F=np.eye(2), H=np.diag([1.0, unit]), Q=np.eye(2), R=[[1.0, 0.5 * unit], [0.5 * unit, unit**2]])
+    refuse_singular(model_system(plain))
+    refuse_singular(model_system(scaled))
+    alike = Model(F=np.eye(2), H=np.eye(2), Q=np.eye(2), R=[[1.0, unit], [unit, unit**2]])
+    with pytest.raises(ModelError, match=r"^R has no inverse"):
+        refuse_singular(model_system(alike))
 
 
 @pytest.mark.parametrize(

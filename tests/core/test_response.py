@@ -5,26 +5,23 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.optimize import brentq
-from scipy.signal import butter, group_delay, sosfilt, sosfreqz
 
 from becalm.core.arrays import Floats
-from becalm.core.components import gauss_markov, level, motion, oscillator
-from becalm.core.dials import (
+from becalm.core.closed_forms import (
     alpha_beta,
     alpha_beta_continuous,
     alpha_beta_gamma,
     continuous_motion,
-    motion_filter,
     order_one,
-    ratio_for_bandwidth,
-    ratio_for_lag,
-    ratio_for_noise_gain,
 )
+from becalm.core.components import gauss_markov, level, motion, oscillator
+from becalm.core.dials import motion_filter, ratio_for_bandwidth, ratio_for_lag, ratio_for_noise_gain
 from becalm.core.filtering import kalman_filter
 from becalm.core.model import Model
-from becalm.core.response import butterworth_response, describe, lag_steps
+from becalm.core.response import describe
 from becalm.core.smoothing import kalman_smoother
 from becalm.core.steady import steady
+from becalm.core.step_response import lag_steps
 from becalm.errors import ModelError, UsageError
 
 ORDERS = [1, 2, 3, 4, 5]
@@ -211,32 +208,18 @@ def test_a_state_that_is_never_seen_changes_nothing() -> None:
         describe(paper, T, output=[1, 0])
 
 
-@pytest.mark.parametrize("order", ORDERS)
-@pytest.mark.parametrize("cutoff", [0.004, 0.1, 0.4])
-def test_a_butterworth_is_the_one_that_is_drawn(order: int, cutoff: float) -> None:
-    f = np.linspace(1e-4, 0.499, 300)
-    _, expected = sosfreqz(butter(order, 2 * cutoff, output="sos"), 2 * np.pi * f)
-    np.testing.assert_allclose(butterworth_response(order, cutoff, f), expected, rtol=1e-6, atol=1e-12)
-
-
-def test_the_matched_butterworth_follows_best() -> None:
-    told = describe(model_of(2, 0.3**4), 1e-3)
-    matched = told.butterworth
-    assert matched is not None
-    assert matched.cutoff_hz == told.bandwidth_hz
-    impulse = np.append(1.0, np.zeros(4000))
-    own = kalman_filter(model_of(2, 0.3**4), np.append(np.zeros(4000), impulse)).signal[4000:, 0]
-    missed = {}
-    for order in range(1, 7):
-        passed = sosfilt(butter(order, 2e-3 * told.bandwidth_hz, output="sos"), impulse)
-        missed[order] = ((own - passed) ** 2).sum()
-        if order == matched.order:
-            assert matched.noise_gain == pytest.approx((passed**2).sum(), rel=1e-6)
-    assert matched.order == min(missed, key=lambda order: missed[order])
-    _, delay = group_delay(butter(matched.order, 2e-3 * told.bandwidth_hz), [1e-6])
-    assert matched.delay_s == pytest.approx(1e-3 * delay[0], rel=1e-6)
-    assert f"matched Butterworth: order {matched.order}, {told.bandwidth_hz:.3g} Hz" in str(told)
-    assert f"a {told.bandwidth_hz:.3g} Hz low-pass with" in str(told)
+def test_the_lag_beside_a_tone_is_that_of_an_edge_that_has_arrived() -> None:
+    """A wide tone takes most of an edge at once, rings, and leaves the motion a small, late rest."""
+    model = (motion(1, 0.01**2) + oscillator(0.02, 0.01, 0.01)).to_model(1.0, 1.0)
+    told, line = describe(model, 1.0), climb(model)
+    last = int(np.flatnonzero(line < 0.5)[-1])
+    crossed = last + (0.5 - line[last]) / (line[last + 1] - line[last]) - 0.5
+    assert told.lag_s == pytest.approx(crossed, rel=1e-6)
+    assert told.step is not None
+    assert told.step.delay_50_s < told.lag_s
+    ramp = np.arange(float(COUNT))
+    behind_ramp = float(ramp[-1] - kalman_filter(model, ramp).signal[-1, 0])
+    assert told.dc_delay_s == pytest.approx(behind_ramp, rel=1e-6)
 
 
 def test_what_a_model_lets_fade_is_told() -> None:

@@ -24,8 +24,8 @@ from becalm.core.components import motion
 from becalm.core.filtering import kalman_filter
 from becalm.core.model import Model
 from becalm.core.online import Online
-from becalm.core.response import steady
 from becalm.core.smoothing import kalman_smoother
+from becalm.core.steady import steady
 
 
 def imu(Q: float, R: float) -> Model:

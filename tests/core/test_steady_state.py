@@ -13,8 +13,9 @@ from becalm.core.arrays import Floats
 from becalm.core.components import motion
 from becalm.core.filtering import kalman_filter
 from becalm.core.model import Model
-from becalm.core.response import describe, steady
+from becalm.core.response import describe
 from becalm.core.smoothing import kalman_smoother
+from becalm.core.steady import steady
 from becalm.errors import ModelError
 
 SETTLED: dict[str, dict[str, Any]] = {

@@ -200,7 +200,7 @@ def test_a_constant_is_refused() -> None:
 
 @pytest.mark.parametrize("rate", [0.0, -1.0, np.nan, np.inf])
 def test_a_rate_that_is_none_is_refused(rate: float) -> None:
-    with pytest.raises(UsageError, match="is not a rate"):
+    with pytest.raises(UsageError, match=r"rate_hz = .* cannot be; give a positive number"):
         terms(record(100, 9, white=1.0)).to_noise_variance(rate)
 
 

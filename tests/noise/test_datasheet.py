@@ -164,3 +164,9 @@ def test_what_cannot_be_is_refused_in_a_sentence(call: object, sentence: str) ->
     assert callable(call)
     with pytest.raises(UsageError, match=re.escape(sentence)):
         call()
+
+
+@pytest.mark.parametrize("unit", ["um/m", "ue", "u\u03b5", "\u03bc\u03b5", "\u00b5\u03b5", "ustrain", "microstrain"])
+def test_a_microstrain_is_one_however_it_is_spelled(unit: str) -> None:
+    assert convert(1.0, unit, "m/m") == pytest.approx(1e-6, rel=1e-15)
+    assert white_noise(1.0, f"{unit}/sqrt(Hz)", "um/m") == pytest.approx(1 / np.sqrt(2), rel=1e-15)

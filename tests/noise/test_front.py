@@ -12,8 +12,9 @@ from becalm.core.dials import motion_filter
 from becalm.core.filtering import kalman_filter
 from becalm.core.smoothing import kalman_smoother
 from becalm.errors import UsageError
-from becalm.noise.front import Front, noise_lag_front, pick, waiting_curve
+from becalm.noise.front import Front, noise_lag_front, pick
 from becalm.noise.likelihood import Evidence, tune_motion
+from becalm.noise.waiting import waiting_curve
 
 RATE_HZ = 500.0
 R = 0.04  # unit^2

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from becalm.core.arrays import Floats
+from becalm.core.closed_forms import cutoff_to_ratio
 from becalm.core.components import motion
 from becalm.core.filtering import kalman_filter
 from becalm.metrics.whiteness import Whiteness, whiteness
-from becalm.noise.likelihood import Evidence, cutoff_to_ratio, tune_motion
+from becalm.noise.likelihood import Evidence, tune_motion
 
 SEEDS = range(30)
 ORDERS = (1, 2)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.signal import welch
 
 from becalm.core.arrays import Floats
+from becalm.core.closed_forms import motion_power
 from becalm.core.components import Component, motion, oscillator
 from becalm.core.smoothing import kalman_smoother
-from becalm.noise.cross_validation import _read
-from becalm.noise.spectrum import Line, gathered, line_power, motion_power, periodogram, pooled, sine_spectrum
+from becalm.noise.cross_validation import read_residuals
+from becalm.noise.spectrum import Line, binned, line_power, periodogram, pooled, sine_spectrum, welch_power
 
 ANGLE = np.geomspace(1e-3, np.pi, 40)
 
@@ -47,7 +49,7 @@ def test_white_noise_has_its_variance_everywhere(spectrum: object) -> None:
 
 def test_gathering_keeps_the_power_and_what_is_near_a_line() -> None:
     whole = periodogram(np.random.default_rng(2).normal(size=5000))
-    some = gathered(whole, [Line(1.5, 0.01, 1.0)])
+    some = binned(whole, [Line(1.5, 0.01, 1.0)])
     assert some.weight.sum() == len(whole.angle)
     assert some.weight @ some.power == pytest.approx(whole.power.sum(), rel=1e-12)
     assert (some.weight[np.abs(some.angle - 1.5) < 50 * 2 * np.pi / 5000] == 1).all()
@@ -60,7 +62,7 @@ def test_residuals_are_read_off_as_the_smoother_leaves_them(order: int) -> None:
     z = 3.0 + 1e-3 * t + np.sin(0.01 * t) + rng.normal(size=len(t))
     ratio = 0.2 ** (2 * order)
     smoothed = kalman_smoother(motion(order, ratio).to_model(1.0, 1.0), z)
-    residuals, readings = _read(order, [sine_spectrum(z)])
+    residuals, readings = read_residuals(order, [sine_spectrum(z)])
     squares, weight = residuals(ratio)
     assert readings == len(z)
     assert squares == pytest.approx(np.mean((z - smoothed.signal[:, 0]) ** 2), rel=5e-3)
@@ -72,3 +74,18 @@ def test_several_stretches_are_pooled() -> None:
     both = pooled([one, other])
     assert both.weight.sum() == 4000
     assert len(both.angle) == len(one.angle) + len(other.angle)
+
+
+@pytest.mark.parametrize("count", [1024, 1500, 5000])
+def test_the_mean_power_of_segments_is_that_of_scipy(count: int) -> None:
+    z = 3.0 + np.cumsum(np.random.default_rng(count).normal(size=count))
+    _, density = welch(z, nperseg=1024)
+    density[1:-1] /= 2  # the power of mirrored frequencies is told for each alone
+    np.testing.assert_allclose(welch_power(z, np.hanning(1025)[:-1]), density, rtol=1e-9)
+
+
+def test_the_mean_power_of_segments_of_white_noise_is_its_variance() -> None:
+    z = 2.0 * np.random.default_rng(1).normal(size=400_000)
+    power = welch_power(z, np.hanning(512))[2:-1]
+    assert power.mean() == pytest.approx(4.0, rel=0.01)
+    assert power.std() / 4.0 < 0.05

@@ -10,7 +10,7 @@ import pytest
 from becalm.core import reference
 from becalm.core.arrays import Floats
 from becalm.errors import ModelError, RecordingError
-from becalm.noise.step_spectrum import SEGMENT, Sensor, Spectrum, StepTrial, imu_component
+from becalm.noise.step_spectrum import SEGMENT, Sensor, SpectrumKind, StepTrial, imu_component
 from becalm.noise.step_tuning import tune_by_simplex, tune_by_step
 
 ONES = np.ones((2, 2))
@@ -58,7 +58,7 @@ def by_definition(trial: StepTrial, R: float, Q: float) -> tuple[float, float]:
 @pytest.mark.parametrize("sensor", SENSORS)
 @pytest.mark.parametrize("spectrum", ["amplitude", "power"])
 @pytest.mark.parametrize("ratio", [0.1, 10.0, 1e4])
-def test_the_cost_is_that_of_its_definition(sensor: Sensor, spectrum: Spectrum, ratio: float) -> None:
+def test_the_cost_is_that_of_its_definition(sensor: Sensor, spectrum: SpectrumKind, ratio: float) -> None:
     record = 5 + 0.05 * np.random.default_rng(1).normal(size=3000)
     trial = StepTrial(record, 300.0, sensor, spectrum, initial_covariance=ONES)
     cost = trial.cost(2.5e-3, ratio * 2.5e-3)

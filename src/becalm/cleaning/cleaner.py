@@ -11,8 +11,8 @@ from typing import Self
 import numpy as np
 
 from becalm.cleaning.channels import Channel, open_channel
-from becalm.cleaning.judging import ChannelReport
 from becalm.cleaning.recipe import Recipe
+from becalm.cleaning.report import ChannelReport
 from becalm.core.arrays import Floats
 from becalm.core.flow import Told
 
@@ -26,6 +26,8 @@ class Cleaner:
         What to do; its channels are those of every push, in this order.
     step_s : float
         The step that elapsed steps are counted in, in seconds.
+    split : bool
+        Whether to tell the parts of each channel as well, in the order of `ChannelRecipe.parts`.
 
     Raises
     ------
@@ -33,9 +35,9 @@ class Cleaner:
         If a channel's numbers make no filter at this step.
     """
 
-    def __init__(self, recipe: Recipe, step_s: float) -> None:
+    def __init__(self, recipe: Recipe, step_s: float, *, split: bool = False) -> None:
         causal = recipe.mode == "causal"
-        self._channels: list[Channel] = [open_channel(channel, step_s, causal) for channel in recipe.channel]
+        self._channels: list[Channel] = [open_channel(channel, step_s, causal, split) for channel in recipe.channel]
         self._ready = [_Rows() for _ in self._channels]
         self._sizes: deque[int] = deque()  # of pushes that were not answered yet
         self._pool = ThreadPoolExecutor()
@@ -103,12 +105,12 @@ class _Rows:
         taken: list[Told] = []
         self.count -= count
         while count or not taken:
-            part = self._parts.popleft() if self._parts else Told(np.empty(0), np.empty(0))
+            part = self._parts.popleft() if self._parts else Told.nothing()
             if len(part.signal) > count:
-                self._parts.appendleft(Told(part.signal[count:], part.sigma[count:]))
-                part = Told(part.signal[:count], part.sigma[:count])
+                self._parts.appendleft(part.rows(slice(count, None)))
+                part = part.rows(slice(count))
             count -= len(part.signal)
             taken.append(part)
         if len(taken) == 1:
             return taken[0]
-        return Told(*(np.concatenate(arrays) for arrays in zip(*taken, strict=True)))
+        return Told(*(np.concatenate(arrays, axis=-1) for arrays in zip(*taken, strict=True)))

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from becalm.errors import RecipeError
 
-VERSION: Literal[2] = 2  # 1 knew no tones, and is read
+VERSION: Literal[3] = 3  # 1 knew no tones, 2 no disturbances; both are read
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -35,20 +35,42 @@ class ToneRecipe(_Settings):
         Width of its resonance at half the power.
     process_noise_density : float
         Of each of its two states, in unit^2/s; a *small* one lets it change slowly.
+    disturbance : bool
+        Whether it is taken off the signal, as hum is.
     """
 
     frequency_hz: Positive
     bandwidth_hz: Positive
     process_noise_density: Positive
+    disturbance: bool = False
+
+
+class ColouredNoiseRecipe(_Settings):
+    """Noise that remembers itself, beside the white noise: it is taken off the signal.
+
+    Attributes
+    ----------
+    rate_hz : float
+        Readings a second that it was told at.
+    coefficients : tuple of float
+        phi_1, phi_2, ... of e[k] = phi_1 e[k-1] + phi_2 e[k-2] + ... + w[k].
+    std : float
+        Standard deviation of e, in unit; a *small* one leaves more to the signal.
+    """
+
+    rate_hz: Positive
+    coefficients: Annotated[tuple[float, ...], Field(min_length=1)]
+    std: Positive
 
 
 class TunedMotion(NamedTuple):
-    """The numbers of a motion, all there, and the tones beside it."""
+    """The numbers of a motion, all there, and what is beside it."""
 
     order: int
     process_noise_density: float
     noise_std: float
     tones: tuple[ToneRecipe, ...] = ()
+    coloured_noise: ColouredNoiseRecipe | None = None
 
 
 class ChannelRecipe(_Settings):
@@ -66,6 +88,8 @@ class ChannelRecipe(_Settings):
         q, in unit^2/s^(2 order - 1); a *small* one trusts the model and smooths more.
     noise_std : float or None
         Standard deviation of one reading's noise, in unit; a *small* one trusts the readings.
+    coloured_noise : ColouredNoiseRecipe or None
+        Beside the white noise.
     tone : tuple of ToneRecipe
         Oscillations beside the motion.
     """
@@ -76,6 +100,7 @@ class ChannelRecipe(_Settings):
     order: Annotated[int, Field(ge=1, le=5)] | None = None
     process_noise_density: NotNegative | None = None
     noise_std: Positive | None = None
+    coloured_noise: ColouredNoiseRecipe | None = None
     tone: tuple[ToneRecipe, ...] = ()
 
     @model_validator(mode="after")
@@ -85,11 +110,20 @@ class ChannelRecipe(_Settings):
         return self
 
     @property
+    def parts(self) -> tuple[str, ...]:
+        """Names of the parts that the readings are split into, beside the white noise."""
+        if self.model != "motion":
+            return (self.model,)
+        tones = [f"{tone.frequency_hz:.6g}Hz" for tone in self.tone]
+        numbered = [f"tone_{tone}" + "_again" * tones[:k].count(tone) for k, tone in enumerate(tones)]
+        return ("motion", *numbered, *(["coloured_noise"] if self.coloured_noise else []))
+
+    @property
     def motion(self) -> TunedMotion | None:
         """The motion's numbers, or None if the channel passes unchanged."""
         if self.model != "motion" or self.order is None or self.process_noise_density is None or self.noise_std is None:
             return None
-        return TunedMotion(self.order, self.process_noise_density, self.noise_std, self.tone)
+        return TunedMotion(self.order, self.process_noise_density, self.noise_std, self.tone, self.coloured_noise)
 
 
 class Origin(_Settings):
@@ -132,7 +166,7 @@ class Recipe(_Settings):
         One for each channel to clean.
     """
 
-    becalm_recipe: Literal[1, 2] = VERSION
+    becalm_recipe: Literal[1, 2, 3] = VERSION
     mode: Literal["smoothed", "causal"] = "smoothed"
     time: str | None = None
     rate_hz: Positive | None = None

@@ -189,7 +189,7 @@ def _start(model: Model, z: Floats, room: _Room, wanted: Wanted) -> _Start:
     if model.x0 is not None and model.P0 is not None:
         return _Start(0, np.repeat(model.x0[:, np.newaxis], records, axis=1), model.P0)
     rows = min(z.shape[1], model.states)
-    opening = open_record(even_timeline(model, rows), np.zeros((rows, model.channels)), model.unobservable)
+    opening = open_record(even_timeline(model, rows), np.zeros((rows, model.channels)), model)
     begun = opening.rows
     readings = z[:, :begun].reshape(records, -1)
     told = [_opened(model, unit.reshape(begun, -1)) for unit in np.eye(readings.shape[1])]

@@ -176,7 +176,7 @@ def _look(count: int, blocks: Blocks) -> _Look:
     """See what range, digits and median distance the stamps have; refuse what cannot be time."""
     if count < 2:
         rows = "One row has" if count else "No rows have"
-        raise TimeError(f"{rows} no rate; two or more are needed. Give --rate HZ.")
+        raise TimeError(f"{rows} no rate; two or more are needed. Give a rate: --rate HZ, or rate_hz=.")
     seen, some = Thinned(count - 1), []
     first, last, row, every = np.nan, np.nan, 0, max(1, count // 1000)
     with np.errstate(invalid="ignore"):

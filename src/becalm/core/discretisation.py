@@ -3,11 +3,23 @@
 from __future__ import annotations
 
 from math import factorial
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import expm
 
 from becalm.core.arrays import Floats
+from becalm.errors import ModelError
+
+_WHOLE = 1e-9  # of a step, or of the number of steps: what rounding of times leaves
+
+
+class Recursion(NamedTuple):
+    """One step of what has no continuous time: x[k] = F x[k-1] + w."""
+
+    F: Floats  # (n, n)
+    Q: Floats  # (n, n) covariance of w
+    step_s: float
 
 
 def discretise(A: Floats, W: Floats, steps_s: Floats) -> tuple[Floats, Floats]:
@@ -32,6 +44,49 @@ def discretise(A: Floats, W: Floats, steps_s: Floats) -> tuple[Floats, Floats]:
     if not np.linalg.matrix_power(A, len(A)).any():
         return _integrate_polynomial(A, W, steps_s)
     return _integrate_van_loan(A, W, steps_s)
+
+
+def repeat(one: Recursion, steps_s: Floats) -> tuple[Floats, Floats]:
+    """Repeat one step exactly over steps of several lengths.
+
+    Parameters
+    ----------
+    one : Recursion
+        The step that is repeated.
+    steps_s : (u,) float array
+        Step lengths, in seconds: whole numbers of its own, 0 among them, up to rounding.
+
+    Returns
+    -------
+    F : (u, n, n) float array
+        F^k for each length of k steps.
+    Q : (u, n, n) float array
+        The noise gathered over it, the sum of F^j Q F^j' for j < k; being a sum, it loses no digits.
+
+    Raises
+    ------
+    ModelError
+        If a length is no whole number of steps.
+
+    Notes
+    -----
+    By doubling, F <- F F and Q <- F Q F' + Q, along the binary digits of k.
+    """
+    counts = np.round(steps_s / one.step_s)
+    beside = np.abs(steps_s / one.step_s - counts) > _WHOLE * np.maximum(counts, 1.0)
+    if beside.any():
+        raise ModelError(
+            f"Noise that is known at every {one.step_s:.6g} s cannot be told over {steps_s[beside][0]:.6g} s, which is "
+            "no whole number of steps. Give readings in even time, or use gauss_markov, which has any time."
+        )
+    left = counts.astype(np.int64)
+    F, Q = np.broadcast_to(np.eye(len(one.F)), (len(left), *one.F.shape)).copy(), np.zeros((len(left), *one.Q.shape))
+    power, noise = one.F, one.Q
+    while left.any():
+        odd = left % 2 == 1
+        F[odd], Q[odd] = power @ F[odd], power @ Q[odd] @ power.T + noise
+        power, noise, left = power @ power, power @ noise @ power.T + noise, left // 2
+    return F, (Q + np.swapaxes(Q, 1, 2)) / 2
 
 
 def _integrate_polynomial(A: Floats, W: Floats, steps_s: Floats) -> tuple[Floats, Floats]:

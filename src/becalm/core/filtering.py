@@ -182,7 +182,7 @@ def start_filter(model: Model, timeline: Timeline, z: Floats, how: Pass) -> Run:
     if model.x0 is not None and model.P0 is not None and prior is None:
         memory = new_memory(model.x0, model.P0, model.channels, _rows_to_remember(z, how))
         return go_on(model, timeline, z, memory, how)
-    opening = starting.open_record(timeline, z, model.unobservable, prior)
+    opening = starting.open_record(timeline, z, model, prior)
     trace, before = new_trace(model, len(z), how.wanted), Sums(0.0, 0.0, 0)
     write_opening(model, opening, trace)
     if prior is not None:

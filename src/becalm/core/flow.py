@@ -16,13 +16,13 @@ import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.core.components import Component
-from becalm.core.filtering import Pass, Run, Task, Wanted, go_on, start_filter
+from becalm.core.filtering import Estimate, Pass, Run, Task, Wanted, go_on, start_filter
 from becalm.core.kernel_ahead import BLOCK
 from becalm.core.kernel_return import Future, new_future
-from becalm.core.kernel_settling import rename_last_step
-from becalm.core.response import steady
+from becalm.core.kernel_settling import COVARIANCE, GAIN, rename_last_step
 from becalm.core.smoothing import forward_pass, go_back, room_to_return
 from becalm.core.starting import first_reading
+from becalm.core.steady import steady
 from becalm.core.timeline import Timeline, elapsed_timeline
 from becalm.errors import ModelError
 
@@ -32,6 +32,7 @@ FORGOTTEN = 1e-13
 _DIFFERENT = 1e14  # two futures this far apart ...
 _SAME = 1e-12  # ... have come this close: then FORGOTTEN, squared, lies between
 _FAR = 1 << 40
+_MOST_NUMBERS = 1 << 21  # of covariances that are held at once, where they are asked for
 
 Judge = Callable[[Floats, Floats], None]
 """Takes innovations and their expected standard deviations, (B,) each."""
@@ -42,6 +43,31 @@ class Told(NamedTuple):
 
     signal: Floats  # (B,)
     sigma: Floats  # (B,)
+    parts: Floats  # (p, B) the share of each part, where they were asked for; otherwise (0, B)
+
+    def rows(self, which: slice) -> Told:
+        """Return some of the rows."""
+        return Told(self.signal[which], self.sigma[which], self.parts[:, which])
+
+    @classmethod
+    def nothing(cls) -> Told:
+        """Return no rows."""
+        return cls(np.empty(0), np.empty(0), np.empty((0, 0)))
+
+
+class _Belief(NamedTuple):
+    """What is believed of some rows."""
+
+    signal: Floats  # (1, B)
+    sigma: Floats  # (1, B)
+    mean: Floats  # (n, B) where wanted
+    cov: Floats  # (n, n, B) where wanted
+
+    @classmethod
+    def of(cls, estimate: Estimate) -> _Belief:
+        mean = np.empty((0, 0)) if estimate.mean is None else estimate.mean.T
+        cov = np.empty((0, 0, 0)) if estimate.cov is None else np.moveaxis(estimate.cov, 0, 2)
+        return cls(estimate.signal.T, estimate.sigma.T, mean, cov)
 
 
 class _Stretch(NamedTuple):
@@ -63,15 +89,26 @@ class Flow:
         Whether to filter (True) or to smooth.
     judge : callable, optional
         Shown the innovations of each stretch.
+    split : bool
+        Whether to tell the share of each part of the component, disturbances among them, too.
     """
 
     def __init__(
-        self, component: Component, noise_variance: float, *, causal: bool, judge: Judge | None = None
+        self,
+        component: Component,
+        noise_variance: float,
+        *,
+        causal: bool,
+        judge: Judge | None = None,
+        split: bool = False,
     ) -> None:
-        self._component, self._variance, self._judge = component, noise_variance, judge
+        self._component, self._variance, self._judge, self._split = component, noise_variance, judge, split
         self._model = component.to_model(1.0, noise_variance)
-        self._wanted = Wanted(innovations=judge is not None)
-        self._how = Pass(self._wanted) if causal else forward_pass(self._wanted)
+        self._disturbed = any(part.disturbance for part in component.parts)
+        states = self._disturbed or split
+        self._wanted = Wanted(states=states, covariances=self._disturbed, innovations=judge is not None)
+        enough = COVARIANCE if self._disturbed else GAIN
+        self._how = Pass(self._wanted, enough) if causal else forward_pass(self._wanted)
         self._causal = causal
         self._level: float | None = None if component.keeps_level else 0.0  # what all readings are told from
         self._memory: Floats | None = None
@@ -87,6 +124,11 @@ class Flow:
 
         All stretches but the last should be of a multiple of 256 rows, so that the bits are those of one.
         """
+        most = _MOST_NUMBERS // len(self._model.F) ** 2 // BLOCK * BLOCK if self._wanted.states else _FAR
+        told = [self._push(z[at : at + most], elapsed[at : at + most]) for at in range(0, max(len(z), 1), most)]
+        return [part for parts in told for part in parts]
+
+    def _push(self, z: Floats, elapsed: Floats) -> list[Told]:
         z = self._told_from_level(z)
         if self._waiting:
             z, elapsed = (np.concatenate(parts) for parts in zip(*self._waiting, (z, elapsed), strict=True))
@@ -110,7 +152,7 @@ class Flow:
             (z, elapsed), self._waiting = self._waiting[0], []
             timeline = elapsed_timeline(self._component, self._variance, elapsed)
             run = start_filter(self._model, timeline, z[:, np.newaxis], Pass(self._wanted))
-            told.append(self._told(run.estimate.signal.T, run.estimate.sigma.T))
+            told.append(self._told(_Belief.of(run.estimate)))
             self._count(run, len(z))
         future = new_future(self._model.states)
         back = [self._smooth(stretch, future) for stretch in reversed(self._held)]
@@ -123,8 +165,17 @@ class Flow:
             self._level = float(z[row])
         return z - self._level if self._level else z
 
-    def _told(self, signal: Floats, sigma: Floats) -> Told:
-        return Told(signal[0] + self._level if self._level else signal[0], sigma[0])
+    def _told(self, belief: _Belief) -> Told:
+        signal, sigma, level = belief.signal[0], belief.sigma[0], self._level or 0.0
+        if self._disturbed:
+            C = self._component.signal_output[0]
+            signal = C @ belief.mean
+            sigma = np.sqrt(np.maximum(np.einsum("i,ijk,j->k", C, belief.cov, C), 0.0))
+        parts = np.empty((0, len(signal)))
+        if self._split:
+            parts = np.array([output[0] @ belief.mean for _, output in self._component.outputs()])
+            parts[0] += level
+        return Told(signal + level if level else signal, sigma, parts)
 
     def _filter(self, timeline: Timeline, z: Floats, elapsed: Floats) -> _Stretch | None:
         """Run forward over a stretch; None while the readings do not tell the state."""
@@ -155,11 +206,12 @@ class Flow:
         self.rows += rows
         if self._judge is not None:
             self._judge(unknown, unknown)
-        return Told(unknown, np.full(rows, np.inf))
+        parts = np.full((len(self._component.parts) if self._split else 0, rows), np.nan)
+        return Told(unknown, np.full(rows, np.inf), parts)
 
     def _tell(self, stretch: _Stretch) -> list[Told]:
         if self._causal:
-            return [self._told(stretch.run.estimate.signal.T, stretch.run.estimate.sigma.T)]
+            return [self._told(_Belief.of(stretch.run.estimate))]
         self._held.append(stretch)
         told: list[Told] = []
         while len(self._held) > 1:
@@ -170,11 +222,11 @@ class Flow:
         return told
 
     def _smooth(self, stretch: _Stretch, future: Future) -> Told:
-        trace = room_to_return(self._model, stretch.run, Wanted(innovations=False))
+        trace = room_to_return(self._model, stretch.run, self._wanted._replace(innovations=False))
         go_back(
             Task(self._model, stretch.timeline, stretch.z, stretch.run.begun), stretch.run, self._how, future, trace
         )
-        return self._told(trace.signal, trace.sigma)
+        return self._told(_Belief(trace.signal, trace.sigma, trace.mean, trace.cov))
 
     def _future_of(self, later: Sequence[_Stretch]) -> Future | None:
         """Return what all rows after a stretch say of its end; None if more of them are needed to know."""

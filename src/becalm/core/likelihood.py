@@ -43,7 +43,7 @@ def score(model: Model, timeline: Timeline, z: Floats, scored_from: int) -> Sums
 
     None where the readings (N, m) do not tell the state.
     """
-    opening = starting.open_record(timeline, z, model.unobservable)
+    opening = starting.open_record(timeline, z, model)
     if not opening.known or opening.rows >= len(z):
         return None
     memory, trace = new_memory(opening.x, opening.P, model.channels), new_trace(model, len(z), NOTHING)

@@ -35,6 +35,9 @@ class Model:
     P0 : (n, n) array_like, optional
         Covariance of x0; may be singular. Give both x0 and P0, or neither: then the filter
         starts from the first readings alone (a flat prior), with honest variance.
+    known : (n, n) array_like, optional
+        Without x0 and P0, what is known nevertheless: the inverse of the covariance of states whose mean is
+        0, as of noise that is stationary, and 0 for the others.
 
     Raises
     ------
@@ -42,7 +45,7 @@ class Model:
         If a shape does not fit, a number is not finite, or a covariance is not one.
     """
 
-    def __init__(  # noqa: PLR0913  (seven letters of one textbook equation)
+    def __init__(  # noqa: PLR0913  (the letters of one textbook equation)
         self,
         F: ArrayLike,
         H: ArrayLike,
@@ -51,6 +54,7 @@ class Model:
         G: ArrayLike | None = None,
         x0: ArrayLike | None = None,
         P0: ArrayLike | None = None,
+        known: ArrayLike | None = None,
     ) -> None:
         self.F: Floats = _matrix("F", F)
         n = len(self.F)
@@ -67,6 +71,9 @@ class Model:
             raise ModelError("x0 and P0 belong together; give both, or neither to start from the first readings.")
         self.x0: Floats | None = None if x0 is None else _vector("x0", x0, n)
         self.P0: Floats | None = None if P0 is None else checked_covariance("P0", P0, n)
+        self.known: Floats | None = None if known is None else checked_covariance("known", known, n)
+        if x0 is not None and known is not None:
+            raise ModelError("x0 and P0 say all that is known; leave them out, or known.")
         with np.errstate(over="ignore", invalid="ignore"):
             self.process_covariance: Floats = frozen(self.G @ self.Q @ self.G.T)
         if not np.isfinite(self.process_covariance).all():
@@ -85,9 +92,10 @@ class Model:
     @cached_property
     def unobservable(self) -> Floats:
         """Orthonormal basis of the directions that no reading ever sees, (n, u); u is often 0."""
-        rows, power = [], np.eye(self.states)
+        rows, power, noise = [], np.eye(self.states), np.sqrt(np.diag(self.R))
+        H = self.H / np.where(noise > 0, noise, 1.0)[:, np.newaxis]  # whatever the channels' units
         for _ in range(self.states):
-            block = self.H @ power
+            block = H @ power
             scale = np.abs(block).max()
             rows.append(block / scale if scale > 0 else block)
             power = power @ self.F

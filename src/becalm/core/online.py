@@ -21,9 +21,9 @@ from becalm.core.starting import (
     estimable,
     is_determined,
     is_narrow,
+    known_before,
     known_state,
     learn,
-    nothing_known,
     refuse_singular,
     wide_prior,
 )
@@ -136,7 +136,7 @@ class Online:
         if self._known is None:
             if self._prior is None and not arrived(row).any():
                 return np.full(len(H), np.nan), np.full(len(H), np.inf)
-            self._known = learn(self._prior or nothing_known(self.model.unobservable), H, R, row)
+            self._known = learn(self._prior or known_before(self.model), H, R, row)
         else:
             self._known = learn(carry(self._known, F, Q), H, R, row)
         narrow = self._prior is None or is_narrow(self._known, system)
@@ -148,7 +148,7 @@ class Online:
     def snapshot(self) -> bytes:
         """Return all that is needed to go on later, as plain bytes."""
         arrays: dict[str, Floats] = {}
-        for name in ("F", "H", "Q", "R", "G", "x0", "P0"):
+        for name in ("F", "H", "Q", "R", "G", "x0", "P0", "known"):
             value = getattr(self.model, name)
             if value is not None:
                 arrays[f"model_{name}"] = value

@@ -11,31 +11,19 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.integrate import quad
 from scipy.optimize import brentq, minimize_scalar
 
 from becalm.core.arrays import Floats
+from becalm.core.closed_forms import butterworth_delay, butterworth_noise_gain, butterworth_response
 from becalm.core.model import Model
-from becalm.core.steady import Complexes, SteadyFilter, steady
+from becalm.core.steady import steady
+from becalm.core.steady_filter import Complexes, SteadyFilter
+from becalm.core.step_response import StepResponse, lag_steps, tell_step
 from becalm.errors import ModelError
-
-__all__ = ["Butterworth", "Response", "SteadyFilter", "Step", "decibels", "describe", "lag_steps", "steady"]
 
 _HOLDS = 0.1  # of the largest gain: an output with less at 0 Hz is a band-pass
 _FORGETS = 1 - 1e-13  # largest pole of a filter that does
-_WITHIN = 0.02  # of a step's height: settled
-_LAST = 1e-5  # of a step's height: what is left may be left out
-_LOOKS = 4096
 _BUTTERWORTHS = range(1, 7)
-
-
-class Step(NamedTuple):
-    """How a causal filter follows a step; the delays are from the input to the output, both drawn as lines."""
-
-    delay_50_s: float  # at half of its height
-    delay_90_s: float  # at nine tenths of it
-    overshoot_percent: float
-    settling_s: float  # from the first reading of the step until all outputs stay within 2 % of its height
 
 
 class Butterworth(NamedTuple):
@@ -66,7 +54,8 @@ class Response:
         Gain of a constant; below 1 where the model knows that the signal returns to 0.
     lag_s : float
         How far the output trails: the delay of a slow signal or that of a step at half of its height,
-        whichever is longer; 0 for a smoother, NaN for a band-pass.
+        whichever is longer; where tones stand beside a motion, that of the step. 0 for a smoother,
+        NaN for a band-pass. See `step_response.lag_steps`.
     dc_delay_s : float
         Delay of a slow signal (group delay at 0 Hz); 0 from order 2 on, which the step is not.
     sine_delay_s : float
@@ -75,7 +64,7 @@ class Response:
         How far the gain rises above that of 0 Hz, and where; 0 and 0 if nowhere. Of a band-pass 0, and its centre.
     poles : (n,) complex array
         Of the filter, each per step, the slowest first.
-    step : Step or None
+    step : StepResponse or None
         Of a causal filter that passes 0 Hz.
     butterworth : Butterworth or None
         Of the same -3 dB bandwidth, and the order whose output differs least in mean square when white
@@ -93,7 +82,7 @@ class Response:
     peak_db: float
     peak_hz: float
     poles: Complexes
-    step: Step | None = None
+    step: StepResponse | None = None
     butterworth: Butterworth | None = None
 
     @property
@@ -138,8 +127,7 @@ def describe(model: Model, step_s: float, causal: bool = True, output: ArrayLike
     ModelError
         If the model has several channels, R = 0, or no steady gain; if the step is not positive.
     """
-    if not 0 < step_s < np.inf:
-        raise ModelError(f"step_s = {step_s} is not a step; give a positive number of seconds.")
+    refuse_step(step_s)
     found = steady(model, output)
     if not abs(found.poles[0]) < _FORGETS:
         raise ModelError(
@@ -164,19 +152,20 @@ def describe(model: Model, step_s: float, causal: bool = True, output: ArrayLike
         peak_db=decibels(passing.peak / passing.reference) if rises else 0.0,
         peak_hz=passing.peak_at / step_s if rises else 0.0,
         poles=found.poles,
-        step=_tell_step(found, step_s) if follows else None,
+        step=tell_step(found, step_s) if follows else None,
         butterworth=_match_butterworth(found, edge, step_s) if simple else None,
     )
+
+
+def refuse_step(step_s: float) -> None:
+    """Raise a ModelError if a number of seconds is no step."""
+    if not 0 < step_s < np.inf:
+        raise ModelError(f"step_s = {step_s} is not a step; give a positive number of seconds.")
 
 
 def decibels(power_ratio: float) -> float:
     """Return ten times the decimal logarithm of a ratio of powers."""
     return float(10 * np.log10(power_ratio))
-
-
-def lag_steps(found: SteadyFilter) -> float:
-    """Return `Response.lag_s` in steps: of a slow signal or of a step at half height, the longer delay."""
-    return max(found.dc_delay, _climb(found).delay(0.5))
 
 
 class _Passing(NamedTuple):
@@ -218,71 +207,14 @@ def _find_passing(respond: Callable[[ArrayLike], Complexes], f: Floats) -> _Pass
     return _Passing(reference, holds, float(G[0].real), bands, peak, peak_at, max(0.0, float(late.max(initial=0.0))))
 
 
-class _Climb(NamedTuple):
-    """What is left of a step's height at some of its readings: every one at first, then evenly fewer."""
-
-    k: Floats  # (m,), from -1, the reading before the step
-    left: Floats  # (m,), from 1
-
-    def delay(self, level: float) -> float:
-        """Return how many steps after the input the output crosses a level, both drawn as lines."""
-        i = int(np.argmax(self.left <= 1 - level))
-        before, now = self.left[i - 1], self.left[i]
-        share = (before - (1 - level)) / (before - now)
-        return float(self.k[i - 1] + share * (self.k[i] - self.k[i - 1]) + 1 - level)
-
-
-def _climb(found: SteadyFilter) -> _Climb:
-    A, K = found.loop.A, found.loop.K
-    x = np.linalg.solve(np.eye(len(A)) - A, K).astype(np.float64)  # of a step that has settled
-    slowest = max(float(np.abs(found.poles[0])), 0.1)
-    total = len(A) + int(np.log(_LAST) / np.log(slowest))
-    stride = max(1, -(-(total - _LOOKS) // _LOOKS))
-    power = np.linalg.matrix_power
-    later = (power(A, _LOOKS) @ x).astype(np.float64)
-    orbit = np.hstack([_orbit(A, x, _LOOKS), _orbit(power(A, stride), later, _LOOKS)])
-    k = np.append(np.arange(_LOOKS), _LOOKS + stride * np.arange(_LOOKS)).astype(np.float64) - 1
-    left: Floats = (found.row @ orbit)[0] / (found.row @ x)[0]
-    return _Climb(k, left)
-
-
-def _orbit(A: Floats, x: Floats, count: int) -> Floats:
-    """Return x, A x, A^2 x and so on side by side, (n, count)."""
-    while x.shape[1] < count:
-        x, A = np.hstack([x, A @ x]), A @ A
-    return x[:, :count]
-
-
-def _tell_step(found: SteadyFilter, step_s: float) -> Step:
-    climb = _climb(found)
-    outside = int(np.flatnonzero(np.abs(climb.left) > _WITHIN)[-1])
-    return Step(
-        delay_50_s=climb.delay(0.5) * step_s,
-        delay_90_s=climb.delay(0.9) * step_s,
-        overshoot_percent=100 * max(0.0, -float(climb.left.min())),
-        settling_s=float(climb.k[min(outside + 1, len(climb.k) - 1)]) * step_s,
-    )
-
-
 def _match_butterworth(found: SteadyFilter, cutoff: float, step_s: float) -> Butterworth:
     """Find the order of the Butterworth filter of a cut-off, in cycles a step, that follows a filter best."""
     f = found.frequencies
     G = found.filter_response(f) / found.dc_gain
     missed = [np.trapezoid(np.abs(G - butterworth_response(order, cutoff, f)) ** 2, f) for order in _BUTTERWORTHS]
     order = _BUTTERWORTHS[int(np.argmin(missed))]
-    warp = np.tan(np.pi * cutoff)
-    left, _ = quad(lambda v: 2 * warp / np.pi / (1 + v ** (2 * order)) / (1 + (warp * v) ** 2), 0, np.inf)
-    delay = 1 / (2 * warp * np.sin(np.pi / (2 * order)))
-    return Butterworth(order, cutoff / step_s, delay * step_s, left)
-
-
-def butterworth_response(order: int, cutoff: float, f: Floats) -> Complexes:
-    """Return G (k,) of the digital Butterworth low-pass (bilinear, prewarped), all in cycles a step."""
-    k = np.arange(order)
-    s = 1j * np.tan(np.pi * f) / np.tan(np.pi * cutoff)
-    poles = np.exp(1j * np.pi * (2 * k + order + 1) / (2 * order))
-    response: Complexes = 1 / np.prod(1 - s[:, np.newaxis] / poles, axis=1)
-    return response
+    late, left = butterworth_delay(order, cutoff), butterworth_noise_gain(order, cutoff)
+    return Butterworth(order, cutoff / step_s, late * step_s, left)
 
 
 def _time(seconds: float) -> str:

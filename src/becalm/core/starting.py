@@ -44,7 +44,7 @@ class Opening(NamedTuple):
     P: Floats  # (n, n)
 
 
-def open_record(timeline: Timeline, z: Floats, unobservable: Floats, prior: Information | None = None) -> Opening:
+def open_record(timeline: Timeline, z: Floats, model: Model, prior: Information | None = None) -> Opening:
     """Gather information from z (N, m) until the state is known.
 
     Parameters
@@ -53,10 +53,10 @@ def open_record(timeline: Timeline, z: Floats, unobservable: Floats, prior: Info
         Step matrices and sensors, and the step before each row.
     z : (N, m) float array
         Readings, NaN where missing.
-    unobservable : (n, u) float array
-        Directions that no reading sees; they start at zero with unit variance.
+    model : Model
+        What it knows before any reading, and which directions no reading sees.
     prior : Information, optional
-        What is known before the first reading; nothing by default.
+        What is known before the first reading, in the place of that.
 
     Raises
     ------
@@ -66,7 +66,7 @@ def open_record(timeline: Timeline, z: Floats, unobservable: Floats, prior: Info
     system = timeline.system
     refuse_singular(system)
     n = len(system.F[0])
-    now = nothing_known(unobservable) if prior is None else prior
+    now = known_before(model) if prior is None else prior
     first = 0 if prior is not None else first_reading(z)
     gathered: list[Information] = []
     for k in range(first, len(z)):
@@ -98,9 +98,10 @@ def arrived(readings: Floats) -> Booleans:
     return usable
 
 
-def nothing_known(unobservable: Floats) -> Information:
-    """Return a flat prior; directions that no reading sees (n, u) start at zero with unit variance."""
-    return Information(unobservable @ unobservable.T, np.zeros(len(unobservable)))
+def known_before(model: Model) -> Information:
+    """Return a flat prior, but for what the model knows; what no reading sees starts at zero, with unit variance."""
+    Y = model.unobservable @ model.unobservable.T
+    return Information(Y if model.known is None else Y + model.known, np.zeros(len(Y)))
 
 
 def known_state(now: Information) -> tuple[Floats, Floats]:
@@ -110,12 +111,21 @@ def known_state(now: Information) -> tuple[Floats, Floats]:
 
 
 def carry(now: Information, F: Floats, Q: Floats) -> Information:
-    """Predict one step: Y becomes (I + M Q)^-1 M with M = F^-T Y F^-1."""
+    """Predict one step: Y becomes (I + M Q)^-1 M with M = F^-T Y F^-1.
+
+    With M = L L', that is L (I + L' Q L)^-1 L', which is no covariance's inverse by mistake, however long the step.
+    """
     back = np.linalg.inv(F)
     M, b = back.T @ now.Y @ back, back.T @ now.y
-    loss = np.linalg.inv(np.eye(len(M)) + M @ Q)
-    Y = loss @ M
-    return Information((Y + Y.T) / 2, loss @ b)
+    scale = np.sqrt(np.maximum(np.diag(M), 0.0))
+    scale[scale == 0] = 1.0
+    values, vectors = np.linalg.eigh((M + M.T) / (2 * np.outer(scale, scale)))
+    live = values > len(M) * np.finfo(float).eps * values[-1]
+    root = np.sqrt(values[live])
+    L = scale[:, np.newaxis] * vectors[:, live] * root
+    kept = np.linalg.inv(np.eye(len(root)) + L.T @ Q @ L)
+    Y = L @ kept @ L.T
+    return Information((Y + Y.T) / 2, L @ kept @ (vectors[:, live].T @ (b / scale) / root))
 
 
 def learn(now: Information, H: Floats, R: Floats, reading: Floats) -> Information:
@@ -198,9 +208,16 @@ def _symmetric_inverse(Y: Floats) -> Floats:
 
 def refuse_singular(system: System) -> None:
     """Raise a ModelError if F or R has no inverse, which a flat start needs."""
-    for name, matrix in (("F", system.F[0]), ("R", system.R)):
+    for name, matrix in (("F", system.F[0]), ("R", _unit_diagonal(system.R))):
         if not (np.linalg.cond(matrix) < _INVERTIBLE):
             raise ModelError(
                 f"{name} has no inverse, so the filter cannot start from the first readings alone. "
                 "Give x0 and P0, the state expected before the first reading and its covariance."
             )
+
+
+def _unit_diagonal(R: Floats) -> Floats:
+    """Return R as correlations, which no choice of units changes; a reading without noise stays a row of zeros."""
+    sigma = np.sqrt(np.diag(R))
+    scale = np.divide(1.0, sigma, out=np.zeros_like(sigma), where=sigma > 0)
+    return R * scale[:, np.newaxis] * scale

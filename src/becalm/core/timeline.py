@@ -27,7 +27,7 @@ class Timeline(NamedTuple):
 
     def record(self, z: Floats) -> Record:
         """Lay readings (N, m) out for the kernels, beside their steps."""
-        return Record(read_only(z), read_only(self.first), read_only(self.step))
+        return Record(read_only(np.ascontiguousarray(z)), read_only(self.first), read_only(self.step))
 
 
 def model_system(model: Model) -> System:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import NamedTuple
 
 import pyarrow as pa
@@ -17,11 +18,17 @@ _TIME = "time_s"
 
 
 class CleanChannel(NamedTuple):
-    """Some rows of a clean channel: signal and standard uncertainty, (n,) each, and the unit of both."""
+    """Some rows of a clean channel: signal, standard uncertainty and named parts, (n,) each, and the unit of all."""
 
     signal: Floats
     sigma: Floats
     unit: str = ""
+    parts: Mapping[str, Floats] = MappingProxyType({})
+
+    def columns(self, name: str) -> list[tuple[str, Floats]]:
+        """Return what is written of it, each with the name of its column."""
+        parts = [(f"{name}_{part}", values) for part, values in self.parts.items()]
+        return [(name, self.signal), (name + SIGMA, self.sigma), *parts]
 
 
 def output_table(source: SourceFile, signal: Recording, sigma: Recording) -> pa.Table:
@@ -65,15 +72,17 @@ def output_block(table: pa.Table, clean: Mapping[str, CleanChannel]) -> pa.Table
     Returns
     -------
     pyarrow.Table
-        The columns in their order, each NAME of `clean` followed by NAME_sigma; an older NAME_sigma is left out.
+        The columns in their order, each NAME of `clean` followed by NAME_sigma and its parts, NAME_PART; older
+        columns of those names are left out.
     """
     fields, columns = [], []
-    replaced = {name + SIGMA for name in clean}
+    replaced = {written for name, own in clean.items() for written, _ in own.columns(name)} - clean.keys()
     for field, column in zip(table.schema, table.columns, strict=True):
         if field.name in clean:
             own = clean[field.name]
-            fields += [_field(field.name, own.unit, field.metadata), _field(field.name + SIGMA, own.unit)]
-            columns += [pa.array(own.signal), pa.array(own.sigma)]
+            for name, values in own.columns(field.name):
+                fields.append(_field(name, own.unit, field.metadata if name == field.name else None))
+                columns.append(pa.array(values))
         elif field.name not in replaced:
             fields.append(field)
             columns.append(column)

@@ -23,6 +23,7 @@ from becalm.core.arrays import Floats
 from becalm.errors import RecordingError, UsageError
 from becalm.noise.allan import AllanCurve
 from becalm.noise.allan_covariance import shapes, spreads
+from becalm.noise.datasheet import noise_variance
 
 FEWEST_CLUSTER_TIMES = 6
 
@@ -32,12 +33,11 @@ _ONE_SIDED_95 = 1.645
 _ROUNDS = 20
 
 _UNTOLD = (
-    "No quantisation shows at the shortest cluster times: it is below {limit:.3g} (95 %).",
-    "White noise is nowhere loud enough to be seen: it is below {limit:.3g} (95 %). Sample faster.",
-    "The Allan deviation has no flat stretch that the other terms leave unexplained: bias instability is "
-    "below {limit:.3g} (95 %).",
-    "The Allan deviation does not rise up to the longest cluster time, {longest:.3g} s: the random walk is below "
-    "{limit:.3g} (95 %). A smaller one needs a longer record.",
+    "No quantisation shows at the shortest cluster times.",
+    "White noise is nowhere loud enough to be seen. Sample faster.",
+    "The Allan deviation has no flat stretch that the other terms leave unexplained: bias instability is not told.",
+    "The Allan deviation does not rise up to the longest cluster time, {longest:.3g} s: the random walk is not told. "
+    "A smaller one needs a longer record.",
 )
 
 
@@ -114,9 +114,7 @@ class NoiseTerms:
         -----
         At another rate than the record's it holds for a sensor that averages between two readings.
         """
-        if not (0 < rate_hz < np.inf):
-            raise UsageError(f"rate_hz = {rate_hz} is not a rate; give the readings a second, as 100.0.")
-        return _told(self.white) ** 2 * rate_hz
+        return noise_variance(_value(self.white), rate_hz)
 
     def to_random_walk_density(self) -> float:
         """Return q = K^2, in unit^2/s: the two-sided density of the noise that drives a wandering bias.
@@ -133,7 +131,7 @@ class NoiseTerms:
         Bias instability has no finite model and is not in q. Where B is told and K is not, q = 0 would trust
         the bias for ever; (K's `limit`)^2 is the largest q that this record allows.
         """
-        return _told(self.random_walk) ** 2
+        return _value(self.random_walk) ** 2
 
 
 def noise_terms(curve: AllanCurve) -> NoiseTerms:
@@ -250,10 +248,10 @@ def _found(square: float, error: float) -> NoiseTerm:
 def _untold(term: int, square: float, longest: float) -> NoiseTerm:
     """Return what bounds a coefficient that was not found."""
     limit = float(np.sqrt(square))
-    return NoiseTerm(np.nan, np.nan, limit, _UNTOLD[term].format(limit=limit, longest=longest))
+    return NoiseTerm(np.nan, np.nan, limit, _UNTOLD[term].format(longest=longest))
 
 
-def _told(term: NoiseTerm) -> float:
+def _value(term: NoiseTerm) -> float:
     """Return the value of a term, or say why there is none."""
     if np.isnan(term.value):
         raise UsageError(f"{term.reason} Its `limit` may be used in its place.")

@@ -15,15 +15,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from becalm.core.arrays import Floats
+from becalm.core.closed_forms import cutoff_to_ratio, motion_power
 from becalm.core.components import EVERY_ORDER, motion
 from becalm.core.filtering import Wanted
+from becalm.core.model import Model
 from becalm.core.smoothing import run_smoother
 from becalm.core.timeline import Timeline, elapsed_timeline
-from becalm.noise.likelihood import FASTEST, SLOWEST_CYCLES, Evidence, Tuning, cutoff_to_ratio
-from becalm.noise.spectrum import Spectrum, motion_power, pooled, sine_spectrum
+from becalm.noise.likelihood import Evidence, Tuning
+from becalm.noise.search import find_least, log_cutoffs
+from becalm.noise.spectrum import Spectrum, pooled, sine_spectrum
 
 LONG, MOST_OF = 4096, 0.8
 """Readings in complete stretches, and their share of all, from which on ends do not matter and spectra tell all."""
@@ -62,9 +64,9 @@ def tune_smoother(evidence: Evidence) -> tuple[Tuning, ...]:
         One for each order from 1 to 5 that can be told, `loss` their criterion; none where no smoother removes noise.
     """
     spectra = [sine_spectrum(evidence.z[part, 0]) for part in lasting(evidence)]
-    found = _tuned(evidence, lambda order: _read(order, spectra)) if spectra else ()
+    found = _tuned(evidence, lambda order: read_residuals(order, spectra)) if spectra else ()
     if not found or not _confirmed(min(found, key=lambda tuning: tuning.loss), evidence):
-        found = _tuned(evidence, lambda order: _smooth(order, evidence))
+        found = _tuned(evidence, lambda order: smooth_residuals(order, evidence))
     least = evidence.smallest_variance
     return tuple(replace(tuning, noise_variance=max(tuning.noise_variance, least)) for tuning in found)
 
@@ -83,8 +85,7 @@ def lasting(evidence: Evidence) -> list[slice]:
 
 def _tuned(evidence: Evidence, residuals: Callable[[int], tuple[Residuals, int]]) -> tuple[Tuning, ...]:
     """Tune every order by the residuals that its smoothers leave."""
-    span = max(4.0, *(float(evidence.elapsed[part][1:].sum()) for part in evidence.stretches))
-    grid = np.linspace(np.log(FASTEST), np.log(2 * np.pi * SLOWEST_CYCLES / span), _POINTS)
+    grid = log_cutoffs(evidence.longest_steps, _POINTS)
     orders = EVERY_ORDER[: len(evidence.z) - 3]
     found = [_least(order, grid, *residuals(order)) for order in orders]
     return tuple(tuning for tuning in found if tuning is not None)
@@ -92,7 +93,7 @@ def _tuned(evidence: Evidence, residuals: Callable[[int], tuple[Residuals, int]]
 
 def _confirmed(tuning: Tuning, evidence: Evidence) -> bool:
     """Whether the smoother leaves what its spectrum foretold; not where a record bends sharply at its ends."""
-    squares, weight = _smooth(tuning.order, evidence)[0](tuning.ratio)
+    squares, weight = smooth_residuals(tuning.order, evidence)[0](tuning.ratio)
     return abs(np.log(squares / (1 - weight) / tuning.noise_variance)) < _ALIKE if squares > 0 else False
 
 
@@ -102,20 +103,15 @@ def _least(order: int, grid: Floats, residuals: Residuals, count: int) -> Tuning
     def loss(log_cutoff: float) -> float:
         return criterion(*residuals(cutoff_to_ratio(order, float(np.exp(log_cutoff)))), count)
 
-    losses = [loss(float(point)) for point in grid]
-    best = int(np.argmin(losses))
-    if not np.isfinite(losses[best]):
+    found = find_least(loss, grid, _PRECISION)
+    if not np.isfinite(found.cost):
         return None
-    low, high = grid[min(best + 1, len(grid) - 1)], grid[max(best - 1, 0)]
-    found = minimize_scalar(loss, bounds=(low, high), method="bounded", options={"xatol": _PRECISION})
-    log_cutoff = float(found.x) if found.fun <= losses[best] else float(grid[best])
-    ratio = cutoff_to_ratio(order, float(np.exp(log_cutoff)))
-    edge = "low" if best == len(grid) - 1 else "high" if best == 0 else ""
+    ratio = cutoff_to_ratio(order, float(np.exp(found.at)))
     squares, weight = residuals(ratio)
-    return Tuning(order, ratio, squares / (1 - weight), count, loss=criterion(squares, weight, count), at_edge=edge)
+    return Tuning(order, ratio, squares / (1 - weight), count, loss=found.cost, at_edge=found.at_edge)
 
 
-def _read(order: int, spectra: Sequence[Spectrum]) -> tuple[Residuals, int]:
+def read_residuals(order: int, spectra: Sequence[Spectrum]) -> tuple[Residuals, int]:
     """Read residuals off spectra; return how many readings they are of, too."""
     spectrum, fixed = pooled(spectra), order * len(spectra)
     power, readings = motion_power(order, spectrum.angle), int(spectrum.weight.sum())
@@ -129,29 +125,51 @@ def _read(order: int, spectra: Sequence[Spectrum]) -> tuple[Residuals, int]:
     return residuals, readings
 
 
-def _stretches(order: int, evidence: Evidence) -> list[tuple[Timeline, Floats]]:
-    """Lay out what is smoothed: all of a short record, some stretches of a long one."""
-    parts = [part for part in evidence.stretches if part.stop - part.start > order]
+def _parts(evidence: Evidence, fewest: int) -> list[slice]:
+    """Return what is smoothed: all of a short record, some stretches of a long one."""
     if len(evidence.z) > _STRETCHES * _MOST:
         starts = np.linspace(0, len(evidence.z) - _MOST, _STRETCHES).astype(int)
-        parts = [slice(start, start + _MOST) for start in starts.tolist()]
-    component = motion(order)
-    return [(elapsed_timeline(component, 1.0, evidence.elapsed[part]), evidence.z[part]) for part in parts]
+        return [slice(start, start + _MOST) for start in starts.tolist()]
+    return [part for part in evidence.stretches if part.stop - part.start > fewest]
 
 
-def _smooth(order: int, evidence: Evidence) -> tuple[Residuals, int]:
+def smooth_residuals(order: int, evidence: Evidence) -> tuple[Residuals, int]:
     """Smooth to find residuals; return how many readings they are of, too."""
-    model, parts = motion(order).to_model(1.0, 1.0), _stretches(order, evidence)
-    count = sum(len(z) for _, z in parts)
+    component = motion(order)
+    model, parts = component.to_model(1.0, 1.0), _parts(evidence, order)
+    laid_out = [(elapsed_timeline(component, 1.0, evidence.elapsed[part]), evidence.z[part]) for part in parts]
 
     def residuals(ratio: float) -> tuple[float, float]:
-        squares, weight = 0.0, 0.0
-        for timeline, z in parts:
-            system = timeline.system
-            tuned = timeline._replace(system=system._replace(Q=system.Q * ratio))
-            smoothed = run_smoother(model, tuned, z, Wanted(innovations=False))
-            squares += float(((z - smoothed.signal) ** 2).sum())
-            weight += float(np.minimum(smoothed.sigma**2, 1.0).sum())
-        return squares / count, weight / count
+        scaled = [
+            (timeline._replace(system=timeline.system._replace(Q=timeline.system.Q * ratio)), z)
+            for timeline, z in laid_out
+        ]
+        return _residuals(model, scaled)
 
-    return residuals, count
+    return residuals, sum(len(z) for _, z in laid_out)
+
+
+def _residuals(model: Model, parts: Sequence[tuple[Timeline, Floats]]) -> tuple[float, float]:
+    """Return the mean squared residual of a smoother, and the mean weight of a reading in its own estimate."""
+    R, squares, weight = float(model.R[0, 0]), 0.0, 0.0
+    for timeline, z in parts:
+        smoothed = run_smoother(model, timeline, z, Wanted(innovations=False))
+        squares += float(((z - smoothed.signal) ** 2).sum())
+        weight += float(np.minimum(smoothed.sigma**2 / R, 1.0).sum())
+    count = sum(len(z) for _, z in parts)
+    return squares / count, weight / count
+
+
+def smoother_gain(tuning: Tuning, other: Tuning, evidence: Evidence) -> float:
+    """Return by how much the smoother of one tuning tells readings better than another's, as a log-likelihood."""
+    losses, count = [], 1
+    for one in (tuning, other):
+        component, R = one.component, one.noise_variance
+        model = component.to_model(1.0, R)
+        parts = [
+            (elapsed_timeline(component, R, evidence.elapsed[part]), evidence.z[part])
+            for part in _parts(evidence, len(tuning.component.drift))
+        ]
+        count = sum(len(z) for _, z in parts)
+        losses.append(criterion(*_residuals(model, parts), count))
+    return count / 2 * (losses[1] - losses[0])

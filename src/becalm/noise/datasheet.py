@@ -58,7 +58,22 @@ def white_noise(value: float, unit: str, reading_unit: str) -> float:
 
 
 def white_noise_in(unit: str, white: float, reading_unit: str) -> float:
-    """Return N, in reading_unit s^(1/2), as a datasheet would give it in `unit`: the inverse of `white_noise`."""
+    """Return white noise as a datasheet would give it: the inverse of `white_noise`.
+
+    Parameters
+    ----------
+    unit : str
+        Of what is returned, as "ug/sqrt(Hz)" or "deg/sqrt(h)".
+    white : float
+        N, two-sided, in reading_unit s^(1/2).
+    reading_unit : str
+        Unit of the readings, as "m/s^2".
+
+    Raises
+    ------
+    UsageError
+        If the unit is not one of white noise, or measures something else.
+    """
     return _finite(white) / white_size(unit, reading_unit)
 
 
@@ -85,12 +100,27 @@ def random_walk(value: float, unit: str, reading_unit: str) -> float:
 
 
 def random_walk_in(unit: str, walk: float, reading_unit: str) -> float:
-    """Return K, in reading_unit / s^(1/2), as a datasheet would give it in `unit`: the inverse of `random_walk`."""
+    """Return a rate random walk as a datasheet would give it: the inverse of `random_walk`.
+
+    Parameters
+    ----------
+    unit : str
+        Of what is returned, as "deg/h/sqrt(h)" or "ug/sqrt(s)".
+    walk : float
+        K, in reading_unit / s^(1/2).
+    reading_unit : str
+        Unit of the readings, as "deg/s".
+
+    Raises
+    ------
+    UsageError
+        If the unit is not one of a random walk, or measures something else.
+    """
     return _finite(walk) / walk_size(unit, reading_unit)
 
 
 def random_walk_of_stability(lowest_deviation: float, white: float) -> float:
-    """Return K from an in-run bias stability, the lowest point of the Allan deviation.
+    """Return K, in unit / s^(1/2), from an in-run bias stability, the lowest point of the Allan deviation.
 
     Parameters
     ----------
@@ -162,12 +192,40 @@ def noise_bandwidth(bandwidth_hz: float, poles: int = 1) -> float:
 
 
 def rms(white: float, bandwidth_hz: float, poles: int = 1) -> float:
-    """Return the root mean square of the output noise, sqrt(2 N^2 (noise bandwidth)), in the unit of the readings."""
+    """Return the root mean square of the output noise, sqrt(2 N^2 (noise bandwidth)), in the unit of the readings.
+
+    Parameters
+    ----------
+    white : float
+        N, two-sided, in unit s^(1/2).
+    bandwidth_hz : float
+        Where the sensor's own low-pass is at -3 dB.
+    poles : {1, 2}
+        Of that low-pass; two are a Butterworth.
+
+    Raises
+    ------
+    UsageError
+        If a number is not positive, or there are other poles.
+    """
     return float(np.sqrt(2 * noise_bandwidth(bandwidth_hz, poles)) * _positive("white", white))
 
 
 def white_noise_of_rms(value: float, bandwidth_hz: float, poles: int = 1) -> float:
-    """Return N, in unit s^(1/2), of a sensor with this root mean square of output noise: the inverse of `rms`."""
+    """Return N, in unit s^(1/2), of a sensor from the root mean square of its output noise: the inverse of `rms`.
+
+    Parameters
+    ----------
+    value : float
+        Root mean square, in the unit of the readings.
+    bandwidth_hz, poles
+        Of the sensor's own low-pass, as in `rms`.
+
+    Raises
+    ------
+    UsageError
+        If a number is not positive, or there are other poles.
+    """
     return float(_positive("value", value) / np.sqrt(2 * noise_bandwidth(bandwidth_hz, poles)))
 
 
@@ -192,7 +250,7 @@ def quantisation_step(span: float, bits: int) -> float:
 
 
 def quantisation_variance(step: float) -> float:
-    """Return what rounding to `step` adds to R, step^2 / 12, in unit^2.
+    """Return what rounding to `step`, in unit, adds to R: step^2 / 12, in unit^2.
 
     It is white and even where the other noise is louder than about half a step; a record that stands on
     one value has no noise that could be averaged.

@@ -50,7 +50,7 @@ _SPELLINGS = (
     (r"(^|\()(m?)dps", r"\1\2deg/s"),
     (r"/hr(?=\)|/|$)", "/h"),
     (r"m/s2", "m/s^2"),
-    ("ustrain", "um/m"),
+    (r"(?:micro|u)strain|u[e\u03b5](?=$|[/)])", "um/m"),
 )
 
 

@@ -11,14 +11,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from becalm.core.closed_forms import cutoff_to_ratio
 from becalm.core.components import ORDERS
-from becalm.core.dials import motion_filter, ratio_for_bandwidth, ratio_for_lag, ratio_for_noise_gain
-from becalm.core.response import decibels, describe
+from becalm.core.dials import motion_filter
+from becalm.core.response import describe
 from becalm.errors import UsageError
-from becalm.noise.likelihood import cutoff_to_ratio
+from becalm.noise.dial import Dial, Kind, ratio_for
+from becalm.noise.waiting import refuse_variance
 
 _CUTOFFS = np.geomspace(1e-4, 4.0, 48)  # radians a step
-_WAITS = np.append(0.0, np.geomspace(0.05, 6.0, 40))  # in units of 1 / cut-off
 _SAME = 1e-9  # relative: what differs by less is equal
 
 
@@ -108,28 +109,6 @@ class Pick:
     rivals: tuple[Point, ...]
 
 
-@dataclass(frozen=True)
-class Wait:
-    """What is left if the output may wait for later readings.
-
-    Attributes
-    ----------
-    wait_s : float
-        0 is the filter, inf the smoother.
-    sigma : float
-        Standard deviation of the error where the model holds, in unit.
-    noise_std : float
-        Standard deviation of a reading's noise that is left, in unit.
-    gain_db : float
-        How much less error power than the filter leaves, in dB.
-    """
-
-    wait_s: float
-    sigma: float
-    noise_std: float
-    gain_db: float
-
-
 def noise_lag_front(
     noise_variance: float, step_s: float, orders: Sequence[int] = ORDERS, ratios: Sequence[float] | None = None
 ) -> Front:
@@ -151,7 +130,7 @@ def noise_lag_front(
     UsageError
         If the variance or a ratio is not positive, or there is nothing to look at.
     """
-    _refuse_variance(noise_variance)
+    refuse_variance(noise_variance)
     if len(orders) == 0 or (ratios is not None and len(ratios) == 0):
         raise UsageError("A front needs an order and a ratio to look at; leave them out to take the usual ones.")
     wrong = [ratio for ratio in ratios or () if not 0 < ratio < np.inf]
@@ -190,71 +169,26 @@ def pick(
     UsageError
         If not exactly one wish is given, or no order can fulfil it.
     """
-    wishes = {"max_lag_s": max_lag_s, "bandwidth_hz": bandwidth_hz, "noise_gain_db": noise_gain_db}
-    given = [name for name, value in wishes.items() if value is not None]
+    wishes: dict[Kind, float | None] = {
+        "max_lag_s": max_lag_s,
+        "bandwidth_hz": bandwidth_hz,
+        "noise_gain_db": noise_gain_db,
+    }
+    given = [Dial(kind, value) for kind, value in wishes.items() if value is not None]
     if len(given) != 1:
         raise UsageError(f"{len(given)} wishes came; give one of max_lag_s, bandwidth_hz and noise_gain_db.")
-    name = given[0]
+    dial = given[0]
     found, refused = [], []
     for order in front.orders:
         try:
-            ratio = _ratio_for(name, order, float(wishes[name] or 0.0), front.step_s)
-            found.append(_point(order, ratio, front.noise_variance, front.step_s))
+            found.append(_point(order, ratio_for(order, dial, front.step_s), front.noise_variance, front.step_s))
         except UsageError as cause:
             refused.append(str(cause))
     if not found:
         raise UsageError(" ".join(dict.fromkeys(refused)))
-    quickest = name == "noise_gain_db"
+    quickest = dial.kind == "noise_gain_db"
     ranked = sorted(found, key=lambda point: point.lag_s if quickest else point.noise_std)
-    return Pick(ranked[0], _why(name, float(wishes[name] or 0.0), ranked), tuple(ranked[1:]))
-
-
-def waiting_curve(
-    order: int, ratio: float, noise_variance: float, step_s: float, waits: Sequence[int] | None = None
-) -> tuple[Wait, ...]:
-    """Return the curve from the filter over fixed lags to the smoother: what waiting for later readings gains.
-
-    Parameters
-    ----------
-    order : int
-        1 to 5.
-    ratio : float
-        q/r, as in `Tuning.ratio`.
-    noise_variance : float
-        r of a reading, in unit^2.
-    step_s : float
-        Step in seconds.
-    waits : sequence of int, optional
-        Later readings that are waited for; by default to 6 / cut-off. The smoother comes last in any case.
-
-    Raises
-    ------
-    UsageError
-        If the ratio is not positive or a wait is negative.
-    """
-    if not 0 < ratio < np.inf or any(not wait >= 0 for wait in waits or ()):
-        raise UsageError(f"ratio = {ratio} and waits = {waits}: q/r must be positive, and no wait below 0.")
-    _refuse_variance(noise_variance)
-    found = motion_filter(order, ratio)
-    steps = np.unique(np.round(_WAITS / ratio ** (1 / (2 * order)))) if waits is None else np.sort(np.asarray(waits))
-    alone = found.error_variance()
-    curve = []
-    for wait in (*steps.tolist(), np.inf):
-        error, noise = found.error_variance(wait), found.noise_gain(wait)
-        sigma, left = np.sqrt(error * noise_variance), np.sqrt(noise * noise_variance)
-        curve.append(Wait(wait * step_s, float(sigma), float(left), decibels(alone / error)))
-    return tuple(curve)
-
-
-def _refuse_variance(noise_variance: float) -> None:
-    if not 0 < noise_variance < np.inf:
-        raise UsageError(f"noise_variance = {noise_variance} is no variance; give a positive number in unit^2.")
-
-
-def _ratio_for(wish: str, order: int, value: float, step_s: float) -> float:
-    if wish == "max_lag_s":
-        return ratio_for_lag(order, value, step_s)
-    return ratio_for_bandwidth(order, value, step_s) if wish == "bandwidth_hz" else ratio_for_noise_gain(order, value)
+    return Pick(ranked[0], _why(dial, ranked), tuple(ranked[1:]))
 
 
 def _point(order: int, ratio: float, noise_variance: float, step_s: float) -> Point:
@@ -275,10 +209,10 @@ def _point(order: int, ratio: float, noise_variance: float, step_s: float) -> Po
     )
 
 
-def _why(wish: str, value: float, ranked: list[Point]) -> str:
+def _why(dial: Dial, ranked: list[Point]) -> str:
     best, others = ranked[0], ranked[1:]
-    won = "quickest" if wish == "noise_gain_db" else "quietest"
-    said = f"With {wish} = {value:.6g}, order {best.order} is the {won}: {_figures(best)}."
+    won = "quickest" if dial.kind == "noise_gain_db" else "quietest"
+    said = f"With {dial.kind} = {dial.value:.6g}, order {best.order} is the {won}: {_figures(best)}."
     rest = "; ".join(f"order {point.order}: {_figures(point)}" for point in others)
     return f"{said} {rest[:1].upper()}{rest[1:]}." if rest else said
 

@@ -9,6 +9,7 @@ and Its Applications, section 6.3.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -98,29 +99,17 @@ def tune_model(
             f" than {unknowns + model.states}. Give a longer record, or free less of Q and R."
         )
     told = autocovariances(model, process, noise, seen.T.astype(float) @ seen > 0, _sizes(readings, seen))
-    joint = _start(JointLikelihood(model, readings, process, noise, (free_process, free_noise)), told)
+    free = Free((process, noise), (free_process == "full", free_noise == "full"))
+    joint = _start(RecordLikelihood(model, readings), free, told)
     peak = climb(joint, walk(joint, np.zeros(unknowns), joint.variances & ~told.unseen), joint.used)
     return _result(joint, judge(joint, peak, told), peak.theta)
 
 
-class JointLikelihood:
-    """The log-likelihood of readings as a function of numbers that stand for the free entries of Q and R."""
+class Free(NamedTuple):
+    """What of Q and R is free."""
 
-    def __init__(
-        self, model: Model, z: Floats, process: Patterns, noise: Patterns, freedom: tuple[Freedom, Freedom]
-    ) -> None:
-        self.model, self.patterns, self._z = model, (process, noise), z
-        self.freedom, self._timeline = freedom, even_timeline(model, len(z))
-        self.used = 0
-        self._prepare()
-
-    def begin(self, Q: Floats, R: Floats) -> float:
-        """Let all numbers be zero at these covariances; return the log-likelihood there."""
-        process, noise = self.patterns
-        self.process = FreeMatrix(process, Q, self.freedom[0] == "full")
-        self.noise = FreeMatrix(noise, R, self.freedom[1] == "full")
-        value, self.used = self._run(Q, R)
-        return value
+    patterns: tuple[Patterns, Patterns]  # of Q and of R
+    full: tuple[bool, bool]  # whether every entry is
 
     @property
     def variances(self) -> Booleans:
@@ -132,10 +121,62 @@ class JointLikelihood:
         """What the amounts are called."""
         return self.patterns[0].names + self.patterns[1].names
 
+    def amounts(self, Q: Floats, R: Floats) -> Floats:
+        """Return the amounts (k,) of the patterns that Q and R hold."""
+        return np.concatenate([part.amounts(M) for part, M in zip(self.patterns, (Q, R), strict=True)])
+
+
+class RecordLikelihood:
+    """The log-likelihood of readings z (N, m), in the channels' units, as a function of Q and R."""
+
+    def __init__(self, model: Model, z: Floats) -> None:
+        self.model, self.z, self._timeline = model, z, even_timeline(model, len(z))
+        self._memory = None
+        if model.x0 is not None and model.P0 is not None and wide_prior(model) is None:
+            self._memory = new_memory(model.x0, model.P0, model.channels)
+        self._sizes, self._record = sizes_of(model), self._timeline.record(z)
+        self._trace = new_trace(model, len(z), NOTHING)
+
+    def __call__(self, Q: Floats, R: Floats) -> tuple[float, int]:
+        """Return the log-likelihood at Q and R, and of how many readings."""
+        model, G = self.model, self.model.G
+        timeline = self._timeline._replace(system=self._timeline.system._replace(Q=(G @ Q @ G.T)[np.newaxis], R=R))
+        if self._memory is None:
+            found = run_filter(model, timeline, self.z, NOTHING).estimate
+            return found.log_likelihood, found.used
+        squares, log_det, used, _ = forward(
+            self._sizes, timeline.system, self._record, 0, GAIN, self._memory.copy(), self._trace
+        )
+        return -0.5 * (squares + log_det + used * np.log(2 * np.pi)), used
+
+
+class JointLikelihood:
+    """The log-likelihood of readings as a function of numbers theta (k,) that stand for the free entries of Q and R.
+
+    All numbers are zero at the covariances it is made with.
+    """
+
+    def __init__(self, record: RecordLikelihood, free: Free, Q: Floats, R: Floats) -> None:
+        self.record, self.free = record, free
+        self.process, self.noise = (
+            FreeMatrix(part, M, full) for part, M, full in zip(free.patterns, (Q, R), free.full, strict=True)
+        )
+        self.used = record(Q, R)[1]
+
+    @property
+    def variances(self) -> Booleans:
+        """Which amounts are of variances, (k,); their numbers are logarithms."""
+        return self.free.variances
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What the amounts are called."""
+        return self.free.names
+
     def __call__(self, theta: Floats) -> float:
         """Return the log-likelihood at theta (k,); -inf where it does not count the same readings."""
         try:
-            value, used = self._run(*self.at(theta))
+            value, used = self.record(*self.at(theta))
         except (ModelError, np.linalg.LinAlgError):
             return -np.inf
         return value if used == self.used else -np.inf
@@ -147,45 +188,20 @@ class JointLikelihood:
 
     def amounts(self, theta: Floats) -> Floats:
         """Return the amounts (k,) of the patterns of Q and R at theta (k,)."""
-        return np.concatenate([part.amounts(M) for part, M in zip(self.patterns, self.at(theta), strict=True)])
+        return self.free.amounts(*self.at(theta))
 
     def scales(self, theta: Floats) -> Floats:
         """Return how large the amounts (k,) could be beside the variances at theta (k,)."""
-        return np.concatenate([part.scales(M) for part, M in zip(self.patterns, self.at(theta), strict=True)])
+        return np.concatenate([part.scales(M) for part, M in zip(self.free.patterns, self.at(theta), strict=True)])
 
     def slopes(self, theta: Floats) -> Floats:
         """Return the derivatives of the amounts by theta, (k, k)."""
         cut, slopes = self.process.count, np.zeros((len(theta), len(theta)))
         for i, slope in enumerate(self.process.slopes(theta[:cut])):
-            slopes[:cut, i] = self.patterns[0].amounts(slope)
+            slopes[:cut, i] = self.free.patterns[0].amounts(slope)
         for i, slope in enumerate(self.noise.slopes(theta[cut:])):
-            slopes[cut:, cut + i] = self.patterns[1].amounts(slope)
+            slopes[cut:, cut + i] = self.free.patterns[1].amounts(slope)
         return slopes
-
-    def moments(self, told: Autocovariances) -> Floats | None:
-        """Return the amounts (k,) that the readings' autocovariances point to."""
-        return told.estimate(np.where(arrived(self._z), self._z, np.nan))
-
-    def _run(self, Q: Floats, R: Floats) -> tuple[float, int]:
-        """Return the log-likelihood at Q and R, and of how many readings."""
-        model, G = self.model, self.model.G
-        timeline = self._timeline._replace(system=self._timeline.system._replace(Q=(G @ Q @ G.T)[np.newaxis], R=R))
-        if self._memory is None:
-            found = run_filter(model, timeline, self._z, NOTHING).estimate
-            return found.log_likelihood, found.used
-        squares, log_det, used, _ = forward(
-            self._sizes, timeline.system, self._record, 0, GAIN, self._memory.copy(), self._trace
-        )
-        return -0.5 * (squares + log_det + used * np.log(2 * np.pi)), used
-
-    def _prepare(self) -> None:
-        """Lay out once what every evaluation with a known start needs."""
-        model = self.model
-        self._memory = None
-        if model.x0 is not None and model.P0 is not None and wide_prior(model) is None:
-            self._memory = new_memory(model.x0, model.P0, model.channels)
-        self._sizes, self._record = sizes_of(model), self._timeline.record(self._z)
-        self._trace = new_trace(model, len(self._z), NOTHING)
 
 
 def _sizes(z: Floats, seen: Booleans) -> Floats:
@@ -196,27 +212,25 @@ def _sizes(z: Floats, seen: Booleans) -> Floats:
     return np.where(sizes > 0, sizes, 1.0)
 
 
-def _start(joint: JointLikelihood, told: Autocovariances) -> JointLikelihood:
+def _start(record: RecordLikelihood, free: Free, told: Autocovariances) -> JointLikelihood:
     """Begin at the model's own Q and R, or where the autocovariances point, whichever is likelier."""
-    process, noise = joint.patterns
-    own = np.concatenate([process.amounts(joint.model.Q), noise.amounts(joint.model.R)])
-    begins, pointed = [_positive(joint, told, own)], joint.moments(told)
+    own = free.amounts(record.model.Q, record.model.R)
+    begins = [_positive(free, told, own)]
+    pointed = told.estimate(np.where(arrived(record.z), record.z, np.nan))
     if pointed is not None:
-        begins.append(_positive(joint, told, np.where(told.unseen, own, pointed)))
-    best = max(begins, key=lambda matrices: joint.begin(*matrices))
-    joint.begin(*best)
-    return joint
+        begins.append(_positive(free, told, np.where(told.unseen, own, pointed)))
+    return JointLikelihood(record, free, *max(begins, key=lambda matrices: record(*matrices)[0]))
 
 
-def _positive(joint: JointLikelihood, told: Autocovariances, amounts: Floats) -> tuple[Floats, Floats]:
+def _positive(free: Free, told: Autocovariances, amounts: Floats) -> tuple[Floats, Floats]:
     """Make covariances of amounts (k,), of which each free variance is above zero as far as readings see it."""
-    strongest = (amounts * told.lengths)[joint.variances].max(initial=0.0)
+    strongest = (amounts * told.lengths)[free.variances].max(initial=0.0)
     least = _LEAST * (strongest if strongest > 0 else 1.0) / np.where(told.unseen, np.inf, told.lengths)
-    amounts = np.where(joint.variances, np.maximum(amounts, least), amounts)
-    cut = len(joint.patterns[0].names)
-    Q, R = joint.patterns[0].covariance(amounts[:cut]), joint.patterns[1].covariance(amounts[cut:])
-    full = [how == "full" for how in joint.freedom]
-    return _definite(Q) if full[0] else Q, _definite(R) if full[1] else R
+    amounts = np.where(free.variances, np.maximum(amounts, least), amounts)
+    process, noise = free.patterns
+    cut = len(process.names)
+    Q, R = process.covariance(amounts[:cut]), noise.covariance(amounts[cut:])
+    return _definite(Q) if free.full[0] else Q, _definite(R) if free.full[1] else R
 
 
 def _definite(covariance: Floats) -> Floats:
@@ -230,11 +244,11 @@ def _definite(covariance: Floats) -> Floats:
 
 def _result(joint: JointLikelihood, found: Certainty, theta: Floats) -> TunedModel:
     """Lay out what was found."""
-    given, (Q, R) = joint.model, joint.at(theta)
+    given, (Q, R) = joint.record.model, joint.at(theta)
     tuned = Model(F=given.F, H=given.H, Q=Q, R=R, G=given.G, x0=given.x0, P0=given.P0)
-    cut = len(joint.patterns[0].names)
+    cut = len(joint.free.patterns[0].names)
     process_error, noise_error = (
         (np.where(part.shapes != 0, each[:, np.newaxis, np.newaxis], 0.0) * np.abs(part.shapes)).sum(axis=0)
-        for part, each in zip(joint.patterns, (found.errors[:cut], found.errors[cut:]), strict=True)
+        for part, each in zip(joint.free.patterns, (found.errors[:cut], found.errors[cut:]), strict=True)
     )
     return TunedModel(tuned, process_error, noise_error, joint(theta), joint.used, found.sentences)

@@ -7,19 +7,22 @@ the Kalman Filter (1989), section 4.2; Schweppe, IEEE TIT-11 (1965) 61.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from becalm.core.arrays import Floats
+from becalm.core.autoregressive import Coloured, autoregressive
+from becalm.core.closed_forms import cutoff_to_ratio
 from becalm.core.components import Component, motion, oscillator
-from becalm.core.likelihood import score
+from becalm.core.filtering import run_filter
+from becalm.core.likelihood import NOTHING, score
 from becalm.core.timeline import elapsed_timeline
+from becalm.noise.search import Edge, find_least, log_cutoffs
 from becalm.noise.spectrum import Line
 
 UNSCORED = 3
@@ -32,8 +35,7 @@ LASTING = 1024
 """Readings in even time, none missing, whose spectrum is worth looking at."""
 
 _MOST_GAPS = 63
-SLOWEST_CYCLES = 0.2  # of the record: slower cut-offs are a polynomial
-FASTEST = 4.0  # radians a step: faster cut-offs pass everything
+_JITTER, _LATE = 0.02, 0.1  # steps by which a row may come late, after the row before and beside an even clock
 _GRID_POINTS = 17
 _FALLS = 3  # points downhill in a row after which slower cut-offs are not tried
 _DEEP = 50.0  # and this much less likely
@@ -68,9 +70,11 @@ class Tuning:
     loss : float
         Cross-validated, of a motion that was tuned for smoothing: `cross_validation.criterion`; NaN else.
     at_edge : {"", "low", "high"}
-        Whether the search ended at its slowest or fastest filter.
+        Whether the search ended at its slowest or fastest filter; see `search.Edge`.
     lines : tuple of Line
         Tones beside the motion.
+    coloured : Coloured or None
+        Coloured noise beside the motion, a disturbance.
     """
 
     order: int
@@ -79,14 +83,22 @@ class Tuning:
     count: int
     log_likelihood: float = np.nan
     loss: float = np.nan
-    at_edge: str = ""
+    at_edge: Edge = ""
     lines: tuple[Line, ...] = ()
+    coloured: Coloured | None = None
 
     @property
     def component(self) -> Component:
-        """The signal, in steps."""
-        tones = [oscillator(line.angle / (2 * np.pi), line.damping / np.pi, line.density) for line in self.lines]
-        return sum(tones, motion(self.order, self.ratio * self.noise_variance))
+        """The signal and what disturbs it, in steps."""
+        found = sum(map(_tone, self.lines), motion(self.order, self.ratio * self.noise_variance))
+        if self.coloured is None:
+            return found
+        return found + autoregressive(self.coloured.coefficients, float(np.sqrt(self.coloured.variance)))
+
+
+def _tone(line: Line) -> Component:
+    tone = oscillator(line.angle / (2 * np.pi), line.damping / np.pi, line.density)
+    return tone.as_disturbance() if line.disturbance else tone
 
 
 @dataclass(frozen=True)
@@ -123,11 +135,25 @@ class Evidence:
         return [slice(start, stop) for start, stop in pairwise(bounds)]
 
     @cached_property
+    def longest_steps(self) -> float:
+        """How many steps the longest stretch lasts, at least 4."""
+        return max(4.0, *(float(self.elapsed[part][1:].sum()) for part in self.stretches))
+
+    @cached_property
     def complete(self) -> list[slice]:
-        """Long stretches of rows in even time, none missing."""
-        bounds = np.flatnonzero(np.concatenate([[True], self.elapsed[1:] != 1.0, [True]]))
-        long = np.flatnonzero(np.diff(bounds) >= LASTING)
-        return [slice(int(bounds[k]), int(bounds[k + 1])) for k in long]
+        """Long stretches of rows in even time but for a little jitter, none missing."""
+        uneven = np.abs(self.elapsed[1:] - 1.0) > _JITTER
+        bounds = np.flatnonzero(np.concatenate([[True], uneven, [True]]))
+        runs = [slice(start, stop) for start, stop in pairwise(bounds.tolist()) if stop - start >= LASTING]
+        return [run for run in runs if self._keeps_time(run)]
+
+    def mean_step(self, part: slice) -> float:
+        """Return how long a step of a stretch lasts on average, in steps."""
+        return float(np.mean(self.elapsed[part][1:]))
+
+    def _keeps_time(self, part: slice) -> bool:
+        late = np.cumsum(self.elapsed[part][1:] - self.mean_step(part))
+        return bool(np.abs(late).max() <= _LATE)
 
     @cached_property
     def smallest_variance(self) -> float:
@@ -163,9 +189,14 @@ class Candidate:
         return Score(-0.5 * (used * (np.log(2 * np.pi * r) + 1) + log_det), r, used)
 
 
-def cutoff_to_ratio(order: int, cutoff: float) -> float:
-    """Return q/r of the steady motion filter with its cut-off in radians a step (motion's Notes, with T = 1)."""
-    return float(cutoff ** (2 * order))
+def log_likelihood_of(tuning: Tuning, evidence: Evidence) -> float:
+    """Return the log-likelihood of readings, but for the first ones that tell the state."""
+    component, R, total = tuning.component, tuning.noise_variance, 0.0
+    model = component.to_model(1.0, R)
+    for part in evidence.stretches:
+        timeline = elapsed_timeline(component, R, evidence.elapsed[part])
+        total += run_filter(model, timeline, evidence.z[part], NOTHING).estimate.log_likelihood
+    return total
 
 
 def tune_motion(order: int, evidence: Evidence) -> Tuning:
@@ -183,34 +214,19 @@ def tune_motion(order: int, evidence: Evidence) -> Tuning:
     A grid over the logarithm of the cut-off finds the region, from the fastest downwards and until
     the likelihood has fallen far; Brent's method finds the maximum.
     """
-    span = max(4.0, *(float(evidence.elapsed[part][1:].sum()) for part in evidence.stretches))
-    slowest, fastest = 2 * np.pi * SLOWEST_CYCLES / span, FASTEST
-    grid = np.linspace(np.log(fastest), np.log(slowest), _GRID_POINTS)
     candidate = Candidate(order, evidence)
 
     def cost(log_cutoff: float) -> float:
         return -candidate.score(cutoff_to_ratio(order, float(np.exp(log_cutoff)))).log_likelihood
 
-    costs = _descend(cost, grid)
-    best = int(np.argmin(costs))
-    low, high = grid[min(best + 1, len(grid) - 1)], grid[max(best - 1, 0)]
-    found = minimize_scalar(cost, bounds=(low, high), method="bounded", options={"xatol": _PRECISION})
-    log_cutoff = float(found.x) if found.fun <= costs[best] else float(grid[best])
-    ratio = cutoff_to_ratio(order, float(np.exp(log_cutoff)))
+    found = find_least(cost, log_cutoffs(evidence.longest_steps, _GRID_POINTS), _PRECISION, _has_risen)
+    ratio = cutoff_to_ratio(order, float(np.exp(found.at)))
     final = candidate.score(ratio)
-    near = 0.05 * (grid[0] - grid[1])
-    edge = "low" if log_cutoff < grid[-1] + near else "high" if log_cutoff > grid[0] - near else ""
-    likeliest = float(final.log_likelihood)
-    return Tuning(order, ratio, final.noise_variance, final.used, likeliest, at_edge=edge)
+    return Tuning(order, ratio, final.noise_variance, final.used, float(final.log_likelihood), at_edge=found.at_edge)
 
 
-def _descend(cost: Callable[[float], float], grid: Floats) -> list[float]:
-    """Return the cost of each grid point, until it has risen for good."""
-    costs: list[float] = []
-    for point in grid:
-        costs.append(cost(float(point)))
-        since = len(costs) - 1 - int(np.argmin(costs))
-        rising = since >= _FALLS and all(a < b for a, b in pairwise(costs[-_FALLS - 1 :]))
-        if rising and costs[-1] > min(costs) + _DEEP:
-            break
-    return costs
+def _has_risen(costs: Sequence[float]) -> bool:
+    """Whether the cost has risen for good, and far."""
+    since = len(costs) - 1 - int(np.argmin(costs))
+    rising = since >= _FALLS and all(a < b for a, b in pairwise(costs[-_FALLS - 1 :]))
+    return rising and costs[-1] > min(costs) + _DEEP

@@ -123,7 +123,7 @@ def split_at_cutoff(readings: Floats, rate_hz: float, cutoff_hz: float = 1.0) ->
     if len(readings) * cutoff_hz < _FEWEST_CYCLES * rate_hz:
         raise RecordingError(
             f"{len(readings) / rate_hz:.3g} s are too short to be split at {cutoff_hz:g} Hz; "
-            f"{_FEWEST_CYCLES / cutoff_hz:g} s are needed, or a higher cutoff_hz."
+            f"{_FEWEST_CYCLES / cutoff_hz:g} s are needed, or a higher cut-off."
         )
     centred = readings - readings.mean()
     above, below = (

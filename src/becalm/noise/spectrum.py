@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.fft import dst, rfft
-from scipy.special import zeta
 
 from becalm.core.arrays import Floats
 
@@ -34,6 +33,7 @@ class Line(NamedTuple):
     angle: float  # radians a step
     damping: float  # 1/step
     density: float  # of the noise on each of its states, unit^2/step
+    disturbance: bool = False  # whether it is read, but no part of the signal
 
 
 def sine_spectrum(z: Floats) -> Spectrum:
@@ -47,7 +47,7 @@ def sine_spectrum(z: Floats) -> Spectrum:
     place = (np.arange(len(z)) - (_ENDS - 1) / 2) / (len(z) - _ENDS)
     power = dst(z - (first + (last - first) * place), type=1, norm="ortho") ** 2
     angle = np.pi * np.arange(1, len(z) + 1) / (len(z) + 1)
-    return _binned(angle, power, [])
+    return _gather(angle, power, [])
 
 
 def pooled(spectra: Sequence[Spectrum]) -> Spectrum:
@@ -64,14 +64,35 @@ def periodogram(z: Floats) -> Spectrum:
     return Spectrum(angle[kept], power[kept], np.ones(kept.stop - _FIRST))
 
 
-def gathered(spectrum: Spectrum, lines: Sequence[Line]) -> Spectrum:
+def welch_power(z: Floats, window: Floats) -> Floats:
+    """Return the mean power (w // 2 + 1,), unit^2, of segments of a record (N,), from 0 to half the rate.
+
+    Parameters
+    ----------
+    z : (N,) float array
+        In unit; at least as many readings as the window has.
+    window : (w,) float array
+        Each segment, without its mean, is multiplied by it; half of it is the next one's as well.
+
+    Notes
+    -----
+    Welch, IEEE TAU-15 (1967) 70. White noise has its variance everywhere.
+    """
+    size = len(window)
+    segments = np.lib.stride_tricks.sliding_window_view(z, size)[:: size // 2]
+    tapered = (segments - segments.mean(axis=1, keepdims=True)) * window
+    power: Floats = (np.abs(np.fft.rfft(tapered, axis=1)) ** 2).mean(axis=0) / (window**2).sum()
+    return power
+
+
+def binned(spectrum: Spectrum, lines: Sequence[Line]) -> Spectrum:
     """Gather frequencies into bins, but for those near a line."""
     spacing = spectrum.angle[1] - spectrum.angle[0]
     apart = [round((line.angle - spectrum.angle[0]) / spacing) for line in lines]
-    return _binned(spectrum.angle, spectrum.power, apart)
+    return _gather(spectrum.angle, spectrum.power, apart)
 
 
-def _binned(angle: Floats, power: Floats, apart: Sequence[int]) -> Spectrum:
+def _gather(angle: Floats, power: Floats, apart: Sequence[int]) -> Spectrum:
     alone = np.zeros(len(angle), dtype=bool)
     for line in apart:
         alone[max(0, line - _NEAR) : line + _NEAR + 1] = True
@@ -85,21 +106,8 @@ def _binned(angle: Floats, power: Floats, apart: Sequence[int]) -> Spectrum:
     return Spectrum(np.add.reduceat(angle, first) / weight, np.add.reduceat(power, first) / weight, weight)
 
 
-def motion_power(order: int, angle: Floats) -> Floats:
-    """Return the power (k,) of a motion of density 1, as it is read once a step.
-
-    Notes
-    -----
-    White noise integrated `order` times has the power w^-2n; reading it once a step folds all
-    frequencies w + 2 pi k onto w, a sum of Hurwitz zeta functions.
-    """
-    turns = angle / (2 * np.pi)
-    folded: Floats = (zeta(2 * order, turns) + zeta(2 * order, 1 - turns)) * (2 * np.pi) ** (-2 * order)
-    return folded
-
-
 def line_power(line: Line, angle: Floats) -> Floats:
-    """Return the power (k,) of a tone, as it is read once a step."""
+    """Return the power (k,), unit^2, of a tone at angles (k,) in radians a step, as it is read once a step."""
     shrunk = np.exp(-line.damping)
     variance = line.density * -np.expm1(-2 * line.damping) / (2 * line.damping)
     real, imaginary, turn = shrunk * np.cos(line.angle), shrunk * np.sin(line.angle), np.exp(1j * angle)

@@ -20,9 +20,10 @@ from becalm.core.components import Component, Part
 from becalm.core.filtering import kalman_filter
 from becalm.core.model import Model
 from becalm.errors import ModelError, RecordingError
+from becalm.noise.spectrum import welch_power
 
 Sensor = Literal["accelerometer", "gyroscope"]
-Spectrum = Literal["amplitude", "power"]
+SpectrumKind = Literal["amplitude", "power"]
 
 SEGMENT = 1024
 """Readings in a segment of the Welch spectrum."""
@@ -114,7 +115,7 @@ class StepTrial:
     record: Floats
     rate_hz: float
     sensor: Sensor
-    spectrum: Spectrum = "amplitude"
+    spectrum: SpectrumKind = "amplitude"
     step: float = 0.2
     step_at_s: float = 5.0
     initial_covariance: Floats | None = None
@@ -159,11 +160,10 @@ class StepTrial:
 
     def _noise(self, calm: Floats) -> float:
         """Return the integral of the spectrum of an output (N,)."""
-        from scipy.signal import welch
-
-        frequency_hz, density = welch(calm, self.rate_hz, nperseg=SEGMENT)
+        density = 2 * welch_power(calm, np.hanning(SEGMENT + 1)[:-1]) / self.rate_hz
+        density[[0, -1]] /= 2  # neither has a mirrored frequency
         size = np.sqrt(density) if self.spectrum == "amplitude" else density
-        return float(np.trapezoid(size, frequency_hz))
+        return float(np.trapezoid(size, dx=self.rate_hz / SEGMENT))
 
     @cached_property
     def _first(self) -> int:

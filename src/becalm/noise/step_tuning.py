@@ -11,14 +11,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import minimize, minimize_scalar
+from scipy.optimize import minimize
 
 from becalm.core.arrays import Floats
 from becalm.errors import ModelError
+from becalm.noise.search import Edge, find_least, log_cutoffs
 from becalm.noise.step_spectrum import Cost, StepTrial
 
-_SLOWEST_CYCLES = 0.2  # of the record: slower cut-offs average all of it
-_FASTEST = 4.0  # radians a step: faster cut-offs pass everything
 _POINTS_A_DECADE = 4
 _PRECISION = 1e-3  # of log(Q/R)
 _COST_PRECISION = 1e-6  # of the cost, relative
@@ -40,7 +39,7 @@ class StepTuning:
     evaluations : int
         Filters tried.
     at_edge : {"", "low", "high"}
-        Whether the search ended at its slowest or fastest filter.
+        Whether the search ended at its slowest or fastest filter; see `search.Edge`.
     """
 
     ratio: float
@@ -48,7 +47,7 @@ class StepTuning:
     process_variance: float
     cost: Cost
     evaluations: int
-    at_edge: str = ""
+    at_edge: Edge = ""
 
 
 def tune_by_step(trial: StepTrial, noise_variance: float = 1.0) -> StepTuning:
@@ -66,18 +65,10 @@ def tune_by_step(trial: StepTrial, noise_variance: float = 1.0) -> StepTuning:
     def cost(log_ratio: float) -> Cost:
         return trial.cost(noise_variance, float(np.exp(log_ratio)) * noise_variance)
 
-    grid = _log_ratios(trial)
-    costs = [cost(point).total for point in grid]
-    best = int(np.argmin(costs))
-    bounds = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
-    found = minimize_scalar(
-        lambda point: cost(point).total, bounds=bounds, method="bounded", options={"xatol": _PRECISION}
-    )
-    log_ratio = float(found.x) if found.fun <= costs[best] else float(grid[best])
-    near = 0.05 * (grid[1] - grid[0])
-    edge = "low" if log_ratio < grid[0] + near else "high" if log_ratio > grid[-1] - near else ""
-    ratio, tried = float(np.exp(log_ratio)), len(grid) + int(found.nfev) + 1
-    return StepTuning(ratio, noise_variance, ratio * noise_variance, cost(log_ratio), tried, edge)
+    found = find_least(lambda log_ratio: cost(log_ratio).total, _log_ratios(trial), _PRECISION)
+    ratio = float(np.exp(found.at))
+    Q, tried = ratio * noise_variance, found.evaluations + 1
+    return StepTuning(ratio, noise_variance, Q, cost(found.at), tried, found.at_edge)
 
 
 def tune_by_simplex(trial: StepTrial, noise_variance: float, process_variance: float) -> StepTuning:
@@ -125,6 +116,8 @@ def _log_ratios(trial: StepTrial) -> Floats:
 
     The cut-off of either model is sqrt(Q/R) rad/s or somewhat less.
     """
-    slowest = 2 * np.pi * _SLOWEST_CYCLES * trial.rate_hz / len(trial.record)
-    low, high = 2 * np.log(slowest), 2 * np.log(_FASTEST * trial.rate_hz)
-    return np.linspace(low, high, int(np.ceil(_POINTS_A_DECADE * (high - low) / np.log(10))) + 1)
+    cutoffs = log_cutoffs(len(trial.record), 2)
+    decades = 2 * float(cutoffs[0] - cutoffs[-1]) / np.log(10)
+    cutoffs = log_cutoffs(len(trial.record), int(np.ceil(_POINTS_A_DECADE * decades)) + 1)
+    result: Floats = 2 * (cutoffs + np.log(trial.rate_hz))
+    return result

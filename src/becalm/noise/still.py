@@ -15,7 +15,7 @@ import numpy as np
 from becalm.core.arrays import Booleans, Floats
 from becalm.core.recording import Recording
 from becalm.errors import RecordingError
-from becalm.noise.still_windows import FEWEST, Windows, runs_of
+from becalm.noise.still_windows import FEWEST, MOST_MISSING, Windows, runs_of
 
 SHORTEST_S = 1.0
 """A shorter calm, as between two movements of a hand, is not taken for rest."""
@@ -66,7 +66,8 @@ def find_still(recording: Recording, shortest_s: float = SHORTEST_S) -> Stillnes
     ----------
     recording : Recording
         The channels of one sensor, or one of them (`Recording.select`): rate, acceleration with
-        gravity, strain with its offset; NaN where missing. Spikes and rounding do no harm.
+        gravity, strain with its offset; NaN where missing. Spikes and rounding do no harm. Channels of
+        which more than a quarter is missing are not asked, if there are others.
     shortest_s : float
         Shortest rest that counts, in seconds; a *small* one trusts short calms.
 
@@ -90,6 +91,7 @@ def find_still(recording: Recording, shortest_s: float = SHORTEST_S) -> Stillnes
     names = [name for name in recording.names if _varies(recording.channel(name))]
     if not names:
         return Stillness((), "No channel varies: without noise, rest cannot be told from a dead sensor.")
+    names = [name for name in names if _mostly_there(recording.channel(name))] or names
     windows, count = Windows.of(recording.select(names)), len(recording)
     fewest = shortest_s * recording.rate_hz
     if windows is None or count < fewest:
@@ -103,7 +105,7 @@ def find_still(recording: Recording, shortest_s: float = SHORTEST_S) -> Stillnes
     if doubt:
         return Stillness((), doubt)
     stretches = tuple(rows for _, rows in long)
-    return Stillness(stretches, _told(stretches, recording))
+    return Stillness(stretches, _summary(stretches, recording))
 
 
 def said_still(recording: Recording, spans_s: Iterable[tuple[float, float]]) -> Stillness:
@@ -146,6 +148,11 @@ def _varies(channel: Floats) -> bool:
     return len(seen) > 0 and bool(np.any(seen != seen[0]))
 
 
+def _mostly_there(channel: Floats) -> bool:
+    """Tell whether a channel has readings enough to break a rest; one of a lower rate has not."""
+    return bool(np.mean(~np.isfinite(channel)) <= MOST_MISSING)
+
+
 def _rows(run: tuple[int, int], windows: Windows, count: int) -> Stretch:
     """Return the rows that no window outside a run of windows holds."""
     (first, last), hop = run, windows.hop
@@ -169,9 +176,10 @@ def _doubt(unevenness: Floats, foretold: Floats, names: Sequence[str]) -> str:
     return ""
 
 
-def _told(stretches: Sequence[Stretch], recording: Recording) -> str:
+def _summary(stretches: Sequence[Stretch], recording: Recording) -> str:
     still = sum(stop - start for start, stop in stretches)
     if still > _NEARLY_ALL * len(recording):
-        return "One even noise throughout: at rest all the time, unless it hums evenly all the time."
+        share = still / len(recording)
+        return f"One even noise throughout, {share:.0%} of the record: at rest, unless it hums evenly all the time."
     rests = "1 rest" if len(stretches) == 1 else f"{len(stretches)} rests"
     return f"{rests}, {still / recording.rate_hz:.4g} s together, {still / len(recording):.0%} of the record."

@@ -21,12 +21,14 @@ Value = TypeVar("Value", bound=np.generic)
 FEWEST = 32
 """Readings in a window."""
 
+MOST_MISSING = 0.25
+"""Share of the readings that a window, or a channel that is to tell rest, may lack."""
+
 _NORMAL_MAD = 1.4826  # standard deviation over median absolute deviation
 _WINDOW_S = 0.5
 _BLOCKS = 8  # in a window
 _KEPT = 0.9  # of a window: a spike is not motion
 _SPIKE = 4.0  # standard deviations of its window
-_MOST_MISSING = 0.25  # of a window
 _SIGMAS = 3.5  # of chance, in the logarithm of a window's power
 _WARMTH = 0.25  # by which that logarithm may change while a sensor warms up
 _ROUNDS = 8
@@ -66,7 +68,7 @@ class Windows(NamedTuple):
         log_power, chance, means = (np.stack(part, axis=-1) for part in zip(*measured, strict=True))
         missing = _cut(~np.isfinite(samples), hop).mean(axis=-1).max(axis=1)
         longest = _cut(recording.timebase.elapsed_steps, hop)[:, 1:].max(axis=1)
-        sound = (missing <= _MOST_MISSING) & (longest <= max(GAP_STEPS, _MOST_MISSING * 2 * hop))
+        sound = (missing <= MOST_MISSING) & (longest <= max(GAP_STEPS, MOST_MISSING * 2 * hop))
         sound &= (_slope_power(means) <= np.exp(log_power)).all(axis=1)
         return cls(hop, log_power, chance, means, sound)
 

@@ -1,0 +1,102 @@
+"""A channel's numbers in seconds, as recipes tell them, and in steps, as filters use them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from becalm.cleaning.recipe import ChannelRecipe, ColouredNoiseRecipe, ToneRecipe, TunedMotion
+from becalm.core.autoregressive import Coloured
+from becalm.errors import ModelError, RecipeError
+from becalm.noise.likelihood import Tuning
+from becalm.noise.spectrum import Line
+
+_QUICKEST, _WIDEST = 0.5, 10.0  # cycles a step
+_LEAST_RATIO, _GREATEST_RATIO = 1e-60, 1e12  # of q/r: beyond, every reading is ignored or believed
+_SAME_RATE = 1e-3
+
+
+def in_seconds(name: str, unit: str, tuning: Tuning, step_s: float) -> ChannelRecipe:
+    """Return the recipe of a channel that was tuned in steps."""
+    noise = tuning.coloured
+    return ChannelRecipe(
+        name=name,
+        unit=unit,
+        model="motion",
+        order=tuning.order,
+        process_noise_density=tuning.ratio * tuning.noise_variance / step_s ** (2 * tuning.order - 1),
+        noise_std=float(np.sqrt(tuning.noise_variance)),
+        tone=tuple(_tone_in_seconds(line, step_s) for line in tuning.lines),
+        coloured_noise=None
+        if noise is None
+        else ColouredNoiseRecipe(
+            rate_hz=1 / step_s, coefficients=noise.coefficients, std=float(np.sqrt(noise.variance))
+        ),
+    )
+
+
+def in_steps(tuned: TunedMotion, step_s: float) -> Tuning:
+    """Return the numbers of a recipe in steps.
+
+    Raises
+    ------
+    RecipeError
+        If they make no filter at this step: a number is out of float64's reach, a tone is too quick or
+        too wide to be read, or coloured noise was told at another rate or grows for ever.
+    """
+    with np.errstate(all="ignore"):
+        variance = float(np.float64(tuned.noise_std) ** 2)
+        density = float(np.float64(tuned.process_noise_density) * np.float64(step_s) ** (2 * tuned.order - 1))
+    possible = 1e-250 < variance < 1e250 and (density == 0 or _LEAST_RATIO < density / variance < _GREATEST_RATIO)
+    if not possible or (density == 0 and tuned.process_noise_density > 0):
+        raise RecipeError(
+            f"process_noise_density = {tuned.process_noise_density:.3g} and noise_std = {tuned.noise_std:.3g} make"
+            f" no filter at {1 / step_s:.6g} Hz; mend them in the recipe, or tune one on this recording."
+        )
+    lines = tuple(_tone_in_steps(tone, variance, step_s) for tone in tuned.tones)
+    coloured = _coloured_in_steps(tuned.coloured_noise, step_s)
+    found = Tuning(tuned.order, density / variance, variance, 0, lines=lines, coloured=coloured)
+    try:
+        found.component  # noqa: B018  (refuses noise that grows for ever)
+    except ModelError as cause:
+        raise RecipeError(f"The recipe's coloured noise makes no filter: {cause}") from cause
+    return found
+
+
+def _tone_in_seconds(line: Line, step_s: float) -> ToneRecipe:
+    return ToneRecipe(
+        frequency_hz=line.angle / (2 * np.pi * step_s),
+        bandwidth_hz=line.damping / (np.pi * step_s),
+        process_noise_density=line.density / step_s,
+        disturbance=line.disturbance,
+    )
+
+
+def _tone_in_steps(tone: ToneRecipe, variance: float, step_s: float) -> Line:
+    ratio = tone.process_noise_density * step_s / variance
+    if not (tone.frequency_hz * step_s < _QUICKEST and tone.bandwidth_hz * step_s < _WIDEST):
+        raise RecipeError(
+            f"The recipe has a tone at {tone.frequency_hz:.6g} Hz, {tone.bandwidth_hz:.6g} Hz wide, which"
+            f" {1 / step_s:.6g} readings a second cannot tell; leave it out, or tune a recipe on this recording."
+        )
+    if not _LEAST_RATIO < ratio < _GREATEST_RATIO:
+        raise RecipeError(
+            f"The tone at {tone.frequency_hz:.6g} Hz with process_noise_density = {tone.process_noise_density:.3g}"
+            f" and noise_std = {np.sqrt(variance):.3g} makes no filter at {1 / step_s:.6g} Hz; mend the recipe."
+        )
+    return Line(
+        angle=2 * np.pi * tone.frequency_hz * step_s,
+        damping=np.pi * tone.bandwidth_hz * step_s,
+        density=tone.process_noise_density * step_s,
+        disturbance=tone.disturbance,
+    )
+
+
+def _coloured_in_steps(noise: ColouredNoiseRecipe | None, step_s: float) -> Coloured | None:
+    if noise is None:
+        return None
+    if abs(noise.rate_hz * step_s - 1) > _SAME_RATE:
+        raise RecipeError(
+            f"The recipe's coloured noise was told at {noise.rate_hz:.6g} Hz, and means nothing at {1 / step_s:.6g} Hz;"
+            " tune a recipe on this recording."
+        )
+    return Coloured(noise.coefficients, noise.std**2)

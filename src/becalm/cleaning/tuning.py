@@ -1,0 +1,163 @@
+"""tune(recording) -> Recipe: the noise of each channel identified, its filter chosen."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from importlib.metadata import PackageNotFoundError, version
+from typing import NamedTuple
+
+import numpy as np
+
+from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
+from becalm.cleaning.steps import in_seconds
+from becalm.core.recording import Recording
+from becalm.core.verdict import judge
+from becalm.errors import RecordingError, UsageError
+from becalm.noise.choose import Known, choose
+from becalm.noise.coloured import NoiseModel, fit_noise
+from becalm.noise.dial import Dial, turn
+from becalm.noise.lines import FEWEST, MOST
+from becalm.noise.still import said_still
+
+Progress = Callable[[str], None]
+
+
+class Wishes(NamedTuple):
+    """What a person asks or knows; everything else the recording tells.
+
+    Attributes
+    ----------
+    dial : Dial or None
+        A lag, a bandwidth or a noise gain that every filter shall have.
+    still_s : tuple of (float, float)
+        Where the sensor lay still, from and to in seconds after the first row: the noise is told there.
+    rest : Recording or None
+        The recording that those seconds count in, where it is another one, of the same channels.
+    removed_hz : tuple of float
+        Frequencies of tones to take off, as of mains hum.
+    """
+
+    dial: Dial | None = None
+    still_s: tuple[tuple[float, float], ...] = ()
+    rest: Recording | None = None
+    removed_hz: tuple[float, ...] = ()
+
+
+NONE = Wishes()
+
+
+def tune(
+    recording: Recording,
+    *,
+    causal: bool = False,
+    channels: Sequence[str] | None = None,
+    wishes: Wishes = NONE,
+    progress: Progress | None = None,
+) -> Recipe:
+    """Identify the noise of each channel and choose its filter; nothing needs to be wishes.
+
+    Parameters
+    ----------
+    recording : Recording
+        Samples (N, m), NaN where missing.
+    causal : bool
+        Whether the recipe shall filter (True) or smooth.
+    channels : sequence of str, optional
+        Names of the channels to clean; all by default.
+    wishes : Wishes
+        A dial, where the sensor lay still, tones to take off; by default the recording decides.
+    progress : callable, optional
+        Called with a channel's name when it is done.
+
+    Raises
+    ------
+    RecordingError
+        If a channel does not exist, or there are no channels or samples, or too few where the sensor is
+        said to be still.
+    UsageError
+        If no filter has what the dial asks, or wishes do not go together.
+    """
+    refuse_empty(recording)
+    chosen = recording if channels is None else recording.select(listed(channels))
+    refuse_empty(chosen)
+    _refuse_contradictions(wishes, chosen)
+    one = partial(_tune_channel, chosen, causal, wishes, progress or _silent)
+    pool = ThreadPoolExecutor()
+    try:
+        found = tuple(pool.map(one, chosen.names))
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)  # who stops it need not wait for the others
+    origin = Origin(rows=len(chosen), rate_hz=chosen.rate_hz, becalm=_version())
+    return Recipe(mode="causal" if causal else "smoothed", tuned_on=origin, channel=found)
+
+
+def _version() -> str:
+    try:
+        return version("becalm")
+    except PackageNotFoundError:  # on the path, but not installed
+        return ""
+
+
+def _tune_channel(recording: Recording, causal: bool, wishes: Wishes, progress: Progress, name: str) -> ChannelRecipe:
+    time, unit = recording.timebase, recording.units[recording.names.index(name)]
+    known = Known(
+        _rest_noise(wishes.rest or recording, name, wishes.still_s) if wishes.still_s else None,
+        tuple(2 * np.pi * frequency * time.step_s for frequency in wishes.removed_hz),
+    )
+    choice = choose(judge(recording.channel(name)).readings, time.elapsed_steps, causal, known)
+    progress(name)
+    if choice.tuning is None or choice.motion is None:
+        return ChannelRecipe(name=name, unit=unit, model=choice.kind)
+    found = choice.tuning if wishes.dial is None else turn(choice.motion, wishes.dial, time.step_s, causal)
+    return in_seconds(name, unit, found, time.step_s)
+
+
+def _rest_noise(rest: Recording, name: str, still_s: Sequence[tuple[float, float]]) -> NoiseModel | None:
+    """Tell a channel's noise where it lay still; in uneven time all of it counts as white. None where there is none."""
+    readings, elapsed = judge(rest.channel(name)).readings, rest.timebase.elapsed_steps
+    parts = [slice(*stretch) for stretch in said_still(rest, still_s).stretches]
+    if not any(np.nanstd(readings[part]) > 0 for part in parts if np.isfinite(readings[part]).any()):
+        return None
+    found = fit_noise([readings[part] for part in parts])
+    even = all(np.array_equal(elapsed[part][1:], np.round(elapsed[part][1:])) for part in parts)
+    if even or found.coloured is None:
+        return found
+    return NoiseModel(found.white_variance + found.coloured.variance, None, found.drift_density, found.count)
+
+
+def _refuse_contradictions(wishes: Wishes, recording: Recording) -> None:
+    removed, rate_hz = wishes.removed_hz, recording.rate_hz
+    if removed and (wishes.dial is not None or wishes.still_s):
+        raise UsageError("Tones are taken off only where the recording decides the rest; ask for one at a time.")
+    if len(removed) > MOST:
+        raise UsageError(f"{len(removed)} tones to take off are too many; name up to {MOST}.")
+    if removed and not all(0 < frequency < rate_hz / 2 for frequency in removed):
+        raise UsageError(
+            f"Tones to take off lie between 0 and {rate_hz / 2:.6g} Hz, half of the rate;"
+            f" {', '.join(f'{frequency:.6g}' for frequency in removed)} Hz came."
+        )
+    if removed and len(recording) < FEWEST:
+        raise UsageError(f"To take off tones, {FEWEST} readings in even time are needed; {len(recording)} came.")
+
+
+def refuse_empty(recording: Recording) -> None:
+    """Raise a RecordingError where there is nothing to clean."""
+    if not isinstance(recording, Recording):
+        raise RecordingError(
+            f"A Recording is needed; {type(recording).__name__} came. Make one: becalm.Recording(samples, rate_hz=...)."
+        )
+    if not recording.names:
+        raise RecordingError("No channel is left to clean; name at least one.")
+    if not len(recording):
+        raise RecordingError("The recording has no samples.")
+
+
+def listed(channels: Sequence[str]) -> list[str]:
+    """Return names as a list; one alone may come as it is."""
+    return [channels] if isinstance(channels, str) else list(channels)
+
+
+def _silent(_: str) -> None:
+    """Say nothing."""

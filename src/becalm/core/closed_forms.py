@@ -1,0 +1,211 @@
+"""Closed forms: steady filters of motions, their limit as the rate grows, and their spectrum.
+
+All in steps and with r = 1: variances are in units of a reading's. q/r counts as in `Tuning.ratio`, with
+the density q of the noise on the n-th derivative in unit^2/step^(2n-1).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import zeta
+
+from becalm.core.arrays import Floats
+from becalm.core.steady_filter import Complexes
+
+_FINE = 0.05  # between logarithms of frequencies
+_LOGARITHMS = np.arange(-40.0, 40.0, _FINE)
+
+
+def cutoff_to_ratio(order: int, cutoff: float) -> float:
+    """Return q/r of the motion filter with its cut-off w_n in radians a step, w_n^2n (motion's Notes, with T = 1)."""
+    return float(cutoff ** (2 * order))
+
+
+def ratio_to_cutoff(order: int, ratio: float) -> float:
+    """Return the cut-off in radians a step of the motion filter with q/r: the inverse of `cutoff_to_ratio`."""
+    return float(ratio ** (1 / (2 * order)))
+
+
+def motion_power(order: int, angle: Floats) -> Floats:
+    """Return the power (k,), unit^2, of a motion of density 1 at angles (k,) in radians a step, read once a step.
+
+    Notes
+    -----
+    White noise integrated `order` times has the power w^-2n; reading it once a step folds all
+    frequencies w + 2 pi k onto w, a sum of Hurwitz zeta functions. The smoother passes
+    G = S / (S + R) of a motion with the power S.
+    """
+    turns = angle / (2 * np.pi)
+    folded: Floats = (zeta(2 * order, turns) + zeta(2 * order, 1 - turns)) * (2 * np.pi) ** (-2 * order)
+    return folded
+
+
+def butterworth_poles(order: int) -> Complexes:
+    """Return the poles (n,) of the Butterworth low-pass with its cut-off at 1 rad/s, in rad/s."""
+    poles: Complexes = np.exp(1j * np.pi * (2 * np.arange(order) + order + 1) / (2 * order))
+    return poles
+
+
+def butterworth_response(order: int, cutoff: float, f: Floats) -> Complexes:
+    """Return G (k,) of the digital Butterworth low-pass (bilinear, prewarped), all in cycles a step."""
+    s = 1j * np.tan(np.pi * f) / np.tan(np.pi * cutoff)
+    response: Complexes = 1 / np.prod(1 - s[:, np.newaxis] / butterworth_poles(order), axis=1)
+    return response
+
+
+def butterworth_delay(order: int, cutoff: float) -> float:
+    """Return the delay of a slow signal, in steps, by `butterworth_response`; its cut-off in cycles a step."""
+    return float(1 / (2 * np.tan(np.pi * cutoff) * np.sin(np.pi / (2 * order))))
+
+
+def butterworth_noise_gain(order: int, cutoff: float) -> float:
+    """Return the share of the power of white noise that `butterworth_response` leaves; its cut-off in cycles a step.
+
+    Notes
+    -----
+    With W = tan(pi cutoff) and the frequency v over the prewarped cut-off it is
+    (2 W / pi) int dv / ((1 + v^2n) (1 + W^2 v^2)) over v > 0. What passes at W and at 1 / W adds up to 1: as
+    the low-pass at one is the high-pass at the other, mirrored about a quarter of the rate. Over log v the
+    integrand is analytic and falls off exponentially at both ends, so that a plain sum has nearly all digits.
+    """
+    W = float(np.tan(np.pi * cutoff))
+    if W > 1:
+        return 1 - butterworth_noise_gain(order, 0.5 - cutoff)
+    v = np.exp(_LOGARITHMS)
+    return float(2 * W / np.pi * _FINE * (v / (1 + v ** (2 * order)) / (1 + (W * v) ** 2)).sum())
+
+
+class OrderOne(NamedTuple):
+    """The steady filter of a random walk: a one-pole low-pass."""
+
+    gain: float  # K
+    filtered_variance: float  # P+
+    predicted_variance: float  # P-
+    innovation_variance: float  # S
+    noise_gain: float
+    delay_steps: float  # of a slow signal, and behind a ramp
+    bandwidth: float  # -3 dB, in cycles a step; 0.5 where all pass
+
+
+def order_one(ratio: float) -> OrderOne:
+    """Return the closed form of order 1 for q/r; K^2 / (1 - K) = q/r, and q/r = 4 sin^2(pi f T) at -3 dB."""
+    K = float(2 * ratio / (ratio + np.sqrt(ratio**2 + 4 * ratio)))
+    bandwidth = np.arcsin(min(1.0, np.sqrt(ratio) / 2)) / np.pi
+    return OrderOne(K, K, K / (1 - K), 1 / (1 - K), K / (2 - K), (1 - K) / K, float(bandwidth))
+
+
+class AlphaBeta(NamedTuple):
+    """The steady filter of a walking slope; its gains are alpha and beta / T."""
+
+    alpha: float
+    beta: float
+
+    @property
+    def filtered_cov(self) -> Floats:
+        """P+ for T = 1, (2, 2); of piecewise constant acceleration only."""
+        a, b = self
+        return np.array([[a, b], [b, b * (a - b / 2) / (1 - a)]])
+
+    @property
+    def noise_gain(self) -> float:
+        """Of the level."""
+        a, b = self
+        return (2 * a**2 + 2 * b - 3 * a * b) / (a * (4 - 2 * a - b))
+
+
+def alpha_beta(index: float) -> AlphaBeta:
+    """Return Kalata's gains for acceleration that is constant over each step (IEEE TAES-20, 1984, 174).
+
+    Parameters
+    ----------
+    index : float
+        Tracking index sigma_a T^2 / sigma_v; a *small* one trusts the slope and smooths more.
+    """
+    fall = (np.sqrt(8 * index + index**2) - index) / 4  # 1 - root, without cancellation
+    return AlphaBeta(float(fall * (2 - fall)), float(2 * fall**2))
+
+
+def alpha_beta_continuous(ratio: float) -> AlphaBeta:
+    """Return the gains for continuous white acceleration: motion of order 2, of q/r.
+
+    Notes
+    -----
+    With u = 2 - z - 1/z and L^2 = q/r the second differences of the readings have the spectrum
+    u^2 + L^2 (1 - u / 6), which is 0 at the closed loop's poles z; 1 - alpha is their product, and
+    beta^2 = L^2 (1 - alpha). Bar-Shalom, Li and Kirubarajan (2001), ch. 6.
+    """
+    u = np.roots([1.0, -ratio / 6, ratio]).astype(complex)
+    half, root = 1 - u / 2, np.sqrt(-u / 2) * np.sqrt(2 - u / 2)  # half = (z + 1/z) / 2
+    z = np.where(np.abs(half - root) < 1, half - root, half + root)
+    kept = float(np.prod(z).real)
+    return AlphaBeta(1 - kept, float(np.sqrt(ratio * kept)))
+
+
+class AlphaBetaGamma(NamedTuple):
+    """The steady filter of a walking acceleration; its gains are alpha, beta / T and gamma / (2 T^2).
+
+    Mind the two: others write the third gain as g / T^2, so that g = gamma / 2; `noise_gain` knows.
+    """
+
+    alpha: float
+    beta: float
+    gamma: float
+
+    @property
+    def noise_gain(self) -> float:
+        """Of the level."""
+        a, b, g = self.alpha, self.beta, self.gamma / 2
+        above = 2 * b * (2 * a**2 + 2 * b - 3 * a * b) - a * g * (4 - 2 * a - b)
+        return above / ((4 - 2 * a - b) * (2 * a * b + a * g - 2 * g))
+
+
+def alpha_beta_gamma(index: float) -> AlphaBetaGamma:
+    """Return Kalata's gains for acceleration that steps at each reading; see `alpha_beta` for the index.
+
+    Notes
+    -----
+    With p = 1 - sqrt(1 - alpha): beta = 2 p^2, gamma = beta^2 / alpha, and L^2 = gamma^2 / (4 (1 - alpha))
+    becomes a cubic in p.
+    """
+    roots = np.roots([2.0, -index, 3 * index, -2 * index])
+    p = float(roots[np.argmin(np.abs(roots.imag))].real)
+    alpha, beta = p * (2 - p), 2 * p**2
+    return AlphaBetaGamma(alpha, beta, beta**2 / alpha)
+
+
+class ContinuousMotion(NamedTuple):
+    """The filter of n-th order motion as the rate grows, for a cut-off of 1 rad/s and r_c = R T = 1.
+
+    Its poles are those of a Butterworth low-pass; H(s) = (D(s) - s^n) / D(s).
+    """
+
+    gains: Floats  # (n,), of the innovation into each state
+    noise_bandwidth_hz: float  # one-sided
+    filtered_variance: float
+    smoothed_variance: float
+    poles: Complexes  # (n,), rad/s
+
+    def power(self, frequency: Floats) -> Floats:
+        """Return |H|^2 at frequencies (k,) in rad/s."""
+        s = 1j * frequency
+        left = s[:, np.newaxis] / (s[:, np.newaxis] - self.poles)
+        result: Floats = np.abs(1 - np.prod(left, axis=1)) ** 2
+        return result
+
+    def step(self, time: Floats) -> Floats:
+        """Return the response (k,) to a step at times in s: 1 - sum of p^(n-1) / D'(p) exp(p t)."""
+        p = self.poles
+        slopes = [np.prod(pole - np.delete(p, k)) for k, pole in enumerate(p)]
+        result: Floats = 1 - (np.exp(np.outer(time, p)) @ (p ** (len(p) - 1) / slopes)).real
+        return result
+
+
+def continuous_motion(order: int) -> ContinuousMotion:
+    """Return the continuous limit of motion of any order; a cut-off w_n multiplies what is per second."""
+    n = order
+    p = butterworth_poles(n)
+    variance = 1 / np.sin(np.pi / (2 * n))
+    gains = np.poly(p).real[1:].astype(np.float64)
+    return ContinuousMotion(gains, variance * (2 * n - 1) / (4 * n), variance, variance / (2 * n), p)

@@ -1,0 +1,176 @@
+"""A motion tuned beside noise that is known, as from rest.
+
+What is known need not be found beside the motion: of the noise variance R nothing is concentrated out. A
+causal filter is tuned by likelihood, and so is every motion beside coloured noise. A smoother beside white
+noise is tuned by its estimated risk: with the mean squared residual s and the mean weight g of a
+reading in its own estimate, the mean squared error of the estimate is s - R + 2 R g on average, without
+truth and for any linear smoother. Being minimised, it is now and then too nervous on short records; so
+g is taken with the caution of `cross_validation`. Sources: Mallows, Technometrics 15 (1973) 661; Stein,
+Annals of Statistics 9 (1981) 1135; Schweppe, IEEE TIT-11 (1965) 61.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from becalm.core.autoregressive import Coloured
+from becalm.core.closed_forms import cutoff_to_ratio
+from becalm.core.components import EVERY_ORDER, ORDERS
+from becalm.errors import RecordingError
+from becalm.noise.coloured_likelihood import first_in_a_row, score_coloured
+from becalm.noise.cross_validation import Residuals, lasting, read_residuals, simplest, smooth_residuals
+from becalm.noise.likelihood import Candidate, Evidence, Tuning
+from becalm.noise.search import find_least, log_cutoffs
+from becalm.noise.spectrum import sine_spectrum
+
+FEWEST = 8
+"""Readings that arrived, below which nothing is tuned."""
+
+_POINTS = 17
+_PRECISION = 3e-3  # of the logarithm of the cut-off: far below its standard error
+_ALIKE = 0.1  # of the logarithm of the residuals, as a few stretches tell them
+_PIECE, _PIECES = 2048, 16  # readings of a long record that are scored beside coloured noise
+
+
+def tune_beside(evidence: Evidence, noise_variance: float, coloured: Coloured | None = None, *, causal: bool) -> Tuning:
+    """Tune a motion, its order and its density, beside noise that is known.
+
+    Parameters
+    ----------
+    evidence : Evidence
+        At least 8 readings; beside coloured noise in even time.
+    noise_variance : float
+        R, of the white noise of one reading, in unit^2; a *small* one trusts the readings and smooths less.
+    coloured : Coloured or None
+        Coloured noise beside it, one step a reading; a disturbance.
+    causal : bool
+        Whether the filter shall run causally. Orders are 1 to 3, but 1 to 5 of a smoother beside white noise.
+
+    Raises
+    ------
+    RecordingError
+        If fewer than 8 readings came, or gaps part them into stretches that tell no motion.
+    ModelError
+        If coloured noise is to be told between its steps, or its coefficients do not fade.
+
+    Notes
+    -----
+    The noise is believed: where it was measured at rest and is louder in motion, more is taken for motion.
+    Beside coloured noise, of more than 32768 readings sixteen stretches of 2048 are scored.
+    """
+    if len(evidence.z) < FEWEST:
+        raise RecordingError(f"{len(evidence.z)} readings came; {FEWEST} or more tell a motion. Give a longer record.")
+    R = max(noise_variance, evidence.smallest_variance)
+    if coloured is not None:
+        found = [_beside_coloured(order, evidence, R, coloured) for order in ORDERS]
+    elif causal:
+        found = [_beside_white(order, evidence, R) for order in ORDERS]
+    else:
+        return simplest(_smoothers(evidence, R))
+    best = max(found, key=lambda tuning: tuning.log_likelihood)
+    if not best.count:
+        raise RecordingError("No stretch of the record is long enough to tell a motion. Give one with fewer gaps.")
+    return best
+
+
+def _beside_white(order: int, evidence: Evidence, R: float) -> Tuning:
+    """Find the likeliest density of one order, R being known.
+
+    At the likeliest r the log-likelihood is greater than at R by n (r/R - 1 - log r/R) / 2.
+    """
+    candidate = Candidate(order, evidence)
+
+    def likelihood(ratio: float) -> tuple[float, int]:
+        free = candidate.score(ratio)
+        beyond = free.noise_variance / R
+        return free.log_likelihood - 0.5 * free.used * (beyond - 1 - np.log(beyond)), free.used
+
+    return _likeliest(likelihood, order, evidence, (R, R))
+
+
+def _beside_coloured(order: int, evidence: Evidence, R: float, coloured: Coloured) -> Tuning:
+    """Find the likeliest density of one order beside white and coloured noise."""
+    trial, parts = Tuning(order, 1.0, R, 0, coloured=coloured), _parts(evidence)
+
+    def likelihood(ratio: float) -> tuple[float, int]:
+        component = replace(trial, ratio=ratio).component
+        total, used = 0.0, 0
+        for part in parts:
+            told = score_coloured(component, R, evidence.z[part], evidence.elapsed[part])
+            if told is not None:
+                total -= 0.5 * (told.squares + told.log_det + told.used * np.log(2 * np.pi))
+                used += told.used
+        return (total, used) if used else (-np.inf, 0)
+
+    found = _likeliest(likelihood, order, evidence, (R, R + coloured.variance))
+    return replace(found, coloured=coloured)
+
+
+def _likeliest(
+    likelihood: Callable[[float], tuple[float, int]], order: int, evidence: Evidence, variances: tuple[float, float]
+) -> Tuning:
+    """Search the ratio q/R; `variances` are R and that of all noise, beside which cut-offs are told."""
+    R, total = variances
+
+    def ratio(log_cutoff: float) -> float:
+        return cutoff_to_ratio(order, float(np.exp(log_cutoff))) * total / R
+
+    grid = log_cutoffs(evidence.longest_steps, _POINTS)
+    least = find_least(lambda log_cutoff: -likelihood(ratio(log_cutoff))[0], grid, _PRECISION)
+    if not np.isfinite(least.cost):
+        return Tuning(order, ratio(least.at), R, 0, -np.inf, at_edge=least.at_edge)
+    return Tuning(order, ratio(least.at), R, likelihood(ratio(least.at))[1], -least.cost, at_edge=least.at_edge)
+
+
+def _smoothers(evidence: Evidence, R: float) -> list[Tuning]:
+    """Tune smoothers of every order beside white noise."""
+    orders = EVERY_ORDER[: len(evidence.z) - 3]
+    spectra = [sine_spectrum(evidence.z[part, 0]) for part in lasting(evidence)]
+    if spectra:
+        roads = [read_residuals(order, spectra) for order in orders]
+        found = [_least_risk(order, *road, evidence, R) for order, road in zip(orders, roads, strict=True)]
+        best = simplest(found)
+        foretold, _ = roads[best.order - 1][0](best.ratio)
+        smoothed, _ = smooth_residuals(best.order, evidence)[0](best.ratio)
+        if smoothed > 0 and abs(np.log(smoothed / foretold)) < _ALIKE:
+            return found
+    return [_least_risk(order, *smooth_residuals(order, evidence), evidence, R) for order in orders]
+
+
+def _least_risk(order: int, residuals: Residuals, count: int, evidence: Evidence, R: float) -> Tuning:
+    """Find the density of one order whose smoother has the least estimated risk."""
+
+    def loss(log_cutoff: float) -> float:
+        return foretold_square(*residuals(cutoff_to_ratio(order, float(np.exp(log_cutoff)))), count, R)
+
+    least = find_least(loss, log_cutoffs(evidence.longest_steps, _POINTS), _PRECISION)
+    ratio = cutoff_to_ratio(order, float(np.exp(least.at)))
+    return Tuning(order, ratio, R, count, loss=least.cost, at_edge=least.at_edge)
+
+
+def foretold_square(squares: float, weight: float, count: int, noise_variance: float) -> float:
+    """Return the logarithm of R plus the risk: of how far a fresh reading would lie from the estimate, squared.
+
+    Parameters
+    ----------
+    squares, weight : float
+        Mean squared residual, in unit^2, and mean weight of a reading in its own estimate.
+    count : int
+        Readings.
+    noise_variance : float
+        R, in unit^2.
+    """
+    cautious = weight * (1 + 1 / np.sqrt(max(weight * count, 1.0)))
+    return float(np.log(squares + 2 * noise_variance * cautious))
+
+
+def _parts(evidence: Evidence) -> list[slice]:
+    """Return the stretches that are scored: all of a short record, evenly spread ones of a long one."""
+    parts = evidence.stretches
+    if len(evidence.z) > _PIECES * _PIECE:
+        starts = np.linspace(0, len(evidence.z) - _PIECE, _PIECES).astype(int)
+        parts = [slice(start, start + _PIECE) for start in starts.tolist()]
+    return [slice(part.start + first_in_a_row(evidence.elapsed[part]), part.stop) for part in parts]

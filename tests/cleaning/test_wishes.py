@@ -1,0 +1,118 @@
+"""What a person asks or knows: tones to take off, rest that tells the noise, the parts apart."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from becalm.cleaning.pipeline import clean
+from becalm.cleaning.recipe import Recipe
+from becalm.cleaning.tuning import Wishes, tune
+from becalm.core.arrays import Floats
+from becalm.core.recording import Recording
+from becalm.errors import RecipeError, RecordingError, UsageError
+from becalm.noise.dial import Dial
+
+ROWS, RATE_HZ = 12_000, 1000.0
+REST_S = 4.0
+TIME_S = np.arange(ROWS) / RATE_HZ
+MOTION: Floats = np.where(TIME_S < REST_S, 0.0, np.sin(np.pi * (TIME_S - REST_S)) ** 2)
+
+
+def rms(error: Floats) -> float:
+    return float(np.sqrt(np.mean(error**2)))
+
+
+@pytest.fixture(scope="module")
+def humming() -> Recording:
+    rng = np.random.default_rng(1)
+    hum = 0.5 * np.sin(2 * np.pi * 50.02 * TIME_S + 1) + 0.1 * np.sin(2 * np.pi * 150 * TIME_S)
+    quiet = MOTION + rng.normal(0, 0.2, ROWS)
+    return Recording(np.column_stack([quiet + hum, quiet]), names=["hum", "quiet"], units=["N", "N"], rate_hz=RATE_HZ)
+
+
+@pytest.fixture(scope="module")
+def coloured() -> Recording:
+    rng = np.random.default_rng(2)
+    noise = lfilter([0.1], [1.0, -0.9], rng.normal(size=ROWS)) + rng.normal(0, 0.1, ROWS)
+    return Recording(MOTION + noise, names=["force"], units=["N"], rate_hz=RATE_HZ)
+
+
+@pytest.mark.parametrize("causal", [False, True])
+def test_named_tones_are_taken_off(humming: Recording, causal: bool) -> None:
+    recipe = tune(humming, causal=causal, wishes=Wishes(removed_hz=(50.0, 150.0)))
+    out = clean(humming, Recipe.from_toml(recipe.to_toml()), split=True)
+    hum, quiet = out.reports
+    np.testing.assert_allclose(hum.removed_hz, [50.02, 150.0], atol=0.05)
+    assert (hum.tones_hz, quiet.removed_hz) == ((), ())
+    settled = slice(1000, None)
+    error = rms((out.signal.channel("hum") - MOTION)[settled])
+    assert error < 1.5 * rms((out.signal.channel("quiet") - MOTION)[settled])
+    assert error < 0.1  # the hum alone is 0.36
+    assert out.parts is not None
+    assert out.parts.names[:2] == ("hum_motion", f"hum_tone_{hum.removed_hz[0]:.6g}Hz")
+    np.testing.assert_allclose(out.parts.channel("hum_motion"), out.signal.channel("hum"), atol=1e-9)
+
+
+def test_without_a_wish_tones_are_signal(humming: Recording) -> None:
+    (report,) = tune(humming, channels=["hum"]).channel
+    assert [tone.disturbance for tone in report.tone] == [False, False]
+
+
+@pytest.mark.parametrize("causal", [False, True])
+def test_noise_told_at_rest_is_taken_off_though_it_is_coloured(coloured: Recording, causal: bool) -> None:
+    told = tune(coloured, causal=causal, wishes=Wishes(still_s=((0.0, REST_S),)))
+    noise = told.channel[0].coloured_noise
+    assert noise is not None
+    assert noise.coefficients[0] == pytest.approx(0.9, abs=0.05)
+    error = clean(coloured, told).signal.samples[500:, 0] - MOTION[500:]
+    blind = clean(coloured, causal=causal).signal.samples[500:, 0] - MOTION[500:]
+    assert rms(error) < 0.6 * rms(blind)
+
+
+def test_rest_may_lie_in_another_recording(coloured: Recording) -> None:
+    moving = Recording(coloured.samples[4000:], names=["force"], units=["N"], rate_hz=RATE_HZ)
+    told = tune(moving, wishes=Wishes(still_s=((0.0, REST_S),), rest=coloured))
+    assert (
+        told.channel[0].coloured_noise
+        == tune(coloured, wishes=Wishes(still_s=((0.0, REST_S),))).channel[0].coloured_noise
+    )
+
+
+def test_coloured_noise_of_another_rate_is_refused(coloured: Recording) -> None:
+    told = tune(coloured, wishes=Wishes(still_s=((0.0, REST_S),)))
+    slower = Recording(coloured.samples, names=["force"], units=["N"], rate_hz=500.0)
+    with pytest.raises(RecipeError, match=r"coloured noise was told at 1000 Hz, and means nothing at 500 Hz; tune"):
+        clean(slower, told)
+
+
+def test_coloured_noise_that_grows_is_refused(coloured: Recording) -> None:
+    text = tune(coloured, wishes=Wishes(still_s=((0.0, REST_S),))).to_toml()
+    (line,) = [line for line in text.splitlines() if line.startswith("coefficients")]
+    with pytest.raises(RecipeError, match="coloured noise makes no filter: coefficients"):
+        clean(coloured, Recipe.from_toml(text.replace(line, "coefficients = [1.5]")))
+
+
+WRONG = {
+    "a dial beside it": (Wishes(Dial("bandwidth_hz", 5.0), removed_hz=(50.0,)), "ask for one at a time"),
+    "beyond half of the rate": (Wishes(removed_hz=(600.0,)), "Tones to take off lie between 0 and 500 Hz"),
+    "too many": (Wishes(removed_hz=tuple(range(10, 70, 10))), "6 tones to take off are too many; name up to 5"),
+}
+
+
+@pytest.mark.parametrize(("wishes", "says"), WRONG.values(), ids=WRONG)
+def test_wishes_that_cannot_be_are_refused(humming: Recording, wishes: Wishes, says: str) -> None:
+    with pytest.raises(UsageError, match=says):
+        tune(humming, wishes=wishes)
+
+
+def test_rest_beyond_the_record_is_refused(coloured: Recording) -> None:
+    with pytest.raises(RecordingError, match="give a longer stretch within it"):
+        tune(coloured, wishes=Wishes(still_s=((90.0, 95.0),)))
+
+
+def test_a_channel_that_does_not_move_at_rest_is_tuned_as_ever(coloured: Recording) -> None:
+    stuck = np.where(TIME_S < REST_S, 0.0, coloured.samples[:, 0])
+    recording = Recording(stuck, names=["force"], units=["N"], rate_hz=RATE_HZ)
+    assert tune(recording, wishes=Wishes(still_s=((0.0, REST_S),))).channel == tune(recording).channel
