@@ -5,15 +5,20 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from becalm.cleaning.pipeline import clean, tune
+from becalm.cleaning.pipeline import clean
 from becalm.cleaning.recipe import Recipe
+from becalm.cleaning.tuning import tune
 from becalm.core.arrays import Floats
+from becalm.core.closed_forms import motion_power
+from becalm.core.components import Component, motion, oscillator
+from becalm.core.filtering import kalman_filter
 from becalm.core.recording import Recording
+from becalm.core.smoothing import kalman_smoother
 from becalm.errors import RecipeError
 from becalm.metrics.truth import coverage, rms_error
 from becalm.noise.choose import choose
 from becalm.noise.lines import FEWEST, Fit, fit_spectrum
-from becalm.noise.spectrum import Line, Spectrum, line_power, motion_power
+from becalm.noise.spectrum import Line, Spectrum, line_power
 
 ROWS = 8192
 T = np.arange(ROWS)
@@ -152,3 +157,56 @@ def test_a_tone_beyond_measure_is_refused(key: str, value: float) -> None:
     wrong = recipe.model_copy(update={"channel": (channel.model_copy(update={"tone": (odd,)}),)})
     with pytest.raises(RecipeError, match="tone at"):
         clean(Recording(np.sin(0.3 * T), rate_hz=100.0), wrong)
+
+
+def test_a_tone_is_found_by_a_clock_that_jitters() -> None:
+    """As phones stamp: steps 0.1 % too long on average, each a little off; the tone keeps its place in true time."""
+    rng, count = np.random.default_rng(9), 20_000
+    elapsed = 1.001 + 0.003 * np.diff(rng.normal(size=count + 1))
+    times = np.cumsum(elapsed)
+    z = np.sin(2 * np.pi * 0.21 * times) + rng.normal(size=count)
+    found = choose(z, elapsed, causal=False).tuning
+    assert found is not None
+    (line,) = found.lines
+    assert line.angle / (2 * np.pi) == pytest.approx(0.21, abs=2e-5)
+
+
+def drawn(component: Component, rng: np.random.Generator, count: int) -> Floats:
+    """Draw what a component reads, from a start at zero."""
+    F, Q = (matrices[0] for matrices in component.over(np.ones(1)))
+    root = np.linalg.cholesky(Q + 1e-18 * np.eye(len(Q)))
+    x, out = np.zeros(len(F)), np.empty(count)
+    for k in range(count):
+        x = F @ x + root @ rng.normal(size=len(F))
+        out[k] = component.output[0] @ x
+    return out
+
+
+@pytest.mark.parametrize("causal", [False, True])
+@pytest.mark.parametrize(("middle", "width"), [(0.03, 0.006), (0.15, 0.03), (0.05, 0.01)])
+def test_noise_of_a_narrow_band_is_found_and_followed(middle: float, width: float, causal: bool) -> None:
+    """A vibration a fifth as wide as it is quick, beside a slow motion: nearly as well as with the truth known."""
+    rng, count = np.random.default_rng(2), 12_000
+    component = motion(2, 1e-7) + oscillator(middle, width, 0.25 * 2 * np.pi * width)
+    signal = drawn(component, rng, count)
+    z = signal + rng.normal(0, 0.5, count)
+    found = choose(z, np.ones(count), causal).tuning
+    assert found is not None
+    assert min(abs(line.angle / (2 * np.pi) / middle - 1) for line in found.lines) < 0.1
+
+    def error(one: Component, noise_variance: float) -> float:
+        run = kalman_filter if causal else kalman_smoother
+        told = run(one.to_model(1.0, noise_variance), z).signal[50:, 0]
+        return float(np.sqrt(np.mean((told - signal[50:]) ** 2)))
+
+    assert error(found.component, found.noise_variance) < 1.03 * error(component, 0.25)
+
+
+@pytest.mark.parametrize("causal", [False, True])
+def test_a_chirp_is_no_band(causal: bool) -> None:
+    """Its spectrum has a plateau, but at any moment it is one sine."""
+    t = np.arange(10_000) / 100
+    z = np.sin(2 * np.pi * (0.05 + 0.02475 * t) * t) + np.random.default_rng(1).normal(0, 0.05, t.size)
+    found = choose(z, np.ones(t.size), causal).tuning
+    assert found is not None
+    assert found.lines == ()

@@ -6,20 +6,25 @@ signal, `risk` gives back what it took for motion. A smoother is tuned by cross-
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.core.components import EVERY_ORDER, ORDERS
-from becalm.noise.cross_validation import lasting, simplest, tune_smoother
-from becalm.noise.likelihood import Evidence, Tuning, tune_motion
+from becalm.noise.beside import tune_beside
+from becalm.noise.coloured import NoiseModel
+from becalm.noise.cross_validation import lasting, simplest, smoother_gain, tune_smoother
+from becalm.noise.likelihood import Evidence, Tuning, log_likelihood_of, tune_motion
 from becalm.noise.lines import add_lines
-from becalm.noise.risk import retune
+from becalm.noise.risk import less_risky, retune
 
 FEWEST_READINGS = 8
 """Fewer readings than this cannot tell noise from signal."""
+
+
+_BEYOND = 10.0  # in log-likelihood, by which a smoother with tones must be the better one
 
 
 @dataclass(frozen=True)
@@ -52,7 +57,26 @@ def orders_run(elapsed: Floats, causal: bool) -> tuple[int, ...]:
     return () if lasting(even) else EVERY_ORDER
 
 
-def choose(readings: Floats, elapsed: Floats, causal: bool = True) -> Choice:
+@dataclass(frozen=True)
+class Known:
+    """What is known of one channel before it is looked at.
+
+    Attributes
+    ----------
+    noise : NoiseModel or None
+        Its noise, told at rest; a motion is tuned beside it, and no tones are looked for.
+    removed : tuple of float
+        Angles, radians a step, of tones that are disturbances.
+    """
+
+    noise: NoiseModel | None = None
+    removed: tuple[float, ...] = ()
+
+
+NOTHING = Known()
+
+
+def choose(readings: Floats, elapsed: Floats, causal: bool = True, known: Known = NOTHING) -> Choice:
     """Identify the noise of one channel and choose its motion.
 
     Parameters
@@ -63,6 +87,8 @@ def choose(readings: Floats, elapsed: Floats, causal: bool = True) -> Choice:
         Steps since the row before.
     causal : bool
         Whether the filter shall run causally; a smoother is tuned for smoothing.
+    known : Known
+        What need not be found.
     """
     seen = readings[np.isfinite(readings)]
     if len(seen) < FEWEST_READINGS:
@@ -70,11 +96,30 @@ def choose(readings: Floats, elapsed: Floats, causal: bool = True) -> Choice:
     if np.all(seen == seen[0]):
         return Choice("constant")
     evidence = Evidence.of(readings, elapsed)
+    if known.noise is not None:
+        beside = tune_beside(evidence, known.noise.white_variance, known.noise.coloured, causal=causal)
+        return Choice("motion", beside, replace(beside, coloured=None))
     smoothers = () if causal else tune_smoother(evidence)
     if smoothers:
         best = simplest(smoothers)
-        return Choice("motion", add_lines(best, evidence), best, smoothers)
+        return Choice("motion", _toned(best, evidence, causal, known.removed), best, smoothers)
     rivals = tuple(tune_motion(order, evidence) for order in ORDERS)
     likeliest = max(rivals, key=lambda tuning: tuning.log_likelihood)
     best = retune(likeliest, evidence) if causal else likeliest
-    return Choice("motion", add_lines(best, evidence), best, rivals)
+    return Choice("motion", _toned(best, evidence, causal, known.removed), best, rivals)
+
+
+def _toned(alone: Tuning, evidence: Evidence, causal: bool, removed: tuple[float, ...]) -> Tuning:
+    """Put tones beside a motion, if the filter, or the smoother, is better for it over the record itself.
+
+    A spectrum is that of the whole record; where the record is no one thing, as a chirp, it deceives.
+    """
+    toned = add_lines(alone, evidence, removed)
+    if not toned.lines or any(line.disturbance for line in toned.lines):
+        return toned
+    if causal:
+        return less_risky(toned, alone, evidence)
+    gain = smoother_gain(toned, alone, evidence)
+    if np.isneginf(gain):  # nearly all is signal then, which only the next reading can tell
+        gain = log_likelihood_of(toned, evidence) - max(tune_motion(n, evidence).log_likelihood for n in ORDERS)
+    return toned if gain > _BEYOND else alone

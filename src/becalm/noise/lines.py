@@ -8,15 +8,17 @@ scoring of Fisher with the damping of Levenberg and Marquardt.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 from becalm.core.arrays import Floats
-from becalm.noise.cross_validation import criterion
+from becalm.core.closed_forms import cutoff_to_ratio, motion_power, ratio_to_cutoff
 from becalm.noise.likelihood import Evidence, Tuning
-from becalm.noise.spectrum import Line, Spectrum, gathered, line_power, motion_power, periodogram
+from becalm.noise.spectrum import Line, Spectrum, binned, line_power, periodogram
 
 MOST = 5
 """Tones that are looked for."""
@@ -26,14 +28,26 @@ FEWEST = 2048
 
 _CYCLES = 8  # in the record: what is slower belongs to the motion, and as near to half the rate it is mirrored
 _PARTS = 8  # of the band, the quietest of which bounds the noise
-_STANDS_OUT = 15.0  # mean power of three frequencies over what lies around them
-_AROUND, _APART = 40, 5  # frequencies on each side of a tone that lie around it, but for the nearest
+_RESOLUTIONS = ((3, 15.0), (31, 3.0), (311, 1.5))  # frequencies in a row, and their mean power over what lies around
+_AROUND, _APART = 13, 2  # widths on each side of a tone that lie around it, but for the nearest
+_FEWEST_WIDTHS = 8  # in the band
+_MOST_TRIED = 5
 _GAIN = 100.0  # in log-likelihood, that a tone must bring: it adds three parameters and two states
-_BEYOND = 10.0  # in log-likelihood, by which the tones' loss must be the lesser
+_GAIN_NAMED = 10.0  # and one that was looked for by name
+_NEAR = 0.02  # of its frequency, about which a named one is looked for, or
+_NEAR_CYCLES = 4  # in the record
 _CALMEST = (1, 2, 3)  # orders of the motion beside tones ...
 _MOST_STATES = 12  # ... so that there are no more states in all
+_LEAST_NOISE = 1e-3  # of the power of the quietest part of the band
 _ROUNDS, _ENOUGH = 60, 1e-3
 _LONGEST_STEP = 1.0  # of a logarithm, and of a frequency in frequencies of the record
+
+
+class Peak(NamedTuple):
+    """Where a spectrum stands out."""
+
+    angle: float  # radians a step
+    width: float  # radians a step
 
 
 class Fit(NamedTuple):
@@ -51,7 +65,7 @@ class Fit(NamedTuple):
         return Tuning(self.order, self.density / self.noise_variance, self.noise_variance, 0, lines=self.lines)
 
 
-def add_lines(tuning: Tuning, evidence: Evidence) -> Tuning:
+def add_lines(tuning: Tuning, evidence: Evidence, removed: Sequence[float] = ()) -> Tuning:
     """Put tones beside a motion where the record has some; a tuning without any comes back as it is.
 
     Parameters
@@ -60,37 +74,66 @@ def add_lines(tuning: Tuning, evidence: Evidence) -> Tuning:
         The best motion alone.
     evidence : Evidence
         What it was tuned on; of fewer than 2048 readings in even time the tuning stays.
+    removed : sequence of float
+        Angles, radians a step, near which a tone is a disturbance; a weaker one is found there.
     """
     longest = max(evidence.complete, key=lambda part: part.stop - part.start, default=slice(0))
     z = evidence.z[longest, 0]
     if len(z) < FEWEST or not np.var(z) > 0:
         return tuning
-    spectrum = periodogram(z)
-    now = _plain(tuning, spectrum)
-    while len(now.lines) < MOST and (angle := find_line(spectrum, now)) is not None:
-        more = _with_line(now, angle, spectrum)
-        if more.cost > _cost_among(now, more, spectrum) - _GAIN:
+    spectrum, step = periodogram(z), evidence.mean_step(longest)
+    removed = [angle * step for angle in removed]
+    now = _without(removed, _plainest(tuning, spectrum), spectrum) if removed else _plain(tuning, spectrum)
+    while len(now.lines) < MOST and (peaks := find_lines(spectrum, now)):
+        more = [_with_line(now, peak, spectrum) for peak in peaks]
+        best = max(more, key=lambda fit: _gain(now, fit, spectrum))
+        if _gain(now, best, spectrum) < _GAIN:
             break
-        now = more
+        now = best
     if not now.lines:
         return tuning
-    gained = len(z) / 2 * (smoother_loss(tuning, spectrum, len(z)) - smoother_loss(now.tuning, spectrum, len(z)))
-    return replace(now.tuning, count=tuning.count) if gained > _BEYOND else tuning
+    judged = (_judged(line, removed, spectrum) for line in now.lines)
+    lines = tuple(line._replace(angle=line.angle / step) for line in judged)
+    return replace(now.tuning, count=tuning.count, lines=lines)
 
 
-def find_line(spectrum: Spectrum, fit: Fit) -> float | None:
-    """Return the frequency, radians a step, that stands out most of what a fit leaves; None where none does."""
+def find_lines(spectrum: Spectrum, fit: Fit) -> list[Peak]:
+    """Return what stands out of what a fit leaves: of each resolution, where it stands out most, if it does."""
     left = spectrum.power / _power(fit, spectrum.angle)
-    raised = np.convolve(left, np.ones(3) / 3, "same")
-    spacing = spectrum.angle[1] - spectrum.angle[0]
-    raised[np.minimum(spectrum.angle, np.pi - spectrum.angle) < _CYCLES * spacing] = 0.0
-    for place in np.argsort(raised)[:-6:-1].tolist():
-        around = left[max(0, place - _AROUND) : place + _AROUND + 1].copy()
-        centre = min(place, _AROUND)
-        around = np.delete(around, slice(max(0, centre - _APART), centre + _APART + 1))
-        if raised[place] > _STANDS_OUT * max(1.0, float(np.median(around))):
-            return float(spectrum.angle[place])
+    return [peak for peak in (_peak(left, spectrum, *how) for how in _RESOLUTIONS) if peak is not None]
+
+
+def _peak(left: Floats, spectrum: Spectrum, width: int, stands_out: float) -> Peak | None:
+    """Return the frequency whose neighbourhood of some width stands out of what lies around it."""
+    if len(left) < _FEWEST_WIDTHS * width:
+        return None
+    raised = uniform_filter1d(left, width, mode="nearest")
+    spacing = float(spectrum.angle[1] - spectrum.angle[0])
+    raised[np.minimum(spectrum.angle, np.pi - spectrum.angle) < max(_CYCLES, width) * spacing] = 0.0
+    reach, apart = _AROUND * width, _APART * width
+    for place in np.argsort(raised)[: -_MOST_TRIED - 1 : -1].tolist():
+        around = np.concatenate(
+            [left[max(0, place - reach) : max(0, place - apart)], left[place + apart + 1 : place + reach + 1]]
+        )
+        if raised[place] > stands_out * max(1.0, float(np.median(around)) / np.log(2)):
+            return Peak(float(spectrum.angle[place]), width * spacing)
     return None
+
+
+def _without(removed: Sequence[float], now: Fit, spectrum: Spectrum) -> Fit:
+    """Fit the tones that were named, where there is something."""
+    for angle in removed:
+        more = _with_line(now, Peak(angle, float(spectrum.angle[1] - spectrum.angle[0])), spectrum)
+        if _gain(now, more, spectrum) > _GAIN_NAMED and _judged(more.lines[-1], (angle,), spectrum).disturbance:
+            now = more
+    return now
+
+
+def _judged(line: Line, removed: Sequence[float], spectrum: Spectrum) -> Line:
+    """Say whether a tone is one of those that are to be taken off."""
+    spacing = float(spectrum.angle[1] - spectrum.angle[0])
+    near = any(abs(line.angle - angle) <= max(_NEAR * angle, 2 * _NEAR_CYCLES * spacing) for angle in removed)
+    return line._replace(disturbance=near)
 
 
 def quietest(spectrum: Spectrum) -> float:
@@ -98,20 +141,11 @@ def quietest(spectrum: Spectrum) -> float:
     return min(float(part.mean()) for part in np.array_split(spectrum.power, _PARTS))
 
 
-def smoother_loss(tuning: Tuning, spectrum: Spectrum, readings: int) -> float:
-    """Return the cross-validated loss of a tuning's smoother, read off a spectrum."""
-    r = tuning.noise_variance
-    fit = Fit(tuning.order, r, tuning.ratio * r, tuning.lines, 0.0)
-    lost = r / _power(fit, spectrum.angle)
-    total = float(spectrum.weight.sum())
-    squares = float(spectrum.weight @ (lost**2 * spectrum.power)) / total
-    return criterion(squares, 1 - float(spectrum.weight @ lost) / total, readings)
-
-
 def fit_spectrum(start: Fit, spectrum: Spectrum) -> Fit:
     """Fit white noise, a motion and tones to a spectrum, from where they are."""
     motion = motion_power(start.order, spectrum.angle)
     spacing = 2 * np.pi / (2 * float(spectrum.weight.sum()))
+    least = _LEAST_NOISE * quietest(spectrum)
     now, cost, damping = start, _whittle(start, spectrum, motion), 1e-2
     for _ in range(_ROUNDS):
         slopes, modelled = _slopes(now, spectrum, motion, spacing)
@@ -119,7 +153,7 @@ def fit_spectrum(start: Fit, spectrum: Spectrum) -> Fit:
         uphill = (slopes * spectrum.weight) @ (spectrum.power / modelled - 1)
         step = np.linalg.solve(curvature + damping * np.diag(np.diag(curvature) + 1e-12), uphill)
         step = np.clip(step, -_LONGEST_STEP, _LONGEST_STEP)
-        moved = _moved(now, step, spacing)
+        moved = _moved(now, step, spacing, least)
         new = _whittle(moved, spectrum, motion)
         if not new < cost:
             damping *= 10
@@ -135,29 +169,35 @@ def fit_spectrum(start: Fit, spectrum: Spectrum) -> Fit:
 def _plain(tuning: Tuning, spectrum: Spectrum) -> Fit:
     """Fit a motion alone, from where its tuning is."""
     start = Fit(tuning.order, tuning.noise_variance, tuning.ratio * tuning.noise_variance, (), 0.0)
-    return fit_spectrum(start, gathered(spectrum, ()))
+    return fit_spectrum(start, binned(spectrum, ()))
 
 
-def _with_line(now: Fit, angle: float, spectrum: Spectrum) -> Fit:
+def _plainest(tuning: Tuning, spectrum: Spectrum) -> Fit:
+    """Fit a motion alone, of the order that serves best, so that a tone is not paid for what another order does."""
+    cutoff = ratio_to_cutoff(tuning.order, tuning.ratio)
+    alike = [replace(tuning, order=order, ratio=cutoff_to_ratio(order, cutoff)) for order in {tuning.order, *_CALMEST}]
+    return min((_plain(one, spectrum) for one in alike), key=lambda fit: fit.cost)
+
+
+def _with_line(now: Fit, peak: Peak, spectrum: Spectrum) -> Fit:
     """Fit one tone more, beside a motion of the calmest order that serves."""
-    spacing = spectrum.angle[1] - spectrum.angle[0]
+    angle, width = peak
     at = int(np.argmin(np.abs(spectrum.angle - angle)))
     noise, fits = max(now.noise_variance, quietest(spectrum)), []
-    for width in (1.0, 30.0):
-        damping = width * spacing
+    for damping in (width, 10 * width):
         new = Line(angle, damping, float(spectrum.power[at]) * damping**2)
-        binned = gathered(spectrum, (*now.lines, new))
+        bins = binned(spectrum, (*now.lines, new))
         for order in [n for n in _CALMEST if n + 2 * (len(now.lines) + 1) <= _MOST_STATES]:
-            cutoff = (now.density / noise) ** (1 / (2 * now.order))
-            density = noise * min(cutoff, angle / 2) ** (2 * order)
-            fits.append(fit_spectrum(Fit(order, noise, density, (*now.lines, new), 0.0), binned))
+            cutoff = ratio_to_cutoff(now.order, now.density / noise)
+            density = noise * cutoff_to_ratio(order, min(cutoff, angle / 2))
+            fits.append(fit_spectrum(Fit(order, noise, density, (*now.lines, new), 0.0), bins))
     return min(fits, key=lambda fit: fit.cost)
 
 
-def _cost_among(now: Fit, more: Fit, spectrum: Spectrum) -> float:
-    """Return the cost of a fit over the bins of one that has a tone more."""
-    binned = gathered(spectrum, more.lines)
-    return _whittle(now, binned, motion_power(now.order, binned.angle))
+def _gain(now: Fit, more: Fit, spectrum: Spectrum) -> float:
+    """Return what a fit with a tone more gains in log-likelihood, over its own bins."""
+    bins = binned(spectrum, more.lines)
+    return _whittle(now, bins, motion_power(now.order, bins.angle)) - more.cost
 
 
 def _power(fit: Fit, angle: Floats) -> Floats:
@@ -189,16 +229,17 @@ def _slopes(fit: Fit, spectrum: Spectrum, motion: Floats, spacing: float) -> tup
     return np.array(rows) / modelled, modelled
 
 
-def _moved(fit: Fit, step: Floats, spacing: float) -> Fit:
+def _moved(fit: Fit, step: Floats, spacing: float, least: float) -> Fit:
+    """Take a step; white noise is at least so much, for less cannot be told from none."""
     lines = []
     for k, line in enumerate(fit.lines):
         own = step[2 + 3 * k : 5 + 3 * k]
         lines.append(_turned(line._replace(density=line.density * float(np.exp(own[0]))), own[1:], spacing))
-    r, density = fit.noise_variance * float(np.exp(step[0])), fit.density * float(np.exp(step[1]))
+    r, density = max(fit.noise_variance * float(np.exp(step[0])), least), fit.density * float(np.exp(step[1]))
     return fit._replace(noise_variance=r, density=density, lines=tuple(lines))
 
 
 def _turned(line: Line, step: Floats, spacing: float) -> Line:
-    """Move a tone by fractions of a frequency, and of the logarithm of its damping; never narrower than can be told."""
-    damping = max(line.damping * float(np.exp(step[1])), 0.1 * spacing)
+    """Move a tone by fractions of a frequency, and of the logarithm of its damping, within what can be told a tone."""
+    damping = min(max(line.damping * float(np.exp(step[1])), 0.1 * spacing), line.angle)
     return line._replace(angle=line.angle + float(step[0]) * spacing, damping=damping)

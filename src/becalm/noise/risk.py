@@ -14,12 +14,12 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from becalm.core.arrays import Floats
-from becalm.core.components import motion
+from becalm.core.closed_forms import cutoff_to_ratio, ratio_to_cutoff
 from becalm.core.filtering import run_filter
-from becalm.core.response import steady
 from becalm.core.timeline import elapsed_timeline
 from becalm.metrics.whiteness import whiteness
-from becalm.noise.likelihood import Candidate, Evidence, Tuning, cutoff_to_ratio
+from becalm.noise.likelihood import Candidate, Evidence, Tuning
+from becalm.noise.spectrum import welch_power
 
 MISFIT = 0.02
 """Share of the innovation power above which a motion does not describe the signal."""
@@ -51,7 +51,7 @@ def retune(tuning: Tuning, evidence: Evidence) -> Tuning:
         ratio = cutoff_to_ratio(tuning.order, float(np.exp(log_cutoff)))
         return replace(tuning, ratio=ratio, noise_variance=floor)
 
-    likeliest = np.log(tuning.ratio) / (2 * tuning.order)
+    likeliest = np.log(ratio_to_cutoff(tuning.order, tuning.ratio))
     found = minimize_scalar(
         lambda log_cutoff: _risk(at(log_cutoff), evidence)[0],
         bounds=(likeliest + _SEARCH[0], likeliest + _SEARCH[1]),
@@ -68,24 +68,39 @@ def white_floor(z: Floats) -> float:
 
     Notes
     -----
-    Welch's periodogram of z (N,), Hann segments of 512 with half overlap (IEEE TAU-15, 1967, 70).
+    Of z (N,) in Hann segments of 512, but for the lowest two frequencies, which hold the level, and the highest.
     """
-    window = np.hanning(_SEGMENT)
-    segments = np.lib.stride_tricks.sliding_window_view(z, _SEGMENT)[:: _SEGMENT // 2]
-    tapered = (segments - segments.mean(axis=1, keepdims=True)) * window
-    power = (np.abs(np.fft.rfft(tapered, axis=1)) ** 2).mean(axis=0)[2:-1] / (window**2).sum()
+    power = welch_power(z, np.hanning(_SEGMENT))[2:-1]
     quarter = len(power) // 4
     return float(np.convolve(power, np.ones(quarter) / quarter, "valid").min())
 
 
-def _risk(tuning: Tuning, evidence: Evidence) -> tuple[float, float]:
+def less_risky(tuning: Tuning, other: Tuning, evidence: Evidence) -> Tuning:
+    """Return the tuning whose causal filter errs less; the first where too little is known to tell.
+
+    Parameters
+    ----------
+    tuning, other : Tuning
+        The first one's noise variance is believed for both.
+    evidence : Evidence
+        The readings they were tuned on; at least 2048 in even time.
+    """
+    if len(evidence.z) < _FEWEST or not np.all(evidence.elapsed[1:] == 1.0):
+        return tuning
+    risks = [_risk(one, evidence, tuning.noise_variance)[0] for one in (tuning, other)]
+    return tuning if risks[0] <= risks[1] else other
+
+
+def _risk(tuning: Tuning, evidence: Evidence, noise_variance: float | None = None) -> tuple[float, float]:
     """Estimate the mean squared error of the causal filter, and the predictable share of its innovations."""
     r = tuning.noise_variance
-    component = motion(tuning.order, tuning.ratio * r)
+    component = tuning.component
     model = component.to_model(1.0, r)
     estimate = run_filter(model, elapsed_timeline(component, r, evidence.elapsed), evidence.z).estimate
-    weight = float((model.H @ steady(model).gain)[0, 0])  # of each reading in its own estimate
-    known = slice(tuning.order, None)
+    known = np.isfinite(estimate.sigma[:, 0])
+    known[: len(model.F)] = False
+    weight = float(np.mean(estimate.sigma[known] ** 2)) / r  # of each reading in its own estimate
     residual = (evidence.z - estimate.signal)[known]
+    believed = r if noise_variance is None else noise_variance
     normalised = (estimate.innovations / estimate.innovation_sigma)[:, 0]
-    return float(np.mean(residual**2)) - r + 2 * r * weight, whiteness(normalised).predictable_share
+    return float(np.mean(residual**2)) + believed * (2 * weight - 1), whiteness(normalised).predictable_share
