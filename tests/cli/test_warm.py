@@ -83,7 +83,7 @@ def test_three_first_runs_at_once(fresh: Run, drive: Path, tmp_path: Path) -> No
     environment = os.environ | {"PYTHONPATH": str(tmp_path / "site"), "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
     started = [
         subprocess.Popen(
-            [sys.executable, "-m", "becalm", "clean", drive, "-o", tmp_path / f"out{k}.csv"],
+            [sys.executable, "-m", "becalm", "clean", drive, "-o", tmp_path / f"out{k}.csv", "--causal"],
             stderr=subprocess.PIPE,
             text=True,
             env=environment,

@@ -1,4 +1,4 @@
-"""The commands: inspect, clean, tune, demo, warm. Rooms are loaded inside them, so that --help is quick."""
+"""The commands: inspect, clean, tune, noise, demo, warm. Rooms are loaded inside them, so that --help is quick."""
 
 from __future__ import annotations
 
@@ -8,18 +8,14 @@ import os
 import sys
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import Annotated
 
 import typer
 
 from becalm.cli import options as o
+from becalm.cli.said import Said, load, open_as, tuned
 from becalm.cli.stopping import stop_cleanly
 from becalm.errors import BecalmError, UsageError
-
-if TYPE_CHECKING:
-    from becalm.cleaning.recipe import Recipe
-    from becalm.files.opening import OpenSource
-    from becalm.noise.dial import Dial
 
 NOT_DESCRIBED = 4
 
@@ -43,7 +39,7 @@ def inspect(
     """Show how a file is understood: columns, units, time."""
     from becalm.cli.layouts import show
 
-    with _open(file, Said(channels, rate, time)) as source:
+    with open_as(file, Said(channels, rate, time)) as source:
         layout = source.layout
     if as_json:
         print(json.dumps({"file": str(file), **layout.as_dict()}, indent=2))  # noqa: T201
@@ -63,27 +59,30 @@ def clean(  # noqa: PLR0913  (the contract's options)
     max_lag: o.MaxLag = None,
     bandwidth: o.Bandwidth = None,
     noise_gain: o.NoiseGain = None,
+    still: o.Still = None,
+    remove: o.Remove = None,
+    split: o.Split = False,
     as_json: o.Json = False,
 ) -> None:
     """Remove the noise from a recording; nothing needs to be chosen."""
     from becalm.cleaning.pipeline import fitted
     from becalm.cli.streaming import clean_chunks
-    from becalm.cli.talk import progress, tell, tell_columns
+    from becalm.cli.talk import progress, tell, tell_columns, tell_not_removed
     from becalm.files.plain import refuse_unwritable, text_in_waiting
     from becalm.files.registry import format_to_write
     from becalm.files.writing import open_output, refuse_columns
 
-    beside, dial = Path(f"{output}.recipe.toml"), o.dial_of(max_lag, bandwidth, noise_gain)
-    if recipe is not None and dial is not None:
-        raise UsageError("A recipe has its filters already; leave --recipe out to turn a dial, or the dial.")
+    beside, asked = Path(f"{output}.recipe.toml"), o.asked_of((max_lag, bandwidth, noise_gain), still, remove)
+    if recipe is not None and asked.anything:
+        raise UsageError("A recipe has its filters already; leave --recipe out to ask for others, or ask for nothing.")
     format_to_write(output)
     _refuse_overwriting(file, output, beside)
     refuse_unwritable(output, beside)
-    given = _load(recipe)
+    given = load(recipe)
     said = Said(channels, rate, time) if given is None else Said(channels, rate, time).or_as(given)
-    with _open(file, said) as source:
+    with open_as(file, said) as source:
         refuse_columns(output, source.schema)
-        decided = _tuned(source, causal, dial) if given is None else given
+        decided = tuned(source, causal, asked) if given is None else given
         mode, named = True if causal else None, source.names if channels else None
         decided = said.kept_in(fitted(decided, source.names, source.units, causal=mode, channels=named))
         text = decided.to_toml()
@@ -94,8 +93,9 @@ def clean(  # noqa: PLR0913  (the contract's options)
             open_output(output, {"becalm.recipe": text}) as out,
             progress("cleaning", source.rows) as step,
         ):
-            reports = clean_chunks(source, decided, out.write, step)
+            reports = clean_chunks(source, decided, out.write, step, split=split)
         tell(reports, decided.mode == "causal")
+        tell_not_removed(reports, asked.removed_hz)
         tell_columns(source)
         rows, rate_hz = source.rows, source.rate_hz
     describes = all(report.describes for report in reports)
@@ -132,6 +132,8 @@ def tune(  # noqa: PLR0913  (the contract's options)
     max_lag: o.MaxLag = None,
     bandwidth: o.Bandwidth = None,
     noise_gain: o.NoiseGain = None,
+    still: o.Still = None,
+    remove: o.Remove = None,
     as_json: o.Json = False,
 ) -> None:
     """Find the filter of each channel and write it as a recipe."""
@@ -139,13 +141,31 @@ def tune(  # noqa: PLR0913  (the contract's options)
 
     _refuse_overwriting(file, output)
     refuse_unwritable(output)
-    said, dial = Said(channels, rate, time), o.dial_of(max_lag, bandwidth, noise_gain)
-    with _open(file, said) as source:
-        found = said.kept_in(_tuned(source, causal, dial))
+    said, asked = Said(channels, rate, time), o.asked_of((max_lag, bandwidth, noise_gain), still, remove)
+    with open_as(file, said) as source:
+        found = said.kept_in(tuned(source, causal, asked))
     write_text(output, found.to_toml())
     if as_json:
         print(json.dumps({"file": str(file), "recipe": str(output), **found.model_dump()}, indent=2))  # noqa: T201
     typer.echo(f"Wrote {output}. Use it with: becalm clean {file} -o OUT --recipe {output}", err=True)
+
+
+@app.command()
+def noise(  # noqa: PLR0913  (the contract's options)
+    file: o.Source,
+    channels: o.Looked = None,
+    rate: o.Rate = None,
+    time: o.Time = None,
+    still: o.Still = None,
+    cutoff: o.Cutoff = None,
+    as_json: o.Json = False,
+) -> None:
+    """Tell the noise of a sensor at rest: R, Allan figures, as data sheets."""
+    from becalm.cli.noise import run
+
+    spans_s, cutoff_hz = o.still_of(still), None if cutoff is None else o.frequency_of("--cutoff", cutoff)
+    with open_as(file, Said(channels, rate, time)) as source:
+        run(source, spans_s, cutoff_hz, as_json)
 
 
 @app.command()
@@ -164,67 +184,6 @@ def warm() -> None:
     from becalm.cli.warm import run
 
     run()
-
-
-class Said(NamedTuple):
-    """What a person said of a file."""
-
-    channels: str | None
-    rate_hz: float | None
-    time: str | None
-    recipe: Recipe | None = None
-
-    def or_as(self, recipe: Recipe) -> Said:
-        """Take the time from a recipe, if nothing was said of it."""
-        if self.rate_hz is None and self.time is None:
-            return Said(self.channels, recipe.rate_hz, recipe.time, recipe)
-        return self._replace(recipe=recipe)
-
-    def kept_in(self, recipe: Recipe) -> Recipe:
-        """Put into a recipe what was said of the time, so that it gives the same bytes again."""
-        return recipe.model_copy(update={"rate_hz": self.rate_hz, "time": self.time})
-
-    @property
-    def names(self) -> tuple[str, ...] | None:
-        """The channels to clean, or None for all."""
-        if self.channels is None:
-            return None if self.recipe is None else tuple(channel.name for channel in self.recipe.channel)
-        names = o.split_names(self.channels)
-        if not names:
-            raise UsageError("--channels names no channel; write --channels NAME,NAME or leave it out.")
-        return names
-
-
-def _open(file: Path, said: Said) -> OpenSource:
-    from becalm.files.opening import open_source
-    from becalm.files.source import COMMAND_LINE, Asker, ReadOptions
-
-    asker = COMMAND_LINE
-    if said.recipe is not None and said.channels is None:
-        another = f"make another recipe with: becalm tune {file} -o R.toml"
-        asker = Asker("The recipe", f" Choose some of its channels with --channels, or {another}")
-    return open_source(file, ReadOptions(said.time, said.rate_hz, said.names, asker))
-
-
-def _load(path: Path | None) -> Recipe | None:
-    if path is None:
-        return None
-    from becalm.cleaning.recipe import Recipe
-
-    return Recipe.load(path)
-
-
-def _tuned(source: OpenSource, causal: bool, dial: Dial | None) -> Recipe:
-    from becalm.cleaning.pipeline import tune as tune_recording
-    from becalm.cli.streaming import rows_to_tune_on
-    from becalm.cli.talk import progress
-    from becalm.cli.warm import ahead
-
-    sample = source.sample(rows_to_tune_on(source))
-    ahead(sample, causal=causal)
-    with progress("tuning", len(source.names)) as step:
-        found = tune_recording(sample, causal=causal, dial=dial, progress=lambda name: step(name, 1))
-    return found.model_copy(update={"tuned_on": found.tuned_on.model_copy(update={"sha256": source.sha256()})})
 
 
 def _refuse_overwriting(file: Path, *outputs: Path) -> None:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import csv
 import re
+from math import inf
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
 
 import typer
 
@@ -38,14 +39,60 @@ NoiseGain = Annotated[
     str | None, typer.Option("--noise-gain", metavar="-20dB", help="Leave so much of white noise, in dB.")
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
+Looked = Annotated[str | None, typer.Option("--channels", metavar="a,b", help="Look at these channels only.")]
+Still = Annotated[
+    str | None,
+    typer.Option(
+        "--still",
+        metavar="0:30,60:90",
+        help="Where the sensor lies still: START:STOP in seconds after the first row (0:30 is the first half minute),"
+        " or 1min:2min; several with commas. Found by itself if left out.",
+    ),
+]
+Remove = Annotated[
+    str | None,
+    typer.Option("--remove", metavar="50Hz,100Hz", help="Take off tones near these frequencies, as of mains hum."),
+]
+Split = Annotated[bool, typer.Option("--split", help="Write the parts of each channel too: motion, tones, noise.")]
+Cutoff = Annotated[
+    str | None,
+    typer.Option("--cutoff", metavar="1Hz", help="Split the noise at rest there, above and below; 1Hz by default."),
+]
 
 
 _QUANTITY = re.compile(r"(?P<number>[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?)\s*(?P<unit>[a-z]+)", re.IGNORECASE)
+_TIME = re.compile(r"(?P<number>(\d+\.?\d*|\.\d+)(e[-+]?\d+)?)\s*(?P<unit>ms|s|min|h)?", re.IGNORECASE)
+_SECONDS = {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0}
 _SIZES: dict[Kind, dict[str, float]] = {
     "max_lag_s": {"s": 1.0, "ms": 1e-3, "us": 1e-6},
     "bandwidth_hz": {"hz": 1.0, "khz": 1e3},
     "noise_gain_db": {"db": 1.0},
 }
+
+
+class Asked(NamedTuple):
+    """What is asked of the filters, or told of the noise."""
+
+    dial: Dial | None
+    still_s: tuple[tuple[float, float], ...]
+    removed_hz: tuple[float, ...]
+
+    @property
+    def anything(self) -> bool:
+        """Whether something was asked at all."""
+        return self.dial is not None or bool(self.still_s or self.removed_hz)
+
+
+def asked_of(dial: tuple[str | None, str | None, str | None], still: str | None, remove: str | None) -> Asked:
+    """Read what is asked: --max-lag, --bandwidth or --noise-gain, --still and --remove.
+
+    Raises
+    ------
+    UsageError
+        If one of them cannot be read.
+    """
+    removed = () if remove is None else tuple(frequency_of("--remove", part) for part in remove.split(","))
+    return Asked(dial_of(*dial), still_of(still) or (), removed)
 
 
 def dial_of(max_lag: str | None, bandwidth: str | None, noise_gain: str | None) -> Dial | None:
@@ -71,6 +118,43 @@ def dial_of(max_lag: str | None, bandwidth: str | None, noise_gain: str | None) 
         name, units = kind.rpartition("_")[0].replace("_", "-"), " or ".join(_SIZES[kind])
         raise UsageError(f"--{name} {text} is no number with its unit; write a number and then {units}.")
     return Dial(kind, float(written["number"]) * size)
+
+
+def still_of(text: str | None) -> tuple[tuple[float, float], ...] | None:
+    """Read where a sensor lies still: `0:30,60:90` is 0 to 30 s and 60 to 90 s after the first row.
+
+    Raises
+    ------
+    UsageError
+        If a part of it is not START:STOP, or stops before it starts.
+    """
+    return None if text is None else tuple(map(_span_of, text.split(",")))
+
+
+def frequency_of(option: str, text: str) -> float:
+    """Read a frequency with its unit, in hertz.
+
+    Raises
+    ------
+    UsageError
+        If it is no positive number with Hz or kHz.
+    """
+    written = _QUANTITY.fullmatch(text.strip())
+    size = _SIZES["bandwidth_hz"].get(written["unit"].lower()) if written else None
+    if written is None or size is None or not 0 < (frequency_hz := float(written["number"]) * size) < inf:
+        raise UsageError(f"{option} {text} is no frequency; write a positive number and then Hz or kHz, as 1Hz.")
+    return frequency_hz
+
+
+def _span_of(text: str) -> tuple[float, float]:
+    ends = [_TIME.fullmatch(end.strip()) for end in text.split(":")]
+    times_s = [float(end["number"]) * _SECONDS[(end["unit"] or "s").lower()] for end in ends if end]
+    if len(ends) != 2 or len(times_s) != 2 or not times_s[0] < times_s[1] < inf:
+        raise UsageError(
+            f"--still {text.strip()} is no stretch of time; write START:STOP in seconds after the first row, as 0:30"
+            " for the first half minute, or with units, as 1min:2min; several with commas."
+        )
+    return times_s[0], times_s[1]
 
 
 def split_names(text: str) -> tuple[str, ...]:

@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pyarrow as pa
 
 from becalm.cleaning.cleaner import Cleaner
@@ -14,8 +15,8 @@ from becalm.files.rows import block_rows
 from becalm.files.tables import CleanChannel, output_block
 
 if TYPE_CHECKING:
-    from becalm.cleaning.judging import ChannelReport
-    from becalm.cleaning.recipe import Recipe
+    from becalm.cleaning.recipe import ChannelRecipe, Recipe
+    from becalm.cleaning.report import ChannelReport
     from becalm.core.flow import Told
     from becalm.files.opening import OpenSource
 
@@ -46,9 +47,16 @@ def rows_of_chunks(source: OpenSource, channels: int) -> int:
 
 
 def clean_chunks(
-    source: OpenSource, recipe: Recipe, write: Callable[[pa.Table], None], step: Callable[[str, int], None]
+    source: OpenSource,
+    recipe: Recipe,
+    write: Callable[[pa.Table], None],
+    step: Callable[[str, int], None],
+    *,
+    split: bool = False,
 ) -> tuple[ChannelReport, ...]:
     """Clean a file, and write it; `step` is called after each chunk, with its rows.
+
+    Split, the parts of each channel are written too.
 
     Raises
     ------
@@ -57,7 +65,7 @@ def clean_chunks(
     """
     tables: deque[pa.Table] = deque()
     numbers = [source.names.index(channel.name) for channel in recipe.channel]
-    with Cleaner(recipe, source.clock.step_s) as cleaner:
+    with Cleaner(recipe, source.clock.step_s, split=split) as cleaner:
         for chunk in source.chunks(rows_of_chunks(source, len(numbers))):
             tables.append(chunk.table)
             columns = [chunk.channel(number) for number in numbers]
@@ -71,4 +79,9 @@ def clean_chunks(
 
 def _output(table: pa.Table, recipe: Recipe, told: list[Told]) -> pa.Table:
     named = zip(recipe.channel, told, strict=True)
-    return output_block(table, {one.name: CleanChannel(clean.signal, clean.sigma, one.unit) for one, clean in named})
+    return output_block(table, {one.name: _clean_channel(one, clean) for one, clean in named})
+
+
+def _clean_channel(channel: ChannelRecipe, told: Told) -> CleanChannel:
+    parts = {part: np.ascontiguousarray(values) for part, values in zip(channel.parts, told.parts, strict=False)}
+    return CleanChannel(told.signal, told.sigma, channel.unit, parts)

@@ -10,8 +10,10 @@ from rich.console import Console
 from rich.table import Table
 
 if TYPE_CHECKING:
-    from becalm.cleaning.judging import ChannelReport
+    from becalm.cleaning.report import ChannelReport
     from becalm.files.opening import OpenSource
+
+_NEAR = 0.1  # of a frequency, within which a tone is the one that was named
 
 stderr = Console(stderr=True, highlight=False, soft_wrap=True, markup=False)
 
@@ -40,12 +42,26 @@ def tell(reports: tuple[ChannelReport, ...], causal: bool) -> None:
             _number(report.noise_std, report.unit),
             _number(report.bandwidth_hz, "Hz"),
             _number(report.lag_s, "s") if causal else "none",
-            "yes" if report.describes and report.model == "motion" else "see below",
+            _trust(report),
         )
     stderr.print(table)
     for report in reports:
         if report.says != DESCRIBED:
             stderr.print(f"{report.name}: {report.says}")
+
+
+def tell_not_removed(reports: tuple[ChannelReport, ...], removed_hz: tuple[float, ...]) -> None:
+    """Say which of the tones that were to be taken off did not stand out, and where."""
+    for frequency in removed_hz:
+        lacking = [
+            report.name
+            for report in reports
+            if not any(abs(found / frequency - 1) < _NEAR for found in report.removed_hz)
+        ]
+        if lacking:
+            stderr.print(
+                f"No tone stands out near {frequency:.6g} Hz in {', '.join(lacking)}: nothing was taken off there."
+            )
 
 
 def tell_columns(source: OpenSource) -> None:
@@ -59,11 +75,22 @@ def tell_columns(source: OpenSource) -> None:
         stderr.print(f"Passed through unchanged: {', '.join(kept[:20])}{' and more' if len(kept) > 20 else ''}.")
 
 
+def _trust(report: ChannelReport) -> str:
+    if report.verdict == "fits except":
+        return f"except near {_number(report.loudest_hz, 'Hz')}"
+    return {"fits": "yes", "does not fit": "no"}.get(report.verdict, "see below")
+
+
 def _model(report: ChannelReport) -> str:
     if report.order is None:
         return report.model
-    tones = ", ".join(f"{frequency:.4g}" for frequency in report.tones_hz)
-    return f"{report.model} of order {report.order}" + (f", tones at {tones} Hz" if tones else "")
+    told = [f"{report.model} of order {report.order}"]
+    for what, frequencies in (("tones at", report.tones_hz), ("without", report.removed_hz)):
+        if frequencies:
+            told.append(f"{what} {', '.join(f'{frequency:.4g}' for frequency in frequencies)} Hz")
+    if report.coloured_std is not None:
+        told.append(f"without coloured noise of {_number(report.coloured_std, report.unit)}")
+    return ", ".join(told)
 
 
 def _number(value: float | None, unit: str) -> str:

@@ -1,0 +1,168 @@
+"""What an Allan deviation tells, in the unit of the readings and in those of data sheets."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from becalm.errors import UsageError
+from becalm.noise.allan_terms import NoiseTerm, NoiseTerms
+from becalm.noise.datasheet import convert, random_walk_in, white_noise_in
+
+
+class _Sheet(NamedTuple):
+    """In which units the data sheets of one kind of sensor give noise."""
+
+    bias: str
+    white: tuple[str, ...]
+    walk: str
+
+
+_SHEETS = (
+    _Sheet("ug", ("ug/sqrt(Hz)", "m/s/sqrt(h)"), "ug/sqrt(h)"),
+    _Sheet("deg/h", ("deg/s/sqrt(Hz)", "deg/sqrt(h)"), "deg/h/sqrt(h)"),
+    _Sheet("um/m", ("um/m/sqrt(Hz)",), "um/m/sqrt(h)"),
+)
+
+
+@dataclass(frozen=True)
+class Quoted:
+    """A coefficient as a data sheet gives it.
+
+    Attributes
+    ----------
+    unit : str
+        Per root of hertz it is one-sided, per root of time two-sided.
+    value, standard_error, limit : float or None
+        As in `Coefficient`, in this unit.
+    """
+
+    unit: str
+    value: float | None
+    standard_error: float | None
+    limit: float | None
+
+
+@dataclass(frozen=True)
+class Coefficient:
+    """One coefficient of an Allan deviation.
+
+    Attributes
+    ----------
+    unit : str
+        Of the figures.
+    value, standard_error : float or None
+        None where the rest does not tell it.
+    limit : float or None
+        What it does not exceed, at 95 % one-sided, told or not.
+    reason : str
+        Why there is no value, in a sentence; "" where there is one.
+    quoted : tuple of Quoted
+        The same in units of data sheets; empty where there is none beside `unit`.
+    """
+
+    unit: str
+    value: float | None
+    standard_error: float | None
+    limit: float | None
+    reason: str
+    quoted: tuple[Quoted, ...]
+
+
+@dataclass(frozen=True)
+class AllanNoise:
+    """What the Allan deviation over one rest tells; densities in `unit` are two-sided.
+
+    Attributes
+    ----------
+    stretch_s : (float, float)
+        The rest, from and to, in seconds after the first sample.
+    white_noise : Coefficient
+        N, in unit s^(1/2).
+    bias_instability : Coefficient
+        B, in unit.
+    random_walk : Coefficient
+        K, in unit / s^(1/2).
+    misfit : float
+        About 1 where the terms describe the sensor.
+    noise_variance : float or None
+        R = N^2 rate, in unit^2.
+    random_walk_density : float or None
+        q = K^2, in unit^2/s; a *small* one trusts the bias to stay.
+    """
+
+    stretch_s: tuple[float, float]
+    white_noise: Coefficient
+    bias_instability: Coefficient
+    random_walk: Coefficient
+    misfit: float
+    noise_variance: float | None
+    random_walk_density: float | None
+
+
+def allan_noise(terms: NoiseTerms, unit: str, stretch_s: tuple[float, float], rate_hz: float) -> AllanNoise:
+    """Put the terms of an Allan deviation into units.
+
+    Parameters
+    ----------
+    terms : NoiseTerms
+        From `becalm.noise.allan_terms.noise_terms`.
+    unit : str
+        Of the readings, "" if unknown.
+    stretch_s : (float, float)
+        The rest, from and to, in seconds after the first sample.
+    rate_hz : float
+        Readings a second, for R.
+
+    Returns
+    -------
+    AllanNoise
+        Where `unit` is in no data sheet, white noise is quoted per sqrt(Hz), and nothing else.
+    """
+    white, bias, walk = _quotes(unit)
+    return AllanNoise(
+        stretch_s,
+        _coefficient(terms.white, f"{unit} s^(1/2)".strip(), white),
+        _coefficient(terms.bias_instability, unit, bias),
+        _coefficient(terms.random_walk, f"{unit or 1}/s^(1/2)", walk),
+        terms.misfit,
+        terms.to_noise_variance(rate_hz) if np.isfinite(terms.white.value) else None,
+        terms.to_random_walk_density() if np.isfinite(terms.random_walk.value) else None,
+    )
+
+
+def _quotes(unit: str) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
+    """Return how much of each unit of data sheets is 1 of N, of B and of K."""
+    sheet = _sheet_of(unit)
+    if sheet is None:
+        return {f"{unit or 1}/sqrt(Hz)": float(np.sqrt(2))}, {}, {}
+    return (
+        {quoted: white_noise_in(quoted, 1.0, unit) for quoted in sheet.white},
+        {sheet.bias: convert(1.0, unit, sheet.bias)},
+        {sheet.walk: random_walk_in(sheet.walk, 1.0, unit)},
+    )
+
+
+def _sheet_of(unit: str) -> _Sheet | None:
+    """Return the data sheet that has the unit, if there is one."""
+    for sheet in _SHEETS:
+        with suppress(UsageError):
+            convert(1.0, unit, sheet.bias)
+            return sheet
+    return None
+
+
+def _coefficient(term: NoiseTerm, unit: str, factors: dict[str, float]) -> Coefficient:
+    """Return a term in its unit, and times the factor of each other one."""
+    quoted = tuple(Quoted(name, *_scaled(term, factor)) for name, factor in factors.items() if name != unit)
+    return Coefficient(unit, *_scaled(term, 1.0), term.reason, quoted)
+
+
+def _scaled(term: NoiseTerm, factor: float) -> tuple[float | None, float | None, float | None]:
+    """Return value, standard error and limit times a factor; None where unknown."""
+    figures = (term.value, term.standard_error, term.limit)
+    value, error, limit = (float(factor * figure) if np.isfinite(figure) else None for figure in figures)
+    return value, error, limit

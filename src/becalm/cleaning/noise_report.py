@@ -1,0 +1,247 @@
+"""What noise a recording has at rest: R, its split at a cut-off, and what an Allan deviation tells."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass, replace
+
+import numpy as np
+
+from becalm.cleaning.allan_figures import AllanNoise, allan_noise
+from becalm.core.arrays import Floats
+from becalm.core.recording import Recording
+from becalm.core.timebase import GAP_STEPS
+from becalm.core.verdict import BEYOND_ANY_SENSOR
+from becalm.errors import RecordingError, UsageError
+from becalm.noise.allan import allan_deviation
+from becalm.noise.allan_terms import noise_terms
+from becalm.noise.rest_noise import RestNoise, noise_at_rest, split_at_cutoff
+from becalm.noise.still import Stretch, find_still, said_still
+from becalm.noise.still_windows import quantum, runs_of
+
+MOST_SLOW = 1.5
+"""Variance over half a second, over R, above which the noise is said to be slower than the readings."""
+
+MOST_REPEATED = 0.4
+"""Share of readings equal to the one before, above which a sensor is slower than the rows of its record."""
+
+MOST_MISFIT = 2.0
+"""Misfit above which the terms of an Allan deviation are said not to describe it."""
+
+_JITTER = 4.0  # standard deviations
+
+
+@dataclass(frozen=True)
+class ChannelNoise:
+    """The noise of one channel at rest; what is not known is None.
+
+    Attributes
+    ----------
+    name, unit : str
+        As in the recording.
+    rest : str
+        Where rest was found, or why there is none, in a sentence.
+    stretches_s : tuple of (float, float)
+        The rests, each from and to, in seconds after the first sample.
+    noise_std, noise_std_error : float or None
+        Square root of R, from differences of neighbours, and its standard error if the noise is white, in unit.
+    slowness : float or None
+        Variance over half a second over R; see `becalm.noise.rest_noise.RestNoise`.
+    spikes : int
+        Jumps beyond six standard deviations; they do not count in `noise_std`.
+    cutoff_hz : float
+        Where the longest rest without a hole is split.
+    above_std, below_std : float or None
+        Standard deviation above and below the cut-off, in unit.
+    allan : AllanNoise or None
+        Over the longest rest.
+    says : tuple of str
+        What is not known, and what to beware of, in sentences.
+    """
+
+    name: str
+    unit: str
+    rest: str
+    stretches_s: tuple[tuple[float, float], ...]
+    cutoff_hz: float
+    noise_std: float | None = None
+    noise_std_error: float | None = None
+    slowness: float | None = None
+    spikes: int = 0
+    above_std: float | None = None
+    below_std: float | None = None
+    allan: AllanNoise | None = None
+    says: tuple[str, ...] = ()
+
+    def as_dict(self) -> dict[str, object]:
+        """Return the figures for JSON; what is unknown is None."""
+        return asdict(self)
+
+
+def report_noise(
+    recording: Recording,
+    *,
+    still: Iterable[tuple[float, float]] | None = None,
+    cutoff_hz: float = 1.0,
+    progress: Callable[[str], object] = lambda name: None,
+) -> tuple[ChannelNoise, ...]:
+    """Tell what noise each channel of a recording has where all of them are at rest.
+
+    Parameters
+    ----------
+    recording : Recording
+        Channels that rest together, as those of one sensor; NaN where missing.
+    still : iterable of (float, float), optional
+        Rests, each from and to in seconds after the first sample; found by itself if left out.
+    cutoff_hz : float
+        Noise above it is called measurement noise, what is below it variation of the signal; a *small*
+        one calls more of it measurement noise.
+    progress : callable, optional
+        Called with the name of each channel that is done.
+
+    Returns
+    -------
+    tuple of ChannelNoise
+        One a channel; without figures where there is no rest.
+
+    Raises
+    ------
+    RecordingError
+        If a span of `still` runs backwards, or holds under 32 samples.
+    UsageError
+        If the cut-off is not positive.
+
+    Notes
+    -----
+    Noise at rest is the least there is: what shakes a sensor in use is not in it.
+    """
+    if not 0 < cutoff_hz < np.inf:
+        raise UsageError(f"cutoff_hz = {cutoff_hz} is no cut-off; give a positive number of hertz, as 1.0.")
+    recording = _believable(recording)
+    stillness = find_still(recording) if still is None else said_still(recording, still)
+    spans_s = tuple(_span_s(recording, stretch) for stretch in stillness.stretches)
+    told = []
+    for name, unit in zip(recording.names, recording.units, strict=True):
+        channel = ChannelNoise(name, unit, stillness.reason, spans_s, cutoff_hz)
+        told.append(_measured(channel, recording.select([name]), stillness.stretches) if spans_s else channel)
+        progress(name)
+    return tuple(told)
+
+
+def _measured(channel: ChannelNoise, recording: Recording, stretches: Sequence[Stretch]) -> ChannelNoise:
+    """Add the figures of one channel over its rests."""
+    (noise,) = noise_at_rest(recording, stretches)
+    parts = [_in_a_row(recording, rest) for rest in stretches]
+    step = quantum(recording.samples[:, 0])
+    if hidden := _hidden(noise, step, _repeated(parts)):
+        return replace(channel, spikes=noise.spikes, says=(hidden,))
+    above, below, no_split = _split(parts, recording.rate_hz, channel.cutoff_hz)
+    allan, no_allan = _allan(recording, max(stretches, key=lambda rest: rest.stop - rest.start))
+    std = float(np.sqrt(noise.variance))
+    return replace(
+        channel,
+        noise_std=std,
+        noise_std_error=noise.standard_error / (2 * std),
+        slowness=noise.slowness if np.isfinite(noise.slowness) else None,
+        spikes=noise.spikes,
+        above_std=above,
+        below_std=below,
+        allan=allan,
+        says=(*_doubts(noise, step), *no_split, *no_allan),
+    )
+
+
+def _repeated(parts: Sequence[Floats]) -> float:
+    """Return the share of readings, among those that follow another, that are equal to it."""
+    steps = np.concatenate([np.diff(part) for part in parts])
+    return float(np.mean(steps[np.isfinite(steps)] == 0)) if np.isfinite(steps).any() else 0.0
+
+
+def _hidden(noise: RestNoise, step: float, repeated: float) -> str:
+    """Say why the readings do not show the noise; nothing if they do. `step` is as in `_doubts`."""
+    if not np.isfinite(noise.variance):
+        return f"At rest {noise.differences} readings follow another without a gap; 32 are needed to tell noise."
+    if not noise.variance > 0:
+        return "Every reading at rest is the same: the noise is less than the sensor shows."
+    if repeated > MOST_REPEATED and noise.variance > (2 * step) ** 2:
+        return (
+            f"At rest {repeated:.0%} of the readings repeat the one before: the sensor is slower than the rows, and its"
+            f" noise can be told from a record of one row a reading."
+        )
+    return ""
+
+
+def _doubts(noise: RestNoise, step: float) -> list[str]:
+    """Say what R is not; `step` is the smallest between two readings, in unit."""
+    says = []
+    if np.sqrt(noise.variance) < step / 2:
+        says.append(f"The readings go in steps of {step:.3g}, more than twice the noise: R is that of rounding.")
+    if noise.slowness > MOST_SLOW:
+        says.append(
+            f"The noise is slower than the readings: over half a second its variance is {noise.slowness:.3g} times R, "
+            f"which is that of its fastest part."
+        )
+    if noise.spikes:
+        jumps = "1 jump is" if noise.spikes == 1 else f"{noise.spikes} jumps are"
+        says.append(f"{jumps} beyond six standard deviations, and not in R, but in all other figures.")
+    return says
+
+
+def _split(parts: Sequence[Floats], rate_hz: float, cutoff_hz: float) -> tuple[float | None, float | None, list[str]]:
+    """Return the standard deviations above and below the cut-off, or why there are none."""
+    if cutoff_hz >= rate_hz / 2:
+        return None, None, [f"{rate_hz:.4g} readings a second do not show what lies above {cutoff_hz:g} Hz."]
+    longest = max(map(_whole, parts), key=len)
+    try:
+        noise, process = split_at_cutoff(longest, rate_hz, cutoff_hz)
+    except RecordingError as cause:
+        return None, None, [str(cause)]
+    return float(np.sqrt(noise)), float(np.sqrt(process)), []
+
+
+def _allan(recording: Recording, rest: Stretch) -> tuple[AllanNoise | None, list[str]]:
+    """Return what an Allan deviation over one rest tells, and what it does not."""
+    try:
+        terms = noise_terms(allan_deviation(_in_a_row(recording, rest), recording.rate_hz))
+    except RecordingError as cause:
+        return None, [str(cause)]
+    found = allan_noise(terms, recording.units[0], _span_s(recording, rest), recording.rate_hz)
+    says = [term.reason for term in (found.white_noise, found.bias_instability, found.random_walk) if term.reason]
+    if found.misfit > MOST_MISFIT:
+        says.append(
+            f"White noise, bias instability and random walk do not describe the Allan deviation (misfit "
+            f"{found.misfit:.2g}; 1 would be right): vibration, temperature or a filter within the sensor shapes it."
+        )
+    return found, says
+
+
+def _in_a_row(recording: Recording, rest: Stretch) -> Floats:
+    """Return the readings of one channel over a rest, in unit; NaN for each gap, which jitter is not.
+
+    One NaN is enough for a gap of any length: differences across it are left out.
+    """
+    readings, time = recording.samples[slice(*rest), 0], recording.timebase
+    jitter_steps = 0.0 if time.uniform else time.jitter_s / time.step_s
+    gaps = 1 + np.flatnonzero(time.elapsed_steps[slice(*rest)][1:] > GAP_STEPS + _JITTER * jitter_steps)
+    return np.insert(readings, gaps, np.nan)
+
+
+def _whole(readings: Floats) -> Floats:
+    """Return the longest part of the readings in which none is missing."""
+    runs = runs_of(np.isfinite(readings))
+    first, last = max(runs, key=lambda run: run[1] - run[0], default=(0, -1))
+    return readings[first : last + 1]
+
+
+def _span_s(recording: Recording, rest: Stretch) -> tuple[float, float]:
+    """Return from when to when, in seconds after the first sample, a rest lasts."""
+    times_s = recording.times_s
+    return float(times_s[rest.start] - times_s[0]), float(
+        times_s[rest.stop - 1] - times_s[0] + recording.timebase.step_s
+    )
+
+
+def _believable(recording: Recording) -> Recording:
+    """Take readings that no sensor gives for missing."""
+    beyond = np.abs(recording.samples) > BEYOND_ANY_SENSOR
+    return recording.with_samples(np.where(beyond, np.nan, recording.samples)) if beyond.any() else recording

@@ -1,0 +1,87 @@
+"""What a person said of a file, and the file opened and tuned on as said."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from becalm.cli.options import split_names
+from becalm.errors import UsageError
+
+if TYPE_CHECKING:
+    from becalm.cleaning.recipe import Recipe
+    from becalm.cli.options import Asked
+    from becalm.core.recording import Recording
+    from becalm.files.opening import OpenSource
+
+
+class Said(NamedTuple):
+    """What a person said of a file."""
+
+    channels: str | None
+    rate_hz: float | None
+    time: str | None
+    recipe: Recipe | None = None
+
+    def or_as(self, recipe: Recipe) -> Said:
+        """Take the time from a recipe, if nothing was said of it."""
+        if self.rate_hz is None and self.time is None:
+            return Said(self.channels, recipe.rate_hz, recipe.time, recipe)
+        return self._replace(recipe=recipe)
+
+    def kept_in(self, recipe: Recipe) -> Recipe:
+        """Put into a recipe what was said of the time, so that it gives the same bytes again."""
+        return recipe.model_copy(update={"rate_hz": self.rate_hz, "time": self.time})
+
+    @property
+    def names(self) -> tuple[str, ...] | None:
+        """The channels to clean, or None for all."""
+        if self.channels is None:
+            return None if self.recipe is None else tuple(channel.name for channel in self.recipe.channel)
+        names = split_names(self.channels)
+        if not names:
+            raise UsageError("--channels names no channel; write --channels NAME,NAME or leave it out.")
+        return names
+
+
+def open_as(file: Path, said: Said) -> OpenSource:
+    """Open a file as it was said to be."""
+    from becalm.files.opening import open_source
+    from becalm.files.source import COMMAND_LINE, Asker, ReadOptions
+
+    asker = COMMAND_LINE
+    if said.recipe is not None and said.channels is None:
+        another = f"make another recipe with: becalm tune {file} -o R.toml"
+        asker = Asker("The recipe", f" Choose some of its channels with --channels, or {another}")
+    return open_source(file, ReadOptions(said.time, said.rate_hz, said.names, asker))
+
+
+def load(path: Path | None) -> Recipe | None:
+    """Load a recipe, if one was named."""
+    if path is None:
+        return None
+    from becalm.cleaning.recipe import Recipe
+
+    return Recipe.load(path)
+
+
+def tuned(source: OpenSource, causal: bool, asked: Asked) -> Recipe:
+    """Tune a recipe on a file, or on evenly spread stretches of a long one."""
+    from becalm.cleaning.tuning import Wishes, tune
+    from becalm.cli.streaming import rows_to_tune_on
+    from becalm.cli.talk import progress
+    from becalm.cli.warm import ahead
+
+    sample = source.sample(rows_to_tune_on(source))
+    ahead(sample, causal=causal)
+    wishes = Wishes(asked.dial, asked.still_s, _beginning(source) if asked.still_s else None, asked.removed_hz)
+    with progress("tuning", len(source.names)) as step:
+        found = tune(sample, causal=causal, wishes=wishes, progress=lambda name: step(name, 1))
+    return found.model_copy(update={"tuned_on": found.tuned_on.model_copy(update={"sha256": source.sha256()})})
+
+
+def _beginning(source: OpenSource) -> Recording:
+    """Read the first rows, in which stretches of rest are told by their time."""
+    from becalm.cli.noise import rows_to_look_at
+
+    return source.stretches([(0, rows_to_look_at(source))])
