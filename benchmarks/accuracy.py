@@ -10,17 +10,16 @@ Run: python benchmarks/accuracy.py [-o docs/accuracy.md]
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 import becalm
 from becalm.classic.with_truth import best_causal, best_zero_phase
-from becalm.cleaning.judging import ChannelReport
+from becalm.cleaning.report import ChannelReport
 from becalm.metrics.truth import coverage, rms_error
+from pages import page_parser, publish
 
 Floats = NDArray[np.float64]
 
@@ -142,14 +141,10 @@ def _mean(ratios: Floats) -> float:
 
 def main() -> None:
     """Print the table; with -o, write it as a page."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    parser.add_argument("-o", "--output", type=Path, help="page to write the table to")
-    output: Path | None = parser.parse_args().output
+    output = page_parser(__doc__).parse_args().output
     titles = {False: "Smoothed", True: "Causal"}
     text = "\n".join(f"## {title}\n\n{as_markdown(table(causal))}" for causal, title in titles.items())
-    print(text)
-    if output:
-        output.write_text(f"# Accuracy\n\n{(__doc__ or '').strip()}\n\n{text}", encoding="utf-8")
+    publish("Accuracy", __doc__, text, output)
 
 
 if __name__ == "__main__":

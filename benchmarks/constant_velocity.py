@@ -8,9 +8,7 @@ Run: python benchmarks/constant_velocity.py [-o docs/constant-velocity.md]
 
 from __future__ import annotations
 
-import argparse
 import time
-from pathlib import Path
 from statistics import mean
 from typing import NamedTuple
 
@@ -19,6 +17,7 @@ from numpy.typing import NDArray
 
 import becalm
 from becalm.metrics.truth import rms_error
+from pages import page_parser, publish
 
 COUNT, SEEDS = 2000, 20
 CASES = ((0.01, 100.0, 1.0), (0.01, 1e4, 1.0), (0.002, 1e3, 0.01))  # dt in s, q, r
@@ -79,13 +78,8 @@ def page() -> str:
 
 def main() -> None:
     """Print the table; with -o, write it as a page."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    parser.add_argument("-o", "--output", type=Path, help="page to write the table to")
-    output: Path | None = parser.parse_args().output
-    text = page()
-    print(text)
-    if output:
-        output.write_text(f"# Constant velocity\n\n{(__doc__ or '').strip()}\n\n{text}", encoding="utf-8")
+    output = page_parser(__doc__).parse_args().output
+    publish("Constant velocity", __doc__, page(), output)
 
 
 if __name__ == "__main__":

@@ -10,11 +10,9 @@ Run: pip install 'becalm[bench]', then python benchmarks/derivatives.py [-o docs
 
 from __future__ import annotations
 
-import argparse
 import sys
 import warnings
 from importlib import import_module
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,6 +21,7 @@ from numpy.typing import NDArray
 from becalm.core.smoothing import kalman_smoother
 from becalm.metrics.truth import rms_error
 from becalm.noise.choose import choose
+from pages import page_parser, publish
 
 Floats = NDArray[np.float64]
 
@@ -94,17 +93,13 @@ def page() -> str:
 
 def main() -> None:
     """Print the table; with -o, write it as a page."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    parser.add_argument("-o", "--output", type=Path, help="page to write the table to")
-    output: Path | None = parser.parse_args().output
+    output = page_parser(__doc__).parse_args().output
     warnings.simplefilter("ignore")  # of solvers that are not needed here
     try:
         text = page()
     except ModuleNotFoundError as cause:
         sys.exit(f"{cause.name} is not installed; type: pip install 'becalm[bench]'")
-    print(text)
-    if output:
-        output.write_text(f"# Derivatives\n\n{(__doc__ or '').strip()}\n\n{text}", encoding="utf-8")
+    publish("Derivatives", __doc__, text, output)
 
 
 if __name__ == "__main__":

@@ -12,10 +12,8 @@ Run: python benchmarks/full_noise.py [-o docs/full-noise.md] [--runs 500]
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -26,6 +24,7 @@ from becalm.core.model import Model
 from becalm.noise.autocovariances import autocovariances
 from becalm.noise.joint import TunedModel, tune_model
 from becalm.noise.matrices import patterns_of
+from pages import page_parser, publish
 
 Floats = NDArray[np.float64]
 
@@ -199,14 +198,11 @@ def untold_page() -> list[str]:
 
 def main() -> None:
     """Print the tables; with -o, write them as a page."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    parser.add_argument("-o", "--output", type=Path, help="page to write the tables to")
+    parser = page_parser(__doc__)
     parser.add_argument("--runs", type=int, default=500, help="records of two channels")
     given = parser.parse_args()
     text = "\n".join(plane_page(given.runs) + car_page(CAR_RUNS) + untold_page())
-    print(text)
-    if given.output:
-        given.output.write_text(f"# Full covariances\n\n{(__doc__ or '').strip()}\n\n{text}", encoding="utf-8")
+    publish("Full covariances", __doc__, text, given.output)
 
 
 if __name__ == "__main__":

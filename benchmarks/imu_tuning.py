@@ -9,9 +9,7 @@ Run: python benchmarks/imu_tuning.py [-o docs/imu-tuning.md]
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import replace
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +17,7 @@ from numpy.typing import NDArray
 
 from becalm.noise.step_spectrum import Sensor, StepTrial
 from becalm.noise.step_tuning import StepTuning, tune_by_simplex, tune_by_step
+from pages import page_parser, publish
 
 Floats = NDArray[np.float64]
 
@@ -150,13 +149,8 @@ readings; a fixed P0 would tilt the floor a little.
 
 def main() -> None:
     """Print the tables; with -o, write them as a page."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    parser.add_argument("-o", "--output", type=Path, help="page to write the tables to")
-    output: Path | None = parser.parse_args().output
-    text = page()
-    print(text)
-    if output:
-        output.write_text(f"# The IMU paper's tuning\n\n{(__doc__ or '').strip()}\n\n{text}", encoding="utf-8")
+    output = page_parser(__doc__).parse_args().output
+    publish("The IMU paper's tuning", __doc__, page(), output)
 
 
 if __name__ == "__main__":

@@ -10,7 +10,6 @@ Run: python benchmarks/large_files.py [--rows 10000000] [--repeats 7] [-o docs/l
 
 from __future__ import annotations
 
-import argparse
 import os
 import subprocess
 import sys
@@ -23,6 +22,8 @@ from typing import NamedTuple
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+
+from pages import page_parser, publish
 
 CHANNELS, BLOCK = 6, 1 << 20
 SMALL, EQUAL = 20_000, 1e-10
@@ -144,18 +145,12 @@ def table(rows: int, repeats: int) -> str:
 
 def main() -> None:
     """Print the table; with -o, write it as a page."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser = page_parser(__doc__)
     parser.add_argument("--rows", type=int, nargs="+", default=[10_000_000], help="how long; several may be given")
     parser.add_argument("--repeats", type=int, default=7, help="turns")
-    parser.add_argument("-o", "--output", type=Path, help="page to write the table to")
     chosen = parser.parse_args()
     text = "\n".join(table(rows, chosen.repeats) for rows in chosen.rows)
-    print(text)
-    agreed = compare()
-    print(agreed)
-    output: Path | None = chosen.output
-    if output:
-        output.write_text(f"# Large files\n\n{(__doc__ or '').strip()}\n\n{text}\n{agreed}", encoding="utf-8")
+    publish("Large files", __doc__, f"{text}\n{compare()}", chosen.output)
 
 
 if __name__ == "__main__":

@@ -18,13 +18,14 @@ Run: pip install 'becalm[bench]', then python benchmarks/peers.py [-o docs/bench
 
 from __future__ import annotations
 
-import argparse
 import os
 import platform
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+
+from pages import page_parser, publish
 
 ONE_THREAD = {
     "OMP_NUM_THREADS": "1",
@@ -89,18 +90,14 @@ def table(jobs: Sequence[str], quick: bool, long: bool) -> tuple[str, bool]:
 
 def main() -> None:
     """Print the table; with -o, write it as a page."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser = page_parser(__doc__)
     parser.add_argument("jobs", nargs="*", help="names of jobs (gyroscope, strain, car, ...); all by default")
-    parser.add_argument("-o", "--output", type=Path, help="page to write the table to")
     parser.add_argument("--quick", action="store_true", help="small sizes: see that all runs and agrees, time nothing")
     parser.add_argument("--long", action="store_true", help="grow to 1e8 samples (5 GB)")
     chosen = parser.parse_args()
     use_one_thread()
     text, agree = table(chosen.jobs, chosen.quick, chosen.long)
-    print(text)
-    output: Path | None = chosen.output
-    if output:
-        output.write_text(f"# becalm beside others\n\n{(__doc__ or '').strip()}\n\n{text}", encoding="utf-8")
+    publish("becalm beside others", __doc__, text, chosen.output)
     if not agree:
         raise SystemExit("A rival's results are not becalm's: see the last column.")
 

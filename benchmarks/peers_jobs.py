@@ -13,7 +13,7 @@ from scipy import signal
 import becalm
 from becalm.core.batch import filter_batch
 from becalm.core.likelihood import log_likelihood
-from becalm.core.response import steady
+from becalm.core.steady import steady
 from peers_adapters import (
     BATCH_PEERS,
     PEERS,

@@ -9,7 +9,6 @@ Run: python benchmarks/speed.py [-o docs/speed.md]
 
 from __future__ import annotations
 
-import argparse
 import os
 import shutil
 import subprocess
@@ -24,6 +23,7 @@ import pyarrow as pa
 from pyarrow import csv
 
 import becalm
+from pages import page_parser, publish
 
 ROWS, CHANNELS, REPEATS = 100_000, 6, 5
 
@@ -89,13 +89,8 @@ def table() -> str:
 
 def main() -> None:
     """Print the table; with -o, write it as a page."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    parser.add_argument("-o", "--output", type=Path, help="page to write the table to")
-    output: Path | None = parser.parse_args().output
-    text = table()
-    print(text)
-    if output:
-        output.write_text(f"# Speed of the command line\n\n{(__doc__ or '').strip()}\n\n{text}", encoding="utf-8")
+    output = page_parser(__doc__).parse_args().output
+    publish("Speed of the command line", __doc__, table(), output)
 
 
 if __name__ == "__main__":
