@@ -99,8 +99,12 @@ def add_lines(tuning: Tuning, evidence: Evidence, removed: Sequence[float] = ())
 
 def find_lines(spectrum: Spectrum, fit: Fit) -> list[Peak]:
     """Return what stands out of what a fit leaves: of each resolution, where it stands out most, if it does."""
-    left = spectrum.power / _power(fit, spectrum.angle)
-    return [peak for peak in (_peak(left, spectrum, *how) for how in _RESOLUTIONS) if peak is not None]
+    left, found = spectrum.power / _power(fit, spectrum.angle), list[Peak]()
+    for how in _RESOLUTIONS:
+        peak = _peak(left, spectrum, *how)
+        if peak is not None and not any(abs(peak.angle - one.angle) <= peak.width for one in found):
+            found.append(peak)
+    return found
 
 
 def _peak(left: Floats, spectrum: Spectrum, width: int, stands_out: float) -> Peak | None:
@@ -111,7 +115,8 @@ def _peak(left: Floats, spectrum: Spectrum, width: int, stands_out: float) -> Pe
     spacing = float(spectrum.angle[1] - spectrum.angle[0])
     raised[np.minimum(spectrum.angle, np.pi - spectrum.angle) < max(_CYCLES, width) * spacing] = 0.0
     reach, apart = _AROUND * width, _APART * width
-    for place in np.argsort(raised)[: -_MOST_TRIED - 1 : -1].tolist():
+    highest = np.argpartition(raised, -_MOST_TRIED)[-_MOST_TRIED:]
+    for place in highest[np.argsort(raised[highest])[::-1]].tolist():
         around = np.concatenate(
             [left[max(0, place - reach) : max(0, place - apart)], left[place + apart + 1 : place + reach + 1]]
         )
