@@ -10,6 +10,7 @@ import os
 import subprocess
 import sys
 import time
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
@@ -56,33 +57,39 @@ def warm(names: Sequence[str] = KERNELS, orders: Sequence[int] = EVERY_ORDER) ->
     UsageError
         If a process came to grief; what it has not compiled is compiled when it is used.
     """
-    places = [str(_SOURCES), os.environ.get("PYTHONPATH", "")]
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, places))}
-    started = [
-        subprocess.Popen(
-            [sys.executable, "-P", "-m", __name__, str(order), *names],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            env=environment,
-            text=True,
-        )
-        for order in orders
-    ]
+    waiting, running = list(orders), deque[subprocess.Popen[str]]()
+    codes: list[int] = []
     try:
-        for process in started:
-            assert process.stdout is not None, "stdout=PIPE gives it"
-            for line in process.stdout:
+        while waiting or running:
+            while waiting and len(running) < (os.cpu_count() or 1):
+                running.append(_start(waiting.pop(0), names))
+            assert running[0].stdout is not None, "stdout=PIPE gives it"
+            for line in running[0].stdout:
                 yield Warmed(*json.loads(line))
-        if codes := [process.wait() for process in started if process.wait()]:
+            codes.append(running[0].wait())
+            running.popleft()
+        if any(codes):
             raise UsageError(
-                f"Compiling ahead ended with exit code {codes[0]}; kernels are compiled when they are first used."
-                f" To see why: {sys.executable} -P -m {__name__} 1 {KERNELS[0]}"
+                f"Compiling ahead ended with exit code {max(codes, key=abs)}; kernels are compiled when they are first"
+                f" used. To see why: {sys.executable} -P -m {__name__} 1 {KERNELS[0]}"
             )
     finally:
-        for process in started:
+        for process in running:
             process.kill()
             process.communicate()
+
+
+def _start(order: int, names: Sequence[str]) -> subprocess.Popen[str]:
+    """Compile for one order in a process of its own, which finds becalm where this one did."""
+    places = [str(_SOURCES), os.environ.get("PYTHONPATH", "")]
+    return subprocess.Popen(
+        [sys.executable, "-P", "-m", __name__, str(order), *names],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, places))},
+        text=True,
+    )
 
 
 def warm_order(order: int, names: Sequence[str]) -> Iterator[Warmed]:

@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.core.closed_forms import cutoff_to_ratio, motion_power
+from becalm.core.closed_forms import cutoff_to_ratio, motion_power, ratio_to_cutoff
 from becalm.core.components import EVERY_ORDER, motion
 from becalm.core.filtering import Wanted
 from becalm.core.model import Model
@@ -63,9 +63,11 @@ def tune_smoother(evidence: Evidence) -> tuple[Tuning, ...]:
     tuple of Tuning
         One for each order from 1 to 5 that can be told, `loss` their criterion; none where no smoother removes noise.
     """
-    spectra = [sine_spectrum(evidence.z[part, 0]) for part in lasting(evidence)]
+    spectra = [sine_spectrum(evidence.z[part, 0]) for part in _complete(evidence)]
     found = _tuned(evidence, lambda order: read_residuals(order, spectra)) if spectra else ()
-    if not found or not _confirmed(min(found, key=lambda tuning: tuning.loss), evidence):
+    if not lasting(evidence):
+        found = _tuned(evidence, lambda order: smooth_residuals(order, evidence), found)
+    elif not found or not _confirmed(min(found, key=lambda tuning: tuning.loss), evidence):
         found = _tuned(evidence, lambda order: smooth_residuals(order, evidence))
     least = evidence.smallest_variance
     return tuple(replace(tuning, noise_variance=max(tuning.noise_variance, least)) for tuning in found)
@@ -79,15 +81,24 @@ def simplest(tunings: Sequence[Tuning]) -> Tuning:
 
 def lasting(evidence: Evidence) -> list[slice]:
     """Return the stretches whose spectra tell all; none of a short record, or where too much is missing."""
+    complete = _complete(evidence)
+    return complete if sum(part.stop - part.start for part in complete) >= LONG else []
+
+
+def _complete(evidence: Evidence) -> list[slice]:
+    """Return the stretches in even time, if they hold most of the readings."""
     readings = sum(part.stop - part.start for part in evidence.complete)
-    return evidence.complete if readings >= max(LONG, MOST_OF * len(evidence.z)) else []
+    return evidence.complete if readings >= MOST_OF * len(evidence.z) else []
 
 
-def _tuned(evidence: Evidence, residuals: Callable[[int], tuple[Residuals, int]]) -> tuple[Tuning, ...]:
-    """Tune every order by the residuals that its smoothers leave."""
+def _tuned(
+    evidence: Evidence, residuals: Callable[[int], tuple[Residuals, int]], hints: Sequence[Tuning] = ()
+) -> tuple[Tuning, ...]:
+    """Tune every order by the residuals that its smoothers leave, first near a hint, such as the spectrum's."""
     grid = log_cutoffs(evidence.longest_steps, _POINTS)
+    near = {hint.order: float(np.log(ratio_to_cutoff(hint.order, hint.ratio))) for hint in hints}
     orders = EVERY_ORDER[: len(evidence.z) - 3]
-    found = [_least(order, grid, *residuals(order)) for order in orders]
+    found = [_least(order, grid, residuals(order), near.get(order)) for order in orders]
     return tuple(tuning for tuning in found if tuning is not None)
 
 
@@ -97,13 +108,16 @@ def _confirmed(tuning: Tuning, evidence: Evidence) -> bool:
     return abs(np.log(squares / (1 - weight) / tuning.noise_variance)) < _ALIKE if squares > 0 else False
 
 
-def _least(order: int, grid: Floats, residuals: Residuals, count: int) -> Tuning | None:
-    """Find the ratio of one order that has the least criterion."""
+def _least(order: int, grid: Floats, road: tuple[Residuals, int], near: float | None) -> Tuning | None:
+    """Find the ratio of one order that has the least criterion: near a hint, or, if it is not there, anywhere."""
+    residuals, count = road
 
     def loss(log_cutoff: float) -> float:
         return criterion(*residuals(cutoff_to_ratio(order, float(np.exp(log_cutoff)))), count)
 
-    found = find_least(loss, grid, _PRECISION)
+    found = find_least(loss, grid if near is None else near + (grid[:3] - grid[1]), _PRECISION)
+    if near is not None and (found.at_edge or not np.isfinite(found.cost)):
+        found = find_least(loss, grid, _PRECISION)
     if not np.isfinite(found.cost):
         return None
     ratio = cutoff_to_ratio(order, float(np.exp(found.at)))
