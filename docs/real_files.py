@@ -43,8 +43,8 @@ def section(path: Path, folder: Path) -> str:
     facts = ", ".join(f"{key.replace('_', ' ')} {value}" for key, value in seen.items() if _is_fact(key, value))
     lines += [f"`{' '.join(['becalm clean', str(name), *options])}` (exit code {plain.returncode}): {facts}.", ""]
     lines += [
-        "| channel | unit | order, tones | noise | q/r | bandwidth (Hz) | predictable | uneven | described |",
-        "|---|---|---|---|---|---|---|---|---|",
+        "| channel | unit | order, tones | noise | q/r | bandwidth (Hz) | predictable | costs | uneven | verdict |",
+        "|---|---|---|---|---|---|---|---|---|---|",
     ]
     lines += [_row(channel) for channel in told["channels"]]
     return "\n".join(lines) + "\n"
@@ -62,16 +62,13 @@ def _is_fact(key: str, value: object) -> bool:
 
 def _row(channel: dict[str, object]) -> str:
     if channel["order"] is None:
-        return f"| {channel['name']} | {channel['unit']} | {channel['model']} | | | | | | {_yes(channel)} |"
+        return f"| {channel['name']} | {channel['unit']} | {channel['model']} | | | | | | | {channel['verdict']} |"
+    bandwidth = "" if channel["bandwidth_hz"] is None else f"{channel['bandwidth_hz']:.3g}"
     return (
         f"| {channel['name']} | {channel['unit']} | {channel['order']}{_tones(channel)} | {channel['noise_std']:.3g} |"
-        f" {channel['q_over_r']:.2g} | {channel['bandwidth_hz']:.3g} | {channel['predictable_share']:.0%} |"
-        f" {channel['uneven_share']:.0%} | {_yes(channel)} |"
+        f" {channel['q_over_r']:.2g} | {bandwidth} | {channel['predictable_share']:.0%} |"
+        f" {channel['excess_error']:.0%} | {channel['uneven_share']:.0%} | {channel['verdict']} |"
     )
-
-
-def _yes(channel: dict[str, object]) -> str:
-    return "yes" if channel["describes"] else "no"
 
 
 def main() -> None:
@@ -89,8 +86,9 @@ def main() -> None:
 
 _PREFACE = """Every CSV of the real recordings, cleaned with no option, or refused and then cleaned with the
 option that the refusal names. Written by `docs/real_files.py`. *predictable* is the share of the innovation
-power that a linear predictor still foresees, *uneven* the share of the record in which sigma is wrong by more
-than a factor of two; above 10 % of either the model does not describe the signal and the exit code is 4.
+power that a linear predictor still foresees, *costs* by how much the rms error exceeds the least possible for that,
+*uneven* the share of the record in which sigma is wrong by more than a factor of two. Above 10 % uneven, or predictable
+where that costs more than 10 % too, the model does not fit, and the exit code is 4.
 """
 
 

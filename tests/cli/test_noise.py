@@ -16,7 +16,7 @@ import pyarrow as pa
 import pyarrow.parquet
 import pytest
 
-from becalm.cli import noise, options
+from becalm.cli import noise, options, portions
 from becalm.errors import UsageError
 from becalm.files.opening import open_source
 
@@ -161,7 +161,7 @@ def test_a_cutoff_is_read_with_its_unit(text: str, cutoff_hz: float) -> None:
 def test_a_long_file_is_read_from_the_first_row_and_said(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(noise, "MOST_ROWS", 6000)
+    monkeypatch.setattr(portions, "REST_ROWS", 6000)
     z = np.random.default_rng(2).normal(size=9000) * np.where(np.arange(9000) < 6000, 1.0, 7.0)
     path = tmp_path / "long.parquet"
     pyarrow.parquet.write_table(pa.table({"time_s": np.arange(9000) / 100, "a": z}), path)
@@ -178,5 +178,6 @@ def test_a_long_file_is_read_from_the_first_row_and_said(
 
 @pytest.mark.parametrize(("width", "rows"), [(1, 1 << 22), (64, 1 << 20), (1 << 20, 1 << 16)])
 def test_many_channels_still_fit_into_memory(width: int, rows: int) -> None:
-    source: Any = SimpleNamespace(rows=1 << 30, names=range(width))
-    assert noise.rows_to_look_at(source) == rows
+    source: Any = SimpleNamespace(rows=1 << 30, names=range(width), stretches=lambda parts: parts)
+    read: Any = portions.beginning(source)
+    assert read == [(0, rows)]

@@ -52,15 +52,14 @@ def open_channel(recipe: ChannelRecipe, step_s: float, causal: bool, split: bool
     """
     if recipe.motion is None:
         return UnchangedChannel(recipe, split)
-    return MotionChannel(recipe, in_steps(recipe.motion, step_s), step_s, (causal, split))
+    return MotionChannel(recipe, in_steps(recipe.motion, step_s), step_s, causal=causal, split=split)
 
 
 class MotionChannel:
     """A channel that is filtered."""
 
-    def __init__(self, recipe: ChannelRecipe, tuning: Tuning, step_s: float, how: tuple[bool, bool]) -> None:
-        self._causal, split = how
-        self._recipe, self._tuning, self._step_s = recipe, tuning, step_s
+    def __init__(self, recipe: ChannelRecipe, tuning: Tuning, step_s: float, *, causal: bool, split: bool) -> None:
+        self._recipe, self._tuning, self._step_s, self._causal = recipe, tuning, step_s, causal
         self._judge = InnovationJudge(step_s, None if self._causal else partial(excess_error, tuning))
         self._counts = Counter[Verdict]()
         self._flow = Flow(

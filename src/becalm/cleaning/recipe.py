@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated, Literal, NamedTuple, Self
 
 import tomlkit
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from becalm.errors import RecipeError
 
@@ -17,7 +17,8 @@ NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 _HEADER = """A recipe of becalm: what was decided for each channel.
 Use it again:  becalm clean FILE -o OUT --recipe THIS
-A small process_noise_density trusts the model and smooths more; a small noise_std trusts the readings."""
+A small process_noise_density trusts the model and smooths more; a small noise_std trusts the readings.
+A tone with disturbance = true, and coloured_noise, are taken off the signal."""
 
 
 class _Settings(BaseModel):
@@ -172,6 +173,11 @@ class Recipe(_Settings):
     rate_hz: Positive | None = None
     tuned_on: Origin
     channel: Annotated[tuple[ChannelRecipe, ...], Field(min_length=1)]
+
+    @field_validator("becalm_recipe")
+    @classmethod
+    def _as_written_now(cls, _: int) -> int:
+        return VERSION  # of an older one every word is read
 
     @model_validator(mode="after")
     def _names_differ(self) -> Self:

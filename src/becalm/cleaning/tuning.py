@@ -45,7 +45,7 @@ class Wishes(NamedTuple):
     removed_hz: tuple[float, ...] = ()
 
 
-NONE = Wishes()
+NO_WISHES = Wishes()
 
 
 def tune(
@@ -53,10 +53,10 @@ def tune(
     *,
     causal: bool = False,
     channels: Sequence[str] | None = None,
-    wishes: Wishes = NONE,
+    wishes: Wishes = NO_WISHES,
     progress: Progress | None = None,
 ) -> Recipe:
-    """Identify the noise of each channel and choose its filter; nothing needs to be wishes.
+    """Identify the noise of each channel and choose its filter; nothing needs to be asked.
 
     Parameters
     ----------

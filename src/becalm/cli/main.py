@@ -72,7 +72,7 @@ def clean(  # noqa: PLR0913  (the contract's options)
     from becalm.files.registry import format_to_write
     from becalm.files.writing import open_output, refuse_columns
 
-    beside, asked = Path(f"{output}.recipe.toml"), o.asked_of((max_lag, bandwidth, noise_gain), still, remove)
+    beside, asked = Path(f"{output}.recipe.toml"), o.asked_of(o.Dials(max_lag, bandwidth, noise_gain), still, remove)
     if recipe is not None and asked.anything:
         raise UsageError("A recipe has its filters already; leave --recipe out to ask for others, or ask for nothing.")
     format_to_write(output)
@@ -141,7 +141,7 @@ def tune(  # noqa: PLR0913  (the contract's options)
 
     _refuse_overwriting(file, output)
     refuse_unwritable(output)
-    said, asked = Said(channels, rate, time), o.asked_of((max_lag, bandwidth, noise_gain), still, remove)
+    said, asked = Said(channels, rate, time), o.asked_of(o.Dials(max_lag, bandwidth, noise_gain), still, remove)
     with open_as(file, said) as source:
         found = said.kept_in(tuned(source, causal, asked))
     write_text(output, found.to_toml())
@@ -156,7 +156,7 @@ def noise(  # noqa: PLR0913  (the contract's options)
     channels: o.Looked = None,
     rate: o.Rate = None,
     time: o.Time = None,
-    still: o.Still = None,
+    still: o.Rest = None,
     cutoff: o.Cutoff = None,
     as_json: o.Json = False,
 ) -> None:

@@ -10,20 +10,16 @@ from rich.console import Console
 from rich.table import Table
 
 from becalm.cleaning.noise_report import ChannelNoise, report_noise
+from becalm.cli.portions import beginning, cut_short, rest_within
 from becalm.cli.talk import progress, stderr
-from becalm.errors import RecordingError, UsageError
+from becalm.errors import UsageError
 
 if TYPE_CHECKING:
     from becalm.cleaning.allan_figures import AllanNoise, Coefficient, Quoted
-    from becalm.core.recording import Recording
     from becalm.files.opening import OpenSource
 
     Spans = Sequence[tuple[float, float]]
 
-MOST_ROWS = 1 << 22
-"""Rows that are looked at, from the first on: an Allan deviation needs them in a row."""
-
-_MOST_SAMPLES = 1 << 26  # in all channels together
 _CUTOFF_HZ = 1.0  # of the IMU paper, where none is said
 _STRETCHES = 12  # that are named one by one
 
@@ -42,17 +38,14 @@ def run(source: OpenSource, spans_s: Spans | None, cutoff_hz: float | None, as_j
         raise UsageError(
             f"--cutoff {cutoff_hz:g}Hz cannot be had at {source.rate_hz:.4g} rows a second; stay below half of that."
         )
-    recording = source.stretches([(0, rows_to_look_at(source))])
-    with progress("measuring", len(source.names)) as step:
-        try:
-            told = report_noise(
-                recording,
-                still=spans_s,
-                cutoff_hz=cutoff_hz or _CUTOFF_HZ,
-                progress=lambda name: step(name, 1),
-            )
-        except RecordingError as cause:
-            raise UsageError(f"{cause}{_cut_short(source, recording)}") from cause
+    recording = beginning(source)
+    with progress("measuring", len(source.names)) as step, rest_within(source, recording):
+        told = report_noise(
+            recording,
+            still=spans_s,
+            cutoff_hz=cutoff_hz or _CUTOFF_HZ,
+            progress=lambda name: step(name, 1),
+        )
     if as_json:
         summary = {
             "file": str(source.path),
@@ -63,19 +56,8 @@ def run(source: OpenSource, spans_s: Spans | None, cutoff_hz: float | None, as_j
         }
         print(json.dumps(summary, indent=2))  # noqa: T201
     _show(told)
-    if cut := _cut_short(source, recording):
+    if cut := cut_short(source, recording):
         stderr.print(cut.strip())
-
-
-def rows_to_look_at(source: OpenSource) -> int:
-    """Return how many rows from the first on are read, so that many channels still fit into memory."""
-    return min(source.rows, MOST_ROWS, max(1 << 16, _MOST_SAMPLES // max(1, len(source.names))))
-
-
-def _cut_short(source: OpenSource, recording: Recording) -> str:
-    if len(recording) == source.rows:
-        return ""
-    return f" Only the first {len(recording)} of {source.rows} rows were looked at."
 
 
 def _show(told: tuple[ChannelNoise, ...]) -> None:

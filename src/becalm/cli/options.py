@@ -6,16 +6,14 @@ import csv
 import re
 from math import inf
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
 from becalm.errors import UsageError
 
 if TYPE_CHECKING:
-    from becalm.noise.dial import Dial
-
-Kind = Literal["max_lag_s", "bandwidth_hz", "noise_gain_db"]
+    from becalm.noise.dial import Dial, Kind
 
 Source = Annotated[Path, typer.Argument(metavar="FILE", help="Recording: CSV (also gzipped) or Parquet.")]
 Output = Annotated[Path, typer.Option("-o", "--output", metavar="OUT", help="Where to write; format by file ending.")]
@@ -40,14 +38,14 @@ NoiseGain = Annotated[
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
 Looked = Annotated[str | None, typer.Option("--channels", metavar="a,b", help="Look at these channels only.")]
+_STILL = "START:STOP in seconds after the first row (0:30 is the first half minute), or 1min:2min; several with commas."
+Rest = Annotated[
+    str | None,
+    typer.Option("--still", metavar="0:30,60:90", help=f"Where the sensor lies still: {_STILL} Found if left out."),
+]
 Still = Annotated[
     str | None,
-    typer.Option(
-        "--still",
-        metavar="0:30,60:90",
-        help="Where the sensor lies still: START:STOP in seconds after the first row (0:30 is the first half minute),"
-        " or 1min:2min; several with commas. Found by itself if left out.",
-    ),
+    typer.Option("--still", metavar="0:30,60:90", help=f"Tell the noise where the sensor lay still: {_STILL}"),
 ]
 Remove = Annotated[
     str | None,
@@ -83,7 +81,15 @@ class Asked(NamedTuple):
         return self.dial is not None or bool(self.still_s or self.removed_hz)
 
 
-def asked_of(dial: tuple[str | None, str | None, str | None], still: str | None, remove: str | None) -> Asked:
+class Dials(NamedTuple):
+    """What was written behind each dial's option."""
+
+    max_lag: str | None
+    bandwidth: str | None
+    noise_gain: str | None
+
+
+def asked_of(dials: Dials, still: str | None, remove: str | None) -> Asked:
     """Read what is asked: --max-lag, --bandwidth or --noise-gain, --still and --remove.
 
     Raises
@@ -92,7 +98,7 @@ def asked_of(dial: tuple[str | None, str | None, str | None], still: str | None,
         If one of them cannot be read.
     """
     removed = () if remove is None else tuple(frequency_of("--remove", part) for part in remove.split(","))
-    return Asked(dial_of(*dial), still_of(still) or (), removed)
+    return Asked(dial_of(*dials), still_of(still) or (), removed)
 
 
 def dial_of(max_lag: str | None, bandwidth: str | None, noise_gain: str | None) -> Dial | None:
@@ -112,12 +118,11 @@ def dial_of(max_lag: str | None, bandwidth: str | None, noise_gain: str | None) 
     from becalm.noise.dial import Dial
 
     ((kind, text),) = turned.items()
-    written = _QUANTITY.fullmatch(text.strip())
-    size = _SIZES[kind].get(written["unit"].lower()) if written else None
-    if written is None or size is None:
+    value = _quantity(text, kind)
+    if value is None:
         name, units = kind.rpartition("_")[0].replace("_", "-"), " or ".join(_SIZES[kind])
         raise UsageError(f"--{name} {text} is no number with its unit; write a number and then {units}.")
-    return Dial(kind, float(written["number"]) * size)
+    return Dial(kind, value)
 
 
 def still_of(text: str | None) -> tuple[tuple[float, float], ...] | None:
@@ -139,11 +144,17 @@ def frequency_of(option: str, text: str) -> float:
     UsageError
         If it is no positive number with Hz or kHz.
     """
-    written = _QUANTITY.fullmatch(text.strip())
-    size = _SIZES["bandwidth_hz"].get(written["unit"].lower()) if written else None
-    if written is None or size is None or not 0 < (frequency_hz := float(written["number"]) * size) < inf:
+    frequency_hz = _quantity(text, "bandwidth_hz")
+    if frequency_hz is None or not 0 < frequency_hz < inf:
         raise UsageError(f"{option} {text} is no frequency; write a positive number and then Hz or kHz, as 1Hz.")
     return frequency_hz
+
+
+def _quantity(text: str, kind: Kind) -> float | None:
+    """Read a number with its unit, in the unit of its kind; None where it is none."""
+    written = _QUANTITY.fullmatch(text.strip())
+    size = _SIZES[kind].get(written["unit"].lower()) if written else None
+    return None if written is None or size is None else float(written["number"]) * size
 
 
 def _span_of(text: str) -> tuple[float, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -11,7 +12,6 @@ from becalm.errors import UsageError
 if TYPE_CHECKING:
     from becalm.cleaning.recipe import Recipe
     from becalm.cli.options import Asked
-    from becalm.core.recording import Recording
     from becalm.files.opening import OpenSource
 
 
@@ -68,20 +68,15 @@ def load(path: Path | None) -> Recipe | None:
 def tuned(source: OpenSource, causal: bool, asked: Asked) -> Recipe:
     """Tune a recipe on a file, or on evenly spread stretches of a long one."""
     from becalm.cleaning.tuning import Wishes, tune
-    from becalm.cli.streaming import rows_to_tune_on
+    from becalm.cli.portions import beginning, rest_within, rows_to_tune_on
     from becalm.cli.talk import progress
     from becalm.cli.warm import ahead
 
     sample = source.sample(rows_to_tune_on(source))
     ahead(sample, causal=causal)
-    wishes = Wishes(asked.dial, asked.still_s, _beginning(source) if asked.still_s else None, asked.removed_hz)
-    with progress("tuning", len(source.names)) as step:
+    rest = beginning(source) if asked.still_s else sample
+    wishes = Wishes(asked.dial, asked.still_s, rest, asked.removed_hz)
+    told = rest_within(source, rest) if asked.still_s else nullcontext()
+    with progress("tuning", len(source.names)) as step, told:
         found = tune(sample, causal=causal, wishes=wishes, progress=lambda name: step(name, 1))
     return found.model_copy(update={"tuned_on": found.tuned_on.model_copy(update={"sha256": source.sha256()})})
-
-
-def _beginning(source: OpenSource) -> Recording:
-    """Read the first rows, in which stretches of rest are told by their time."""
-    from becalm.cli.noise import rows_to_look_at
-
-    return source.stretches([(0, rows_to_look_at(source))])

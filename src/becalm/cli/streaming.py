@@ -20,22 +20,8 @@ if TYPE_CHECKING:
     from becalm.core.flow import Told
     from becalm.files.opening import OpenSource
 
-TUNED_ROWS = 1 << 20
-"""Rows that a recipe is tuned on; of longer files, evenly spread stretches."""
-
 CHUNK_ROWS = 1 << 18
 """Rows that are cleaned at once: much to do, and little to hold."""
-
-TUNED_ROWS_UNEVEN = 1 << 18
-"""As many of uneven time, where each row has step matrices of its own."""
-
-_TUNED_SAMPLES = 1 << 26  # in all channels together
-
-
-def rows_to_tune_on(source: OpenSource) -> int:
-    """Return how many rows tell enough, so that many channels still fit into memory."""
-    most = TUNED_ROWS if source.clock.uniform else TUNED_ROWS_UNEVEN
-    return min(most, max(1 << 16, _TUNED_SAMPLES // max(1, len(source.names))))
 
 
 def rows_of_chunks(source: OpenSource, channels: int) -> int:

@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from becalm.cleaning.report import ChannelReport
     from becalm.files.opening import OpenSource
 
-_NEAR = 0.1  # of a frequency, within which a tone is the one that was named
-
 stderr = Console(stderr=True, highlight=False, soft_wrap=True, markup=False)
 
 
@@ -52,12 +50,12 @@ def tell(reports: tuple[ChannelReport, ...], causal: bool) -> None:
 
 def tell_not_removed(reports: tuple[ChannelReport, ...], removed_hz: tuple[float, ...]) -> None:
     """Say which of the tones that were to be taken off did not stand out, and where."""
+    taken = {
+        report.name: {min(removed_hz, key=lambda asked: abs(asked - found)) for found in report.removed_hz}
+        for report in (reports if removed_hz else ())
+    }
     for frequency in removed_hz:
-        lacking = [
-            report.name
-            for report in reports
-            if not any(abs(found / frequency - 1) < _NEAR for found in report.removed_hz)
-        ]
+        lacking = [name for name, off in taken.items() if frequency not in off]
         if lacking:
             stderr.print(
                 f"No tone stands out near {frequency:.6g} Hz in {', '.join(lacking)}: nothing was taken off there."
