@@ -18,7 +18,7 @@ from becalm.errors import ModelError, RecordingError
 from becalm.metrics.truth import rms_error
 from becalm.noise.beside import _beside_white, foretold_square, tune_beside
 from becalm.noise.coloured_likelihood import UNSCORED, score_coloured
-from becalm.noise.cross_validation import simplest, tune_smoother
+from becalm.noise.cross_validation import lasting, simplest, tune_smoother
 from becalm.noise.likelihood import Evidence, Tuning, tune_motion
 
 SETTLING = 100
@@ -117,8 +117,11 @@ def test_a_sine_is_smoothed_no_worse_for_knowing_the_noise(rows: int) -> None:
 
 def test_both_roads_of_a_smoother_lead_to_the_same_motion() -> None:
     z = np.sin(0.05 * np.arange(6000)) + 0.3 * white(6000, 1)
-    elapsed = np.where(np.arange(6000) % 1000 == 500, 1 + 1e-9, 1.0)
-    near, far = (tune_beside(Evidence.of(z, steps), 0.09, causal=False) for steps in (np.ones(6000), elapsed))
+    elapsed = np.where(np.arange(6000) % 1000 == 500, 1.021, 1.0)  # beyond jitter
+    whole, singly = even(z), Evidence.of(z, elapsed)
+    assert lasting(whole)
+    assert not lasting(singly)
+    near, far = (tune_beside(evidence, 0.09, causal=False) for evidence in (whole, singly))
     assert near.order == far.order
     assert near.loss == pytest.approx(far.loss, abs=2e-3)
     assert np.log(near.ratio / far.ratio) == pytest.approx(0.0, abs=2 * near.order * 0.05)
@@ -195,12 +198,26 @@ def test_short_records_are_tuned(rows: int, noise: Coloured | None, causal: bool
     assert 0 < found.ratio < np.inf
 
 
+@pytest.mark.parametrize("causal", [True, False])
+@pytest.mark.parametrize("noise", [None, Coloured((0.9,), 1.0)])
+@pytest.mark.parametrize("rows", [1, 2])
+def test_stretches_that_tell_no_motion_are_refused(rows: int, noise: Coloured | None, causal: bool) -> None:
+    """Readings one by one and in pairs; without a warning of arithmetic on the way."""
+    parted = Evidence.of(white(50, 1), np.where(np.arange(50) % rows == 0, 1e4, 1.0))
+    with pytest.raises(RecordingError, match=r"^No stretch of the record is long enough"):
+        tune_beside(parted, 1.0, noise, causal=causal)
+
+
+def test_short_stretches_tell_what_they_can() -> None:
+    """Four readings in a row tell a smoother of the lower orders, and a filter one scored reading each."""
+    parted = Evidence.of(white(400, 1), np.where(np.arange(400) % 8 == 0, 1e4, 1.0))
+    for causal in (True, False):
+        assert tune_beside(parted, 1.0, causal=causal).count in (400, 50 * 5)
+
+
 def test_what_cannot_be_tuned_is_refused() -> None:
     with pytest.raises(RecordingError, match=r"^7 readings came; 8 or more tell a motion"):
         tune_beside(even(np.arange(7.0)), 1.0, causal=True)
-    parted = Evidence.of(white(50, 1), np.where(np.arange(50) % 5 == 0, 1e4, 1.0))
-    with pytest.raises(RecordingError, match=r"^No stretch of the record is long enough"):
-        tune_beside(parted, 1.0, Coloured((0.9,), 1.0), causal=True)
     stamped = Evidence.of(white(50, 1), np.random.default_rng(1).uniform(0.5, 1.5, 50))
     with pytest.raises(ModelError, match=r"no whole number of steps"):
         tune_beside(stamped, 1.0, Coloured((0.9,), 1.0), causal=True)

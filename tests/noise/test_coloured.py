@@ -10,10 +10,11 @@ from scipy.signal import lfilter
 
 from becalm.core.arrays import Floats
 from becalm.core.autoregressive import Coloured
+from becalm.core.closed_forms import autoregressive_power
 from becalm.core.components import motion
 from becalm.errors import RecordingError
 from becalm.noise.coloured import FORGETS, LEAST_WHITE, NoiseModel, fit_noise
-from becalm.noise.coloured_likelihood import Shape, exact_misfit, spectral_misfit
+from becalm.noise.coloured_likelihood import Shape, _squared, exact_misfit, spectral_misfit
 
 RESONANCE = (2 * 0.95 * float(np.cos(0.5)), -(0.95**2))
 
@@ -36,6 +37,18 @@ def assert_within_scatter(values: list[float], truth: float, most: float) -> Non
     """The mean within four of its standard errors, and the scatter itself no larger than foretold."""
     assert abs(np.mean(values) - truth) < 4 * np.std(values, ddof=1) / np.sqrt(len(values))
     assert np.std(values, ddof=1) < most
+
+
+@pytest.mark.parametrize("phi", [(0.9,), RESONANCE, (0.5, -0.3, 0.2)])
+def test_the_table_of_cosines_holds_the_power_of_coloured_noise(phi: tuple[float, ...]) -> None:
+    """Beside its closed form, and the transform of autocovariances that the noise itself has."""
+    angle = np.linspace(0.01, np.pi, 50)
+    power = autoregressive_power(phi, 2.0, angle)
+    table = np.cos(np.multiply.outer(np.arange(len(phi) + 1), angle))
+    np.testing.assert_allclose(2.0 / (_squared(phi) @ table), power, rtol=1e-10)
+    impulse = lfilter([1.0], [1.0, *(-one for one in phi)], np.eye(1, 4000)[0])
+    waves = np.exp(-1j * np.outer(angle, np.arange(4000)))
+    np.testing.assert_allclose(2.0 * np.abs(waves @ impulse) ** 2, power, rtol=1e-9)
 
 
 @pytest.mark.parametrize("rows", [100, 1000, 20_000])

@@ -11,7 +11,7 @@ from becalm.core.components import motion
 from becalm.core.dials import motion_filter
 from becalm.core.filtering import kalman_filter
 from becalm.core.smoothing import kalman_smoother
-from becalm.errors import UsageError
+from becalm.errors import ModelError, UsageError
 from becalm.noise.front import Front, noise_lag_front, pick
 from becalm.noise.likelihood import Evidence, tune_motion
 from becalm.noise.waiting import waiting_curve
@@ -146,5 +146,10 @@ def test_wishes_that_cannot_be_are_said(front: Front) -> None:
         noise_lag_front(1.0, 0.01, (1,), (1.0, float("nan")))
     with pytest.raises(UsageError, match="needs an order"):
         noise_lag_front(1.0, 0.01, ())
-    with pytest.raises(UsageError, match="no wait below 0"):
+    with pytest.raises(UsageError, match=r"^waits = \[-1\] go back in time; .* no wait below 0"):
         waiting_curve(1, 0.1, R, 0.01, [-1])
+    with pytest.raises(UsageError, match=r"^ratio = 0 is no q/r; give a positive number"):
+        waiting_curve(1, 0, R, 0.01)
+    for step_s in (-1.0, 0.0, float("nan")):
+        with pytest.raises(ModelError, match=rf"^step_s = {step_s} is not a step; give a positive number of seconds"):
+            waiting_curve(1, 0.1, R, step_s)

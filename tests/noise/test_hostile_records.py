@@ -107,6 +107,31 @@ def test_few_readings_are_untold(count: int) -> None:
         assert choose(np.append(z, [np.nan] * 50), even(count + 50)).kind == "untold"
 
 
+@pytest.mark.parametrize("causal", [True, False])
+@pytest.mark.parametrize("rows", [1, 2])
+def test_stretches_of_two_tell_no_noise(rows: int, causal: bool) -> None:
+    """Beside a level of its own each leaves one residual, of noise and motion together."""
+    elapsed = np.where(np.arange(40) % rows == 0, 5000.0, 1.0)
+    assert choose(NOISE[:40], elapsed, causal).kind == "untold"
+
+
+def test_a_few_readings_that_can_be_foretold_tell_no_noise() -> None:
+    """Ten stretches of three and one of five readings: two readings come after the first three."""
+    elapsed = np.where((np.arange(35) % 3 == 0) & (np.arange(35) < 31), 5000.0, 1.0)
+    assert choose(NOISE[:35], elapsed, causal=True).kind == "untold"
+    assert choose(NOISE[:40], np.append(elapsed, np.ones(5)), causal=True).kind == "motion"
+
+
+@pytest.mark.parametrize("causal", [True, False])
+@pytest.mark.parametrize("rows", [5, 8])
+def test_short_stretches_tell_what_they_can(rows: int, causal: bool) -> None:
+    elapsed = np.where(np.arange(ROWS) % rows == 0, 5000.0, 1.0)
+    choice = choose(NOISE, elapsed, causal)
+    assert choice.tuning is not None
+    assert choice.tuning.count > 0
+    assert choice.tuning.noise_variance == pytest.approx(1.0, rel=0.3)
+
+
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("count", range(FEWEST_READINGS, 2 * FEWEST_READINGS))
 def test_from_eight_readings_on_something_is_told(count: int, seed: int) -> None:

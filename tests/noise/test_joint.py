@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from becalm.core.arrays import Floats
-from becalm.core.components import motion
+from becalm.core.components import autoregressive, motion
 from becalm.core.likelihood import log_likelihood
 from becalm.core.model import Model
 from becalm.errors import ModelError, RecordingError
@@ -149,6 +149,17 @@ def test_missing_readings_are_left_out(flat: bool) -> None:
     longer = tune_model(start, np.vstack([z, np.full((100, 2), np.nan)]), "full", "full")
     np.testing.assert_allclose(longer.model.Q, found.model.Q, rtol=1e-4, atol=1e-5)
     assert longer.log_likelihood == pytest.approx(found.log_likelihood, rel=1e-9)
+
+
+def test_what_is_known_before_any_reading_is_held() -> None:
+    """That coloured noise is stationary: the likelihood that is told is that of the model that is returned."""
+    given = (motion(1, 0.01) + autoregressive((0.8,), 1.0)).to_model(1.0, 0.5)
+    assert given.known is not None
+    z = np.random.default_rng(11).normal(size=400).cumsum()
+    found = tune_model(given, z)
+    assert found.model.known is not None
+    np.testing.assert_array_equal(found.model.known, given.known)
+    assert log_likelihood(found.model, z) == pytest.approx(found.log_likelihood, rel=1e-12)
 
 
 @pytest.mark.parametrize("scale", [1e-9, 1e6])

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from becalm.core.arrays import Floats
-from becalm.noise.search import find_least, log_cutoffs
+from becalm.core.closed_forms import cutoff_to_ratio
+from becalm.noise.search import find_least, find_ratio, log_cutoffs
 
 GRID = np.linspace(-4.0, 4.0, 17)
 
@@ -57,6 +58,26 @@ def test_what_is_nowhere_finite_has_no_least() -> None:
     found = find_least(lambda x: np.inf, GRID, 1e-6)
     assert found.cost == np.inf
     assert found.evaluations == len(GRID)
+
+
+@pytest.mark.parametrize("order", [1, 3, 5])
+@pytest.mark.parametrize("near", [None, 1e-3, 1e3])
+def test_a_ratio_is_found_by_its_cut_off(order: int, near: float | None) -> None:
+    """From anywhere, and from beside a hint, right or wrong."""
+    tried: list[float] = []
+
+    def cost(ratio: float) -> float:
+        tried.append(ratio)
+        return float((np.log(ratio) / (2 * order) - np.log(0.1)) ** 2)
+
+    hint = None if near is None else cutoff_to_ratio(order, 0.1) * near
+    found = find_ratio(order, cost, 1000.0, near=hint)
+    assert np.log(found.ratio) / (2 * order) == pytest.approx(np.log(0.1), abs=3e-3)
+    assert found.cost == pytest.approx(cost(found.ratio), abs=1e-15)
+    assert found.at_edge == ""
+    calls = len(tried)
+    find_ratio(order, cost, 1000.0, near=cutoff_to_ratio(order, 0.1))
+    assert len(tried) - calls < 15 < calls  # beside the right hint three points do for the grid
 
 
 def test_cut_offs_go_from_all_to_a_fifth_of_a_cycle() -> None:

@@ -14,6 +14,7 @@ from becalm.core.filtering import run_filter
 from becalm.core.timeline import elapsed_timeline
 from becalm.noise.choose import choose
 from becalm.noise.likelihood import UNSCORED, Candidate, Evidence, Tuning, tune_motion
+from becalm.noise.risk import retune
 
 R_WITHIN = 0.02
 Q_WITHIN = 0.27
@@ -149,6 +150,21 @@ def test_an_offset_does_not_matter_and_from_order_two_on_no_slope(order: int, of
     assert other.ratio == pytest.approx(found.ratio, rel=1e-3)
     assert other.noise_variance == pytest.approx(found.noise_variance, rel=1e-3)
     assert other.log_likelihood == pytest.approx(found.log_likelihood, rel=1e-6)
+
+
+def test_white_noise_that_passed_for_motion_is_given_back_by_a_clock_that_jitters_too() -> None:
+    """A sine is no motion: most likely half of the noise would be; the white floor of its spectrum is all of it."""
+    rng, rows = np.random.default_rng(4), 6000
+    jittery = 1.0 + 0.003 * np.diff(rng.normal(size=rows + 1))
+    noise, found = rng.normal(size=rows), []
+    for elapsed in (np.ones(rows), jittery):
+        evidence = Evidence.of(2 * np.sin(0.5 * np.cumsum(elapsed)) + noise, elapsed)
+        likeliest = tune_motion(1, evidence)
+        assert likeliest.noise_variance < 0.5
+        found.append(retune(likeliest, evidence))
+    for tuning in found:
+        assert tuning.noise_variance == pytest.approx(1.0, rel=0.1)
+    assert found[1].ratio == pytest.approx(found[0].ratio, rel=1e-2)
 
 
 def test_evidence_keeps_the_time_between_the_readings_that_arrived() -> None:

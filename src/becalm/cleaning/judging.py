@@ -23,6 +23,9 @@ DESCRIBED = "The model describes the signal."
 COSTLY = 0.10
 """Excess of a smoother's rms error over the least possible, above which it matters what is predictable."""
 
+MOST_EXCEPTED = 0.5
+"""Excess of the rms error, beyond which even a narrow band is no mere exception."""
+
 FEWEST_INNOVATIONS = 8
 """Fewer than this tell nothing."""
 
@@ -141,7 +144,7 @@ class InnovationJudge:
         loudest_hz = None if found.loudest is None else found.loudest / self._step_s
         excess = self._excess_error(found, nis)
         fault = _predictable(found, excess, loudest_hz, limited=self._excess is not None)
-        narrow = bool(fault) and _is_narrow(found)
+        narrow = bool(fault) and excess <= MOST_EXCEPTED and _is_narrow(found)
         faults = ([] if narrow or not fault else [fault]) + _changes(uneven)
         return Judgement(
             verdict="does not fit" if faults else "fits except" if narrow else "fits",

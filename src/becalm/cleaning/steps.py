@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import pairwise
+
 import numpy as np
 
 from becalm.cleaning.recipe import ChannelRecipe, ColouredNoiseRecipe, ToneRecipe, TunedMotion
@@ -10,7 +13,8 @@ from becalm.errors import ModelError, RecipeError
 from becalm.noise.likelihood import Tuning
 from becalm.noise.spectrum import Line
 
-_QUICKEST, _WIDEST = 0.5, 10.0  # cycles a step
+_SLOWEST, _QUICKEST, _WIDEST = 1e-8, 0.5, 1.0  # cycles a step
+_APART = 1e-6  # of a frequency: nearer tones are one
 _LEAST_RATIO, _GREATEST_RATIO = 1e-60, 1e12  # of q/r: beyond, every reading is ignored or believed
 _SAME_RATE = 1e-3
 
@@ -52,6 +56,7 @@ def in_steps(tuned: TunedMotion, step_s: float) -> Tuning:
             f"process_noise_density = {tuned.process_noise_density:.3g} and noise_std = {tuned.noise_std:.3g} make"
             f" no filter at {1 / step_s:.6g} Hz; mend them in the recipe, or tune one on this recording."
         )
+    _refuse_twins(tuned.tones)
     lines = tuple(_tone_in_steps(tone, variance, step_s) for tone in tuned.tones)
     coloured = _coloured_in_steps(tuned.coloured_noise, step_s)
     found = Tuning(tuned.order, density / variance, variance, 0, lines=lines, coloured=coloured)
@@ -60,6 +65,14 @@ def in_steps(tuned: TunedMotion, step_s: float) -> Tuning:
     except ModelError as cause:
         raise RecipeError(f"The recipe's coloured noise makes no filter: {cause}") from cause
     return found
+
+
+def _refuse_twins(tones: Sequence[ToneRecipe]) -> None:
+    for low, high in pairwise(sorted(tone.frequency_hz for tone in tones)):
+        if high - low <= _APART * high:
+            raise RecipeError(
+                f"The recipe has two tones at {low:.9g} and {high:.9g} Hz, which cannot be told apart; leave one out."
+            )
 
 
 def _tone_in_seconds(line: Line, step_s: float) -> ToneRecipe:
@@ -73,7 +86,7 @@ def _tone_in_seconds(line: Line, step_s: float) -> ToneRecipe:
 
 def _tone_in_steps(tone: ToneRecipe, variance: float, step_s: float) -> Line:
     ratio = tone.process_noise_density * step_s / variance
-    if not (tone.frequency_hz * step_s < _QUICKEST and tone.bandwidth_hz * step_s < _WIDEST):
+    if not (_SLOWEST < tone.frequency_hz * step_s < _QUICKEST and tone.bandwidth_hz * step_s < _WIDEST):
         raise RecipeError(
             f"The recipe has a tone at {tone.frequency_hz:.6g} Hz, {tone.bandwidth_hz:.6g} Hz wide, which"
             f" {1 / step_s:.6g} readings a second cannot tell; leave it out, or tune a recipe on this recording."

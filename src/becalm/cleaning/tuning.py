@@ -18,8 +18,11 @@ from becalm.errors import RecordingError, UsageError
 from becalm.noise.choose import Known, choose
 from becalm.noise.coloured import NoiseModel, fit_noise
 from becalm.noise.dial import Dial, turn
-from becalm.noise.lines import FEWEST, MOST
+from becalm.noise.likelihood import Evidence
+from becalm.noise.lines import FEWEST_FOR_TONES, MOST_TONES
 from becalm.noise.still import said_still
+
+_NEARLY_EMPTY = 64  # readings, below which a channel need not tell its noise at rest
 
 Progress = Callable[[str], None]
 
@@ -120,7 +123,12 @@ def _rest_noise(rest: Recording, name: str, still_s: Sequence[tuple[float, float
     parts = [slice(*stretch) for stretch in said_still(rest, still_s).stretches]
     if not any(np.nanstd(readings[part]) > 0 for part in parts if np.isfinite(readings[part]).any()):
         return None
-    found = fit_noise([readings[part] for part in parts])
+    try:
+        found = fit_noise([readings[part] for part in parts])
+    except RecordingError as cause:
+        if np.isfinite(readings).sum() < _NEARLY_EMPTY:
+            return None  # as of any other recording
+        raise RecordingError(f"{name}: {cause}") from cause
     even = all(np.array_equal(elapsed[part][1:], np.round(elapsed[part][1:])) for part in parts)
     if even or found.coloured is None:
         return found
@@ -131,15 +139,21 @@ def _refuse_contradictions(wishes: Wishes, recording: Recording) -> None:
     removed, rate_hz = wishes.removed_hz, recording.rate_hz
     if removed and (wishes.dial is not None or wishes.still_s):
         raise UsageError("Tones are taken off only where the recording decides the rest; ask for one at a time.")
-    if len(removed) > MOST:
-        raise UsageError(f"{len(removed)} tones to take off are too many; name up to {MOST}.")
+    if len(removed) > MOST_TONES:
+        raise UsageError(f"{len(removed)} tones to take off are too many; name up to {MOST_TONES}.")
     if removed and not all(0 < frequency < rate_hz / 2 for frequency in removed):
         raise UsageError(
             f"Tones to take off lie between 0 and {rate_hz / 2:.6g} Hz, half of the rate;"
             f" {', '.join(f'{frequency:.6g}' for frequency in removed)} Hz came."
         )
-    if removed and len(recording) < FEWEST:
-        raise UsageError(f"To take off tones, {FEWEST} readings in even time are needed; {len(recording)} came.")
+    even = Evidence.of(np.zeros(len(recording)), recording.timebase.elapsed_steps).complete
+    longest = max((part.stop - part.start for part in even), default=0)
+    if removed and longest < FEWEST_FOR_TONES:
+        raise UsageError(
+            f"To take off tones, {FEWEST_FOR_TONES} rows in even time without a gap are needed;"
+            f" {'no stretch is so even' if len(recording) >= FEWEST_FOR_TONES else f'{len(recording)} rows came'}."
+            " Give a longer recording, or with --rate the rate at which the rows were taken."
+        )
 
 
 def refuse_empty(recording: Recording) -> None:

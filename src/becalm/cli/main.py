@@ -13,7 +13,7 @@ from typing import Annotated
 import typer
 
 from becalm.cli import options as o
-from becalm.cli.said import Said, load, open_as, tuned
+from becalm.cli.said import Said, load, open_as, refuse_parts, tuned
 from becalm.cli.stopping import stop_cleanly
 from becalm.errors import BecalmError, UsageError
 
@@ -85,6 +85,8 @@ def clean(  # noqa: PLR0913  (the contract's options)
         decided = tuned(source, causal, asked) if given is None else given
         mode, named = True if causal else None, source.names if channels else None
         decided = said.kept_in(fitted(decided, source.names, source.units, causal=mode, channels=named))
+        if split:
+            refuse_parts(decided, source.schema.names)
         text = decided.to_toml()
         if recipe is not None and _is_same(beside, recipe) and decided != given:
             raise UsageError(f"{beside} is the recipe itself and would change; name another output with -o.")

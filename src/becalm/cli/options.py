@@ -67,6 +67,8 @@ _SIZES: dict[Kind, dict[str, float]] = {
     "noise_gain_db": {"db": 1.0},
 }
 
+_UNITS: dict[Kind, str] = {"max_lag_s": "s, ms or us", "bandwidth_hz": "Hz or kHz", "noise_gain_db": "dB"}
+
 
 class Asked(NamedTuple):
     """What is asked of the filters, or told of the noise."""
@@ -97,7 +99,8 @@ def asked_of(dials: Dials, still: str | None, remove: str | None) -> Asked:
     UsageError
         If one of them cannot be read.
     """
-    removed = () if remove is None else tuple(frequency_of("--remove", part) for part in remove.split(","))
+    named = [] if remove is None else [part for part in remove.split(",") if part.strip()]
+    removed = tuple(frequency_of("--remove", part) for part in named)
     return Asked(dial_of(*dials), still_of(still) or (), removed)
 
 
@@ -120,7 +123,7 @@ def dial_of(max_lag: str | None, bandwidth: str | None, noise_gain: str | None) 
     ((kind, text),) = turned.items()
     value = _quantity(text, kind)
     if value is None:
-        name, units = kind.rpartition("_")[0].replace("_", "-"), " or ".join(_SIZES[kind])
+        name, units = kind.rpartition("_")[0].replace("_", "-"), _UNITS[kind]
         raise UsageError(f"--{name} {text} is no number with its unit; write a number and then {units}.")
     return Dial(kind, value)
 

@@ -65,6 +65,21 @@ def load(path: Path | None) -> Recipe | None:
     return Recipe.load(path)
 
 
+def refuse_parts(recipe: Recipe, columns: list[str]) -> None:
+    """Refuse to write the parts of channels over columns that a file has.
+
+    Raises
+    ------
+    UsageError
+        If a part would have the name of a column.
+    """
+    written = [f"{channel.name}_{part}" for channel in recipe.channel for part in channel.parts]
+    if taken := [name for name in written if name in columns]:
+        raise UsageError(
+            f"The file has a column {taken[0]!r}, which --split would write; rename it, or leave --split out."
+        )
+
+
 def tuned(source: OpenSource, causal: bool, asked: Asked) -> Recipe:
     """Tune a recipe on a file, or on evenly spread stretches of a long one."""
     from becalm.cleaning.tuning import Wishes, tune

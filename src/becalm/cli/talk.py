@@ -94,4 +94,5 @@ def _model(report: ChannelReport) -> str:
 def _number(value: float | None, unit: str) -> str:
     if value is None:
         return "-"
-    return f"{0.0 if abs(value) < 1e-12 else value:.3g} {unit}".strip()
+    nothing = unit in ("s", "Hz") and abs(value) < 1e-12
+    return f"{0.0 if nothing else value:.3g} {unit}".strip()

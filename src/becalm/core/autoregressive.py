@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from becalm.core.arrays import frozen, real
 from becalm.core.discretisation import Recursion
-from becalm.core.parts import Component, Part, checked_number
+from becalm.core.parts import Component, Part, checked_number, checked_step
 from becalm.errors import ModelError
 
 
@@ -28,7 +28,8 @@ class Coloured(NamedTuple):
     Attributes
     ----------
     coefficients : tuple of float
-        phi_1 to phi_p of e[k] = sum phi_i e[k-i] + w[k].
+        phi_1 to phi_p of e[k] = sum phi_i e[k-i] + w[k]; *small* ones trust noise to forget soon,
+        so that what lasts is taken for signal.
     variance : float
         Of e, in unit^2; a *small* one leaves more to the other components.
     """
@@ -66,7 +67,7 @@ def autoregressive(coefficients: Sequence[float], std: float = 1.0, step_s: floa
     """
     phi = _coefficients(coefficients)
     std = checked_number("std", std, "a standard deviation", "a positive number", zero=True)
-    step_s = checked_number("step_s", step_s, "a step", "a positive number of seconds")
+    step_s = checked_step(step_s)
     partial = partial_autocorrelations(phi)
     if not all(abs(kappa) < 1 for kappa in partial):
         raise ModelError(

@@ -93,7 +93,7 @@ def filter_batch(model: Model, z: ArrayLike, *, states: bool = False, innovation
         innovations=np.swapaxes(room.innovation, 1, 2),
         innovation_sigma=np.swapaxes(innovation_sigma, 1, 2),
         mean=np.swapaxes(room.mean, 1, 2) if states else None,
-        log_likelihood=-0.5 * (room.squares + room.log_det + room.used * np.log(2 * np.pi)),
+        log_likelihood=-0.5 * (room.squares + room.log_det + room.used * np.log(2 * np.pi)),  # `Sums`' of all at once
         used=room.used,
     )
 

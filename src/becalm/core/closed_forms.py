@@ -6,6 +6,7 @@ the density q of the noise on the n-th derivative in unit^2/step^(2n-1).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -40,6 +41,28 @@ def motion_power(order: int, angle: Floats) -> Floats:
     turns = angle / (2 * np.pi)
     folded: Floats = (zeta(2 * order, turns) + zeta(2 * order, 1 - turns)) * (2 * np.pi) ** (-2 * order)
     return folded
+
+
+def autoregressive_power(coefficients: Sequence[float] | Floats, innovation_variance: float, angle: Floats) -> Floats:
+    """Return the power (k,), unit^2, of autoregressive noise at angles (k,) in radians a step.
+
+    Parameters
+    ----------
+    coefficients : (p,) sequence of float
+        phi_1 to phi_p of e[k] = sum phi_i e[k-i] + w[k]; none of white noise.
+    innovation_variance : float
+        Variance of w, in unit^2; with a *small* one there is less noise everywhere.
+    angle : (k,) float array
+        In radians a step.
+
+    Notes
+    -----
+    Its power is that of w over |1 - sum phi_l exp(-i w l)|^2.
+    """
+    late = np.arange(1, len(coefficients) + 1)
+    left = 1 - np.exp(-1j * np.outer(angle, late)) @ np.asarray(coefficients)
+    power: Floats = innovation_variance / np.abs(left) ** 2
+    return power
 
 
 def butterworth_poles(order: int) -> Complexes:

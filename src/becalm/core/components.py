@@ -1,4 +1,4 @@
-"""The catalogue of signals and disturbances: motion, oscillators, hum, Gauss-Markov, bias; `+` joins them.
+"""The catalogue of signals and disturbances: motion, tones, hum, coloured noise, bias; `+` joins them.
 
 Each is a `Component`, a model in continuous time driven by white noise; see `becalm.core.parts`.
 """
@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from becalm.core.arrays import frozen
+from becalm.core.autoregressive import autoregressive
 from becalm.core.parts import Component, Part, checked_number, checked_whole
 
 __all__ = [
@@ -18,6 +19,7 @@ __all__ = [
     "ORDERS",
     "Component",
     "Part",
+    "autoregressive",
     "bias",
     "gauss_markov",
     "hum",

@@ -148,9 +148,18 @@ def kalman_filter(  # noqa: PLR0913  (what is wanted, each by its name)
 class Sums(NamedTuple):
     """What makes a log-likelihood."""
 
-    squares: float  # of nu' S^-1 nu
-    log_det: float  # of log det S
-    used: int
+    squares: float = 0.0  # of nu' S^-1 nu
+    log_det: float = 0.0  # of log det S
+    used: int = 0
+
+    @property
+    def log_likelihood(self) -> float:
+        """The Gaussian log-likelihood of the readings used, equation (8)."""
+        return float(-0.5 * (self.squares + self.log_det + self.used * np.log(2 * np.pi)))
+
+    def plus(self, other: Sums) -> Sums:
+        """Return the sums over the readings of both."""
+        return Sums(self.squares + other.squares, self.log_det + other.log_det, self.used + other.used)
 
 
 class Run(NamedTuple):
@@ -183,10 +192,9 @@ def start_filter(model: Model, timeline: Timeline, z: Floats, how: Pass) -> Run:
         memory = new_memory(model.x0, model.P0, model.channels, _rows_to_remember(z, how))
         return go_on(model, timeline, z, memory, how)
     opening = starting.open_record(timeline, z, model, prior)
-    trace, before = new_trace(model, len(z), how.wanted), Sums(0.0, 0.0, 0)
+    trace = new_trace(model, len(z), how.wanted)
     write_opening(model, opening, trace)
-    if prior is not None:
-        before = score_opening(timeline, z, prior, opening, trace)
+    before = Sums() if prior is None else score_opening(timeline, z, prior, opening, trace)
     memory = new_memory(opening.x, opening.P, model.channels, _rows_to_remember(z, how))
     return _run(Task(model, timeline, z, opening.rows), memory, how, trace, before)._replace(opening=opening)
 
@@ -195,7 +203,7 @@ def go_on(model: Model, timeline: Timeline, z: Floats, memory: Floats, how: Pass
     """Filter the rows of a record that follow those that left a memory (1 or more, M), changed in place."""
     if how.remember and len(memory) != _rows_to_remember(z, how):
         memory = np.concatenate([memory[:1], np.empty((_rows_to_remember(z, how) - 1, memory.shape[1]))])
-    return _run(Task(model, timeline, z, 0), memory, how, new_trace(model, len(z), how.wanted), Sums(0.0, 0.0, 0))
+    return _run(Task(model, timeline, z, 0), memory, how, new_trace(model, len(z), how.wanted), Sums())
 
 
 def _rows_to_remember(z: Floats, how: Pass) -> int:
@@ -213,17 +221,17 @@ class Task(NamedTuple):
 
 def _run(task: Task, memory: Floats, how: Pass, trace: Trace, before: Sums) -> Run:
     model, timeline, z, begun = task
-    *sums, settled = forward(sizes_of(model), timeline.system, timeline.record(z), begun, how.enough, memory, trace)
-    squares, log_det, used = (a + b for a, b in zip(before, sums, strict=True))
+    found = forward(sizes_of(model), timeline.system, timeline.record(z), begun, how.enough, memory, trace)
+    total, settled = before.plus(Sums(*found[:3])), found[3]
     estimate = Estimate(
         signal=trace.signal.T,
         sigma=trace.sigma.T,
-        log_likelihood=float(-0.5 * (squares + log_det + used * np.log(2 * np.pi))),
+        log_likelihood=total.log_likelihood,
         innovations=trace.innovation.T,
         innovation_sigma=trace.innovation_sigma.T,
         mean=trace.mean.T if how.wanted.states else None,
         cov=np.moveaxis(trace.cov, 2, 0) if how.wanted.covariances else None,
-        used=int(used),
+        used=int(total.used),
         settled_row=None if settled < 0 else int(settled),
     )
     return Run(estimate, None, begun, memory, trace.prediction)
@@ -239,8 +247,7 @@ def score_opening(
 ) -> Sums:
     """Predict each reading of an opening that had a prior, (3), (4) and (8), and write the innovations."""
     F, Q, H, R = timeline.system
-    squares, log_det, used = 0.0, 0.0, 0
-    x, P = starting.known_state(prior)
+    (x, P), total = starting.known_state(prior), Sums()
     for k, known in enumerate(opening.information):
         if k:
             step = timeline.step_before(k)
@@ -251,15 +258,13 @@ def score_opening(
         if trace.innovation.size:
             trace.innovation[arrived, k], trace.innovation_sigma[arrived, k] = nu, np.sqrt(np.diag(S))
         if arrived.any():
-            squares += float(nu @ np.linalg.solve(S, nu))
-            log_det += float(np.linalg.slogdet(S)[1])
-            used += len(nu)
+            total = total.plus(Sums(float(nu @ np.linalg.solve(S, nu)), float(np.linalg.slogdet(S)[1]), len(nu)))
         x, P = starting.known_state(known)
         if trace.mean.size:
             trace.mean[:, k] = x
         if trace.cov.size:
             trace.cov[:, :, k] = P
-    return Sums(squares, log_det, used)
+    return total
 
 
 def new_trace(model: Model, count: int, wanted: Wanted) -> Trace:

@@ -114,6 +114,7 @@ class Flow:
         self._memory: Floats | None = None
         self._last_step = 0.0
         self._waiting: list[tuple[Floats, Floats]] = []  # until the readings tell the state
+        self._few = (np.empty(0), np.empty(0))  # rows that make no stretch yet
         self._held: deque[_Stretch] = deque()  # until what follows tells the future
         self.rows = 0
         self.log_likelihood = 0.0
@@ -124,6 +125,12 @@ class Flow:
 
         All stretches but the last should be of a multiple of 256 rows, so that the bits are those of one.
         """
+        if not self._causal:  # a smoother comes back over many rows for each stretch, so that few are no stretch
+            z, elapsed = (np.concatenate(parts) for parts in zip(self._few, (z, elapsed), strict=True))
+            self._few = (z, elapsed)
+            if len(z) < BLOCK:
+                return []
+            self._few = (z[:0], elapsed[:0])
         most = _MOST_NUMBERS // len(self._model.F) ** 2 // BLOCK * BLOCK if self._wanted.states else _FAR
         told = [self._push(z[at : at + most], elapsed[at : at + most]) for at in range(0, max(len(z), 1), most)]
         return [part for parts in told for part in parts]
@@ -147,7 +154,7 @@ class Flow:
 
     def finish(self) -> list[Told]:
         """Say that no more rows will come; return what was waiting for them."""
-        told = []
+        told = self._push(*self._few)
         if self._waiting:
             (z, elapsed), self._waiting = self._waiting[0], []
             timeline = elapsed_timeline(self._component, self._variance, elapsed)
@@ -175,6 +182,8 @@ class Flow:
         if self._split:
             parts = np.array([output[0] @ belief.mean for _, output in self._component.outputs()])
             parts[0] += level
+            if len(parts) == 1:
+                parts = (signal + level)[np.newaxis]
         return Told(signal + level if level else signal, sigma, parts)
 
     def _filter(self, timeline: Timeline, z: Floats, elapsed: Floats) -> _Stretch | None:

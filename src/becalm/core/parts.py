@@ -184,7 +184,7 @@ class Component:
             If the step is not positive or the variance is negative; if a part goes in even steps, and
             this is no whole number of them, or the Euler form is asked for.
         """
-        step_s = checked_number("step_s", step_s, "a step", "a positive number of seconds")
+        step_s = checked_step(step_s)
         R = [[noise_variance]]
         if discretisation == "euler":
             self._refuse_recursions()
@@ -220,6 +220,17 @@ def checked_number(name: str, value: object, what: str, needed: str, *, zero: bo
     if not (0 < number < np.inf or (zero and number == 0)):
         raise ModelError(f"{name} = {value!r} is not {what}; give {needed}{' or 0' if zero else ''}.")
     return number
+
+
+def checked_step(step_s: object) -> float:
+    """Return a step in seconds as float.
+
+    Raises
+    ------
+    ModelError
+        If it is not a number, not finite, or not above zero.
+    """
+    return checked_number("step_s", step_s, "a step", "a positive number of seconds")
 
 
 def checked_whole(name: str, value: object, refusal: str, highest: float = np.inf) -> int:

@@ -16,6 +16,7 @@ from scipy.optimize import brentq, minimize_scalar
 from becalm.core.arrays import Floats
 from becalm.core.closed_forms import butterworth_delay, butterworth_noise_gain, butterworth_response
 from becalm.core.model import Model
+from becalm.core.parts import checked_step
 from becalm.core.steady import steady
 from becalm.core.steady_filter import Complexes, SteadyFilter
 from becalm.core.step_response import StepResponse, lag_steps, tell_step
@@ -127,7 +128,7 @@ def describe(model: Model, step_s: float, causal: bool = True, output: ArrayLike
     ModelError
         If the model has several channels, R = 0, or no steady gain; if the step is not positive.
     """
-    refuse_step(step_s)
+    step_s = checked_step(step_s)
     found = steady(model, output)
     if not abs(found.poles[0]) < _FORGETS:
         raise ModelError(
@@ -159,8 +160,7 @@ def describe(model: Model, step_s: float, causal: bool = True, output: ArrayLike
 
 def refuse_step(step_s: float) -> None:
     """Raise a ModelError if a number of seconds is no step."""
-    if not 0 < step_s < np.inf:
-        raise ModelError(f"step_s = {step_s} is not a step; give a positive number of seconds.")
+    checked_step(step_s)
 
 
 def decibels(power_ratio: float) -> float:

@@ -72,11 +72,11 @@ def output_block(table: pa.Table, clean: Mapping[str, CleanChannel]) -> pa.Table
     Returns
     -------
     pyarrow.Table
-        The columns in their order, each NAME of `clean` followed by NAME_sigma and its parts, NAME_PART; older
-        columns of those names are left out.
+        The columns in their order, each NAME of `clean` followed by NAME_sigma and its parts, NAME_PART; an older
+        NAME_sigma is left out.
     """
     fields, columns = [], []
-    replaced = {written for name, own in clean.items() for written, _ in own.columns(name)} - clean.keys()
+    replaced = {name + SIGMA for name in clean}
     for field, column in zip(table.schema, table.columns, strict=True):
         if field.name in clean:
             own = clean[field.name]

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.special import gammaincc
 
 from becalm.core.arrays import Floats
+from becalm.core.closed_forms import autoregressive_power
 from becalm.metrics.lagged import MOST_LAGS, LaggedSums
 from becalm.metrics.running import Running
 
@@ -46,9 +47,7 @@ class Predictor(NamedTuple):
 
     def power(self, angle: Floats) -> Floats:
         """Return the power (k,) of what it foretells best, at angles (k,) in radians a value; 1 on average."""
-        late = np.arange(1, len(self.coefficients) + 1)
-        power: Floats = self.error / np.abs(1 - np.exp(-1j * np.outer(angle, late)) @ self.coefficients) ** 2
-        return power
+        return autoregressive_power(self.coefficients, self.error, angle)
 
 
 NO_PREDICTOR = Predictor(np.zeros(0), 1.0)

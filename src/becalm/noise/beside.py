@@ -17,22 +17,16 @@ from dataclasses import replace
 import numpy as np
 
 from becalm.core.autoregressive import Coloured
-from becalm.core.closed_forms import cutoff_to_ratio
 from becalm.core.components import EVERY_ORDER, ORDERS
+from becalm.core.filtering import Sums
 from becalm.errors import RecordingError
 from becalm.noise.coloured_likelihood import first_in_a_row, score_coloured
-from becalm.noise.cross_validation import Residuals, lasting, read_residuals, simplest, smooth_residuals
-from becalm.noise.likelihood import Candidate, Evidence, Tuning
-from becalm.noise.search import find_least, log_cutoffs
+from becalm.noise.cross_validation import Residuals, cautious, lasting, read_residuals, simplest, smooth_residuals
+from becalm.noise.likelihood import FEWEST_READINGS, Candidate, Evidence, Tuning
+from becalm.noise.search import find_ratio
 from becalm.noise.spectrum import sine_spectrum
 
-FEWEST = 8
-"""Readings that arrived, below which nothing is tuned."""
-
-_POINTS = 17
-_PRECISION = 3e-3  # of the logarithm of the cut-off: far below its standard error
 _ALIKE = 0.1  # of the logarithm of the residuals, as a few stretches tell them
-_PIECE, _PIECES = 2048, 16  # readings of a long record that are scored beside coloured noise
 
 
 def tune_beside(evidence: Evidence, noise_variance: float, coloured: Coloured | None = None, *, causal: bool) -> Tuning:
@@ -61,19 +55,22 @@ def tune_beside(evidence: Evidence, noise_variance: float, coloured: Coloured | 
     The noise is believed: where it was measured at rest and is louder in motion, more is taken for motion.
     Beside coloured noise, of more than 32768 readings sixteen stretches of 2048 are scored.
     """
-    if len(evidence.z) < FEWEST:
-        raise RecordingError(f"{len(evidence.z)} readings came; {FEWEST} or more tell a motion. Give a longer record.")
+    if len(evidence.z) < FEWEST_READINGS:
+        raise RecordingError(
+            f"{len(evidence.z)} readings came; {FEWEST_READINGS} or more tell a motion. Give a longer record."
+        )
     R = max(noise_variance, evidence.smallest_variance)
     if coloured is not None:
         found = [_beside_coloured(order, evidence, R, coloured) for order in ORDERS]
     elif causal:
         found = [_beside_white(order, evidence, R) for order in ORDERS]
     else:
-        return simplest(_smoothers(evidence, R))
-    best = max(found, key=lambda tuning: tuning.log_likelihood)
-    if not best.count:
+        found = _smoothers(evidence, R)
+    if not any(tuning.count for tuning in found):
         raise RecordingError("No stretch of the record is long enough to tell a motion. Give one with fewer gaps.")
-    return best
+    if coloured is None and not causal:
+        return simplest(found)
+    return max(found, key=lambda tuning: tuning.log_likelihood)
 
 
 def _beside_white(order: int, evidence: Evidence, R: float) -> Tuning:
@@ -85,6 +82,8 @@ def _beside_white(order: int, evidence: Evidence, R: float) -> Tuning:
 
     def likelihood(ratio: float) -> tuple[float, int]:
         free = candidate.score(ratio)
+        if not free.used:
+            return -np.inf, 0
         beyond = free.noise_variance / R
         return free.log_likelihood - 0.5 * free.used * (beyond - 1 - np.log(beyond)), free.used
 
@@ -97,13 +96,10 @@ def _beside_coloured(order: int, evidence: Evidence, R: float, coloured: Coloure
 
     def likelihood(ratio: float) -> tuple[float, int]:
         component = replace(trial, ratio=ratio).component
-        total, used = 0.0, 0
+        total = Sums()
         for part in parts:
-            told = score_coloured(component, R, evidence.z[part], evidence.elapsed[part])
-            if told is not None:
-                total -= 0.5 * (told.squares + told.log_det + told.used * np.log(2 * np.pi))
-                used += told.used
-        return (total, used) if used else (-np.inf, 0)
+            total = total.plus(score_coloured(component, R, evidence.z[part], evidence.elapsed[part]) or Sums())
+        return (total.log_likelihood, total.used) if total.used else (-np.inf, 0)
 
     found = _likeliest(likelihood, order, evidence, (R, R + coloured.variance))
     return replace(found, coloured=coloured)
@@ -114,15 +110,9 @@ def _likeliest(
 ) -> Tuning:
     """Search the ratio q/R; `variances` are R and that of all noise, beside which cut-offs are told."""
     R, total = variances
-
-    def ratio(log_cutoff: float) -> float:
-        return cutoff_to_ratio(order, float(np.exp(log_cutoff))) * total / R
-
-    grid = log_cutoffs(evidence.longest_steps, _POINTS)
-    least = find_least(lambda log_cutoff: -likelihood(ratio(log_cutoff))[0], grid, _PRECISION)
-    if not np.isfinite(least.cost):
-        return Tuning(order, ratio(least.at), R, 0, -np.inf, at_edge=least.at_edge)
-    return Tuning(order, ratio(least.at), R, likelihood(ratio(least.at))[1], -least.cost, at_edge=least.at_edge)
+    least = find_ratio(order, lambda ratio: -likelihood(ratio * total / R)[0], evidence.longest_steps)
+    ratio = least.ratio * total / R
+    return Tuning(order, ratio, R, likelihood(ratio)[1], -least.cost, at_edge=least.at_edge)
 
 
 def _smoothers(evidence: Evidence, R: float) -> list[Tuning]:
@@ -137,18 +127,18 @@ def _smoothers(evidence: Evidence, R: float) -> list[Tuning]:
         smoothed, _ = smooth_residuals(best.order, evidence)[0](best.ratio)
         if smoothed > 0 and abs(np.log(smoothed / foretold)) < _ALIKE:
             return found
-    return [_least_risk(order, *smooth_residuals(order, evidence), evidence, R) for order in orders]
+    every = {order: smooth_residuals(order, evidence) for order in orders}
+    return [_least_risk(order, *road, evidence, R) for order, road in every.items() if road[1]]
 
 
 def _least_risk(order: int, residuals: Residuals, count: int, evidence: Evidence, R: float) -> Tuning:
     """Find the density of one order whose smoother has the least estimated risk."""
 
-    def loss(log_cutoff: float) -> float:
-        return foretold_square(*residuals(cutoff_to_ratio(order, float(np.exp(log_cutoff)))), count, R)
+    def loss(ratio: float) -> float:
+        return foretold_square(*residuals(ratio), count, R)
 
-    least = find_least(loss, log_cutoffs(evidence.longest_steps, _POINTS), _PRECISION)
-    ratio = cutoff_to_ratio(order, float(np.exp(least.at)))
-    return Tuning(order, ratio, R, count, loss=least.cost, at_edge=least.at_edge)
+    least = find_ratio(order, loss, evidence.longest_steps)
+    return Tuning(order, least.ratio, R, count, loss=least.cost, at_edge=least.at_edge)
 
 
 def foretold_square(squares: float, weight: float, count: int, noise_variance: float) -> float:
@@ -163,14 +153,9 @@ def foretold_square(squares: float, weight: float, count: int, noise_variance: f
     noise_variance : float
         R, in unit^2.
     """
-    cautious = weight * (1 + 1 / np.sqrt(max(weight * count, 1.0)))
-    return float(np.log(squares + 2 * noise_variance * cautious))
+    return float(np.log(squares + 2 * noise_variance * cautious(weight, count)))
 
 
 def _parts(evidence: Evidence) -> list[slice]:
-    """Return the stretches that are scored: all of a short record, evenly spread ones of a long one."""
-    parts = evidence.stretches
-    if len(evidence.z) > _PIECES * _PIECE:
-        starts = np.linspace(0, len(evidence.z) - _PIECE, _PIECES).astype(int)
-        parts = [slice(start, start + _PIECE) for start in starts.tolist()]
-    return [slice(part.start + first_in_a_row(evidence.elapsed[part]), part.stop) for part in parts]
+    """Return what is scored, each part from the first few readings in a row on."""
+    return [slice(part.start + first_in_a_row(evidence.elapsed[part]), part.stop) for part in evidence.sample]

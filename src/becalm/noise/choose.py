@@ -16,13 +16,11 @@ from becalm.core.components import EVERY_ORDER, ORDERS
 from becalm.noise.beside import tune_beside
 from becalm.noise.coloured import NoiseModel
 from becalm.noise.cross_validation import lasting, simplest, smoother_gain, tune_smoother
-from becalm.noise.likelihood import Evidence, Tuning, log_likelihood_of, tune_motion
+from becalm.noise.likelihood import FEWEST_READINGS, UNSCORED, Evidence, Tuning, log_likelihood_of, tune_motion
 from becalm.noise.lines import add_lines
 from becalm.noise.risk import less_risky, retune
 
-FEWEST_READINGS = 8
-"""Fewer readings than this cannot tell noise from signal."""
-
+__all__ = ["FEWEST_READINGS", "NOTHING_KNOWN", "Choice", "Known", "choose", "orders_run"]
 
 _BEYOND = 10.0  # in log-likelihood, by which a smoother with tones must be the better one
 
@@ -34,7 +32,8 @@ class Choice:
     Attributes
     ----------
     kind : {"motion", "constant", "untold"}
-        "constant": all readings are equal. "untold": too few readings to tell noise from signal.
+        "constant": all readings are equal. "untold": too few readings to tell noise from signal, or
+        gaps part them into stretches that tell no motion.
     tuning : Tuning or None
         The winner, of a "motion": perhaps retuned, perhaps with tones.
     motion : Tuning or None
@@ -73,10 +72,10 @@ class Known:
     removed: tuple[float, ...] = ()
 
 
-NOTHING = Known()
+NOTHING_KNOWN = Known()
 
 
-def choose(readings: Floats, elapsed: Floats, causal: bool = True, known: Known = NOTHING) -> Choice:
+def choose(readings: Floats, elapsed: Floats, causal: bool = True, known: Known = NOTHING_KNOWN) -> Choice:
     """Identify the noise of one channel and choose its motion.
 
     Parameters
@@ -89,6 +88,13 @@ def choose(readings: Floats, elapsed: Floats, causal: bool = True, known: Known 
         Whether the filter shall run causally; a smoother is tuned for smoothing.
     known : Known
         What need not be found.
+
+    Raises
+    ------
+    RecordingError
+        If noise is known, and gaps part the readings into stretches that tell no motion.
+    ModelError
+        If coloured noise is known, and is to be told between its steps.
     """
     seen = readings[np.isfinite(readings)]
     if len(seen) < FEWEST_READINGS:
@@ -104,6 +110,8 @@ def choose(readings: Floats, elapsed: Floats, causal: bool = True, known: Known 
         best = simplest(smoothers)
         return Choice("motion", _toned(best, evidence, causal, known.removed), best, smoothers)
     rivals = tuple(tune_motion(order, evidence) for order in ORDERS)
+    if max(tuning.count for tuning in rivals) < FEWEST_READINGS - UNSCORED:
+        return Choice("untold")
     likeliest = max(rivals, key=lambda tuning: tuning.log_likelihood)
     best = retune(likeliest, evidence) if causal else likeliest
     return Choice("motion", _toned(best, evidence, causal, known.removed), best, rivals)

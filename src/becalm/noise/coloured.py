@@ -23,7 +23,7 @@ from becalm.core.autoregressive import Coloured, from_partial_autocorrelations
 from becalm.errors import RecordingError
 from becalm.noise.coloured_likelihood import HIGHEST_ORDER, Misfit, Shape, exact_misfit, spectral_misfit
 
-FEWEST = 64
+FEWEST_AT_REST = 64
 """Readings without a hole that are a stretch, or readings in all."""
 
 FORGETS = 0.1
@@ -95,8 +95,10 @@ def fit_noise(stretches: Sequence[Floats]) -> NoiseModel:
     """
     centred = [_centred(part) for part in stretches if np.isfinite(part).any()]
     count = sum(int(np.isfinite(part).sum()) for part in centred)
-    if count < FEWEST:
-        raise RecordingError(f"{count} readings at rest came; noise is told from {FEWEST} on. Name a longer rest.")
+    if count < FEWEST_AT_REST:
+        raise RecordingError(
+            f"{count} readings at rest came; noise is told from {FEWEST_AT_REST} on. Name a longer rest."
+        )
     scale = float(sum(np.nansum(part**2) for part in centred)) / count
     if not scale > 0:
         return NoiseModel(0.0, None, 0.0, count)
@@ -105,7 +107,7 @@ def fit_noise(stretches: Sequence[Floats]) -> NoiseModel:
         return _chosen([spectral_misfit(whole)], _memory_limit(whole), count, scale)
     pieces = [piece / np.sqrt(scale) for piece in _pieces(centred)]
     if not pieces:
-        raise RecordingError(f"No stretch at rest holds {FEWEST} readings; name a longer rest.")
+        raise RecordingError(f"No stretch at rest holds {FEWEST_AT_REST} readings; name a longer rest.")
     used = sum(int(np.isfinite(piece).sum()) for piece in pieces)
     misfits = [spectral_misfit([_bridged(piece) for piece in pieces]), exact_misfit(pieces)]
     return _chosen(misfits, _memory_limit(pieces), used, scale)
@@ -181,13 +183,13 @@ def _centred(part: Floats) -> Floats:
 def _runs(part: Floats) -> list[Floats]:
     """Return the runs of readings without a hole that are long enough to be a stretch."""
     bounds = np.flatnonzero(~np.isfinite(np.concatenate([[np.nan], part, [np.nan]])))
-    return [part[a : b - 1] for a, b in pairwise(bounds.tolist()) if b - a > FEWEST]
+    return [part[a : b - 1] for a, b in pairwise(bounds.tolist()) if b - a > FEWEST_AT_REST]
 
 
 def _pieces(parts: Sequence[Floats]) -> list[Floats]:
     """Return some pieces, evenly spread, of stretches that are long in all."""
     pieces = [part[a : a + _PIECE] for part in parts for a in range(0, len(part), _PIECE)]
-    pieces = [piece for piece in pieces if np.isfinite(piece).sum() >= FEWEST]
+    pieces = [piece for piece in pieces if np.isfinite(piece).sum() >= FEWEST_AT_REST]
     chosen = np.linspace(0, len(pieces) - 1, min(_PIECES, len(pieces))).astype(int)
     return [pieces[k] for k in chosen]
 

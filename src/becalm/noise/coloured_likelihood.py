@@ -83,11 +83,10 @@ def exact_misfit(parts: Sequence[Floats]) -> Misfit:
         component = motion(1, shape.drift)
         if shape.coefficients:
             component += autoregressive(shape.coefficients, float(np.sqrt(shape.coloured.variance)))
-        squares, log_det, used = 0.0, 0.0, 0
+        total = Sums()
         for z, elapsed in records:
-            found = score_coloured(component, shape.white, z, elapsed)
-            if found is not None:
-                squares, log_det, used = squares + found.squares, log_det + found.log_det, used + found.used
+            total = total.plus(score_coloured(component, shape.white, z, elapsed) or Sums())
+        squares, log_det, used = total
         if not squares > 0:
             return np.inf, 0.0
         return log_det + used * (np.log(squares / used) + 1), squares / used
@@ -139,7 +138,11 @@ def _record(part: Floats) -> tuple[Floats, Floats]:
 
 
 def _squared(coefficients: tuple[float, ...]) -> Floats:
-    """Return c (p + 1,) of |1 - sum phi_l exp(-i w l)|^2 = sum c_l cos(l w)."""
+    """Return c (p + 1,) of |1 - sum phi_l exp(-i w l)|^2 = sum c_l cos(l w).
+
+    As `autoregressive_power` has it; but a search asks for it some thousand times at the same angles, of
+    which a table of cosines is made once.
+    """
     a = np.array([1.0, *(-phi for phi in coefficients)])
     lagged = np.correlate(a, a, "full")[len(a) - 1 :]
     return np.append(lagged[:1], 2 * lagged[1:])

@@ -17,23 +17,19 @@ from dataclasses import replace
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.core.closed_forms import cutoff_to_ratio, motion_power, ratio_to_cutoff
+from becalm.core.closed_forms import motion_power
 from becalm.core.components import EVERY_ORDER, motion
 from becalm.core.filtering import Wanted
 from becalm.core.model import Model
 from becalm.core.smoothing import run_smoother
 from becalm.core.timeline import Timeline, elapsed_timeline
 from becalm.noise.likelihood import Evidence, Tuning
-from becalm.noise.search import find_least, log_cutoffs
+from becalm.noise.search import find_ratio
 from becalm.noise.spectrum import Spectrum, pooled, sine_spectrum
 
 LONG, MOST_OF = 4096, 0.8
 """Readings in complete stretches, and their share of all, from which on ends do not matter and spectra tell all."""
 
-_MOST = 2048  # readings of a stretch that are smoothed again and again
-_STRETCHES = 16
-_POINTS = 17
-_PRECISION = 3e-3
 _NOT_TOLD = 2.0  # of twice a log-likelihood
 _ALIKE = 0.1  # of the logarithm of r, as a few stretches tell it
 _OPAQUE = 0.95  # weight of a reading in its own estimate, beyond which nothing is smoothed
@@ -42,12 +38,32 @@ Residuals = Callable[[float], tuple[float, float]]
 """At a ratio q/r: mean squared residual, and mean weight of a reading in its own estimate."""
 
 
+def cautious(weight: float, count: int) -> float:
+    """Return the mean weight of `count` readings, each in its own estimate, raised by its criterion's own scatter."""
+    return float(weight * (1 + 1 / np.sqrt(max(weight * count, 1.0))))
+
+
 def criterion(squares: float, weight: float, count: int) -> float:
-    """Return the logarithm of what is minimised, from the mean squared residual and weight of `count` readings."""
-    cautious = weight * (1 + 1 / np.sqrt(max(weight * count, 1.0)))
-    if not cautious < _OPAQUE or not squares > 0:
+    """Return the logarithm of what is minimised: of how far a reading lies from what all others say of it, squared.
+
+    Parameters
+    ----------
+    squares : float
+        Mean squared residual of the smoother, in unit^2.
+    weight : float
+        Mean weight of a reading in its own estimate; a *small* one smooths more, and is charged less.
+    count : int
+        Readings.
+
+    Returns
+    -------
+    float
+        inf where next to nothing is smoothed, or nothing is left.
+    """
+    charged = cautious(weight, count)
+    if not charged < _OPAQUE or not squares > 0:
         return np.inf
-    return float(np.log(squares) - 2 * np.log1p(-cautious))
+    return float(np.log(squares) - 2 * np.log1p(-charged))
 
 
 def tune_smoother(evidence: Evidence) -> tuple[Tuning, ...]:
@@ -95,10 +111,10 @@ def _tuned(
     evidence: Evidence, residuals: Callable[[int], tuple[Residuals, int]], hints: Sequence[Tuning] = ()
 ) -> tuple[Tuning, ...]:
     """Tune every order by the residuals that its smoothers leave, first near a hint, such as the spectrum's."""
-    grid = log_cutoffs(evidence.longest_steps, _POINTS)
-    near = {hint.order: float(np.log(ratio_to_cutoff(hint.order, hint.ratio))) for hint in hints}
-    orders = EVERY_ORDER[: len(evidence.z) - 3]
-    found = [_least(order, grid, residuals(order), near.get(order)) for order in orders]
+    near = {hint.order: hint.ratio for hint in hints}
+    roads = {order: residuals(order) for order in EVERY_ORDER[: len(evidence.z) - 3]}
+    steps = evidence.longest_steps
+    found = [_least(order, steps, road, near.get(order)) for order, road in roads.items() if road[1]]
     return tuple(tuning for tuning in found if tuning is not None)
 
 
@@ -108,25 +124,34 @@ def _confirmed(tuning: Tuning, evidence: Evidence) -> bool:
     return abs(np.log(squares / (1 - weight) / tuning.noise_variance)) < _ALIKE if squares > 0 else False
 
 
-def _least(order: int, grid: Floats, road: tuple[Residuals, int], near: float | None) -> Tuning | None:
+def _least(order: int, steps: float, road: tuple[Residuals, int], near: float | None) -> Tuning | None:
     """Find the ratio of one order that has the least criterion: near a hint, or, if it is not there, anywhere."""
     residuals, count = road
 
-    def loss(log_cutoff: float) -> float:
-        return criterion(*residuals(cutoff_to_ratio(order, float(np.exp(log_cutoff)))), count)
-
-    found = find_least(loss, grid if near is None else near + (grid[:3] - grid[1]), _PRECISION)
-    if near is not None and (found.at_edge or not np.isfinite(found.cost)):
-        found = find_least(loss, grid, _PRECISION)
+    found = find_ratio(order, lambda ratio: criterion(*residuals(ratio), count), steps, near=near)
     if not np.isfinite(found.cost):
         return None
-    ratio = cutoff_to_ratio(order, float(np.exp(found.at)))
-    squares, weight = residuals(ratio)
-    return Tuning(order, ratio, squares / (1 - weight), count, loss=found.cost, at_edge=found.at_edge)
+    squares, weight = residuals(found.ratio)
+    return Tuning(order, found.ratio, squares / (1 - weight), count, loss=found.cost, at_edge=found.at_edge)
 
 
 def read_residuals(order: int, spectra: Sequence[Spectrum]) -> tuple[Residuals, int]:
-    """Read residuals off spectra; return how many readings they are of, too."""
+    """Read the residuals of a smoother off spectra, without smoothing.
+
+    Parameters
+    ----------
+    order : int
+        Of the motion, 1 to 5.
+    spectra : sequence of Spectrum
+        Sine transforms of stretches in even time, powers in unit^2.
+
+    Returns
+    -------
+    residuals : callable
+        At a ratio q/r: the mean squared residual, in unit^2, and the mean weight of a reading in its own estimate.
+    count : int
+        Readings that they are of.
+    """
     spectrum, fixed = pooled(spectra), order * len(spectra)
     power, readings = motion_power(order, spectrum.angle), int(spectrum.weight.sum())
 
@@ -139,16 +164,31 @@ def read_residuals(order: int, spectra: Sequence[Spectrum]) -> tuple[Residuals, 
     return residuals, readings
 
 
-def _parts(evidence: Evidence, fewest: int) -> list[slice]:
-    """Return what is smoothed: all of a short record, some stretches of a long one."""
-    if len(evidence.z) > _STRETCHES * _MOST:
-        starts = np.linspace(0, len(evidence.z) - _MOST, _STRETCHES).astype(int)
-        return [slice(start, start + _MOST) for start in starts.tolist()]
-    return [part for part in evidence.stretches if part.stop - part.start > fewest]
+def _parts(evidence: Evidence, states: int) -> list[slice]:
+    """Return the stretches that are smoothed; none where each leaves one residual, which tells no two variances."""
+    parts = [part for part in evidence.sample if part.stop - part.start > states]
+    return parts if any(part.stop - part.start > states + 1 for part in parts) else []
 
 
 def smooth_residuals(order: int, evidence: Evidence) -> tuple[Residuals, int]:
-    """Smooth to find residuals; return how many readings they are of, too."""
+    """Smooth to find residuals.
+
+    Parameters
+    ----------
+    order : int
+        Of the motion, 1 to 5.
+    evidence : Evidence
+        Of more than 32768 readings sixteen pieces of 2048 are smoothed; of a short record all stretches of
+        more than `order` readings, if one at least holds another one.
+
+    Returns
+    -------
+    residuals : callable
+        At a ratio q/r: the mean squared residual, in unit^2, and the mean weight of a reading in its own
+        estimate. Not to be called where it is of none.
+    count : int
+        Readings that they are of; 0 where all stretches are too short.
+    """
     component = motion(order)
     model, parts = component.to_model(1.0, 1.0), _parts(evidence, order)
     laid_out = [(elapsed_timeline(component, 1.0, evidence.elapsed[part]), evidence.z[part]) for part in parts]
@@ -175,7 +215,21 @@ def _residuals(model: Model, parts: Sequence[tuple[Timeline, Floats]]) -> tuple[
 
 
 def smoother_gain(tuning: Tuning, other: Tuning, evidence: Evidence) -> float:
-    """Return by how much the smoother of one tuning tells readings better than another's, as a log-likelihood."""
+    """Return by how much the smoother of one tuning tells readings better than another's.
+
+    Parameters
+    ----------
+    tuning, other : Tuning
+        Motions, perhaps with tones; their variances are believed.
+    evidence : Evidence
+        Readings, in unit, of which some stretch holds two more than the first tuning has states.
+
+    Returns
+    -------
+    float
+        As a log-likelihood: half the readings times how much smaller the criterion is; -inf where the
+        first one's smoother smooths next to nothing.
+    """
     losses, count = [], 1
     for one in (tuning, other):
         component, R = one.component, one.noise_variance

@@ -13,8 +13,7 @@ from collections.abc import Callable
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.core.autoregressive import Coloured
-from becalm.core.closed_forms import motion_power
+from becalm.core.closed_forms import autoregressive_power, motion_power
 from becalm.noise.likelihood import Tuning
 from becalm.noise.spectrum import line_power
 
@@ -52,16 +51,9 @@ def powers(tuning: Tuning, angle: Floats) -> tuple[Floats, Floats]:
         power = line_power(line, angle)
         signal, noise = (signal, noise + power) if line.disturbance else (signal + power, noise)
     if tuning.coloured is not None:
-        noise = noise + coloured_power(tuning.coloured, angle)
+        coefficients, innovation_variance = tuning.coloured.coefficients, tuning.coloured.innovation_variance
+        noise = noise + autoregressive_power(coefficients, innovation_variance, angle)
     return signal, noise
-
-
-def coloured_power(coloured: Coloured, angle: Floats) -> Floats:
-    """Return the power (k,) of autoregressive noise, unit^2, at angles (k,) in radians a step."""
-    late = np.arange(1, len(coloured.coefficients) + 1)
-    left = 1 - np.exp(-1j * np.outer(angle, late)) @ np.array(coloured.coefficients)
-    power: Floats = coloured.innovation_variance / np.abs(left) ** 2
-    return power
 
 
 def _mean(power: Floats) -> float:

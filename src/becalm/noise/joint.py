@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from becalm.core.arrays import Booleans, Floats
-from becalm.core.filtering import checked_readings, new_trace, run_filter, sizes_of
+from becalm.core.filtering import Sums, checked_readings, new_trace, run_filter, sizes_of
 from becalm.core.kernel_settling import GAIN, new_memory
 from becalm.core.kernels import forward
 from becalm.core.likelihood import NOTHING
@@ -86,6 +86,9 @@ def tune_model(
     -----
     Errors come from the observed information by the delta method. Where a variance cannot be told from
     zero, its error is how far it may grow until the log-likelihood has fallen by one half.
+
+    What is known of the states before any reading, `Model.known`, is held: that coloured noise is
+    stationary it says at the Q that the model came with.
     """
     readings = checked_readings(model, z)
     process, noise = patterns_of("Q", model.Q, free_process), patterns_of("R", model.R, free_noise)
@@ -147,7 +150,7 @@ class RecordLikelihood:
         squares, log_det, used, _ = forward(
             self._sizes, timeline.system, self._record, 0, GAIN, self._memory.copy(), self._trace
         )
-        return -0.5 * (squares + log_det + used * np.log(2 * np.pi)), used
+        return Sums(squares, log_det, used).log_likelihood, used
 
 
 class JointLikelihood:
@@ -245,7 +248,7 @@ def _definite(covariance: Floats) -> Floats:
 def _result(joint: JointLikelihood, found: Certainty, theta: Floats) -> TunedModel:
     """Lay out what was found."""
     given, (Q, R) = joint.record.model, joint.at(theta)
-    tuned = Model(F=given.F, H=given.H, Q=Q, R=R, G=given.G, x0=given.x0, P0=given.P0)
+    tuned = Model(F=given.F, H=given.H, Q=Q, R=R, G=given.G, x0=given.x0, P0=given.P0, known=given.known)
     cut = len(joint.free.patterns[0].names)
     process_error, noise_error = (
         (np.where(part.shapes != 0, each[:, np.newaxis, np.newaxis], 0.0) * np.abs(part.shapes)).sum(axis=0)

@@ -17,13 +17,15 @@ import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.core.autoregressive import Coloured, autoregressive
-from becalm.core.closed_forms import cutoff_to_ratio
 from becalm.core.components import Component, motion, oscillator
-from becalm.core.filtering import run_filter
+from becalm.core.filtering import Sums, run_filter
 from becalm.core.likelihood import NOTHING, score
 from becalm.core.timeline import elapsed_timeline
-from becalm.noise.search import Edge, find_least, log_cutoffs
+from becalm.noise.search import Edge, find_ratio
 from becalm.noise.spectrum import Line
+
+FEWEST_READINGS = 8
+"""Fewer readings than this cannot tell noise from signal."""
 
 UNSCORED = 3
 """Readings that only start the filter, for every order alike, so that likelihoods compare."""
@@ -36,10 +38,9 @@ LASTING = 1024
 
 _MOST_GAPS = 63
 _JITTER, _LATE = 0.02, 0.1  # steps by which a row may come late, after the row before and beside an even clock
-_GRID_POINTS = 17
+_PIECE, _PIECES = 2048, 16  # readings of a long record that stand for it
 _FALLS = 3  # points downhill in a row after which slower cut-offs are not tried
 _DEEP = 50.0  # and this much less likely
-_PRECISION = 3e-3  # of the logarithm of the cut-off: far below its standard error
 
 
 class Score(NamedTuple):
@@ -135,6 +136,14 @@ class Evidence:
         return [slice(start, stop) for start, stop in pairwise(bounds)]
 
     @cached_property
+    def sample(self) -> list[slice]:
+        """The stretches; of more than 32768 readings sixteen pieces of 2048, evenly spread."""
+        if len(self.z) <= _PIECES * _PIECE:
+            return self.stretches
+        starts = np.linspace(0, len(self.z) - _PIECE, _PIECES).astype(int)
+        return [slice(start, start + _PIECE) for start in starts.tolist()]
+
+    @cached_property
     def longest_steps(self) -> float:
         """How many steps the longest stretch lasts, at least 4."""
         return max(4.0, *(float(self.elapsed[part][1:].sum()) for part in self.stretches))
@@ -176,21 +185,38 @@ class Candidate:
 
     def score(self, ratio: float) -> Score:
         """Return the likelihood at q/r = `ratio`, maximised over r."""
-        squares, log_det, used = 0.0, 0.0, 0
+        total = Sums()
         for timeline, z in self._stretches:
             system = timeline.system
             scaled = timeline._replace(system=system._replace(Q=system.Q * ratio))
-            found = score(self._model, scaled, z, UNSCORED)
-            if found is not None:
-                squares, log_det, used = squares + found.squares, log_det + found.log_det, used + found.used
+            total = total.plus(score(self._model, scaled, z, UNSCORED) or Sums())
+        squares, log_det, used = total
         if not used:
             return Score(-np.inf, 0.0, 0)
         r = max(squares / used, self.evidence.smallest_variance)
-        return Score(-0.5 * (used * (np.log(2 * np.pi * r) + 1) + log_det), r, used)
+        return Score(Sums(used, log_det + used * np.log(r), used).log_likelihood, r, used)
 
 
 def log_likelihood_of(tuning: Tuning, evidence: Evidence) -> float:
-    """Return the log-likelihood of readings, but for the first ones that tell the state."""
+    """Return the log-likelihood of readings, but for the first ones of each stretch, which tell the state.
+
+    Parameters
+    ----------
+    tuning : Tuning
+        A motion and what stands beside it; all of its variances are believed.
+    evidence : Evidence
+        The readings, in unit, and the steps between them.
+
+    Returns
+    -------
+    float
+        Exact; of motions and tones of different numbers of states it is of different readings, by a few.
+
+    Raises
+    ------
+    ModelError
+        If coloured noise is to be told between its steps.
+    """
     component, R, total = tuning.component, tuning.noise_variance, 0.0
     model = component.to_model(1.0, R)
     for part in evidence.stretches:
@@ -212,17 +238,17 @@ def tune_motion(order: int, evidence: Evidence) -> Tuning:
     Notes
     -----
     A grid over the logarithm of the cut-off finds the region, from the fastest downwards and until
-    the likelihood has fallen far; Brent's method finds the maximum.
+    the likelihood has fallen far; Brent's method finds the maximum. Where no stretch holds four readings
+    `count` is 0 and the likelihood -inf.
     """
     candidate = Candidate(order, evidence)
 
-    def cost(log_cutoff: float) -> float:
-        return -candidate.score(cutoff_to_ratio(order, float(np.exp(log_cutoff)))).log_likelihood
+    def cost(ratio: float) -> float:
+        return -candidate.score(ratio).log_likelihood
 
-    found = find_least(cost, log_cutoffs(evidence.longest_steps, _GRID_POINTS), _PRECISION, _has_risen)
-    ratio = cutoff_to_ratio(order, float(np.exp(found.at)))
-    final = candidate.score(ratio)
-    return Tuning(order, ratio, final.noise_variance, final.used, float(final.log_likelihood), at_edge=found.at_edge)
+    found = find_ratio(order, cost, evidence.longest_steps, _has_risen)
+    best = candidate.score(found.ratio)
+    return Tuning(order, found.ratio, best.noise_variance, best.used, best.log_likelihood, at_edge=found.at_edge)
 
 
 def _has_risen(costs: Sequence[float]) -> bool:

@@ -20,10 +20,10 @@ from becalm.core.closed_forms import cutoff_to_ratio, motion_power, ratio_to_cut
 from becalm.noise.likelihood import Evidence, Tuning
 from becalm.noise.spectrum import Line, Spectrum, binned, line_power, periodogram
 
-MOST = 5
+MOST_TONES = 5
 """Tones that are looked for."""
 
-FEWEST = 2048
+FEWEST_FOR_TONES = 2048
 """Readings in even time, none missing, that tones are looked for in."""
 
 _CYCLES = 8  # in the record: what is slower belongs to the motion, and as near to half the rate it is mirrored
@@ -79,12 +79,12 @@ def add_lines(tuning: Tuning, evidence: Evidence, removed: Sequence[float] = ())
     """
     longest = max(evidence.complete, key=lambda part: part.stop - part.start, default=slice(0))
     z = evidence.z[longest, 0]
-    if len(z) < FEWEST or not np.var(z) > 0:
+    if len(z) < FEWEST_FOR_TONES or not np.var(z) > 0:
         return tuning
     spectrum, step = periodogram(z), evidence.mean_step(longest)
     removed = [angle * step for angle in removed]
     now = _without(removed, _plainest(tuning, spectrum), spectrum) if removed else _plain(tuning, spectrum)
-    while len(now.lines) < MOST and (peaks := find_lines(spectrum, now)):
+    while len(now.lines) < MOST_TONES and (peaks := find_lines(spectrum, now)):
         more = [_with_line(now, peak, spectrum) for peak in peaks]
         best = max(more, key=lambda fit: _gain(now, fit, spectrum))
         if _gain(now, best, spectrum) < _GAIN:
@@ -98,7 +98,20 @@ def add_lines(tuning: Tuning, evidence: Evidence, removed: Sequence[float] = ())
 
 
 def find_lines(spectrum: Spectrum, fit: Fit) -> list[Peak]:
-    """Return what stands out of what a fit leaves: of each resolution, where it stands out most, if it does."""
+    """Find what stands out of what a fit leaves.
+
+    Parameters
+    ----------
+    spectrum : Spectrum
+        Every frequency for itself, as `periodogram` gives it; powers in unit^2.
+    fit : Fit
+        What is there already.
+
+    Returns
+    -------
+    list of Peak
+        Of each resolution, the finest first, where it stands out most, if it does; none twice.
+    """
     left, found = spectrum.power / _power(fit, spectrum.angle), list[Peak]()
     for how in _RESOLUTIONS:
         peak = _peak(left, spectrum, *how)
@@ -147,7 +160,20 @@ def quietest(spectrum: Spectrum) -> float:
 
 
 def fit_spectrum(start: Fit, spectrum: Spectrum) -> Fit:
-    """Fit white noise, a motion and tones to a spectrum, from where they are."""
+    """Fit white noise, a motion and tones to a spectrum.
+
+    Parameters
+    ----------
+    start : Fit
+        Where the search begins; its order and the number of its tones stay.
+    spectrum : Spectrum
+        Powers in unit^2, in bins or singly.
+
+    Returns
+    -------
+    Fit
+        The likeliest that was reached, with its cost.
+    """
     motion = motion_power(start.order, spectrum.angle)
     spacing = 2 * np.pi / (2 * float(spectrum.weight.sum()))
     least = _LEAST_NOISE * quietest(spectrum)
@@ -210,6 +236,11 @@ def _power(fit: Fit, angle: Floats) -> Floats:
 
 
 def _sum(fit: Fit, angle: Floats, motion: Floats) -> Floats:
+    """Return the power (k,), unit^2, of a fit.
+
+    As `excess.powers` has it of a tuning, signal and noise apart; but a fit is moved hundreds of times at the same
+    angles, of which the motion's power, the dearest part, is found once.
+    """
     return sum((line_power(line, angle) for line in fit.lines), fit.noise_variance + fit.density * motion)
 
 

@@ -38,9 +38,9 @@ def retune(tuning: Tuning, evidence: Evidence) -> Tuning:
     tuning : Tuning
         The likeliest.
     evidence : Evidence
-        The readings it was tuned on; at least 2048 in even time, otherwise the tuning stays.
+        The readings it was tuned on; at least 2048 in even time but for jitter, otherwise the tuning stays.
     """
-    if len(evidence.z) < _FEWEST or not np.all(evidence.elapsed[1:] == 1.0):
+    if not _is_whole(evidence):
         return tuning
     _, share = _risk(tuning, evidence)
     floor = white_floor(evidence.z[:, 0])
@@ -83,12 +83,17 @@ def less_risky(tuning: Tuning, other: Tuning, evidence: Evidence) -> Tuning:
     tuning, other : Tuning
         The first one's noise variance is believed for both.
     evidence : Evidence
-        The readings they were tuned on; at least 2048 in even time.
+        The readings they were tuned on; at least 2048 in even time but for jitter.
     """
-    if len(evidence.z) < _FEWEST or not np.all(evidence.elapsed[1:] == 1.0):
+    if not _is_whole(evidence):
         return tuning
     risks = [_risk(one, evidence, tuning.noise_variance)[0] for one in (tuning, other)]
     return tuning if risks[0] <= risks[1] else other
+
+
+def _is_whole(evidence: Evidence) -> bool:
+    """Whether one stretch in even time, but for a little jitter, holds all of enough readings."""
+    return len(evidence.z) >= _FEWEST and evidence.complete == [slice(0, len(evidence.z))]
 
 
 def _risk(tuning: Tuning, evidence: Evidence, noise_variance: float | None = None) -> tuple[float, float]:

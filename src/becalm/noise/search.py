@@ -1,5 +1,7 @@
 """One search for the least of a cost: a grid over a logarithm, then Brent's method beside the best point.
 
+What is searched is the cut-off of a motion, and with it its ratio q/r.
+
 A likelihood of a cut-off may have several maxima; the grid finds the region of the highest, and Brent's
 method, which needs one valley only, its bottom. Source: Brent, Algorithms for Minimization without
 Derivatives (1973), ch. 5.
@@ -14,6 +16,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from becalm.core.arrays import Floats
+from becalm.core.closed_forms import cutoff_to_ratio, ratio_to_cutoff
 
 Edge = Literal["", "low", "high"]
 """Whether a search ended at the lowest or the highest point of its grid, or between them."""
@@ -21,6 +24,8 @@ Edge = Literal["", "low", "high"]
 _SLOWEST_CYCLES = 0.2  # of the record: slower cut-offs are a polynomial
 _FASTEST = 4.0  # radians a step: faster cut-offs pass everything
 _AT_EDGE = 0.05  # of the distance between two points of the grid
+_POINTS = 17
+_PRECISION = 3e-3  # of the logarithm of the cut-off: far below its standard error
 
 
 class Least(NamedTuple):
@@ -30,6 +35,51 @@ class Least(NamedTuple):
     cost: float  # inf if it is nowhere finite
     at_edge: Edge
     evaluations: int
+
+
+class LeastRatio(NamedTuple):
+    """The ratio q/r of which a cost is least."""
+
+    ratio: float
+    cost: float  # inf if it is nowhere finite
+    at_edge: Edge
+
+
+def find_ratio(
+    order: int,
+    cost: Callable[[float], float],
+    steps: float,
+    enough: Callable[[Sequence[float]], bool] | None = None,
+    near: float | None = None,
+) -> LeastRatio:
+    """Find the ratio q/r of a motion of which a cost is least.
+
+    Parameters
+    ----------
+    order : int
+        1 to 5.
+    cost : callable
+        Of q/r, with q in unit^2/step^(2n-1); inf where there is none.
+    steps : float
+        Length of the record, whose fifth of a cycle is the slowest cut-off.
+    enough : callable, optional
+        See `find_least`.
+    near : float, optional
+        The q/r beside which it is looked for first; elsewhere only if it is not there.
+    """
+
+    def at(log_cutoff: float) -> float:
+        return cutoff_to_ratio(order, float(np.exp(log_cutoff)))
+
+    def least(points: Floats) -> Least:
+        return find_least(lambda log_cutoff: cost(at(log_cutoff)), points, _PRECISION, enough)
+
+    grid = log_cutoffs(steps, _POINTS)
+    beside = grid if near is None else np.log(ratio_to_cutoff(order, near)) + (grid[:3] - grid[1])
+    found = least(beside)
+    if near is not None and (found.at_edge or not np.isfinite(found.cost)):
+        found = least(grid)
+    return LeastRatio(at(found.at), found.cost, found.at_edge)
 
 
 def log_cutoffs(steps: float, points: int) -> Floats:

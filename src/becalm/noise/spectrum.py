@@ -28,12 +28,25 @@ class Spectrum(NamedTuple):
 
 
 class Line(NamedTuple):
-    """A tone: an oscillator that is driven by white noise."""
+    """A tone: an oscillator that is driven by white noise.
 
-    angle: float  # radians a step
-    damping: float  # 1/step
-    density: float  # of the noise on each of its states, unit^2/step
-    disturbance: bool = False  # whether it is read, but no part of the signal
+    Attributes
+    ----------
+    angle : float
+        Radians a step.
+    damping : float
+        By how much it shrinks, in 1/step; a *small* one trusts the tone to keep its phase.
+    density : float
+        Of the noise on each of its two states, in unit^2/step; a *small* one trusts the tone, and lets
+        amplitude and phase change slowly.
+    disturbance : bool
+        Whether it is read, but no part of the signal.
+    """
+
+    angle: float
+    damping: float
+    density: float
+    disturbance: bool = False
 
 
 def sine_spectrum(z: Floats) -> Spectrum:

@@ -12,6 +12,7 @@ import numpy as np
 
 from becalm.core.closed_forms import ratio_to_cutoff
 from becalm.core.dials import motion_filter
+from becalm.core.parts import checked_step
 from becalm.core.response import decibels
 from becalm.errors import UsageError
 
@@ -50,9 +51,9 @@ def waiting_curve(
     order : int
         1 to 5.
     ratio : float
-        q/r, as in `Tuning.ratio`.
+        q/r, as in `Tuning.ratio`; a *small* one trusts the motion, and waiting takes longer to pay.
     noise_variance : float
-        r of a reading, in unit^2.
+        r of a reading, in unit^2; with a *small* one less is left of everything, and waiting pays as much.
     step_s : float
         Step in seconds.
     waits : sequence of int, optional
@@ -61,10 +62,15 @@ def waiting_curve(
     Raises
     ------
     UsageError
-        If the ratio is not positive or a wait is negative.
+        If the ratio or the variance is not positive, or a wait is negative.
+    ModelError
+        If there is no such order, or the step is not positive.
     """
-    if not 0 < ratio < np.inf or any(not wait >= 0 for wait in waits or ()):
-        raise UsageError(f"ratio = {ratio} and waits = {waits}: q/r must be positive, and no wait below 0.")
+    step_s = checked_step(step_s)
+    if not 0 < ratio < np.inf:
+        raise UsageError(f"ratio = {ratio} is no q/r; give a positive number, variance over variance.")
+    if any(not wait >= 0 for wait in waits or ()):
+        raise UsageError(f"waits = {waits} go back in time; give numbers of readings, no wait below 0.")
     refuse_variance(noise_variance)
     found = motion_filter(order, ratio)
     steps = np.unique(np.round(_WAITS / ratio_to_cutoff(order, ratio))) if waits is None else np.sort(np.asarray(waits))
