@@ -137,9 +137,9 @@ def test_a_smoother_is_judged_by_what_its_error_could_lose() -> None:
     """Innovations as predictable as these do not matter to a smoother that loses nothing by it."""
     innovations = lfilter([0.8], [1.0, -0.6], np.random.default_rng(5).normal(size=20_000))
     for excess, verdict in ((0.02, "fits"), (0.3, "does not fit")):
-        judge = InnovationJudge(excess=Mock(return_value=excess))
+        judge = InnovationJudge()
         judge.add(innovations, 1.0)
-        found = judge.judgement()
+        found = judge.judgement(Mock(return_value=excess))
         assert (found.verdict, found.excess_error) == (verdict, excess)
 
 

@@ -165,7 +165,7 @@ def test_a_dial_is_turned(run: Run, tmp_path: Path, dial: list[str], kept: Calla
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (["--bandwidth", "40"], "write a number and then hz or khz"),
+        (["--bandwidth", "40"], "write a number and then Hz or kHz"),
         (["--max-lag", "5 parsecs", "--causal"], "--max-lag 5 parsecs is no number with its unit"),
         (["--bandwidth", "40Hz", "--noise-gain", "-20dB"], "each of them decides the others"),
         (["--max-lag", "5ms"], "A smoother has no lag"),

@@ -35,7 +35,7 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGHUP, signal.SIG_DFL)  # who runs this may ignore it
 import becalm.cli.streaming as streaming
 from becalm.cli.main import main
-streaming.clean_chunks = lambda *_: time.sleep(60)
+streaming.clean_chunks = lambda *_, **__: time.sleep(60)
 main()
 """
 

@@ -11,7 +11,7 @@ from becalm.core.components import motion
 from becalm.core.smoothing import run_smoother
 from becalm.core.timeline import elapsed_timeline
 from becalm.metrics.truth import rms_error
-from becalm.noise.cross_validation import LONG, criterion, lasting, tune_smoother
+from becalm.noise.cross_validation import LONG, criterion, lasting, simplest, tune_smoother
 from becalm.noise.likelihood import Evidence, Tuning
 
 NOISE = 0.3
@@ -99,3 +99,10 @@ def test_the_criterion_prefers_less_residual_and_less_freedom() -> None:
     assert criterion(1.0, 0.1, 100) > criterion(1.0, 0.1, 1000)  # of few parameters it is known less well
     assert criterion(1.0, 1.0, 1000) == np.inf
     assert criterion(0.0, 0.1, 1000) == np.inf
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_straight_line_is_a_walking_slope(seed: int) -> None:
+    """The transform of a record takes the line between its ends off, which a random walk could not follow there."""
+    z = 1e-3 * np.arange(8192) + np.random.default_rng(seed).normal(0, 0.2, 8192)
+    assert simplest(tune_smoother(Evidence.of(z, np.ones(8192)))).order == 2

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
@@ -17,7 +19,7 @@ from becalm.core.smoothing import kalman_smoother
 from becalm.errors import RecipeError
 from becalm.metrics.truth import coverage, rms_error
 from becalm.noise.choose import choose
-from becalm.noise.lines import FEWEST_FOR_TONES, Fit, fit_spectrum
+from becalm.noise.lines import FEWEST_FOR_TONES, Fit, _turned, fit_spectrum
 from becalm.noise.spectrum import Line, Spectrum, line_power
 
 ROWS = 8192
@@ -212,3 +214,38 @@ def test_a_chirp_is_no_band(causal: bool) -> None:
     found = choose(z, np.ones(t.size), causal).tuning
     assert found is not None
     assert found.lines == ()
+
+
+PERIODIC = {
+    "saw": (lambda t: (2.7 * t) % 1, 0.1),
+    "pulses": (lambda t: ((1.1 * t) % 1 < 0.1) * 1.0, 0.1),
+    "square": (lambda t: np.sign(np.sin(2 * np.pi * 1.3 * t)), 0.3),
+    "harmonics": (lambda t: sum(np.sin(2 * np.pi * 3.1 * k * t) / k for k in range(1, 9)), 0.3),
+}
+
+
+@pytest.mark.parametrize("causal", [False, True])
+@pytest.mark.parametrize(("shape", "noise"), PERIODIC.values(), ids=PERIODIC)
+def test_tones_of_a_wave_with_many_harmonics_make_nothing_worse(
+    shape: Callable[[Floats], Floats], noise: float, causal: bool
+) -> None:
+    """Five tones do not make a saw: the rest would pass for noise, and sigma for small."""
+    t = T / 100
+    truth = shape(t)
+    z = truth + np.random.default_rng(1).normal(0, noise, ROWS)
+    found = choose(z, np.ones(ROWS), causal)
+    run = kalman_filter if causal else kalman_smoother
+    errors = []
+    for tuning in (found.tuning, found.motion):
+        assert tuning is not None
+        told = run(tuning.component.to_model(1.0, tuning.noise_variance), z)
+        errors.append(rms_error(told.signal[50:, 0], truth[50:]))
+        claimed = float(np.sqrt(np.mean(told.sigma[50:] ** 2)))
+        assert errors[-1] < 2.5 * claimed  # two, and as far as the noise itself is known
+    assert errors[0] <= 1.001 * errors[1]
+
+
+@pytest.mark.parametrize("far", [-1e9, 1e9])
+def test_a_tone_stays_a_tone_however_far_a_fit_would_go(far: float) -> None:
+    line = _turned(Line(1e-3, 1e-3, 1.0), np.array([far, 1.0]), 1e-4)
+    assert 0 < line.damping <= line.angle < np.pi

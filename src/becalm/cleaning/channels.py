@@ -60,7 +60,7 @@ class MotionChannel:
 
     def __init__(self, recipe: ChannelRecipe, tuning: Tuning, step_s: float, *, causal: bool, split: bool) -> None:
         self._recipe, self._tuning, self._step_s, self._causal = recipe, tuning, step_s, causal
-        self._judge = InnovationJudge(step_s, None if self._causal else partial(excess_error, tuning))
+        self._judge = InnovationJudge(step_s)
         self._counts = Counter[Verdict]()
         self._flow = Flow(
             tuning.component, tuning.noise_variance, causal=self._causal, judge=self._judge.add, split=split
@@ -78,8 +78,9 @@ class MotionChannel:
 
     def report(self) -> ChannelReport:
         """Say what was found, once finished."""
-        found, tuning = self._judge.judgement(), self._tuning
-        response = _response(tuning, self._step_s, self._causal)
+        tuning, response = self._tuning, _response(self._tuning, self._step_s, self._causal)
+        smooths = not self._causal and response is not None and response.noise_gain < NOTHING_REMOVED
+        found = self._judge.judgement(partial(excess_error, tuning) if smooths else None)
         return ChannelReport(
             **_fields(found),
             name=self._recipe.name,

@@ -102,9 +102,6 @@ class InnovationJudge:
     ----------
     step_s : float
         Step between them, in seconds.
-    excess : callable, optional
-        Takes the colour of the innovations and returns the excess of the rms error, as
-        `becalm.noise.excess.excess_error` does for a smoother; by default that of a prediction is taken.
 
     Examples
     --------
@@ -115,9 +112,9 @@ class InnovationJudge:
     'The model describes the signal.'
     """
 
-    def __init__(self, step_s: float = 1.0, excess: Callable[[Colour], float] | None = None) -> None:
+    def __init__(self, step_s: float = 1.0) -> None:
         self._running = Running(_Sums(), _Sums.extended)
-        self._step_s, self._excess = step_s, excess
+        self._step_s = step_s
 
     def add(self, innovations: Floats, innovation_sigma: Floats | float) -> None:
         """Add a block.
@@ -134,16 +131,26 @@ class InnovationJudge:
             part = slice(start, start + PIECE)
             self._running.add(innovations[part] / sigma[part])
 
-    def judgement(self) -> Judgement:
-        """Judge all innovations so far; more may follow."""
+    def judgement(self, excess_of: Callable[[Colour], float] | None = None) -> Judgement:
+        """Judge all innovations so far; more may follow.
+
+        Parameters
+        ----------
+        excess_of : callable, optional
+            Takes the colour of the innovations and returns the excess of the rms error, as
+            `becalm.noise.excess.excess_error` does for a smoother; by default that of a prediction is taken.
+        """
         sums = self._running.sums()
         if sums.power.seen < FEWEST_INNOVATIONS:
             return Judgement(says=f"Only {sums.power.seen} readings could be foretold: too few to judge the model.")
         found, nis = judge_whiteness(sums.lagged), sums.power.mean()
         uneven = sums.blocks.share() if sums.blocks.blocks else float(not 1 / _FAR_OFF < nis < _FAR_OFF)
         loudest_hz = None if found.loudest is None else found.loudest / self._step_s
-        excess = self._excess_error(found, nis)
-        fault = _predictable(found, excess, loudest_hz, limited=self._excess is not None)
+        if excess_of is None:
+            excess = float(1 / np.sqrt(max(1 - found.predictable_share, _LEAST))) - 1
+        else:
+            excess = excess_of(lambda angle: nis * found.predictor.power(angle))
+        fault = _predictable(found, excess, loudest_hz, limited=excess_of is not None)
         narrow = bool(fault) and excess <= MOST_EXCEPTED and _is_narrow(found)
         faults = ([] if narrow or not fault else [fault]) + _changes(uneven)
         return Judgement(
@@ -157,11 +164,6 @@ class InnovationJudge:
             nis_mean=nis,
             says=_sentence(faults, fault if narrow else "", loudest_hz) + _reserve(found, excess, bool(fault)),
         )
-
-    def _excess_error(self, found: Whiteness, nis: float) -> float:
-        if self._excess is not None:
-            return self._excess(lambda angle: nis * found.predictor.power(angle))
-        return float(1 / np.sqrt(max(1 - found.predictable_share, _LEAST))) - 1
 
 
 def _predictable(found: Whiteness, excess: float, loudest_hz: float | None, *, limited: bool) -> str:

@@ -24,7 +24,6 @@ from becalm.noise.coloured_likelihood import first_in_a_row, score_coloured
 from becalm.noise.cross_validation import Residuals, cautious, lasting, read_residuals, simplest, smooth_residuals
 from becalm.noise.likelihood import FEWEST_READINGS, Candidate, Evidence, Tuning
 from becalm.noise.search import find_ratio
-from becalm.noise.spectrum import sine_spectrum
 
 _ALIKE = 0.1  # of the logarithm of the residuals, as a few stretches tell them
 
@@ -118,9 +117,9 @@ def _likeliest(
 def _smoothers(evidence: Evidence, R: float) -> list[Tuning]:
     """Tune smoothers of every order beside white noise."""
     orders = EVERY_ORDER[: len(evidence.z) - 3]
-    spectra = [sine_spectrum(evidence.z[part, 0]) for part in lasting(evidence)]
-    if spectra:
-        roads = [read_residuals(order, spectra) for order in orders]
+    even = [evidence.z[part, 0] for part in lasting(evidence)]
+    if even:
+        roads = [read_residuals(order, even) for order in orders]
         found = [_least_risk(order, *road, evidence, R) for order, road in zip(orders, roads, strict=True)]
         best = simplest(found)
         foretold, _ = roads[best.order - 1][0](best.ratio)

@@ -15,14 +15,12 @@ from becalm.core.arrays import Floats
 from becalm.core.components import EVERY_ORDER, ORDERS
 from becalm.noise.beside import tune_beside
 from becalm.noise.coloured import NoiseModel
-from becalm.noise.cross_validation import lasting, simplest, smoother_gain, tune_smoother
-from becalm.noise.likelihood import FEWEST_READINGS, UNSCORED, Evidence, Tuning, log_likelihood_of, tune_motion
+from becalm.noise.cross_validation import lasting, simplest, tune_smoother
+from becalm.noise.likelihood import FEWEST_READINGS, UNSCORED, Evidence, Tuning, tune_motion
 from becalm.noise.lines import add_lines
 from becalm.noise.risk import less_risky, retune
 
 __all__ = ["FEWEST_READINGS", "NOTHING_KNOWN", "Choice", "Known", "choose", "orders_run"]
-
-_BEYOND = 10.0  # in log-likelihood, by which a smoother with tones must be the better one
 
 
 @dataclass(frozen=True)
@@ -125,9 +123,4 @@ def _toned(alone: Tuning, evidence: Evidence, causal: bool, removed: tuple[float
     toned = add_lines(alone, evidence, removed)
     if not toned.lines or any(line.disturbance for line in toned.lines):
         return toned
-    if causal:
-        return less_risky(toned, alone, evidence)
-    gain = smoother_gain(toned, alone, evidence)
-    if np.isneginf(gain):  # nearly all is signal then, which only the next reading can tell
-        gain = log_likelihood_of(toned, evidence) - max(tune_motion(n, evidence).log_likelihood for n in ORDERS)
-    return toned if gain > _BEYOND else alone
+    return less_risky(toned, alone, evidence, causal)

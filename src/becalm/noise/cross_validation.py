@@ -25,7 +25,7 @@ from becalm.core.smoothing import run_smoother
 from becalm.core.timeline import Timeline, elapsed_timeline
 from becalm.noise.likelihood import Evidence, Tuning
 from becalm.noise.search import find_ratio
-from becalm.noise.spectrum import Spectrum, pooled, sine_spectrum
+from becalm.noise.spectrum import pooled, sine_spectrum, slope_between_ends
 
 LONG, MOST_OF = 4096, 0.8
 """Readings in complete stretches, and their share of all, from which on ends do not matter and spectra tell all."""
@@ -79,8 +79,8 @@ def tune_smoother(evidence: Evidence) -> tuple[Tuning, ...]:
     tuple of Tuning
         One for each order from 1 to 5 that can be told, `loss` their criterion; none where no smoother removes noise.
     """
-    spectra = [sine_spectrum(evidence.z[part, 0]) for part in _complete(evidence)]
-    found = _tuned(evidence, lambda order: read_residuals(order, spectra)) if spectra else ()
+    even = [evidence.z[part, 0] for part in _complete(evidence)]
+    found = _tuned(evidence, lambda order: read_residuals(order, even)) if even else ()
     if not lasting(evidence):
         found = _tuned(evidence, lambda order: smooth_residuals(order, evidence), found)
     elif not found or not _confirmed(min(found, key=lambda tuning: tuning.loss), evidence):
@@ -135,15 +135,15 @@ def _least(order: int, steps: float, road: tuple[Residuals, int], near: float | 
     return Tuning(order, found.ratio, squares / (1 - weight), count, loss=found.cost, at_edge=found.at_edge)
 
 
-def read_residuals(order: int, spectra: Sequence[Spectrum]) -> tuple[Residuals, int]:
+def read_residuals(order: int, stretches: Sequence[Floats]) -> tuple[Residuals, int]:
     """Read the residuals of a smoother off spectra, without smoothing.
 
     Parameters
     ----------
     order : int
         Of the motion, 1 to 5.
-    spectra : sequence of Spectrum
-        Sine transforms of stretches in even time, powers in unit^2.
+    stretches : sequence of (n,) float array
+        Readings in even time, in unit.
 
     Returns
     -------
@@ -151,15 +151,21 @@ def read_residuals(order: int, spectra: Sequence[Spectrum]) -> tuple[Residuals, 
         At a ratio q/r: the mean squared residual, in unit^2, and the mean weight of a reading in its own estimate.
     count : int
         Readings that they are of.
+
+    Notes
+    -----
+    The line that the transform takes off is followed by every order but the first, which bends away at both ends,
+    by s / sqrt(q/r) exp(-sqrt(q/r) k) where the slope is s.
     """
-    spectrum, fixed = pooled(spectra), order * len(spectra)
+    spectrum, fixed = pooled([sine_spectrum(z) for z in stretches]), order * len(stretches)
+    slopes = float(sum(slope_between_ends(z) ** 2 for z in stretches)) if order == 1 else 0.0
     power, readings = motion_power(order, spectrum.angle), int(spectrum.weight.sum())
 
     def residuals(ratio: float) -> tuple[float, float]:
         passed = ratio * power / (1 + ratio * power)
         lost = spectrum.weight * (1 - passed)
-        squares = float(lost @ ((1 - passed) * spectrum.power)) / readings
-        return squares, 1 - (float(lost.sum()) - fixed) / readings
+        squares = float(lost @ ((1 - passed) * spectrum.power)) + slopes * ratio**-1.5
+        return squares / readings, 1 - (float(lost.sum()) - fixed) / readings
 
     return residuals, readings
 
@@ -212,32 +218,3 @@ def _residuals(model: Model, parts: Sequence[tuple[Timeline, Floats]]) -> tuple[
         weight += float(np.minimum(smoothed.sigma**2 / R, 1.0).sum())
     count = sum(len(z) for _, z in parts)
     return squares / count, weight / count
-
-
-def smoother_gain(tuning: Tuning, other: Tuning, evidence: Evidence) -> float:
-    """Return by how much the smoother of one tuning tells readings better than another's.
-
-    Parameters
-    ----------
-    tuning, other : Tuning
-        Motions, perhaps with tones; their variances are believed.
-    evidence : Evidence
-        Readings, in unit, of which some stretch holds two more than the first tuning has states.
-
-    Returns
-    -------
-    float
-        As a log-likelihood: half the readings times how much smaller the criterion is; -inf where the
-        first one's smoother smooths next to nothing.
-    """
-    losses, count = [], 1
-    for one in (tuning, other):
-        component, R = one.component, one.noise_variance
-        model = component.to_model(1.0, R)
-        parts = [
-            (elapsed_timeline(component, R, evidence.elapsed[part]), evidence.z[part])
-            for part in _parts(evidence, len(tuning.component.drift))
-        ]
-        count = sum(len(z) for _, z in parts)
-        losses.append(criterion(*_residuals(model, parts), count))
-    return count / 2 * (losses[1] - losses[0])

@@ -18,8 +18,8 @@ import numpy as np
 from becalm.core.arrays import Floats
 from becalm.core.autoregressive import Coloured, autoregressive
 from becalm.core.components import Component, motion, oscillator
-from becalm.core.filtering import Sums, run_filter
-from becalm.core.likelihood import NOTHING, score
+from becalm.core.filtering import Sums
+from becalm.core.likelihood import score
 from becalm.core.timeline import elapsed_timeline
 from becalm.noise.search import Edge, find_ratio
 from becalm.noise.spectrum import Line
@@ -195,34 +195,6 @@ class Candidate:
             return Score(-np.inf, 0.0, 0)
         r = max(squares / used, self.evidence.smallest_variance)
         return Score(Sums(used, log_det + used * np.log(r), used).log_likelihood, r, used)
-
-
-def log_likelihood_of(tuning: Tuning, evidence: Evidence) -> float:
-    """Return the log-likelihood of readings, but for the first ones of each stretch, which tell the state.
-
-    Parameters
-    ----------
-    tuning : Tuning
-        A motion and what stands beside it; all of its variances are believed.
-    evidence : Evidence
-        The readings, in unit, and the steps between them.
-
-    Returns
-    -------
-    float
-        Exact; of motions and tones of different numbers of states it is of different readings, by a few.
-
-    Raises
-    ------
-    ModelError
-        If coloured noise is to be told between its steps.
-    """
-    component, R, total = tuning.component, tuning.noise_variance, 0.0
-    model = component.to_model(1.0, R)
-    for part in evidence.stretches:
-        timeline = elapsed_timeline(component, R, evidence.elapsed[part])
-        total += run_filter(model, timeline, evidence.z[part], NOTHING).estimate.log_likelihood
-    return total
 
 
 def tune_motion(order: int, evidence: Evidence) -> Tuning:

@@ -38,8 +38,9 @@ _NEAR = 0.02  # of its frequency, about which a named one is looked for, or
 _NEAR_CYCLES = 4  # in the record
 _CALMEST = (1, 2, 3)  # orders of the motion beside tones ...
 _MOST_STATES = 12  # ... so that there are no more states in all
+_HIGHEST = np.pi * (1 - 1e-9)  # radians a step
 _LEAST_NOISE = 1e-3  # of the power of the quietest part of the band
-_ROUNDS, _ENOUGH = 60, 1e-3
+_ROUNDS, _ENOUGH = 60, 0.03
 _LONGEST_STEP = 1.0  # of a logarithm, and of a frequency in frequencies of the record
 
 
@@ -93,7 +94,7 @@ def add_lines(tuning: Tuning, evidence: Evidence, removed: Sequence[float] = ())
     if not now.lines:
         return tuning
     judged = (_judged(line, removed, spectrum) for line in now.lines)
-    lines = tuple(line._replace(angle=line.angle / step) for line in judged)
+    lines = tuple(line._replace(angle=min(line.angle / step, _HIGHEST)) for line in judged)
     return replace(now.tuning, count=tuning.count, lines=lines)
 
 
@@ -277,5 +278,6 @@ def _moved(fit: Fit, step: Floats, spacing: float, least: float) -> Fit:
 
 def _turned(line: Line, step: Floats, spacing: float) -> Line:
     """Move a tone by fractions of a frequency, and of the logarithm of its damping, within what can be told a tone."""
-    damping = min(max(line.damping * float(np.exp(step[1])), 0.1 * spacing), line.angle)
-    return line._replace(angle=line.angle + float(step[0]) * spacing, damping=damping)
+    angle = float(np.clip(line.angle + float(step[0]) * spacing, spacing, np.pi - spacing))
+    damping = float(np.clip(line.damping * float(np.exp(step[1])), 0.1 * spacing, angle))
+    return line._replace(angle=angle, damping=damping)

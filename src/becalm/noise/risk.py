@@ -9,17 +9,19 @@ filter can be estimated without truth. Source: Stein, Annals of Statistics 9 (19
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
 from becalm.core.arrays import Floats
 from becalm.core.closed_forms import cutoff_to_ratio, ratio_to_cutoff
-from becalm.core.filtering import run_filter
+from becalm.core.filtering import Wanted, run_filter
+from becalm.core.smoothing import run_smoother
 from becalm.core.timeline import elapsed_timeline
 from becalm.metrics.whiteness import whiteness
 from becalm.noise.likelihood import Candidate, Evidence, Tuning
-from becalm.noise.spectrum import welch_power
+from becalm.noise.spectrum import periodogram, welch_power
 
 MISFIT = 0.02
 """Share of the innovation power above which a motion does not describe the signal."""
@@ -28,6 +30,10 @@ _SEGMENT = 512
 _FEWEST = 4 * _SEGMENT
 _SEARCH = (-1.0, 0.7)  # about the likeliest cut-off, in its logarithm
 _PRECISION = 3e-3
+_BETTER = 0.1  # of a mean squared error, by which it must be less for tones
+_HONEST = 4.0  # times what sigma claims
+_PARTS = 8  # of the band
+_PIECE, _PIECES = 1 << 15, 4  # readings of a long record that filters are compared on
 
 
 def retune(tuning: Tuning, evidence: Evidence) -> Tuning:
@@ -75,20 +81,79 @@ def white_floor(z: Floats) -> float:
     return float(np.convolve(power, np.ones(quarter) / quarter, "valid").min())
 
 
-def less_risky(tuning: Tuning, other: Tuning, evidence: Evidence) -> Tuning:
-    """Return the tuning whose causal filter errs less; the first where too little is known to tell.
+def floor_between_lines(z: Floats) -> float:
+    """Return the variance, in unit^2, of white noise as loud as the quietest part of a record (N,), lines left out.
+
+    The median of a periodogram, which few lines move, is log 2 times its mean where it is noise, to 1.44 over the
+    root of how many frequencies there are; 1.4 times that lies the lowest of eight below what they all are.
+    """
+    parts = np.array_split(periodogram(z).power, _PARTS)
+    lowest = min(float(np.median(part)) for part in parts) / float(np.log(2))
+    return lowest * (1 + 1.4 * 1.44 / float(np.sqrt(len(parts[0]))))
+
+
+def less_risky(tuning: Tuning, other: Tuning, evidence: Evidence, causal: bool) -> Tuning:
+    """Return the first tuning if its filter, or smoother, errs less by its estimated risk; otherwise the second.
+
+    It must be better by a tenth, and its sigma not too small by more than a factor of two, unless it is better by half.
 
     Parameters
     ----------
     tuning, other : Tuning
-        The first one's noise variance is believed for both.
+        Motions, the first with tones. Its noise variance is believed for both, or what lies between the lines of the
+        quietest part of the band, if that is less: what a model does not describe, it takes for noise.
     evidence : Evidence
-        The readings they were tuned on; at least 2048 in even time but for jitter.
+        Readings, in unit; of very many, some long pieces are looked at.
+    causal : bool
+        Whether filters (True) or smoothers shall be compared.
+
+    Notes
+    -----
+    Cross-validation cannot compare a smoother that leaves each reading half its weight with one that leaves it a
+    tenth: it asks how a reading is told by the others, and its own word counts for much in the first.
     """
-    if not _is_whole(evidence):
-        return tuning
-    risks = [_risk(one, evidence, tuning.noise_variance)[0] for one in (tuning, other)]
-    return tuning if risks[0] <= risks[1] else other
+    longest = max(evidence.complete, key=lambda part: part.stop - part.start, default=slice(0))
+    floors = [floor_between_lines(evidence.z[longest, 0])] if longest.stop else []
+    R = min(tuning.noise_variance, *floors)
+    one, two = (_estimated(each, evidence, R, causal) for each in (tuning, other))
+    better = one.error < two.error - _BETTER * min(two.error, two.claimed)
+    honest = one.error < _HONEST * one.claimed + 3 * R * np.sqrt(2 / max(one.readings, 1)) or one.error < two.error / 2
+    return tuning if better and honest else other
+
+
+class _Risk(NamedTuple):
+    """Of a filter or smoother over a record."""
+
+    error: float  # mean square, unit^2, as estimated; NaN where no stretch tells the state
+    claimed: float  # mean of sigma^2, unit^2
+    readings: int
+
+
+def _estimated(tuning: Tuning, evidence: Evidence, noise_variance: float, causal: bool) -> _Risk:
+    component, r = tuning.component, tuning.noise_variance
+    model, squares, weights = component.to_model(1.0, r), list[Floats](), list[Floats]()
+    for part in _long_pieces(evidence):
+        timeline, z = elapsed_timeline(component, r, evidence.elapsed[part]), evidence.z[part]
+        if causal:
+            found = run_filter(model, timeline, z, Wanted(innovations=False)).estimate
+        else:
+            found = run_smoother(model, timeline, z, Wanted(innovations=False))
+        told = np.isfinite(found.sigma)
+        squares.append((z - found.signal)[told] ** 2)
+        weights.append(found.sigma[told] ** 2 / r)
+    every = np.concatenate(squares)
+    if not len(every):
+        return _Risk(np.nan, np.nan, 0)
+    weight = float(np.concatenate(weights).mean())
+    return _Risk(float(every.mean()) + noise_variance * (2 * weight - 1), r * weight, len(every))
+
+
+def _long_pieces(evidence: Evidence) -> list[slice]:
+    """Return the stretches; of a long record some pieces, long enough for tones to be learnt."""
+    if len(evidence.z) <= _PIECES * _PIECE:
+        return evidence.stretches
+    starts = np.linspace(0, len(evidence.z) - _PIECE, _PIECES).astype(int)
+    return [slice(start, start + _PIECE) for start in starts.tolist()]
 
 
 def _is_whole(evidence: Evidence) -> bool:
@@ -96,7 +161,7 @@ def _is_whole(evidence: Evidence) -> bool:
     return len(evidence.z) >= _FEWEST and evidence.complete == [slice(0, len(evidence.z))]
 
 
-def _risk(tuning: Tuning, evidence: Evidence, noise_variance: float | None = None) -> tuple[float, float]:
+def _risk(tuning: Tuning, evidence: Evidence) -> tuple[float, float]:
     """Estimate the mean squared error of the causal filter, and the predictable share of its innovations."""
     r = tuning.noise_variance
     component = tuning.component
@@ -106,6 +171,5 @@ def _risk(tuning: Tuning, evidence: Evidence, noise_variance: float | None = Non
     known[: len(model.F)] = False
     weight = float(np.mean(estimate.sigma[known] ** 2)) / r  # of each reading in its own estimate
     residual = (evidence.z - estimate.signal)[known]
-    believed = r if noise_variance is None else noise_variance
     normalised = (estimate.innovations / estimate.innovation_sigma)[:, 0]
-    return float(np.mean(residual**2)) + believed * (2 * weight - 1), whiteness(normalised).predictable_share
+    return float(np.mean(residual**2)) + r * (2 * weight - 1), whiteness(normalised).predictable_share

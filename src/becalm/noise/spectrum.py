@@ -56,11 +56,15 @@ def sine_spectrum(z: Floats) -> Spectrum:
     kinks that were not there; white noise stays white, and every reading counts alike. So the residual
     of a smoother is read off it as its sum of (1 - G)^2 times the power.
     """
-    first, last = z[:_ENDS].mean(), z[-_ENDS:].mean()
-    place = (np.arange(len(z)) - (_ENDS - 1) / 2) / (len(z) - _ENDS)
-    power = dst(z - (first + (last - first) * place), type=1, norm="ortho") ** 2
+    place = np.arange(len(z)) - (_ENDS - 1) / 2
+    power = dst(z - (z[:_ENDS].mean() + slope_between_ends(z) * place), type=1, norm="ortho") ** 2
     angle = np.pi * np.arange(1, len(z) + 1) / (len(z) + 1)
     return _gather(angle, power, [])
+
+
+def slope_between_ends(z: Floats) -> float:
+    """Return the slope, unit a step, of the line between the ends of a record (N,)."""
+    return float((z[-_ENDS:].mean() - z[:_ENDS].mean()) / (len(z) - _ENDS))
 
 
 def pooled(spectra: Sequence[Spectrum]) -> Spectrum:
