@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from becalm.cleaning.judging import InnovationJudge, Judgement
+from becalm.cleaning.judging import Decision, InnovationJudge, Judgement
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.report import ChannelReport
 from becalm.cleaning.steps import in_steps
@@ -131,16 +131,21 @@ class UnchangedChannel:
         """Say whether the channel is constant, or nearly empty, or should have been filtered."""
         seen = self._counts[Verdict.USED]
         constant = seen >= FEWEST_READINGS and not self._varies
+        verdict: Decision = "does not fit"
+        says = "The recipe passes this channel unchanged, but its readings vary; tune a recipe on this recording."
         if constant:
+            verdict = "constant"
             says = (
                 "All readings are equal: the noise is below the resolution, or the sensor is stuck; sigma is unknown."
             )
         elif seen < FEWEST_READINGS:
+            verdict = "untold"
             says = f"Fewer than {FEWEST_READINGS} readings cannot tell noise from signal; the channel passes unchanged."
-        else:
-            says = "The recipe passes this channel unchanged, but its readings vary; tune a recipe on this recording."
+        elif self._recipe.model == "untold":
+            verdict = "untold"
+            says = "Its readings come in stretches too short to tell noise from signal; the channel passes unchanged."
         return ChannelReport(
-            verdict="constant" if constant else "untold" if seen < FEWEST_READINGS else "does not fit",
+            verdict=verdict,
             name=self._recipe.name,
             unit=self._recipe.unit,
             model=self._recipe.model,

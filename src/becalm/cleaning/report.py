@@ -28,7 +28,7 @@ class ChannelReport(Judgement):
     q_over_r : float or None
         Ratio of process to measurement noise, per step.
     bandwidth_hz, lag_s : float or None
-        -3 dB bandwidth; delay of a slow ramp or of a step at half of its height, the longer one.
+        -3 dB bandwidth, and lag, as `core.response.Response` has them.
     log_likelihood : float or None
         Of the readings, given the recipe.
     settled_row : int or None

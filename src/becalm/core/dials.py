@@ -13,7 +13,8 @@ from scipy.optimize import brentq
 
 from becalm.core.closed_forms import cutoff_to_ratio, motion_power
 from becalm.core.components import motion
-from becalm.core.response import decibels, describe, refuse_step
+from becalm.core.parts import checked_step
+from becalm.core.response import decibels, describe
 from becalm.core.steady import steady
 from becalm.core.steady_filter import SteadyFilter
 from becalm.core.step_response import lag_steps
@@ -53,7 +54,7 @@ def ratio_for_bandwidth(order: int, bandwidth_hz: float, step_s: float, causal: 
         If nothing of this order has it; the sentence says which are possible.
     """
     motion(order)  # refuses what is none
-    refuse_step(step_s)
+    step_s = checked_step(step_s)
     cycles = _cycles_per_step(bandwidth_hz, step_s)
     if not causal:
         return _smoother_for_bandwidth(order, cycles, step_s)
@@ -91,7 +92,7 @@ def ratio_for_lag(order: int, lag_s: float, step_s: float) -> float:
         If no filter of this order has it; the sentence says which are possible.
     """
     motion(order)  # refuses what is none
-    refuse_step(step_s)
+    step_s = checked_step(step_s)
     steps = lag_s / step_s
     if not 0 < steps < np.inf:
         raise UsageError(f"lag_s = {lag_s} is not possible; give a positive number of seconds: 0 would filter nothing.")

@@ -158,11 +158,6 @@ def describe(model: Model, step_s: float, causal: bool = True, output: ArrayLike
     )
 
 
-def refuse_step(step_s: float) -> None:
-    """Raise a ModelError if a number of seconds is no step."""
-    checked_step(step_s)
-
-
 def decibels(power_ratio: float) -> float:
     """Return ten times the decimal logarithm of a ratio of powers."""
     return float(10 * np.log10(power_ratio))
