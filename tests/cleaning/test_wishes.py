@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 from becalm.cleaning.pipeline import clean
-from becalm.cleaning.recipe import Recipe
+from becalm.cleaning.recipe import Recipe, ToneRecipe
 from becalm.cleaning.tuning import Wishes, tune
 from becalm.core.arrays import Floats
 from becalm.core.recording import Recording
@@ -116,3 +116,49 @@ def test_a_channel_that_does_not_move_at_rest_is_tuned_as_ever(coloured: Recordi
     stuck = np.where(TIME_S < REST_S, 0.0, coloured.samples[:, 0])
     recording = Recording(stuck, names=["force"], units=["N"], rate_hz=RATE_HZ)
     assert tune(recording, wishes=Wishes(still_s=((0.0, REST_S),))).channel == tune(recording).channel
+
+
+def test_hum_in_uneven_time_is_not_looked_for(humming: Recording) -> None:
+    times = TIME_S + np.random.default_rng(3).uniform(0, 0.3, ROWS) / RATE_HZ
+    with pytest.raises(UsageError, match="2048 rows in even time without a gap are needed; no stretch is so even"):
+        tune(Recording(humming.samples, times_s=times), wishes=Wishes(removed_hz=(50.0,)))
+
+
+def test_a_short_record_cannot_lose_its_hum(humming: Recording) -> None:
+    with pytest.raises(UsageError, match="2048 rows in even time without a gap are needed; 2000 rows came"):
+        tune(Recording(humming.samples[:2000], rate_hz=RATE_HZ), wishes=Wishes(removed_hz=(50.0,)))
+
+
+def test_a_nearly_empty_channel_keeps_no_other_from_its_rest(coloured: Recording) -> None:
+    few = np.full(ROWS, np.nan)
+    few[::3000] = [1.0, 2.0, 3.0, 4.0]
+    both = Recording(np.column_stack([coloured.samples[:, 0], few]), names=["force", "few"], rate_hz=RATE_HZ)
+    force, empty = tune(both, wishes=Wishes(still_s=((0.0, REST_S),))).channel
+    assert force.coloured_noise is not None
+    assert empty.model == "untold"
+
+
+def test_too_short_a_rest_names_the_channel(coloured: Recording) -> None:
+    with pytest.raises(RecordingError, match=r"^force: .*Name a longer rest"):
+        tune(coloured, wishes=Wishes(still_s=((0.0, 0.05),)))
+
+
+TONES = {
+    "twins": ((20.0, 0.01), (20.00001, 0.01), "two tones at 20 and 20.00001 Hz, which cannot be told apart"),
+    "too slow": ((1e-9, 0.01), (20.0, 0.01), "a tone at 1e-09 Hz"),
+    "too wide": ((20.0, 1500.0), (30.0, 0.01), "a tone at 20 Hz, 1500 Hz wide"),
+}
+
+
+@pytest.mark.parametrize(("one", "other", "says"), TONES.values(), ids=TONES)
+def test_tones_that_make_no_filter_are_refused(
+    one: tuple[float, float], other: tuple[float, float], says: str, coloured: Recording
+) -> None:
+    recipe = tune(coloured)
+    tones = tuple(
+        ToneRecipe(frequency_hz=frequency, bandwidth_hz=width, process_noise_density=1.0)
+        for frequency, width in (one, other)
+    )
+    edited = recipe.model_copy(update={"channel": (recipe.channel[0].model_copy(update={"tone": tones}),)})
+    with pytest.raises(RecipeError, match=says):
+        clean(coloured, edited)

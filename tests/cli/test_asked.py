@@ -68,3 +68,12 @@ def test_what_cannot_be_is_refused(words: list[str], says: str, humming: Path, r
     assert says in ran.stderr
     assert "Traceback" not in ran.stderr
     assert [path.name for path in tmp_path.iterdir()] == ["hum.csv"]
+
+
+def test_parts_are_not_written_over_columns(humming: Path, run: Run, tmp_path: Path) -> None:
+    text = humming.read_text(encoding="utf-8").replace("force", "strain (um/m)_motion")
+    humming.write_text(text, encoding="utf-8")
+    ran = run("clean", humming, "-o", "out.csv", "--split")
+    assert ran.returncode == 2
+    assert "has a column 'strain (um/m)_motion', which --split would write" in ran.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["hum.csv"]
