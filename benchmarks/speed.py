@@ -4,6 +4,9 @@ A CSV of 100 000 rows x 6 channels at 100 Hz is cleaned, smoothed, nothing chose
 whole processes; the first run is that of a copy of becalm of which nothing was compiled. Beside it, in
 the same run: reading the CSV and writing a CSV of the output's size with pyarrow alone.
 
+Then choosing the filter of one channel of a million samples, every order and tone tried, in a running process
+whose kernels are compiled: a random walk in white noise, and the same with five tones in it.
+
 Run: python benchmarks/speed.py [-o docs/speed.md]
 """
 
@@ -23,9 +26,12 @@ import pyarrow as pa
 from pyarrow import csv
 
 import becalm
+from becalm.noise.choose import choose
 from pages import page_parser, publish
 
 ROWS, CHANNELS, REPEATS = 100_000, 6, 5
+SAMPLES, LEARNT = 1_000_000, 20_000
+TONES = (0.01, 0.023, 0.11, 0.2, 0.31)  # cycles a sample
 
 
 def make(path: Path) -> None:
@@ -58,6 +64,23 @@ def copying(source: Path, target: Path) -> float:
     return time.perf_counter() - start
 
 
+def choosing() -> list[str]:
+    """Measure what choosing takes, and write its rows."""
+    rng, k = np.random.default_rng(3), np.arange(SAMPLES)
+    walk = np.cumsum(rng.normal(0, 0.05, SAMPLES)) + rng.normal(size=SAMPLES)
+    tones = sum((np.sin(2 * np.pi * cycles * k) for cycles in TONES), walk)
+    rows = []
+    for causal in (False, True):
+        for what, z in (("walk", walk), ("walk and five tones", tones)):
+            choose(z[:LEARNT], np.ones(LEARNT), causal)  # compiles
+            start = time.perf_counter()
+            found = choose(z, np.ones(SAMPLES), causal).tuning
+            took, heard = time.perf_counter() - start, len(found.lines) if found else 0
+            mode = "causal" if causal else "smoothed"
+            rows.append(f"| choosing, 1 000 000 samples, {what}, {mode}: {heard} tones found | under 10 | {took:.1f} |")
+    return rows
+
+
 def table() -> str:
     """Measure, and write the rows."""
     with tempfile.TemporaryDirectory() as name:
@@ -82,6 +105,7 @@ def table() -> str:
             f"| the same, compiled | under 3 | {again:.2f} |",
             f"| the same, with its recipe | | {told:.2f} |",
             f"| reading it and writing as many columns with pyarrow, in a running process | | {copied:.2f} |",
+            *choosing(),
             "",
         ]
     )
