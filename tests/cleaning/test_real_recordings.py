@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from becalm.cleaning.pipeline import clean
+from becalm.cleaning.tuning import tune
 from becalm.core.recording import Recording
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"
@@ -42,3 +43,21 @@ def test_hidden_readings_are_foretold(name: str) -> None:
         assert right or not report.describes, "sigma is wrong, and not said to be"
         worse = np.mean(error**2) > 1.1 * np.mean(between**2)
         assert not (worse and report.describes), "worse than the mean of the two neighbours, and not said"
+
+
+@pytest.mark.parametrize("causal", [False, True])
+def test_noise_is_not_less_than_what_rest_shows(causal: bool) -> None:
+    """A hand-held gyroscope between rests: the flanks of wide tones must not stand for its white noise."""
+    path = DATA / "broad" / "04_undisturbed_slow_rotation_with_breaks_A.mat"
+    if not path.exists():
+        pytest.skip(f"the recordings are not beside the project ({path.name})")
+    from scipy.io import loadmat
+
+    held = loadmat(path, variable_names=["imu_gyr", "movement"])
+    turning, still = held["imu_gyr"], np.ravel(held["movement"]) == 0
+    found = tune(Recording(turning, rate_hz=2000 / 7), causal=causal)
+    for axis, channel in enumerate(found.channel):
+        assert channel.noise_std is not None
+        neighbours = still[1:] & still[:-1]
+        at_rest = np.std(np.diff(turning[:, axis])[neighbours]) / np.sqrt(2)
+        assert channel.noise_std > at_rest / 2

@@ -31,6 +31,7 @@ _FEWEST = 4 * _SEGMENT
 _SEARCH = (-1.0, 0.7)  # about the likeliest cut-off, in its logarithm
 _PRECISION = 3e-3
 _BETTER = 0.1  # of a mean squared error, by which it must be less for tones
+_EXPLAINED = 4.0  # times less than that: flanks of tones, which white noise at rest would contradict
 _HONEST = 4.0  # times what sigma claims
 _PARTS = 8  # of the band
 _PIECE, _PIECES = 1 << 15, 4  # readings of a long record that filters are compared on
@@ -95,7 +96,9 @@ def floor_between_lines(z: Floats) -> float:
 def less_risky(tuning: Tuning, other: Tuning, evidence: Evidence, causal: bool) -> Tuning:
     """Return the first tuning if its filter, or smoother, errs less by its estimated risk; otherwise the second.
 
-    It must be better by a tenth, and its sigma not too small by more than a factor of two, unless it is better by half.
+    Its tones must not have taken the place of white noise, whose variance would be far below the quietest part of
+    the band. It must be better by a tenth, and its sigma not too small by more than a factor of two, unless it is
+    better by half.
 
     Parameters
     ----------
@@ -114,6 +117,8 @@ def less_risky(tuning: Tuning, other: Tuning, evidence: Evidence, causal: bool) 
     """
     longest = max(evidence.complete, key=lambda part: part.stop - part.start, default=slice(0))
     floors = [floor_between_lines(evidence.z[longest, 0])] if longest.stop else []
+    if floors and tuning.noise_variance < floors[0] / _EXPLAINED:
+        return other
     R = min(tuning.noise_variance, *floors)
     one, two = (_estimated(each, evidence, R, causal) for each in (tuning, other))
     better = one.error < two.error - _BETTER * min(two.error, two.claimed)
