@@ -1,0 +1,142 @@
+"""Whether a channel gets a gate; and its tuning, where spikes are in the readings.
+
+Spikes inflate the noise, and a tuning that believes them rejects too few; so a channel is tuned, gated and
+tuned again on what was not rejected. Whether the rejects were spikes is told by the readings after them.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from becalm.core.arrays import Booleans, Floats
+from becalm.core.flow import Flow
+from becalm.core.gates import Gate
+from becalm.core.verdict import Verdict
+from becalm.noise.choose import NOTHING_KNOWN, Choice, Known, choose
+from becalm.noise.likelihood import Tuning
+
+ROUNDS = 3
+"""Tunings at the most."""
+
+MOST_REJECTED = 0.05
+"""Share of the readings beyond which rejects are no exceptions."""
+
+FEWEST_ISOLATED = 0.5
+"""Share of the rejects that have to stand alone, or in pairs."""
+
+_LEAST_SCALE = 0.25
+_MIDDLE = 1.4826  # of the median of |e|, which makes a standard deviation of Gaussian noise
+_PAIR = 2
+
+
+class GatedChoice(NamedTuple):
+    """What was found for one channel, and whether a gate goes with it."""
+
+    choice: Choice
+    gated: bool
+
+
+class Forecasts(NamedTuple):
+    """How a causal filter foretold readings."""
+
+    normalised: Floats  # (N,) innovations over their standard deviations; NaN where a reading was not used
+    sigma: Floats  # (N,) those standard deviations
+    rejected: Booleans  # (N,)
+
+    def log_densities(self) -> Floats:
+        """Return the log-likelihood (N,) of each reading, but for a constant."""
+        return -0.5 * self.normalised**2 - np.log(self.sigma)
+
+
+def choose_gated(
+    readings: Floats, elapsed: Floats, gate: Gate, causal: bool = True, known: Known = NOTHING_KNOWN
+) -> GatedChoice:
+    """Identify the noise of one channel, choose its motion, and decide whether a gate goes with it.
+
+    Parameters
+    ----------
+    readings : (N,) float array
+        In the channel's unit, NaN where missing.
+    elapsed : (N,) float array
+        Steps since the row before.
+    gate : Gate
+        What it would be.
+    causal : bool
+        Whether the filter shall run causally.
+    known : Known
+        What need not be found.
+
+    Returns
+    -------
+    GatedChoice
+        Without a gate, or where it rejects nothing, the choice is that of `choose`.
+
+    Raises
+    ------
+    RecordingError, ModelError
+        As `choose` does.
+
+    Notes
+    -----
+    With the threshold scaled down where the middle half of the innovations is narrower than expected, spikes
+    cannot hide behind the noise that they feign. The gate stays where what was used is foretold the better
+    for it: a spike that is believed spoils the forecasts after it, and motion that is not believed does.
+    """
+    plain = choice = choose(readings, elapsed, causal, known)
+    used = readings
+    for _ in range(ROUNDS - 1):
+        if choice.tuning is None:
+            return GatedChoice(plain, False)
+        rejected = _rejects(choice.tuning, readings, elapsed, gate)
+        if not rejected.any():
+            break
+        left = np.where(rejected, np.nan, readings)
+        if np.array_equal(left, used, equal_nan=True):
+            break
+        if not _are_exceptions(rejected, readings):
+            return GatedChoice(plain, False)
+        choice, used = choose(left, elapsed, causal, known), left
+    if choice.tuning is None or (choice is not plain and not foretells_better(choice.tuning, readings, elapsed, gate)):
+        return GatedChoice(plain, False)
+    return GatedChoice(choice, True)
+
+
+def foretells_better(tuning: Tuning, readings: Floats, elapsed: Floats, gate: Gate) -> bool:
+    """Whether a filter with a gate foretells the readings that it uses better than one that believes all of them."""
+    gated, free = (forecasts(tuning, readings, elapsed, how) for how in (gate, None))
+    if not _are_exceptions(gated.rejected, readings):
+        return False
+    gain = gated.log_densities() - free.log_densities()
+    return bool(np.nansum(gain) >= 0.0)
+
+
+def forecasts(tuning: Tuning, readings: Floats, elapsed: Floats, gate: Gate | None) -> Forecasts:
+    """Foretell readings (N,), causally, with a gate or without."""
+    shown: list[tuple[Floats, Floats]] = []
+    flow = Flow(
+        tuning.component, tuning.noise_variance, causal=True, gate=gate, judge=lambda *found: shown.append(found)
+    )
+    told = [*flow.push(readings, elapsed), *flow.finish()]
+    verdicts = np.concatenate([part.verdicts for part in told])
+    nu, sigma = (np.concatenate(parts) for parts in zip(*shown, strict=True))
+    return Forecasts(nu / sigma, sigma, verdicts == Verdict.SPIKE)
+
+
+def _rejects(tuning: Tuning, readings: Floats, elapsed: Floats, gate: Gate) -> Booleans:
+    """Return which readings (N,) a gate rejects that looks at the middle half of the innovations."""
+    free = np.abs(forecasts(tuning, readings, elapsed, None).normalised)
+    seen = free[np.isfinite(free)]
+    scale = min(1.0, max(_LEAST_SCALE, _MIDDLE * float(np.median(seen)))) if len(seen) else 1.0
+    narrower = Gate(gate.threshold * scale, gate.agree, gate.at_most)
+    return forecasts(tuning, readings, elapsed, narrower).rejected
+
+
+def _are_exceptions(rejected: Booleans, readings: Floats) -> bool:
+    """Whether rejects are few, and most of them stand alone or in pairs."""
+    count, seen = np.count_nonzero(rejected), np.count_nonzero(np.isfinite(readings))
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], rejected, [False]]).astype(np.int8)))
+    lengths = np.diff(edges)[::2]
+    alone = int(lengths[lengths <= _PAIR].sum())
+    return bool(count <= MOST_REJECTED * seen and alone >= FEWEST_ISOLATED * count)
