@@ -2,6 +2,7 @@
 
 Spikes inflate the noise, and a tuning that believes them rejects too few; so a channel is tuned, gated and
 tuned again on what was not rejected. Whether the rejects were spikes is told by the readings after them.
+Source of the draws: Rubin, Multiple Imputation for Nonresponse in Surveys (1987), chapter 1.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import ndtr
 
 from becalm.core.arrays import Booleans, Floats
 from becalm.core.flow import Flow
@@ -25,6 +27,13 @@ MOST_REJECTED = 0.05
 
 FEWEST_ISOLATED = 0.5
 """Share of the rejects that have to stand alone, or in pairs."""
+
+SHOULDER, MOST_NEAR = 0.7, 0.5
+"""Of the threshold: innovations from there on, beyond those of Gaussian noise, are fewer than this share of the
+rejects where these are spikes. Heavy tails have twice as many and more."""
+
+DOUBT = 3.0
+"""Log-likelihood that a gate may seem to cost: of a filter that hardly believes a reading only chance tells."""
 
 _LEAST_SCALE = 0.25
 _MIDDLE = 1.4826  # of the median of |e|, which makes a standard deviation of Gaussian noise
@@ -85,19 +94,17 @@ def choose_gated(
     for it: a spike that is believed spoils the forecasts after it, and motion that is not believed does.
     """
     plain = choice = choose(readings, elapsed, causal, known)
-    used = readings
+    before = np.zeros(len(readings), dtype=bool)
     for _ in range(ROUNDS - 1):
         if choice.tuning is None:
             return GatedChoice(plain, False)
-        rejected = _rejects(choice.tuning, readings, elapsed, gate)
-        if not rejected.any():
-            break
-        left = np.where(rejected, np.nan, readings)
-        if np.array_equal(left, used, equal_nan=True):
-            break
-        if not _are_exceptions(rejected, readings):
+        found = _rejects(choice.tuning, readings, elapsed, gate)
+        rejected = found.rejected
+        if not _are_exceptions(rejected, readings) or has_shoulders(found, gate.threshold):
             return GatedChoice(plain, False)
-        choice, used = choose(left, elapsed, causal, known), left
+        if np.array_equal(rejected, before):
+            break
+        choice, before = choose(imputed(choice.tuning, readings, elapsed, rejected), elapsed, causal, known), rejected
     if choice.tuning is None or (choice is not plain and not foretells_better(choice.tuning, readings, elapsed, gate)):
         return GatedChoice(plain, False)
     return GatedChoice(choice, True)
@@ -106,10 +113,19 @@ def choose_gated(
 def foretells_better(tuning: Tuning, readings: Floats, elapsed: Floats, gate: Gate) -> bool:
     """Whether a filter with a gate foretells the readings that it uses better than one that believes all of them."""
     gated, free = (forecasts(tuning, readings, elapsed, how) for how in (gate, None))
-    if not _are_exceptions(gated.rejected, readings):
+    if not _are_exceptions(gated.rejected, readings) or has_shoulders(gated, gate.threshold):
         return False
     gain = gated.log_densities() - free.log_densities()
-    return bool(np.nansum(gain) >= 0.0)
+    return bool(np.nansum(gain) >= -DOUBT)
+
+
+def has_shoulders(found: Forecasts, threshold: float) -> bool:
+    """Whether innovations are heavier than Gaussian below the threshold too: rejects are no kind of their own then."""
+    seen = np.abs(found.normalised[np.isfinite(found.normalised)])
+    near = np.count_nonzero((seen > SHOULDER * threshold) & (seen <= threshold))
+    expected = 2 * len(seen) * float(ndtr(-SHOULDER * threshold) - ndtr(-threshold))
+    rejected = np.count_nonzero(found.rejected)
+    return bool(near > expected + MOST_NEAR * rejected + 2 * np.sqrt(expected + 1))
 
 
 def forecasts(tuning: Tuning, readings: Floats, elapsed: Floats, gate: Gate | None) -> Forecasts:
@@ -124,13 +140,28 @@ def forecasts(tuning: Tuning, readings: Floats, elapsed: Floats, gate: Gate | No
     return Forecasts(nu / sigma, sigma, verdicts == Verdict.SPIKE)
 
 
-def _rejects(tuning: Tuning, readings: Floats, elapsed: Floats, gate: Gate) -> Booleans:
-    """Return which readings (N,) a gate rejects that looks at the middle half of the innovations."""
+def imputed(tuning: Tuning, readings: Floats, elapsed: Floats, rejected: Booleans) -> Floats:
+    """Return readings (N,) with each reject replaced by a draw from what all others say of it.
+
+    So a record in even time stays one, and its spectrum can be taken; a draw, and not its mean, keeps the
+    noise as large as it is. The same record gets the same draws.
+    """
+    left = np.where(rejected, np.nan, readings)
+    flow = Flow(tuning.component, tuning.noise_variance, causal=False, split=True)
+    told = [*flow.push(left, elapsed), *flow.finish()]
+    mean = np.concatenate([part.parts.sum(axis=0) for part in told])
+    spread = np.sqrt(np.concatenate([part.sigma for part in told]) ** 2 + tuning.noise_variance)
+    draws = np.random.default_rng(len(readings)).normal(size=len(readings))
+    return np.where(rejected, mean + spread * draws, readings)
+
+
+def _rejects(tuning: Tuning, readings: Floats, elapsed: Floats, gate: Gate) -> Forecasts:
+    """Foretell readings (N,) with a gate that takes the innovations to be as wide as their middle half, or less."""
     free = np.abs(forecasts(tuning, readings, elapsed, None).normalised)
     seen = free[np.isfinite(free)]
     scale = min(1.0, max(_LEAST_SCALE, _MIDDLE * float(np.median(seen)))) if len(seen) else 1.0
-    narrower = Gate(gate.threshold * scale, gate.agree, gate.at_most)
-    return forecasts(tuning, readings, elapsed, narrower).rejected
+    found = forecasts(tuning, readings, elapsed, Gate(gate.threshold * scale, gate.agree, gate.at_most))
+    return Forecasts(found.normalised / scale, found.sigma * scale, found.rejected)
 
 
 def _are_exceptions(rejected: Booleans, readings: Floats) -> bool:
