@@ -66,9 +66,9 @@ def test_any_cuts_and_a_pause_decide_the_same(cuts: list[int], pause: int) -> No
     first = Online(model_of(2), GATE)
     begun = in_chunks(first, z[:pause], [])
     rest = in_chunks(Online.resume(first.snapshot()), z[pause:], [])
-    for one, other, before, after in zip(whole, cut, begun, rest, strict=True):
-        assert np.array_equal(one, other, equal_nan=True)
-        assert np.array_equal(one, np.concatenate([before, after]), equal_nan=True)
+    for kind in range(len(whole)):
+        assert np.array_equal(whole[kind], cut[kind], equal_nan=True)
+        assert np.array_equal(whole[kind], np.concatenate([begun[kind], rest[kind]]), equal_nan=True)
 
 
 def test_one_by_one_is_the_block() -> None:
@@ -90,9 +90,10 @@ def test_a_known_start_has_a_gate_from_the_first_reading() -> None:
     online = Online(model, GATE)
     online.step(100.0)
     assert online.verdict == Verdict.SPIKE
-    for _ in range(4):
-        signal, _sigma = online.step(100.0)
-    assert online.verdict == Verdict.STEP
+    for _ in range(3):
+        online.step(100.0)
+    signal, _sigma = online.step(100.0)
+    assert int(online.verdict or 0) == Verdict.STEP
     assert signal == pytest.approx(100.0, abs=0.1)
 
 

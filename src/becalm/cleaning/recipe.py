@@ -20,7 +20,7 @@ _HEADER = """A recipe of becalm: what was decided for each channel.
 Use it again:  becalm clean FILE -o OUT --recipe THIS
 A small process_noise_density trusts the model and smooths more; a small noise_std trusts the readings.
 A tone with disturbance = true, and coloured_noise, are taken off the signal.
-A gate leaves spikes out and follows steps; without [channel.gate] every reading is believed."""
+A gate leaves spikes out and follows steps; without one every reading is believed."""
 
 
 class _Settings(BaseModel):
