@@ -1,8 +1,9 @@
 """Spikes and steps in simulated records, and in real ones: what is asked of a gate, and what it does.
 
-False alarms are counted over 10^8 readings of Gaussian noise beside what chance allows (99 %, Poisson). rms errors
-are those of `becalm.clean`, nothing chosen, with 1 % of spikes of 8 sigma over those of the same record without
-them, over 8 seeds. Real recordings show what share of their readings is taken for spikes.
+False alarms are counted over 10^8 readings, a random walk in Gaussian noise, beside what chance allows (99 %,
+Poisson). rms errors are those of `becalm.clean`, nothing chosen, with 1 % of spikes of 8 sigma over those of the
+same record without them: the median of 8 seeds, and the largest. Real recordings show what share of their readings
+is taken for spikes.
 
 Run: python benchmarks/faults.py [--readings 1e8] [--recordings FOLDER] [-o docs/faults.md]
 """
@@ -44,9 +45,11 @@ def false_alarms(rate_hz: float, readings: float) -> Row:
     """Count the good readings that a gate rejects."""
     part = motion(1, (2 * np.pi * 0.01) ** 2)
     flow = Flow(part, 1.0, causal=True, gate=Gate(threshold_for(1.0, rate_hz)))
-    rng, count, blocks = np.random.default_rng(int(rate_hz)), 0, round(readings / BLOCK)
+    rng, count, level, blocks = np.random.default_rng(int(rate_hz)), 0, 0.0, round(readings / BLOCK)
     for _ in range(blocks):
-        told = flow.push(rng.normal(size=BLOCK), np.ones(BLOCK))
+        walk = level + np.cumsum(2 * np.pi * 0.01 * rng.normal(size=BLOCK))
+        level = float(walk[-1])
+        told = flow.push(walk + rng.normal(size=BLOCK), np.ones(BLOCK))
         count += sum(int(np.count_nonzero(part.verdicts)) for part in told)
     expected = blocks * BLOCK / rate_hz / 3600
     low, high = poisson.interval(0.99, expected)
@@ -75,9 +78,13 @@ def spiky(name: str, causal: bool) -> Row:
         bad = np.where(rng.random(ROWS) < SPIKES, SIZE * rng.choice([-1.0, 1.0], ROWS), 0.0)
         pair = (Recording(truth + noise + extra, rate_hz=RATE_HZ) for extra in (0.0, bad))
         errors.append([error_of(clean(record, causal=causal), truth) for record in pair])
-    without, spiked = np.sqrt(np.mean(np.square(errors), axis=0))
+    ratios = [spiked / without for without, spiked in errors]
     how = "causal" if causal else "smoothed"
-    return f"rms error with spikes over that without, {name}, {how}", "up to 1.1", f"{spiked / without:.3f}"
+    return (
+        f"rms error with spikes over that without, {name}, {how}",
+        "up to 1.1",
+        f"{np.median(ratios):.3f} ({max(ratios):.3f})",
+    )
 
 
 def stepping(order: int) -> Row:

@@ -240,11 +240,12 @@ def test_whatever_comes_the_state_stays_finite(
 
 def count_false_alarms(rate_hz: float, rows: int, block: int = 1 << 20) -> int:
     flow = Flow(component_of(1), 1.0, causal=True, gate=Gate(threshold_for(1.0, rate_hz)))
-    rng, count = np.random.default_rng(int(rate_hz)), 0
-    steps = even(block)
+    rng, count, level = np.random.default_rng(int(rate_hz)), 0, 0.0
     for _ in range(rows // block):
-        count += sum(int(np.count_nonzero(told.verdicts)) for told in flow.push(rng.normal(size=block), steps))
-        steps = np.ones(block)
+        walk = level + np.cumsum(2 * np.pi * 0.01 * rng.normal(size=block))
+        level = float(walk[-1])
+        told = flow.push(walk + rng.normal(size=block), np.ones(block))
+        count += sum(int(np.count_nonzero(part.verdicts)) for part in told)
     return count
 
 

@@ -7,13 +7,14 @@ Source of the draws: Rubin, Multiple Imputation for Nonresponse in Surveys (1987
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from scipy.special import ndtr
 
 from becalm.core.arrays import Booleans, Floats
-from becalm.core.flow import Flow
+from becalm.core.flow import Flow, Told
 from becalm.core.gates import Gate
 from becalm.core.verdict import Verdict
 from becalm.noise.choose import NOTHING_KNOWN, Choice, Known, choose
@@ -35,9 +36,12 @@ rejects where these are spikes. Heavy tails have twice as many and more."""
 DOUBT = 3.0
 """Log-likelihood that a gate may seem to cost: of a filter that hardly believes a reading only chance tells."""
 
-_LEAST_SCALE = 0.25
+_LEAST_SCALE = 1e-6
 _MIDDLE = 1.4826  # of the median of |e|, which makes a standard deviation of Gaussian noise
+_CHANCE = 3.0  # standard deviations of a count
+_SAME = 0.1  # of a noise variance: another round would change little
 _PAIR = 2
+_PIECE = 1 << 15  # rows
 
 
 class GatedChoice(NamedTuple):
@@ -89,22 +93,25 @@ def choose_gated(
 
     Notes
     -----
-    With the threshold scaled down where the middle half of the innovations is narrower than expected, spikes
+    With q and r scaled down where the middle half of the innovations is narrower than expected, spikes
     cannot hide behind the noise that they feign. The gate stays where what was used is foretold the better
     for it: a spike that is believed spoils the forecasts after it, and motion that is not believed does.
     """
     plain = choice = choose(readings, elapsed, causal, known)
-    before = np.zeros(len(readings), dtype=bool)
+    before, variance = np.zeros(len(readings), dtype=bool), np.inf
     for _ in range(ROUNDS - 1):
         if choice.tuning is None:
             return GatedChoice(plain, False)
-        found = _rejects(choice.tuning, readings, elapsed, gate)
+        tuning = robust(choice.tuning, readings, elapsed)
+        found = forecasts(tuning, readings, elapsed, gate)
         rejected = found.rejected
         if not _are_exceptions(rejected, readings) or has_shoulders(found, gate.threshold):
             return GatedChoice(plain, False)
-        if np.array_equal(rejected, before):
+        settled = abs(tuning.noise_variance - variance) < _SAME * variance and np.array_equal(rejected, before)
+        if settled or not rejected.any():
             break
-        choice, before = choose(imputed(choice.tuning, readings, elapsed, rejected), elapsed, causal, known), rejected
+        choice = choose(imputed(tuning, readings, elapsed, rejected), elapsed, causal, known)
+        before, variance = rejected, tuning.noise_variance
     if choice.tuning is None or (choice is not plain and not foretells_better(choice.tuning, readings, elapsed, gate)):
         return GatedChoice(plain, False)
     return GatedChoice(choice, True)
@@ -125,7 +132,7 @@ def has_shoulders(found: Forecasts, threshold: float) -> bool:
     near = np.count_nonzero((seen > SHOULDER * threshold) & (seen <= threshold))
     expected = 2 * len(seen) * float(ndtr(-SHOULDER * threshold) - ndtr(-threshold))
     rejected = np.count_nonzero(found.rejected)
-    return bool(near > expected + MOST_NEAR * rejected + 2 * np.sqrt(expected + 1))
+    return bool(rejected and near > expected + MOST_NEAR * rejected + _CHANCE * np.sqrt(expected + 1))
 
 
 def forecasts(tuning: Tuning, readings: Floats, elapsed: Floats, gate: Gate | None) -> Forecasts:
@@ -134,7 +141,7 @@ def forecasts(tuning: Tuning, readings: Floats, elapsed: Floats, gate: Gate | No
     flow = Flow(
         tuning.component, tuning.noise_variance, causal=True, gate=gate, judge=lambda *found: shown.append(found)
     )
-    told = [*flow.push(readings, elapsed), *flow.finish()]
+    told = _run_through(flow, readings, elapsed)
     verdicts = np.concatenate([part.verdicts for part in told])
     nu, sigma = (np.concatenate(parts) for parts in zip(*shown, strict=True))
     return Forecasts(nu / sigma, sigma, verdicts == Verdict.SPIKE)
@@ -148,20 +155,26 @@ def imputed(tuning: Tuning, readings: Floats, elapsed: Floats, rejected: Boolean
     """
     left = np.where(rejected, np.nan, readings)
     flow = Flow(tuning.component, tuning.noise_variance, causal=False, split=True)
-    told = [*flow.push(left, elapsed), *flow.finish()]
+    told = _run_through(flow, left, elapsed)
     mean = np.concatenate([part.parts.sum(axis=0) for part in told])
     spread = np.sqrt(np.concatenate([part.sigma for part in told]) ** 2 + tuning.noise_variance)
     draws = np.random.default_rng(len(readings)).normal(size=len(readings))
     return np.where(rejected, mean + spread * draws, readings)
 
 
-def _rejects(tuning: Tuning, readings: Floats, elapsed: Floats, gate: Gate) -> Forecasts:
-    """Foretell readings (N,) with a gate that takes the innovations to be as wide as their middle half, or less."""
+def _run_through(flow: Flow, readings: Floats, elapsed: Floats) -> list[Told]:
+    """Run a flow over readings (N,) in pieces: in uneven time each row has step matrices of its own."""
+    pieces = (slice(start, start + _PIECE) for start in range(0, len(readings), _PIECE))
+    told = [part for piece in pieces for part in flow.push(readings[piece], elapsed[piece])]
+    return [*told, *flow.finish()]
+
+
+def robust(tuning: Tuning, readings: Floats, elapsed: Floats) -> Tuning:
+    """Return a tuning whose noise is no wider than the middle half of the innovations says, which no spike moves."""
     free = np.abs(forecasts(tuning, readings, elapsed, None).normalised)
     seen = free[np.isfinite(free)]
     scale = min(1.0, max(_LEAST_SCALE, _MIDDLE * float(np.median(seen)))) if len(seen) else 1.0
-    found = forecasts(tuning, readings, elapsed, Gate(gate.threshold * scale, gate.agree, gate.at_most))
-    return Forecasts(found.normalised / scale, found.sigma * scale, found.rejected)
+    return replace(tuning, noise_variance=tuning.noise_variance * scale**2)
 
 
 def _are_exceptions(rejected: Booleans, readings: Floats) -> bool:
