@@ -20,6 +20,7 @@ from becalm.core.components import motion
 from becalm.core.flow import Told
 from becalm.core.recording import Recording
 from becalm.core.smoothing import kalman_smoother
+from becalm.core.verdict import Verdict
 from becalm.errors import RecipeError, RecordingError
 
 ROWS = 800
@@ -171,6 +172,10 @@ def test_a_causal_estimate_does_not_know_the_future() -> None:
     changed = Z.copy()
     changed[400:] += 100.0
     out, other = (clean(record(z), RECIPES[True]) for z in (Z, changed))
+    np.testing.assert_allclose(out.signal.samples[:400], other.signal.samples[:400], rtol=1e-12)  # a step ends a block
+    ungated = tuple(channel.model_copy(update={"gate": None}) for channel in RECIPES[True].channel)
+    believing = RECIPES[True].model_copy(update={"channel": ungated})
+    out, other = (clean(record(z), believing) for z in (Z, changed))
     assert np.array_equal(out.signal.samples[:400], other.signal.samples[:400], equal_nan=True)
     smoothed = [clean(record(z), RECIPES[False]).signal.samples[399, 0] for z in (Z, changed)]
     assert smoothed[0] != smoothed[1]
@@ -196,6 +201,7 @@ def test_a_recipe_says_the_density_in_seconds(order: int, rate: float) -> None:
         z[k], x = x[0], model.F @ x + w[:, k]
     z += np.sqrt(variance) * np.random.default_rng(order + 10).normal(size=4000)
     out = clean(Recording(z, rate_hz=rate))
+    z[out.verdicts["channel_0"] == Verdict.SPIKE] = np.nan  # one false alarm an hour is asked for
     found = out.recipe.channel[0]
     assert found.order == order
     assert found.process_noise_density == pytest.approx(density, rel=0.5)
@@ -204,7 +210,7 @@ def test_a_recipe_says_the_density_in_seconds(order: int, rate: float) -> None:
     assert found.noise_std is not None
     again = motion(order, found.process_noise_density).to_model(1 / rate, found.noise_std**2)
     expected = kalman_smoother(again, z)
-    size = np.abs(z).max()
+    size = np.nanmax(np.abs(z))
     np.testing.assert_allclose(out.signal.samples, expected.signal, rtol=0, atol=1e-9 * size)
     np.testing.assert_allclose(out.sigma.samples, expected.sigma, rtol=1e-8)
 
@@ -238,7 +244,8 @@ def test_verdicts_count_every_reading() -> None:
     z = Z.copy()
     z[3, 0], z[4:6, 0], z[7, 0] = np.nan, np.inf, -1e200
     report = clean(record(z)).reports[0]
-    assert report.verdicts == {"used": ROWS - 4, "missing": 1, "nonfinite": 2, "overrange": 1}
+    counted = {word: count for word, count in report.verdicts.items() if count}
+    assert counted == {"used": ROWS - 4, "missing": 1, "nonfinite": 2, "overrange": 1}
 
 
 @pytest.mark.parametrize(

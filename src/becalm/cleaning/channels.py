@@ -12,11 +12,11 @@ import numpy as np
 from becalm.cleaning.judging import Decision, InnovationJudge, Judgement
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.report import ChannelReport
-from becalm.cleaning.steps import in_steps
+from becalm.cleaning.steps import gate_of, in_steps
 from becalm.core.arrays import Floats
 from becalm.core.flow import Flow, Told
 from becalm.core.response import Response, describe
-from becalm.core.verdict import ADVICE, Verdict, judge
+from becalm.core.verdict import ADVICE, Verdict, counted, judge
 from becalm.errors import ModelError
 from becalm.noise.choose import FEWEST_READINGS
 from becalm.noise.excess import excess_error
@@ -63,18 +63,26 @@ class MotionChannel:
         self._judge = InnovationJudge(step_s)
         self._counts = Counter[Verdict]()
         self._flow = Flow(
-            tuning.component, tuning.noise_variance, causal=self._causal, judge=self._judge.add, split=split
+            tuning.component,
+            tuning.noise_variance,
+            causal=self._causal,
+            judge=self._judge.add,
+            split=split,
+            gate=None if recipe.gate is None else gate_of(recipe.gate, step_s),
         )
 
     def push(self, z: Floats, elapsed: Floats) -> list[Told]:
         """Take readings (B,) and the steps before them; return what is clean, in order."""
-        judged = judge(z)
-        self._counts.update(judged.counts)
-        return self._flow.push(judged.readings, elapsed)
+        return self._counted(self._flow.push(z, elapsed))
 
     def finish(self) -> list[Told]:
         """Return the rest."""
-        return self._flow.finish()
+        return self._counted(self._flow.finish())
+
+    def _counted(self, told: list[Told]) -> list[Told]:
+        for part in told:
+            self._counts.update(counted(part.verdicts))
+        return told
 
     def report(self) -> ChannelReport:
         """Say what was found, once finished."""
@@ -97,6 +105,7 @@ class MotionChannel:
             log_likelihood=self._flow.log_likelihood,
             settled_row=self._flow.settled_row,
             verdicts=_named(self._counts),
+            advice=_advice(self._counts),
             says=_with_advice(_with_reserve(found.says, response), self._counts),
         )
 
@@ -121,7 +130,8 @@ class UnchangedChannel:
             self._first = float(seen[0]) if self._first is None else self._first
             self._varies = self._varies or bool(np.any(seen != self._first))
         unknown = np.full(len(z), np.nan)
-        return [Told(judged.readings, unknown, np.tile(judged.readings, (int(self._split), 1)))]
+        parts = np.tile(judged.readings, (int(self._split), 1))
+        return [Told(judged.readings, unknown, parts, judged.verdicts)]
 
     def finish(self) -> list[Told]:
         """Return nothing: all was given back."""
@@ -150,6 +160,7 @@ class UnchangedChannel:
             unit=self._recipe.unit,
             model=self._recipe.model,
             verdicts=_named(self._counts),
+            advice=_advice(self._counts, but=Verdict.MISSING),
             says=_with_advice(says, self._counts, but=Verdict.MISSING),
         )
 
@@ -178,5 +189,9 @@ def _with_reserve(says: str, response: Response | None) -> str:
     return f"{says} Next to nothing was removed: noise cannot be told from motion here, so noise_std is a guess."
 
 
+def _advice(counts: Counter[Verdict], but: Verdict | None = None) -> tuple[str, ...]:
+    return tuple(ADVICE[verdict] for verdict in ADVICE if verdict != but and counts[verdict])
+
+
 def _with_advice(says: str, counts: Counter[Verdict], but: Verdict | None = None) -> str:
-    return " ".join([says, *(ADVICE[verdict] for verdict in ADVICE if verdict != but and counts[verdict])])
+    return " ".join([says, *_advice(counts, but)])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from becalm.cleaning.cleaner import Cleaner
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.report import ChannelReport
 from becalm.cleaning.tuning import listed, refuse_empty, tune
+from becalm.core.arrays import Codes
 from becalm.core.flow import Told
 from becalm.core.recording import Recording
 from becalm.errors import RecipeError
@@ -32,6 +33,8 @@ class Cleaned:
         What was found for each channel, and whether to trust it.
     parts : Recording or None
         What each channel was split into, (N, p), where it was asked for: "ax_motion", "ax_tone_50Hz".
+    verdicts : dict of str to (N,) int8 array
+        What became of each reading of each channel: values of `becalm.core.verdict.Verdict`.
     """
 
     signal: Recording
@@ -39,6 +42,7 @@ class Cleaned:
     recipe: Recipe
     reports: tuple[ChannelReport, ...]
     parts: Recording | None = None
+    verdicts: dict[str, Codes] = field(default_factory=dict)
 
     @property
     def describes(self) -> bool:
@@ -95,6 +99,7 @@ def clean(
         recipe,
         reports,
         _parts(chosen, recipe, told) if split else None,
+        {name: channel.verdicts for name, channel in zip(chosen.names, told, strict=True)},
     )
 
 

@@ -8,9 +8,10 @@ from typing import Annotated, Literal, NamedTuple, Self
 import tomlkit
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
+from becalm.core.verdict import AGREE, AT_MOST
 from becalm.errors import RecipeError
 
-VERSION: Literal[3] = 3  # 1 knew no tones, 2 no disturbances; both are read
+VERSION: Literal[4] = 4  # 1 knew no tones, 2 no disturbances, 3 no gates; all are read
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -18,7 +19,8 @@ NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 _HEADER = """A recipe of becalm: what was decided for each channel.
 Use it again:  becalm clean FILE -o OUT --recipe THIS
 A small process_noise_density trusts the model and smooths more; a small noise_std trusts the readings.
-A tone with disturbance = true, and coloured_noise, are taken off the signal."""
+A tone with disturbance = true, and coloured_noise, are taken off the signal.
+A gate leaves spikes out and follows steps; without one every reading is believed."""
 
 
 class _Settings(BaseModel):
@@ -64,6 +66,30 @@ class ColouredNoiseRecipe(_Settings):
     std: Positive
 
 
+class GateRecipe(_Settings):
+    """What leaves spikes out, and follows steps.
+
+    Attributes
+    ----------
+    false_alarms_per_hour : float
+        Good readings that are taken for spikes; a *small* one trusts the readings.
+    agree : int
+        So many rejected readings in a row that agree with each other are a step, and followed.
+    at_most : int
+        So many rejected readings in a row are believed whatever they are.
+    """
+
+    false_alarms_per_hour: Positive = 1.0
+    agree: Annotated[int, Field(ge=2)] = AGREE
+    at_most: int = AT_MOST
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        if self.at_most < self.agree:
+            raise ValueError("at_most is less than agree; as many rejects in a row are needed at least")
+        return self
+
+
 class TunedMotion(NamedTuple):
     """The numbers of a motion, all there, and what is beside it."""
 
@@ -93,6 +119,8 @@ class ChannelRecipe(_Settings):
         Beside the white noise.
     tone : tuple of ToneRecipe
         Oscillations beside the motion.
+    gate : GateRecipe or None
+        What leaves spikes out; None believes every reading.
     """
 
     name: str
@@ -103,6 +131,7 @@ class ChannelRecipe(_Settings):
     noise_std: Positive | None = None
     coloured_noise: ColouredNoiseRecipe | None = None
     tone: tuple[ToneRecipe, ...] = ()
+    gate: GateRecipe | None = None
 
     @model_validator(mode="after")
     def _complete(self) -> Self:
@@ -167,7 +196,7 @@ class Recipe(_Settings):
         One for each channel to clean.
     """
 
-    becalm_recipe: Literal[1, 2, 3] = VERSION
+    becalm_recipe: Literal[1, 2, 3, 4] = VERSION
     mode: Literal["smoothed", "causal"] = "smoothed"
     time: str | None = None
     rate_hz: Positive | None = None

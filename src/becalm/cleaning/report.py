@@ -35,6 +35,8 @@ class ChannelReport(Judgement):
         The first row whose gain was the settled one.
     verdicts : dict
         How many readings were used, missing, and so on.
+    advice : tuple of str
+        What these say is to be looked at.
     """
 
     name: str = ""
@@ -51,6 +53,7 @@ class ChannelReport(Judgement):
     log_likelihood: float | None = None
     settled_row: int | None = None
     verdicts: dict[str, int] = field(default_factory=dict)
+    advice: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, object]:
         """Return the report for JSON; what is unknown is None."""

@@ -7,8 +7,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from becalm.cleaning.recipe import ChannelRecipe, ColouredNoiseRecipe, ToneRecipe, TunedMotion
+from becalm.cleaning.recipe import ChannelRecipe, ColouredNoiseRecipe, GateRecipe, ToneRecipe, TunedMotion
 from becalm.core.autoregressive import Coloured
+from becalm.core.gates import Gate, threshold_for
 from becalm.errors import ModelError, RecipeError
 from becalm.noise.likelihood import Tuning
 from becalm.noise.spectrum import Line
@@ -65,6 +66,11 @@ def in_steps(tuned: TunedMotion, step_s: float) -> Tuning:
     except ModelError as cause:
         raise RecipeError(f"The recipe's coloured noise makes no filter: {cause}") from cause
     return found
+
+
+def gate_of(told: GateRecipe, step_s: float) -> Gate:
+    """Return the gate of a recipe at this step."""
+    return Gate(threshold_for(told.false_alarms_per_hour, 1 / step_s), told.agree, told.at_most)
 
 
 def _refuse_twins(tones: Sequence[ToneRecipe]) -> None:

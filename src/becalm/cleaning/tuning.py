@@ -10,14 +10,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
-from becalm.cleaning.steps import in_seconds
+from becalm.cleaning.recipe import ChannelRecipe, GateRecipe, Origin, Recipe
+from becalm.cleaning.steps import gate_of, in_seconds
 from becalm.core.recording import Recording
 from becalm.core.verdict import judge
 from becalm.errors import RecordingError, UsageError
-from becalm.noise.choose import Known, choose
+from becalm.noise.choose import Known
 from becalm.noise.coloured import NoiseModel, fit_noise
 from becalm.noise.dial import Dial, turn
+from becalm.noise.gating import choose_gated
 from becalm.noise.likelihood import Evidence
 from becalm.noise.lines import FEWEST_FOR_TONES, MOST_TONES
 from becalm.noise.still import said_still
@@ -109,12 +110,14 @@ def _tune_channel(recording: Recording, causal: bool, wishes: Wishes, progress: 
         _rest_noise(wishes.rest or recording, name, wishes.still_s) if wishes.still_s else None,
         tuple(2 * np.pi * frequency * time.step_s for frequency in wishes.removed_hz),
     )
-    choice = choose(judge(recording.channel(name)).readings, time.elapsed_steps, causal, known)
+    gate = GateRecipe()
+    readings, elapsed = judge(recording.channel(name)).readings, time.elapsed_steps
+    choice, gated = choose_gated(readings, elapsed, gate_of(gate, time.step_s), causal, known)
     progress(name)
     if choice.tuning is None or choice.motion is None:
         return ChannelRecipe(name=name, unit=unit, model=choice.kind)
     found = choice.tuning if wishes.dial is None else turn(choice.motion, wishes.dial, time.step_s, causal)
-    return in_seconds(name, unit, found, time.step_s)
+    return in_seconds(name, unit, found, time.step_s).model_copy(update={"gate": gate if gated else None})
 
 
 def _rest_noise(rest: Recording, name: str, still_s: Sequence[tuple[float, float]]) -> NoiseModel | None:

@@ -13,7 +13,7 @@ from typing import Annotated
 import typer
 
 from becalm.cli import options as o
-from becalm.cli.said import Said, load, open_as, refuse_parts, tuned
+from becalm.cli.said import Said, load, open_as, refuse_taken, tuned
 from becalm.cli.stopping import stop_cleanly
 from becalm.errors import BecalmError, UsageError
 
@@ -62,6 +62,7 @@ def clean(  # noqa: PLR0913  (the contract's options)
     still: o.Still = None,
     remove: o.Remove = None,
     split: o.Split = False,
+    verdicts: o.Verdicts = False,
     as_json: o.Json = False,
 ) -> None:
     """Remove the noise from a recording; nothing needs to be chosen."""
@@ -85,8 +86,7 @@ def clean(  # noqa: PLR0913  (the contract's options)
         decided = tuned(source, causal, asked) if given is None else given
         mode, named = True if causal else None, source.names if channels else None
         decided = said.kept_in(fitted(decided, source.names, source.units, causal=mode, channels=named))
-        if split:
-            refuse_parts(decided, source.schema.names)
+        refuse_taken(decided, source.schema.names, split=split, verdicts=verdicts)
         text = decided.to_toml()
         if recipe is not None and _is_same(beside, recipe) and decided != given:
             raise UsageError(f"{beside} is the recipe itself and would change; name another output with -o.")
@@ -95,7 +95,7 @@ def clean(  # noqa: PLR0913  (the contract's options)
             open_output(output, {"becalm.recipe": text}) as out,
             progress("cleaning", source.rows) as step,
         ):
-            reports = clean_chunks(source, decided, out.write, step, split=split)
+            reports = clean_chunks(source, decided, out.write, step, split=split, verdicts=verdicts)
         tell(reports, decided.mode == "causal")
         tell_not_removed(reports, asked.removed_hz)
         tell_columns(source)

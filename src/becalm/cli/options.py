@@ -52,6 +52,9 @@ Remove = Annotated[
     typer.Option("--remove", metavar="50Hz,100Hz", help="Take off tones near these frequencies, as of mains hum."),
 ]
 Split = Annotated[bool, typer.Option("--split", help="Write the parts of each channel too: motion, tones, noise.")]
+Verdicts = Annotated[
+    bool, typer.Option("--verdicts", help="Write what became of each reading: used, missing, spike, ...")
+]
 Cutoff = Annotated[
     str | None,
     typer.Option("--cutoff", metavar="1Hz", help="Split the noise at rest there, above and below; 1Hz by default."),

@@ -65,19 +65,21 @@ def load(path: Path | None) -> Recipe | None:
     return Recipe.load(path)
 
 
-def refuse_parts(recipe: Recipe, columns: list[str]) -> None:
-    """Refuse to write the parts of channels over columns that a file has.
+def refuse_taken(recipe: Recipe, columns: list[str], *, split: bool, verdicts: bool) -> None:
+    """Refuse to write the parts of channels, or verdicts, over columns that a file has.
 
     Raises
     ------
     UsageError
-        If a part would have the name of a column.
+        If one of them would have the name of a column.
     """
-    written = [f"{channel.name}_{part}" for channel in recipe.channel for part in channel.parts]
-    if taken := [name for name in written if name in columns]:
-        raise UsageError(
-            f"The file has a column {taken[0]!r}, which --split would write; rename it, or leave --split out."
-        )
+    parts = [f"{channel.name}_{part}" for channel in recipe.channel for part in channel.parts] if split else []
+    told = [f"{channel.name}_verdict" for channel in recipe.channel] if verdicts else []
+    for option, written in (("--split", parts), ("--verdicts", told)):
+        if taken := [name for name in written if name in columns]:
+            raise UsageError(
+                f"The file has a column {taken[0]!r}, which {option} would write; rename it, or leave {option} out."
+            )
 
 
 def tuned(source: OpenSource, causal: bool, asked: Asked) -> Recipe:

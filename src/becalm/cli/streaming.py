@@ -32,17 +32,18 @@ def rows_of_chunks(source: OpenSource, channels: int) -> int:
     return max(BLOCK, rows // BLOCK * BLOCK)
 
 
-def clean_chunks(
+def clean_chunks(  # noqa: PLR0913  (each by its name)
     source: OpenSource,
     recipe: Recipe,
     write: Callable[[pa.Table], None],
     step: Callable[[str, int], None],
     *,
     split: bool = False,
+    verdicts: bool = False,
 ) -> tuple[ChannelReport, ...]:
     """Clean a file, and write it; `step` is called after each chunk, with its rows.
 
-    Split, the parts of each channel are written too.
+    Split, the parts of each channel are written too; with verdicts, what became of each reading.
 
     Raises
     ------
@@ -56,18 +57,18 @@ def clean_chunks(
             tables.append(chunk.table)
             columns = [chunk.channel(number) for number in numbers]
             for answer in cleaner.push(columns, chunk.elapsed_steps):
-                write(_output(tables.popleft(), recipe, answer))
+                write(_output(tables.popleft(), recipe, answer, verdicts))
             step("", len(chunk))
         for answer in cleaner.finish():
-            write(_output(tables.popleft(), recipe, answer))
+            write(_output(tables.popleft(), recipe, answer, verdicts))
         return cleaner.reports()
 
 
-def _output(table: pa.Table, recipe: Recipe, told: list[Told]) -> pa.Table:
+def _output(table: pa.Table, recipe: Recipe, told: list[Told], verdicts: bool) -> pa.Table:
     named = zip(recipe.channel, told, strict=True)
-    return output_block(table, {one.name: _clean_channel(one, clean) for one, clean in named})
+    return output_block(table, {one.name: _clean_channel(one, clean, verdicts) for one, clean in named})
 
 
-def _clean_channel(channel: ChannelRecipe, told: Told) -> CleanChannel:
+def _clean_channel(channel: ChannelRecipe, told: Told, verdicts: bool) -> CleanChannel:
     parts = {part: np.ascontiguousarray(values) for part, values in zip(channel.parts, told.parts, strict=False)}
-    return CleanChannel(told.signal, told.sigma, channel.unit, parts)
+    return CleanChannel(told.signal, told.sigma, channel.unit, parts, told.verdicts if verdicts else None)

@@ -11,6 +11,7 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 Number = TypeVar("Number", np.float64, np.int64)
 Booleans = NDArray[np.bool_]
+Codes = NDArray[np.int8]
 
 
 def real(values: ArrayLike) -> ArrayLike:

@@ -14,9 +14,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from becalm.core.arrays import Floats
+from becalm.core.arrays import Codes, Floats
 from becalm.core.components import Component
-from becalm.core.filtering import Estimate, Pass, Run, Task, Wanted, go_on, start_filter
+from becalm.core.filtering import Pass, Run, Task, Wanted, go_on, start_filter
+from becalm.core.gates import Gate, Gatekeeper, with_jumps
 from becalm.core.kernel_ahead import BLOCK
 from becalm.core.kernel_return import Future, new_future
 from becalm.core.kernel_settling import COVARIANCE, GAIN, rename_last_step
@@ -24,7 +25,12 @@ from becalm.core.smoothing import forward_pass, go_back, room_to_return
 from becalm.core.starting import first_reading
 from becalm.core.steady import steady
 from becalm.core.timeline import Timeline, elapsed_timeline
+from becalm.core.told import Belief, Rows, Told
+from becalm.core.verdict import Verdict
+from becalm.core.verdict import judge as judge_readings
 from becalm.errors import ModelError
+
+__all__ = ["Flow", "Judge", "Told"]
 
 FORGOTTEN = 1e-13
 """Share by which what later rows say may still depend on rows that are not there yet."""
@@ -38,42 +44,11 @@ Judge = Callable[[Floats, Floats], None]
 """Takes innovations and their expected standard deviations, (B,) each."""
 
 
-class Told(NamedTuple):
-    """The result of some rows."""
-
-    signal: Floats  # (B,)
-    sigma: Floats  # (B,)
-    parts: Floats  # (p, B) the share of each part, where they were asked for; otherwise (0, B)
-
-    def rows(self, which: slice) -> Told:
-        """Return some of the rows."""
-        return Told(self.signal[which], self.sigma[which], self.parts[:, which])
-
-    @classmethod
-    def nothing(cls) -> Told:
-        """Return no rows."""
-        return cls(np.empty(0), np.empty(0), np.empty((0, 0)))
-
-
-class _Belief(NamedTuple):
-    """What is believed of some rows."""
-
-    signal: Floats  # (1, B)
-    sigma: Floats  # (1, B)
-    mean: Floats  # (n, B) where wanted
-    cov: Floats  # (n, n, B) where wanted
-
-    @classmethod
-    def of(cls, estimate: Estimate) -> _Belief:
-        mean = np.empty((0, 0)) if estimate.mean is None else estimate.mean.T
-        cov = np.empty((0, 0, 0)) if estimate.cov is None else np.moveaxis(estimate.cov, 0, 2)
-        return cls(estimate.signal.T, estimate.sigma.T, mean, cov)
-
-
 class _Stretch(NamedTuple):
     timeline: Timeline
     z: Floats  # (B, 1)
     run: Run
+    verdicts: Codes  # (B,)
 
 
 class Flow:
@@ -91,9 +66,11 @@ class Flow:
         Shown the innovations of each stretch.
     split : bool
         Whether to tell the share of each part of the component, disturbances among them, too.
+    gate : Gate, optional
+        What leaves spikes out, and follows steps; by default every reading is believed.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913  (each by its name)
         self,
         component: Component,
         noise_variance: float,
@@ -101,20 +78,23 @@ class Flow:
         causal: bool,
         judge: Judge | None = None,
         split: bool = False,
+        gate: Gate | None = None,
     ) -> None:
         self._component, self._variance, self._judge, self._split = component, noise_variance, judge, split
         self._model = component.to_model(1.0, noise_variance)
         self._disturbed = any(part.disturbance for part in component.parts)
         states = self._disturbed or split
-        self._wanted = Wanted(states=states, covariances=self._disturbed, innovations=judge is not None)
+        self._gate = None if gate is None else Gatekeeper(self._model, gate, takes_back=not causal)
+        judged = judge is not None or gate is not None
+        self._wanted = Wanted(states=states, covariances=self._disturbed, innovations=judged)
         enough = COVARIANCE if self._disturbed else GAIN
         self._how = Pass(self._wanted, enough) if causal else forward_pass(self._wanted)
         self._causal = causal
         self._level: float | None = None if component.keeps_level else 0.0  # what all readings are told from
         self._memory: Floats | None = None
         self._last_step = 0.0
-        self._waiting: list[tuple[Floats, Floats]] = []  # until the readings tell the state
-        self._few = (np.empty(0), np.empty(0))  # rows that make no stretch yet
+        self._waiting: list[Rows] = []  # until the readings tell the state, or whether it jumped
+        self._few = Rows.nothing()  # rows that make no stretch yet
         self._held: deque[_Stretch] = deque()  # until what follows tells the future
         self.rows = 0
         self.log_likelihood = 0.0
@@ -125,42 +105,34 @@ class Flow:
 
         All stretches but the last should be of a multiple of 256 rows, so that the bits are those of one.
         """
+        readings = judge_readings(z)
+        rows = Rows(readings.readings, elapsed, readings.verdicts)
         if not self._causal:  # a smoother comes back over many rows for each stretch, so that few are no stretch
-            z, elapsed = (np.concatenate(parts) for parts in zip(self._few, (z, elapsed), strict=True))
-            self._few = (z, elapsed)
-            if len(z) < BLOCK:
+            rows = self._few = Rows.joined([self._few, rows])
+            if len(rows.z) < BLOCK:
                 return []
-            self._few = (z[:0], elapsed[:0])
+            self._few = Rows.nothing()
         most = _MOST_NUMBERS // len(self._model.F) ** 2 // BLOCK * BLOCK if self._wanted.states else _FAR
-        told = [self._push(z[at : at + most], elapsed[at : at + most]) for at in range(0, max(len(z), 1), most)]
+        told = [self._push(rows.part(slice(at, at + most))) for at in range(0, max(len(rows.z), 1), most)]
         return [part for parts in told for part in parts]
 
-    def _push(self, z: Floats, elapsed: Floats) -> list[Told]:
-        z = self._told_from_level(z)
-        if self._waiting:
-            z, elapsed = (np.concatenate(parts) for parts in zip(*self._waiting, (z, elapsed), strict=True))
+    def _push(self, rows: Rows, *, ends: bool = False) -> list[Told]:
+        rows = Rows.joined([*self._waiting, rows._replace(z=self._told_from_level(rows.z))])
         self._waiting, told = [], []
-        if self._causal and self._memory is None and (unread := first_reading(z[:, np.newaxis]) // BLOCK * BLOCK):
-            told, z, elapsed = [self._nothing(unread)], z[unread:], elapsed[unread:]
-        if not len(z):
-            return told
-        goes_on = self._memory is not None
-        timeline = elapsed_timeline(self._component, self._variance, elapsed, goes_on=goes_on)
-        stretch = self._filter(timeline, z[:, np.newaxis], elapsed)
-        if stretch is None:
-            self._waiting = [(z, elapsed)]
-            return told
-        return [*told, *self._tell(stretch)]
+        if self._causal and self._memory is None and (unread := first_reading(rows.z[:, np.newaxis]) // BLOCK * BLOCK):
+            told, rows = [self._nothing(rows.verdicts[:unread])], rows.part(slice(unread, None))
+        stretch = self._filter(rows, ends) if len(rows.z) else None
+        return told if stretch is None else [*told, *self._tell(stretch)]
 
     def finish(self) -> list[Told]:
         """Say that no more rows will come; return what was waiting for them."""
-        told = self._push(*self._few)
+        told = self._push(self._few, ends=True)
         if self._waiting:
-            (z, elapsed), self._waiting = self._waiting[0], []
-            timeline = elapsed_timeline(self._component, self._variance, elapsed)
-            run = start_filter(self._model, timeline, z[:, np.newaxis], Pass(self._wanted))
-            told.append(self._told(_Belief.of(run.estimate)))
-            self._count(run, len(z))
+            rows, self._waiting = Rows.joined(self._waiting), []
+            timeline = elapsed_timeline(self._component, self._variance, rows.elapsed)
+            run = start_filter(self._model, timeline, rows.z[:, np.newaxis], Pass(self._wanted))
+            told.append(self._told(Belief.of(run.estimate), rows.verdicts))
+            self._count(run, len(rows.z))
         future = new_future(self._model.states)
         back = [self._smooth(stretch, future) for stretch in reversed(self._held)]
         self._held.clear()
@@ -172,7 +144,7 @@ class Flow:
             self._level = float(z[row])
         return z - self._level if self._level else z
 
-    def _told(self, belief: _Belief) -> Told:
+    def _told(self, belief: Belief, verdicts: Codes) -> Told:
         signal, sigma, level = belief.signal[0], belief.sigma[0], self._level or 0.0
         if self._disturbed:
             C = self._component.signal_output[0]
@@ -184,21 +156,49 @@ class Flow:
             parts[0] += level
             if len(parts) == 1:
                 parts = (signal + level)[np.newaxis]
-        return Told(signal + level if level else signal, sigma, parts)
+        return Told(signal + level if level else signal, sigma, parts, verdicts)
 
-    def _filter(self, timeline: Timeline, z: Floats, elapsed: Floats) -> _Stretch | None:
-        """Run forward over a stretch; None while the readings do not tell the state."""
-        if self._memory is None:
-            run = start_filter(self._model, timeline, z, self._how)
-            if run.opening is not None and not run.opening.known:
-                return None
-        else:
-            same = np.flatnonzero(timeline.lengths == self._last_step)
-            rename_last_step(self._memory[0], self._model.states, 1, int(same[0]) if len(same) else None)
-            run = go_on(self._model, timeline, z, self._memory, self._how)
-        self._memory, self._last_step = run.memory[:1].copy(), float(elapsed[-1])
+    def _filter(self, rows: Rows, ends: bool) -> _Stretch | None:
+        """Run forward over a stretch; None while the readings do not tell the state. Rows that must wait do so.
+
+        Only where an innovation is too large does the gate look at the rows, and the filter run once more.
+        """
+        z, verdicts, goes_on = rows.z[:, np.newaxis], rows.verdicts, self._memory is not None
+        timeline = elapsed_timeline(self._component, self._variance, rows.elapsed, goes_on=goes_on)
+        run = self._run(timeline, z)
+        if run.opening is not None and not run.opening.known:
+            self._waiting = [rows]
+            return None
+        if self._gate is not None and self._gate.suspects(run.estimate):
+            before = self._gate.counters
+            gated = self._gate.judge(timeline, z, run.begun, self._belief(run))
+            if gated.undecided >= 0 and not (self._causal or ends):
+                self._gate.counters, cut = before, gated.undecided // BLOCK * BLOCK
+                stretch = self._filter(rows.part(slice(cut)), ends) if cut else None
+                self._waiting.append(rows.part(slice(cut, None)))
+                return stretch
+            if gated.rejects:
+                timeline, z = with_jumps(timeline, gated.rows, gated.jumps), gated.readings(z)
+                verdicts, run = gated.beside(verdicts), self._run(timeline, z)
+        self._memory = run.memory[:1].copy()
+        self._last_step = np.nan if verdicts[-1] == Verdict.STEP else float(rows.elapsed[-1])
         self._count(run, len(z))
-        return _Stretch(timeline, z, run)
+        return _Stretch(timeline, z, run, verdicts)
+
+    def _run(self, timeline: Timeline, z: Floats) -> Run:
+        """Filter readings (B, 1) from what is remembered."""
+        if self._memory is None:
+            return start_filter(self._model, timeline, z, self._how)
+        memory, same = self._memory.copy(), np.flatnonzero(timeline.lengths == self._last_step)
+        rename_last_step(memory[0], self._model.states, 1, int(same[0]) if len(same) else None)
+        return go_on(self._model, timeline, z, memory, self._how)
+
+    def _belief(self, run: Run) -> Floats:
+        """Return mean and covariance before the first row that a run has filtered."""
+        if self._memory is not None:
+            return np.ravel(self._memory)
+        assert run.opening is not None, "a flow starts flat"
+        return np.concatenate([run.opening.x, run.opening.P.ravel()])
 
     def _count(self, run: Run, rows: int) -> None:
         found = run.estimate
@@ -209,18 +209,19 @@ class Flow:
         if self._judge is not None:
             self._judge(found.innovations[:, 0], found.innovation_sigma[:, 0])
 
-    def _nothing(self, rows: int) -> Told:
+    def _nothing(self, verdicts: Codes) -> Told:
         """Tell of rows before the first reading, which need not wait for it."""
+        rows = len(verdicts)
         unknown = np.full(rows, np.nan)
         self.rows += rows
         if self._judge is not None:
             self._judge(unknown, unknown)
         parts = np.full((len(self._component.parts) if self._split else 0, rows), np.nan)
-        return Told(unknown, np.full(rows, np.inf), parts)
+        return Told(unknown, np.full(rows, np.inf), parts, verdicts)
 
     def _tell(self, stretch: _Stretch) -> list[Told]:
         if self._causal:
-            return [self._told(_Belief.of(stretch.run.estimate))]
+            return [self._told(Belief.of(stretch.run.estimate), stretch.verdicts)]
         self._held.append(stretch)
         told: list[Told] = []
         while len(self._held) > 1:
@@ -235,7 +236,7 @@ class Flow:
         go_back(
             Task(self._model, stretch.timeline, stretch.z, stretch.run.begun), stretch.run, self._how, future, trace
         )
-        return self._told(_Belief(trace.signal, trace.sigma, trace.mean, trace.cov))
+        return self._told(Belief(trace.signal, trace.sigma, trace.mean, trace.cov), stretch.verdicts)
 
     def _future_of(self, later: Sequence[_Stretch]) -> Future | None:
         """Return what all rows after a stretch say of its end; None if more of them are needed to know."""

@@ -10,9 +10,11 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from becalm.core.arrays import Floats
+from becalm.core.arrays import Codes, Floats
 from becalm.core.filtering import checked_readings, sizes_of
+from becalm.core.gates import Gate
 from becalm.core.kernel_online import live_kernels, new_live
+from becalm.core.live_gate import LiveGate, saved_gate
 from becalm.core.model import Model
 from becalm.core.starting import (
     Information,
@@ -28,6 +30,7 @@ from becalm.core.starting import (
     wide_prior,
 )
 from becalm.core.timeline import model_system
+from becalm.core.verdict import Verdict
 from becalm.errors import ModelError
 
 _VERSION = 2
@@ -44,18 +47,22 @@ class Online:
         The signal and its sensors, one step a reading. Without x0 and P0 it starts from the first
         readings; until they tell, the signal is NaN and sigma inf.
 
+    gate : Gate, optional
+        What leaves spikes out, and follows steps, of a model of one channel; by default every reading is believed.
+
     Raises
     ------
     ModelError
-        If the model cannot start without x0 and P0.
+        If the model cannot start without x0 and P0, or is to have a gate and more than one channel.
     """
 
-    def __init__(self, model: Model) -> None:
+    def __init__(self, model: Model, gate: Gate | None = None) -> None:
         self.model = model
         self._kernels = live_kernels(*sizes_of(model))
         self._width = model.channels
         self._live: Floats | None = None
         self._quick: Callable[[float], tuple[float, float]] | None = None
+        self._guard = None if gate is None else LiveGate(model, gate)
         self._known: Information | None = None  # what the opening has gathered, once a reading came
         self._prior = wide_prior(model)
         if model.x0 is not None and model.P0 is not None and self._prior is None:
@@ -66,7 +73,7 @@ class Online:
     def _begin(self, live: Floats) -> None:
         """Go on from a state that is known; a number to a model of one channel then takes the shortest way."""
         self._live, self._known = live, None
-        if self.model.channels == 1:
+        if self.model.channels == 1 and self._guard is None:
             self._quick = partial(self._kernels.step, live)
 
     def step(self, z_k: ArrayLike) -> tuple[Floats, Floats] | tuple[float, float]:
@@ -102,7 +109,7 @@ class Online:
             If the block does not fit the model.
         """
         live, width = self._live, self._width
-        if live is None or type(block) is not np.ndarray or block.dtype is not _FLOAT64:
+        if live is None or self._guard is not None or type(block) is not np.ndarray or block.dtype is not _FLOAT64:
             return self._run_any(block)
         if (block.ndim == 2 and block.shape[1] == width) or block.ndim == width == 1:
             out = np.empty((2, len(block), width))
@@ -113,6 +120,8 @@ class Online:
     def _run_any(self, block: ArrayLike) -> tuple[Floats, Floats]:
         """Take a block of any kind, perhaps while nothing is known yet."""
         z = checked_readings(self.model, block)
+        if self._guard is not None:
+            self._guard.look(z)
         if self._live is not None:
             return self._run(z, self._live)
         signal, sigma = np.empty(z.shape), np.empty(z.shape)
@@ -126,8 +135,22 @@ class Online:
 
     def _run(self, z: Floats, live: Floats) -> tuple[Floats, Floats]:
         out = np.empty((2, *z.shape))
-        self._kernels.run(live, z.flatten(), out)
+        if self._guard is not None:
+            self._guard.run(self._kernels, live, z, out)
+        else:
+            self._kernels.run(live, z.flatten(), out)
         return out[0], out[1]
+
+    @property
+    def verdicts(self) -> Codes | None:
+        """What became of each reading of the last block, (B,), values of `Verdict`; None without a gate."""
+        return None if self._guard is None else self._guard.verdicts
+
+    @property
+    def verdict(self) -> Verdict | None:
+        """What became of the last reading; None without a gate, or before the first."""
+        verdicts = self.verdicts
+        return None if verdicts is None or not len(verdicts) else Verdict(int(verdicts[-1]))
 
     def _gather(self, row: Floats) -> tuple[Floats, Floats]:
         """Take one reading of the opening; return H x and its variance as far as they are known."""
@@ -156,6 +179,8 @@ class Online:
             arrays |= {"known_Y": self._known.Y, "known_y": self._known.y}
         if self._live is not None:
             arrays["live"] = self._live
+        if self._guard is not None:
+            arrays |= self._guard.saved()
         buffer = io.BytesIO()
         np.savez(buffer, version=np.array(_VERSION), **arrays)  # type: ignore[arg-type]
         return buffer.getvalue()
@@ -174,7 +199,8 @@ class Online:
                 arrays = {name: stored[name] for name in stored.files}
             if int(arrays["version"]) != _VERSION:
                 raise ModelError(f"The snapshot has version {int(arrays['version'])}; this becalm reads {_VERSION}.")
-            online = cls(Model(**{name[6:]: a for name, a in arrays.items() if name.startswith("model_")}))
+            model = Model(**{name[6:]: a for name, a in arrays.items() if name.startswith("model_")})
+            online = cls(model, saved_gate(arrays))
             online._restore(arrays)
         except ModelError:
             raise
@@ -194,6 +220,9 @@ class Online:
         if "live" in arrays:
             _refuse_unlike("live", arrays["live"], blank)
             self._begin(arrays["live"].copy())
+        if self._guard is not None:
+            _refuse_unlike("gate_counters", arrays["gate_counters"], self._guard.counters)
+            self._guard.counters = arrays["gate_counters"].copy()
 
 
 def _refuse_unlike(name: str, found: Floats, wanted: Floats) -> None:

@@ -7,10 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from becalm.core.arrays import Floats
+from becalm.core.arrays import Codes, Floats
 
 BEYOND_ANY_SENSOR = 1e100
 """A magnitude whose square would leave float64; no sensor reads it."""
+
+AGREE, AT_MOST = 5, 50
+"""Spikes in a row that are believed after all: where they agree with each other, and whatever they are."""
 
 
 class Verdict(IntEnum):
@@ -20,12 +23,31 @@ class Verdict(IntEnum):
     MISSING = 1
     NONFINITE = 2
     OVERRANGE = 3
+    SPIKE = 4
+    STEP = 5
+    CLIPPED = 6
+    STUCK = 7
+    DEAD = 8
+    DRIFT = 9
+    LATE = 10
+    REPEATED = 11
+    GAP = 12
 
 
 ADVICE = {
     Verdict.MISSING: "Missing readings are predicted across; sigma grows there.",
     Verdict.NONFINITE: "Infinite readings were treated as missing; look at the sensor or at its conversion.",
     Verdict.OVERRANGE: "Readings beyond 1e100 were treated as missing; look at the file.",
+    Verdict.SPIKE: "Spikes were left out as missing; look for loose contacts and switching loads, and if they are"
+    " motion take [channel.gate] out of the recipe.",
+    Verdict.STEP: "The signal jumped, and the filter followed at once; look whether the sensor was moved or zeroed.",
+    Verdict.CLIPPED: "Readings at the end of the range are not measured; choose a larger range.",
+    Verdict.STUCK: "The channel repeats one reading; look at the sensor and its cable.",
+    Verdict.DEAD: "The channel is quieter than its own noise; look at the sensor and its supply.",
+    Verdict.DRIFT: "Readings drift off their prediction; look at temperature and mounting.",
+    Verdict.LATE: "Rows came late; look at the clock of the logger.",
+    Verdict.REPEATED: "Rows repeat the time of the one before; look at the logger.",
+    Verdict.GAP: "Rows are lacking before these; sigma grows there.",
 }
 
 
@@ -34,6 +56,7 @@ class Judged(NamedTuple):
 
     readings: Floats  # (N,) NaN where not used
     counts: dict[Verdict, int]
+    verdicts: Codes  # (N,) what became of each
 
 
 def judge(z: Floats) -> Judged:
@@ -41,10 +64,17 @@ def judge(z: Floats) -> Judged:
     counts = dict.fromkeys(Verdict, 0)
     if not len(z) or -BEYOND_ANY_SENSOR <= z.min() <= z.max() <= BEYOND_ANY_SENSOR:  # NaN makes both NaN
         counts[Verdict.USED] = len(z)
-        return Judged(z, counts)
-    used = np.abs(z) <= BEYOND_ANY_SENSOR
-    counts[Verdict.USED] = int(used.sum())
-    counts[Verdict.MISSING] = int(np.isnan(z).sum())
-    counts[Verdict.NONFINITE] = int(np.isinf(z).sum())
-    counts[Verdict.OVERRANGE] = len(z) - sum(counts.values())
-    return Judged(np.where(used, z, np.nan), counts)
+        return Judged(z, counts, np.zeros(len(z), np.int8))
+    verdicts = np.select(
+        [np.isnan(z), np.isinf(z), np.abs(z) > BEYOND_ANY_SENSOR],
+        [Verdict.MISSING, Verdict.NONFINITE, Verdict.OVERRANGE],
+        Verdict.USED,
+    ).astype(np.int8)
+    counts |= counted(verdicts)
+    return Judged(np.where(verdicts == Verdict.USED, z, np.nan), counts, verdicts)
+
+
+def counted(verdicts: Codes) -> dict[Verdict, int]:
+    """Count the verdicts (N,) of each kind."""
+    found = np.bincount(verdicts, minlength=len(Verdict))
+    return {verdict: int(found[verdict]) for verdict in Verdict}

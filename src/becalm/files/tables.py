@@ -8,22 +8,31 @@ from typing import NamedTuple
 
 import pyarrow as pa
 
-from becalm.core.arrays import Floats
+from becalm.core.arrays import Codes, Floats
 from becalm.core.recording import Recording
+from becalm.core.verdict import Verdict
 from becalm.errors import RecordingError
 from becalm.files.roles import SIGMA
 from becalm.files.source import SourceFile
 
+VERDICT = "_verdict"
+"""Ends the name of a column of verdicts."""
+
 _TIME = "time_s"
+_WORDS = pa.dictionary(pa.int8(), pa.string())
 
 
 class CleanChannel(NamedTuple):
-    """Some rows of a clean channel: signal, standard uncertainty and named parts, (n,) each, and the unit of all."""
+    """Some rows of a clean channel: signal, standard uncertainty and named parts, (n,) each, and the unit of all.
+
+    And what became of each reading, where that is to be written.
+    """
 
     signal: Floats
     sigma: Floats
     unit: str = ""
     parts: Mapping[str, Floats] = MappingProxyType({})
+    verdicts: Codes | None = None  # (n,)
 
     def columns(self, name: str) -> list[tuple[str, Floats]]:
         """Return what is written of it, each with the name of its column."""
@@ -72,8 +81,8 @@ def output_block(table: pa.Table, clean: Mapping[str, CleanChannel]) -> pa.Table
     Returns
     -------
     pyarrow.Table
-        The columns in their order, each NAME of `clean` followed by NAME_sigma and its parts, NAME_PART; an older
-        NAME_sigma is left out.
+        The columns in their order, each NAME of `clean` followed by NAME_sigma, its parts, NAME_PART, and
+        NAME_verdict, where it has them; an older NAME_sigma is left out.
     """
     fields, columns = [], []
     replaced = {name + SIGMA for name in clean}
@@ -83,10 +92,19 @@ def output_block(table: pa.Table, clean: Mapping[str, CleanChannel]) -> pa.Table
             for name, values in own.columns(field.name):
                 fields.append(_field(name, own.unit, field.metadata if name == field.name else None))
                 columns.append(pa.array(values))
+            if own.verdicts is not None:
+                fields.append(pa.field(field.name + VERDICT, _WORDS))
+                columns.append(in_words(own.verdicts))
         elif field.name not in replaced:
             fields.append(field)
             columns.append(column)
     return pa.table(columns, schema=pa.schema(fields, metadata=table.schema.metadata))
+
+
+def in_words(verdicts: Codes) -> pa.DictionaryArray:
+    """Return verdicts (n,) as words: "used", "missing", "spike" and so on."""
+    words = pa.array([verdict.name.lower() for verdict in Verdict], pa.string())
+    return pa.DictionaryArray.from_arrays(pa.array(verdicts, pa.int8()), words)
 
 
 def recording_table(recording: Recording, sigma: Recording | None = None) -> pa.Table:

@@ -1,0 +1,137 @@
+"""Spikes and steps in simulated records, and in real ones: what is asked of a gate, and what it does.
+
+False alarms are counted over 10^8 readings, a random walk in Gaussian noise, beside what chance allows (99 %,
+Poisson). rms errors are those of `becalm.clean`, nothing chosen, with 1 % of spikes of 8 sigma over those of the
+same record without them: the median of 8 seeds, and the largest. Real recordings show what share of their readings
+is taken for spikes.
+
+Run: python benchmarks/faults.py [--readings 1e8] [--recordings FOLDER] [-o docs/faults.md]
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import poisson
+
+from becalm.cleaning.pipeline import Cleaned, clean
+from becalm.core.components import motion
+from becalm.core.flow import Flow
+from becalm.core.gates import Gate, threshold_for
+from becalm.core.recording import Recording
+from becalm.core.verdict import Verdict
+from becalm.metrics.truth import rms_error
+from pages import page_parser, publish
+
+Floats = NDArray[np.float64]
+Row = tuple[str, str, str]
+
+RATE_HZ, ROWS, SEEDS, STARTING = 500.0, 20_000, 8, 500
+SPIKES, SIZE = 0.01, 8.0
+BLOCK = 1 << 20
+RECORDINGS = ("comma2k19/accelerometer.csv", "comma2k19/gyroscope.csv", "comma2k19/can_speed.csv")
+
+
+def smooth_motion(order: int, cutoff: float = 0.01) -> Flow:
+    """Return a causal filter of a cut-off in cycles a step, with a gate of one false alarm an hour at 500 Hz."""
+    part = motion(order, (2 * np.pi * cutoff) ** (2 * order))
+    return Flow(part, 1.0, causal=True, gate=Gate(threshold_for(1.0, RATE_HZ)))
+
+
+def false_alarms(rate_hz: float, readings: float) -> Row:
+    """Count the good readings that a gate rejects."""
+    part = motion(1, (2 * np.pi * 0.01) ** 2)
+    flow = Flow(part, 1.0, causal=True, gate=Gate(threshold_for(1.0, rate_hz)))
+    rng, count, level, blocks = np.random.default_rng(int(rate_hz)), 0, 0.0, round(readings / BLOCK)
+    for _ in range(blocks):
+        walk = level + np.cumsum(2 * np.pi * 0.01 * rng.normal(size=BLOCK))
+        level = float(walk[-1])
+        told = flow.push(walk + rng.normal(size=BLOCK), np.ones(BLOCK))
+        count += sum(int(np.count_nonzero(part.verdicts)) for part in told)
+    expected = blocks * BLOCK / rate_hz / 3600
+    low, high = poisson.interval(0.99, expected)
+    what = f"false alarms at {rate_hz:g} Hz in {expected:.1f} h"
+    return what, f"{low:.0f} to {high:.0f}", f"{count}"
+
+
+def truths(seed: int) -> dict[str, Floats]:
+    """Return what is to be found."""
+    t = np.arange(ROWS) / RATE_HZ
+    walk = np.cumsum(0.03 * np.random.default_rng(seed + 100).normal(size=ROWS))
+    return {"random walk": walk, "slow sine": 5 * np.sin(np.pi * t), "constant": np.full(ROWS, 3.0)}
+
+
+def error_of(out: Cleaned, truth: Floats) -> float:
+    """Return the rms error, but for the first second."""
+    return rms_error(out.signal.samples[STARTING:, 0], truth[STARTING:])
+
+
+def spiky(name: str, causal: bool) -> Row:
+    """Compare rms errors with and without spikes."""
+    errors = []
+    for seed in range(SEEDS):
+        rng, truth = np.random.default_rng(seed), truths(seed)[name]
+        noise = rng.normal(size=ROWS)
+        bad = np.where(rng.random(ROWS) < SPIKES, SIZE * rng.choice([-1.0, 1.0], ROWS), 0.0)
+        pair = (Recording(truth + noise + extra, rate_hz=RATE_HZ) for extra in (0.0, bad))
+        errors.append([error_of(clean(record, causal=causal), truth) for record in pair])
+    ratios = [spiked / without for without, spiked in errors]
+    how = "causal" if causal else "smoothed"
+    return (
+        f"rms error with spikes over that without, {name}, {how}",
+        "up to 1.1",
+        f"{np.median(ratios):.3f} ({max(ratios):.3f})",
+    )
+
+
+def stepping(order: int) -> Row:
+    """Tell how many readings after a step of 50 sigma it is followed."""
+    z = np.random.default_rng(order).normal(size=4096)
+    z[2000:] += 50.0
+    verdicts = np.concatenate([part.verdicts for part in smooth_motion(order).push(z, np.ones(len(z)))])
+    steps = np.flatnonzero(verdicts == Verdict.STEP)
+    got = ", ".join(str(step - 2000 + 1) for step in steps) or "never"
+    return f"readings until a step of 50 sigma is followed, order {order}", "5", got
+
+
+def burst(order: int) -> Row:
+    """Tell how many readings in a row are left out at the most, in a burst of anything."""
+    rng = np.random.default_rng(order)
+    z = rng.normal(size=4096)
+    z[1000:1500] = rng.uniform(-300, 300, 500)
+    verdicts = np.concatenate([part.verdicts for part in smooth_motion(order).push(z, np.ones(len(z)))])
+    bounds = np.flatnonzero(np.concatenate([[True], verdicts != Verdict.SPIKE, [True]]))
+    return f"longest run left out in a burst, order {order}", "up to 50", f"{np.diff(bounds).max() - 1}"
+
+
+def real(folder: Path) -> Iterator[Row]:
+    """Tell what share of real recordings is taken for spikes."""
+    for name in RECORDINGS:
+        if not (folder / name).exists():
+            continue
+        table = np.loadtxt(folder / name, delimiter=",", skiprows=1)
+        for causal in (True, False):
+            out = clean(Recording(table[:, 1:], times_s=table[:, 0]), causal=causal)
+            shares = [f"{np.mean(verdicts == Verdict.SPIKE):.3%}" for verdicts in out.verdicts.values()]
+            yield f"rejected of {name}, {'causal' if causal else 'smoothed'}", "next to nothing", ", ".join(shares)
+
+
+def main() -> None:
+    """Print the table."""
+    parser = page_parser(__doc__)
+    parser.add_argument("--readings", type=float, default=1e8, help="of the false alarms")
+    parser.add_argument("--recordings", type=Path, default=Path(__file__).parents[2] / "shared" / "data")
+    told = parser.parse_args()
+    rows = [false_alarms(rate_hz, told.readings) for rate_hz in (500.0, 10_000.0)]
+    rows += [spiky(name, causal) for name in truths(0) for causal in (True, False)]
+    rows += [make(order) for make in (stepping, burst) for order in (1, 2, 3)]
+    rows += real(told.recordings)
+    lines = ["| what | asked | got |", "|---|---|---|", *(f"| {' | '.join(row)} |" for row in rows)]
+    publish("Spikes and steps", __doc__, "\n".join(lines) + "\n", told.output)
+
+
+if __name__ == "__main__":
+    main()

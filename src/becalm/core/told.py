@@ -1,0 +1,67 @@
+"""Rows on their way into a filter, and what is told of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from becalm.core.arrays import Codes, Floats
+from becalm.core.filtering import Estimate
+
+
+class Rows(NamedTuple):
+    """Some rows of one channel, before a filter."""
+
+    z: Floats  # (B,) readings, NaN where none may enter
+    elapsed: Floats  # (B,) steps since the row before
+    verdicts: Codes  # (B,) what became of each reading so far
+
+    def part(self, which: slice) -> Rows:
+        """Return some of the rows."""
+        return Rows(self.z[which], self.elapsed[which], self.verdicts[which])
+
+    @classmethod
+    def joined(cls, parts: Sequence[Rows]) -> Rows:
+        """Return rows one after the other."""
+        return parts[0] if len(parts) == 1 else cls(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
+
+    @classmethod
+    def nothing(cls) -> Rows:
+        """Return no rows."""
+        return cls(np.empty(0), np.empty(0), np.empty(0, np.int8))
+
+
+class Told(NamedTuple):
+    """The result of some rows."""
+
+    signal: Floats  # (B,)
+    sigma: Floats  # (B,)
+    parts: Floats  # (p, B) the share of each part, where they were asked for; otherwise (0, B)
+    verdicts: Codes  # (B,) what became of each reading, see `Verdict`
+
+    def rows(self, which: slice) -> Told:
+        """Return some of the rows."""
+        return Told(self.signal[which], self.sigma[which], self.parts[:, which], self.verdicts[which])
+
+    @classmethod
+    def nothing(cls) -> Told:
+        """Return no rows."""
+        return cls(np.empty(0), np.empty(0), np.empty((0, 0)), np.empty(0, np.int8))
+
+
+class Belief(NamedTuple):
+    """What is believed of some rows."""
+
+    signal: Floats  # (1, B)
+    sigma: Floats  # (1, B)
+    mean: Floats  # (n, B) where wanted
+    cov: Floats  # (n, n, B) where wanted
+
+    @classmethod
+    def of(cls, estimate: Estimate) -> Belief:
+        """Return what a forward pass found."""
+        mean = np.empty((0, 0)) if estimate.mean is None else estimate.mean.T
+        cov = np.empty((0, 0, 0)) if estimate.cov is None else np.moveaxis(estimate.cov, 0, 2)
+        return cls(estimate.signal.T, estimate.sigma.T, mean, cov)

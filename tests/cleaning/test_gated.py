@@ -1,0 +1,143 @@
+"""A gate from tuning to verdicts: spikes are seen through, motion is not cut, a recipe says what was decided."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from becalm.cleaning.pipeline import Cleaned, clean
+from becalm.cleaning.recipe import VERSION, ChannelRecipe, GateRecipe, Origin, Recipe
+from becalm.cleaning.tuning import tune
+from becalm.core.arrays import Floats
+from becalm.core.recording import Recording
+from becalm.core.verdict import Verdict
+from becalm.errors import RecipeError
+
+RATE_HZ = 500.0
+MOST_WORSE = 1.1
+DATA = Path(__file__).parents[2].parent / "shared" / "data"
+
+
+def truth_of(kind: str, seed: int, rows: int) -> Floats:
+    t = np.arange(rows) / RATE_HZ
+    walk = np.cumsum(0.03 * np.random.default_rng(seed + 100).normal(size=rows))
+    return {"walk": walk, "sine": 5 * np.sin(np.pi * t), "constant": np.full(rows, 3.0)}[kind]
+
+
+def spiked(seed: int, rows: int, share: float = 0.01, size: float = 8.0) -> tuple[Floats, Floats]:
+    rng = np.random.default_rng(seed)
+    noise = rng.normal(size=rows)
+    return noise, np.where(rng.random(rows) < share, size * rng.choice([-1.0, 1.0], rows), 0.0)
+
+
+def cleaned(z: Floats, *, causal: bool) -> Cleaned:
+    return clean(Recording(z, rate_hz=RATE_HZ), causal=causal)
+
+
+def rms(out: Cleaned, truth: Floats) -> float:
+    return float(np.sqrt(np.mean((out.signal.samples[500:, 0] - truth[500:]) ** 2)))
+
+
+def worse_by(kind: str, seeds: range, causal: bool, rows: int) -> float:
+    """Return by which factor spikes enlarge the rms error, the median of some seeds."""
+    errors = []
+    for seed in seeds:
+        truth, (noise, bad) = truth_of(kind, seed, rows), spiked(seed, rows)
+        errors.append([rms(cleaned(truth + noise + extra, causal=causal), truth) for extra in (0.0, bad)])
+    return float(np.median([spiky / without for without, spiky in errors]))
+
+
+@pytest.mark.parametrize("causal", [True, False])
+@pytest.mark.parametrize("kind", ["walk", "sine", "constant"])
+def test_spikes_are_seen_through(kind: str, causal: bool) -> None:
+    assert worse_by(kind, range(1), causal, 20_000) <= MOST_WORSE
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("causal", [True, False])
+@pytest.mark.parametrize("kind", ["walk", "sine", "constant"])
+def test_spikes_are_seen_through_over_seeds(kind: str, causal: bool) -> None:
+    assert worse_by(kind, range(8), causal, 20_000) <= MOST_WORSE
+
+
+@pytest.mark.parametrize("causal", [True, False])
+def test_each_reading_gets_its_verdict(causal: bool) -> None:
+    noise, bad = spiked(1, 8000, size=12.0)
+    z = truth_of("walk", 1, 8000) + noise + bad
+    bad[:20], z[:20] = 0.0, noise[:20]
+    z[4000], z[4001], z[4002] = np.nan, np.inf, 1e300
+    bad[4000:4003] = 0.0
+    out = cleaned(z, causal=causal)
+    (report,), verdicts = out.reports, out.verdicts["channel_0"]
+    assert verdicts[4000:4003].tolist() == [Verdict.MISSING, Verdict.NONFINITE, Verdict.OVERRANGE]
+    assert np.mean((verdicts == Verdict.SPIKE) == (bad != 0)) > 0.999
+    for verdict in Verdict:
+        assert report.verdicts[verdict.name.lower()] == np.count_nonzero(verdicts == verdict)
+    assert any("Spikes were left out" in sentence for sentence in report.advice)
+    assert report.noise_std == pytest.approx(1.0, rel=0.05)
+
+
+@pytest.mark.parametrize("causal", [True, False])
+def test_heavy_tails_get_no_gate(causal: bool) -> None:
+    """Of a motion whose steps are heavier than Gaussian, and of noise that is: no reading is of another kind."""
+    rng = np.random.default_rng(2)
+    records = {
+        "motion": np.cumsum(rng.standard_t(2.5, size=8000)) + 0.3 * rng.normal(size=8000),
+        "noise": 0.1 * np.cumsum(rng.normal(size=8000)) + rng.laplace(size=8000),
+    }
+    for name, z in records.items():
+        recipe = tune(Recording(z, rate_hz=RATE_HZ), causal=causal)
+        assert recipe.channel[0].gate is None, name
+
+
+def test_without_rejects_the_gate_changes_no_bit() -> None:
+    z = truth_of("walk", 3, 4000) + spiked(3, 4000)[0]
+    recording = Recording(z, rate_hz=RATE_HZ)
+    recipe = tune(recording)
+    assert recipe.channel[0].gate == GateRecipe()
+    without = recipe.model_copy(update={"channel": (recipe.channel[0].model_copy(update={"gate": None}),)})
+    gated, free = clean(recording, recipe), clean(recording, without)
+    assert np.array_equal(gated.signal.samples, free.signal.samples)
+    assert np.array_equal(gated.sigma.samples, free.sigma.samples)
+
+
+RECORDINGS = ["comma2k19/accelerometer.csv", "comma2k19/gyroscope.csv", "comma2k19/can_speed.csv"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("causal", [True, False])
+@pytest.mark.parametrize("file", RECORDINGS)
+def test_real_motion_is_not_cut(file: str, causal: bool) -> None:
+    path = DATA / file
+    if not path.exists():
+        pytest.skip(f"the recordings are not beside the project ({file})")
+    table = np.loadtxt(path, delimiter=",", skiprows=1)
+    out = clean(Recording(table[:, 1:], times_s=table[:, 0]), causal=causal)
+    for verdicts in out.verdicts.values():
+        assert np.mean(verdicts == Verdict.SPIKE) < 1e-3
+
+
+def recipe_with(gate: GateRecipe | None) -> Recipe:
+    channel = ChannelRecipe(name="a", model="motion", order=1, process_noise_density=1.0, noise_std=1.0, gate=gate)
+    return Recipe(tuned_on=Origin(rate_hz=10.0), channel=(channel,))
+
+
+@pytest.mark.parametrize("gate", [None, GateRecipe(), GateRecipe(false_alarms_per_hour=0.1, agree=3, at_most=9)])
+def test_a_recipe_keeps_its_gate(gate: GateRecipe | None) -> None:
+    recipe = recipe_with(gate)
+    assert Recipe.from_toml(recipe.to_toml()) == recipe
+    assert ("[channel.gate]" in recipe.to_toml()) == (gate is not None)
+
+
+def test_older_recipes_have_no_gate() -> None:
+    text = recipe_with(None).to_toml().replace(f"becalm_recipe = {VERSION}", "becalm_recipe = 3")
+    assert Recipe.from_toml(text).channel[0].gate is None
+
+
+@pytest.mark.parametrize("wrong", ["agree = 1", "at_most = 2", "false_alarms_per_hour = 0.0", "width = 3"])
+def test_what_is_no_gate_is_refused(wrong: str) -> None:
+    text = recipe_with(None).to_toml() + f"\n[channel.gate]\n{wrong}\n"
+    with pytest.raises(RecipeError, match="gate"):
+        Recipe.from_toml(text)
