@@ -21,6 +21,7 @@ from becalm.noise.dial import Dial, turn
 from becalm.noise.likelihood import Evidence
 from becalm.noise.lines import FEWEST_FOR_TONES, MOST_TONES
 from becalm.noise.still import said_still
+from becalm.noise.tuning_spread import tuning_spread
 
 _NEARLY_EMPTY = 64  # readings, below which a channel need not tell its noise at rest
 
@@ -109,12 +110,19 @@ def _tune_channel(recording: Recording, causal: bool, wishes: Wishes, progress: 
         _rest_noise(wishes.rest or recording, name, wishes.still_s) if wishes.still_s else None,
         tuple(2 * np.pi * frequency * time.step_s for frequency in wishes.removed_hz),
     )
-    choice = choose(judge(recording.channel(name)).readings, time.elapsed_steps, causal, known)
-    progress(name)
+    readings = judge(recording.channel(name)).readings
+    choice = choose(readings, time.elapsed_steps, causal, known)
     if choice.tuning is None or choice.motion is None:
+        progress(name)
         return ChannelRecipe(name=name, unit=unit, model=choice.kind)
-    found = choice.tuning if wishes.dial is None else turn(choice.motion, wishes.dial, time.step_s, causal)
-    return in_seconds(name, unit, found, time.step_s)
+    found, spread = choice.tuning, 0.0
+    if wishes.dial is not None:  # what a person asked for is no estimate
+        found = turn(choice.motion, wishes.dial, time.step_s, causal)
+    else:
+        told = known.noise is not None
+        spread = tuning_spread(found, Evidence.of(readings, time.elapsed_steps), causal, noise_known=told)
+    progress(name)
+    return in_seconds(name, unit, found, time.step_s, spread)
 
 
 def _rest_noise(rest: Recording, name: str, still_s: Sequence[tuple[float, float]]) -> NoiseModel | None:
