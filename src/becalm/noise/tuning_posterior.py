@@ -31,7 +31,7 @@ _BY_CHANCE = 0.01  # p-value of whiteness
 
 
 def posterior_widening(tuning: Tuning, evidence: Evidence, causal: bool) -> float | None:
-    """Return by which factor sigma is to be widened: the median over the readings.
+    """Return by which factor sigma is to be widened: the root mean square over the readings.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ def posterior_widening(tuning: Tuning, evidence: Evidence, causal: bool) -> floa
     others = [_estimated(walk, evidence, causal) for walk in walks]
     expected = np.mean([own + (other - signal) ** 2 for other, own in others], axis=0)
     told = np.isfinite(variance) & np.isfinite(expected) & (variance > 0)
-    return float(np.sqrt(np.median(expected[told] / variance[told]))) if told.any() else None
+    return float(np.sqrt(np.mean(expected[told] / variance[told]))) if told.any() else None
 
 
 class _Likelihoods(NamedTuple):

@@ -35,6 +35,7 @@ LONG = 4096
 """Readings from which on the delta method is enough."""
 
 _SMALL = 1e-3  # of theta: what a slope is told across
+_FORGETS = 1 - 1e-13  # largest pole of a filter that does
 _UNTOLD = 4.0  # variance of theta from which on a straight line across it means nothing
 
 
@@ -120,6 +121,8 @@ def spectra_of(tuning: Tuning) -> Spectra | None:
     try:
         found = _settled(tuning)
     except ModelError:
+        return None
+    if not abs(found.poles[0]) < _FORGETS:
         return None
     f = found.frequencies
     angle = 2 * np.pi * f
