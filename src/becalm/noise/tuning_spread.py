@@ -34,6 +34,7 @@ from becalm.noise.tuning_posterior import posterior_widening
 LONG = 4096
 """Readings from which on the delta method is enough."""
 
+_DIGITS = 4  # of a share: more would be noise
 _SMALL = 1e-3  # of theta: what a slope is told across
 _FORGETS = 1 - 1e-13  # largest pole of a filter that does
 _UNTOLD = 4.0  # variance of theta from which on a straight line across it means nothing
@@ -63,8 +64,8 @@ def tuning_spread(tuning: Tuning, evidence: Evidence, causal: bool, *, noise_kno
     if alone and len(evidence.z) < LONG:
         found = posterior_widening(tuning, evidence, causal)
         if found is not None:
-            return max(found - 1.0, 0.0)
-    return 0.0 if tuning.at_edge else delta_widening(tuning, causal) - 1.0
+            return max(round(found - 1.0, _DIGITS), 0.0)
+    return 0.0 if tuning.at_edge else round(delta_widening(tuning, causal) - 1.0, _DIGITS)
 
 
 def delta_widening(tuning: Tuning, causal: bool) -> float:
