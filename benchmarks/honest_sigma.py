@@ -6,6 +6,9 @@ it is written. No number told from a record is right for every walk: where one a
 noise hides, the search ends at its slowest filter, whose sigma is too wide; of quicker walks that happen to look as
 still, as at q/r = 1e-2, the same sigma is too narrow. The means over walks are what can be held.
 
+Smoothed walks of order 1 at q/r = 1 stay low: there cross-validation takes too high an order, which is no spread
+of a ratio.
+
 The last column is the largest standard error of the shares in its row, from record to record.
 
 Run: python benchmarks/honest_sigma.py [-o docs/honest-sigma.md]
