@@ -212,7 +212,7 @@ def test_a_recipe_says_the_density_in_seconds(order: int, rate: float) -> None:
     expected = kalman_smoother(again, z)
     size = np.nanmax(np.abs(z))
     np.testing.assert_allclose(out.signal.samples, expected.signal, rtol=0, atol=1e-9 * size)
-    np.testing.assert_allclose(out.sigma.samples, expected.sigma, rtol=1e-8)
+    np.testing.assert_allclose(out.sigma.samples, (1 + found.tuning_spread) * expected.sigma, rtol=1e-8)
 
 
 def test_progress_names_every_channel() -> None:

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from becalm.cleaning.recipe import ChannelRecipe, ColouredNoiseRecipe, Origin, Recipe, ToneRecipe
+from becalm.cleaning.recipe import CalibrationRecipe, ChannelRecipe, ColouredNoiseRecipe, Origin, Recipe, ToneRecipe
 from becalm.errors import RecipeError
 
 positive = st.floats(min_value=0, exclude_min=True, allow_nan=False, allow_infinity=False)
@@ -45,6 +45,8 @@ def channels(draw: st.DrawFn, name: str) -> ChannelRecipe:
         noise_std=draw(positive),
         tone=tuple(draw(st.lists(tones, max_size=3))),
         coloured_noise=draw(st.none() | coloured),
+        tuning_spread=draw(positive | st.just(0.0)),
+        calibration=draw(st.none() | st.builds(CalibrationRecipe, relative_std=positive, offset_std=positive)),
     )
 
 

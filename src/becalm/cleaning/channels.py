@@ -13,6 +13,7 @@ from becalm.cleaning.judging import Decision, InnovationJudge, Judgement
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.report import ChannelReport
 from becalm.cleaning.steps import gate_of, in_steps
+from becalm.cleaning.uncertainty import Uncertainty
 from becalm.core.arrays import Floats
 from becalm.core.flow import Flow, Told
 from becalm.core.response import Response, describe
@@ -20,6 +21,7 @@ from becalm.core.verdict import ADVICE, Verdict, counted, judge
 from becalm.errors import ModelError
 from becalm.noise.choose import FEWEST_READINGS
 from becalm.noise.excess import excess_error
+from becalm.noise.independence import independence_steps
 from becalm.noise.likelihood import Tuning
 
 NOTHING_REMOVED = 0.8
@@ -62,6 +64,7 @@ class MotionChannel:
         self._recipe, self._tuning, self._step_s, self._causal = recipe, tuning, step_s, causal
         self._judge = InnovationJudge(step_s)
         self._counts = Counter[Verdict]()
+        self._uncertainty = Uncertainty(recipe.tuning_spread, recipe.calibration)
         self._flow = Flow(
             tuning.component,
             tuning.noise_variance,
@@ -82,12 +85,13 @@ class MotionChannel:
     def _counted(self, told: list[Told]) -> list[Told]:
         for part in told:
             self._counts.update(counted(part.verdicts))
-        return told
+        return self._uncertainty.widened(told)
 
     def report(self) -> ChannelReport:
         """Say what was found, once finished."""
         tuning, response = self._tuning, _response(self._tuning, self._step_s, self._causal)
         smooths = not self._causal and response is not None and response.noise_gain < NOTHING_REMOVED
+        independent = independence_steps(tuning, self._causal)
         found = self._judge.judgement(partial(excess_error, tuning) if smooths else None)
         return ChannelReport(
             **_fields(found),
@@ -102,6 +106,9 @@ class MotionChannel:
             q_over_r=tuning.ratio,
             bandwidth_hz=response.bandwidth_hz if response else None if tuning.lines else 0.0,
             lag_s=response.lag_s if response else None,
+            independence_s=None if independent is None else independent * self._step_s,
+            tuning_spread=self._recipe.tuning_spread,
+            calibration_std=self._uncertainty.calibration_std,
             log_likelihood=self._flow.log_likelihood,
             settled_row=self._flow.settled_row,
             verdicts=_named(self._counts),

@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from becalm.core.verdict import AGREE, AT_MOST
 from becalm.errors import RecipeError
 
-VERSION: Literal[4] = 4  # 1 knew no tones, 2 no disturbances, 3 no gates; all are read
+VERSION: Literal[4] = 4  # 1 knew no tones, 2 no disturbances, 3 no gates and no spread; all are read
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -20,7 +20,9 @@ _HEADER = """A recipe of becalm: what was decided for each channel.
 Use it again:  becalm clean FILE -o OUT --recipe THIS
 A small process_noise_density trusts the model and smooths more; a small noise_std trusts the readings.
 A tone with disturbance = true, and coloured_noise, are taken off the signal.
-A gate leaves spikes out and follows steps; without one every reading is believed."""
+A gate leaves spikes out and follows steps; without one every reading is believed.
+sigma is widened by the share tuning_spread; [channel.calibration] with relative_std, offset_std adds what averaging
+does not lower."""
 
 
 class _Settings(BaseModel):
@@ -90,6 +92,21 @@ class GateRecipe(_Settings):
         return self
 
 
+class CalibrationRecipe(_Settings):
+    """What is uncertain in the sensor's calibration: one error for all samples, which averaging does not lower.
+
+    Attributes
+    ----------
+    relative_std : float
+        Standard uncertainty (k = 1) of the sensitivity, as a share; a *small* one trusts the calibration.
+    offset_std : float
+        Standard uncertainty (k = 1) of the zero, in unit; a *small* one trusts it.
+    """
+
+    relative_std: NotNegative = 0.0
+    offset_std: NotNegative = 0.0
+
+
 class TunedMotion(NamedTuple):
     """The numbers of a motion, all there, and what is beside it."""
 
@@ -115,8 +132,12 @@ class ChannelRecipe(_Settings):
         q, in unit^2/s^(2 order - 1); a *small* one trusts the model and smooths more.
     noise_std : float or None
         Standard deviation of one reading's noise, in unit; a *small* one trusts the readings.
+    tuning_spread : float
+        Share by which sigma is wider for what the tuning does not know; a *small* one trusts the tuning.
     coloured_noise : ColouredNoiseRecipe or None
         Beside the white noise.
+    calibration : CalibrationRecipe or None
+        What is uncertain in the sensor's calibration.
     tone : tuple of ToneRecipe
         Oscillations beside the motion.
     gate : GateRecipe or None
@@ -129,7 +150,9 @@ class ChannelRecipe(_Settings):
     order: Annotated[int, Field(ge=1, le=5)] | None = None
     process_noise_density: NotNegative | None = None
     noise_std: Positive | None = None
+    tuning_spread: NotNegative = 0.0
     coloured_noise: ColouredNoiseRecipe | None = None
+    calibration: CalibrationRecipe | None = None
     tone: tuple[ToneRecipe, ...] = ()
     gate: GateRecipe | None = None
 
@@ -225,7 +248,7 @@ class Recipe(_Settings):
         document.add("tuned_on", tomlkit.item(self.tuned_on.model_dump()))
         channels = tomlkit.aot()
         for channel in self.channel:
-            unneeded = None if channel.tone else {"tone"}
+            unneeded = {field for field in ("tone", "tuning_spread") if not getattr(channel, field)}
             channels.append(tomlkit.item(channel.model_dump(exclude_none=True, exclude=unneeded)))
         document.add("channel", channels)
         return tomlkit.dumps(document)

@@ -29,6 +29,14 @@ class ChannelReport(Judgement):
         Ratio of process to measurement noise, per step.
     bandwidth_hz, lag_s : float or None
         -3 dB bandwidth, and lag, as `core.response.Response` has them.
+    independence_s : float or None
+        How far apart samples must be for their errors to count as independent: the mean over T seconds has
+        the random uncertainty sigma sqrt(independence_s / T), and never more than sigma.
+    tuning_spread : float or None
+        Share by which sigma is wider for what the tuning does not know.
+    calibration_std : float or None
+        What the calibration adds, as a root of a sum of squares, at the mean magnitude of the signal, in unit; no
+        averaging lowers it. None where the recipe tells no calibration.
     log_likelihood : float or None
         Of the readings, given the recipe.
     settled_row : int or None
@@ -50,6 +58,9 @@ class ChannelReport(Judgement):
     q_over_r: float | None = None
     bandwidth_hz: float | None = None
     lag_s: float | None = None
+    independence_s: float | None = None
+    tuning_spread: float | None = None
+    calibration_std: float | None = None
     log_likelihood: float | None = None
     settled_row: int | None = None
     verdicts: dict[str, int] = field(default_factory=dict)

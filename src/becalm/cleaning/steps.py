@@ -20,8 +20,8 @@ _LEAST_RATIO, _GREATEST_RATIO = 1e-60, 1e12  # of q/r: beyond, every reading is 
 _SAME_RATE = 1e-3
 
 
-def in_seconds(name: str, unit: str, tuning: Tuning, step_s: float) -> ChannelRecipe:
-    """Return the recipe of a channel that was tuned in steps."""
+def in_seconds(name: str, unit: str, tuning: Tuning, step_s: float, spread: float = 0.0) -> ChannelRecipe:
+    """Return the recipe of a channel that was tuned in steps, and whose sigma is wider by a share."""
     noise = tuning.coloured
     return ChannelRecipe(
         name=name,
@@ -30,6 +30,7 @@ def in_seconds(name: str, unit: str, tuning: Tuning, step_s: float) -> ChannelRe
         order=tuning.order,
         process_noise_density=tuning.ratio * tuning.noise_variance / step_s ** (2 * tuning.order - 1),
         noise_std=float(np.sqrt(tuning.noise_variance)),
+        tuning_spread=spread,
         tone=tuple(_tone_in_seconds(line, step_s) for line in tuning.lines),
         coloured_noise=None
         if noise is None

@@ -22,6 +22,7 @@ from becalm.noise.gating import choose_gated
 from becalm.noise.likelihood import Evidence
 from becalm.noise.lines import FEWEST_FOR_TONES, MOST_TONES
 from becalm.noise.still import said_still
+from becalm.noise.tuning_spread import tuning_spread
 
 _NEARLY_EMPTY = 64  # readings, below which a channel need not tell its noise at rest
 
@@ -113,11 +114,17 @@ def _tune_channel(recording: Recording, causal: bool, wishes: Wishes, progress: 
     gate = GateRecipe()
     readings, elapsed = judge(recording.channel(name)).readings, time.elapsed_steps
     choice, gated = choose_gated(readings, elapsed, gate_of(gate, time.step_s), causal, known)
-    progress(name)
     if choice.tuning is None or choice.motion is None:
+        progress(name)
         return ChannelRecipe(name=name, unit=unit, model=choice.kind)
-    found = choice.tuning if wishes.dial is None else turn(choice.motion, wishes.dial, time.step_s, causal)
-    return in_seconds(name, unit, found, time.step_s).model_copy(update={"gate": gate if gated else None})
+    found, spread = choice.tuning, 0.0
+    if wishes.dial is not None:  # what a person asked for is no estimate
+        found = turn(choice.motion, wishes.dial, time.step_s, causal)
+    else:
+        told = known.noise is not None
+        spread = tuning_spread(found, Evidence.of(readings, elapsed), causal, noise_known=told)
+    progress(name)
+    return in_seconds(name, unit, found, time.step_s, spread).model_copy(update={"gate": gate if gated else None})
 
 
 def _rest_noise(rest: Recording, name: str, still_s: Sequence[tuple[float, float]]) -> NoiseModel | None:

@@ -1,0 +1,34 @@
+"""Simulated walks, and how a tuning cleans them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from becalm.core.arrays import Floats
+from becalm.core.components import motion
+from becalm.core.filtering import run_filter
+from becalm.core.smoothing import run_smoother
+from becalm.core.timeline import elapsed_timeline
+from becalm.noise.likelihood import Tuning
+
+
+def draw(order: int, ratio: float, rows: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
+    """Return a walk and its readings of variance 1, (rows,) each."""
+    model = motion(order, ratio).to_model(1.0, 1.0)
+    w = np.linalg.cholesky(model.process_covariance) @ rng.normal(size=(order, rows))
+    x, truth = np.zeros(order), np.empty(rows)
+    for k in range(rows):
+        truth[k] = x[0]
+        x = model.F @ x + w[:, k]
+    return truth, truth + rng.normal(size=rows)
+
+
+def clean(tuning: Tuning, z: Floats, causal: bool) -> tuple[Floats, Floats]:
+    """Return signal and sigma, (N,) each."""
+    component, R = tuning.component, tuning.noise_variance
+    model, timeline = component.to_model(1.0, R), elapsed_timeline(component, R, np.ones(len(z)))
+    if causal:
+        found = run_filter(model, timeline, z[:, np.newaxis]).estimate
+    else:
+        found = run_smoother(model, timeline, z[:, np.newaxis])
+    return found.signal[:, 0], found.sigma[:, 0]
