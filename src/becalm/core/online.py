@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from becalm.core.arrays import Floats
 from becalm.core.filtering import checked_readings, sizes_of
+from becalm.core.fixed_lag import FixedLag, checked_lag
 from becalm.core.kernel_online import live_kernels, new_live
 from becalm.core.model import Model
 from becalm.core.starting import (
@@ -27,7 +28,7 @@ from becalm.core.starting import (
     refuse_singular,
     wide_prior,
 )
-from becalm.core.timeline import model_system
+from becalm.core.timeline import even_timeline, model_system
 from becalm.errors import ModelError
 
 _VERSION = 2
@@ -43,22 +44,28 @@ class Online:
     model : Model
         The signal and its sensors, one step a reading. Without x0 and P0 it starts from the first
         readings; until they tell, the signal is NaN and sigma inf.
+    lag : int
+        Readings that each estimate waits for, and then knows: what comes back is the signal of the reading `lag`
+        steps ago, NaN with sigma inf while there is none. With a *small* one it comes soon, and noisier; 0 filters.
 
     Raises
     ------
     ModelError
-        If the model cannot start without x0 and P0.
+        If the model cannot start without x0 and P0, or the lag is no whole number.
     """
 
-    def __init__(self, model: Model) -> None:
+    def __init__(self, model: Model, lag: int = 0) -> None:
         self.model = model
+        self._late = FixedLag(model, lag) if checked_lag(lag) else None
         self._kernels = live_kernels(*sizes_of(model))
         self._width = model.channels
         self._live: Floats | None = None
         self._quick: Callable[[float], tuple[float, float]] | None = None
         self._known: Information | None = None  # what the opening has gathered, once a reading came
         self._prior = wide_prior(model)
-        if model.x0 is not None and model.P0 is not None and self._prior is None:
+        if self._late is not None:
+            self._one = even_timeline(model, 1, goes_on=True)
+        elif model.x0 is not None and model.P0 is not None and self._prior is None:
             self._begin(new_live(model, model.x0, model.P0, fresh=True))
         else:
             refuse_singular(model_system(model))
@@ -113,6 +120,11 @@ class Online:
     def _run_any(self, block: ArrayLike) -> tuple[Floats, Floats]:
         """Take a block of any kind, perhaps while nothing is known yet."""
         z = checked_readings(self.model, block)
+        if self._late is not None:
+            goes_on = self._late.waiting > 0
+            line = self._one if goes_on and len(z) == 1 else even_timeline(self.model, len(z), goes_on=goes_on)
+            late = self._late.push(line, z)
+            return late.signal.T, late.sigma.T
         if self._live is not None:
             return self._run(z, self._live)
         signal, sigma = np.empty(z.shape), np.empty(z.shape)
@@ -145,6 +157,16 @@ class Online:
             self._begin(new_live(self.model, *known_state(self._known), fresh=False))
         return told
 
+    def finish(self) -> tuple[Floats, Floats]:
+        """Return signal and sigma, (rows, m) each, of the last `lag` readings, with what there is after each.
+
+        Nothing changes by it: more readings may follow.
+        """
+        if self._late is None:
+            return np.empty((0, self._width)), np.empty((0, self._width))
+        signal, sigma = self._late.rest()
+        return signal.T, sigma.T
+
     def snapshot(self) -> bytes:
         """Return all that is needed to go on later, as plain bytes."""
         arrays: dict[str, Floats] = {}
@@ -156,6 +178,8 @@ class Online:
             arrays |= {"known_Y": self._known.Y, "known_y": self._known.y}
         if self._live is not None:
             arrays["live"] = self._live
+        if self._late is not None:
+            arrays |= {"lag": np.array(self._late.lag)} | self._late.snapshot()
         buffer = io.BytesIO()
         np.savez(buffer, version=np.array(_VERSION), **arrays)  # type: ignore[arg-type]
         return buffer.getvalue()
@@ -174,7 +198,8 @@ class Online:
                 arrays = {name: stored[name] for name in stored.files}
             if int(arrays["version"]) != _VERSION:
                 raise ModelError(f"The snapshot has version {int(arrays['version'])}; this becalm reads {_VERSION}.")
-            online = cls(Model(**{name[6:]: a for name, a in arrays.items() if name.startswith("model_")}))
+            model = Model(**{name[6:]: a for name, a in arrays.items() if name.startswith("model_")})
+            online = cls(model, int(arrays.get("lag", np.array(0))))
             online._restore(arrays)
         except ModelError:
             raise
@@ -187,6 +212,8 @@ class Online:
         n = self.model.states
         blank = new_live(self.model, np.zeros(n), np.zeros((n, n)), fresh=False)
         self._live, self._quick, self._known = None, None, None
+        if self._late is not None:
+            self._late.restore(arrays)
         if "known_Y" in arrays:
             self._known = Information(arrays["known_Y"], arrays["known_y"])
             _refuse_unlike("known_Y", self._known.Y, np.empty((n, n)))
