@@ -23,7 +23,7 @@ from becalm.core.kernels import Trace
 from becalm.core.lag_opening import LagOpening, Taken
 from becalm.core.model import Model
 from becalm.core.sized import Size, Sizes, size
-from becalm.core.starting import first_reading, refuse_singular, wide_prior
+from becalm.core.starting import arrived, first_reading, refuse_singular, wide_prior
 from becalm.core.timeline import Timeline, even_timeline, model_system
 from becalm.errors import ModelError
 
@@ -117,7 +117,7 @@ class FixedLag:
         self._system = model_system(model)
         self._window = new_window(len(self._C), model.states, model.channels, self.lag)
         self._memory: Floats | None = None  # of the filter, once the state is known
-        self._last_step = np.nan  # its length
+        self._last_step = np.nan  # length of the step before the last row, if that was complete
         self._opening = LagOpening(model, self._C, self.lag)
         if model.x0 is not None and model.P0 is not None and wide_prior(model) is None:
             self._memory = new_memory(model.x0, model.P0, model.channels)[0]
@@ -147,7 +147,7 @@ class FixedLag:
             same = np.flatnonzero(timeline.lengths == self._last_step)
             number = int(same[0]) if len(same) else None
             rename_last_step(self._memory, self.model.states, self.model.channels, number)
-        total, settled = Sums(), None
+        total, settled, begun = Sums(), None, row
         while row < len(z):
             stop = row + 1 if self._opening.waiting else len(z)
             sums, now = self._run(timeline, z, slice(row, stop), trace)
@@ -156,9 +156,10 @@ class FixedLag:
                 self._opening.learn_later(self._newest())
                 self._tell_early(trace, row)
             row = stop
-        if len(z):
+        if row > begun:
             step = timeline.step_before(len(z) - 1)
-            self._last_step = np.nan if step < 0 else float(timeline.lengths[step])
+            goes_on = step >= 0 and arrived(z[-1]).all()
+            self._last_step = float(timeline.lengths[step]) if goes_on else np.nan
         return Late(trace.signal, trace.sigma, trace.innovation, trace.innovation_sigma, total, settled)
 
     def rest(self) -> tuple[Floats, Floats]:
