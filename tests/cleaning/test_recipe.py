@@ -104,7 +104,7 @@ def test_a_recipe_by_hand_is_read() -> None:
 
 
 FAULTS = [
-    ('mode = "smoothed"', 'mode = "backwards"', "mode: Input should be 'smoothed' or 'causal'"),
+    ('mode = "smoothed"', 'mode = "backwards"', "mode: Input should be 'smoothed', 'causal' or 'lagged'"),
     ('mode = "smoothed"', 'mode = "smoothed"\nspeed = 3', "speed: Extra inputs are not permitted"),
     ("order = 2", "order = 2\nwindow = 9", "channel.1.window: Extra inputs are not permitted"),
     ("rows = 100", "rows = 100\nby = 'me'", "tuned_on.by: Extra inputs are not permitted"),
@@ -122,7 +122,7 @@ FAULTS = [
     ('name = "ax"', "", "channel.1.name: Field required"),
     ("rate_hz = 50.0", "", "tuned_on.rate_hz: Field required"),
     ("rate_hz = 50.0", "rate_hz = 0", "tuned_on.rate_hz: Input should be greater than 0"),
-    ("becalm_recipe = 1", "becalm_recipe = 4", "becalm_recipe: Input should be 1, 2 or 3"),
+    ("becalm_recipe = 1", "becalm_recipe = 5", "becalm_recipe: Input should be 1, 2, 3 or 4"),
     (
         "noise_std = 0.1",
         "noise_std = 0.1\n[[channel.tone]]\nfrequency_hz = 7",

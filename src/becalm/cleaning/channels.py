@@ -15,6 +15,7 @@ from becalm.cleaning.report import ChannelReport
 from becalm.cleaning.steps import in_steps
 from becalm.core.arrays import Floats
 from becalm.core.flow import Flow, Told
+from becalm.core.lagged_flow import LaggedFlow
 from becalm.core.response import Response, describe
 from becalm.core.verdict import ADVICE, Verdict, judge
 from becalm.errors import ModelError
@@ -42,8 +43,10 @@ class Channel(Protocol):
         ...
 
 
-def open_channel(recipe: ChannelRecipe, step_s: float, causal: bool, split: bool = False) -> Channel:
+def open_channel(recipe: ChannelRecipe, step_s: float, lag: int | None, split: bool = False) -> Channel:
     """Start a channel as its recipe says; split, it tells its parts as well.
+
+    Each row waits for `lag` later ones: 0 filters, None waits for all.
 
     Raises
     ------
@@ -52,18 +55,21 @@ def open_channel(recipe: ChannelRecipe, step_s: float, causal: bool, split: bool
     """
     if recipe.motion is None:
         return UnchangedChannel(recipe, split)
-    return MotionChannel(recipe, in_steps(recipe.motion, step_s), step_s, causal=causal, split=split)
+    return MotionChannel(recipe, in_steps(recipe.motion, step_s), step_s, lag=lag, split=split)
 
 
 class MotionChannel:
     """A channel that is filtered."""
 
-    def __init__(self, recipe: ChannelRecipe, tuning: Tuning, step_s: float, *, causal: bool, split: bool) -> None:
-        self._recipe, self._tuning, self._step_s, self._causal = recipe, tuning, step_s, causal
+    def __init__(self, recipe: ChannelRecipe, tuning: Tuning, step_s: float, *, lag: int | None, split: bool) -> None:
+        self._recipe, self._tuning, self._step_s, self._lag = recipe, tuning, step_s, lag
         self._judge = InnovationJudge(step_s)
         self._counts = Counter[Verdict]()
-        self._flow = Flow(
-            tuning.component, tuning.noise_variance, causal=self._causal, judge=self._judge.add, split=split
+        part, variance, judge = tuning.component, tuning.noise_variance, self._judge.add
+        self._flow = (
+            LaggedFlow(part, variance, lag=lag, judge=judge, split=split)
+            if lag
+            else Flow(part, variance, causal=lag == 0, judge=judge, split=split)
         )
 
     def push(self, z: Floats, elapsed: Floats) -> list[Told]:
@@ -78,8 +84,8 @@ class MotionChannel:
 
     def report(self) -> ChannelReport:
         """Say what was found, once finished."""
-        tuning, response = self._tuning, _response(self._tuning, self._step_s, self._causal)
-        smooths = not self._causal and response is not None and response.noise_gain < NOTHING_REMOVED
+        tuning, response = self._tuning, _response(self._tuning, self._step_s, self._lag is not None)
+        smooths = self._lag is None and response is not None and response.noise_gain < NOTHING_REMOVED
         found = self._judge.judgement(partial(excess_error, tuning) if smooths else None)
         return ChannelReport(
             **_fields(found),
@@ -92,8 +98,9 @@ class MotionChannel:
             noise_std=self._recipe.noise_std,
             coloured_std=None if tuning.coloured is None else float(np.sqrt(tuning.coloured.variance)),
             q_over_r=tuning.ratio,
-            bandwidth_hz=response.bandwidth_hz if response else None if tuning.lines else 0.0,
-            lag_s=response.lag_s if response else None,
+            bandwidth_hz=None if self._lag else response.bandwidth_hz if response else None if tuning.lines else 0.0,
+            lag_s=response.lag_s if response and not self._lag else None,
+            delay_s=self._lag * self._step_s if self._lag else None,
             log_likelihood=self._flow.log_likelihood,
             settled_row=self._flow.settled_row,
             verdicts=_named(self._counts),

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from becalm.errors import RecipeError
 
-VERSION: Literal[3] = 3  # 1 knew no tones, 2 no disturbances; both are read
+VERSION: Literal[4] = 4  # 1 knew no tones, 2 no disturbances, 3 no lag; all are read
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -19,6 +19,9 @@ _HEADER = """A recipe of becalm: what was decided for each channel.
 Use it again:  becalm clean FILE -o OUT --recipe THIS
 A small process_noise_density trusts the model and smooths more; a small noise_std trusts the readings.
 A tone with disturbance = true, and coloured_noise, are taken off the signal."""
+
+
+Mode = Literal["smoothed", "causal", "lagged"]
 
 
 class _Settings(BaseModel):
@@ -155,8 +158,10 @@ class Recipe(_Settings):
     ----------
     becalm_recipe : int
         Version of this format.
-    mode : {"smoothed", "causal"}
-        Whether estimates know the later readings.
+    mode : {"smoothed", "causal", "lagged"}
+        Whether estimates know the later readings: all, none, or those that come within a lag.
+    lag_s : float or None
+        Of "lagged", in seconds; with a *small* one the signal comes soon, and noisier.
     time : str or None
         Name of the time column, if it had to be said.
     rate_hz : float or None
@@ -167,8 +172,9 @@ class Recipe(_Settings):
         One for each channel to clean.
     """
 
-    becalm_recipe: Literal[1, 2, 3] = VERSION
-    mode: Literal["smoothed", "causal"] = "smoothed"
+    becalm_recipe: Literal[1, 2, 3, 4] = VERSION
+    mode: Mode = "smoothed"
+    lag_s: Positive | None = None
     time: str | None = None
     rate_hz: Positive | None = None
     tuned_on: Origin
@@ -178,6 +184,12 @@ class Recipe(_Settings):
     @classmethod
     def _as_written_now(cls, _: int) -> int:
         return VERSION  # of an older one every word is read
+
+    @model_validator(mode="after")
+    def _lag_belongs_to_lagged(self) -> Self:
+        if (self.mode == "lagged") != (self.lag_s is not None):
+            raise ValueError('lag_s and mode = "lagged" belong together; give both, or neither')
+        return self
 
     @model_validator(mode="after")
     def _names_differ(self) -> Self:

@@ -29,6 +29,8 @@ class ChannelReport(Judgement):
         Ratio of process to measurement noise, per step.
     bandwidth_hz, lag_s : float or None
         -3 dB bandwidth, and lag, as `core.response.Response` has them.
+    delay_s : float or None
+        How much later a row is told, if it waits for readings after it; bandwidth and lag are not told then.
     log_likelihood : float or None
         Of the readings, given the recipe.
     settled_row : int or None
@@ -48,6 +50,7 @@ class ChannelReport(Judgement):
     q_over_r: float | None = None
     bandwidth_hz: float | None = None
     lag_s: float | None = None
+    delay_s: float | None = None
     log_likelihood: float | None = None
     settled_row: int | None = None
     verdicts: dict[str, int] = field(default_factory=dict)

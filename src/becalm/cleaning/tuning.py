@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
-from becalm.cleaning.steps import in_seconds
+from becalm.cleaning.recipe import ChannelRecipe, Mode, Origin, Recipe
+from becalm.cleaning.steps import in_seconds, lag_in_rows
 from becalm.core.recording import Recording
 from becalm.core.verdict import judge
 from becalm.errors import RecordingError, UsageError
@@ -40,12 +40,15 @@ class Wishes(NamedTuple):
         The recording that those seconds count in, where it is another one, of the same channels.
     removed_hz : tuple of float
         Frequencies of tones to take off, as of mains hum.
+    lag_s : float or None
+        How long each estimate may wait for later readings; with a *small* one it comes soon, and noisier.
     """
 
     dial: Dial | None = None
     still_s: tuple[tuple[float, float], ...] = ()
     rest: Recording | None = None
     removed_hz: tuple[float, ...] = ()
+    lag_s: float | None = None
 
 
 NO_WISHES = Wishes()
@@ -86,6 +89,7 @@ def tune(
     chosen = recording if channels is None else recording.select(listed(channels))
     refuse_empty(chosen)
     _refuse_contradictions(wishes, chosen)
+    _refuse_lag(wishes, causal, chosen.timebase.step_s)
     one = partial(_tune_channel, chosen, causal, wishes, progress or _silent)
     pool = ThreadPoolExecutor()
     try:
@@ -93,7 +97,8 @@ def tune(
     finally:
         pool.shutdown(wait=False, cancel_futures=True)  # who stops it need not wait for the others
     origin = Origin(rows=len(chosen), rate_hz=chosen.rate_hz, becalm=_version())
-    return Recipe(mode="causal" if causal else "smoothed", tuned_on=origin, channel=found)
+    mode: Mode = "causal" if causal else "smoothed" if wishes.lag_s is None else "lagged"
+    return Recipe(mode=mode, lag_s=wishes.lag_s, tuned_on=origin, channel=found)
 
 
 def _version() -> str:
@@ -154,6 +159,14 @@ def _refuse_contradictions(wishes: Wishes, recording: Recording) -> None:
             f" {'no stretch is so even' if len(recording) >= FEWEST_FOR_TONES else f'{len(recording)} rows came'}."
             " Give a longer recording, or with --rate the rate at which the rows were taken."
         )
+
+
+def _refuse_lag(wishes: Wishes, causal: bool, step_s: float) -> None:
+    if wishes.lag_s is None:
+        return
+    if causal:
+        raise UsageError("A causal filter waits for no later reading; ask for a lag, or for a causal filter.")
+    lag_in_rows(wishes.lag_s, step_s)
 
 
 def refuse_empty(recording: Recording) -> None:

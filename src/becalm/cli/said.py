@@ -80,7 +80,7 @@ def refuse_parts(recipe: Recipe, columns: list[str]) -> None:
         )
 
 
-def tuned(source: OpenSource, causal: bool, asked: Asked) -> Recipe:
+def tuned(source: OpenSource, causal: bool, asked: Asked, lag_s: float | None = None) -> Recipe:
     """Tune a recipe on a file, or on evenly spread stretches of a long one."""
     from becalm.cleaning.tuning import Wishes, tune
     from becalm.cli.portions import beginning, rest_within, rows_to_tune_on
@@ -90,7 +90,7 @@ def tuned(source: OpenSource, causal: bool, asked: Asked) -> Recipe:
     sample = source.sample(rows_to_tune_on(source))
     ahead(sample, causal=causal)
     rest = beginning(source) if asked.still_s else sample
-    wishes = Wishes(asked.dial, asked.still_s, rest, asked.removed_hz)
+    wishes = Wishes(asked.dial, asked.still_s, rest, asked.removed_hz, lag_s)
     told = rest_within(source, rest) if asked.still_s else nullcontext()
     with progress("tuning", len(source.names)) as step, told:
         found = tune(sample, causal=causal, wishes=wishes, progress=lambda name: step(name, 1))
