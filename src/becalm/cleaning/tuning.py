@@ -22,6 +22,9 @@ from becalm.noise.likelihood import Evidence
 from becalm.noise.lines import FEWEST_FOR_TONES, MOST_TONES
 from becalm.noise.still import said_still
 
+SOON = 3
+"""Readings: with a lag up to this a filter's tuning errs less, beyond it a smoother's (`benchmarks/fixed_lag.py`)."""
+
 _NEARLY_EMPTY = 64  # readings, below which a channel need not tell its noise at rest
 
 Progress = Callable[[str], None]
@@ -89,8 +92,8 @@ def tune(
     chosen = recording if channels is None else recording.select(listed(channels))
     refuse_empty(chosen)
     _refuse_contradictions(wishes, chosen)
-    _refuse_lag(wishes, causal, chosen.timebase.step_s)
-    one = partial(_tune_channel, chosen, causal, wishes, progress or _silent)
+    as_filter = tuned_as_filter(causal, wishes.lag_s, chosen.timebase.step_s)
+    one = partial(_tune_channel, chosen, as_filter, wishes, progress or _silent)
     pool = ThreadPoolExecutor()
     try:
         found = tuple(pool.map(one, chosen.names))
@@ -161,12 +164,19 @@ def _refuse_contradictions(wishes: Wishes, recording: Recording) -> None:
         )
 
 
-def _refuse_lag(wishes: Wishes, causal: bool, step_s: float) -> None:
-    if wishes.lag_s is None:
-        return
+def tuned_as_filter(causal: bool, lag_s: float | None, step_s: float) -> bool:
+    """Whether the likelihood of the next reading tunes, as of a causal filter, or what a smoother is tuned by.
+
+    Raises
+    ------
+    UsageError
+        If a lag is asked of a causal filter, or no later reading comes within it.
+    """
+    if lag_s is None:
+        return causal
     if causal:
         raise UsageError("A causal filter waits for no later reading; ask for a lag, or for a causal filter.")
-    lag_in_rows(wishes.lag_s, step_s)
+    return lag_in_rows(lag_s, step_s) <= SOON
 
 
 def refuse_empty(recording: Recording) -> None:

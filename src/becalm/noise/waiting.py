@@ -15,7 +15,7 @@ from becalm.core.dials import motion_filter
 from becalm.core.parts import checked_step
 from becalm.core.response import decibels
 from becalm.core.steady import steady
-from becalm.errors import UsageError
+from becalm.errors import ModelError, UsageError
 from becalm.noise.likelihood import Tuning
 
 _WAITS = np.append(0.0, np.geomspace(0.05, 6.0, 40))  # in units of 1 / cut-off
@@ -131,6 +131,10 @@ def delay_curve(tuning: Tuning, step_s: float) -> tuple[Delay, ...]:
     """
     step_s, component = checked_step(step_s), tuning.component
     found = steady(component.to_model(1.0, tuning.noise_variance), component.signal_output[0])
+    if not found.error_variance() > 0:
+        raise ModelError(
+            "Without process noise the error shrinks for ever, so that no delay can be told; give q above 0."
+        )
     coloured = 0.0 if tuning.coloured is None else tuning.coloured.variance
     noise = tuning.noise_variance + coloured
 
