@@ -1,7 +1,8 @@
 """What a fixed lag buys: errors at lags from the filter to the smoother, tuned as either; its curve; its time.
 
 The signals and noises of `accuracy.py`, 100 Hz. Each recording is tuned twice, as a causal filter and as a
-smoother, and then smoothed with lags of 0, 1, 3, 10 and 30 readings, and of all.
+smoother, motions alone without the tones beside them, and then smoothed with lags of 0, 1, 3, 10 and 30
+readings, and of all.
 
 Run: python benchmarks/fixed_lag.py [-o docs/fixed-lag.md]
 """
@@ -10,18 +11,20 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 import becalm
 from accuracy import COUNT, NOISES, RATE_HZ, SEED, SIGNALS
-from becalm.cleaning.steps import in_steps
-from becalm.core.components import motion
+from becalm.core.components import ORDERS, motion
 from becalm.core.fixed_lag import fixed_lag_smoother
 from becalm.core.smoothing import kalman_smoother
 from becalm.metrics.truth import rms_error
-from becalm.noise.likelihood import Tuning
+from becalm.noise.cross_validation import simplest, tune_smoother
+from becalm.noise.likelihood import Evidence, Tuning, tune_motion
+from becalm.noise.risk import retune
 from becalm.noise.waiting import delay_curve
 from pages import page_parser, publish
 
@@ -33,11 +36,12 @@ TIMED = 100_000
 
 
 def tuned(z: Floats, causal: bool) -> Tuning:
-    """Tune a record as a filter or as a smoother, in steps."""
-    recipe = becalm.tune(becalm.Recording(z, rate_hz=RATE_HZ), causal=causal)
-    found = recipe.channel[0].motion
-    assert found is not None, "every one of these signals moves"
-    return in_steps(found, 1 / RATE_HZ)
+    """Tune the motion of a record as a filter or as a smoother, in steps."""
+    evidence = Evidence.of(z, np.ones(len(z)))
+    if not causal:
+        return simplest(tune_smoother(evidence))
+    rivals = [tune_motion(order, evidence) for order in ORDERS]
+    return retune(max(rivals, key=lambda tuning: tuning.log_likelihood), evidence)
 
 
 def errors(z: Floats, truth: Floats, tuning: Tuning) -> list[float]:
@@ -89,20 +93,26 @@ def curve_table(kept: dict[tuple[str, float], Tuning]) -> str:
     return "\n".join(lines)
 
 
-def nanoseconds(use: Callable[[], object], count: int) -> float:
+def nanoseconds(use: Callable[[Floats], object], z: Floats) -> float:
     """Return the shortest of five times, a reading."""
     took = []
     for _ in range(5):
         begun = time.perf_counter()
-        use()
+        use(z)
         took.append(time.perf_counter() - begun)
-    return min(took) / count * 1e9
+    return min(took) / len(z) * 1e9
+
+
+def step_through(online: becalm.Online, z: Floats) -> None:
+    """Take readings one by one."""
+    for reading in z.tolist():
+        online.step(reading)
 
 
 def time_table() -> str:
     """Write what a reading costs a stream of order 2, with lags of 0, 10, 100 and 1000, in blocks and one by one."""
     model, z = motion(2, 1e-3).to_model(1.0, 1.0), np.random.default_rng(1).normal(size=TIMED)
-    holes = np.where(np.random.default_rng(2).random(TIMED) < 0.01, np.nan, z)
+    holes = np.where(np.random.default_rng(2).random(TIMED // 10) < 0.01, np.nan, z[: TIMED // 10])
     lines, first = (
         ["| lag | block, ns | over lag 0 | 1 % missing, ns | one by one, ns |", "|---|---|---|---|---|"],
         np.nan,
@@ -110,11 +120,10 @@ def time_table() -> str:
     for lag in (0, 10, 100, 1000):
         online = becalm.Online(model, lag)
         online.run(z[:5000])
-        block = nanoseconds(lambda online=online: online.run(z), TIMED)  # type: ignore[misc]
+        block = nanoseconds(online.run, z)
         first = block if lag == 0 else first
-        few = z[:2000].tolist()
-        single = nanoseconds(lambda online=online: [online.step(one) for one in few], len(few))  # type: ignore[misc]
-        missing = nanoseconds(lambda online=online: online.run(holes[: TIMED // 10]), TIMED // 10)  # type: ignore[misc]
+        single = nanoseconds(partial(step_through, online), z[:2000])
+        missing = nanoseconds(online.run, holes)
         lines.append(f"| {lag} | {block:.0f} | {block / first:.1f} | {missing:.0f} | {single:.0f} |")
     return "\n".join(lines)
 
