@@ -15,10 +15,11 @@ from numpy.typing import ArrayLike
 
 from becalm.core.arrays import Floats
 from becalm.core.filtering import Sums, Wanted, checked_readings, kalman_filter, new_trace, sizes_of
+from becalm.core.kernel_block import Record
 from becalm.core.kernel_lag import open_window, run_late, run_out
 from becalm.core.kernel_lag_window import PLACE, ROWS, WEIGHED, Window, new_window, newest_taken
 from becalm.core.kernel_settling import GAIN, new_memory, rename_last_step
-from becalm.core.kernel_steps import Step
+from becalm.core.kernel_steps import Step, System
 from becalm.core.kernels import Trace
 from becalm.core.lag_opening import LagOpening, Taken
 from becalm.core.model import Model
@@ -118,6 +119,7 @@ class FixedLag:
         self._window = new_window(len(self._C), model.states, model.channels, self.lag)
         self._memory: Floats | None = None  # of the filter, once the state is known
         self._last_step = np.nan  # length of the step before the last row, if that was complete
+        self._single: tuple[Floats, tuple[tuple[Size, Sizes], Floats, System, Record], Trace] | None = None
         self._opening = LagOpening(model, self._C, self.lag)
         if model.x0 is not None and model.P0 is not None and wide_prior(model) is None:
             self._memory = new_memory(model.x0, model.P0, model.channels)[0]
@@ -161,6 +163,21 @@ class FixedLag:
             goes_on = step >= 0 and arrived(z[-1]).all()
             self._last_step = float(timeline.lengths[step]) if goes_on else np.nan
         return Late(trace.signal, trace.sigma, trace.innovation, trace.innovation_sigma, total, settled)
+
+    def step(self, timeline: Timeline, reading: Floats) -> tuple[Floats, Floats]:
+        """Take one row (m,) over a timeline of one row, the same each time; return outputs and sigma, (p,) each."""
+        if self._memory is None or self._opening.waiting:
+            late = self.push(timeline, reading[np.newaxis])
+            return late.signal[:, 0], late.sigma[:, 0]
+        if self._single is None:
+            z = np.empty((1, len(reading)))
+            told = self._sizes, self._C, timeline.system, timeline.record(z)
+            self._single = z, told, self._room(1, innovations=False)
+        z, (sizes, C, system, record), trace = self._single
+        z[0] = reading
+        run_late(*sizes, C, system, record, 0, 1, self._enough, self._memory, self._window, trace)
+        self._last_step = float(timeline.lengths[0]) if arrived(reading).all() else np.nan
+        return trace.signal[:, 0].copy(), trace.sigma[:, 0].copy()
 
     def rest(self) -> tuple[Floats, Floats]:
         """Return outputs and sigma, (p, rows) each, of the rows that wait, with what there is after them."""

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from becalm.core.arrays import Floats
-from becalm.core.filtering import checked_readings, sizes_of
+from becalm.core.filtering import checked_readings, numbers, sizes_of
 from becalm.core.fixed_lag import FixedLag, checked_lag
 from becalm.core.kernel_online import live_kernels, new_live
 from becalm.core.model import Model
@@ -95,7 +95,10 @@ class Online:
         row = np.ravel(z_k)
         if len(row) != self.model.channels:
             raise ModelError(f"z_k has {len(row)} values; this model has {self.model.channels} channels.")
-        signal, sigma = self.run(row[np.newaxis])
+        if self._late is not None and self._late.waiting:
+            signal, sigma = (told[np.newaxis] for told in self._late.step(self._one, numbers(row)))
+        else:
+            signal, sigma = self.run(row[np.newaxis])
         if np.ndim(z_k) == 0:
             return float(signal[0, 0]), float(sigma[0, 0])
         return signal[0], sigma[0]
@@ -121,9 +124,7 @@ class Online:
         """Take a block of any kind, perhaps while nothing is known yet."""
         z = checked_readings(self.model, block)
         if self._late is not None:
-            goes_on = self._late.waiting > 0
-            line = self._one if goes_on and len(z) == 1 else even_timeline(self.model, len(z), goes_on=goes_on)
-            late = self._late.push(line, z)
+            late = self._late.push(even_timeline(self.model, len(z), goes_on=self._late.waiting > 0), z)
             return late.signal.T, late.sigma.T
         if self._live is not None:
             return self._run(z, self._live)
