@@ -106,7 +106,7 @@ def test_a_recipe_by_hand_is_read() -> None:
 
 
 FAULTS = [
-    ('mode = "smoothed"', 'mode = "backwards"', "mode: Input should be 'smoothed' or 'causal'"),
+    ('mode = "smoothed"', 'mode = "backwards"', "mode: Input should be 'smoothed', 'causal' or 'lagged'"),
     ('mode = "smoothed"', 'mode = "smoothed"\nspeed = 3', "speed: Extra inputs are not permitted"),
     ("order = 2", "order = 2\nwindow = 9", "channel.1.window: Extra inputs are not permitted"),
     ("rows = 100", "rows = 100\nby = 'me'", "tuned_on.by: Extra inputs are not permitted"),

@@ -77,3 +77,28 @@ def test_parts_are_not_written_over_columns(humming: Path, run: Run, tmp_path: P
     assert ran.returncode == 2
     assert "has a column 'strain (um/m)_motion', which --split would write" in ran.stderr
     assert [path.name for path in tmp_path.iterdir()] == ["hum.csv"]
+
+
+def test_a_lag_is_kept_and_said(drive: Path, run: Run, tmp_path: Path) -> None:
+    ran = run("clean", drive, "-o", "out.csv", "--lag", "50ms", "--channels", "walk", "--json")
+    assert ran.returncode in (0, 4), ran.stderr
+    told = json.loads(ran.stdout)
+    assert (told["mode"], told["channels"][0]["delay_s"]) == ("lagged", pytest.approx(0.05))
+    assert "told 0.05 s later" in ran.stderr
+    assert 'mode = "lagged"\nlag_s = 0.05' in (tmp_path / "out.csv.recipe.toml").read_text(encoding="utf-8")
+
+
+def test_tuning_says_what_a_delay_buys(drive: Path, run: Run) -> None:
+    ran = run("tune", drive, "-o", "r.toml", "--channels", "walk", "--json")
+    assert ran.returncode == 0, ran.stderr
+    curve = json.loads(ran.stdout)["delays"]["walk"]
+    assert curve[0]["wait_s"] == 0.0
+    line = ", ".join(f"{one['wait_s'] * 1e3:.4g} ms {one['left_db']:.1f} dB" for one in curve)
+    assert f"walk: {line} (the limit)" in ran.stderr
+
+
+@pytest.mark.parametrize("lag", ["50", "-5ms", "soon"])
+def test_a_lag_without_its_unit_is_refused(lag: str, drive: Path, run: Run) -> None:
+    ran = run("clean", drive, "-o", "out.csv", "--lag", lag)
+    assert ran.returncode == 2
+    assert "write a positive number and then s, ms or us, as 10ms" in ran.stderr

@@ -16,6 +16,7 @@ from becalm.cleaning.steps import gate_of, in_steps
 from becalm.cleaning.uncertainty import Uncertainty
 from becalm.core.arrays import Floats
 from becalm.core.flow import Flow, Told
+from becalm.core.lagged_flow import LaggedFlow
 from becalm.core.response import Response, describe
 from becalm.core.verdict import ADVICE, Verdict, counted, judge
 from becalm.errors import ModelError
@@ -44,8 +45,10 @@ class Channel(Protocol):
         ...
 
 
-def open_channel(recipe: ChannelRecipe, step_s: float, causal: bool, split: bool = False) -> Channel:
+def open_channel(recipe: ChannelRecipe, step_s: float, lag: int | None, split: bool = False) -> Channel:
     """Start a channel as its recipe says; split, it tells its parts as well.
+
+    Each row waits for `lag` later ones: 0 filters, None waits for all.
 
     Raises
     ------
@@ -54,24 +57,23 @@ def open_channel(recipe: ChannelRecipe, step_s: float, causal: bool, split: bool
     """
     if recipe.motion is None:
         return UnchangedChannel(recipe, split)
-    return MotionChannel(recipe, in_steps(recipe.motion, step_s), step_s, causal=causal, split=split)
+    return MotionChannel(recipe, in_steps(recipe.motion, step_s), step_s, lag=lag, split=split)
 
 
 class MotionChannel:
     """A channel that is filtered."""
 
-    def __init__(self, recipe: ChannelRecipe, tuning: Tuning, step_s: float, *, causal: bool, split: bool) -> None:
-        self._recipe, self._tuning, self._step_s, self._causal = recipe, tuning, step_s, causal
+    def __init__(self, recipe: ChannelRecipe, tuning: Tuning, step_s: float, *, lag: int | None, split: bool) -> None:
+        self._recipe, self._tuning, self._step_s, self._lag = recipe, tuning, step_s, lag
         self._judge = InnovationJudge(step_s)
         self._counts = Counter[Verdict]()
         self._uncertainty = Uncertainty(recipe.tuning_spread, recipe.calibration)
-        self._flow = Flow(
-            tuning.component,
-            tuning.noise_variance,
-            causal=self._causal,
-            judge=self._judge.add,
-            split=split,
-            gate=None if recipe.gate is None else gate_of(recipe.gate, step_s),
+        part, variance, judge = tuning.component, tuning.noise_variance, self._judge.add
+        gate = None if recipe.gate is None else gate_of(recipe.gate, step_s)
+        self._flow = (
+            LaggedFlow(part, variance, lag=lag, judge=judge, split=split)
+            if lag
+            else Flow(part, variance, causal=lag == 0, judge=judge, split=split, gate=gate)
         )
 
     def push(self, z: Floats, elapsed: Floats) -> list[Told]:
@@ -89,9 +91,9 @@ class MotionChannel:
 
     def report(self) -> ChannelReport:
         """Say what was found, once finished."""
-        tuning, response = self._tuning, _response(self._tuning, self._step_s, self._causal)
-        smooths = not self._causal and response is not None and response.noise_gain < NOTHING_REMOVED
-        independent = independence_steps(tuning, self._causal)
+        tuning, response = self._tuning, _response(self._tuning, self._step_s, self._lag is not None)
+        smooths = self._lag is None and response is not None and response.noise_gain < NOTHING_REMOVED
+        independent = None if self._lag else independence_steps(tuning, self._lag == 0)
         found = self._judge.judgement(partial(excess_error, tuning) if smooths else None)
         return ChannelReport(
             **_fields(found),
@@ -104,8 +106,9 @@ class MotionChannel:
             noise_std=self._recipe.noise_std,
             coloured_std=None if tuning.coloured is None else float(np.sqrt(tuning.coloured.variance)),
             q_over_r=tuning.ratio,
-            bandwidth_hz=response.bandwidth_hz if response else None if tuning.lines else 0.0,
-            lag_s=response.lag_s if response else None,
+            bandwidth_hz=None if self._lag else response.bandwidth_hz if response else None if tuning.lines else 0.0,
+            lag_s=response.lag_s if response and not self._lag else None,
+            delay_s=self._lag * self._step_s if self._lag else None,
             independence_s=None if independent is None else independent * self._step_s,
             tuning_spread=self._recipe.tuning_spread,
             calibration_std=self._uncertainty.calibration_std,

@@ -13,6 +13,7 @@ import numpy as np
 from becalm.cleaning.channels import Channel, open_channel
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.report import ChannelReport
+from becalm.cleaning.steps import lag_in_rows
 from becalm.core.arrays import Floats
 from becalm.core.flow import Told
 
@@ -33,11 +34,13 @@ class Cleaner:
     ------
     RecipeError
         If a channel's numbers make no filter at this step.
+    UsageError
+        If no later reading comes within the recipe's lag.
     """
 
     def __init__(self, recipe: Recipe, step_s: float, *, split: bool = False) -> None:
-        causal = recipe.mode == "causal"
-        self._channels: list[Channel] = [open_channel(channel, step_s, causal, split) for channel in recipe.channel]
+        lag = None if recipe.mode == "smoothed" else 0 if recipe.lag_s is None else lag_in_rows(recipe.lag_s, step_s)
+        self._channels: list[Channel] = [open_channel(channel, step_s, lag, split) for channel in recipe.channel]
         self._ready = [_Rows() for _ in self._channels]
         self._sizes: deque[int] = deque()  # of pushes that were not answered yet
         self._pool = ThreadPoolExecutor()

@@ -10,11 +10,11 @@ import numpy as np
 from becalm.cleaning.cleaner import Cleaner
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.report import ChannelReport
-from becalm.cleaning.tuning import listed, refuse_empty, tune
+from becalm.cleaning.tuning import Wishes, listed, refuse_empty, tune
 from becalm.core.arrays import Codes
 from becalm.core.flow import Told
 from becalm.core.recording import Recording
-from becalm.errors import RecipeError
+from becalm.errors import RecipeError, UsageError
 
 
 @dataclass(frozen=True)
@@ -50,11 +50,12 @@ class Cleaned:
         return all(report.describes for report in self.reports)
 
 
-def clean(
+def clean(  # noqa: PLR0913  (what is wanted, each by its name)
     recording: Recording,
     recipe: Recipe | None = None,
     *,
     causal: bool | None = None,
+    lag_s: float | None = None,
     channels: Sequence[str] | None = None,
     split: bool = False,
 ) -> Cleaned:
@@ -69,6 +70,9 @@ def clean(
     causal : bool, optional
         Whether estimates know only the past; False by default, or as the recipe says. A recipe tuned
         for the other mode keeps its numbers, which `tune(..., causal=...)` might choose differently.
+    lag_s : float, optional
+        How long each estimate may wait for later readings, in place of none or all of them; with a *small*
+        one a live filter of this kind tells the signal soon, and noisier.
     channels : sequence of str, optional
         Names of the channels to clean; all, or all of the recipe, by default.
     split : bool
@@ -80,12 +84,14 @@ def clean(
         If a channel does not exist, or there are no channels or samples.
     RecipeError
         If the recipe names a channel that the recording does not have, or in another unit.
+    UsageError
+        If a lag is asked of a causal filter, or no later reading comes within it.
     """
     refuse_empty(recording)
     if recipe is None:
-        recipe = tune(recording, causal=bool(causal), channels=channels)
+        recipe = tune(recording, causal=bool(causal), channels=channels, wishes=Wishes(lag_s=lag_s))
     else:
-        recipe = fitted(recipe, recording.names, recording.units, causal=causal, channels=channels)
+        recipe = fitted(in_mode(recipe, causal, lag_s), recording.names, recording.units, channels=channels)
     chosen = recording.select([channel.name for channel in recipe.channel])
     refuse_empty(chosen)
     time = chosen.timebase
@@ -115,10 +121,25 @@ def _parts(recording: Recording, recipe: Recipe, told: Sequence[Told]) -> Record
     )
 
 
-def _narrowed(recipe: Recipe, causal: bool | None, channels: Sequence[str] | None) -> Recipe:
+def in_mode(recipe: Recipe, causal: bool | None = None, lag_s: float | None = None) -> Recipe:
+    """Return a recipe whose estimates know only the past, or as much more as is asked; as it is, if nothing is.
+
+    Raises
+    ------
+    UsageError
+        If a lag is asked of a causal filter.
+    """
+    if causal and lag_s is not None:
+        raise UsageError("A causal filter waits for no later reading; ask for a lag, or for a causal filter.")
+    if lag_s is not None:
+        return recipe.model_copy(update={"mode": "lagged", "lag_s": lag_s})
+    if causal is None:
+        return recipe
+    return recipe.model_copy(update={"mode": "causal" if causal else "smoothed", "lag_s": None})
+
+
+def _narrowed(recipe: Recipe, channels: Sequence[str] | None) -> Recipe:
     changes: dict[str, object] = {}
-    if causal is not None:
-        changes["mode"] = "causal" if causal else "smoothed"
     if channels is not None:
         known = {channel.name: channel for channel in recipe.channel}
         missing = [name for name in listed(channels) if name not in known]
@@ -154,7 +175,7 @@ def fitted(
     RecipeError
         If the recipe names a channel that the recording does not have, or in another unit.
     """
-    recipe = _narrowed(recipe, causal, channels)
+    recipe = _narrowed(in_mode(recipe, causal), channels)
     for channel in recipe.channel:
         if channel.name not in names:
             raise RecipeError(

@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from becalm.core.verdict import AGREE, AT_MOST
 from becalm.errors import RecipeError
 
-VERSION: Literal[4] = 4  # 1 knew no tones, 2 no disturbances, 3 no gates and no spread; all are read
+VERSION: Literal[4] = 4  # 1 knew no tones, 2 no disturbances, 3 no gates, lags and spread; all are read
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -23,6 +23,9 @@ A tone with disturbance = true, and coloured_noise, are taken off the signal.
 A gate leaves spikes out and follows steps; without one every reading is believed.
 sigma is widened by the share tuning_spread; [channel.calibration] with relative_std, offset_std adds what averaging
 does not lower."""
+
+
+Mode = Literal["smoothed", "causal", "lagged"]
 
 
 class _Settings(BaseModel):
@@ -207,8 +210,10 @@ class Recipe(_Settings):
     ----------
     becalm_recipe : int
         Version of this format.
-    mode : {"smoothed", "causal"}
-        Whether estimates know the later readings.
+    mode : {"smoothed", "causal", "lagged"}
+        Whether estimates know the later readings: all, none, or those that come within a lag.
+    lag_s : float or None
+        Of "lagged", in seconds; with a *small* one the signal comes soon, and noisier.
     time : str or None
         Name of the time column, if it had to be said.
     rate_hz : float or None
@@ -220,7 +225,8 @@ class Recipe(_Settings):
     """
 
     becalm_recipe: Literal[1, 2, 3, 4] = VERSION
-    mode: Literal["smoothed", "causal"] = "smoothed"
+    mode: Mode = "smoothed"
+    lag_s: Positive | None = None
     time: str | None = None
     rate_hz: Positive | None = None
     tuned_on: Origin
@@ -230,6 +236,12 @@ class Recipe(_Settings):
     @classmethod
     def _as_written_now(cls, _: int) -> int:
         return VERSION  # of an older one every word is read
+
+    @model_validator(mode="after")
+    def _lag_belongs_to_lagged(self) -> Self:
+        if (self.mode == "lagged") != (self.lag_s is not None):
+            raise ValueError('lag_s and mode = "lagged" belong together; give both, or neither')
+        return self
 
     @model_validator(mode="after")
     def _names_differ(self) -> Self:

@@ -29,6 +29,8 @@ class ChannelReport(Judgement):
         Ratio of process to measurement noise, per step.
     bandwidth_hz, lag_s : float or None
         -3 dB bandwidth, and lag, as `core.response.Response` has them.
+    delay_s : float or None
+        How much later a row is told, if it waits for readings after it; bandwidth and lag are not told then.
     independence_s : float or None
         How far apart samples must be for their errors to count as independent: the mean over T seconds has
         the random uncertainty sigma sqrt(independence_s / T), and never more than sigma.
@@ -58,6 +60,7 @@ class ChannelReport(Judgement):
     q_over_r: float | None = None
     bandwidth_hz: float | None = None
     lag_s: float | None = None
+    delay_s: float | None = None
     independence_s: float | None = None
     tuning_spread: float | None = None
     calibration_std: float | None = None

@@ -10,14 +10,16 @@ import numpy as np
 from becalm.cleaning.recipe import ChannelRecipe, ColouredNoiseRecipe, GateRecipe, ToneRecipe, TunedMotion
 from becalm.core.autoregressive import Coloured
 from becalm.core.gates import Gate, threshold_for
-from becalm.errors import ModelError, RecipeError
+from becalm.errors import ModelError, RecipeError, UsageError
 from becalm.noise.likelihood import Tuning
 from becalm.noise.spectrum import Line
 
 _SLOWEST, _QUICKEST, _WIDEST = 1e-8, 0.5, 1.0  # cycles a step
 _APART = 1e-6  # of a frequency: nearer tones are one
 _LEAST_RATIO, _GREATEST_RATIO = 1e-60, 1e12  # of q/r: beyond, every reading is ignored or believed
+_LONGEST_LAG = 1 << 20  # readings: a window of them is held
 _SAME_RATE = 1e-3
+_WHOLE = 1e-6  # of a step: by so much a lag may fall short of a reading that it counts
 
 
 def in_seconds(name: str, unit: str, tuning: Tuning, step_s: float, spread: float = 0.0) -> ChannelRecipe:
@@ -72,6 +74,23 @@ def in_steps(tuned: TunedMotion, step_s: float) -> Tuning:
 def gate_of(told: GateRecipe, step_s: float) -> Gate:
     """Return the gate of a recipe at this step."""
     return Gate(threshold_for(told.false_alarms_per_hour, 1 / step_s), told.agree, told.at_most)
+
+
+def lag_in_rows(lag_s: float, step_s: float) -> int:
+    """Return how many later readings come within a lag.
+
+    Raises
+    ------
+    UsageError
+        If none does.
+    """
+    rows = np.floor(lag_s / step_s + _WHOLE)
+    if not 1 <= rows < _LONGEST_LAG:
+        raise UsageError(
+            f"lag_s = {lag_s:.6g} is {rows:.0f} readings at {1 / step_s:.6g} Hz; give {step_s:.6g} to"
+            f" {_LONGEST_LAG * step_s:.6g} s, or let the filter be causal, or smooth."
+        )
+    return int(rows)
 
 
 def _refuse_twins(tones: Sequence[ToneRecipe]) -> None:

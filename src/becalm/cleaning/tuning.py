@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from becalm.cleaning.recipe import ChannelRecipe, GateRecipe, Origin, Recipe
-from becalm.cleaning.steps import gate_of, in_seconds
+from becalm.cleaning.recipe import ChannelRecipe, GateRecipe, Mode, Origin, Recipe
+from becalm.cleaning.steps import gate_of, in_seconds, lag_in_rows
 from becalm.core.recording import Recording
 from becalm.core.verdict import judge
 from becalm.errors import RecordingError, UsageError
@@ -23,6 +23,9 @@ from becalm.noise.likelihood import Evidence
 from becalm.noise.lines import FEWEST_FOR_TONES, MOST_TONES
 from becalm.noise.still import said_still
 from becalm.noise.tuning_spread import tuning_spread
+
+SOON = 3
+"""Readings: with a lag up to this a filter's tuning errs less, beyond it a smoother's (`benchmarks/fixed_lag.py`)."""
 
 _NEARLY_EMPTY = 64  # readings, below which a channel need not tell its noise at rest
 
@@ -42,12 +45,15 @@ class Wishes(NamedTuple):
         The recording that those seconds count in, where it is another one, of the same channels.
     removed_hz : tuple of float
         Frequencies of tones to take off, as of mains hum.
+    lag_s : float or None
+        How long each estimate may wait for later readings; with a *small* one it comes soon, and noisier.
     """
 
     dial: Dial | None = None
     still_s: tuple[tuple[float, float], ...] = ()
     rest: Recording | None = None
     removed_hz: tuple[float, ...] = ()
+    lag_s: float | None = None
 
 
 NO_WISHES = Wishes()
@@ -88,14 +94,16 @@ def tune(
     chosen = recording if channels is None else recording.select(listed(channels))
     refuse_empty(chosen)
     _refuse_contradictions(wishes, chosen)
-    one = partial(_tune_channel, chosen, causal, wishes, progress or _silent)
+    as_filter = tuned_as_filter(causal, wishes.lag_s, chosen.timebase.step_s)
+    one = partial(_tune_channel, chosen, as_filter, wishes, progress or _silent)
     pool = ThreadPoolExecutor()
     try:
         found = tuple(pool.map(one, chosen.names))
     finally:
         pool.shutdown(wait=False, cancel_futures=True)  # who stops it need not wait for the others
     origin = Origin(rows=len(chosen), rate_hz=chosen.rate_hz, becalm=_version())
-    return Recipe(mode="causal" if causal else "smoothed", tuned_on=origin, channel=found)
+    mode: Mode = "causal" if causal else "smoothed" if wishes.lag_s is None else "lagged"
+    return Recipe(mode=mode, lag_s=wishes.lag_s, tuned_on=origin, channel=found)
 
 
 def _version() -> str:
@@ -164,6 +172,21 @@ def _refuse_contradictions(wishes: Wishes, recording: Recording) -> None:
             f" {'no stretch is so even' if len(recording) >= FEWEST_FOR_TONES else f'{len(recording)} rows came'}."
             " Give a longer recording, or with --rate the rate at which the rows were taken."
         )
+
+
+def tuned_as_filter(causal: bool, lag_s: float | None, step_s: float) -> bool:
+    """Whether the likelihood of the next reading tunes, as of a causal filter, or what a smoother is tuned by.
+
+    Raises
+    ------
+    UsageError
+        If a lag is asked of a causal filter, or no later reading comes within it.
+    """
+    if lag_s is None:
+        return causal
+    if causal:
+        raise UsageError("A causal filter waits for no later reading; ask for a lag, or for a causal filter.")
+    return lag_in_rows(lag_s, step_s) <= SOON
 
 
 def refuse_empty(recording: Recording) -> None:

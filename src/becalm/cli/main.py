@@ -56,6 +56,7 @@ def clean(  # noqa: PLR0913  (the contract's options)
     rate: o.Rate = None,
     time: o.Time = None,
     causal: o.Causal = False,
+    lag: o.Lag = None,
     max_lag: o.MaxLag = None,
     bandwidth: o.Bandwidth = None,
     noise_gain: o.NoiseGain = None,
@@ -66,7 +67,7 @@ def clean(  # noqa: PLR0913  (the contract's options)
     as_json: o.Json = False,
 ) -> None:
     """Remove the noise from a recording; nothing needs to be chosen."""
-    from becalm.cleaning.pipeline import fitted
+    from becalm.cleaning.pipeline import fitted, in_mode
     from becalm.cli.streaming import clean_chunks
     from becalm.cli.talk import progress, tell, tell_columns, tell_not_removed
     from becalm.files.plain import refuse_unwritable, text_in_waiting
@@ -74,6 +75,7 @@ def clean(  # noqa: PLR0913  (the contract's options)
     from becalm.files.writing import open_output, refuse_columns
 
     beside, asked = Path(f"{output}.recipe.toml"), o.asked_of(o.Dials(max_lag, bandwidth, noise_gain), still, remove)
+    lag_s = o.lag_of(lag)
     if recipe is not None and asked.anything:
         raise UsageError("A recipe has its filters already; leave --recipe out to ask for others, or ask for nothing.")
     format_to_write(output)
@@ -83,9 +85,9 @@ def clean(  # noqa: PLR0913  (the contract's options)
     said = Said(channels, rate, time) if given is None else Said(channels, rate, time).or_as(given)
     with open_as(file, said) as source:
         refuse_columns(output, source.schema)
-        decided = tuned(source, causal, asked) if given is None else given
-        mode, named = True if causal else None, source.names if channels else None
-        decided = said.kept_in(fitted(decided, source.names, source.units, causal=mode, channels=named))
+        decided = in_mode(tuned(source, causal, asked, lag_s) if given is None else given, causal or None, lag_s)
+        named = source.names if channels else None
+        decided = said.kept_in(fitted(decided, source.names, source.units, channels=named))
         refuse_taken(decided, source.schema.names, split=split, verdicts=verdicts)
         text = decided.to_toml()
         if recipe is not None and _is_same(beside, recipe) and decided != given:
@@ -131,6 +133,7 @@ def tune(  # noqa: PLR0913  (the contract's options)
     rate: o.Rate = None,
     time: o.Time = None,
     causal: o.Causal = False,
+    lag: o.Lag = None,
     max_lag: o.MaxLag = None,
     bandwidth: o.Bandwidth = None,
     noise_gain: o.NoiseGain = None,
@@ -138,17 +141,25 @@ def tune(  # noqa: PLR0913  (the contract's options)
     remove: o.Remove = None,
     as_json: o.Json = False,
 ) -> None:
-    """Find the filter of each channel and write it as a recipe."""
+    """Find the filter of each channel and write it as a recipe; say what a delay would buy."""
+    from dataclasses import asdict
+
+    from becalm.cleaning.delays import delays
+    from becalm.cli.talk import tell_delays
     from becalm.files.plain import refuse_unwritable, write_text
 
     _refuse_overwriting(file, output)
     refuse_unwritable(output)
     said, asked = Said(channels, rate, time), o.asked_of(o.Dials(max_lag, bandwidth, noise_gain), still, remove)
     with open_as(file, said) as source:
-        found = said.kept_in(tuned(source, causal, asked))
+        found = said.kept_in(tuned(source, causal, asked, o.lag_of(lag)))
     write_text(output, found.to_toml())
+    bought = delays(found)
+    tell_delays(bought)
     if as_json:
-        print(json.dumps({"file": str(file), "recipe": str(output), **found.model_dump()}, indent=2))  # noqa: T201
+        told = {name: [asdict(one) for one in curve] for name, curve in bought.items()}
+        summary = {"file": str(file), "recipe": str(output), **found.model_dump(), "delays": told}
+        print(json.dumps(summary, indent=2))  # noqa: T201
     typer.echo(f"Wrote {output}. Use it with: becalm clean {file} -o OUT --recipe {output}", err=True)
 
 

@@ -28,7 +28,14 @@ Rate = Annotated[
 Time = Annotated[str | None, typer.Option("--time", metavar="COLUMN", help="Name of the time column.")]
 Causal = Annotated[bool, typer.Option("--causal", help="Let each estimate know only the past, as a live filter does.")]
 MaxLag = Annotated[
-    str | None, typer.Option("--max-lag", metavar="5ms", help="Let no causal filter come later; s, ms or us.")
+    str | None,
+    typer.Option("--max-lag", metavar="5ms", help="Let a causal filter's output trail by no more; s, ms or us."),
+]
+Lag = Annotated[
+    str | None,
+    typer.Option(
+        "--lag", metavar="10ms", help="Tell each row so much later, knowing what was read until then; s, ms or us."
+    ),
 ]
 Bandwidth = Annotated[
     str | None, typer.Option("--bandwidth", metavar="40Hz", help="Pass what is slower: -3 dB there; Hz or kHz.")
@@ -105,6 +112,22 @@ def asked_of(dials: Dials, still: str | None, remove: str | None) -> Asked:
     named = [] if remove is None else [part for part in remove.split(",") if part.strip()]
     removed = tuple(frequency_of("--remove", part) for part in named)
     return Asked(dial_of(*dials), still_of(still) or (), removed)
+
+
+def lag_of(text: str | None) -> float | None:
+    """Read how long each row may wait, in seconds.
+
+    Raises
+    ------
+    UsageError
+        If it is no positive number with its unit.
+    """
+    if text is None:
+        return None
+    lag_s = _quantity(text, "max_lag_s")
+    if lag_s is None or not 0 < lag_s < inf:
+        raise UsageError(f"--lag {text} is no time to wait; write a positive number and then s, ms or us, as 10ms.")
+    return lag_s
 
 
 def dial_of(max_lag: str | None, bandwidth: str | None, noise_gain: str | None) -> Dial | None:

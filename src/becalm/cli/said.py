@@ -82,17 +82,17 @@ def refuse_taken(recipe: Recipe, columns: list[str], *, split: bool, verdicts: b
             )
 
 
-def tuned(source: OpenSource, causal: bool, asked: Asked) -> Recipe:
+def tuned(source: OpenSource, causal: bool, asked: Asked, lag_s: float | None = None) -> Recipe:
     """Tune a recipe on a file, or on evenly spread stretches of a long one."""
-    from becalm.cleaning.tuning import Wishes, tune
+    from becalm.cleaning.tuning import Wishes, tune, tuned_as_filter
     from becalm.cli.portions import beginning, rest_within, rows_to_tune_on
     from becalm.cli.talk import progress
     from becalm.cli.warm import ahead
 
     sample = source.sample(rows_to_tune_on(source))
-    ahead(sample, causal=causal)
+    ahead(sample, causal=tuned_as_filter(causal, lag_s, sample.timebase.step_s))
     rest = beginning(source) if asked.still_s else sample
-    wishes = Wishes(asked.dial, asked.still_s, rest, asked.removed_hz)
+    wishes = Wishes(asked.dial, asked.still_s, rest, asked.removed_hz, lag_s)
     told = rest_within(source, rest) if asked.still_s else nullcontext()
     with progress("tuning", len(source.names)) as step, told:
         found = tune(sample, causal=causal, wishes=wishes, progress=lambda name: step(name, 1))

@@ -12,6 +12,7 @@ from rich.table import Table
 if TYPE_CHECKING:
     from becalm.cleaning.report import ChannelReport
     from becalm.files.opening import OpenSource
+    from becalm.noise.waiting import Delay
 
 stderr = Console(stderr=True, highlight=False, soft_wrap=True, markup=False)
 
@@ -39,13 +40,22 @@ def tell(reports: tuple[ChannelReport, ...], causal: bool) -> None:
             _model(report),
             _number(report.noise_std, report.unit),
             _number(report.bandwidth_hz, "Hz"),
-            _number(report.lag_s, "s") if causal else "none",
+            _lag(report, causal),
             _trust(report),
         )
     stderr.print(table)
     for report in reports:
         if report.says != DESCRIBED:
             stderr.print(f"{report.name}: {report.says}")
+
+
+def tell_delays(delays: dict[str, tuple[Delay, ...]]) -> None:
+    """Say what is left of each channel's noise at each delay, a line a channel."""
+    if delays:
+        stderr.print("Error left of a reading's noise, if the output is that much later (see --lag):")
+    for name, curve in delays.items():
+        told = ", ".join(f"{one.wait_s * 1e3:.4g} ms {one.left_db:.1f} dB" for one in curve)
+        stderr.print(f"{name}: {told} (the limit)")
 
 
 def tell_not_removed(reports: tuple[ChannelReport, ...], removed_hz: tuple[float, ...]) -> None:
@@ -71,6 +81,12 @@ def tell_columns(source: OpenSource) -> None:
         stderr.print(f"Replaced by the new uncertainty: {', '.join(replaced)}.")
     if kept := [text for text in passed if text.partition(" (")[0] not in replaced]:
         stderr.print(f"Passed through unchanged: {', '.join(kept[:20])}{' and more' if len(kept) > 20 else ''}.")
+
+
+def _lag(report: ChannelReport, causal: bool) -> str:
+    if report.delay_s is not None:
+        return f"told {_number(report.delay_s, 's')} later"
+    return _number(report.lag_s, "s") if causal else "none"
 
 
 def _trust(report: ChannelReport) -> str:

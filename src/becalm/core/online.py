@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from becalm.core.arrays import Codes, Floats
-from becalm.core.filtering import checked_readings, sizes_of
+from becalm.core.filtering import checked_readings, numbers, sizes_of
+from becalm.core.fixed_lag import FixedLag, checked_lag
 from becalm.core.gates import Gate
 from becalm.core.kernel_online import live_kernels, new_live
 from becalm.core.live_gate import LiveGate, saved_gate
@@ -29,7 +30,7 @@ from becalm.core.starting import (
     refuse_singular,
     wide_prior,
 )
-from becalm.core.timeline import model_system
+from becalm.core.timeline import even_timeline, model_system
 from becalm.core.verdict import Verdict
 from becalm.errors import ModelError
 
@@ -46,6 +47,9 @@ class Online:
     model : Model
         The signal and its sensors, one step a reading. Without x0 and P0 it starts from the first
         readings; until they tell, the signal is NaN and sigma inf.
+    lag : int
+        Readings that each estimate waits for, and then knows: what comes back is the signal of the reading `lag`
+        steps ago, NaN with sigma inf while there is none. With a *small* one it comes soon, and noisier; 0 filters.
 
     gate : Gate, optional
         What leaves spikes out, and follows steps, of a model of one channel; by default every reading is believed.
@@ -53,11 +57,15 @@ class Online:
     Raises
     ------
     ModelError
-        If the model cannot start without x0 and P0, or is to have a gate and more than one channel.
+        If the model cannot start without x0 and P0, the lag is no whole number, or the filter is to have a gate
+        and more than one channel, or a gate and a lag.
     """
 
-    def __init__(self, model: Model, gate: Gate | None = None) -> None:
+    def __init__(self, model: Model, lag: int = 0, gate: Gate | None = None) -> None:
         self.model = model
+        self._late = FixedLag(model, lag) if checked_lag(lag) else None
+        if self._late is not None and gate is not None:
+            raise ModelError("A filter that waits for later readings has no gate yet; leave gate or lag out.")
         self._kernels = live_kernels(*sizes_of(model))
         self._width = model.channels
         self._live: Floats | None = None
@@ -65,7 +73,9 @@ class Online:
         self._guard = None if gate is None else LiveGate(model, gate)
         self._known: Information | None = None  # what the opening has gathered, once a reading came
         self._prior = wide_prior(model)
-        if model.x0 is not None and model.P0 is not None and self._prior is None:
+        if self._late is not None:
+            self._one = even_timeline(model, 1, goes_on=True)
+        elif model.x0 is not None and model.P0 is not None and self._prior is None:
             self._begin(new_live(model, model.x0, model.P0, fresh=True))
         else:
             refuse_singular(model_system(model))
@@ -95,7 +105,10 @@ class Online:
         row = np.ravel(z_k)
         if len(row) != self.model.channels:
             raise ModelError(f"z_k has {len(row)} values; this model has {self.model.channels} channels.")
-        signal, sigma = self.run(row[np.newaxis])
+        if self._late is not None and self._late.waiting:
+            signal, sigma = (told[np.newaxis] for told in self._late.step(self._one, numbers(row)))
+        else:
+            signal, sigma = self.run(row[np.newaxis])
         if np.ndim(z_k) == 0:
             return float(signal[0, 0]), float(sigma[0, 0])
         return signal[0], sigma[0]
@@ -120,6 +133,9 @@ class Online:
     def _run_any(self, block: ArrayLike) -> tuple[Floats, Floats]:
         """Take a block of any kind, perhaps while nothing is known yet."""
         z = checked_readings(self.model, block)
+        if self._late is not None:
+            late = self._late.push(even_timeline(self.model, len(z), goes_on=self._late.waiting > 0), z)
+            return late.signal.T, late.sigma.T
         if self._guard is not None:
             self._guard.look(z)
         if self._live is not None:
@@ -168,6 +184,16 @@ class Online:
             self._begin(new_live(self.model, *known_state(self._known), fresh=False))
         return told
 
+    def finish(self) -> tuple[Floats, Floats]:
+        """Return signal and sigma, (rows, m) each, of the last `lag` readings, with what there is after each.
+
+        Nothing changes by it: more readings may follow.
+        """
+        if self._late is None:
+            return np.empty((0, self._width)), np.empty((0, self._width))
+        signal, sigma = self._late.rest()
+        return signal.T, sigma.T
+
     def snapshot(self) -> bytes:
         """Return all that is needed to go on later, as plain bytes."""
         arrays: dict[str, Floats] = {}
@@ -181,6 +207,8 @@ class Online:
             arrays["live"] = self._live
         if self._guard is not None:
             arrays |= self._guard.saved()
+        if self._late is not None:
+            arrays |= {"lag": np.array(self._late.lag)} | self._late.snapshot()
         buffer = io.BytesIO()
         np.savez(buffer, version=np.array(_VERSION), **arrays)  # type: ignore[arg-type]
         return buffer.getvalue()
@@ -200,7 +228,7 @@ class Online:
             if int(arrays["version"]) != _VERSION:
                 raise ModelError(f"The snapshot has version {int(arrays['version'])}; this becalm reads {_VERSION}.")
             model = Model(**{name[6:]: a for name, a in arrays.items() if name.startswith("model_")})
-            online = cls(model, saved_gate(arrays))
+            online = cls(model, int(arrays.get("lag", np.array(0))), saved_gate(arrays))
             online._restore(arrays)
         except ModelError:
             raise
@@ -213,6 +241,8 @@ class Online:
         n = self.model.states
         blank = new_live(self.model, np.zeros(n), np.zeros((n, n)), fresh=False)
         self._live, self._quick, self._known = None, None, None
+        if self._late is not None:
+            self._late.restore(arrays)
         if "known_Y" in arrays:
             self._known = Information(arrays["known_Y"], arrays["known_y"])
             _refuse_unlike("known_Y", self._known.Y, np.empty((n, n)))

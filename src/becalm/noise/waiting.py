@@ -5,7 +5,7 @@ Predicted from the Riccati solution and the variance of a reading alone, as the 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,9 +14,14 @@ from becalm.core.closed_forms import ratio_to_cutoff
 from becalm.core.dials import motion_filter
 from becalm.core.parts import checked_step
 from becalm.core.response import decibels
-from becalm.errors import UsageError
+from becalm.core.steady import steady
+from becalm.errors import ModelError, UsageError
+from becalm.noise.likelihood import Tuning
 
 _WAITS = np.append(0.0, np.geomspace(0.05, 6.0, 40))  # in units of 1 / cut-off
+_SHARES = (0.25, 0.5, 0.75)  # of the decibels that waiting gains
+_NEAR_DB = 0.1
+_LONGEST = 1 << 30  # readings
 
 
 @dataclass(frozen=True)
@@ -81,6 +86,77 @@ def waiting_curve(
         sigma, left = np.sqrt(error * noise_variance), np.sqrt(noise * noise_variance)
         curve.append(Wait(wait * step_s, float(sigma), float(left), decibels(alone / error)))
     return tuple(curve)
+
+
+@dataclass(frozen=True)
+class Delay:
+    """What is left of the noise if the output comes so much later.
+
+    Attributes
+    ----------
+    wait_s : float
+        Lag in seconds; 0 is the filter.
+    sigma : float
+        Standard deviation of the error where the model holds, in unit.
+    left_db : float
+        Its power over that of a reading's noise, in dB, below 0.
+    """
+
+    wait_s: float
+    sigma: float
+    left_db: float
+
+
+def delay_curve(tuning: Tuning, step_s: float) -> tuple[Delay, ...]:
+    """Return what a delay buys of a tuned filter, from none at all to where more would not gain 0.1 dB.
+
+    Between them stand the least lags that gain a quarter, a half and three quarters of that.
+
+    Parameters
+    ----------
+    tuning : Tuning
+        Motion, tones and coloured noise; what is no signal, coloured noise among it, counts as noise of a reading.
+    step_s : float
+        Step in seconds.
+
+    Returns
+    -------
+    tuple of Delay
+        The soonest first; the last one is the limit, that of the smoother within 0.1 dB.
+
+    Raises
+    ------
+    ModelError
+        If the filter never settles, as without process noise, or the step is not positive.
+    """
+    step_s, component = checked_step(step_s), tuning.component
+    found = steady(component.to_model(1.0, tuning.noise_variance), component.signal_output[0])
+    if not found.error_variance() > 0:
+        raise ModelError(
+            "Without process noise the error shrinks for ever, so that no delay can be told; give q above 0."
+        )
+    coloured = 0.0 if tuning.coloured is None else tuning.coloured.variance
+    noise = tuning.noise_variance + coloured
+
+    def left_db(lag: float) -> float:
+        return decibels(found.error_variance(lag) / noise)
+
+    first, limit = left_db(0), left_db(np.inf)
+    wanted = [first + share * (limit - first) for share in _SHARES]
+    lags = {0, *(_least_lag(left_db, level) for level in (*wanted, limit + _NEAR_DB) if level < first)}
+    return tuple(Delay(lag * step_s, float(np.sqrt(found.error_variance(lag))), left_db(lag)) for lag in sorted(lags))
+
+
+def _least_lag(left_db: Callable[[float], float], wanted: float) -> int:
+    """Return the least lag at which no more than wanted is left; what is left never grows with it."""
+    high = 1
+    while left_db(high) > wanted and high < _LONGEST:
+        high *= 2
+    low = high // 2
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (middle, high) if left_db(middle) > wanted else (low, middle)
+    return high
 
 
 def refuse_variance(noise_variance: float) -> None:

@@ -1,0 +1,91 @@
+"""A channel of any length, smoothed with a fixed lag, a stretch of rows at a time, in constant memory.
+
+Rows go one by one, as in a stream, so that a channel in stretches is the whole one to the bit, wherever it is cut.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from becalm.core.arrays import Codes, Floats
+from becalm.core.components import Component
+from becalm.core.fixed_lag import FixedLag
+from becalm.core.flow import Judge, Told
+from becalm.core.kernel_settling import COVARIANCE, GAIN
+from becalm.core.starting import first_reading
+from becalm.core.timeline import elapsed_timeline
+from becalm.core.verdict import judge as judge_readings
+
+
+class LaggedFlow:
+    """A fixed-lag smoother of one channel that is fed a stretch of rows at a time.
+
+    Parameters
+    ----------
+    component : Component
+        The signal's model, in steps.
+    noise_variance : float
+        R, in unit^2; a *small* one trusts the readings.
+    lag : int
+        Later rows that are waited for, 1 or more, however far apart; with a *small* one more noise is left.
+    judge : callable, optional
+        Shown the innovations of each stretch.
+    split : bool
+        Whether to tell the share of each part of the component, disturbances among them, too.
+
+    Raises
+    ------
+    ModelError
+        If the lag is no whole number.
+    """
+
+    def __init__(
+        self,
+        component: Component,
+        noise_variance: float,
+        *,
+        lag: int,
+        judge: Judge | None = None,
+        split: bool = False,
+    ) -> None:
+        self._component, self._variance, self._judge = component, noise_variance, judge
+        disturbed = any(part.disturbance for part in component.parts)
+        shares = [output for _, output in component.outputs()] if split else []
+        output = np.vstack([component.signal_output if disturbed else component.output, *shares])
+        self._split = split
+        self._late = FixedLag(component.to_model(1.0, noise_variance), lag, output, COVARIANCE if disturbed else GAIN)
+        self._level: float | None = None if component.keeps_level else 0.0  # what all readings are told from
+        self._verdicts: Codes = np.empty(0, np.int8)  # of rows that wait
+        self.rows = 0
+        self.log_likelihood = 0.0
+        self.settled_row: int | None = None
+
+    def push(self, z: Floats, elapsed: Floats) -> list[Told]:
+        """Take the next rows, readings (B,) and the steps before them; return the rows that have waited for them."""
+        if not len(z):
+            return []
+        judged = judge_readings(z)
+        z, self._verdicts = judged.readings, np.concatenate([self._verdicts, judged.verdicts])
+        if self._level is None and (row := first_reading(z[:, np.newaxis])) < len(z):
+            self._level = float(z[row])
+        readings = (z - self._level if self._level else z)[:, np.newaxis]
+        timeline = elapsed_timeline(self._component, self._variance, elapsed, goes_on=self.rows > 0)
+        late = self._late.push(timeline, readings, innovations=self._judge is not None)
+        if self._judge is not None:
+            self._judge(late.innovations[0], late.innovation_sigma[0])
+        self.log_likelihood += late.sums.log_likelihood
+        if self.settled_row is None and late.settled_row is not None:
+            self.settled_row = self.rows + late.settled_row
+        unwaited = max(0, self._late.lag - self.rows)  # rows that came with none so long before them
+        self.rows += len(z)
+        return [self._told(late.signal[:, unwaited:], late.sigma[:, unwaited:])]
+
+    def finish(self) -> list[Told]:
+        """Say that no more rows will come; return the last ones, with what there is after them."""
+        return [self._told(*self._late.rest())]
+
+    def _told(self, output: Floats, sigma: Floats) -> Told:
+        output[: 1 + self._split] += self._level or 0.0  # the signal, and the motion, which is the first part
+        rows = output.shape[1]
+        verdicts, self._verdicts = self._verdicts[:rows], self._verdicts[rows:]
+        return Told(np.ascontiguousarray(output[0]), np.ascontiguousarray(sigma[0]), output[1:], verdicts)
