@@ -20,12 +20,28 @@ class Verdict(IntEnum):
     MISSING = 1
     NONFINITE = 2
     OVERRANGE = 3
+    SPIKE = 4
+    STEP = 5
+    CLIPPED = 6
+    STUCK = 7
+    DEAD = 8
+    DRIFT = 9
+    LATE = 10
+    REPEATED = 11
+    GAP = 12
 
 
 ADVICE = {
     Verdict.MISSING: "Missing readings are predicted across; sigma grows there.",
     Verdict.NONFINITE: "Infinite readings were treated as missing; look at the sensor or at its conversion.",
     Verdict.OVERRANGE: "Readings beyond 1e100 were treated as missing; look at the file.",
+    Verdict.CLIPPED: "Clipped readings only say that the signal was at least there; widen the range or lower the gain.",
+    Verdict.STUCK: "A stuck channel repeats its last reading; look at the cable, the converter and the logger's driver.",
+    Verdict.DEAD: "A dead channel has lost its noise, and with it its signal; look at the sensor's supply and cable.",
+    Verdict.DRIFT: "Readings leave the filter's signal to one side; compare the sensor at rest, or with a slow reference.",
+    Verdict.LATE: "Late rows came off their even time, none was lost; stamp them where they are measured.",
+    Verdict.REPEATED: "Repeated rows have the time of the row before; look for a block that was written twice.",
+    Verdict.GAP: "Rows were lost before a gap, and sigma grows across it; look at the link and at the logger's buffer.",
 }
 
 
