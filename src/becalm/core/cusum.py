@@ -58,7 +58,7 @@ class OneSided:
         self._since = 0  # the row after the last in which the sum was 0
 
     def push(self, steps: Integers, rows: Integers) -> tuple[Integers, int | None]:
-        """Add x - k, (B,), of these rows; return the places of alarms, and the row where what led to the first began."""
+        """Add x - k, (B,), of these rows; return the places of alarms, and the row in which the first began."""
         alarms: list[int] = []
         began: int | None = None
         at = 0

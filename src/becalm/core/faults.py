@@ -28,7 +28,7 @@ _ON_TIME = 0.1  # steps off a whole one: there a row stands in a place of even t
 class Found(NamedTuple):
     """How often a fault was found."""
 
-    count: int  # readings
+    readings: int
     first_row: int  # 0 is the first row pushed
     first_step: float  # steps from the first row to there
 
@@ -134,13 +134,14 @@ class Faults:
         counts = np.bincount(codes, minlength=len(Verdict))
         if not self._rows:
             ticks[0] = 0
-        for verdict in map(Verdict, np.flatnonzero(counts[1:]) + 1):
+        for code in np.flatnonzero(counts[1:]) + 1:
+            verdict = Verdict(int(code))
             before = self.found.get(verdict)
             if before is None:
                 at = int(np.argmax(codes == verdict))
                 first = (self._ticks + int(ticks[: at + 1].sum())) / _TIME
                 before = Found(0, self._rows + at, first)
-            self.found[verdict] = before._replace(count=before.count + int(counts[verdict]))
+            self.found[verdict] = before._replace(readings=before.readings + int(counts[verdict]))
         self._rows += len(codes)
         self._ticks += int(ticks.sum())
 
@@ -158,7 +159,7 @@ def said(found: Mapping[Verdict, Found], limits: Limits, step_s: float) -> list[
         One step, in seconds.
     """
     return [
-        f"{_what(verdict, found[verdict].count, limits)}, first at {found[verdict].first_step * step_s:.6g} s"
+        f"{_what(verdict, found[verdict].readings, limits)}, first at {found[verdict].first_step * step_s:.6g} s"
         f" (row {found[verdict].first_row + 1}). {ADVICE.get(verdict, '')}".rstrip()
         for verdict in sorted(found)
     ]

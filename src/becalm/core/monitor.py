@@ -164,7 +164,7 @@ class InnovationMonitor:
         if len(rows):
             first = self._rows + int(rows[0])
             before = self.found.get(verdict, Found(0, first, float(first)))
-            self.found[verdict] = before._replace(count=before.count + len(rows))
+            self.found[verdict] = before._replace(readings=before.readings + len(rows))
 
     def _look(self, parts: Integers, rows: Integers) -> NDArray[np.int64]:
         """Return what the last whole window said when each innovation came."""

@@ -70,7 +70,7 @@ def _is_piled_up(counts: Integers) -> bool:
 def _comes_back(there: Booleans) -> bool:
     """Whether an extreme is held for two readings or more, and reached more than once."""
     visits = int(there[0]) + int(np.count_nonzero(there[1:] & ~there[:-1]))
-    return 1 < visits < np.count_nonzero(there)
+    return 1 < visits < int(np.count_nonzero(there))
 
 
 def is_noisy(z: Floats, resolution: float) -> bool:
