@@ -22,6 +22,7 @@ from becalm.errors import UsageError
 _MARGIN = 2.0  # of a limit over what the record itself shows
 _WIDE_MARGIN = 10.0
 _FEWEST_RUNS = 50
+_MOST_FAULTS = 10  # stretches of a record in which a channel was stuck
 _TAIL, _FEWEST_IN_TAIL = 0.05, 20
 _UNSEEN = 3.0  # what never happened may come so often: the 95 % limit of Poisson's law
 _FEWEST_OF_A_SIDE = 5  # readings beyond the edge of a code, for its place to be told
@@ -71,7 +72,7 @@ def find_limits(
     step_s: float,
     sensor_range: tuple[float, float] | None = None,
 ) -> Limits:
-    """Find what a channel keeps to, from a record that may hold one stuck stretch itself.
+    """Find what a channel keeps to, from a record that may hold a few stuck stretches itself.
 
     Parameters
     ----------
@@ -159,21 +160,27 @@ def run_lengths(z: Floats) -> Integers:
 def _stuck_readings(z: Floats, resolution: float, alarms: float) -> int | None:
     """Return the run of equal readings (N,) that comes less than `alarms` times in as many readings; None if unknown.
 
-    The longest run is held against the others first: if it is far beyond them, it is a fault, and not one of them.
+    A few of the longest runs are held against the others first: far beyond them they are faults, and not of them.
     Where no noise is seen above the codes, only the signal ends a run, and no law holds for that: the margin is wider.
     """
     runs = run_lengths(z)
     if len(runs) < _FEWEST_RUNS or not alarms > 0:
         return None
-    longest = int(np.argmax(runs))
-    end = int(runs[: longest + 1].sum())
-    others = np.delete(z, slice(end - int(runs[longest]), end))
-    margin = _MARGIN if is_noisy(others, resolution) else _WIDE_MARGIN
-    hold, runs = _longest_hold(z, alarms), np.sort(runs)
-    limit = margin * max(hold, _longest_run(runs[:-1], alarms))
-    if runs[-1] <= limit:
-        limit = margin * max(hold, _longest_run(runs, alarms))
-    return int(np.ceil(limit)) if limit <= len(z) else None
+    order = np.argsort(runs, kind="stable")
+    few = np.isin(np.arange(len(runs)), order[-_MOST_FAULTS:])
+    noisy = is_noisy(z[np.repeat(~few, runs)], resolution)
+    margin, most = (_MARGIN, _MOST_FAULTS) if noisy else (_WIDE_MARGIN, 1)
+    hold, lengths = _longest_hold(z, alarms), runs[order]
+    limits = [margin * max(hold, _longest_run(lengths[: len(runs) - k], alarms)) for k in range(most + 1)]
+    held = z[np.cumsum(runs)[order] - 1]
+    faults = max(k for k in range(most + 1) if not k or (lengths[-k] > limits[k] and _are_faults(held[-k:], z)))
+    return int(np.ceil(limits[faults])) if limits[faults] <= len(z) else None
+
+
+def _are_faults(held: Floats, z: Floats) -> bool:
+    """Whether values (k,) that were held are no rest: that repeats a value, or is the 0 a channel ends at."""
+    ends = 0.0 in held and (z.min() == 0 or z.max() == 0)
+    return len(np.unique(held)) == len(held) and not ends
 
 
 def _longest_run(runs: Integers, alarms: float) -> float:

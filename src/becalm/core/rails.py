@@ -48,16 +48,16 @@ def find_rails(z: Floats, resolution: float) -> Rails:
     Returns
     -------
     Rails
-        Those that were reached at least twice in the record; a clipping that is smooth, or has noise of its
-        own behind it, repeats no reading and is not found.
+        Those that were reached at least twice in the record. A clipping that is smooth, or has noise of its
+        own behind it, repeats no reading and is not found; nor is one at 0, where speeds and loads rest.
     """
     values, counts = np.unique(z, return_counts=True)
     if len(values) < _FEWEST_CODES or not is_noisy(z[(z > values[0]) & (z < values[-1])], resolution):
         return Rails()
     low, high = float(values[0]), float(values[-1])
     return Rails(
-        low if _is_piled_up(counts) and _comes_back(z == low) else -np.inf,
-        high if _is_piled_up(counts[::-1]) and _comes_back(z == high) else np.inf,
+        low if low != 0 and _is_piled_up(counts) and _comes_back(z == low) else -np.inf,
+        high if high != 0 and _is_piled_up(counts[::-1]) and _comes_back(z == high) else np.inf,
     )
 
 
