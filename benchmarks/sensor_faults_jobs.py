@@ -140,10 +140,10 @@ def dropout(lsb: float, seeds: int) -> Score:
     return _score(found)
 
 
-def innovations(z: Floats, gain_ratio: float) -> Floats:
-    """Return normalised innovations (N,) of a level filter for noise of variance 1 and a walk of `gain_ratio`."""
+def innovations(z: Floats, ratio: float) -> Floats:
+    """Return normalised innovations (N,) of a level filter for noise of variance 1 and a walk of Q/R = `ratio`."""
     one = np.ones((1, 1))
-    estimate = kalman_filter(Model(one, gain_ratio * one, one, one, x0=z[:1], P0=one), z)
+    estimate = kalman_filter(Model(F=one, H=one, Q=ratio * one, R=one, x0=z[:1], P0=one), z)
     return np.asarray((estimate.innovations / estimate.innovation_sigma)[:, 0])
 
 

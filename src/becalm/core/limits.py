@@ -141,7 +141,8 @@ def find_resolution(z: Floats) -> float:
     step = float(distances.min())
     while step > least:
         codes = np.round(distances / step)
-        step = float(distances.sum() / codes.sum())
+        near = np.abs(distances - step * codes) <= _ROUNDED * step * codes
+        step = float(distances[near].sum() / codes[near].sum()) if near.any() else step
         off = np.abs(distances - step * codes)
         off = off[off > _ROUNDED * step]
         if not len(off):

@@ -149,11 +149,14 @@ class InnovationMonitor:
         codes = np.zeros(len(normalised), dtype=np.int8)
         rows = np.flatnonzero(~np.isnan(normalised))
         parts = np.rint(np.clip(normalised[rows], -_MOST, _MOST) * _PARTS).astype(np.int64)
-        for side, sign in zip(self._sides, (1, -1), strict=True):
-            alarms, since = side.push(sign * parts - _PARTS // 2, self._rows + rows)
-            codes[rows[alarms]] = Verdict.DRIFT
-            if since is not None and Verdict.DRIFT not in self.found:
-                self.drift_since = since
+        told = [
+            side.push(sign * parts - _PARTS // 2, self._rows + rows)
+            for side, sign in zip(self._sides, (1, -1), strict=True)
+        ]
+        codes[rows[np.concatenate([alarms for alarms, _ in told])]] = Verdict.DRIFT
+        if self.drift_since is None:
+            firsts = [(int(alarms[0]), since) for alarms, since in told if since is not None]
+            self.drift_since = min(firsts)[1] if firsts else None
         codes[rows[self._look(parts, rows) == _SILENT]] = Verdict.DEAD
         for verdict in (Verdict.DRIFT, Verdict.DEAD):
             self._count(verdict, np.flatnonzero(codes == verdict))
