@@ -126,6 +126,18 @@ def test_a_sensor_at_rest_is_quieter_and_not_dead() -> None:
     assert monitor.quieter.noise_ratio == pytest.approx(0.4, rel=0.1)
 
 
+def test_a_rest_that_a_healthy_record_has_is_not_dead_and_no_noise_at_all_is() -> None:
+    rests = noise(20_000) * np.repeat([1.0, 0.05, 1.0, 0.05], 5000)
+    alarms = find_alarms(1.0, STEP_S, rests[:10_000])
+    assert Verdict.DEAD in InnovationMonitor(find_alarms(1.0, STEP_S)).push(rests)
+    monitor = InnovationMonitor(alarms)
+    assert Verdict.DEAD not in monitor.push(rests)
+    assert monitor.quieter.noise_ratio == pytest.approx(0.05, rel=0.2)
+    dead = np.flatnonzero(monitor.push(np.zeros(200)) == Verdict.DEAD)
+    assert dead[0] < alarms.dead_delay
+    assert find_alarms(1.0, STEP_S, np.zeros(200)).dead_variance == 0.0
+
+
 @pytest.mark.parametrize("size", [20.0, 1e300, np.inf])
 def test_single_spikes_are_no_drift_and_no_other_noise(size: float) -> None:
     x = noise(50_000)

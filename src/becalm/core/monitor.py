@@ -27,6 +27,7 @@ HOP = 16
 _PARTS = 1 << 16  # of a sigma
 _MOST = 6.0  # sigma: what one spike may say
 _DEAD = 0.05  # of the variance that was expected; what is quieter than chance but above only rests
+_THAN_REST = 0.25  # of the quietest window of a healthy record
 _ALARMS = 3  # of drift, of less noise, of more: each gets its share of the false alarms
 _CALM, _LOUD, _QUIET, _SILENT = range(4)
 
@@ -40,11 +41,14 @@ class Alarms(NamedTuple):
         h of the cumulative sum, in sigma. A small value finds a drift sooner, and more that are none.
     quiet_variance, loud_variance : float
         Variance of a window below or above which the noise has changed; those near 1 find less of a change.
+    dead_variance : float
+        Variance of a window below which the channel is dead. A small value lets it rest; 0: never dead.
     """
 
     drift_threshold: float
     quiet_variance: float
     loud_variance: float
+    dead_variance: float = _DEAD
 
     @property
     def drift_delay(self) -> float:
@@ -57,7 +61,7 @@ class Alarms(NamedTuple):
         return WINDOW + HOP
 
 
-def find_alarms(false_alarms_per_hour: float, step_s: float) -> Alarms:
+def find_alarms(false_alarms_per_hour: float, step_s: float, healthy: Floats | None = None) -> Alarms:
     """Choose the thresholds so that white innovations of variance 1 raise no more false alarms than this.
 
     Parameters
@@ -66,11 +70,14 @@ def find_alarms(false_alarms_per_hour: float, step_s: float) -> Alarms:
         Of all kinds together. A small value trusts the sensor.
     step_s : float
         One step, in seconds.
+    healthy : (N,) float array, optional
+        Normalised innovations of a healthy record. A filter tuned on motion expects more noise than a sensor at rest
+        has; with these, only what is far quieter than the quietest of them is dead.
 
     Raises
     ------
     UsageError
-        If one is not above 0.
+        If a rate or step is not above 0.
 
     Notes
     -----
@@ -85,7 +92,35 @@ def find_alarms(false_alarms_per_hour: float, step_s: float) -> Alarms:
     readings = max(_ALARMS * 3600 / (step_s * false_alarms_per_hour), 2.0 * WINDOW)
     p, half = HOP / readings, (WINDOW - 1) / 2
     quiet, loud = float(gammaincinv(half, p)) / half, float(gammainccinv(half, p)) / half
-    return Alarms(cusum_threshold(readings), quiet, loud)
+    rest = np.empty(0) if healthy is None else _variances(_window_spreads(_hop_sums(_in_parts(healthy))))
+    dead = min(_DEAD, quiet, _THAN_REST * float(rest.min(initial=np.inf)))
+    return Alarms(cusum_threshold(readings), quiet, loud, dead)
+
+
+def _in_parts(normalised: Floats) -> Integers:
+    """Return the innovations that are there, in parts of a sigma."""
+    known = normalised[~np.isnan(normalised)]
+    return np.rint(np.clip(known, -_MOST, _MOST) * _PARTS).astype(np.int64)
+
+
+def _hop_sums(parts: Integers) -> Integers:
+    """Return the sums, and the sums of squares, of whole hops: (H, 2)."""
+    hops = parts[: len(parts) // HOP * HOP].reshape(-1, HOP)
+    return np.stack([hops.sum(axis=1), (hops**2).sum(axis=1)], axis=1)
+
+
+def _window_spreads(sums: Integers) -> Integers:
+    """Return WINDOW^2 times the variance of each window of hops, in parts^2; none where hops are too few."""
+    hops = WINDOW // HOP
+    if len(sums) < hops:
+        return np.zeros(0, dtype=np.int64)
+    windows = np.lib.stride_tricks.sliding_window_view(sums, hops, axis=0).sum(axis=2)
+    return np.asarray(WINDOW * windows[:, 1] - windows[:, 0] ** 2)
+
+
+def _variances(spreads: Integers) -> Floats:
+    """Return variances about the mean of a window, in sigma^2."""
+    return np.asarray(spreads / float(WINDOW * (WINDOW - 1) * _PARTS**2))
 
 
 class NoiseChange(NamedTuple):
@@ -110,7 +145,8 @@ class InnovationMonitor:
     (1954) 100). It is told again for as long as it lasts. Innovations are what the filter did *not* follow: one that
     follows drift, as all that keep no level do, takes the slow drift of a strain gauge for signal, and its
     innovations stay white. Such a drift shows only against something that has none: push (reading - reference) / sigma
-    instead, the reference being a value known at rest (a tare), or a slow sensor beside it.
+    instead, the reference being a value known at rest (a tare), or a slow sensor beside it. Innovations that are
+    coloured, of a model that does not fit, are told as drift more often than stated.
 
     Parameters
     ----------
@@ -148,7 +184,7 @@ class InnovationMonitor:
         """Take the next normalised innovations (B,), NaN where there is none; return DRIFT, DEAD or USED for each."""
         codes = np.zeros(len(normalised), dtype=np.int8)
         rows = np.flatnonzero(~np.isnan(normalised))
-        parts = np.rint(np.clip(normalised[rows], -_MOST, _MOST) * _PARTS).astype(np.int64)
+        parts = _in_parts(normalised)
         told = [
             side.push(sign * parts - _PARTS // 2, self._rows + rows)
             for side, sign in zip(self._sides, (1, -1), strict=True)
@@ -172,29 +208,23 @@ class InnovationMonitor:
     def _look(self, parts: Integers, rows: Integers) -> NDArray[np.int64]:
         """Return what the last whole window said when each innovation came."""
         held = np.append(self._rest, parts)
-        whole = len(held) // HOP * HOP
-        hops = held[:whole].reshape(-1, HOP)
-        sums = np.concatenate([self._hops, np.stack([hops.sum(axis=1), (hops**2).sum(axis=1)], axis=1)])
-        states, spread = self._judge(sums, len(hops))
+        fresh = _hop_sums(held)
+        sums = np.concatenate([self._hops, fresh])
+        states, spread = self._judge(_window_spreads(sums), len(fresh))
         said = np.append(self._state, states)[(len(self._rest) + 1 + np.arange(len(parts))) // HOP]
         self.louder = _joined(self.louder, self._rows + rows[said == _LOUD], spread[states == _LOUD])
         self.quieter = _joined(self.quieter, self._rows + rows[said == _QUIET], spread[states == _QUIET])
-        self._rest, self._hops = held[whole:].copy(), sums[-(WINDOW // HOP - 1) :].copy()
+        self._rest, self._hops = held[len(fresh) * HOP :].copy(), sums[-(WINDOW // HOP - 1) :].copy()
         self._state = int(said[-1]) if len(said) else self._state
         return said
 
-    def _judge(self, sums: Integers, count: int) -> tuple[Integers, Integers]:
-        """Return the states (count,) after the last hops, and WINDOW^2 times the variance of the windows there."""
-        hops = WINDOW // HOP
+    def _judge(self, about: Integers, count: int) -> tuple[Integers, Integers]:
+        """Return the states (count,) after the last hops, and the spreads of the windows that end there."""
         states, spread = np.full(count, _CALM), np.zeros(count, dtype=np.int64)
-        if len(sums) < hops:
-            return states, spread
-        windows = np.lib.stride_tricks.sliding_window_view(sums, hops, axis=0).sum(axis=2)
-        about = WINDOW * windows[:, 1] - windows[:, 0] ** 2
-        variance = about / float(WINDOW * (WINDOW - 1) * _PARTS**2)
+        variance = _variances(about)
         said = np.where(variance > self.alarms.loud_variance, _LOUD, _CALM)
         said[variance < self.alarms.quiet_variance] = _QUIET
-        said[variance < min(_DEAD, self.alarms.quiet_variance)] = _SILENT
+        said[variance < self.alarms.dead_variance] = _SILENT
         states[count - len(said) :], spread[count - len(said) :] = said, about
         return states, spread
 
