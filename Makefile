@@ -35,6 +35,7 @@ bench: .venv/tested
 	$(BIN)/python benchmarks/imu_tuning.py -o docs/imu-tuning.md
 	$(BIN)/python benchmarks/full_noise.py -o docs/full-noise.md
 	$(BIN)/python benchmarks/faults.py -o docs/faults.md
+	$(BIN)/python benchmarks/sensor_faults.py -o docs/sensor-faults.md
 	$(BIN)/python docs/real_files.py -o docs/real-files.md
 
 .venv/bin/python:

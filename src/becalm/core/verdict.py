@@ -41,13 +41,13 @@ ADVICE = {
     Verdict.SPIKE: "Spikes were left out as missing; look for loose contacts and switching loads, and if they are"
     " motion take [channel.gate] out of the recipe.",
     Verdict.STEP: "The signal jumped, and the filter followed at once; look whether the sensor was moved or zeroed.",
-    Verdict.CLIPPED: "Readings at the end of the range are not measured; choose a larger range.",
-    Verdict.STUCK: "The channel repeats one reading; look at the sensor and its cable.",
-    Verdict.DEAD: "The channel is quieter than its own noise; look at the sensor and its supply.",
-    Verdict.DRIFT: "Readings drift off their prediction; look at temperature and mounting.",
-    Verdict.LATE: "Rows came late; look at the clock of the logger.",
-    Verdict.REPEATED: "Rows repeat the time of the one before; look at the logger.",
-    Verdict.GAP: "Rows are lacking before these; sigma grows there.",
+    Verdict.CLIPPED: "Clipped readings only say that the signal was at least there; widen the range or lower the gain.",
+    Verdict.STUCK: "A stuck channel repeats its last reading; look at the cable, the converter and the driver.",
+    Verdict.DEAD: "A dead channel has lost its noise, and with it its signal; look at the sensor's supply and cable.",
+    Verdict.DRIFT: "Readings drift to one side of the signal; compare the sensor at rest, or with a slow reference.",
+    Verdict.LATE: "Late rows came off their even time, none was lost; stamp them where they are measured.",
+    Verdict.REPEATED: "Repeated rows have the time of the row before; look for a block that was written twice.",
+    Verdict.GAP: "Rows were lost before a gap, and sigma grows across it; look at the link and at the logger's buffer.",
 }
 
 

@@ -1,0 +1,46 @@
+"""Healthy records, by seed: signals of many kinds in white noise of one sigma, read by a converter of any step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+RATES_HZ = (500, 10_000)
+STEPS = (0.0, 0.2, 1.0, 3.0)
+LEARNT = 30_000
+ALARMS_PER_HOUR = 1.0
+Signal = Callable[[Floats, np.random.Generator], Floats]
+"""Takes times (N,), in seconds; returns a signal (N,), in sigma of the noise."""
+
+
+def _ramp_and_hold(t: Floats, _: np.random.Generator) -> Floats:
+    phase = t % 20.0
+    return np.asarray(50.0 * np.clip(np.minimum(phase - 4.0, 16.0 - phase), 0.0, 4.0))
+
+
+SIGNALS: dict[str, Signal] = {
+    "white": lambda t, _: np.zeros(len(t)),
+    "random walk": lambda t, rng: np.cumsum(rng.normal(0.0, 0.3, len(t))),
+    "sine": lambda t, _: 100 * np.sin(2 * np.pi * 0.1 * t),
+    "vibration": lambda t, _: 100 * np.sin(2 * np.pi * 37.3 * t),
+    "ramp and hold": _ramp_and_hold,
+    "square wave": lambda t, _: 40 * np.sign(np.sin(2 * np.pi * 0.7 * t)),
+}
+
+
+def digitised(z: Floats, lsb: float) -> Floats:
+    """Return readings (N,) rounded to the steps of a converter; as they are with none."""
+    return np.round(z / lsb) * lsb if lsb else z
+
+
+def record(name: str, count: int, rate_hz: float, lsb: float, seed: int) -> tuple[Floats, Floats]:
+    """Return a healthy record: readings (N,), in sigma, at an offset of its own, and the steps before them."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(count) / rate_hz
+    elapsed = np.ones(count)
+    elapsed[0] = 0.0
+    return digitised(rng.uniform(0, 5) + SIGNALS[name](t, rng) + rng.normal(size=count), lsb), elapsed

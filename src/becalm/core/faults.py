@@ -1,0 +1,191 @@
+"""What is wrong with readings themselves, told as they come: clipped, stuck, late, repeated, after a gap.
+
+No filter is asked, only the limits of the channel. Time is counted in whole parts of a step, so that sums are
+exact, and the verdicts those of the whole record wherever it is cut.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from becalm.core.arrays import Booleans, Floats, Integers
+from becalm.core.limits import Limits, told
+from becalm.core.verdict import ADVICE, BEYOND_ANY_SENSOR, Verdict
+
+Codes = NDArray[np.int8]
+
+_TICKS = 1 << 20  # of a step, for what a row is off its time
+_TIME = 1 << 10  # of a step, for the time since the first row
+_LONGEST = float(1 << 31)  # steps between two rows; beyond, time is not told
+_REFERENCES = (16, 32, 48)  # rows before, whose median is the even time
+_ON_TIME = 0.1  # steps off a whole one: there a row stands in a place of even time, if not its own
+
+
+class Found(NamedTuple):
+    """How often a fault was found."""
+
+    readings: int
+    first_row: int  # 0 is the first row pushed
+    first_step: float  # steps from the first row to there
+
+
+class Faults:
+    """Watches the readings of one channel, in constant memory.
+
+    Parameters
+    ----------
+    limits : Limits
+        What the channel keeps to.
+
+    Attributes
+    ----------
+    found : dict
+        `Found` of each verdict but `USED` that was given so far.
+    """
+
+    def __init__(self, limits: Limits) -> None:
+        self.limits = limits
+        self.found: dict[Verdict, Found] = {}
+        self._rows = 0
+        self._ticks = 0  # from the first row
+        self._held, self._run = np.nan, 0  # the last reading, and how often in a row
+        self._offsets = np.zeros(max(_REFERENCES), dtype=np.int64)  # of the rows before, in ticks off even time
+
+    @property
+    def stuck_delay(self) -> int | None:
+        """How many readings a channel is stuck before it is told, itself among them; None: never."""
+        return self.limits.stuck_readings
+
+    def push(self, z: Floats, elapsed: Floats) -> Codes:
+        """Take the next rows and tell what is wrong with each.
+
+        Parameters
+        ----------
+        z : (B,) float array
+            Readings, in unit; NaN where missing.
+        elapsed : (B,) float array
+            Steps since the row before; not looked at for the first row of all.
+
+        Returns
+        -------
+        (B,) int8 array
+            `USED` where nothing is. What is wrong with the reading goes before what is wrong with its time.
+        """
+        if not len(z):
+            return np.empty(0, dtype=np.int8)
+        elapsed = np.clip(np.nan_to_num(elapsed, nan=1.0), 0.0, _LONGEST)
+        if not self._rows:
+            elapsed[0] = 1.0  # it came when it was due
+        size = np.abs(z)
+        new = told(z, elapsed, first=False)
+        codes = self._timing(elapsed)
+        codes[self._is_stuck(z, new)] = Verdict.STUCK
+        codes[self.limits.rails.reached(z)] = Verdict.CLIPPED
+        codes[~(size <= BEYOND_ANY_SENSOR)] = Verdict.OVERRANGE
+        codes[np.isinf(z)] = Verdict.NONFINITE
+        codes[np.isnan(z)] = Verdict.MISSING
+        self._count(codes, np.rint(elapsed * _TIME).astype(np.int64))
+        return codes
+
+    def _is_stuck(self, z: Floats, new: Booleans) -> Booleans:
+        """Tell which readings end a run of equal ones that is too long."""
+        stuck = np.zeros(len(z), dtype=np.bool_)
+        readings = z[new]
+        if not len(readings):
+            return stuck
+        place = np.arange(len(readings))
+        same = readings == np.append(self._held, readings[:-1])
+        start = np.maximum.accumulate(np.where(same, -self._run, place))
+        runs = place - start + 1
+        self._held, self._run = float(readings[-1]), int(runs[-1])
+        if self.limits.stuck_readings is not None:
+            stuck[new] = runs >= self.limits.stuck_readings
+        return stuck
+
+    def _timing(self, elapsed: Floats) -> Codes:
+        codes = np.zeros(len(elapsed), dtype=np.int8)
+        if self.limits.even:
+            codes[self._is_late(elapsed)] = Verdict.LATE
+        codes[elapsed > self.limits.gap_steps] = Verdict.GAP
+        codes[elapsed == 0] = Verdict.REPEATED
+        return codes
+
+    def _is_late(self, elapsed: Floats) -> Booleans:
+        """Tell which rows are off their even time by more than half a step, rows that were lost before left aside.
+
+        Even time goes on from where most of the rows before had it, so that a clock may run a little fast or slow.
+        """
+        due = np.where(elapsed > self.limits.gap_steps, np.ceil(elapsed - 0.75), 1.0)
+        off = np.where(elapsed > 0, elapsed - due, 0.0)
+        moved = np.cumsum(np.rint(off * _TICKS).astype(np.int64))
+        offsets = np.append(self._offsets, self._offsets[-1] + moved)
+        ahead = len(self._offsets)
+        even = _middle([offsets[ahead - rows : len(offsets) - rows] for rows in _REFERENCES])
+        late = (offsets[ahead:] - even) / _TICKS
+        self._offsets = offsets[-ahead:].copy()
+        return np.asarray((np.abs(late) > 0.5) & (np.abs(late - np.round(late)) > _ON_TIME))
+
+    def _count(self, codes: Codes, ticks: Integers) -> None:
+        """Remember how often each verdict was given, and where first."""
+        counts = np.bincount(codes, minlength=len(Verdict))
+        if not self._rows:
+            ticks[0] = 0
+        for code in np.flatnonzero(counts[1:]) + 1:
+            verdict = Verdict(int(code))
+            before = self.found.get(verdict)
+            if before is None:
+                at = int(np.argmax(codes == verdict))
+                first = (self._ticks + int(ticks[: at + 1].sum())) / _TIME
+                before = Found(0, self._rows + at, first)
+            self.found[verdict] = before._replace(readings=before.readings + int(counts[verdict]))
+        self._rows += len(codes)
+        self._ticks += int(ticks.sum())
+
+
+def said(found: Mapping[Verdict, Found], limits: Limits, step_s: float) -> list[str]:
+    """Say what was found, where first, and what to do about it: a sentence or two for each verdict.
+
+    Parameters
+    ----------
+    found : mapping
+        As `Faults.found`, with `InnovationMonitor.found` joined in where there is one.
+    limits : Limits
+        What the channel was held against.
+    step_s : float
+        One step, in seconds.
+    """
+    return [
+        f"{_what(verdict, found[verdict].readings, limits)}, first at {found[verdict].first_step * step_s:.6g} s"
+        f" (row {found[verdict].first_row + 1}). {ADVICE.get(verdict, '')}".rstrip()
+        for verdict in sorted(found)
+    ]
+
+
+def _what(verdict: Verdict, count: int, limits: Limits) -> str:
+    readings = f"{count} reading{'s' if count != 1 else ''}"
+    if verdict == Verdict.CLIPPED:
+        return f"{readings} at a rail or beyond ({limits.low:.6g} to {limits.high:.6g})"
+    if verdict == Verdict.STUCK:
+        return f"{readings} in runs of {limits.stuck_readings} equal ones or more"
+    if verdict == Verdict.GAP:
+        return f"{count} gap{'s' if count != 1 else ''} of more than {limits.gap_steps:.3g} steps"
+    return f"{readings} {_WORDS.get(verdict, verdict.name.lower())}"
+
+
+_WORDS = {
+    Verdict.NONFINITE: "not finite",
+    Verdict.OVERRANGE: "beyond 1e100",
+    Verdict.DEAD: "of a dead channel",
+    Verdict.DRIFT: "at which a drift was seen",
+    Verdict.REPEATED: "at the time of the row before",
+}
+
+
+def _middle(three: list[Integers]) -> Integers:
+    """Return the medians of three rows of numbers."""
+    least, most = np.minimum(three[0], three[1]), np.maximum(three[0], three[1])
+    return np.asarray(np.maximum(least, np.minimum(most, three[2])))

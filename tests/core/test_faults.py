@@ -1,0 +1,153 @@
+"""Faults of readings: told in time, the same wherever the readings are cut, and never on healthy ones."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from becalm.core.arrays import Floats
+from becalm.core.faults import Codes, Faults, said
+from becalm.core.limits import Limits, find_limits
+from becalm.core.verdict import ADVICE, Verdict
+
+LIMITS = Limits(low=-5.0, high=5.0, resolution=1.0, stuck_readings=4)
+
+
+def even(count: int) -> Floats:
+    elapsed = np.ones(count)
+    elapsed[:1] = 0.0
+    return elapsed
+
+
+def codes_of(z: list[float], elapsed: list[float] | None = None, limits: Limits = LIMITS) -> list[str]:
+    steps = even(len(z)) if elapsed is None else np.array(elapsed)
+    return [Verdict(code).name for code in Faults(limits).push(np.array(z), steps)]
+
+
+def test_the_numbers_of_the_verdicts_are_fixed() -> None:
+    names = ["USED", "MISSING", "NONFINITE", "OVERRANGE", "SPIKE", "STEP", "CLIPPED"]
+    names += ["STUCK", "DEAD", "DRIFT", "LATE", "REPEATED", "GAP"]
+    assert [verdict.name for verdict in Verdict] == names
+    assert [int(verdict) for verdict in Verdict] == list(range(len(names)))
+    assert all(ADVICE[Verdict(number)].endswith(".") for number in range(6, 13))
+
+
+def test_a_run_of_equal_readings_is_stuck_from_the_stated_one_on() -> None:
+    z = [1.0, 2, 2, 2, 2, 2, 1, 1, 1, 2]
+    assert codes_of(z) == ["USED"] * 4 + ["STUCK"] * 2 + ["USED"] * 4
+    assert Faults(LIMITS).stuck_delay == 4
+    assert set(codes_of([2.0] * 50, limits=Limits())) == {"USED"}
+
+
+def test_what_is_missing_or_written_twice_neither_ends_a_run_nor_lengthens_it() -> None:
+    assert codes_of([2.0, np.nan, 2, np.inf, 2, 2])[-2:] == ["USED", "STUCK"]
+    assert codes_of([2.0, 2, 2, 2, 2], [0, 1, 0, 1, 1])[-2:] == ["USED", "STUCK"]
+
+
+def test_rails_and_what_is_no_reading_are_told() -> None:
+    z = [4.9, 5, 5.1, -5, np.nan, np.inf, -np.inf, 1e300, -1e300]
+    assert codes_of(z) == ["USED", *["CLIPPED"] * 3, "MISSING", *["NONFINITE"] * 2, *["OVERRANGE"] * 2]
+    assert codes_of([5.0] * 6) == ["CLIPPED"] * 6
+
+
+def test_rows_that_were_lost_or_written_twice_are_told() -> None:
+    assert codes_of([0.0, 1, 2, 3, 4], [0, 1, 5, 0, 1]) == ["USED", "USED", "GAP", "REPEATED", "USED"]
+
+
+def test_a_row_that_comes_late_and_one_that_came_in_time_after_it() -> None:
+    z = list(np.arange(200.0))
+    elapsed = even(200)
+    elapsed[[100, 101, 102]] = 1.4, 1.3, 0.3
+    told = codes_of(z, list(elapsed), Limits())
+    assert [i for i, name in enumerate(told) if name != "USED"] == [101]
+    assert told[101] == "LATE"
+    assert set(codes_of(z, list(elapsed), Limits(even=False))) == {"USED"}
+
+
+def test_a_clock_that_runs_a_little_slow_makes_no_row_late() -> None:
+    assert set(codes_of(list(np.arange(20_000.0)), [0.0] + [1.002] * 19_999, Limits())) == {"USED"}
+
+
+ODD = [0.0, 1.0, 2.0, -0.0, 5.0, -5.0, 7.0, np.nan, np.inf, -np.inf, 1e300, -1e300, 1e-300]
+READINGS = st.lists(st.tuples(st.sampled_from(ODD), st.sampled_from([0.0, 0.3, 1.0, 1.0, 1.0, 1.4, 1.6, 9.0, 1e300])))
+
+
+@settings(max_examples=300, deadline=None)
+@given(rows=READINGS, cuts=st.lists(st.integers(0, 60), max_size=6).map(sorted))
+def test_any_cuts_give_the_same_codes_and_counts(rows: list[tuple[float, float]], cuts: list[int]) -> None:
+    z, elapsed = (np.array([row[k] for row in rows], dtype=np.float64) for k in (0, 1))
+    before = z.copy(), elapsed.copy()
+    whole, cut = Faults(LIMITS), Faults(LIMITS)
+    parts: list[Codes] = [cut.push(*pair) for pair in zip(np.split(z, cuts), np.split(elapsed, cuts), strict=True)]
+    assert np.array_equal(np.concatenate(parts), whole.push(z, elapsed))
+    assert cut.found == whole.found
+    assert all(np.array_equal(now, was, equal_nan=True) for now, was in zip((z, elapsed), before, strict=True))
+
+
+@settings(max_examples=100, deadline=None)
+@given(z=st.lists(st.sampled_from(ODD) | st.floats(), max_size=80))
+def test_nothing_breaks_the_search_for_limits(z: list[float]) -> None:
+    limits = find_limits(np.array(z, dtype=np.float64), even(len(z)), 1.0, 0.01)
+    assert limits.low < limits.high
+    assert np.isfinite(limits.resolution)
+    Faults(limits).push(np.array(z, dtype=np.float64), even(len(z)))
+
+
+def test_what_was_found_is_said_with_when_and_what_to_do() -> None:
+    faults = Faults(LIMITS)
+    faults.push(np.array([0.0, 5.0, 1.0, 1.0]), np.array([0.0, 1.0, 1.0, 1.0]))
+    faults.push(np.array([1.0, 1.0, 0.0, 9.0]), np.array([1.0, 1.0, 3.0, 1.0]))
+    clipped, stuck, gap = said(faults.found, LIMITS, 0.5)
+    assert clipped.startswith("2 readings at a rail or beyond (-5 to 5), first at 0.5 s (row 2). ")
+    assert stuck.startswith("1 reading in runs of 4 equal ones or more, first at 2.5 s (row 6). ")
+    assert gap.startswith("1 gap of more than 1.5 steps, first at 4 s (row 7). ")
+    assert clipped.endswith(ADVICE[Verdict.CLIPPED])
+    assert said({}, LIMITS, 0.5) == []
+
+
+def healthy(name: str, seed: int, count: int) -> Floats:
+    rng, t = np.random.default_rng(seed), np.arange(count) / 500
+    shapes = {
+        "white": 0.0 * t,
+        "random walk": np.cumsum(rng.normal(0, 0.3, count)),
+        "sine": 100 * np.sin(2 * np.pi * 0.1 * t),
+        "vibration": 100 * np.sin(2 * np.pi * 37.3 * t),
+        "ramp and hold": 50 * np.clip(np.minimum(t % 20 - 4, 16 - t % 20), 0, 4),
+        "square wave": 40 * np.sign(np.sin(2 * np.pi * 0.7 * t)),
+    }
+    return np.asarray(rng.uniform(0, 5) + shapes[name] + rng.normal(size=count))
+
+
+def digitised(z: Floats, lsb: float) -> Floats:
+    return lsb * np.round(z / lsb) if lsb else z
+
+
+SIGNALS = ["white", "random walk", "sine", "vibration", "ramp and hold", "square wave"]
+
+
+@pytest.mark.parametrize("name", SIGNALS)
+@pytest.mark.parametrize("lsb", [0.0, 0.2, 1.0, 3.0])
+def test_a_stuck_channel_is_told_within_the_stated_delay(name: str, lsb: float) -> None:
+    for seed in range(5):
+        z = digitised(healthy(name, seed, 45_000), lsb)
+        limits = find_limits(z[:30_000], even(30_000), 1.0, 0.002)
+        z[40_000:] = z[40_000]
+        faults = Faults(limits)
+        faults.push(z, even(len(z)))
+        assert faults.stuck_delay is not None
+        assert 40_000 <= faults.found[Verdict.STUCK].first_row < 40_000 + faults.stuck_delay < 42_500
+        assert set(faults.found) == {Verdict.STUCK}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SIGNALS)
+@pytest.mark.parametrize("lsb", [0.0, 0.2, 1.0, 3.0])
+def test_hours_of_healthy_readings_raise_no_alarm(name: str, lsb: float) -> None:
+    """Twenty hours at 500 Hz for one false alarm an hour at most; the margin leaves none."""
+    for seed in range(20):
+        z = digitised(healthy(name, seed, 3600 * 500), lsb)
+        faults = Faults(find_limits(z[:30_000], even(30_000), 1.0, 0.002))
+        faults.push(z, even(len(z)))
+        assert faults.found == {}, seed

@@ -1,0 +1,187 @@
+"""Innovations that are no longer white noise of variance 1: told in time, and hardly ever without cause."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import chi2, poisson
+
+from becalm.core.arrays import Floats
+from becalm.core.cusum import SLACK, cusum_delay, cusum_threshold
+from becalm.core.filtering import kalman_filter
+from becalm.core.model import Model
+from becalm.core.monitor import HOP, WINDOW, InnovationMonitor, find_alarms, said_of_noise
+from becalm.core.verdict import Verdict
+from becalm.errors import UsageError
+
+STEP_S = 0.002
+ALARMS = find_alarms(1.0, STEP_S)
+
+
+def noise(count: int, seed: int = 0) -> Floats:
+    return np.random.default_rng(seed).normal(size=count)
+
+
+def page_loop(x: Floats, threshold: float) -> list[int]:
+    """Page's recursion as it is written, on the sixteen bits of a sigma that the monitor counts."""
+    alarms, total = [], 0.0
+    for i, each in enumerate(np.rint(x * 65536) / 65536):
+        total = max(0.0, total + each - SLACK)
+        if total >= np.ceil(threshold * 65536) / 65536:
+            alarms.append(i)
+            total = 0.0
+    return alarms
+
+
+def test_the_sum_is_the_textbook_recursion() -> None:
+    x = np.clip(noise(30_000) + np.repeat([0.0, 0.8, 0.0], 10_000), -6, 6)
+    alarms = ALARMS._replace(drift_threshold=5.0)
+    told = np.flatnonzero(InnovationMonitor(alarms).push(x) == Verdict.DRIFT).tolist()
+    assert len(page_loop(x, 5.0)) > 100
+    assert told == sorted({*page_loop(x, 5.0), *page_loop(-x, 5.0)})
+
+
+@pytest.mark.parametrize("readings", [500, 2000, 10_000])
+def test_false_alarms_of_drift_are_as_rare_as_asked(readings: int) -> None:
+    """Siegmund's approximation, by counting some 400 alarms; two sides together."""
+    alarms = ALARMS._replace(drift_threshold=cusum_threshold(readings))
+    count = int((InnovationMonitor(alarms).push(noise(400 * readings)) == Verdict.DRIFT).sum())
+    assert poisson.ppf(0.001, 400) * 0.95 <= count <= poisson.ppf(0.999, 400) * 1.05
+
+
+def test_the_threshold_and_the_delay_are_of_one_law() -> None:
+    for readings in (100, 1e4, 1e8):
+        assert cusum_delay(cusum_threshold(readings), 0.0) == pytest.approx(2 * readings, rel=1e-9)
+    assert cusum_delay(8.0, SLACK) == pytest.approx(cusum_delay(8.0, SLACK + 1e-4), rel=1e-2)
+
+
+def test_windows_are_judged_by_chi_square() -> None:
+    per_window = HOP / (3 * 3600 / STEP_S)
+    assert (WINDOW - 1) * ALARMS.quiet_variance == pytest.approx(chi2.ppf(per_window, WINDOW - 1), rel=1e-6)
+    assert (WINDOW - 1) * ALARMS.loud_variance == pytest.approx(chi2.isf(per_window, WINDOW - 1), rel=1e-6)
+
+
+@pytest.mark.parametrize("shift", [1.0, -1.0])
+def test_a_shift_of_one_sigma_is_told_after_the_stated_delay(shift: float) -> None:
+    delays, began = [], []
+    for seed in range(200):
+        monitor = InnovationMonitor(ALARMS)
+        monitor.push(noise(2000, seed) + shift * (np.arange(2000) >= 1000))
+        delays.append(monitor.found[Verdict.DRIFT].first_row - 999)
+        assert monitor.drift_since is not None
+        began.append(monitor.drift_since - 1000)
+    assert np.mean(delays) == pytest.approx(ALARMS.drift_delay, rel=0.1)
+    assert abs(np.median(began)) <= 3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rate_hz", [500, 10_000])
+def test_white_innovations_raise_no_more_alarms_than_asked(rate_hz: int) -> None:
+    """Sixty an hour of all kinds, each kind a third; what follows one change of noise is told once."""
+    monitor, rng = InnovationMonitor(find_alarms(60.0, 1 / rate_hz)), np.random.default_rng(rate_hz)
+    hours = 20 if rate_hz == 500 else 2
+    drift = dead = 0
+    for _ in range(36 * hours):
+        codes = monitor.push(rng.normal(size=100 * rate_hz))
+        drift += int((codes == Verdict.DRIFT).sum())
+        dead += int((codes == Verdict.DEAD).sum())
+    assert drift <= poisson.ppf(0.999, 20 * hours)
+    assert monitor.louder.windows + monitor.quieter.windows <= poisson.ppf(0.999, 40 * hours) * 1.2
+    assert dead == 0
+
+
+@pytest.mark.parametrize("ratio", [1e-4, 0.01, 1.0])
+def test_a_dead_sensor_behind_a_filter_is_told_within_the_stated_delay(ratio: float) -> None:
+    """It gives one value; the filter needs a few of its time constants to be at rest there."""
+    one = np.ones((1, 1))
+    settling = 5 / np.sqrt(ratio)
+    for seed in range(10):
+        z = np.cumsum(np.sqrt(ratio) * noise(8000, seed + 100)) + noise(8000, seed)
+        z[6000:] = z[6000]
+        filtered = kalman_filter(Model(F=one, H=one, Q=ratio * one, R=one, x0=[0.0], P0=one), z)
+        codes = InnovationMonitor(ALARMS).push((filtered.innovations / filtered.innovation_sigma)[:, 0])
+        dead = np.flatnonzero(codes == Verdict.DEAD)
+        assert 6000 <= dead[0] < 6000 + ALARMS.dead_delay + settling
+        assert (codes[int(6000 + ALARMS.dead_delay + settling) :] == Verdict.DEAD).all()
+
+
+def test_noise_that_doubles_is_told_with_when_and_how_much() -> None:
+    monitor = InnovationMonitor(ALARMS)
+    monitor.push(noise(20_000) * np.where(np.arange(20_000) < 6150, 1.0, 2.0))
+    assert 6150 <= monitor.louder.first_row <= 6150 + WINDOW + HOP
+    assert monitor.louder.noise_ratio == pytest.approx(2.0, rel=0.05)
+    assert monitor.noise_changed_rows == monitor.louder.rows > 13_000
+    (sentence,) = said_of_noise(monitor, STEP_S)
+    assert sentence.startswith(f"From {monitor.louder.first_row * STEP_S:.6g} s on, ")
+    assert f" {monitor.louder.noise_ratio:.2g} times what the filter expects" in sentence
+    assert said_of_noise(InnovationMonitor(ALARMS), STEP_S) == []
+
+
+def test_a_sensor_at_rest_is_quieter_and_not_dead() -> None:
+    monitor = InnovationMonitor(ALARMS)
+    codes = monitor.push(np.concatenate([noise(3000), 0.4 * noise(3000)]))
+    assert (codes != Verdict.DEAD).all()
+    assert monitor.quieter.noise_ratio == pytest.approx(0.4, rel=0.1)
+
+
+def test_a_rest_that_a_healthy_record_has_is_not_dead_and_no_noise_at_all_is() -> None:
+    rests = noise(20_000) * np.repeat([1.0, 0.05, 1.0, 0.05], 5000)
+    alarms = find_alarms(1.0, STEP_S, rests[:10_000])
+    assert Verdict.DEAD in InnovationMonitor(find_alarms(1.0, STEP_S)).push(rests)
+    monitor = InnovationMonitor(alarms)
+    assert Verdict.DEAD not in monitor.push(rests)
+    assert monitor.quieter.noise_ratio == pytest.approx(0.05, rel=0.2)
+    dead = np.flatnonzero(monitor.push(np.zeros(200)) == Verdict.DEAD)
+    assert dead[0] < alarms.dead_delay
+    assert find_alarms(1.0, STEP_S, np.zeros(200)).dead_variance == 0.0
+
+
+@pytest.mark.parametrize("size", [20.0, 1e300, np.inf])
+def test_single_spikes_are_no_drift_and_no_other_noise(size: float) -> None:
+    x = noise(50_000)
+    x[::1000] = size
+    monitor = InnovationMonitor(ALARMS)
+    assert (monitor.push(x) == Verdict.USED).all()
+    assert monitor.noise_changed_rows <= 2 * HOP  # a spike beside a loud window, once in a while
+
+
+def test_a_filter_that_follows_drift_hides_it_and_a_level_known_at_rest_shows_it() -> None:
+    """A strain gauge that drifts by 0.1 sigma a second."""
+    one, rows = np.ones((1, 1)), 30_000
+    z = 0.1 * STEP_S * np.arange(rows) + noise(rows)
+    filtered = kalman_filter(Model(F=one, H=one, Q=0.01 * one, R=one, x0=[0.0], P0=one), z)
+    following, known = InnovationMonitor(ALARMS), InnovationMonitor(ALARMS)
+    following.push((filtered.innovations / filtered.innovation_sigma)[:, 0])
+    known.push(z)
+    assert Verdict.DRIFT not in following.found
+    assert known.found[Verdict.DRIFT].first_row * STEP_S * 0.1 < 1.0  # before it has drifted by one sigma
+
+
+VALUES = st.sampled_from([0.0, 0.1, 1.0, -1.0, 3.0, -3.0, np.nan, np.inf, -np.inf, 1e300, -1e300]) | st.floats()
+SENSITIVE = ALARMS._replace(drift_threshold=2.0, quiet_variance=0.8, loud_variance=1.2)
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    odd=st.lists(st.tuples(st.integers(0, 2999), VALUES), max_size=40),
+    cuts=st.lists(st.integers(0, 3000), max_size=8).map(sorted),
+)
+def test_any_cuts_give_the_same_codes_and_the_same_finds(odd: list[tuple[int, float]], cuts: list[int]) -> None:
+    x = noise(3000) * np.repeat([1.0, 3.0, 0.01], 1000)
+    for row, value in odd:
+        x[row] = value
+    whole, cut = InnovationMonitor(SENSITIVE), InnovationMonitor(SENSITIVE)
+    parts = [cut.push(part) for part in np.split(x, cuts)]
+    assert np.array_equal(np.concatenate(parts), whole.push(x))
+    assert (cut.found, cut.drift_since) == (whole.found, whole.drift_since)
+    assert (cut.louder, cut.quieter) == (whole.louder, whole.quieter)
+    assert Verdict.DEAD in whole.found
+
+
+def test_alarms_say_what_they_need() -> None:
+    with pytest.raises(UsageError, match="above 0"):
+        find_alarms(0.0, STEP_S)
+    with pytest.raises(UsageError, match="above 0"):
+        find_alarms(1.0, float("inf"))
