@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from becalm.core.arrays import Floats
-from becalm.core.faults import Codes, Faults, said
+from becalm.core.arrays import Codes, Floats
+from becalm.core.faults import Faults, said
 from becalm.core.limits import Limits, find_limits
 from becalm.core.verdict import ADVICE, Verdict
 

@@ -50,7 +50,7 @@ def test_live_is_the_file(order: int) -> None:
     elapsed = np.ones(ROWS)
     flow = Flow(PARTS[order], 1.0, causal=True, gate=GATE)
     told = [*flow.push(z, elapsed), *flow.finish()]
-    signal, sigma, verdicts = in_chunks(Online(model_of(order), GATE), z, [])
+    signal, sigma, verdicts = in_chunks(Online(model_of(order), gate=GATE), z, [])
     assert np.array_equal(verdicts, np.concatenate([part.verdicts for part in told]))
     assert {Verdict.SPIKE, Verdict.STEP, Verdict.MISSING, Verdict.NONFINITE, Verdict.OVERRANGE} <= set(verdicts)
     np.testing.assert_allclose(signal[:, 0], np.concatenate([part.signal for part in told]), rtol=1e-12, atol=1e-10)
@@ -61,9 +61,9 @@ def test_live_is_the_file(order: int) -> None:
 @given(st.lists(st.integers(0, ROWS), max_size=8).map(sorted), st.integers(0, ROWS))
 def test_any_cuts_and_a_pause_decide_the_same(cuts: list[int], pause: int) -> None:
     z = readings(2)
-    whole = in_chunks(Online(model_of(2), GATE), z, [])
-    cut = in_chunks(Online(model_of(2), GATE), z, cuts)
-    first = Online(model_of(2), GATE)
+    whole = in_chunks(Online(model_of(2), gate=GATE), z, [])
+    cut = in_chunks(Online(model_of(2), gate=GATE), z, cuts)
+    first = Online(model_of(2), gate=GATE)
     begun = in_chunks(first, z[:pause], [])
     rest = in_chunks(Online.resume(first.snapshot()), z[pause:], [])
     for kind in range(len(whole)):
@@ -72,8 +72,8 @@ def test_any_cuts_and_a_pause_decide_the_same(cuts: list[int], pause: int) -> No
 
 
 def test_one_by_one_is_the_block() -> None:
-    z, online = readings(1), Online(model_of(1), GATE)
-    signal, sigma, verdicts = in_chunks(Online(model_of(1), GATE), z, [])
+    z, online = readings(1), Online(model_of(1), gate=GATE)
+    signal, sigma, verdicts = in_chunks(Online(model_of(1), gate=GATE), z, [])
     for k, reading in enumerate(z):
         assert np.array_equal(online.step(float(reading)), (signal[k, 0], sigma[k, 0]), equal_nan=True)
         assert online.verdict == verdicts[k]
@@ -81,13 +81,13 @@ def test_one_by_one_is_the_block() -> None:
 
 def test_without_spikes_the_bits_are_those_without_a_gate() -> None:
     z = np.random.default_rng(1).normal(size=ROWS)
-    free, gated = Online(model_of(2)).run(z), Online(model_of(2), Gate(8.0)).run(z)
+    free, gated = Online(model_of(2)).run(z), Online(model_of(2), gate=Gate(8.0)).run(z)
     assert np.array_equal(free, gated, equal_nan=True)
 
 
 def test_a_known_start_has_a_gate_from_the_first_reading() -> None:
     model = Model(F=[[1]], H=[[1]], Q=[[0.01]], R=[[1]], x0=[0], P0=[[1]])
-    online = Online(model, GATE)
+    online = Online(model, gate=GATE)
     online.step(100.0)
     assert online.verdict == Verdict.SPIKE
     for _ in range(3):
@@ -105,12 +105,12 @@ def test_without_a_gate_nothing_is_told() -> None:
 
 
 def test_before_the_first_reading_there_is_no_verdict() -> None:
-    assert Online(model_of(1), GATE).verdict is None
+    assert Online(model_of(1), gate=GATE).verdict is None
 
 
 def test_two_channels_have_no_gate() -> None:
     with pytest.raises(ModelError, match="one channel"):
-        Online(Model(F=np.eye(2), H=np.eye(2), Q=np.eye(2), R=np.eye(2)), GATE)
+        Online(Model(F=np.eye(2), H=np.eye(2), Q=np.eye(2), R=np.eye(2)), gate=GATE)
 
 
 strange = st.sampled_from([np.nan, np.inf, -np.inf, 1e300, -1e300, 1e99, 1e20, 50.0, 0.0])
@@ -119,7 +119,7 @@ strange = st.sampled_from([np.nan, np.inf, -np.inf, 1e300, -1e300, 1e99, 1e20, 5
 @settings(max_examples=50, deadline=None)
 @given(st.lists(strange, min_size=1, max_size=120))
 def test_whatever_comes_the_state_stays_finite(faults: list[float]) -> None:
-    quiet, online = np.random.default_rng(2).normal(size=300), Online(model_of(2), GATE)
+    quiet, online = np.random.default_rng(2).normal(size=300), Online(model_of(2), gate=GATE)
     online.run(quiet)
     signal, sigma = online.run(np.array(faults))
     assert np.isfinite(signal).all()

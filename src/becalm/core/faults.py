@@ -10,13 +10,10 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from becalm.core.arrays import Booleans, Floats, Integers
+from becalm.core.arrays import Booleans, Codes, Floats, Integers
 from becalm.core.limits import Limits, told
 from becalm.core.verdict import ADVICE, BEYOND_ANY_SENSOR, Verdict
-
-Codes = NDArray[np.int8]
 
 _TICKS = 1 << 20  # of a step, for what a row is off its time
 _TIME = 1 << 10  # of a step, for the time since the first row

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammainccinv, gammaincinv
 
-from becalm.core.arrays import Floats, Integers
+from becalm.core.arrays import Codes, Floats, Integers
 from becalm.core.cusum import OneSided, cusum_delay, cusum_threshold
-from becalm.core.faults import Codes, Found
+from becalm.core.faults import Found
 from becalm.core.verdict import Verdict
 from becalm.errors import UsageError
 

@@ -1,0 +1,185 @@
+"""A channel of any length through a bank that switches, a stretch of rows at a time, in constant memory.
+
+Causal, each stretch goes on from the beliefs after the one before. Smoothed, rows come in groups whose bounds
+are counted from the start, so that cuts change no bit; a group is smoothed when the next one is complete, and
+groups are so long that the calmest mode has forgotten, by then, what comes after.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from becalm.core.arrays import Codes, Floats, Integers
+from becalm.core.flow import FORGOTTEN, Judge
+from becalm.core.kernel_ahead import BLOCK
+from becalm.core.kernel_switching import Bank, SwitchingTrace, memory_length, switch_forward
+from becalm.core.kernel_switching_back import switch_backward
+from becalm.core.starting import first_reading
+from becalm.core.steady import steady
+from becalm.core.switching import Switching, numbered_steps
+from becalm.core.told import Rows, Told
+from becalm.core.verdict import judge as judge_readings
+from becalm.errors import ModelError
+
+_LEAST_GROUP = 64 * BLOCK
+_MOST_GROUP = 1 << 22  # rows: a calmer mode than these tell is all but a constant
+
+_NONE: Floats = np.empty(0)
+
+
+class _Stretch(NamedTuple):
+    """Rows that were filtered, with what it takes to smooth them."""
+
+    bank: Bank
+    z: Floats  # (B,)
+    steps: Integers  # (B,)
+    memory: Floats  # (1 + blocks, K) beliefs after the stretch, then before each block
+    verdicts: Codes  # (B,)
+
+
+class SwitchingFlow:
+    """A filter, or a smoother, that switches, of one channel that is fed a stretch of rows at a time.
+
+    Parameters
+    ----------
+    switching : Switching
+        The modes, in steps.
+    causal : bool
+        Whether to filter (True) or to smooth.
+    judge : callable, optional
+        Shown the innovations of each stretch, of the mixture of all modes.
+    split : bool
+        Whether to tell the share of each part of the component, and then the probability of each mode.
+    """
+
+    def __init__(self, switching: Switching, *, causal: bool, judge: Judge | None = None, split: bool = False) -> None:
+        self._switching, self._causal, self._judge, self._split = switching, causal, judge, split
+        self._beliefs = np.zeros(memory_length(switching.states, len(switching.modes)))
+        self._level: float | None = None if switching.component.keeps_level else 0.0
+        self._group = _LEAST_GROUP if causal else _group_rows(switching)
+        self._few = Rows.nothing()
+        self._held: _Stretch | None = None
+        self._shares = np.zeros(len(switching.modes))
+        self.rows = 0
+        self.log_likelihood = 0.0
+        self.settled_row: int | None = None
+
+    @property
+    def shares(self) -> dict[str, float]:
+        """What share of the rows so far each mode was in force, as the filter believed at the time."""
+        total = max(float(self._shares.sum()), 1.0)
+        return {
+            mode.name: float(share) / total for mode, share in zip(self._switching.modes, self._shares, strict=True)
+        }
+
+    def push(self, z: Floats, elapsed: Floats) -> list[Told]:
+        """Take the next rows, readings (B,) and the steps before them; return what can be told for good."""
+        judged = judge_readings(z)
+        if self._causal:
+            return [self._filter(Rows(judged.readings, elapsed, judged.verdicts))[1]]
+        rows, told = Rows.joined([self._few, Rows(judged.readings, elapsed, judged.verdicts)]), list[Told]()
+        while len(rows.z) >= self._group:
+            told += self._take_group(rows.part(slice(self._group)))
+            rows = rows.part(slice(self._group, None))
+        self._few = rows
+        return told
+
+    def finish(self) -> list[Told]:
+        """Say that no more rows will come; return what was waiting for them."""
+        told = self._take_group(self._few) if len(self._few.z) else []
+        self._few = Rows.nothing()
+        if self._held is not None:
+            told.append(self._smooth(self._held, np.zeros_like(self._beliefs), -1)[0])
+            self._held = None
+        return told
+
+    def _take_group(self, rows: Rows) -> list[Told]:
+        """Filter a group, and smooth the one before it."""
+        stretch, _ = self._filter(rows)
+        before, self._held = self._held, stretch
+        if before is None:
+            return []
+        _, later = self._smooth(stretch, np.zeros_like(self._beliefs), -1)
+        return [self._smooth(before, later, int(stretch.steps[0]), stretch.bank)[0]]
+
+    def _filter(self, rows: Rows) -> tuple[_Stretch, Told]:
+        z = rows.z
+        if self._level is None and (row := first_reading(z[:, np.newaxis])) < len(z):
+            self._level = float(z[row])
+        z = np.ascontiguousarray(z - (self._level or 0.0))
+        lengths, steps = numbered_steps(rows.elapsed, goes_on=self.rows > 0)
+        bank = self._switching.bank(lengths)
+        blocks = 0 if self._causal else -(-len(z) // BLOCK)
+        memory = np.zeros((1 + blocks, len(self._beliefs)))
+        memory[0] = self._beliefs
+        trace = self._room(len(z), innovations=True)
+        log_likelihood, _ = switch_forward(self._switching.sizes, bank, z, steps, self._switching.start, memory, trace)
+        self._beliefs = memory[0].copy()
+        self.log_likelihood += log_likelihood
+        self.rows += len(z)
+        self._shares += trace.probability.sum(axis=1)
+        if self._judge is not None:
+            self._judge(trace.innovation, trace.innovation_sigma)
+        return _Stretch(bank, z, steps, memory, rows.verdicts), self._told(trace, rows.verdicts)
+
+    def _smooth(
+        self, stretch: _Stretch, later: Floats, step_after: int, bank_after: Bank | None = None
+    ) -> tuple[Told, Floats]:
+        """Come back over a stretch from the beliefs of the row after it; return its rows, and those of its first."""
+        trace = self._room(len(stretch.z), innovations=False)
+        sizes, later = self._switching.sizes, later.copy()
+        for block in range(len(stretch.memory) - 2, -1, -1):
+            rows = slice(block * BLOCK, min((block + 1) * BLOCK, len(stretch.z)))
+            filtered = self._filtered_again(stretch, block, rows)
+            bank = stretch.bank
+            if rows.stop == len(stretch.z):
+                steps = np.append(stretch.steps[rows], step_after)
+                if bank_after is not None:  # the last row alone comes back over a step of the stretch after it
+                    switch_backward(sizes, bank_after, steps[-2:], filtered[-1:], later, rows.stop - 1, trace)
+                    steps, filtered = steps[:-1], filtered[:-1]
+            else:
+                steps = stretch.steps[rows.start : rows.stop + 1]
+            switch_backward(sizes, bank, steps, filtered, later, rows.start, trace)
+        return self._told(trace, stretch.verdicts), later
+
+    def _filtered_again(self, stretch: _Stretch, block: int, rows: slice) -> Floats:
+        """Filter a block again from the beliefs before it; return those after each of its rows."""
+        z, steps = stretch.z[rows], stretch.steps[rows]
+        memory = np.zeros((1 + len(z), len(self._beliefs)))
+        memory[0] = stretch.memory[1 + block]
+        nothing = SwitchingTrace(_NONE, _NONE, _NONE, _NONE, np.empty((0, 0)), _NONE, np.empty((0, 0)))
+        switch_forward(self._switching.sizes, stretch.bank, z, steps, self._switching.start, memory, nothing)
+        return memory[1:]
+
+    def _room(self, rows: int, *, innovations: bool) -> SwitchingTrace:
+        """Make room for what is told of some rows; where nothing is known yet, sigma is inf."""
+        unknown = np.full(rows, np.nan)
+        innovation = (unknown.copy(), unknown.copy()) if innovations and self._judge is not None else (_NONE, _NONE)
+        means = (self._switching.states if self._split else 0, rows)
+        modes = len(self._switching.modes)
+        sigma, probability = np.full(rows, np.inf), np.zeros((modes, rows))
+        return SwitchingTrace(unknown, sigma, innovation[0], innovation[1], probability, _NONE, np.full(means, np.nan))
+
+    def _told(self, trace: SwitchingTrace, verdicts: Codes) -> Told:
+        level, parts = self._level or 0.0, np.empty((0, len(trace.signal)))
+        if self._split:
+            shares = np.array([output[0] @ trace.mean for _, output in self._switching.component.outputs()])
+            shares[0] += level
+            parts = np.vstack([shares, trace.probability])
+        return Told(trace.signal + level if level else trace.signal, trace.sigma, parts, verdicts)
+
+
+def _group_rows(switching: Switching) -> int:
+    """Return how many rows later the calmest mode has forgotten, in whole blocks."""
+    longest = 0.0
+    for mode in switching.modes:
+        try:
+            loop = steady(mode.component.to_model(1.0, mode.noise_variance)).closed_loop
+            radius = float(np.abs(np.linalg.eigvals(loop)).max())
+            rows = np.log(1 / FORGOTTEN) / -np.log(radius) if 0 < radius < 1 else _MOST_GROUP * float(radius >= 1)
+        except ModelError:  # it never forgets
+            rows = float(_MOST_GROUP)
+        longest = max(longest, rows)
+    return max(_LEAST_GROUP, int(min(longest, _MOST_GROUP)) // BLOCK * BLOCK)
