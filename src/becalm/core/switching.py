@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import expm
 
 from becalm.core.arrays import Floats, Integers
 from becalm.core.components import Component
@@ -22,7 +21,7 @@ from becalm.errors import ModelError
 MOST_MODES = 8
 
 _WIDE = 1e6  # times the variance of a settled filter's slopes: what is known of them before the first readings
-_EXACT = 1e-12
+_TERMS = 16  # of a series whose argument is below 1/4
 
 
 @dataclass(frozen=True)
@@ -113,7 +112,7 @@ class Switching:
     def start(self) -> Floats:
         """How modes begin with the first reading: each one's probability, and variances of its states, (M, 1 + n)."""
         lasts = np.array([mode.lasts for mode in self.modes])
-        spread = _WIDE * self._settled_variances
+        spread = _WIDE * self._settled_variances if self.states > 1 else np.empty(1)
         own = [
             [share, mode.noise_variance, *spread[1:]]
             for share, mode in zip(lasts / lasts.sum(), self.modes, strict=True)
@@ -163,14 +162,7 @@ class Switching:
 
     def transitions(self, lengths: Floats) -> Floats:
         """Return the probability of going from mode i to mode j over steps of several lengths, (u, M, M)."""
-        rates = self._rates
-        values, vectors = np.linalg.eig(rates)
-        back = np.linalg.pinv(vectors)
-        T = np.real(vectors @ (np.exp(np.multiply.outer(lengths, values))[:, :, np.newaxis] * back))
-        longest = int(np.argmax(lengths))
-        if np.abs(T[longest] - expm(rates * lengths[longest])).max() > _EXACT:
-            T = np.array([expm(rates * length) for length in lengths])
-        return np.ascontiguousarray(np.maximum(T, 0.0))
+        return np.maximum(_exponentials(self._rates, lengths), 0.0)
 
     @cached_property
     def _rates(self) -> Floats:
@@ -182,6 +174,20 @@ class Switching:
             rates[i, others] = 1 / (mode.lasts * max(len(others), 1))
             rates[i, i] = -rates[i].sum()
         return rates
+
+
+def _exponentials(rates: Floats, lengths: Floats) -> Floats:
+    """Return exp(rates t) for several t, (u, M, M): a Taylor series of a small part of the time, squared again."""
+    largest = float(np.abs(np.diag(rates)).max(initial=0.0)) * float(lengths.max(initial=0.0))
+    halvings = max(0, int(np.ceil(np.log2(max(largest, 1e-300)))) + 2)
+    part = np.multiply.outer(lengths / 2.0**halvings, rates)
+    term = found = np.broadcast_to(np.eye(len(rates)), part.shape)
+    for k in range(1, _TERMS):
+        term = term @ part / k
+        found = found + term
+    for _ in range(halvings):
+        found = found @ found
+    return np.ascontiguousarray(found)
 
 
 def numbered_steps(elapsed: Floats, *, goes_on: bool) -> tuple[Floats, Integers]:

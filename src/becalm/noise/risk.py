@@ -120,13 +120,13 @@ def less_risky(tuning: Tuning, other: Tuning, evidence: Evidence, causal: bool) 
     if floors and tuning.noise_variance < floors[0] / _EXPLAINED:
         return other
     R = min(tuning.noise_variance, *floors)
-    one, two = (_estimated(each, evidence, R, causal) for each in (tuning, other))
+    one, two = (estimated_risk(each, evidence, R, causal) for each in (tuning, other))
     better = one.error < two.error - _BETTER * min(two.error, two.claimed)
     honest = one.error < _HONEST * one.claimed + 3 * R * np.sqrt(2 / max(one.readings, 1)) or one.error < two.error / 2
     return tuning if better and honest else other
 
 
-class _Risk(NamedTuple):
+class Risk(NamedTuple):
     """Of a filter or smoother over a record."""
 
     error: float  # mean square, unit^2, as estimated; NaN where no stretch tells the state
@@ -134,10 +134,11 @@ class _Risk(NamedTuple):
     readings: int
 
 
-def _estimated(tuning: Tuning, evidence: Evidence, noise_variance: float, causal: bool) -> _Risk:
+def estimated_risk(tuning: Tuning, evidence: Evidence, noise_variance: float, causal: bool) -> Risk:
+    """Estimate how far a filter, or a smoother, errs over a record, given the variance of a reading's noise."""
     component, r = tuning.component, tuning.noise_variance
     model, squares, weights = component.to_model(1.0, r), list[Floats](), list[Floats]()
-    for part in _long_pieces(evidence):
+    for part in long_pieces(evidence):
         timeline, z = elapsed_timeline(component, r, evidence.elapsed[part]), evidence.z[part]
         if causal:
             found = run_filter(model, timeline, z, Wanted(innovations=False)).estimate
@@ -148,12 +149,12 @@ def _estimated(tuning: Tuning, evidence: Evidence, noise_variance: float, causal
         weights.append(found.sigma[told] ** 2 / r)
     every = np.concatenate(squares)
     if not len(every):
-        return _Risk(np.nan, np.nan, 0)
+        return Risk(np.nan, np.nan, 0)
     weight = float(np.concatenate(weights).mean())
-    return _Risk(float(every.mean()) + noise_variance * (2 * weight - 1), r * weight, len(every))
+    return Risk(float(every.mean()) + noise_variance * (2 * weight - 1), r * weight, len(every))
 
 
-def _long_pieces(evidence: Evidence) -> list[slice]:
+def long_pieces(evidence: Evidence) -> list[slice]:
     """Return the stretches; of a long record some pieces, long enough for tones to be learnt."""
     if len(evidence.z) <= _PIECES * _PIECE:
         return evidence.stretches

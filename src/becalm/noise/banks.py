@@ -1,0 +1,214 @@
+"""Four banks of modes, each told by few numbers, and the search for them by likelihood.
+
+resting   a still mode beside the fixed filter
+jumping   random walks from still to abrupt, for levels that hold and jump; wild readings are left out
+noisy     the fixed filter with quiet and with loud noise
+spiky     the fixed filter with wild readings, which are left out, and an abrupt mode, so that it never locks out
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from becalm.core.arrays import Floats, Integers
+from becalm.core.components import motion
+from becalm.core.kernel_switching import SwitchingTrace, memory_length, switch_forward
+from becalm.core.switching import Mode, Switching, numbered_steps
+from becalm.noise.likelihood import Evidence, Tuning
+
+Kind = Literal["resting", "jumping", "noisy", "spiky"]
+
+_NONE: Floats = np.empty(0)
+_NOTHING = SwitchingTrace(_NONE, _NONE, _NONE, _NONE, np.empty((0, 0)), _NONE, np.empty((0, 0)))
+
+_PIECE, _PIECES = 1 << 14, 4  # readings of a long record that banks are compared on
+_DIFFERENT_STEPS = 64  # lengths of steps that are told apart while searching
+
+_GAIN, _SOME = 2.0, 0.1  # of a log-likelihood, for which a number leaves its default; for which a variance does
+_SWEEPS = 5
+_SURPRISED = 0.01  # share of surprises of a moving sensor that say nothing of its mode
+_SELDOM = 1e6 / 3  # steps between two switches of a jumping level
+_WALKS = {"still": 1e-10, "gentle": 1e-3, "quick": 1e-1, "abrupt": 1e2}  # q/r
+_RANGES = ((1e-12, 1e-3), (1e-8, 1e0), (1e-4, 1e2), (1e1, 1e6))  # of them
+_AT_ONCE = 1.4  # steps that an abrupt mode lasts
+_BLOCK = 50  # readings, of which the variance of bends is taken
+
+
+class Number(NamedTuple):
+    """One number of a bank, searched by its logarithm."""
+
+    default: float
+    low: float
+    high: float
+    stride: float = 2.0  # of the logarithm, at first
+    gain: float = _GAIN
+
+
+class Bank(NamedTuple):
+    """A family of banks: its numbers, and how they make one."""
+
+    numbers: list[Number]
+    make: Callable[..., Switching]
+
+
+class Piece(NamedTuple):
+    """A part of a record, laid out for the kernels."""
+
+    z: Floats  # (N,)
+    lengths: Floats  # (u,) of steps
+    steps: Integers  # (N,) which of them precedes each reading
+
+
+def resting(tuning: Tuning, evidence: Evidence) -> Bank:
+    """Return banks of a still mode beside a fixed filter.
+
+    A moving sensor now and then surprises its filter, which says nothing of whether it came to rest.
+    """
+    spread = float(np.ptp(evidence.z)) ** 2
+    moving = Mode("moving", tuning.component, tuning.noise_variance, 1.0, wild_share=_SURPRISED)
+
+    def make(r: float, ratio: float, rests: float, moves: float) -> Switching:
+        still = Mode("still", motion(1, ratio * r), r, rests)
+        return Switching((still, replace(moving, lasts=moves)), spread)
+
+    return Bank([_variance(evidence), Number(1e-6, 1e-12, 1e-3), *2 * [Number(300.0, 50.0, 1e6)]], make)
+
+
+def jumping(evidence: Evidence) -> Bank:
+    """Return banks of random walks, from still to abrupt."""
+    spread = float(np.ptp(evidence.z)) ** 2
+
+    def make(r: float, still: float, others: float, wild: float, *ratios: float) -> Switching:
+        lasts = (still, others, others, _AT_ONCE)
+        walks = [
+            Mode(name, motion(1, ratio * r), r, last, "quick" if name == "abrupt" else "", wild)
+            for name, ratio, last in zip(_WALKS, ratios, lasts, strict=True)
+        ]
+        return Switching(tuple(walks), spread, rejects=True)
+
+    numbers = [_variance(evidence), Number(_SELDOM, 10.0, 1e7), Number(_SELDOM, 0.5, 1e7), Number(1e-9, 1e-12, 0.2)]
+    walks = [Number(ratio, *bounds) for ratio, bounds in zip(_WALKS.values(), _RANGES, strict=True)]
+    return Bank([*numbers, *walks], make)
+
+
+def noisy(tuning: Tuning) -> Bank:
+    """Return banks of a fixed filter with quiet and with loud noise: of Q and R, only R changes."""
+    r = tuning.noise_variance
+
+    def make(quiet: float, louder: float, calms: float, storms: float) -> Switching:
+        one = Mode("quiet", tuning.component, quiet, calms)
+        return Switching((one, replace(one, name="loud", noise_variance=quiet * louder, lasts=storms)))
+
+    own = Number(r / 3, r * 1e-4, r * 20, 1.0, _SOME)
+    return Bank([own, Number(10.0, 1.5, 1e6), *2 * [Number(1000.0, 50.0, 1e6)]], make)
+
+
+def spiky(tuning: Tuning, evidence: Evidence) -> Bank:
+    """Return banks of a fixed filter, tuned anew, with wild readings; where they agree, it was a jump."""
+    r, spread = max(middle_variance(evidence.z[:, 0]), evidence.smallest_variance), float(np.ptp(evidence.z)) ** 2
+
+    def make(noise: float, ratio: float, share: float, wild: float) -> Switching:
+        steady = Mode("steady", motion(tuning.order, ratio * noise), noise, _SELDOM, wild_share=share)
+        abrupt = Mode("abrupt", motion(1, wild), noise, _AT_ONCE, "steady", share)
+        return Switching((steady, abrupt), wild, rejects=True)
+
+    fastest = (1e-12, 1e6)
+    return Bank(
+        [
+            Number(r, r * 1e-4, r * 1e4, 1.0, _SOME),
+            Number(tuning.ratio, *fastest, gain=_SOME),
+            Number(0.03, 1e-6, 0.4),
+            Number(min(100 * r, spread), r, max(spread, 2 * r)),
+        ],
+        make,
+    )
+
+
+def _variance(evidence: Evidence) -> Number:
+    """Return the variance of noise at rest as a number to search."""
+    r = max(quiet_variance(evidence.z[:, 0]), evidence.smallest_variance)
+    return Number(r, r * 1e-2, r * 1e2, 1.0, _SOME)
+
+
+def searched(bank: Bank, pieces: Sequence[Piece]) -> tuple[Switching, float]:
+    """Search a bank's numbers one after the other, with strides that halve; return it and its log-likelihood."""
+    at, strides = [float(np.log(number.default)) for number in bank.numbers], [number.stride for number in bank.numbers]
+    best = log_likelihood(_made(bank, at), pieces)
+    for _ in range(_SWEEPS):
+        for i in range(len(at)):
+            moved, value = _best_move(bank, at, i, strides[i], best, pieces)
+            strides[i] *= 1.0 if value > best else 0.5
+            at, best = moved, value
+    return _made(bank, at), best
+
+
+def _best_move(  # noqa: PLR0913
+    bank: Bank, at: list[float], i: int, stride: float, best: float, pieces: Sequence[Piece]
+) -> tuple[list[float], float]:
+    """Move one number as far as that pays, up or else down."""
+    number = bank.numbers[i]
+    for way in (stride, -stride):
+        gained = False
+        while np.log(number.low) <= at[i] + way <= np.log(number.high):
+            moved = [*at[:i], at[i] + way, *at[i + 1 :]]
+            value = log_likelihood(_made(bank, moved), pieces)
+            if value < best + number.gain:
+                break
+            at, best, gained = moved, value, True
+        if gained:
+            break
+    return at, best
+
+
+def _made(bank: Bank, logs: Sequence[float]) -> Switching:
+    return bank.make(*np.exp(logs).tolist())
+
+
+def log_likelihood(switching: Switching, pieces: Sequence[Piece]) -> float:
+    """Return the log-likelihood of pieces of a record, each begun anew."""
+    total = 0.0
+    for piece in pieces:
+        memory = np.zeros((1, memory_length(switching.states, len(switching.modes))))
+        bank = switching.bank(piece.lengths)
+        total += switch_forward(switching.sizes, bank, piece.z, piece.steps, switching.start, memory, _NOTHING)[0]
+    return total if np.isfinite(total) else -np.inf
+
+
+def pieces_of(evidence: Evidence) -> list[Piece]:
+    """Return a record, or, of a long one, pieces that are spread over it."""
+    parts = [slice(0, len(evidence.z))]
+    if len(evidence.z) > _PIECE * _PIECES:
+        starts = np.linspace(0, len(evidence.z) - _PIECE, _PIECES).astype(int)
+        parts = [slice(start, start + _PIECE) for start in starts.tolist()]
+    pieces = []
+    for part in parts:
+        elapsed = _few_lengths(evidence.elapsed[part])
+        pieces.append(Piece(np.ascontiguousarray(evidence.z[part, 0]), *numbered_steps(elapsed, goes_on=False)))
+    return pieces
+
+
+def _few_lengths(elapsed: Floats) -> Floats:
+    """Round steps so that few are different."""
+    if len(np.unique(elapsed)) <= _DIFFERENT_STEPS:
+        return elapsed
+    least = max(float(elapsed[elapsed > 0].min(initial=1.0)), 1e-6)
+    edge = np.geomspace(least, max(float(elapsed.max()), 2 * least), _DIFFERENT_STEPS - 1)
+    nearest = np.searchsorted(np.sqrt(edge[1:] * edge[:-1]), elapsed)
+    return np.where(elapsed > 0, edge[nearest], 0.0)
+
+
+def quiet_variance(z: Floats) -> float:
+    """Return the variance of white noise as quiet as the quietest tenth of a record (N,), by its second differences."""
+    bends = np.diff(z, 2)
+    width = min(_BLOCK, max(len(bends) // 10, 1))
+    blocks = bends[: len(bends) // width * width].reshape(-1, width)
+    return float(np.quantile(np.mean(blocks**2, axis=1), 0.1)) / 6
+
+
+def middle_variance(z: Floats) -> float:
+    """Return the variance of white noise as the middle of the second differences of a record (N,) tells it."""
+    return float(1.4826 * np.median(np.abs(np.diff(z, 2)))) ** 2 / 6
