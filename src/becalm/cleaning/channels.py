@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import fields
+from dataclasses import fields, replace
 from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
 
 from becalm.cleaning.judging import Decision, InnovationJudge, Judgement
+from becalm.cleaning.modes import modes_in_steps
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.report import ChannelReport
 from becalm.cleaning.steps import gate_of, in_steps
@@ -18,8 +19,9 @@ from becalm.core.arrays import Floats
 from becalm.core.flow import Flow, Told
 from becalm.core.lagged_flow import LaggedFlow
 from becalm.core.response import Response, describe
+from becalm.core.switching_flow import SwitchingFlow
 from becalm.core.verdict import ADVICE, Verdict, counted, judge
-from becalm.errors import ModelError
+from becalm.errors import ModelError, UsageError
 from becalm.noise.choose import FEWEST_READINGS
 from becalm.noise.excess import excess_error
 from becalm.noise.independence import independence_steps
@@ -68,13 +70,23 @@ class MotionChannel:
         self._judge = InnovationJudge(step_s)
         self._counts = Counter[Verdict]()
         self._uncertainty = Uncertainty(recipe.tuning_spread, recipe.calibration)
-        part, variance, judge = tuning.component, tuning.noise_variance, self._judge.add
-        gate = None if recipe.gate is None else gate_of(recipe.gate, step_s)
-        self._flow = (
-            LaggedFlow(part, variance, lag=lag, judge=judge, split=split)
-            if lag
-            else Flow(part, variance, causal=lag == 0, judge=judge, split=split, gate=gate)
-        )
+        self._flow = self._opened_flow(split)
+
+    def _opened_flow(self, split: bool) -> Flow | LaggedFlow | SwitchingFlow:
+        recipe, lag, judge = self._recipe, self._lag, self._judge.add
+        if recipe.switching is not None:
+            if lag:
+                raise UsageError(
+                    f"{recipe.name} has a filter that switches, which does not wait for a lag yet; leave the lag out,"
+                    " or take [channel.switching] out of the recipe."
+                )
+            modes = modes_in_steps(recipe.switching, self._tuning, self._step_s)
+            return SwitchingFlow(modes, causal=lag == 0, judge=judge, split=split)
+        part, variance = self._tuning.component, self._tuning.noise_variance
+        if lag:
+            return LaggedFlow(part, variance, lag=lag, judge=judge, split=split)
+        gate = None if recipe.gate is None else gate_of(recipe.gate, self._step_s)
+        return Flow(part, variance, causal=lag == 0, judge=judge, split=split, gate=gate)
 
     def push(self, z: Floats, elapsed: Floats) -> list[Told]:
         """Take readings (B,) and the steps before them; return what is clean, in order."""
@@ -91,8 +103,15 @@ class MotionChannel:
 
     def report(self) -> ChannelReport:
         """Say what was found, once finished."""
+        report = self._report()
+        if not isinstance(self._flow, SwitchingFlow):
+            return report
+        return replace(report, modes=self._flow.shares, bandwidth_hz=None, lag_s=None, independence_s=None)
+
+    def _report(self) -> ChannelReport:
         tuning, response = self._tuning, _response(self._tuning, self._step_s, self._lag is not None)
-        smooths = self._lag is None and response is not None and response.noise_gain < NOTHING_REMOVED
+        fixed = self._recipe.switching is None
+        smooths = fixed and self._lag is None and response is not None and response.noise_gain < NOTHING_REMOVED
         independent = None if self._lag else independence_steps(tuning, self._lag == 0)
         found = self._judge.judgement(partial(excess_error, tuning) if smooths else None)
         return ChannelReport(
@@ -116,7 +135,7 @@ class MotionChannel:
             settled_row=self._flow.settled_row,
             verdicts=_named(self._counts),
             advice=_advice(self._counts),
-            says=_with_advice(_with_reserve(found.says, response), self._counts),
+            says=_with_advice(_with_reserve(found.says, response if fixed else None), self._counts),
         )
 
     def _tones_hz(self, *, disturbance: bool) -> tuple[float, ...]:

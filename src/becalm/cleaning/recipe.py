@@ -110,6 +110,60 @@ class CalibrationRecipe(_Settings):
     offset_std: NotNegative = 0.0
 
 
+class ModeRecipe(_Settings):
+    """One way in which the signal of a channel may behave.
+
+    Attributes
+    ----------
+    name : str
+        As "still".
+    order : int
+        Which derivative is driven by white noise.
+    process_noise_density : float
+        q, in unit^2/s^(2 order - 1); a *small* one trusts the model and smooths more.
+    noise_std : float
+        Standard deviation of one reading's noise in this mode, in unit.
+    lasts_s : float
+        How long it lasts on average, in seconds; a *large* one trusts it to stay.
+    then : str
+        The mode that comes after it; "" for any other.
+    wild_share : float
+        Share of wild readings; a *small* one believes in a switch sooner.
+    with_tones : bool
+        Whether the channel's tones and coloured noise are there in this mode.
+    """
+
+    name: Annotated[str, Field(min_length=1)]
+    order: Annotated[int, Field(ge=1, le=5)]
+    process_noise_density: NotNegative
+    noise_std: Positive
+    lasts_s: Positive
+    then: str = ""
+    wild_share: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    with_tones: bool = False
+
+
+class SwitchingRecipe(_Settings):
+    """The modes of a filter that switches.
+
+    Attributes
+    ----------
+    kind : {"resting", "jumping", "noisy", "spiky"}
+        Which bank they are of.
+    wild_std : float
+        How far wild readings are spread, in unit.
+    rejects : bool
+        Whether they are left out.
+    mode : tuple of ModeRecipe
+        One of them is in force at a time.
+    """
+
+    kind: Literal["resting", "jumping", "noisy", "spiky"]
+    wild_std: NotNegative = 0.0
+    rejects: bool = False
+    mode: Annotated[tuple[ModeRecipe, ...], Field(min_length=1, max_length=8)]
+
+
 class TunedMotion(NamedTuple):
     """The numbers of a motion, all there, and what is beside it."""
 
@@ -145,6 +199,8 @@ class ChannelRecipe(_Settings):
         Oscillations beside the motion.
     gate : GateRecipe or None
         What leaves spikes out; None believes every reading.
+    switching : SwitchingRecipe or None
+        Modes, one of which is in force at a time, in place of the one filter.
     """
 
     name: str
@@ -158,6 +214,7 @@ class ChannelRecipe(_Settings):
     calibration: CalibrationRecipe | None = None
     tone: tuple[ToneRecipe, ...] = ()
     gate: GateRecipe | None = None
+    switching: SwitchingRecipe | None = None
 
     @model_validator(mode="after")
     def _complete(self) -> Self:
@@ -172,7 +229,11 @@ class ChannelRecipe(_Settings):
             return (self.model,)
         tones = [f"{tone.frequency_hz:.6g}Hz" for tone in self.tone]
         numbered = [f"tone_{tone}" + "_again" * tones[:k].count(tone) for k, tone in enumerate(tones)]
-        return ("motion", *numbered, *(["coloured_noise"] if self.coloured_noise else []))
+        if self.switching is None:
+            return ("motion", *numbered, *(["coloured_noise"] if self.coloured_noise else []))
+        beside = [*numbered, *(["coloured_noise"] if self.coloured_noise else [])]
+        told = beside if any(mode.with_tones for mode in self.switching.mode) else []
+        return ("motion", *told, *(f"probability_{mode.name}" for mode in self.switching.mode))
 
     @property
     def motion(self) -> TunedMotion | None:

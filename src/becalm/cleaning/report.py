@@ -39,6 +39,8 @@ class ChannelReport(Judgement):
     calibration_std : float or None
         What the calibration adds, as a root of a sum of squares, at the mean magnitude of the signal, in unit; no
         averaging lowers it. None where the recipe tells no calibration.
+    modes : dict
+        Of a filter that switches, the share of the record in which each mode was in force.
     log_likelihood : float or None
         Of the readings, given the recipe.
     settled_row : int or None
@@ -64,6 +66,7 @@ class ChannelReport(Judgement):
     independence_s: float | None = None
     tuning_spread: float | None = None
     calibration_std: float | None = None
+    modes: dict[str, float] = field(default_factory=dict)
     log_likelihood: float | None = None
     settled_row: int | None = None
     verdicts: dict[str, int] = field(default_factory=dict)

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from becalm.cleaning.modes import modes_in_seconds
 from becalm.cleaning.recipe import ChannelRecipe, GateRecipe, Mode, Origin, Recipe
 from becalm.cleaning.steps import gate_of, in_seconds, lag_in_rows
 from becalm.core.recording import Recording
@@ -18,10 +19,11 @@ from becalm.errors import RecordingError, UsageError
 from becalm.noise.choose import Known
 from becalm.noise.coloured import NoiseModel, fit_noise
 from becalm.noise.dial import Dial, turn
-from becalm.noise.gating import choose_gated
-from becalm.noise.likelihood import Evidence
+from becalm.noise.gating import choose_gated, has_rejects
+from becalm.noise.likelihood import Evidence, Tuning
 from becalm.noise.lines import FEWEST_FOR_TONES, MOST_TONES
 from becalm.noise.still import said_still
+from becalm.noise.switching import Switched, find_switching, robust_filter
 from becalm.noise.tuning_spread import tuning_spread
 
 SOON = 3
@@ -47,6 +49,8 @@ class Wishes(NamedTuple):
         Frequencies of tones to take off, as of mains hum.
     lag_s : float or None
         How long each estimate may wait for later readings; with a *small* one it comes soon, and noisier.
+    robust : bool
+        Whether many readings are wild, one in a hundred to one in ten, and shall be left out.
     """
 
     dial: Dial | None = None
@@ -54,6 +58,7 @@ class Wishes(NamedTuple):
     rest: Recording | None = None
     removed_hz: tuple[float, ...] = ()
     lag_s: float | None = None
+    robust: bool = False
 
 
 NO_WISHES = Wishes()
@@ -128,11 +133,25 @@ def _tune_channel(recording: Recording, causal: bool, wishes: Wishes, progress: 
     found, spread = choice.tuning, 0.0
     if wishes.dial is not None:  # what a person asked for is no estimate
         found = turn(choice.motion, wishes.dial, time.step_s, causal)
-    else:
+    elif not any((wishes.still_s, wishes.removed_hz, wishes.lag_s)):
+        spikes = gated and has_rejects(found, readings, elapsed, gate_of(gate, time.step_s))
+        switched = _switched(found, Evidence.of(readings, elapsed), causal, spikes, robust=wishes.robust)
+        if switched is not None:
+            progress(name)
+            modes = modes_in_seconds(switched, time.step_s)
+            return in_seconds(name, unit, found, time.step_s).model_copy(update={"switching": modes})
+    if wishes.dial is None:
         told = known.noise is not None
         spread = tuning_spread(found, Evidence.of(readings, elapsed), causal, noise_known=told)
     progress(name)
     return in_seconds(name, unit, found, time.step_s, spread).model_copy(update={"gate": gate if gated else None})
+
+
+def _switched(tuning: Tuning, evidence: Evidence, causal: bool, spikes: bool, *, robust: bool) -> Switched | None:
+    """Find modes for a channel; `spikes` tells whether a gate leaves some out."""
+    if robust:
+        return robust_filter(tuning, evidence)
+    return find_switching(tuning, evidence, causal, spikes)
 
 
 def _rest_noise(rest: Recording, name: str, still_s: Sequence[tuple[float, float]]) -> NoiseModel | None:

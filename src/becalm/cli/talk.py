@@ -98,6 +98,8 @@ def _trust(report: ChannelReport) -> str:
 def _model(report: ChannelReport) -> str:
     if report.order is None:
         return report.model
+    if report.modes:
+        return "switching: " + ", ".join(f"{name} {share:.0%}" for name, share in report.modes.items())
     told = [f"{report.model} of order {report.order}"]
     for what, frequencies in (("tones at", report.tones_hz), ("without", report.removed_hz)):
         if frequencies:

@@ -162,7 +162,7 @@ class Switching:
 
     def transitions(self, lengths: Floats) -> Floats:
         """Return the probability of going from mode i to mode j over steps of several lengths, (u, M, M)."""
-        return np.maximum(_exponentials(self._rates, lengths), 0.0)
+        return _exponentials(self._rates, lengths)
 
     @cached_property
     def _rates(self) -> Floats:
@@ -187,7 +187,8 @@ def _exponentials(rates: Floats, lengths: Floats) -> Floats:
         found = found + term
     for _ in range(halvings):
         found = found @ found
-    return np.ascontiguousarray(found)
+    found = np.maximum(found, 0.0)
+    return np.ascontiguousarray(found / found.sum(axis=2, keepdims=True))
 
 
 def numbered_steps(elapsed: Floats, *, goes_on: bool) -> tuple[Floats, Integers]:

@@ -91,10 +91,15 @@ class Tuning:
     @property
     def component(self) -> Component:
         """The signal and what disturbs it, in steps."""
-        found = sum(map(_tone, self.lines), motion(self.order, self.ratio * self.noise_variance))
+        return sum(self.companions, motion(self.order, self.ratio * self.noise_variance))
+
+    @property
+    def companions(self) -> list[Component]:
+        """What is beside the motion, in steps: tones, and coloured noise."""
+        tones = [_tone(line) for line in self.lines]
         if self.coloured is None:
-            return found
-        return found + autoregressive(self.coloured.coefficients, float(np.sqrt(self.coloured.variance)))
+            return tones
+        return [*tones, autoregressive(self.coloured.coefficients, float(np.sqrt(self.coloured.variance)))]
 
 
 def _tone(line: Line) -> Component:

@@ -1,0 +1,75 @@
+"""The modes of a filter that switches: in seconds, as recipes tell them, and in steps, as filters use them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from becalm.cleaning.recipe import ModeRecipe, SwitchingRecipe
+from becalm.core.components import motion
+from becalm.core.switching import Mode, Switching
+from becalm.errors import ModelError, RecipeError
+from becalm.noise.likelihood import Tuning
+from becalm.noise.switching import Switched
+
+_LEAST, _GREATEST = 1e-250, 1e250
+
+
+def modes_in_seconds(found: Switched, step_s: float) -> SwitchingRecipe:
+    """Return the modes of a channel, found in steps, as its recipe tells them."""
+    bank = found.switching
+    return SwitchingRecipe(
+        kind=found.kind,
+        wild_std=float(np.sqrt(bank.wild_variance)),
+        rejects=bank.rejects,
+        mode=tuple(_mode_in_seconds(mode, step_s) for mode in bank.modes),
+    )
+
+
+def modes_in_steps(told: SwitchingRecipe, tuning: Tuning, step_s: float) -> Switching:
+    """Return the modes of a recipe in steps.
+
+    Parameters
+    ----------
+    told : SwitchingRecipe
+        Its modes.
+    tuning : Tuning
+        The channel's fixed filter, whose tones go with the modes that are said to have them.
+    step_s : float
+        Step, in seconds.
+
+    Raises
+    ------
+    RecipeError
+        If they make no filter at this step.
+    """
+    try:
+        with np.errstate(all="ignore"):
+            modes = tuple(_mode_in_steps(mode, tuning, step_s) for mode in told.mode)
+            return Switching(modes, float(np.float64(told.wild_std) ** 2), told.rejects)
+    except ModelError as cause:
+        raise RecipeError(f"The recipe's modes make no filter at {1 / step_s:.6g} Hz: {cause}") from cause
+
+
+def _mode_in_seconds(mode: Mode, step_s: float) -> ModeRecipe:
+    order = len(mode.component.parts[0].state_names)
+    return ModeRecipe(
+        name=mode.name,
+        order=order,
+        process_noise_density=float(mode.component.noise_density[0, 0]) / step_s ** (2 * order - 1),
+        noise_std=float(np.sqrt(mode.noise_variance)),
+        lasts_s=mode.lasts * step_s,
+        then=mode.then,
+        wild_share=mode.wild_share,
+        with_tones=len(mode.component.parts) > 1,
+    )
+
+
+def _mode_in_steps(told: ModeRecipe, tuning: Tuning, step_s: float) -> Mode:
+    density = float(np.float64(told.process_noise_density) * np.float64(step_s) ** (2 * told.order - 1))
+    variance = float(np.float64(told.noise_std) ** 2)
+    if not (_LEAST < variance < _GREATEST and density / variance < _GREATEST):
+        raise ModelError(f"mode {told.name!r} has noise_std = {told.noise_std:.3g}; choose a unit nearer to its size.")
+    component = motion(told.order, density)
+    if told.with_tones:
+        component = sum(tuning.companions, component)
+    return Mode(told.name, component, variance, told.lasts_s / step_s, told.then, told.wild_share)
