@@ -28,13 +28,13 @@ _NOTHING = SwitchingTrace(_NONE, _NONE, _NONE, _NONE, np.empty((0, 0)), _NONE, n
 _PIECE, _PIECES = 1 << 14, 4  # readings of a long record that banks are compared on
 _DIFFERENT_STEPS = 64  # lengths of steps that are told apart while searching
 
-_GAIN, _SOME = 2.0, 0.1  # of a log-likelihood, for which a number leaves its default; for which a variance does
+_GAIN, _SOME = 10.0, 0.1  # of a log-likelihood, for which a number leaves its default; for which a variance does
 _SWEEPS = 5
 _SURPRISED = 0.01  # share of surprises of a moving sensor that say nothing of its mode
-_SELDOM = 1e6 / 3  # steps between two switches of a jumping level
-_WALKS = {"still": 1e-10, "gentle": 1e-3, "quick": 1e-1, "abrupt": 1e2}  # q/r
-_RANGES = ((1e-12, 1e-3), (1e-8, 1e0), (1e-4, 1e2), (1e1, 1e6))  # of them
-_AT_ONCE = 1.4  # steps that an abrupt mode lasts
+_RESTS, _MOVES = 8e4, 3e6  # steps that a level stays still, or moves, where the record does not tell
+_WALKS = {"still": 1e-10, "gentle": 2e-3, "quick": 0.7, "abrupt": 40.0}  # q/r
+_RANGES = ((1e-12, 1e-3), (1e-8, 1e0), (1e-3, 1e2), (1e1, 1e6))  # of them
+_AT_ONCE = 0.7  # steps that an abrupt mode lasts
 _BLOCK = 50  # readings, of which the variance of bends is taken
 
 
@@ -90,7 +90,7 @@ def jumping(evidence: Evidence) -> Bank:
         ]
         return Switching(tuple(walks), spread, rejects=True)
 
-    numbers = [_variance(evidence), Number(_SELDOM, 10.0, 1e7), Number(_SELDOM, 0.5, 1e7), Number(1e-9, 1e-12, 0.2)]
+    numbers = [_variance(evidence), Number(_RESTS, 10.0, 1e7), Number(_MOVES, 0.5, 1e7), Number(1e-9, 1e-12, 0.2)]
     walks = [Number(ratio, *bounds) for ratio, bounds in zip(_WALKS.values(), _RANGES, strict=True)]
     return Bank([*numbers, *walks], make)
 
@@ -112,7 +112,7 @@ def spiky(tuning: Tuning, evidence: Evidence) -> Bank:
     r, spread = max(middle_variance(evidence.z[:, 0]), evidence.smallest_variance), float(np.ptp(evidence.z)) ** 2
 
     def make(noise: float, ratio: float, share: float, wild: float) -> Switching:
-        steady = Mode("steady", motion(tuning.order, ratio * noise), noise, _SELDOM, wild_share=share)
+        steady = Mode("steady", motion(tuning.order, ratio * noise), noise, _RESTS, wild_share=share)
         abrupt = Mode("abrupt", motion(1, wild), noise, _AT_ONCE, "steady", share)
         return Switching((steady, abrupt), wild, rejects=True)
 
@@ -121,8 +121,8 @@ def spiky(tuning: Tuning, evidence: Evidence) -> Bank:
         [
             Number(r, r * 1e-4, r * 1e4, 1.0, _SOME),
             Number(tuning.ratio, *fastest, gain=_SOME),
-            Number(0.03, 1e-6, 0.4),
-            Number(min(100 * r, spread), r, max(spread, 2 * r)),
+            Number(0.03, 3e-3, 0.4),
+            Number(100 * r, 9 * r, max(spread, 100 * r)),
         ],
         make,
     )
@@ -178,12 +178,12 @@ def log_likelihood(switching: Switching, pieces: Sequence[Piece]) -> float:
     return total if np.isfinite(total) else -np.inf
 
 
-def pieces_of(evidence: Evidence) -> list[Piece]:
-    """Return a record, or, of a long one, pieces that are spread over it."""
-    parts = [slice(0, len(evidence.z))]
-    if len(evidence.z) > _PIECE * _PIECES:
-        starts = np.linspace(0, len(evidence.z) - _PIECE, _PIECES).astype(int)
-        parts = [slice(start, start + _PIECE) for start in starts.tolist()]
+def pieces_of(evidence: Evidence, row: int) -> list[Piece]:
+    """Return a record, or, of a long one, pieces that are spread over it, and one about a row."""
+    parts, last = [slice(0, len(evidence.z))], len(evidence.z) - _PIECE
+    if last > _PIECE * (_PIECES - 1):
+        starts = [*np.linspace(0, last, _PIECES - 1).astype(int).tolist(), min(max(row - _PIECE // 2, 0), last)]
+        parts = [slice(start, start + _PIECE) for start in starts]
     pieces = []
     for part in parts:
         elapsed = _few_lengths(evidence.elapsed[part])

@@ -22,7 +22,7 @@ from becalm.noise.risk import estimated_risk, long_pieces
 
 _FEWEST = 256  # readings, below which no switch can be told from noise
 _SURPRISING = 6.0  # standard deviations: a difference of means that Gaussian noise and motion do not make
-_BETTER = 12.0  # of a log-likelihood, for which a filter that switches is taken
+_BETTER = 6.0  # of a log-likelihood, for which a filter that switches is taken
 _LESS = 0.05  # of a mean squared error, by which a smoother that switches must err less
 _PROBE = 0.02  # of a standard deviation of the noise
 
@@ -63,9 +63,10 @@ def find_switching(tuning: Tuning, evidence: Evidence, causal: bool, spikes_gate
     spikes_gated : bool
         Whether a gate leaves spikes out of the fixed filter; then a bank has to be better than that.
     """
-    if len(evidence.z) < _FEWEST or not is_surprising(evidence.z[:, 0]):
+    surprise = find_surprise(evidence.z[:, 0]) if len(evidence.z) >= _FEWEST else None
+    if surprise is None:
         return None
-    pieces, motions = pieces_of(evidence), [tune_motion(order, evidence) for order in ORDERS]
+    pieces, motions = pieces_of(evidence, surprise), [tune_motion(order, evidence) for order in ORDERS]
     likeliest = max(motions, key=lambda motion: motion.log_likelihood)
     moving = tuning if causal else likeliest
     fixed = max(log_likelihood(_alone(one), pieces) for one in (tuning, likeliest))
@@ -85,7 +86,7 @@ def find_switching(tuning: Tuning, evidence: Evidence, causal: bool, spikes_gate
 
 def robust_filter(tuning: Tuning, evidence: Evidence) -> Switched:
     """Return the fixed filter with heavy tails, tuned for readings of which many are wild."""
-    return _found("spiky", spiky(tuning, evidence), pieces_of(evidence))
+    return _found("spiky", spiky(tuning, evidence), pieces_of(evidence, len(evidence.z) // 2))
 
 
 def _found(kind: Kind, bank: Bank, pieces: list[Piece]) -> Switched:
@@ -93,23 +94,25 @@ def _found(kind: Kind, bank: Bank, pieces: list[Piece]) -> Switched:
     return Switched(kind, switching, value, np.nan)
 
 
-def is_surprising(z: Floats) -> bool:
-    """Whether differences of neighbouring means, over some length, are far larger than most of them.
+def find_surprise(z: Floats) -> int | None:
+    """Return the row where neighbouring means, over some length, differ far more than they mostly do.
 
-    Noise, motion of one character and tones make none; a jump, rest between motions, outliers and noise that
-    changes do. It only spares a search: the likelihood decides.
+    Noise, motion of one character and tones have no such row; a jump, rest between motions, outliers and noise
+    that changes do. It only spares a search, and says where to look: the likelihood decides.
     """
     total, width = np.concatenate([[0.0], np.cumsum(z - z.mean())]), 1
+    most, row = _SURPRISING * 1.4826, None
     while 8 * width <= len(z):
-        ends = total[:: max(width // 2, 1)]
-        stride = width // max(width // 2, 1)
-        means = ends[stride:] - ends[:-stride]
-        details = np.abs(means[stride:] - means[:-stride])
-        middle = float(np.median(details))
-        if float(details.max()) > _SURPRISING * 1.4826 * middle:
-            return True
+        stride = max(width // 2, 1)
+        ends, ahead = total[::stride], width // stride
+        means = ends[ahead:] - ends[:-ahead]
+        details = np.abs(means[ahead:] - means[:-ahead])
+        largest, middle = int(np.argmax(details)), float(np.median(details))
+        if details[largest] > most * middle:
+            most = float(details[largest]) / middle if middle > 0 else np.inf
+            row = (largest + ahead) * stride
         width *= 2
-    return False
+    return row
 
 
 def _alone(tuning: Tuning) -> Switching:
