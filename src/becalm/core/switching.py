@@ -21,6 +21,7 @@ from becalm.errors import ModelError
 MOST_MODES = 8
 
 _WIDE = 1e6  # times the variance of a settled filter's slopes: what is known of them before the first readings
+_ASLEEP = 1e-6  # times the process noise of one step, which a state has that sleeps
 _TERMS = 16  # of a series whose argument is below 1/4
 
 
@@ -34,7 +35,7 @@ class Mode:
         As "still" or "moving".
     component : Component
         The signal, in steps. One of fewer states than the richest mode's has the first of its states, the others
-        sleep: they are 0, and wake with the process noise of one step.
+        sleep: they are all but 0, and wake with the process noise of a step.
     noise_variance : float
         R, the variance of a reading's noise, in unit^2.
     lasts : float
@@ -155,7 +156,7 @@ class Switching:
         wide_F, wide_Q = np.zeros((2, len(lengths), n, n))
         wide_F[:, :own, :own], wide_Q[:, :own, :own] = F, Q
         asleep = np.arange(own, n)
-        wide_Q[:, asleep, asleep] = np.diag(self.component.over(np.ones(1))[1][0])[own:]
+        wide_Q[:, asleep, asleep] = _ASLEEP * np.diag(self.component.over(np.ones(1))[1][0])[own:]
         nothing = lengths == 0.0
         wide_F[nothing], wide_Q[nothing] = np.eye(n), 0.0
         return wide_F, wide_Q

@@ -30,7 +30,7 @@ _DIFFERENT_STEPS = 64  # lengths of steps that are told apart while searching
 
 _GAIN, _SOME = 10.0, 0.1  # of a log-likelihood, for which a number leaves its default; for which a variance does
 _SWEEPS = 5
-_SURPRISED = 0.01  # share of surprises of a moving sensor that say nothing of its mode
+_SURPRISED = 0.03  # share of surprises of a moving sensor that say nothing of its mode
 _RESTS, _MOVES = 8e4, 3e6  # steps that a level stays still, or moves, where the record does not tell
 _WALKS = {"still": 1e-10, "gentle": 2e-3, "quick": 0.7, "abrupt": 40.0}  # q/r
 _RANGES = ((1e-12, 1e-3), (1e-8, 1e0), (1e-3, 1e2), (1e1, 1e6))  # of them

@@ -68,13 +68,12 @@ def find_switching(tuning: Tuning, evidence: Evidence, causal: bool, spikes_gate
         return None
     pieces, motions = pieces_of(evidence, surprise), [tune_motion(order, evidence) for order in ORDERS]
     likeliest = max(motions, key=lambda motion: motion.log_likelihood)
-    moving = tuning if causal else likeliest
     fixed = max(log_likelihood(_alone(one), pieces) for one in (tuning, likeliest))
     found = [
-        _found("resting", resting(moving, evidence), pieces),
+        _found("resting", resting(likeliest, evidence), pieces),
         _found("jumping", jumping(evidence), pieces),
-        _found("noisy", noisy(moving), pieces),
-        _found("spiky", spiky(moving, evidence), pieces),
+        _found("noisy", noisy(likeliest), pieces),
+        _found("spiky", spiky(likeliest, evidence), pieces),
     ]
     if spikes_gated:
         fixed, found = max(fixed, found[3].log_likelihood), found[1:2]
