@@ -203,7 +203,7 @@ def test_a_tracker_that_lost_sight_is_stuck() -> None:
     path = DATA / "broad" / "05_undisturbed_slow_rotation_with_breaks_B.hdf5"
     if not path.exists():
         pytest.skip(f"the recordings are not beside the project ({path.name})")
-    import h5py  # type: ignore[import-untyped]
+    import h5py
 
     with h5py.File(path) as file:
         position, lost = file["opt_pos"][:, 0], np.isnan(file["opt_quat"][:, 0])

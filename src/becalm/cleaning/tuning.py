@@ -174,6 +174,10 @@ def _rest_noise(rest: Recording, name: str, still_s: Sequence[tuple[float, float
 
 def _refuse_contradictions(wishes: Wishes, recording: Recording) -> None:
     removed, rate_hz = wishes.removed_hz, recording.rate_hz
+    if wishes.robust and (wishes.dial is not None or wishes.still_s or removed or wishes.lag_s is not None):
+        raise UsageError(
+            "A robust filter finds its own noise and has no dial, tones or lag; ask for one thing at a time."
+        )
     if removed and (wishes.dial is not None or wishes.still_s):
         raise UsageError("Tones are taken off only where the recording decides the rest; ask for one at a time.")
     if len(removed) > MOST_TONES:

@@ -62,6 +62,7 @@ def clean(  # noqa: PLR0913  (the contract's options)
     noise_gain: o.NoiseGain = None,
     still: o.Still = None,
     remove: o.Remove = None,
+    robust: o.Robust = False,
     split: o.Split = False,
     verdicts: o.Verdicts = False,
     as_json: o.Json = False,
@@ -74,7 +75,10 @@ def clean(  # noqa: PLR0913  (the contract's options)
     from becalm.files.registry import format_to_write
     from becalm.files.writing import open_output, refuse_columns
 
-    beside, asked = Path(f"{output}.recipe.toml"), o.asked_of(o.Dials(max_lag, bandwidth, noise_gain), still, remove)
+    beside, asked = (
+        Path(f"{output}.recipe.toml"),
+        o.asked_of(o.Dials(max_lag, bandwidth, noise_gain), still, remove, robust),
+    )
     lag_s = o.lag_of(lag)
     if recipe is not None and asked.anything:
         raise UsageError("A recipe has its filters already; leave --recipe out to ask for others, or ask for nothing.")
@@ -139,6 +143,7 @@ def tune(  # noqa: PLR0913  (the contract's options)
     noise_gain: o.NoiseGain = None,
     still: o.Still = None,
     remove: o.Remove = None,
+    robust: o.Robust = False,
     as_json: o.Json = False,
 ) -> None:
     """Find the filter of each channel and write it as a recipe; say what a delay would buy."""
@@ -150,7 +155,7 @@ def tune(  # noqa: PLR0913  (the contract's options)
 
     _refuse_overwriting(file, output)
     refuse_unwritable(output)
-    said, asked = Said(channels, rate, time), o.asked_of(o.Dials(max_lag, bandwidth, noise_gain), still, remove)
+    said, asked = Said(channels, rate, time), o.asked_of(o.Dials(max_lag, bandwidth, noise_gain), still, remove, robust)
     with open_as(file, said) as source:
         found = said.kept_in(tuned(source, causal, asked, o.lag_of(lag)))
     write_text(output, found.to_toml())

@@ -58,6 +58,9 @@ Remove = Annotated[
     str | None,
     typer.Option("--remove", metavar="50Hz,100Hz", help="Take off tones near these frequencies, as of mains hum."),
 ]
+Robust = Annotated[
+    bool, typer.Option("--robust", help="Leave wild readings out, even where one in ten is wild; jumps are followed.")
+]
 Split = Annotated[bool, typer.Option("--split", help="Write the parts of each channel too: motion, tones, noise.")]
 Verdicts = Annotated[
     bool, typer.Option("--verdicts", help="Write what became of each reading: used, missing, spike, ...")
@@ -86,11 +89,12 @@ class Asked(NamedTuple):
     dial: Dial | None
     still_s: tuple[tuple[float, float], ...]
     removed_hz: tuple[float, ...]
+    robust: bool
 
     @property
     def anything(self) -> bool:
         """Whether something was asked at all."""
-        return self.dial is not None or bool(self.still_s or self.removed_hz)
+        return self.dial is not None or self.robust or bool(self.still_s or self.removed_hz)
 
 
 class Dials(NamedTuple):
@@ -101,8 +105,8 @@ class Dials(NamedTuple):
     noise_gain: str | None
 
 
-def asked_of(dials: Dials, still: str | None, remove: str | None) -> Asked:
-    """Read what is asked: --max-lag, --bandwidth or --noise-gain, --still and --remove.
+def asked_of(dials: Dials, still: str | None, remove: str | None, robust: bool = False) -> Asked:
+    """Read what is asked: --max-lag, --bandwidth or --noise-gain, --still, --remove and --robust.
 
     Raises
     ------
@@ -111,7 +115,7 @@ def asked_of(dials: Dials, still: str | None, remove: str | None) -> Asked:
     """
     named = [] if remove is None else [part for part in remove.split(",") if part.strip()]
     removed = tuple(frequency_of("--remove", part) for part in named)
-    return Asked(dial_of(*dials), still_of(still) or (), removed)
+    return Asked(dial_of(*dials), still_of(still) or (), removed, robust)
 
 
 def lag_of(text: str | None) -> float | None:

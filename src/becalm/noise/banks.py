@@ -32,6 +32,7 @@ _GAIN, _SOME = 10.0, 0.1  # of a log-likelihood, for which a number leaves its d
 _SWEEPS = 5
 _SURPRISED = 0.03  # share of surprises of a moving sensor that say nothing of its mode
 _RESTS, _MOVES = 8e4, 3e6  # steps that a level stays still, or moves, where the record does not tell
+_UNMOVED = 1e8  # steps between jumps of what is only spiky
 _WALKS = {"still": 1e-10, "gentle": 2e-3, "quick": 0.7, "abrupt": 40.0}  # q/r
 _RANGES = ((1e-12, 1e-3), (1e-8, 1e0), (1e-3, 1e2), (1e1, 1e6))  # of them
 _AT_ONCE = 0.7  # steps that an abrupt mode lasts
@@ -112,7 +113,7 @@ def spiky(tuning: Tuning, evidence: Evidence) -> Bank:
     r, spread = max(middle_variance(evidence.z[:, 0]), evidence.smallest_variance), float(np.ptp(evidence.z)) ** 2
 
     def make(noise: float, ratio: float, share: float, wild: float) -> Switching:
-        steady = Mode("steady", motion(tuning.order, ratio * noise), noise, _RESTS, wild_share=share)
+        steady = Mode("steady", motion(tuning.order, ratio * noise), noise, _UNMOVED, wild_share=share)
         abrupt = Mode("abrupt", motion(1, wild), noise, _AT_ONCE, "steady", share)
         return Switching((steady, abrupt), wild, rejects=True)
 

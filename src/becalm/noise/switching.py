@@ -78,9 +78,10 @@ def find_switching(tuning: Tuning, evidence: Evidence, causal: bool, spikes_gate
     if spikes_gated:
         fixed, found = max(fixed, found[3].log_likelihood), found[1:2]
     best = max(found, key=lambda one: one.log_likelihood)
-    if best.log_likelihood < fixed + _BETTER or not (causal or _errs_less(best.switching, tuning, evidence)):
+    if best.log_likelihood < fixed + _BETTER:
         return None
-    return replace(best, fixed_log_likelihood=fixed)
+    told = causal or best.kind == "spiky"  # what wild readings say of a risk is wild
+    return replace(best, fixed_log_likelihood=fixed) if told or _errs_less(best.switching, tuning, evidence) else None
 
 
 def robust_filter(tuning: Tuning, evidence: Evidence) -> Switched:
