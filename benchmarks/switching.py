@@ -5,7 +5,7 @@ size in standard deviations for both sensors. becalm finds the modes in each rec
 Rest noise is the rms error over the last 15 s before the step; t90 is the time from the step until the output first
 passes nine tenths of it. Medians over 20 seeds; beside them the same for a random walk of the paper's ratio, Q/R.
 
-Run: python benchmarks/switching.py [-o docs/switching.md] [--seeds 20]
+Run: python benchmarks/switching.py [-o docs/switching.md] [--figure docs/switching.svg] [--seeds 20]
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 import becalm
 from becalm.core.components import motion
+from becalm.noise.front import noise_lag_front
 from pages import publish
 
 Floats = NDArray[np.float64]
@@ -74,37 +75,88 @@ def fixed(sensor: Sensor, z: Floats) -> Floats:
     return becalm.kalman_filter(walk.to_model(1 / RATE_HZ, sensor.variance), z).signal[:, 0]
 
 
-def table(name: str, seeds: int) -> str:
-    """Run one sensor; one row a step."""
-    sensor, rests = SENSORS[name], list[float]()
+class Measured(NamedTuple):
+    """Medians over all records of one sensor."""
+
+    rest_noise: float
+    paper_rest_noise: float
+    t90_ms: dict[float, float]  # by step, in the accelerometer's unit
+    paper_t90_ms: dict[float, float]
+
+
+def measure(sensor: Sensor, seeds: int) -> Measured:
+    """Run all records of one sensor."""
+    scale = np.sqrt(sensor.variance / ACCELEROMETER.variance)
+    own, paper = dict[float, list[Found]](), dict[float, list[Found]]()
+    for size in STEPS:
+        records = [record(sensor, size * scale, seed) for seed in range(seeds)]
+        own[size] = [measured(switching(z), size * scale) for z in records]
+        paper[size] = [measured(fixed(sensor, z), size * scale) for z in records]
+    return Measured(_rest(own), _rest(paper), _times(own), _times(paper))
+
+
+def _rest(found: dict[float, list[Found]]) -> float:
+    return float(np.median([one.rest_noise for each in found.values() for one in each]))
+
+
+def _times(found: dict[float, list[Found]]) -> dict[float, float]:
+    return {size: float(np.median([one.t90_ms for one in each])) for size, each in found.items()}
+
+
+def table(sensor: Sensor, got: Measured) -> str:
+    """Write the table of one sensor, a row a step."""
     scale = np.sqrt(sensor.variance / ACCELEROMETER.variance)
     lines = ["| step | in std | t90 asked | got | paper's optimum |", "|---|---|---|---|---|"]
-    for size, asked_ms in STEPS.items():
-        own, paper = list[Found](), list[Found]()
-        for seed in range(seeds):
-            z = record(sensor, size * scale, seed)
-            own.append(measured(switching(z), size * scale))
-            paper.append(measured(fixed(sensor, z), size * scale))
-        rests += [found.rest_noise for found in own]
-        t90 = [float(np.median([found.t90_ms for found in each])) for each in (own, paper)]
-        std = size / np.sqrt(ACCELEROMETER.variance)
-        lines.append(f"| {size * scale:.3g} | {std:.2f} | <= {asked_ms:g} ms | **{t90[0]:.2f} ms** | {t90[1]:.0f} ms |")
-    noise = float(np.median([found.rest_noise for found in paper]))
+    lines += [
+        f"| {size * scale:.3g} | {size / np.sqrt(ACCELEROMETER.variance):.2f} | <= {asked_ms:g} ms |"
+        f" **{got.t90_ms[size]:.2f} ms** | {got.paper_t90_ms[size]:.0f} ms |"
+        for size, asked_ms in STEPS.items()
+    ]
     lines.append("")
     lines.append(
-        f"Rest noise: asked <= {sensor.rest_noise:.2g}, got **{np.median(rests):.2g}**; the paper's optimum leaves"
-        f" {noise:.2g}, a reading has {np.sqrt(sensor.variance):.2g}."
+        f"Rest noise: asked <= {sensor.rest_noise:.2g}, got **{got.rest_noise:.2g}**; the paper's optimum leaves"
+        f" {got.paper_rest_noise:.2g}, a reading has {np.sqrt(sensor.variance):.2g}."
     )
     return "\n".join(lines) + "\n"
 
 
+def draw(path: Path, got: dict[str, Measured]) -> None:
+    """Draw the front of noise against the time to follow a step, for fixed gains, and the filter that switches."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(figsize=(7, 4.5), layout="constrained")
+    for order, style in zip((1, 2, 3), ("-", "--", ":"), strict=True):
+        points = [point for point in noise_lag_front(ACCELEROMETER.variance, 1 / RATE_HZ).points if point.order == order]
+        std = np.sqrt(ACCELEROMETER.variance)
+        times, noises = [1e3 * point.step_90_s for point in points], [point.noise_std / std for point in points]
+        axes.plot(times, noises, style, color="0.35", label=f"fixed gain, order {order}")
+    for (name, found), marker in zip(got.items(), "os", strict=True):
+        std = np.sqrt(SENSORS[name].variance)
+        times = [max(time, 1e3 / RATE_HZ) for time in found.t90_ms.values()]
+        axes.plot(times, [found.rest_noise / std] * len(times), marker, label=f"switching, {name}")
+        axes.plot(found.paper_t90_ms[0.2], found.paper_rest_noise / std, marker, mfc="none", label=f"paper, {name}")
+    axes.set(
+        xscale="log", yscale="log", xlabel="time to nine tenths of a step, ms", ylabel="noise at rest / noise read"
+    )
+    axes.set_title("Steps of 14.7, 3.7, 1.5 and 0.37 standard deviations; at most one sample is drawn as one")
+    axes.legend(fontsize=8)
+    figure.savefig(path)
+
+
 def main() -> None:
-    """Print the tables; with -o, write them as a page."""
+    """Print the tables; with -o, write them as a page; with --figure, draw them (needs matplotlib)."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("-o", "--output", type=Path, help="page to write to")
+    parser.add_argument("--figure", type=Path, help="picture to draw: SVG, PNG or PDF")
     parser.add_argument("--seeds", type=int, default=20)
     asked = parser.parse_args()
-    text = "\n".join(f"## {name.capitalize()}\n\n{table(name, asked.seeds)}" for name in SENSORS)
+    got = {name: measure(sensor, asked.seeds) for name, sensor in SENSORS.items()}
+    text = "\n".join(f"## {name.capitalize()}\n\n{table(SENSORS[name], one)}" for name, one in got.items())
+    if asked.figure:
+        draw(asked.figure, got)
     publish("Switching", __doc__, text, asked.output)
 
 
