@@ -141,7 +141,8 @@ def draw(path: Path, got: dict[str, Measured]) -> None:
     axes.set(
         xscale="log", yscale="log", xlabel="time to nine tenths of a step, ms", ylabel="noise at rest / noise read"
     )
-    axes.set_title("Steps of 14.7, 3.7, 1.5 and 0.37 standard deviations; at most one sample is drawn as one")
+    axes.set_title("Steps of 14.7, 3.7, 1.5 and 0.37 standard deviations", fontsize=10)
+    axes.set_xlim(5e-2, 3e3)
     axes.legend(fontsize=8)
     figure.savefig(path)
 
