@@ -71,7 +71,7 @@ class MotionChannel:
         part, variance, judge = tuning.component, tuning.noise_variance, self._judge.add
         gate = None if recipe.gate is None else gate_of(recipe.gate, step_s)
         self._flow = (
-            LaggedFlow(part, variance, lag=lag, judge=judge, split=split)
+            LaggedFlow(part, variance, lag=lag, judge=judge, split=split, gate=gate)
             if lag
             else Flow(part, variance, causal=lag == 0, judge=judge, split=split, gate=gate)
         )
