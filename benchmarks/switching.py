@@ -129,7 +129,9 @@ def draw(path: Path, got: dict[str, Measured]) -> None:
 
     figure, axes = plt.subplots(figsize=(7, 4.5), layout="constrained")
     for order, style in zip((1, 2, 3), ("-", "--", ":"), strict=True):
-        points = [point for point in noise_lag_front(ACCELEROMETER.variance, 1 / RATE_HZ).points if point.order == order]
+        points = [
+            point for point in noise_lag_front(ACCELEROMETER.variance, 1 / RATE_HZ).points if point.order == order
+        ]
         std = np.sqrt(ACCELEROMETER.variance)
         times, noises = [1e3 * point.step_90_s for point in points], [point.noise_std / std for point in points]
         axes.plot(times, noises, style, color="0.35", label=f"fixed gain, order {order}")

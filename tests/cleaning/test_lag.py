@@ -12,6 +12,7 @@ from becalm.cleaning.steps import in_steps, lag_in_rows
 from becalm.cleaning.tuning import Wishes, tune
 from becalm.core.online import Online
 from becalm.core.recording import Recording
+from becalm.core.verdict import Verdict
 from becalm.errors import RecipeError, UsageError
 
 RATE_HZ = 100.0
@@ -56,6 +57,23 @@ def test_a_file_is_the_stream_so_much_later(recording: Recording, recipe: Recipe
     np.testing.assert_allclose(np.vstack([told[1][5:], last[1]]), out.sigma.samples, rtol=1e-12)
     assert out.reports[0].delay_s == pytest.approx(LAG_S)
     assert out.reports[0].lag_s is None
+
+
+def test_spikes_are_left_out_as_a_causal_filter_does(recipe: Recipe) -> None:
+    """What a lag tells is then better than what the causal filter does, and far from what spikes would make of it."""
+    rng = np.random.default_rng(8)
+    truth, bad = np.cumsum(0.1 * rng.normal(size=3000)), rng.random(3000) < 0.02
+    spiked = Recording(truth + rng.normal(size=3000) + np.where(bad, 12.0, 0.0), rate_hz=RATE_HZ)
+    free = recipe.model_copy(update={"channel": (recipe.channel[0].model_copy(update={"gate": None}),)})
+    assert recipe.channel[0].gate is not None
+    lagged, causal, spoilt = clean(spiked, recipe), clean(spiked, recipe, causal=True), clean(spiked, free)
+    verdicts = lagged.verdicts["channel_0"]
+    assert np.mean((verdicts == Verdict.SPIKE) == bad) > 0.999
+    assert np.array_equal(verdicts, causal.verdicts["channel_0"])
+    assert lagged.reports[0].verdicts["spike"] == np.count_nonzero(verdicts == Verdict.SPIKE)
+    error, filtered, believed = (np.std(out.signal.samples[:, 0] - truth) for out in (lagged, causal, spoilt))
+    assert error < 0.95 * filtered
+    assert error < 0.7 * believed
 
 
 def test_one_recipe_leaves_less_the_longer_it_waits(recording: Recording, recipe: Recipe) -> None:

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import becalm
-from becalm.cleaning.recipe import CalibrationRecipe, Recipe
+from becalm.cleaning.recipe import Recipe
+from becalm.cleaning.recipe_parts import CalibrationRecipe
 from becalm.cleaning.tuning import Wishes, tune
 from becalm.core.arrays import Floats
 from becalm.noise.dial import Dial

@@ -63,7 +63,7 @@ def test_warm_leaves_nothing_to_compile(fresh: Run, drive: Path, tmp_path: Path)
     assert [line.partition(":")[0] for line in first.stderr.splitlines()[:-1]] == [
         f"{kernel}, order {order}"
         for order in (1, 2, 3, 4, 5)
-        for kernel in ("forward", "backward", "live run", "live step")
+        for kernel in ("forward", "backward", "gate", "live run", "live step")
     ]
     assert str(cache) in first.stderr.splitlines()[-1]
     made = kernels(cache)

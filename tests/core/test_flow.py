@@ -9,6 +9,7 @@ from becalm.core.arrays import Floats
 from becalm.core.components import motion
 from becalm.core.filtering import run_filter
 from becalm.core.flow import Flow
+from becalm.core.gates import Gate
 from becalm.core.smoothing import run_smoother
 from becalm.core.timeline import elapsed_timeline
 
@@ -39,11 +40,12 @@ def record(kind: str) -> tuple[Floats, Floats]:
     return z, elapsed
 
 
-def flow(
-    order: int, density: float, readings: tuple[Floats, Floats], causal: bool, cuts: list[int]
+def flow(  # noqa: PLR0913  (a record, a filter, and how it is cut)
+    order: int, density: float, readings: tuple[Floats, Floats], causal: bool, cuts: list[int], gate: Gate | None = None
 ) -> tuple[Floats, Floats, Flow]:
     shown: list[Floats] = []
-    made = Flow(motion(order, density), 1.0, causal=causal, judge=lambda nu, sigma: shown.append(nu / sigma))
+    part = motion(order, density)
+    made = Flow(part, 1.0, causal=causal, judge=lambda nu, sigma: shown.append(nu / sigma), gate=gate)
     z, elapsed = readings
     told = []
     for start, stop in zip([0, *cuts], [*cuts, len(z)], strict=True):
@@ -83,6 +85,29 @@ def test_cut_at_blocks_a_causal_flow_has_the_bits_of_the_whole() -> None:
     assert np.array_equal(sigma, whole_sigma)
     assert made.settled_row == whole.settled_row
     assert whole.settled_row is not None
+
+
+def spoilt(kind: str) -> tuple[Floats, Floats]:
+    """A record whose row before the first cut is not complete, or the last of its start; later ones are missing too."""
+    z, elapsed = record("none")
+    if kind == "missing":
+        z[1023] = np.nan
+    elif kind == "spike":
+        z[1023] += 60.0
+    elif kind == "opening":
+        z[:1022] = np.nan  # two readings tell a motion of order 2
+    z[[1173, 1223]] = np.nan  # so that the gain settles row by row
+    return z, elapsed
+
+
+@pytest.mark.parametrize("kind", ["missing", "spike", "opening"])
+def test_a_cut_after_an_incomplete_row_keeps_the_bits(kind: str) -> None:
+    """A gain settles after so many complete rows; one that comes before a cut and is not complete is none of them."""
+    for density in (1e-3, 1e-2, 0.1, 1.0, 10.0):
+        cut, whole = (flow(2, density, spoilt(kind), True, cuts, Gate(5.0)) for cuts in ([1024], []))
+        assert np.array_equal(cut[0], whole[0], equal_nan=True)
+        assert np.array_equal(cut[1], whole[1])
+        assert cut[2].settled_row == whole[2].settled_row
 
 
 @pytest.mark.parametrize("causal", [True, False])

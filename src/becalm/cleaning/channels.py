@@ -83,9 +83,9 @@ class MotionChannel:
             modes = modes_in_steps(recipe.switching, self._tuning, self._step_s)
             return SwitchingFlow(modes, causal=lag == 0, judge=judge, split=split)
         part, variance = self._tuning.component, self._tuning.noise_variance
-        if lag:
-            return LaggedFlow(part, variance, lag=lag, judge=judge, split=split)
         gate = None if recipe.gate is None else gate_of(recipe.gate, self._step_s)
+        if lag:
+            return LaggedFlow(part, variance, lag=lag, judge=judge, split=split, gate=gate)
         return Flow(part, variance, causal=lag == 0, judge=judge, split=split, gate=gate)
 
     def push(self, z: Floats, elapsed: Floats) -> list[Told]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from becalm.cleaning.recipe import ModeRecipe, SwitchingRecipe
+from becalm.cleaning.recipe_modes import ModeRecipe, SwitchingRecipe
 from becalm.core.components import motion
 from becalm.core.switching import Mode, Switching
 from becalm.errors import ModelError, RecipeError

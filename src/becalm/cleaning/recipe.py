@@ -6,15 +6,21 @@ from pathlib import Path
 from typing import Annotated, Literal, NamedTuple, Self
 
 import tomlkit
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import Field, ValidationError, field_validator, model_validator
 
-from becalm.core.verdict import AGREE, AT_MOST
+from becalm.cleaning.recipe_modes import SwitchingRecipe
+from becalm.cleaning.recipe_parts import (
+    CalibrationRecipe,
+    ColouredNoiseRecipe,
+    GateRecipe,
+    NotNegative,
+    Positive,
+    Settings,
+    ToneRecipe,
+)
 from becalm.errors import RecipeError
 
 VERSION: Literal[4] = 4  # 1 knew no tones, 2 no disturbances, 3 no gates, lags and spread; all are read
-
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 _HEADER = """A recipe of becalm: what was decided for each channel.
 Use it again:  becalm clean FILE -o OUT --recipe THIS
@@ -28,142 +34,6 @@ does not lower."""
 Mode = Literal["smoothed", "causal", "lagged"]
 
 
-class _Settings(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class ToneRecipe(_Settings):
-    """A tone beside the motion: an oscillator that is driven by white noise.
-
-    Attributes
-    ----------
-    frequency_hz : float
-        Where it oscillates.
-    bandwidth_hz : float
-        Width of its resonance at half the power.
-    process_noise_density : float
-        Of each of its two states, in unit^2/s; a *small* one lets it change slowly.
-    disturbance : bool
-        Whether it is taken off the signal, as hum is.
-    """
-
-    frequency_hz: Positive
-    bandwidth_hz: Positive
-    process_noise_density: Positive
-    disturbance: bool = False
-
-
-class ColouredNoiseRecipe(_Settings):
-    """Noise that remembers itself, beside the white noise: it is taken off the signal.
-
-    Attributes
-    ----------
-    rate_hz : float
-        Readings a second that it was told at.
-    coefficients : tuple of float
-        phi_1, phi_2, ... of e[k] = phi_1 e[k-1] + phi_2 e[k-2] + ... + w[k].
-    std : float
-        Standard deviation of e, in unit; a *small* one leaves more to the signal.
-    """
-
-    rate_hz: Positive
-    coefficients: Annotated[tuple[float, ...], Field(min_length=1)]
-    std: Positive
-
-
-class GateRecipe(_Settings):
-    """What leaves spikes out, and follows steps.
-
-    Attributes
-    ----------
-    false_alarms_per_hour : float
-        Good readings that are taken for spikes; a *small* one trusts the readings.
-    agree : int
-        So many rejected readings in a row that agree with each other are a step, and followed.
-    at_most : int
-        So many rejected readings in a row are believed whatever they are.
-    """
-
-    false_alarms_per_hour: Positive = 1.0
-    agree: Annotated[int, Field(ge=2)] = AGREE
-    at_most: int = AT_MOST
-
-    @model_validator(mode="after")
-    def _in_order(self) -> Self:
-        if self.at_most < self.agree:
-            raise ValueError("at_most is less than agree; as many rejects in a row are needed at least")
-        return self
-
-
-class CalibrationRecipe(_Settings):
-    """What is uncertain in the sensor's calibration: one error for all samples, which averaging does not lower.
-
-    Attributes
-    ----------
-    relative_std : float
-        Standard uncertainty (k = 1) of the sensitivity, as a share; a *small* one trusts the calibration.
-    offset_std : float
-        Standard uncertainty (k = 1) of the zero, in unit; a *small* one trusts it.
-    """
-
-    relative_std: NotNegative = 0.0
-    offset_std: NotNegative = 0.0
-
-
-class ModeRecipe(_Settings):
-    """One way in which the signal of a channel may behave.
-
-    Attributes
-    ----------
-    name : str
-        As "still".
-    order : int
-        Which derivative is driven by white noise.
-    process_noise_density : float
-        q, in unit^2/s^(2 order - 1); a *small* one trusts the model and smooths more.
-    noise_std : float
-        Standard deviation of one reading's noise in this mode, in unit.
-    lasts_s : float
-        How long it lasts on average, in seconds; a *large* one trusts it to stay.
-    then : str
-        The mode that comes after it; "" for any other.
-    wild_share : float
-        Share of wild readings; a *small* one believes in a switch sooner.
-    with_tones : bool
-        Whether the channel's tones and coloured noise are there in this mode.
-    """
-
-    name: Annotated[str, Field(min_length=1)]
-    order: Annotated[int, Field(ge=1, le=5)]
-    process_noise_density: NotNegative
-    noise_std: Positive
-    lasts_s: Positive
-    then: str = ""
-    wild_share: Annotated[float, Field(ge=0, lt=1)] = 0.0
-    with_tones: bool = False
-
-
-class SwitchingRecipe(_Settings):
-    """The modes of a filter that switches.
-
-    Attributes
-    ----------
-    kind : {"resting", "jumping", "noisy", "spiky"}
-        Which bank they are of.
-    wild_std : float
-        How far wild readings are spread, in unit.
-    rejects : bool
-        Whether they are left out.
-    mode : tuple of ModeRecipe
-        One of them is in force at a time.
-    """
-
-    kind: Literal["resting", "jumping", "noisy", "spiky"]
-    wild_std: NotNegative = 0.0
-    rejects: bool = False
-    mode: Annotated[tuple[ModeRecipe, ...], Field(min_length=1, max_length=8)]
-
-
 class TunedMotion(NamedTuple):
     """The numbers of a motion, all there, and what is beside it."""
 
@@ -174,7 +44,7 @@ class TunedMotion(NamedTuple):
     coloured_noise: ColouredNoiseRecipe | None = None
 
 
-class ChannelRecipe(_Settings):
+class ChannelRecipe(Settings):
     """The filter of one channel.
 
     Attributes
@@ -243,7 +113,7 @@ class ChannelRecipe(_Settings):
         return TunedMotion(self.order, self.process_noise_density, self.noise_std, self.tone, self.coloured_noise)
 
 
-class Origin(_Settings):
+class Origin(Settings):
     """The recording that a recipe was tuned on.
 
     Attributes
@@ -264,7 +134,7 @@ class Origin(_Settings):
     becalm: str = ""
 
 
-class Recipe(_Settings):
+class Recipe(Settings):
     """What was decided for a recording.
 
     Attributes

@@ -7,7 +7,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from becalm.cleaning.recipe import ChannelRecipe, ColouredNoiseRecipe, GateRecipe, ToneRecipe, TunedMotion
+from becalm.cleaning.recipe import ChannelRecipe, TunedMotion
+from becalm.cleaning.recipe_parts import ColouredNoiseRecipe, GateRecipe, ToneRecipe
 from becalm.core.autoregressive import Coloured
 from becalm.core.gates import Gate, threshold_for
 from becalm.errors import ModelError, RecipeError, UsageError

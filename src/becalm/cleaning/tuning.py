@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.cleaning.modes import modes_in_seconds
-from becalm.cleaning.recipe import ChannelRecipe, GateRecipe, Mode, Origin, Recipe
+from becalm.cleaning.recipe import ChannelRecipe, Mode, Origin, Recipe
+from becalm.cleaning.recipe_parts import GateRecipe
 from becalm.cleaning.steps import gate_of, in_seconds, lag_in_rows
 from becalm.core.recording import Recording
 from becalm.core.verdict import judge

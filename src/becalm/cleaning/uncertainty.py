@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from becalm.cleaning.recipe import CalibrationRecipe
+from becalm.cleaning.recipe_parts import CalibrationRecipe
 from becalm.core.flow import Told
 
 

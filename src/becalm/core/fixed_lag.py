@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from becalm.core.arrays import Floats
 from becalm.core.filtering import Sums, Wanted, checked_readings, kalman_filter, new_trace, sizes_of
+from becalm.core.gates import Gated, Gatekeeper, with_jumps
 from becalm.core.kernel_block import Record
 from becalm.core.kernel_lag import open_window, run_late, run_out
 from becalm.core.kernel_lag_window import PLACE, ROWS, WEIGHED, Window, new_window, newest_taken
@@ -40,6 +41,7 @@ class Late(NamedTuple):
     innovation_sigma: Floats  # (m, B)
     sums: Sums
     settled_row: int | None
+    gated: Gated | None  # what the gate says of them; None without one, or while the state is not known
 
 
 def fixed_lag_smoother(model: Model, z: ArrayLike, lag: int) -> tuple[Floats, Floats]:
@@ -105,6 +107,8 @@ class FixedLag:
         The rows that make the outputs from the states; H by default.
     enough : float
         What has to settle before a gain is used again, GAIN or COVARIANCE.
+    gate : Gatekeeper, optional
+        What leaves spikes out, and follows steps, as rows come; by default every reading is believed.
 
     Raises
     ------
@@ -112,8 +116,15 @@ class FixedLag:
         If the model cannot start without x0 and P0, or the lag is no whole number.
     """
 
-    def __init__(self, model: Model, lag: int, output: Floats | None = None, enough: float = GAIN) -> None:
-        self.model, self.lag, self._enough = model, checked_lag(lag), enough
+    def __init__(
+        self,
+        model: Model,
+        lag: int,
+        output: Floats | None = None,
+        enough: float = GAIN,
+        gate: Gatekeeper | None = None,
+    ) -> None:
+        self.model, self.lag, self._enough, self._gate = model, checked_lag(lag), enough, gate
         self._C = np.array(model.H if output is None else output)
         self._system = model_system(model)
         self._window = new_window(len(self._C), model.states, model.channels, self.lag)
@@ -149,6 +160,9 @@ class FixedLag:
             same = np.flatnonzero(timeline.lengths == self._last_step)
             number = int(same[0]) if len(same) else None
             rename_last_step(self._memory, self.model.states, self.model.channels, number)
+        gated = self._judged(timeline, z, row)
+        if gated is not None and gated.rejects:
+            timeline, z = with_jumps(timeline, gated.rows, gated.jumps), gated.readings(z)
         total, settled, begun = Sums(), None, row
         while row < len(z):
             stop = row + 1 if self._opening.waiting else len(z)
@@ -162,11 +176,11 @@ class FixedLag:
             step = timeline.step_before(len(z) - 1)
             goes_on = step >= 0 and arrived(z[-1]).all()
             self._last_step = float(timeline.lengths[step]) if goes_on else np.nan
-        return Late(trace.signal, trace.sigma, trace.innovation, trace.innovation_sigma, total, settled)
+        return Late(trace.signal, trace.sigma, trace.innovation, trace.innovation_sigma, total, settled, gated)
 
     def step(self, timeline: Timeline, reading: Floats) -> tuple[Floats, Floats]:
         """Take one row (m,) over a timeline of one row, the same each time; return outputs and sigma, (p,) each."""
-        if self._memory is None or self._opening.waiting:
+        if self._memory is None or self._opening.waiting or self._gate is not None:
             late = self.push(timeline, reading[np.newaxis])
             return late.signal[:, 0], late.sigma[:, 0]
         if self._single is None:
@@ -241,6 +255,12 @@ class FixedLag:
         told = self._opening.tell(self._rows)
         if told is not None:
             trace.signal[:, row], trace.sigma[:, row] = told[0], np.sqrt(np.maximum(told[1], 0.0))
+
+    def _judged(self, timeline: Timeline, z: Floats, begun: int) -> Gated | None:
+        """Ask the gate, if there is one, about the rows from `begun` on, by what is believed before them."""
+        if self._gate is None or self._memory is None:
+            return None
+        return self._gate.judge(timeline, z, begun, self._memory)
 
     def _run(self, timeline: Timeline, z: Floats, rows: slice, trace: Trace) -> tuple[Sums, int | None]:
         assert self._memory is not None, "rows follow an opening whose state is known"

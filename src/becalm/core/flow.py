@@ -92,7 +92,7 @@ class Flow:
         self._causal = causal
         self._level: float | None = None if component.keeps_level else 0.0  # what all readings are told from
         self._memory: Floats | None = None
-        self._last_step = 0.0
+        self._last_step = np.nan  # length of the step before the last row, if that was complete and no start
         self._waiting: list[Rows] = []  # until the readings tell the state, or whether it jumped
         self._few = Rows.nothing()  # rows that make no stretch yet
         self._held: deque[_Stretch] = deque()  # until what follows tells the future
@@ -181,7 +181,8 @@ class Flow:
                 timeline, z = with_jumps(timeline, gated.rows, gated.jumps), gated.readings(z)
                 verdicts, run = gated.beside(verdicts), self._run(timeline, z)
         self._memory = run.memory[:1].copy()
-        self._last_step = np.nan if verdicts[-1] == Verdict.STEP else float(rows.elapsed[-1])
+        counts = run.begun < len(z) and bool(np.isfinite(z[-1, 0])) and verdicts[-1] != Verdict.STEP
+        self._last_step = float(rows.elapsed[-1]) if counts else np.nan
         self._count(run, len(z))
         return _Stretch(timeline, z, run, verdicts)
 

@@ -11,6 +11,7 @@ from becalm.core.arrays import Codes, Floats
 from becalm.core.components import Component
 from becalm.core.fixed_lag import FixedLag
 from becalm.core.flow import Judge, Told
+from becalm.core.gates import Gate, Gatekeeper
 from becalm.core.kernel_settling import COVARIANCE, GAIN
 from becalm.core.starting import first_reading
 from becalm.core.timeline import elapsed_timeline
@@ -32,6 +33,8 @@ class LaggedFlow:
         Shown the innovations of each stretch.
     split : bool
         Whether to tell the share of each part of the component, disturbances among them, too.
+    gate : Gate, optional
+        What leaves spikes out, and follows steps, as readings come; by default every reading is believed.
 
     Raises
     ------
@@ -39,7 +42,7 @@ class LaggedFlow:
         If the lag is no whole number.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913  (each by its name)
         self,
         component: Component,
         noise_variance: float,
@@ -47,13 +50,16 @@ class LaggedFlow:
         lag: int,
         judge: Judge | None = None,
         split: bool = False,
+        gate: Gate | None = None,
     ) -> None:
         self._component, self._variance, self._judge = component, noise_variance, judge
         disturbed = any(part.disturbance for part in component.parts)
         shares = [output for _, output in component.outputs()] if split else []
         output = np.vstack([component.signal_output if disturbed else component.output, *shares])
         self._split = split
-        self._late = FixedLag(component.to_model(1.0, noise_variance), lag, output, COVARIANCE if disturbed else GAIN)
+        model = component.to_model(1.0, noise_variance)
+        keeper = None if gate is None else Gatekeeper(model, gate)
+        self._late = FixedLag(model, lag, output, COVARIANCE if disturbed else GAIN, keeper)
         self._level: float | None = None if component.keeps_level else 0.0  # what all readings are told from
         self._verdicts: Codes = np.empty(0, np.int8)  # of rows that wait
         self.rows = 0
@@ -65,12 +71,14 @@ class LaggedFlow:
         if not len(z):
             return []
         judged = judge_readings(z)
-        z, self._verdicts = judged.readings, np.concatenate([self._verdicts, judged.verdicts])
+        z = judged.readings
         if self._level is None and (row := first_reading(z[:, np.newaxis])) < len(z):
             self._level = float(z[row])
         readings = (z - self._level if self._level else z)[:, np.newaxis]
         timeline = elapsed_timeline(self._component, self._variance, elapsed, goes_on=self.rows > 0)
         late = self._late.push(timeline, readings, innovations=self._judge is not None)
+        verdicts = judged.verdicts if late.gated is None else late.gated.beside(judged.verdicts)
+        self._verdicts = np.concatenate([self._verdicts, verdicts])
         if self._judge is not None:
             self._judge(late.innovations[0], late.innovation_sigma[0])
         self.log_likelihood += late.sums.log_likelihood

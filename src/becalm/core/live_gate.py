@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from becalm.core.arrays import Codes, Floats
-from becalm.core.gates import Gate, Gatekeeper
+from becalm.core.gates import Gate, Gated, Gatekeeper
 from becalm.core.kernel_online import LiveKernels
 from becalm.core.kernel_settling import rename_last_step
 from becalm.core.model import Model
@@ -32,7 +32,7 @@ class LiveGate:
     """
 
     def __init__(self, model: Model, gate: Gate) -> None:
-        self._model, self._gate, self._keeper = model, gate, Gatekeeper(model, gate)
+        self._model, self._gate, self.keeper = model, gate, Gatekeeper(model, gate)
         n = model.states
         system = model_system(model)
         size = sum(matrix.size for matrix in system) + 1
@@ -42,15 +42,19 @@ class LiveGate:
     @property
     def counters(self) -> Floats:
         """What is remembered of rejects."""
-        return self._keeper.counters
+        return self.keeper.counters
 
     @counters.setter
     def counters(self, counters: Floats) -> None:
-        self._keeper.counters = counters
+        self.keeper.counters = counters
 
     def look(self, z: Floats) -> None:
         """Note what comes, z (B, 1), before it is judged."""
         self.verdicts = judge(z[:, 0]).verdicts
+
+    def note(self, gated: Gated) -> None:
+        """Note what became of the rows that were looked at, where another filter takes them."""
+        self.verdicts = gated.beside(self.verdicts)
 
     def run(self, kernels: LiveKernels, live: Floats, z: Floats, out: Floats) -> None:
         """Take the last rows that were looked at, z (B, 1); write signal and sigma to out, (2, B, 1)."""
@@ -59,7 +63,7 @@ class LiveGate:
         own = self.verdicts[len(self.verdicts) - len(z) :]
         timeline = even_timeline(self._model, len(z), goes_on=live[-1] == 0.0)
         usable = np.where(own[:, np.newaxis] == Verdict.USED, z, np.nan)
-        gated = self._keeper.judge(timeline, usable, 0, live)
+        gated = self.keeper.judge(timeline, usable, 0, live)
         own[:] = gated.beside(own)
         z, at = gated.readings(usable), 0
         for row, jump in zip(gated.rows, gated.jumps, strict=True):

@@ -58,19 +58,18 @@ class Online:
     ------
     ModelError
         If the model cannot start without x0 and P0, the lag is no whole number, or the filter is to have a gate
-        and more than one channel, or a gate and a lag.
+        and more than one channel.
     """
 
     def __init__(self, model: Model, lag: int = 0, gate: Gate | None = None) -> None:
         self.model = model
-        self._late = FixedLag(model, lag) if checked_lag(lag) else None
-        if self._late is not None and gate is not None:
-            raise ModelError("A filter that waits for later readings has no gate yet; leave gate or lag out.")
+        self._guard = None if gate is None else LiveGate(model, gate)
+        keeper = None if self._guard is None else self._guard.keeper
+        self._late = FixedLag(model, lag, gate=keeper) if checked_lag(lag) else None
         self._kernels = live_kernels(*sizes_of(model))
         self._width = model.channels
         self._live: Floats | None = None
         self._quick: Callable[[float], tuple[float, float]] | None = None
-        self._guard = None if gate is None else LiveGate(model, gate)
         self._known: Information | None = None  # what the opening has gathered, once a reading came
         self._prior = wide_prior(model)
         if self._late is not None:
@@ -105,7 +104,7 @@ class Online:
         row = np.ravel(z_k)
         if len(row) != self.model.channels:
             raise ModelError(f"z_k has {len(row)} values; this model has {self.model.channels} channels.")
-        if self._late is not None and self._late.waiting:
+        if self._late is not None and self._late.waiting and self._guard is None:
             signal, sigma = (told[np.newaxis] for told in self._late.step(self._one, numbers(row)))
         else:
             signal, sigma = self.run(row[np.newaxis])
@@ -133,11 +132,13 @@ class Online:
     def _run_any(self, block: ArrayLike) -> tuple[Floats, Floats]:
         """Take a block of any kind, perhaps while nothing is known yet."""
         z = checked_readings(self.model, block)
-        if self._late is not None:
-            late = self._late.push(even_timeline(self.model, len(z), goes_on=self._late.waiting > 0), z)
-            return late.signal.T, late.sigma.T
         if self._guard is not None:
             self._guard.look(z)
+        if self._late is not None:
+            late = self._late.push(even_timeline(self.model, len(z), goes_on=self._late.waiting > 0), z)
+            if self._guard is not None and late.gated is not None:
+                self._guard.note(late.gated)
+            return late.signal.T, late.sigma.T
         if self._live is not None:
             return self._run(z, self._live)
         signal, sigma = np.empty(z.shape), np.empty(z.shape)
@@ -159,7 +160,7 @@ class Online:
 
     @property
     def verdicts(self) -> Codes | None:
-        """What became of each reading of the last block, (B,), values of `Verdict`; None without a gate."""
+        """What became of each reading of the last block, (B,), values of `Verdict`, no lag; None without a gate."""
         return None if self._guard is None else self._guard.verdicts
 
     @property

@@ -21,14 +21,18 @@ import numpy as np
 from becalm.core.compiling import compile_quickly, count_kept, save_trouble, times_compiled
 from becalm.core.components import EVERY_ORDER, motion
 from becalm.core.filtering import kalman_filter, sizes_of
+from becalm.core.gates import LEAST_THRESHOLD, Gate, Gatekeeper
 from becalm.core.kernel_backward import backward
+from becalm.core.kernel_gate import find_outliers
 from becalm.core.kernel_online import live_kernels
 from becalm.core.kernels import forward
+from becalm.core.model import Model
 from becalm.core.online import Online
 from becalm.core.smoothing import kalman_smoother
+from becalm.core.timeline import even_timeline
 from becalm.errors import UsageError
 
-KERNELS = ("forward", "backward", "live run", "live step")
+KERNELS = ("forward", "backward", "gate", "live run", "live step")
 
 _READINGS = np.linspace(0.0, 1.0, 100)
 _SOURCES = Path(__file__).parents[2]
@@ -100,11 +104,18 @@ def warm_order(order: int, names: Sequence[str]) -> Iterator[Warmed]:
     uses: dict[str, tuple[object, Callable[[], object]]] = {
         "forward": (forward, partial(kalman_filter, model, _READINGS)),
         "backward": (backward, partial(kalman_smoother, model, _READINGS)),
+        "gate": (find_outliers, partial(_judge, model)),
         "live run": (live.run, partial(online.run, _READINGS)),
         "live step": (live.step, partial(online.step, 1.0)),
     }
     for name in names:
         yield _warmed(name, order, *uses[name])
+
+
+def _judge(model: Model) -> None:
+    belief = np.concatenate([np.zeros(model.states), np.eye(model.states).ravel()])
+    timeline = even_timeline(model, len(_READINGS))
+    Gatekeeper(model, Gate(LEAST_THRESHOLD)).judge(timeline, _READINGS[:, np.newaxis], 0, belief)
 
 
 def _warmed(name: str, order: int, kernel: object, use: Callable[[], object]) -> Warmed:

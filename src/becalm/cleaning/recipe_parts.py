@@ -1,0 +1,96 @@
+"""The parts of a channel's recipe: what may be beside its motion, and what surrounds the filter."""
+
+from __future__ import annotations
+
+from typing import Annotated, Self
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from becalm.core.verdict import AGREE, AT_MOST
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+
+
+class Settings(BaseModel):
+    """What a person may write, and nothing else; never changed."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class ToneRecipe(Settings):
+    """A tone beside the motion: an oscillator that is driven by white noise.
+
+    Attributes
+    ----------
+    frequency_hz : float
+        Where it oscillates.
+    bandwidth_hz : float
+        Width of its resonance at half the power.
+    process_noise_density : float
+        Of each of its two states, in unit^2/s; a *small* one lets it change slowly.
+    disturbance : bool
+        Whether it is taken off the signal, as hum is.
+    """
+
+    frequency_hz: Positive
+    bandwidth_hz: Positive
+    process_noise_density: Positive
+    disturbance: bool = False
+
+
+class ColouredNoiseRecipe(Settings):
+    """Noise that remembers itself, beside the white noise: it is taken off the signal.
+
+    Attributes
+    ----------
+    rate_hz : float
+        Readings a second that it was told at.
+    coefficients : tuple of float
+        phi_1, phi_2, ... of e[k] = phi_1 e[k-1] + phi_2 e[k-2] + ... + w[k].
+    std : float
+        Standard deviation of e, in unit; a *small* one leaves more to the signal.
+    """
+
+    rate_hz: Positive
+    coefficients: Annotated[tuple[float, ...], Field(min_length=1)]
+    std: Positive
+
+
+class GateRecipe(Settings):
+    """What leaves spikes out, and follows steps.
+
+    Attributes
+    ----------
+    false_alarms_per_hour : float
+        Good readings that are taken for spikes; a *small* one trusts the readings.
+    agree : int
+        So many rejected readings in a row that agree with each other are a step, and followed.
+    at_most : int
+        So many rejected readings in a row are believed whatever they are.
+    """
+
+    false_alarms_per_hour: Positive = 1.0
+    agree: Annotated[int, Field(ge=2)] = AGREE
+    at_most: int = AT_MOST
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        if self.at_most < self.agree:
+            raise ValueError("at_most is less than agree; as many rejects in a row are needed at least")
+        return self
+
+
+class CalibrationRecipe(Settings):
+    """What is uncertain in the sensor's calibration: one error for all samples, which averaging does not lower.
+
+    Attributes
+    ----------
+    relative_std : float
+        Standard uncertainty (k = 1) of the sensitivity, as a share; a *small* one trusts the calibration.
+    offset_std : float
+        Standard uncertainty (k = 1) of the zero, in unit; a *small* one trusts it.
+    """
+
+    relative_std: NotNegative = 0.0
+    offset_std: NotNegative = 0.0
