@@ -8,6 +8,7 @@ from typing import Annotated, Literal, NamedTuple, Self
 import tomlkit
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
+from becalm.core.clock import GAP_STEPS
 from becalm.core.verdict import AGREE, AT_MOST
 from becalm.errors import RecipeError
 
@@ -15,12 +16,14 @@ VERSION: Literal[4] = 4  # 1 knew no tones, 2 no disturbances, 3 no gates, lags 
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 _HEADER = """A recipe of becalm: what was decided for each channel.
 Use it again:  becalm clean FILE -o OUT --recipe THIS
 A small process_noise_density trusts the model and smooths more; a small noise_std trusts the readings.
 A tone with disturbance = true, and coloured_noise, are taken off the signal.
 A gate leaves spikes out and follows steps; without one every reading is believed.
+Readings at low or high, or beyond, are clipped, and stuck from so many equal ones on: they count as missing.
 sigma is widened by the share tuning_spread; [channel.calibration] with relative_std, offset_std adds what averaging
 does not lower."""
 
@@ -95,6 +98,38 @@ class GateRecipe(_Settings):
         return self
 
 
+class LimitsRecipe(_Settings):
+    """What a channel keeps to while its sensor is healthy.
+
+    Attributes
+    ----------
+    low, high : float or None
+        The rails, in unit: readings there or beyond are clipped, and count as missing.
+    resolution : float or None
+        The step between two codes, in unit; None where readings lie on no lattice.
+    stuck_readings : int or None
+        From so many equal readings in a row on they count as missing; a *small* one finds a stuck channel
+        sooner, and calls slow signals stuck.
+    even_time : bool or None
+        Whether rows came in even time, so that one can be late.
+    gap_steps : float or None
+        More steps than this since the row before are a gap; 1.5 by default.
+    """
+
+    low: Finite | None = None
+    high: Finite | None = None
+    resolution: Positive | None = None
+    stuck_readings: Annotated[int, Field(ge=2)] | None = None
+    even_time: bool | None = None
+    gap_steps: Annotated[float, Field(ge=GAP_STEPS, allow_inf_nan=False)] | None = None
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        if self.low is not None and self.high is not None and self.low >= self.high:
+            raise ValueError("low is not below high; a range goes from low to high")
+        return self
+
+
 class CalibrationRecipe(_Settings):
     """What is uncertain in the sensor's calibration: one error for all samples, which averaging does not lower.
 
@@ -145,6 +180,8 @@ class ChannelRecipe(_Settings):
         Oscillations beside the motion.
     gate : GateRecipe or None
         What leaves spikes out; None believes every reading.
+    limits : LimitsRecipe or None
+        What the sensor keeps to while it is healthy; None knows no rail and calls no reading stuck.
     """
 
     name: str
@@ -158,6 +195,7 @@ class ChannelRecipe(_Settings):
     calibration: CalibrationRecipe | None = None
     tone: tuple[ToneRecipe, ...] = ()
     gate: GateRecipe | None = None
+    limits: LimitsRecipe | None = None
 
     @model_validator(mode="after")
     def _complete(self) -> Self:

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from becalm.cleaning.faults import find_healthy
 from becalm.cleaning.recipe import ChannelRecipe, GateRecipe, Mode, Origin, Recipe
 from becalm.cleaning.steps import gate_of, in_seconds, lag_in_rows
 from becalm.core.recording import Recording
@@ -120,11 +121,12 @@ def _tune_channel(recording: Recording, causal: bool, wishes: Wishes, progress: 
         tuple(2 * np.pi * frequency * time.step_s for frequency in wishes.removed_hz),
     )
     gate = GateRecipe()
-    readings, elapsed = judge(recording.channel(name)).readings, time.elapsed_steps
+    elapsed = time.elapsed_steps
+    readings, limits = find_healthy(recording.channel(name), elapsed, time.step_s)
     choice, gated = choose_gated(readings, elapsed, gate_of(gate, time.step_s), causal, known)
     if choice.tuning is None or choice.motion is None:
         progress(name)
-        return ChannelRecipe(name=name, unit=unit, model=choice.kind)
+        return ChannelRecipe(name=name, unit=unit, model=choice.kind, limits=limits)
     found, spread = choice.tuning, 0.0
     if wishes.dial is not None:  # what a person asked for is no estimate
         found = turn(choice.motion, wishes.dial, time.step_s, causal)
@@ -132,7 +134,8 @@ def _tune_channel(recording: Recording, causal: bool, wishes: Wishes, progress: 
         told = known.noise is not None
         spread = tuning_spread(found, Evidence.of(readings, elapsed), causal, noise_known=told)
     progress(name)
-    return in_seconds(name, unit, found, time.step_s, spread).model_copy(update={"gate": gate if gated else None})
+    beside = {"gate": gate if gated else None, "limits": limits}
+    return in_seconds(name, unit, found, time.step_s, spread).model_copy(update=beside)
 
 
 def _rest_noise(rest: Recording, name: str, still_s: Sequence[tuple[float, float]]) -> NoiseModel | None:
