@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from becalm.cleaning.faults import SensorWatch, limits_of
+from becalm.cleaning.faults import SensorWatch
 from becalm.cleaning.judging import Decision, InnovationJudge, Judgement
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.report import ChannelReport
@@ -66,10 +66,10 @@ class MotionChannel:
 
     def __init__(self, recipe: ChannelRecipe, tuning: Tuning, step_s: float, *, lag: int | None, split: bool) -> None:
         self._recipe, self._tuning, self._step_s, self._lag = recipe, tuning, step_s, lag
-        self._judge, self._sensor = InnovationJudge(step_s), SensorWatch(limits_of(recipe.limits))
+        self._judge, self._sensor = InnovationJudge(step_s), SensorWatch(recipe.limits, step_s)
         self._counts = Counter[Verdict]()
         self._uncertainty = Uncertainty(recipe.tuning_spread, recipe.calibration)
-        part, variance, judge = tuning.component, tuning.noise_variance, self._judge.add
+        part, variance, judge = tuning.component, tuning.noise_variance, self._look
         gate = None if recipe.gate is None else gate_of(recipe.gate, step_s)
         self._flow = (
             LaggedFlow(part, variance, lag=lag, judge=judge, split=split)
@@ -84,6 +84,10 @@ class MotionChannel:
     def finish(self) -> list[Told]:
         """Return the rest."""
         return self._counted(self._flow.finish())
+
+    def _look(self, innovations: Floats, innovation_sigma: Floats) -> None:
+        self._judge.add(innovations, innovation_sigma)
+        self._sensor.look(innovations, innovation_sigma)
 
     def _counted(self, told: list[Told]) -> list[Told]:
         told = self._sensor.named(told)
@@ -117,9 +121,9 @@ class MotionChannel:
             log_likelihood=self._flow.log_likelihood,
             settled_row=self._flow.settled_row,
             verdicts=_named(self._counts),
-            advice=_advice(self._counts),
-            faults=self._sensor.faults(self._step_s),
-            says=_with_advice(_with_reserve(found.says, response), self._counts, self._sensor.says(self._step_s)),
+            advice=(*_advice(self._counts), *self._sensor.advice()),
+            faults=self._sensor.faults(),
+            says=_with_advice(_with_reserve(found.says, response), self._counts, self._sensor.says()),
         )
 
     def _tones_hz(self, *, disturbance: bool) -> tuple[float, ...]:
@@ -131,7 +135,7 @@ class UnchangedChannel:
 
     def __init__(self, recipe: ChannelRecipe, step_s: float, split: bool) -> None:
         self._recipe, self._step_s, self._split, self._counts = recipe, step_s, split, Counter[Verdict]()
-        self._sensor = SensorWatch(limits_of(recipe.limits))
+        self._sensor = SensorWatch(recipe.limits, step_s)
         self._seen = 0
         self._first: float | None = None
         self._varies = False
@@ -177,9 +181,9 @@ class UnchangedChannel:
             unit=self._recipe.unit,
             model=self._recipe.model,
             verdicts=_named(self._counts),
-            advice=_advice(self._counts, but=Verdict.MISSING),
-            faults=self._sensor.faults(self._step_s),
-            says=_with_advice(says, self._counts, self._sensor.says(self._step_s), but=Verdict.MISSING),
+            advice=(*_advice(self._counts, but=Verdict.MISSING), *self._sensor.advice()),
+            faults=self._sensor.faults(),
+            says=_with_advice(says, self._counts, self._sensor.says(), but=Verdict.MISSING),
         )
 
 
@@ -208,10 +212,10 @@ def _with_reserve(says: str, response: Response | None) -> str:
 
 
 def _advice(counts: Counter[Verdict], but: Verdict | None = None) -> tuple[str, ...]:
-    return tuple(ADVICE[verdict] for verdict in ADVICE if verdict != but and counts[verdict])
+    """Say what to do about what a filter met; of faults the sensor's watch tells."""
+    met = (Verdict.MISSING, Verdict.SPIKE, Verdict.STEP)
+    return tuple(ADVICE[verdict] for verdict in met if verdict != but and counts[verdict])
 
 
 def _with_advice(says: str, counts: Counter[Verdict], faults: list[str], but: Verdict | None = None) -> str:
-    """Join the judgement, what to do about what the filter met, and the faults, each with its own advice."""
-    met = (Verdict.MISSING, Verdict.SPIKE, Verdict.STEP)
-    return " ".join([says, *_advice(Counter({verdict: counts[verdict] for verdict in met}), but), *faults])
+    return " ".join([says, *_advice(counts, but), *faults])

@@ -114,6 +114,12 @@ class LimitsRecipe(_Settings):
         Whether rows came in even time, so that one can be late.
     gap_steps : float or None
         More steps than this since the row before are a gap; 1.5 by default.
+    drift_threshold : float or None
+        Of the cumulative sum of innovations, in sigma: a *small* one finds a drift sooner, and more that are
+        none; None tells no drift.
+    dead_variance : float or None
+        Variance of a window of innovations, of the expected one, below which the channel is dead; a *small*
+        one lets it rest, None tells no death.
     """
 
     low: Finite | None = None
@@ -122,6 +128,8 @@ class LimitsRecipe(_Settings):
     stuck_readings: Annotated[int, Field(ge=2)] | None = None
     even_time: bool | None = None
     gap_steps: Annotated[float, Field(ge=GAP_STEPS, allow_inf_nan=False)] | None = None
+    drift_threshold: Positive | None = None
+    dead_variance: Positive | None = None
 
     @model_validator(mode="after")
     def _in_order(self) -> Self:

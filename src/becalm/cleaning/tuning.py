@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from becalm.cleaning.alarms import with_alarms
 from becalm.cleaning.faults import find_healthy
 from becalm.cleaning.recipe import ChannelRecipe, GateRecipe, Mode, Origin, Recipe
 from becalm.cleaning.steps import gate_of, in_seconds, lag_in_rows
@@ -134,8 +135,10 @@ def _tune_channel(recording: Recording, causal: bool, wishes: Wishes, progress: 
         told = known.noise is not None
         spread = tuning_spread(found, Evidence.of(readings, elapsed), causal, noise_known=told)
     progress(name)
-    beside = {"gate": gate if gated else None, "limits": limits}
-    return in_seconds(name, unit, found, time.step_s, spread).model_copy(update=beside)
+    beside = gate if gated else None
+    filtered = readings, elapsed, None if beside is None else gate_of(beside, time.step_s)
+    limits = with_alarms(limits, found, *filtered, causal=causal, step_s=time.step_s)
+    return in_seconds(name, unit, found, time.step_s, spread).model_copy(update={"gate": beside, "limits": limits})
 
 
 def _rest_noise(rest: Recording, name: str, still_s: Sequence[tuple[float, float]]) -> NoiseModel | None:

@@ -201,12 +201,18 @@ def said(found: Mapping[Verdict, Found], limits: Limits, step_s: float) -> list[
 def _what(verdict: Verdict, count: int, limits: Limits) -> str:
     readings = f"{count} reading{'s' if count != 1 else ''}"
     if verdict == Verdict.CLIPPED:
-        return f"{readings} at a rail or beyond ({limits.low:.6g} to {limits.high:.6g})"
+        return f"{readings} at a rail or beyond ({_range(limits)})"
     if verdict == Verdict.STUCK:
         return f"{readings} in runs of {limits.stuck_readings} equal ones or more"
     if verdict == Verdict.GAP:
         return f"{count} gap{'s' if count != 1 else ''} of more than {limits.gap_steps:.3g} steps"
     return f"{readings} {_WORDS.get(verdict, verdict.name.lower())}"
+
+
+def _range(limits: Limits) -> str:
+    if np.isfinite(limits.rails).all():
+        return f"{limits.low:.6g} to {limits.high:.6g}"
+    return f"{limits.low:.6g} and less" if np.isfinite(limits.low) else f"{limits.high:.6g} and more"
 
 
 _WORDS = {
