@@ -9,6 +9,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from becalm.cleaning.faults import SensorWatch
 from becalm.cleaning.judging import Decision, InnovationJudge, Judgement
 from becalm.cleaning.modes import modes_in_steps
 from becalm.cleaning.recipe import ChannelRecipe
@@ -20,7 +21,7 @@ from becalm.core.flow import Flow, Told
 from becalm.core.lagged_flow import LaggedFlow
 from becalm.core.response import Response, describe
 from becalm.core.switching_flow import SwitchingFlow
-from becalm.core.verdict import ADVICE, Verdict, counted, judge
+from becalm.core.verdict import ADVICE, Verdict, counted
 from becalm.errors import ModelError, UsageError
 from becalm.noise.choose import FEWEST_READINGS
 from becalm.noise.excess import excess_error
@@ -58,7 +59,7 @@ def open_channel(recipe: ChannelRecipe, step_s: float, lag: int | None, split: b
         If its numbers make no filter at this step.
     """
     if recipe.motion is None:
-        return UnchangedChannel(recipe, split)
+        return UnchangedChannel(recipe, step_s, split)
     return MotionChannel(recipe, in_steps(recipe.motion, step_s), step_s, lag=lag, split=split)
 
 
@@ -67,13 +68,13 @@ class MotionChannel:
 
     def __init__(self, recipe: ChannelRecipe, tuning: Tuning, step_s: float, *, lag: int | None, split: bool) -> None:
         self._recipe, self._tuning, self._step_s, self._lag = recipe, tuning, step_s, lag
-        self._judge = InnovationJudge(step_s)
+        self._judge, self._sensor = InnovationJudge(step_s), SensorWatch(recipe.limits, step_s)
         self._counts = Counter[Verdict]()
         self._uncertainty = Uncertainty(recipe.tuning_spread, recipe.calibration)
         self._flow = self._opened_flow(split)
 
     def _opened_flow(self, split: bool) -> Flow | LaggedFlow | SwitchingFlow:
-        recipe, lag, judge = self._recipe, self._lag, self._judge.add
+        recipe, lag, judge = self._recipe, self._lag, self._look
         if recipe.switching is not None:
             if lag:
                 raise UsageError(
@@ -90,13 +91,18 @@ class MotionChannel:
 
     def push(self, z: Floats, elapsed: Floats) -> list[Told]:
         """Take readings (B,) and the steps before them; return what is clean, in order."""
-        return self._counted(self._flow.push(z, elapsed))
+        return self._counted(self._flow.push(self._sensor.push(z, elapsed), elapsed))
 
     def finish(self) -> list[Told]:
         """Return the rest."""
         return self._counted(self._flow.finish())
 
+    def _look(self, innovations: Floats, innovation_sigma: Floats) -> None:
+        self._judge.add(innovations, innovation_sigma)
+        self._sensor.look(innovations, innovation_sigma)
+
     def _counted(self, told: list[Told]) -> list[Told]:
+        told = self._sensor.named(told)
         for part in told:
             self._counts.update(counted(part.verdicts))
         return self._uncertainty.widened(told)
@@ -134,8 +140,11 @@ class MotionChannel:
             log_likelihood=self._flow.log_likelihood,
             settled_row=self._flow.settled_row,
             verdicts=_named(self._counts),
-            advice=_advice(self._counts),
-            says=_with_advice(_with_reserve(found.says, response if fixed else None), self._counts),
+            advice=(*_advice(self._counts), *self._sensor.advice()),
+            faults=self._sensor.faults(),
+            says=_with_advice(
+                _with_reserve(found.says, response if fixed else None), self._counts, self._sensor.says()
+            ),
         )
 
     def _tones_hz(self, *, disturbance: bool) -> tuple[float, ...]:
@@ -145,22 +154,26 @@ class MotionChannel:
 class UnchangedChannel:
     """A channel that is given back; of a constant or nearly empty one no uncertainty can be told."""
 
-    def __init__(self, recipe: ChannelRecipe, split: bool) -> None:
-        self._recipe, self._split, self._counts = recipe, split, Counter[Verdict]()
+    def __init__(self, recipe: ChannelRecipe, step_s: float, split: bool) -> None:
+        self._recipe, self._step_s, self._split, self._counts = recipe, step_s, split, Counter[Verdict]()
+        self._sensor = SensorWatch(recipe.limits, step_s)
+        self._seen = 0
         self._first: float | None = None
         self._varies = False
 
     def push(self, z: Floats, elapsed: Floats) -> list[Told]:
         """Take readings (B,) and give them back."""
-        judged = judge(z)
-        self._counts.update(judged.counts)
-        seen = judged.readings[np.isfinite(judged.readings)]
+        readings = self._sensor.push(z, elapsed)
+        seen = readings[np.isfinite(readings)]
+        self._seen += len(seen)
         if len(seen):
             self._first = float(seen[0]) if self._first is None else self._first
             self._varies = self._varies or bool(np.any(seen != self._first))
         unknown = np.full(len(z), np.nan)
-        parts = np.tile(judged.readings, (int(self._split), 1))
-        return [Told(judged.readings, unknown, parts, judged.verdicts)]
+        parts = np.tile(readings, (int(self._split), 1))
+        told = self._sensor.named([Told(readings, unknown, parts, np.zeros(len(z), np.int8))])
+        self._counts.update(counted(told[0].verdicts))
+        return told
 
     def finish(self) -> list[Told]:
         """Return nothing: all was given back."""
@@ -168,7 +181,7 @@ class UnchangedChannel:
 
     def report(self) -> ChannelReport:
         """Say whether the channel is constant, or nearly empty, or should have been filtered."""
-        seen = self._counts[Verdict.USED]
+        seen = self._seen
         constant = seen >= FEWEST_READINGS and not self._varies
         verdict: Decision = "does not fit"
         says = "The recipe passes this channel unchanged, but its readings vary; tune a recipe on this recording."
@@ -189,8 +202,9 @@ class UnchangedChannel:
             unit=self._recipe.unit,
             model=self._recipe.model,
             verdicts=_named(self._counts),
-            advice=_advice(self._counts, but=Verdict.MISSING),
-            says=_with_advice(says, self._counts, but=Verdict.MISSING),
+            advice=(*_advice(self._counts, but=Verdict.MISSING), *self._sensor.advice()),
+            faults=self._sensor.faults(),
+            says=_with_advice(says, self._counts, self._sensor.says(), but=Verdict.MISSING),
         )
 
 
@@ -219,8 +233,10 @@ def _with_reserve(says: str, response: Response | None) -> str:
 
 
 def _advice(counts: Counter[Verdict], but: Verdict | None = None) -> tuple[str, ...]:
-    return tuple(ADVICE[verdict] for verdict in ADVICE if verdict != but and counts[verdict])
+    """Say what to do about what a filter met; of faults the sensor's watch tells."""
+    met = (Verdict.MISSING, Verdict.SPIKE, Verdict.STEP)
+    return tuple(ADVICE[verdict] for verdict in met if verdict != but and counts[verdict])
 
 
-def _with_advice(says: str, counts: Counter[Verdict], but: Verdict | None = None) -> str:
-    return " ".join([says, *_advice(counts, but)])
+def _with_advice(says: str, counts: Counter[Verdict], faults: list[str], but: Verdict | None = None) -> str:
+    return " ".join([says, *_advice(counts, but), *faults])

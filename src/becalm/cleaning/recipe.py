@@ -13,6 +13,7 @@ from becalm.cleaning.recipe_parts import (
     CalibrationRecipe,
     ColouredNoiseRecipe,
     GateRecipe,
+    LimitsRecipe,
     NotNegative,
     Positive,
     Settings,
@@ -27,6 +28,7 @@ Use it again:  becalm clean FILE -o OUT --recipe THIS
 A small process_noise_density trusts the model and smooths more; a small noise_std trusts the readings.
 A tone with disturbance = true, and coloured_noise, are taken off the signal.
 A gate leaves spikes out and follows steps; without one every reading is believed.
+Readings at low or high, or beyond, are clipped, and stuck from so many equal ones on: they count as missing.
 sigma is widened by the share tuning_spread; [channel.calibration] with relative_std, offset_std adds what averaging
 does not lower."""
 
@@ -71,6 +73,8 @@ class ChannelRecipe(Settings):
         What leaves spikes out; None believes every reading.
     switching : SwitchingRecipe or None
         Modes, one of which is in force at a time, in place of the one filter.
+    limits : LimitsRecipe or None
+        What the sensor keeps to while it is healthy; None knows no rail and calls no reading stuck.
     """
 
     name: str
@@ -85,6 +89,7 @@ class ChannelRecipe(Settings):
     tone: tuple[ToneRecipe, ...] = ()
     gate: GateRecipe | None = None
     switching: SwitchingRecipe | None = None
+    limits: LimitsRecipe | None = None
 
     @model_validator(mode="after")
     def _complete(self) -> Self:

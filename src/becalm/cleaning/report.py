@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass, field
 
 import numpy as np
 
+from becalm.cleaning.faults import Fault
 from becalm.cleaning.judging import Judgement
 
 
@@ -49,6 +50,8 @@ class ChannelReport(Judgement):
         How many readings were used, missing, and so on.
     advice : tuple of str
         What these say is to be looked at.
+    faults : tuple of Fault
+        What was wrong with the sensor, or with the time of its rows, and when first.
     """
 
     name: str = ""
@@ -71,6 +74,7 @@ class ChannelReport(Judgement):
     settled_row: int | None = None
     verdicts: dict[str, int] = field(default_factory=dict)
     advice: tuple[str, ...] = ()
+    faults: tuple[Fault, ...] = ()
 
     def as_dict(self) -> dict[str, object]:
         """Return the report for JSON; what is unknown is None."""

@@ -10,6 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from becalm.cleaning.alarms import with_alarms
+from becalm.cleaning.faults import find_healthy
 from becalm.cleaning.modes import modes_in_seconds
 from becalm.cleaning.recipe import ChannelRecipe, Mode, Origin, Recipe
 from becalm.cleaning.recipe_parts import GateRecipe
@@ -126,11 +128,12 @@ def _tune_channel(recording: Recording, causal: bool, wishes: Wishes, progress: 
         tuple(2 * np.pi * frequency * time.step_s for frequency in wishes.removed_hz),
     )
     gate = GateRecipe()
-    readings, elapsed = judge(recording.channel(name)).readings, time.elapsed_steps
+    elapsed = time.elapsed_steps
+    readings, limits = find_healthy(recording.channel(name), elapsed, time.step_s)
     choice, gated = choose_gated(readings, elapsed, gate_of(gate, time.step_s), causal, known)
     if choice.tuning is None or choice.motion is None:
         progress(name)
-        return ChannelRecipe(name=name, unit=unit, model=choice.kind)
+        return ChannelRecipe(name=name, unit=unit, model=choice.kind, limits=limits)
     found, spread = choice.tuning, 0.0
     if wishes.dial is not None:  # what a person asked for is no estimate
         found = turn(choice.motion, wishes.dial, time.step_s, causal)
@@ -140,12 +143,15 @@ def _tune_channel(recording: Recording, causal: bool, wishes: Wishes, progress: 
         if switched is not None:
             progress(name)
             modes = modes_in_seconds(switched, time.step_s)
-            return in_seconds(name, unit, found, time.step_s).model_copy(update={"switching": modes})
+            return in_seconds(name, unit, found, time.step_s).model_copy(update={"switching": modes, "limits": limits})
     if wishes.dial is None:
         told = known.noise is not None
         spread = tuning_spread(found, Evidence.of(readings, elapsed), causal, noise_known=told)
     progress(name)
-    return in_seconds(name, unit, found, time.step_s, spread).model_copy(update={"gate": gate if gated else None})
+    beside = gate if gated else None
+    filtered = readings, elapsed, None if beside is None else gate_of(beside, time.step_s)
+    limits = with_alarms(limits, found, *filtered, causal=causal, step_s=time.step_s)
+    return in_seconds(name, unit, found, time.step_s, spread).model_copy(update={"gate": beside, "limits": limits})
 
 
 def _switched(tuning: Tuning, evidence: Evidence, causal: bool, spikes: bool, *, robust: bool) -> Switched | None:

@@ -42,6 +42,11 @@ class Faults:
     ----------
     found : dict
         `Found` of each verdict but `USED` that was given so far.
+
+    Notes
+    -----
+    A reading of 0 that is the least, or the greatest, so far is not stuck however long it is held: speeds
+    and loads rest there.
     """
 
     def __init__(self, limits: Limits) -> None:
@@ -50,6 +55,7 @@ class Faults:
         self._rows = 0
         self._ticks = 0  # from the first row
         self._held, self._run = np.nan, 0  # the last reading, and how often in a row
+        self._least, self._most = np.inf, -np.inf  # of the readings so far
         self._offsets = np.zeros(max(_REFERENCES), dtype=np.int64)  # of the rows before, in ticks off even time
 
     @property
@@ -77,33 +83,53 @@ class Faults:
         elapsed = np.clip(np.nan_to_num(elapsed, nan=1.0), 0.0, _LONGEST)
         if not self._rows:
             elapsed[0] = 1.0  # it came when it was due
-        size = np.abs(z)
-        new = told(z, elapsed, first=False)
+        possible = -BEYOND_ANY_SENSOR <= z.min() <= z.max() <= BEYOND_ANY_SENSOR
         codes = self._timing(elapsed)
-        codes[self._is_stuck(z, new)] = Verdict.STUCK
-        codes[self.limits.rails.reached(z)] = Verdict.CLIPPED
-        codes[~(size <= BEYOND_ANY_SENSOR)] = Verdict.OVERRANGE
-        codes[np.isinf(z)] = Verdict.NONFINITE
-        codes[np.isnan(z)] = Verdict.MISSING
-        self._count(codes, np.rint(elapsed * _TIME).astype(np.int64))
-        return codes
+        whole = possible and codes is None  # of which each reading says something new
+        if self.limits.stuck_readings is not None:
+            new = None if whole else told(z, elapsed, first=False)
+            codes = _marked(codes, Verdict.STUCK, self._is_stuck(z, new, self.limits.stuck_readings))
+        codes = _marked(codes, Verdict.CLIPPED, self.limits.rails.reached(z))
+        if not possible:
+            size = np.abs(z)
+            codes = _marked(codes, Verdict.OVERRANGE, ~(size <= BEYOND_ANY_SENSOR))
+            codes = _marked(codes, Verdict.NONFINITE, np.isinf(z))
+            codes = _marked(codes, Verdict.MISSING, np.isnan(z))
+        self._count(codes, elapsed)
+        return np.zeros(len(z), dtype=np.int8) if codes is None else codes
 
-    def _is_stuck(self, z: Floats, new: Booleans) -> Booleans:
-        """Tell which readings end a run of equal ones that is too long."""
+    def _is_stuck(self, z: Floats, new: Booleans | None, fewest: int) -> Booleans:
+        """Tell which readings end a run of `fewest` equal ones or more; None of `new` is all of them."""
         stuck = np.zeros(len(z), dtype=np.bool_)
-        readings = z[new]
+        readings = z if new is None else z[new]
         if not len(readings):
             return stuck
-        place = np.arange(len(readings))
-        same = readings == np.append(self._held, readings[:-1])
-        start = np.maximum.accumulate(np.where(same, -self._run, place))
-        runs = place - start + 1
-        self._held, self._run = float(readings[-1]), int(runs[-1])
-        if self.limits.stuck_readings is not None:
-            stuck[new] = runs >= self.limits.stuck_readings
+        rests = self._rests(readings)
+        starts = np.flatnonzero(readings[1:] != readings[:-1]) + 1  # of all runs but the first
+        before = self._run if readings[0] == self._held else 0
+        lengths = np.diff(starts, prepend=-before, append=len(readings))
+        self._held, self._run = float(readings[-1]), int(lengths[-1])
+        found = np.zeros(len(readings), dtype=np.bool_)
+        for run in np.flatnonzero(lengths >= fewest):
+            first = (starts[run - 1] if run else -before) + fewest - 1
+            found[max(first, 0) : starts[run] if run < len(starts) else None] = True
+        stuck[slice(None) if new is None else new] = found & ~rests
         return stuck
 
-    def _timing(self, elapsed: Floats) -> Codes:
+    def _rests(self, readings: Floats) -> Booleans:
+        """Tell which readings (B,) are 0 where that was an end of all before: there speeds and loads rest."""
+        least, most = min(self._least, float(readings.min())), max(self._most, float(readings.max()))
+        before, self._least, self._most = (self._least, self._most), least, most
+        if least > 0 or most < 0 or max(before[0], -before[1]) < 0:
+            return np.zeros(len(readings), dtype=np.bool_)
+        lower = np.minimum(np.minimum.accumulate(readings), before[0])
+        upper = np.maximum(np.maximum.accumulate(readings), before[1])
+        return np.asarray((readings == 0) & ((lower == 0) | (upper == 0)))
+
+    def _timing(self, elapsed: Floats) -> Codes | None:
+        """Tell what is wrong with the time of each row; None where nothing can be."""
+        if elapsed.min() == elapsed.max() == 1.0 and not self._offsets.any():
+            return None
         codes = np.zeros(len(elapsed), dtype=np.int8)
         if self.limits.even:
             codes[self._is_late(elapsed)] = Verdict.LATE
@@ -126,11 +152,12 @@ class Faults:
         self._offsets = offsets[-ahead:].copy()
         return np.asarray((np.abs(late) > 0.5) & (np.abs(late - np.round(late)) > _ON_TIME))
 
-    def _count(self, codes: Codes, ticks: Integers) -> None:
+    def _count(self, codes: Codes | None, elapsed: Floats) -> None:
         """Remember how often each verdict was given, and where first."""
-        counts = np.bincount(codes, minlength=len(Verdict))
+        ticks = np.rint(elapsed * _TIME).astype(np.int64)
         if not self._rows:
             ticks[0] = 0
+        counts = np.zeros(len(Verdict)) if codes is None else np.bincount(codes, minlength=len(Verdict))
         for code in np.flatnonzero(counts[1:]) + 1:
             verdict = Verdict(int(code))
             before = self.found.get(verdict)
@@ -139,8 +166,17 @@ class Faults:
                 first = (self._ticks + int(ticks[: at + 1].sum())) / _TIME
                 before = Found(0, self._rows + at, first)
             self.found[verdict] = before._replace(readings=before.readings + int(counts[verdict]))
-        self._rows += len(codes)
+        self._rows += len(elapsed)
         self._ticks += int(ticks.sum())
+
+
+def _marked(codes: Codes | None, verdict: Verdict, which: Booleans) -> Codes | None:
+    """Write a verdict over others, where it is given at all."""
+    if not which.any():
+        return codes
+    codes = np.zeros(len(which), dtype=np.int8) if codes is None else codes
+    codes[which] = verdict
+    return codes
 
 
 def said(found: Mapping[Verdict, Found], limits: Limits, step_s: float) -> list[str]:
@@ -165,12 +201,18 @@ def said(found: Mapping[Verdict, Found], limits: Limits, step_s: float) -> list[
 def _what(verdict: Verdict, count: int, limits: Limits) -> str:
     readings = f"{count} reading{'s' if count != 1 else ''}"
     if verdict == Verdict.CLIPPED:
-        return f"{readings} at a rail or beyond ({limits.low:.6g} to {limits.high:.6g})"
+        return f"{readings} at a rail or beyond ({_range(limits)})"
     if verdict == Verdict.STUCK:
         return f"{readings} in runs of {limits.stuck_readings} equal ones or more"
     if verdict == Verdict.GAP:
         return f"{count} gap{'s' if count != 1 else ''} of more than {limits.gap_steps:.3g} steps"
     return f"{readings} {_WORDS.get(verdict, verdict.name.lower())}"
+
+
+def _range(limits: Limits) -> str:
+    if np.isfinite(limits.rails).all():
+        return f"{limits.low:.6g} to {limits.high:.6g}"
+    return f"{limits.low:.6g} and less" if np.isfinite(limits.low) else f"{limits.high:.6g} and more"
 
 
 _WORDS = {

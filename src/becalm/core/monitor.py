@@ -24,8 +24,10 @@ WINDOW = 64
 HOP = 16
 """Innovations from one window to the next."""
 
+LARGEST = 6.0
+"""Sigma: what one spike may say."""
+
 _PARTS = 1 << 16  # of a sigma
-_MOST = 6.0  # sigma: what one spike may say
 _DEAD = 0.05  # of the variance that was expected; what is quieter than chance but above only rests
 _THAN_REST = 0.25  # of the quietest window of a healthy record
 _ALARMS = 3  # of drift, of less noise, of more: each gets its share of the false alarms
@@ -100,7 +102,7 @@ def find_alarms(false_alarms_per_hour: float, step_s: float, healthy: Floats | N
 def _in_parts(normalised: Floats) -> Integers:
     """Return the innovations that are there, in parts of a sigma."""
     known = normalised[~np.isnan(normalised)]
-    return np.rint(np.clip(known, -_MOST, _MOST) * _PARTS).astype(np.int64)
+    return np.rint(np.clip(known, -LARGEST, LARGEST) * _PARTS).astype(np.int64)
 
 
 def _hop_sums(parts: Integers) -> Integers:

@@ -42,7 +42,8 @@ ADVICE = {
     " motion take [channel.gate] out of the recipe.",
     Verdict.STEP: "The signal jumped, and the filter followed at once; look whether the sensor was moved or zeroed.",
     Verdict.CLIPPED: "Clipped readings only say that the signal was at least there; widen the range or lower the gain.",
-    Verdict.STUCK: "A stuck channel repeats its last reading; look at the cable, the converter and the driver.",
+    Verdict.STUCK: "A stuck channel repeats its last reading; look at the cable, the converter and the driver, and if"
+    " it may rest so long raise stuck_readings in the recipe.",
     Verdict.DEAD: "A dead channel has lost its noise, and with it its signal; look at the sensor's supply and cable.",
     Verdict.DRIFT: "Readings drift to one side of the signal; compare the sensor at rest, or with a slow reference.",
     Verdict.LATE: "Late rows came off their even time, none was lost; stamp them where they are measured.",

@@ -1,0 +1,84 @@
+"""From which innovations on a channel drifts, or is dead: told by those of the record that it was tuned on."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+
+from becalm.cleaning.faults import FALSE_ALARMS_PER_HOUR
+from becalm.cleaning.judging import InnovationJudge
+from becalm.cleaning.recipe_parts import LimitsRecipe
+from becalm.core.arrays import Floats
+from becalm.core.cusum import SLACK
+from becalm.core.gates import Gate
+from becalm.core.monitor import LARGEST, find_alarms
+from becalm.noise.excess import excess_error
+from becalm.noise.gating import forecasts
+from becalm.noise.likelihood import Tuning
+
+MARGIN = 2.0
+"""Of the threshold over what the sums of the record itself reached."""
+
+COLOURED = 4.0
+"""Times the threshold of white noise: what needs a higher one is coloured too much for a drift to be told."""
+
+
+def with_alarms(  # noqa: PLR0913  (a channel: what it keeps to, its filter, its readings)
+    limits: LimitsRecipe | None,
+    tuning: Tuning,
+    readings: Floats,
+    elapsed: Floats,
+    gate: Gate | None,
+    *,
+    causal: bool,
+    step_s: float,
+) -> LimitsRecipe | None:
+    """Add to the limits of a channel when it drifts, and when it is dead, where its innovations can tell.
+
+    Parameters
+    ----------
+    limits : LimitsRecipe or None
+        Of a channel that has none nothing more is told.
+    tuning : Tuning
+        Its filter, in steps.
+    readings, elapsed : (N,) float arrays
+        The record it was tuned on, in unit and in steps.
+    gate : Gate or None
+        What leaves spikes out.
+    causal : bool
+        Whether the filter shall run causally.
+    step_s : float
+        One step, in seconds.
+
+    Notes
+    -----
+    Nothing in the record itself is called a drift or dead; only what goes beyond it later, by a margin. Where the
+    model does not describe the record, innovations tell of it, and not of the sensor.
+    """
+    if limits is None:
+        return None
+    normalised = forecasts(tuning, readings, elapsed, gate).normalised
+    judge = InnovationJudge(step_s)
+    judge.add(normalised, 1.0)
+    found = judge.judgement(None if causal else partial(excess_error, tuning))
+    if not found.describes or found.verdict == "untold":
+        return limits
+    alarms = find_alarms(FALSE_ALARMS_PER_HOUR, step_s, normalised)
+    drift = max(alarms.drift_threshold, MARGIN * highest_sum(normalised))
+    return limits.model_copy(
+        update={
+            "drift_threshold": drift if drift <= COLOURED * alarms.drift_threshold else None,
+            "dead_variance": alarms.dead_variance or None,
+        }
+    )
+
+
+def highest_sum(normalised: Floats) -> float:
+    """Return how far the two-sided cumulative sum of innovations (N,) went, in sigma, without an alarm."""
+    known = normalised[np.isfinite(normalised)]
+    highest = 0.0
+    for sign in (1.0, -1.0):
+        walk = np.cumsum(sign * np.clip(known, -LARGEST, LARGEST) - SLACK)
+        highest = max(highest, float((walk - np.minimum(np.minimum.accumulate(walk), 0.0)).max(initial=0.0)))
+    return highest

@@ -1,0 +1,223 @@
+"""Faults of a sensor, on a channel's way: what is found leaves no trace in the signal but a verdict, and a sentence."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from becalm.cleaning.recipe_parts import LimitsRecipe
+from becalm.core.arrays import Codes, Floats
+from becalm.core.clock import GAP_STEPS
+from becalm.core.faults import Faults, Found, said
+from becalm.core.flow import Told
+from becalm.core.limits import Limits, find_limits
+from becalm.core.monitor import Alarms, InnovationMonitor
+from becalm.core.noise_change import NoiseHistory, said_of_change
+from becalm.core.verdict import ADVICE, Verdict
+
+FALSE_ALARMS_PER_HOUR = 1.0
+"""Healthy stretches of an hour that may be called stuck; a small one trusts the sensor."""
+
+MOST_LOST = 0.5
+"""Share of the rows: a channel that is clipped or stuck in more of them hardly measures."""
+
+NEVER = 1e12
+"""Of a cumulative sum, in sigma: none gets there."""
+
+_LOST = (Verdict.CLIPPED, Verdict.STUCK)
+_ENTERS = np.isin(list(Verdict), [Verdict.USED, Verdict.LATE, Verdict.REPEATED, Verdict.GAP])
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A fault of a sensor that was found in a channel.
+
+    Attributes
+    ----------
+    what : str
+        The verdict, in a word.
+    readings : int
+        How many met it.
+    first_row : int
+        The first of them, counted from 1.
+    first_s : float
+        When it came, in seconds after the first row.
+    found_within_s : float
+        How long such a fault lasts, at the most, until it is told; 0: its first reading tells.
+    """
+
+    what: str
+    readings: int
+    first_row: int
+    first_s: float
+    found_within_s: float
+
+
+class Healthy(NamedTuple):
+    """Readings of a channel to tune on."""
+
+    readings: Floats  # (N,) NaN where missing, impossible, clipped or stuck
+    limits: LimitsRecipe | None
+
+
+def find_healthy(z: Floats, elapsed: Floats, step_s: float) -> Healthy:
+    """Find what a channel keeps to, and leave out the readings that do not.
+
+    Parameters
+    ----------
+    z : (N,) float array
+        Readings, in unit; NaN where missing.
+    elapsed : (N,) float array
+        Steps since the row before.
+    step_s : float
+        One step, in seconds.
+
+    Returns
+    -------
+    Healthy
+        The readings as they came where all are usable.
+    """
+    limits = find_limits(z, elapsed, FALSE_ALARMS_PER_HOUR, step_s)
+    codes = Faults(limits).push(z, elapsed)
+    enters = _ENTERS[codes]
+    return Healthy(z if enters.all() else np.where(enters, z, np.nan), _told(limits))
+
+
+def _told(limits: Limits) -> LimitsRecipe | None:
+    """Write limits as a recipe does; None where only the time could be told of."""
+    rails = [float(rail) if np.isfinite(rail) else None for rail in limits.rails]
+    if rails == [None, None] and limits.stuck_readings is None:
+        return None
+    return LimitsRecipe(
+        low=rails[0],
+        high=rails[1],
+        resolution=limits.resolution or None,
+        stuck_readings=limits.stuck_readings,
+        even_time=limits.even,
+        gap_steps=None if limits.gap_steps == GAP_STEPS else limits.gap_steps,
+    )
+
+
+def limits_of(told: LimitsRecipe | None) -> Limits:
+    """Return the limits of a recipe; where it has none, no reading is clipped or stuck, and no row late."""
+    if told is None:
+        return Limits(even=False)
+    return Limits(
+        -np.inf if told.low is None else told.low,
+        np.inf if told.high is None else told.high,
+        told.resolution or 0.0,
+        told.stuck_readings,
+        told.gap_steps or GAP_STEPS,
+        bool(told.even_time),
+    )
+
+
+class SensorWatch:
+    """Stands before a filter of one channel: lets only usable readings in, and knows what became of the others.
+
+    Shown the filter's innovations as well, it tells drift and death where the recipe says how, and a change of noise.
+
+    Parameters
+    ----------
+    told : LimitsRecipe or None
+        What the channel keeps to.
+    step_s : float
+        One step, in seconds.
+    """
+
+    def __init__(self, told: LimitsRecipe | None, step_s: float) -> None:
+        self._faults, self._monitor = Faults(limits_of(told)), _monitor_of(told)
+        self._history = NoiseHistory()
+        self._verdicts: Codes = np.empty(0, np.int8)  # of rows that the filter still holds
+        self._alarms: Codes = np.empty(0, np.int8)  # of rows whose innovations it has told before the rows themselves
+        self._steps = np.empty(0)  # from the first row, of rows without innovations yet
+        self._first_steps: dict[Verdict, float] = {}
+        self._step, self._step_s, self.rows = 0.0, step_s, 0
+
+    def push(self, z: Floats, elapsed: Floats) -> Floats:
+        """Take readings (B,) and the steps before them; return them, NaN where none may enter the filter."""
+        if not len(z):
+            return z
+        verdicts = self._faults.push(z, elapsed)
+        self._verdicts = np.concatenate([self._verdicts, verdicts])
+        steps = np.cumsum(np.append(self._step, elapsed if self.rows else np.append(0.0, elapsed[1:])))
+        self._steps, self._step = np.concatenate([self._steps, steps[1:]]), float(steps[-1])
+        self.rows += len(z)
+        enters = _ENTERS[verdicts]
+        return z if enters.all() else np.where(enters, z, np.nan)
+
+    def look(self, innovations: Floats, innovation_sigma: Floats) -> None:
+        """Take the innovations of the next rows (B,), and their expected standard deviations."""
+        steps, self._steps = self._steps[: len(innovations)], self._steps[len(innovations) :]
+        normalised = innovations / innovation_sigma
+        self._history.push(normalised, steps)
+        if self._monitor is None:
+            return
+        alarms = self._monitor.push(normalised)
+        for verdict in set(self._monitor.found) - set(self._first_steps):
+            self._first_steps[verdict] = float(steps[np.argmax(alarms == verdict)])
+        self._alarms = np.concatenate([self._alarms, alarms])
+
+    def named(self, told: list[Told]) -> list[Told]:
+        """Return what a filter tells of the next rows, with what else became of their readings."""
+        return [part._replace(verdicts=self._beside(part.verdicts)) for part in told]
+
+    def _beside(self, verdicts: Codes) -> Codes:
+        rows = len(verdicts)
+        before, self._verdicts = self._verdicts[:rows], self._verdicts[rows:]
+        alarms, self._alarms = self._alarms[:rows], self._alarms[rows:]
+        named = np.where((verdicts == Verdict.SPIKE) | (verdicts == Verdict.STEP), verdicts, before)
+        return np.where((named == Verdict.USED) & (alarms > 0), alarms, named) if len(alarms) else named
+
+    @property
+    def found(self) -> dict[Verdict, Found]:
+        """What is wrong with readings, with their time, or with innovations; what is missing is no fault."""
+        found = {verdict: one for verdict, one in self._faults.found.items() if verdict != Verdict.MISSING}
+        alarms = {} if self._monitor is None else self._monitor.found
+        return found | {verdict: one._replace(first_step=self._first_steps[verdict]) for verdict, one in alarms.items()}
+
+    def faults(self) -> tuple[Fault, ...]:
+        """Tell each fault, with when it came first."""
+        return tuple(
+            Fault(
+                verdict.name.lower(),
+                found.readings,
+                found.first_row + 1,
+                found.first_step * self._step_s,
+                self._delay(verdict) * self._step_s,
+            )
+            for verdict, found in sorted(self.found.items())
+        )
+
+    def _delay(self, verdict: Verdict) -> float:
+        """Return how many readings a fault lasts until it is told."""
+        alarms = None if self._monitor is None else self._monitor.alarms
+        if alarms is not None and verdict in (Verdict.DRIFT, Verdict.DEAD):
+            return alarms.drift_delay if verdict == Verdict.DRIFT else alarms.dead_delay
+        return float(self._faults.stuck_delay or 0) if verdict == Verdict.STUCK else 0.0
+
+    def says(self) -> list[str]:
+        """Say what was found, when first, and what to do."""
+        lost = sum(found.readings for verdict, found in self.found.items() if verdict in _LOST)
+        told = said(self.found, self._faults.limits, self._step_s)
+        if lost > MOST_LOST * self.rows:
+            told.insert(0, f"{lost} of {self.rows} readings are clipped or stuck: between them the signal is a guess.")
+        return [*told, *self.changes()]
+
+    def changes(self) -> list[str]:
+        """Say from when on the noise was another."""
+        return said_of_change(self._history.change(), self._step_s)
+
+    def advice(self) -> tuple[str, ...]:
+        """Say what to do about the faults that were found."""
+        return (*(ADVICE[verdict] for verdict in sorted(self.found)), *self.changes())
+
+
+def _monitor_of(told: LimitsRecipe | None) -> InnovationMonitor | None:
+    """Return what watches innovations for drift and death; None where the recipe tells of neither."""
+    if told is None or (told.drift_threshold is None and told.dead_variance is None):
+        return None
+    drift = NEVER if told.drift_threshold is None else told.drift_threshold
+    return InnovationMonitor(Alarms(drift, 0.0, np.inf, told.dead_variance or 0.0))
