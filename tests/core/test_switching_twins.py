@@ -8,10 +8,11 @@ import pytest
 from banks import bank_of, kernels, laid_out, record, tones
 from becalm.core import switching_reference as reference
 from becalm.core.arrays import Floats
-from becalm.core.kernel_switching import SwitchingTrace
+from becalm.core.kernel_switching import Bank, SwitchingTrace
 from becalm.core.switching import Switching
 
 TWIN = 1e-10
+LONG = 1e-8
 ROWS = 120
 SIZES = [(1, 1), (1, 2), (1, 4), (2, 2), (2, 3), (2, 4), (3, 1), (3, 2)]
 KINDS = ["even", "holes", "uneven", "repeats", "wild"]
@@ -64,3 +65,17 @@ def test_the_kernels_are_the_reference(order: int, modes: int, kind: str) -> Non
 @pytest.mark.parametrize(("order", "modes"), [(1, 2), (2, 3), (3, 2)])
 def test_wild_readings_believed_and_rejected(order: int, modes: int, rejects: bool) -> None:
     check(bank_of(order, modes, share=0.05, rejects=rejects), "wild")
+
+
+@pytest.mark.parametrize("switching", [bank_of(4, 2), bank_of(5, 2), tones(2)], ids=["order 4", "order 5", "two tones"])
+@pytest.mark.parametrize("kind", ["even", "holes", "uneven"])
+def test_many_states_are_the_reference_in_long_double(switching: Switching, kind: str) -> None:
+    """A mode whose states sleep beside one that has many: there digits are lost first."""
+    z, elapsed = record(ROWS, kind)
+    bank, steps = laid_out(switching, elapsed)
+    forward, back, _ = kernels(switching, z, elapsed)
+    long = Bank(*(np.asarray(array, np.longdouble) for array in bank))
+    rows = reference.filter_readings(long, switching.start.astype(np.longdouble), z.astype(np.longdouble), steps)
+    assert rows[-1].beliefs.P.dtype == np.longdouble
+    assert_twin(forward, told(switching, [row.beliefs for row in rows]), LONG)
+    assert_twin(back, told(switching, reference.smooth(long, rows, np.append(steps, -1))), LONG)

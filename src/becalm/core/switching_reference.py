@@ -1,6 +1,6 @@
 """The specification of a bank that switches, in plain NumPy with numbered equations; never optimised.
 
-The kernels are its twins and must agree with it to 1e-10. Forward it is the interacting multiple model of Blom
+It computes in the precision of the arrays it is given, which may be long double. The kernels are its twins and must agree with it to 1e-10. Forward it is the interacting multiple model of Blom
 and Bar-Shalom, IEEE TAC-33 (1988) 780, with readings that may be wild. Coming back it is the two-filter smoother of
 Fraser and Potter, IEEE TAC-14 (1969) 387, for every pair of modes before and after a step: filtered beliefs meet
 what later readings say, a likelihood exp(g + r' (h - c) - (h - c)' Y (h - c) / 2) of the state h in each mode.
@@ -8,7 +8,7 @@ what later readings say, a likelihood exp(g + r' (h - c) - (h - c)' Y (h - c) / 
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -63,7 +63,7 @@ def modes_over(bank: Bank, step: int) -> Modes:
 
 def begin(z: float, start: Floats) -> Beliefs:
     """Begin with the first reading: `start` (M, 1 + n) has each mode's probability, and its states' variances."""
-    x = np.zeros((len(start), start.shape[1] - 1))
+    x = np.zeros_like(start[:, 1:])
     x[:, 0] = z
     return Beliefs(x, np.array([np.diag(variances) for variances in start[:, 1:]]), start[:, 0].copy())
 
@@ -165,20 +165,32 @@ def reading_says(after: Beliefs, bank: Bank, z: float, W: Floats) -> Outlook:
     return Outlook(after.x, r, Y, np.zeros_like(W))  # (9)
 
 
-def evidence(x: Floats, P: Floats, ahead: Outlook, i: int) -> float:
+def solve(A: Floats, B: Floats) -> tuple[Floats, Any]:
+    """Return A^-1 B and log |A|, by Gauss and Jordan, in whatever precision they are given."""
+    n, rows, logarithm = len(A), np.hstack([A, B]), A.dtype.type(0)
+    for c in range(n):
+        p = c + int(np.abs(rows[c:, c]).argmax())
+        rows[[c, p]] = rows[[p, c]]
+        logarithm += np.log(np.abs(rows[c, c]))
+        rows[c] /= rows[c, c]
+        others = np.arange(n) != c
+        rows[others] -= np.outer(rows[others, c], rows[c])
+    return rows[:, n:], logarithm
+
+
+def evidence(x: Floats, P: Floats, ahead: Outlook, i: int) -> Any:
     """Return how well a belief agrees with what is said to mode i, as a log-likelihood."""
     c, r, Y, g = (part[i] for part in ahead)
     d = x - c
     q = r - Y @ d  # the slope at x
-    moved = np.linalg.solve(np.eye(len(x)) + P @ Y, P @ q)
-    determinant = np.linalg.slogdet(np.eye(len(x)) + P @ Y)[1]
-    return float(g + r @ d - d @ Y @ d / 2 + q @ moved / 2 - determinant / 2)  # (12)
+    moved, determinant = solve(np.eye(len(x)) + P @ Y, (P @ q)[:, np.newaxis])
+    return g + r @ d - d @ Y @ d / 2 + q @ moved[:, 0] / 2 - determinant / 2  # (12)
 
 
 def before_step(F: Floats, Q: Floats, x: Floats, ahead: Outlook, i: int) -> Outlook:
     """Return what is said, about x, of the state before a step into mode i; of that mode alone, no axis for it."""
     c, r, Y, _ = (part[i] for part in ahead)
-    A = np.linalg.inv(np.eye(len(x)) + Y @ Q)
+    A, _ = solve(np.eye(len(x)) + Y @ Q, np.eye(len(x)))
     own = evidence(F @ x, Q, ahead, i)  # of a state that begins at x
     return Outlook(x, F.T @ A @ (r - Y @ (F @ x - c)), F.T @ A @ Y @ F, np.array(own))  # (10), (11)
 
@@ -208,7 +220,7 @@ def smooth_row(now: Beliefs, modes: Modes, ahead: Outlook) -> tuple[Beliefs, Out
     return Beliefs(x, P, np.maximum(mu / mu.sum(), _UNLIKELY)), pooled
 
 
-def smooth_mode(now: Beliefs, modes: Modes, ahead: Outlook, j: int) -> tuple[Floats, Floats, Outlook, float]:
+def smooth_mode(now: Beliefs, modes: Modes, ahead: Outlook, j: int) -> tuple[Floats, Floats, Outlook, Any]:
     """Return mean and covariance of mode j, what later readings say to it, and how likely it finds them."""
     x, P, n, count = now.x[j], now.P[j], now.x.shape[1], len(now.mu)
     said = [before_step(modes.F[i], modes.Q[i], x, ahead, i) for i in range(count)]
@@ -216,8 +228,8 @@ def smooth_mode(now: Beliefs, modes: Modes, ahead: Outlook, j: int) -> tuple[Flo
     fit = np.array([evidence(x, P, every, i) for i in range(count)])
     fit += np.log(np.maximum(now.mu[j] * modes.T[j], _UNLIKELY**2)) - np.log(now.mu[j])
     weight = np.exp(fit - fit.max())
-    likely, weight = float(np.log(weight.sum()) + fit.max()), weight / weight.sum()
-    shrunk = np.array([np.linalg.solve(np.eye(n) + P @ Y, P) for Y in every.Y])
+    likely, weight = np.log(weight.sum()) + fit.max(), weight / weight.sum()
+    shrunk = np.array([solve(np.eye(n) + P @ Y, P)[0] for Y in every.Y])
     mean, cov = collapse(weight, x + np.einsum("iab,ib->ia", shrunk, every.r), shrunk)  # (13)
     r, Y = weight @ every.r, np.einsum("i,iab->ab", weight, every.Y)
     alone = Outlook(x[np.newaxis], r[np.newaxis], Y[np.newaxis], np.zeros(1))
