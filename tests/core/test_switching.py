@@ -60,9 +60,7 @@ class Exact(NamedTuple):
     probability: Floats  # (M, N)
 
 
-def one_sequence(
-    bank: Bank, start: Floats, z: Floats, modes: tuple[int, ...]
-) -> tuple[float, Floats, Floats]:
+def one_sequence(bank: Bank, start: Floats, z: Floats, modes: tuple[int, ...]) -> tuple[float, Floats, Floats]:
     """Return log-probability, with all readings, and smoothed mean and covariance of all levels, as one Gaussian."""
     rows, n = len(z), bank.H.shape[1]
     mean, cov = np.zeros((rows, n)), np.zeros((rows, n, rows, n))
@@ -86,7 +84,9 @@ def one_sequence(
 def enumerated(bank: Bank, start: Floats, z: Floats) -> Exact:
     """Smooth by all M^N sequences of modes."""
     sequences = np.array(list(product(range(len(bank.R)), repeat=len(z))))
-    fits, levels, variances = zip(*(one_sequence(bank, start, z, tuple(own)) for own in sequences.tolist()), strict=True)
+    fits, levels, variances = zip(
+        *(one_sequence(bank, start, z, tuple(own)) for own in sequences.tolist()), strict=True
+    )
     weight = np.exp(np.array(fits) - max(fits))
     weight /= weight.sum()
     signal = weight @ np.array(levels)
@@ -117,13 +117,18 @@ def test_the_bank_is_near_all_sequences_of_modes(name: str) -> None:
         rng = np.random.default_rng(seed)
         z = rng.normal(size=10) + np.where(np.arange(10) < rng.integers(2, 9), 0.0, 6.0)
         forward, back, _ = kernels(switching, z, np.ones(10))
-        for got, exact in ((forward, filtered_exactly(bank, switching.start, z[:6])), (back, enumerated(bank, switching.start, z))):
+        for got, exact in (
+            (forward, filtered_exactly(bank, switching.start, z[:6])),
+            (back, enumerated(bank, switching.start, z)),
+        ):
             rows = slice(len(exact.signal))
-            off.append([
-                np.mean(np.abs(got.signal[rows] - exact.signal) / exact.sigma),
-                np.mean(np.abs(np.log(got.sigma[rows] / exact.sigma))),
-                np.mean(np.abs(got.probability[0, rows] - exact.probability[0])),
-            ])
+            off.append(
+                [
+                    np.mean(np.abs(got.signal[rows] - exact.signal) / exact.sigma),
+                    np.mean(np.abs(np.log(got.sigma[rows] / exact.sigma))),
+                    np.mean(np.abs(got.probability[0, rows] - exact.probability[0])),
+                ]
+            )
     found = np.array(off).reshape(20, 2, 3).mean(axis=0)
     print(name, found)
     assert (found[0] < [0.05, 0.05, 0.03]).all(), found

@@ -77,6 +77,24 @@ def transfer_outlook(sizes: BankSizes, ahead: Outlook, memory: Floats, saving: f
 
 
 @compiled_part
+def unpack(states: Size, packed: Floats, j: int, A: Floats) -> None:
+    """Write row j of several matrices, (M, n n), as a matrix."""
+    n = len(states)
+    for a in range(n):
+        for b in range(n):
+            A[a, b] = packed[j, a * n + b]
+
+
+@compiled_part
+def pack(states: Size, A: Floats, packed: Floats, j: int) -> None:
+    """Write a matrix as row j of several, (M, n n)."""
+    n = len(states)
+    for a in range(n):
+        for b in range(n):
+            packed[j, a * n + b] = A[a, b]
+
+
+@compiled_part
 def root(states: Size, P: Floats, G: Floats) -> None:
     """Write G with P = G G', lower triangular; a direction without variance has a column of zeros."""
     n, L, D = len(states), stack_matrix(states, states), stack_vector(states)
@@ -90,8 +108,11 @@ def root(states: Size, P: Floats, G: Floats) -> None:
 
 
 @compiled_part
-def factor_beside_one(states: Size, G: Floats, YG: Floats, L: Floats, D: Floats) -> float:
-    """Factor I + G' (Y G) = L D L'; return the logarithm of its determinant. No pivot is below 1, but by rounding."""
+def factor_beside_one(states: Size, G: Floats, YG: Floats, L: Floats, D: Floats) -> tuple[float, float]:
+    """Factor I + G' (Y G) = L D L'; no pivot is below 1, but by rounding.
+
+    Returns its determinant as a logarithm, 0 unless it is huge, and the number that is left.
+    """
     n, B = len(states), stack_matrix(states, states)
     for a in range(n):
         for b in range(a + 1):
@@ -117,7 +138,7 @@ def factor_beside_one(states: Size, G: Floats, YG: Floats, L: Floats, D: Floats)
         if product > _MUCH:
             logarithm += np.log(product)
             product = 1.0
-    return logarithm + np.log(product)
+    return logarithm, product
 
 
 @compiled_part
@@ -144,15 +165,13 @@ def shrink_outlook(sizes: BankSizes, F: Floats, Q: Floats, i: int, ahead: Outloo
     Returns the logarithm of the determinant of I + G' Y G.
     """
     n, states = len(sizes.states), sizes.states
-    Y, W, A, YA = (stack_matrix(states, states), stack_matrix(states, states), stack_matrix(states, states),
-                   stack_matrix(states, states))  # fmt: skip
+    Y, W = stack_matrix(states, states), stack_matrix(states, states)
+    A, YA = stack_matrix(states, states), stack_matrix(states, states)
     column = stack_vector(states)
-    for a in range(n):
-        for b in range(n):
-            Y[a, b] = ahead.Y[i, a * n + b]
+    unpack(states, ahead.Y, i, Y)
     root(states, Q, way.G)
     multiply(states, states, Y, way.G, way.YG)
-    logarithm: float = factor_beside_one(states, way.G, way.YG, way.L, way.D)
+    logarithm, product = factor_beside_one(states, way.G, way.YG, way.L, way.D)
     for b in range(n):
         for a in range(n):
             column[a] = way.YG[b, a]
@@ -176,7 +195,8 @@ def shrink_outlook(sizes: BankSizes, F: Floats, Q: Floats, i: int, ahead: Outloo
                 s += YA[k, a] * W[k, b] + A[k, a] * A[k, b]
             way.Y[a, b] = s
             way.Y[b, a] = s
-    return logarithm
+    determinant: float = logarithm + np.log(product)
+    return determinant
 
 
 @compiled_part
@@ -189,7 +209,7 @@ def turn_outlook(  # noqa: PLR0913
     """
     n, states = len(sizes.states), sizes.states
     d, q, u, y = stack_vector(states), stack_vector(states), stack_vector(states), stack_vector(states)
-    g = ahead.g[i]
+    g: float = ahead.g[i]
     for a in range(n):
         s = -ahead.c[i, a]
         for k in range(n):

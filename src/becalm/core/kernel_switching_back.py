@@ -24,12 +24,14 @@ from becalm.core.kernel_switching_ahead import (
     factor_beside_one,
     new_outlook,
     new_return,
+    pack,
     root,
     shrink_outlook,
     solve_lower,
     solve_upper,
     transfer_outlook,
     turn_outlook,
+    unpack,
 )
 from becalm.core.kernel_switching_row import TOLD, UNLIKELY, Bank, BankSizes, Beliefs, new_beliefs, transfer_beliefs
 from becalm.core.sized import Size, layer, stack_matrix, stack_vector
@@ -41,12 +43,12 @@ _LEAST = -1e300
 class Pairs(NamedTuple):
     """What is gathered of pairs of modes, [before, after], on the stack."""
 
-    fit: Floats  # (M, M) logarithm of the probability of a pair, but for a constant
+    fit: Floats  # (M, M) logarithm of the probability of a pair, but for a constant; then its share of the mode before
     r: Floats  # (M n, M) what the mode after says of the state of the one before
     Y: Floats  # (M, n n) how surely
     x: Floats  # (M, n) the state of one mode before, with each after it
     P: Floats  # (M, n n)
-    G: Floats  # (n, n) of the mode before, P = G G'
+    G: Floats  # (M, n n) of each mode before, P = G G'
 
 
 @woven
@@ -55,7 +57,7 @@ def new_pairs(sizes: BankSizes) -> Pairs:
     n, modes, squared, each = sizes
     return Pairs(
         stack_matrix(modes, modes), stack_matrix(each, modes), stack_matrix(modes, squared),
-        stack_matrix(modes, n), stack_matrix(modes, squared), stack_matrix(n, n),
+        stack_matrix(modes, n), stack_matrix(modes, squared), stack_matrix(modes, squared),
     )  # fmt: skip
 
 
@@ -78,26 +80,17 @@ def take_back(sizes: BankSizes, bank: Bank, note: Floats, now: Beliefs, ahead: O
 
 
 @compiled_part
-def belief_root(sizes: BankSizes, j: int, now: Beliefs, G: Floats) -> None:
-    """Write G with P = G G' of mode j."""
-    n, P = len(sizes.states), stack_matrix(sizes.states, sizes.states)
-    for a in range(n):
-        for b in range(n):
-            P[a, b] = now.P[j, a * n + b]
-    root(sizes.states, P, G)
-
-
-@compiled_part
 def agree(  # noqa: PLR0913
-    states: Size, G: Floats, Y: Floats, r: Floats, L: Floats, D: Floats, v: Floats
+    states: Size, G: Floats, Y: Floats, r: Floats, share: float, L: Floats, D: Floats, v: Floats
 ) -> float:
-    """Equation (12): how well a belief P = G G' agrees with r and Y about its mean, as a log-likelihood.
+    """Equation (12): how well a belief P = G G' agrees with r and Y about its mean, as a log-likelihood, times a share.
 
     Writes the factors of I + G' Y G and v = (I + G' Y G)^-1 G' r, so that G v is what the mean moves by.
     """
     n, YG = len(states), stack_matrix(states, states)
     multiply(states, states, Y, G, YG)
-    fit = -0.5 * factor_beside_one(states, G, YG, L, D)
+    logarithm, product = factor_beside_one(states, G, YG, L, D)
+    fit: float = np.log(share / np.sqrt(product)) - 0.5 * logarithm
     for a in range(n):
         s = 0.0
         for k in range(n):
@@ -120,22 +113,24 @@ def meet_pairs(  # noqa: PLR0913
     n, modes, states = len(sizes.states), len(sizes.modes), sizes.states
     T, best = layer(bank.T, s, sizes.modes, sizes.modes), _LEAST
     L, D, v = stack_matrix(states, states), stack_vector(states), stack_vector(states)
-    x, r = stack_vector(states), stack_vector(states)
+    x, r, G, P = stack_vector(states), stack_vector(states), stack_matrix(states, states), stack_matrix(states, states)
+    for j in range(modes):
+        unpack(states, now.P, j, G)
+        root(states, G, P)
+        pack(states, P, pairs.G, j)
     for i in range(modes):
         F, Q = layer(bank.F, s * modes + i, states, states), layer(bank.Q, s * modes + i, states, states)
         half = 0.5 * shrink_outlook(sizes, F, Q, i, ahead, way)
-        for a in range(n):
-            for b in range(n):
-                pairs.Y[i, a * n + b] = way.Y[a, b]
+        pack(states, way.Y, pairs.Y, i)
         for j in range(modes):
             for a in range(n):
                 x[a] = now.x[j, a]
+            share = max(now.mu[j] * T[j, i], UNLIKELY * UNLIKELY)
             fit = turn_outlook(sizes, F, i, ahead, way, x, r) - half
-            belief_root(sizes, j, now, pairs.G)
-            fit += agree(states, pairs.G, way.Y, r, L, D, v)
+            unpack(states, pairs.G, j, G)
+            fit += agree(states, G, way.Y, r, share, L, D, v)
             for a in range(n):
                 pairs.r[j * n + a, i] = r[a]
-            fit += np.log(max(now.mu[j] * T[j, i], UNLIKELY * UNLIKELY))
             pairs.fit[j, i] = fit if fit > _LEAST and fit < -_LEAST else _LEAST
             best = max(best, pairs.fit[j, i])
     return best
@@ -143,47 +138,47 @@ def meet_pairs(  # noqa: PLR0913
 
 @compiled_part
 def smooth_mode(  # noqa: PLR0913
-    sizes: BankSizes, j: int, total: float, now: Beliefs, pairs: Pairs, weight: Floats, own: Beliefs
+    sizes: BankSizes, j: int, now: Beliefs, pairs: Pairs, own: Beliefs
 ) -> None:
-    """Equation (13): the smoothed state of mode j, merged over all modes after it; `weight` (M,) adds up to 1."""
+    """Equation (13): the smoothed state of mode j, merged over all modes after it."""
     n, modes, states = len(sizes.states), len(sizes.modes), sizes.states
     L, D, v = stack_matrix(states, states), stack_vector(states), stack_vector(states)
-    Y, r = stack_matrix(states, states), stack_vector(states)
+    r, G, Y = stack_vector(states), stack_matrix(states, states), stack_matrix(states, states)
+    unpack(states, pairs.G, j, G)
     for a in range(n):
         own.x[j, a] = 0.0
     for i in range(modes):
-        if not weight[i] * total > _NEGLIGIBLE:
+        if not pairs.fit[j, i] * own.mu[j] > _NEGLIGIBLE:
             continue
         for a in range(n):
             r[a] = pairs.r[j * n + a, i]
-            for b in range(n):
-                Y[a, b] = pairs.Y[i, a * n + b]
-        agree(states, pairs.G, Y, r, L, D, v)
+        unpack(states, pairs.Y, i, Y)
+        agree(states, G, Y, r, 1.0, L, D, v)
         for a in range(n):
             s = now.x[j, a]
             for k in range(n):
-                s += pairs.G[a, k] * v[k]
+                s += G[a, k] * v[k]
             pairs.x[i, a] = s
-            own.x[j, a] += weight[i] * s
-        write_spread(sizes, i, L, D, pairs)
+            own.x[j, a] += pairs.fit[j, i] * s
+        write_spread(sizes, i, G, L, D, pairs)
     for a in range(n):
         for b in range(a + 1):
             s = 0.0
             for i in range(modes):
-                if weight[i] * total > _NEGLIGIBLE:
+                if pairs.fit[j, i] * own.mu[j] > _NEGLIGIBLE:
                     apart = (pairs.x[i, a] - own.x[j, a]) * (pairs.x[i, b] - own.x[j, b])
-                    s += weight[i] * (pairs.P[i, a * n + b] + apart)
+                    s += pairs.fit[j, i] * (pairs.P[i, a * n + b] + apart)
             own.P[j, a * n + b] = s
             own.P[j, b * n + a] = s
 
 
 @compiled_part
-def write_spread(sizes: BankSizes, i: int, L: Floats, D: Floats, pairs: Pairs) -> None:
+def write_spread(sizes: BankSizes, i: int, G: Floats, L: Floats, D: Floats, pairs: Pairs) -> None:  # noqa: PLR0913
     """Write the covariance of a pair, G (I + G' Y G)^-1 G'."""
     n, W, row = len(sizes.states), stack_matrix(sizes.states, sizes.states), stack_vector(sizes.states)
     for b in range(n):
         for a in range(n):
-            row[a] = pairs.G[b, a]
+            row[a] = G[b, a]
         solve_lower(sizes.states, L, row)
         for a in range(n):
             W[a, b] = row[a]
@@ -197,26 +192,25 @@ def write_spread(sizes: BankSizes, i: int, L: Floats, D: Floats, pairs: Pairs) -
 
 
 @compiled_part
-def pool(  # noqa: PLR0913
-    sizes: BankSizes, j: int, evidence: float, pairs: Pairs, weight: Floats, ahead: Outlook
-) -> None:
+def pool(sizes: BankSizes, j: int, evidence: float, pairs: Pairs, ahead: Outlook) -> None:
     """Equation (14): what all modes after it say to mode j, as one likelihood, as likely as all of them."""
     n, modes, states = len(sizes.states), len(sizes.modes), sizes.states
     L, D, v = stack_matrix(states, states), stack_vector(states), stack_vector(states)
-    Y, r = stack_matrix(states, states), stack_vector(states)
+    Y, r, G = stack_matrix(states, states), stack_vector(states), stack_matrix(states, states)
     for a in range(n):
         s = 0.0
         for i in range(modes):
-            s += weight[i] * pairs.r[j * n + a, i]
+            s += pairs.fit[j, i] * pairs.r[j * n + a, i]
         r[a] = s
         ahead.r[j, a] = s
         for b in range(n):
             s = 0.0
             for i in range(modes):
-                s += weight[i] * pairs.Y[i, a * n + b]
+                s += pairs.fit[j, i] * pairs.Y[i, a * n + b]
             Y[a, b] = s
-            ahead.Y[j, a * n + b] = s
-    ahead.g[j] = evidence - agree(states, pairs.G, Y, r, L, D, v)
+    pack(states, Y, ahead.Y, j)
+    unpack(states, pairs.G, j, G)
+    ahead.g[j] = evidence - agree(states, G, Y, r, 1.0, L, D, v)
 
 
 @compiled_part
@@ -224,29 +218,28 @@ def smooth_row(  # noqa: PLR0913
     sizes: BankSizes, bank: Bank, s: int, now: Beliefs, ahead: Outlook, way: Return, pairs: Pairs, own: Beliefs
 ) -> None:
     """Come back over step s: from `ahead`, of the row after it, and `now`, filtered, tell `own` and `ahead`."""
-    modes, weight = len(sizes.modes), stack_vector(sizes.modes)
-    best, all_of_it = meet_pairs(sizes, bank, s, now, ahead, way, pairs), 0.0
+    modes, every = len(sizes.modes), 0.0
+    best = meet_pairs(sizes, bank, s, now, ahead, way, pairs)
+    evidence = stack_vector(sizes.modes)
     for j in range(modes):
-        own.mu[j] = 0.0
-        for i in range(modes):
-            own.mu[j] += np.exp(pairs.fit[j, i] - best)
-        all_of_it += own.mu[j]
-    for j in range(modes):
-        own.mu[j] = max(own.mu[j] / all_of_it, UNLIKELY)
         highest, total = _LEAST, 0.0
         for i in range(modes):
             highest = max(highest, pairs.fit[j, i])
         for i in range(modes):
-            weight[i] = np.exp(pairs.fit[j, i] - highest)
-            total += weight[i]
+            pairs.fit[j, i] = np.exp(pairs.fit[j, i] - highest)
+            total += pairs.fit[j, i]
         for i in range(modes):
-            weight[i] /= total
-        belief_root(sizes, j, now, pairs.G)
+            pairs.fit[j, i] /= total
+        evidence[j] = highest + np.log(total / now.mu[j])
+        own.mu[j] = total * np.exp(highest - best)
+        every += own.mu[j]
+    for j in range(modes):
+        own.mu[j] = max(own.mu[j] / every, UNLIKELY)
         if own.mu[j] > _NEGLIGIBLE:
-            smooth_mode(sizes, j, own.mu[j], now, pairs, weight, own)
+            smooth_mode(sizes, j, now, pairs, own)
         else:
             copy_mode(sizes, j, now, own)
-        pool(sizes, j, highest + np.log(total) - np.log(now.mu[j]), pairs, weight, ahead)
+        pool(sizes, j, evidence[j], pairs, ahead)
 
 
 @compiled_part

@@ -50,9 +50,7 @@ class LiveSwitching:
     @classmethod
     def of(cls, switching: Switching) -> LiveSwitching:
         """Make one that has read nothing yet."""
-        live = new_live_bank(
-            switching.bank(np.ones(1)), switching.start, keeps_level=switching.component.keeps_level
-        )
+        live = new_live_bank(switching.bank(np.ones(1)), switching.start, keeps_level=switching.component.keeps_level)
         model = switching.component.to_model(1.0, switching.modes[0].noise_variance)
         return cls(model, [mode.name for mode in switching.modes], live)
 

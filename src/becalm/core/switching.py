@@ -163,14 +163,21 @@ class Switching:
 
     def transitions(self, lengths: Floats) -> Floats:
         """Return the probability of going from mode i to mode j over steps of several lengths, (u, M, M)."""
-        rates = self._rates
-        values, vectors = np.linalg.eig(rates)
-        back = np.linalg.pinv(vectors)
-        T = np.real(vectors @ (np.exp(np.multiply.outer(lengths, values))[:, :, np.newaxis] * back))
-        longest = int(np.argmax(lengths))
-        if np.abs(T[longest] - expm(rates * lengths[longest])).max() > _EXACT:
-            T = np.array([expm(rates * length) for length in lengths])
+        spectrum = self._spectrum
+        if spectrum is None:
+            T = np.array([expm(self._rates * length) for length in lengths])
+        else:
+            values, vectors, back = spectrum
+            T = np.real(vectors @ (np.exp(np.multiply.outer(lengths, values))[:, :, np.newaxis] * back))
         return np.ascontiguousarray(np.maximum(T, 0.0))
+
+    @cached_property
+    def _spectrum(self) -> tuple[Floats, Floats, Floats] | None:
+        """Eigenvalues and eigenvectors of the rates, with their inverse; None where they do not give the rates."""
+        values, vectors = np.linalg.eig(self._rates)
+        back = np.linalg.pinv(vectors)
+        off = np.abs((vectors * values) @ back - self._rates).max()
+        return (values, vectors, back) if off <= _EXACT * np.abs(self._rates).max() else None
 
     @cached_property
     def _rates(self) -> Floats:
@@ -186,7 +193,10 @@ class Switching:
 
 def numbered_steps(elapsed: Floats, *, goes_on: bool) -> tuple[Floats, Integers]:
     """Return the lengths of all steps (u,), and which of them precedes each row (N,); -1 for none."""
-    lengths, step = np.unique(elapsed, return_inverse=True)
+    if len(elapsed) and (elapsed == elapsed[0]).all():  # no need to sort
+        lengths, step = elapsed[:1].copy(), np.zeros(len(elapsed), np.int64)
+    else:
+        lengths, step = np.unique(elapsed, return_inverse=True)
     step = step.astype(np.int64)
     if not goes_on:
         step[:1] = -1

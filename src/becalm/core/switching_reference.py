@@ -110,9 +110,7 @@ def update(before: Beliefs, bank: Bank, z: float) -> Row:
     return Row(after, said, float(np.log(total)), *judged)
 
 
-def corrected(
-    one: tuple[Floats, Floats], sensor: tuple[Floats, float], z: float, w: float
-) -> tuple[Floats, Floats]:
+def corrected(one: tuple[Floats, Floats], sensor: tuple[Floats, float], z: float, w: float) -> tuple[Floats, Floats]:
     """Return what one mode believes after a reading that is to be believed with probability w."""
     x, P = one
     H, R = sensor
