@@ -74,7 +74,7 @@ def test_many_states_are_the_reference_in_long_double(switching: Switching, kind
     z, elapsed = record(ROWS, kind)
     bank, steps = laid_out(switching, elapsed)
     forward, back, _ = kernels(switching, z, elapsed)
-    long = Bank(*(np.asarray(array, np.longdouble) for array in bank))
+    long = Bank(*(np.asarray(array, np.longdouble) for array in bank))  # type: ignore[arg-type]
     rows = reference.filter_readings(long, switching.start.astype(np.longdouble), z.astype(np.longdouble), steps)
     assert rows[-1].beliefs.P.dtype == np.longdouble
     assert_twin(forward, told(switching, [row.beliefs for row in rows]), LONG)

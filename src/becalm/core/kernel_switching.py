@@ -10,26 +10,28 @@ from becalm.core.arrays import Floats, Integers
 from becalm.core.compiling import compiled, compiled_part
 from becalm.core.kernel_ahead import BLOCK
 from becalm.core.kernel_settling import LOAD, SAVE
+from becalm.core.kernel_steps import LARGEST_READING
 from becalm.core.kernel_switching_row import (
-    JUDGED,
     TOLD,
-    UNKNOWN,
     Bank,
     BankSizes,
     Beliefs,
     Look,
-    advance_modes,
     bank_sizes,
+    begin_modes,
+    foresee,
     memory_length,
-    merge,
     new_beliefs,
     new_look,
+    step_modes,
+    take_modes,
     transfer_beliefs,
 )
 
 __all__ = ["Bank", "BankSizes", "SwitchingTrace", "bank_sizes", "memory_length", "note_length", "switch_forward"]
 
 
+UNKNOWN, BEGUN, MISSED, JUDGED = 0, 1, 2, 3  # what became of a row: before the first reading, that one, none, one
 TINIEST = 1e-300
 
 
@@ -48,6 +50,46 @@ class SwitchingTrace(NamedTuple):
 def note_length(states: int, modes: int) -> int:
     """Return how many numbers hold all beliefs after a row, and what its reading said."""
     return memory_length(states, modes) + TOLD * modes
+
+
+@compiled_part
+def advance_modes(  # noqa: PLR0913
+    sizes: BankSizes, bank: Bank, z: float, s: int, start: Floats, now: Beliefs, mixed: Beliefs, look: Look
+) -> tuple[float, int]:
+    """Take a row, step s after the one before (-1: none); return its log-likelihood and what became of it."""
+    arrived = abs(z) <= LARGEST_READING
+    if not now.mu[0] > 0.0:
+        if arrived:
+            begin_modes(sizes, z, start, now)
+        return 0.0, BEGUN if arrived else UNKNOWN
+    if s >= 0:
+        step_modes(sizes, bank, s, now, mixed)
+    else:
+        for j in range(len(sizes.modes)):
+            mixed.mu[j] = now.mu[j]
+    if arrived:
+        foresee(sizes, bank, now, look)
+        return take_modes(sizes, bank, z, look, mixed, now), JUDGED
+    for j in range(len(sizes.modes)):
+        now.mu[j] = mixed.mu[j]
+    return 0.0, MISSED
+
+
+@compiled_part
+def merge(sizes: BankSizes, row: Floats, now: Beliefs) -> tuple[float, float]:
+    """Return mean and variance of row x, (1, n) times the state, over all modes."""
+    n, y, v = len(sizes.states), 0.0, 0.0
+    for j in range(len(sizes.modes)):
+        for a in range(n):
+            y += now.mu[j] * row[0, a] * now.x[j, a]
+    for j in range(len(sizes.modes)):
+        own, s = 0.0, 0.0
+        for a in range(n):
+            own += row[0, a] * now.x[j, a]
+            for b in range(n):
+                s += row[0, a] * row[0, b] * now.P[j, a * n + b]
+        v += now.mu[j] * (s + (own - y) * (own - y))
+    return y, v
 
 
 @compiled_part

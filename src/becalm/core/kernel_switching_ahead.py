@@ -208,19 +208,8 @@ def turn_outlook(  # noqa: PLR0913
     The determinant is left out.
     """
     n, states = len(sizes.states), sizes.states
-    d, q, u, y = stack_vector(states), stack_vector(states), stack_vector(states), stack_vector(states)
-    g: float = ahead.g[i]
-    for a in range(n):
-        s = -ahead.c[i, a]
-        for k in range(n):
-            s += F[a, k] * x[k]
-        d[a] = s
-    for a in range(n):
-        s = 0.0
-        for k in range(n):
-            s += ahead.Y[i, a * n + k] * d[k]
-        q[a] = ahead.r[i, a] - s
-        g += (ahead.r[i, a] - 0.5 * s) * d[a]
+    q, u, y = stack_vector(states), stack_vector(states), stack_vector(states)
+    g = slope_at(sizes, F, i, ahead, x, q)
     for a in range(n):
         s = 0.0
         for k in range(n):
@@ -239,4 +228,23 @@ def turn_outlook(  # noqa: PLR0913
         for k in range(n):
             s += F[k, a] * q[k]
         r[a] = s
+    return g
+
+
+@compiled_part
+def slope_at(sizes: BankSizes, F: Floats, i: int, ahead: Outlook, x: Floats, q: Floats) -> float:  # noqa: PLR0913
+    """Write the slope q of what is said to mode i at F x; return its logarithm there."""
+    n, d = len(sizes.states), stack_vector(sizes.states)
+    g: float = ahead.g[i]
+    for a in range(n):
+        s = -ahead.c[i, a]
+        for k in range(n):
+            s += F[a, k] * x[k]
+        d[a] = s
+    for a in range(n):
+        s = 0.0
+        for k in range(n):
+            s += ahead.Y[i, a * n + k] * d[k]
+        q[a] = ahead.r[i, a] - s
+        g += (ahead.r[i, a] - 0.5 * s) * d[a]
     return g

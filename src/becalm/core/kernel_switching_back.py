@@ -137,9 +137,7 @@ def meet_pairs(  # noqa: PLR0913
 
 
 @compiled_part
-def smooth_mode(  # noqa: PLR0913
-    sizes: BankSizes, j: int, now: Beliefs, pairs: Pairs, own: Beliefs
-) -> None:
+def smooth_mode(sizes: BankSizes, j: int, now: Beliefs, pairs: Pairs, own: Beliefs) -> None:
     """Equation (13): the smoothed state of mode j, merged over all modes after it."""
     n, modes, states = len(sizes.states), len(sizes.modes), sizes.states
     L, D, v = stack_matrix(states, states), stack_vector(states), stack_vector(states)
@@ -161,6 +159,13 @@ def smooth_mode(  # noqa: PLR0913
             pairs.x[i, a] = s
             own.x[j, a] += pairs.fit[j, i] * s
         write_spread(sizes, i, G, L, D, pairs)
+    merge_spreads(sizes, j, pairs, own)
+
+
+@compiled_part
+def merge_spreads(sizes: BankSizes, j: int, pairs: Pairs, own: Beliefs) -> None:
+    """Write the covariance of mode j, smoothed, once its mean is known."""
+    n, modes = len(sizes.states), len(sizes.modes)
     for a in range(n):
         for b in range(a + 1):
             s = 0.0

@@ -15,16 +15,14 @@ from becalm.core.compiling import compiled, compiled_part, woven
 from becalm.core.kernel_online import LiveKernels
 from becalm.core.kernel_settling import LOAD, SAVE, transfer_matrix, transfer_vector
 from becalm.core.kernel_steps import LARGEST_READING
+from becalm.core.kernel_switching import UNKNOWN, advance_modes, merge
 from becalm.core.kernel_switching_row import (
-    UNKNOWN,
     Bank,
     BankSizes,
     Beliefs,
     Look,
-    advance_modes,
     bank_sizes,
     memory_length,
-    merge,
     new_beliefs,
     new_look,
 )

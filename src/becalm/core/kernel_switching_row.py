@@ -14,11 +14,10 @@ import numpy as np
 from becalm.core.arrays import Floats
 from becalm.core.compiling import compiled_part, woven
 from becalm.core.kernel_settling import transfer_matrix, transfer_vector
-from becalm.core.kernel_steps import LARGEST, LARGEST_READING
+from becalm.core.kernel_steps import LARGEST
 from becalm.core.sized import Size, layer, size, stack_matrix, stack_vector
 
 UNLIKELY = 1e-100  # no mode becomes less probable than this: none is ever locked out
-UNKNOWN, BEGUN, MISSED, JUDGED = 0, 1, 2, 3  # what became of a row: before the first reading, that one, none, one
 TOLD = 3  # numbers that each mode keeps of a reading, to smooth by
 _LOG_ROOT_2_PI = 0.5 * np.log(2 * np.pi)
 _FAR = 1e300
@@ -80,22 +79,25 @@ def transfer_beliefs(sizes: BankSizes, own: Beliefs, memory: Floats, saving: flo
 
 
 @compiled_part
+def come_from(sizes: BankSizes, T: Floats, j: int, now: Beliefs, w: Floats) -> float:
+    """Equation (1): write how probable each mode was before one that is j now; return how probable j is."""
+    modes, c = len(sizes.modes), 0.0
+    for i in range(modes):
+        w[i] = now.mu[i] * T[i, j]
+        c += w[i]
+    reached = c > UNLIKELY
+    share = 1.0 / c if reached else 1.0
+    for i in range(modes):  # where no way leads to it: from whatever is believed
+        w[i] = w[i] * share if reached else now.mu[i]
+    return c if reached else UNLIKELY
+
+
+@compiled_part
 def mix(sizes: BankSizes, T: Floats, now: Beliefs, mixed: Beliefs) -> None:
-    """Equations (1) to (3): what each mode starts from, had it just been switched to or stayed."""
+    """Equations (2) and (3): what each mode starts from, had it just been switched to or stayed."""
     n, modes, w = len(sizes.states), len(sizes.modes), stack_vector(sizes.modes)
     for j in range(modes):
-        c = 0.0
-        for i in range(modes):
-            w[i] = now.mu[i] * T[i, j]
-            c += w[i]
-        if not c > UNLIKELY:  # no way leads to it: from whatever is believed
-            c = UNLIKELY
-            for i in range(modes):
-                w[i] = UNLIKELY * now.mu[i]
-        mixed.mu[j] = c
-        share = 1.0 / c
-        for i in range(modes):
-            w[i] *= share
+        mixed.mu[j] = come_from(sizes, T, j, now, w)
         for a in range(n):
             s = 0.0
             for i in range(modes):
@@ -276,43 +278,3 @@ def take_modes(sizes: BankSizes, bank: Bank, z: float, look: Look, mixed: Belief
         correct_mode(sizes, bank, z, j, look, now)
     log_likelihood: float = np.log(weigh_modes(sizes, look, mixed, now)) - best - _LOG_ROOT_2_PI
     return log_likelihood
-
-
-@compiled_part
-def advance_modes(  # noqa: PLR0913
-    sizes: BankSizes, bank: Bank, z: float, s: int, start: Floats, now: Beliefs, mixed: Beliefs, look: Look
-) -> tuple[float, int]:
-    """Take a row, step s after the one before (-1: none); return its log-likelihood and what became of it."""
-    arrived = abs(z) <= LARGEST_READING
-    if not now.mu[0] > 0.0:
-        if arrived:
-            begin_modes(sizes, z, start, now)
-        return 0.0, BEGUN if arrived else UNKNOWN
-    if s >= 0:
-        step_modes(sizes, bank, s, now, mixed)
-    else:
-        for j in range(len(sizes.modes)):
-            mixed.mu[j] = now.mu[j]
-    if arrived:
-        foresee(sizes, bank, now, look)
-        return take_modes(sizes, bank, z, look, mixed, now), JUDGED
-    for j in range(len(sizes.modes)):
-        now.mu[j] = mixed.mu[j]
-    return 0.0, MISSED
-
-
-@compiled_part
-def merge(sizes: BankSizes, row: Floats, now: Beliefs) -> tuple[float, float]:
-    """Return mean and variance of row x, (1, n) times the state, over all modes."""
-    n, y, v = len(sizes.states), 0.0, 0.0
-    for j in range(len(sizes.modes)):
-        for a in range(n):
-            y += now.mu[j] * row[0, a] * now.x[j, a]
-    for j in range(len(sizes.modes)):
-        own, s = 0.0, 0.0
-        for a in range(n):
-            own += row[0, a] * now.x[j, a]
-            for b in range(n):
-                s += row[0, a] * row[0, b] * now.P[j, a * n + b]
-        v += now.mu[j] * (s + (own - y) * (own - y))
-    return y, v

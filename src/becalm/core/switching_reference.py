@@ -1,6 +1,7 @@
 """The specification of a bank that switches, in plain NumPy with numbered equations; never optimised.
 
-It computes in the precision of the arrays it is given, which may be long double. The kernels are its twins and must agree with it to 1e-10. Forward it is the interacting multiple model of Blom
+It computes in the precision of the arrays it is given, which may be long double. The kernels are its twins and must
+agree with it to 1e-10. Forward it is the interacting multiple model of Blom
 and Bar-Shalom, IEEE TAC-33 (1988) 780, with readings that may be wild. Coming back it is the two-filter smoother of
 Fraser and Potter, IEEE TAC-14 (1969) 387, for every pair of modes before and after a step: filtered beliefs meet
 what later readings say, a likelihood exp(g + r' (h - c) - (h - c)' Y (h - c) / 2) of the state h in each mode.
@@ -127,7 +128,7 @@ def normal(nu: Floats, S: Floats) -> Floats:
 
 
 def filter_readings(bank: Bank, start: Floats, z: Floats, steps: Integers) -> list[Row]:
-    """Run over z (N,); `steps` (N,) says which step precedes each row, -1 for none. It begins with the first reading."""
+    """Run over z (N,); `steps` (N,) says which step precedes each row, -1 for none."""
     rows: list[Row] = []
     beliefs: Beliefs | None = None
     for reading, step in zip(z, steps, strict=True):
