@@ -1,9 +1,4 @@
-"""A bank of filters that switches, row by row in Numba: the twins of `switching_reference`.
-
-Every mode has a filter of its own over the same n states. Before each row their beliefs are mixed by how
-likely a switch is, then each predicts and updates, and the likelihood of the reading weighs them anew.
-Of one channel. Source: Blom and Bar-Shalom, IEEE TAC-33 (1988) 780.
-"""
+"""A bank that switches, forward over readings: what is written of each row, and the door for Python."""
 
 from __future__ import annotations
 
@@ -12,44 +7,32 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Floats, Integers
-from becalm.core.compiling import compiled, compiled_part, woven
+from becalm.core.compiling import compiled, compiled_part
 from becalm.core.kernel_ahead import BLOCK
-from becalm.core.kernel_settling import LOAD, SAVE, transfer_matrix, transfer_vector
-from becalm.core.kernel_steps import LARGEST, LARGEST_READING
-from becalm.core.sized import Size, layer, size, stack_matrix, stack_vector
+from becalm.core.kernel_settling import LOAD, SAVE
+from becalm.core.kernel_steps import LARGEST_READING
+from becalm.core.kernel_switching_row import (
+    TOLD,
+    Bank,
+    BankSizes,
+    Beliefs,
+    Look,
+    bank_sizes,
+    begin_modes,
+    foresee,
+    memory_length,
+    new_beliefs,
+    new_look,
+    step_modes,
+    take_modes,
+    transfer_beliefs,
+)
 
-UNLIKELY = 1e-100  # no mode becomes less probable than this: none is ever locked out
-_LOG_ROOT_2_PI = 0.5 * np.log(2 * np.pi)
-_FAR = 1e300
-
-
-class BankSizes(NamedTuple):
-    """The sizes of a bank, as kernels are specialised for them."""
-
-    states: Size  # n
-    modes: Size  # M
-    squared: Size  # n n
-
-
-class Bank(NamedTuple):
-    """The steps of all modes, of u different lengths, and what reads after them."""
-
-    F: Floats  # (u M, n, n) the modes of one length side by side
-    Q: Floats  # (u M, n, n)
-    T: Floats  # (u, M, M) probability of going from mode i to mode j over the step
-    H: Floats  # (1, n)
-    C: Floats  # (1, n) what of the state is signal
-    R: Floats  # (M,)
-    tail: Floats  # (M,) share of readings that are wild
-    wild: Floats  # (2,) variance of wild readings, and 1 where they are not believed, else 0
+__all__ = ["Bank", "BankSizes", "SwitchingTrace", "bank_sizes", "memory_length", "note_length", "switch_forward"]
 
 
-class Beliefs(NamedTuple):
-    """What each mode believes, and how probable it is; changed in place."""
-
-    x: Floats  # (M, n)
-    P: Floats  # (M, n n) row by row
-    mu: Floats  # (M,)
+UNKNOWN, BEGUN, MISSED, JUDGED = 0, 1, 2, 3  # what became of a row: before the first reading, that one, none, one
+TINIEST = 1e-300
 
 
 class SwitchingTrace(NamedTuple):
@@ -64,224 +47,32 @@ class SwitchingTrace(NamedTuple):
     mean: Floats  # (n, N) of the mixture
 
 
-def bank_sizes(states: int, modes: int) -> BankSizes:
-    """Return the sizes of a bank in a form that kernels are specialised for."""
-    return BankSizes(size(states), size(modes), size(states * states))
-
-
-def memory_length(states: int, modes: int) -> int:
-    """Return how many numbers hold all beliefs."""
-    return modes * (1 + states + states * states)
-
-
-@woven
-def new_beliefs(sizes: BankSizes) -> Beliefs:
-    """Make room for beliefs on the stack."""
-    n, modes, squared = sizes
-    return Beliefs(stack_matrix(modes, n), stack_matrix(modes, squared), stack_vector(modes))
+def note_length(states: int, modes: int) -> int:
+    """Return how many numbers hold all beliefs after a row, and what its reading said."""
+    return memory_length(states, modes) + TOLD * modes
 
 
 @compiled_part
-def transfer_beliefs(sizes: BankSizes, own: Beliefs, memory: Floats, saving: float) -> None:
-    """Save beliefs in a row of memory, or load them."""
-    at = transfer_vector(sizes.modes, own.mu, memory, 0, saving)
-    at = transfer_matrix(sizes.modes, sizes.states, own.x, memory, at, saving)
-    transfer_matrix(sizes.modes, sizes.squared, own.P, memory, at, saving)
-
-
-@compiled_part
-def mix(sizes: BankSizes, T: Floats, now: Beliefs, mixed: Beliefs) -> None:
-    """Equations (1) to (3): what each mode starts from, had it just been switched to or stayed."""
-    n, modes, w = len(sizes.states), len(sizes.modes), stack_vector(sizes.modes)
-    for j in range(modes):
-        c = 0.0
-        for i in range(modes):
-            w[i] = now.mu[i] * T[i, j]
-            c += w[i]
-        mixed.mu[j] = c
-        share = 1.0 / c
-        for i in range(modes):
-            w[i] *= share
-        for a in range(n):
-            s = 0.0
-            for i in range(modes):
-                s += w[i] * now.x[i, a]
-            mixed.x[j, a] = s
-        for a in range(n):
-            for b in range(a + 1):
-                s = 0.0
-                for i in range(modes):
-                    apart = (now.x[i, a] - mixed.x[j, a]) * (now.x[i, b] - mixed.x[j, b])
-                    s += w[i] * (now.P[i, a * n + b] + apart)
-                s = min(max(s, -LARGEST), LARGEST)
-                mixed.P[j, a * n + b] = s
-                mixed.P[j, b * n + a] = s
-
-
-@compiled_part
-def predict_mode(sizes: BankSizes, F: Floats, Q: Floats, j: int, mixed: Beliefs, now: Beliefs) -> None:  # noqa: PLR0913
-    """Equation (4) of one mode: x = F x, P = F P F' + Q."""
-    n, FP = len(sizes.states), stack_matrix(sizes.states, sizes.states)
-    for a in range(n):
-        s = 0.0
-        for k in range(n):
-            s += F[a, k] * mixed.x[j, k]
-        now.x[j, a] = min(max(s, -LARGEST), LARGEST)
-        for b in range(n):
-            s = 0.0
-            for k in range(n):
-                s += F[a, k] * mixed.P[j, k * n + b]
-            FP[a, b] = s
-    for a in range(n):
-        for b in range(a + 1):
-            s = Q[a, b]
-            for k in range(n):
-                s += FP[a, k] * F[b, k]
-            now.P[j, a * n + b] = s
-            now.P[j, b * n + a] = s
-
-
-class Look(NamedTuple):
-    """What each mode makes of a reading, on the stack."""
-
-    Hx: Floats  # (M,) what it expected
-    S: Floats  # (M,)
-    weight: Floats  # (M,) likelihood, scaled alike for all
-    wild: Floats  # (M,) share of it that a wild reading has
-
-
-@woven
-def new_look(sizes: BankSizes) -> Look:
-    """Make room for a look on the stack."""
-    return Look(
-        stack_vector(sizes.modes), stack_vector(sizes.modes), stack_vector(sizes.modes), stack_vector(sizes.modes)
-    )
-
-
-@compiled_part
-def foresee(sizes: BankSizes, bank: Bank, now: Beliefs, look: Look) -> None:
-    """Equation (5): what each mode expects to be read, and how closely."""
-    n, H = len(sizes.states), bank.H
+def advance_modes(  # noqa: PLR0913
+    sizes: BankSizes, bank: Bank, z: float, s: int, start: Floats, now: Beliefs, mixed: Beliefs, look: Look
+) -> tuple[float, int]:
+    """Take a row, step s after the one before (-1: none); return its log-likelihood and what became of it."""
+    arrived = abs(z) <= LARGEST_READING
+    if not now.mu[0] > 0.0:
+        if arrived:
+            begin_modes(sizes, z, start, now)
+        return 0.0, BEGUN if arrived else UNKNOWN
+    if s >= 0:
+        step_modes(sizes, bank, s, now, mixed)
+    else:
+        for j in range(len(sizes.modes)):
+            mixed.mu[j] = now.mu[j]
+    if arrived:
+        foresee(sizes, bank, now, look)
+        return take_modes(sizes, bank, z, look, mixed, now), JUDGED
     for j in range(len(sizes.modes)):
-        s, y = bank.R[j], 0.0
-        for a in range(n):
-            y += H[0, a] * now.x[j, a]
-            for b in range(n):
-                s += H[0, a] * H[0, b] * now.P[j, a * n + b]
-        look.Hx[j], look.S[j] = y, s
-
-
-@compiled_part
-def judge_modes(sizes: BankSizes, bank: Bank, z: float, look: Look) -> float:
-    """Equation (6): how likely the reading is to each mode, but for exp(-best), which is returned."""
-    V, best = bank.wild[0], _FAR
-    for j in range(len(sizes.modes)):
-        nu = z - look.Hx[j]
-        look.weight[j] = 0.5 * nu * nu / look.S[j]
-        best = min(best, look.weight[j])
-        if bank.tail[j] > 0.0:
-            look.wild[j] = 0.5 * nu * nu / (look.S[j] + V)
-            best = min(best, look.wild[j])
-    for j in range(len(sizes.modes)):
-        t, wild = bank.tail[j], 0.0
-        tame = (1.0 - t) * np.exp(best - look.weight[j]) / np.sqrt(look.S[j])
-        if t > 0.0:
-            wild = t * np.exp(best - look.wild[j]) / np.sqrt(look.S[j] + V)
-        look.weight[j] = tame + wild
-        look.wild[j] = wild / (tame + wild) if wild > 0.0 else 0.0
-    return best
-
-
-@compiled_part
-def shrink_mode(sizes: BankSizes, H: Floats, K: Floats, j: int, now: Beliefs, AP: Floats, A: Floats) -> None:  # noqa: PLR0913
-    """Write A = I - K H and A P of one mode."""
-    n = len(sizes.states)
-    for a in range(n):
-        for b in range(n):
-            A[a, b] = (1.0 if a == b else 0.0) - K[a] * H[0, b]
-    for a in range(n):
-        for b in range(n):
-            s = 0.0
-            for k in range(n):
-                s += A[a, k] * now.P[j, k * n + b]
-            AP[a, b] = s
-
-
-@compiled_part
-def gain_of_mode(sizes: BankSizes, H: Floats, S: float, j: int, now: Beliefs, K: Floats) -> None:  # noqa: PLR0913
-    """Write the gain of one mode."""
-    n, share = len(sizes.states), 1.0 / S if S > 0.0 else 0.0
-    for a in range(n):
-        s = 0.0
-        for b in range(n):
-            s += now.P[j, a * n + b] * H[0, b]
-        K[a] = s * share
-
-
-@compiled_part
-def correct_mode(sizes: BankSizes, bank: Bank, z: float, j: int, look: Look, now: Beliefs) -> None:  # noqa: PLR0913
-    """Equation (7) of one mode, Joseph's form; of a reading that may be wild, the mixture of both outcomes."""
-    n, R, K = len(sizes.states), bank.R[j], stack_vector(sizes.states)
-    A, AP = stack_matrix(sizes.states, sizes.states), stack_matrix(sizes.states, sizes.states)
-    nu, w = z - look.Hx[j], 1.0 - look.wild[j] * bank.wild[1]
-    gain_of_mode(sizes, bank.H, look.S[j], j, now, K)
-    shrink_mode(sizes, bank.H, K, j, now, AP, A)
-    spread = w * (1.0 - w) * nu * nu
-    for a in range(n):
-        now.x[j, a] += w * K[a] * nu
-        for b in range(a + 1):
-            s = K[a] * K[b] * R
-            for k in range(n):
-                s += AP[a, k] * A[b, k]
-            s = w * s + (1.0 - w) * now.P[j, a * n + b] + spread * K[a] * K[b]
-            now.P[j, a * n + b] = s
-            now.P[j, b * n + a] = s
-
-
-@compiled_part
-def weigh_modes(sizes: BankSizes, look: Look, mixed: Beliefs, now: Beliefs) -> float:
-    """Equation (8): how probable each mode is after the reading; returns the likelihood, scaled."""
-    total = 0.0
-    for j in range(len(sizes.modes)):
-        now.mu[j] = mixed.mu[j] * look.weight[j]
-        total += now.mu[j]
-    total = max(total, 1.0 / _FAR)
-    share = 1.0 / total
-    for j in range(len(sizes.modes)):
-        now.mu[j] = max(now.mu[j] * share, UNLIKELY)
-    return total
-
-
-@compiled_part
-def begin_modes(sizes: BankSizes, z: float, start: Floats, now: Beliefs) -> None:
-    """Begin with the first reading: `start` (M, 1 + n) has each mode's probability and the variances of its states."""
-    n = len(sizes.states)
-    for j in range(len(sizes.modes)):
-        now.mu[j] = start[j, 0]
-        for a in range(n):
-            now.x[j, a] = z if a == 0 else 0.0
-            for b in range(n):
-                now.P[j, a * n + b] = start[j, 1 + a] if a == b else 0.0
-
-
-@compiled_part
-def step_modes(sizes: BankSizes, bank: Bank, s: int, now: Beliefs, mixed: Beliefs) -> None:
-    """Mix and predict all modes over step s."""
-    n, modes = sizes.states, len(sizes.modes)
-    mix(sizes, layer(bank.T, s, sizes.modes, sizes.modes), now, mixed)
-    for j in range(modes):
-        at = s * modes + j
-        predict_mode(sizes, layer(bank.F, at, n, n), layer(bank.Q, at, n, n), j, mixed, now)
-
-
-@compiled_part
-def take_modes(sizes: BankSizes, bank: Bank, z: float, look: Look, mixed: Beliefs, now: Beliefs) -> float:  # noqa: PLR0913
-    """Take a reading that arrived; return its log-likelihood."""
-    best = judge_modes(sizes, bank, z, look)
-    for j in range(len(sizes.modes)):
-        correct_mode(sizes, bank, z, j, look, now)
-    log_likelihood: float = np.log(weigh_modes(sizes, look, mixed, now)) - best - _LOG_ROOT_2_PI
-    return log_likelihood
+        now.mu[j] = mixed.mu[j]
+    return 0.0, MISSED
 
 
 @compiled_part
@@ -341,6 +132,25 @@ def write_wild(sizes: BankSizes, k: int, look: Look, now: Beliefs, trace: Switch
         trace.wild[k] = s
 
 
+@compiled_part
+def note_reading(sizes: BankSizes, bank: Bank, z: float, look: Look, now: Beliefs, note: Floats) -> None:  # noqa: PLR0913
+    """Note behind the beliefs what a reading said to each mode: exp(g + p H d - W (H d)^2 / 2), d from its mean.
+
+    W is w / R, p is W (z - H x) with x after the reading, and g is such that the whole is as likely, to what the
+    mode expected, as it was weighed: w < 1 is the share of a reading that may be wild.
+    """
+    n, at = len(sizes.states), len(note) - TOLD * len(sizes.modes)
+    for j in range(len(sizes.modes)):
+        y, R = z, bank.R[j]
+        for a in range(n):
+            y -= bank.H[0, a] * now.x[j, a]
+        W, s, nu = (1.0 - look.wild[j] * bank.wild[1]) / R, look.S[j] - R, z - look.Hx[j]
+        own = np.log(max(look.weight[j], TINIEST)) + 0.5 * np.log(1.0 + W * s)
+        note[at], note[at + 1] = W * y, W
+        note[at + 2] = own + 0.5 * (W * nu * nu / (1.0 + W * s) - W * y * y)
+        at += TOLD
+
+
 @compiled
 def switch_forward(  # noqa: PLR0913  (a door for Python: what is read, what moves, what is written)
     sizes: BankSizes, bank: Bank, z: Floats, steps: Integers, start: Floats, memory: Floats, trace: SwitchingTrace
@@ -349,38 +159,28 @@ def switch_forward(  # noqa: PLR0913  (a door for Python: what is read, what mov
 
     `memory` holds the beliefs before them in row 0 (a first probability of 0: nothing was read yet), and the
     beliefs after them when done; further rows are filled with the beliefs before each block of 256 rows, or,
-    where there are more of them than blocks, after each row.
+    where they have room for it (`note_length`), after each row, with what its reading said.
 
     Returns the log-likelihood of all readings but the first, and how many they are.
     """
     now, mixed, look = new_beliefs(sizes), new_beliefs(sizes), new_look(sizes)
     transfer_beliefs(sizes, now, memory[0], LOAD)
-    every = len(memory) > len(z)
-    log_likelihood, used, count = 0.0, 0, len(z)
-    for k in range(count):
+    every = memory.shape[1] > len(sizes.modes) + len(sizes.each) + len(sizes.modes) * len(sizes.squared)
+    log_likelihood, used = 0.0, 0
+    for k in range(len(z)):
         if not every and k % BLOCK == 0 and len(memory) > 1:
             transfer_beliefs(sizes, now, memory[1 + k // BLOCK], SAVE)
-        arrived = abs(z[k]) <= LARGEST_READING
-        if now.mu[0] > 0.0:
-            if steps[k] >= 0:
-                step_modes(sizes, bank, steps[k], now, mixed)
-            else:
-                for j in range(len(sizes.modes)):
-                    mixed.mu[j] = now.mu[j]
-            if arrived:
-                foresee(sizes, bank, now, look)
-                write_innovation_of_modes(sizes, z[k], k, look, mixed, trace)
-                log_likelihood += take_modes(sizes, bank, z[k], look, mixed, now)
-                write_wild(sizes, k, look, now, trace)
-                used += 1
-            else:
-                for j in range(len(sizes.modes)):
-                    now.mu[j] = mixed.mu[j]
-            write_modes(sizes, bank, k, now, trace)
-        elif arrived:
-            begin_modes(sizes, z[k], start, now)
+        likelihood, became = advance_modes(sizes, bank, z[k], steps[k], start, now, mixed, look)
+        if became == JUDGED:
+            log_likelihood += likelihood
+            used += 1
+            write_innovation_of_modes(sizes, z[k], k, look, mixed, trace)
+            write_wild(sizes, k, look, now, trace)
+        if became != UNKNOWN:
             write_modes(sizes, bank, k, now, trace)
         if every:
             transfer_beliefs(sizes, now, memory[1 + k], SAVE)
+            if became == JUDGED:
+                note_reading(sizes, bank, z[k], look, now, memory[1 + k])
     transfer_beliefs(sizes, now, memory[0], SAVE)
     return log_likelihood, used

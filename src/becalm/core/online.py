@@ -16,6 +16,7 @@ from becalm.core.fixed_lag import FixedLag, checked_lag
 from becalm.core.gates import Gate
 from becalm.core.kernel_online import live_kernels, new_live
 from becalm.core.live_gate import LiveGate, saved_gate
+from becalm.core.live_switching import LiveSwitching, saved_switching
 from becalm.core.model import Model
 from becalm.core.starting import (
     Information,
@@ -30,6 +31,7 @@ from becalm.core.starting import (
     refuse_singular,
     wide_prior,
 )
+from becalm.core.switching import Switching
 from becalm.core.timeline import even_timeline, model_system
 from becalm.core.verdict import Verdict
 from becalm.errors import ModelError
@@ -44,9 +46,9 @@ class Online:
 
     Parameters
     ----------
-    model : Model
+    model : Model or Switching
         The signal and its sensors, one step a reading. Without x0 and P0 it starts from the first
-        readings; until they tell, the signal is NaN and sigma inf.
+        readings; until they tell, the signal is NaN and sigma inf. A bank that switches has one channel.
     lag : int
         Readings that each estimate waits for, and then knows: what comes back is the signal of the reading `lag`
         steps ago, NaN with sigma inf while there is none. With a *small* one it comes soon, and noisier; 0 filters.
@@ -58,10 +60,16 @@ class Online:
     ------
     ModelError
         If the model cannot start without x0 and P0, the lag is no whole number, or the filter is to have a gate
-        and more than one channel.
+        and more than one channel, or a gate or a lag and modes to switch between.
     """
 
-    def __init__(self, model: Model, lag: int = 0, gate: Gate | None = None) -> None:
+    def __init__(self, model: Model | Switching | LiveSwitching, lag: int = 0, gate: Gate | None = None) -> None:
+        self._bank: LiveSwitching | None = None
+        if not isinstance(model, Model):
+            self._bank = LiveSwitching.of(model) if isinstance(model, Switching) else model
+            model = self._bank.model
+            if checked_lag(lag) or gate is not None:
+                raise ModelError("A filter that switches has neither gate nor lag live yet; leave gate and lag out.")
         self.model = model
         self._guard = None if gate is None else LiveGate(model, gate)
         keeper = None if self._guard is None else self._guard.keeper
@@ -72,7 +80,9 @@ class Online:
         self._quick: Callable[[float], tuple[float, float]] | None = None
         self._known: Information | None = None  # what the opening has gathered, once a reading came
         self._prior = wide_prior(model)
-        if self._late is not None:
+        if self._bank is not None:
+            self._quick = self._bank.step
+        elif self._late is not None:
             self._one = even_timeline(model, 1, goes_on=True)
         elif model.x0 is not None and model.P0 is not None and self._prior is None:
             self._begin(new_live(model, model.x0, model.P0, fresh=True))
@@ -132,6 +142,8 @@ class Online:
     def _run_any(self, block: ArrayLike) -> tuple[Floats, Floats]:
         """Take a block of any kind, perhaps while nothing is known yet."""
         z = checked_readings(self.model, block)
+        if self._bank is not None:
+            return self._bank.run(z)
         if self._guard is not None:
             self._guard.look(z)
         if self._late is not None:
@@ -157,6 +169,11 @@ class Online:
         else:
             self._kernels.run(live, z.flatten(), out)
         return out[0], out[1]
+
+    @property
+    def modes(self) -> dict[str, float]:
+        """How probable each mode is after the last reading, of a filter that switches; otherwise empty."""
+        return {} if self._bank is None else self._bank.modes
 
     @property
     def verdicts(self) -> Codes | None:
@@ -202,6 +219,8 @@ class Online:
             value = getattr(self.model, name)
             if value is not None:
                 arrays[f"model_{name}"] = value
+        if self._bank is not None:
+            arrays |= self._bank.saved()
         if self._known is not None:
             arrays |= {"known_Y": self._known.Y, "known_y": self._known.y}
         if self._live is not None:
@@ -229,8 +248,10 @@ class Online:
             if int(arrays["version"]) != _VERSION:
                 raise ModelError(f"The snapshot has version {int(arrays['version'])}; this becalm reads {_VERSION}.")
             model = Model(**{name[6:]: a for name, a in arrays.items() if name.startswith("model_")})
-            online = cls(model, int(arrays.get("lag", np.array(0))), saved_gate(arrays))
-            online._restore(arrays)
+            bank = saved_switching(model, arrays)
+            online = cls(bank or model, int(arrays.get("lag", np.array(0))), saved_gate(arrays))
+            if bank is None:
+                online._restore(arrays)
         except ModelError:
             raise
         except Exception as cause:  # damaged bytes make the reader fail in many ways

@@ -194,7 +194,10 @@ def _exponentials(rates: Floats, lengths: Floats) -> Floats:
 
 def numbered_steps(elapsed: Floats, *, goes_on: bool) -> tuple[Floats, Integers]:
     """Return the lengths of all steps (u,), and which of them precedes each row (N,); -1 for none."""
-    lengths, step = np.unique(elapsed, return_inverse=True)
+    if len(elapsed) and (elapsed == elapsed[0]).all():  # no need to sort
+        lengths, step = elapsed[:1].copy(), np.zeros(len(elapsed), np.int64)
+    else:
+        lengths, step = np.unique(elapsed, return_inverse=True)
     step = step.astype(np.int64)
     if not goes_on:
         step[:1] = -1

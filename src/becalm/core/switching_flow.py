@@ -14,7 +14,8 @@ import numpy as np
 from becalm.core.arrays import Codes, Floats, Integers
 from becalm.core.flow import FORGOTTEN, Judge
 from becalm.core.kernel_ahead import BLOCK
-from becalm.core.kernel_switching import Bank, SwitchingTrace, memory_length, switch_forward
+from becalm.core.kernel_switching import Bank, SwitchingTrace, memory_length, note_length, switch_forward
+from becalm.core.kernel_switching_ahead import outlook_length
 from becalm.core.kernel_switching_back import switch_backward
 from becalm.core.starting import first_reading
 from becalm.core.steady import steady
@@ -57,6 +58,7 @@ class SwitchingFlow:
     def __init__(self, switching: Switching, *, causal: bool, judge: Judge | None = None, split: bool = False) -> None:
         self._switching, self._causal, self._judge, self._split = switching, causal, judge, split
         self._beliefs = np.zeros(memory_length(switching.states, len(switching.modes)))
+        self._nothing_later = np.zeros(outlook_length(switching.states, len(switching.modes)))
         self._level: float | None = None if switching.component.keeps_level else 0.0
         self._group = _LEAST_GROUP if causal else _group_rows(switching)
         self._few = Rows.nothing()
@@ -91,7 +93,7 @@ class SwitchingFlow:
         told = self._take_group(self._few) if len(self._few.z) else []
         self._few = Rows.nothing()
         if self._held is not None:
-            told.append(self._smooth(self._held, np.zeros_like(self._beliefs), -1)[0])
+            told.append(self._smooth(self._held, self._nothing_later, -1)[0])
             self._held = None
         return told
 
@@ -101,7 +103,7 @@ class SwitchingFlow:
         before, self._held = self._held, stretch
         if before is None:
             return []
-        _, later = self._smooth(stretch, np.zeros_like(self._beliefs), -1)
+        _, later = self._smooth(stretch, self._nothing_later, -1)
         return [self._smooth(before, later, int(stretch.steps[0]), stretch.bank)[0]]
 
     def _filter(self, rows: Rows) -> tuple[_Stretch, Told]:
@@ -147,8 +149,8 @@ class SwitchingFlow:
     def _filtered_again(self, stretch: _Stretch, block: int, rows: slice) -> Floats:
         """Filter a block again from the beliefs before it; return those after each of its rows."""
         z, steps = stretch.z[rows], stretch.steps[rows]
-        memory = np.zeros((1 + len(z), len(self._beliefs)))
-        memory[0] = stretch.memory[1 + block]
+        memory = np.zeros((1 + len(z), note_length(self._switching.states, len(self._switching.modes))))
+        memory[0, : len(self._beliefs)] = stretch.memory[1 + block]
         nothing = SwitchingTrace(_NONE, _NONE, _NONE, _NONE, np.empty((0, 0)), _NONE, np.empty((0, 0)))
         switch_forward(self._switching.sizes, stretch.bank, z, steps, self._switching.start, memory, nothing)
         return memory[1:]

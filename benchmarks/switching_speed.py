@@ -1,0 +1,91 @@
+"""What a bank that switches costs: a reading, filtered and smoothed, by modes and states, beside a fixed filter.
+
+By the processor's time, the shortest of several runs; 20 000 readings that rest and move by turns.
+
+Run: python benchmarks/switching_speed.py [-o docs/switching-speed.md]
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+import becalm
+from becalm.core.components import motion
+from becalm.core.filtering import kalman_filter
+from becalm.core.smoothing import kalman_smoother
+from becalm.core.switching import Mode, Switching
+from becalm.core.switching_flow import SwitchingFlow
+from pages import page_parser, publish
+
+Floats = NDArray[np.float64]
+
+ROWS, RUNS = 20_000, 5
+SIZES = [(states, modes) for states in (1, 2, 3) for modes in (1, 2, 3, 4)]
+DENSITIES, NAMES = (1e-6, 1e-3, 1e-1, 1e1), ("still", "gentle", "quick", "abrupt")
+
+
+def bank(states: int, modes: int) -> Switching:
+    """Return modes of one order, from still to abrupt."""
+    return Switching(tuple(Mode(NAMES[j], motion(states, DENSITIES[j]), 1.0, 100.0) for j in range(modes)))
+
+
+def readings() -> Floats:
+    """Return readings of a signal that rests and moves by turns."""
+    rng, moves = np.random.default_rng(1), np.sin(np.arange(ROWS) / 200) > 0
+    z: Floats = np.cumsum(np.where(moves, 0.5, 0.001) * rng.normal(size=ROWS)) + rng.normal(size=ROWS)
+    return z
+
+
+def nanoseconds(use: Callable[[], object], rows: int) -> float:
+    """Return the processor's time of one row, the shortest of several runs after one that compiles."""
+    use()
+    took = []
+    for _ in range(RUNS):
+        begun = time.process_time_ns()
+        use()
+        took.append(time.process_time_ns() - begun)
+    return min(took) / rows
+
+
+def flow(switching: Switching, z: Floats, *, causal: bool) -> object:
+    """Run over a whole record."""
+    made = SwitchingFlow(switching, causal=causal)
+    return made.push(z, np.ones(len(z))), made.finish()
+
+
+def step_through(online: becalm.Online, z: list[float]) -> None:
+    """Take readings one by one."""
+    for reading in z:
+        online.step(reading)
+
+
+def row(states: int, modes: int, z: Floats) -> str:
+    """Write one size's times, and their ratios to the fixed filter's and smoother's."""
+    switching, model = bank(states, modes), motion(states, 0.1).to_model(1.0, 1.0)
+    fixed = nanoseconds(lambda: kalman_filter(model, z), ROWS), nanoseconds(lambda: kalman_smoother(model, z), ROWS)
+    own = [nanoseconds(lambda causal=causal: flow(switching, z, causal=causal), ROWS) for causal in (True, False)]  # type: ignore[misc]
+    some, online = z[:2000].tolist(), becalm.Online(switching)
+    block, single = nanoseconds(lambda: online.run(z), ROWS), nanoseconds(lambda: step_through(online, some), 2000)
+    cells = [f"{time:.0f} ({time / other:.0f})" for time, other in zip(own, fixed, strict=True)]
+    return f"| {states} | {modes} | {cells[0]} | {cells[1]} | {block:.0f} | {single:.0f} |"
+
+
+def main() -> None:
+    """Print the table; with -o, write it as a page."""
+    output, z = page_parser(__doc__).parse_args().output, readings()
+    lines = [
+        "Nanoseconds a reading; in brackets, how many times that of the fixed filter or smoother of the same order.",
+        "",
+        "| states | modes | filter | smoother | live, a block | live, one by one |",
+        "|---|---|---|---|---|---|",
+        *(row(states, modes, z) for states, modes in SIZES),
+    ]
+    publish("The speed of a bank that switches", __doc__, "\n".join(lines) + "\n", output)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,78 @@
+"""A live bank that switches: all that `Online` needs of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from becalm.core.arrays import Floats
+from becalm.core.kernel_switching_online import (
+    BELIEFS,
+    live_bank_kernels,
+    live_bank_length,
+    new_live_bank,
+)
+from becalm.core.model import Model
+from becalm.core.switching import MOST_MODES, Switching
+from becalm.errors import ModelError
+
+
+class LiveSwitching:
+    """Takes readings one step apart.
+
+    Parameters
+    ----------
+    model : Model
+        The richest mode's, over one step.
+    names : sequence of str
+        Of the modes.
+    live : float array
+        All that the kernels need; it is changed in place.
+
+    Raises
+    ------
+    ModelError
+        If the array is not one of a bank of that many modes and states.
+    """
+
+    def __init__(self, model: Model, names: list[str], live: Floats) -> None:
+        self.model, self._names, self._live = model, names, live
+        fits = 1 <= len(names) <= MOST_MODES and live.shape == (live_bank_length(model.states, len(names)),)
+        if not fits or live.dtype != np.float64 or not np.isfinite(live).all():
+            raise ModelError(f"{len(names)} modes of {model.states} states do not fit {live.dtype} of {live.shape}.")
+        self._kernels = live_bank_kernels(model.states, len(names))
+        self._begins = live[-len(names) * (1 + model.states) :: 1 + model.states].copy()
+        self.step = partial(self._kernels.step, live)
+
+    @classmethod
+    def of(cls, switching: Switching) -> LiveSwitching:
+        """Make one that has read nothing yet."""
+        live = new_live_bank(switching.bank(np.ones(1)), switching.start, keeps_level=switching.component.keeps_level)
+        model = switching.component.to_model(1.0, switching.modes[0].noise_variance)
+        return cls(model, [mode.name for mode in switching.modes], live)
+
+    def run(self, z: Floats) -> tuple[Floats, Floats]:
+        """Take a block, (B, 1); return signal and sigma, (B, 1) each."""
+        out = np.empty((2, len(z), 1))
+        self._kernels.run(self._live, z.flatten(), out)
+        return out[0], out[1]
+
+    @property
+    def modes(self) -> dict[str, float]:
+        """How probable each mode is after the last reading; before the first, what was given."""
+        mu = self._live[BELIEFS : BELIEFS + len(self._names)]
+        return dict(zip(self._names, (mu if mu[0] > 0 else self._begins).tolist(), strict=True))
+
+    def saved(self) -> dict[str, Any]:
+        """Return what `saved_switching` needs, besides the model."""
+        return {"bank_names": np.array(self._names), "bank_live": self._live}
+
+
+def saved_switching(model: Model, arrays: Mapping[str, Any]) -> LiveSwitching | None:
+    """Return the bank of a snapshot; None where there is none."""
+    if "bank_live" not in arrays:
+        return None
+    return LiveSwitching(model, [str(name) for name in arrays["bank_names"]], arrays["bank_live"].copy())
