@@ -28,7 +28,8 @@ _NOTHING = SwitchingTrace(_NONE, _NONE, _NONE, _NONE, np.empty((0, 0)), _NONE, n
 _PIECE, _PIECES = 1 << 14, 4  # readings of a long record that banks are compared on
 _DIFFERENT_STEPS = 64  # lengths of steps that are told apart while searching
 
-_GAIN, _SOME = 10.0, 0.1  # of a log-likelihood, for which a number leaves its default; for which a variance does
+_GAIN, _SOME = 2.0, 0.1  # of a log-likelihood, for which a number leaves its default; for which a variance does
+_MUCH = 10.0  # for which one of a bank of levels does: a record shows few of their jumps, the next may be another
 _SWEEPS = 5
 _SURPRISED = 0.03  # share of surprises of a moving sensor that say nothing of its mode
 _RESTS, _MOVES = 8e4, 3e6  # steps that a level stays still, or moves, where the record does not tell
@@ -91,8 +92,11 @@ def jumping(evidence: Evidence) -> Bank:
         ]
         return Switching(tuple(walks), spread, rejects=True)
 
-    numbers = [_variance(evidence), Number(_RESTS, 10.0, 1e7), Number(_MOVES, 0.5, 1e7), Number(1e-9, 1e-12, 0.2)]
-    walks = [Number(ratio, *bounds) for ratio, bounds in zip(_WALKS.values(), _RANGES, strict=True)]
+    numbers = [
+        _variance(evidence),
+        *(Number(*told, gain=_MUCH) for told in ((_RESTS, 10.0, 1e7), (_MOVES, 0.5, 1e7), (1e-9, 1e-12, 0.2))),
+    ]
+    walks = [Number(ratio, *bounds, gain=_MUCH) for ratio, bounds in zip(_WALKS.values(), _RANGES, strict=True)]
     return Bank([*numbers, *walks], make)
 
 
