@@ -7,8 +7,9 @@ import pytest
 
 from becalm.cleaning.cleaner import Cleaner
 from becalm.cleaning.faults import SensorWatch, find_healthy, limits_of
+from becalm.cleaning.limits_recipe import LimitsRecipe
 from becalm.cleaning.pipeline import clean
-from becalm.cleaning.recipe import ChannelRecipe, LimitsRecipe, Origin, Recipe
+from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
 from becalm.cleaning.tuning import Wishes, tune
 from becalm.core.arrays import Floats
 from becalm.core.limits import Limits

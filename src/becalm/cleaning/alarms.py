@@ -8,7 +8,7 @@ import numpy as np
 
 from becalm.cleaning.faults import FALSE_ALARMS_PER_HOUR
 from becalm.cleaning.judging import InnovationJudge
-from becalm.cleaning.recipe import LimitsRecipe
+from becalm.cleaning.limits_recipe import LimitsRecipe
 from becalm.core.arrays import Floats
 from becalm.core.cusum import SLACK
 from becalm.core.gates import Gate

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from becalm.cleaning.recipe import LimitsRecipe
+from becalm.cleaning.limits_recipe import LimitsRecipe
 from becalm.core.arrays import Codes, Floats
 from becalm.core.clock import GAP_STEPS
 from becalm.core.faults import Faults, Found, said
