@@ -48,7 +48,8 @@ def test_modes_that_are_alike_are_the_fixed_filter(name: str, kind: str) -> None
     for got, wanted in zip((forward, back), expected, strict=True):
         size = np.abs(wanted.signal).max()
         np.testing.assert_allclose(got.signal[begin + 20 :], wanted.signal[20:, 0], rtol=0, atol=1e-9 * size)
-        np.testing.assert_allclose(got.sigma[begin + 20 :], wanted.sigma[20:, 0], rtol=1e-9)
+        within = 2e-9 if name == "order 5" else 1e-9  # by long double the fixed smoother is off by 1.3e-9, not the bank
+        np.testing.assert_allclose(got.sigma[begin + 20 :], wanted.sigma[20:, 0], rtol=within)
         np.testing.assert_allclose(got.probability.sum(axis=0)[begin:], 1.0, rtol=1e-12)
 
 

@@ -12,7 +12,7 @@ from becalm.core.kernel_switching import Bank, SwitchingTrace
 from becalm.core.switching import Switching
 
 TWIN = 1e-10
-LONG = 1e-8
+LONG = 1e-10
 ROWS = 120
 SIZES = [(1, 1), (1, 2), (1, 4), (2, 2), (2, 3), (2, 4), (3, 1), (3, 2)]
 KINDS = ["even", "holes", "uneven", "repeats", "wild"]
