@@ -179,15 +179,15 @@ class Switching:
 
 def _exponentials(rates: Floats, lengths: Floats) -> Floats:
     """Return exp(rates t) for several t, (u, M, M): a Taylor series of a small part of the time, squared again."""
-    largest = float(np.abs(np.diag(rates)).max(initial=0.0)) * float(lengths.max(initial=0.0))
-    halvings = max(0, int(np.ceil(np.log2(max(largest, 1e-300)))) + 2)
+    most = float(np.abs(np.diag(rates)).max(initial=0.0)) * lengths
+    halvings = np.maximum(np.ceil(np.log2(np.maximum(most, 1e-300))) + 2, 0)  # each its own: so alone, so in company
     part = np.multiply.outer(lengths / 2.0**halvings, rates)
     term = found = np.broadcast_to(np.eye(len(rates)), part.shape)
     for k in range(1, _TERMS):
         term = term @ part / k
         found = found + term
-    for _ in range(halvings):
-        found = found @ found
+    for k in range(int(halvings.max(initial=0))):
+        found[halvings > k] = found[halvings > k] @ found[halvings > k]
     found = np.maximum(found, 0.0)
     return np.ascontiguousarray(found / found.sum(axis=2, keepdims=True))
 
