@@ -23,7 +23,7 @@ from becalm.noise.risk import estimated_risk, long_pieces
 _FEWEST = 256  # readings, below which no switch can be told from noise
 _SURPRISING = 6.0  # standard deviations: a difference of means that Gaussian noise and motion do not make
 _BETTER = 6.0  # of a log-likelihood, for which a filter that switches is taken
-_DOUBT = 3.0  # of it, which levels that jump may seem to cost: a single small jump tells little, and is there
+_DOUBT = 15.0  # of it, which levels that jump may seem to cost: about what one switch does
 _LESS = 0.05  # of a mean squared error, by which a smoother that switches must err less
 _PROBE = 0.02  # of a standard deviation of the noise
 
@@ -78,11 +78,15 @@ def find_switching(tuning: Tuning, evidence: Evidence, causal: bool, spikes_gate
     ]
     if spikes_gated:
         fixed, found = max(fixed, found[3].log_likelihood), found[1:2]
-    best = max(found, key=lambda one: one.log_likelihood)
-    if best.log_likelihood < fixed + (-_DOUBT if best.kind == "jumping" else _BETTER):
+    best = max(found, key=_gain)
+    if _gain(best) < fixed:
         return None
     told = causal or best.kind == "spiky"  # what wild readings say of a risk is wild
     return replace(best, fixed_log_likelihood=fixed) if told or _errs_less(best.switching, tuning, evidence) else None
+
+
+def _gain(found: Switched) -> float:
+    return found.log_likelihood + (_DOUBT if found.kind == "jumping" else -_BETTER)
 
 
 def robust_filter(tuning: Tuning, evidence: Evidence) -> Switched:
