@@ -36,6 +36,8 @@ bench: .venv/tested
 	$(BIN)/python benchmarks/full_noise.py -o docs/full-noise.md
 	$(BIN)/python benchmarks/faults.py -o docs/faults.md
 	$(BIN)/python benchmarks/sensor_faults.py -o docs/sensor-faults.md
+	$(BIN)/python benchmarks/switching.py -o docs/switching.md
+	$(BIN)/python benchmarks/resting.py -o docs/resting.md
 	$(BIN)/python docs/real_files.py -o docs/real-files.md
 
 .venv/bin/python:
