@@ -229,8 +229,11 @@ strange = st.lists(st.tuples(st.integers(0, 700), st.sampled_from(STRANGE)), max
 def test_whatever_comes_the_state_stays_finite(
     faults: list[tuple[int, float]], order: int, causal: bool, at_once: bool
 ) -> None:
+    """The first readings are believed: nothing before them tells that they are absurd."""
     z = noise(order, 1024)
     for place, (row, value) in enumerate(faults):
+        if not at_once and row < 10 and abs(value) < 1e100:
+            continue
         z[300 + place if at_once else row] = value
     told = told_of(component_of(order, 0.05), z, causal=causal, cuts=(256, 512))
     first = int(np.isfinite(told.signal).argmax())

@@ -14,6 +14,7 @@ import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.core.components import ORDERS
+from becalm.core.flow import Flow
 from becalm.core.switching import Mode, Switching
 from becalm.core.switching_flow import SwitchingFlow
 from becalm.noise.banks import Bank, Kind, Piece, jumping, log_likelihood, noisy, pieces_of, resting, searched, spiky
@@ -25,6 +26,7 @@ _SURPRISING = 6.0  # standard deviations: a difference of means that Gaussian no
 _BETTER = 6.0  # of a log-likelihood, for which a filter that switches is taken
 _DOUBT = 15.0  # of it, which levels that jump may seem to cost: about what one switch does
 _LESS = 0.05  # of a mean squared error, by which a smoother that switches must err less
+_HIDDEN = 10  # every such reading is hidden from smoothers that are compared
 _PROBE = 0.02  # of a standard deviation of the noise
 
 
@@ -77,7 +79,7 @@ def find_switching(tuning: Tuning, evidence: Evidence, causal: bool, spikes_gate
         _found("spiky", spiky(likeliest, evidence), pieces),
     ]
     if spikes_gated:
-        fixed, found = max(fixed, found[3].log_likelihood), found[1:2]
+        fixed, found = max(fixed, found[3].log_likelihood) + _DOUBT + _BETTER, found[1:2]
     best = max(found, key=_gain)
     if _gain(best) < fixed:
         return None
@@ -127,10 +129,22 @@ def _alone(tuning: Tuning) -> Switching:
 
 
 def _errs_less(switching: Switching, tuning: Tuning, evidence: Evidence) -> bool:
-    """Whether a smoother that switches errs less than the fixed one, by their estimated risks."""
+    """Whether a smoother that switches errs less than the fixed one: by estimated risks, and on hidden readings."""
     R = min(tuning.noise_variance, *(mode.noise_variance for mode in switching.modes))
     fixed = estimated_risk(tuning, evidence, R, causal=False).error
-    return bool(_risk(switching, evidence, R) < (1 - _LESS) * fixed)
+    if not _risk(switching, evidence, R) < (1 - _LESS) * fixed:
+        return False
+    alone = Flow(tuning.component, tuning.noise_variance, causal=False)
+    return _hidden_error(SwitchingFlow(switching, causal=False), evidence) <= _hidden_error(alone, evidence)
+
+
+def _hidden_error(flow: Flow | SwitchingFlow, evidence: Evidence) -> float:
+    """Return the mean squared error of a smoother at every tenth reading, which it is not shown."""
+    part = long_pieces(evidence)[0]
+    z, elapsed = evidence.z[part, 0], evidence.elapsed[part]
+    hidden = np.arange(len(z)) % _HIDDEN == _HIDDEN // 2
+    told = [*flow.push(np.where(hidden, np.nan, z), elapsed), *flow.finish()]
+    return float(np.mean((np.concatenate([rows.signal for rows in told]) - z)[hidden] ** 2))
 
 
 def _risk(switching: Switching, evidence: Evidence, noise_variance: float) -> float:
