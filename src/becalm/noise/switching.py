@@ -143,8 +143,7 @@ def _hidden_error(flow: Flow | SwitchingFlow, evidence: Evidence) -> float:
     part = long_pieces(evidence)[0]
     z, elapsed = evidence.z[part, 0], evidence.elapsed[part]
     hidden = np.arange(len(z)) % _HIDDEN == _HIDDEN // 2
-    told = [*flow.push(np.where(hidden, np.nan, z), elapsed), *flow.finish()]
-    return float(np.mean((np.concatenate([rows.signal for rows in told]) - z)[hidden] ** 2))
+    return float(np.mean((_smoothed(flow, np.where(hidden, np.nan, z), elapsed) - z)[hidden] ** 2))
 
 
 def _risk(switching: Switching, evidence: Evidence, noise_variance: float) -> float:
@@ -154,13 +153,14 @@ def _risk(switching: Switching, evidence: Evidence, noise_variance: float) -> fl
     for part in long_pieces(evidence):
         z, elapsed = evidence.z[part, 0], evidence.elapsed[part]
         probe = np.random.default_rng(len(z)).choice([-1.0, 1.0], len(z))
-        smooth = _smoothed(switching, z, elapsed)
+        smooth, answer = (
+            _smoothed(SwitchingFlow(switching, causal=False), read, elapsed) for read in (z, z + size * probe)
+        )
         squares += float(np.sum((z - smooth) ** 2))
-        answers += float(np.sum(probe * (_smoothed(switching, z + size * probe, elapsed) - smooth))) / size
+        answers += float(np.sum(probe * (answer - smooth))) / size
         count += len(z)
     return squares / count + noise_variance * (2 * answers / count - 1)
 
 
-def _smoothed(switching: Switching, z: Floats, elapsed: Floats) -> Floats:
-    flow = SwitchingFlow(switching, causal=False)
+def _smoothed(flow: Flow | SwitchingFlow, z: Floats, elapsed: Floats) -> Floats:
     return np.concatenate([told.signal for told in [*flow.push(z, elapsed), *flow.finish()]])
