@@ -10,23 +10,39 @@ from becalm.cleaning.pipeline import clean
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.steps import in_steps
 from becalm.cleaning.tuning import Wishes, tune
+from becalm.core.arrays import Floats
+from becalm.core.online import Online
 from becalm.core.recording import Recording
+from becalm.core.switching import Switching
 from becalm.errors import RecipeError, UsageError
+from becalm.metrics.truth import rms_error
 from becalm.noise.switching import Switched
 
 RATE_HZ = 200.0
 
 
 @pytest.fixture(scope="module")
-def recording() -> Recording:
-    rng = np.random.default_rng(1)
-    truth = np.repeat(4 * rng.normal(size=10), 600)
-    return Recording(truth + rng.normal(size=6000), names=["a"], units=["V"], rate_hz=RATE_HZ)
+def truth() -> Floats:
+    return np.repeat(4 * np.random.default_rng(1).normal(size=10), 600)
+
+
+@pytest.fixture(scope="module")
+def recording(truth: Floats) -> Recording:
+    noise = np.random.default_rng(2).normal(size=6000)
+    return Recording(truth + noise, names=["a"], units=["V"], rate_hz=RATE_HZ)
 
 
 @pytest.fixture(scope="module")
 def recipe(recording: Recording) -> Recipe:
     return tune(recording, causal=True)
+
+
+def switching_of(recipe: Recipe) -> Switching:
+    """Return the modes of the only channel, in steps."""
+    (channel,) = recipe.channel
+    assert channel.switching is not None
+    assert channel.motion is not None
+    return modes_in_steps(channel.switching, in_steps(channel.motion, 1 / RATE_HZ), 1 / RATE_HZ)
 
 
 def test_a_recipe_keeps_its_modes(recording: Recording, recipe: Recipe) -> None:
@@ -44,10 +60,7 @@ def test_a_recipe_keeps_its_modes(recording: Recording, recipe: Recipe) -> None:
 def test_modes_come_back_from_seconds(recipe: Recipe) -> None:
     (channel,) = recipe.channel
     assert channel.switching is not None
-    assert channel.motion is not None
-    tuning = in_steps(channel.motion, 1 / RATE_HZ)
-    switching = modes_in_steps(channel.switching, tuning, 1 / RATE_HZ)
-    told = modes_in_seconds(Switched(channel.switching.kind, switching, 0.0, 0.0), 1 / RATE_HZ)
+    told = modes_in_seconds(Switched(channel.switching.kind, switching_of(recipe), 0.0, 0.0), 1 / RATE_HZ)
     for one, other in zip(told.mode, channel.switching.mode, strict=True):
         own, same = one.model_dump(), other.model_dump()
         for name, value in own.items():
@@ -81,10 +94,24 @@ def test_modes_that_make_no_filter_are_refused(recording: Recording, recipe: Rec
         clean(recording, wrong)
 
 
-def test_a_lag_with_modes_is_refused(recording: Recording, recipe: Recipe) -> None:
-    smoothed = recipe.model_copy(update={"mode": "smoothed"})
-    with pytest.raises(UsageError, match="switches"):
-        clean(recording, smoothed, lag_s=0.1)
+def test_a_lag_lies_between_the_filter_and_the_smoother(recording: Recording, truth: Floats, recipe: Recipe) -> None:
+    causal, late, smooth = (
+        clean(recording, recipe, **how) for how in ({"causal": True}, {"lag_s": 0.1}, {"causal": False})
+    )
+    errors = [rms_error(out.signal.samples[:, 0], truth) for out in (causal, late, smooth)]
+    assert errors == sorted(errors, reverse=True)
+    assert late.reports[0].delay_s == pytest.approx(0.1)
+    assert late.reports[0].modes.keys() == causal.reports[0].modes.keys()
+
+
+def test_modes_are_found_for_a_lag_too(recording: Recording, recipe: Recipe) -> None:
+    """A short one is tuned as a filter."""
+    found = tune(recording, wishes=Wishes(lag_s=0.005))
+    assert found.channel == recipe.channel
+    online = Online(switching_of(recipe), lag=1)
+    signal, _ = online.run(recording.samples[:, 0])
+    told = clean(recording, found).signal.samples
+    assert np.array_equal(np.vstack([signal[1:], online.finish()[0]]), told)
 
 
 def test_a_robust_filter_is_asked_for_alone(recording: Recording) -> None:

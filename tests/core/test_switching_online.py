@@ -82,10 +82,9 @@ def test_a_filter_that_does_not_switch_has_no_modes() -> None:
     assert Online(BANKS["2 of 1"].component.to_model(1.0, 1.0)).modes == {}
 
 
-@pytest.mark.parametrize("more", [{"lag": 3}, {"gate": Gate(5.0)}])
-def test_lag_and_gate_are_refused(more: dict[str, object]) -> None:
-    with pytest.raises(ModelError, match="leave gate and lag out"):
-        Online(BANKS["2 of 1"], **more)  # type: ignore[arg-type]
+def test_a_gate_is_refused() -> None:
+    with pytest.raises(ModelError, match="leave the gate out"):
+        Online(BANKS["2 of 1"], gate=Gate(5.0))
 
 
 def test_a_spoilt_snapshot_is_refused() -> None:

@@ -21,8 +21,9 @@ from becalm.core.flow import Flow, Told
 from becalm.core.lagged_flow import LaggedFlow
 from becalm.core.response import Response, describe
 from becalm.core.switching_flow import SwitchingFlow
+from becalm.core.switching_lag import LaggedSwitchingFlow
 from becalm.core.verdict import ADVICE, Verdict, counted
-from becalm.errors import ModelError, UsageError
+from becalm.errors import ModelError
 from becalm.noise.choose import FEWEST_READINGS
 from becalm.noise.excess import excess_error
 from becalm.noise.independence import independence_steps
@@ -73,15 +74,12 @@ class MotionChannel:
         self._uncertainty = Uncertainty(recipe.tuning_spread, recipe.calibration)
         self._flow = self._opened_flow(split)
 
-    def _opened_flow(self, split: bool) -> Flow | LaggedFlow | SwitchingFlow:
+    def _opened_flow(self, split: bool) -> Flow | LaggedFlow | SwitchingFlow | LaggedSwitchingFlow:
         recipe, lag, judge = self._recipe, self._lag, self._look
         if recipe.switching is not None:
-            if lag:
-                raise UsageError(
-                    f"{recipe.name} has a filter that switches, which does not wait for a lag yet; leave the lag out,"
-                    " or take [channel.switching] out of the recipe."
-                )
             modes = modes_in_steps(recipe.switching, self._tuning, self._step_s)
+            if lag:
+                return LaggedSwitchingFlow(modes, lag=lag, judge=judge, split=split)
             return SwitchingFlow(modes, causal=lag == 0, judge=judge, split=split)
         part, variance = self._tuning.component, self._tuning.noise_variance
         gate = None if recipe.gate is None else gate_of(recipe.gate, self._step_s)
@@ -110,7 +108,7 @@ class MotionChannel:
     def report(self) -> ChannelReport:
         """Say what was found, once finished."""
         report = self._report()
-        if not isinstance(self._flow, SwitchingFlow):
+        if not isinstance(self._flow, SwitchingFlow | LaggedSwitchingFlow):
             return report
         return replace(report, modes=self._flow.shares, bandwidth_hz=None, lag_s=None, independence_s=None)
 

@@ -137,7 +137,7 @@ def _tune_channel(recording: Recording, causal: bool, wishes: Wishes, progress: 
     found, spread = choice.tuning, 0.0
     if wishes.dial is not None:  # what a person asked for is no estimate
         found = turn(choice.motion, wishes.dial, time.step_s, causal)
-    elif not any((wishes.still_s, wishes.removed_hz, wishes.lag_s)):
+    elif not wishes.still_s and not wishes.removed_hz:
         spikes = gated and has_rejects(found, readings, elapsed, gate_of(gate, time.step_s))
         switched = _switched(found, Evidence.of(readings, elapsed), causal, spikes, robust=wishes.robust)
         if switched is not None:
@@ -181,10 +181,8 @@ def _rest_noise(rest: Recording, name: str, still_s: Sequence[tuple[float, float
 
 def _refuse_contradictions(wishes: Wishes, recording: Recording) -> None:
     removed, rate_hz = wishes.removed_hz, recording.rate_hz
-    if wishes.robust and (wishes.dial is not None or wishes.still_s or removed or wishes.lag_s is not None):
-        raise UsageError(
-            "A robust filter finds its own noise and has no dial, tones or lag; ask for one thing at a time."
-        )
+    if wishes.robust and (wishes.dial is not None or wishes.still_s or removed):
+        raise UsageError("A robust filter finds its own noise and has no dial or tones; ask for one thing at a time.")
     if removed and (wishes.dial is not None or wishes.still_s):
         raise UsageError("Tones are taken off only where the recording decides the rest; ask for one at a time.")
     if len(removed) > MOST_TONES:

@@ -13,27 +13,22 @@ from typing import NamedTuple
 
 import numpy as np
 
-from becalm.core.arrays import Floats, Integers
-from becalm.core.compiling import compiled, compiled_part, woven
+from becalm.core.arrays import Floats
+from becalm.core.compiling import compiled_part, woven
 from becalm.core.kernel_matrices import multiply
-from becalm.core.kernel_settling import LOAD, SAVE
-from becalm.core.kernel_switching import SwitchingTrace, write_modes
 from becalm.core.kernel_switching_ahead import (
     Outlook,
     Return,
     factor_beside_one,
-    new_outlook,
-    new_return,
     pack,
     root,
     shrink_outlook,
     solve_lower,
     solve_upper,
-    transfer_outlook,
     turn_outlook,
     unpack,
 )
-from becalm.core.kernel_switching_row import TOLD, UNLIKELY, Bank, BankSizes, Beliefs, new_beliefs, transfer_beliefs
+from becalm.core.kernel_switching_row import TOLD, UNLIKELY, Bank, BankSizes, Beliefs
 from becalm.core.sized import Size, layer, stack_matrix, stack_vector
 
 _NEGLIGIBLE = 1e-16  # share of a pair that is not looked at
@@ -267,30 +262,3 @@ def end_of_record(sizes: BankSizes, now: Beliefs, ahead: Outlook, own: Beliefs) 
             ahead.r[j, a] = 0.0
         for a in range(len(sizes.squared)):
             ahead.Y[j, a] = 0.0
-
-
-@compiled
-def switch_backward(  # noqa: PLR0913  (a door for Python)
-    sizes: BankSizes, bank: Bank, steps: Integers, filtered: Floats, later: Floats, first: int, trace: SwitchingTrace
-) -> None:
-    """Smooth some rows, given the filtered beliefs after each, (N, K); they are written from row `first` on.
-
-    `filtered` has what each reading said behind the beliefs (`note_length`); `steps` (N + 1,) says which step
-    precedes each row, and the one after them; `later` (`outlook_length`,) holds what readings from that one on
-    say, or all 0 where there is none, and what those from the first row on say when done.
-    Rows before the first reading are left as they are.
-    """
-    now, own, ahead = new_beliefs(sizes), new_beliefs(sizes), new_outlook(sizes)
-    way, pairs = new_return(sizes), new_pairs(sizes)
-    transfer_outlook(sizes, ahead, later, LOAD)
-    for k in range(len(filtered) - 1, -1, -1):
-        transfer_beliefs(sizes, now, filtered[k], LOAD)
-        if not now.mu[0] > 0.0:
-            break
-        if ahead.known[0] > 0.0 and steps[k + 1] >= 0:
-            smooth_row(sizes, bank, steps[k + 1], now, ahead, way, pairs, own)
-        else:
-            end_of_record(sizes, now, ahead, own)
-        take_back(sizes, bank, filtered[k], now, ahead)
-        write_modes(sizes, bank, first + k, own, trace)
-    transfer_outlook(sizes, ahead, later, SAVE)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -13,10 +13,9 @@ from becalm.core.kernel_switching_online import (
     BELIEFS,
     live_bank_kernels,
     live_bank_length,
-    new_live_bank,
 )
 from becalm.core.model import Model
-from becalm.core.switching import MOST_MODES, Switching
+from becalm.core.switching import MOST_MODES
 from becalm.errors import ModelError
 
 
@@ -45,20 +44,17 @@ class LiveSwitching:
             raise ModelError(f"{len(names)} modes of {model.states} states do not fit {live.dtype} of {live.shape}.")
         self._kernels = live_bank_kernels(model.states, len(names))
         self._begins = live[-len(names) * (1 + model.states) :: 1 + model.states].copy()
-        self.step = partial(self._kernels.step, live)
-
-    @classmethod
-    def of(cls, switching: Switching) -> LiveSwitching:
-        """Make one that has read nothing yet."""
-        live = new_live_bank(switching.bank(np.ones(1)), switching.start, keeps_level=switching.component.keeps_level)
-        model = switching.component.to_model(1.0, switching.modes[0].noise_variance)
-        return cls(model, [mode.name for mode in switching.modes], live)
+        self.step: Callable[[float], tuple[float, float]] = partial(self._kernels.step, live)
 
     def run(self, z: Floats) -> tuple[Floats, Floats]:
         """Take a block, (B, 1); return signal and sigma, (B, 1) each."""
         out = np.empty((2, len(z), 1))
         self._kernels.run(self._live, z.flatten(), out)
         return out[0], out[1]
+
+    def finish(self) -> tuple[Floats, Floats]:
+        """Return signal and sigma, (rows, 1) each, of the readings that wait: none."""
+        return np.empty((0, 1)), np.empty((0, 1))
 
     @property
     def modes(self) -> dict[str, float]:
@@ -69,10 +65,3 @@ class LiveSwitching:
     def saved(self) -> dict[str, Any]:
         """Return what `saved_switching` needs, besides the model."""
         return {"bank_names": np.array(self._names), "bank_live": self._live}
-
-
-def saved_switching(model: Model, arrays: Mapping[str, Any]) -> LiveSwitching | None:
-    """Return the bank of a snapshot; None where there is none."""
-    if "bank_live" not in arrays:
-        return None
-    return LiveSwitching(model, [str(name) for name in arrays["bank_names"]], arrays["bank_live"].copy())

@@ -16,7 +16,8 @@ from becalm.core.fixed_lag import FixedLag, checked_lag
 from becalm.core.gates import Gate
 from becalm.core.kernel_online import live_kernels, new_live
 from becalm.core.live_gate import LiveGate, saved_gate
-from becalm.core.live_switching import LiveSwitching, saved_switching
+from becalm.core.live_switching import LiveSwitching
+from becalm.core.live_switching_lag import new_live_switching, saved_switching
 from becalm.core.model import Model
 from becalm.core.starting import (
     Information,
@@ -52,7 +53,7 @@ class Online:
     lag : int
         Readings that each estimate waits for, and then knows: what comes back is the signal of the reading `lag`
         steps ago, NaN with sigma inf while there is none. With a *small* one it comes soon, and noisier; 0 filters.
-
+        A bank's estimate knows at least three quarters of them.
     gate : Gate, optional
         What leaves spikes out, and follows steps, of a model of one channel; by default every reading is believed.
 
@@ -60,16 +61,16 @@ class Online:
     ------
     ModelError
         If the model cannot start without x0 and P0, the lag is no whole number, or the filter is to have a gate
-        and more than one channel, or a gate or a lag and modes to switch between.
+        and more than one channel, or a gate and modes to switch between.
     """
 
     def __init__(self, model: Model | Switching | LiveSwitching, lag: int = 0, gate: Gate | None = None) -> None:
         self._bank: LiveSwitching | None = None
         if not isinstance(model, Model):
-            self._bank = LiveSwitching.of(model) if isinstance(model, Switching) else model
-            model = self._bank.model
-            if checked_lag(lag) or gate is not None:
-                raise ModelError("A filter that switches has neither gate nor lag live yet; leave gate and lag out.")
+            if gate is not None:
+                raise ModelError("A filter that switches tells wild readings by its modes; leave the gate out.")
+            self._bank = new_live_switching(model, checked_lag(lag)) if isinstance(model, Switching) else model
+            model, lag = self._bank.model, 0
         self.model = model
         self._guard = None if gate is None else LiveGate(model, gate)
         keeper = None if self._guard is None else self._guard.keeper
@@ -207,6 +208,8 @@ class Online:
 
         Nothing changes by it: more readings may follow.
         """
+        if self._bank is not None:
+            return self._bank.finish()
         if self._late is None:
             return np.empty((0, self._width)), np.empty((0, self._width))
         signal, sigma = self._late.rest()
@@ -249,7 +252,7 @@ class Online:
                 raise ModelError(f"The snapshot has version {int(arrays['version'])}; this becalm reads {_VERSION}.")
             model = Model(**{name[6:]: a for name, a in arrays.items() if name.startswith("model_")})
             bank = saved_switching(model, arrays)
-            online = cls(bank or model, int(arrays.get("lag", np.array(0))), saved_gate(arrays))
+            online = cls(bank or model, 0 if bank else int(arrays.get("lag", np.array(0))), saved_gate(arrays))
             if bank is None:
                 online._restore(arrays)
         except ModelError:

@@ -16,18 +16,16 @@ from becalm.core.flow import FORGOTTEN, Judge
 from becalm.core.kernel_ahead import BLOCK
 from becalm.core.kernel_switching import Bank, SwitchingTrace, memory_length, note_length, switch_forward
 from becalm.core.kernel_switching_ahead import outlook_length
-from becalm.core.kernel_switching_back import switch_backward
-from becalm.core.starting import first_reading
+from becalm.core.kernel_switching_return import switch_backward
 from becalm.core.steady import steady
 from becalm.core.switching import Switching, numbered_steps
+from becalm.core.switching_filter import NONE, SwitchingFilter, with_spikes
 from becalm.core.told import Rows, Told
 from becalm.core.verdict import judge as judge_readings
 from becalm.errors import ModelError
 
 _LEAST_GROUP = 64 * BLOCK
 _MOST_GROUP = 1 << 22  # rows: a calmer mode than these tell is all but a constant
-
-_NONE: Floats = np.empty(0)
 
 
 class _Stretch(NamedTuple):
@@ -56,31 +54,30 @@ class SwitchingFlow:
     """
 
     def __init__(self, switching: Switching, *, causal: bool, judge: Judge | None = None, split: bool = False) -> None:
-        self._switching, self._causal, self._judge, self._split = switching, causal, judge, split
-        self._beliefs = np.zeros(memory_length(switching.states, len(switching.modes)))
+        self._switching, self._causal = switching, causal
+        self._filter = SwitchingFilter(switching, judge, split=split)
+        self._numbers = memory_length(switching.states, len(switching.modes))
         self._nothing_later = np.zeros(outlook_length(switching.states, len(switching.modes)))
-        self._level: float | None = None if switching.component.keeps_level else 0.0
         self._group = _LEAST_GROUP if causal else _group_rows(switching)
         self._few = Rows.nothing()
         self._held: _Stretch | None = None
-        self._shares = np.zeros(len(switching.modes))
-        self.rows = 0
-        self.log_likelihood = 0.0
         self.settled_row: int | None = None
 
     @property
     def shares(self) -> dict[str, float]:
         """What share of the rows so far each mode was in force, as the filter believed at the time."""
-        total = max(float(self._shares.sum()), 1.0)
-        return {
-            mode.name: float(share) / total for mode, share in zip(self._switching.modes, self._shares, strict=True)
-        }
+        return self._filter.shares
+
+    @property
+    def log_likelihood(self) -> float:
+        """Of all readings so far but the first."""
+        return self._filter.log_likelihood
 
     def push(self, z: Floats, elapsed: Floats) -> list[Told]:
         """Take the next rows, readings (B,) and the steps before them; return what can be told for good."""
         judged = judge_readings(z)
         if self._causal:
-            return [self._filter(Rows(judged.readings, elapsed, judged.verdicts))[1]]
+            return [self._take(Rows(judged.readings, elapsed, judged.verdicts))[1]]
         rows, told = Rows.joined([self._few, Rows(judged.readings, elapsed, judged.verdicts)]), list[Told]()
         while len(rows.z) >= self._group:
             told += self._take_group(rows.part(slice(self._group)))
@@ -99,38 +96,28 @@ class SwitchingFlow:
 
     def _take_group(self, rows: Rows) -> list[Told]:
         """Filter a group, and smooth the one before it."""
-        stretch, _ = self._filter(rows)
+        stretch, _ = self._take(rows)
         before, self._held = self._held, stretch
         if before is None:
             return []
         _, later = self._smooth(stretch, self._nothing_later, -1)
         return [self._smooth(before, later, int(stretch.steps[0]), stretch.bank)[0]]
 
-    def _filter(self, rows: Rows) -> tuple[_Stretch, Told]:
-        z = rows.z
-        if self._level is None and (row := first_reading(z[:, np.newaxis])) < len(z):
-            self._level = float(z[row])
-        z = np.ascontiguousarray(z - (self._level or 0.0))
-        lengths, steps = numbered_steps(rows.elapsed, goes_on=self.rows > 0)
+    def _take(self, rows: Rows) -> tuple[_Stretch, Told]:
+        z = self._filter.levelled(rows.z)
+        lengths, steps = numbered_steps(rows.elapsed, goes_on=self._filter.rows > 0)
         bank = self._switching.bank(lengths)
         blocks = 0 if self._causal else -(-len(z) // BLOCK)
-        memory = np.zeros((1 + blocks, len(self._beliefs)))
-        memory[0] = self._beliefs
-        trace = self._room(len(z), innovations=True)
-        log_likelihood, _ = switch_forward(self._switching.sizes, bank, z, steps, self._switching.start, memory, trace)
-        self._beliefs = memory[0].copy()
-        self.log_likelihood += log_likelihood
-        self.rows += len(z)
-        self._shares += trace.probability.sum(axis=1)
-        if self._judge is not None:
-            self._judge(trace.innovation, trace.innovation_sigma)
-        return _Stretch(bank, z, steps, memory, rows.verdicts), self._told(trace, rows.verdicts)
+        memory = np.zeros((1 + blocks, self._numbers))
+        trace = self._filter.run(z, bank, steps, memory)
+        verdicts = with_spikes(rows.verdicts, trace)
+        return _Stretch(bank, z, steps, memory, verdicts), self._filter.told(trace, verdicts)
 
     def _smooth(
         self, stretch: _Stretch, later: Floats, step_after: int, bank_after: Bank | None = None
     ) -> tuple[Told, Floats]:
         """Come back over a stretch from the beliefs of the row after it; return its rows, and those of its first."""
-        trace = self._room(len(stretch.z), innovations=False)
+        trace = self._filter.room(len(stretch.z))
         sizes, later = self._switching.sizes, later.copy()
         for block in range(len(stretch.memory) - 2, -1, -1):
             rows = slice(block * BLOCK, min((block + 1) * BLOCK, len(stretch.z)))
@@ -144,33 +131,16 @@ class SwitchingFlow:
             else:
                 steps = stretch.steps[rows.start : rows.stop + 1]
             switch_backward(sizes, bank, steps, filtered, later, rows.start, trace)
-        return self._told(trace, stretch.verdicts), later
+        return self._filter.told(trace, stretch.verdicts), later
 
     def _filtered_again(self, stretch: _Stretch, block: int, rows: slice) -> Floats:
         """Filter a block again from the beliefs before it; return those after each of its rows."""
         z, steps = stretch.z[rows], stretch.steps[rows]
         memory = np.zeros((1 + len(z), note_length(self._switching.states, len(self._switching.modes))))
-        memory[0, : len(self._beliefs)] = stretch.memory[1 + block]
-        nothing = SwitchingTrace(_NONE, _NONE, _NONE, _NONE, np.empty((0, 0)), _NONE, np.empty((0, 0)))
+        memory[0, : self._numbers] = stretch.memory[1 + block]
+        nothing = SwitchingTrace(NONE, NONE, NONE, NONE, np.empty((0, 0)), NONE, np.empty((0, 0)))
         switch_forward(self._switching.sizes, stretch.bank, z, steps, self._switching.start, memory, nothing)
         return memory[1:]
-
-    def _room(self, rows: int, *, innovations: bool) -> SwitchingTrace:
-        """Make room for what is told of some rows; where nothing is known yet, sigma is inf."""
-        unknown = np.full(rows, np.nan)
-        innovation = (unknown.copy(), unknown.copy()) if innovations and self._judge is not None else (_NONE, _NONE)
-        means = (self._switching.states if self._split else 0, rows)
-        modes = len(self._switching.modes)
-        sigma, probability = np.full(rows, np.inf), np.zeros((modes, rows))
-        return SwitchingTrace(unknown, sigma, innovation[0], innovation[1], probability, _NONE, np.full(means, np.nan))
-
-    def _told(self, trace: SwitchingTrace, verdicts: Codes) -> Told:
-        level, parts = self._level or 0.0, np.empty((0, len(trace.signal)))
-        if self._split:
-            shares = np.array([output[0] @ trace.mean for _, output in self._switching.component.outputs()])
-            shares[0] += level
-            parts = np.vstack([shares, trace.probability])
-        return Told(trace.signal + level if level else trace.signal, trace.sigma, parts, verdicts)
 
 
 def _group_rows(switching: Switching) -> int:

@@ -1,0 +1,161 @@
+"""Fixed-lag smoothing of a bank that switches: each row is told when the L rows after it are there.
+
+What later readings say to a mode has no recursion forward, so the way back is gone again, over L rows, each time
+that a quarter of L came: a row then knows at least three quarters of the L rows after it, at four times the cost
+of a smoother, for any L. Of each row that waits, the beliefs are kept, and what its reading said.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from becalm.core.arrays import Codes, Floats, Integers
+from becalm.core.fixed_lag import checked_lag
+from becalm.core.flow import Judge
+from becalm.core.kernel_switching import Bank, BankSizes, SwitchingTrace, note_length
+from becalm.core.kernel_switching_return import switch_late
+from becalm.core.switching import Switching, numbered_steps
+from becalm.core.switching_filter import SwitchingFilter, with_spikes
+from becalm.core.told import Told
+from becalm.core.verdict import judge as judge_readings
+from becalm.errors import ModelError
+
+_WAYS_BACK = 4  # in the time of one lag
+PIECE = 4096  # rows whose beliefs are kept at once
+
+
+class WaitingRows:
+    """The rows of a bank that were filtered and wait for those after them.
+
+    Parameters
+    ----------
+    sizes : BankSizes
+        Of the bank.
+    lag : int
+        Rows that each waits for, 1 or more; with a *small* one the signal comes soon, and noisier.
+    """
+
+    def __init__(self, sizes: BankSizes, lag: int) -> None:
+        self._sizes, self.lag = sizes, lag
+        self.every = max(1, (lag + 1) // _WAYS_BACK)
+        self.width = note_length(len(sizes.states), len(sizes.modes))  # numbers that are kept of a row, K
+        self._notes = np.empty((0, self.width))
+        self._turn = self.every  # rows from the first that waits to the next from which the way back is gone
+
+    def __len__(self) -> int:
+        """Return how many rows wait."""
+        return len(self._notes)
+
+    def take(self, notes: Floats, bank: Bank, steps: Integers, room: SwitchingTrace) -> int:
+        """Take rows, (B, K), as `switch_forward` noted them; write what can be told, and return of how many rows.
+
+        `bank` and `steps` are of all rows that wait, and then of these; `room` is for as many.
+        """
+        notes = np.vstack([self._notes, notes])
+        if self._turn > len(notes):
+            self._notes = notes
+            return 0
+        switch_late(self._sizes, bank, np.append(steps, -1), notes, self._turn, self.every, self.lag, room)
+        last = self._turn + (len(notes) - self._turn) // self.every * self.every
+        told = max(0, last - 1 - self.lag + self.every)
+        self._notes, self._turn = notes[told:].copy(), last + self.every - told
+        return told
+
+    def tell_all(self, bank: Bank, steps: Integers, room: SwitchingTrace) -> None:
+        """Write what is told of all rows that wait, by what there is after them; they go on waiting."""
+        count = len(self._notes)
+        switch_late(self._sizes, bank, np.append(steps, -1), self._notes, count, self.every, count, room)
+
+    def snapshot(self) -> dict[str, Floats]:
+        """Return what moves, as arrays."""
+        return {"waiting_notes": self._notes, "waiting_turn": np.array(float(self._turn))}
+
+    def restore(self, arrays: Mapping[str, Floats]) -> None:
+        """Take over what moves, of the right shapes and types only: kernels trust them.
+
+        Raises
+        ------
+        ModelError
+            If the arrays are not those of a snapshot of such a bank and lag.
+        """
+        notes, turn = arrays["waiting_notes"].copy(), float(arrays["waiting_turn"])
+        fits = notes.ndim == 2 and notes.shape[1] == self.width and notes.dtype == np.float64
+        if not fits or len(notes) > self.lag or not np.isfinite(notes).all() or turn not in range(1, self.lag + 2):
+            raise ModelError("The snapshot's fixed lag is not that of its bank; pass what snapshot() returned.")
+        self._notes, self._turn = notes, int(turn)
+
+
+class LaggedSwitchingFlow:
+    """A fixed-lag smoother that switches, of one channel that is fed a stretch of rows at a time.
+
+    Parameters
+    ----------
+    switching : Switching
+        The modes, in steps.
+    lag : int
+        Later rows that are waited for, 1 or more, however far apart; with a *small* one more noise is left.
+    judge : callable, optional
+        Shown the innovations of each stretch, of the mixture of all modes.
+    split : bool
+        Whether to tell the share of each part of the component, and then the probability of each mode.
+
+    Raises
+    ------
+    ModelError
+        If the lag is no whole number.
+    """
+
+    def __init__(self, switching: Switching, *, lag: int, judge: Judge | None = None, split: bool = False) -> None:
+        self._filter = SwitchingFilter(switching, judge, split=split)
+        self._waiting = WaitingRows(switching.sizes, checked_lag(lag))
+        self._elapsed: Floats = np.empty(0)  # steps before the rows that wait
+        self._verdicts: Codes = np.empty(0, np.int8)
+        self.settled_row: int | None = None
+
+    @property
+    def shares(self) -> dict[str, float]:
+        """What share of the rows so far each mode was in force, as the filter believed at the time."""
+        return self._filter.shares
+
+    @property
+    def log_likelihood(self) -> float:
+        """Of all readings so far but the first."""
+        return self._filter.log_likelihood
+
+    def push(self, z: Floats, elapsed: Floats) -> list[Told]:
+        """Take the next rows, readings (B,) and the steps before them; return those that have waited."""
+        judged, told = judge_readings(z), list[Told]()
+        for begin in range(0, len(z), PIECE):
+            rows = slice(begin, begin + PIECE)
+            told.append(self._take(judged.readings[rows], elapsed[rows], judged.verdicts[rows]))
+        return told
+
+    def finish(self) -> list[Told]:
+        """Say that no more rows will come; return the last ones, with what there is after them."""
+        bank, steps = self._laid_out(self._elapsed, len(self._waiting))
+        room = self._filter.room(len(self._waiting))
+        self._waiting.tell_all(bank, steps, room)
+        return [self._filter.told(room, self._verdicts)]
+
+    def _take(self, z: Floats, elapsed: Floats, verdicts: Codes) -> Told:
+        elapsed, waited = np.concatenate([self._elapsed, elapsed]), len(self._waiting)
+        bank, steps = self._laid_out(elapsed, waited)
+        memory = np.zeros((1 + len(z), self._waiting.width))
+        trace = self._filter.run(self._filter.levelled(z), bank, steps[waited:], memory)
+        room = self._filter.room(len(elapsed))
+        count = self._waiting.take(memory[1:], bank, steps, room)
+        verdicts = np.concatenate([self._verdicts, with_spikes(verdicts, trace)])
+        self._elapsed, self._verdicts = elapsed[count:], verdicts[count:]
+        return self._filter.told(first_rows(room, count), verdicts[:count])
+
+    def _laid_out(self, elapsed: Floats, waited: int) -> tuple[Bank, Integers]:
+        """Lay out the steps before the rows that waited and those that came."""
+        lengths, steps = numbered_steps(elapsed, goes_on=self._filter.rows > waited)
+        return self._filter.switching.bank(lengths), steps
+
+
+def first_rows(trace: SwitchingTrace, count: int) -> SwitchingTrace:
+    """Return what is written of the first rows."""
+    return SwitchingTrace(*(np.ascontiguousarray(array[..., :count]) for array in trace))
