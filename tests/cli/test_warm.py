@@ -9,9 +9,15 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 SOURCE = Path(__file__).parents[2] / "src" / "becalm"
+
+OF_MOTIONS = ("forward", "backward", "gate", "late", "live run", "live step")
+TWO_MODES, FOUR_MODES = (
+    tuple(f"{modes} modes {what}" for what in ("forward", "backward", "late", "run", "step")) for modes in (2, 4)
+)
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
@@ -29,6 +35,15 @@ def fresh(tmp_path: Path) -> Run:
         return subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, env=environment, check=False)
 
     return becalm
+
+
+@pytest.fixture
+def levels(tmp_path: Path) -> Path:
+    """A file of levels that hold and jump."""
+    rng, path = np.random.default_rng(1), tmp_path / "levels.csv"
+    z = np.repeat(4 * rng.normal(size=10), 600) + rng.normal(size=6000)
+    np.savetxt(path, np.column_stack([np.arange(6000) / 100, z]), delimiter=",", header="time,a", comments="")
+    return path
 
 
 def kernels(folder: Path) -> dict[Path, int]:
@@ -55,7 +70,7 @@ def test_an_interpreter_that_may_not_compile_is_told(fresh: Run, drive: Path, co
 
 
 @pytest.mark.slow
-def test_warm_leaves_nothing_to_compile(fresh: Run, drive: Path, tmp_path: Path) -> None:
+def test_warm_leaves_nothing_to_compile(fresh: Run, drive: Path, levels: Path, tmp_path: Path) -> None:
     cache = tmp_path / "cache"
     first = fresh("warm", NUMBA_CACHE_DIR=str(cache))
     assert first.returncode == 0, first.stderr
@@ -63,7 +78,7 @@ def test_warm_leaves_nothing_to_compile(fresh: Run, drive: Path, tmp_path: Path)
     assert [line.partition(":")[0] for line in first.stderr.splitlines()[:-1]] == [
         f"{kernel}, order {order}"
         for order in (1, 2, 3, 4, 5)
-        for kernel in ("forward", "backward", "gate", "live run", "live step")
+        for kernel in (*OF_MOTIONS, *(TWO_MODES if order < 4 else ()), *(FOUR_MODES if order == 1 else ()))
     ]
     assert str(cache) in first.stderr.splitlines()[-1]
     made = kernels(cache)
@@ -71,9 +86,11 @@ def test_warm_leaves_nothing_to_compile(fresh: Run, drive: Path, tmp_path: Path)
     assert second.returncode == 0, second.stderr
     assert len(second.stderr.splitlines()) == 1
     assert "already" in second.stderr
-    for mode in ([], ["--causal"]):
-        ran = fresh("clean", drive, "-o", "out.csv", *mode, NUMBA_CACHE_DIR=str(cache))
-        assert ran.returncode in (0, 4), ran.stderr
+    for mode in ([], ["--causal"], ["--lag", "1s"]):
+        for file in (drive, levels):
+            ran = fresh("clean", file, "-o", "out.csv", *mode, NUMBA_CACHE_DIR=str(cache))
+            assert ran.returncode in (0, 4), ran.stderr
+            assert ("switching" in ran.stderr) == (file == levels)
     assert kernels(cache) == made
 
 

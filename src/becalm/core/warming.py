@@ -12,6 +12,7 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -21,18 +22,34 @@ import numpy as np
 from becalm.core.compiling import compile_quickly, count_kept, save_trouble, times_compiled
 from becalm.core.components import EVERY_ORDER, motion
 from becalm.core.filtering import kalman_filter, sizes_of
+from becalm.core.fixed_lag import fixed_lag_smoother
 from becalm.core.gates import LEAST_THRESHOLD, Gate, Gatekeeper
 from becalm.core.kernel_backward import backward
 from becalm.core.kernel_gate import find_outliers
+from becalm.core.kernel_lag import run_late
 from becalm.core.kernel_online import live_kernels
+from becalm.core.kernel_switching import switch_forward
+from becalm.core.kernel_switching_online import live_bank_kernels
+from becalm.core.kernel_switching_return import switch_backward, switch_late
 from becalm.core.kernels import forward
 from becalm.core.model import Model
 from becalm.core.online import Online
 from becalm.core.smoothing import kalman_smoother
+from becalm.core.switching import Mode, Switching
+from becalm.core.switching_flow import SwitchingFlow
+from becalm.core.switching_lag import LaggedSwitchingFlow
 from becalm.core.timeline import even_timeline
 from becalm.errors import UsageError
 
-KERNELS = ("forward", "backward", "gate", "live run", "live step")
+_BANKS = {2: (1, 2, 3), 4: (1,)}
+"""Orders for which so many modes are found in records."""
+
+_OF_BANKS = tuple(
+    f"{modes} modes {what}" for modes in _BANKS for what in ("forward", "backward", "late", "run", "step")
+)
+KERNELS = ("forward", "backward", "gate", "late", "live run", "live step", *_OF_BANKS)
+
+Use = tuple[object, Callable[[], object]]
 
 _READINGS = np.linspace(0.0, 1.0, 100)
 _SOURCES = Path(__file__).parents[2]
@@ -54,7 +71,9 @@ def is_cold(names: Sequence[str], orders: Sequence[int]) -> bool:
 
 
 def warm(names: Sequence[str] = KERNELS, orders: Sequence[int] = EVERY_ORDER) -> Iterator[Warmed]:
-    """Compile the kernels for motions of some orders with one channel, side by side; a tone counts as two more.
+    """Compile the kernels for motions of some orders with one channel, and for banks of them, side by side.
+
+    A tone counts as two orders more.
 
     Raises
     ------
@@ -98,18 +117,46 @@ def _start(order: int, names: Sequence[str]) -> subprocess.Popen[str]:
 
 def warm_order(order: int, names: Sequence[str]) -> Iterator[Warmed]:
     """Compile kernels for a motion of one order in this process, one after the other."""
+    uses = _uses_of_motion(order)
+    for modes in (count for count, orders in _BANKS.items() if order in orders):
+        uses |= _uses_of_bank(order, modes)
+    for name in names:
+        if name in uses:
+            yield _warmed(name, order, *uses[name])
+
+
+def _uses_of_motion(order: int) -> dict[str, Use]:
     model = motion(order).to_model(step_s=1.0, noise_variance=1.0)
     online = Online(model)
     live = live_kernels(*sizes_of(model))
-    uses: dict[str, tuple[object, Callable[[], object]]] = {
+    return {
         "forward": (forward, partial(kalman_filter, model, _READINGS)),
         "backward": (backward, partial(kalman_smoother, model, _READINGS)),
         "gate": (find_outliers, partial(_judge, model)),
+        "late": (run_late, partial(fixed_lag_smoother, model, _READINGS, 1)),
         "live run": (live.run, partial(online.run, _READINGS)),
         "live step": (live.step, partial(online.step, 1.0)),
     }
-    for name in names:
-        yield _warmed(name, order, *uses[name])
+
+
+def _uses_of_bank(order: int, modes: int) -> dict[str, Use]:
+    still, moving = Mode("still", motion(1), 1.0, 10.0), Mode("", motion(order), 1.0, 10.0)
+    bank = Switching((still, *(replace(moving, name=str(count)) for count in range(1, modes))))
+    online, live = Online(bank), live_bank_kernels(bank.states, modes)
+    flows = (
+        ("forward", switch_forward, SwitchingFlow(bank, causal=True)),
+        ("backward", switch_backward, SwitchingFlow(bank, causal=False)),
+        ("late", switch_late, LaggedSwitchingFlow(bank, lag=1)),
+    )
+    uses: dict[str, Use] = {f"{modes} modes {way}": (kernel, partial(_run, flow)) for way, kernel, flow in flows}
+    uses[f"{modes} modes run"] = live.run, partial(online.run, _READINGS)
+    uses[f"{modes} modes step"] = live.step, partial(online.step, 1.0)
+    return uses
+
+
+def _run(flow: SwitchingFlow | LaggedSwitchingFlow) -> None:
+    flow.push(_READINGS, np.ones(len(_READINGS)))
+    flow.finish()
 
 
 def _judge(model: Model) -> None:
