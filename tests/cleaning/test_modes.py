@@ -5,14 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from becalm.cleaning.delays import delays
 from becalm.cleaning.modes import modes_in_seconds, modes_in_steps
 from becalm.cleaning.pipeline import clean
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.steps import in_steps
 from becalm.cleaning.tuning import Wishes, tune
 from becalm.core.arrays import Floats
+from becalm.core.closed_forms import order_one
 from becalm.core.online import Online
 from becalm.core.recording import Recording
+from becalm.core.steady import steady
 from becalm.core.switching import Switching
 from becalm.errors import RecipeError, UsageError
 from becalm.metrics.truth import rms_error
@@ -67,12 +70,29 @@ def test_modes_come_back_from_seconds(recipe: Recipe) -> None:
             assert value == (pytest.approx(same[name], rel=1e-12) if isinstance(value, float) else same[name])
 
 
-def test_the_report_tells_how_long_each_mode_was_in_force(recording: Recording, recipe: Recipe) -> None:
-    (report,) = clean(recording, recipe).reports
-    assert sum(report.modes.values()) == pytest.approx(1.0)
-    assert report.modes["still"] > 0.8
+def test_the_report_tells_what_each_mode_is_and_how_long_it_was_in_force(recording: Recording, recipe: Recipe) -> None:
+    (report,), (smooth,) = clean(recording, recipe).reports, clean(recording, recipe, causal=False).reports
+    modes = list(report.modes.values())
+    assert sum(mode.share for mode in modes) == pytest.approx(1.0)
+    assert report.modes["still"].share > 0.8
     assert report.bandwidth_hz is None
     assert report.lag_s is None
+    bandwidths, lags, left = zip(*((mode.bandwidth_hz, mode.lag_s, mode.noise_left) for mode in modes), strict=True)
+    assert list(bandwidths) == sorted(bandwidths)
+    assert list(left) == sorted(left)
+    assert list(lags) == sorted(lags, reverse=True)
+    for mode, own in zip(modes, switching_of(recipe).modes, strict=True):
+        gain = order_one(own.component.noise_density[0, 0] / own.noise_variance).noise_gain
+        assert mode.noise_left == pytest.approx(np.sqrt(gain * own.noise_variance), rel=1e-6)
+    assert [mode.lag_s for mode in smooth.modes.values()] == [0.0] * 4
+
+
+def test_what_a_delay_buys_is_told_of_each_mode(recipe: Recipe) -> None:
+    curves = delays(recipe)
+    assert list(curves) == ["a, still", "a, gentle", "a, quick"]
+    for name, mode in zip(curves, switching_of(recipe).modes[:3], strict=True):
+        model = mode.component.to_model(1.0, mode.noise_variance)
+        assert curves[name][0].sigma ** 2 == pytest.approx(steady(model).error_variance(), rel=1e-9)
 
 
 def test_split_tells_the_probability_of_each_mode(recording: Recording, recipe: Recipe) -> None:

@@ -13,13 +13,15 @@ from becalm.cleaning.faults import SensorWatch
 from becalm.cleaning.judging import Decision, InnovationJudge, Judgement
 from becalm.cleaning.modes import modes_in_steps
 from becalm.cleaning.recipe import ChannelRecipe
-from becalm.cleaning.report import ChannelReport
+from becalm.cleaning.report import ChannelReport, ModeReport
 from becalm.cleaning.steps import gate_of, in_steps
 from becalm.cleaning.uncertainty import Uncertainty
 from becalm.core.arrays import Floats
+from becalm.core.components import Component
 from becalm.core.flow import Flow, Told
 from becalm.core.lagged_flow import LaggedFlow
 from becalm.core.response import Response, describe
+from becalm.core.switching import Mode
 from becalm.core.switching_flow import SwitchingFlow
 from becalm.core.switching_lag import LaggedSwitchingFlow
 from becalm.core.verdict import ADVICE, Verdict, counted
@@ -110,10 +112,20 @@ class MotionChannel:
         report = self._report()
         if not isinstance(self._flow, SwitchingFlow | LaggedSwitchingFlow):
             return report
-        return replace(report, modes=self._flow.shares, bandwidth_hz=None, lag_s=None, independence_s=None)
+        shares = self._flow.shares
+        modes = {mode.name: self._mode_report(mode, shares[mode.name]) for mode in self._flow.switching.modes}
+        return replace(report, modes=modes, bandwidth_hz=None, lag_s=None, independence_s=None)
+
+    def _mode_report(self, mode: Mode, share: float) -> ModeReport:
+        found = _response(mode.component, mode.noise_variance, self._step_s, self._lag is not None)
+        if found is None or self._lag:
+            return ModeReport(share, None, None, None)
+        left = float(np.sqrt(found.noise_gain * mode.noise_variance))
+        return ModeReport(share, found.bandwidth_hz, found.lag_s if np.isfinite(found.lag_s) else None, left)
 
     def _report(self) -> ChannelReport:
-        tuning, response = self._tuning, _response(self._tuning, self._step_s, self._lag is not None)
+        tuning, causal = self._tuning, self._lag is not None
+        response = _response(tuning.component, tuning.noise_variance, self._step_s, causal)
         fixed = self._recipe.switching is None
         smooths = fixed and self._lag is None and response is not None and response.noise_gain < NOTHING_REMOVED
         independent = None if self._lag else independence_steps(tuning, self._lag == 0)
@@ -206,12 +218,10 @@ class UnchangedChannel:
         )
 
 
-def _response(tuning: Tuning, step_s: float, causal: bool) -> Response | None:
+def _response(component: Component, noise_variance: float, step_s: float, causal: bool) -> Response | None:
     """Describe a filter; None of one that never forgets its start, and so never settles."""
     try:
-        component = tuning.component
-        model = component.to_model(1.0, tuning.noise_variance)
-        return describe(model, step_s, causal, component.signal_output[0])
+        return describe(component.to_model(1.0, noise_variance), step_s, causal, component.signal_output[0])
     except ModelError:
         return None
 

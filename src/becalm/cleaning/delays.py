@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
-from becalm.cleaning.recipe import Recipe
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from functools import partial
+
+from becalm.cleaning.modes import modes_in_steps
+from becalm.cleaning.recipe import ChannelRecipe, Recipe
 from becalm.cleaning.steps import in_steps
 from becalm.errors import ModelError
-from becalm.noise.waiting import Delay, delay_curve
+from becalm.noise.waiting import Delay, delay_curve, delays_of
 
 
 def delays(recipe: Recipe) -> dict[str, tuple[Delay, ...]]:
@@ -19,14 +24,25 @@ def delays(recipe: Recipe) -> dict[str, tuple[Delay, ...]]:
     Returns
     -------
     dict of str to tuple of Delay
-        The soonest first, the limit last; nothing of a channel that passes unchanged, or never settles.
+        The soonest first, the limit last; nothing of a channel that passes unchanged, or never settles. Of one
+        that switches a curve for each mode, "channel, mode", once that is in force for long.
     """
-    step_s, found = 1 / recipe.tuned_on.rate_hz, {}
+    step_s, found = 1 / recipe.tuned_on.rate_hz, dict[str, tuple[Delay, ...]]()
     for channel in recipe.channel:
-        if channel.motion is None:
-            continue
-        try:
-            found[channel.name] = delay_curve(in_steps(channel.motion, step_s), step_s)
-        except ModelError:  # without process noise, say
-            continue
+        for name, curve in _curves(channel, step_s):
+            with suppress(ModelError):  # without process noise, say
+                found[name] = curve()
     return found
+
+
+def _curves(channel: ChannelRecipe, step_s: float) -> Iterator[tuple[str, Callable[[], tuple[Delay, ...]]]]:
+    if channel.motion is None:
+        return
+    tuning = in_steps(channel.motion, step_s)
+    if channel.switching is None:
+        yield channel.name, partial(delay_curve, tuning, step_s)
+        return
+    for mode in modes_in_steps(channel.switching, tuning, step_s).modes:
+        if mode.lasts > 1:  # otherwise it never settles
+            r = mode.noise_variance
+            yield f"{channel.name}, {mode.name}", partial(delays_of, mode.component, r, r, step_s)

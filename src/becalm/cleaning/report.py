@@ -11,6 +11,26 @@ from becalm.cleaning.judging import Judgement
 
 
 @dataclass(frozen=True)
+class ModeReport:
+    """One mode of a filter that switches.
+
+    Attributes
+    ----------
+    share : float
+        Of the record, in which it was in force.
+    bandwidth_hz, lag_s : float or None
+        Once it is in force for long: as of a filter that does not switch.
+    noise_left : float or None
+        Then, standard deviation of the noise that passes, in unit.
+    """
+
+    share: float
+    bandwidth_hz: float | None
+    lag_s: float | None
+    noise_left: float | None
+
+
+@dataclass(frozen=True)
 class ChannelReport(Judgement):
     """What was found and done for one channel, beside the judgement.
 
@@ -40,8 +60,8 @@ class ChannelReport(Judgement):
     calibration_std : float or None
         What the calibration adds, as a root of a sum of squares, at the mean magnitude of the signal, in unit; no
         averaging lowers it. None where the recipe tells no calibration.
-    modes : dict
-        Of a filter that switches, the share of the record in which each mode was in force.
+    modes : dict of str to ModeReport
+        Of a filter that switches, which has neither one bandwidth nor one lag.
     log_likelihood : float or None
         Of the readings, given the recipe.
     settled_row : int or None
@@ -69,7 +89,7 @@ class ChannelReport(Judgement):
     independence_s: float | None = None
     tuning_spread: float | None = None
     calibration_std: float | None = None
-    modes: dict[str, float] = field(default_factory=dict)
+    modes: dict[str, ModeReport] = field(default_factory=dict)
     log_likelihood: float | None = None
     settled_row: int | None = None
     verdicts: dict[str, int] = field(default_factory=dict)

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from becalm.files.opening import OpenSource
     from becalm.noise.waiting import Delay
 
+_SELDOM = 0.01  # share of a record, below which a mode's bandwidth is not told
+
 stderr = Console(stderr=True, highlight=False, soft_wrap=True, markup=False)
 
 
@@ -39,7 +41,7 @@ def tell(reports: tuple[ChannelReport, ...], causal: bool) -> None:
             report.name,
             _model(report),
             _number(report.noise_std, report.unit),
-            _number(report.bandwidth_hz, "Hz"),
+            _bandwidth(report),
             _lag(report, causal),
             _trust(report),
         )
@@ -83,9 +85,19 @@ def tell_columns(source: OpenSource) -> None:
         stderr.print(f"Passed through unchanged: {', '.join(kept[:20])}{' and more' if len(kept) > 20 else ''}.")
 
 
+def _bandwidth(report: ChannelReport) -> str:
+    if report.modes:
+        return _between([mode.bandwidth_hz for mode in report.modes.values() if mode.share >= _SELDOM], "Hz")
+    return _number(report.bandwidth_hz, "Hz")
+
+
 def _lag(report: ChannelReport, causal: bool) -> str:
     if report.delay_s is not None:
         return f"told {_number(report.delay_s, 's')} later"
+    if report.modes and causal:  # a still mode's is never waited for: it is left first
+        moving = {name: mode for name, mode in report.modes.items() if name != "still"}
+        name = max(moving, key=lambda name: moving[name].share)
+        return f"{_number(moving[name].lag_s, 's')} while {name}"
     return _number(report.lag_s, "s") if causal else "none"
 
 
@@ -99,7 +111,7 @@ def _model(report: ChannelReport) -> str:
     if report.order is None:
         return report.model
     if report.modes:
-        return "switching: " + ", ".join(f"{name} {share:.0%}" for name, share in report.modes.items())
+        return "switching: " + ", ".join(f"{name} {mode.share:.0%}" for name, mode in report.modes.items())
     told = [f"{report.model} of order {report.order}"]
     for what, frequencies in (("tones at", report.tones_hz), ("without", report.removed_hz)):
         if frequencies:
@@ -107,6 +119,13 @@ def _model(report: ChannelReport) -> str:
     if report.coloured_std is not None:
         told.append(f"without coloured noise of {_number(report.coloured_std, report.unit)}")
     return ", ".join(told)
+
+
+def _between(values: list[float | None], unit: str) -> str:
+    told = sorted(value for value in values if value is not None)
+    return (
+        f"{_number(told[0], '')} to {_number(told[-1], unit)}" if len(told) > 1 else _number(*told[:1] or [None], unit)
+    )
 
 
 def _number(value: float | None, unit: str) -> str:

@@ -54,7 +54,7 @@ class SwitchingFlow:
     """
 
     def __init__(self, switching: Switching, *, causal: bool, judge: Judge | None = None, split: bool = False) -> None:
-        self._switching, self._causal = switching, causal
+        self._causal = causal
         self._filter = SwitchingFilter(switching, judge, split=split)
         self._numbers = memory_length(switching.states, len(switching.modes))
         self._nothing_later = np.zeros(outlook_length(switching.states, len(switching.modes)))
@@ -62,6 +62,11 @@ class SwitchingFlow:
         self._few = Rows.nothing()
         self._held: _Stretch | None = None
         self.settled_row: int | None = None
+
+    @property
+    def switching(self) -> Switching:
+        """The modes, in steps."""
+        return self._filter.switching
 
     @property
     def shares(self) -> dict[str, float]:
@@ -106,7 +111,7 @@ class SwitchingFlow:
     def _take(self, rows: Rows) -> tuple[_Stretch, Told]:
         z = self._filter.levelled(rows.z)
         lengths, steps = numbered_steps(rows.elapsed, goes_on=self._filter.rows > 0)
-        bank = self._switching.bank(lengths)
+        bank = self.switching.bank(lengths)
         blocks = 0 if self._causal else -(-len(z) // BLOCK)
         memory = np.zeros((1 + blocks, self._numbers))
         trace = self._filter.run(z, bank, steps, memory)
@@ -118,7 +123,7 @@ class SwitchingFlow:
     ) -> tuple[Told, Floats]:
         """Come back over a stretch from the beliefs of the row after it; return its rows, and those of its first."""
         trace = self._filter.room(len(stretch.z))
-        sizes, later = self._switching.sizes, later.copy()
+        sizes, later = self.switching.sizes, later.copy()
         for block in range(len(stretch.memory) - 2, -1, -1):
             rows = slice(block * BLOCK, min((block + 1) * BLOCK, len(stretch.z)))
             filtered = self._filtered_again(stretch, block, rows)
@@ -136,10 +141,10 @@ class SwitchingFlow:
     def _filtered_again(self, stretch: _Stretch, block: int, rows: slice) -> Floats:
         """Filter a block again from the beliefs before it; return those after each of its rows."""
         z, steps = stretch.z[rows], stretch.steps[rows]
-        memory = np.zeros((1 + len(z), note_length(self._switching.states, len(self._switching.modes))))
+        memory = np.zeros((1 + len(z), note_length(self.switching.states, len(self.switching.modes))))
         memory[0, : self._numbers] = stretch.memory[1 + block]
         nothing = SwitchingTrace(NONE, NONE, NONE, NONE, np.empty((0, 0)), NONE, np.empty((0, 0)))
-        switch_forward(self._switching.sizes, stretch.bank, z, steps, self._switching.start, memory, nothing)
+        switch_forward(self.switching.sizes, stretch.bank, z, steps, self.switching.start, memory, nothing)
         return memory[1:]
 
 

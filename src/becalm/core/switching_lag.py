@@ -115,6 +115,11 @@ class LaggedSwitchingFlow:
         self.settled_row: int | None = None
 
     @property
+    def switching(self) -> Switching:
+        """The modes, in steps."""
+        return self._filter.switching
+
+    @property
     def shares(self) -> dict[str, float]:
         """What share of the rows so far each mode was in force, as the filter believed at the time."""
         return self._filter.shares
@@ -153,7 +158,7 @@ class LaggedSwitchingFlow:
     def _laid_out(self, elapsed: Floats, waited: int) -> tuple[Bank, Integers]:
         """Lay out the steps before the rows that waited and those that came."""
         lengths, steps = numbered_steps(elapsed, goes_on=self._filter.rows > waited)
-        return self._filter.switching.bank(lengths), steps
+        return self.switching.bank(lengths), steps
 
 
 def first_rows(trace: SwitchingTrace, count: int) -> SwitchingTrace:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from becalm.core.closed_forms import ratio_to_cutoff
+from becalm.core.components import Component
 from becalm.core.dials import motion_filter
 from becalm.core.parts import checked_step
 from becalm.core.response import decibels
@@ -129,14 +130,18 @@ def delay_curve(tuning: Tuning, step_s: float) -> tuple[Delay, ...]:
     ModelError
         If the filter never settles, as without process noise, or the step is not positive.
     """
-    step_s, component = checked_step(step_s), tuning.component
-    found = steady(component.to_model(1.0, tuning.noise_variance), component.signal_output[0])
+    coloured = 0.0 if tuning.coloured is None else tuning.coloured.variance
+    return delays_of(tuning.component, tuning.noise_variance, tuning.noise_variance + coloured, step_s)
+
+
+def delays_of(component: Component, noise_variance: float, noise: float, step_s: float) -> tuple[Delay, ...]:
+    """Return that curve of a component, as of one mode of several: `noise` is all that a reading's noise counts."""
+    step_s = checked_step(step_s)
+    found = steady(component.to_model(1.0, noise_variance), component.signal_output[0])
     if not found.error_variance() > 0:
         raise ModelError(
             "Without process noise the error shrinks for ever, so that no delay can be told; give q above 0."
         )
-    coloured = 0.0 if tuning.coloured is None else tuning.coloured.variance
-    noise = tuning.noise_variance + coloured
 
     def left_db(lag: float) -> float:
         return decibels(found.error_variance(lag) / noise)
