@@ -11,10 +11,10 @@ from becalm.cleaning.recipe_parts import LimitsRecipe
 from becalm.core.arrays import Codes, Floats
 from becalm.core.clock import GAP_STEPS
 from becalm.core.faults import Faults, Found, said
-from becalm.core.flow import Told
 from becalm.core.limits import Limits, find_limits
 from becalm.core.monitor import Alarms, InnovationMonitor
 from becalm.core.noise_change import NoiseHistory, said_of_change
+from becalm.core.told import Told
 from becalm.core.verdict import ADVICE, Verdict
 
 FALSE_ALARMS_PER_HOUR = 1.0

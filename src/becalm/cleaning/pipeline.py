@@ -12,8 +12,8 @@ from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.report import ChannelReport
 from becalm.cleaning.tuning import Wishes, listed, refuse_empty, tune
 from becalm.core.arrays import Codes
-from becalm.core.flow import Told
 from becalm.core.recording import Recording
+from becalm.core.told import Told
 from becalm.errors import RecipeError, UsageError
 
 

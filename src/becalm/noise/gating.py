@@ -14,8 +14,9 @@ import numpy as np
 from scipy.special import ndtr
 
 from becalm.core.arrays import Booleans, Floats
-from becalm.core.flow import Flow, Told
+from becalm.core.flow import Flow
 from becalm.core.gates import Gate
+from becalm.core.told import Told
 from becalm.core.verdict import Verdict
 from becalm.noise.choose import NOTHING_KNOWN, Choice, Known, choose
 from becalm.noise.likelihood import Tuning
