@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.special import gammainccinv, gammaincinv
 
 from becalm.core.arrays import Codes, Floats, Integers
-from becalm.core.cusum import OneSided, cusum_delay, cusum_threshold
+from becalm.core.cusum import OneSidedCusum, cusum_delay, cusum_threshold
 from becalm.core.faults import Found
 from becalm.core.verdict import Verdict
 from becalm.errors import UsageError
@@ -40,11 +40,11 @@ class Alarms(NamedTuple):
     Attributes
     ----------
     drift_threshold : float
-        h of the cumulative sum, in sigma. A small value finds a drift sooner, and more that are none.
+        h of the cumulative sum, in sigma; a *small* one finds a drift sooner, and more that are none.
     quiet_variance, loud_variance : float
         Variance of a window below or above which the noise has changed; those near 1 find less of a change.
     dead_variance : float
-        Variance of a window below which the channel is dead. A small value lets it rest; 0: never dead.
+        Variance of a window below which the channel is dead; a *small* one lets it rest, 0 never calls it dead.
     """
 
     drift_threshold: float
@@ -69,12 +69,17 @@ def find_alarms(false_alarms_per_hour: float, step_s: float, healthy: Floats | N
     Parameters
     ----------
     false_alarms_per_hour : float
-        Of all kinds together. A small value trusts the sensor.
+        Of all kinds together; a *small* one trusts the sensor.
     step_s : float
         One step, in seconds.
     healthy : (N,) float array, optional
         Normalised innovations of a healthy record. A filter tuned on motion expects more noise than a sensor at rest
         has; with these, only what is far quieter than the quietest of them is dead.
+
+    Returns
+    -------
+    Alarms
+        Without a healthy record, `dead_variance` is a twentieth of the expected one, or what chance allows if less.
 
     Raises
     ------
@@ -171,16 +176,11 @@ class InnovationMonitor:
         self.drift_since: int | None = None
         self.louder, self.quieter = NoiseChange(), NoiseChange()
         threshold = int(np.ceil(alarms.drift_threshold * _PARTS))
-        self._sides = OneSided(threshold), OneSided(threshold)
+        self._sides = OneSidedCusum(threshold), OneSidedCusum(threshold)
         self._rows = 0
         self._rest = np.empty(0, dtype=np.int64)  # innovations that fill no hop yet
         self._hops = np.zeros((0, 2), dtype=np.int64)  # sums, and sums of squares, of the last hops
         self._state = _CALM
-
-    @property
-    def noise_changed_rows(self) -> int:
-        """Rows at which the noise was not the expected one."""
-        return self.louder.rows + self.quieter.rows
 
     def push(self, normalised: Floats) -> Codes:
         """Take the next normalised innovations (B,), NaN where there is none; return DRIFT, DEAD or USED for each."""
@@ -229,28 +229,6 @@ class InnovationMonitor:
         said[variance < self.alarms.dead_variance] = _SILENT
         states[count - len(said) :], spread[count - len(said) :] = said, about
         return states, spread
-
-
-def said_of_noise(monitor: InnovationMonitor, step_s: float) -> list[str]:
-    """Say where the noise became another than the filter expects, and what to do; nothing where it did not.
-
-    Parameters
-    ----------
-    monitor : InnovationMonitor
-        What watched the innovations.
-    step_s : float
-        One step, in seconds.
-    """
-    kinds = (
-        (monitor.louder, "tune anew on a record of this, or look for what shakes the sensor"),
-        (monitor.quieter, "tune anew if it stays so; a machine at rest needs nothing"),
-    )
-    return [
-        f"From {change.first_row * step_s:.6g} s on, in {change.rows} rows, the innovations were"
-        f" {change.noise_ratio:.2g} times what the filter expects: {advice}."
-        for change, advice in kinds
-        if change.rows
-    ]
 
 
 def _joined(change: NoiseChange, rows: Integers, spread: Integers) -> NoiseChange:
