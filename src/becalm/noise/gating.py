@@ -118,11 +118,6 @@ def choose_gated(
     return GatedChoice(choice, True)
 
 
-def has_rejects(tuning: Tuning, readings: Floats, elapsed: Floats, gate: Gate) -> bool:
-    """Whether a gate leaves any reading (N,) out."""
-    return bool(forecasts(tuning, readings, elapsed, gate).rejected.any())
-
-
 def foretells_better(tuning: Tuning, readings: Floats, elapsed: Floats, gate: Gate) -> bool:
     """Whether a filter with a gate foretells the readings that it uses better than one that believes all of them."""
     gated, free = (forecasts(tuning, readings, elapsed, how) for how in (gate, None))
