@@ -190,6 +190,11 @@ def said(found: Mapping[Verdict, Found], limits: Limits, step_s: float) -> list[
         What the channel was held against.
     step_s : float
         One step, in seconds.
+
+    Returns
+    -------
+    list of str
+        In the order of the verdicts.
     """
     return [
         f"{_what(verdict, found[verdict].readings, limits)}, first at {found[verdict].first_step * step_s:.6g} s"

@@ -44,7 +44,7 @@ class Limits(NamedTuple):
     resolution : float
         The step between two codes, in unit; 0 where readings lie on no lattice.
     stuck_readings : int or None
-        So many equal readings in a row, and the channel is stuck; None: never. A small value finds it
+        So many equal readings in a row, and the channel is stuck; None: never. A *small* one finds it
         sooner, and calls slow signals stuck.
     gap_steps : float
         More steps than this since the row before are a gap.
@@ -81,7 +81,7 @@ def find_limits(
     elapsed : (N,) float array
         Steps since the row before; 0 for the first.
     false_alarms_per_hour : float
-        Healthy stretches that may be called stuck. A small value trusts the sensor.
+        Healthy stretches that may be called stuck; a *small* one trusts the sensor.
     step_s : float
         One step, in seconds.
     sensor_range : (float, float), optional
