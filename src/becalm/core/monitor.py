@@ -130,8 +130,8 @@ def _variances(spreads: Integers) -> Floats:
     return np.asarray(spreads / float(WINDOW * (WINDOW - 1) * _PARTS**2))
 
 
-class NoiseChange(NamedTuple):
-    """Where windows of innovations were too loud, or too quiet."""
+class Excursion(NamedTuple):
+    """How the noise left what was expected: the windows of innovations that were too loud, or too quiet."""
 
     rows: int = 0  # that followed such a window, until one that was as expected
     first_row: int = 0
@@ -166,7 +166,7 @@ class InnovationMonitor:
         `Found` of `DRIFT` and `DEAD`; rows are counted as they came.
     drift_since : int or None
         The row in which the drift that was told first began, as far as the sum tells.
-    louder, quieter : NoiseChange
+    louder, quieter : Excursion
         Where the noise was more, or less, than the filter expects. Quieter is no fault: machines rest.
     """
 
@@ -174,7 +174,7 @@ class InnovationMonitor:
         self.alarms = alarms
         self.found: dict[Verdict, Found] = {}
         self.drift_since: int | None = None
-        self.louder, self.quieter = NoiseChange(), NoiseChange()
+        self.louder, self.quieter = Excursion(), Excursion()
         threshold = int(np.ceil(alarms.drift_threshold * _PARTS))
         self._sides = OneSidedCusum(threshold), OneSidedCusum(threshold)
         self._rows = 0
@@ -231,7 +231,7 @@ class InnovationMonitor:
         return states, spread
 
 
-def _joined(change: NoiseChange, rows: Integers, spread: Integers) -> NoiseChange:
+def _joined(change: Excursion, rows: Integers, spread: Integers) -> Excursion:
     first = change.first_row if change.rows or not len(rows) else int(rows[0])
     squares = change.squares + sum(map(int, spread))
-    return NoiseChange(change.rows + len(rows), first, change.windows + len(spread), squares)
+    return Excursion(change.rows + len(rows), first, change.windows + len(spread), squares)

@@ -37,7 +37,7 @@ rejects where these are spikes. Heavy tails have twice as many and more."""
 DOUBT = 3.0
 """Log-likelihood that a gate may seem to cost: of a filter that hardly believes a reading only chance tells."""
 
-_LEAST_SCALE = 1e-6
+_LEAST_SCALE = 1e-6  # where more than half of the readings are equal
 _MIDDLE = 1.4826  # of the median of |e|, which makes a standard deviation of Gaussian noise
 _CHANCE = 3.0  # standard deviations of a count
 _SAME = 0.1  # of a noise variance: another round would change little
