@@ -37,7 +37,9 @@ bench: .venv/tested
 	$(BIN)/python benchmarks/faults.py -o docs/faults.md
 	$(BIN)/python benchmarks/sensor_faults.py -o docs/sensor-faults.md
 	$(BIN)/python benchmarks/switching.py -o docs/switching.md
+	$(BIN)/python benchmarks/switching_speed.py -o docs/switching-speed.md
 	$(BIN)/python benchmarks/resting.py -o docs/resting.md
+	$(BIN)/python benchmarks/fixed_lag.py -o docs/fixed-lag.md
 	$(BIN)/python docs/real_files.py -o docs/real-files.md
 
 .venv/bin/python:

@@ -19,14 +19,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 import becalm
 from becalm.core.components import motion
 from becalm.metrics.truth import coverage
+from drawn import draw
 from pages import page_parser, publish
-
-Floats = NDArray[np.float64]
 
 ORDERS = (1, 2, 3)
 RATIOS = (1e-4, 1e-2, 1.0)
@@ -43,23 +41,12 @@ class Shares(NamedTuple):
     error: float
 
 
-def draw(order: int, ratio: float, count: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
-    """Return a walk and its readings, (count,) each."""
-    model = motion(order, ratio).to_model(1.0, 1.0)
-    w = np.linalg.cholesky(model.process_covariance) @ rng.normal(size=(order, count))
-    x, truth = np.zeros(order), np.empty(count)
-    for k in range(count):
-        truth[k] = x[0]
-        x = model.F @ x + w[:, k]
-    return truth, truth + rng.normal(size=count)
-
-
 def shares(order: int, ratio: float, count: int, causal: bool) -> Shares:
     """Clean all records of one kind."""
     found = []
     for record in range(RECORDS[count]):
         rng = np.random.default_rng([SEED, order, RATIOS.index(ratio), count, record])
-        truth, z = draw(order, ratio, count, rng)
+        truth, z = draw(motion(order, ratio).to_model(1.0, 1.0), count, rng)
         out = becalm.clean(becalm.Recording(z, rate_hz=1.0), causal=causal)
         widening = 1 + (out.reports[0].tuning_spread or 0.0)
         clean, sigma = out.signal.samples[:, 0], out.sigma.samples[:, 0]

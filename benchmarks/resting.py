@@ -10,6 +10,7 @@ Run: python benchmarks/resting.py [-o docs/resting.md]   (the recordings lie in 
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -104,6 +105,9 @@ def as_markdown() -> str:
 def main() -> None:
     """Print the table; with -o, write it as a page."""
     output = page_parser(__doc__).parse_args().output
+    if not DATA.is_dir():
+        print(f"The recordings are not in {DATA}: nothing was measured, and no page written.", file=sys.stderr)
+        return
     publish("Resting", __doc__, as_markdown(), output)
 
 

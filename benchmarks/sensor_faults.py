@@ -9,7 +9,6 @@ Run: python benchmarks/sensor_faults.py [-o docs/sensor-faults.md] [--seeds N]
 from __future__ import annotations
 
 from collections import Counter
-from pathlib import Path
 
 import numpy as np
 
@@ -18,20 +17,7 @@ from becalm.core.faults import said
 from becalm.core.limits import find_limits, run_lengths
 from pages import page_parser, publish
 from sensor_faults_jobs import Score, clipped, dead, drift, dropout, false_alarms, monitor_alarms, stuck, watched
-from sensor_faults_records import ALARMS_PER_HOUR, RATES_HZ, SIGNALS, STEPS
-
-DATA = Path(__file__).parents[2] / "shared" / "data"
-REAL = {
-    "comma2k19/accelerometer.csv": None,
-    "comma2k19/gyroscope.csv": None,
-    "comma2k19/can_speed.csv": None,
-    "munich_bridge/reference_state_strain.csv.gz": None,
-    "munich_bridge/support_load_strain.csv.gz": None,
-    "fusion/sensor_data.csv": None,
-    "gaitmap/imu_sample.csv": 204.8,
-    "imu_tk/xsens_acc.mat.txt.gz": None,
-    "imu_tk/xsens_gyro.mat.txt.gz": None,
-}
+from sensor_faults_records import ALARMS_PER_HOUR, DATA, RATES_HZ, REAL, SIGNALS, STEPS
 
 
 def real() -> list[str]:

@@ -61,8 +61,11 @@ class Score(NamedTuple):
         return f"| {' | '.join(names)} | {self.stated} | {self.worst} | {told} | {self.untold} | {self.wrong} |"
 
 
-FAULT_AT, COUNT, RATE_HZ = 60_000, 90_000, 500
-CLIPS = {
+RATE_HZ = 500
+COUNT, FAULT_AT, TAUGHT_AT, HELD = 90_000, 60_000, 10_000, 10_000  # rows; of a stuck stretch among those learnt
+SETTLING = 50  # readings: five time constants of a level filter of gain 0.1
+SHOWN = 1 / 500  # share of the readings learnt: of a rail that holds less the record shows next to nothing
+CLIPS = {  # half of the range that clips a signal, in sigma
     "white": 2.0,
     "random walk": 15.0,
     "sine": 80.0,
@@ -97,13 +100,12 @@ def stuck(lsb: float, seeds: int, taught: bool = False) -> Score:
     for name in SIGNALS:
         for seed in range(seeds):
             z, elapsed = record(name, COUNT, RATE_HZ, lsb, seed)
-            at = 10_000 if taught else FAULT_AT
-            z[at : at + 10_000 if taught else None] = z[at]
+            at = TAUGHT_AT if taught else FAULT_AT
+            z[at : at + HELD if taught else None] = z[at]
             limits = learnt(z, elapsed, RATE_HZ)
-            faults = watched(z, elapsed, limits)
-            delay = _delay(faults, Verdict.STUCK, at)
-            stated = limits.stuck_readings if limits.stuck_readings is None or limits.stuck_readings <= 10_000 else None
-            found.append((stated, delay, delay is not None and delay < 1))
+            delay, stated = _delay(watched(z, elapsed, limits), Verdict.STUCK, at), limits.stuck_readings
+            told = None if stated is None or stated > HELD else stated
+            found.append((told, delay, delay is not None and delay < 1))
     return _score(found)
 
 
@@ -115,12 +117,14 @@ def clipped(name: str, lsb: float, seeds: int, told: bool = False) -> Score:
         middle = float(z[:LEARNT].min() + z[:LEARNT].max()) / 2
         rails = digitised(np.array([middle - CLIPS[name], middle + CLIPS[name]]), lsb)
         z = np.clip(z, *rails)
-        limits = find_limits(z[:LEARNT], elapsed[:LEARNT], 1.0, 1 / RATE_HZ, (rails[0], rails[1]) if told else None)
+        limits = find_limits(
+            z[:LEARNT], elapsed[:LEARNT], ALARMS_PER_HOUR, 1 / RATE_HZ, (rails[0], rails[1]) if told else None
+        )
         codes = Faults(limits).push(z, elapsed)
         wrong = bool((codes == Verdict.CLIPPED)[(z != rails[0]) & (z != rails[1])].any())
         for rail, limit in zip(rails, (limits.low, limits.high), strict=True):
             there = z == rail
-            if there[:LEARNT].sum() > LEARNT / 500:  # otherwise the record showed next to nothing of it
+            if there[:LEARNT].mean() > SHOWN:
                 right = bool((codes[there] == Verdict.CLIPPED).all())
                 found.append((1 if np.isfinite(limit) else None, 1 if right else None, wrong))
     return _score(found)
@@ -158,9 +162,8 @@ def dead(lsb: float, seeds: int) -> Score:
         monitor = InnovationMonitor(alarms)
         monitor.push(innovations(digitised(z, lsb), 0.01))
         row = monitor.found[Verdict.DEAD].first_row if Verdict.DEAD in monitor.found else None
-        settling = 50  # five time constants of the filter
         delay = None if row is None else row - FAULT_AT + 1
-        found.append((alarms.dead_delay + settling, delay, delay is not None and delay < 1))
+        found.append((alarms.dead_delay + SETTLING, delay, delay is not None and delay < 1))
     return _score(found)
 
 

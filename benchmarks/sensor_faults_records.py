@@ -1,8 +1,12 @@
-"""Healthy records, by seed: signals of many kinds in white noise of one sigma, read by a converter of any step."""
+"""Healthy records, by seed: signals of many kinds in white noise of one sigma, read by a converter of any step.
+
+And the real ones, which lie beside the project.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,8 +15,27 @@ Floats = NDArray[np.float64]
 
 RATES_HZ = (500, 10_000)
 STEPS = (0.0, 0.2, 1.0, 3.0)
+"""Of the converter, in sigma; 0 is none."""
+
 LEARNT = 30_000
+"""Readings that limits are found from: a minute at 500 Hz."""
+
 ALARMS_PER_HOUR = 1.0
+
+DATA = Path(__file__).parents[2] / "shared" / "data"
+REAL: dict[str, float | None] = {
+    "comma2k19/accelerometer.csv": None,
+    "comma2k19/gyroscope.csv": None,
+    "comma2k19/can_speed.csv": None,
+    "munich_bridge/reference_state_strain.csv.gz": None,
+    "munich_bridge/support_load_strain.csv.gz": None,
+    "fusion/sensor_data.csv": None,
+    "gaitmap/imu_sample.csv": 204.8,
+    "imu_tk/xsens_acc.mat.txt.gz": None,
+    "imu_tk/xsens_gyro.mat.txt.gz": None,
+}
+"""Recordings of healthy sensors, and the rate, in Hz, of those that only count their rows."""
+
 Signal = Callable[[Floats, np.random.Generator], Floats]
 """Takes times (N,), in seconds; returns a signal (N,), in sigma of the noise."""
 

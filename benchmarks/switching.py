@@ -10,7 +10,6 @@ Run: python benchmarks/switching.py [-o docs/switching.md] [--figure docs/switch
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,7 +19,7 @@ from numpy.typing import NDArray
 import becalm
 from becalm.core.components import motion
 from becalm.noise.front import noise_lag_front
-from pages import publish
+from pages import page_parser, publish
 
 Floats = NDArray[np.float64]
 
@@ -151,10 +150,9 @@ def draw(path: Path, got: dict[str, Measured]) -> None:
 
 def main() -> None:
     """Print the tables; with -o, write them as a page; with --figure, draw them (needs matplotlib)."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("-o", "--output", type=Path, help="page to write to")
+    parser = page_parser(__doc__)
     parser.add_argument("--figure", type=Path, help="picture to draw: SVG, PNG or PDF")
-    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--seeds", type=int, default=20, help="records of each step")
     asked = parser.parse_args()
     got = {name: measure(sensor, asked.seeds) for name, sensor in SENSORS.items()}
     text = "\n".join(f"## {name.capitalize()}\n\n{table(SENSORS[name], one)}" for name, one in got.items())

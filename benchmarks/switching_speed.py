@@ -7,8 +7,7 @@ Run: python benchmarks/switching_speed.py [-o docs/switching-speed.md]
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,10 +19,11 @@ from becalm.core.smoothing import kalman_smoother
 from becalm.core.switching import Mode, Switching
 from becalm.core.switching_flow import SwitchingFlow
 from pages import page_parser, publish
+from stopwatch import nanoseconds, step_through
 
 Floats = NDArray[np.float64]
 
-ROWS, RUNS = 20_000, 5
+ROWS, STEPPED = 20_000, 2000
 SIZES = [(states, modes) for states in (1, 2, 3) for modes in (1, 2, 3, 4)]
 DENSITIES, NAMES = (1e-6, 1e-3, 1e-1, 1e1), ("still", "gentle", "quick", "abrupt")
 
@@ -40,36 +40,20 @@ def readings() -> Floats:
     return z
 
 
-def nanoseconds(use: Callable[[], object], rows: int) -> float:
-    """Return the processor's time of one row, the shortest of several runs after one that compiles."""
-    use()
-    took = []
-    for _ in range(RUNS):
-        begun = time.process_time_ns()
-        use()
-        took.append(time.process_time_ns() - begun)
-    return min(took) / rows
-
-
 def flow(switching: Switching, z: Floats, *, causal: bool) -> object:
     """Run over a whole record."""
     made = SwitchingFlow(switching, causal=causal)
     return made.push(z, np.ones(len(z))), made.finish()
 
 
-def step_through(online: becalm.Online, z: list[float]) -> None:
-    """Take readings one by one."""
-    for reading in z:
-        online.step(reading)
-
-
 def row(states: int, modes: int, z: Floats) -> str:
     """Write one size's times, and their ratios to the fixed filter's and smoother's."""
     switching, model = bank(states, modes), motion(states, 0.1).to_model(1.0, 1.0)
-    fixed = nanoseconds(lambda: kalman_filter(model, z), ROWS), nanoseconds(lambda: kalman_smoother(model, z), ROWS)
-    own = [nanoseconds(lambda causal=causal: flow(switching, z, causal=causal), ROWS) for causal in (True, False)]  # type: ignore[misc]
-    some, online = z[:2000].tolist(), becalm.Online(switching)
-    block, single = nanoseconds(lambda: online.run(z), ROWS), nanoseconds(lambda: step_through(online, some), 2000)
+    fixed = [nanoseconds(partial(run, model, z), ROWS) for run in (kalman_filter, kalman_smoother)]
+    own = [nanoseconds(partial(flow, switching, z, causal=causal), ROWS) for causal in (True, False)]
+    online = becalm.Online(switching)
+    block = nanoseconds(partial(online.run, z), ROWS)
+    single = nanoseconds(partial(step_through, online, z[:STEPPED].tolist()), STEPPED)
     cells = [f"{time:.0f} ({time / other:.0f})" for time, other in zip(own, fixed, strict=True)]
     return f"| {states} | {modes} | {cells[0]} | {cells[1]} | {block:.0f} | {single:.0f} |"
 

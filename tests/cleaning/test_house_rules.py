@@ -17,9 +17,9 @@ from becalm.cleaning.report import ChannelReport
 from becalm.cleaning.tuning import tune
 from becalm.core.arrays import Floats
 from becalm.core.components import motion
-from becalm.core.flow import Told
 from becalm.core.recording import Recording
 from becalm.core.smoothing import kalman_smoother
+from becalm.core.told import Told
 from becalm.core.verdict import Verdict
 from becalm.errors import RecipeError, RecordingError
 

@@ -66,10 +66,16 @@ def test_what_a_person_asked_for_has_no_spread(recording: becalm.Recording) -> N
 
 @pytest.mark.parametrize("causal", [True, False])
 def test_the_report_says_over_which_time_samples_are_one(recording: becalm.Recording, causal: bool) -> None:
-    report = becalm.clean(recording, causal=causal).reports[0]
-    assert report.independence_s is not None
-    assert report.bandwidth_hz is not None
-    assert 0.1 < report.independence_s * report.bandwidth_hz < 2.0
+    """Of order 1, sigma^2 times it is r times the step, smoothed; filtered 2 - K times as much."""
+    recipe = with_channel(tune(recording, causal=causal), tuning_spread=0.0)
+    out = becalm.clean(recording, recipe)
+    (report,), sigma = out.reports, out.sigma.samples[75, 0]
+    assert report.order == 1
+    assert None not in (report.independence_s, report.q_over_r, report.noise_std)
+    ratio = report.q_over_r or np.nan
+    K = (np.sqrt(ratio**2 + 4 * ratio) - ratio) / 2
+    told = sigma**2 * (report.independence_s or np.nan) / ((report.noise_std or np.nan) ** 2 * 0.1)
+    assert told == pytest.approx(2 - K if causal else 1.0, rel=1e-4)
 
 
 def test_a_recipe_of_older_versions_trusts_its_tuning(recording: becalm.Recording) -> None:

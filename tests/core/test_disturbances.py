@@ -8,10 +8,11 @@ import pytest
 from becalm.core.arrays import Floats
 from becalm.core.components import Component, autoregressive, hum, motion
 from becalm.core.filtering import kalman_filter
-from becalm.core.flow import Flow, Told
+from becalm.core.flow import Flow
 from becalm.core.kernel_ahead import BLOCK
 from becalm.core.model import Model
 from becalm.core.smoothing import kalman_smoother
+from becalm.core.told import Told
 
 ROWS = 3000
 COMPONENTS = {

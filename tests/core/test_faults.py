@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -13,8 +11,10 @@ from becalm.core.arrays import Codes, Floats
 from becalm.core.faults import Faults, said
 from becalm.core.limits import Limits, find_limits
 from becalm.core.verdict import ADVICE, Verdict
+from sensor_faults_records import ALARMS_PER_HOUR, LEARNT, SIGNALS, STEPS, digitised, record
 
 LIMITS = Limits(low=-5.0, high=5.0, resolution=1.0, stuck_readings=4)
+RATE_HZ = 500
 
 
 def even(count: int) -> Floats:
@@ -109,36 +109,15 @@ def test_what_was_found_is_said_with_when_and_what_to_do() -> None:
     assert said({}, LIMITS, 0.5) == []
 
 
-def healthy(name: str, seed: int, count: int) -> Floats:
-    rng, t = np.random.default_rng(seed), np.arange(count) / 500
-    steps = rng.normal(0, 0.3, count)
-    shapes: dict[str, Callable[[], Floats]] = {
-        "white": lambda: 0.0 * t,
-        "random walk": lambda: np.cumsum(steps),
-        "sine": lambda: 100 * np.sin(2 * np.pi * 0.1 * t),
-        "vibration": lambda: 100 * np.sin(2 * np.pi * 37.3 * t),
-        "ramp and hold": lambda: 50 * np.clip(np.minimum(t % 20 - 4, 16 - t % 20), 0, 4),
-        "square wave": lambda: 40 * np.sign(np.sin(2 * np.pi * 0.7 * t)),
-    }
-    return np.asarray(rng.uniform(0, 5) + shapes[name]() + rng.normal(size=count))
-
-
-def digitised(z: Floats, lsb: float) -> Floats:
-    return lsb * np.round(z / lsb) if lsb else z
-
-
-SIGNALS = ["white", "random walk", "sine", "vibration", "ramp and hold", "square wave"]
-
-
 @pytest.mark.parametrize("name", SIGNALS)
-@pytest.mark.parametrize("lsb", [0.0, 0.2, 1.0, 3.0])
+@pytest.mark.parametrize("lsb", STEPS)
 def test_a_stuck_channel_is_told_within_the_stated_delay(name: str, lsb: float) -> None:
     for seed in range(5):
-        z = digitised(healthy(name, seed, 45_000), lsb)
-        limits = find_limits(z[:30_000], even(30_000), 1.0, 0.002)
+        z, elapsed = record(name, 45_000, RATE_HZ, lsb, seed)
+        limits = find_limits(z[:LEARNT], elapsed[:LEARNT], ALARMS_PER_HOUR, 1 / RATE_HZ)
         z[40_000:] = z[40_000]
         faults = Faults(limits)
-        faults.push(z, even(len(z)))
+        faults.push(z, elapsed)
         assert faults.stuck_delay is not None
         assert 40_000 <= faults.found[Verdict.STUCK].first_row < 40_000 + faults.stuck_delay < 42_500
         assert set(faults.found) == {Verdict.STUCK}
@@ -148,11 +127,10 @@ def test_a_stuck_channel_is_told_within_the_stated_delay(name: str, lsb: float) 
 @pytest.mark.parametrize("name", SIGNALS)
 def test_hours_of_healthy_readings_raise_no_alarm(name: str) -> None:
     """Twenty hours at 500 Hz for one false alarm an hour at most; the margin leaves none, however coarse they are."""
-    elapsed = even(3600 * 500)
     for seed in range(20):
-        exact = healthy(name, seed, len(elapsed))
-        for lsb in (0.0, 0.2, 1.0, 3.0):
+        exact, elapsed = record(name, 3600 * RATE_HZ, RATE_HZ, 0.0, seed)
+        for lsb in STEPS:
             z = digitised(exact, lsb)
-            faults = Faults(find_limits(z[:30_000], elapsed[:30_000], 1.0, 0.002))
+            faults = Faults(find_limits(z[:LEARNT], elapsed[:LEARNT], ALARMS_PER_HOUR, 1 / RATE_HZ))
             faults.push(z, elapsed)
             assert faults.found == {}, (seed, lsb)

@@ -18,6 +18,7 @@ from becalm.core.model import Model
 from becalm.core.online import Online
 from becalm.core.smoothing import kalman_smoother
 from becalm.errors import ModelError
+from bits import assert_same_bits
 
 ROWS = 260
 ROUNDING = 1e-15  # of variances where readings are exact: sigma is 0, or the root of what rounding leaves
@@ -51,11 +52,6 @@ def readings(model: Model, holes: bool = True) -> Floats:
 def by_definition(model: Model, z: Floats, lag: int) -> tuple[Floats, Floats]:
     cut = [kalman_smoother(model, z[: k + lag + 1]) for k in range(len(z))]
     return np.array([e.signal[k] for k, e in enumerate(cut)]), np.array([e.sigma[k] for k, e in enumerate(cut)])
-
-
-def assert_same_bits(got: Floats, expected: Floats) -> None:
-    assert got.shape == expected.shape
-    assert np.array_equal(np.ascontiguousarray(got).view(np.uint64), np.ascontiguousarray(expected).view(np.uint64))
 
 
 def in_chunks(online: Online, z: Floats, at: list[int]) -> tuple[Floats, Floats]:

@@ -10,11 +10,12 @@ from scipy.stats import norm, poisson
 
 from becalm.core.arrays import Codes, Floats
 from becalm.core.components import Component, motion, oscillator
-from becalm.core.flow import Flow, Told
+from becalm.core.flow import Flow
 from becalm.core.gates import LEAST_THRESHOLD, Gate, Gatekeeper, threshold_for
 from becalm.core.model import Model
 from becalm.core.starting import open_record
 from becalm.core.timeline import elapsed_timeline
+from becalm.core.told import Told
 from becalm.core.verdict import Verdict
 from becalm.errors import ModelError
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from becalm.core.arrays import Floats
 from becalm.core.components import motion
 from becalm.core.filtering import Estimate, kalman_filter, run_filter
 from becalm.core.model import Model
@@ -13,19 +12,10 @@ from becalm.core.smoothing import kalman_smoother, run_smoother
 from becalm.core.timeline import elapsed_timeline
 from becalm.metrics.truth import coverage, rms_error
 from becalm.metrics.whiteness import mean_nis, whiteness
+from drawn import draw
 
 RECORDS, ROWS, CUTOFF = 40, 2000, 0.5
 ONE_SIGMA, WITHIN = 0.683, 0.03
-
-
-def draw(model: Model, rng: np.random.Generator, rows: int = ROWS) -> tuple[Floats, Floats]:
-    """Return the true signal and its readings, (rows,) each."""
-    w = np.linalg.cholesky(model.process_covariance) @ rng.normal(size=(model.states, rows))
-    x, truth = np.zeros(model.states), np.empty(rows)
-    for k in range(rows):
-        truth[k] = x[0]
-        x = model.F @ x + w[:, k]
-    return truth, truth + np.sqrt(model.R.item()) * rng.normal(size=rows)
 
 
 def true_model(order: int) -> Model:
@@ -38,7 +28,7 @@ def test_the_truth_lies_within_one_sigma_in_68_percent(order: int, causal: bool)
     model, rng = true_model(order), np.random.default_rng(order)
     shares, squares = [], []
     for _ in range(RECORDS):
-        truth, z = draw(model, rng)
+        truth, z = draw(model, ROWS, rng)
         z[rng.random(ROWS) < 0.1] = np.nan
         got = (kalman_filter if causal else kalman_smoother)(model, z)
         shares.append(coverage(got.signal[:, 0], got.sigma[:, 0], truth))
@@ -56,7 +46,7 @@ def test_sigma_is_honest_at_every_row_of_short_records(order: int, causal: bool)
     count, rows = 3000, 12
     hits = np.zeros(rows)
     for _ in range(count):
-        truth, z = draw(model, rng, rows)
+        truth, z = draw(model, rows, rng)
         got = (kalman_filter if causal else kalman_smoother)(model, z)
         hits += np.abs(got.signal[:, 0] - truth) <= got.sigma[:, 0]
     np.testing.assert_allclose(hits / count, ONE_SIGMA, rtol=0, atol=WITHIN)
@@ -83,7 +73,7 @@ def test_sigma_is_honest_in_irregular_time(causal: bool) -> None:
 
 @pytest.mark.parametrize("order", [1, 2, 3])
 def test_the_smoother_beats_the_filter_and_the_filter_the_readings(order: int) -> None:
-    truth, z = draw(true_model(order), np.random.default_rng(20 + order))
+    truth, z = draw(true_model(order), ROWS, np.random.default_rng(20 + order))
     errors = [rms_error(run(true_model(order), z).signal[:, 0], truth) for run in (kalman_smoother, kalman_filter)]
     assert errors[0] < errors[1] < rms_error(z, truth)
 
@@ -91,7 +81,7 @@ def test_the_smoother_beats_the_filter_and_the_filter_the_readings(order: int) -
 @pytest.mark.parametrize("order", [1, 2, 3])
 def test_the_innovations_of_the_true_model_are_white_and_of_the_right_size(order: int) -> None:
     model = true_model(order)
-    _, z = draw(model, np.random.default_rng(30 + order), rows=20_000)
+    _, z = draw(model, 20_000, np.random.default_rng(30 + order))
     got = kalman_filter(model, z)
     normalised = (got.innovations / got.innovation_sigma)[:, 0]
     assert 0.98 < mean_nis(normalised) < 1.02
@@ -103,7 +93,7 @@ def test_the_innovations_of_the_true_model_are_white_and_of_the_right_size(order
 def test_a_wrong_q_shows_in_the_innovations(order: int, factor: float, sign: int) -> None:
     """Neighbours correlate with the sign that tells the direction: sluggish above 0, nervous below."""
     model = true_model(order)
-    _, z = draw(model, np.random.default_rng(40 + order), rows=20_000)
+    _, z = draw(model, 20_000, np.random.default_rng(40 + order))
     wrong = Model(model.F, model.H, factor * model.Q, model.R)
     got = kalman_filter(wrong, z)
     found = whiteness((got.innovations / got.innovation_sigma)[:, 0])

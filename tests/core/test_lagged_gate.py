@@ -8,7 +8,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from becalm.core.arrays import Codes, Floats
-from becalm.core.components import motion
 from becalm.core.flow import Flow
 from becalm.core.gates import Gate, Gatekeeper, with_jumps
 from becalm.core.lagged_flow import LaggedFlow
@@ -19,10 +18,9 @@ from becalm.core.starting import open_record
 from becalm.core.timeline import elapsed_timeline
 from becalm.core.verdict import Verdict
 from becalm.errors import ModelError
+from gated_streams import GATE, PARTS, in_chunks, model_of
 
 ROWS, LAG = 900, 7
-GATE = Gate(5.0)
-PARTS = {order: motion(order, (2 * np.pi * 0.01) ** (2 * order)) for order in (1, 2, 3)}
 cuts = st.lists(st.integers(0, ROWS), max_size=6).map(sorted)
 
 
@@ -43,10 +41,6 @@ def stamps(kind: str) -> Floats:
     return elapsed
 
 
-def model_of(order: int) -> Model:
-    return PARTS[order].to_model(1.0, 1.0)
-
-
 def file(order: int, lag: int, elapsed: Floats, at: list[int]) -> tuple[Floats, Floats, Codes, int | None]:
     made, z, told = LaggedFlow(PARTS[order], 1.0, lag=lag, gate=GATE), readings(order), []
     for start, stop in zip([0, *at], [*at, ROWS], strict=True):
@@ -54,16 +48,6 @@ def file(order: int, lag: int, elapsed: Floats, at: list[int]) -> tuple[Floats, 
     told += made.finish()
     signal, sigma, _, verdicts = (np.concatenate(parts, axis=-1) for parts in zip(*told, strict=True))
     return signal, sigma, verdicts, made.settled_row
-
-
-def stream(online: Online, z: Floats, at: list[int]) -> tuple[Floats, Floats, Codes]:
-    out = []
-    for start, stop in zip([0, *at], [*at, len(z)], strict=True):
-        signal, sigma = online.run(z[start:stop])
-        assert online.verdicts is not None
-        out.append((signal, sigma, online.verdicts))
-    signal, sigma, verdicts = (np.concatenate(parts) for parts in zip(*out, strict=True))
-    return signal, sigma, verdicts
 
 
 @pytest.mark.parametrize("kind", ["even", "stamps"])
@@ -107,7 +91,7 @@ def test_it_decides_as_the_causal_filter(order: int) -> None:
 def test_live_is_the_file(order: int, lag: int) -> None:
     signal, sigma, verdicts, _ = file(order, lag, stamps("even"), [])
     online = Online(model_of(order), lag, GATE)
-    told, spread, seen = stream(online, readings(order), [])
+    told, spread, seen = in_chunks(online, readings(order), [])
     last = online.finish()
     assert np.array_equal(seen, verdicts)
     np.testing.assert_allclose(np.append(told[lag:, 0], last[0][:, 0]), signal, rtol=1e-12, atol=1e-12 * 60)
@@ -128,10 +112,10 @@ def test_stretches_are_the_whole_to_the_bit(order: int, lag: int, kind: str, at:
 @given(cuts, st.integers(0, ROWS))
 def test_any_cuts_and_a_pause_of_a_stream_decide_the_same(at: list[int], pause: int) -> None:
     z = readings(2)
-    whole, cut = (stream(Online(model_of(2), LAG, GATE), z, where) for where in ([], at))
+    whole, cut = (in_chunks(Online(model_of(2), LAG, GATE), z, where) for where in ([], at))
     first = Online(model_of(2), LAG, GATE)
-    begun = stream(first, z[:pause], [])
-    rest = stream(Online.resume(first.snapshot()), z[pause:], [])
+    begun = in_chunks(first, z[:pause], [])
+    rest = in_chunks(Online.resume(first.snapshot()), z[pause:], [])
     for kind in range(len(whole)):
         assert np.array_equal(whole[kind], cut[kind], equal_nan=True)
         assert np.array_equal(whole[kind], np.concatenate([begun[kind], rest[kind]]), equal_nan=True)
@@ -139,7 +123,7 @@ def test_any_cuts_and_a_pause_of_a_stream_decide_the_same(at: list[int], pause: 
 
 def test_one_by_one_is_the_block() -> None:
     z, online = readings(2), Online(model_of(2), LAG, GATE)
-    signal, sigma, verdicts = stream(Online(model_of(2), LAG, GATE), z, [])
+    signal, sigma, verdicts = in_chunks(Online(model_of(2), LAG, GATE), z, [])
     for k, reading in enumerate(z):
         assert np.array_equal(online.step(float(reading)), (signal[k, 0], sigma[k, 0]), equal_nan=True)
         assert online.verdict == verdicts[k]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -12,10 +10,10 @@ from becalm.core.limits import Limits, find_limits, find_resolution, run_lengths
 from becalm.core.rails import Rails, find_rails
 from becalm.errors import UsageError
 from becalm.files.reading import read
+from sensor_faults_records import DATA, REAL
 
 ROWS = 20_000
 T = np.arange(float(ROWS))
-DATA = Path(__file__).parents[2].parent / "shared" / "data"
 
 
 def noise(seed: int = 0) -> Floats:
@@ -170,19 +168,6 @@ def test_limits_say_what_they_need() -> None:
         find_limits(noise(), even(ROWS), 1.0, float("nan"))
     with pytest.raises(UsageError, match="not a range"):
         find_limits(noise(), even(ROWS), 1.0, 0.01, (1.0, 1.0))
-
-
-REAL: dict[str, float | None] = {
-    "comma2k19/accelerometer.csv": None,
-    "comma2k19/gyroscope.csv": None,
-    "comma2k19/can_speed.csv": None,
-    "munich_bridge/reference_state_strain.csv.gz": None,
-    "munich_bridge/support_load_strain.csv.gz": None,
-    "fusion/sensor_data.csv": None,
-    "gaitmap/imu_sample.csv": 204.8,
-    "imu_tk/xsens_acc.mat.txt.gz": None,
-    "imu_tk/xsens_gyro.mat.txt.gz": None,
-}
 
 
 @pytest.mark.parametrize("file", REAL)

@@ -7,18 +7,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from becalm.core.arrays import Codes, Floats
-from becalm.core.components import motion
+from becalm.core.arrays import Floats
 from becalm.core.flow import Flow
 from becalm.core.gates import Gate
 from becalm.core.model import Model
 from becalm.core.online import Online
 from becalm.core.verdict import Verdict
 from becalm.errors import ModelError
+from gated_streams import GATE, PARTS, in_chunks, model_of
 
 ROWS = 1500
-GATE = Gate(5.0)
-PARTS = {order: motion(order, (2 * np.pi * 0.01) ** (2 * order)) for order in (1, 2, 3)}
 
 
 def readings(order: int) -> Floats:
@@ -28,20 +26,6 @@ def readings(order: int) -> Floats:
     z[700:] += 60.0
     z[703], z[1000:1004], z[1200] = np.inf, np.nan, 1e300
     return z
-
-
-def model_of(order: int) -> Model:
-    return PARTS[order].to_model(1.0, 1.0)
-
-
-def in_chunks(online: Online, z: Floats, cuts: list[int]) -> tuple[Floats, Floats, Codes]:
-    out = []
-    for start, stop in zip([0, *cuts], [*cuts, len(z)], strict=True):
-        signal, sigma = online.run(z[start:stop])
-        assert online.verdicts is not None
-        out.append((signal, sigma, online.verdicts))
-    signal, sigma, verdicts = (np.concatenate(parts) for parts in zip(*out, strict=True))
-    return signal, sigma, verdicts
 
 
 @pytest.mark.parametrize("order", [1, 2, 3])

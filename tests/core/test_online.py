@@ -16,6 +16,7 @@ from becalm.core.filtering import kalman_filter
 from becalm.core.model import Model
 from becalm.core.online import Online
 from becalm.errors import ModelError
+from bits import assert_same_bits
 
 ROWS = 400
 MODELS = {
@@ -43,11 +44,6 @@ def readings(model: Model) -> Floats:
 RECORDS = {name: (model, readings(model)) for name, model in MODELS.items()}
 names = st.sampled_from(sorted(MODELS))
 cuts = st.lists(st.integers(0, ROWS), max_size=8).map(sorted)
-
-
-def assert_same_bits(got: Floats, expected: Floats) -> None:
-    assert got.shape == expected.shape
-    assert np.array_equal(got.view(np.uint64), np.ascontiguousarray(expected).view(np.uint64))
 
 
 def in_chunks(online: Online, z: Floats, at: list[int]) -> tuple[Floats, Floats]:

@@ -14,6 +14,7 @@ from becalm.core.online import Online
 from becalm.core.switching import Switching
 from becalm.core.switching_flow import SwitchingFlow
 from becalm.errors import ModelError
+from bits import same_bits
 
 ROWS = 300
 BANKS = {"2 of 1": bank_of(1, 2), "3 of 2": bank_of(2, 3), "wild": bank_of(2, 3, share=0.05, rejects=True)}
@@ -32,10 +33,6 @@ def flow(switching: Switching, z: Floats, at: list[int], *, causal: bool = True)
     told = [part for rows in np.split(z, at) for part in made.push(rows, np.ones(len(rows)))] + made.finish()
     signal, sigma = (np.concatenate([part[field] for part in told]) for field in (0, 1))
     return signal, sigma, np.hstack([part.parts for part in told if len(part.signal)])[-len(switching.modes) :]
-
-
-def same(got: Floats, expected: Floats) -> bool:
-    return np.array_equal(np.ascontiguousarray(got).view(np.uint64), np.ascontiguousarray(expected).view(np.uint64))
 
 
 @pytest.mark.parametrize("name", BANKS)
@@ -57,17 +54,17 @@ def test_any_chunks_and_pauses_are_one_block_to_the_bit(name: str, at: list[int]
     for rows in np.split(z, at):
         told.append(online.run(rows))
         online = Online.resume(online.snapshot())
-    assert same(np.vstack([part[0] for part in told]), expected[0])
-    assert same(np.vstack([part[1] for part in told]), expected[1])
+    assert same_bits(np.vstack([part[0] for part in told]), expected[0])
+    assert same_bits(np.vstack([part[1] for part in told]), expected[1])
 
 
 @pytest.mark.parametrize("name", BANKS)
 def test_one_by_one_is_one_block_to_the_bit(name: str) -> None:
     online, z = Online(BANKS[name]), readings()
     told = np.array([online.step(reading) for reading in z.tolist()])
-    assert same(told.T[:, :, np.newaxis], np.array(Online(BANKS[name]).run(z)))
+    assert same_bits(told.T[:, :, np.newaxis], np.array(Online(BANKS[name]).run(z)))
     again = Online(BANKS[name])
-    assert same(np.array([again.step(np.float64(reading)) for reading in z]), told)
+    assert same_bits(np.array([again.step(np.float64(reading)) for reading in z]), told)
 
 
 def test_before_the_first_reading_nothing_is_known_but_how_modes_begin() -> None:
@@ -98,7 +95,7 @@ def test_a_spoilt_snapshot_is_refused() -> None:
 def test_stretches_are_the_whole_to_the_bit(at: list[int], causal: bool) -> None:
     z = readings()
     whole, parts = (flow(BANKS["3 of 2"], z, cut, causal=causal) for cut in ([], at))
-    assert all(same(one, other) for one, other in zip(whole, parts, strict=True))
+    assert all(same_bits(one, other) for one, other in zip(whole, parts, strict=True))
 
 
 def test_groups_are_smoothed_as_one_record() -> None:
@@ -106,7 +103,7 @@ def test_groups_are_smoothed_as_one_record() -> None:
     z = np.tile(readings(), 180)[: 3 * 64 * 256 + 77]
     flown = flow(BANKS["2 of 1"], z, [1000, 40_000], causal=False)
     whole = flow(BANKS["2 of 1"], z, [], causal=False)
-    assert all(same(one, other) for one, other in zip(flown, whole, strict=True))
+    assert all(same_bits(one, other) for one, other in zip(flown, whole, strict=True))
     last = flow(BANKS["2 of 1"], z[: 2 * 64 * 256], [], causal=False)
     rows = slice(0, 64 * 256)
     np.testing.assert_allclose(last[0][rows], whole[0][rows], rtol=1e-9)
@@ -146,6 +143,6 @@ def test_steps_of_any_length_are_the_same_in_any_company(name: str) -> None:
     for first in range(0, 40, 3):
         some = BANKS[name].bank(lengths[first : first + 5])
         count = len(some.T)
-        assert same(some.T, whole.T[first : first + count])
-        assert same(some.F, whole.F[first * modes : (first + count) * modes])
-        assert same(some.Q, whole.Q[first * modes : (first + count) * modes])
+        assert same_bits(some.T, whole.T[first : first + count])
+        assert same_bits(some.F, whole.F[first * modes : (first + count) * modes])
+        assert same_bits(some.Q, whole.Q[first * modes : (first + count) * modes])

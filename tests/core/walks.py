@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+import drawn
 from becalm.core.arrays import Floats
 from becalm.core.components import motion
 from becalm.core.filtering import run_filter
@@ -14,13 +15,7 @@ from becalm.noise.likelihood import Tuning
 
 def draw(order: int, ratio: float, rows: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
     """Return a walk and its readings of variance 1, (rows,) each."""
-    model = motion(order, ratio).to_model(1.0, 1.0)
-    w = np.linalg.cholesky(model.process_covariance) @ rng.normal(size=(order, rows))
-    x, truth = np.zeros(order), np.empty(rows)
-    for k in range(rows):
-        truth[k] = x[0]
-        x = model.F @ x + w[:, k]
-    return truth, truth + rng.normal(size=rows)
+    return drawn.draw(motion(order, ratio).to_model(1.0, 1.0), rows, rng)
 
 
 def clean(tuning: Tuning, z: Floats, causal: bool) -> tuple[Floats, Floats]:

@@ -2,31 +2,22 @@
 
 from __future__ import annotations
 
-import importlib
 import subprocess
 import sys
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
 
+from accuracy import table
+
 ROOT = Path(__file__).parents[2]
-
-
-def load(name: str) -> ModuleType:
-    """Import a benchmark as when it is run: beside the others."""
-    sys.path.insert(0, str(ROOT / "benchmarks"))
-    try:
-        return importlib.import_module(name)
-    finally:
-        del sys.path[0]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("causal", "mean", "worst"), [(True, 0.80, 1.01), (False, 0.95, 1.05)])
 def test_no_truth_tuned_classic_filter_beats_the_one_that_nobody_tuned(causal: bool, mean: float, worst: float) -> None:
-    ratios = np.array([row["ratio"] for row in load("accuracy").table(causal)], dtype=float)
+    ratios = np.array([row["ratio"] for row in table(causal)], dtype=float)
     assert len(ratios) == 14
     assert ratios.max() <= worst
     assert np.exp(np.log(ratios).mean()) <= mean

@@ -11,10 +11,8 @@ from becalm.cleaning.judging import InnovationJudge
 from becalm.cleaning.recipe_parts import LimitsRecipe
 from becalm.core.arrays import Floats
 from becalm.core.cusum import SLACK
-from becalm.core.gates import Gate
 from becalm.core.monitor import LARGEST, find_alarms
 from becalm.noise.excess import excess_error
-from becalm.noise.gating import forecasts
 from becalm.noise.likelihood import Tuning
 
 MARGIN = 2.0
@@ -24,15 +22,8 @@ COLOURED = 4.0
 """Times the threshold of white noise: what needs a higher one is coloured too much for a drift to be told."""
 
 
-def with_alarms(  # noqa: PLR0913  (a channel: what it keeps to, its filter, its readings)
-    limits: LimitsRecipe | None,
-    tuning: Tuning,
-    readings: Floats,
-    elapsed: Floats,
-    gate: Gate | None,
-    *,
-    causal: bool,
-    step_s: float,
+def with_alarms(
+    limits: LimitsRecipe | None, tuning: Tuning, normalised: Floats, *, causal: bool, step_s: float
 ) -> LimitsRecipe | None:
     """Add to the limits of a channel when it drifts, and when it is dead, where its innovations can tell.
 
@@ -42,14 +33,18 @@ def with_alarms(  # noqa: PLR0913  (a channel: what it keeps to, its filter, its
         Of a channel that has none nothing more is told.
     tuning : Tuning
         Its filter, in steps.
-    readings, elapsed : (N,) float arrays
-        The record it was tuned on, in unit and in steps.
-    gate : Gate or None
-        What leaves spikes out.
+    normalised : (N,) float array
+        The filter's innovations on the record that it was tuned on, over their standard deviations; NaN where no
+        reading was used.
     causal : bool
         Whether the filter shall run causally.
     step_s : float
         One step, in seconds.
+
+    Returns
+    -------
+    LimitsRecipe or None
+        As they came where the innovations do not tell.
 
     Notes
     -----
@@ -58,7 +53,6 @@ def with_alarms(  # noqa: PLR0913  (a channel: what it keeps to, its filter, its
     """
     if limits is None:
         return None
-    normalised = forecasts(tuning, readings, elapsed, gate).normalised
     judge = InnovationJudge(step_s)
     judge.add(normalised, 1.0)
     found = judge.judgement(None if causal else partial(excess_error, tuning))

@@ -15,7 +15,7 @@ from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.report import ChannelReport
 from becalm.cleaning.steps import lag_in_rows
 from becalm.core.arrays import Floats
-from becalm.core.flow import Told
+from becalm.core.told import Told
 
 
 class Cleaner:

@@ -11,14 +11,14 @@ from becalm.cleaning.recipe_parts import LimitsRecipe
 from becalm.core.arrays import Codes, Floats
 from becalm.core.clock import GAP_STEPS
 from becalm.core.faults import Faults, Found, said
-from becalm.core.flow import Told
 from becalm.core.limits import Limits, find_limits
 from becalm.core.monitor import Alarms, InnovationMonitor
 from becalm.core.noise_change import NoiseHistory, said_of_change
+from becalm.core.told import Told
 from becalm.core.verdict import ADVICE, Verdict
 
 FALSE_ALARMS_PER_HOUR = 1.0
-"""Healthy stretches of an hour that may be called stuck; a small one trusts the sensor."""
+"""Healthy stretches of an hour that may be called stuck; a *small* one trusts the sensor."""
 
 MOST_LOST = 0.5
 """Share of the rows: a channel that is clipped or stuck in more of them hardly measures."""
@@ -105,12 +105,12 @@ def limits_of(told: LimitsRecipe | None) -> Limits:
     if told is None:
         return Limits(even=False)
     return Limits(
-        -np.inf if told.low is None else told.low,
-        np.inf if told.high is None else told.high,
-        told.resolution or 0.0,
-        told.stuck_readings,
-        told.gap_steps or GAP_STEPS,
-        bool(told.even_time),
+        low=-np.inf if told.low is None else told.low,
+        high=np.inf if told.high is None else told.high,
+        resolution=told.resolution or 0.0,
+        stuck_readings=told.stuck_readings,
+        gap_steps=told.gap_steps or GAP_STEPS,
+        even=bool(told.even_time),
     )
 
 
@@ -125,6 +125,11 @@ class SensorWatch:
         What the channel keeps to.
     step_s : float
         One step, in seconds.
+
+    Attributes
+    ----------
+    rows : int
+        Rows so far.
     """
 
     def __init__(self, told: LimitsRecipe | None, step_s: float) -> None:

@@ -10,11 +10,11 @@ import numpy as np
 from becalm.cleaning.cleaner import Cleaner
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.report import ChannelReport
-from becalm.cleaning.tuning import Wishes, listed, refuse_empty, tune
+from becalm.cleaning.tuning import Wishes, listed, refuse_causal_lag, refuse_empty, tune
 from becalm.core.arrays import Codes
-from becalm.core.flow import Told
 from becalm.core.recording import Recording
-from becalm.errors import RecipeError, UsageError
+from becalm.core.told import Told
+from becalm.errors import RecipeError
 
 
 @dataclass(frozen=True)
@@ -124,13 +124,21 @@ def _parts(recording: Recording, recipe: Recipe, told: Sequence[Told]) -> Record
 def in_mode(recipe: Recipe, causal: bool | None = None, lag_s: float | None = None) -> Recipe:
     """Return a recipe whose estimates know only the past, or as much more as is asked; as it is, if nothing is.
 
+    Parameters
+    ----------
+    recipe : Recipe
+        What to do; its filters stay.
+    causal : bool, optional
+        Whether estimates shall know only the past (True), or the whole record.
+    lag_s : float, optional
+        How long each estimate shall wait for later readings; with a *small* one it comes soon, and noisier.
+
     Raises
     ------
     UsageError
         If a lag is asked of a causal filter.
     """
-    if causal and lag_s is not None:
-        raise UsageError("A causal filter waits for no later reading; ask for a lag, or for a causal filter.")
+    refuse_causal_lag(causal, lag_s)
     if lag_s is not None:
         return recipe.model_copy(update={"mode": "lagged", "lag_s": lag_s})
     if causal is None:
@@ -139,14 +147,13 @@ def in_mode(recipe: Recipe, causal: bool | None = None, lag_s: float | None = No
 
 
 def _narrowed(recipe: Recipe, channels: Sequence[str] | None) -> Recipe:
-    changes: dict[str, object] = {}
-    if channels is not None:
-        known = {channel.name: channel for channel in recipe.channel}
-        missing = [name for name in listed(channels) if name not in known]
-        if missing:
-            raise RecipeError(f"The recipe has no channel {missing[0]!r}; it has {', '.join(map(repr, known))}.")
-        changes["channel"] = tuple(known[name] for name in listed(channels))
-    return recipe.model_copy(update=changes)
+    if channels is None:
+        return recipe
+    known = {channel.name: channel for channel in recipe.channel}
+    missing = [name for name in listed(channels) if name not in known]
+    if missing:
+        raise RecipeError(f"The recipe has no channel {missing[0]!r}; it has {', '.join(map(repr, known))}.")
+    return recipe.model_copy(update={"channel": tuple(known[name] for name in listed(channels))})
 
 
 def fitted(
@@ -154,7 +161,6 @@ def fitted(
     names: Sequence[str],
     units: Sequence[str],
     *,
-    causal: bool | None = None,
     channels: Sequence[str] | None = None,
 ) -> Recipe:
     """Return a recipe for a recording of these names and units.
@@ -165,8 +171,6 @@ def fitted(
         What to do.
     names, units : sequence of str
         What the recording has.
-    causal : bool, optional
-        Whether estimates shall know only the past; as the recipe says by default.
     channels : sequence of str, optional
         Which of the recipe's channels to clean; all by default.
 
@@ -175,7 +179,7 @@ def fitted(
     RecipeError
         If the recipe names a channel that the recording does not have, or in another unit.
     """
-    recipe = _narrowed(in_mode(recipe, causal), channels)
+    recipe = _narrowed(recipe, channels)
     for channel in recipe.channel:
         if channel.name not in names:
             raise RecipeError(

@@ -104,9 +104,9 @@ class ChannelRecipe(Settings):
             return (self.model,)
         tones = [f"{tone.frequency_hz:.6g}Hz" for tone in self.tone]
         numbered = [f"tone_{tone}" + "_again" * tones[:k].count(tone) for k, tone in enumerate(tones)]
-        if self.switching is None:
-            return ("motion", *numbered, *(["coloured_noise"] if self.coloured_noise else []))
         beside = [*numbered, *(["coloured_noise"] if self.coloured_noise else [])]
+        if self.switching is None:
+            return ("motion", *beside)
         told = beside if any(mode.with_tones for mode in self.switching.mode) else []
         return ("motion", *told, *(f"probability_{mode.name}" for mode in self.switching.mode))
 

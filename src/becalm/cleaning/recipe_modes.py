@@ -50,7 +50,8 @@ class SwitchingRecipe(Settings):
     kind : {"resting", "jumping", "noisy", "spiky"}
         Which bank they are of.
     wild_std : float
-        How far wild readings are spread, in unit.
+        How far wild readings are spread beyond the noise, in unit; with a *small* one a far reading is a switch rather
+        than wild.
     rejects : bool
         Whether they are left out.
     mode : tuple of ModeRecipe

@@ -67,9 +67,10 @@ class GateRecipe(Settings):
     false_alarms_per_hour : float
         Good readings that are taken for spikes; a *small* one trusts the readings.
     agree : int
-        So many rejected readings in a row that agree with each other are a step, and followed.
+        So many rejected readings in a row that agree with each other are a step, and followed; with a *small* one
+        sooner, but spikes that agree by chance are followed too.
     at_most : int
-        So many rejected readings in a row are believed whatever they are.
+        So many rejected readings in a row are believed whatever they are; a *small* one trusts the readings.
     """
 
     false_alarms_per_hour: Positive = 1.0

@@ -80,6 +80,13 @@ def gate_of(told: GateRecipe, step_s: float) -> Gate:
 def lag_in_rows(lag_s: float, step_s: float) -> int:
     """Return how many later readings come within a lag.
 
+    Parameters
+    ----------
+    lag_s : float
+        In seconds; one that falls short of a reading by a millionth of a step still counts it.
+    step_s : float
+        One step, in seconds.
+
     Raises
     ------
     UsageError

@@ -22,7 +22,7 @@ from becalm.errors import RecordingError, UsageError
 from becalm.noise.choose import Known
 from becalm.noise.coloured import NoiseModel, fit_noise
 from becalm.noise.dial import Dial, turn
-from becalm.noise.gating import choose_gated, has_rejects
+from becalm.noise.gating import choose_gated, forecasts
 from becalm.noise.likelihood import Evidence, Tuning
 from becalm.noise.lines import FEWEST_FOR_TONES, MOST_TONES
 from becalm.noise.still import said_still
@@ -122,36 +122,38 @@ def _version() -> str:
 
 
 def _tune_channel(recording: Recording, causal: bool, wishes: Wishes, progress: Progress, name: str) -> ChannelRecipe:
+    found = _channel_recipe(recording, causal, wishes, name)
+    progress(name)
+    return found
+
+
+def _channel_recipe(recording: Recording, causal: bool, wishes: Wishes, name: str) -> ChannelRecipe:
     time, unit = recording.timebase, recording.units[recording.names.index(name)]
     known = Known(
         _rest_noise(wishes.rest or recording, name, wishes.still_s) if wishes.still_s else None,
         tuple(2 * np.pi * frequency * time.step_s for frequency in wishes.removed_hz),
     )
-    gate = GateRecipe()
-    elapsed = time.elapsed_steps
+    told, elapsed = GateRecipe(), time.elapsed_steps
+    gate = gate_of(told, time.step_s)
     readings, limits = find_healthy(recording.channel(name), elapsed, time.step_s)
-    choice, gated = choose_gated(readings, elapsed, gate_of(gate, time.step_s), causal, known)
+    choice, gated = choose_gated(readings, elapsed, gate, causal, known)
     if choice.tuning is None or choice.motion is None:
-        progress(name)
         return ChannelRecipe(name=name, unit=unit, model=choice.kind, limits=limits)
-    found, spread = choice.tuning, 0.0
-    if wishes.dial is not None:  # what a person asked for is no estimate
+    found, evidence, spread = choice.tuning, Evidence.of(readings, elapsed), 0.0
+    if wishes.dial is not None:
         found = turn(choice.motion, wishes.dial, time.step_s, causal)
-    elif not wishes.still_s and not wishes.removed_hz:
-        spikes = gated and has_rejects(found, readings, elapsed, gate_of(gate, time.step_s))
-        switched = _switched(found, Evidence.of(readings, elapsed), causal, spikes, robust=wishes.robust)
-        if switched is not None:
-            progress(name)
-            modes = modes_in_seconds(switched, time.step_s)
-            return in_seconds(name, unit, found, time.step_s).model_copy(update={"switching": modes, "limits": limits})
-    if wishes.dial is None:
-        told = known.noise is not None
-        spread = tuning_spread(found, Evidence.of(readings, elapsed), causal, noise_known=told)
-    progress(name)
-    beside = gate if gated else None
-    filtered = readings, elapsed, None if beside is None else gate_of(beside, time.step_s)
-    limits = with_alarms(limits, found, *filtered, causal=causal, step_s=time.step_s)
-    return in_seconds(name, unit, found, time.step_s, spread).model_copy(update={"gate": beside, "limits": limits})
+    foretold = forecasts(found, readings, elapsed, gate if gated else None)
+    if wishes.dial is None:  # what a person asked for is no estimate: it has no spread, and nothing replaces it
+        if not wishes.still_s and not wishes.removed_hz:
+            spikes = bool(foretold.rejected.any())
+            switched = _switched(found, evidence, causal, spikes, robust=wishes.robust)
+            if switched is not None:
+                more = {"switching": modes_in_seconds(switched, time.step_s), "limits": limits}
+                return in_seconds(name, unit, found, time.step_s).model_copy(update=more)
+        spread = tuning_spread(found, evidence, causal, noise_known=known.noise is not None)
+    limits = with_alarms(limits, found, foretold.normalised, causal=causal, step_s=time.step_s)
+    beside = {"gate": told if gated else None, "limits": limits}
+    return in_seconds(name, unit, found, time.step_s, spread).model_copy(update=beside)
 
 
 def _switched(tuning: Tuning, evidence: Evidence, causal: bool, spikes: bool, *, robust: bool) -> Switched | None:
@@ -205,6 +207,15 @@ def _refuse_contradictions(wishes: Wishes, recording: Recording) -> None:
 def tuned_as_filter(causal: bool, lag_s: float | None, step_s: float) -> bool:
     """Whether the likelihood of the next reading tunes, as of a causal filter, or what a smoother is tuned by.
 
+    Parameters
+    ----------
+    causal : bool
+        Whether estimates know only the past.
+    lag_s : float or None
+        How long each waits for later readings, in seconds; None where it is not said.
+    step_s : float
+        One step, in seconds.
+
     Raises
     ------
     UsageError
@@ -212,9 +223,14 @@ def tuned_as_filter(causal: bool, lag_s: float | None, step_s: float) -> bool:
     """
     if lag_s is None:
         return causal
-    if causal:
-        raise UsageError("A causal filter waits for no later reading; ask for a lag, or for a causal filter.")
+    refuse_causal_lag(causal, lag_s)
     return lag_in_rows(lag_s, step_s) <= SOON
+
+
+def refuse_causal_lag(causal: bool | None, lag_s: float | None) -> None:
+    """Raise a UsageError where a lag is asked of a causal filter."""
+    if causal and lag_s is not None:
+        raise UsageError("A causal filter waits for no later reading; ask for a lag, or for a causal filter.")
 
 
 def refuse_empty(recording: Recording) -> None:

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from becalm.cleaning.recipe_parts import CalibrationRecipe
-from becalm.core.flow import Told
+from becalm.core.told import Told
 
 
 class Uncertainty:

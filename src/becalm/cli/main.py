@@ -75,11 +75,8 @@ def clean(  # noqa: PLR0913  (the contract's options)
     from becalm.files.registry import format_to_write
     from becalm.files.writing import open_output, refuse_columns
 
-    beside, asked = (
-        Path(f"{output}.recipe.toml"),
-        o.asked_of(o.Dials(max_lag, bandwidth, noise_gain), still, remove, robust),
-    )
-    lag_s = o.lag_of(lag)
+    asked, lag_s = o.asked_of(o.Dials(max_lag, bandwidth, noise_gain), still, remove, robust), o.lag_of(lag)
+    beside = Path(f"{output}.recipe.toml")
     if recipe is not None and asked.anything:
         raise UsageError("A recipe has its filters already; leave --recipe out to ask for others, or ask for nothing.")
     format_to_write(output)

@@ -17,7 +17,7 @@ from becalm.files.tables import CleanChannel, output_block
 if TYPE_CHECKING:
     from becalm.cleaning.recipe import ChannelRecipe, Recipe
     from becalm.cleaning.report import ChannelReport
-    from becalm.core.flow import Told
+    from becalm.core.told import Told
     from becalm.files.opening import OpenSource
 
 CHUNK_ROWS = 1 << 18

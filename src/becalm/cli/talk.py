@@ -123,9 +123,8 @@ def _model(report: ChannelReport) -> str:
 
 def _between(values: list[float | None], unit: str) -> str:
     told = sorted(value for value in values if value is not None)
-    return (
-        f"{_number(told[0], '')} to {_number(told[-1], unit)}" if len(told) > 1 else _number(*told[:1] or [None], unit)
-    )
+    alone = not told or told[0] == told[-1]
+    return _number(told[0] if told else None, unit) if alone else f"{told[0]:.3g} to {_number(told[-1], unit)}"
 
 
 def _number(value: float | None, unit: str) -> str:

@@ -43,7 +43,7 @@ def cusum_threshold(readings: float) -> float:
     return max(b - _OVERSHOOT, 0.0)
 
 
-class OneSided:
+class OneSidedCusum:
     """A cumulative sum that goes on from push to push.
 
     Parameters

@@ -12,12 +12,13 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Booleans, Codes, Floats, Integers
-from becalm.core.limits import Limits, told
+from becalm.core.limits import Limits, is_new
 from becalm.core.verdict import ADVICE, BEYOND_ANY_SENSOR, Verdict
 
 _TICKS = 1 << 20  # of a step, for what a row is off its time
 _TIME = 1 << 10  # of a step, for the time since the first row
 _LONGEST = float(1 << 31)  # steps between two rows; beyond, time is not told
+_LATEST = 0.75  # of a step after it was due: a row that comes later is the next one, and the one due was lost
 _REFERENCES = (16, 32, 48)  # rows before, whose median is the even time
 _ON_TIME = 0.1  # steps off a whole one: there a row stands in a place of even time, if not its own
 
@@ -87,7 +88,7 @@ class Faults:
         codes = self._timing(elapsed)
         whole = possible and codes is None  # of which each reading says something new
         if self.limits.stuck_readings is not None:
-            new = None if whole else told(z, elapsed, first=False)
+            new = None if whole else is_new(z, elapsed, first=False)
             codes = _marked(codes, Verdict.STUCK, self._is_stuck(z, new, self.limits.stuck_readings))
         codes = _marked(codes, Verdict.CLIPPED, self.limits.rails.reached(z))
         if not possible:
@@ -142,7 +143,7 @@ class Faults:
 
         Even time goes on from where most of the rows before had it, so that a clock may run a little fast or slow.
         """
-        due = np.where(elapsed > self.limits.gap_steps, np.ceil(elapsed - 0.75), 1.0)
+        due = np.where(elapsed > self.limits.gap_steps, np.ceil(elapsed - _LATEST), 1.0)
         off = np.where(elapsed > 0, elapsed - due, 0.0)
         moved = np.cumsum(np.rint(off * _TICKS).astype(np.int64))
         offsets = np.append(self._offsets, self._offsets[-1] + moved)
@@ -190,6 +191,11 @@ def said(found: Mapping[Verdict, Found], limits: Limits, step_s: float) -> list[
         What the channel was held against.
     step_s : float
         One step, in seconds.
+
+    Returns
+    -------
+    list of str
+        In the order of the verdicts.
     """
     return [
         f"{_what(verdict, found[verdict].readings, limits)}, first at {found[verdict].first_step * step_s:.6g} s"

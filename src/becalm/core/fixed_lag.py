@@ -70,10 +70,10 @@ def fixed_lag_smoother(model: Model, z: ArrayLike, lag: int) -> tuple[Floats, Fl
     if checked_lag(lag) == 0:
         found = kalman_filter(model, readings, innovations=False)
         return found.signal, found.sigma
-    filtered = FixedLag(model, lag)
-    late = filtered.push(even_timeline(model, len(readings)), readings)
-    signal, sigma = filtered.rest()
-    waited = min(filtered.lag, len(readings))
+    smoother = FixedLag(model, lag)
+    late = smoother.push(even_timeline(model, len(readings)), readings)
+    signal, sigma = smoother.rest()
+    waited = min(smoother.lag, len(readings))
     return np.hstack([late.signal[:, waited:], signal]).T, np.hstack([late.sigma[:, waited:], sigma]).T
 
 

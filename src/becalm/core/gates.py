@@ -68,8 +68,10 @@ class Gate:
         a *small* one trusts the model. `threshold_for` gives it for a rate of false alarms.
     agree : int
         So many rejects in a row that agree with each other, to z of their noise, are a step: it is followed.
+        With a *small* one sooner, but spikes that agree by chance are followed too.
     at_most : int
-        So many rejects in a row are believed whatever they are, so that nothing is locked out for ever.
+        So many rejects in a row are believed whatever they are, so that nothing is locked out for ever; a *small*
+        one trusts the readings.
 
     Raises
     ------
@@ -126,6 +128,11 @@ class Gatekeeper:
     takes_back : bool
         Whether rejects that agreed count as used in the end, from the first of them on, as for a smoother.
 
+    Attributes
+    ----------
+    counters : (6,) float array
+        What is remembered from call to call, see `kernel_gate`.
+
     Raises
     ------
     ModelError
@@ -160,6 +167,11 @@ class Gatekeeper:
             The first row to judge.
         belief : (n + n^2 or more,) float array
             Mean and covariance before it, as a filter's memory begins.
+
+        Returns
+        -------
+        Gated
+            Of all rows of z; those before `begun` are not judged.
         """
         n = self._states
         memory = np.concatenate([belief[: n + n * n], self.counters])
@@ -180,7 +192,7 @@ def level_of(model: Model) -> int:
 
 
 def with_jumps(timeline: Timeline, rows: Integers, jumps: Floats) -> Timeline:
-    """Let the states jump in the steps before some rows (s,), by variances (s, n) that their Q gains."""
+    """Return a timeline with steps of their own before some rows (s,), whose Q gains variances (s, n) of the states."""
     if not len(rows):
         return timeline
     first, step, F, Q = timeline.first, timeline.step, timeline.system.F, timeline.system.Q

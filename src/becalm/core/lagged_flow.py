@@ -10,11 +10,12 @@ import numpy as np
 from becalm.core.arrays import Codes, Floats
 from becalm.core.components import Component
 from becalm.core.fixed_lag import FixedLag
-from becalm.core.flow import Judge, Told
+from becalm.core.flow import Judge
 from becalm.core.gates import Gate, Gatekeeper
 from becalm.core.kernel_settling import COVARIANCE, GAIN
 from becalm.core.starting import first_reading
 from becalm.core.timeline import elapsed_timeline
+from becalm.core.told import Told
 from becalm.core.verdict import judge as judge_readings
 
 

@@ -20,15 +20,15 @@ from becalm.core.verdict import BEYOND_ANY_SENSOR
 from becalm.errors import UsageError
 
 _MARGIN = 2.0  # of a limit over what the record itself shows
-_WIDE_MARGIN = 10.0
-_FEWEST_RUNS = 50
+_WIDE_MARGIN = 10.0  # where only the signal ends a run
+_FEWEST_RUNS = 50  # of equal readings: fewer tell no law
 _MOST_FAULTS = 10  # stretches of a record in which a channel was stuck
 _TAIL, _FEWEST_IN_TAIL = 0.05, 20
 _UNSEEN = 3.0  # what never happened may come so often: the 95 % limit of Poisson's law
 _FEWEST_OF_A_SIDE = 5  # readings beyond the edge of a code, for its place to be told
 _LATTICE = 1e-5  # of a step: how far text and arithmetic may round a reading off its code
 _ROUNDED = 1e-4  # of a step: what is left of a distance by that, before the step itself is known well
-_FEWEST_CODES = 3
+_FEWEST_CODES = 3  # two lie on any lattice
 _MOST_CODES = 1 << 16  # differences that a lattice is looked for in
 _EVEN, _EVEN_SHARE = 0.1, 0.95  # steps off whole ones, of so many rows
 _SLOW = 1e-3  # of a step
@@ -44,7 +44,7 @@ class Limits(NamedTuple):
     resolution : float
         The step between two codes, in unit; 0 where readings lie on no lattice.
     stuck_readings : int or None
-        So many equal readings in a row, and the channel is stuck; None: never. A small value finds it
+        So many equal readings in a row, and the channel is stuck; None: never. A *small* one finds it
         sooner, and calls slow signals stuck.
     gap_steps : float
         More steps than this since the row before are a gap.
@@ -81,7 +81,7 @@ def find_limits(
     elapsed : (N,) float array
         Steps since the row before; 0 for the first.
     false_alarms_per_hour : float
-        Healthy stretches that may be called stuck. A small value trusts the sensor.
+        Healthy stretches that may be called stuck; a *small* one trusts the sensor.
     step_s : float
         One step, in seconds.
     sensor_range : (float, float), optional
@@ -105,7 +105,7 @@ def find_limits(
         )
     if sensor_range is not None and not sensor_range[0] < sensor_range[1]:
         raise UsageError(f"sensor_range = {sensor_range!r} is not a range; give (low, high), as in (-50.0, 50.0).")
-    kept = told(z, elapsed, first=True)
+    kept = is_new(z, elapsed, first=True)
     readings = np.asarray(z[kept])
     resolution = find_resolution(readings)
     rails = find_rails(readings, resolution) if sensor_range is None else Rails(*sensor_range)
@@ -115,7 +115,7 @@ def find_limits(
     return Limits(rails.low, rails.high, resolution, stuck, gap_steps, even)
 
 
-def told(z: Floats, elapsed: Floats, first: bool) -> Booleans:
+def is_new(z: Floats, elapsed: Floats, *, first: bool) -> Booleans:
     """Tell which readings (N,) say something new: possible ones, of a row that has a time of its own.
 
     `first` says that the first row has none before it.

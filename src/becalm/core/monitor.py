@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.special import gammainccinv, gammaincinv
 
 from becalm.core.arrays import Codes, Floats, Integers
-from becalm.core.cusum import OneSided, cusum_delay, cusum_threshold
+from becalm.core.cusum import OneSidedCusum, cusum_delay, cusum_threshold
 from becalm.core.faults import Found
 from becalm.core.verdict import Verdict
 from becalm.errors import UsageError
@@ -40,11 +40,11 @@ class Alarms(NamedTuple):
     Attributes
     ----------
     drift_threshold : float
-        h of the cumulative sum, in sigma. A small value finds a drift sooner, and more that are none.
+        h of the cumulative sum, in sigma; a *small* one finds a drift sooner, and more that are none.
     quiet_variance, loud_variance : float
         Variance of a window below or above which the noise has changed; those near 1 find less of a change.
     dead_variance : float
-        Variance of a window below which the channel is dead. A small value lets it rest; 0: never dead.
+        Variance of a window below which the channel is dead; a *small* one lets it rest, 0 never calls it dead.
     """
 
     drift_threshold: float
@@ -69,12 +69,17 @@ def find_alarms(false_alarms_per_hour: float, step_s: float, healthy: Floats | N
     Parameters
     ----------
     false_alarms_per_hour : float
-        Of all kinds together. A small value trusts the sensor.
+        Of all kinds together; a *small* one trusts the sensor.
     step_s : float
         One step, in seconds.
     healthy : (N,) float array, optional
         Normalised innovations of a healthy record. A filter tuned on motion expects more noise than a sensor at rest
         has; with these, only what is far quieter than the quietest of them is dead.
+
+    Returns
+    -------
+    Alarms
+        Without a healthy record, `dead_variance` is a twentieth of the expected one, or what chance allows if less.
 
     Raises
     ------
@@ -125,8 +130,8 @@ def _variances(spreads: Integers) -> Floats:
     return np.asarray(spreads / float(WINDOW * (WINDOW - 1) * _PARTS**2))
 
 
-class NoiseChange(NamedTuple):
-    """Where windows of innovations were too loud, or too quiet."""
+class Excursion(NamedTuple):
+    """How the noise left what was expected: the windows of innovations that were too loud, or too quiet."""
 
     rows: int = 0  # that followed such a window, until one that was as expected
     first_row: int = 0
@@ -161,7 +166,7 @@ class InnovationMonitor:
         `Found` of `DRIFT` and `DEAD`; rows are counted as they came.
     drift_since : int or None
         The row in which the drift that was told first began, as far as the sum tells.
-    louder, quieter : NoiseChange
+    louder, quieter : Excursion
         Where the noise was more, or less, than the filter expects. Quieter is no fault: machines rest.
     """
 
@@ -169,18 +174,13 @@ class InnovationMonitor:
         self.alarms = alarms
         self.found: dict[Verdict, Found] = {}
         self.drift_since: int | None = None
-        self.louder, self.quieter = NoiseChange(), NoiseChange()
+        self.louder, self.quieter = Excursion(), Excursion()
         threshold = int(np.ceil(alarms.drift_threshold * _PARTS))
-        self._sides = OneSided(threshold), OneSided(threshold)
+        self._sides = OneSidedCusum(threshold), OneSidedCusum(threshold)
         self._rows = 0
         self._rest = np.empty(0, dtype=np.int64)  # innovations that fill no hop yet
         self._hops = np.zeros((0, 2), dtype=np.int64)  # sums, and sums of squares, of the last hops
         self._state = _CALM
-
-    @property
-    def noise_changed_rows(self) -> int:
-        """Rows at which the noise was not the expected one."""
-        return self.louder.rows + self.quieter.rows
 
     def push(self, normalised: Floats) -> Codes:
         """Take the next normalised innovations (B,), NaN where there is none; return DRIFT, DEAD or USED for each."""
@@ -231,29 +231,7 @@ class InnovationMonitor:
         return states, spread
 
 
-def said_of_noise(monitor: InnovationMonitor, step_s: float) -> list[str]:
-    """Say where the noise became another than the filter expects, and what to do; nothing where it did not.
-
-    Parameters
-    ----------
-    monitor : InnovationMonitor
-        What watched the innovations.
-    step_s : float
-        One step, in seconds.
-    """
-    kinds = (
-        (monitor.louder, "tune anew on a record of this, or look for what shakes the sensor"),
-        (monitor.quieter, "tune anew if it stays so; a machine at rest needs nothing"),
-    )
-    return [
-        f"From {change.first_row * step_s:.6g} s on, in {change.rows} rows, the innovations were"
-        f" {change.noise_ratio:.2g} times what the filter expects: {advice}."
-        for change, advice in kinds
-        if change.rows
-    ]
-
-
-def _joined(change: NoiseChange, rows: Integers, spread: Integers) -> NoiseChange:
+def _joined(change: Excursion, rows: Integers, spread: Integers) -> Excursion:
     first = change.first_row if change.rows or not len(rows) else int(rows[0])
     squares = change.squares + sum(map(int, spread))
-    return NoiseChange(change.rows + len(rows), first, change.windows + len(spread), squares)
+    return Excursion(change.rows + len(rows), first, change.windows + len(spread), squares)

@@ -14,11 +14,10 @@ import numpy as np
 
 from becalm.core.arrays import Booleans, Floats, Integers
 
-_FEWEST_CODES = 16
+_FEWEST_CODES = 16  # fewer have no end that is rare
 _BESIDE = 10  # different readings beside the extreme one
 _OFTENER = 8  # than those: a smooth peak holds its last code up to 4.3 times as often ...
 _THAN_NEXT = 4  # ... and 2.4 times as often as the next; a level between two codes, as often
-_FEWEST = 8
 _TURNS_BACK = 0.22  # of all steps: white noise a third of a code wide turns back as often, one of a fifth does not
 _ROUGH = 0.4  # of a code; the rounding of a moving signal alone is 0.29
 _FOURTH = 0.6745 * np.sqrt(70.0)  # median of the fourth differences of white noise of variance 1
@@ -64,7 +63,7 @@ def find_rails(z: Floats, resolution: float) -> Rails:
 def _is_piled_up(counts: Integers) -> bool:
     """Whether the first of the counts of different readings is far above those beside it."""
     beside = counts[1 : 1 + _BESIDE]
-    return bool(counts[0] >= max(_FEWEST, _OFTENER * beside.mean(), _THAN_NEXT * beside[0]))
+    return bool(counts[0] >= max(_OFTENER * beside.mean(), _THAN_NEXT * beside[0]))
 
 
 def _comes_back(there: Booleans) -> bool:

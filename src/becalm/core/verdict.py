@@ -13,7 +13,9 @@ BEYOND_ANY_SENSOR = 1e100
 """A magnitude whose square would leave float64; no sensor reads it."""
 
 AGREE, AT_MOST = 5, 50
-"""Spikes in a row that are believed after all: where they agree with each other, and whatever they are."""
+"""Spikes in a row that are believed after all: where they agree with each other, and whatever they are.
+
+They stand here and not beside `gates.Gate`, so that a recipe can name them without loading a kernel."""
 
 
 class Verdict(IntEnum):

@@ -14,8 +14,9 @@ import numpy as np
 from scipy.special import ndtr
 
 from becalm.core.arrays import Booleans, Floats
-from becalm.core.flow import Flow, Told
+from becalm.core.flow import Flow
 from becalm.core.gates import Gate
+from becalm.core.told import Told
 from becalm.core.verdict import Verdict
 from becalm.noise.choose import NOTHING_KNOWN, Choice, Known, choose
 from becalm.noise.likelihood import Tuning
@@ -36,7 +37,7 @@ rejects where these are spikes. Heavy tails have twice as many and more."""
 DOUBT = 3.0
 """Log-likelihood that a gate may seem to cost: of a filter that hardly believes a reading only chance tells."""
 
-_LEAST_SCALE = 1e-6
+_LEAST_SCALE = 1e-6  # where more than half of the readings are equal
 _MIDDLE = 1.4826  # of the median of |e|, which makes a standard deviation of Gaussian noise
 _CHANCE = 3.0  # standard deviations of a count
 _SAME = 0.1  # of a noise variance: another round would change little
@@ -115,11 +116,6 @@ def choose_gated(
     if choice.tuning is None or (choice is not plain and not foretells_better(choice.tuning, readings, elapsed, gate)):
         return GatedChoice(plain, False)
     return GatedChoice(choice, True)
-
-
-def has_rejects(tuning: Tuning, readings: Floats, elapsed: Floats, gate: Gate) -> bool:
-    """Whether a gate leaves any reading (N,) out."""
-    return bool(forecasts(tuning, readings, elapsed, gate).rejected.any())
 
 
 def foretells_better(tuning: Tuning, readings: Floats, elapsed: Floats, gate: Gate) -> bool:

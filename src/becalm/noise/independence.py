@@ -2,7 +2,8 @@
 
 The errors of neighbours are alike, so that averaging n of them does not divide sigma by sqrt(n). With rho_k
 the correlation of errors k samples apart and L = sum of rho_k over all k, back and ahead, the mean of n >> L
-samples has the variance sigma^2 L / n. The noise that a filter passes has a length of its own, 1 / (2 B) with
+samples has the variance sigma^2 L / n: L is the integrated autocorrelation time (Priestley, Spectral Analysis and Time
+Series (1981), 5.3). The noise that a filter passes has a length of its own, 1 / (2 B) with
 its noise bandwidth B; but sigma holds what the filter holds back of the signal as well, and of that L knows.
 """
 

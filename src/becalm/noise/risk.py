@@ -135,7 +135,7 @@ class Risk(NamedTuple):
 
 
 def estimated_risk(tuning: Tuning, evidence: Evidence, noise_variance: float, causal: bool) -> Risk:
-    """Estimate how far a filter, or a smoother, errs over a record, given the variance of a reading's noise."""
+    """Estimate how far a filter, or a smoother, errs over a record, given the variance of a reading's noise, unit^2."""
     component, r = tuning.component, tuning.noise_variance
     model, squares, weights = component.to_model(1.0, r), list[Floats](), list[Floats]()
     for part in long_pieces(evidence):

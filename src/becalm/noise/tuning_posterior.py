@@ -27,7 +27,7 @@ from becalm.noise.likelihood import Candidate, Evidence, Tuning
 _SLOWEST_CYCLES, _FASTEST = 0.02, 4.0  # of the record, far slower than it can tell; radians a step
 _COARSE, _FINE, _WALKS = 15, 9, 8  # points over all cut-offs, and beside the likeliest; walks that stand for all
 _EVERY = 400  # cut-offs that a likelihood is interpolated at
-_BY_CHANCE = 0.01  # p-value of whiteness
+_BY_CHANCE = 0.01  # p-value of whiteness: one true walk in a hundred is called none
 
 
 def posterior_widening(tuning: Tuning, evidence: Evidence, causal: bool) -> float | None:
