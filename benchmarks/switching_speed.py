@@ -1,6 +1,6 @@
 """What a bank that switches costs: a reading, filtered and smoothed, by modes and states, beside a fixed filter.
 
-By the processor's time, the shortest of several runs; 20 000 readings that rest and move by turns.
+By the processor's time, the shortest of several runs; 200 000 readings that rest and move by turns.
 
 Run: python benchmarks/switching_speed.py [-o docs/switching-speed.md]
 """
@@ -23,7 +23,7 @@ from stopwatch import nanoseconds, step_through
 
 Floats = NDArray[np.float64]
 
-ROWS, STEPPED = 20_000, 2000
+ROWS, STEPPED = 200_000, 2000
 SIZES = [(states, modes) for states in (1, 2, 3) for modes in (1, 2, 3, 4)]
 DENSITIES, NAMES = (1e-6, 1e-3, 1e-1, 1e1), ("still", "gentle", "quick", "abrupt")
 

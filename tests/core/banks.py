@@ -6,9 +6,10 @@ import numpy as np
 
 from becalm.core.arrays import Floats, Integers
 from becalm.core.components import motion, oscillator
-from becalm.core.kernel_switching import Bank, SwitchingTrace, memory_length, note_length, switch_forward
+from becalm.core.kernel_switching import SwitchingTrace, note_length, switch_forward
 from becalm.core.kernel_switching_ahead import outlook_length
 from becalm.core.kernel_switching_return import switch_backward
+from becalm.core.kernel_switching_row import Bank, memory_length
 from becalm.core.switching import Mode, Switching, numbered_steps
 
 NONE: Floats = np.empty(0)

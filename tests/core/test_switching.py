@@ -12,7 +12,8 @@ from banks import bank_of, kernels, laid_out, record, tones
 from becalm.core.arrays import Floats
 from becalm.core.components import motion
 from becalm.core.filtering import run_filter
-from becalm.core.kernel_switching import Bank, SwitchingTrace
+from becalm.core.kernel_switching import SwitchingTrace
+from becalm.core.kernel_switching_row import Bank
 from becalm.core.model import Model
 from becalm.core.smoothing import run_smoother
 from becalm.core.switching import Mode, Switching

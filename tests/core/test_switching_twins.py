@@ -8,7 +8,8 @@ import pytest
 from banks import bank_of, kernels, laid_out, record, tones
 from becalm.core import switching_reference as reference
 from becalm.core.arrays import Floats
-from becalm.core.kernel_switching import Bank, SwitchingTrace
+from becalm.core.kernel_switching import SwitchingTrace
+from becalm.core.kernel_switching_row import Bank
 from becalm.core.switching import Switching
 
 TWIN = 1e-10

@@ -3,36 +3,32 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import fields, replace
+from dataclasses import fields
 from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
 
 from becalm.cleaning.faults import SensorWatch
+from becalm.cleaning.figures import Figures, fixed_figures, mode_figures
 from becalm.cleaning.judging import Decision, InnovationJudge, Judgement
 from becalm.cleaning.modes import modes_in_steps
 from becalm.cleaning.recipe import ChannelRecipe
-from becalm.cleaning.report import ChannelReport, ModeReport
+from becalm.cleaning.report import ChannelReport
 from becalm.cleaning.steps import gate_of, in_steps
 from becalm.cleaning.uncertainty import Uncertainty
 from becalm.core.arrays import Floats
-from becalm.core.components import Component
-from becalm.core.flow import Flow, Told
+from becalm.core.flow import Flow
 from becalm.core.lagged_flow import LaggedFlow
-from becalm.core.response import Response, describe
-from becalm.core.switching import Mode
 from becalm.core.switching_flow import SwitchingFlow
 from becalm.core.switching_lag import LaggedSwitchingFlow
+from becalm.core.told import Told
 from becalm.core.verdict import ADVICE, Verdict, counted
-from becalm.errors import ModelError
 from becalm.noise.choose import FEWEST_READINGS
 from becalm.noise.excess import excess_error
-from becalm.noise.independence import independence_steps
 from becalm.noise.likelihood import Tuning
 
-NOTHING_REMOVED = 0.8
-"""Noise gain above which a filter has found next to no noise to remove."""
+_NOTHING_REMOVED = "Next to nothing was removed: noise cannot be told from motion here, so noise_std is a guess."
 
 
 class Channel(Protocol):
@@ -52,9 +48,18 @@ class Channel(Protocol):
 
 
 def open_channel(recipe: ChannelRecipe, step_s: float, lag: int | None, split: bool = False) -> Channel:
-    """Start a channel as its recipe says; split, it tells its parts as well.
+    """Start a channel as its recipe says.
 
-    Each row waits for `lag` later ones: 0 filters, None waits for all.
+    Parameters
+    ----------
+    recipe : ChannelRecipe
+        In seconds and units.
+    step_s : float
+        Step in seconds.
+    lag : int or None
+        Later rows that each row waits for: 0 filters, None waits for all.
+    split : bool
+        Whether to tell the parts of the signal as well.
 
     Raises
     ------
@@ -109,27 +114,10 @@ class MotionChannel:
 
     def report(self) -> ChannelReport:
         """Say what was found, once finished."""
-        report = self._report()
-        if not isinstance(self._flow, SwitchingFlow | LaggedSwitchingFlow):
-            return report
-        shares = self._flow.shares
-        modes = {mode.name: self._mode_report(mode, shares[mode.name]) for mode in self._flow.switching.modes}
-        return replace(report, modes=modes, bandwidth_hz=None, lag_s=None, independence_s=None)
-
-    def _mode_report(self, mode: Mode, share: float) -> ModeReport:
-        found = _response(mode.component, mode.noise_variance, self._step_s, self._lag is not None)
-        if found is None or self._lag:
-            return ModeReport(share, None, None, None)
-        left = float(np.sqrt(found.noise_gain * mode.noise_variance))
-        return ModeReport(share, found.bandwidth_hz, found.lag_s if np.isfinite(found.lag_s) else None, left)
-
-    def _report(self) -> ChannelReport:
-        tuning, causal = self._tuning, self._lag is not None
-        response = _response(tuning.component, tuning.noise_variance, self._step_s, causal)
-        fixed = self._recipe.switching is None
-        smooths = fixed and self._lag is None and response is not None and response.noise_gain < NOTHING_REMOVED
-        independent = None if self._lag else independence_steps(tuning, self._lag == 0)
+        tuning, figures = self._tuning, self._figures()
+        smooths = self._lag is None and figures.removes_noise
         found = self._judge.judgement(partial(excess_error, tuning) if smooths else None)
+        says = f"{found.says} {_NOTHING_REMOVED}" if figures.removes_nothing else found.says
         return ChannelReport(
             **_fields(found),
             name=self._recipe.name,
@@ -141,21 +129,25 @@ class MotionChannel:
             noise_std=self._recipe.noise_std,
             coloured_std=None if tuning.coloured is None else float(np.sqrt(tuning.coloured.variance)),
             q_over_r=tuning.ratio,
-            bandwidth_hz=None if self._lag else response.bandwidth_hz if response else None if tuning.lines else 0.0,
-            lag_s=response.lag_s if response and not self._lag else None,
+            bandwidth_hz=figures.bandwidth_hz,
+            lag_s=figures.lag_s,
             delay_s=self._lag * self._step_s if self._lag else None,
-            independence_s=None if independent is None else independent * self._step_s,
+            independence_s=figures.independence_s,
             tuning_spread=self._recipe.tuning_spread,
             calibration_std=self._uncertainty.calibration_std,
+            modes=figures.modes,
             log_likelihood=self._flow.log_likelihood,
             settled_row=self._flow.settled_row,
             verdicts=_named(self._counts),
             advice=(*_advice(self._counts), *self._sensor.advice()),
             faults=self._sensor.faults(),
-            says=_with_advice(
-                _with_reserve(found.says, response if fixed else None), self._counts, self._sensor.says()
-            ),
+            says=_with_advice(says, self._counts, self._sensor.says()),
         )
+
+    def _figures(self) -> Figures:
+        if isinstance(self._flow, SwitchingFlow | LaggedSwitchingFlow):
+            return mode_figures(self._flow.switching, self._flow.shares, self._step_s, self._lag)
+        return fixed_figures(self._tuning, self._step_s, self._lag)
 
     def _tones_hz(self, *, disturbance: bool) -> tuple[float, ...]:
         return tuple(tone.frequency_hz for tone in self._recipe.tone if tone.disturbance == disturbance)
@@ -218,26 +210,12 @@ class UnchangedChannel:
         )
 
 
-def _response(component: Component, noise_variance: float, step_s: float, causal: bool) -> Response | None:
-    """Describe a filter; None of one that never forgets its start, and so never settles."""
-    try:
-        return describe(component.to_model(1.0, noise_variance), step_s, causal, component.signal_output[0])
-    except ModelError:
-        return None
-
-
 def _fields(judgement: Judgement) -> dict[str, Any]:
     return {field.name: getattr(judgement, field.name) for field in fields(judgement) if field.name != "says"}
 
 
 def _named(counts: Counter[Verdict]) -> dict[str, int]:
     return {verdict.name.lower(): counts[verdict] for verdict in Verdict}
-
-
-def _with_reserve(says: str, response: Response | None) -> str:
-    if response is None or response.noise_gain < NOTHING_REMOVED:
-        return says
-    return f"{says} Next to nothing was removed: noise cannot be told from motion here, so noise_std is a guess."
 
 
 def _advice(counts: Counter[Verdict], but: Verdict | None = None) -> tuple[str, ...]:

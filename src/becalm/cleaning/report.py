@@ -25,9 +25,9 @@ class ModeReport:
     """
 
     share: float
-    bandwidth_hz: float | None
-    lag_s: float | None
-    noise_left: float | None
+    bandwidth_hz: float | None = None
+    lag_s: float | None = None
+    noise_left: float | None = None
 
 
 @dataclass(frozen=True)

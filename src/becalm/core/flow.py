@@ -30,8 +30,6 @@ from becalm.core.verdict import Verdict
 from becalm.core.verdict import judge as judge_readings
 from becalm.errors import ModelError
 
-__all__ = ["Flow", "Judge", "Told"]
-
 FORGOTTEN = 1e-13
 """Share by which what later rows say may still depend on rows that are not there yet."""
 

@@ -17,7 +17,6 @@ from becalm.core.kernel_switching_row import (
     BankSizes,
     Beliefs,
     Look,
-    bank_sizes,
     begin_modes,
     foresee,
     memory_length,
@@ -28,11 +27,8 @@ from becalm.core.kernel_switching_row import (
     transfer_beliefs,
 )
 
-__all__ = ["Bank", "BankSizes", "SwitchingTrace", "bank_sizes", "memory_length", "note_length", "switch_forward"]
-
-
 UNKNOWN, BEGUN, MISSED, JUDGED = 0, 1, 2, 3  # what became of a row: before the first reading, that one, none, one
-TINIEST = 1e-300
+_TINIEST = 1e-300  # a weight below it has no logarithm worth telling
 
 
 class SwitchingTrace(NamedTuple):
@@ -45,6 +41,10 @@ class SwitchingTrace(NamedTuple):
     probability: Floats  # (M, N) of each mode
     wild: Floats  # (N,) probability that the reading is wild
     mean: Floats  # (n, N) of the mixture
+
+
+_NONE: Floats = np.empty(0)
+NOTHING_WANTED = SwitchingTrace(_NONE, _NONE, _NONE, _NONE, np.empty((0, 0)), _NONE, np.empty((0, 0)))
 
 
 def note_length(states: int, modes: int) -> int:
@@ -145,7 +145,7 @@ def note_reading(sizes: BankSizes, bank: Bank, z: float, look: Look, now: Belief
         for a in range(n):
             y -= bank.H[0, a] * now.x[j, a]
         W, s, nu = (1.0 - look.wild[j] * bank.wild[1]) / R, look.S[j] - R, z - look.Hx[j]
-        own = np.log(max(look.weight[j], TINIEST)) + 0.5 * np.log(1.0 + W * s)
+        own = np.log(max(look.weight[j], _TINIEST)) + 0.5 * np.log(1.0 + W * s)
         note[at], note[at + 1] = W * y, W
         note[at + 2] = own + 0.5 * (W * nu * nu / (1.0 + W * s) - W * y * y)
         at += TOLD
@@ -165,7 +165,7 @@ def switch_forward(  # noqa: PLR0913  (a door for Python: what is read, what mov
     """
     now, mixed, look = new_beliefs(sizes), new_beliefs(sizes), new_look(sizes)
     transfer_beliefs(sizes, now, memory[0], LOAD)
-    every = memory.shape[1] > len(sizes.modes) + len(sizes.each) + len(sizes.modes) * len(sizes.squared)
+    every = memory.shape[1] > len(sizes.modes) * (1 + len(sizes.states) + len(sizes.squared))
     log_likelihood, used = 0.0, 0
     for k in range(len(z)):
         if not every and k % BLOCK == 0 and len(memory) > 1:

@@ -32,7 +32,7 @@ from becalm.core.kernel_switching_row import TOLD, UNLIKELY, Bank, BankSizes, Be
 from becalm.core.sized import Size, layer, stack_matrix, stack_vector
 
 _NEGLIGIBLE = 1e-16  # share of a pair that is not looked at
-_LEAST = -1e300
+_LEAST = -1e300  # a logarithm below any
 
 
 class Pairs(NamedTuple):

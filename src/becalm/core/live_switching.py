@@ -26,9 +26,9 @@ class LiveSwitching:
     ----------
     model : Model
         The richest mode's, over one step.
-    names : sequence of str
+    names : list of str
         Of the modes.
-    live : float array
+    live : (live_bank_length(n, M),) float array
         All that the kernels need; it is changed in place.
 
     Raises
@@ -41,7 +41,10 @@ class LiveSwitching:
         self.model, self._names, self._live = model, names, live
         fits = 1 <= len(names) <= MOST_MODES and live.shape == (live_bank_length(model.states, len(names)),)
         if not fits or live.dtype != np.float64 or not np.isfinite(live).all():
-            raise ModelError(f"{len(names)} modes of {model.states} states do not fit {live.dtype} of {live.shape}.")
+            raise ModelError(
+                f"{len(names)} modes of {model.states} states do not fit {live.dtype} of {live.shape};"
+                " pass what snapshot() returned."
+            )
         self._kernels = live_bank_kernels(model.states, len(names))
         self._begins = live[-len(names) * (1 + model.states) :: 1 + model.states].copy()
         self.step: Callable[[float], tuple[float, float]] = partial(self._kernels.step, live)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.core.kernel_switching import SwitchingTrace, memory_length, switch_forward
+from becalm.core.kernel_switching import NOTHING_WANTED, SwitchingTrace, switch_forward
 from becalm.core.kernel_switching_online import (
     BELIEFS,
     KEEPS_LEVEL,
@@ -17,12 +17,11 @@ from becalm.core.kernel_switching_online import (
     live_bank,
     new_live_bank,
 )
-from becalm.core.kernel_switching_row import bank_sizes
+from becalm.core.kernel_switching_row import bank_sizes, memory_length
 from becalm.core.live_switching import LiveSwitching
 from becalm.core.model import Model
 from becalm.core.starting import first_reading
 from becalm.core.switching import Switching
-from becalm.core.switching_filter import NONE
 from becalm.core.switching_lag import PIECE, WaitingRows
 from becalm.errors import ModelError
 
@@ -98,14 +97,13 @@ class LateSwitching(LiveSwitching):
         memory = np.zeros((1 + len(z), self._waiting.width))
         memory[0, : len(self._beliefs)] = self._beliefs
         level = np.ascontiguousarray(z - live[LEVEL])
-        switch_forward(self._sizes, self._bank, level, steps[: len(z)], self._start, memory, self._room(0))
+        switch_forward(self._sizes, self._bank, level, steps[: len(z)], self._start, memory, NOTHING_WANTED)
         self._beliefs[:] = memory[0, : len(self._beliefs)]
         room = self._room(len(steps))
         return self._told(room, self._waiting.take(memory[1:], self._bank, steps, room))
 
     def _room(self, rows: int) -> SwitchingTrace:
-        nothing = np.empty((0, 0))
-        return SwitchingTrace(np.full(rows, np.nan), np.full(rows, np.inf), NONE, NONE, nothing, NONE, nothing)
+        return NOTHING_WANTED._replace(signal=np.full(rows, np.nan), sigma=np.full(rows, np.inf))
 
     def _told(self, room: SwitchingTrace, count: int) -> Floats:
         return np.array([room.signal[:count] + self._live[LEVEL], room.sigma[:count]])

@@ -14,7 +14,7 @@ import numpy as np
 
 from becalm.core.arrays import Floats, Integers
 from becalm.core.components import Component
-from becalm.core.kernel_switching import Bank, BankSizes, bank_sizes
+from becalm.core.kernel_switching_row import Bank, BankSizes, bank_sizes
 from becalm.core.steady import steady
 from becalm.errors import ModelError
 

@@ -6,13 +6,12 @@ import numpy as np
 
 from becalm.core.arrays import Codes, Floats, Integers
 from becalm.core.flow import Judge
-from becalm.core.kernel_switching import Bank, SwitchingTrace, memory_length, switch_forward
+from becalm.core.kernel_switching import SwitchingTrace, switch_forward
+from becalm.core.kernel_switching_row import Bank, memory_length
 from becalm.core.starting import first_reading
 from becalm.core.switching import Switching
 from becalm.core.told import Told
 from becalm.core.verdict import Verdict
-
-NONE: Floats = np.empty(0)
 
 
 class SwitchingFilter:

@@ -14,12 +14,13 @@ import numpy as np
 from becalm.core.arrays import Codes, Floats, Integers
 from becalm.core.flow import FORGOTTEN, Judge
 from becalm.core.kernel_ahead import BLOCK
-from becalm.core.kernel_switching import Bank, SwitchingTrace, memory_length, note_length, switch_forward
+from becalm.core.kernel_switching import NOTHING_WANTED, note_length, switch_forward
 from becalm.core.kernel_switching_ahead import outlook_length
 from becalm.core.kernel_switching_return import switch_backward
+from becalm.core.kernel_switching_row import Bank, memory_length
 from becalm.core.steady import steady
 from becalm.core.switching import Switching, numbered_steps
-from becalm.core.switching_filter import NONE, SwitchingFilter, with_spikes
+from becalm.core.switching_filter import SwitchingFilter, with_spikes
 from becalm.core.told import Rows, Told
 from becalm.core.verdict import judge as judge_readings
 from becalm.errors import ModelError
@@ -143,8 +144,7 @@ class SwitchingFlow:
         z, steps = stretch.z[rows], stretch.steps[rows]
         memory = np.zeros((1 + len(z), note_length(self.switching.states, len(self.switching.modes))))
         memory[0, : self._numbers] = stretch.memory[1 + block]
-        nothing = SwitchingTrace(NONE, NONE, NONE, NONE, np.empty((0, 0)), NONE, np.empty((0, 0)))
-        switch_forward(self.switching.sizes, stretch.bank, z, steps, self.switching.start, memory, nothing)
+        switch_forward(self.switching.sizes, stretch.bank, z, steps, self.switching.start, memory, NOTHING_WANTED)
         return memory[1:]
 
 

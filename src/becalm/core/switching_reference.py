@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Floats, Integers
-from becalm.core.kernel_switching import Bank
+from becalm.core.kernel_switching_row import Bank
 
 _READABLE = 1e100  # no sensor reads more
 _UNLIKELY = 1e-100  # no mode becomes less probable

@@ -16,7 +16,8 @@ import numpy as np
 
 from becalm.core.arrays import Floats, Integers
 from becalm.core.components import motion
-from becalm.core.kernel_switching import SwitchingTrace, memory_length, switch_forward
+from becalm.core.kernel_switching import SwitchingTrace, switch_forward
+from becalm.core.kernel_switching_row import memory_length
 from becalm.core.switching import Mode, Switching, numbered_steps
 from becalm.noise.likelihood import Evidence, Tuning
 

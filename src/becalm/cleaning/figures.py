@@ -1,0 +1,73 @@
+"""What the filter of a channel is in an engineer's words: of a fixed one, or of each mode of one that switches."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from becalm.cleaning.report import ModeReport
+from becalm.core.components import Component
+from becalm.core.response import Response, describe
+from becalm.core.switching import Switching
+from becalm.errors import ModelError
+from becalm.noise.independence import independence_steps
+from becalm.noise.likelihood import Tuning
+
+_NOTHING_REMOVED = 0.8
+"""Noise gain above which a filter has found next to no noise to remove."""
+
+
+class Figures(NamedTuple):
+    """What is told of a filter; see `ChannelReport`. While each row waits for a lag, no band and no lag are."""
+
+    bandwidth_hz: float | None = None
+    lag_s: float | None = None
+    independence_s: float | None = None
+    modes: dict[str, ModeReport] = {}  # noqa: RUF012  (never changed)
+    noise_gain: float | None = None  # of one that is fixed, and settles
+
+    @property
+    def removes_nothing(self) -> bool:
+        """Whether it is known to remove next to no noise."""
+        return self.noise_gain is not None and self.noise_gain >= _NOTHING_REMOVED
+
+    @property
+    def removes_noise(self) -> bool:
+        """Whether it is known to remove some."""
+        return self.noise_gain is not None and self.noise_gain < _NOTHING_REMOVED
+
+
+def fixed_figures(tuning: Tuning, step_s: float, lag: int | None) -> Figures:
+    """Describe a filter that does not switch; `lag` as in `open_channel`."""
+    response = _response(tuning.component, tuning.noise_variance, step_s, causal=lag is not None)
+    gain = None if response is None else response.noise_gain
+    if lag:
+        return Figures(noise_gain=gain)
+    steps = independence_steps(tuning, lag == 0)
+    independent = None if steps is None else steps * step_s
+    if response is None:
+        return Figures(None if tuning.lines else 0.0, None, independent)
+    return Figures(response.bandwidth_hz, response.lag_s, independent, noise_gain=gain)
+
+
+def mode_figures(switching: Switching, shares: dict[str, float], step_s: float, lag: int | None) -> Figures:
+    """Describe each mode of a filter that switches, and say which share of the rows it was in force."""
+    modes = {}
+    for mode in switching.modes:
+        found = _response(mode.component, mode.noise_variance, step_s, causal=lag is not None)
+        told = ModeReport(shares[mode.name])
+        if found is not None and not lag:
+            left = float(np.sqrt(found.noise_gain * mode.noise_variance))
+            lag_s = found.lag_s if np.isfinite(found.lag_s) else None
+            told = ModeReport(shares[mode.name], found.bandwidth_hz, lag_s, left)
+        modes[mode.name] = told
+    return Figures(modes=modes)
+
+
+def _response(component: Component, noise_variance: float, step_s: float, *, causal: bool) -> Response | None:
+    """Describe a filter; None of one that never forgets its start, and so never settles."""
+    try:
+        return describe(component.to_model(1.0, noise_variance), step_s, causal, component.signal_output[0])
+    except ModelError:
+        return None
