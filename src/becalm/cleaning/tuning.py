@@ -16,6 +16,7 @@ from becalm.cleaning.modes import modes_in_seconds
 from becalm.cleaning.recipe import ChannelRecipe, Mode, Origin, Recipe
 from becalm.cleaning.recipe_parts import GateRecipe
 from becalm.cleaning.steps import gate_of, in_seconds, lag_in_rows
+from becalm.core.arrays import Floats
 from becalm.core.recording import Recording
 from becalm.core.verdict import judge
 from becalm.errors import RecordingError, UsageError
@@ -26,8 +27,9 @@ from becalm.noise.gating import choose_gated, has_rejects
 from becalm.noise.likelihood import Evidence, Tuning
 from becalm.noise.lines import FEWEST_FOR_TONES, MOST_TONES
 from becalm.noise.still import said_still
-from becalm.noise.switching import Switched, find_switching, robust_filter
+from becalm.noise.switching import Switched, find_switching
 from becalm.noise.tuning_spread import tuning_spread
+from becalm.noise.wild import choose_robust
 
 SOON = 3
 """Readings: with a lag up to this a filter's tuning errs less, beyond it a smoother's (`benchmarks/fixed_lag.py`)."""
@@ -139,7 +141,7 @@ def _tune_channel(recording: Recording, causal: bool, wishes: Wishes, progress: 
         found = turn(choice.motion, wishes.dial, time.step_s, causal)
     elif not any((wishes.still_s, wishes.removed_hz, wishes.lag_s)):
         spikes = gated and has_rejects(found, readings, elapsed, gate_of(gate, time.step_s))
-        switched = _switched(found, Evidence.of(readings, elapsed), causal, spikes, robust=wishes.robust)
+        found, switched = _switched(found, readings, elapsed, causal, None if wishes.robust else spikes)
         if switched is not None:
             progress(name)
             modes = modes_in_seconds(switched, time.step_s)
@@ -154,11 +156,13 @@ def _tune_channel(recording: Recording, causal: bool, wishes: Wishes, progress: 
     return in_seconds(name, unit, found, time.step_s, spread).model_copy(update={"gate": beside, "limits": limits})
 
 
-def _switched(tuning: Tuning, evidence: Evidence, causal: bool, spikes: bool, *, robust: bool) -> Switched | None:
-    """Find modes for a channel; `spikes` tells whether a gate leaves some out."""
-    if robust:
-        return robust_filter(tuning, evidence)
-    return find_switching(tuning, evidence, causal, spikes)
+def _switched(
+    tuning: Tuning, readings: Floats, elapsed: Floats, causal: bool, spikes: bool | None
+) -> tuple[Tuning, Switched | None]:
+    """Find modes for a channel; `spikes` tells whether a gate leaves some out, None that many are to be left out."""
+    if spikes is None:
+        return choose_robust(tuning, readings, elapsed, causal)
+    return tuning, find_switching(tuning, Evidence.of(readings, elapsed), causal, spikes)
 
 
 def _rest_noise(rest: Recording, name: str, still_s: Sequence[tuple[float, float]]) -> NoiseModel | None:
