@@ -23,6 +23,7 @@ from becalm.errors import RecordingError, UsageError
 from becalm.noise.choose import Known
 from becalm.noise.coloured import NoiseModel, fit_noise
 from becalm.noise.dial import Dial, turn
+from becalm.noise.far import without_far
 from becalm.noise.gating import choose_gated, has_rejects
 from becalm.noise.likelihood import Evidence, Tuning
 from becalm.noise.lines import FEWEST_FOR_TONES, MOST_TONES
@@ -132,6 +133,7 @@ def _tune_channel(recording: Recording, causal: bool, wishes: Wishes, progress: 
     gate = GateRecipe()
     elapsed = time.elapsed_steps
     readings, limits = find_healthy(recording.channel(name), elapsed, time.step_s)
+    readings = without_far(readings)
     choice, gated = choose_gated(readings, elapsed, gate_of(gate, time.step_s), causal, known)
     if choice.tuning is None or choice.motion is None:
         progress(name)
