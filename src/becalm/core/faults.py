@@ -204,7 +204,7 @@ def _what(verdict: Verdict, count: int, limits: Limits) -> str:
     if verdict == Verdict.CLIPPED:
         return f"{readings} at a rail or beyond ({_range(limits)})"
     if verdict == Verdict.OVERRANGE:
-        return f"{readings} beyond {limits.largest:.3g}"
+        return f"{readings} beyond {f'{limits.largest:.3g}'.replace('e+', 'e')}"
     if verdict == Verdict.STUCK:
         return f"{readings} in runs of {limits.stuck_readings} equal ones or more"
     if verdict == Verdict.GAP:

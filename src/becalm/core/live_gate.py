@@ -50,9 +50,11 @@ class LiveGate:
     def counters(self, counters: Floats) -> None:
         self.keeper.counters = counters
 
-    def look(self, z: Floats) -> None:
-        """Note what comes, z (B, 1), before it is judged."""
-        self.verdicts = judge(z[:, 0], self._largest).verdicts
+    def look(self, z: Floats) -> Floats:
+        """Note what comes, z (B, 1), before it is judged; return it with NaN for what no sensor gives."""
+        judged = judge(z[:, 0], self._largest)
+        self.verdicts = judged.verdicts
+        return judged.readings[:, np.newaxis]
 
     def note(self, gated: Gated) -> None:
         """Note what became of the rows that were looked at, where another filter takes them."""
