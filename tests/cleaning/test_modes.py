@@ -140,3 +140,21 @@ def test_a_robust_filter_is_asked_for_alone(recording: Recording) -> None:
     (channel,) = tune(recording, wishes=Wishes(robust=True)).channel
     assert channel.switching is not None
     assert channel.switching.kind == "spiky"
+
+
+def test_a_robust_recipe_keeps_tones_and_a_level_that_jumps() -> None:
+    rng, k = np.random.default_rng(4), np.arange(6000)
+    z = 5 * np.sin(0.02 * k) + rng.normal(size=6000) + 8 * (rng.random(6000) < 0.1)
+    recording = Recording(z, names=["a"], units=["V"], rate_hz=RATE_HZ)
+    recipe = tune(recording, causal=True, wishes=Wishes(robust=True))
+    (channel,) = recipe.channel
+    assert channel.switching is not None
+    assert channel.motion is not None
+    steady, abrupt = channel.switching.mode
+    assert steady.level_noise_density == 0.0
+    assert abrupt.level_noise_density == pytest.approx(channel.switching.wild_std**2 * RATE_HZ)
+    assert steady.with_tones == abrupt.with_tones == bool(channel.tone)
+    assert Recipe.from_toml(recipe.to_toml()) == recipe
+    switching = modes_in_steps(channel.switching, in_steps(channel.motion, 1 / RATE_HZ), 1 / RATE_HZ)
+    told = modes_in_seconds(Switched("spiky", switching, 0.0, 0.0), 1 / RATE_HZ)
+    assert told.mode[1].level_noise_density == pytest.approx(abrupt.level_noise_density)

@@ -23,7 +23,7 @@ ROWS = 4096
 GATE = Gate(5.0)
 SMOOTHED = {1: 1e-12, 2: 1e-12, 4: 1e-8}  # of sigma: of order 4 cuts change 3e-9 at the start without a gate as well
 STEEP = 30.0  # a reading
-STRANGE = [np.nan, np.inf, -np.inf, 1e300, -1e300, 1e99, -1e99, 1e30, 1e6, -8.0]
+STRANGE = [np.nan, np.inf, -np.inf, 1e300, -1e300, 1e99, -1e99, 1e30, 1e18, 1e12, 1e6, -8.0]
 
 
 def component_of(order: int, cutoff: float = 0.01) -> Component:
@@ -230,11 +230,9 @@ strange = st.lists(st.tuples(st.integers(0, 700), st.sampled_from(STRANGE)), max
 def test_whatever_comes_the_state_stays_finite(
     faults: list[tuple[int, float]], order: int, causal: bool, at_once: bool
 ) -> None:
-    """The first readings are believed: nothing before them tells that they are absurd."""
+    """From the first row on, which nothing before it tells to be absurd."""
     z = noise(order, 1024)
     for place, (row, value) in enumerate(faults):
-        if not at_once and row < 10 and abs(value) < 1e100:
-            continue
         z[300 + place if at_once else row] = value
     told = told_of(component_of(order, 0.05), z, causal=causal, cuts=(256, 512))
     first = int(np.isfinite(told.signal).argmax())

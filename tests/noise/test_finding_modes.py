@@ -11,7 +11,8 @@ from becalm.core.switching_flow import SwitchingFlow
 from becalm.noise.banks import middle_variance, quiet_variance
 from becalm.noise.choose import choose
 from becalm.noise.likelihood import Evidence
-from becalm.noise.switching import Switched, find_surprise, find_switching, robust_filter
+from becalm.noise.switching import Switched, find_surprise, find_switching
+from becalm.noise.wild import robust_filter
 
 COUNT = 8000
 

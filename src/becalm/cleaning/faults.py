@@ -15,7 +15,7 @@ from becalm.core.limits import Limits, find_limits
 from becalm.core.monitor import Alarms, InnovationMonitor
 from becalm.core.noise_change import NoiseHistory, said_of_change
 from becalm.core.told import Told
-from becalm.core.verdict import ADVICE, Verdict
+from becalm.core.verdict import ADVICE, BEYOND_ANY_SENSOR, Verdict
 
 FALSE_ALARMS_PER_HOUR = 1.0
 """Healthy stretches of an hour that may be called stuck; a *small* one trusts the sensor."""
@@ -26,6 +26,7 @@ MOST_LOST = 0.5
 NEVER = 1e12
 """Of a cumulative sum, in sigma: none gets there."""
 
+_FROM_FILTER = (Verdict.OVERRANGE, Verdict.SPIKE, Verdict.STEP)
 _LOST = (Verdict.CLIPPED, Verdict.STUCK)
 _ENTERS = np.isin(list(Verdict), [Verdict.USED, Verdict.LATE, Verdict.REPEATED, Verdict.GAP])
 
@@ -88,7 +89,8 @@ def find_healthy(z: Floats, elapsed: Floats, step_s: float) -> Healthy:
 def _told(limits: Limits) -> LimitsRecipe | None:
     """Write limits as a recipe does; None where only the time could be told of."""
     rails = [float(rail) if np.isfinite(rail) else None for rail in limits.rails]
-    if rails == [None, None] and limits.stuck_readings is None:
+    largest = limits.largest if limits.largest < BEYOND_ANY_SENSOR else None
+    if rails == [None, None] and limits.stuck_readings is None and largest is None:
         return None
     return LimitsRecipe(
         low=rails[0],
@@ -97,6 +99,7 @@ def _told(limits: Limits) -> LimitsRecipe | None:
         stuck_readings=limits.stuck_readings,
         even_time=limits.even,
         gap_steps=None if limits.gap_steps == GAP_STEPS else limits.gap_steps,
+        largest=largest,
     )
 
 
@@ -111,6 +114,7 @@ def limits_of(told: LimitsRecipe | None) -> Limits:
         stuck_readings=told.stuck_readings,
         gap_steps=told.gap_steps or GAP_STEPS,
         even=bool(told.even_time),
+        largest=told.largest or BEYOND_ANY_SENSOR,
     )
 
 
@@ -173,7 +177,7 @@ class SensorWatch:
         rows = len(verdicts)
         before, self._verdicts = self._verdicts[:rows], self._verdicts[rows:]
         alarms, self._alarms = self._alarms[:rows], self._alarms[rows:]
-        named = np.where((verdicts == Verdict.SPIKE) | (verdicts == Verdict.STEP), verdicts, before)
+        named = np.where(np.isin(verdicts, _FROM_FILTER), verdicts, before)
         return np.where((named == Verdict.USED) & (alarms > 0), alarms, named) if len(alarms) else named
 
     @property

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from becalm.cleaning.recipe_modes import ModeRecipe, SwitchingRecipe
-from becalm.core.components import motion
+from becalm.core.components import Component, motion, with_walking_level
 from becalm.core.switching import Mode, Switching
 from becalm.errors import ModelError, RecipeError
 from becalm.noise.likelihood import Tuning
@@ -56,12 +56,19 @@ def _mode_in_seconds(mode: Mode, step_s: float) -> ModeRecipe:
         name=mode.name,
         order=order,
         process_noise_density=float(mode.component.noise_density[0, 0]) / step_s ** (2 * order - 1),
+        level_noise_density=_level_noise(mode.component) / step_s,
         noise_std=float(np.sqrt(mode.noise_variance)),
         lasts_s=mode.lasts * step_s,
         then=mode.then,
         wild_share=mode.wild_share,
         with_tones=len(mode.component.parts) > 1,
     )
+
+
+def _level_noise(component: Component) -> float:
+    """Return the density by which a level walks besides its motion; it is the last noise that enters."""
+    walks = len(component.noise_density) > 1 and component.noise_input[0, -1] == 1.0
+    return float(component.noise_density[-1, -1]) if walks else 0.0
 
 
 def _mode_in_steps(told: ModeRecipe, tuning: Tuning, step_s: float) -> Mode:
@@ -75,4 +82,6 @@ def _mode_in_steps(told: ModeRecipe, tuning: Tuning, step_s: float) -> Mode:
     component = motion(told.order, density)
     if told.with_tones:
         component = sum(tuning.companions, component)
+    if told.level_noise_density > 0:
+        component = with_walking_level(component, told.level_noise_density * step_s)
     return Mode(told.name, component, variance, told.lasts_s / step_s, told.then, told.wild_share)

@@ -20,6 +20,8 @@ class ModeRecipe(Settings):
         Which derivative is driven by white noise.
     process_noise_density : float
         q, in unit^2/s^(2 order - 1); a *small* one trusts the model and smooths more.
+    level_noise_density : float
+        Variance that the level gathers besides, in unit^2/s; a large one lets it jump, while slopes and tones go on.
     noise_std : float
         Standard deviation of one reading's noise in this mode, in unit.
     lasts_s : float
@@ -35,6 +37,7 @@ class ModeRecipe(Settings):
     name: Annotated[str, Field(min_length=1)]
     order: Annotated[int, Field(ge=1, le=5)]
     process_noise_density: NotNegative
+    level_noise_density: NotNegative = 0.0
     noise_std: Positive
     lasts_s: Positive
     then: str = ""

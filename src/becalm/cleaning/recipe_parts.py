@@ -100,6 +100,8 @@ class LimitsRecipe(Settings):
         Whether rows came in even time, so that one can be late.
     gap_steps : float or None
         More steps than this since the row before are a gap; 1.5 by default.
+    largest : float or None
+        Readings of a greater magnitude, in unit, are none, and count as missing; None for 1e100.
     drift_threshold : float or None
         Of the cumulative sum of innovations, in sigma: a *small* one finds a drift sooner, and more that are
         none; None tells no drift.
@@ -114,6 +116,7 @@ class LimitsRecipe(Settings):
     stuck_readings: Annotated[int, Field(ge=2)] | None = None
     even_time: bool | None = None
     gap_steps: Annotated[float, Field(ge=GAP_STEPS, allow_inf_nan=False)] | None = None
+    largest: Positive | None = None
     drift_threshold: Positive | None = None
     dead_variance: Positive | None = None
 

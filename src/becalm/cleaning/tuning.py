@@ -16,18 +16,21 @@ from becalm.cleaning.modes import modes_in_seconds
 from becalm.cleaning.recipe import ChannelRecipe, Mode, Origin, Recipe
 from becalm.cleaning.recipe_parts import GateRecipe
 from becalm.cleaning.steps import gate_of, in_seconds, lag_in_rows
+from becalm.core.arrays import Floats
 from becalm.core.recording import Recording
 from becalm.core.verdict import judge
 from becalm.errors import RecordingError, UsageError
 from becalm.noise.choose import Known
 from becalm.noise.coloured import NoiseModel, fit_noise
 from becalm.noise.dial import Dial, turn
+from becalm.noise.far import without_far
 from becalm.noise.gating import choose_gated, forecasts
 from becalm.noise.likelihood import Evidence, Tuning
 from becalm.noise.lines import FEWEST_FOR_TONES, MOST_TONES
 from becalm.noise.still import said_still
-from becalm.noise.switching import Switched, find_switching, robust_filter
+from becalm.noise.switching import Switched, find_switching
 from becalm.noise.tuning_spread import tuning_spread
+from becalm.noise.wild import choose_robust
 
 SOON = 3
 """Readings: with a lag up to this a filter's tuning errs less, beyond it a smoother's (`benchmarks/fixed_lag.py`)."""
@@ -136,6 +139,7 @@ def _channel_recipe(recording: Recording, causal: bool, wishes: Wishes, name: st
     told, elapsed = GateRecipe(), time.elapsed_steps
     gate = gate_of(told, time.step_s)
     readings, limits = find_healthy(recording.channel(name), elapsed, time.step_s)
+    readings = without_far(readings)
     choice, gated = choose_gated(readings, elapsed, gate, causal, known)
     if choice.tuning is None or choice.motion is None:
         return ChannelRecipe(name=name, unit=unit, model=choice.kind, limits=limits)
@@ -145,8 +149,8 @@ def _channel_recipe(recording: Recording, causal: bool, wishes: Wishes, name: st
     foretold = forecasts(found, readings, elapsed, gate if gated else None)
     if wishes.dial is None:  # what a person asked for is no estimate: it has no spread, and nothing replaces it
         if not wishes.still_s and not wishes.removed_hz:
-            spikes = bool(foretold.rejected.any())
-            switched = _switched(found, evidence, causal, spikes, robust=wishes.robust)
+            spikes = None if wishes.robust else bool(foretold.rejected.any())
+            found, switched = _switched(found, readings, elapsed, causal, spikes)
             if switched is not None:
                 more = {"switching": modes_in_seconds(switched, time.step_s), "limits": limits}
                 return in_seconds(name, unit, found, time.step_s).model_copy(update=more)
@@ -156,11 +160,13 @@ def _channel_recipe(recording: Recording, causal: bool, wishes: Wishes, name: st
     return in_seconds(name, unit, found, time.step_s, spread).model_copy(update=beside)
 
 
-def _switched(tuning: Tuning, evidence: Evidence, causal: bool, spikes: bool, *, robust: bool) -> Switched | None:
-    """Find modes for a channel; `spikes` tells whether a gate leaves some out."""
-    if robust:
-        return robust_filter(tuning, evidence)
-    return find_switching(tuning, evidence, causal, spikes)
+def _switched(
+    tuning: Tuning, readings: Floats, elapsed: Floats, causal: bool, spikes: bool | None
+) -> tuple[Tuning, Switched | None]:
+    """Find modes for a channel; `spikes` tells whether a gate leaves some out, None that many are to be left out."""
+    if spikes is None:
+        return choose_robust(tuning, readings, elapsed, causal)
+    return tuning, find_switching(tuning, Evidence.of(readings, elapsed), causal, spikes)
 
 
 def _rest_noise(rest: Recording, name: str, still_s: Sequence[tuple[float, float]]) -> NoiseModel | None:

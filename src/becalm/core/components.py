@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from becalm.core.arrays import frozen
 from becalm.core.autoregressive import autoregressive
@@ -26,6 +27,7 @@ __all__ = [
     "level",
     "motion",
     "oscillator",
+    "with_walking_level",
 ]
 
 HIGHEST_ORDER = 5
@@ -177,6 +179,30 @@ def bias(noise_density: float = 1.0) -> Component:
     """
     part = Part("bias", ("bias",), disturbance=True)
     return replace(motion(1, noise_density), parts=(part,))
+
+
+def with_walking_level(component: Component, noise_density: float) -> Component:
+    """Return a component whose first state, a motion's level, walks randomly besides; all other states go on.
+
+    Parameters
+    ----------
+    component : Component
+        A motion, perhaps with tones.
+    noise_density : float
+        Variance that the level gathers by it, in unit^2/s; a *small* one trusts the slope to say where it goes.
+
+    Raises
+    ------
+    ModelError
+        If the density is negative or not finite.
+    """
+    level = np.zeros((len(component.drift), 1))
+    level[0, 0] = 1.0
+    return replace(
+        component,
+        noise_input=frozen(np.hstack([component.noise_input, level])),
+        noise_density=frozen(block_diag(component.noise_density, np.full((1, 1), _density(noise_density)))),
+    )
 
 
 def _density(noise_density: float) -> float:

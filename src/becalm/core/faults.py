@@ -13,7 +13,7 @@ import numpy as np
 
 from becalm.core.arrays import Booleans, Codes, Floats, Integers
 from becalm.core.limits import Limits, is_new
-from becalm.core.verdict import ADVICE, BEYOND_ANY_SENSOR, Verdict
+from becalm.core.verdict import ADVICE, Verdict
 
 _TICKS = 1 << 20  # of a step, for what a row is off its time
 _TIME = 1 << 10  # of a step, for the time since the first row
@@ -84,16 +84,17 @@ class Faults:
         elapsed = np.clip(np.nan_to_num(elapsed, nan=1.0), 0.0, _LONGEST)
         if not self._rows:
             elapsed[0] = 1.0  # it came when it was due
-        possible = -BEYOND_ANY_SENSOR <= z.min() <= z.max() <= BEYOND_ANY_SENSOR
+        largest = self.limits.largest
+        possible = -largest <= z.min() <= z.max() <= largest
         codes = self._timing(elapsed)
         whole = possible and codes is None  # of which each reading says something new
         if self.limits.stuck_readings is not None:
-            new = None if whole else is_new(z, elapsed, first=False)
+            new = None if whole else is_new(z, elapsed, first=False, largest=largest)
             codes = _marked(codes, Verdict.STUCK, self._is_stuck(z, new, self.limits.stuck_readings))
         codes = _marked(codes, Verdict.CLIPPED, self.limits.rails.reached(z))
         if not possible:
             size = np.abs(z)
-            codes = _marked(codes, Verdict.OVERRANGE, ~(size <= BEYOND_ANY_SENSOR))
+            codes = _marked(codes, Verdict.OVERRANGE, ~(size <= largest))
             codes = _marked(codes, Verdict.NONFINITE, np.isinf(z))
             codes = _marked(codes, Verdict.MISSING, np.isnan(z))
         self._count(codes, elapsed)
@@ -208,6 +209,8 @@ def _what(verdict: Verdict, count: int, limits: Limits) -> str:
     readings = f"{count} reading{'s' if count != 1 else ''}"
     if verdict == Verdict.CLIPPED:
         return f"{readings} at a rail or beyond ({_range(limits)})"
+    if verdict == Verdict.OVERRANGE:
+        return f"{readings} beyond {f'{limits.largest:.3g}'.replace('e+', 'e')}"
     if verdict == Verdict.STUCK:
         return f"{readings} in runs of {limits.stuck_readings} equal ones or more"
     if verdict == Verdict.GAP:
@@ -223,7 +226,6 @@ def _range(limits: Limits) -> str:
 
 _WORDS = {
     Verdict.NONFINITE: "not finite",
-    Verdict.OVERRANGE: "beyond 1e100",
     Verdict.DEAD: "of a dead channel",
     Verdict.DRIFT: "at which a drift was seen",
     Verdict.REPEATED: "at the time of the row before",

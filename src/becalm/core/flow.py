@@ -21,6 +21,7 @@ from becalm.core.gates import Gate, Gatekeeper, with_jumps
 from becalm.core.kernel_ahead import BLOCK
 from becalm.core.kernel_return import Future, new_future
 from becalm.core.kernel_settling import COVARIANCE, GAIN, rename_last_step
+from becalm.core.possible import largest_beside, level_by
 from becalm.core.smoothing import forward_pass, go_back, room_to_return
 from becalm.core.starting import first_reading
 from becalm.core.steady import steady
@@ -103,7 +104,7 @@ class Flow:
 
         All stretches but the last should be of a multiple of 256 rows, so that the bits are those of one.
         """
-        readings = judge_readings(z)
+        readings = judge_readings(z, largest_beside(self._variance))
         rows = Rows(readings.readings, elapsed, readings.verdicts)
         if not self._causal:  # a smoother comes back over many rows for each stretch, so that few are no stretch
             rows = self._few = Rows.joined([self._few, rows])
@@ -139,7 +140,7 @@ class Flow:
     def _told_from_level(self, z: Floats) -> Floats:
         """Tell readings from the first one, so that a large offset does not cost the digits of what moves."""
         if self._level is None and (row := first_reading(z[:, np.newaxis])) < len(z):
-            self._level = float(z[row])
+            self._level = level_by(float(z[row]), self._variance)
         return z - self._level if self._level else z
 
     def _told(self, belief: Belief, verdicts: Codes) -> Told:

@@ -13,6 +13,7 @@ from becalm.core.fixed_lag import FixedLag
 from becalm.core.flow import Judge
 from becalm.core.gates import Gate, Gatekeeper
 from becalm.core.kernel_settling import COVARIANCE, GAIN
+from becalm.core.possible import largest_beside, level_by
 from becalm.core.starting import first_reading
 from becalm.core.timeline import elapsed_timeline
 from becalm.core.told import Told
@@ -71,10 +72,10 @@ class LaggedFlow:
         """Take the next rows, readings (B,) and the steps before them; return the rows that have waited for them."""
         if not len(z):
             return []
-        judged = judge_readings(z)
+        judged = judge_readings(z, largest_beside(self._variance))
         z = judged.readings
         if self._level is None and (row := first_reading(z[:, np.newaxis])) < len(z):
-            self._level = float(z[row])
+            self._level = level_by(float(z[row]), self._variance)
         readings = (z - self._level if self._level else z)[:, np.newaxis]
         timeline = elapsed_timeline(self._component, self._variance, elapsed, goes_on=self.rows > 0)
         late = self._late.push(timeline, readings, innovations=self._judge is not None)

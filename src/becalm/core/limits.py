@@ -15,6 +15,7 @@ from scipy.special import ndtr, ndtri
 
 from becalm.core.arrays import Booleans, Floats, Integers
 from becalm.core.clock import GAP_STEPS
+from becalm.core.possible import find_largest
 from becalm.core.rails import Rails, find_rails, is_noisy
 from becalm.core.verdict import BEYOND_ANY_SENSOR
 from becalm.errors import UsageError
@@ -50,6 +51,8 @@ class Limits(NamedTuple):
         More steps than this since the row before are a gap.
     even : bool
         Whether rows come in even time, so that one can be late.
+    largest : float
+        Readings of a greater magnitude, in unit, are impossible.
     """
 
     low: float = -np.inf
@@ -58,6 +61,7 @@ class Limits(NamedTuple):
     stuck_readings: int | None = None
     gap_steps: float = GAP_STEPS
     even: bool = True
+    largest: float = BEYOND_ANY_SENSOR
 
     @property
     def rails(self) -> Rails:
@@ -105,24 +109,25 @@ def find_limits(
         )
     if sensor_range is not None and not sensor_range[0] < sensor_range[1]:
         raise UsageError(f"sensor_range = {sensor_range!r} is not a range; give (low, high), as in (-50.0, 50.0).")
-    kept = is_new(z, elapsed, first=True)
+    largest = find_largest(z)
+    kept = is_new(z, elapsed, first=True, largest=largest)
     readings = np.asarray(z[kept])
     resolution = find_resolution(readings)
     rails = find_rails(readings, resolution) if sensor_range is None else Rails(*sensor_range)
     hours = float(elapsed[kept].sum()) * step_s / 3600
     stuck = _stuck_readings(readings[~rails.reached(readings)], resolution, false_alarms_per_hour * hours)
     gap_steps, even = _rhythm(elapsed[1:])
-    return Limits(rails.low, rails.high, resolution, stuck, gap_steps, even)
+    return Limits(rails.low, rails.high, resolution, stuck, gap_steps, even, largest)
 
 
-def is_new(z: Floats, elapsed: Floats, *, first: bool) -> Booleans:
+def is_new(z: Floats, elapsed: Floats, *, first: bool, largest: float = BEYOND_ANY_SENSOR) -> Booleans:
     """Tell which readings (N,) say something new: possible ones, of a row that has a time of its own.
 
     `first` says that the first row has none before it.
     """
-    new = (np.abs(z) <= BEYOND_ANY_SENSOR) & (elapsed != 0)
+    new = (np.abs(z) <= largest) & (elapsed != 0)
     if first and len(z):
-        new[0] = np.abs(z[0]) <= BEYOND_ANY_SENSOR
+        new[0] = np.abs(z[0]) <= largest
     return np.asarray(new)
 
 

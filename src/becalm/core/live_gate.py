@@ -11,6 +11,7 @@ from becalm.core.gates import Gate, Gated, Gatekeeper
 from becalm.core.kernel_online import LiveKernels
 from becalm.core.kernel_settling import rename_last_step
 from becalm.core.model import Model
+from becalm.core.possible import largest_beside
 from becalm.core.timeline import even_timeline, model_system
 from becalm.core.verdict import Verdict, judge
 
@@ -33,6 +34,7 @@ class LiveGate:
 
     def __init__(self, model: Model, gate: Gate) -> None:
         self._model, self._gate, self.keeper = model, gate, Gatekeeper(model, gate)
+        self._largest = largest_beside(float(model.R[0, 0]))
         n = model.states
         system = model_system(model)
         size = sum(matrix.size for matrix in system) + 1
@@ -48,9 +50,11 @@ class LiveGate:
     def counters(self, counters: Floats) -> None:
         self.keeper.counters = counters
 
-    def look(self, z: Floats) -> None:
-        """Note what comes, z (B, 1), before it is judged."""
-        self.verdicts = judge(z[:, 0]).verdicts
+    def look(self, z: Floats) -> Floats:
+        """Note what comes, z (B, 1), before it is judged; return it with NaN for what no sensor gives."""
+        judged = judge(z[:, 0], self._largest)
+        self.verdicts = judged.verdicts
+        return judged.readings[:, np.newaxis]
 
     def note(self, gated: Gated) -> None:
         """Note what became of the rows that were looked at, where another filter takes them."""

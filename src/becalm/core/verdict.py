@@ -39,7 +39,7 @@ class Verdict(IntEnum):
 ADVICE = {
     Verdict.MISSING: "Missing readings are predicted across; sigma grows there.",
     Verdict.NONFINITE: "Infinite readings were treated as missing; look at the sensor or at its conversion.",
-    Verdict.OVERRANGE: "Readings beyond 1e100 were treated as missing; look at the file.",
+    Verdict.OVERRANGE: "Readings that no sensor gives were treated as missing; look at the file.",
     Verdict.SPIKE: "Spikes were left out as missing; look for loose contacts and switching loads, and if they are"
     " motion take [channel.gate] out of the recipe.",
     Verdict.STEP: "The signal jumped, and the filter followed at once; look whether the sensor was moved or zeroed.",
@@ -62,14 +62,14 @@ class Judged(NamedTuple):
     verdicts: Codes  # (N,) what became of each
 
 
-def judge(z: Floats) -> Judged:
+def judge(z: Floats, largest: float = BEYOND_ANY_SENSOR) -> Judged:
     """Let only finite, possible readings of one channel (N,) through; where all are, they come back as they are."""
     counts = dict.fromkeys(Verdict, 0)
-    if not len(z) or -BEYOND_ANY_SENSOR <= z.min() <= z.max() <= BEYOND_ANY_SENSOR:  # NaN makes both NaN
+    if not len(z) or -largest <= z.min() <= z.max() <= largest:  # NaN makes both NaN
         counts[Verdict.USED] = len(z)
         return Judged(z, counts, np.zeros(len(z), np.int8))
     verdicts = np.select(
-        [np.isnan(z), np.isinf(z), np.abs(z) > BEYOND_ANY_SENSOR],
+        [np.isnan(z), np.isinf(z), np.abs(z) > largest],
         [Verdict.MISSING, Verdict.NONFINITE, Verdict.OVERRANGE],
         Verdict.USED,
     ).astype(np.int8)

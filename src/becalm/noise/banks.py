@@ -3,7 +3,8 @@
 resting   a still mode beside the fixed filter
 jumping   random walks from still to abrupt, for levels that hold and jump; wild readings are left out
 noisy     the fixed filter with quiet and with loud noise
-spiky     the fixed filter with wild readings, which are left out, and an abrupt mode, so that it never locks out
+spiky     the fixed filter with wild readings, which are left out, and an abrupt mode, in which the level jumps and
+          all else goes on, so that it never locks out
 """
 
 from __future__ import annotations
@@ -15,16 +16,13 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Floats, Integers
-from becalm.core.components import motion
-from becalm.core.kernel_switching import SwitchingTrace, switch_forward
+from becalm.core.components import motion, with_walking_level
+from becalm.core.kernel_switching import NOTHING_WANTED, switch_forward
 from becalm.core.kernel_switching_row import memory_length
 from becalm.core.switching import Mode, Switching, numbered_steps
 from becalm.noise.likelihood import Evidence, Tuning
 
 Kind = Literal["resting", "jumping", "noisy", "spiky"]
-
-_NONE: Floats = np.empty(0)
-_NOTHING = SwitchingTrace(_NONE, _NONE, _NONE, _NONE, np.empty((0, 0)), _NONE, np.empty((0, 0)))
 
 _PIECE, _PIECES = 1 << 14, 4  # readings of a long record that banks are compared on
 _DIFFERENT_STEPS = 64  # lengths of steps that are told apart while searching
@@ -118,8 +116,9 @@ def spiky(tuning: Tuning, evidence: Evidence) -> Bank:
     r, spread = max(middle_variance(evidence.z[:, 0]), evidence.smallest_variance), float(np.ptp(evidence.z)) ** 2
 
     def make(noise: float, ratio: float, share: float, wild: float) -> Switching:
-        steady = Mode("steady", motion(tuning.order, ratio * noise), noise, _UNMOVED, wild_share=share)
-        abrupt = Mode("abrupt", motion(1, wild), noise, _AT_ONCE, "steady", share)
+        own = sum(tuning.companions, motion(tuning.order, ratio * noise))
+        steady = Mode("steady", own, noise, _UNMOVED, wild_share=share)
+        abrupt = Mode("abrupt", with_walking_level(own, wild), noise, _AT_ONCE, "steady", share)
         return Switching((steady, abrupt), wild, rejects=True)
 
     fastest = (1e-12, 1e6)
@@ -180,7 +179,7 @@ def log_likelihood(switching: Switching, pieces: Sequence[Piece]) -> float:
     for piece in pieces:
         memory = np.zeros((1, memory_length(switching.states, len(switching.modes))))
         bank = switching.bank(piece.lengths)
-        total += switch_forward(switching.sizes, bank, piece.z, piece.steps, switching.start, memory, _NOTHING)[0]
+        total += switch_forward(switching.sizes, bank, piece.z, piece.steps, switching.start, memory, NOTHING_WANTED)[0]
     return total if np.isfinite(total) else -np.inf
 
 

@@ -91,11 +91,6 @@ def _gain(found: Switched) -> float:
     return found.log_likelihood + (_DOUBT if found.kind == "jumping" else -_BETTER)
 
 
-def robust_filter(tuning: Tuning, evidence: Evidence) -> Switched:
-    """Return the fixed filter with heavy tails, tuned for readings of which many are wild."""
-    return _found("spiky", spiky(tuning, evidence), pieces_of(evidence, len(evidence.z) // 2))
-
-
 def _found(kind: Kind, bank: Bank, pieces: list[Piece]) -> Switched:
     switching, value = searched(bank, pieces)
     return Switched(kind, switching, value, np.nan)
