@@ -63,6 +63,17 @@ def test_spikes_are_seen_through_over_seeds(kind: str, causal: bool) -> None:
     assert worse_by(kind, range(8), causal, 20_000) <= MOST_WORSE
 
 
+@pytest.mark.parametrize("size", [20.0, 200.0])
+def test_spikes_widen_no_sigma(size: float) -> None:
+    rng = np.random.default_rng(3)
+    noise = 0.1 * rng.normal(size=(2, 1000))
+    truth, wild = np.sin(0.01 * np.arange(1000)), rng.random(1000) < 0.01
+    plain, spiked = (cleaned(truth + noise[0] + size * wild * sign, causal=False) for sign in (0.0, noise[1]))
+    assert spiked.recipe.channel[0].gate is not None
+    assert spiked.reports[0].verdicts["spike"] >= 5
+    assert np.median(spiked.sigma.samples) < 1.3 * np.median(plain.sigma.samples)
+
+
 @pytest.mark.parametrize("causal", [True, False])
 def test_each_reading_gets_its_verdict(causal: bool) -> None:
     noise, bad = spiked(1, 8000, size=12.0)

@@ -22,7 +22,7 @@ from becalm.errors import RecordingError, UsageError
 from becalm.noise.choose import Known
 from becalm.noise.coloured import NoiseModel, fit_noise
 from becalm.noise.dial import Dial, turn
-from becalm.noise.gating import choose_gated, has_rejects
+from becalm.noise.gating import choose_gated, has_rejects, without_rejects
 from becalm.noise.likelihood import Evidence, Tuning
 from becalm.noise.lines import FEWEST_FOR_TONES, MOST_TONES
 from becalm.noise.still import said_still
@@ -146,7 +146,8 @@ def _tune_channel(recording: Recording, causal: bool, wishes: Wishes, progress: 
             return in_seconds(name, unit, found, time.step_s).model_copy(update={"switching": modes, "limits": limits})
     if wishes.dial is None:
         told = known.noise is not None
-        spread = tuning_spread(found, Evidence.of(readings, elapsed), causal, noise_known=told)
+        believed = without_rejects(found, readings, elapsed, gate_of(gate, time.step_s)) if gated else readings
+        spread = tuning_spread(found, Evidence.of(believed, elapsed), causal, noise_known=told)
     progress(name)
     beside = gate if gated else None
     filtered = readings, elapsed, None if beside is None else gate_of(beside, time.step_s)

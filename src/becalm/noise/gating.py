@@ -117,6 +117,11 @@ def choose_gated(
     return GatedChoice(choice, True)
 
 
+def without_rejects(tuning: Tuning, readings: Floats, elapsed: Floats, gate: Gate) -> Floats:
+    """Return readings (N,), NaN where a gate leaves them out."""
+    return np.where(forecasts(tuning, readings, elapsed, gate).rejected, np.nan, readings)
+
+
 def has_rejects(tuning: Tuning, readings: Floats, elapsed: Floats, gate: Gate) -> bool:
     """Whether a gate leaves any reading (N,) out."""
     return bool(forecasts(tuning, readings, elapsed, gate).rejected.any())
