@@ -148,7 +148,9 @@ def test_older_recipes_have_no_gate() -> None:
     assert Recipe.from_toml(text).channel[0].gate is None
 
 
-@pytest.mark.parametrize("wrong", ["agree = 1", "at_most = 2", "false_alarms_per_hour = 0.0", "width = 3"])
+@pytest.mark.parametrize(
+    "wrong", ["agree = 1", "at_most = 2", "at_most = 99999999999999999999", "false_alarms_per_hour = 0.0", "width = 3"]
+)
 def test_what_is_no_gate_is_refused(wrong: str) -> None:
     text = recipe_with(None).to_toml() + f"\n[channel.gate]\n{wrong}\n"
     with pytest.raises(RecipeError, match="gate"):
