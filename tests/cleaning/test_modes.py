@@ -81,6 +81,16 @@ def test_modes_that_make_no_filter_are_refused(recording: Recording, recipe: Rec
         clean(recording, wrong)
 
 
+@pytest.mark.parametrize("density", [1e100, 1e200])
+def test_modes_beyond_reach_are_refused(recording: Recording, recipe: Recipe, density: float) -> None:
+    (channel,) = recipe.channel
+    assert channel.switching is not None
+    assert channel.motion is not None
+    wild = channel.switching.mode[0].model_copy(update={"order": 3, "process_noise_density": density})
+    with pytest.raises(RecipeError, match="out of reach"):
+        modes_in_steps(channel.switching.model_copy(update={"mode": (wild,)}), in_steps(channel.motion, 0.005), 0.005)
+
+
 def test_a_lag_with_modes_is_refused(recording: Recording, recipe: Recipe) -> None:
     smoothed = recipe.model_copy(update={"mode": "smoothed"})
     with pytest.raises(UsageError, match="switches"):
