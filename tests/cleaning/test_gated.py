@@ -63,6 +63,16 @@ def test_spikes_are_seen_through_over_seeds(kind: str, causal: bool) -> None:
     assert worse_by(kind, range(8), causal, 20_000) <= MOST_WORSE
 
 
+@pytest.mark.parametrize("size", [1e4, 1e6, 1e9])
+def test_huge_spikes_are_no_noise(size: float) -> None:
+    rng = np.random.default_rng(3)
+    noise, wild = 0.1 * rng.normal(size=(2, 4000)), rng.random(4000) < 0.01
+    truth = np.sin(0.01 * np.arange(4000))
+    plain, spiked = (cleaned(truth + noise[0] + size * wild * sign, causal=False) for sign in (0.0, noise[1]))
+    assert spiked.recipe.channel[0].noise_std == pytest.approx(0.1, rel=0.05)
+    assert rms(spiked, truth) < 1.2 * rms(plain, truth)
+
+
 @pytest.mark.parametrize("size", [20.0, 200.0])
 def test_spikes_widen_no_sigma(size: float) -> None:
     rng = np.random.default_rng(3)
