@@ -63,6 +63,27 @@ def test_spikes_are_seen_through_over_seeds(kind: str, causal: bool) -> None:
     assert worse_by(kind, range(8), causal, 20_000) <= MOST_WORSE
 
 
+@pytest.mark.parametrize("size", [1e4, 1e6, 1e9])
+def test_huge_spikes_are_no_noise(size: float) -> None:
+    rng = np.random.default_rng(3)
+    noise, wild = 0.1 * rng.normal(size=(2, 4000)), rng.random(4000) < 0.01
+    truth = np.sin(0.01 * np.arange(4000))
+    plain, spiked = (cleaned(truth + noise[0] + size * wild * sign, causal=False) for sign in (0.0, noise[1]))
+    assert spiked.recipe.channel[0].noise_std == pytest.approx(0.1, rel=0.05)
+    assert rms(spiked, truth) < 1.2 * rms(plain, truth)
+
+
+@pytest.mark.parametrize("size", [20.0, 200.0])
+def test_spikes_widen_no_sigma(size: float) -> None:
+    rng = np.random.default_rng(3)
+    noise = 0.1 * rng.normal(size=(2, 1000))
+    truth, wild = np.sin(0.01 * np.arange(1000)), rng.random(1000) < 0.01
+    plain, spiked = (cleaned(truth + noise[0] + size * wild * sign, causal=False) for sign in (0.0, noise[1]))
+    assert spiked.recipe.channel[0].gate is not None
+    assert spiked.reports[0].verdicts["spike"] >= 5
+    assert np.median(spiked.sigma.samples) < 1.3 * np.median(plain.sigma.samples)
+
+
 @pytest.mark.parametrize("causal", [True, False])
 def test_each_reading_gets_its_verdict(causal: bool) -> None:
     noise, bad = spiked(1, 8000, size=12.0)
@@ -137,7 +158,9 @@ def test_older_recipes_have_no_gate() -> None:
     assert Recipe.from_toml(text).channel[0].gate is None
 
 
-@pytest.mark.parametrize("wrong", ["agree = 1", "at_most = 2", "false_alarms_per_hour = 0.0", "width = 3"])
+@pytest.mark.parametrize(
+    "wrong", ["agree = 1", "at_most = 2", "at_most = 99999999999999999999", "false_alarms_per_hour = 0.0", "width = 3"]
+)
 def test_what_is_no_gate_is_refused(wrong: str) -> None:
     text = recipe_with(None).to_toml() + f"\n[channel.gate]\n{wrong}\n"
     with pytest.raises(RecipeError, match="gate"):

@@ -134,6 +134,16 @@ def test_modes_are_found_for_a_lag_too(recording: Recording, recipe: Recipe) -> 
     assert np.array_equal(np.vstack([signal[1:], online.finish()[0]]), told)
 
 
+@pytest.mark.parametrize("density", [1e100, 1e200])
+def test_modes_beyond_reach_are_refused(recording: Recording, recipe: Recipe, density: float) -> None:
+    (channel,) = recipe.channel
+    assert channel.switching is not None
+    assert channel.motion is not None
+    wild = channel.switching.mode[0].model_copy(update={"order": 3, "process_noise_density": density})
+    with pytest.raises(RecipeError, match="out of reach"):
+        modes_in_steps(channel.switching.model_copy(update={"mode": (wild,)}), in_steps(channel.motion, 0.005), 0.005)
+
+
 def test_a_robust_filter_is_asked_for_alone(recording: Recording) -> None:
     with pytest.raises(UsageError, match="robust"):
         tune(recording, wishes=Wishes(robust=True, removed_hz=(50.0,)))

@@ -148,7 +148,13 @@ def test_a_wrong_value_is_refused_by_name(old: str, new: str, says: str) -> None
     message = str(caught.value)
     assert message.startswith("The recipe does not say what a recipe must: ")
     assert says in message
+    assert "at least 1 item" not in message  # as of a list that counts as empty because of what is in it
     assert message.endswith("Make one with: becalm tune FILE -o R.toml")
+
+
+def test_no_channel_is_refused() -> None:
+    with pytest.raises(RecipeError, match="channel: Tuple should have at least 1 item"):
+        Recipe.from_toml(GOOD.split("[[channel]]")[0].replace("[tuned_on]", "channel = []\n[tuned_on]"))
 
 
 @pytest.mark.parametrize(

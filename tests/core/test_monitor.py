@@ -13,6 +13,7 @@ from becalm.core.cusum import SLACK, cusum_delay, cusum_threshold
 from becalm.core.filtering import kalman_filter
 from becalm.core.model import Model
 from becalm.core.monitor import HOP, WINDOW, InnovationMonitor, find_alarms
+from becalm.core.noise_change import NoiseHistory
 from becalm.core.verdict import Verdict
 from becalm.errors import UsageError
 
@@ -182,3 +183,12 @@ def test_alarms_say_what_they_need() -> None:
         find_alarms(0.0, STEP_S)
     with pytest.raises(UsageError, match="above 0"):
         find_alarms(1.0, float("inf"))
+
+
+def test_noise_that_all_but_ends_is_told() -> None:
+    history = NoiseHistory()
+    history.push(np.where(np.arange(9600) < 6400, 3.0, 1e-10) * noise(9600), np.arange(9600.0))
+    change = history.change()
+    assert change is not None
+    assert change.step == 6400
+    assert change.ratio == pytest.approx(1e-10 / 3, rel=0.1)

@@ -59,3 +59,9 @@ def test_what_is_taken_off_counts_as_noise() -> None:
     np.testing.assert_allclose(white, 2.0)
     assert noise[1] > 100
     np.testing.assert_allclose(powers(Tuning(1, 0.01, 2.0, 0), angle)[0], 0.02 / (2 - 2 * np.cos(angle)), rtol=1e-12)
+
+
+def test_units_do_not_matter() -> None:
+    own, huge = (excess_error(Tuning(3, 1e-4, noise, 1), lambda angle: 1 + angle) for noise in (1.0, 1e158))
+    assert own > 0.01
+    assert huge == pytest.approx(own, rel=1e-9)

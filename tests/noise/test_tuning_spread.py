@@ -118,3 +118,10 @@ def test_a_long_record_is_widened_by_next_to_nothing() -> None:
     assert 0 < tuning_spread(toned, evidence, causal=False) < 0.01
     assert delta_widening(Tuning(1, 0.0, 1.0, 100), causal=True) == 1.0  # never settles
     assert delta_widening(Tuning(1, 0.05, 1.0, 0), causal=True) == 1.0  # no reading tells it
+
+
+@pytest.mark.parametrize("causal", [True, False])
+def test_units_do_not_matter(causal: bool) -> None:
+    own, huge = (Tuning(3, 1e-4, noise, 5000) for noise in (1.0, 1e158))
+    assert delta_widening(own, causal) > 1.0
+    assert delta_widening(huge, causal) - 1 == pytest.approx(delta_widening(own, causal) - 1, rel=1e-3)

@@ -12,6 +12,7 @@ from becalm.noise.likelihood import Tuning
 from becalm.noise.switching import Switched
 
 _LEAST, _GREATEST = 1e-250, 1e250  # of variances, unit^2: beyond, their products leave float64
+_GREATEST_RATIO = 1e30  # of q/r: beyond, what is known of a state is lost to rounding
 
 
 def modes_in_seconds(found: Switched, step_s: float) -> SwitchingRecipe:
@@ -74,10 +75,10 @@ def _level_noise(component: Component) -> float:
 def _mode_in_steps(told: ModeRecipe, tuning: Tuning, step_s: float) -> Mode:
     density = float(np.float64(told.process_noise_density) * np.float64(step_s) ** (2 * told.order - 1))
     variance = float(np.float64(told.noise_std) ** 2)
-    if not (_LEAST < variance < _GREATEST and density / variance < _GREATEST):
+    if not (_LEAST < variance < _GREATEST and density / variance < _GREATEST_RATIO):
         raise ModelError(
-            f"mode {told.name!r} has noise_std = {told.noise_std:.3g} and process_noise_density ="
-            f" {told.process_noise_density:.3g}; choose a unit nearer to the size of its noise."
+            f"mode {told.name!r} has process_noise_density = {told.process_noise_density:.3g} and noise_std ="
+            f" {told.noise_std:.3g}, which is out of reach; mend one of them, or choose a unit nearer to its size."
         )
     component = motion(told.order, density)
     if told.with_tones:

@@ -213,7 +213,7 @@ class Recipe(Settings):
         try:
             return cls.model_validate(tomlkit.parse(text).unwrap())
         except ValidationError as cause:
-            faults = "; ".join(_fault(error["loc"], error["msg"]) for error in cause.errors())
+            faults = "; ".join(_faults({error["loc"]: error["msg"] for error in cause.errors()}))
             raise RecipeError(
                 f"{source} does not say what a recipe must: {faults}. Make one with: becalm tune FILE -o R.toml"
             ) from cause
@@ -239,6 +239,8 @@ class Recipe(Settings):
         return cls.from_toml(text, f"The recipe {path}")
 
 
-def _fault(location: tuple[int | str, ...], message: str) -> str:
-    where = ".".join(str(part + 1) if isinstance(part, int) else part for part in location)
-    return f"{where}: {message}" if where else message
+def _faults(messages: dict[tuple[int | str, ...], str]) -> list[str]:
+    """Say what is wrong where; of a list that counts as empty because of what is in it, only that."""
+    inside = {where[:depth] for where in messages for depth in range(1, len(where))}
+    named = {where: ".".join(str(part + 1) if isinstance(part, int) else part for part in where) for where in messages}
+    return [f"{named[at]}: {said}" if at else said for at, said in messages.items() if at not in inside]

@@ -13,6 +13,8 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
+_MOST_REJECTS = 1 << 31  # in a row: more than are ever waited for
+
 
 class Settings(BaseModel):
     """What a person may write, and nothing else; never changed."""
@@ -75,7 +77,7 @@ class GateRecipe(Settings):
 
     false_alarms_per_hour: Positive = 1.0
     agree: Annotated[int, Field(ge=2)] = AGREE
-    at_most: int = AT_MOST
+    at_most: Annotated[int, Field(le=_MOST_REJECTS)] = AT_MOST
 
     @model_validator(mode="after")
     def _in_order(self) -> Self:

@@ -154,7 +154,8 @@ def _channel_recipe(recording: Recording, causal: bool, wishes: Wishes, name: st
             if switched is not None:
                 more = {"switching": modes_in_seconds(switched, time.step_s), "limits": limits}
                 return in_seconds(name, unit, found, time.step_s).model_copy(update=more)
-        spread = tuning_spread(found, evidence, causal, noise_known=known.noise is not None)
+        believed = Evidence.of(np.where(foretold.rejected, np.nan, readings), elapsed) if gated else evidence
+        spread = tuning_spread(found, believed, causal, noise_known=known.noise is not None)
     limits = with_alarms(limits, found, foretold.normalised, causal=causal, step_s=time.step_s)
     beside = {"gate": told if gated else None, "limits": limits}
     return in_seconds(name, unit, found, time.step_s, spread).model_copy(update=beside)

@@ -68,9 +68,9 @@ class NoiseHistory:
         if count < 2 * _FEWEST or not means.min() > 0:
             return None
         split = np.arange(_FEWEST, count - _FEWEST + 1)
-        sums = np.cumsum(means)
-        before, after = sums[split - 1] / split, (sums[-1] - sums[split - 1]) / (count - split)
-        at = int(np.argmin(split * np.log(before) + (count - split) * np.log(np.maximum(after, 1e-300))))
+        before = np.cumsum(means)[split - 1] / split
+        after = np.cumsum(means[::-1])[count - split - 1] / (count - split)
+        at = int(np.argmin(split * np.log(before) + (count - split) * np.log(after)))
         k, ratio = int(split[at]), float(np.sqrt(after[at] / before[at]))
         told = max(ratio, 1 / ratio) >= _RATIO and all(map(self._is_even, (means[:k], means[k:])))
         return NoiseChanged(float(self._starts[k]), ratio) if told else None

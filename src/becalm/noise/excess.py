@@ -39,7 +39,7 @@ def excess_error(tuning: Tuning, colour: Colour) -> float:
     still_noise = np.minimum(noise, found)
     moved = found - still_noise
     own = (1 - passed) ** 2 * moved + passed**2 * still_noise
-    best = _mean(moved * still_noise / found)
+    best = _mean(moved * (still_noise / found))
     return float(np.sqrt(_mean(own) / best)) - 1 if best > 0 else 0.0
 
 

@@ -142,10 +142,10 @@ def _moved_and_claimed(tuning: Tuning, causal: bool) -> tuple[float, float]:
     found = spectra_of(tuning)
     if found is None:
         return 0.0, 1.0
-    noise = found.total - found.signal
     if not causal:
-        slope = found.motion * noise / found.total**2
-        return found.mean(slope**2 * found.total), found.mean(found.signal * noise / found.total)
+        noise = 1 - found.signal / found.total
+        slope = found.motion / found.total * noise
+        return found.mean(slope**2 * found.total), found.mean(found.signal * noise)
     low, high = (_settled(replace(tuning, ratio=tuning.ratio * np.exp(by))) for by in (-_SMALL, _SMALL))
     change = (high.filter_response(found.f) - low.filter_response(found.f)) / (2 * _SMALL)
     return found.mean(np.abs(change) ** 2 * found.total), found.filter.error_variance()
