@@ -24,6 +24,9 @@ from becalm.noise.switching import Switched
 RATE_HZ = 200.0
 
 
+MODES = ["still", "gentle", "quick", "abrupt", "leap"]
+
+
 @pytest.fixture(scope="module")
 def truth() -> Floats:
     return np.repeat(4 * np.random.default_rng(1).normal(size=10), 600)
@@ -52,7 +55,7 @@ def test_a_recipe_keeps_its_modes(recording: Recording, recipe: Recipe) -> None:
     (channel,) = recipe.channel
     assert channel.switching is not None
     assert channel.gate is None
-    assert [mode.name for mode in channel.switching.mode] == ["still", "gentle", "quick", "abrupt"]
+    assert [mode.name for mode in channel.switching.mode] == MODES
     again = Recipe.from_toml(recipe.to_toml())
     assert again == recipe
     one, two = clean(recording, recipe), clean(recording, again)
@@ -84,7 +87,7 @@ def test_the_report_tells_what_each_mode_is_and_how_long_it_was_in_force(recordi
     for mode, own in zip(modes, switching_of(recipe).modes, strict=True):
         gain = order_one(own.component.noise_density[0, 0] / own.noise_variance).noise_gain
         assert mode.noise_left == pytest.approx(np.sqrt(gain * own.noise_variance), rel=1e-6)
-    assert [mode.lag_s for mode in smooth.modes.values()] == [0.0] * 4
+    assert [mode.lag_s for mode in smooth.modes.values()] == [0.0] * 5
 
 
 def test_what_a_delay_buys_is_told_of_each_mode(recipe: Recipe) -> None:
@@ -98,7 +101,7 @@ def test_what_a_delay_buys_is_told_of_each_mode(recipe: Recipe) -> None:
 def test_split_tells_the_probability_of_each_mode(recording: Recording, recipe: Recipe) -> None:
     out = clean(recording, recipe, split=True)
     assert out.parts is not None
-    names = ["a_motion", *(f"a_probability_{mode}" for mode in ("still", "gentle", "quick", "abrupt"))]
+    names = ["a_motion", *(f"a_probability_{mode}" for mode in MODES)]
     assert list(out.parts.names) == names
     np.testing.assert_allclose(out.parts.samples[:, 1:].sum(axis=1), 1.0, rtol=1e-12)
     np.testing.assert_allclose(out.parts.samples[:, 0], out.signal.samples[:, 0], rtol=1e-9, atol=1e-9)
@@ -168,3 +171,54 @@ def test_a_robust_recipe_keeps_tones_and_a_level_that_jumps() -> None:
     switching = modes_in_steps(channel.switching, in_steps(channel.motion, 1 / RATE_HZ), 1 / RATE_HZ)
     told = modes_in_seconds(Switched("spiky", switching, 0.0, 0.0), 1 / RATE_HZ)
     assert told.mode[1].level_noise_density == pytest.approx(abrupt.level_noise_density)
+
+
+def rms(recording: Recording, samples: Floats, truth: Floats, causal: bool) -> float:
+    """Clean other samples; return the rms error after the first 30 rows and away from rows that were changed."""
+    out = clean(Recording(samples, rate_hz=RATE_HZ), causal=causal)
+    assert out.reports[0].modes
+    changed = np.flatnonzero(samples != recording.samples[:, 0])
+    kept = np.ones(len(truth), bool)
+    kept[:30] = False
+    for row in changed if len(changed) < 10 else []:
+        kept[row : row + 3] = False
+    return rms_error(out.signal.samples[kept, 0], truth[kept])
+
+
+@pytest.mark.parametrize("causal", [True, False])
+@pytest.mark.parametrize("size", [1e2, 1e4, 1e7])
+def test_a_first_reading_far_out_does_not_hold_levels(
+    recording: Recording, truth: Floats, size: float, causal: bool
+) -> None:
+    samples = recording.samples[:, 0].copy()
+    samples[0] += size
+    as_it_was = rms(recording, recording.samples[:, 0], truth, causal)
+    assert rms(recording, samples, truth, causal) < 1.3 * as_it_was
+
+
+@pytest.mark.parametrize("causal", [True, False])
+@pytest.mark.parametrize("size", [1e2, 1e4, 1e7])
+def test_a_level_that_leaps_as_far_as_ever_is_followed(size: float, causal: bool) -> None:
+    truth = np.repeat([0.0, size], 2000)
+    noise = np.random.default_rng(4).normal(size=4000)
+    out = clean(Recording(truth + noise, rate_hz=RATE_HZ), causal=causal)
+    off = np.abs(out.signal.samples[:, 0] - truth)
+    assert out.reports[0].modes
+    assert off[2004:].max() < 3.0  # of the noise: no farther than a reading
+    assert np.sqrt(np.mean(off[2100:] ** 2)) < 0.2
+
+
+@pytest.mark.parametrize("size", [1e3, 1e5, 1e7])
+def test_one_reading_far_out_is_smoothed_away(recording: Recording, truth: Floats, size: float) -> None:
+    samples = recording.samples[:, 0].copy()
+    samples[3300] += size
+    out = clean(Recording(samples, rate_hz=RATE_HZ))
+    assert abs(out.signal.samples[3300, 0] - truth[3300]) < 3.0  # of the noise
+    assert out.reports[0].verdicts["spike"] >= 1
+
+
+def test_a_recipe_meets_leaps_farther_than_any_it_was_tuned_on(recipe: Recipe) -> None:
+    truth = np.repeat([0.0, 1e6], 1000)
+    noise = np.random.default_rng(4).normal(size=2000)
+    out = clean(Recording(truth + noise, names=["a"], units=["V"], rate_hz=RATE_HZ), recipe)
+    assert np.abs(out.signal.samples[1004:, 0] - 1e6).max() < 3.0

@@ -23,7 +23,7 @@ from becalm.errors import RecordingError, UsageError
 from becalm.noise.choose import Known
 from becalm.noise.coloured import NoiseModel, fit_noise
 from becalm.noise.dial import Dial, turn
-from becalm.noise.far import without_far
+from becalm.noise.far import Far, told_of_far, without_far
 from becalm.noise.gating import choose_gated, forecasts
 from becalm.noise.likelihood import Evidence, Tuning
 from becalm.noise.lines import FEWEST_FOR_TONES, MOST_TONES
@@ -139,7 +139,8 @@ def _channel_recipe(recording: Recording, causal: bool, wishes: Wishes, name: st
     told, elapsed = GateRecipe(), time.elapsed_steps
     gate = gate_of(told, time.step_s)
     readings, limits = find_healthy(recording.channel(name), elapsed, time.step_s)
-    readings = without_far(readings)
+    tame = without_far(readings)
+    readings, far = tame, told_of_far(readings, tame)
     choice, gated = choose_gated(readings, elapsed, gate, causal, known)
     if choice.tuning is None or choice.motion is None:
         return ChannelRecipe(name=name, unit=unit, model=choice.kind, limits=limits)
@@ -150,7 +151,7 @@ def _channel_recipe(recording: Recording, causal: bool, wishes: Wishes, name: st
     if wishes.dial is None:  # what a person asked for is no estimate: it has no spread, and nothing replaces it
         if not wishes.still_s and not wishes.removed_hz:
             spikes = None if wishes.robust else bool(foretold.rejected.any())
-            found, switched = _switched(found, readings, elapsed, causal, spikes)
+            found, switched = _switched(found, readings, elapsed, causal, spikes, far)
             if switched is not None:
                 more = {"switching": modes_in_seconds(switched, time.step_s), "limits": limits}
                 return in_seconds(name, unit, found, time.step_s).model_copy(update=more)
@@ -161,13 +162,13 @@ def _channel_recipe(recording: Recording, causal: bool, wishes: Wishes, name: st
     return in_seconds(name, unit, found, time.step_s, spread).model_copy(update=beside)
 
 
-def _switched(
-    tuning: Tuning, readings: Floats, elapsed: Floats, causal: bool, spikes: bool | None
+def _switched(  # noqa: PLR0913  (what a channel is, and what is known of it)
+    tuning: Tuning, readings: Floats, elapsed: Floats, causal: bool, spikes: bool | None, far: Far
 ) -> tuple[Tuning, Switched | None]:
     """Find modes for a channel; `spikes` tells whether a gate leaves some out, None that many are to be left out."""
     if spikes is None:
         return choose_robust(tuning, readings, elapsed, causal)
-    return tuning, find_switching(tuning, Evidence.of(readings, elapsed), causal, spikes)
+    return tuning, find_switching(tuning, Evidence.of(readings, elapsed), causal, spikes, far)
 
 
 def _rest_noise(rest: Recording, name: str, still_s: Sequence[tuple[float, float]]) -> NoiseModel | None:

@@ -1,7 +1,7 @@
 """Four banks of modes, each told by few numbers, and the search for them by likelihood.
 
 resting   a still mode beside the fixed filter
-jumping   random walks from still to abrupt, for levels that hold and jump; wild readings are left out
+jumping   random walks from still to abrupt, and leaps, for levels that hold and jump; wild readings are left out
 noisy     the fixed filter with quiet and with loud noise
 spiky     the fixed filter with wild readings, which are left out, and an abrupt mode, in which the level jumps and
           all else goes on, so that it never locks out
@@ -20,6 +20,7 @@ from becalm.core.components import motion, with_walking_level
 from becalm.core.kernel_switching import NOTHING_WANTED, switch_forward
 from becalm.core.kernel_switching_row import memory_length
 from becalm.core.switching import Mode, Switching, numbered_steps
+from becalm.noise.far import Far
 from becalm.noise.likelihood import Evidence, Tuning
 
 Kind = Literal["resting", "jumping", "noisy", "spiky"]
@@ -35,6 +36,8 @@ _RESTS, _MOVES = 1.6e5, 3e6  # steps that a level stays still, or moves, where t
 _UNMOVED = 1e8  # steps between jumps of what is only spiky
 _WALKS = {"still": 1e-10, "gentle": 2e-3, "quick": 0.7, "abrupt": 40.0}  # q/r
 _RANGES = ((1e-12, 1e-3), (1e-8, 1e0), (1e-3, 1e2), (1e1, 1e6))  # of them
+_WILD = 1e-9  # share of readings that are wild among levels, where the record shows none: a jump is far likelier
+_FARTHER = 4.0  # times the variance of wild readings, which that of a leap is
 _AT_ONCE = 0.7  # steps that an abrupt mode lasts
 _BLOCK = 50  # readings, of which the variance of bends is taken
 
@@ -79,9 +82,13 @@ def resting(tuning: Tuning, evidence: Evidence) -> Bank:
     return Bank([_variance(evidence), Number(1e-6, 1e-12, 1e-3), *2 * [Number(300.0, 50.0, 1e6)]], make)
 
 
-def jumping(evidence: Evidence) -> Bank:
-    """Return banks of random walks, from still to abrupt."""
-    spread = float(np.ptp(evidence.z)) ** 2
+def jumping(evidence: Evidence, far: Far) -> Bank:
+    """Return banks of random walks, from still to abrupt, and of leaps as far as readings reach, and farther.
+
+    What is farther out than any wild reading is a leap: so a level is never lost for good. `far` tells of readings
+    that the evidence is without.
+    """
+    spread = max(far.reach, float(np.ptp(evidence.z))) ** 2
 
     def make(r: float, still: float, others: float, wild: float, *ratios: float) -> Switching:
         lasts = (still, others, others, _AT_ONCE)
@@ -89,11 +96,15 @@ def jumping(evidence: Evidence) -> Bank:
             Mode(name, motion(1, ratio * r), r, last, "quick" if name == "abrupt" else "", wild)
             for name, ratio, last in zip(_WALKS, ratios, lasts, strict=True)
         ]
-        return Switching(tuple(walks), spread, rejects=True)
+        leap = Mode("leap", motion(1, _FARTHER * spread), r, _AT_ONCE, "quick")
+        return Switching((*walks, leap), spread, rejects=True)
 
     numbers = [
         _variance(evidence),
-        *(Number(*told, gain=_MUCH) for told in ((_RESTS, 10.0, 1e7), (_MOVES, 0.5, 1e7), (1e-9, 1e-12, 0.2))),
+        *(
+            Number(*told, gain=_MUCH)
+            for told in ((_RESTS, 10.0, 1e7), (_MOVES, 0.5, 1e7), (max(_WILD, min(far.share, 0.2)), 1e-12, 0.2))
+        ),
     ]
     walks = [Number(ratio, *bounds, gain=_MUCH) for ratio, bounds in zip(_WALKS.values(), _RANGES, strict=True)]
     return Bank([*numbers, *walks], make)

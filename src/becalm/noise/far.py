@@ -6,6 +6,8 @@ from the median of five neighbours than most readings do; a peak of motion has n
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
@@ -17,6 +19,23 @@ FAR = 1000.0
 _WINDOW = 5  # readings: two that are far out side by side are still the fewer
 _MOST = 0.1  # share of the readings beyond which they are no exceptions
 _PIECE = 1 << 16
+
+
+class Far(NamedTuple):
+    """How many readings of a record are far out, and how far."""
+
+    share: float = 0.0  # of the readings
+    reach: float = 0.0  # from the lowest to the highest of all, in unit
+
+
+NONE_FAR = Far()
+
+
+def told_of_far(readings: Floats, tame: Floats) -> Far:
+    """Return what `without_far` replaced, from readings (N,) before it and after."""
+    seen = readings[np.isfinite(readings)]
+    replaced = np.count_nonzero((readings != tame) & np.isfinite(readings))
+    return Far(replaced / len(seen), float(np.ptp(seen))) if len(seen) else NONE_FAR
 
 
 def without_far(readings: Floats) -> Floats:

@@ -18,6 +18,7 @@ from becalm.core.flow import Flow
 from becalm.core.switching import Mode, Switching
 from becalm.core.switching_flow import SwitchingFlow
 from becalm.noise.banks import Bank, Kind, Piece, jumping, log_likelihood, noisy, pieces_of, resting, searched, spiky
+from becalm.noise.far import NONE_FAR, Far
 from becalm.noise.likelihood import Evidence, Tuning, tune_motion
 from becalm.noise.risk import estimated_risk, long_pieces
 
@@ -52,7 +53,9 @@ class Switched:
     fixed_log_likelihood: float
 
 
-def find_switching(tuning: Tuning, evidence: Evidence, causal: bool, spikes_gated: bool = False) -> Switched | None:
+def find_switching(
+    tuning: Tuning, evidence: Evidence, causal: bool, spikes_gated: bool = False, far: Far = NONE_FAR
+) -> Switched | None:
     """Find the bank that foretells a record best; None where a fixed filter does as well.
 
     Parameters
@@ -65,6 +68,8 @@ def find_switching(tuning: Tuning, evidence: Evidence, causal: bool, spikes_gate
         Whether it shall filter (True) or smooth.
     spikes_gated : bool
         Whether a gate leaves spikes out of the fixed filter; then a bank has to be better than that.
+    far : Far
+        What is known of readings that the evidence is without.
     """
     surprise = find_surprise(evidence.z[:, 0]) if len(evidence.z) >= _FEWEST else None
     if surprise is None:
@@ -74,7 +79,7 @@ def find_switching(tuning: Tuning, evidence: Evidence, causal: bool, spikes_gate
     fixed = max(log_likelihood(_alone(one), pieces) for one in (tuning, likeliest))
     found = [
         _found("resting", resting(likeliest, evidence), pieces),
-        _found("jumping", jumping(evidence), pieces),
+        _found("jumping", jumping(evidence, far), pieces),
         _found("noisy", noisy(likeliest), pieces),
         _found("spiky", spiky(likeliest, evidence), pieces),
     ]
