@@ -119,7 +119,7 @@ def test_a_gate_finds_back_from_whatever_it_believed(order: int, row: int, size:
         assert np.abs(told.signal - own.signal)[row + 200 : -200].max() < rounded
 
 
-@pytest.mark.parametrize("row", [5, 20])
+@pytest.mark.parametrize("row", [0, 1, 5, 20])
 @pytest.mark.parametrize("size", [1e30, 1e99])
 def test_live_does_as_a_file_does(row: int, size: float) -> None:
     part, z = motion(2, 1e-5), noise()

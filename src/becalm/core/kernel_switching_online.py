@@ -1,7 +1,7 @@
 """A bank that switches, a reading or a block at a time in Numba, with all that is needed in one array.
 
-The array holds whether a level is kept, whether it is known and what it is, then the beliefs, the bank for a step
-of 1, and how modes begin: one argument, because every argument of a call costs time.
+The array holds whether a level is kept, whether it is known and what it is, the largest reading and level, then
+the beliefs, the bank for a step of 1, and how modes begin: one argument, because every argument costs time.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from becalm.core.arrays import Floats
 from becalm.core.compiling import compiled, compiled_part, woven
 from becalm.core.kernel_online import LiveKernels
 from becalm.core.kernel_settling import LOAD, SAVE, transfer_matrix, transfer_vector
-from becalm.core.kernel_steps import LARGEST_READING
 from becalm.core.kernel_switching import UNKNOWN, advance_modes, merge
 from becalm.core.kernel_switching_row import (
     Bank,
@@ -26,15 +25,17 @@ from becalm.core.kernel_switching_row import (
     new_beliefs,
     new_look,
 )
+from becalm.core.possible import largest_beside, largest_level
 
-KEEPS_LEVEL, LEVEL_KNOWN, LEVEL, BELIEFS = 0, 1, 2, 3
+KEEPS_LEVEL, LEVEL_KNOWN, LEVEL, LARGEST, LARGEST_LEVEL, BELIEFS = range(6)
 
 
 def new_live_bank(bank: Bank, start: Floats, *, keeps_level: bool) -> Floats:
     """Lay a bank for one length of step out, before any reading."""
     parts = [np.ravel(matrix) for matrix in (*bank, start)]
     beliefs = np.zeros(memory_length(bank.H.shape[1], len(bank.R)))
-    return np.concatenate([[float(keeps_level), 0.0, 0.0], beliefs, *parts])
+    r = float(bank.R.min())
+    return np.concatenate([[float(keeps_level), 0.0, 0.0, largest_beside(r), largest_level(r)], beliefs, *parts])
 
 
 def live_bank_length(states: int, modes: int) -> int:
@@ -81,10 +82,10 @@ def take_live(  # noqa: PLR0913
     sizes: BankSizes, live: Floats, bank: Bank, start: Floats, z: float, now: Beliefs, mixed: Beliefs, look: Look
 ) -> tuple[float, float]:
     """Take one reading; return signal and sigma, NaN and inf where nothing is known yet."""
-    z = z if abs(z) <= LARGEST_READING else np.nan
+    z = z if abs(z) <= live[LARGEST] else np.nan
     if live[KEEPS_LEVEL] > 0.0:
-        if live[LEVEL_KNOWN] == 0.0 and abs(z) <= LARGEST_READING:
-            live[LEVEL_KNOWN], live[LEVEL] = 1.0, z
+        if live[LEVEL_KNOWN] == 0.0 and abs(z) <= live[LARGEST]:
+            live[LEVEL_KNOWN], live[LEVEL] = 1.0, z if abs(z) <= live[LARGEST_LEVEL] else 0.0
         z -= live[LEVEL]
     _, became = advance_modes(sizes, bank, z, 0, start, now, mixed, look)
     if became == UNKNOWN:

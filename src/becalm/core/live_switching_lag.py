@@ -12,6 +12,7 @@ from becalm.core.kernel_switching import NOTHING_WANTED, SwitchingTrace, switch_
 from becalm.core.kernel_switching_online import (
     BELIEFS,
     KEEPS_LEVEL,
+    LARGEST,
     LEVEL,
     LEVEL_KNOWN,
     live_bank,
@@ -20,6 +21,7 @@ from becalm.core.kernel_switching_online import (
 from becalm.core.kernel_switching_row import bank_sizes, memory_length
 from becalm.core.live_switching import LiveSwitching
 from becalm.core.model import Model
+from becalm.core.possible import level_by
 from becalm.core.starting import first_reading
 from becalm.core.switching import Switching
 from becalm.core.switching_lag import PIECE, WaitingRows
@@ -91,8 +93,9 @@ class LateSwitching(LiveSwitching):
     def _take(self, z: Floats) -> Floats:
         """Filter readings (B,); return signal and sigma of those that have waited, (2, rows)."""
         live = self._live
+        z = np.where(np.abs(z) <= live[LARGEST], z, np.nan)
         if live[KEEPS_LEVEL] and not live[LEVEL_KNOWN] and (row := first_reading(z[:, np.newaxis])) < len(z):
-            live[LEVEL_KNOWN], live[LEVEL] = 1.0, z[row]
+            live[LEVEL_KNOWN], live[LEVEL] = 1.0, level_by(float(z[row]), float(self._bank.R.min()))
         steps = np.zeros(len(self._waiting) + len(z), np.int64)
         memory = np.zeros((1 + len(z), self._waiting.width))
         memory[0, : len(self._beliefs)] = self._beliefs

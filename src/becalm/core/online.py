@@ -146,7 +146,7 @@ class Online:
         if self._bank is not None:
             return self._bank.run(z)
         if self._guard is not None:
-            self._guard.look(z)
+            z = self._guard.look(z)
         if self._late is not None:
             late = self._late.push(even_timeline(self.model, len(z), goes_on=self._late.waiting > 0), z)
             if self._guard is not None and late.gated is not None:

@@ -50,6 +50,11 @@ def largest_beside(noise_variance: float) -> float:
     return min(_ROUNDED * float(np.sqrt(noise_variance)) / float(np.finfo(float).eps), BEYOND_ANY_SENSOR)
 
 
+def largest_level(noise_variance: float) -> float:
+    """Return the largest level that readings of this noise, in unit^2, can be told from without being rounded."""
+    return largest_beside(noise_variance) / _ROUNDED
+
+
 def level_by(reading: float, noise_variance: float) -> float:
     """Return a first reading as the level that all others are told from; 0 where it would round their noise away."""
-    return reading if abs(reading) <= largest_beside(noise_variance) / _ROUNDED else 0.0
+    return reading if abs(reading) <= largest_level(noise_variance) else 0.0

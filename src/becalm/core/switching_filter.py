@@ -8,10 +8,11 @@ from becalm.core.arrays import Codes, Floats, Integers
 from becalm.core.flow import Judge
 from becalm.core.kernel_switching import SwitchingTrace, switch_forward
 from becalm.core.kernel_switching_row import Bank, memory_length
+from becalm.core.possible import largest_beside, level_by
 from becalm.core.starting import first_reading
 from becalm.core.switching import Switching
 from becalm.core.told import Told
-from becalm.core.verdict import Verdict
+from becalm.core.verdict import Judged, Verdict, judge
 
 
 class SwitchingFilter:
@@ -31,6 +32,7 @@ class SwitchingFilter:
         self.switching, self._judge, self._split = switching, judge, split
         self._beliefs = np.zeros(memory_length(switching.states, len(switching.modes)))
         self._level: float | None = None if switching.component.keeps_level else 0.0
+        self._quietest = min(mode.noise_variance for mode in switching.modes)
         self._shares = np.zeros(len(switching.modes))
         self.rows = 0
         self.log_likelihood = 0.0
@@ -41,10 +43,14 @@ class SwitchingFilter:
         total = max(float(self._shares.sum()), 1.0)
         return {mode.name: float(share) / total for mode, share in zip(self.switching.modes, self._shares, strict=True)}
 
+    def judged(self, z: Floats) -> Judged:
+        """Let only possible readings (B,) through."""
+        return judge(z, largest_beside(self._quietest))
+
     def levelled(self, z: Floats) -> Floats:
         """Return readings (B,) less the first one of all, where the bank keeps a level."""
         if self._level is None and (row := first_reading(z[:, np.newaxis])) < len(z):
-            self._level = float(z[row])
+            self._level = level_by(float(z[row]), self._quietest)
         return np.ascontiguousarray(z - (self._level or 0.0))
 
     def run(self, z: Floats, bank: Bank, steps: Integers, memory: Floats) -> SwitchingTrace:

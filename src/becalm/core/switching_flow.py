@@ -22,7 +22,6 @@ from becalm.core.steady import steady
 from becalm.core.switching import Switching, numbered_steps
 from becalm.core.switching_filter import SwitchingFilter, with_spikes
 from becalm.core.told import Rows, Told
-from becalm.core.verdict import judge as judge_readings
 from becalm.errors import ModelError
 
 _LEAST_GROUP = 64 * BLOCK
@@ -81,7 +80,7 @@ class SwitchingFlow:
 
     def push(self, z: Floats, elapsed: Floats) -> list[Told]:
         """Take the next rows, readings (B,) and the steps before them; return what can be told for good."""
-        judged = judge_readings(z)
+        judged = self._filter.judged(z)
         if self._causal:
             return [self._take(Rows(judged.readings, elapsed, judged.verdicts))[1]]
         rows, told = Rows.joined([self._few, Rows(judged.readings, elapsed, judged.verdicts)]), list[Told]()

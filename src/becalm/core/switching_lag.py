@@ -20,7 +20,6 @@ from becalm.core.kernel_switching_row import Bank, BankSizes
 from becalm.core.switching import Switching, numbered_steps
 from becalm.core.switching_filter import SwitchingFilter, with_spikes
 from becalm.core.told import Told
-from becalm.core.verdict import judge as judge_readings
 from becalm.errors import ModelError
 
 _WAYS_BACK = 4  # in the time of one lag
@@ -132,7 +131,7 @@ class LaggedSwitchingFlow:
 
     def push(self, z: Floats, elapsed: Floats) -> list[Told]:
         """Take the next rows, readings (B,) and the steps before them; return those that have waited."""
-        judged, told = judge_readings(z), list[Told]()
+        judged, told = self._filter.judged(z), list[Told]()
         for begin in range(0, len(z), PIECE):
             rows = slice(begin, begin + PIECE)
             told.append(self._take(judged.readings[rows], elapsed[rows], judged.verdicts[rows]))
