@@ -7,8 +7,10 @@ import pytest
 
 from becalm.core.arrays import Booleans, Floats
 from becalm.core.components import motion, oscillator, with_walking_level
+from becalm.core.switching import Mode, Switching
 from becalm.core.switching_flow import SwitchingFlow
 from becalm.errors import ModelError
+from becalm.noise import banks
 from becalm.noise.choose import choose
 from becalm.noise.likelihood import Evidence
 from becalm.noise.wild import choose_robust, find_wild, robust_filter
@@ -86,3 +88,29 @@ def test_a_walking_level_adds_to_the_level_alone() -> None:
         np.testing.assert_allclose(wider_Q - Q, gained, rtol=1e-12, atol=1e-12)
     with pytest.raises(ModelError, match="density"):
         with_walking_level(motion(1), -1.0)
+
+
+def test_from_minus_infinity_to_minus_infinity_is_no_gain(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where no number explains the readings, as float64 counts, each stays where it began."""
+    monkeypatch.setattr(banks, "log_likelihood", lambda switching, pieces: -np.inf)
+    one, made = Mode("one", motion(1, 1.0), 1.0, 1.0), list[float]()
+
+    def make(r: float) -> Switching:
+        made.append(r)
+        return Switching((one,))
+
+    banks.searched(banks.Bank([banks.Number(1.0, 1e-4, 1e4)], make), [])
+    assert made[-1] == 1.0
+
+
+def test_a_record_may_begin_with_a_wild_reading() -> None:
+    _, z, _ = record("random walk", 2)
+    tuning = choose(z, np.ones(ROWS), True).tuning
+    assert tuning is not None
+    bad = z.copy()
+    bad[0] = 1e6
+    noises = [
+        robust_filter(tuning, Evidence.of(readings, np.ones(ROWS))).switching.modes[0].noise_variance
+        for readings in (z, bad)
+    ]
+    assert noises[1] == pytest.approx(noises[0], rel=0.1)

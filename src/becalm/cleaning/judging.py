@@ -11,6 +11,7 @@ import numpy as np
 from becalm.core.arrays import Floats
 from becalm.metrics.evenness import BlockCount
 from becalm.metrics.lagged import LaggedSums
+from becalm.metrics.misplaced import ScoreCount
 from becalm.metrics.running import PIECE, Running
 from becalm.metrics.whiteness import Power, Whiteness, judge_whiteness
 from becalm.noise.excess import Colour
@@ -32,6 +33,8 @@ FEWEST_INNOVATIONS = 8
 UNEVEN = 0.10
 """Share of the record in which sigma may be wrong by more than a factor of two."""
 
+MISPLACED = 0.15
+"""Share of the probability of scores that may be misplaced: 0.16 is what a sigma 1.4 times too small makes."""
 
 _FAR_OFF = 8.0  # in mean square, of a record too short for its evenness to be looked at
 _NARROW = 1 / 32  # cycles a reading, on each side of the loudest frequency: what 32 lags tell apart
@@ -90,9 +93,11 @@ class _Sums(NamedTuple):
     lagged: LaggedSums = LaggedSums()
     blocks: BlockCount = BlockCount()
     power: Power = Power()
+    scores: ScoreCount = ScoreCount()
 
     def extended(self, piece: Floats) -> _Sums:
-        return _Sums(self.lagged.extended(piece), self.blocks.extended(piece), self.power.extended(piece))
+        lagged, blocks, power, scores = self
+        return _Sums(lagged.extended(piece), blocks.extended(piece), power.extended(piece), scores.extended(piece))
 
 
 class InnovationJudge:
@@ -102,6 +107,9 @@ class InnovationJudge:
     ----------
     step_s : float
         Step between them, in seconds.
+    scores : bool
+        Whether they are normal scores, of a filter with several modes, times their sigma: then their whole
+        distribution has to be normal.
 
     Examples
     --------
@@ -112,9 +120,9 @@ class InnovationJudge:
     'The model describes the signal.'
     """
 
-    def __init__(self, step_s: float = 1.0) -> None:
+    def __init__(self, step_s: float = 1.0, *, scores: bool = False) -> None:
         self._running = Running(_Sums(), _Sums.extended)
-        self._step_s = step_s
+        self._step_s, self._scores = step_s, scores
 
     def add(self, innovations: Floats, innovation_sigma: Floats | float) -> None:
         """Add a block.
@@ -153,6 +161,7 @@ class InnovationJudge:
         fault = _predictable(found, excess, loudest_hz, limited=excess_of is not None)
         narrow = bool(fault) and excess <= MOST_EXCEPTED and _is_narrow(found)
         faults = ([] if narrow or not fault else [fault]) + _changes(uneven)
+        faults += _misplaced(sums.scores.share()) if self._scores else []
         return Judgement(
             verdict="does not fit" if faults else "fits except" if narrow else "fits",
             whiteness_p=found.p_value,
@@ -194,6 +203,12 @@ def _changes(uneven: float) -> list[str]:
         "noise or motion changes so much that sigma is wrong by more than a factor of two in"
         f" {uneven:.0%} of the record"
     ]
+
+
+def _misplaced(share: float) -> list[str]:
+    if share <= MISPLACED:
+        return []
+    return [f"readings are not spread as its modes expect: {share:.0%} of their probability is elsewhere"]
 
 
 def _reserve(found: Whiteness, excess: float, at_fault: bool) -> str:

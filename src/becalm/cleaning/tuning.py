@@ -138,9 +138,8 @@ def _channel_recipe(recording: Recording, causal: bool, wishes: Wishes, name: st
     )
     told, elapsed = GateRecipe(), time.elapsed_steps
     gate = gate_of(told, time.step_s)
-    readings, limits = find_healthy(recording.channel(name), elapsed, time.step_s)
-    tame = without_far(readings)
-    readings, far = tame, told_of_far(readings, tame)
+    healthy, limits = find_healthy(recording.channel(name), elapsed, time.step_s)
+    readings = without_far(healthy)
     choice, gated = choose_gated(readings, elapsed, gate, causal, known)
     if choice.tuning is None or choice.motion is None:
         return ChannelRecipe(name=name, unit=unit, model=choice.kind, limits=limits)
@@ -151,7 +150,8 @@ def _channel_recipe(recording: Recording, causal: bool, wishes: Wishes, name: st
     if wishes.dial is None:  # what a person asked for is no estimate: it has no spread, and nothing replaces it
         if not wishes.still_s and not wishes.removed_hz:
             spikes = None if wishes.robust else bool(foretold.rejected.any())
-            found, switched = _switched(found, readings, elapsed, causal, spikes, far)
+            taken = healthy if wishes.robust else readings
+            found, switched = _switched(found, taken, elapsed, causal, spikes, told_of_far(healthy, readings))
             if switched is not None:
                 more = {"switching": modes_in_seconds(switched, time.step_s), "limits": limits}
                 return in_seconds(name, unit, found, time.step_s).model_copy(update=more)

@@ -18,6 +18,7 @@ from becalm.core.kernel_steps import LARGEST
 from becalm.core.sized import Size, layer, size, stack_matrix, stack_vector
 
 UNLIKELY = 1e-100  # no mode becomes less probable than this: none is ever locked out
+SELDOM = 1e-8  # share below which a mode is not mixed in: one Gaussian cannot hold what is so far out and so rare
 TOLD = 3  # numbers that each mode keeps of a reading, to smooth by
 _LOG_ROOT_2_PI = 0.5 * np.log(2 * np.pi)
 _FAR = 1e300
@@ -85,10 +86,13 @@ def come_from(sizes: BankSizes, T: Floats, j: int, now: Beliefs, w: Floats) -> f
     for i in range(modes):
         w[i] = now.mu[i] * T[i, j]
         c += w[i]
-    reached = c > UNLIKELY
-    share = 1.0 / c if reached else 1.0
+    reached, kept = c > UNLIKELY, 0.0
     for i in range(modes):  # where no way leads to it: from whatever is believed
-        w[i] = w[i] * share if reached else now.mu[i]
+        w[i] = w[i] if reached else now.mu[i]
+        w[i] = w[i] if w[i] > SELDOM * c else 0.0
+        kept += w[i]
+    for i in range(modes):
+        w[i] /= kept
     return c if reached else UNLIKELY
 
 

@@ -12,12 +12,14 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.special import ndtr, ndtri
 
 from becalm.core.arrays import Floats, Integers
 from becalm.core.kernel_switching_row import Bank
 
 _READABLE = 1e100  # no sensor reads more
 _UNLIKELY = 1e-100  # no mode becomes less probable
+_SELDOM = 1e-8  # weight below which nothing is mixed in
 
 
 class Beliefs(NamedTuple):
@@ -44,7 +46,7 @@ class Row(NamedTuple):
     said: Outlook  # by the reading alone, about the mean after it
     log_likelihood: float  # 0 of a reading that did not arrive, and of the first
     wild: float  # probability that the reading is wild; NaN where none was judged
-    innovation: float  # of the mixture; NaN where none was judged
+    innovation: float  # of the mixture: normal score times innovation_sigma; NaN where none was judged
     innovation_sigma: float
 
 
@@ -79,9 +81,16 @@ def collapse(weights: Floats, x: Floats, P: Floats) -> tuple[Floats, Floats]:
 def mix(now: Beliefs, T: Floats) -> Beliefs:
     """Tell what each mode starts a step from, had it just been switched to or stayed."""
     c = now.mu @ T  # (1)
-    weights = [now.mu * T[:, j] / c[j] if c[j] > _UNLIKELY else now.mu for j in range(len(c))]
+    weights = [_often(now.mu * T[:, j] / c[j] if c[j] > _UNLIKELY else now.mu) for j in range(len(c))]
     parts = [collapse(weight, now.x, now.P) for weight in weights]  # (2), (3)
     return Beliefs(np.array([x for x, _ in parts]), np.array([P for _, P in parts]), np.maximum(c, _UNLIKELY))
+
+
+def _often(weights: Floats) -> Floats:
+    """Return the weights of a mixture without the least of them."""
+    kept = np.where(weights > _SELDOM, weights, 0.0)
+    often: Floats = kept / kept.sum()
+    return often
 
 
 def predict(mixed: Beliefs, modes: Modes) -> Beliefs:
@@ -107,8 +116,16 @@ def update(before: Beliefs, bank: Bank, z: float) -> Row:
     said = reading_says(after, bank, z, w / R)
     fit = np.array([evidence(before.x[j], before.P[j], said, j) for j in range(len(R))])
     said = said._replace(g=np.log(likelihood) - fit)  # so that each mode finds it as likely as it was weighed
-    judged = float(mu @ (wild / likelihood)), float(z - expected), float(spread**0.5)
+    below, above = (float(before.mu @ foretold(side * nu, S, V, tail)) for side in (1, -1))
+    score = float(ndtri(below)) if below < above else -float(ndtri(above))
+    judged = float(mu @ (wild / likelihood)), score * float(spread**0.5), float(spread**0.5)
     return Row(after, said, float(np.log(total)), *judged)
+
+
+def foretold(nu: Floats, S: Floats, V: float, tail: Floats) -> Floats:
+    """Return how probable a smaller innovation is to each mode, (M,)."""
+    probability: Floats = (1 - tail) * ndtr(nu / np.sqrt(S)) + tail * ndtr(nu / np.sqrt(S + V))
+    return probability
 
 
 def corrected(one: tuple[Floats, Floats], sensor: tuple[Floats, float], z: float, w: float) -> tuple[Floats, Floats]:

@@ -20,10 +20,13 @@ from becalm.core.components import motion, with_walking_level
 from becalm.core.kernel_switching import NOTHING_WANTED, switch_forward
 from becalm.core.kernel_switching_row import memory_length
 from becalm.core.switching import Mode, Switching, numbered_steps
-from becalm.noise.far import Far
+from becalm.noise.far import WINDOW, Far, running_median
 from becalm.noise.likelihood import Evidence, Tuning
 
 Kind = Literal["resting", "jumping", "noisy", "spiky"]
+
+STANDS_OUT = 8.0
+"""Standard deviations of noise, beyond which a reading stands out among its neighbours."""
 
 _PIECE, _PIECES = 1 << 14, 4  # readings of a long record that banks are compared on
 _DIFFERENT_STEPS = 64  # lengths of steps that are told apart while searching
@@ -138,7 +141,7 @@ def spiky(tuning: Tuning, evidence: Evidence) -> Bank:
             Number(r, r * 1e-4, r * 1e4, 1.0, _SOME),
             Number(tuning.ratio, *fastest, gain=_SOME),
             Number(0.03, 3e-3, 0.4),
-            Number(100 * r, 9 * r, max(spread, 100 * r)),
+            Number(max(outstanding_variance(evidence.z[:, 0], r), 100 * r), 9 * r, max(spread, 100 * r)),
         ],
         make,
     )
@@ -172,7 +175,7 @@ def _best_move(  # noqa: PLR0913
         while np.log(number.low) <= at[i] + way <= np.log(number.high):
             moved = [*at[:i], at[i] + way, *at[i + 1 :]]
             value = log_likelihood(_made(bank, moved), pieces)
-            if value < best + number.gain:
+            if value == -np.inf or value < best + number.gain:  # from -inf to -inf is no gain
                 break
             at, best, gained = moved, value, True
         if gained:
@@ -228,3 +231,12 @@ def quiet_variance(z: Floats) -> float:
 def middle_variance(z: Floats) -> float:
     """Return the variance of white noise as the middle of the second differences of a record (N,) tells it."""
     return float(1.4826 * np.median(np.abs(np.diff(z, 2)))) ** 2 / 6
+
+
+def outstanding_variance(z: Floats, r: float) -> float:
+    """Return the mean square by which readings (N,) that stand out of noise of variance r do so; 0 where none does."""
+    if len(z) < WINDOW:
+        return 0.0
+    apart = z - running_median(z)
+    out = np.abs(apart) > STANDS_OUT * np.sqrt(r)
+    return float(np.mean(apart[out] ** 2)) if out.any() else 0.0

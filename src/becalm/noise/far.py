@@ -16,7 +16,8 @@ from becalm.core.arrays import Floats
 FAR = 1000.0
 """Times the distance that half of the readings keep from the median of their neighbours."""
 
-_WINDOW = 5  # readings: two that are far out side by side are still the fewer
+WINDOW = 5
+"""Readings whose median is taken: two that are far out side by side are still the fewer."""
 _MOST = 0.1  # share of the readings beyond which they are no exceptions
 _PIECE = 1 << 16
 
@@ -47,7 +48,7 @@ def without_far(readings: Floats) -> Floats:
         In the channel's unit, NaN where missing; they come back as they are where none is far out.
     """
     seen = np.flatnonzero(np.isfinite(readings))
-    if len(seen) < _WINDOW:
+    if len(seen) < WINDOW:
         return readings
     z = readings[seen]
     middle = running_median(z)
@@ -64,8 +65,8 @@ def without_far(readings: Floats) -> Floats:
 
 def running_median(z: Floats) -> Floats:
     """Return the median of five neighbours of each of z (N,), N at least 5; at the ends, of the five there."""
-    half, inner = _WINDOW // 2, np.empty(len(z) - _WINDOW + 1)
+    half, inner = WINDOW // 2, np.empty(len(z) - WINDOW + 1)
     for start in range(0, len(inner), _PIECE):
-        windows = sliding_window_view(z[start : start + _PIECE + _WINDOW - 1], _WINDOW)
+        windows = sliding_window_view(z[start : start + _PIECE + WINDOW - 1], WINDOW)
         inner[start : start + _PIECE] = np.median(windows, axis=1)
     return np.pad(inner, half, mode="edge")

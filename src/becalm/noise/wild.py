@@ -16,8 +16,9 @@ from becalm.core.arrays import Booleans, Floats
 from becalm.core.kernel_switching import NOTHING_WANTED, switch_forward
 from becalm.core.kernel_switching_row import memory_length
 from becalm.core.switching import Switching, numbered_steps
-from becalm.noise.banks import pieces_of, searched, spiky
+from becalm.noise.banks import STANDS_OUT, middle_variance, pieces_of, searched, spiky
 from becalm.noise.choose import choose
+from becalm.noise.far import WINDOW
 from becalm.noise.gating import imputed
 from becalm.noise.likelihood import Evidence, Tuning
 from becalm.noise.switching import Switched
@@ -50,6 +51,7 @@ def choose_robust(tuning: Tuning, readings: Floats, elapsed: Floats, causal: boo
     causal : bool
         Whether the filter shall run causally.
     """
+    readings = _well_begun(readings)
     evidence = Evidence.of(readings, elapsed)
     first = robust_filter(tuning, evidence)
     wild = find_wild(first.switching, readings, elapsed)
@@ -68,7 +70,8 @@ def robust_filter(tuning: Tuning, evidence: Evidence) -> Switched:
     evidence : Evidence
         The readings, wild ones among them.
     """
-    switching, value = searched(spiky(tuning, evidence), pieces_of(evidence, len(evidence.z) // 2))
+    pieces = [piece._replace(z=_well_begun(piece.z)) for piece in pieces_of(evidence, len(evidence.z) // 2)]
+    switching, value = searched(spiky(tuning, evidence), pieces)
     return Switched("spiky", switching, value, np.nan)
 
 
@@ -83,6 +86,19 @@ def find_wild(switching: Switching, readings: Floats, elapsed: Floats) -> Boolea
         switch_forward(switching.sizes, bank, z, steps, switching.start, memory, trace)
     told: Booleans = wild > _LIKELY
     return told
+
+
+def _well_begun(readings: Floats) -> Floats:
+    """Return readings (N,) of which the first, which no filter can doubt, is the median of five where it stands out."""
+    seen = np.flatnonzero(np.isfinite(readings))
+    if len(seen) < WINDOW:
+        return readings
+    first, middle = seen[0], float(np.median(readings[seen[:WINDOW]]))
+    if not abs(readings[first] - middle) > STANDS_OUT * np.sqrt(middle_variance(readings[seen])):
+        return readings
+    tame = readings.copy()
+    tame[first] = middle
+    return tame
 
 
 def _steady(tuning: Tuning, switching: Switching) -> Tuning:
