@@ -38,7 +38,7 @@ def write(path: Path, gap_s: float) -> None:
 def test_both_sides_of_a_long_gap_are_clean(gap_s: float, how: tuple[str, ...], run: Run, tmp_path: Path) -> None:
     write(tmp_path / "gap.csv", gap_s)
     ran = run("clean", "gap.csv", "-o", "out.csv", "--verdicts", "--json", *how)
-    assert ran.returncode in (0, 1), ran.stderr
+    assert ran.returncode in (0, 4), ran.stderr  # a wave is no motion, with a gap or without
     table = pyarrow.csv.read_csv(tmp_path / "out.csv")
     signal, sigma = (np.array(table[name]) for name in ("a", "a_sigma"))
     true, z = readings()

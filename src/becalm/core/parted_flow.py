@@ -15,6 +15,7 @@ from becalm.core.verdict import BEYOND_ANY_SENSOR
 from becalm.core.verdict import judge as judge_readings
 
 _LOOK = 4096  # rows
+_SHORTEST = 1e-300  # steps: no time at all, of which inf times is no number
 
 
 class PartialFlow(Protocol):
@@ -39,10 +40,14 @@ class PartialFlow(Protocol):
         ...
 
 
-class _Finished(NamedTuple):
+class _Part(NamedTuple):
+    """What is known of one part."""
+
     rows: int
     weight: int  # rows from the first reading on
-    flow: PartialFlow
+    log_likelihood: float
+    settled_row: int | None
+    shares: dict[str, float]  # of each mode of a bank
 
 
 class PartedFlow:
@@ -65,7 +70,7 @@ class PartedFlow:
         self._open_flow, self._largest = open_flow, largest
         self._gaps = _Gaps(reach)
         self._flow = open_flow()
-        self._finished: list[_Finished] = []
+        self._finished: list[_Part] = []
         self._rows = self._weight = 0  # of the part that is open
         self._stretch: int | None = None
         self._few = np.empty((2, 0))  # readings, and steps before them, that make no stretch yet
@@ -92,15 +97,15 @@ class PartedFlow:
     @property
     def log_likelihood(self) -> float:
         """Of all readings so far but the first of each part."""
-        return sum((part.flow.log_likelihood for part in self._finished), 0.0) + self._flow.log_likelihood
+        return sum(part.log_likelihood for part in self._parts())
 
     @property
     def settled_row(self) -> int | None:
         """The first row with a settled gain."""
         begin = 0
         for part in self._parts():
-            if part.flow.settled_row is not None:
-                return begin + part.flow.settled_row
+            if part.settled_row is not None:
+                return begin + part.settled_row
             begin += part.rows
         return None
 
@@ -109,13 +114,14 @@ class PartedFlow:
         """What share of the rows so far each mode of a bank was in force; nothing where there is no bank."""
         parts = self._parts()
         if len(parts) == 1:
-            return dict(getattr(self._flow, "shares", {}))
+            return parts[0].shares
         total = max(sum(part.weight for part in parts), 1)
-        shares = [(part.weight / total, getattr(part.flow, "shares", {})) for part in parts]
-        return {name: sum(weight * own[name] for weight, own in shares) for name in shares[0][1]}
+        return {name: sum(part.weight * part.shares[name] for part in parts) / total for name in parts[0].shares}
 
-    def _parts(self) -> list[_Finished]:
-        return [*self._finished, _Finished(self._rows, self._weight, self._flow)]
+    def _parts(self) -> list[_Part]:
+        flow = self._flow
+        shares = dict(getattr(flow, "shares", {}))
+        return [*self._finished, _Part(self._rows, self._weight, flow.log_likelihood, flow.settled_row, shares)]
 
     def _take(self, z: Floats, elapsed: Floats, arrived: Booleans) -> list[Told]:
         self._rows += len(z)
@@ -133,7 +139,7 @@ class PartedFlow:
 
     def _start_anew(self) -> list[Told]:
         told = self.finish()
-        self._finished.append(_Finished(self._rows, self._weight, self._flow))
+        self._finished = self._parts()
         self._flow, self._rows, self._weight = self._open_flow(), 0, 0
         return told
 
@@ -171,8 +177,8 @@ class _Gaps:
         spans = np.append(self._last, times[rows[:-1]])[: len(rows)]
         gaps, before = times[rows] - spans, self._readings + np.arange(len(rows))
         told = (before >= self._reach.readings) & (spans > 0)
-        limit = np.where(told, np.minimum(self._reach.longest, self._reach.spans * spans), self._reach.longest)
-        beyond = np.flatnonzero((gaps > limit) & (before > 0))
+        carried = np.where(told, self._reach.spans * np.maximum(spans, _SHORTEST), np.inf)
+        beyond = np.flatnonzero((gaps > np.minimum(self._reach.longest, carried)) & (before > 0))
         if len(beyond):
             self._now, self._last, self._readings = 0.0, 0.0, 1
             return int(rows[beyond[0]])
