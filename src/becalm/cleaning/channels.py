@@ -20,6 +20,10 @@ from becalm.cleaning.uncertainty import Uncertainty
 from becalm.core.arrays import Floats
 from becalm.core.flow import Flow
 from becalm.core.lagged_flow import LaggedFlow
+from becalm.core.parted_flow import PartedFlow, PartialFlow
+from becalm.core.possible import largest_beside
+from becalm.core.reach import Reach, least_reach, reach_of
+from becalm.core.switching import Switching
 from becalm.core.switching_flow import SwitchingFlow
 from becalm.core.switching_lag import LaggedSwitchingFlow
 from becalm.core.told import Told
@@ -79,12 +83,19 @@ class MotionChannel:
         self._judge, self._sensor = InnovationJudge(step_s), SensorWatch(recipe.limits, step_s)
         self._counts = Counter[Verdict]()
         self._uncertainty = Uncertainty(recipe.tuning_spread, recipe.calibration)
-        self._flow = self._opened_flow(split)
+        self._modes = None if recipe.switching is None else modes_in_steps(recipe.switching, tuning, step_s)
+        self._flow = self._parted_flow(split)
 
-    def _opened_flow(self, split: bool) -> Flow | LaggedFlow | SwitchingFlow | LaggedSwitchingFlow:
-        recipe, lag, judge = self._recipe, self._lag, self._look
-        if recipe.switching is not None:
-            modes = modes_in_steps(recipe.switching, self._tuning, self._step_s)
+    def _parted_flow(self, split: bool) -> PartedFlow:
+        opened = partial(self._opened_flow, split)
+        if self._modes is not None:
+            return PartedFlow(opened, _reach_of_modes(self._modes))
+        part, variance = self._tuning.component, self._tuning.noise_variance
+        return PartedFlow(opened, reach_of(part, variance), largest_beside(variance))
+
+    def _opened_flow(self, split: bool) -> PartialFlow:
+        recipe, lag, judge, modes = self._recipe, self._lag, self._look, self._modes
+        if modes is not None:
             if lag:
                 return LaggedSwitchingFlow(modes, lag=lag, judge=judge, split=split)
             return SwitchingFlow(modes, causal=lag == 0, judge=judge, split=split)
@@ -145,8 +156,8 @@ class MotionChannel:
         )
 
     def _figures(self) -> Figures:
-        if isinstance(self._flow, SwitchingFlow | LaggedSwitchingFlow):
-            return mode_figures(self._flow.switching, self._flow.shares, self._step_s, self._lag)
+        if self._modes is not None:
+            return mode_figures(self._modes, self._flow.shares, self._step_s, self._lag)
         return fixed_figures(self._tuning, self._step_s, self._lag)
 
     def _tones_hz(self, *, disturbance: bool) -> tuple[float, ...]:
@@ -208,6 +219,10 @@ class UnchangedChannel:
             faults=self._sensor.faults(),
             says=_with_advice(says, self._counts, self._sensor.says(), but=Verdict.MISSING),
         )
+
+
+def _reach_of_modes(modes: Switching) -> Reach:
+    return least_reach([reach_of(mode.component, mode.noise_variance) for mode in modes.modes])
 
 
 def _fields(judgement: Judgement) -> dict[str, Any]:
