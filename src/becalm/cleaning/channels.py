@@ -80,7 +80,8 @@ class MotionChannel:
 
     def __init__(self, recipe: ChannelRecipe, tuning: Tuning, step_s: float, *, lag: int | None, split: bool) -> None:
         self._recipe, self._tuning, self._step_s, self._lag = recipe, tuning, step_s, lag
-        self._judge, self._sensor = InnovationJudge(step_s), SensorWatch(recipe.limits, step_s)
+        self._judge = InnovationJudge(step_s, scores=recipe.switching is not None)
+        self._sensor = SensorWatch(recipe.limits, step_s)
         self._counts = Counter[Verdict]()
         self._uncertainty = Uncertainty(recipe.tuning_spread, recipe.calibration)
         self._modes = None if recipe.switching is None else modes_in_steps(recipe.switching, tuning, step_s)

@@ -26,6 +26,7 @@ from becalm.core.kernel_switching_row import (
     take_modes,
     transfer_beliefs,
 )
+from becalm.core.kernel_switching_score import score_of_modes
 
 UNKNOWN, BEGUN, MISSED, JUDGED = 0, 1, 2, 3  # what became of a row: before the first reading, that one, none, one
 _TINIEST = 1e-300  # a weight below it has no logarithm worth telling
@@ -36,7 +37,7 @@ class SwitchingTrace(NamedTuple):
 
     signal: Floats  # (N,)
     sigma: Floats  # (N,)
-    innovation: Floats  # (N,) of the mixture
+    innovation: Floats  # (N,) of the mixture: the normal score of the reading times innovation_sigma
     innovation_sigma: Floats  # (N,)
     probability: Floats  # (M, N) of each mode
     wild: Floats  # (N,) probability that the reading is wild
@@ -109,7 +110,7 @@ def write_modes(sizes: BankSizes, bank: Bank, k: int, now: Beliefs, trace: Switc
 
 @compiled_part
 def write_innovation_of_modes(  # noqa: PLR0913
-    sizes: BankSizes, z: float, k: int, look: Look, mixed: Beliefs, trace: SwitchingTrace
+    sizes: BankSizes, bank: Bank, z: float, k: int, look: Look, mixed: Beliefs, trace: SwitchingTrace
 ) -> None:
     """Write the innovation of the mixture at row k, and what was expected of it."""
     if not len(trace.innovation):
@@ -119,7 +120,8 @@ def write_innovation_of_modes(  # noqa: PLR0913
         y += mixed.mu[j] * look.Hx[j]
     for j in range(len(sizes.modes)):
         v += mixed.mu[j] * (look.S[j] + (look.Hx[j] - y) ** 2)
-    trace.innovation[k], trace.innovation_sigma[k] = z - y, np.sqrt(v)
+    sigma = np.sqrt(v)
+    trace.innovation[k], trace.innovation_sigma[k] = sigma * score_of_modes(sizes, bank, z, look, mixed), sigma
 
 
 @compiled_part
@@ -174,7 +176,7 @@ def switch_forward(  # noqa: PLR0913  (a door for Python: what is read, what mov
         if became == JUDGED:
             log_likelihood += likelihood
             used += 1
-            write_innovation_of_modes(sizes, z[k], k, look, mixed, trace)
+            write_innovation_of_modes(sizes, bank, z[k], k, look, mixed, trace)
             write_wild(sizes, k, look, now, trace)
         if became != UNKNOWN:
             write_modes(sizes, bank, k, now, trace)

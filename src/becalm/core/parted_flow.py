@@ -159,6 +159,8 @@ class _Gaps:
         """Give the rows, of the next (B,), that start anew."""
         begin = 0
         while begin < len(arrived):
+            if self._bridges(arrived[begin:], elapsed[begin:]):
+                return
             rows = slice(begin, begin + _LOOK)
             found = self._first_start(arrived[rows], elapsed[rows])
             if found is not None:
@@ -166,6 +168,15 @@ class _Gaps:
                 begin += found + 1
             else:
                 begin += _LOOK
+
+    def _bridges(self, arrived: Booleans, elapsed: Floats) -> bool:
+        """Take all rows at once if nothing is missing in even time, as mostly; say whether they were taken."""
+        near = min(self._reach.longest, self._reach.spans * self._last) >= 1.0
+        if not (near and self._readings >= self._reach.readings and arrived.all() and (elapsed == 1.0).all()):
+            return False
+        self._now += len(elapsed)
+        self._last, self._readings = self._now, self._readings + len(arrived)
+        return True
 
     def _first_start(self, arrived: Booleans, elapsed: Floats) -> int | None:
         """Return the first row that starts anew, and count the readings up to it."""

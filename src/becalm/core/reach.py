@@ -45,6 +45,8 @@ def reach_of(component: Component, noise_variance: float) -> Reach:
     The highest coefficient of a polynomial of degree d = n - 1, fitted to m >= n readings evenly over the time L,
     has the variance (2d + 1) C(2d, d)^2 R / (m L^2d), by Legendre's polynomials; T later it counts T^2d times.
     """
+    if len(component.drift) == 1:  # the next reading tells all there is, however far it was
+        return Reach(np.inf)
     order = len(component.parts[0].state_names)
     degree, spans = order - 1, np.inf
     if degree and component.keeps_level and noise_variance > 0:
