@@ -145,7 +145,7 @@ def draw(path: Path, got: dict[str, Measured]) -> None:
     axes.set_title("Steps of 14.7, 3.7, 1.5 and 0.37 standard deviations", fontsize=10)
     axes.set_xlim(5e-2, 3e3)
     axes.legend(fontsize=8)
-    figure.savefig(path)
+    figure.savefig(path, metadata={"Date": None} if path.suffix == ".svg" else None)
 
 
 def main() -> None:
@@ -158,6 +158,7 @@ def main() -> None:
     text = "\n".join(f"## {name.capitalize()}\n\n{table(SENSORS[name], one)}" for name, one in got.items())
     if asked.figure:
         draw(asked.figure, got)
+        text += f"\n![Noise at rest over the time to nine tenths of a step]({asked.figure.name})\n"
     publish("Switching", __doc__, text, asked.output)
 
 

@@ -93,11 +93,12 @@ class _Sums(NamedTuple):
     lagged: LaggedSums = LaggedSums()
     blocks: BlockCount = BlockCount()
     power: Power = Power()
-    scores: ScoreCount = ScoreCount()
+    scores: ScoreCount | None = None  # of a filter with several modes
 
     def extended(self, piece: Floats) -> _Sums:
         lagged, blocks, power, scores = self
-        return _Sums(lagged.extended(piece), blocks.extended(piece), power.extended(piece), scores.extended(piece))
+        scores = None if scores is None else scores.extended(piece)
+        return _Sums(lagged.extended(piece), blocks.extended(piece), power.extended(piece), scores)
 
 
 class InnovationJudge:
@@ -121,8 +122,8 @@ class InnovationJudge:
     """
 
     def __init__(self, step_s: float = 1.0, *, scores: bool = False) -> None:
-        self._running = Running(_Sums(), _Sums.extended)
-        self._step_s, self._scores = step_s, scores
+        self._running = Running(_Sums(scores=ScoreCount() if scores else None), _Sums.extended)
+        self._step_s = step_s
 
     def add(self, innovations: Floats, innovation_sigma: Floats | float) -> None:
         """Add a block.
@@ -161,7 +162,7 @@ class InnovationJudge:
         fault = _predictable(found, excess, loudest_hz, limited=excess_of is not None)
         narrow = bool(fault) and excess <= MOST_EXCEPTED and _is_narrow(found)
         faults = ([] if narrow or not fault else [fault]) + _changes(uneven)
-        faults += _misplaced(sums.scores.share()) if self._scores else []
+        faults += [] if sums.scores is None else _misplaced(sums.scores.share())
         return Judgement(
             verdict="does not fit" if faults else "fits except" if narrow else "fits",
             whiteness_p=found.p_value,

@@ -10,6 +10,7 @@ import numpy as np
 from becalm.cleaning.recipe import ChannelRecipe, TunedMotion
 from becalm.cleaning.recipe_parts import ColouredNoiseRecipe, GateRecipe, ToneRecipe
 from becalm.core.autoregressive import Coloured
+from becalm.core.fixed_lag import LONGEST_LAG
 from becalm.core.gates import Gate, threshold_for
 from becalm.errors import ModelError, RecipeError, UsageError
 from becalm.noise.likelihood import Tuning
@@ -18,7 +19,6 @@ from becalm.noise.spectrum import Line
 _SLOWEST, _QUICKEST, _WIDEST = 1e-8, 0.5, 1.0  # cycles a step
 _APART = 1e-6  # of a frequency: nearer tones are one
 _LEAST_RATIO, _GREATEST_RATIO = 1e-60, 1e12  # of q/r: beyond, every reading is ignored or believed
-_LONGEST_LAG = 1 << 20  # readings: a window of them is held
 _SAME_RATE = 1e-3
 _WHOLE = 1e-6  # of a step: by so much a lag may fall short of a reading that it counts
 
@@ -93,10 +93,10 @@ def lag_in_rows(lag_s: float, step_s: float) -> int:
         If none does.
     """
     rows = np.floor(lag_s / step_s + _WHOLE)
-    if not 1 <= rows < _LONGEST_LAG:
+    if not 1 <= rows <= LONGEST_LAG:
         raise UsageError(
             f"lag_s = {lag_s:.6g} is {rows:.0f} readings at {1 / step_s:.6g} Hz; give {step_s:.6g} to"
-            f" {_LONGEST_LAG * step_s:.6g} s, or let the filter be causal, or smooth."
+            f" {LONGEST_LAG * step_s:.6g} s, or let the filter be causal, or smooth."
         )
     return int(rows)
 

@@ -29,6 +29,9 @@ from becalm.core.starting import arrived, first_reading, refuse_singular, wide_p
 from becalm.core.timeline import Timeline, even_timeline, model_system
 from becalm.errors import ModelError
 
+LONGEST_LAG = 1 << 20
+"""Readings, the longest lag: a window of them is held."""
+
 _FAR = 1 << 52  # rows: more than are ever counted
 
 
@@ -83,12 +86,14 @@ def checked_lag(lag: int) -> int:
     Raises
     ------
     ModelError
-        If it is no whole number, or below 0.
+        If it is no whole number, below 0, or beyond 2^20.
     """
     try:
         rows = index(lag)
     except TypeError as cause:
         raise ModelError(f"lag = {lag!r} is no number of readings; give a whole number, 0 to filter.") from cause
+    if rows > LONGEST_LAG:
+        raise ModelError(f"lag = {rows} holds a window of too many readings; give up to {LONGEST_LAG}, or smooth.")
     if rows < 0:
         raise ModelError(f"lag = {rows} would know readings before they come; give a whole number, 0 to filter.")
     return rows
