@@ -61,3 +61,15 @@ def test_missing_readings_stay_missing() -> None:
 )
 def test_what_is_not_far_out_comes_back_as_it_is(z: Floats) -> None:
     assert without_far(z) is z
+
+
+def test_motion_that_runs_away_at_the_ends_is_not_far_out() -> None:
+    """Its neighbours lead there from one side only."""
+    t = np.arange(4000.0)
+    z = 1e-4 * t**3 + np.random.default_rng(1).normal(size=4000)
+    assert np.array_equal(without_far(z), z)
+    for row in (0, 1, 3998, 3999):
+        spoilt = z.copy()
+        spoilt[row] += 1e9
+        tame = without_far(spoilt)
+        assert np.flatnonzero(tame != spoilt).tolist() == [row]

@@ -124,7 +124,8 @@ def update(before: Beliefs, bank: Bank, z: float) -> Row:
 
 def foretold(nu: Floats, S: Floats, V: float, tail: Floats) -> Floats:
     """Return how probable a smaller innovation is to each mode, (M,)."""
-    probability: Floats = (1 - tail) * ndtr(nu / np.sqrt(S)) + tail * ndtr(nu / np.sqrt(S + V))
+    tame, wild = (np.asarray(nu / np.sqrt(variance), np.float64) for variance in (S, S + V))  # ndtr knows no other
+    probability: Floats = (1 - tail) * ndtr(tame) + tail * ndtr(wild)
     return probability
 
 

@@ -53,6 +53,10 @@ def without_far(readings: Floats) -> Floats:
     z = readings[seen]
     middle = running_median(z)
     apart = np.abs(z - middle)
+    for end, own in ((z, apart), (z[::-1], apart[::-1])):  # where motion leads there from one side only
+        for row in range(WINDOW // 2):
+            a, b, c, d = end[row : row + 4]
+            own[row] = min(own[row], abs(a - 2 * b + c), abs(a - 3 * c + 2 * d), abs(a - 3 * b + 3 * c - d))
     if not apart.any():
         return readings
     far = apart > FAR * float(np.median(apart[apart > 0]))
