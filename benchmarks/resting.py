@@ -70,7 +70,7 @@ def compared(z: Floats, moves: NDArray[np.bool_]) -> Row:
     out = becalm.clean(becalm.Recording(z, rate_hz=RATE_HZ), causal=True)
     own, report = out.signal.samples[:, 0], out.reports[0]
     rest, motion = _rest_noise(moves), _motion_error(moves, smooth)
-    modes = ", ".join(f"{name} {share:.0%}" for name, share in report.modes.items())
+    modes = ", ".join(f"{name} {mode.share:.0%}" for name, mode in report.modes.items())
     return Row(rest(z), rest(fixed), rest(own) / rest(fixed), motion(fixed), motion(own) / motion(fixed), modes)
 
 

@@ -11,9 +11,10 @@ from becalm.core.switching import Mode, Switching
 from becalm.core.switching_flow import SwitchingFlow
 from becalm.errors import ModelError
 from becalm.noise import banks
+from becalm.noise.bank_risk import find_wild
 from becalm.noise.choose import choose
 from becalm.noise.likelihood import Evidence
-from becalm.noise.wild import choose_robust, find_wild, robust_filter
+from becalm.noise.wild import choose_robust, robust_filter
 
 ROWS, STARTING = 8000, 500
 

@@ -138,7 +138,7 @@ class MotionChannel:
             order=tuning.order,
             tones_hz=self._tones_hz(disturbance=False),
             removed_hz=self._tones_hz(disturbance=True),
-            noise_std=self._recipe.noise_std,
+            noise_std=self._noise_std(),
             coloured_std=None if tuning.coloured is None else float(np.sqrt(tuning.coloured.variance)),
             q_over_r=tuning.ratio,
             bandwidth_hz=figures.bandwidth_hz,
@@ -155,6 +155,10 @@ class MotionChannel:
             faults=self._sensor.faults(),
             says=_with_advice(says, self._counts, self._sensor.says()),
         )
+
+    def _noise_std(self) -> float | None:
+        """Return the noise of a reading; of a bank, that of its calmest mode."""
+        return self._recipe.noise_std if self._modes is None else float(np.sqrt(self._modes.modes[0].noise_variance))
 
     def _figures(self) -> Figures:
         if self._modes is not None:

@@ -45,7 +45,8 @@ class ChannelReport(Judgement):
     tones_hz, removed_hz : tuple of float
         Frequencies of the tones beside it: of the signal, and of disturbances that were taken off.
     noise_std, coloured_std : float or None
-        Standard deviation of one reading's white noise, and of its coloured noise, in unit.
+        Standard deviation of one reading's white noise, of a bank in its calmest mode, and of its coloured noise, in
+        unit.
     q_over_r : float or None
         Ratio of process to measurement noise, per step.
     bandwidth_hz, lag_s : float or None

@@ -13,22 +13,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.core.components import ORDERS
-from becalm.core.flow import Flow
+from becalm.core.components import ORDERS, with_walking_level
 from becalm.core.switching import Mode, Switching
-from becalm.core.switching_flow import SwitchingFlow
+from becalm.noise.bank_risk import errs_less
 from becalm.noise.banks import Bank, Kind, Piece, jumping, log_likelihood, noisy, pieces_of, resting, searched, spiky
 from becalm.noise.far import NONE_FAR, Far
 from becalm.noise.likelihood import Evidence, Tuning, tune_motion
-from becalm.noise.risk import estimated_risk, long_pieces
 
 _FEWEST = 256  # readings, below which no switch can be told from noise
 _SURPRISING = 6.0  # standard deviations: a difference of means that Gaussian noise and motion do not make
 _BETTER = 6.0  # of a log-likelihood, for which a filter that switches is taken
 _DOUBT = 15.0  # of it, which levels that jump may seem to cost: about what one switch does
-_LESS = 0.05  # of a mean squared error, by which a smoother that switches must err less
-_HIDDEN = 10  # every such reading is hidden from smoothers that are compared
-_PROBE = 0.02  # of a standard deviation of the noise
 
 
 @dataclass(frozen=True)
@@ -83,13 +78,23 @@ def find_switching(
         _found("noisy", noisy(likeliest), pieces),
         _found("spiky", spiky(likeliest, evidence), pieces),
     ]
-    if spikes_gated:
-        fixed, found = max(fixed, found[3].log_likelihood) + _DOUBT + _BETTER, found[1:2]
+    if spikes_gated:  # then a bank that leaves them out has to be better than that
+        gated = log_likelihood(_with_wild(tuning, found[3].switching), pieces)
+        fixed, found = max(fixed, gated) + _DOUBT + _BETTER, [found[1], found[3]]
     best = max(found, key=_gain)
     if _gain(best) < fixed:
         return None
-    told = causal or best.kind == "spiky"  # what wild readings say of a risk is wild
-    return replace(best, fixed_log_likelihood=fixed) if told or _errs_less(best.switching, tuning, evidence) else None
+    alone = best.kind == "spiky" and not spikes_gated  # beside it a filter that believes all is no rival
+    enough = causal or alone or errs_less(best.switching, tuning, evidence)
+    return replace(best, fixed_log_likelihood=fixed) if enough else None
+
+
+def _with_wild(tuning: Tuning, like: Switching) -> Switching:
+    """Return a fixed filter with the wild readings, and the jumps, of a bank: what a gate makes of it."""
+    own, noise = tuning.component, tuning.noise_variance
+    steady, abrupt = (replace(mode, noise_variance=noise) for mode in like.modes)
+    walking = with_walking_level(own, like.wild_variance)
+    return replace(like, modes=(replace(steady, component=own), replace(abrupt, component=walking)))
 
 
 def _gain(found: Switched) -> float:
@@ -126,41 +131,3 @@ def _alone(tuning: Tuning) -> Switching:
     """Return a fixed filter as a bank: two modes that are alike, so that no other kernel is compiled."""
     one = Mode("fixed", tuning.component, tuning.noise_variance, 1.0)
     return Switching((one, replace(one, name="the same")))
-
-
-def _errs_less(switching: Switching, tuning: Tuning, evidence: Evidence) -> bool:
-    """Whether a smoother that switches errs less than the fixed one: by estimated risks, and on hidden readings."""
-    R = min(tuning.noise_variance, *(mode.noise_variance for mode in switching.modes))
-    fixed = estimated_risk(tuning, evidence, R, causal=False).error
-    if not _risk(switching, evidence, R) < (1 - _LESS) * fixed:
-        return False
-    alone = Flow(tuning.component, tuning.noise_variance, causal=False)
-    return _hidden_error(SwitchingFlow(switching, causal=False), evidence) <= _hidden_error(alone, evidence)
-
-
-def _hidden_error(flow: Flow | SwitchingFlow, evidence: Evidence) -> float:
-    """Return the mean squared error of a smoother at every tenth reading, which it is not shown."""
-    part = long_pieces(evidence)[0]
-    z, elapsed = evidence.z[part, 0], evidence.elapsed[part]
-    hidden = np.arange(len(z)) % _HIDDEN == _HIDDEN // 2
-    return float(np.mean((_smoothed(flow, np.where(hidden, np.nan, z), elapsed) - z)[hidden] ** 2))
-
-
-def _risk(switching: Switching, evidence: Evidence, noise_variance: float) -> float:
-    """Estimate the mean squared error of a smoother that switches, by how it answers a small probe."""
-    squares, answers, count = 0.0, 0.0, 0
-    size = _PROBE * float(np.sqrt(noise_variance))
-    for part in long_pieces(evidence):
-        z, elapsed = evidence.z[part, 0], evidence.elapsed[part]
-        probe = np.random.default_rng(len(z)).choice([-1.0, 1.0], len(z))
-        smooth, answer = (
-            _smoothed(SwitchingFlow(switching, causal=False), read, elapsed) for read in (z, z + size * probe)
-        )
-        squares += float(np.sum((z - smooth) ** 2))
-        answers += float(np.sum(probe * (answer - smooth))) / size
-        count += len(z)
-    return squares / count + noise_variance * (2 * answers / count - 1)
-
-
-def _smoothed(flow: Flow | SwitchingFlow, z: Floats, elapsed: Floats) -> Floats:
-    return np.concatenate([told.signal for told in [*flow.push(z, elapsed), *flow.finish()]])

@@ -12,10 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from becalm.core.arrays import Booleans, Floats
-from becalm.core.kernel_switching import NOTHING_WANTED, switch_forward
-from becalm.core.kernel_switching_row import memory_length
-from becalm.core.switching import Switching, numbered_steps
+from becalm.core.arrays import Floats
+from becalm.core.switching import Switching
+from becalm.noise.bank_risk import find_wild
 from becalm.noise.banks import STANDS_OUT, middle_variance, pieces_of, searched, spiky
 from becalm.noise.choose import choose
 from becalm.noise.far import WINDOW
@@ -73,19 +72,6 @@ def robust_filter(tuning: Tuning, evidence: Evidence) -> Switched:
     pieces = [piece._replace(z=_well_begun(piece.z)) for piece in pieces_of(evidence, len(evidence.z) // 2)]
     switching, value = searched(spiky(tuning, evidence), pieces)
     return Switched("spiky", switching, value, np.nan)
-
-
-def find_wild(switching: Switching, readings: Floats, elapsed: Floats) -> Booleans:
-    """Tell which readings (N,) a filter took for wild, as they came."""
-    memory, wild = np.zeros((1, memory_length(switching.states, len(switching.modes)))), np.zeros(len(readings))
-    for start in range(0, len(readings), _PIECE):
-        rows = slice(start, start + _PIECE)
-        lengths, steps = numbered_steps(elapsed[rows], goes_on=start > 0)
-        trace = NOTHING_WANTED._replace(wild=wild[rows])
-        bank, z = switching.bank(lengths), np.ascontiguousarray(readings[rows])
-        switch_forward(switching.sizes, bank, z, steps, switching.start, memory, trace)
-    told: Booleans = wild > _LIKELY
-    return told
 
 
 def _well_begun(readings: Floats) -> Floats:

@@ -1,0 +1,87 @@
+"""Whether a smoother that switches errs less than one that does not, without the truth."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from becalm.core.arrays import Booleans, Floats
+from becalm.core.flow import Flow
+from becalm.core.kernel_switching import NOTHING_WANTED, switch_forward
+from becalm.core.kernel_switching_row import memory_length
+from becalm.core.switching import Switching, numbered_steps
+from becalm.core.switching_flow import SwitchingFlow
+from becalm.noise.likelihood import Evidence, Tuning
+from becalm.noise.risk import estimated_risk, long_pieces
+
+_LESS = 0.05  # of a mean squared error, by which a smoother that switches must err less
+_HIDDEN = 10  # every such reading is hidden from smoothers that are compared
+_PROBE = 0.02  # of a standard deviation of the noise
+_LIKELY = 0.5  # probability from which a reading is taken for a wild one
+_PIECE = 1 << 15  # rows
+
+
+def find_wild(switching: Switching, readings: Floats, elapsed: Floats) -> Booleans:
+    """Tell which readings (N,) a filter took for wild, as they came."""
+    memory, wild = np.zeros((1, memory_length(switching.states, len(switching.modes)))), np.zeros(len(readings))
+    for start in range(0, len(readings), _PIECE):
+        rows = slice(start, start + _PIECE)
+        lengths, steps = numbered_steps(elapsed[rows], goes_on=start > 0)
+        trace = NOTHING_WANTED._replace(wild=wild[rows])
+        bank, z = switching.bank(lengths), np.ascontiguousarray(readings[rows])
+        switch_forward(switching.sizes, bank, z, steps, switching.start, memory, trace)
+    told: Booleans = wild > _LIKELY
+    return told
+
+
+def _tame(switching: Switching, evidence: Evidence) -> Evidence:
+    if not switching.rejects:
+        return evidence
+    z, noise = evidence.z[:, 0].copy(), min(mode.noise_variance for mode in switching.modes)
+    wild = find_wild(switching, z, evidence.elapsed)
+    if not wild.any():
+        return evidence
+    smooth = _smoothed(SwitchingFlow(switching, causal=False), z, evidence.elapsed)
+    z[wild] = smooth[wild] + np.sqrt(noise) * np.random.default_rng(len(z)).normal(size=int(wild.sum()))
+    return Evidence.of(z, evidence.elapsed)
+
+
+def errs_less(switching: Switching, tuning: Tuning, evidence: Evidence) -> bool:
+    """Whether a smoother that switches errs less than the fixed one: by estimated risks, and on hidden readings.
+
+    Readings that the bank takes for wild say nothing of errors; draws of what it believes stand in their place.
+    """
+    evidence = _tame(switching, evidence)
+    R = min(tuning.noise_variance, *(mode.noise_variance for mode in switching.modes))
+    fixed = estimated_risk(tuning, evidence, R, causal=False).error
+    if not _risk(switching, evidence, R) < (1 - _LESS) * fixed:
+        return False
+    alone = Flow(tuning.component, tuning.noise_variance, causal=False)
+    return _hidden_error(SwitchingFlow(switching, causal=False), evidence) <= _hidden_error(alone, evidence)
+
+
+def _hidden_error(flow: Flow | SwitchingFlow, evidence: Evidence) -> float:
+    """Return the mean squared error of a smoother at every tenth reading, which it is not shown."""
+    part = long_pieces(evidence)[0]
+    z, elapsed = evidence.z[part, 0], evidence.elapsed[part]
+    hidden = np.arange(len(z)) % _HIDDEN == _HIDDEN // 2
+    return float(np.mean((_smoothed(flow, np.where(hidden, np.nan, z), elapsed) - z)[hidden] ** 2))
+
+
+def _risk(switching: Switching, evidence: Evidence, noise_variance: float) -> float:
+    """Estimate the mean squared error of a smoother that switches, by how it answers a small probe."""
+    squares, answers, count = 0.0, 0.0, 0
+    size = _PROBE * float(np.sqrt(noise_variance))
+    for part in long_pieces(evidence):
+        z, elapsed = evidence.z[part, 0], evidence.elapsed[part]
+        probe = np.random.default_rng(len(z)).choice([-1.0, 1.0], len(z))
+        smooth, answer = (
+            _smoothed(SwitchingFlow(switching, causal=False), read, elapsed) for read in (z, z + size * probe)
+        )
+        squares += float(np.sum((z - smooth) ** 2))
+        answers += float(np.sum(probe * (answer - smooth))) / size
+        count += len(z)
+    return squares / count + noise_variance * (2 * answers / count - 1)
+
+
+def _smoothed(flow: Flow | SwitchingFlow, z: Floats, elapsed: Floats) -> Floats:
+    return np.concatenate([told.signal for told in [*flow.push(z, elapsed), *flow.finish()]])
