@@ -15,8 +15,8 @@ import pytest
 SOURCE = Path(__file__).parents[2] / "src" / "becalm"
 
 OF_MOTIONS = ("forward", "backward", "gate", "late", "live run", "live step")
-TWO_MODES, FOUR_MODES = (
-    tuple(f"{modes} modes {what}" for what in ("forward", "backward", "late", "run", "step")) for modes in (2, 4)
+TWO_MODES, FIVE_MODES = (
+    tuple(f"{modes} modes {what}" for what in ("forward", "backward", "late", "run", "step")) for modes in (2, 5)
 )
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
@@ -78,7 +78,7 @@ def test_warm_leaves_nothing_to_compile(fresh: Run, drive: Path, levels: Path, t
     assert [line.partition(":")[0] for line in first.stderr.splitlines()[:-1]] == [
         f"{kernel}, order {order}"
         for order in (1, 2, 3, 4, 5)
-        for kernel in (*OF_MOTIONS, *(TWO_MODES if order < 4 else ()), *(FOUR_MODES if order == 1 else ()))
+        for kernel in (*OF_MOTIONS, *(TWO_MODES if order < 4 else ()), *(FIVE_MODES if order == 1 else ()))
     ]
     assert str(cache) in first.stderr.splitlines()[-1]
     made = kernels(cache)

@@ -41,7 +41,7 @@ from becalm.core.switching_lag import LaggedSwitchingFlow
 from becalm.core.timeline import even_timeline
 from becalm.errors import UsageError
 
-_BANKS = {2: (1, 2, 3), 4: (1,)}
+_BANKS = {2: (1, 2, 3), 5: (1,)}
 """Orders for which so many modes are found in records."""
 
 _OF_BANKS = tuple(
