@@ -90,6 +90,31 @@ class SwitchingFilter:
         return Told(trace.signal + level if level else trace.signal, trace.sigma, parts, verdicts)
 
 
+class ByModes:
+    """What every flow through a bank tells of it; parameters as of `SwitchingFilter`."""
+
+    settled_row: int | None = None
+    """None: a bank has no one gain that settles."""
+
+    def __init__(self, switching: Switching, judge: Judge | None, *, split: bool) -> None:
+        self._filter = SwitchingFilter(switching, judge, split=split)
+
+    @property
+    def switching(self) -> Switching:
+        """The modes, in steps."""
+        return self._filter.switching
+
+    @property
+    def shares(self) -> dict[str, float]:
+        """What share of the rows so far each mode was in force, as the filter believed at the time."""
+        return self._filter.shares
+
+    @property
+    def log_likelihood(self) -> float:
+        """Of all readings so far but the first."""
+        return self._filter.log_likelihood
+
+
 def with_spikes(verdicts: Codes, trace: SwitchingTrace) -> Codes:
     """Return verdicts of some rows, with the readings that were more probably wild than not, and left out."""
     if not len(trace.wild):

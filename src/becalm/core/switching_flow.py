@@ -20,7 +20,7 @@ from becalm.core.kernel_switching_return import switch_backward
 from becalm.core.kernel_switching_row import Bank, memory_length
 from becalm.core.steady import steady
 from becalm.core.switching import Switching, numbered_steps
-from becalm.core.switching_filter import SwitchingFilter, with_spikes
+from becalm.core.switching_filter import ByModes, with_spikes
 from becalm.core.told import Rows, Told
 from becalm.errors import ModelError
 
@@ -38,7 +38,7 @@ class _Stretch(NamedTuple):
     verdicts: Codes  # (B,)
 
 
-class SwitchingFlow:
+class SwitchingFlow(ByModes):
     """A filter, or a smoother, that switches, of one channel that is fed a stretch of rows at a time.
 
     Parameters
@@ -55,28 +55,12 @@ class SwitchingFlow:
 
     def __init__(self, switching: Switching, *, causal: bool, judge: Judge | None = None, split: bool = False) -> None:
         self._causal = causal
-        self._filter = SwitchingFilter(switching, judge, split=split)
+        super().__init__(switching, judge, split=split)
         self._numbers = memory_length(switching.states, len(switching.modes))
         self._nothing_later = np.zeros(outlook_length(switching.states, len(switching.modes)))
         self._group = _LEAST_GROUP if causal else _group_rows(switching)
         self._few = Rows.nothing()
         self._held: _Stretch | None = None
-        self.settled_row: int | None = None
-
-    @property
-    def switching(self) -> Switching:
-        """The modes, in steps."""
-        return self._filter.switching
-
-    @property
-    def shares(self) -> dict[str, float]:
-        """What share of the rows so far each mode was in force, as the filter believed at the time."""
-        return self._filter.shares
-
-    @property
-    def log_likelihood(self) -> float:
-        """Of all readings so far but the first."""
-        return self._filter.log_likelihood
 
     def push(self, z: Floats, elapsed: Floats) -> list[Told]:
         """Take the next rows, readings (B,) and the steps before them; return what can be told for good."""

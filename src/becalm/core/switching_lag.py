@@ -18,7 +18,7 @@ from becalm.core.kernel_switching import SwitchingTrace, note_length
 from becalm.core.kernel_switching_return import switch_late
 from becalm.core.kernel_switching_row import Bank, BankSizes
 from becalm.core.switching import Switching, numbered_steps
-from becalm.core.switching_filter import SwitchingFilter, with_spikes
+from becalm.core.switching_filter import ByModes, with_spikes
 from becalm.core.told import Told
 from becalm.errors import ModelError
 
@@ -87,7 +87,7 @@ class WaitingRows:
         self._notes, self._turn = notes, int(turn)
 
 
-class LaggedSwitchingFlow:
+class LaggedSwitchingFlow(ByModes):
     """A fixed-lag smoother that switches, of one channel that is fed a stretch of rows at a time.
 
     Parameters
@@ -108,26 +108,10 @@ class LaggedSwitchingFlow:
     """
 
     def __init__(self, switching: Switching, *, lag: int, judge: Judge | None = None, split: bool = False) -> None:
-        self._filter = SwitchingFilter(switching, judge, split=split)
+        super().__init__(switching, judge, split=split)
         self._waiting = WaitingRows(switching.sizes, checked_lag(lag))
         self._elapsed: Floats = np.empty(0)  # steps before the rows that wait
         self._verdicts: Codes = np.empty(0, np.int8)
-        self.settled_row: int | None = None
-
-    @property
-    def switching(self) -> Switching:
-        """The modes, in steps."""
-        return self._filter.switching
-
-    @property
-    def shares(self) -> dict[str, float]:
-        """What share of the rows so far each mode was in force, as the filter believed at the time."""
-        return self._filter.shares
-
-    @property
-    def log_likelihood(self) -> float:
-        """Of all readings so far but the first."""
-        return self._filter.log_likelihood
 
     def push(self, z: Floats, elapsed: Floats) -> list[Told]:
         """Take the next rows, readings (B,) and the steps before them; return those that have waited."""
