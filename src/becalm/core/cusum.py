@@ -16,7 +16,7 @@ SLACK = 0.5
 """k, in sigma: half of the shift that is found soonest."""
 
 _OVERSHOOT = 1.166  # a discrete walk passes h by 0.583 on either end
-_PIECE = 1024  # what is looked at again after an alarm
+_SHORTEST, _LONGEST = 64, 4096  # pieces: short after an alarm, because what follows one is looked at again
 
 
 def cusum_delay(threshold: float, shift: float) -> float:
@@ -61,9 +61,10 @@ class OneSidedCusum:
         """Add x - k, (B,), of these rows; return the places of alarms, and the row in which the first began."""
         alarms: list[int] = []
         began: int | None = None
-        at = 0
+        at, piece = 0, _LONGEST
         while at < len(steps):
-            end, alarmed = self._add(steps[at : at + _PIECE], rows[at : at + _PIECE])
+            end, alarmed = self._add(steps[at : at + piece], rows[at : at + piece])
+            piece = _SHORTEST if alarmed else min(2 * piece, _LONGEST)
             if alarmed:
                 alarms.append(at + end - 1)
                 began = self._since if began is None else began
