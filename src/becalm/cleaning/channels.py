@@ -90,7 +90,8 @@ class MotionChannel:
     def _parted_flow(self, split: bool) -> PartedFlow:
         opened = partial(self._opened_flow, split)
         if self._modes is not None:
-            return PartedFlow(opened, _reach_of_modes(self._modes))
+            largest = largest_beside(self._modes.least_noise_variance)
+            return PartedFlow(opened, _reach_of_modes(self._modes), largest)
         part, variance = self._tuning.component, self._tuning.noise_variance
         return PartedFlow(opened, reach_of(part, variance), largest_beside(variance))
 

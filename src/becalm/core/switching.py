@@ -105,6 +105,11 @@ class Switching:
         return len(self.component.drift)
 
     @property
+    def least_noise_variance(self) -> float:
+        """R of the mode that is read most finely, in unit^2."""
+        return min(mode.noise_variance for mode in self.modes)
+
+    @property
     def sizes(self) -> BankSizes:
         """What kernels are specialised for."""
         return bank_sizes(self.states, len(self.modes))

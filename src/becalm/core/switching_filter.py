@@ -32,7 +32,6 @@ class SwitchingFilter:
         self.switching, self._judge, self._split = switching, judge, split
         self._beliefs = np.zeros(memory_length(switching.states, len(switching.modes)))
         self._level: float | None = None if switching.component.keeps_level else 0.0
-        self._quietest = min(mode.noise_variance for mode in switching.modes)
         self._shares = np.zeros(len(switching.modes))
         self.rows = 0
         self.log_likelihood = 0.0
@@ -45,12 +44,12 @@ class SwitchingFilter:
 
     def judged(self, z: Floats) -> Judged:
         """Let only possible readings (B,) through."""
-        return judge(z, largest_beside(self._quietest))
+        return judge(z, largest_beside(self.switching.least_noise_variance))
 
     def levelled(self, z: Floats) -> Floats:
         """Return readings (B,) less the first one of all, where the bank keeps a level."""
         if self._level is None and (row := first_reading(z[:, np.newaxis])) < len(z):
-            self._level = level_by(float(z[row]), self._quietest)
+            self._level = level_by(float(z[row]), self.switching.least_noise_variance)
         return np.ascontiguousarray(z - (self._level or 0.0))
 
     def run(self, z: Floats, bank: Bank, steps: Integers, memory: Floats) -> SwitchingTrace:

@@ -34,9 +34,10 @@ def find_wild(switching: Switching, readings: Floats, elapsed: Floats) -> Boolea
 
 
 def _tame(switching: Switching, evidence: Evidence) -> Evidence:
+    """Return evidence with draws of what a bank believes in place of the readings that it takes for wild."""
     if not switching.rejects:
         return evidence
-    z, noise = evidence.z[:, 0].copy(), min(mode.noise_variance for mode in switching.modes)
+    z, noise = evidence.z[:, 0].copy(), switching.least_noise_variance
     wild = find_wild(switching, z, evidence.elapsed)
     if not wild.any():
         return evidence
@@ -51,7 +52,7 @@ def errs_less(switching: Switching, tuning: Tuning, evidence: Evidence) -> bool:
     Readings that the bank takes for wild say nothing of errors; draws of what it believes stand in their place.
     """
     evidence = _tame(switching, evidence)
-    R = min(tuning.noise_variance, *(mode.noise_variance for mode in switching.modes))
+    R = min(tuning.noise_variance, switching.least_noise_variance)
     fixed = estimated_risk(tuning, evidence, R, causal=False).error
     if not _risk(switching, evidence, R) < (1 - _LESS) * fixed:
         return False
