@@ -11,9 +11,9 @@ from scipy.stats import chi2, poisson
 from becalm.core.arrays import Floats
 from becalm.core.cusum import SLACK, cusum_delay, cusum_threshold
 from becalm.core.filtering import kalman_filter
+from becalm.core.kernel_watch import HOP
 from becalm.core.model import Model
-from becalm.core.monitor import HOP, WINDOW, InnovationMonitor, find_alarms
-from becalm.core.noise_change import NoiseHistory
+from becalm.core.monitor import WINDOW, InnovationMonitor, find_alarms
 from becalm.core.verdict import Verdict
 from becalm.errors import UsageError
 
@@ -174,7 +174,7 @@ def test_any_cuts_give_the_same_codes_and_the_same_finds(odd: list[tuple[int, fl
     parts = [cut.push(part) for part in np.split(x, cuts)]
     assert np.array_equal(np.concatenate(parts), whole.push(x))
     assert (cut.found, cut.drift_since) == (whole.found, whole.drift_since)
-    assert (cut.louder, cut.quieter) == (whole.louder, whole.quieter)
+    assert (cut.louder, cut.quieter, cut.history.change()) == (whole.louder, whole.quieter, whole.history.change())
     assert Verdict.DEAD in whole.found
 
 
@@ -186,9 +186,9 @@ def test_alarms_say_what_they_need() -> None:
 
 
 def test_noise_that_all_but_ends_is_told() -> None:
-    history = NoiseHistory()
-    history.push(np.where(np.arange(9600) < 6400, 3.0, 1e-10) * noise(9600), np.arange(9600.0))
-    change = history.change()
+    monitor = InnovationMonitor(ALARMS)
+    monitor.push(np.where(np.arange(9600) < 6400, 3.0, 1e-10) * noise(9600))
+    change = monitor.history.change()
     assert change is not None
-    assert change.step == 6400
+    assert change.step == 6399
     assert change.ratio == pytest.approx(1e-10 / 3, rel=0.1)

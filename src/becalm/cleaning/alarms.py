@@ -11,7 +11,8 @@ from becalm.cleaning.judging import InnovationJudge
 from becalm.cleaning.recipe_parts import LimitsRecipe
 from becalm.core.arrays import Floats
 from becalm.core.cusum import SLACK
-from becalm.core.monitor import LARGEST, find_alarms
+from becalm.core.kernel_watch import LARGEST
+from becalm.core.monitor import find_alarms
 from becalm.noise.excess import excess_error
 from becalm.noise.likelihood import Tuning
 

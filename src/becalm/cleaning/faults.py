@@ -8,12 +8,12 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.cleaning.recipe_parts import LimitsRecipe
-from becalm.core.arrays import Codes, Floats
+from becalm.core.arrays import Codes, Floats, joined
 from becalm.core.clock import GAP_STEPS
 from becalm.core.faults import Faults, Found, said
 from becalm.core.limits import Limits, find_limits
-from becalm.core.monitor import Alarms, InnovationMonitor
-from becalm.core.noise_change import NoiseHistory, said_of_change
+from becalm.core.monitor import NEVER, Alarms, InnovationMonitor
+from becalm.core.noise_change import said_of_change
 from becalm.core.told import Told
 from becalm.core.verdict import ADVICE, BEYOND_ANY_SENSOR, Verdict
 
@@ -23,11 +23,9 @@ FALSE_ALARMS_PER_HOUR = 1.0
 MOST_LOST = 0.5
 """Share of the rows: a channel that is clipped or stuck in more of them hardly measures."""
 
-NEVER = 1e12
-"""Of a cumulative sum, in sigma: none gets there."""
-
-_FROM_FILTER = (Verdict.OVERRANGE, Verdict.SPIKE, Verdict.STEP)
+_PIECE = 1 << 16  # rows whose arrays stay in the cache
 _LOST = (Verdict.CLIPPED, Verdict.STUCK)
+_FROM_FILTER = np.isin(list(Verdict), [Verdict.OVERRANGE, Verdict.SPIKE, Verdict.STEP])
 _ENTERS = np.isin(list(Verdict), [Verdict.USED, Verdict.LATE, Verdict.REPEATED, Verdict.GAP])
 
 
@@ -137,37 +135,31 @@ class SensorWatch:
     """
 
     def __init__(self, told: LimitsRecipe | None, step_s: float) -> None:
-        self._faults, self._monitor = Faults(limits_of(told)), _monitor_of(told)
-        self._history = NoiseHistory()
+        self._faults, self._monitor = Faults(limits_of(told)), InnovationMonitor(_alarms_of(told))
         self._verdicts: Codes = np.empty(0, np.int8)  # of rows that the filter still holds
         self._alarms: Codes = np.empty(0, np.int8)  # of rows whose innovations it has told before the rows themselves
-        self._steps = np.empty(0)  # from the first row, of rows without innovations yet
-        self._first_steps: dict[Verdict, float] = {}
-        self._step, self._step_s, self.rows = 0.0, step_s, 0
+        self._elapsed = np.empty(0)  # before rows without innovations yet
+        self._step_s, self.rows = step_s, 0
 
     def push(self, z: Floats, elapsed: Floats) -> Floats:
         """Take readings (B,) and the steps before them; return them, NaN where none may enter the filter."""
         if not len(z):
             return z
         verdicts = self._faults.push(z, elapsed)
-        self._verdicts = np.concatenate([self._verdicts, verdicts])
-        steps = np.cumsum(np.append(self._step, elapsed if self.rows else np.append(0.0, elapsed[1:])))
-        self._steps, self._step = np.concatenate([self._steps, steps[1:]]), float(steps[-1])
+        self._verdicts = joined(self._verdicts, verdicts)
+        self._elapsed = joined(self._elapsed, elapsed)
         self.rows += len(z)
-        enters = _ENTERS[verdicts]
-        return z if enters.all() else np.where(enters, z, np.nan)
+        return np.where(_ENTERS[verdicts], z, np.nan) if verdicts.any() else z
 
     def look(self, innovations: Floats, innovation_sigma: Floats) -> None:
         """Take the innovations of the next rows (B,), and their expected standard deviations."""
-        steps, self._steps = self._steps[: len(innovations)], self._steps[len(innovations) :]
-        normalised = innovations / innovation_sigma
-        self._history.push(normalised, steps)
-        if self._monitor is None:
-            return
-        alarms = self._monitor.push(normalised)
-        for verdict in set(self._monitor.found) - set(self._first_steps):
-            self._first_steps[verdict] = float(steps[np.argmax(alarms == verdict)])
-        self._alarms = np.concatenate([self._alarms, alarms])
+        alarms = [self._alarms]
+        for start in range(0, len(innovations), _PIECE):
+            piece = slice(start, start + _PIECE)
+            normalised = innovations[piece] / innovation_sigma[piece]
+            elapsed, self._elapsed = self._elapsed[: len(normalised)], self._elapsed[len(normalised) :]
+            alarms.append(self._monitor.push(normalised, elapsed))
+        self._alarms = np.concatenate(alarms)
 
     def named(self, told: list[Told]) -> list[Told]:
         """Return what a filter tells of the next rows, with what else became of their readings."""
@@ -177,15 +169,14 @@ class SensorWatch:
         rows = len(verdicts)
         before, self._verdicts = self._verdicts[:rows], self._verdicts[rows:]
         alarms, self._alarms = self._alarms[:rows], self._alarms[rows:]
-        named = np.where(np.isin(verdicts, _FROM_FILTER), verdicts, before)
-        return np.where((named == Verdict.USED) & (alarms > 0), alarms, named) if len(alarms) else named
+        named = np.where(_FROM_FILTER[verdicts], verdicts, before) if verdicts.any() else before
+        return np.where((named == Verdict.USED) & (alarms > 0), alarms, named) if alarms.any() else named
 
     @property
     def found(self) -> dict[Verdict, Found]:
         """What is wrong with readings, with their time, or with innovations; what is missing is no fault."""
         found = {verdict: one for verdict, one in self._faults.found.items() if verdict != Verdict.MISSING}
-        alarms = {} if self._monitor is None else self._monitor.found
-        return found | {verdict: one._replace(first_step=self._first_steps[verdict]) for verdict, one in alarms.items()}
+        return found | self._monitor.found
 
     def faults(self) -> tuple[Fault, ...]:
         """Tell each fault, with when it came first."""
@@ -202,8 +193,8 @@ class SensorWatch:
 
     def _delay(self, verdict: Verdict) -> float:
         """Return how many readings a fault lasts until it is told."""
-        alarms = None if self._monitor is None else self._monitor.alarms
-        if alarms is not None and verdict in (Verdict.DRIFT, Verdict.DEAD):
+        alarms = self._monitor.alarms
+        if verdict in (Verdict.DRIFT, Verdict.DEAD):
             return alarms.drift_delay if verdict == Verdict.DRIFT else alarms.dead_delay
         return float(self._faults.stuck_delay or 0) if verdict == Verdict.STUCK else 0.0
 
@@ -217,16 +208,15 @@ class SensorWatch:
 
     def changes(self) -> list[str]:
         """Say from when on the noise was another."""
-        return said_of_change(self._history.change(), self._step_s)
+        return said_of_change(self._monitor.history.change(), self._step_s)
 
     def advice(self) -> tuple[str, ...]:
         """Say what to do about the faults that were found."""
         return (*(ADVICE[verdict] for verdict in sorted(self.found)), *self.changes())
 
 
-def _monitor_of(told: LimitsRecipe | None) -> InnovationMonitor | None:
-    """Return what watches innovations for drift and death; None where the recipe tells of neither."""
-    if told is None or (told.drift_threshold is None and told.dead_variance is None):
-        return None
-    drift = NEVER if told.drift_threshold is None else told.drift_threshold
-    return InnovationMonitor(Alarms(drift, 0.0, np.inf, told.dead_variance or 0.0))
+def _alarms_of(told: LimitsRecipe | None) -> Alarms:
+    """Return when a channel drifts or is dead; never where the recipe does not say."""
+    drift = None if told is None else told.drift_threshold
+    dead = None if told is None else told.dead_variance
+    return Alarms(NEVER if drift is None else drift, 0.0, np.inf, dead or 0.0)

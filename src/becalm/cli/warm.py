@@ -19,12 +19,12 @@ _WAY_OUT = "Set NUMBA_CACHE_DIR to a folder that can be written, and repeat."
 def ahead(recording: Recording, *, causal: bool) -> None:
     """Compile side by side what tuning would compile one after the other, if it was never done."""
     from becalm.core.compiling import compile_quickly, kernel_folder, require_compiler
-    from becalm.core.warming import is_cold, warm
+    from becalm.core.warming import OF_ALL, is_cold, warm
     from becalm.noise.choose import orders_run
 
     require_compiler()
     compile_quickly()
-    names = ("forward",) if causal else ("forward", "backward")
+    names = ("forward", *(() if causal else ("backward",)), *OF_ALL)
     orders = orders_run(recording.timebase.elapsed_steps, causal)
     if kernel_folder() is not None and is_cold(names, orders):
         stderr.print("Compiling the filters for this machine, which is done once.")

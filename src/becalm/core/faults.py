@@ -11,8 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from becalm.core.arrays import Booleans, Codes, Floats, Integers
-from becalm.core.limits import Limits, is_new
+from becalm.core.arrays import Booleans, Codes, Floats, Integers, read_only
+from becalm.core.kernel_faults import Rule, find_faults
+from becalm.core.limits import Limits
 from becalm.core.verdict import ADVICE, Verdict
 
 _TICKS = 1 << 20  # of a step, for what a row is off its time
@@ -53,10 +54,10 @@ class Faults:
     def __init__(self, limits: Limits) -> None:
         self.limits = limits
         self.found: dict[Verdict, Found] = {}
+        self._rule = Rule(limits.low, limits.high, limits.largest, limits.stuck_readings or 0)
+        self._memory = np.array([np.nan, 0.0, np.inf, -np.inf])  # see `kernel_faults`
         self._rows = 0
         self._ticks = 0  # from the first row
-        self._held, self._run = np.nan, 0  # the last reading, and how often in a row
-        self._least, self._most = np.inf, -np.inf  # of the readings so far
         self._offsets = np.zeros(max(_REFERENCES), dtype=np.int64)  # of the rows before, in ticks off even time
 
     @property
@@ -79,65 +80,26 @@ class Faults:
         (B,) int8 array
             `USED` where nothing is. What is wrong with the reading goes before what is wrong with its time.
         """
+        codes = np.zeros(len(z), dtype=np.int8)
         if not len(z):
-            return np.empty(0, dtype=np.int8)
-        elapsed = np.clip(np.nan_to_num(elapsed, nan=1.0), 0.0, _LONGEST)
-        if not self._rows:
-            elapsed[0] = 1.0  # it came when it was due
-        largest = self.limits.largest
-        possible = -largest <= z.min() <= z.max() <= largest
-        codes = self._timing(elapsed)
-        whole = possible and codes is None  # of which each reading says something new
-        if self.limits.stuck_readings is not None:
-            new = None if whole else is_new(z, elapsed, first=False, largest=largest)
-            codes = _marked(codes, Verdict.STUCK, self._is_stuck(z, new, self.limits.stuck_readings))
-        codes = _marked(codes, Verdict.CLIPPED, self.limits.rails.reached(z))
-        if not possible:
-            size = np.abs(z)
-            codes = _marked(codes, Verdict.OVERRANGE, ~(size <= largest))
-            codes = _marked(codes, Verdict.NONFINITE, np.isinf(z))
-            codes = _marked(codes, Verdict.MISSING, np.isnan(z))
-        self._count(codes, elapsed)
-        return np.zeros(len(z), dtype=np.int8) if codes is None else codes
+            return codes
+        even = bool((elapsed[0 if self._rows else 1 :] == 1.0).all())
+        if not even:
+            elapsed = np.clip(np.nan_to_num(elapsed, nan=1.0), 0.0, _LONGEST)
+            elapsed[0] = elapsed[0] if self._rows else 1.0  # it came when it was due
+        if not even or self._offsets.any():
+            self._write_timing(codes, elapsed)
+        found = find_faults(read_only(z), read_only(elapsed), self._rule, self._memory, codes)
+        ticks = np.full(1, _TIME) if even else np.rint(elapsed * _TIME).astype(np.int64)
+        self._count(codes if found else codes[:0], np.broadcast_to(ticks, z.shape))
+        return codes
 
-    def _is_stuck(self, z: Floats, new: Booleans | None, fewest: int) -> Booleans:
-        """Tell which readings end a run of `fewest` equal ones or more; None of `new` is all of them."""
-        stuck = np.zeros(len(z), dtype=np.bool_)
-        readings = z if new is None else z[new]
-        if not len(readings):
-            return stuck
-        rests = self._rests(readings)
-        starts = np.flatnonzero(readings[1:] != readings[:-1]) + 1  # of all runs but the first
-        before = self._run if readings[0] == self._held else 0
-        lengths = np.diff(starts, prepend=-before, append=len(readings))
-        self._held, self._run = float(readings[-1]), int(lengths[-1])
-        found = np.zeros(len(readings), dtype=np.bool_)
-        for run in np.flatnonzero(lengths >= fewest):
-            first = (starts[run - 1] if run else -before) + fewest - 1
-            found[max(first, 0) : starts[run] if run < len(starts) else None] = True
-        stuck[slice(None) if new is None else new] = found & ~rests
-        return stuck
-
-    def _rests(self, readings: Floats) -> Booleans:
-        """Tell which readings (B,) are 0 where that was an end of all before: there speeds and loads rest."""
-        least, most = min(self._least, float(readings.min())), max(self._most, float(readings.max()))
-        before, self._least, self._most = (self._least, self._most), least, most
-        if least > 0 or most < 0 or max(before[0], -before[1]) < 0:
-            return np.zeros(len(readings), dtype=np.bool_)
-        lower = np.minimum(np.minimum.accumulate(readings), before[0])
-        upper = np.maximum(np.maximum.accumulate(readings), before[1])
-        return np.asarray((readings == 0) & ((lower == 0) | (upper == 0)))
-
-    def _timing(self, elapsed: Floats) -> Codes | None:
-        """Tell what is wrong with the time of each row; None where nothing can be."""
-        if elapsed.min() == elapsed.max() == 1.0 and not self._offsets.any():
-            return None
-        codes = np.zeros(len(elapsed), dtype=np.int8)
+    def _write_timing(self, codes: Codes, elapsed: Floats) -> None:
+        """Tell what is wrong with the time of each row."""
         if self.limits.even:
             codes[self._is_late(elapsed)] = Verdict.LATE
         codes[elapsed > self.limits.gap_steps] = Verdict.GAP
         codes[elapsed == 0] = Verdict.REPEATED
-        return codes
 
     def _is_late(self, elapsed: Floats) -> Booleans:
         """Tell which rows are off their even time by more than half a step, rows that were lost before left aside.
@@ -154,31 +116,19 @@ class Faults:
         self._offsets = offsets[-ahead:].copy()
         return np.asarray((np.abs(late) > 0.5) & (np.abs(late - np.round(late)) > _ON_TIME))
 
-    def _count(self, codes: Codes | None, elapsed: Floats) -> None:
-        """Remember how often each verdict was given, and where first."""
-        ticks = np.rint(elapsed * _TIME).astype(np.int64)
-        if not self._rows:
-            ticks[0] = 0
-        counts = np.zeros(len(Verdict)) if codes is None else np.bincount(codes, minlength=len(Verdict))
+    def _count(self, codes: Codes, ticks: Integers) -> None:
+        """Remember how often each verdict was given, and where first; time begins with the first row of all."""
+        begun = 0 if self._rows else -int(ticks[0])
+        counts = np.bincount(codes, minlength=len(Verdict))
         for code in np.flatnonzero(counts[1:]) + 1:
             verdict = Verdict(int(code))
             before = self.found.get(verdict)
             if before is None:
                 at = int(np.argmax(codes == verdict))
-                first = (self._ticks + int(ticks[: at + 1].sum())) / _TIME
-                before = Found(0, self._rows + at, first)
+                before = Found(0, self._rows + at, (self._ticks + begun + int(ticks[: at + 1].sum())) / _TIME)
             self.found[verdict] = before._replace(readings=before.readings + int(counts[verdict]))
-        self._rows += len(elapsed)
-        self._ticks += int(ticks.sum())
-
-
-def _marked(codes: Codes | None, verdict: Verdict, which: Booleans) -> Codes | None:
-    """Write a verdict over others, where it is given at all."""
-    if not which.any():
-        return codes
-    codes = np.zeros(len(which), dtype=np.int8) if codes is None else codes
-    codes[which] = verdict
-    return codes
+        self._ticks += begun + int(ticks.sum())
+        self._rows += len(ticks)
 
 
 def said(found: Mapping[Verdict, Found], limits: Limits, step_s: float) -> list[str]:

@@ -149,13 +149,15 @@ class Flow:
             C = self._component.signal_output[0]
             signal = C @ belief.mean
             sigma = np.sqrt(np.maximum(np.einsum("i,ijk,j->k", C, belief.cov, C), 0.0))
+        if level:
+            signal += level  # in place: nobody else reads it
         parts = np.empty((0, len(signal)))
         if self._split:
             parts = np.array([output[0] @ belief.mean for _, output in self._component.outputs()])
             parts[0] += level
             if len(parts) == 1:
-                parts = (signal + level)[np.newaxis]
-        return Told(signal + level if level else signal, sigma, parts, verdicts)
+                parts = signal[np.newaxis]
+        return Told(signal, sigma, parts, verdicts)
 
     def _filter(self, rows: Rows, ends: bool) -> _Stretch | None:
         """Run forward over a stretch; None while the readings do not tell the state. Rows that must wait do so.

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from becalm.core.arrays import Booleans, Floats, Integers
+from becalm.core.arrays import Floats, Integers
 from becalm.core.clock import GAP_STEPS
 from becalm.core.possible import find_largest
 from becalm.core.rails import Rails, find_rails, is_noisy
@@ -110,7 +110,7 @@ def find_limits(
     if sensor_range is not None and not sensor_range[0] < sensor_range[1]:
         raise UsageError(f"sensor_range = {sensor_range!r} is not a range; give (low, high), as in (-50.0, 50.0).")
     largest = find_largest(z)
-    kept = is_new(z, elapsed, first=True, largest=largest)
+    kept = (np.abs(z) <= largest) & ((elapsed != 0) | (np.arange(len(z)) == 0))  # possible, and of a time of its own
     readings = np.asarray(z[kept])
     resolution = find_resolution(readings)
     rails = find_rails(readings, resolution) if sensor_range is None else Rails(*sensor_range)
@@ -118,17 +118,6 @@ def find_limits(
     stuck = _stuck_readings(readings[~rails.reached(readings)], resolution, false_alarms_per_hour * hours)
     gap_steps, even = _rhythm(elapsed[1:])
     return Limits(rails.low, rails.high, resolution, stuck, gap_steps, even, largest)
-
-
-def is_new(z: Floats, elapsed: Floats, *, first: bool, largest: float = BEYOND_ANY_SENSOR) -> Booleans:
-    """Tell which readings (N,) say something new: possible ones, of a row that has a time of its own.
-
-    `first` says that the first row has none before it.
-    """
-    new = (np.abs(z) <= largest) & (elapsed != 0)
-    if first and len(z):
-        new[0] = np.abs(z[0]) <= largest
-    return np.asarray(new)
 
 
 def find_resolution(z: Floats) -> float:

@@ -1,7 +1,7 @@
 """Whether innovations stay what they should be, white noise of variance 1: drift, a dead sensor, a change of noise.
 
 Innovations are counted in whole parts of a sigma, so that all sums are exact: the alarms are those of the whole
-record wherever it is cut.
+record wherever it is cut. One pass makes the sums of hops; what follows looks at hops alone, as long as all is well.
 """
 
 from __future__ import annotations
@@ -9,25 +9,22 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import gammainccinv, gammaincinv
 
-from becalm.core.arrays import Codes, Floats, Integers
-from becalm.core.cusum import OneSidedCusum, cusum_delay, cusum_threshold
+from becalm.core.arrays import Codes, Floats, Integers, read_only
+from becalm.core.cusum import SLACK, cusum_delay, cusum_threshold
 from becalm.core.faults import Found
+from becalm.core.kernel_watch import COUNT, DRIFT_SINCE, HOP, MEMORY, NOW, PARTS, SUMS, Hops, watch
+from becalm.core.noise_change import NoiseHistory
 from becalm.core.verdict import Verdict
 from becalm.errors import UsageError
 
 WINDOW = 64
 """Innovations whose variance is looked at together."""
 
-HOP = 16
-"""Innovations from one window to the next."""
+NEVER = 1e12
+"""Of a cumulative sum, in sigma: none gets there."""
 
-LARGEST = 6.0
-"""Sigma: what one spike may say."""
-
-_PARTS = 1 << 16  # of a sigma
 _DEAD = 0.05  # of the variance that was expected; what is quieter than chance but above only rests
 _THAN_REST = 0.25  # of the quietest window of a healthy record
 _ALARMS = 3  # of drift, of less noise, of more: each gets its share of the false alarms
@@ -99,35 +96,46 @@ def find_alarms(false_alarms_per_hour: float, step_s: float, healthy: Floats | N
     readings = max(_ALARMS * 3600 / (step_s * false_alarms_per_hour), 2.0 * WINDOW)
     p, half = HOP / readings, (WINDOW - 1) / 2
     quiet, loud = float(gammaincinv(half, p)) / half, float(gammainccinv(half, p)) / half
-    rest = np.empty(0) if healthy is None else _variances(_window_spreads(_hop_sums(_in_parts(healthy))))
+    rest = np.empty(0) if healthy is None else _variances(_window_spreads(_hops_of(healthy)))
     dead = min(_DEAD, quiet, _THAN_REST * float(rest.min(initial=np.inf)))
     return Alarms(cusum_threshold(readings), quiet, loud, dead)
 
 
-def _in_parts(normalised: Floats) -> Integers:
-    """Return the innovations that are there, in parts of a sigma."""
-    known = normalised[~np.isnan(normalised)]
-    return np.rint(np.clip(known, -LARGEST, LARGEST) * _PARTS).astype(np.int64)
+class _Watch:
+    """The one pass over innovations that go on from push to push."""
+
+    def __init__(self, drift_threshold: float) -> None:
+        self.memory, self.sums = np.zeros(MEMORY, dtype=np.int64), np.zeros(SUMS)  # see `kernel_watch`
+        self.memory[DRIFT_SINCE] = -1
+        self._threshold = int(np.ceil(drift_threshold * PARTS))
+
+    def push(self, normalised: Floats, elapsed: Floats, codes: Codes) -> Hops:
+        """Take innovations (B,) and the steps before them, write DRIFT into their codes; return the hops that ended."""
+        most = len(normalised) // HOP + 1
+        totals, squares = np.empty((2, most), dtype=np.int64)
+        hops = Hops(totals, squares, *np.empty((2, most)))
+        inputs = read_only(normalised), read_only(elapsed)
+        count = watch(*inputs, int(SLACK * PARTS), self._threshold, self.memory, self.sums, hops, codes)
+        return Hops(totals[:count], squares[:count], hops.powers[:count], hops.steps[:count])
 
 
-def _hop_sums(parts: Integers) -> Integers:
-    """Return the sums, and the sums of squares, of whole hops: (H, 2)."""
-    hops = parts[: len(parts) // HOP * HOP].reshape(-1, HOP)
-    return np.stack([hops.sum(axis=1), (hops**2).sum(axis=1)], axis=1)
+def _hops_of(normalised: Floats) -> Integers:
+    """Return the sums, and the sums of squares, of the hops of a whole record: (2, H)."""
+    rows = len(normalised)
+    return np.array(_Watch(NEVER).push(normalised, np.ones(rows), np.zeros(rows, dtype=np.int8))[:2])
 
 
 def _window_spreads(sums: Integers) -> Integers:
-    """Return WINDOW^2 times the variance of each window of hops, in parts^2; none where hops are too few."""
+    """Return WINDOW^2 times the variance of each window of hops (2, H), in parts^2; none where hops are too few."""
     hops = WINDOW // HOP
-    if len(sums) < hops:
-        return np.zeros(0, dtype=np.int64)
-    windows = np.lib.stride_tricks.sliding_window_view(sums, hops, axis=0).sum(axis=2)
-    return np.asarray(WINDOW * windows[:, 1] - windows[:, 0] ** 2)
+    count = max(sums.shape[1] - hops + 1, 0)
+    total, squares = sum((sums[:, k : k + count] for k in range(1, hops)), start=sums[:, :count])
+    return np.asarray(WINDOW * squares - total**2)
 
 
 def _variances(spreads: Integers) -> Floats:
     """Return variances about the mean of a window, in sigma^2."""
-    return np.asarray(spreads / float(WINDOW * (WINDOW - 1) * _PARTS**2))
+    return np.asarray(spreads / float(WINDOW * (WINDOW - 1) * PARTS**2))
 
 
 class Excursion(NamedTuple):
@@ -142,7 +150,7 @@ class Excursion(NamedTuple):
     def noise_ratio(self) -> float:
         """Standard deviation there over the expected one; NaN of no windows. Innovations count up to 6 sigma."""
         count = self.windows * WINDOW * (WINDOW - 1)
-        return float(np.sqrt(self.squares / count)) / _PARTS if count else float("nan")
+        return float(np.sqrt(self.squares / count)) / PARTS if count else float("nan")
 
 
 class InnovationMonitor:
@@ -164,8 +172,8 @@ class InnovationMonitor:
     ----------
     found : dict
         `Found` of `DRIFT` and `DEAD`; rows are counted as they came.
-    drift_since : int or None
-        The row in which the drift that was told first began, as far as the sum tells.
+    history : NoiseHistory
+        How large the innovations were, and when.
     louder, quieter : Excursion
         Where the noise was more, or less, than the filter expects. Quieter is no fault: machines rest.
     """
@@ -173,52 +181,65 @@ class InnovationMonitor:
     def __init__(self, alarms: Alarms) -> None:
         self.alarms = alarms
         self.found: dict[Verdict, Found] = {}
-        self.drift_since: int | None = None
         self.louder, self.quieter = Excursion(), Excursion()
-        threshold = int(np.ceil(alarms.drift_threshold * _PARTS))
-        self._sides = OneSidedCusum(threshold), OneSidedCusum(threshold)
+        self.history = NoiseHistory()
+        self._watch = _Watch(alarms.drift_threshold)
         self._rows = 0
-        self._rest = np.empty(0, dtype=np.int64)  # innovations that fill no hop yet
-        self._hops = np.zeros((0, 2), dtype=np.int64)  # sums, and sums of squares, of the last hops
+        self._hops = np.zeros((2, 0), dtype=np.int64)  # sums, and sums of squares, of the last hops
         self._state = _CALM
 
-    def push(self, normalised: Floats) -> Codes:
-        """Take the next normalised innovations (B,), NaN where there is none; return DRIFT, DEAD or USED for each."""
-        codes = np.zeros(len(normalised), dtype=np.int8)
-        rows = np.flatnonzero(~np.isnan(normalised))
-        parts = _in_parts(normalised)
-        told = [
-            side.push(sign * parts - _PARTS // 2, self._rows + rows)
-            for side, sign in zip(self._sides, (1, -1), strict=True)
-        ]
-        codes[rows[np.concatenate([alarms for alarms, _ in told])]] = Verdict.DRIFT
-        if self.drift_since is None:
-            firsts = [(int(alarms[0]), since) for alarms, since in told if since is not None]
-            self.drift_since = min(firsts)[1] if firsts else None
-        codes[rows[self._look(parts, rows) == _SILENT]] = Verdict.DEAD
-        for verdict in (Verdict.DRIFT, Verdict.DEAD):
-            self._count(verdict, np.flatnonzero(codes == verdict))
+    @property
+    def drift_since(self) -> int | None:
+        """The row in which the drift that was told first began, as far as the sum tells."""
+        since = int(self._watch.memory[DRIFT_SINCE])
+        return None if since < 0 else since
+
+    def push(self, normalised: Floats, elapsed: Floats | None = None) -> Codes:
+        """Take innovations and tell what is wrong with them.
+
+        Parameters
+        ----------
+        normalised : (B,) float array
+            The next ones, over their standard deviations; NaN where there is none.
+        elapsed : (B,) float array, optional
+            Steps since the row before; one by default. Not looked at for the first row of all.
+
+        Returns
+        -------
+        (B,) int8 array
+            DRIFT, DEAD or USED for each.
+        """
+        elapsed = np.ones(len(normalised)) if elapsed is None else elapsed
+        codes, open_before = np.zeros(len(normalised), dtype=np.int8), int(self._watch.memory[COUNT])
+        begun = float(self._watch.sums[NOW])
+        hops = self._watch.push(normalised, elapsed, codes)
+        self.history.push(hops.powers, hops.steps)
+        sums = np.hstack([self._hops, hops[:2]])
+        states, spreads = self._judge(_window_spreads(sums), len(hops.steps))
+        self._hops = sums[:, -(WINDOW // HOP - 1) :].copy()
+        if self._state != _CALM or (states != _CALM).any():
+            self._tell(codes, np.flatnonzero(~np.isnan(normalised)), open_before, states, spreads)
+        for verdict in (Verdict.DRIFT, Verdict.DEAD) if codes.any() else ():
+            self._count(verdict, np.flatnonzero(codes == verdict), begun, elapsed)
         self._rows += len(codes)
         return codes
 
-    def _count(self, verdict: Verdict, rows: Integers) -> None:
-        if len(rows):
-            first = self._rows + int(rows[0])
-            before = self.found.get(verdict, Found(0, first, float(first)))
-            self.found[verdict] = before._replace(readings=before.readings + len(rows))
+    def _count(self, verdict: Verdict, rows: Integers, begun: float, elapsed: Floats) -> None:
+        if not len(rows):
+            return
+        if verdict not in self.found:
+            steps = np.append(begun, elapsed[0 if self._rows else 1 : rows[0] + 1])
+            self.found[verdict] = Found(0, self._rows + int(rows[0]), float(np.cumsum(steps)[-1]))
+        before = self.found[verdict]
+        self.found[verdict] = before._replace(readings=before.readings + len(rows))
 
-    def _look(self, parts: Integers, rows: Integers) -> NDArray[np.int64]:
-        """Return what the last whole window said when each innovation came."""
-        held = np.append(self._rest, parts)
-        fresh = _hop_sums(held)
-        sums = np.concatenate([self._hops, fresh])
-        states, spread = self._judge(_window_spreads(sums), len(fresh))
-        said = np.append(self._state, states)[(len(self._rest) + 1 + np.arange(len(parts))) // HOP]
-        self.louder = _joined(self.louder, self._rows + rows[said == _LOUD], spread[states == _LOUD])
-        self.quieter = _joined(self.quieter, self._rows + rows[said == _QUIET], spread[states == _QUIET])
-        self._rest, self._hops = held[len(fresh) * HOP :].copy(), sums[-(WINDOW // HOP - 1) :].copy()
+    def _tell(self, codes: Codes, rows: Integers, open_before: int, states: Integers, spreads: Integers) -> None:
+        """Tell what the last whole window said when each innovation came, in these rows."""
+        said = np.append(self._state, states)[(open_before + 1 + np.arange(len(rows))) // HOP]
+        codes[rows[said == _SILENT]] = Verdict.DEAD
+        self.louder = _joined(self.louder, self._rows + rows[said == _LOUD], spreads[states == _LOUD])
+        self.quieter = _joined(self.quieter, self._rows + rows[said == _QUIET], spreads[states == _QUIET])
         self._state = int(said[-1]) if len(said) else self._state
-        return said
 
     def _judge(self, about: Integers, count: int) -> tuple[Integers, Integers]:
         """Return the states (count,) after the last hops, and the spreads of the windows that end there."""

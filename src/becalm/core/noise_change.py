@@ -11,11 +11,9 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.core.monitor import LARGEST
+from becalm.core.kernel_watch import HOP
 
-BLOCK = 64
-"""Innovations whose mean square is taken together, at the least."""
-
+_LEAST = 4  # hops whose mean square is taken together
 _MOST = 2048  # blocks that are held; then each two become one
 _FEWEST = 8  # blocks on either side of a change
 _RATIO = 1.5  # of standard deviations, below which a change is none worth telling
@@ -25,7 +23,7 @@ _UNEVEN = 4.0  # times what chance leaves Gaussian noise; heavy tails have up to
 class NoiseChanged(NamedTuple):
     """A change of noise."""
 
-    step: float  # steps from the first row to where it came, to within a block
+    step: float  # steps from the first row to the last before it, to within a block
     ratio: float  # standard deviation of the innovations after it over that before
 
 
@@ -33,30 +31,28 @@ class NoiseHistory:
     """Remembers how large the innovations of one channel were, and when; blocks grow with the record."""
 
     def __init__(self) -> None:
-        self._squares, self._steps = np.empty(0), np.empty(0)  # that make no block yet
-        self._means, self._starts = np.empty(0), np.empty(0)
-        self._size = BLOCK
+        self._powers, self._hop_ends = np.empty(0), np.empty(0)  # of hops that make no block yet
+        self._means, self._ends = np.empty(0), np.empty(0)
+        self._size = _LEAST  # hops in a block
 
-    def push(self, normalised: Floats, steps: Floats) -> None:
-        """Take innovations over their standard deviations (B,), NaN where there is none, and their times in steps."""
-        known = np.isfinite(normalised)
-        squares = np.append(self._squares, np.clip(normalised[known], -LARGEST, LARGEST) ** 2)
-        steps = np.append(self._steps, steps[known])
-        while len(squares) >= self._size:
-            rows = min(len(squares) // self._size, _MOST - len(self._means)) * self._size
-            self._means = np.append(self._means, self._mean(squares[:rows]))
-            self._starts = np.append(self._starts, steps[: rows : self._size])
-            squares, steps = squares[rows:], steps[rows:]
+    def push(self, powers: Floats, steps: Floats) -> None:
+        """Take the next hops: the sums of their squared innovations, in sigma^2, and when each ended, in steps."""
+        powers, steps = np.append(self._powers, powers), np.append(self._hop_ends, steps)
+        while len(powers) >= self._size:
+            hops = min(len(powers) // self._size, _MOST - len(self._means)) * self._size
+            self._means = np.append(self._means, self._mean(powers[:hops]))
+            self._ends = np.append(self._ends, steps[self._size - 1 : hops : self._size])
+            powers, steps = powers[hops:], steps[hops:]
             if len(self._means) == _MOST:
                 self._means = (self._means[::2] + self._means[1::2]) / 2
-                self._starts, self._size = self._starts[::2].copy(), 2 * self._size
-        self._squares, self._steps = squares.copy(), steps.copy()
+                self._ends, self._size = self._ends[1::2].copy(), 2 * self._size
+        self._powers, self._hop_ends = powers.copy(), steps.copy()
 
-    def _mean(self, squares: Floats) -> Floats:
-        """Return the means of blocks, by halves, so that they are the same whenever blocks grew."""
-        means: Floats = squares.reshape(-1, BLOCK).mean(axis=1)
-        for _ in range((self._size // BLOCK).bit_length() - 1):
-            means = np.asarray((means[::2] + means[1::2]) / 2)
+    def _mean(self, powers: Floats) -> Floats:
+        """Return the mean squares of blocks, by halves, so that they are the same whenever blocks grew."""
+        means = powers / HOP
+        for _ in range(self._size.bit_length() - 1):
+            means = (means[::2] + means[1::2]) / 2
         return means
 
     def change(self) -> NoiseChanged | None:
@@ -73,11 +69,11 @@ class NoiseHistory:
         at = int(np.argmin(split * np.log(before) + (count - split) * np.log(after)))
         k, ratio = int(split[at]), float(np.sqrt(after[at] / before[at]))
         told = max(ratio, 1 / ratio) >= _RATIO and all(map(self._is_even, (means[:k], means[k:])))
-        return NoiseChanged(float(self._starts[k]), ratio) if told else None
+        return NoiseChanged(float(self._ends[k - 1]), ratio) if told else None
 
     def _is_even(self, means: Floats) -> bool:
         """Whether blocks differ by no more than mean squares of noise do."""
-        return bool(means.var(ddof=1) <= _UNEVEN * 2 / self._size * means.mean() ** 2)
+        return bool(means.var(ddof=1) <= _UNEVEN * 2 / (self._size * HOP) * means.mean() ** 2)
 
 
 def said_of_change(change: NoiseChanged | None, step_s: float) -> list[str]:

@@ -79,5 +79,7 @@ def judge(z: Floats, largest: float = BEYOND_ANY_SENSOR) -> Judged:
 
 def counted(verdicts: Codes) -> dict[Verdict, int]:
     """Count the verdicts (N,) of each kind."""
+    if not verdicts.any():
+        return dict.fromkeys(Verdict, 0) | {Verdict.USED: len(verdicts)}
     found = np.bincount(verdicts, minlength=len(Verdict))
     return {verdict: int(found[verdict]) for verdict in Verdict}

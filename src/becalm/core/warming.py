@@ -21,18 +21,23 @@ import numpy as np
 
 from becalm.core.compiling import compile_quickly, count_kept, save_trouble, times_compiled
 from becalm.core.components import EVERY_ORDER, motion
+from becalm.core.faults import Faults
 from becalm.core.filtering import kalman_filter, sizes_of
 from becalm.core.fixed_lag import fixed_lag_smoother
 from becalm.core.gates import LEAST_THRESHOLD, Gate, Gatekeeper
 from becalm.core.kernel_backward import backward
+from becalm.core.kernel_faults import find_faults
 from becalm.core.kernel_gate import find_outliers
 from becalm.core.kernel_lag import run_late
 from becalm.core.kernel_online import live_kernels
 from becalm.core.kernel_switching import switch_forward
 from becalm.core.kernel_switching_online import live_bank_kernels
 from becalm.core.kernel_switching_return import switch_backward, switch_late
+from becalm.core.kernel_watch import watch
 from becalm.core.kernels import forward
+from becalm.core.limits import Limits
 from becalm.core.model import Model
+from becalm.core.monitor import NEVER, Alarms, InnovationMonitor
 from becalm.core.online import Online
 from becalm.core.smoothing import kalman_smoother
 from becalm.core.switching import Mode, Switching
@@ -47,7 +52,10 @@ _BANKS = {2: (1, 2, 3), 5: (1,)}
 _OF_BANKS = tuple(
     f"{modes} modes {what}" for modes in _BANKS for what in ("forward", "backward", "late", "run", "step")
 )
-KERNELS = ("forward", "backward", "gate", "late", "live run", "live step", *_OF_BANKS)
+OF_ALL = ("faults", "watch")
+"""What every channel uses, of whatever order."""
+
+KERNELS = (*OF_ALL, "forward", "backward", "gate", "late", "live run", "live step", *_OF_BANKS)
 
 Use = tuple[object, Callable[[], object]]
 
@@ -117,12 +125,20 @@ def _start(order: int, names: Sequence[str]) -> subprocess.Popen[str]:
 
 def warm_order(order: int, names: Sequence[str]) -> Iterator[Warmed]:
     """Compile kernels for a motion of one order in this process, one after the other."""
-    uses = _uses_of_motion(order)
+    uses = _uses_of_motion(order) | (_uses_of_all() if order == 1 else {})
     for modes in (count for count, orders in _BANKS.items() if order in orders):
         uses |= _uses_of_bank(order, modes)
     for name in names:
         if name in uses:
             yield _warmed(name, order, *uses[name])
+
+
+def _uses_of_all() -> dict[str, Use]:
+    """Return what every channel uses, of whatever order."""
+    return {
+        "faults": (find_faults, partial(Faults(Limits()).push, _READINGS, np.ones(len(_READINGS)))),
+        "watch": (watch, partial(InnovationMonitor(Alarms(NEVER, 0.0, np.inf)).push, _READINGS)),
+    }
 
 
 def _uses_of_motion(order: int) -> dict[str, Use]:

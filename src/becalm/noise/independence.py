@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from becalm.noise.likelihood import Tuning
-from becalm.noise.tuning_spread import spectra_of
+from becalm.noise.tuning_spread import settled_filter, spectra_of
 
 
 def independence_steps(tuning: Tuning, causal: bool) -> float | None:
@@ -37,13 +37,16 @@ def independence_steps(tuning: Tuning, causal: bool) -> float | None:
     readings, and no better. A filter's errors are e[k] = (I - K H) F e[k-1] and white noise, so that
     L = 2 c (I - A)^-1 P c' / (c P c') - 1.
     """
-    found = spectra_of(tuning)
-    if found is None:
-        return None
     if not causal:
+        found = spectra_of(tuning)
+        if found is None:
+            return None
         noise = found.total - found.signal
         return float(found.signal[0] / found.total[0] * noise[0] / found.filter.error_variance(np.inf))
-    c, loop = found.filter.row, found.filter.loop
+    settled = settled_filter(tuning)
+    if settled is None:
+        return None
+    c, loop = settled.row, settled.loop
     P = c @ loop.P_plus @ c.T
     summed = c @ np.linalg.solve(np.eye(len(loop.A)) - loop.A, loop.P_plus @ c.T)
     return float((2 * summed / P)[0, 0]) - 1.0

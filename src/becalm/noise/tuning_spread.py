@@ -119,17 +119,23 @@ class Spectra(NamedTuple):
 
 def spectra_of(tuning: Tuning) -> Spectra | None:
     """Return what a tuning's readings consist of, and its filter; None of one that does not settle."""
-    try:
-        found = _settled(tuning)
-    except ModelError:
-        return None
-    if not abs(found.poles[0]) < _FORGETS:
+    found = settled_filter(tuning)
+    if found is None:
         return None
     f = found.frequencies
     angle = 2 * np.pi * f
     motion = tuning.ratio * tuning.noise_variance * motion_power(tuning.order, angle)
     signal, noise = powers(tuning, angle)
     return Spectra(found, f, motion, signal, signal + noise)
+
+
+def settled_filter(tuning: Tuning) -> SteadyFilter | None:
+    """Return the filter of a tuning in even time; None of one that does not settle."""
+    try:
+        found = _settled(tuning)
+    except ModelError:
+        return None
+    return found if abs(found.poles[0]) < _FORGETS else None
 
 
 def _settled(tuning: Tuning) -> SteadyFilter:

@@ -1,0 +1,85 @@
+"""Innovations watched as they come: Page's sum on either side, and the sums of short hops, in one pass.
+
+They are counted in whole parts of a sigma, so that every sum is exact, however the record is cut. What a hop's
+power is may be far below one part; its sum goes on from row to row, and so does not depend on cuts either.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from becalm.core.arrays import Codes, Floats, Integers
+from becalm.core.compiling import compiled
+
+LARGEST = 6.0
+"""Sigma: what one spike may say."""
+
+PARTS = 1 << 16
+"""Of a sigma."""
+
+HOP = 16
+"""Innovations that are summed together."""
+
+DRIFT = 9
+
+ABOVE, BELOW, ABOVE_SINCE, BELOW_SINCE, DRIFT_SINCE, ROWS, COUNT, TOTAL, SQUARES = range(9)
+"""What is remembered: the sums of either side, and the row after the last in which each was 0; where the drift that
+was told first began (-1: none was); rows so far; of the hop that is open, its innovations, their sum, their squares."""
+
+MEMORY = 9
+
+POWER, NOW, SUMS = 0, 1, 2
+"""What is remembered beside it: the power of the open hop, in sigma^2, and the steps from the first row of all to the
+last."""
+
+
+class Hops(NamedTuple):
+    """What is told of each whole hop."""
+
+    totals: Integers  # (H,) in parts of a sigma
+    squares: Integers  # (H,) in parts^2
+    powers: Floats  # (H,) sums of squares, in sigma^2
+    steps: Floats  # (H,) from the first row of all to that of its last innovation
+
+
+@compiled
+def watch(  # noqa: PLR0913  (a door for Python: what is read, what is remembered, what is written)
+    normalised: Floats, elapsed: Floats, slack: int, threshold: int, memory: Integers, sums: Floats, hops: Hops,
+    codes: Codes,
+) -> int:  # fmt: skip
+    """Watch innovations (B,) over their standard deviations, NaN where there is none; return how many hops ended.
+
+    S_i = max(0, S_{i-1} + x_i - k) on either side; where one reaches h, its row's code becomes DRIFT, and it starts
+    anew (Page 1954). `elapsed` are the steps before each row. `memory` and `sums` hold what was before, then after.
+    """
+    above, below = memory[ABOVE], memory[BELOW]
+    above_since, below_since = memory[ABOVE_SINCE], memory[BELOW_SINCE]
+    count, total, squares, open_power = memory[COUNT], memory[TOTAL], memory[SQUARES], sums[POWER]
+    before, now, found = memory[ROWS], sums[NOW], 0
+    for row in range(len(normalised)):
+        now = now + elapsed[row] if before + row else 0.0
+        nu = normalised[row]
+        if math.isnan(nu):
+            continue
+        nu = min(max(nu, -LARGEST), LARGEST)
+        part = round(nu * PARTS)
+        above, below = max(above + part - slack, 0), max(below - part - slack, 0)
+        if above >= threshold or below >= threshold:
+            since = above_since if above >= threshold else below_since
+            memory[DRIFT_SINCE] = since if memory[DRIFT_SINCE] < 0 else memory[DRIFT_SINCE]
+            codes[row] = DRIFT
+            above, below = above if above < threshold else 0, below if below < threshold else 0
+        above_since = before + row + 1 if above == 0 else above_since
+        below_since = before + row + 1 if below == 0 else below_since
+        count, total, squares, open_power = count + 1, total + part, squares + part * part, open_power + nu * nu
+        if count == HOP:
+            hops.totals[found], hops.squares[found], hops.powers[found] = total, squares, open_power
+            hops.steps[found] = now
+            count, total, squares, open_power, found = 0, 0, 0, 0.0, found + 1
+    memory[ABOVE], memory[BELOW] = above, below
+    memory[ABOVE_SINCE], memory[BELOW_SINCE] = above_since, below_since
+    memory[COUNT], memory[TOTAL], memory[SQUARES] = count, total, squares
+    sums[POWER], sums[NOW] = open_power, now
+    memory[ROWS] = before + len(normalised)
+    return found
