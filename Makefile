@@ -3,6 +3,9 @@ PYTHON ?= python3
 BIN := .venv/bin
 WORKERS ?= 2
 
+KERNELS := src/becalm/core/__pycache__
+COMPILED := $(addprefix src/becalm/core/,sized.py small.py compiling.py warming.py) $(wildcard src/becalm/core/kernel*.py)
+
 .PHONY: demo test lint types arrows fast slow bench lock clean
 
 demo: .venv/installed
@@ -20,10 +23,10 @@ types: .venv/tested
 arrows: .venv/tested
 	$(BIN)/lint-imports
 
-fast: .venv/tested
+fast: .venv/kernels
 	$(BIN)/pytest -n $(WORKERS) --dist worksteal -m "not slow"
 
-slow: .venv/tested
+slow: .venv/kernels
 	$(BIN)/pytest -n $(WORKERS) --dist worksteal -m slow
 
 bench: .venv/tested
@@ -55,6 +58,13 @@ bench: .venv/tested
 	$(BIN)/python -m pip install --quiet --require-hashes -r requirements-test.lock
 	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --editable .
 	touch $@
+
+# Compiled ahead, so that workers do not compile the same; kept apart as well, for the test of what `warm` leaves.
+.venv/kernels: .venv/tested $(COMPILED)
+	rm -rf $@ $(KERNELS)/*.nbc
+	env -u NUMBA_CACHE_DIR $(BIN)/becalm warm
+	mkdir $@
+	cp $(KERNELS)/*.nbc $@
 
 # The locks hold names, versions and hashes, no addresses.
 lock: .venv/bin/python
