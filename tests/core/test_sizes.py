@@ -18,8 +18,8 @@ from becalm.core.online import Online
 from becalm.core.smoothing import kalman_smoother
 
 ROWS = 1500
-QUICK = [(1, 1), (2, 1), (3, 1), (4, 1), (1, 3), (2, 2), (4, 3)]  # one channel and up to four states look ahead
-LARGE = [(5, 1), (2, 6), (12, 4)]
+QUICK = [(1, 1), (2, 1), (3, 1), (4, 1), (1, 3), (2, 2), (4, 2)]  # one channel and up to four states look ahead
+LARGE = [(5, 1), (2, 3), (12, 4)]
 PAIRS = [*QUICK, *(pytest.param(pair, marks=pytest.mark.slow) for pair in LARGE)]
 
 
@@ -112,7 +112,7 @@ CUTS = [0, 1, 2, 31, 33, 200, 256, 257, 600, 1100, 1101, 1500, 1501, 3000, 4999,
 
 
 @pytest.mark.parametrize("flat", [False, True], ids=["prior", "flat"])
-@pytest.mark.parametrize("pair", [(1, 1), (3, 1), (2, 2), (4, 3)], ids=str)
+@pytest.mark.parametrize("pair", [(1, 1), (3, 1), (2, 2), (4, 2)], ids=str)
 class TestOnline:
     """A file and its stream, over settled stretches, gaps and pauses."""
 

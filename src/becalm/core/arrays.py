@@ -35,6 +35,11 @@ def read_only(values: NDArray[Number]) -> NDArray[Number]:
     return view
 
 
+def input_of(values: Floats) -> Floats:
+    """Return the one kind of array that kernels take from anywhere: contiguous, read-only."""
+    return read_only(np.ascontiguousarray(values))
+
+
 def frozen(values: ArrayLike) -> Floats:
     """Return our own read-only float64 copy; the caller's array stays as it was."""
     own = np.array(values, dtype=np.float64, order="C")

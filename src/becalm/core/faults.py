@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from becalm.core.arrays import Booleans, Codes, Floats, Integers, read_only
+from becalm.core.arrays import Booleans, Codes, Floats, Integers, input_of
 from becalm.core.kernel_faults import Rule, find_faults
 from becalm.core.limits import Limits
 from becalm.core.verdict import ADVICE, Verdict
@@ -89,7 +89,7 @@ class Faults:
             elapsed[0] = elapsed[0] if self._rows else 1.0  # it came when it was due
         if not even or self._offsets.any():
             self._write_timing(codes, elapsed)
-        found = find_faults(read_only(z), read_only(elapsed), self._rule, self._memory, codes)
+        found = find_faults(input_of(z), input_of(elapsed), self._rule, self._memory, codes)
         ticks = np.full(1, _TIME) if even else np.rint(elapsed * _TIME).astype(np.int64)
         self._count(codes if found else codes[:0], np.broadcast_to(ticks, z.shape))
         return codes

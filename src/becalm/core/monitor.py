@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import gammainccinv, gammaincinv
 
-from becalm.core.arrays import Codes, Floats, Integers, read_only
+from becalm.core.arrays import Codes, Floats, Integers, input_of
 from becalm.core.cusum import SLACK, cusum_delay, cusum_threshold
 from becalm.core.faults import Found
 from becalm.core.kernel_watch import COUNT, DRIFT_SINCE, HOP, MEMORY, NOW, PARTS, SUMS, Hops, watch
@@ -114,8 +114,8 @@ class _Watch:
         most = len(normalised) // HOP + 1
         totals, squares = np.empty((2, most), dtype=np.int64)
         hops = Hops(totals, squares, *np.empty((2, most)))
-        inputs = read_only(normalised), read_only(elapsed)
-        count = watch(*inputs, int(SLACK * PARTS), self._threshold, self.memory, self.sums, hops, codes)
+        inputs, slack = (input_of(normalised), input_of(elapsed)), int(SLACK * PARTS)
+        count = watch(*inputs, slack, self._threshold, self.memory, self.sums, hops, codes)
         return Hops(totals[:count], squares[:count], hops.powers[:count], hops.steps[:count])
 
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from becalm.core.arrays import Floats, Integers, read_only
+from becalm.core.arrays import Floats, Integers, input_of, read_only
 from becalm.core.components import Component
 from becalm.core.kernel_block import Record
 from becalm.core.kernel_steps import System
@@ -27,7 +27,7 @@ class Timeline(NamedTuple):
 
     def record(self, z: Floats) -> Record:
         """Lay readings (N, m) out for the kernels, beside their steps."""
-        return Record(read_only(np.ascontiguousarray(z)), read_only(self.first), read_only(self.step))
+        return Record(input_of(z), read_only(self.first), read_only(self.step))
 
 
 def model_system(model: Model) -> System:

@@ -97,6 +97,7 @@ def warm(names: Sequence[str] = KERNELS, orders: Sequence[int] = EVERY_ORDER) ->
             assert running[0].stdout is not None, "stdout=PIPE gives it"
             for line in running[0].stdout:
                 yield Warmed(*json.loads(line))
+            running[0].stdout.close()
             codes.append(running[0].wait())
             running.popleft()
         if any(codes):

@@ -168,13 +168,18 @@ def _is_whole(evidence: Evidence) -> bool:
 
 
 def _risk(tuning: Tuning, evidence: Evidence) -> tuple[float, float]:
-    """Estimate the mean squared error of the causal filter, and the predictable share of its innovations."""
+    """Estimate the mean squared error of the causal filter, and the predictable share of its innovations.
+
+    Where the readings never tell the state, the first is inf and the second 0.
+    """
     r = tuning.noise_variance
     component = tuning.component
     model = component.to_model(1.0, r)
     estimate = run_filter(model, elapsed_timeline(component, r, evidence.elapsed), evidence.z).estimate
     known = np.isfinite(estimate.sigma[:, 0])
     known[: len(model.F)] = False
+    if not known.any():
+        return np.inf, 0.0
     weight = float(np.mean(estimate.sigma[known] ** 2)) / r  # of each reading in its own estimate
     residual = (evidence.z - estimate.signal)[known]
     normalised = (estimate.innovations / estimate.innovation_sigma)[:, 0]
