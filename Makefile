@@ -11,7 +11,9 @@ COMPILED := $(addprefix src/becalm/core/,sized.py small.py compiling.py warming.
 demo: .venv/installed
 	$(BIN)/becalm demo -o demo
 
-test: lint types arrows fast slow
+test: .venv/tested
+	$(MAKE) -j 2 lint types arrows .venv/kernels
+	$(MAKE) fast slow
 
 lint: .venv/tested
 	$(BIN)/ruff check .
