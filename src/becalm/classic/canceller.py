@@ -49,4 +49,4 @@ def cancel(z: Floats, cutoff: float, taps: int = TAPS, forgetting: float = FORGE
         weights = weights + gain * left[k]
         inverse = (inverse - np.outer(gain, told)) / forgetting
         inverse = (inverse + inverse.T) / 2
-    return left + z[0]
+    return np.asarray(left + z[0])

@@ -51,7 +51,7 @@ def follow(signal: Floats, row: int, before: float, after: float) -> Followed:
     Levels that are never reached are told as inf. A step is drawn as a line from the row before.
     """
     risen = (signal[row - 1 :] - before) / (after - before)
-    return Followed(*(_crossing(risen, level) for level in (0.5, 0.9)), max(0.0, float(np.nanmax(risen)) - 1))
+    return Followed(_crossing(risen, 0.5), _crossing(risen, 0.9), max(0.0, float(np.nanmax(risen)) - 1))
 
 
 def _crossing(risen: Floats, level: float) -> float:
