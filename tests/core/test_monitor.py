@@ -167,12 +167,12 @@ SENSITIVE = ALARMS._replace(drift_threshold=2.0, quiet_variance=0.8, loud_varian
     cuts=st.lists(st.integers(0, 3000), max_size=8).map(sorted),
 )
 def test_any_cuts_give_the_same_codes_and_the_same_finds(odd: list[tuple[int, float]], cuts: list[int]) -> None:
-    x = noise(3000) * np.repeat([1.0, 3.0, 0.01], 1000)
+    x, elapsed = noise(3000) * np.repeat([1.0, 3.0, 0.01], 1000), 1.0 + noise(3000, 1) ** 2
     for row, value in odd:
         x[row] = value
     whole, cut = InnovationMonitor(SENSITIVE), InnovationMonitor(SENSITIVE)
-    parts = [cut.push(part) for part in np.split(x, cuts)]
-    assert np.array_equal(np.concatenate(parts), whole.push(x))
+    parts = [cut.push(*pair) for pair in zip(np.split(x, cuts), np.split(elapsed, cuts), strict=True)]
+    assert np.array_equal(np.concatenate(parts), whole.push(x, elapsed))
     assert (cut.found, cut.drift_since) == (whole.found, whole.drift_since)
     assert (cut.louder, cut.quieter, cut.history.change()) == (whole.louder, whole.quieter, whole.history.change())
     assert Verdict.DEAD in whole.found
@@ -192,3 +192,14 @@ def test_noise_that_all_but_ends_is_told() -> None:
     assert change is not None
     assert change.step == 6399
     assert change.ratio == pytest.approx(1e-10 / 3, rel=0.1)
+
+
+@pytest.mark.parametrize("threshold", [1e15, np.inf])
+def test_a_threshold_that_nothing_reaches_tells_no_drift(threshold: float) -> None:
+    codes = InnovationMonitor(ALARMS._replace(drift_threshold=threshold)).push(noise(200) + 5.0)
+    assert (codes != Verdict.DRIFT).all()
+
+
+def test_steps_of_other_rows_are_refused() -> None:
+    with pytest.raises(UsageError, match="5 elapsed steps came with 100 rows"):
+        InnovationMonitor(ALARMS).push(noise(100), np.ones(5))
