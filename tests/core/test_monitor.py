@@ -190,8 +190,24 @@ def test_noise_that_all_but_ends_is_told() -> None:
     monitor.push(np.where(np.arange(9600) < 6400, 3.0, 1e-10) * noise(9600))
     change = monitor.history.change()
     assert change is not None
-    assert change.step == 6399
+    assert change.step == 6400
     assert change.ratio == pytest.approx(1e-10 / 3, rel=0.1)
+
+
+@pytest.mark.parametrize("lost", [0, 1000])
+def test_noise_that_changed_across_a_gap_is_another_from_its_end_on(lost: int) -> None:
+    """Not from its beginning, hours before: whether rows are lost, or come without a reading."""
+    x, elapsed = noise(4096) * np.repeat([1.0, 3.0], 2048), np.ones(4096 + lost)
+    x = np.insert(x, 2048, np.full(lost, np.nan))
+    elapsed[2048] = 1e6
+    whole, cut = InnovationMonitor(ALARMS), InnovationMonitor(ALARMS)
+    whole.push(x, elapsed)
+    for pair in zip(np.array_split(x, 300), np.array_split(elapsed, 300), strict=True):
+        cut.push(*pair)
+    change = whole.history.change()
+    assert change is not None
+    assert change.step == 2047 + 1e6 + lost
+    assert cut.history.change() == change
 
 
 @pytest.mark.parametrize("threshold", [1e15, np.inf])
