@@ -66,7 +66,8 @@ def test_readings_and_limits_of_any_number_run_in_the_one_kernel() -> None:
     expected = Faults(LIMITS).push(z.astype(np.float64), np.ones(6))
     kinds = list(cast(Any, find_faults).signatures)
     whole = LIMITS._replace(low=-5, high=5, largest=1000)
-    for readings in (z, z.astype(np.float32), np.repeat(z, 2)[::2]):
+    others: list[Any] = [z, z.astype(np.float32), np.repeat(z, 2)[::2]]
+    for readings in others:
         assert np.array_equal(Faults(whole).push(readings, np.ones(6, dtype=np.int64)), expected)
     assert list(cast(Any, find_faults).signatures) == kinds
 
