@@ -172,6 +172,19 @@ def test_noise_that_doubles_is_told_with_when() -> None:
     assert sentence in report.says
 
 
+def test_what_a_caller_writes_later_into_its_own_array_moves_no_time() -> None:
+    watch, elapsed, nu = SensorWatch(LimitsRecipe(drift_threshold=5.0), 1.0), np.ones(50), np.zeros(100)
+    nu[60:] = 3.0
+    elapsed[5] = 1000.0
+    watch.push(walk(13, 50), elapsed)
+    elapsed[5] = 1.0
+    watch.push(walk(14, 50), elapsed)
+    watch.look(nu, np.ones(100))
+    drift = watch.faults()[0]
+    assert drift.what == "drift"
+    assert drift.first_s == drift.first_row - 1 + 999
+
+
 def test_a_dial_or_a_lag_keeps_the_limits() -> None:
     lagged = tune(recording(walk(12)), wishes=Wishes(lag_s=0.05)).channel[0].limits
     assert lagged is not None

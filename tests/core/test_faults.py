@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any, cast
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,8 +11,10 @@ from hypothesis import strategies as st
 
 from becalm.core.arrays import Codes, Floats
 from becalm.core.faults import Faults, said
+from becalm.core.kernel_faults import find_faults
 from becalm.core.limits import Limits, find_limits
 from becalm.core.verdict import ADVICE, Verdict
+from becalm.errors import UsageError
 from sensor_faults_records import ALARMS_PER_HOUR, LEARNT, SIGNALS, STEPS, digitised, record
 
 LIMITS = Limits(low=-5.0, high=5.0, resolution=1.0, stuck_readings=4)
@@ -46,6 +50,26 @@ def test_a_run_of_equal_readings_is_stuck_from_the_stated_one_on() -> None:
 def test_what_is_missing_or_written_twice_neither_ends_a_run_nor_lengthens_it() -> None:
     assert codes_of([2.0, np.nan, 2, np.inf, 2, 2])[-2:] == ["USED", "STUCK"]
     assert codes_of([2.0, 2, 2, 2, 2], [0, 1, 0, 1, 1])[-2:] == ["USED", "STUCK"]
+
+
+def test_a_limit_of_equal_readings_beyond_any_record_is_none() -> None:
+    assert set(codes_of([2.0] * 50, limits=LIMITS._replace(stuck_readings=1 << 64))) == {"USED"}
+
+
+def test_steps_of_other_rows_are_refused() -> None:
+    with pytest.raises(UsageError, match="5 elapsed steps came with 100 rows"):
+        Faults(LIMITS).push(np.zeros(100), np.ones(5))
+
+
+def test_readings_and_limits_of_any_number_run_in_the_one_kernel() -> None:
+    z = np.array([1, 2, 2, 2, 2, 5])
+    expected = Faults(LIMITS).push(z.astype(np.float64), np.ones(6))
+    kinds = list(cast(Any, find_faults).signatures)
+    whole = LIMITS._replace(low=-5, high=5, largest=1000)
+    others: list[Any] = [z, z.astype(np.float32), np.repeat(z, 2)[::2]]
+    for readings in others:
+        assert np.array_equal(Faults(whole).push(readings, np.ones(6, dtype=np.int64)), expected)
+    assert list(cast(Any, find_faults).signatures) == kinds
 
 
 def test_rails_and_what_is_no_reading_are_told() -> None:

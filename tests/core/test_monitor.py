@@ -167,12 +167,12 @@ SENSITIVE = ALARMS._replace(drift_threshold=2.0, quiet_variance=0.8, loud_varian
     cuts=st.lists(st.integers(0, 3000), max_size=8).map(sorted),
 )
 def test_any_cuts_give_the_same_codes_and_the_same_finds(odd: list[tuple[int, float]], cuts: list[int]) -> None:
-    x = noise(3000) * np.repeat([1.0, 3.0, 0.01], 1000)
+    x, elapsed = noise(3000) * np.repeat([1.0, 3.0, 0.01], 1000), 1.0 + noise(3000, 1) ** 2
     for row, value in odd:
         x[row] = value
     whole, cut = InnovationMonitor(SENSITIVE), InnovationMonitor(SENSITIVE)
-    parts = [cut.push(part) for part in np.split(x, cuts)]
-    assert np.array_equal(np.concatenate(parts), whole.push(x))
+    parts = [cut.push(*pair) for pair in zip(np.split(x, cuts), np.split(elapsed, cuts), strict=True)]
+    assert np.array_equal(np.concatenate(parts), whole.push(x, elapsed))
     assert (cut.found, cut.drift_since) == (whole.found, whole.drift_since)
     assert (cut.louder, cut.quieter, cut.history.change()) == (whole.louder, whole.quieter, whole.history.change())
     assert Verdict.DEAD in whole.found
@@ -190,5 +190,32 @@ def test_noise_that_all_but_ends_is_told() -> None:
     monitor.push(np.where(np.arange(9600) < 6400, 3.0, 1e-10) * noise(9600))
     change = monitor.history.change()
     assert change is not None
-    assert change.step == 6399
+    assert change.step == 6400
     assert change.ratio == pytest.approx(1e-10 / 3, rel=0.1)
+
+
+@pytest.mark.parametrize("lost", [0, 1000])
+def test_noise_that_changed_across_a_gap_is_another_from_its_end_on(lost: int) -> None:
+    """Not from its beginning, hours before: whether rows are lost, or come without a reading."""
+    x, elapsed = noise(4096) * np.repeat([1.0, 3.0], 2048), np.ones(4096 + lost)
+    x = np.insert(x, 2048, np.full(lost, np.nan))
+    elapsed[2048] = 1e6
+    whole, cut = InnovationMonitor(ALARMS), InnovationMonitor(ALARMS)
+    whole.push(x, elapsed)
+    for pair in zip(np.array_split(x, 300), np.array_split(elapsed, 300), strict=True):
+        cut.push(*pair)
+    change = whole.history.change()
+    assert change is not None
+    assert change.step == 2047 + 1e6 + lost
+    assert cut.history.change() == change
+
+
+@pytest.mark.parametrize("threshold", [1e15, np.inf])
+def test_a_threshold_that_nothing_reaches_tells_no_drift(threshold: float) -> None:
+    codes = InnovationMonitor(ALARMS._replace(drift_threshold=threshold)).push(noise(200) + 5.0)
+    assert (codes != Verdict.DRIFT).all()
+
+
+def test_steps_of_other_rows_are_refused() -> None:
+    with pytest.raises(UsageError, match="5 elapsed steps came with 100 rows"):
+        InnovationMonitor(ALARMS).push(noise(100), np.ones(5))

@@ -147,7 +147,7 @@ class SensorWatch:
             return z
         verdicts = self._faults.push(z, elapsed)
         self._verdicts = joined(self._verdicts, verdicts)
-        self._elapsed = joined(self._elapsed, elapsed)
+        self._elapsed = np.append(self._elapsed, elapsed)  # a copy: the caller may write into its own
         self.rows += len(z)
         return np.where(_ENTERS[verdicts], z, np.nan) if verdicts.any() else z
 

@@ -36,8 +36,8 @@ def read_only(values: NDArray[Number]) -> NDArray[Number]:
 
 
 def input_of(values: Floats) -> Floats:
-    """Return the one kind of array that kernels take from anywhere: contiguous, read-only."""
-    return read_only(np.ascontiguousarray(values))
+    """Return the one kind of array that kernels take from anywhere: float64, contiguous, read-only."""
+    return read_only(np.ascontiguousarray(values, dtype=np.float64))
 
 
 def frozen(values: ArrayLike) -> Floats:

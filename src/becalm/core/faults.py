@@ -15,9 +15,11 @@ from becalm.core.arrays import Booleans, Codes, Floats, Integers, input_of
 from becalm.core.kernel_faults import Rule, find_faults
 from becalm.core.limits import Limits
 from becalm.core.verdict import ADVICE, Verdict
+from becalm.errors import UsageError
 
 _TICKS = 1 << 20  # of a step, for what a row is off its time
 _TIME = 1 << 10  # of a step, for the time since the first row
+_ENDLESS = 1 << 53  # equal readings in a row: no record has so many
 _LONGEST = float(1 << 31)  # steps between two rows; beyond, time is not told
 _LATEST = 0.75  # of a step after it was due: a row that comes later is the next one, and the one due was lost
 _REFERENCES = (16, 32, 48)  # rows before, whose median is the even time
@@ -54,7 +56,8 @@ class Faults:
     def __init__(self, limits: Limits) -> None:
         self.limits = limits
         self.found: dict[Verdict, Found] = {}
-        self._rule = Rule(limits.low, limits.high, limits.largest, limits.stuck_readings or 0)
+        rails, stuck = limits.rails, min(limits.stuck_readings or 0, _ENDLESS)
+        self._rule = Rule(float(rails.low), float(rails.high), float(limits.largest), stuck)
         self._memory = np.array([np.nan, 0.0, np.inf, -np.inf])  # see `kernel_faults`
         self._rows = 0
         self._ticks = 0  # from the first row
@@ -79,7 +82,13 @@ class Faults:
         -------
         (B,) int8 array
             `USED` where nothing is. What is wrong with the reading goes before what is wrong with its time.
+
+        Raises
+        ------
+        UsageError
+            If there are not as many steps as readings.
         """
+        require_steps(elapsed, len(z))
         codes = np.zeros(len(z), dtype=np.int8)
         if not len(z):
             return codes
@@ -129,6 +138,15 @@ class Faults:
             self.found[verdict] = before._replace(readings=before.readings + int(counts[verdict]))
         self._ticks += begun + int(ticks.sum())
         self._rows += len(ticks)
+
+
+def require_steps(elapsed: Floats, rows: int) -> None:
+    """Raise a UsageError unless there is one step before each row: kernels would read beyond the last."""
+    if len(elapsed) != rows:
+        raise UsageError(
+            f"{len(elapsed)} elapsed steps came with {rows} rows; each row needs the steps since the one before it, as"
+            f" in elapsed = np.ones({rows})."
+        )
 
 
 def said(found: Mapping[Verdict, Found], limits: Limits, step_s: float) -> list[str]:

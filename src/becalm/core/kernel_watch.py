@@ -29,9 +29,9 @@ was told first began (-1: none was); rows so far; of the hop that is open, its i
 
 MEMORY = 9
 
-POWER, NOW, SUMS = 0, 1, 2
-"""What is remembered beside it: the power of the open hop, in sigma^2, and the steps from the first row of all to the
-last."""
+POWER, NOW, OPENED, SUMS = range(4)
+"""What is remembered beside it: the power of the open hop, in sigma^2; the steps from the first row of all to the last,
+and to that of the first innovation of the open hop."""
 
 
 class Hops(NamedTuple):
@@ -40,7 +40,7 @@ class Hops(NamedTuple):
     totals: Integers  # (H,) in parts of a sigma
     squares: Integers  # (H,) in parts^2
     powers: Floats  # (H,) sums of squares, in sigma^2
-    steps: Floats  # (H,) from the first row of all to that of its last innovation
+    steps: Floats  # (H,) from the first row of all to that of its first innovation
 
 
 @compiled
@@ -56,7 +56,7 @@ def watch(  # noqa: PLR0913  (a door for Python: what is read, what is remembere
     above, below = memory[ABOVE], memory[BELOW]
     above_since, below_since = memory[ABOVE_SINCE], memory[BELOW_SINCE]
     count, total, squares, open_power = memory[COUNT], memory[TOTAL], memory[SQUARES], sums[POWER]
-    before, now, found = memory[ROWS], sums[NOW], 0
+    before, now, opened, found = memory[ROWS], sums[NOW], sums[OPENED], 0
     for row in range(len(normalised)):
         now = now + elapsed[row] if before + row else 0.0
         nu = normalised[row]
@@ -72,14 +72,15 @@ def watch(  # noqa: PLR0913  (a door for Python: what is read, what is remembere
             above, below = above if above < threshold else 0, below if below < threshold else 0
         above_since = before + row + 1 if above == 0 else above_since
         below_since = before + row + 1 if below == 0 else below_since
+        opened = now if count == 0 else opened
         count, total, squares, open_power = count + 1, total + part, squares + part * part, open_power + nu * nu
         if count == HOP:
             hops.totals[found], hops.squares[found], hops.powers[found] = total, squares, open_power
-            hops.steps[found] = now
+            hops.steps[found] = opened
             count, total, squares, open_power, found = 0, 0, 0, 0.0, found + 1
     memory[ABOVE], memory[BELOW] = above, below
     memory[ABOVE_SINCE], memory[BELOW_SINCE] = above_since, below_since
     memory[COUNT], memory[TOTAL], memory[SQUARES] = count, total, squares
-    sums[POWER], sums[NOW] = open_power, now
+    sums[POWER], sums[NOW], sums[OPENED] = open_power, now, opened
     memory[ROWS] = before + len(normalised)
     return found

@@ -13,7 +13,7 @@ from scipy.special import gammainccinv, gammaincinv
 
 from becalm.core.arrays import Codes, Floats, Integers, input_of
 from becalm.core.cusum import SLACK, cusum_delay, cusum_threshold
-from becalm.core.faults import Found
+from becalm.core.faults import Found, require_steps
 from becalm.core.kernel_watch import COUNT, DRIFT_SINCE, HOP, MEMORY, NOW, PARTS, SUMS, Hops, watch
 from becalm.core.noise_change import NoiseHistory
 from becalm.core.verdict import Verdict
@@ -107,7 +107,7 @@ class _Watch:
     def __init__(self, drift_threshold: float) -> None:
         self.memory, self.sums = np.zeros(MEMORY, dtype=np.int64), np.zeros(SUMS)  # see `kernel_watch`
         self.memory[DRIFT_SINCE] = -1
-        self._threshold = int(np.ceil(drift_threshold * PARTS))
+        self._threshold = int(np.ceil(min(drift_threshold, NEVER) * PARTS))
 
     def push(self, normalised: Floats, elapsed: Floats, codes: Codes) -> Hops:
         """Take innovations (B,) and the steps before them, write DRIFT into their codes; return the hops that ended."""
@@ -208,8 +208,14 @@ class InnovationMonitor:
         -------
         (B,) int8 array
             DRIFT, DEAD or USED for each.
+
+        Raises
+        ------
+        UsageError
+            If there are not as many steps as innovations.
         """
         elapsed = np.ones(len(normalised)) if elapsed is None else elapsed
+        require_steps(elapsed, len(normalised))
         codes, open_before = np.zeros(len(normalised), dtype=np.int8), int(self._watch.memory[COUNT])
         begun = float(self._watch.sums[NOW])
         hops = self._watch.push(normalised, elapsed, codes)

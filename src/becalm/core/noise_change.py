@@ -23,7 +23,7 @@ _UNEVEN = 4.0  # times what chance leaves Gaussian noise; heavy tails have up to
 class NoiseChanged(NamedTuple):
     """A change of noise."""
 
-    step: float  # steps from the first row to the last before it, to within a block
+    step: float  # steps from the first row to where it came, to within a block
     ratio: float  # standard deviation of the innovations after it over that before
 
 
@@ -31,22 +31,22 @@ class NoiseHistory:
     """Remembers how large the innovations of one channel were, and when; blocks grow with the record."""
 
     def __init__(self) -> None:
-        self._powers, self._hop_ends = np.empty(0), np.empty(0)  # of hops that make no block yet
-        self._means, self._ends = np.empty(0), np.empty(0)
+        self._powers, self._steps = np.empty(0), np.empty(0)  # of hops that make no block yet
+        self._means, self._starts = np.empty(0), np.empty(0)
         self._size = _LEAST  # hops in a block
 
     def push(self, powers: Floats, steps: Floats) -> None:
-        """Take the next hops: the sums of their squared innovations, in sigma^2, and when each ended, in steps."""
-        powers, steps = np.append(self._powers, powers), np.append(self._hop_ends, steps)
+        """Take the next hops: the sums of their squared innovations, in sigma^2, and when each began, in steps."""
+        powers, steps = np.append(self._powers, powers), np.append(self._steps, steps)
         while len(powers) >= self._size:
             hops = min(len(powers) // self._size, _MOST - len(self._means)) * self._size
             self._means = np.append(self._means, self._mean(powers[:hops]))
-            self._ends = np.append(self._ends, steps[self._size - 1 : hops : self._size])
+            self._starts = np.append(self._starts, steps[: hops : self._size])
             powers, steps = powers[hops:], steps[hops:]
             if len(self._means) == _MOST:
                 self._means = (self._means[::2] + self._means[1::2]) / 2
-                self._ends, self._size = self._ends[1::2].copy(), 2 * self._size
-        self._powers, self._hop_ends = powers.copy(), steps.copy()
+                self._starts, self._size = self._starts[::2].copy(), 2 * self._size
+        self._powers, self._steps = powers.copy(), steps.copy()
 
     def _mean(self, powers: Floats) -> Floats:
         """Return the mean squares of blocks, by halves, so that they are the same whenever blocks grew."""
@@ -69,7 +69,7 @@ class NoiseHistory:
         at = int(np.argmin(split * np.log(before) + (count - split) * np.log(after)))
         k, ratio = int(split[at]), float(np.sqrt(after[at] / before[at]))
         told = max(ratio, 1 / ratio) >= _RATIO and all(map(self._is_even, (means[:k], means[k:])))
-        return NoiseChanged(float(self._ends[k - 1]), ratio) if told else None
+        return NoiseChanged(float(self._starts[k]), ratio) if told else None
 
     def _is_even(self, means: Floats) -> bool:
         """Whether blocks differ by no more than mean squares of noise do."""
