@@ -9,14 +9,17 @@ from scipy.optimize import bisect, minimize_scalar
 
 from becalm.classic.register import HIGHEST, LOWEST, Classic
 from becalm.core.arrays import Floats
+from becalm.metrics.delay import follow
 from becalm.metrics.truth import rms_error
 
 _LONG = 12.0  # over the cut-off: samples in which the slowest filter has settled
 _MOST = 1 << 21
 _DRAWS = 40  # times the settling, for what is not linear
 _PRECISION = 1e-4  # of a cut-off, in its logarithm
+_SHORTEST = 2.0  # periods of a cut-off in a record
+_NEAR = 0.02  # of the best cut-off
 _STRIDE = 0.7  # from one cut-off to a lower one, in its logarithm
-_GRID = 60  # cut-offs, before the best is looked for between them
+_GRID, _FEW = 60, 12  # cut-offs, before the best is looked for between them; of filters that learn, or are slow
 _SEED = 7
 
 
@@ -42,9 +45,13 @@ def lag(classic: Classic, cutoff: float) -> float:
     ramp = np.arange(2.0 * count)
     slow = float(ramp[-1] - classic.apply(ramp, cutoff)[-1])
     step = classic.apply(np.repeat([0.0, 1.0], count), cutoff)[count - 1 :]
-    first = int(np.argmax(step >= 0.5))
-    rises = step[first] - step[first - 1]
-    return max(slow, float(first - (step[first] - 0.5) / rises - 0.5))
+    return max(slow, follow(step, 1, 0.0, 1.0).delay_50)
+
+
+def overshoot(classic: Classic, cutoff: float) -> float:
+    """Return by which share of its height a filter overshoots a step, at a cut-off in cycles a sample."""
+    count = _settling(cutoff)
+    return follow(classic.apply(np.repeat([0.0, 1.0], count), cutoff), count, 0.0, 1.0).overshoot
 
 
 def equal_noise(classic: Classic, gain: float) -> float:
@@ -63,10 +70,10 @@ def best_with_truth(classic: Classic, z: Floats, truth: Floats) -> float:
     def error(log_cutoff: float) -> float:
         return rms_error(classic.clean(z, float(np.exp(log_cutoff))), truth)
 
-    grid = np.linspace(np.log(max(LOWEST, 0.1 / len(z))), np.log(HIGHEST), _GRID)
+    grid = np.linspace(np.log(max(LOWEST, _SHORTEST / len(z))), np.log(HIGHEST), _GRID if classic.calms else _FEW)
     best = int(np.argmin([error(each) for each in grid]))
-    around = grid[max(best - 1, 0)], grid[min(best + 1, _GRID - 1)]
-    found = minimize_scalar(error, bounds=around, method="bounded", options={"xatol": _PRECISION})
+    around = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
+    found = minimize_scalar(error, bounds=around, method="bounded", options={"xatol": _NEAR})
     return float(np.exp(min(grid[best], float(found.x), key=error)))
 
 

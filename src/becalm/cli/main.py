@@ -1,4 +1,4 @@
-"""The commands: inspect, clean, tune, noise, demo, warm. Rooms are loaded inside them, so that --help is quick."""
+"""The commands: inspect, clean, tune, compare, noise, demo, warm. Rooms are loaded in them, so that --help is quick."""
 
 from __future__ import annotations
 
@@ -163,6 +163,26 @@ def tune(  # noqa: PLR0913  (the contract's options)
         summary = {"file": str(file), "recipe": str(output), **found.model_dump(), "delays": told}
         print(json.dumps(summary, indent=2))  # noqa: T201
     typer.echo(f"Wrote {output}. Use it with: becalm clean {file} -o OUT --recipe {output}", err=True)
+
+
+@app.command()
+def compare(  # noqa: PLR0913  (the contract's options)
+    file: o.Source,
+    truth: o.Truth = None,
+    recipe: o.RecipeIn = None,
+    channels: o.Looked = None,
+    rate: o.Rate = None,
+    time: o.Time = None,
+    causal: o.Causal = False,
+    as_json: o.Json = False,
+) -> None:
+    """Hold becalm beside what people use today: at equal noise, at equal lag, and knowing the truth."""
+    from becalm.cli.compare import run
+
+    given = load(recipe)
+    said = Said(channels, rate, time) if given is None else Said(channels, rate, time).or_as(given)
+    with open_as(file, said) as source:
+        run(source, given, truth, causal, as_json)
 
 
 @app.command()
