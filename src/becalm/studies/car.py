@@ -14,16 +14,18 @@ import numpy as np
 
 from becalm.classic.canceller import cancel
 from becalm.cleaning.pipeline import clean
+from becalm.cleaning.tuning import tune
 from becalm.core.arrays import Floats
 from becalm.core.filtering import kalman_filter
 from becalm.core.model import Model
+from becalm.core.recording import Recording
 from becalm.core.response import describe
 from becalm.metrics.decibels import snr_db, snr_paper_db
 from becalm.metrics.delay import lag_of
 from becalm.metrics.spectrum import VEHICLE_BANDS_HZ, band_powers, welch
 from becalm.metrics.truth import rms_error
 from becalm.noise.joint import TunedModel, tune_model
-from becalm.studies.car_drive import INPUT_SNR_PAPER_DB, OUTPUT_SNR_PAPER_DB, CarDrive, simulate
+from becalm.studies.car_drive import BODY_HZ, INPUT_SNR_PAPER_DB, OUTPUT_SNR_PAPER_DB, CarDrive, simulate
 from becalm.studies.car_filters import (
     CHECKED_GAIN,
     Apart,
@@ -44,8 +46,11 @@ RECORDINGS = Path(__file__).parents[3].parent / "shared" / "data"
 AXES = ("a_x", "a_z")
 MEASURED, TRUTH = "measured", "truth"
 PRINTED, OWN = "paper's matrices", "becalm: three sensors"
-ALONE, CANCELLER = "becalm: channel by channel", "RLS canceller"
+ALONE, TOLD = "becalm: channel by channel", "becalm: channel by channel, vibration told"
+CANCELLER = "RLS canceller"
 REFERENCE_HZ = 5.0  # -3 dB of the high-pass that makes the canceller's reference
+
+_SEGMENT = 4096  # samples of Welch's segments: 0.12 Hz
 
 
 class Score(NamedTuple):
@@ -106,7 +111,7 @@ def study(recordings: Path = RECORDINGS, *, seed: int = 1, channel_by_channel: b
     own = tune_model(printed_model(known_start=False), z)
     estimates = {TRUTH: truth, MEASURED: z, PRINTED: _filtered(printed, z), OWN: _filtered(own.model, z)}
     if channel_by_channel:
-        estimates[ALONE] = clean(drive.measured, causal=True).signal.samples
+        estimates |= _alone(drive.measured)
     estimates[CANCELLER] = np.column_stack([cancel(column, REFERENCE_HZ / RATE_HZ) for column in z.T])
     models, gain = {PRINTED: printed, OWN: own.model}, settled_gain(printed)
     ratios = tuple(zip(INPUT_SNR_PAPER_DB, OUTPUT_SNR_PAPER_DB, strict=True))
@@ -115,7 +120,9 @@ def study(recordings: Path = RECORDINGS, *, seed: int = 1, channel_by_channel: b
         drive=drive,
         input_snr_paper_db=_input_ratios(drive),
         estimates=estimates,
-        scores=tuple(_score(name, axis, estimates, models.get(name)) for axis in (1, 2) for name in _filters(estimates)),
+        scores=tuple(
+            _score(name, axis, estimates, models.get(name)) for axis in (1, 2) for name in _filters(estimates)
+        ),
         left=tuple(_left(name, models[name], axis, drive) for axis in (1, 2) for name in models),
         forms=compare_forms(printed, z),
         gain=gain,
@@ -131,6 +138,17 @@ def study(recordings: Path = RECORDINGS, *, seed: int = 1, channel_by_channel: b
 
 def _filtered(model: Model, z: Floats) -> Floats:
     return kalman_filter(model, z, sigma=False, innovations=False).signal
+
+
+def _alone(measured: Recording) -> dict[str, Floats]:
+    """Clean each channel for itself, with nothing told, and with tones above the body's motion told as disturbances."""
+    recipe = tune(measured, causal=True)
+    channels = []
+    for channel in recipe.channel:
+        tones = [tone.model_copy(update={"disturbance": tone.frequency_hz > BODY_HZ[1]}) for tone in channel.tone]
+        channels.append(channel.model_copy(update={"tone": tuple(tones)}))
+    told = recipe.model_copy(update={"channel": tuple(channels)})
+    return {ALONE: clean(measured, recipe).signal.samples, TOLD: clean(measured, told).signal.samples}
 
 
 def _filters(estimates: dict[str, Floats]) -> list[str]:
@@ -176,7 +194,9 @@ def _left(name: str, model: Model, axis: int, drive: CarDrive) -> Left:
 
 
 def _bands(samples: Floats) -> tuple[dict[str, float], dict[str, float]]:
-    along, up = (band_powers(welch(samples[:, axis], RATE_HZ, 4096), VEHICLE_BANDS_HZ) for axis in (1, 2))
+    """Return the power in the vehicle's bands, from the first row on in which something is told."""
+    told = samples[np.isfinite(samples).all(axis=1)]
+    along, up = (band_powers(welch(told[:, axis], RATE_HZ, _SEGMENT), VEHICLE_BANDS_HZ) for axis in (1, 2))
     return along, up
 
 

@@ -31,7 +31,7 @@ SHARES = {"white": 0.7, "coloured": 0.2, "disturbances": 0.1}
 COLOURED_HZ = (40.0, 80.0)
 SPEED_NOISE_MPS = 0.3 / KMH
 
-_BODY, _WHEELS, _MASSES = VEHICLE_BANDS_HZ.values()
+BODY_HZ, _WHEELS_HZ, _MASSES_HZ = VEHICLE_BANDS_HZ.values()
 _KNOTS_S = (0, 4, 4.5, 9, 9.3, 9.7, 10, 16, 16.3, 16.7, 17, 26, 27, 34, 35, 40, 41, 45, 45.5, 52, 53, 60)
 _PULLS_MPS2 = (0, 0, 2.8, 2.4, 0, 0, 2, 1.6, 0, 0, 1.2, 0.8, 0, 0, -1, -1, 0, 0, -3, -2.8, 0, 0)
 _PITCH_MPS2, _HEAVE_MPS2 = 0.2, 1.0  # standard deviations of the body's motion, along and up
@@ -66,8 +66,8 @@ def simulate(seed: int = 1) -> CarDrive:
     along = np.interp(np.arange(count) / RATE_HZ, _KNOTS_S, _PULLS_MPS2)
     speed = np.cumsum(along) / RATE_HZ
     moving = np.clip(speed / 5, 0.0, 1.0)
-    along = along + moving * band_noise(rng, *_BODY, count, _PITCH_MPS2)
-    up = moving * band_noise(rng, *_BODY, count, _HEAVE_MPS2)
+    along = along + moving * band_noise(rng, *BODY_HZ, count, _PITCH_MPS2)
+    up = moving * band_noise(rng, *BODY_HZ, count, _HEAVE_MPS2)
     truth = np.column_stack([np.cumsum(along) / RATE_HZ, along, up])
     noise = _noise(rng, truth[:, 1:])
     felt = truth[:, 1:] + truth[:, :0:-1] * TRANSVERSE + sum(noise.values())
@@ -93,7 +93,7 @@ def _noise(rng: np.random.Generator, signal: Floats) -> dict[str, Floats]:
 
 def _vibration(rng: np.random.Generator, count: int) -> Floats:
     """Return wheels and masses in equal parts, (N,)."""
-    return band_noise(rng, *_WHEELS, count, 1.0) + band_noise(rng, *_MASSES, count, 1.0)
+    return band_noise(rng, *_WHEELS_HZ, count, 1.0) + band_noise(rng, *_MASSES_HZ, count, 1.0)
 
 
 def _recording(samples: Floats) -> Recording:

@@ -1,4 +1,4 @@
-"""The car paper's filter: its printed matrices, the one-step-prediction form of its Appendix B, and its settled gain."""
+"""The car paper's filter: its printed matrices, the one-step-prediction form of Appendix B, and the settled gain."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class OneStep(NamedTuple):
 
 
 def run_one_step(model: Model, z: Floats) -> OneStep:
-    """Filter readings z (N, m) in the one-step-prediction form, from the model's x0 and P0, as Appendix B is printed."""
+    """Filter readings z (N, m) in the one-step-prediction form, from x0 and P0, as Appendix B is printed."""
     assert model.x0 is not None
     assert model.P0 is not None
     belief, steps = reference.Belief(model.x0, model.P0), []
@@ -91,12 +91,11 @@ def _apart(P: Floats, other: Floats) -> float:
 def settled_gain(model: Model) -> Floats:
     """Return the settled gain (n, m) of the filtered form, from the Riccati equation."""
     P = solve_discrete_are(model.F.T, model.H.T, model.process_covariance, model.R)
-    gain: Floats = np.linalg.solve(model.H @ P @ model.H.T + model.R, model.H @ P).T
-    return gain
+    return np.asarray(np.linalg.solve(model.H @ P @ model.H.T + model.R, model.H @ P).T, dtype=np.float64)
 
 
 def white_noise_left(model: Model) -> Floats:
-    """Return the share of power with which white noise, equal on all channels, leaves each (m,), from the settled gain."""
+    """Return with which share of power (m,) white noise, equal on all channels, leaves, from the settled gain."""
     K = settled_gain(model)
     A = (np.eye(model.states) - K @ model.H) @ model.F
     left: Floats = np.diag(model.H @ solve_discrete_lyapunov(A, K @ K.T) @ model.H.T)
@@ -117,8 +116,7 @@ def response(model: Model, frequency_hz: Floats) -> Complexes:
     K = settled_gain(model)
     A = (np.eye(model.states) - K @ model.H) @ model.F
     delay = np.exp(-2j * np.pi * np.asarray(frequency_hz) * T)[:, np.newaxis, np.newaxis]
-    told: Complexes = model.H @ np.linalg.solve(np.eye(model.states) - A * delay, K.astype(np.complex128))
-    return told
+    return np.asarray(model.H @ np.linalg.solve(np.eye(model.states) - A * delay, K), dtype=np.complex128)
 
 
 class Reach(NamedTuple):

@@ -52,6 +52,7 @@ class RealCar(NamedTuple):
     accelerometer_rms: float  # m/s^2, as estimated without the speed
     raw_correlation: float
     estimate_correlation: float
+    alone_correlation: float
     hidden_rms: float  # m/s, speed estimated where it was hidden, the accelerometer being read
     held_rms: float  # m/s, the last speed held instead
     hidden_count: int
@@ -105,6 +106,7 @@ def study_real_car(recordings: Path) -> RealCar | None:
         accelerometer_rms=rms(without_speed[:, 1]),
         raw_correlation=correlation(z[:, 1]),
         estimate_correlation=correlation(estimate[:, 1]),
+        alone_correlation=correlation(without_speed[:, 1]),
         **_hide(times, z, fitted)._asdict(),
     )
 
@@ -129,15 +131,16 @@ def run_three_sensors(times_s: Floats, readings: Floats, fitted: Fitted, *, all_
 
 def fit(times_s: Floats, readings: Floats) -> Fitted:
     """Find densities and noise by likelihood, from rough guesses on."""
-    rough = np.log([10.0, 10.0, 0.05, *(np.nanstd(readings[:, k]) / 2 for k in (1, 2))])
+    spread = [float(np.nanstd(readings[:, k])) / 2 for k in (1, 2)]
+    rough = np.log([10.0, 10.0, 0.05, *spread])
 
     def cost(theta: Floats) -> float:
-        numbers = np.exp(theta)
+        numbers: Floats = np.exp(theta)
         tried = Fitted(numbers[:2], numbers[2:])
         return -run_three_sensors(times_s, readings, tried, all_of_it=False).log_likelihood
 
-    options = {"maxfev": _EVALUATIONS, "xatol": 1e-2, "fatol": 0.1}
-    found = np.exp(minimize(cost, rough, method="Nelder-Mead", options=options).x)
+    best = minimize(cost, rough, method="Nelder-Mead", options={"maxfev": _EVALUATIONS, "xatol": 1e-2, "fatol": 0.1})
+    found: Floats = np.exp(np.asarray(best.x))
     return Fitted(found[:2], found[2:])
 
 
@@ -170,5 +173,5 @@ def _hide(times_s: Floats, readings: Floats, fitted: Fitted) -> _Hidden:
     told = run_three_sensors(times_s, shown, fitted).signal[:, 0]
     last = np.maximum.accumulate(np.where(np.isfinite(shown[:, 0]), np.arange(len(shown)), 0))
     true = readings[hidden, 0]
-    errors = [values[hidden] - true for values in (told, shown[last, 0])]
-    return _Hidden(*(float(np.sqrt(np.mean(error**2))) for error in errors), int(hidden.sum()))
+    by_filter, by_holding = (float(np.sqrt(np.mean((v[hidden] - true) ** 2))) for v in (told, shown[last, 0]))
+    return _Hidden(by_filter, by_holding, int(hidden.sum()))
