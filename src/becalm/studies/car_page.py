@@ -157,7 +157,7 @@ def _reasons(found: CarStudy) -> str:
             f" Here most of what is left in the error is {shares}."
         )
     return (
-        "## Why 17 and 39 are not reached\n\n"
+        "## Why the printed matrices do not reach 17 and 39 here\n\n"
         + "\n".join(reasons)
         + "\n\nThe paper does not say how it knew the signal z without its noise. Its equation (13) holds of a filter"
         " that is optimal for what it filters; of any other, the error cannot be told from the output."
