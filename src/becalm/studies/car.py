@@ -25,7 +25,7 @@ from becalm.metrics.delay import lag_of
 from becalm.metrics.spectrum import VEHICLE_BANDS_HZ, band_powers, welch
 from becalm.metrics.truth import rms_error
 from becalm.noise.joint import TunedModel, tune_model
-from becalm.studies.car_drive import BODY_HZ, INPUT_SNR_PAPER_DB, OUTPUT_SNR_PAPER_DB, CarDrive, simulate
+from becalm.studies.car_drive import BODY_HZ, INPUT_SNR_PAPER_DB, OTHER_SHARES, OUTPUT_SNR_PAPER_DB, CarDrive, simulate
 from becalm.studies.car_filters import (
     CHECKED_GAIN,
     Apart,
@@ -74,6 +74,14 @@ class Left(NamedTuple):
     stays: dict[str, float]  # after it; "signal" is what the filter itself did to the signal
 
 
+class Other(NamedTuple):
+    """What becomes of rms errors, in m/s^2 along and up, where the kinds of noise have other shares."""
+
+    shares: dict[str, float]
+    printed: tuple[float, float]
+    own: tuple[float, float]
+
+
 class CarStudy(NamedTuple):
     """All numbers and curves of the study; pairs and (2,) arrays are along and up."""
 
@@ -90,6 +98,7 @@ class CarStudy(NamedTuple):
     reach: tuple[Reach, Reach]
     bands: dict[str, tuple[dict[str, float], dict[str, float]]]  # power by filter, of each axis, in each band
     own: TunedModel
+    others: tuple[Other, ...]
     real: RealCar | None
 
 
@@ -132,8 +141,19 @@ def study(recordings: Path = RECORDINGS, *, seed: int = 1, channel_by_channel: b
         reach=(along, up),
         bands={name: _bands(values) for name, values in estimates.items()},
         own=own,
+        others=tuple(_other(shares, seed) for shares in OTHER_SHARES),
         real=study_real_car(recordings),
     )
+
+
+def _other(shares: dict[str, float], seed: int) -> Other:
+    drive = simulate(seed, shares)
+    z, truth = drive.measured.samples, drive.truth.samples
+    models = printed_model(), tune_model(printed_model(known_start=False), z).model
+    printed, own = (
+        (rms_error(s[:, 1], truth[:, 1]), rms_error(s[:, 2], truth[:, 2])) for s in (_filtered(m, z) for m in models)
+    )
+    return Other(shares, printed, own)
 
 
 def _filtered(model: Model, z: Floats) -> Floats:

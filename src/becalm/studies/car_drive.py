@@ -7,6 +7,7 @@ Body motion counts as signal, vibrations of wheels and masses as disturbances.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -27,6 +28,13 @@ KMH = 3.6
 
 SHARES = {"white": 0.7, "coloured": 0.2, "disturbances": 0.1}
 """Of the power of an accelerometer's noise; the paper names the kinds, not how much of each."""
+
+OTHER_SHARES = (
+    {"white": 0.98, "coloured": 0.01, "disturbances": 0.01},
+    {"white": 0.4, "coloured": 0.2, "disturbances": 0.4},
+    {"white": 0.3, "coloured": 0.6, "disturbances": 0.1},
+)
+"""Drives with more white noise, more disturbances, and more coloured noise."""
 
 COLOURED_HZ = (40.0, 80.0)
 SPEED_NOISE_MPS = 0.3 / KMH
@@ -53,13 +61,15 @@ class CarDrive(NamedTuple):
         return _recording(np.column_stack([self.speed_kmh / KMH, accelerations]))
 
 
-def simulate(seed: int = 1) -> CarDrive:
+def simulate(seed: int = 1, shares: Mapping[str, float] = SHARES) -> CarDrive:
     """Drive for a minute: pull away through three gears, cruise, slow down, brake.
 
     Parameters
     ----------
     seed : int
         Of road and noise.
+    shares : mapping of str to float
+        Of the power of an accelerometer's noise, by kind.
     """
     rng = np.random.default_rng(seed)
     count = round(DURATION_S * RATE_HZ)
@@ -69,7 +79,7 @@ def simulate(seed: int = 1) -> CarDrive:
     along = along + moving * band_noise(rng, *BODY_HZ, count, _PITCH_MPS2)
     up = moving * band_noise(rng, *BODY_HZ, count, _HEAVE_MPS2)
     truth = np.column_stack([np.cumsum(along) / RATE_HZ, along, up])
-    noise = _noise(rng, truth[:, 1:])
+    noise = _noise(rng, truth[:, 1:], shares)
     felt = truth[:, 1:] + truth[:, :0:-1] * TRANSVERSE + sum(noise.values())
     held = np.clip(felt / GRAVITY_MPS2, -RANGE_G, RANGE_G)
     speed_kmh = KMH * (truth[:, 0] + SPEED_NOISE_MPS * rng.normal(size=count))
@@ -77,7 +87,7 @@ def simulate(seed: int = 1) -> CarDrive:
     return CarDrive(held * SENSITIVITY_V_PER_G, speed_kmh, _recording(truth), noise, beyond)
 
 
-def _noise(rng: np.random.Generator, signal: Floats) -> dict[str, Floats]:
+def _noise(rng: np.random.Generator, signal: Floats, shares: Mapping[str, float]) -> dict[str, Floats]:
     """Return noise of each kind, (N, 2), with the input signal-to-noise ratios that the paper prints."""
     shape = signal.shape
     power = np.mean(signal**2, axis=0) / 10 ** (np.array(INPUT_SNR_PAPER_DB) / 20)  # 20 log10 of a ratio of powers
@@ -86,7 +96,7 @@ def _noise(rng: np.random.Generator, signal: Floats) -> dict[str, Floats]:
         "coloured": np.column_stack([band_noise(rng, *COLOURED_HZ, len(signal), 1.0) for _ in range(2)]),
         "disturbances": np.column_stack([_vibration(rng, len(signal)) for _ in range(2)]),
     }
-    noise = {name: values * np.sqrt(SHARES[name] / np.mean(values**2, axis=0)) for name, values in kinds.items()}
+    noise = {name: values * np.sqrt(shares[name] / np.mean(values**2, axis=0)) for name, values in kinds.items()}
     total = np.mean(sum(noise.values()) ** 2, axis=0)
     return {name: values * np.sqrt(power / total) for name, values in noise.items()}
 

@@ -38,7 +38,16 @@ def page(found: CarStudy, drawn: Sequence[Path] = ()) -> str:
     drawn : sequence of Path
         Figures, beside the page; where there are none the page says why.
     """
-    parts = [_opening(), _drive(found), _forms(found), _white(found), _scores(found), _reasons(found), _left(found)]
+    parts = [
+        _opening(),
+        _drive(found),
+        _forms(found),
+        _white(found),
+        _scores(found),
+        _others(found),
+        _reasons(found),
+        _left(found),
+    ]
     return "\n\n".join([*parts, _bands(found), _real(found), _figures(drawn)]) + "\n"
 
 
@@ -110,6 +119,31 @@ def _scores(found: CarStudy) -> str:
         " that gains depends on the speedometer's noise, which the paper does not print."
     )
     return f"## The table\n\n{_table(head, rows)}\n\nRms errors are in m/s².\n\n{own}{_alone(found)}"
+
+
+def _others(found: CarStudy) -> str:
+    head = [
+        "white",
+        "coloured",
+        "disturbances",
+        "a_x, paper's matrices",
+        "a_x, three sensors",
+        "a_z",
+        "a_z, three sensors",
+    ]
+    rows = [
+        [
+            *(f"{share:.0%}" for share in other.shares.values()),
+            *(f"{e:.3f}" for k in (0, 1) for e in (other.printed[k], other.own[k])),
+        ]
+        for other in found.others
+    ]
+    lost = sum(o > p for other in found.others for o, p in zip(other.own, other.printed, strict=True))
+    return (
+        "## Other shares of noise\n\nThe shares above are a choice. Rms errors in m/s² with others; in"
+        f" {lost} of {2 * len(rows)} cases the three sensors with likelihood err more than the paper's matrices. Their"
+        " model knows white noise only: what else is strong enough it takes for motion.\n\n" + _table(head, rows)
+    )
 
 
 def _alone(found: CarStudy) -> str:
