@@ -1,4 +1,4 @@
-"""The commands: inspect, clean, tune, compare, noise, demo, warm. Rooms are loaded in them, so that --help is quick."""
+"""The commands: inspect, clean, tune, compare, noise, study, demo, warm; rooms are loaded inside them."""
 
 from __future__ import annotations
 
@@ -201,6 +201,17 @@ def noise(  # noqa: PLR0913  (the contract's options)
     spans_s, cutoff_hz = o.still_of(still), None if cutoff is None else o.frequency_of("--cutoff", cutoff)
     with open_as(file, Said(channels, rate, time)) as source:
         run(source, spans_s, cutoff_hz, as_json)
+
+
+@app.command()
+def study(
+    paper: Annotated[str, typer.Argument(metavar="car|imu|strain", help="Which paper.")],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the page.")] = Path("study"),
+) -> None:
+    """Re-run one of the three papers that becalm grew from: its tables beside ours, its figures redrawn."""
+    from becalm.cli.study import run
+
+    run(paper, output)
 
 
 @app.command()
