@@ -98,8 +98,8 @@ def _surface(figure: Any, study: Study) -> None:
         axes.plot(*ends.T, "wo", mec="black", label="simplex ended")
         axes.plot(np.log10(printed.tuned_noise), np.log10(printed.tuned_process), "r*", ms=10, label="paper")
         axes.set(title=sensor, xlabel="log10 R", ylabel="log10 Q")
-        axes.set(xlim=(-12.5, 0.5), ylim=(held.log_process[0] - 1.5, held.log_process[-1] + 1.5))
-        axes.legend(fontsize=7, loc="lower right")
+        axes.set(xlim=held.log_noise[[0, -1]], ylim=held.log_process[[0, -1]])
+        axes.legend(fontsize=7, loc="lower right", facecolor="0.6")
 
 
 def _optimum(figure: Any, study: Study) -> None:

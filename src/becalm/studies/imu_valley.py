@@ -17,7 +17,7 @@ SEEDS = range(5)
 STARTS = ((1e-3, 1.0), (1.0, 1e-3))
 """Of R and Q, in unit^2, beside table 1's own, for the search in both."""
 
-_DECADES = np.arange(-12.0, 1.0)
+_DECADES = np.arange(-13.0, 2.0)
 _RAISED = 2  # decades of Q above R
 _BELOW_HZ = (5.0, 500.0)
 _SHOWN_HZ = (50.0, 500.0)
