@@ -161,12 +161,13 @@ def _valley(study: Study) -> str:
 
 The cost is the squared lag behind a step, summed over time until the output reaches it, plus the amplitude density of
 the output at rest, summed over frequency. Only Q/R sets the gain. So J is a valley: along Q/R = constant, over the
-decades of figure 8, it varies by {floors} of itself, and the R and Q of table 2 are one point of many that are as
-good. Only Q/R is an answer. On white noise of table 1's variance, {len(found.ratios)} records, median (least to most):
+decades of figure 8, it varies by {floors} of itself, and the R and Q of table 2 are one point of many with
+the same gain. Only Q/R is an answer. (Filters start from their first readings here; the paper's P0 of ones would tilt
+the floor a little.) On white noise of table 1's variance, {len(found.ratios)} records, median (least to most):
 
 {optima}
-A search over Q/R ends at one place. Nelder and Mead's simplex in R and Q finds the same ratio, and stops where on the
-floor its start has led it:
+A search over Q/R ends at one place. Nelder and Mead's simplex in R and Q (in their logarithms) finds the same ratio, and
+stops where on the floor its start has led it:
 
 {searches}
 """
