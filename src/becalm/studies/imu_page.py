@@ -166,8 +166,8 @@ the same gain. Only Q/R is an answer. (Filters start from their first readings h
 the floor a little.) On white noise of table 1's variance, {len(found.ratios)} records, median (least to most):
 
 {optima}
-A search over Q/R ends at one place. Nelder and Mead's simplex in R and Q (in their logarithms) finds the same ratio, and
-stops where on the floor its start has led it:
+A search over Q/R ends at one place. Nelder and Mead's simplex in R and Q (in their logarithms) finds the same ratio,
+and stops where on the floor its start has led it:
 
 {searches}
 """
