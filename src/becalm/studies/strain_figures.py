@@ -14,6 +14,7 @@ from becalm.studies.strain_methods import AVERAGE, BECALM, BUTTERWORTH, KALMAN, 
 
 _POINTS = 1200  # across a figure
 _ZOOM_S = 30.0
+_DRAWN = ("G of the simulation, R at rest", "G by likelihood, R at rest", "becalm, smoothed")  # others hide each other
 _LOOK: Any = {"svg.hashsalt": "becalm", "svg.fonttype": "none", "font.size": 9, "lines.linewidth": 1.0}
 
 
@@ -69,8 +70,8 @@ def _real(gauge: Gauge, until_s: float) -> Lines:
     first = gauge.time_s - gauge.time_s[0] < until_s
     lines = {READINGS: _envelope(gauge.time_s[first], gauge.readings[first])}
     every = max(1, int(first.sum()) // _POINTS)
-    for name, trial in gauge.trials.items():
-        lines[name] = gauge.time_s[first][::every], trial.output[first][::every]
+    for name in _DRAWN:
+        lines[name] = gauge.time_s[first][::every], gauge.trials[name].output[first][::every]
     return lines
 
 

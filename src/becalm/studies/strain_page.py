@@ -20,6 +20,7 @@ from becalm.studies.strain_methods import (
     TRIED,
 )
 
+REFERENCE_RUNS = 20
 REFERENCE = {
     KALMAN: (0.0089, 0.0184, 0.0309),
     BUTTERWORTH: (0.0433, 0.0453, 0.0494),
@@ -76,7 +77,7 @@ Rms error, mean of the runs and its standard error.
 
 {_table(["filter", *head], rows)}
 
-"An earlier re-run" is one of the same equations with other noise, {RUNS} runs too.
+"An earlier re-run" is one of the same equations with other noise, mean of {REFERENCE_RUNS} runs.
 
 {_verdict(study)} {_start(study)}"""
 
