@@ -1,11 +1,19 @@
-"""Causal classic filters: Butterworth low-pass and moving average."""
+"""Causal classic filters, which know no later reading: Butterworth, averages, median, fading memory, notch.
+
+All take readings (N,) without gaps and a dial in cycles a sample, 0 to 0.5; a *small* cut-off smooths more and lags
+more. They start as if the first reading had always been there.
+"""
 
 from __future__ import annotations
 
 import numpy as np
-from scipy.signal import butter, sosfilt, sosfilt_zi
+from scipy.ndimage import median_filter
+from scipy.signal import butter, iirnotch, lfilter, lfilter_zi, sosfilt, sosfilt_zi, tf2sos
 
 from becalm.core.arrays import Floats
+
+HALF_POWER = 0.443
+"""Cut-off times length of an average, in the limit of long ones: sinc(0.443) is -3 dB."""
 
 
 def butterworth(z: Floats, cutoff: float, order: int) -> Floats:
@@ -32,3 +40,47 @@ def moving_average(z: Floats, length: int) -> Floats:
     first = np.maximum(rows - length, 0)
     averaged: Floats = (total[rows] - total[first]) / (rows - first) + z[0]
     return averaged
+
+
+def moving_median(z: Floats, length: int) -> Floats:
+    """Return the median of each reading of z (N,) and the `length` - 1 (even) before it; a *small* length trusts z."""
+    started = np.concatenate([np.full(length - 1, z[0]), z])
+    filtered: Floats = median_filter(started, length, origin=(length - 1) // 2, mode="nearest")[length - 1 :]
+    return filtered
+
+
+def fading_memory(z: Floats, cutoff: float, order: int) -> Floats:
+    """Filter z (N,) by the exponential average (order 1), the alpha-beta (2) or the alpha-beta-gamma filter (3).
+
+    Parameters
+    ----------
+    z : (N,) float array
+        Readings.
+    cutoff : float
+        Of the poles, in cycles a sample: theta = exp(-2 pi cutoff); a *small* one smooths more and lags more.
+    order : int
+        1 to 3: of the error of a polynomial of a lower degree nothing is left.
+
+    Notes
+    -----
+    Critically damped: what is not followed is theta^n (1 - 1/z)^n / (1 - theta/z)^n. Source: Brookner, Tracking and
+    Kalman Filtering Made Easy (1998), chapter 1.
+    """
+    theta = float(np.exp(-2 * np.pi * cutoff))
+    behind = np.poly(np.full(order, theta))
+    ahead = behind - theta**order * np.poly(np.ones(order))
+    filtered: Floats = lfilter(ahead, behind, z, zi=lfilter_zi(ahead, behind) * z[0])[0]
+    return filtered
+
+
+def notch(z: Floats, frequency: float, quality: float = 30.0) -> Floats:
+    """Take one frequency, in cycles a sample, out of z (N,); a *small* quality takes a wide band, and rings shortly."""
+    sos = tf2sos(*iirnotch(2 * frequency, quality))
+    filtered: Floats = sosfilt(sos, z, zi=sosfilt_zi(sos) * z[0])[0]
+    return filtered
+
+
+def length_of(cutoff: float, odd: bool = False) -> int:
+    """Return how many readings an average takes for a cut-off in cycles a sample; 1 at the least."""
+    length = HALF_POWER / cutoff
+    return 2 * round((length - 1) / 2) + 1 if odd else max(1, round(length))

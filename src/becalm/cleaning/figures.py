@@ -6,7 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from becalm.cleaning.report import ModeReport
+from becalm.cleaning.modes import modes_in_steps
+from becalm.cleaning.recipe import ChannelRecipe
+from becalm.cleaning.report import ChannelReport, ModeReport
+from becalm.cleaning.steps import in_steps
 from becalm.core.components import Component
 from becalm.core.response import Response, describe
 from becalm.core.switching import Switching
@@ -63,6 +66,24 @@ def mode_figures(switching: Switching, shares: dict[str, float], step_s: float, 
             told = ModeReport(shares[mode.name], found.bandwidth_hz, lag_s, left)
         modes[mode.name] = told
     return Figures(modes=modes)
+
+
+def response_of(channel: ChannelRecipe, report: ChannelReport, step_s: float, causal: bool) -> Response | None:
+    """Describe the filter of a channel, of one that switches in the mode that was most in force.
+
+    Returns
+    -------
+    Response or None
+        None of a channel that passes unchanged, or of a filter that never settles.
+    """
+    if channel.motion is None:
+        return None
+    tuning = in_steps(channel.motion, step_s)
+    if channel.switching is None:
+        return _response(tuning.component, tuning.noise_variance, step_s, causal=causal)
+    modes = {mode.name: mode for mode in modes_in_steps(channel.switching, tuning, step_s).modes}
+    most = modes[max(report.modes, key=lambda name: report.modes[name].share)]
+    return _response(most.component, most.noise_variance, step_s, causal=causal)
 
 
 def _response(component: Component, noise_variance: float, step_s: float, *, causal: bool) -> Response | None:

@@ -1,4 +1,4 @@
-"""The commands: inspect, clean, tune, noise, demo, warm. Rooms are loaded inside them, so that --help is quick."""
+"""The commands: inspect, clean, tune, compare, noise, study, demo, warm; rooms are loaded inside them."""
 
 from __future__ import annotations
 
@@ -166,6 +166,26 @@ def tune(  # noqa: PLR0913  (the contract's options)
 
 
 @app.command()
+def compare(  # noqa: PLR0913  (the contract's options)
+    file: o.Source,
+    truth: o.Truth = None,
+    recipe: o.RecipeIn = None,
+    channels: o.Looked = None,
+    rate: o.Rate = None,
+    time: o.Time = None,
+    causal: o.Causal = False,
+    as_json: o.Json = False,
+) -> None:
+    """Hold becalm beside what people use today: at equal noise, at equal lag, and knowing the truth."""
+    from becalm.cli.compare import run
+
+    given = load(recipe)
+    said = Said(channels, rate, time) if given is None else Said(channels, rate, time).or_as(given)
+    with open_as(file, said) as source:
+        run(source, given, truth, causal, as_json)
+
+
+@app.command()
 def noise(  # noqa: PLR0913  (the contract's options)
     file: o.Source,
     channels: o.Looked = None,
@@ -181,6 +201,17 @@ def noise(  # noqa: PLR0913  (the contract's options)
     spans_s, cutoff_hz = o.still_of(still), None if cutoff is None else o.frequency_of("--cutoff", cutoff)
     with open_as(file, Said(channels, rate, time)) as source:
         run(source, spans_s, cutoff_hz, as_json)
+
+
+@app.command()
+def study(
+    paper: Annotated[str, typer.Argument(metavar="car|imu|strain", help="Which paper.")],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the page.")] = Path("study"),
+) -> None:
+    """Re-run one of the three papers that becalm grew from: its tables beside ours, its figures redrawn."""
+    from becalm.cli.study import run
+
+    run(paper, output)
 
 
 @app.command()

@@ -19,6 +19,9 @@ Source = Annotated[Path, typer.Argument(metavar="FILE", help="Recording: CSV (al
 Output = Annotated[Path, typer.Option("-o", "--output", metavar="OUT", help="Where to write; format by file ending.")]
 RecipeOut = Annotated[Path, typer.Option("-o", "--output", metavar="R.toml", help="Where to write the recipe.")]
 RecipeIn = Annotated[Path | None, typer.Option("--recipe", metavar="R.toml", help="Do as this recipe says.")]
+Truth = Annotated[
+    Path | None, typer.Option("--truth", metavar="FILE", help="What is true: the same channels at the same rows.")
+]
 Channels = Annotated[
     str | None, typer.Option("--channels", metavar="a,b", help="Clean these channels; the others pass through.")
 ]

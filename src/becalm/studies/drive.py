@@ -34,16 +34,16 @@ def simulate(seed: int = 1) -> Drive:
     t = np.arange(int(DURATION_S * RATE_HZ)) / RATE_HZ
     knots_s = [0, 3, 4, 12, 13, 25, 25.5, 30, 30.5, 36, 37, 44, 45, 50, 50.2, 54, 54.3, 60]
     pulls = [0, 0, 2.2, 1.2, 0, 0, -3, -3, 0, 0, 2.5, 1, 0, 0, -6.5, -6.5, 0, 0]
-    along = np.interp(t, knots_s, pulls) + _band(rng, 1.0, 3.0, len(t), 0.12)
+    along = np.interp(t, knots_s, pulls) + band_noise(rng, 1.0, 3.0, len(t), 0.12)
     speed = np.cumsum(along) / RATE_HZ + 2.0
     moving = np.clip(speed / 10, 0.2, 1.5)
-    up = moving * (_band(rng, 1.0, 3.0, len(t), 0.5) + _band(rng, 4.0, 8.0, len(t), 0.4))
+    up = moving * (band_noise(rng, 1.0, 3.0, len(t), 0.5) + band_noise(rng, 4.0, 8.0, len(t), 0.4))
     truth = np.column_stack([speed, along, up])
     measured = truth + rng.normal(size=truth.shape) * NOISE_STD
     return Drive(_recording(measured), _recording(truth))
 
 
-def _band(rng: np.random.Generator, low_hz: float, high_hz: float, count: int, std: float) -> Floats:
+def band_noise(rng: np.random.Generator, low_hz: float, high_hz: float, count: int, std: float) -> Floats:
     """Return Gaussian noise of a band, (count,), with the standard deviation asked."""
     sos = butter(2, [low_hz, high_hz], "bandpass", fs=RATE_HZ, output="sos")
     noise: Floats = sosfilt(sos, rng.normal(size=count))

@@ -1,0 +1,108 @@
+"""What people use today, each with one dial: the cut-off in cycles a sample; a *small* one smooths more."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from becalm.classic.bridging import held, joined_by_lines
+from becalm.classic.canceller import cancel
+from becalm.classic.causal import butterworth, fading_memory, length_of, moving_average, moving_median
+from becalm.classic.zero_phase import (
+    butterworth_both_ways,
+    centred_average,
+    centred_median,
+    hampel,
+    savitzky_golay,
+    whittaker,
+)
+from becalm.core.arrays import Floats
+
+LOWEST, HIGHEST = 1e-5, 0.49
+"""Cut-offs that are looked at, in cycles a sample."""
+
+
+class Classic(NamedTuple):
+    """A classic filter.
+
+    Attributes
+    ----------
+    name : str
+        As engineers call it.
+    causal : bool
+        Whether it knows no later reading.
+    apply : callable
+        Takes readings (N,) without gaps, and a cut-off.
+    calms : bool
+        Whether it lowers white noise as its dial is turned down; Hampel's only leaves spikes out, and the canceller
+        learns.
+    linear : bool
+        Whether its response to an impulse tells all.
+    """
+
+    name: str
+    causal: bool
+    apply: Callable[[Floats, float], Floats]
+    calms: bool = True
+    linear: bool = True
+
+    def clean(self, z: Floats, cutoff: float) -> Floats:
+        """Filter readings of one channel.
+
+        Parameters
+        ----------
+        z : (N,) float array
+            NaN where missing: causal filters hold the last reading there, others join neighbours by a line.
+        cutoff : float
+            In cycles a sample, 0 to 0.5; a *small* one smooths more.
+
+        Returns
+        -------
+        (N,) float array
+            All NaN where nothing was read.
+        """
+        bridged = held(z) if self.causal else joined_by_lines(z)
+        return self.apply(bridged, cutoff) if np.isfinite(bridged).all() else bridged.copy()
+
+
+def _of_length(average: Callable[[Floats, int], Floats], *, odd: bool) -> Callable[[Floats, float], Floats]:
+    """Turn the dial of a window: its length for a cut-off, no longer than the record."""
+
+    def apply(z: Floats, cutoff: float) -> Floats:
+        most = len(z) - 1 + len(z) % 2 if odd else len(z)
+        return average(z, min(length_of(cutoff, odd), most))
+
+    return apply
+
+
+def _savitzky_golay(z: Floats, cutoff: float, degree: int) -> Floats:
+    """Turn the dial of Savitzky and Golay, as Schafer, IEEE Signal Processing Magazine 28(4) (2011) 111."""
+    half = max(degree // 2 + 1, round(((degree + 1) / (2 * cutoff) + 4.6) / 3.2))
+    length = min(2 * half + 1, len(z) - 1 + len(z) % 2)
+    return savitzky_golay(z, length, degree) if length > degree else z.copy()
+
+
+CAUSAL = (
+    *(Classic(f"Butterworth {n}", True, partial(butterworth, order=n)) for n in (1, 2, 4)),
+    Classic("moving average", True, _of_length(moving_average, odd=False)),
+    Classic("moving median", True, _of_length(moving_median, odd=True), linear=False),
+    Classic("exponential average", True, partial(fading_memory, order=1)),
+    Classic("alpha-beta", True, partial(fading_memory, order=2)),
+    Classic("alpha-beta-gamma", True, partial(fading_memory, order=3)),
+    Classic("RLS canceller", True, cancel, calms=False, linear=False),
+)
+
+ZERO_PHASE = (
+    *(Classic(f"Butterworth {n} both ways", False, partial(butterworth_both_ways, order=n)) for n in (1, 2, 4)),
+    Classic("centred average", False, _of_length(centred_average, odd=True)),
+    Classic("centred median", False, _of_length(centred_median, odd=True), linear=False),
+    *(Classic(f"Savitzky-Golay {degree}", False, partial(_savitzky_golay, degree=degree)) for degree in (2, 3, 4, 5)),
+    *(Classic(f"Whittaker {order}", False, partial(whittaker, order=order)) for order in (1, 2, 3)),
+    Classic("Hampel", False, _of_length(hampel, odd=True), calms=False, linear=False),
+)
+
+CLASSICS = {classic.name: classic for classic in (*CAUSAL, *ZERO_PHASE)}
+"""Every classic filter by its name."""

@@ -1,0 +1,203 @@
+"""becalm beside what people use today, on the same recording: at equal noise, at equal lag, and best with truth."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from becalm.classic.matching import best_with_truth, equal_lag, equal_noise, lag, noise_gain, overshoot
+from becalm.classic.register import CAUSAL, HIGHEST, LOWEST, ZERO_PHASE, Classic
+from becalm.cleaning.figures import response_of
+from becalm.cleaning.pipeline import Cleaned, clean
+from becalm.cleaning.recipe import Recipe
+from becalm.core.arrays import Floats
+from becalm.core.recording import Recording
+from becalm.core.response import Response, decibels
+from becalm.errors import RecordingError, UsageError
+from becalm.metrics.delay import lag_of
+from becalm.metrics.truth import rms_error
+
+BECALM = "becalm"
+RULES = ("equal noise", "equal lag", "best with truth")
+
+_LOOKED_AT = 50_000  # rows, of a longer record, that the best setting is looked for in
+_ENDS = 1.01  # of the dial, within which a setting is its end and no match
+
+
+class Contender(NamedTuple):
+    """One filter of one channel.
+
+    Attributes
+    ----------
+    name : str
+        "becalm", or that of a classic filter.
+    rule : str
+        How its setting was found: "" of becalm, or one of `RULES`.
+    cutoff_hz : float or None
+        The setting of a classic filter.
+    noise_removed_db : float or None
+        Of white noise: 10 log10 of its variance before over after; None where a filter learns, or switches.
+    lag_s : float or None
+        Delay of a slow signal or of a step at half height, whichever is longer.
+    overshoot_percent : float or None
+        Of a step.
+    rms_error : float or None
+        From the truth, in unit, where it is known.
+    measured_lag_s : float or None
+        By which the output trails the truth, where it is known, by their correlation.
+    """
+
+    name: str
+    rule: str = ""
+    cutoff_hz: float | None = None
+    noise_removed_db: float | None = None
+    lag_s: float | None = None
+    overshoot_percent: float | None = None
+    rms_error: float | None = None
+    measured_lag_s: float | None = None
+
+
+class ChannelComparison(NamedTuple):
+    """All contenders of one channel; becalm's is the first."""
+
+    name: str
+    unit: str
+    contenders: tuple[Contender, ...]
+    says: str  # what becalm says of its own
+
+
+class Comparison(NamedTuple):
+    """What came out of all filters."""
+
+    causal: bool
+    channels: tuple[ChannelComparison, ...]
+    cleaned: Cleaned
+
+
+class _Readings(NamedTuple):
+    """One channel, for a classic filter."""
+
+    z: Floats
+    truth: Floats | None
+    step_s: float
+
+
+def compare(
+    recording: Recording,
+    recipe: Recipe | None = None,
+    *,
+    truth: Recording | None = None,
+    causal: bool | None = None,
+    channels: Sequence[str] | None = None,
+) -> Comparison:
+    """Clean a recording, and hold every classic filter beside it.
+
+    Parameters
+    ----------
+    recording : Recording
+        Samples (N, m) in even time, NaN where missing.
+    recipe : Recipe, optional
+        As of `clean`.
+    truth : Recording, optional
+        What is true, (N, .): channels of the same names, at the same times. Then each classic filter also gets
+        the setting that has the least rms error *knowing the truth*.
+    causal : bool, optional
+        As of `clean`: causal filters beside a filter, filters without lag beside a smoother.
+    channels : sequence of str, optional
+        Names of the channels to compare; all by default.
+
+    Raises
+    ------
+    UsageError
+        If the recipe waits for a lag, which no classic filter does.
+    RecordingError
+        If the truth has other rows, or not the channels.
+    """
+    cleaned = clean(recording, recipe, causal=causal, channels=channels)
+    if cleaned.recipe.mode == "lagged":
+        raise UsageError("No classic filter waits for a lag; compare a filter (--causal) or a smoother.")
+    true = None if truth is None else _fitting(truth, recording, cleaned)
+    is_causal, step_s = cleaned.recipe.mode == "causal", recording.timebase.step_s
+    told = []
+    for place, (channel, report) in enumerate(zip(cleaned.recipe.channel, cleaned.reports, strict=True)):
+        readings = _Readings(
+            np.ascontiguousarray(recording.channel(channel.name)), None if true is None else true[:, place], step_s
+        )
+        own = response_of(channel, report, step_s, is_causal)
+        contenders = (
+            _becalm(cleaned.signal.samples[:, place], readings, own),
+            *_classics(readings, own, is_causal),
+        )
+        told.append(ChannelComparison(channel.name, channel.unit, contenders, report.says))
+    return Comparison(is_causal, tuple(told), cleaned)
+
+
+def _fitting(truth: Recording, recording: Recording, cleaned: Cleaned) -> Floats:
+    """Return the true channels (N, m) in the order of those that were cleaned."""
+    names = [channel.name for channel in cleaned.recipe.channel]
+    missing = [name for name in names if name not in truth.names]
+    if missing:
+        raise RecordingError(
+            f"The truth has no channel {missing[0]!r}; it has {', '.join(map(repr, truth.names))}."
+            " Name the channels that it has with --channels."
+        )
+    if len(truth.samples) != len(recording.samples):
+        raise RecordingError(
+            f"The truth has {len(truth.samples)} rows, the recording {len(recording.samples)}; give the truth of the"
+            " same rows."
+        )
+    return truth.select(names).samples
+
+
+def _becalm(signal: Floats, readings: _Readings, own: Response | None) -> Contender:
+    contender = Contender(BECALM)
+    if own is not None:
+        contender = contender._replace(
+            noise_removed_db=-own.noise_gain_db,
+            lag_s=own.lag_s if np.isfinite(own.lag_s) else None,
+            overshoot_percent=None if own.step is None else own.step.overshoot_percent,
+        )
+    return _beside_truth(contender, signal, readings)
+
+
+def _classics(readings: _Readings, own: Response | None, causal: bool) -> Iterator[Contender]:
+    """Filter by each classic filter, in each fair setting."""
+    for classic in CAUSAL if causal else ZERO_PHASE:
+        if classic.calms and own is not None:
+            yield from _matched(classic, readings, "equal noise", equal_noise(classic, own.noise_gain))
+            if causal and np.isfinite(own.lag_s) and own.lag_s > 0:
+                yield from _matched(classic, readings, "equal lag", equal_lag(classic, own.lag_s / readings.step_s))
+        if readings.truth is not None:
+            part = slice(_LOOKED_AT)
+            best = best_with_truth(classic, readings.z[part], readings.truth[part])
+            yield _classic(classic, readings, "best with truth", best)
+
+
+def _matched(classic: Classic, readings: _Readings, rule: str, cutoff: float) -> Iterator[Contender]:
+    """Give a filter at its match, if its dial reaches that."""
+    if LOWEST * _ENDS < cutoff < HIGHEST / _ENDS:
+        yield _classic(classic, readings, rule, cutoff)
+
+
+def _classic(classic: Classic, readings: _Readings, rule: str, cutoff: float) -> Contender:
+    contender = Contender(classic.name, rule, cutoff / readings.step_s)
+    if classic.calms:
+        contender = contender._replace(
+            noise_removed_db=-decibels(noise_gain(classic, cutoff)),
+            lag_s=lag(classic, cutoff) * readings.step_s,
+            overshoot_percent=100 * overshoot(classic, cutoff),
+        )
+    if readings.truth is None:
+        return contender
+    return _beside_truth(contender, classic.clean(readings.z, cutoff), readings)
+
+
+def _beside_truth(contender: Contender, signal: Floats, readings: _Readings) -> Contender:
+    if readings.truth is None:
+        return contender
+    return contender._replace(
+        rms_error=rms_error(signal, readings.truth),
+        measured_lag_s=lag_of(signal, readings.truth) * readings.step_s,
+    )

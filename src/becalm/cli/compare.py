@@ -1,0 +1,98 @@
+"""becalm beside the classic filters: a table for a person, or JSON, on stdout."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.table import Table
+
+from becalm.cleaning.comparison import compare
+from becalm.cli.portions import beginning, cut_short
+from becalm.cli.talk import stderr
+from becalm.cli.warm import ahead
+from becalm.files.opening import open_source
+from becalm.files.source import Asker, ReadOptions
+
+if TYPE_CHECKING:
+    from becalm.cleaning.comparison import ChannelComparison, Comparison, Contender
+    from becalm.cleaning.recipe import Recipe
+    from becalm.core.recording import Recording
+    from becalm.files.opening import OpenSource
+
+_HEADINGS = ("filter", "setting", "at", "noise removed", "lag", "overshoot", "rms error", "lag found")
+
+
+def run(source: OpenSource, recipe: Recipe | None, truth: Path | None, causal: bool, as_json: bool) -> None:
+    """Compare on a file, or on the beginning of a long one, and show what came out."""
+    recording = beginning(source)
+    ahead(recording, causal=causal)
+    true = None if truth is None else _truth(truth, source)
+    found = compare(recording, recipe, truth=true, causal=causal or None, channels=source.names)
+    if as_json:
+        print(json.dumps(_summary(source, recording, found), indent=2))  # noqa: T201
+    else:
+        _show(found)
+    if cut := cut_short(source, recording):
+        stderr.print(cut.strip())
+
+
+def _truth(path: Path, source: OpenSource) -> Recording:
+    """Read the same channels of the truth."""
+    asker = Asker("The recording", " Give a truth of the same channels, or choose some with --channels.")
+    with open_source(path, ReadOptions(None, None, tuple(source.names), asker)) as other:
+        return beginning(other)
+
+
+def _summary(source: OpenSource, recording: Recording, found: Comparison) -> dict[str, object]:
+    return {
+        "file": str(source.path),
+        "rows": source.rows,
+        "rows_looked_at": len(recording),
+        "rate_hz": source.rate_hz,
+        "mode": found.cleaned.recipe.mode,
+        "channels": [
+            {
+                "name": channel.name,
+                "unit": channel.unit,
+                "says": channel.says,
+                "filters": [contender._asdict() for contender in channel.contenders],
+            }
+            for channel in found.channels
+        ],
+    }
+
+
+def _show(found: Comparison) -> None:
+    out = Console(highlight=False, soft_wrap=True, markup=False)
+    for channel in found.channels:
+        out.print(f"{channel.name}: {channel.says}")
+        out.print(_table(channel))
+
+
+def _table(channel: ChannelComparison) -> Table:
+    table = Table(box=None, pad_edge=False)
+    for heading in _HEADINGS:
+        table.add_column(heading, justify="left" if heading in _HEADINGS[:3] else "right", no_wrap=True)
+    for contender in channel.contenders:
+        table.add_row(*_cells(contender, channel.unit))
+    return table
+
+
+def _cells(contender: Contender, unit: str) -> tuple[str, ...]:
+    return (
+        contender.name,
+        "" if contender.cutoff_hz is None else f"{contender.cutoff_hz:.4g} Hz",
+        contender.rule,
+        _told(contender.noise_removed_db, "{:.1f} dB"),
+        _told(contender.lag_s, "{:.4g} s"),
+        _told(contender.overshoot_percent, "{:.0f} %"),
+        _told(contender.rms_error, "{:.4g} " + unit).rstrip(),
+        _told(contender.measured_lag_s, "{:.4g} s"),
+    )
+
+
+def _told(value: float | None, form: str) -> str:
+    return "" if value is None else form.format(value)

@@ -1,0 +1,29 @@
+"""The papers re-run: a page of tables, and figures, in a folder."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from pathlib import Path
+
+from becalm.errors import OutputError, UsageError
+
+PAPERS = ("car", "imu", "strain")
+
+
+def run(paper: str, folder: Path) -> None:
+    """Write the page of a paper into a folder, with its figures where they can be drawn, and print it.
+
+    Raises
+    ------
+    UsageError
+        If there is no such paper.
+    OutputError
+        If the folder cannot be made.
+    """
+    if paper not in PAPERS:
+        raise UsageError(f"There is no paper {paper!r}; write becalm study {' or '.join(PAPERS)}.")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as cause:
+        raise OutputError(f"The folder {folder} cannot be made ({cause.strerror}); name another with -o.") from cause
+    print(import_module(f"becalm.studies.{paper}").run(folder))  # noqa: T201  (the page is the data)

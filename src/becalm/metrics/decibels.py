@@ -1,0 +1,26 @@
+"""How much signal there is beside noise, in both conventions of the decibel.
+
+The usual one is 10 log10 of a ratio of powers. The car paper (Sensors 2001, equations (12) to (14)) takes 20 log10 of a
+ratio of powers: twice as many for the same thing. Neither is told without its name.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from becalm.core.arrays import Floats
+
+
+def snr_db(signal: Floats, noise: Floats) -> float:
+    """Return 10 log10 of the mean square of a signal (N,) over that of its noise (N,); NaN is left out."""
+    return float(10 * np.log10(np.nanmean(signal**2) / np.nanmean(noise**2)))
+
+
+def snr_paper_db(signal: Floats, noise: Floats) -> float:
+    """Return 20 log10 of the same ratio of powers: the car paper's convention, twice the usual decibel."""
+    return 2 * snr_db(signal, noise)
+
+
+def removed_db(before: Floats, after: Floats) -> float:
+    """Return by how much the mean square of an error (N,) is less after than before, in usual decibels."""
+    return snr_db(before, after)

@@ -1,0 +1,250 @@
+"""The car paper (Sensors 2001) re-run: its filter, its rival and becalm's own choice on a simulated drive, then a car.
+
+The drive is `car_drive`, the filter `car_filters`, the real car `car_real`; the page and its figures are written from
+what `study` returns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from becalm.classic.canceller import cancel
+from becalm.cleaning.pipeline import clean
+from becalm.cleaning.tuning import tune
+from becalm.core.arrays import Floats
+from becalm.core.filtering import kalman_filter
+from becalm.core.model import Model
+from becalm.core.recording import Recording
+from becalm.core.response import describe
+from becalm.metrics.decibels import snr_db, snr_paper_db
+from becalm.metrics.delay import lag_of
+from becalm.metrics.spectrum import VEHICLE_BANDS_HZ, band_powers, welch
+from becalm.metrics.truth import rms_error
+from becalm.noise.joint import TunedModel, tune_model
+from becalm.studies.car_drive import BODY_HZ, INPUT_SNR_PAPER_DB, OTHER_SHARES, OUTPUT_SNR_PAPER_DB, CarDrive, simulate
+from becalm.studies.car_filters import (
+    CHECKED_GAIN,
+    Apart,
+    Reach,
+    T,
+    compare_forms,
+    printed_model,
+    reach_of,
+    settled_gain,
+    vertical_alone,
+    white_noise_left,
+    white_noise_measured,
+)
+from becalm.studies.car_real import RealCar, study_real_car
+from becalm.studies.drive import RATE_HZ
+
+RECORDINGS = Path(__file__).parents[3].parent / "shared" / "data"
+AXES = ("a_x", "a_z")
+MEASURED, TRUTH = "measured", "truth"
+PRINTED, OWN = "paper's matrices", "becalm: three sensors"
+ALONE, TOLD = "becalm: channel by channel", "becalm: channel by channel, vibration told"
+CANCELLER = "RLS canceller"
+REFERENCE_HZ = 5.0  # -3 dB of the high-pass that makes the canceller's reference
+
+_SEGMENT = 4096  # samples of Welch's segments: 0.12 Hz
+
+
+class Score(NamedTuple):
+    """How one acceleration left one filter."""
+
+    filter: str
+    axis: str
+    snr_db: float  # of the output, (14) in usual decibels
+    snr_paper_db: float  # in the paper's
+    described_lag_s: float  # of a slow signal, from the filter alone; NaN where that cannot be told
+    measured_lag_s: float  # by cross-correlation with the truth
+    rms_error: float  # m/s^2
+
+
+class Left(NamedTuple):
+    """What makes up the mean square of a filter's error in one acceleration, (m/s^2)^2."""
+
+    filter: str
+    axis: str
+    came: dict[str, float]  # power of each kind of noise before the filter
+    stays: dict[str, float]  # after it; "signal" is what the filter itself did to the signal
+
+
+class Other(NamedTuple):
+    """What becomes of rms errors, in m/s^2 along and up, where the kinds of noise have other shares."""
+
+    shares: dict[str, float]
+    printed: tuple[float, float]
+    own: tuple[float, float]
+
+
+class CarStudy(NamedTuple):
+    """All numbers and curves of the study; pairs and (2,) arrays are along and up."""
+
+    drive: CarDrive
+    input_snr_paper_db: tuple[float, float]
+    estimates: dict[str, Floats]  # (N, 3) speed, a_x, a_z by filter, with what was measured and what was true
+    scores: tuple[Score, ...]
+    left: tuple[Left, ...]
+    forms: Apart
+    gain: Floats  # (3, 3)
+    gain_apart: float  # from the checked one
+    white_left: Floats  # (2,) share of power, from the settled gain
+    white_measured: Floats  # (2,)
+    reach: tuple[Reach, Reach]
+    bands: dict[str, tuple[dict[str, float], dict[str, float]]]  # power by filter, of each axis, in each band
+    own: TunedModel
+    others: tuple[Other, ...]
+    real: RealCar | None
+
+
+def study(recordings: Path = RECORDINGS, *, seed: int = 1, channel_by_channel: bool = True) -> CarStudy:
+    """Compute everything.
+
+    Parameters
+    ----------
+    recordings : Path
+        Folder of real recordings; without the car in it `real` is None.
+    seed : int
+        Of the simulated drive.
+    channel_by_channel : bool
+        Whether to clean each channel for itself too, with nothing told: the first time its kernels are compiled.
+    """
+    drive = simulate(seed)
+    z, truth = drive.measured.samples, drive.truth.samples
+    printed = printed_model()
+    own = tune_model(printed_model(known_start=False), z)
+    estimates = {TRUTH: truth, MEASURED: z, PRINTED: _filtered(printed, z), OWN: _filtered(own.model, z)}
+    if channel_by_channel:
+        estimates |= _alone(drive.measured)
+    estimates[CANCELLER] = np.column_stack([cancel(column, REFERENCE_HZ / RATE_HZ) for column in z.T])
+    models, gain = {PRINTED: printed, OWN: own.model}, settled_gain(printed)
+    ratios = tuple(zip(INPUT_SNR_PAPER_DB, OUTPUT_SNR_PAPER_DB, strict=True))
+    along, up = (reach_of(printed, axis, *ratio) for axis, ratio in enumerate(ratios, start=1))
+    return CarStudy(
+        drive=drive,
+        input_snr_paper_db=_input_ratios(drive),
+        estimates=estimates,
+        scores=tuple(
+            _score(name, axis, estimates, models.get(name)) for axis in (1, 2) for name in _filters(estimates)
+        ),
+        left=tuple(_left(name, models[name], axis, drive) for axis in (1, 2) for name in models),
+        forms=compare_forms(printed, z),
+        gain=gain,
+        gain_apart=float(np.abs(gain - CHECKED_GAIN).max()),
+        white_left=white_noise_left(printed)[1:],
+        white_measured=white_noise_measured(printed)[1:],
+        reach=(along, up),
+        bands={name: _bands(values) for name, values in estimates.items()},
+        own=own,
+        others=tuple(_other(shares, seed) for shares in OTHER_SHARES),
+        real=study_real_car(recordings),
+    )
+
+
+def _other(shares: dict[str, float], seed: int) -> Other:
+    drive = simulate(seed, shares)
+    z, truth = drive.measured.samples, drive.truth.samples
+    models = printed_model(), tune_model(printed_model(known_start=False), z).model
+    printed, own = (
+        (rms_error(s[:, 1], truth[:, 1]), rms_error(s[:, 2], truth[:, 2])) for s in (_filtered(m, z) for m in models)
+    )
+    return Other(shares, printed, own)
+
+
+def _filtered(model: Model, z: Floats) -> Floats:
+    return kalman_filter(model, z, sigma=False, innovations=False).signal
+
+
+def _alone(measured: Recording) -> dict[str, Floats]:
+    """Clean each channel for itself, with nothing told, and with tones above the body's motion told as disturbances."""
+    recipe = tune(measured, causal=True)
+    channels = []
+    for channel in recipe.channel:
+        tones = [tone.model_copy(update={"disturbance": tone.frequency_hz > BODY_HZ[1]}) for tone in channel.tone]
+        channels.append(channel.model_copy(update={"tone": tuple(tones)}))
+    told = recipe.model_copy(update={"channel": tuple(channels)})
+    return {ALONE: clean(measured, recipe).signal.samples, TOLD: clean(measured, told).signal.samples}
+
+
+def _filters(estimates: dict[str, Floats]) -> list[str]:
+    return [name for name in estimates if name not in (TRUTH, MEASURED)]
+
+
+def _input_ratios(drive: CarDrive) -> tuple[float, float]:
+    """Return the input signal-to-noise ratios of the drive, (12), of what was added to its truth."""
+    signal, noise = drive.truth.samples[:, 1:], sum(drive.noise.values(), np.zeros(1))
+    along, up = (snr_paper_db(signal[:, k], noise[:, k]) for k in (0, 1))
+    return along, up
+
+
+def _score(name: str, axis: int, estimates: dict[str, Floats], model: Model | None) -> Score:
+    signal, truth = estimates[name][:, axis], estimates[TRUTH][:, axis]
+    error = signal - truth
+    described = describe(vertical_alone(model), T).dc_delay_s if model and axis == 2 else np.nan
+    return Score(
+        name,
+        AXES[axis - 1],
+        snr_db(signal, error),
+        snr_paper_db(signal, error),
+        described,
+        lag_of(signal, truth) * T,
+        rms_error(signal, truth),
+    )
+
+
+def _left(name: str, model: Model, axis: int, drive: CarDrive) -> Left:
+    """Filter each kind of noise alone, and the signal alone: the filter is linear, so their sum is the output."""
+
+    def after(values: Floats) -> Floats:
+        return _filtered(model, values)[:, axis]
+
+    truth = drive.truth.samples
+    still = np.zeros(len(truth))
+    kinds = {kind: np.column_stack([still, noise]) for kind, noise in drive.noise.items()}
+    kinds["speed's"] = np.column_stack([drive.measured.samples[:, 0] - truth[:, 0], still, still])
+    stays = {kind: float(np.mean(after(noise) ** 2)) for kind, noise in kinds.items()}
+    stays["signal"] = float(np.mean((after(truth) - truth[:, axis]) ** 2))
+    came = {kind: float(np.mean(noise[:, axis] ** 2)) for kind, noise in kinds.items()}
+    return Left(name, AXES[axis - 1], came, stays)
+
+
+def _bands(samples: Floats) -> tuple[dict[str, float], dict[str, float]]:
+    """Return the power in the vehicle's bands, from the first row on in which something is told."""
+    told = samples[np.isfinite(samples).all(axis=1)]
+    along, up = (band_powers(welch(told[:, axis], RATE_HZ, _SEGMENT), VEHICLE_BANDS_HZ) for axis in (1, 2))
+    return along, up
+
+
+def run(folder: Path, recordings: Path = RECORDINGS) -> str:
+    """Write the page `car.md` and, where matplotlib is installed, its figures into a folder; return the page's text.
+
+    Parameters
+    ----------
+    folder : Path
+        Made where it is not there.
+    recordings : Path
+        Folder of real recordings.
+    """
+    from becalm.studies.car_figures import figures
+    from becalm.studies.car_page import page
+
+    folder.mkdir(parents=True, exist_ok=True)
+    found = study(recordings)
+    text = page(found, _drawn(figures, found, folder))
+    (folder / "car.md").write_text(text, encoding="utf-8")
+    return text
+
+
+def _drawn(figures: Callable[[CarStudy, Path], tuple[Path, ...]], found: CarStudy, folder: Path) -> tuple[Path, ...]:
+    """Draw the figures; none where matplotlib is not installed."""
+    try:
+        return figures(found, folder)
+    except ModuleNotFoundError as cause:
+        if cause.name != "matplotlib":
+            raise
+        return ()

@@ -1,0 +1,143 @@
+"""The car paper's filter: its printed matrices, the one-step-prediction form of Appendix B, and the settled gain."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
+
+from becalm.core import reference
+from becalm.core.arrays import Floats
+from becalm.core.filtering import kalman_filter
+from becalm.core.model import Model
+from becalm.core.steady_filter import Complexes
+from becalm.studies.drive import RATE_HZ
+
+T = 1 / RATE_HZ
+CHECKED_GAIN = ((0.00199524, 0.00187742, 0.0), (0.00187742, 0.06124743, 0.0), (0.0, 0.0, 0.06127717))
+"""Of the filtered form, computed from the printed matrices by another road before this project began."""
+
+
+def printed_model(known_start: bool = True) -> Model:
+    """Return speed, longitudinal and vertical acceleration with the matrices that the paper prints.
+
+    Parameters
+    ----------
+    known_start : bool
+        Whether to start as the paper does, from x0 and P0; otherwise from the first readings.
+    """
+    F = ((1, T, 0), (0, 1, 0), (0, 0, 1))
+    G = ((T**2 / 2, 0), (T, 0), (0, T))
+    Q, R = 1e5 * np.eye(2), 100 * np.eye(3)
+    if not known_start:
+        return Model(F, np.eye(3), Q, R, G=G)
+    return Model(F, np.eye(3), Q, R, G=G, x0=np.zeros(3), P0=np.diag([1000.0, 100.0, 100.0]))
+
+
+def vertical_alone(model: Model) -> Model:
+    """Return the part of a three-sensor model that is the vertical acceleration; nothing else touches it."""
+    return Model(model.F[2:, 2:], [[1.0]], model.process_covariance[2:, 2:], model.R[2:, 2:])
+
+
+class OneStep(NamedTuple):
+    """What Appendix B carries along a record; N rows, n states."""
+
+    ahead: Floats  # (N, n) x(n+1 | n)
+    filtered_cov: Floats  # (N, n, n)
+    ahead_cov: Floats  # (N, n, n) P(n+1, n)
+    gain: Floats  # (n, m) the last K_G, F included
+
+
+def run_one_step(model: Model, z: Floats) -> OneStep:
+    """Filter readings z (N, m) in the one-step-prediction form, from x0 and P0, as Appendix B is printed."""
+    assert model.x0 is not None
+    assert model.P0 is not None
+    belief, steps = reference.Belief(model.x0, model.P0), []
+    for reading in z:
+        step = reference.predict_one_step(belief, model.F, model.process_covariance, (model.H, model.R), reading)
+        belief = reference.Belief(step.state, step.cov)
+        steps.append(step)
+    return OneStep(
+        np.array([step.state for step in steps]),
+        np.array([step.filtered_cov for step in steps]),
+        np.array([step.cov for step in steps]),
+        steps[-1].gain,
+    )
+
+
+class Apart(NamedTuple):
+    """How far the one-step form and the filtered form are apart, at most."""
+
+    state: float  # of x(n+1 | n), over the largest of each state
+    filtered_cov: float  # of P, over its largest entry at the time
+    ahead_cov: float  # of P(n+1, n), the same
+
+
+def compare_forms(model: Model, z: Floats) -> Apart:
+    """Filter readings z (N, m) in both forms: x(n+1 | n) = F x(n | n), and so the covariances."""
+    one, got = run_one_step(model, z), kalman_filter(model, z, states=True, covariances=True)
+    assert got.mean is not None
+    assert got.cov is not None
+    ahead, ahead_cov = got.mean @ model.F.T, model.F @ got.cov @ model.F.T + model.process_covariance
+    state = np.abs(one.ahead - ahead) / np.abs(one.ahead).max(axis=0)
+    return Apart(float(state.max()), _apart(one.filtered_cov, got.cov), _apart(one.ahead_cov, ahead_cov))
+
+
+def _apart(P: Floats, other: Floats) -> float:
+    return float((np.abs(P - other).max(axis=(1, 2)) / np.abs(P).max(axis=(1, 2))).max())
+
+
+def settled_gain(model: Model) -> Floats:
+    """Return the settled gain (n, m) of the filtered form, from the Riccati equation."""
+    P = solve_discrete_are(model.F.T, model.H.T, model.process_covariance, model.R)
+    return np.asarray(np.linalg.solve(model.H @ P @ model.H.T + model.R, model.H @ P).T, dtype=np.float64)
+
+
+def white_noise_left(model: Model) -> Floats:
+    """Return with which share of power (m,) white noise, equal on all channels, leaves, from the settled gain."""
+    K = settled_gain(model)
+    A = (np.eye(model.states) - K @ model.H) @ model.F
+    left: Floats = np.diag(model.H @ solve_discrete_lyapunov(A, K @ K.T) @ model.H.T)
+    return left
+
+
+def white_noise_measured(model: Model, count: int = 1_000_000, seed: int = 3) -> Floats:
+    """Return the same share (m,), measured on drawn noise."""
+    z = np.random.default_rng(seed).normal(size=(count, model.channels))
+    settled = slice(count // 100, None)
+    after = kalman_filter(model, z, sigma=False, innovations=False).signal[settled]
+    measured: Floats = np.mean(after**2, axis=0) / np.mean(z[settled] ** 2, axis=0)
+    return measured
+
+
+def response(model: Model, frequency_hz: Floats) -> Complexes:
+    """Return how each reading reaches each output at frequencies (k,), with the settled gain: (k, m, m)."""
+    K = settled_gain(model)
+    A = (np.eye(model.states) - K @ model.H) @ model.F
+    delay = np.exp(-2j * np.pi * np.asarray(frequency_hz) * T)[:, np.newaxis, np.newaxis]
+    return np.asarray(model.H @ np.linalg.solve(np.eye(model.states) - A * delay, K), dtype=np.complex128)
+
+
+class Reach(NamedTuple):
+    """Where the printed output signal-to-noise ratio of one channel is within reach of the printed matrices."""
+
+    noise_above_hz: float  # noise at this frequency loses as much as the paper says, above it more; inf if nowhere
+    signal_below_hz: float  # motion at this frequency is told as well as the paper says without any noise, below better
+
+
+def reach_of(model: Model, channel: int, input_snr_paper_db: float, output_snr_paper_db: float) -> Reach:
+    """Ask which noise and which motion would have the paper's ratios, with a model's settled gain.
+
+    Motion along reaches the speed too; it is told by both sensors.
+    """
+    f = np.geomspace(0.01, RATE_HZ / 2, 20_000)
+    G = response(model, f)
+    moved = G[:, channel, channel].copy()
+    if channel == 1:
+        moved += G[:, 1, 0] * T / (1 - np.exp(-2j * np.pi * f * T))  # speed is the sum of acceleration
+    left = np.abs(G[:, channel, channel]) ** 2
+    missed = np.abs(1 - moved) ** 2
+    quiet = left <= 10 ** ((input_snr_paper_db - output_snr_paper_db) / 20)
+    close = missed <= 10 ** (-output_snr_paper_db / 20)
+    return Reach(float(f[quiet].min()) if quiet.any() else np.inf, float(f[np.argmin(close)]))

@@ -1,0 +1,122 @@
+"""The IMU paper (Kownacki 2010) re-run: what a motionless record tells, why that is too slow, and what is not.
+
+`study` computes, `write_page` tells, `becalm.studies.imu_figures` draws; `run` does all three.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from becalm.core.arrays import Floats
+from becalm.metrics.spectrum import Spectrum, welch
+from becalm.noise.step_spectrum import Sensor
+from becalm.studies.imu_page import write_page
+from becalm.studies.imu_records import (
+    PRINTED,
+    RATE_HZ,
+    RECORD_S,
+    RECORDS,
+    SENSORS,
+    Identified,
+    Rest,
+    find_rests,
+    identify,
+    motionless,
+)
+from becalm.studies.imu_responses import Answer, Setting, answer, answers
+from becalm.studies.imu_switching import Contest, contest
+from becalm.studies.imu_valley import Coloured, Optimum, colours, optimise
+
+DATA = Path(__file__).parents[4] / "shared" / "data"
+"""Where real recordings lie beside the project."""
+
+_FINE = 8192
+
+
+@dataclass(frozen=True, eq=False)
+class SensorStudy:
+    """One sensor of the paper.
+
+    Attributes
+    ----------
+    record : (N,) float array
+        Ten seconds, motionless, simulated, in unit: figure 3.
+    spectrum : Spectrum
+        Of it: figure 4.
+    identified : tuple of Identified
+        Table 1, one a simulated record of a minute.
+    answers : tuple of Answer
+        The panels of figure 5 or 6.
+    optimum : Optimum
+        Table 2 and figure 8.
+    tuned : tuple of Answer
+        Figure 9: at the paper's optimum, and at the one found here.
+    """
+
+    record: Floats
+    spectrum: Spectrum
+    identified: tuple[Identified, ...]
+    answers: tuple[Answer, ...]
+    optimum: Optimum
+    tuned: tuple[Answer, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """All that the page tells and the figures draw.
+
+    Attributes
+    ----------
+    sensors : dict of SensorStudy
+        By name.
+    colours : tuple of Coloured
+        Records that may explain the accelerometer's printed optimum.
+    rests : tuple of Rest
+        Of real recordings.
+    skipped : tuple of str
+        Why others are not there, a sentence each.
+    contest : Contest
+        The filter that switches beside the paper's optimum.
+    """
+
+    sensors: dict[Sensor, SensorStudy]
+    colours: tuple[Coloured, ...]
+    rests: tuple[Rest, ...]
+    skipped: tuple[str, ...]
+    contest: Contest
+
+
+def study(data: Path = DATA) -> Study:
+    """Compute everything; real rests from a folder of recordings, each left out where it is not there."""
+    rests, skipped = find_rests(data)
+    return Study({sensor: study_sensor(sensor) for sensor in SENSORS}, colours(), rests, skipped, contest())
+
+
+def study_sensor(sensor: Sensor) -> SensorStudy:
+    """Compute what concerns one sensor."""
+    record, printed = motionless(sensor, 0), PRINTED[sensor]
+    found = tuple(identify(motionless(sensor, seed, RECORD_S), RATE_HZ) for seed in RECORDS)
+    optimum = optimise(sensor)
+    own = Setting("here", printed.measured_noise, optimum.ratio * printed.measured_noise)
+    paper = Setting("paper", printed.tuned_noise, printed.tuned_process)
+    tuned = tuple(answer(sensor, record, setting) for setting in (paper, own))
+    shown = welch(np.asarray(record - record.mean()), RATE_HZ, _FINE)
+    return SensorStudy(record, shown, found, answers(sensor, record), optimum, tuned)
+
+
+def run(folder: Path, data: Path = DATA) -> str:
+    """Write the page `imu.md` and, where matplotlib is installed, its figures into a folder; return the page."""
+    found = study(data)
+    folder.mkdir(parents=True, exist_ok=True)
+    drawn: dict[str, str] = {}
+    if importlib.util.find_spec("matplotlib"):
+        from becalm.studies.imu_figures import figures
+
+        drawn = figures(found, folder)
+    text = write_page(found, drawn)
+    (folder / "imu.md").write_text(text, encoding="utf-8")
+    return text

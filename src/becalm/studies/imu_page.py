@@ -1,0 +1,230 @@
+"""The page of the IMU study: every number in it comes from the study, or from the paper's two tables."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from becalm.core.closed_forms import butterworth_noise_gain
+from becalm.noise.step_spectrum import Sensor
+from becalm.studies import imu_switching
+from becalm.studies.imu_records import PRINTED, RATE_HZ, RECORD_S, SPLIT_HZ, SPLIT_ORDER, makeup
+from becalm.studies.imu_responses import STEP, Answer
+from becalm.studies.imu_valley import least_ratio
+
+if TYPE_CHECKING:
+    from becalm.studies.imu import Study
+
+_FIGURE: dict[Sensor, int] = {"accelerometer": 5, "gyroscope": 6}
+
+
+def write_page(study: Study, drawn: Mapping[str, str]) -> str:
+    """Return the page; `drawn` holds a file's name for each figure, and is empty where none could be drawn."""
+
+    def figure(name: str, caption: str) -> str:
+        return f"![{caption}]({drawn[name]})\n" if name in drawn else ""
+
+    without = "" if drawn else "\nFigures are left out: drawing them needs matplotlib, `pip install matplotlib`.\n"
+    parts = [
+        _opening() + without,
+        _measured(study) + figure("record", "Figure 3: motionless records") + figure("spectra", "Figure 4: spectra"),
+        _rests(study),
+        _varied(study)
+        + figure("accelerometer", "Figure 5: R, Q and P0 of the accelerometer's filter, one at a time")
+        + figure("gyroscope", "Figure 6: R and Q of the gyroscope's filter, one at a time"),
+        _valley(study) + figure("surface", "Figure 8: the cost over R and Q"),
+        _steps(study) + figure("optimum", "Figure 9: step responses at the optimum"),
+        _why(study),
+        _switching(study) + figure("contest", "Noise at rest against the time to nine tenths of a step"),
+    ]
+    return "\n".join(part for part in parts if part)
+
+
+def _table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    heads = list(head)
+    lines = [heads, ["---"] * len(heads), *map(list, rows)]
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+
+
+def _ms(time_ms: float) -> str:
+    return f"{time_ms:.3g} ms" if np.isfinite(time_ms) else "never"
+
+
+def _opening() -> str:
+    return """# The IMU paper, re-run
+
+Kownacki (2010) tunes a Kalman filter for an accelerometer, state [V, a], and one for a gyroscope, state
+[omega, epsilon], at 10 kHz. R and Q told from a motionless record make filters that are far too slow; so he searches
+for the R and Q of least cost, lag plus noise. His records are not public: simulated ones stand in, made so that his
+own method finds his table 1 in them. The page is written by `becalm.studies.imu`, every number by code.
+"""
+
+
+def _measured(study: Study) -> str:
+    rows, made = [], {sensor: makeup(PRINTED[sensor]) for sensor in study.sensors}
+    for sensor, each in study.sensors.items():
+        found = np.array(each.identified)
+        mean, error = found.mean(axis=0), found.std(axis=0, ddof=1) / np.sqrt(len(found))
+        printed = PRINTED[sensor]
+        for name, asked, column in (("R", printed.measured_noise, 0), ("Q", printed.measured_process, 1)):
+            rows.append([sensor, name, f"{asked:.4e}", f"{mean[column]:.4e} +- {error[column]:.1e}"])
+    kept = butterworth_noise_gain(SPLIT_ORDER, SPLIT_HZ / RATE_HZ)
+    times = PRINTED["gyroscope"].measured_process / (kept * made["gyroscope"].white)
+    white = made["accelerometer"].white / PRINTED["accelerometer"].measured_noise
+    return f"""## Table 1: what a motionless record tells
+
+R is the variance after a 1 Hz high-pass, Q that after a 1 Hz low-pass, the mean taken off before. White noise leaves a
+known share of its variance below 1 Hz, so that both figures together tell what the record was made of, if the filters
+were Butterworth's of second order (their order is not printed): the accelerometer's Q is that of a record of which
+{white:.0%} was white, and the rest is put into equal harmonics of 50 to 500 Hz, as the paper's spectrum shows them; the
+gyroscope's is {times:.1f} times that of white noise, and the difference is put into drift below 1 Hz, of which
+taking off the mean removes a part. Mean of {len(found)} simulated records of {RECORD_S:g} s, with its standard error:
+
+{_table(["sensor", "", "paper", "here"], rows)}
+"""
+
+
+def _rests(study: Study) -> str:
+    rows = [
+        [
+            rest.source.split("/")[0] + ", " + rest.source.split("/")[1].split("_")[0],
+            f"{rest.start_s:.1f} to {rest.stop_s:.1f} s at {rest.rate_hz:.4g} Hz",
+            name,
+            f"{found.noise_variance:.3g}",
+            f"{found.process_variance:.3g}",
+            f"{found.process_variance / found.white_process:.2f} +- {rest.chance:.2f}",
+        ]
+        for rest in study.rests
+        for name, found in rest.found.items()
+    ]
+    head = ["recording", "rest", "channel", "R", "Q", "Q over that of white noise"]
+    table = _table(head, rows) if rows else ""
+    said = "".join(f"- {sentence}\n" for sentence in study.skipped)
+    return f"""### Real rests
+
+The same method on the longest rest of real recordings, which becalm found by itself. The last column has the standard
+deviation that chance alone gives it. Where it is near 1, Q is nothing but the part of white noise that lies below 1 Hz:
+it says how wide the low-pass was, and nothing of how the sensor will move. That is why a filter made of table 1 is too
+slow.
+
+{table}{said}"""
+
+
+def _varied(study: Study) -> str:
+    tables = "\n".join(
+        f"Figure {_FIGURE[sensor]}, {sensor}:\n\n{_answers(each.answers)}" for sensor, each in study.sensors.items()
+    )
+    return f"""## Figures 5 and 6: R, Q and P0 one at a time
+
+The record plus a step of {STEP:g} after 5 s; P0 is filled with the number given. R = 0 gives the readings back. R = 1,
+Q = 0 and table 1 itself forget nothing: the accelerometer's filter averages all since the start, and is half-way up
+after as long again; the gyroscope's fits a line to all. Q = 1 follows, and keeps noise. P0 = 0 trusts a start at zero
+so much that five seconds of step are not believed.
+
+{tables}
+"""
+
+
+def _answers(answers: Iterable[Answer]) -> str:
+    head = ["", "R", "Q", "P0", "noise at rest", "nine tenths after", "height after 5 s"]
+    rows = [
+        [
+            each.setting.name,
+            f"{each.setting.noise_variance:.4g}",
+            f"{each.setting.process_variance:.4g}",
+            f"{each.setting.start:g}",
+            f"{each.rest_noise:.2e}",
+            _ms(each.reached_ms),
+            f"{each.risen:.0%}",
+        ]
+        for each in answers
+    ]
+    return _table(head, rows)
+
+
+def _valley(study: Study) -> str:
+    rows, ends = [], []
+    for sensor, each in study.sensors.items():
+        found, printed = each.optimum, PRINTED[sensor]
+        span = f"**{found.ratio:.4g}** ({found.ratios.min():.4g} to {found.ratios.max():.4g})"
+        tuned = f"{printed.tuned_noise:.4e}, {printed.tuned_process:.4e}"
+        rows.append([sensor, tuned, f"{printed.ratio:.5g}", span, f"{found.excess:.3f}"])
+        for how, end in zip(("Q/R", *["R and Q"] * (len(found.ends) - 1)), found.ends, strict=True):
+            place = [f"{end.noise_variance:.3g}", f"{end.process_variance:.3g}", f"{end.ratio:.5g}"]
+            ends.append([sensor, how, *place, f"{end.cost.total:.6g}", str(end.evaluations)])
+    floors = " and ".join(f"{each.optimum.surface.unevenness:.0e} ({sensor})" for sensor, each in study.sensors.items())
+    optima = _table(["sensor", "R, Q of the paper", "its Q/R", "Q/R here", "J at its Q/R over the least"], rows)
+    searches = _table(["sensor", "search over", "R", "Q", "Q/R", "J", "filters tried"], ends)
+    return f"""## Table 2 and figure 8: the valley
+
+The cost is the squared lag behind a step, summed over time until the output reaches it, plus the amplitude density of
+the output at rest, summed over frequency. Only Q/R sets the gain. So J is a valley: along Q/R = constant, over the
+decades of figure 8, it varies by {floors} of itself, and the R and Q of table 2 are one point of many with
+the same gain. Only Q/R is an answer. (Filters start from their first readings here; the paper's P0 of ones would tilt
+the floor a little.) On white noise of table 1's variance, {len(found.ratios)} records, median (least to most):
+
+{optima}
+A search over Q/R ends at one place. Nelder and Mead's simplex in R and Q (in their logarithms) finds the same ratio,
+and stops where on the floor its start has led it:
+
+{searches}
+"""
+
+
+def _steps(study: Study) -> str:
+    rows = []
+    for sensor, each in study.sensors.items():
+        times = each.optimum.paper_reached_ms, each.optimum.reached_ms
+        for whose, time_ms, one in zip(("paper", "here"), times, each.tuned, strict=True):
+            ratio = f"{one.setting.process_variance / one.setting.noise_variance:.5g}"
+            rows.append([sensor, whose, ratio, _ms(time_ms), _ms(one.reached_ms), f"{one.rest_noise:.2e}"])
+    late = study.sensors["accelerometer"].optimum.paper_reached_ms
+    head = ["sensor", "optimum", "Q/R", "nine tenths, without noise", "on the record", "noise at rest"]
+    return f"""## Figure 9: steps at the optimum
+
+{_table(head, rows)}
+The paper's accelerometer needs **{late:.0f} ms** to reach nine tenths of a step.
+"""
+
+
+def _why(study: Study) -> str:
+    rows = [[each.made_of, f"{each.ratio:.4g}"] for each in study.colours]
+    paper = PRINTED["accelerometer"].ratio
+    below = study.colours[-1]
+    return f"""## Why the accelerometer's ratio differs
+
+The gyroscope's noise was nearly white, and its printed ratio comes out. The accelerometer's was not. Records of the
+same variance, differently spread:
+
+{_table(["record", "Q/R of least cost"], rows)}
+Power at low frequencies passes the filter best, and asks for a slower one. But between 50 and 500 Hz, where the paper
+shows its harmonics, no spread of that variance can ask for much less than {least_ratio():.0f} (by Cauchy and Schwarz,
+for the settled filter). The printed {paper:.4g} needs noise below 50 Hz too: spread from 5 Hz on it is
+{below.ratio:.4g}. That is a possible record, not a known one.
+"""
+
+
+def _switching(study: Study) -> str:
+    got, noises = study.contest, {sensor: np.sqrt(PRINTED[sensor].measured_noise) for sensor in study.sensors}
+    rows = [
+        [f"{each.step_std:.2f}", f"**{_ms(each.reached_ms)}**", f"**{each.rest_gain:.4f}**"] for each in got.switched
+    ]
+    fixed = [
+        [one.sensor, _ms(one.reached_ms), f"{one.rest_gain:.4f}", f"{one.rest_gain * noises[one.sensor]:.2g}",
+         f"{got.rest_gain * noises[one.sensor]:.2g}"]
+        for one in got.fixed
+    ]  # fmt: skip
+    return f"""## Beyond a fixed gain
+
+A fixed gain trades noise for lag, and the cost only says at which price. A filter that switches between still and
+moving need not. becalm finds its modes in each record by itself and filters causally: {imu_switching.REST_S:g} s of
+white noise at rest, then a step, medians of {len(imu_switching.SEEDS)} records a step (longer and more records:
+[switching](../switching.md)). Steps are in standard deviations of a reading, noise at rest is over that of a reading:
+
+{_table(["step", "nine tenths after", "noise at rest"], rows)}
+The paper's optimum on the same records; the last two columns are in each sensor's own unit:
+
+{_table(["sensor", "nine tenths after", "noise at rest", "in unit", "switching, in unit"], fixed)}
+"""

@@ -1,0 +1,106 @@
+"""How the IMU paper's filters answer a step, R, Q and P0 varied one at a time: its figures 5, 6 and 9."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from becalm.core.arrays import Floats
+from becalm.core.filtering import kalman_filter
+from becalm.core.response import describe
+from becalm.noise.step_spectrum import Sensor, StepTrial
+from becalm.studies.imu_records import PRINTED, RATE_HZ
+
+STEP = 0.2
+STEP_AT_S = 5.0
+EVERY = 50
+"""Of the rows of a response, the one that is kept for its figure."""
+
+_LAST = round(0.1 * RATE_HZ)
+
+
+class Setting(NamedTuple):
+    """R and Q in unit^2, and the number that fills P0."""
+
+    name: str
+    noise_variance: float
+    process_variance: float
+    start: float = 1.0
+
+
+class Answer(NamedTuple):
+    """How one filter answers.
+
+    Attributes
+    ----------
+    setting : Setting
+        Which filter.
+    output : (k,) float array
+        Every `EVERY`-th row, in unit, from the first on.
+    reached_ms : float
+        From the step until the output first passes nine tenths of it; inf if it never does.
+    rest_noise : float
+        Standard deviation of the output over the last second before the step, in unit.
+    rest_offset : float
+        Mean of it there, in unit; the record's own mean is taken off.
+    risen : float
+        The output five seconds after the step, mean over its last tenth of a second, over the step.
+    differs : float
+        The most that output and input differ from the second reading on, in unit.
+    """
+
+    setting: Setting
+    output: Floats
+    reached_ms: float
+    rest_noise: float
+    rest_offset: float
+    risen: float
+    differs: float
+
+
+def settings(sensor: Sensor) -> tuple[Setting, ...]:
+    """Return the panels of figure 5 (accelerometer) or 6 (gyroscope)."""
+    R, Q, *_ = PRINTED[sensor]  # noqa: N806  (as in the paper)
+    panels = (
+        Setting("a", 0.0, Q),
+        Setting("b", 1.0, Q),
+        Setting("c", R, 0.0),
+        Setting("d", R, 1.0),
+    )
+    return panels if sensor == "gyroscope" else (*panels, Setting("e", R, Q, 0.0), Setting("f", R, Q))
+
+
+def answer(sensor: Sensor, record: Floats, setting: Setting) -> Answer:
+    """Filter a motionless record (N,) plus a step of 0.2 after 5 s."""
+    P0 = np.full((2, 2), setting.start)  # noqa: N806
+    trial = StepTrial(record, RATE_HZ, sensor, step=STEP, step_at_s=STEP_AT_S, initial_covariance=P0)
+    model = trial.model(setting.noise_variance, setting.process_variance)
+    row, second = round(STEP_AT_S * RATE_HZ), round(RATE_HZ)
+    z = record - record.mean()
+    z[row:] += STEP
+    x = kalman_filter(model, z, sigma=False, innovations=False).signal[:, 0]
+    passed = np.flatnonzero(x[row:] >= 0.9 * STEP)
+    rest = x[row - second : row]
+    return Answer(
+        setting,
+        x[::EVERY].copy(),
+        1e3 * float(passed[0]) / RATE_HZ if len(passed) else np.inf,
+        float(rest.std()),
+        float(rest.mean()),
+        float(x[-_LAST:].mean() / STEP),
+        float(np.abs(x - z)[1:].max()),
+    )
+
+
+def answers(sensor: Sensor, record: Floats) -> tuple[Answer, ...]:
+    """Return the answers of all panels of figure 5 or 6."""
+    return tuple(answer(sensor, record, setting) for setting in settings(sensor))
+
+
+def reached_ms(sensor: Sensor, ratio: float) -> float:
+    """Return when the settled filter of a Q/R passes nine tenths of a step, in ms, told from the model alone."""
+    any_record = np.zeros(2 * round(STEP_AT_S * RATE_HZ))
+    step = describe(StepTrial(any_record, RATE_HZ, sensor).model(1.0, ratio), 1 / RATE_HZ).step
+    assert step is not None  # a motion passes 0 Hz
+    return 1e3 * step.delay_90_s

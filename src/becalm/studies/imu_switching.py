@@ -1,0 +1,121 @@
+"""What a fixed gain cannot: a filter that switches, becalm's own choice, beside the IMU paper's optimum.
+
+White noise of variance 1 at 10 kHz, then a step. Nothing in becalm knows a unit, so that the noise at rest, over that
+of a reading, and the time to follow are those of both of the paper's sensors.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from becalm.cleaning.pipeline import clean
+from becalm.core.arrays import Floats
+from becalm.core.filtering import kalman_filter
+from becalm.core.recording import Recording
+from becalm.noise.front import noise_lag_front
+from becalm.noise.step_spectrum import Sensor, StepTrial
+from becalm.studies.imu_records import PRINTED, RATE_HZ, SENSORS
+from becalm.studies.imu_responses import reached_ms
+
+REST_S = 8.0
+SETTLED_S = 4.0
+AFTER_S = 2.0
+SEEDS = range(2)
+STEPS = (0.2, 0.05, 0.02, 0.005)
+"""Of the accelerometer, in its unit; of its standard deviation for the others."""
+
+
+class Switched(NamedTuple):
+    """The filter that switches, at one step; medians over the records.
+
+    Attributes
+    ----------
+    step_std : float
+        The step, in standard deviations of a reading.
+    reached_ms : float
+        From the step until the output first passes nine tenths of it; inf if it does not within `AFTER_S`.
+    rest_gain : float
+        Root mean square at rest, from `SETTLED_S` on, over the standard deviation of a reading.
+    """
+
+    step_std: float
+    reached_ms: float
+    rest_gain: float
+
+
+class Fixed(NamedTuple):
+    """The paper's optimum for one sensor, on the same records."""
+
+    sensor: Sensor
+    reached_ms: float
+    rest_gain: float
+
+
+class Curve(NamedTuple):
+    """All fixed gains of one order of motion: noise left over noise read, against the time to nine tenths."""
+
+    order: int
+    reached_ms: Floats  # (k,)
+    rest_gain: Floats  # (k,)
+
+
+class Contest(NamedTuple):
+    """All on the same axes."""
+
+    switched: tuple[Switched, ...]
+    fixed: tuple[Fixed, ...]
+    fronts: tuple[Curve, ...]
+
+    @property
+    def rest_gain(self) -> float:
+        """Of the filter that switches, median over all steps."""
+        return float(np.median([each.rest_gain for each in self.switched]))
+
+
+def contest() -> Contest:
+    """Run both filters over all records."""
+    std = np.sqrt(PRINTED["accelerometer"].measured_noise)
+    switched = tuple(_switched(step / std) for step in STEPS)
+    fixed = tuple(_fixed(sensor) for sensor in SENSORS)
+    points = noise_lag_front(1.0, 1 / RATE_HZ).points
+    fronts = tuple(
+        Curve(
+            order,
+            np.array([1e3 * point.step_90_s for point in points if point.order == order]),
+            np.array([point.noise_std for point in points if point.order == order]),
+        )
+        for order in sorted({point.order for point in points})
+    )
+    return Contest(switched, fixed, fronts)
+
+
+def _record(step_std: float, seed: int) -> Floats:
+    """Return noise of variance 1 with a step after the rest."""
+    rest, after = round(REST_S * RATE_HZ), round(AFTER_S * RATE_HZ)
+    z = np.random.default_rng([seed, round(1e3 * step_std)]).normal(size=rest + after)
+    z[rest:] += step_std
+    return z
+
+
+def _switched(step_std: float) -> Switched:
+    rest, settled = round(REST_S * RATE_HZ), round(SETTLED_S * RATE_HZ)
+    times_ms, gains = [], []
+    for seed in SEEDS:
+        recording = Recording(_record(step_std, seed), rate_hz=RATE_HZ)
+        x = clean(recording, causal=True).signal.samples[:, 0]
+        passed = np.flatnonzero(x[rest:] > 0.9 * step_std)
+        times_ms.append(1e3 * float(passed[0]) / RATE_HZ if len(passed) else np.inf)
+        gains.append(float(np.sqrt(np.mean(x[settled:rest] ** 2))))
+    return Switched(step_std, float(np.median(times_ms)), float(np.median(gains)))
+
+
+def _fixed(sensor: Sensor) -> Fixed:
+    """Run the paper's optimum; its time is told from the model, without noise."""
+    rest, settled, ratio = round(REST_S * RATE_HZ), round(SETTLED_S * RATE_HZ), PRINTED[sensor].ratio
+    records = [_record(STEPS[0], seed)[:rest] for seed in SEEDS]
+    model = StepTrial(records[0], RATE_HZ, sensor).model(1.0, ratio)
+    outputs = [kalman_filter(model, z, sigma=False, innovations=False).signal[settled:, 0] for z in records]
+    gain = np.median([np.sqrt(np.mean(x**2)) for x in outputs])
+    return Fixed(sensor, reached_ms(sensor, ratio), float(gain))

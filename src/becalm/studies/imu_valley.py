@@ -1,0 +1,150 @@
+"""The least of the IMU paper's cost: a valley over R and Q, whose floor only Q/R tells; its figure 8 and table 2."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from becalm.core.arrays import Floats
+from becalm.noise.step_spectrum import Sensor, StepTrial
+from becalm.noise.step_tuning import StepTuning, tune_by_simplex, tune_by_step
+from becalm.studies.imu_records import PRINTED, RATE_HZ, harmonics, makeup, motionless, white
+from becalm.studies.imu_responses import reached_ms
+
+SEEDS = range(5)
+STARTS = ((1e-3, 1.0), (1.0, 1e-3))
+"""Of R and Q, in unit^2, beside table 1's own, for the search in both."""
+
+_DECADES = np.arange(-13.0, 2.0)
+_RAISED = 2  # decades of Q above R
+_BELOW_HZ = (5.0, 500.0)
+_SHOWN_HZ = (50.0, 500.0)
+
+
+class Surface(NamedTuple):
+    """The cost over decades of R and Q.
+
+    Attributes
+    ----------
+    log_noise, log_process : (k,) float array
+        Base-10 logarithms of R, and of Q.
+    cost : (k, k) float array
+        J, of a row's R and a column's Q.
+    """
+
+    log_noise: Floats
+    log_process: Floats
+    cost: Floats
+
+    @property
+    def floor_decade(self) -> int:
+        """log10(Q/R), a whole number, where the cost is least on average."""
+        offsets = range(-len(self.cost) + 3, len(self.cost) - 2)
+        return _RAISED + min(offsets, key=lambda offset: float(np.mean(np.diagonal(self.cost, offset))))
+
+    @property
+    def unevenness(self) -> float:
+        """How much the cost varies along its floor, relative: (most - least) / least."""
+        floor = np.diagonal(self.cost, self.floor_decade - _RAISED)
+        return float((floor.max() - floor.min()) / floor.min())
+
+
+class Optimum(NamedTuple):
+    """What the searches found for one sensor on white noise of table 1's variance.
+
+    Attributes
+    ----------
+    ratios : (k,) float array
+        Q/R of least cost, one a record.
+    excess : float
+        J at the paper's ratio over the least J, median over the records.
+    ends : tuple of StepTuning
+        Where the search over Q/R ended, then those over R and Q, all on the first record.
+    reached_ms, paper_reached_ms : float
+        Time to nine tenths of a step at the median ratio, and at the paper's.
+    surface : Surface
+        Of the first record.
+    """
+
+    ratios: Floats
+    excess: float
+    ends: tuple[StepTuning, ...]
+    reached_ms: float
+    paper_reached_ms: float
+    surface: Surface
+
+    @property
+    def ratio(self) -> float:
+        """Median Q/R."""
+        return float(np.median(self.ratios))
+
+
+class Coloured(NamedTuple):
+    """A record that is not white, and the Q/R of least cost."""
+
+    made_of: str
+    ratio: float
+
+
+def optimise(sensor: Sensor) -> Optimum:
+    """Search for the least cost on white noise, over Q/R and over R and Q."""
+    printed = PRINTED[sensor]
+    trials = [StepTrial(white(sensor, seed), RATE_HZ, sensor) for seed in SEEDS]
+    found = [tune_by_step(trial, printed.measured_noise) for trial in trials]
+    there = [trial.cost(printed.measured_noise, printed.ratio * printed.measured_noise).total for trial in trials]
+    excess = np.median([cost / each.cost.total for cost, each in zip(there, found, strict=True)])
+    starts = ((printed.measured_noise, printed.measured_process), *STARTS)
+    ends = (found[0], *(tune_by_simplex(trials[0], *start) for start in starts))
+    ratios = np.array([each.ratio for each in found])
+    own_ms, paper_ms = reached_ms(sensor, float(np.median(ratios))), reached_ms(sensor, printed.ratio)
+    return Optimum(ratios, float(excess), ends, own_ms, paper_ms, _surface(trials[0]))
+
+
+def _surface(trial: StepTrial) -> Surface:
+    raised = _DECADES + _RAISED
+    cost = np.array([[trial.cost(noise, process).total for process in 10.0**raised] for noise in 10.0**_DECADES])
+    return Surface(_DECADES, raised, cost)
+
+
+def colours() -> tuple[Coloured, ...]:
+    """Tune the accelerometer on records of the same variance that are not white, to see what explains its ratio."""
+    sensor: Sensor = "accelerometer"
+    variance, rng = PRINTED[sensor].measured_noise, np.random.default_rng(0)
+    share = makeup(PRINTED[sensor]).harmonic / variance
+    half = np.sqrt(variance / 2) * (rng.normal(size=100_000) + harmonics(100_000, rng))
+    made: dict[str, Callable[[], Floats]] = {
+        "white": lambda: white(sensor, 0),
+        "half white, half in equal harmonics of 50 to 500 Hz": lambda: half,
+        f"{share:.0%} in equal harmonics, as table 1 asks": lambda: motionless(sensor, 0),
+        "all at 50 to 500 Hz, density falling as 1/f^2": lambda: np.sqrt(variance) * _falling(*_SHOWN_HZ, rng),
+        "all at 5 to 500 Hz, density falling as 1/f^2": lambda: np.sqrt(variance) * _falling(*_BELOW_HZ, rng),
+    }
+    return tuple(
+        Coloured(name, tune_by_step(StepTrial(record(), RATE_HZ, sensor), variance).ratio)
+        for name, record in made.items()
+    )
+
+
+def least_ratio(low_hz: float = _SHOWN_HZ[0], high_hz: float = _SHOWN_HZ[1], step: float = 0.2) -> float:
+    """Return the least Q/R that noise of the accelerometer's variance within a band can ask for, about.
+
+    Notes
+    -----
+    For a low-pass of w = sqrt(Q/R), far below the band, J = S^2 / (2 w) + w / (2 pi) int A(f) / f df, with A the
+    amplitude density; its least is at w^2 = pi S^2 / int A / f df. By Cauchy and Schwarz the integral is at most
+    the root of the variance times (1 / low - 1 / high), which A = c / f reaches.
+    """
+    variance = PRINTED["accelerometer"].measured_noise
+    return float(np.pi * step**2 / np.sqrt(variance * (1 / low_hz - 1 / high_hz)))
+
+
+def _falling(low_hz: float, high_hz: float, rng: np.random.Generator) -> Floats:
+    """Return ten seconds of noise of a band, variance 1, whose power density falls as 1/f^2."""
+    count = round(10 * RATE_HZ)
+    f = np.fft.rfftfreq(count, 1 / RATE_HZ)
+    inside = (f >= low_hz) & (f <= high_hz)
+    drawn = rng.normal(size=len(f)) + 1j * rng.normal(size=len(f))
+    noise = np.fft.irfft(np.where(inside, drawn / np.maximum(f, low_hz), 0.0), count)
+    return np.asarray(noise / noise.std())

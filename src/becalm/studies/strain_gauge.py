@@ -1,0 +1,125 @@
+"""A real strain gauge on a bridge: the paper's filter as it would be used, and what becalm says of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from becalm.cleaning.judging import InnovationJudge, Judgement
+from becalm.cleaning.pipeline import clean
+from becalm.core.arrays import Floats
+from becalm.core.filtering import kalman_filter
+from becalm.core.recording import Recording
+from becalm.files.reading import read
+from becalm.noise.rest_noise import split_at_cutoff
+from becalm.noise.still import find_still
+from becalm.studies.strain_methods import TRIED
+from becalm.studies.strain_model import Noise, likeliest, strain_model
+
+RECORDINGS = Path(__file__).parents[4] / "shared" / "data"
+"""Where recordings lie beside the project."""
+
+AT_REST = "munich_bridge/reference_state_strain.csv.gz"
+LOADED = "munich_bridge/support_load_strain.csv.gz"
+CUTOFF_HZ = 1.0
+"""What moves more slowly at rest is called drift."""
+
+DRIFT_S = 10.0
+"""Residuals are averaged over so long to see their drift."""
+
+
+class Rest(NamedTuple):
+    """The quiet stretch in which R is measured, beforehand and elsewhere."""
+
+    begin_s: float
+    end_s: float
+    std: float  # about the mean, in unit: the paper's R is its square
+    noise_std: float  # above the cut-off
+    drift_std: float  # below it
+
+    @property
+    def moved_share(self) -> float:
+        """Share of the variance that is drift and no noise."""
+        return self.drift_std**2 / (self.drift_std**2 + self.noise_std**2)
+
+
+class Trial(NamedTuple):
+    """One filter over the loaded record."""
+
+    jerk_variance: float  # G, of the paper's filter; NaN of becalm's own
+    noise_std: float  # root of R, in unit
+    tones_hz: tuple[float, ...]  # vibrations that becalm's own filter counts as signal
+    output: Floats  # (N,)
+    judgement: Judgement
+    residual_std: float  # of readings minus output, in unit
+    residual_drift: float  # the largest mean of those over ten seconds, in unit
+
+
+class Gauge(NamedTuple):
+    """A real gauge, filtered."""
+
+    unit: str
+    rate_hz: float
+    rest: Rest
+    time_s: Floats
+    readings: Floats
+    trials: dict[str, Trial]
+
+
+def absent(recordings: Path) -> str:
+    """Say which recording is not there; nothing if all are."""
+    missing = [name for name in (AT_REST, LOADED) if not (recordings / name).exists()]
+    return f"The real gauge is left out: {' and '.join(missing)} are not beside the project." if missing else ""
+
+
+def measure_gauge(recordings: Path) -> Gauge:
+    """Measure R at rest, filter the loaded bridge with it, and judge every filter by its innovations."""
+    rest = measure_rest(read(recordings / AT_REST))
+    loaded = read(recordings / LOADED)
+    loaded = loaded.select(loaded.names[:1])
+    z, step_s = loaded.channel(loaded.names[0]), loaded.timebase.step_s
+    given = rest.std**2
+    noises = {
+        "G of the simulation, R at rest": Noise(TRIED, given),
+        "G by likelihood, R at rest": likeliest(z, step_s, given),
+        "G by likelihood, R above 1 Hz": likeliest(z, step_s, rest.noise_std**2),
+        "G and R by likelihood": likeliest(z, step_s),
+    }
+    trials = {name: _paper(noise, z, step_s) for name, noise in noises.items()}
+    trials |= {f"becalm, {mode}": _becalm(loaded, mode == "causal") for mode in ("causal", "smoothed")}
+    return Gauge(loaded.units[0], loaded.rate_hz, rest, loaded.timebase.elapsed_steps.cumsum() * step_s, z, trials)
+
+
+def measure_rest(recording: Recording) -> Rest:
+    """Measure the noise of a recording's first channel in its longest quiet stretch."""
+    alone = recording.select(recording.names[:1])
+    begin, end = max(find_still(alone).stretches, key=lambda stretch: stretch.stop - stretch.start)
+    quiet = alone.channel(alone.names[0])[begin:end]
+    above, below = split_at_cutoff(quiet, alone.rate_hz, CUTOFF_HZ)
+    step_s = alone.timebase.step_s
+    return Rest(begin * step_s, end * step_s, float(quiet.std()), float(np.sqrt(above)), float(np.sqrt(below)))
+
+
+def _paper(noise: Noise, z: Floats, step_s: float) -> Trial:
+    found, judge = kalman_filter(strain_model(noise, step_s), z), InnovationJudge(step_s)
+    told = np.isfinite(found.innovations[:, 0])
+    judge.add(found.innovations[told, 0], found.innovation_sigma[told, 0])
+    return _trial(noise, z, found.signal[:, 0], judge.judgement(), step_s)
+
+
+def _becalm(loaded: Recording, causal: bool) -> Trial:
+    found, name = clean(loaded, causal=causal), loaded.names[0]
+    report = found.reports[0]
+    noise = Noise(np.nan, np.nan if report.noise_std is None else report.noise_std**2)
+    tried = _trial(noise, loaded.channel(name), found.signal.channel(name), report, loaded.timebase.step_s)
+    return tried._replace(tones_hz=report.tones_hz)
+
+
+def _trial(noise: Noise, z: Floats, output: Floats, judgement: Judgement, step_s: float) -> Trial:
+    left, length = z - output, round(DRIFT_S / step_s)
+    means = left[: len(left) // length * length].reshape(-1, length).mean(axis=1)
+    drift = float(np.nanmax(np.abs(means)))
+    std = float(np.sqrt(noise.noise_variance))
+    return Trial(noise.jerk_variance, std, (), output, judgement, float(np.nanstd(left)), drift)

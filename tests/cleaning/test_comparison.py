@@ -1,0 +1,78 @@
+"""becalm beside every classic filter: at equal noise, at equal lag, and knowing the truth."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from becalm.classic.register import CAUSAL, CLASSICS, ZERO_PHASE
+from becalm.cleaning.comparison import BECALM, ChannelComparison, Contender, compare
+from becalm.cleaning.pipeline import clean
+from becalm.cleaning.tuning import Wishes, tune
+from becalm.core.recording import Recording
+from becalm.errors import RecordingError, UsageError
+
+RATE_HZ = 100.0
+RNG = np.random.default_rng(3)
+TRUTH = np.cumsum(0.05 * RNG.normal(size=20_000))
+Z = TRUTH + RNG.normal(size=20_000)
+MEASURED, TRUE = (Recording(z, names=("a",), units=("m/s^2",), rate_hz=RATE_HZ) for z in (Z, TRUTH))
+
+
+@pytest.fixture(scope="module", params=[True, False], ids=["causal", "smoothed"])
+def channel(request: pytest.FixtureRequest) -> ChannelComparison:
+    return compare(MEASURED, truth=TRUE, causal=request.param).channels[0]
+
+
+def ruled(channel: ChannelComparison, rule: str) -> list[Contender]:
+    return [contender for contender in channel.contenders if contender.rule == rule]
+
+
+def test_every_classic_filter_stands_beside_becalm(channel: ChannelComparison) -> None:
+    assert channel.contenders[0].name == BECALM
+    causal = channel.contenders[0].lag_s != 0
+    expected = {classic.name for classic in (CAUSAL if causal else ZERO_PHASE)}
+    assert {contender.name for contender in ruled(channel, "best with truth")} == expected
+    calm = {name for name in expected if CLASSICS[name].calms}
+    assert {contender.name for contender in ruled(channel, "equal noise")} == calm
+    assert bool(ruled(channel, "equal lag")) == causal
+
+
+def test_equal_noise_and_equal_lag_are_equal(channel: ChannelComparison) -> None:
+    own = channel.contenders[0]
+    assert own.noise_removed_db is not None
+    for contender in ruled(channel, "equal noise"):
+        assert contender.noise_removed_db == pytest.approx(own.noise_removed_db, abs=0.3)
+    for contender in ruled(channel, "equal lag"):
+        assert contender.lag_s == pytest.approx(own.lag_s, abs=1 / RATE_HZ)  # the dial of a window goes in steps
+
+
+def test_on_its_own_ground_no_classic_filter_errs_less_though_it_knows_the_truth(channel: ChannelComparison) -> None:
+    own = channel.contenders[0].rms_error
+    assert own is not None
+    assert all(own <= 1.01 * contender.rms_error for contender in channel.contenders if contender.rms_error is not None)
+
+
+def test_without_truth_nothing_is_said_of_errors() -> None:
+    found = compare(MEASURED, causal=True)
+    assert all(contender.rms_error is None for contender in found.channels[0].contenders)
+    assert {contender.rule for contender in found.channels[0].contenders} == {"", "equal noise", "equal lag"}
+    assert np.array_equal(found.cleaned.signal.samples, clean(MEASURED, causal=True).signal.samples)
+
+
+def test_levels_that_jump_are_compared_in_the_mode_that_lasts() -> None:
+    z = np.repeat(4 * RNG.normal(size=10), 2000) + RNG.normal(size=20_000)
+    found = compare(Recording(z, rate_hz=RATE_HZ), causal=True)
+    assert found.cleaned.reports[0].modes
+    removed = found.channels[0].contenders[0].noise_removed_db
+    assert removed is not None
+    assert removed > 20
+
+
+def test_what_cannot_be_compared_is_refused() -> None:
+    with pytest.raises(RecordingError, match="no channel 'a'; it has 'b'"):
+        compare(MEASURED, truth=Recording(TRUTH, names=("b",), rate_hz=RATE_HZ))
+    with pytest.raises(RecordingError, match="5000 rows, the recording 20000"):
+        compare(MEASURED, truth=Recording(TRUTH[:5000], names=("a",), rate_hz=RATE_HZ))
+    with pytest.raises(UsageError, match="No classic filter waits"):
+        compare(MEASURED, tune(MEASURED, wishes=Wishes(lag_s=0.1)))
