@@ -61,7 +61,7 @@ class Answer(NamedTuple):
 
 def settings(sensor: Sensor) -> tuple[Setting, ...]:
     """Return the panels of figure 5 (accelerometer) or 6 (gyroscope)."""
-    R, Q, *_ = PRINTED[sensor]  # noqa: N806  (as in the paper)
+    R, Q, *_ = PRINTED[sensor]
     panels = (
         Setting("a", 0.0, Q),
         Setting("b", 1.0, Q),
@@ -73,7 +73,7 @@ def settings(sensor: Sensor) -> tuple[Setting, ...]:
 
 def answer(sensor: Sensor, record: Floats, setting: Setting) -> Answer:
     """Filter a motionless record (N,) plus a step of 0.2 after 5 s."""
-    P0 = np.full((2, 2), setting.start)  # noqa: N806
+    P0 = np.full((2, 2), setting.start)
     trial = StepTrial(record, RATE_HZ, sensor, step=STEP, step_at_s=STEP_AT_S, initial_covariance=P0)
     model = trial.model(setting.noise_variance, setting.process_variance)
     row, second = round(STEP_AT_S * RATE_HZ), round(RATE_HZ)
