@@ -9,6 +9,7 @@ from becalm.classic.register import CAUSAL, CLASSICS, ZERO_PHASE
 from becalm.cleaning.comparison import BECALM, ChannelComparison, Contender, compare
 from becalm.cleaning.pipeline import clean
 from becalm.cleaning.tuning import Wishes, tune
+from becalm.core.arrays import Floats
 from becalm.core.recording import Recording
 from becalm.errors import RecordingError, UsageError
 
@@ -67,6 +68,26 @@ def test_levels_that_jump_are_compared_in_the_mode_that_lasts() -> None:
     removed = found.channels[0].contenders[0].noise_removed_db
     assert removed is not None
     assert removed > 20
+
+
+@pytest.mark.parametrize("causal", [True, False])
+@pytest.mark.parametrize("z", [np.full(500, 2.5), np.full(500, np.nan), np.array([1.0]), np.array([1.0, 2.0, 3.0])])
+def test_a_channel_that_passes_unchanged_has_no_rivals(z: Floats, causal: bool) -> None:
+    truth = Recording(np.nan_to_num(z), rate_hz=RATE_HZ)
+    (channel,) = compare(Recording(z, rate_hz=RATE_HZ), truth=truth, causal=causal).channels
+    assert [contender.name for contender in channel.contenders] == [BECALM]
+    assert (channel.contenders[0].rms_error is None) == np.isnan(z).all()
+    assert channel.contenders[0].noise_removed_db is None
+
+
+@pytest.mark.parametrize("odd", [np.nan, np.inf, -np.inf, 1e300])
+def test_no_filter_is_given_what_is_no_reading(odd: float) -> None:
+    z = Z.copy()
+    z[100] = odd
+    (channel,) = compare(Recording(z, rate_hz=RATE_HZ), truth=Recording(TRUTH, rate_hz=RATE_HZ), causal=True).channels
+    errors = [contender.rms_error for contender in channel.contenders if contender.rms_error is not None]
+    assert len(errors) == len(channel.contenders)
+    assert max(errors) < 1
 
 
 def test_what_cannot_be_compared_is_refused() -> None:

@@ -15,6 +15,7 @@ from becalm.cleaning.recipe import Recipe
 from becalm.core.arrays import Floats
 from becalm.core.recording import Recording
 from becalm.core.response import Response, decibels
+from becalm.core.verdict import judge
 from becalm.errors import RecordingError, UsageError
 from becalm.metrics.delay import lag_of
 from becalm.metrics.truth import rms_error
@@ -64,7 +65,7 @@ class ChannelComparison(NamedTuple):
 
     name: str
     unit: str
-    contenders: tuple[Contender, ...]
+    contenders: tuple[Contender, ...]  # becalm alone, where the channel passes unchanged
     says: str  # what becalm says of its own
 
 
@@ -97,7 +98,8 @@ def compare(
     Parameters
     ----------
     recording : Recording
-        Samples (N, m) in even time, NaN where missing.
+        Samples (N, m), NaN where missing; classic filters know no time, and take rows as even. Impossible readings
+        are missing for all.
     recipe : Recipe, optional
         As of `clean`.
     truth : Recording, optional
@@ -122,13 +124,12 @@ def compare(
     is_causal, step_s = cleaned.recipe.mode == "causal", recording.timebase.step_s
     told = []
     for place, (channel, report) in enumerate(zip(cleaned.recipe.channel, cleaned.reports, strict=True)):
-        readings = _Readings(
-            np.ascontiguousarray(recording.channel(channel.name)), None if true is None else true[:, place], step_s
-        )
+        z = judge(np.ascontiguousarray(recording.channel(channel.name))).readings
+        readings = _Readings(z, None if true is None else true[:, place], step_s)
         own = response_of(channel, report, step_s, is_causal)
         contenders = (
             _becalm(cleaned.signal.samples[:, place], readings, own),
-            *_classics(readings, own, is_causal),
+            *(() if own is None else _classics(readings, own, is_causal)),
         )
         told.append(ChannelComparison(channel.name, channel.unit, contenders, report.says))
     return Comparison(is_causal, tuple(told), cleaned)
@@ -162,10 +163,10 @@ def _becalm(signal: Floats, readings: _Readings, own: Response | None) -> Conten
     return _beside_truth(contender, signal, readings)
 
 
-def _classics(readings: _Readings, own: Response | None, causal: bool) -> Iterator[Contender]:
+def _classics(readings: _Readings, own: Response, causal: bool) -> Iterator[Contender]:
     """Filter by each classic filter, in each fair setting."""
     for classic in CAUSAL if causal else ZERO_PHASE:
-        if classic.calms and own is not None:
+        if classic.calms:
             yield from _matched(classic, readings, "equal noise", equal_noise(classic, own.noise_gain))
             if causal and np.isfinite(own.lag_s) and own.lag_s > 0:
                 yield from _matched(classic, readings, "equal lag", equal_lag(classic, own.lag_s / readings.step_s))
@@ -195,9 +196,10 @@ def _classic(classic: Classic, readings: _Readings, rule: str, cutoff: float) ->
 
 
 def _beside_truth(contender: Contender, signal: Floats, readings: _Readings) -> Contender:
-    if readings.truth is None:
+    if readings.truth is None or not np.isfinite(signal - readings.truth).any():
         return contender
+    late = lag_of(signal, readings.truth)
     return contender._replace(
         rms_error=rms_error(signal, readings.truth),
-        measured_lag_s=lag_of(signal, readings.truth) * readings.step_s,
+        measured_lag_s=late * readings.step_s if np.isfinite(late) else None,
     )

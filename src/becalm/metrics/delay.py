@@ -15,10 +15,12 @@ def lag_of(signal: Floats, truth: Floats) -> float:
 
     That is where their correlation is highest, of as many samples as lie beside each other. A parabola through the
     least value and its neighbours tells parts of a sample; beside noise, or of a slow truth, it is told badly. Lags of
-    up to half of the record are looked at.
+    up to half of the record are looked at. NaN where one of them does not change.
     """
     known = np.isfinite(signal) & np.isfinite(truth)
     a, b = (np.where(known, values - values[known].mean(), 0.0) for values in (signal, truth))
+    if not (np.ptp(a) > 0 and np.ptp(b) > 0):
+        return np.nan
     size, most = next_fast_len(2 * len(a)), len(a) // 2
     lags = np.arange(-most, most + 1)
     products = irfft(rfft(a, size) * np.conj(rfft(b, size)), size)[lags]
