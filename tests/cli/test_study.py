@@ -1,0 +1,35 @@
+"""`becalm study`: a paper re-run from the command line; sentences for what cannot be."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+Run = Callable[..., subprocess.CompletedProcess[str]]
+
+
+def test_a_paper_that_there_is_not_is_said(run: Run, tmp_path: Path) -> None:
+    ran = run("study", "ship")
+    assert ran.returncode == 2
+    assert "write becalm study car or imu or strain" in ran.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_that_cannot_be_made_is_said(run: Run, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("", encoding="utf-8")
+    ran = run("study", "imu", "-o", "file/study")
+    assert ran.returncode == 2
+    assert "name another with -o" in ran.stderr
+    assert "Traceback" not in ran.stderr
+
+
+@pytest.mark.slow
+def test_the_page_is_printed_and_written(run: Run, tmp_path: Path) -> None:
+    ran = run("study", "imu", "-o", "study")
+    assert ran.returncode == 0, ran.stderr
+    page = (tmp_path / "study" / "imu.md").read_text(encoding="utf-8")
+    assert ran.stdout.strip() == page.strip()
+    assert "480" in page
