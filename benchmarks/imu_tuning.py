@@ -10,43 +10,21 @@ Run: python benchmarks/imu_tuning.py [-o docs/imu-tuning.md]
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from becalm.noise.step_spectrum import Sensor, StepTrial
 from becalm.noise.step_tuning import StepTuning, tune_by_simplex, tune_by_step
+from becalm.studies.imu_records import HARMONICS_HZ, PRINTED, RATE_HZ
 from pages import page_parser, publish
 
 Floats = NDArray[np.float64]
 
-RATE_HZ = 1e4
 COUNT = 100_000
 SEEDS = range(10)
 ONES = np.ones((2, 2))
-HARMONICS_HZ = np.arange(50.0, 501.0, 50.0)
 SHARES = (0.0, 0.5, 0.9, 0.99)
-
-
-class Printed(NamedTuple):
-    """Tables 1 and 2 of the paper: R and Q, measured at rest and tuned."""
-
-    measured_noise: float
-    measured_process: float
-    tuned_noise: float
-    tuned_process: float
-
-    @property
-    def ratio(self) -> float:
-        """Q/R of table 2."""
-        return self.tuned_process / self.tuned_noise
-
-
-PRINTED: dict[Sensor, Printed] = {
-    "gyroscope": Printed(1.3872e-6, 2.4907e-9, 1.9148e-10, 1.9674e-7),
-    "accelerometer": Printed(1.8472e-4, 1.1859e-8, 5.8631e-13, 1.3458e-11),
-}
 
 
 def white(sensor: Sensor, seed: int, share: float = 1.0) -> Floats:

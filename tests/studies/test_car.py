@@ -18,9 +18,9 @@ from becalm.studies.car_figures import plan, thinned
 from becalm.studies.car_filters import printed_model, response, settled_gain, white_noise_left
 from becalm.studies.car_page import page
 from becalm.studies.car_real import slope_of_speed, study_real_car
+from becalm.studies.recordings import RECORDINGS
 
-DATA = Path(__file__).parents[2].parent / "shared" / "data"
-CAR = DATA / "comma2k19"
+CAR = RECORDINGS / "comma2k19"
 
 
 @pytest.fixture(scope="module")
@@ -161,7 +161,7 @@ class TestRealCar:
 
     @pytest.mark.skipif(not CAR.exists(), reason=f"no real recording at {CAR}")
     def test_acceleration_is_the_derivative_of_the_speed(self) -> None:
-        real = study_real_car(DATA)
+        real = study_real_car(RECORDINGS)
         assert real is not None
         assert real.estimate_correlation > 0.95
         assert real.estimate_rms < real.accelerometer_rms < real.raw_rms

@@ -15,8 +15,7 @@ from becalm.noise.step_spectrum import Sensor
 from becalm.studies import imu, imu_switching, imu_valley
 from becalm.studies.imu_records import HARMONICS_HZ, PRINTED, RATE_HZ, SENSORS, find_rests, identify, makeup, motionless
 from becalm.studies.imu_responses import Answer, reached_ms
-
-DATA = Path(__file__).parents[2].parent / "shared" / "data"
+from becalm.studies.recordings import RECORDINGS
 
 
 @pytest.fixture(scope="module")
@@ -138,17 +137,17 @@ def test_rests_that_are_not_there_are_named(tmp_path: Path) -> None:
     assert all(sentence.endswith("is not there, and is left out.") for sentence in skipped)
 
 
-@pytest.mark.skipif(not (DATA / "imu_tk").exists(), reason="the real recordings are not there")
+@pytest.mark.skipif(not (RECORDINGS / "imu_tk").exists(), reason="the real recordings are not there")
 def test_a_missing_reader_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "h5py", None)
-    rests, skipped = find_rests(DATA)
+    rests, skipped = find_rests(RECORDINGS)
     assert ["h5py" in sentence for sentence in skipped] == [True]
     assert not any("hdf5" in rest.source for rest in rests)
 
 
-@pytest.mark.skipif(not (DATA / "imu_tk").exists(), reason="the real recordings are not there")
+@pytest.mark.skipif(not (RECORDINGS / "imu_tk").exists(), reason="the real recordings are not there")
 def test_real_rests_tell_little_but_their_white_noise() -> None:
-    rests, _ = find_rests(DATA)
+    rests, _ = find_rests(RECORDINGS)
     assert {"imu_tk", "broad"} <= {rest.source.split("/")[0] for rest in rests}
     shares = [found.process_variance / found.white_process for rest in rests for found in rest.found.values()]
     assert all(rest.stop_s - rest.start_s > 25 for rest in rests)

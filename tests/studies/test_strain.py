@@ -9,8 +9,9 @@ import pytest
 
 from becalm.core.arrays import Floats
 from becalm.core.filtering import kalman_filter
+from becalm.studies.recordings import RECORDINGS
 from becalm.studies.strain import NOISES, SHOWN, SLOPE, Measured, Shown, Study, measure, ramps, records, simulate
-from becalm.studies.strain_gauge import AT_REST, LOADED, RECORDINGS, Gauge, absent, measure_gauge
+from becalm.studies.strain_gauge import AT_REST, LOADED, Gauge, absent, measure_gauge
 from becalm.studies.strain_methods import (
     AVERAGE,
     AVERAGED,

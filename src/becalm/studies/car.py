@@ -41,8 +41,8 @@ from becalm.studies.car_filters import (
 )
 from becalm.studies.car_real import RealCar, study_real_car
 from becalm.studies.drive import RATE_HZ
+from becalm.studies.recordings import RECORDINGS
 
-RECORDINGS = Path(__file__).parents[3].parent / "shared" / "data"
 AXES = ("a_x", "a_z")
 MEASURED, TRUTH = "measured", "truth"
 PRINTED, OWN = "paper's matrices", "becalm: three sensors"

@@ -30,9 +30,7 @@ from becalm.studies.imu_records import (
 from becalm.studies.imu_responses import Answer, Setting, answer, answers
 from becalm.studies.imu_switching import Contest, contest
 from becalm.studies.imu_valley import Coloured, Optimum, colours, optimise
-
-DATA = Path(__file__).parents[4] / "shared" / "data"
-"""Where real recordings lie beside the project."""
+from becalm.studies.recordings import RECORDINGS
 
 _FINE = 8192
 
@@ -90,9 +88,9 @@ class Study:
     contest: Contest
 
 
-def study(data: Path = DATA) -> Study:
+def study(recordings: Path = RECORDINGS) -> Study:
     """Compute everything; real rests from a folder of recordings, each left out where it is not there."""
-    rests, skipped = find_rests(data)
+    rests, skipped = find_rests(recordings)
     return Study({sensor: study_sensor(sensor) for sensor in SENSORS}, colours(), rests, skipped, contest())
 
 
@@ -108,9 +106,9 @@ def study_sensor(sensor: Sensor) -> SensorStudy:
     return SensorStudy(record, shown, found, answers(sensor, record), optimum, tuned)
 
 
-def run(folder: Path, data: Path = DATA) -> str:
+def run(folder: Path, recordings: Path = RECORDINGS) -> str:
     """Write the page `imu.md` and, where matplotlib is installed, its figures into a folder; return the page."""
-    found = study(data)
+    found = study(recordings)
     folder.mkdir(parents=True, exist_ok=True)
     drawn: dict[str, str] = {}
     if importlib.util.find_spec("matplotlib"):

@@ -14,7 +14,8 @@ import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.metrics.delay import lag_of
-from becalm.studies.strain_gauge import RECORDINGS, Gauge, absent, measure_gauge
+from becalm.studies.recordings import RECORDINGS
+from becalm.studies.strain_gauge import Gauge, absent, measure_gauge
 from becalm.studies.strain_methods import METHODS, STEP_S, Outcome, Records
 
 NOISES = (0.02, 0.05, 0.1)

@@ -18,9 +18,6 @@ from becalm.noise.still import find_still
 from becalm.studies.strain_methods import TRIED
 from becalm.studies.strain_model import Noise, likeliest, strain_model
 
-RECORDINGS = Path(__file__).parents[4] / "shared" / "data"
-"""Where recordings lie beside the project."""
-
 AT_REST = "munich_bridge/reference_state_strain.csv.gz"
 LOADED = "munich_bridge/support_load_strain.csv.gz"
 CUTOFF_HZ = 1.0
