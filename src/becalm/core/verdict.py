@@ -41,7 +41,7 @@ ADVICE = {
     Verdict.NONFINITE: "Infinite readings were treated as missing; look at the sensor or at its conversion.",
     Verdict.OVERRANGE: "Readings that no sensor gives were treated as missing; look at the file.",
     Verdict.SPIKE: "Spikes were left out as missing; look for loose contacts and switching loads, and if they are"
-    " motion take [channel.gate] out of the recipe.",
+    " motion take [channel.gate] out of the recipe, or set wild_share = 0 in its modes.",
     Verdict.STEP: "The signal jumped, and the filter followed at once; look whether the sensor was moved or zeroed.",
     Verdict.CLIPPED: "Clipped readings only say that the signal was at least there; widen the range or lower the gain.",
     Verdict.STUCK: "A stuck channel repeats its last reading; look at the cable, the converter and the driver, and if"
