@@ -97,7 +97,8 @@ def _start(study: Study) -> str:
     told = [study.measured[KALMAN][noise].rms for noise in NOISES]
     return (
         f"The paper prints no start. The filter that knows that strain begins at zero errs by {_listed(told)}; one"
-        f" that starts from the first readings alone, as becalm's does, by {_listed(flat)}."
+        f" that starts from the first readings alone, as becalm's does, by {_listed(flat)}. Of P0 = 0, R and 1 the"
+        " known start here is R, taken because it comes nearest to the earlier re-run."
     )
 
 
