@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.classic.matching import best_with_truth, equal_lag, equal_noise, lag, noise_gain, overshoot
-from becalm.classic.register import CAUSAL, HIGHEST, LOWEST, ZERO_PHASE, Classic
+from becalm.classic.register import CAUSAL, ZERO_PHASE, Classic
 from becalm.cleaning.figures import response_of
 from becalm.cleaning.pipeline import Cleaned, clean
 from becalm.cleaning.recipe import Recipe
@@ -24,7 +24,7 @@ BECALM = "becalm"
 RULES = ("equal noise", "equal lag", "best with truth")
 
 _LOOKED_AT = 50_000  # rows, of a longer record, that the best setting is looked for in
-_ENDS = 1.01  # of the dial, within which a setting is its end and no match
+_SAME_DB = 1.0  # windows have few lengths: farther apart is no match
 
 
 class Contender(NamedTuple):
@@ -164,22 +164,20 @@ def _becalm(signal: Floats, readings: _Readings, own: Response | None) -> Conten
 
 
 def _classics(readings: _Readings, own: Response, causal: bool) -> Iterator[Contender]:
-    """Filter by each classic filter, in each fair setting."""
+    """Filter by each classic filter, in each fair setting that its dial reaches."""
     for classic in CAUSAL if causal else ZERO_PHASE:
         if classic.calms:
-            yield from _matched(classic, readings, "equal noise", equal_noise(classic, own.noise_gain))
-            if causal and np.isfinite(own.lag_s) and own.lag_s > 0:
-                yield from _matched(classic, readings, "equal lag", equal_lag(classic, own.lag_s / readings.step_s))
+            twin = _classic(classic, readings, "equal noise", equal_noise(classic, own.noise_gain))
+            if abs((twin.noise_removed_db or 0.0) + own.noise_gain_db) <= _SAME_DB:
+                yield twin
+        if classic.calms and causal and np.isfinite(own.lag_s) and own.lag_s > 0:
+            twin = _classic(classic, readings, "equal lag", equal_lag(classic, own.lag_s / readings.step_s))
+            if abs((twin.lag_s or 0.0) - own.lag_s) <= readings.step_s:
+                yield twin
         if readings.truth is not None:
             part = slice(_LOOKED_AT)
             best = best_with_truth(classic, readings.z[part], readings.truth[part])
             yield _classic(classic, readings, "best with truth", best)
-
-
-def _matched(classic: Classic, readings: _Readings, rule: str, cutoff: float) -> Iterator[Contender]:
-    """Give a filter at its match, if its dial reaches that."""
-    if LOWEST * _ENDS < cutoff < HIGHEST / _ENDS:
-        yield _classic(classic, readings, rule, cutoff)
 
 
 def _classic(classic: Classic, readings: _Readings, rule: str, cutoff: float) -> Contender:

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from becalm.files.opening import OpenSource
 
 _HEADINGS = ("filter", "setting", "at", "noise removed", "lag", "overshoot", "rms error", "lag found")
+_WITHOUT_TRUTH = 6  # of them
+_NOTHING = 1e-9  # of whatever unit: rounding
 
 
 def run(source: OpenSource, recipe: Recipe | None, truth: Path | None, causal: bool, as_json: bool) -> None:
@@ -66,18 +68,21 @@ def _summary(source: OpenSource, recording: Recording, found: Comparison) -> dic
 
 
 def _show(found: Comparison) -> None:
-    out = Console(highlight=False, soft_wrap=True, markup=False)
+    out = Console(highlight=False, soft_wrap=True, markup=False, width=1000)  # breaks no figure
     for channel in found.channels:
         out.print(f"{channel.name}: {channel.says}")
         out.print(_table(channel))
 
 
 def _table(channel: ChannelComparison) -> Table:
+    """Lay out a channel; without truth, what only truth tells is left out."""
+    true = any(contender.rms_error is not None for contender in channel.contenders)
+    headings = _HEADINGS if true else _HEADINGS[:_WITHOUT_TRUTH]
     table = Table(box=None, pad_edge=False)
-    for heading in _HEADINGS:
+    for heading in headings:
         table.add_column(heading, justify="left" if heading in _HEADINGS[:3] else "right", no_wrap=True)
     for contender in channel.contenders:
-        table.add_row(*_cells(contender, channel.unit))
+        table.add_row(*_cells(contender, channel.unit)[: len(headings)])
     return table
 
 
@@ -95,4 +100,4 @@ def _cells(contender: Contender, unit: str) -> tuple[str, ...]:
 
 
 def _told(value: float | None, form: str) -> str:
-    return "" if value is None else form.format(value)
+    return "" if value is None else form.format(0.0 if abs(value) < _NOTHING else value)
