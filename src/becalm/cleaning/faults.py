@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.cleaning.recipe_parts import LimitsRecipe
-from becalm.core.arrays import Codes, Floats, joined
+from becalm.core.arrays import Codes, Floats
 from becalm.core.clock import GAP_STEPS
 from becalm.core.faults import Faults, Found, said
 from becalm.core.limits import Limits, find_limits
@@ -146,7 +146,7 @@ class SensorWatch:
         if not len(z):
             return z
         verdicts = self._faults.push(z, elapsed)
-        self._verdicts = joined(self._verdicts, verdicts)
+        self._verdicts = np.append(self._verdicts, verdicts)
         self._elapsed = np.append(self._elapsed, elapsed)  # a copy: the caller may write into its own
         self.rows += len(z)
         return np.where(_ENTERS[verdicts], z, np.nan) if verdicts.any() else z

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
-Number = TypeVar("Number", np.float64, np.int64, np.int8)
+Number = TypeVar("Number", np.float64, np.int64)
 Booleans = NDArray[np.bool_]
 Codes = NDArray[np.int8]
 
@@ -45,8 +45,3 @@ def frozen(values: ArrayLike) -> Floats:
     own = np.array(values, dtype=np.float64, order="C")
     own.flags.writeable = False
     return own
-
-
-def joined(first: NDArray[Number], then: NDArray[Number]) -> NDArray[Number]:
-    """Return rows one after the other; where the first are none, the others as they are."""
-    return np.concatenate([first, then]) if len(first) else then

@@ -19,8 +19,3 @@ def snr_db(signal: Floats, noise: Floats) -> float:
 def snr_paper_db(signal: Floats, noise: Floats) -> float:
     """Return 20 log10 of the same ratio of powers: the car paper's convention, twice the usual decibel."""
     return 2 * snr_db(signal, noise)
-
-
-def removed_db(before: Floats, after: Floats) -> float:
-    """Return by how much the mean square of an error (N,) is less after than before, in usual decibels."""
-    return snr_db(before, after)

@@ -1,4 +1,4 @@
-"""What a record holds at which frequency: Welch's spectrum, its bands, and how it changes over time."""
+"""What a record holds at which frequency: Welch's spectrum, and its bands."""
 
 from __future__ import annotations
 
@@ -51,18 +51,3 @@ def welch(z: Floats, rate_hz: float, segment: int = _SEGMENT) -> Spectrum:
 def band_powers(spectrum: Spectrum, bands_hz: Mapping[str, tuple[float, float]]) -> dict[str, float]:
     """Return the power of each band, in unit^2."""
     return {name: spectrum.power(*band) for name, band in bands_hz.items()}
-
-
-class Spectrogram(NamedTuple):
-    """A power density that changes."""
-
-    frequency_hz: Floats  # (k,)
-    time_s: Floats  # (t,) of the middles of segments
-    density: Floats  # (k, t) unit^2/Hz
-
-
-def spectrogram(z: Floats, rate_hz: float, segment: int = _SEGMENT) -> Spectrogram:
-    """Return how the spectrum of a record (N,) without gaps changes; a *small* segment tells time, a long frequency."""
-    from scipy.signal import spectrogram as scipy_spectrogram
-
-    return Spectrogram(*scipy_spectrogram(z, fs=rate_hz, nperseg=min(segment, len(z))))
