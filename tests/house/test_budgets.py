@@ -15,7 +15,8 @@ import pytest
 import becalm
 
 ROOT = Path(__file__).parents[2]
-SOURCES = sorted(path for room in ("src", "tests", "benchmarks", "docs") for path in (ROOT / room).rglob("*.py"))
+ROOMS = ("src", "tests", "benchmarks", "docs")
+SOURCES = sorted([ROOT / "hatch_build.py", *(path for room in ROOMS for path in (ROOT / room).rglob("*.py"))])
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 BLOCKS = [

