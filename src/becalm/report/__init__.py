@@ -1,0 +1,1 @@
+"""The report: what was done to a recording, in pictures and words."""
