@@ -18,7 +18,7 @@ from becalm.cleaning.report import ChannelReport
 from becalm.cleaning.steps import gate_of, in_steps
 from becalm.cleaning.uncertainty import Uncertainty
 from becalm.core.arrays import Floats
-from becalm.core.flow import Flow
+from becalm.core.flow import Flow, Judge
 from becalm.core.lagged_flow import LaggedFlow
 from becalm.core.parted_flow import PartedFlow, PartialFlow
 from becalm.core.possible import largest_beside
@@ -30,7 +30,6 @@ from becalm.core.told import Told
 from becalm.core.verdict import ADVICE, Verdict, counted
 from becalm.noise.choose import FEWEST_READINGS
 from becalm.noise.excess import excess_error
-from becalm.noise.likelihood import Tuning
 
 _NOTHING_REMOVED = "Next to nothing was removed: noise cannot be told from motion here, so noise_std is a guess."
 
@@ -51,7 +50,9 @@ class Channel(Protocol):
         ...
 
 
-def open_channel(recipe: ChannelRecipe, step_s: float, lag: int | None, split: bool = False) -> Channel:
+def open_channel(
+    recipe: ChannelRecipe, step_s: float, lag: int | None, split: bool = False, look: Judge | None = None
+) -> Channel:
     """Start a channel as its recipe says.
 
     Parameters
@@ -64,6 +65,8 @@ def open_channel(recipe: ChannelRecipe, step_s: float, lag: int | None, split: b
         Later rows that each row waits for: 0 filters, None waits for all.
     split : bool
         Whether to tell the parts of the signal as well.
+    look : callable, optional
+        Is given the innovations (B,) too, and their standard deviations, a value a row.
 
     Raises
     ------
@@ -72,19 +75,23 @@ def open_channel(recipe: ChannelRecipe, step_s: float, lag: int | None, split: b
     """
     if recipe.motion is None:
         return UnchangedChannel(recipe, step_s, split)
-    return MotionChannel(recipe, in_steps(recipe.motion, step_s), step_s, lag=lag, split=split)
+    return MotionChannel(recipe, step_s, lag=lag, split=split, look=look)
 
 
 class MotionChannel:
     """A channel that is filtered."""
 
-    def __init__(self, recipe: ChannelRecipe, tuning: Tuning, step_s: float, *, lag: int | None, split: bool) -> None:
-        self._recipe, self._tuning, self._step_s, self._lag = recipe, tuning, step_s, lag
+    def __init__(
+        self, recipe: ChannelRecipe, step_s: float, *, lag: int | None, split: bool, look: Judge | None
+    ) -> None:
+        assert recipe.motion is not None
+        self._recipe, self._tuning, self._step_s, self._lag = recipe, in_steps(recipe.motion, step_s), step_s, lag
         self._judge = InnovationJudge(step_s, scores=recipe.switching is not None)
         self._sensor = SensorWatch(recipe.limits, step_s)
         self._counts = Counter[Verdict]()
         self._uncertainty = Uncertainty(recipe.tuning_spread, recipe.calibration)
-        self._modes = None if recipe.switching is None else modes_in_steps(recipe.switching, tuning, step_s)
+        self._modes = None if recipe.switching is None else modes_in_steps(recipe.switching, self._tuning, step_s)
+        self._also = look
         self._flow = self._parted_flow(split)
 
     def _parted_flow(self, split: bool) -> PartedFlow:
@@ -118,6 +125,8 @@ class MotionChannel:
     def _look(self, innovations: Floats, innovation_sigma: Floats) -> None:
         self._judge.add(innovations, innovation_sigma)
         self._sensor.look(innovations, innovation_sigma)
+        if self._also is not None:
+            self._also(innovations, innovation_sigma)
 
     def _counted(self, told: list[Told]) -> list[Told]:
         told = self._sensor.named(told)

@@ -15,6 +15,7 @@ from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.report import ChannelReport
 from becalm.cleaning.steps import lag_in_rows
 from becalm.core.arrays import Floats
+from becalm.core.flow import Judge
 from becalm.core.told import Told
 
 
@@ -29,6 +30,9 @@ class Cleaner:
         The step that elapsed steps are counted in, in seconds.
     split : bool
         Whether to tell the parts of each channel as well, in the order of `ChannelRecipe.parts`.
+    looks : sequence of callable, optional
+        One a channel, which is given its innovations (B,) and their standard deviations, a value a row; of a channel
+        that passes unchanged nothing.
 
     Raises
     ------
@@ -38,9 +42,13 @@ class Cleaner:
         If no later reading comes within the recipe's lag.
     """
 
-    def __init__(self, recipe: Recipe, step_s: float, *, split: bool = False) -> None:
+    def __init__(self, recipe: Recipe, step_s: float, *, split: bool = False, looks: Sequence[Judge] = ()) -> None:
         lag = None if recipe.mode == "smoothed" else 0 if recipe.lag_s is None else lag_in_rows(recipe.lag_s, step_s)
-        self._channels: list[Channel] = [open_channel(channel, step_s, lag, split) for channel in recipe.channel]
+        seen_by: Sequence[Judge | None] = looks or [None] * len(recipe.channel)
+        self._channels: list[Channel] = [
+            open_channel(channel, step_s, lag, split, look)
+            for channel, look in zip(recipe.channel, seen_by, strict=True)
+        ]
         self._ready = [_Rows() for _ in self._channels]
         self._sizes: deque[int] = deque()  # of pushes that were not answered yet
         self._pool = ThreadPoolExecutor()

@@ -13,7 +13,7 @@ from typing import Annotated
 import typer
 
 from becalm.cli import options as o
-from becalm.cli.said import Said, load, open_as, refuse_taken, tuned
+from becalm.cli.said import Said, load, open_as, refuse_overwriting, tuned
 from becalm.cli.stopping import stop_cleanly
 from becalm.errors import BecalmError, UsageError
 
@@ -65,64 +65,16 @@ def clean(  # noqa: PLR0913  (the contract's options)
     robust: o.Robust = False,
     split: o.Split = False,
     verdicts: o.Verdicts = False,
+    report: o.Report = None,
+    figures: o.Figures = None,
     as_json: o.Json = False,
 ) -> None:
     """Remove the noise from a recording; nothing needs to be chosen."""
-    from becalm.cleaning.pipeline import fitted, in_mode
-    from becalm.cli.streaming import clean_chunks
-    from becalm.cli.talk import progress, tell, tell_columns, tell_not_removed
-    from becalm.files.plain import refuse_unwritable, text_in_waiting
-    from becalm.files.registry import format_to_write
-    from becalm.files.writing import open_output, refuse_columns
+    from becalm.cli.clean import Asking, Outputs, run
 
     asked, lag_s = o.asked_of(o.Dials(max_lag, bandwidth, noise_gain), still, remove, robust), o.lag_of(lag)
-    beside = Path(f"{output}.recipe.toml")
-    if recipe is not None and asked.anything:
-        raise UsageError("A recipe has its filters already; leave --recipe out to ask for others, or ask for nothing.")
-    format_to_write(output)
-    _refuse_overwriting(file, output, beside)
-    refuse_unwritable(output, beside)
-    given = load(recipe)
-    said = Said(channels, rate, time) if given is None else Said(channels, rate, time).or_as(given)
-    with open_as(file, said) as source:
-        refuse_columns(output, source.schema)
-        decided = in_mode(tuned(source, causal, asked, lag_s) if given is None else given, causal or None, lag_s)
-        named = source.names if channels else None
-        decided = said.kept_in(fitted(decided, source.names, source.units, channels=named))
-        refuse_taken(decided, source.schema.names, split=split, verdicts=verdicts)
-        text = decided.to_toml()
-        if recipe is not None and _is_same(beside, recipe) and decided != given:
-            raise UsageError(f"{beside} is the recipe itself and would change; name another output with -o.")
-        with (
-            text_in_waiting(beside, text),
-            open_output(output, {"becalm.recipe": text}) as out,
-            progress("cleaning", source.rows) as step,
-        ):
-            reports = clean_chunks(source, decided, out.write, step, split=split, verdicts=verdicts)
-        tell(reports, decided.mode == "causal")
-        tell_not_removed(reports, asked.removed_hz)
-        tell_columns(source)
-        rows, rate_hz = source.rows, source.rate_hz
-    describes = all(report.describes for report in reports)
-    if as_json:
-        summary = {
-            "file": str(file),
-            "output": str(output),
-            "recipe": str(beside),
-            "rows": rows,
-            "rate_hz": rate_hz,
-            "mode": decided.mode,
-            "describes": describes,
-            "channels": [report.as_dict() for report in reports],
-        }
-        print(json.dumps(summary, indent=2))  # noqa: T201
-    typer.echo(f"Wrote {output} and {beside}.", err=True)
-    if not describes:
-        typer.echo(
-            "The output is written, but not every channel is described by its model: leave those out with"
-            f" --channels, or look at them with: becalm inspect {file}",
-            err=True,
-        )
+    outputs = Outputs(output, split, verdicts, report, figures)
+    if not run(file, Said(channels, rate, time), Asking(recipe, causal, lag_s, asked), outputs, as_json=as_json):
         raise typer.Exit(NOT_DESCRIBED)
 
 
@@ -150,7 +102,7 @@ def tune(  # noqa: PLR0913  (the contract's options)
     from becalm.cli.talk import tell_delays
     from becalm.files.plain import refuse_unwritable, write_text
 
-    _refuse_overwriting(file, output)
+    refuse_overwriting(file, output)
     refuse_unwritable(output)
     said, asked = Said(channels, rate, time), o.asked_of(o.Dials(max_lag, bandwidth, noise_gain), still, remove, robust)
     with open_as(file, said) as source:
@@ -230,19 +182,6 @@ def warm() -> None:
     from becalm.cli.warm import run
 
     run()
-
-
-def _refuse_overwriting(file: Path, *outputs: Path) -> None:
-    for output in outputs:
-        if _is_same(output, file):
-            raise UsageError(f"{output} is the input itself; raw data are never overwritten. Name another with -o.")
-
-
-def _is_same(one: Path, other: Path) -> bool:
-    try:
-        return one.samefile(other)
-    except OSError:  # one of them is not there, or cannot be: who reads or writes it says why
-        return False
 
 
 def main() -> None:

@@ -68,6 +68,14 @@ Split = Annotated[bool, typer.Option("--split", help="Write the parts of each ch
 Verdicts = Annotated[
     bool, typer.Option("--verdicts", help="Write what became of each reading: used, missing, spike, ...")
 ]
+Report = Annotated[
+    Path | None,
+    typer.Option("--report", metavar="R.html", help="Write a page with pictures of what was done, and whom to trust."),
+]
+Figures = Annotated[
+    str | None,
+    typer.Option("--figures", metavar="png|svg|pdf", help="Draw the same pictures into the folder OUT.figures."),
+]
 Cutoff = Annotated[
     str | None,
     typer.Option("--cutoff", metavar="1Hz", help="Split the noise at rest there, above and below; 1Hz by default."),

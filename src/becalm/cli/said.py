@@ -65,6 +65,27 @@ def load(path: Path | None) -> Recipe | None:
     return Recipe.load(path)
 
 
+def refuse_overwriting(file: Path, *outputs: Path) -> None:
+    """Refuse to write over the input.
+
+    Raises
+    ------
+    UsageError
+        If an output is the input, by whatever name.
+    """
+    for output in outputs:
+        if is_same(output, file):
+            raise UsageError(f"{output} is the input itself; raw data are never overwritten. Name another with -o.")
+
+
+def is_same(one: Path, other: Path) -> bool:
+    """Whether two paths lead to one file that is there."""
+    try:
+        return one.samefile(other)
+    except OSError:  # one of them is not there, or cannot be: who reads or writes it says why
+        return False
+
+
 def refuse_taken(recipe: Recipe, columns: list[str], *, split: bool, verdicts: bool) -> None:
     """Refuse to write the parts of channels, or verdicts, over columns that a file has.
 

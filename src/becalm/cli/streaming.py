@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -17,8 +17,10 @@ from becalm.files.tables import CleanChannel, output_block
 if TYPE_CHECKING:
     from becalm.cleaning.recipe import ChannelRecipe, Recipe
     from becalm.cleaning.report import ChannelReport
+    from becalm.core.arrays import Floats
     from becalm.core.told import Told
     from becalm.files.opening import OpenSource
+    from becalm.report.gathering import Gathering
 
 CHUNK_ROWS = 1 << 18
 """Rows that are cleaned at once: much to do, and little to hold."""
@@ -40,28 +42,46 @@ def clean_chunks(  # noqa: PLR0913  (each by its name)
     *,
     split: bool = False,
     verdicts: bool = False,
+    gathering: Gathering | None = None,
 ) -> tuple[ChannelReport, ...]:
     """Clean a file, and write it; `step` is called after each chunk, with its rows.
 
-    Split, the parts of each channel are written too; with verdicts, what became of each reading.
+    Split, the parts of each channel are written too; with verdicts, what became of each reading; and what pictures
+    need is gathered, where it is asked for.
 
     Raises
     ------
     BecalmError
         If the file turns out to be damaged, or cannot be written.
     """
-    tables: deque[pa.Table] = deque()
+    waiting: deque[_Waiting] = deque()
     numbers = [source.names.index(channel.name) for channel in recipe.channel]
-    with Cleaner(recipe, source.clock.step_s, split=split) as cleaner:
+
+    def answer(told: list[Told]) -> None:
+        table, columns, elapsed = waiting.popleft()
+        if gathering is not None:
+            gathering.add(columns, elapsed, told)
+        write(_output(table, recipe, told, verdicts))
+
+    looks = [] if gathering is None else [channel.look for channel in gathering.channels]
+    with Cleaner(recipe, source.clock.step_s, split=split, looks=looks) as cleaner:
         for chunk in source.chunks(rows_of_chunks(source, len(numbers))):
-            tables.append(chunk.table)
             columns = [chunk.channel(number) for number in numbers]
-            for answer in cleaner.push(columns, chunk.elapsed_steps):
-                write(_output(tables.popleft(), recipe, answer, verdicts))
+            waiting.append(_Waiting(chunk.table, [] if gathering is None else columns, chunk.elapsed_steps))
+            for told in cleaner.push(columns, chunk.elapsed_steps):
+                answer(told)
             step("", len(chunk))
-        for answer in cleaner.finish():
-            write(_output(tables.popleft(), recipe, answer, verdicts))
+        for told in cleaner.finish():
+            answer(told)
         return cleaner.reports()
+
+
+class _Waiting(NamedTuple):
+    """A chunk that was not answered yet."""
+
+    table: pa.Table
+    columns: list[Floats]  # where they are to be drawn
+    elapsed: Floats
 
 
 def _output(table: pa.Table, recipe: Recipe, told: list[Told], verdicts: bool) -> pa.Table:

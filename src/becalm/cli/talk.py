@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from becalm.files.opening import OpenSource
     from becalm.noise.waiting import Delay
 
-_SELDOM = 0.01  # share of a record, below which a mode's bandwidth is not told
-
 stderr = Console(stderr=True, highlight=False, soft_wrap=True, markup=False)
 
 
@@ -32,6 +30,7 @@ def progress(title: str, count: int) -> Iterator[Callable[[str, int], None]]:
 def tell(reports: tuple[ChannelReport, ...], causal: bool) -> None:
     """Show what was found for each channel, then whom to trust."""
     from becalm.cleaning.judging import DESCRIBED
+    from becalm.cleaning.words import amount, bandwidth_words, lag_words, model_words, trust_words
 
     table = Table(box=None, pad_edge=False)
     for heading in ("channel", "model", "noise", "bandwidth", "lag", "trust"):
@@ -39,11 +38,11 @@ def tell(reports: tuple[ChannelReport, ...], causal: bool) -> None:
     for report in reports:
         table.add_row(
             report.name,
-            _model(report),
-            _number(report.noise_std, report.unit),
-            _bandwidth(report),
-            _lag(report, causal),
-            _trust(report),
+            model_words(report),
+            amount(report.noise_std, report.unit),
+            bandwidth_words(report),
+            lag_words(report, causal),
+            trust_words(report),
         )
     stderr.print(table)
     for report in reports:
@@ -83,52 +82,3 @@ def tell_columns(source: OpenSource) -> None:
         stderr.print(f"Replaced by the new uncertainty: {', '.join(replaced)}.")
     if kept := [text for text in passed if text.partition(" (")[0] not in replaced]:
         stderr.print(f"Passed through unchanged: {', '.join(kept[:20])}{' and more' if len(kept) > 20 else ''}.")
-
-
-def _bandwidth(report: ChannelReport) -> str:
-    if report.modes:
-        return _between([mode.bandwidth_hz for mode in report.modes.values() if mode.share >= _SELDOM], "Hz")
-    return _number(report.bandwidth_hz, "Hz")
-
-
-def _lag(report: ChannelReport, causal: bool) -> str:
-    if report.delay_s is not None:
-        return f"told {_number(report.delay_s, 's')} later"
-    if report.modes and causal:  # a still mode's is never waited for: it is left first
-        moving = {name: mode for name, mode in report.modes.items() if name != "still"}
-        name = max(moving, key=lambda name: moving[name].share)
-        return f"{_number(moving[name].lag_s, 's')} while {name}"
-    return _number(report.lag_s, "s") if causal else "none"
-
-
-def _trust(report: ChannelReport) -> str:
-    if report.verdict == "fits except":
-        return f"except near {_number(report.loudest_hz, 'Hz')}"
-    return {"fits": "yes", "does not fit": "no"}.get(report.verdict, "see below")
-
-
-def _model(report: ChannelReport) -> str:
-    if report.order is None:
-        return report.model
-    if report.modes:
-        return "switching: " + ", ".join(f"{name} {mode.share:.0%}" for name, mode in report.modes.items())
-    told = [f"{report.model} of order {report.order}"]
-    for what, frequencies in (("tones at", report.tones_hz), ("without", report.removed_hz)):
-        if frequencies:
-            told.append(f"{what} {', '.join(f'{frequency:.4g}' for frequency in frequencies)} Hz")
-    if report.coloured_std is not None:
-        told.append(f"without coloured noise of {_number(report.coloured_std, report.unit)}")
-    return ", ".join(told)
-
-
-def _between(values: list[float | None], unit: str) -> str:
-    told = sorted(value for value in values if value is not None)
-    alone = not told or told[0] == told[-1]
-    return _number(told[0] if told else None, unit) if alone else f"{told[0]:.3g} to {_number(told[-1], unit)}"
-
-
-def _number(value: float | None, unit: str) -> str:
-    if value is None:
-        return "-"
-    nothing = unit in ("s", "Hz") and abs(value) < 1e-12
-    return f"{0.0 if nothing else value:.3g} {unit}".strip()

@@ -23,6 +23,18 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
         pass
 
 
+def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
+    """Write bytes, under a temporary name first.
+
+    Raises
+    ------
+    OutputError
+        If they cannot be written; nothing is left behind.
+    """
+    with replacing(Path(path)) as file, sentences(Path(path)):
+        file.write(content)
+
+
 @contextmanager
 def text_in_waiting(path: str | os.PathLike[str], text: str) -> Iterator[None]:
     """Write text as UTF-8 under a temporary name; it gets its own at the end, if nothing was raised until then.

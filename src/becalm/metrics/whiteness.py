@@ -122,7 +122,7 @@ def judge_whiteness(sums: LaggedSums) -> Whiteness:
         p_value,
         float(correlation[1]),
         max(0.0, (share - chance) / (1 - chance)),
-        _loudest(correlation),
+        float(_CYCLES[int(np.argmax(smoothed_power(correlation, _CYCLES)))]),
         min(every, key=lambda predictor: _price(predictor, n)),
     )
 
@@ -133,12 +133,18 @@ def _price(predictor: Predictor, count: int) -> float:
     return count * float(np.log(max(predictor.error, smallest))) + len(predictor.coefficients) * float(np.log(count))
 
 
-def _loudest(correlation: Floats) -> float:
-    """Return where the spectrum of lagged correlations (l + 1,) is highest, in a Parzen window (Parzen 1961)."""
+def smoothed_power(correlation: Floats, cycles: Floats) -> Floats:
+    """Return the power (k,), 1 of white noise, at cycles a value (k,), from lagged correlations (l + 1,).
+
+    Notes
+    -----
+    Smoothed by the window of Parzen, Annals of Mathematical Statistics 32 (1961) 167.
+    """
     place = np.arange(len(correlation)) / len(correlation)
     window = np.where(place < 0.5, 1 - 6 * place**2 * (1 - place), 2 * (1 - place) ** 3)
-    waves = np.cos(2 * np.pi * np.outer(_CYCLES, np.arange(1, len(correlation))))
-    return float(_CYCLES[int(np.argmax(waves @ (window * correlation)[1:]))])
+    waves = np.cos(2 * np.pi * np.outer(cycles, np.arange(1, len(correlation))))
+    power: Floats = 1 + 2 * waves @ (window * correlation)[1:]
+    return power
 
 
 def predictors(correlation: Floats) -> Iterator[Predictor]:

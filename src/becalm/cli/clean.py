@@ -1,0 +1,112 @@
+"""A file cleaned: what is asked is checked first, then all of it is written, or nothing."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import typer
+
+from becalm.cleaning.pipeline import fitted, in_mode
+from becalm.cli.picturing import Picturing
+from becalm.cli.said import is_same, load, open_as, refuse_overwriting, refuse_taken, tuned
+from becalm.cli.streaming import clean_chunks
+from becalm.cli.talk import progress, tell, tell_columns, tell_not_removed
+from becalm.errors import UsageError
+from becalm.files.plain import refuse_unwritable, text_in_waiting
+from becalm.files.registry import format_to_write
+from becalm.files.writing import open_output, refuse_columns
+
+if TYPE_CHECKING:
+    from becalm.cleaning.recipe import Recipe
+    from becalm.cli.options import Asked
+    from becalm.cli.said import Said
+    from becalm.files.opening import OpenSource
+
+
+class Asking(NamedTuple):
+    """What is asked of the filters."""
+
+    recipe: Path | None
+    causal: bool
+    lag_s: float | None
+    asked: Asked
+
+
+class Outputs(NamedTuple):
+    """What is to be written."""
+
+    output: Path
+    split: bool
+    verdicts: bool
+    report: Path | None
+    figures: str | None
+
+    @property
+    def recipe(self) -> Path:
+        """Where the recipe goes."""
+        return Path(f"{self.output}.recipe.toml")
+
+
+def run(file: Path, said: Said, asking: Asking, outputs: Outputs, *, as_json: bool) -> bool:
+    """Clean a file; return whether every channel is described by its model."""
+    output, beside, asked = outputs.output, outputs.recipe, asking.asked
+    if asking.recipe is not None and asked.anything:
+        raise UsageError("A recipe has its filters already; leave --recipe out to ask for others, or ask for nothing.")
+    picturing = Picturing(output, outputs.report, outputs.figures)
+    format_to_write(output)
+    refuse_overwriting(file, output, beside, *picturing.paths)
+    refuse_unwritable(output, beside, *picturing.paths)
+    given = load(asking.recipe)
+    said = said if given is None else said.or_as(given)
+    with open_as(file, said) as source:
+        refuse_columns(output, source.schema)
+        recipe = _decided(source, said, asking, given)
+        refuse_taken(recipe, source.schema.names, split=outputs.split, verdicts=outputs.verdicts)
+        if asking.recipe is not None and is_same(beside, asking.recipe) and recipe != given:
+            raise UsageError(f"{beside} is the recipe itself and would change; name another output with -o.")
+        text, gathering = recipe.to_toml(), picturing.gathering(source, len(recipe.channel))
+        with (
+            text_in_waiting(beside, text),
+            open_output(output, {"becalm.recipe": text}) as out,
+            progress("cleaning", source.rows) as step,
+        ):
+            reports = clean_chunks(
+                source, recipe, out.write, step, split=outputs.split, verdicts=outputs.verdicts, gathering=gathering
+            )
+        tell(reports, recipe.mode == "causal")
+        tell_not_removed(reports, asked.removed_hz)
+        tell_columns(source)
+        rows, rate_hz = source.rows, source.rate_hz
+        typer.echo(f"Wrote {output} and {beside}.", err=True)
+        drawn = picturing.draw(source, recipe, reports, gathering)
+    describes = all(report.describes for report in reports)
+    if as_json:
+        summary = {
+            "file": str(file),
+            "output": str(output),
+            "recipe": str(beside),
+            **drawn,
+            "rows": rows,
+            "rate_hz": rate_hz,
+            "mode": recipe.mode,
+            "describes": describes,
+            "channels": [report.as_dict() for report in reports],
+        }
+        print(json.dumps(summary, indent=2))  # noqa: T201
+    if not describes:
+        typer.echo(
+            "The output is written, but not every channel is described by its model: leave those out with"
+            f" --channels, or look at them with: becalm inspect {file}",
+            err=True,
+        )
+    return describes
+
+
+def _decided(source: OpenSource, said: Said, asking: Asking, given: Recipe | None) -> Recipe:
+    """Return what to do with a file: as the recipe says that was given, or as one says that is found."""
+    found = tuned(source, asking.causal, asking.asked, asking.lag_s) if given is None else given
+    decided = in_mode(found, asking.causal or None, asking.lag_s)
+    named = source.names if said.channels else None
+    return said.kept_in(fitted(decided, source.names, source.units, channels=named))

@@ -1,0 +1,124 @@
+"""The pictures of a file that is cleaned: a page, and figures in a folder."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, cast, get_args
+
+import typer
+
+from becalm.errors import OutputError, UsageError
+
+if TYPE_CHECKING:
+    from becalm.cleaning.recipe import Recipe
+    from becalm.cleaning.report import ChannelReport
+    from becalm.files.opening import OpenSource
+    from becalm.report.channel import Pictures
+    from becalm.report.gathering import Gathering
+    from becalm.report.printing import Kind
+
+_PAGES = (".html", ".htm")
+
+
+class Picturing:
+    """What is to be drawn of a file; nothing is loaded where nothing is.
+
+    Parameters
+    ----------
+    output : Path
+        The clean file; figures go into a folder beside it.
+    page : Path or None
+        Where the page goes.
+    kind : str or None
+        What figures are drawn as.
+
+    Attributes
+    ----------
+    paths : tuple of Path
+        Files that will be written, as far as their names are known.
+
+    Raises
+    ------
+    UsageError
+        If the page is no HTML file, the kind is unknown, or something that draws is not installed.
+    """
+
+    def __init__(self, output: Path, page: Path | None, kind: str | None) -> None:
+        self._page, self._folder = page, Path(f"{output}.figures")
+        self._kind = None if kind is None else _known(kind)
+        self.paths = () if page is None else (page,)
+        if page is not None:
+            from becalm.report.vendor import uplot
+
+            if page.suffix.lower() not in _PAGES:
+                better = page.with_suffix(".html")
+                raise UsageError(f"The report is a page, and {page} is none; write --report {better}")
+            if page.resolve() == output.resolve():
+                raise UsageError(f"{page} is the output too; give the report another name.")
+            uplot()
+
+    def gathering(self, source: OpenSource, channels: int) -> Gathering | None:
+        """Return what gathers while the file is cleaned, if anything is to be drawn."""
+        if self._page is None and self._kind is None:
+            return None
+        from becalm.report.gathering import Gathering
+
+        return Gathering(source.rows, source.clock.step_s, channels)
+
+    def draw(
+        self,
+        source: OpenSource,
+        recipe: Recipe,
+        reports: tuple[ChannelReport, ...],
+        gathering: Gathering | None,
+    ) -> dict[str, str]:
+        """Draw, and say where; return the same for JSON.
+
+        Raises
+        ------
+        OutputError
+            If something cannot be written.
+        """
+        if gathering is None:
+            return {}
+        from becalm.files.plain import write_text
+        from becalm.report.channel import Pictures
+        from becalm.report.page import Facts, page
+
+        pictures = Pictures(recipe, reports, gathering, source.clock.step_s)
+        drawn = {}
+        if self._page is not None:
+            facts = Facts(source.path.name, source.rows, source.clock.step_s, source.sha256())
+            write_text(self._page, page(facts, recipe, pictures))
+            drawn["report"] = str(self._page)
+            typer.echo(f"Wrote {self._page}.", err=True)
+        if self._kind is not None:
+            count = self._print(pictures, self._kind)
+            drawn["figures"] = str(self._folder)
+            typer.echo(f"Drew {count} figures into {self._folder}.", err=True)
+        return drawn
+
+    def _print(self, pictures: Pictures, kind: Kind) -> int:
+        from becalm.files.plain import write_bytes
+        from becalm.report.printing import printed
+
+        try:
+            self._folder.mkdir(exist_ok=True)
+        except OSError as cause:
+            raise OutputError(f"The folder {self._folder} cannot be made: {cause.strerror}.") from cause
+        count = 0
+        for number in range(len(pictures)):
+            drawn = pictures.channel(number)
+            for figure in (*drawn.wide, *drawn.narrow):
+                write_bytes(self._folder / f"{figure.name}.{kind}", printed([figure], kind))
+                count += 1
+        return count
+
+
+def _known(kind: str) -> Kind:
+    from becalm.report.printing import Kind, refuse_unprintable
+
+    if kind not in get_args(Kind):
+        raise UsageError(f"--figures {kind} is not known; write --figures {', '.join(get_args(Kind)[:-1])} or pdf.")
+    refuse_unprintable()
+    return cast("Kind", kind)

@@ -1,0 +1,253 @@
+// Draws the figures of a report with uPlot; all that it needs stands in the page.
+"use strict";
+
+(() => {
+  const OTHERS = 6;
+  const LEFT = 72; // pixels beside what has time in common, so that it lies in line
+  const palette = new Map();
+
+  /** Read the colours again, as the reader's light or dark theme has them. */
+  function readColours() {
+    const style = getComputedStyle(document.documentElement);
+    for (const name of ["ink", "faint", "grid", "readings", "clean", "truth", "limit", ...numbered()])
+      palette.set(name, style.getPropertyValue(`--${name}`).trim());
+  }
+
+  function numbered() {
+    return Array.from({ length: OTHERS }, (_, i) => `other-${i}`);
+  }
+
+  const colour = (role) => () => palette.get(role);
+  const translucent = (role) => () => `${palette.get(role)}40`;
+
+  /** Turn base64 into numbers; what is no number becomes null, where uPlot leaves a gap. */
+  function decode(held) {
+    const bytes = Uint8Array.from(atob(held.float64 ?? held.float32), (letter) => letter.charCodeAt(0));
+    const numbers = held.float64 ? new Float64Array(bytes.buffer) : new Float32Array(bytes.buffer);
+    return Array.from(numbers, (value) => (Number.isFinite(value) ? value + (held.offset ?? 0) : null));
+  }
+
+  /** Give each layer its role's colour; "other" ones take turns. */
+  function rolesOf(layers) {
+    let others = 0;
+    return layers.map((layer) => (layer.role === "other" ? `other-${others++ % OTHERS}` : layer.role));
+  }
+
+  /** Lay out the layers as columns beside one x, and say which columns each layer has. */
+  function columnsOf(figure, arrays) {
+    const tables = new Map();
+    figure.layers.forEach((layer, i) => {
+      if (layer.x === undefined) return;
+      if (!tables.has(layer.x)) tables.set(layer.x, []);
+      for (const y of layer.kind === "band" ? [layer.low, layer.high] : [layer.y])
+        tables.get(layer.x).push({ layer: i, y });
+    });
+    const grouped = [...tables].map(([x, found]) => [arrays[x], ...found.map(({ y }) => arrays[y])]);
+    const owners = [...tables.values()].flat().map(({ layer }) => layer);
+    const data = grouped.length > 1 ? uPlot.join(grouped) : grouped[0] ?? [[0, 1], [0, 0]];
+    return { data, owners };
+  }
+
+  function seriesOf(figure, owners, roles) {
+    if (!owners.length) return [{}, { stroke: "transparent", points: { show: false } }];
+    const shared = { width: 1, spanGaps: false };
+    return [
+      {},
+      ...owners.map((i) => {
+        const { kind, look, faint } = figure.layers[i];
+        if (kind === "band") return { ...shared, stroke: faint ? "transparent" : colour(roles[i]), points: { show: false } };
+        if (look === "points")
+          return { ...shared, stroke: colour(roles[i]), paths: () => null, points: { show: true, size: 7, fill: colour(roles[i]) } };
+        const dash = { dashed: [6, 4], dotted: [2, 3] }[look];
+        return { ...shared, stroke: colour(roles[i]), dash, points: { show: false } };
+      }),
+    ];
+  }
+
+  function bandsOf(figure, owners, roles) {
+    return figure.layers.flatMap((layer, i) => {
+      if (layer.kind !== "band") return [];
+      const low = owners.indexOf(i) + 1;
+      return [{ series: [low + 1, low], fill: layer.faint ? translucent(roles[i]) : colour(roles[i]) }];
+    });
+  }
+
+  function axisOf(axis, more) {
+    const font = "12px system-ui, sans-serif";
+    const lines = { stroke: colour("grid"), width: 1 };
+    const powers = axis.log ? { splits: powersOfTen, filter: (u, splits) => splits, values: (u, splits) => splits.map(short) } : {};
+    return { label: axis.label, labelFont: font, labelSize: 18, font, stroke: colour("ink"), grid: lines, ticks: lines, ...powers, ...more };
+  }
+
+  /** Where a logarithmic axis has its numbers: at most seven powers of ten. */
+  function powersOfTen(u, axis, low, high) {
+    const [first, last] = [Math.ceil(Math.log10(low) - 1e-9), Math.floor(Math.log10(high) + 1e-9)];
+    const stride = Math.max(1, Math.ceil((last - first + 1) / 7));
+    return Array.from({ length: Math.floor((last - first) / stride) + 1 }, (_, i) => 10 ** (first + i * stride));
+  }
+
+  /** Keep a scale to what is asked; what is not comes from the data, or from where the reader looks. */
+  function scaleOf({ log, low, high }) {
+    const scale = { time: false, distr: log ? 3 : 1 };
+    if (low !== null || high !== null)
+      scale.range = (u, least, most) => (u.zoomed ? [least, most] : [low ?? least, high ?? 1.05 * most]);
+    return scale;
+  }
+
+  /** Draw what uPlot has no series for: lanes, rules, and the names of points. */
+  function extras(figure, arrays, roles) {
+    const lanes = figure.layers.filter((layer) => layer.kind === "lane");
+    return (u) => {
+      const { ctx } = u;
+      const { left, top, width, height } = u.bbox;
+      ctx.save();
+      ctx.beginPath();
+      ctx.rect(left, top, width, height);
+      ctx.clip();
+      lanes.forEach((lane, i) => {
+        ctx.fillStyle = palette.get(`other-${i % OTHERS}`);
+        const [above, below] = [u.valToPos(0.4 - i, "y", true), u.valToPos(-0.4 - i, "y", true)];
+        arrays[lane.starts].forEach((start, k) => {
+          const from = u.valToPos(start, "x", true);
+          ctx.fillRect(from, above, Math.max(devicePixelRatio, u.valToPos(arrays[lane.ends][k], "x", true) - from), below - above);
+        });
+      });
+      figure.layers.forEach((layer, i) => {
+        if (layer.kind === "rule") rule(u, layer, palette.get(roles[i]));
+        (layer.labels ?? []).forEach((text, k) => label(u, text, arrays[layer.x][k], arrays[layer.y][k]));
+      });
+      ctx.restore();
+    };
+  }
+
+  function rule(u, layer, stroke) {
+    const at = u.valToPos(layer.at, "x", true);
+    u.ctx.strokeStyle = stroke;
+    u.ctx.setLineDash([2 * devicePixelRatio, 3 * devicePixelRatio]);
+    u.ctx.beginPath();
+    u.ctx.moveTo(at, u.bbox.top);
+    u.ctx.lineTo(at, u.bbox.top + u.bbox.height);
+    u.ctx.stroke();
+  }
+
+  function label(u, text, x, y) {
+    const right = u.valToPos(x, "x", true) > u.bbox.left + 0.5 * u.bbox.width;
+    u.ctx.fillStyle = palette.get("ink");
+    u.ctx.font = `${12 * devicePixelRatio}px system-ui, sans-serif`;
+    u.ctx.textAlign = right ? "right" : "left";
+    u.ctx.fillText(text, u.valToPos(x, "x", true) + (right ? -8 : 8) * devicePixelRatio, u.valToPos(y, "y", true) - 8 * devicePixelRatio);
+  }
+
+  /** One button a layer, which hides it; beside it what stands under the cursor. */
+  function legend(u, figure, owners, roles, place) {
+    const told = [];
+    figure.layers.forEach((layer, i) => {
+      const columns = owners.flatMap((owner, column) => (owner === i ? [column + 1] : []));
+      if (!layer.name || !columns.length) return;
+      const button = document.createElement("button");
+      button.type = "button";
+      button.setAttribute("aria-pressed", "true");
+      button.style.setProperty("--mark", `var(--${roles[i]})`);
+      const value = document.createElement("output");
+      button.append(layer.name, " ", value);
+      button.addEventListener("click", () => {
+        const show = button.getAttribute("aria-pressed") !== "true";
+        button.setAttribute("aria-pressed", String(show));
+        columns.forEach((column) => u.setSeries(column, { show }));
+      });
+      place.append(button);
+      told.push({ columns, value });
+    });
+    return () => {
+      for (const { columns, value } of told) {
+        const values = columns.map((column) => u.cursor.idx === null ? null : u.data[column][u.cursor.idx]);
+        value.textContent = values.some((one) => one === null || one === undefined) ? "" : [...new Set(values.map(short))].join(" to ");
+      }
+    };
+  }
+
+  function short(value) {
+    const far = value !== 0 && (Math.abs(value) >= 1e5 || Math.abs(value) < 1e-3);
+    return far ? value.toExponential(4).replace(/\.?0*e\+?/, "e") : String(Number(value.toPrecision(5)));
+  }
+
+  /** Unpack what is shown in print. */
+  async function unpack(place) {
+    const bytes = Uint8Array.from(atob(place.dataset.svg), (letter) => letter.charCodeAt(0));
+    const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"));
+    place.innerHTML = await new Response(stream).text();
+  }
+
+  function draw(figure, arrays, place, group) {
+    const roles = rolesOf(figure.layers);
+    const { data, owners } = columnsOf(figure, arrays);
+    const lanes = figure.layers.filter((layer) => layer.kind === "lane");
+    const canvas = place.querySelector(".canvas");
+    const height = lanes.length ? 58 + 20 * lanes.length : place.classList.contains("wide") ? 320 : 240;
+    const size = () => ({ width: canvas.clientWidth, height });
+    const y = lanes.length
+      ? axisOf(figure.y, { splits: () => lanes.map((_, i) => -i), values: () => lanes.map((lane) => lane.name), grid: { show: false }, size: LEFT })
+      : axisOf(figure.y, { size: place.classList.contains("wide") ? LEFT : 52 });
+    const yScale = lanes.length ? { range: [0.5 - lanes.length, 0.5] } : scaleOf(figure.y);
+    const reset = place.querySelector(".reset");
+    let update = () => {};
+    const u = new uPlot(
+      {
+        ...size(),
+        legend: { show: false },
+        scales: { x: scaleOf(figure.x), y: yScale },
+        axes: [axisOf(figure.x, { size: 34 }), y],
+        series: seriesOf(figure, owners, roles),
+        bands: bandsOf(figure, owners, roles),
+        cursor: { drag: { x: true, y: false }, sync: group ? { key: group.key } : undefined, points: { show: false } },
+        hooks: {
+          draw: [extras(figure, arrays, roles)],
+          setCursor: [() => update()],
+          setSelect: [(self) => { if (self.select.width > 0) zoom(true); }],
+        },
+      },
+      data,
+      canvas,
+    );
+    update = legend(u, figure, owners, roles, place.querySelector(".legend"));
+
+    function zoom(on) {
+      for (const each of group ? group.plots : [{ u, reset }]) {
+        each.u.zoomed = on;
+        each.reset.hidden = !on;
+      }
+      if (!group) return;
+      const { left, width } = u.select;
+      const range = on && { min: u.posToVal(left, "x"), max: u.posToVal(left + width, "x") };
+      for (const each of group.plots) if (each.u !== u && range) each.u.setScale("x", range);
+    }
+
+    function whole() {
+      zoom(false);
+      for (const each of group ? group.plots : [{ u }]) each.u.setData(each.u.data);
+    }
+
+    group?.plots.push({ u, reset });
+    reset.addEventListener("click", whole);
+    u.over.addEventListener("dblclick", whole);
+    new ResizeObserver(() => u.setSize(size())).observe(canvas);
+    return u;
+  }
+
+  readColours();
+  const { arrays: held, figures } = JSON.parse(document.getElementById("figures").textContent);
+  const arrays = held.map(decode);
+  const groups = new Map();
+  const plots = figures.map((figure) => {
+    const place = document.getElementById(figure.name);
+    const key = place.dataset.together;
+    if (key && !groups.has(key)) groups.set(key, { key, plots: [] });
+    return draw(figure, arrays, place, groups.get(key));
+  });
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
+    readColours();
+    plots.forEach((u) => u.redraw(false, true));
+  });
+  document.querySelectorAll("[data-svg]").forEach(unpack);
+  window.becalmPlots = plots;
+})();

@@ -1,0 +1,137 @@
+"""What the filter of a channel is, in pictures: noise against lag, and how it follows a step."""
+
+from __future__ import annotations
+
+from itertools import chain
+from typing import NamedTuple
+
+import numpy as np
+
+from becalm.cleaning.figures import response_of
+from becalm.cleaning.pipeline import clean
+from becalm.cleaning.recipe import ChannelRecipe, Recipe
+from becalm.cleaning.report import ChannelReport
+from becalm.core.closed_forms import cutoff_to_ratio
+from becalm.core.recording import Recording
+from becalm.core.response import Response
+from becalm.noise.front import Front, noise_lag_front
+from becalm.noise.waiting import Wait, waiting_curve
+from becalm.report.description import Axis, Curve, Figure, Layer
+from becalm.report.pictures import Title
+
+_ORDERS = (1, 2, 3)
+_CUTOFFS = np.geomspace(1e-4, 3.0, 20)  # radians a step
+_HEIGHT = 10.0  # of a step, in standard deviations of a reading's noise
+_POINTS = 600
+_MOST_ROWS = 200_000
+
+
+class Behaviour(NamedTuple):
+    """What is known of a channel's filter."""
+
+    channel: ChannelRecipe
+    report: ChannelReport
+    response: Response | None
+    waits: tuple[Wait, ...]  # what waiting for later readings buys, the limit last; of a motion alone
+
+    def noise_left(self, wait_s: float | None) -> float | None:
+        """Return the standard deviation of the noise that is left, in unit; of one that waits, where that is known."""
+        if self.response is None or self.report.noise_std is None:
+            return None
+        if wait_s is None:
+            return self.report.noise_std * float(np.sqrt(self.response.noise_gain))
+        waits = [one.wait_s for one in self.waits[:-1]]
+        return float(np.interp(wait_s, waits, [one.noise_std for one in self.waits[:-1]])) if waits else None
+
+
+def front_of(step_s: float) -> Front:
+    """Return the front of all causal filters, for noise of 1."""
+    points = [
+        noise_lag_front(1.0, step_s, (order,), [cutoff_to_ratio(order, float(cutoff)) for cutoff in _CUTOFFS]).points
+        for order in _ORDERS
+    ]
+    return Front(1.0, step_s, tuple(chain.from_iterable(points)))
+
+
+def front_figure(title: Title, found: Behaviour, front: Front, mode: str) -> Figure | None:
+    """Draw what is left of a reading's noise against how late the output is, and where this filter stands."""
+    noise_std = found.report.noise_std
+    if noise_std is None or found.response is None:
+        return None
+    layers: list[Layer] = []
+    for order in front.orders:
+        points = [point for point in front.points if point.order == order]
+        x, y = np.array([(point.lag_s, noise_std * point.noise_std) for point in points]).T
+        layers.append(Curve(f"causal, order {order}", x[::-1], y[::-1], "other", "dashed"))
+    late_s = found.response.lag_s
+    if mode != "causal" and found.waits:
+        x, y = np.array([(one.wait_s, one.noise_std) for one in found.waits[1:-1]]).T
+        layers.append(Curve("this filter, told later", x, y, "clean"))
+        late_s = float(x[-1]) if found.report.delay_s is None else found.report.delay_s
+    left = found.noise_left(late_s if mode == "lagged" else None)
+    if late_s > 0 and left is not None:
+        chosen = "chosen" if mode != "smoothed" else "chosen: waits for all"
+        layers.append(Curve("chosen", np.array([late_s]), np.array([left]), "truth", "points", (chosen,)))
+    said = "How late: by how much a causal output trails, or how long a later one waits."
+    unit = f" ({title.unit})" if title.unit else ""
+    late, noise = Axis("how late (s)", log=True), Axis(f"noise left{unit}", log=True)
+    return Figure(f"{title.slug}-front", "Noise against lag", late, noise, tuple(layers), said)
+
+
+def step_figure(title: Title, found: Behaviour, recipe: Recipe, step_s: float) -> Figure | None:
+    """Draw how the filter follows a step, by running it; None where it passes unchanged, or takes too long."""
+    rows = _rows_to_show(found, step_s)
+    if rows is None:
+        return None
+    assert found.channel.noise_std is not None  # of a motion
+    step = np.repeat([0.0, 1.0], 2 * rows)
+    alone = found.channel.model_copy(update={"gate": None, "limits": None, "calibration": None})
+    readings = Recording(
+        _HEIGHT * found.channel.noise_std * step[:, np.newaxis],
+        names=[alone.name],
+        units=[alone.unit],
+        rate_hz=1 / step_s,
+    )
+    run = clean(readings, recipe.model_copy(update={"channel": (alone,)}))
+    output = run.signal.samples[:, 0] / (_HEIGHT * found.channel.noise_std)
+    shown = slice(rows, 3 * rows, max(1, 2 * rows // _POINTS))
+    times_s = (np.arange(4.0 * rows)[shown] - 2 * rows) * step_s
+    layers = (
+        Curve("step", times_s, step[shown], "readings", "dashed"),
+        Curve("output", times_s, output[shown], "clean"),
+    )
+    said = f"Without noise and without a gate; the step is {_HEIGHT:g} times the noise of a reading."
+    axis = Axis("output / step")
+    return Figure(f"{title.slug}-step", "Step response", Axis("time (s)"), axis, layers, said)
+
+
+def _rows_to_show(found: Behaviour, step_s: float) -> int | None:
+    """Return how many rows show the step, before and after; None if it cannot be shown."""
+    told = found.response
+    if told is None or not told.bandwidth_hz > 0:
+        return None
+    lasts_s = 2 / told.bandwidth_hz if told.step is None else 2 * told.step.settling_s
+    rows = max(20, int(np.ceil(lasts_s / step_s)))
+    return rows if 4 * rows <= _MOST_ROWS else None
+
+
+def behaviour_of(channel: ChannelRecipe, report: ChannelReport, recipe: Recipe, step_s: float) -> Behaviour:
+    """Find out what a channel's filter is.
+
+    Parameters
+    ----------
+    channel : ChannelRecipe
+        Its recipe.
+    report : ChannelReport
+        What was found when it ran.
+    recipe : Recipe
+        Of the whole recording.
+    step_s : float
+        Of its rows.
+    """
+    response, motion = response_of(channel, report, step_s, recipe.mode == "causal"), channel.motion
+    alone = motion is not None and channel.switching is None and not channel.parts[1:]
+    if response is None or motion is None or not alone or not report.q_over_r:
+        return Behaviour(channel, report, response, ())
+    waits = waiting_curve(motion.order, report.q_over_r, motion.noise_std**2, step_s)
+    return Behaviour(channel, report, response, waits)

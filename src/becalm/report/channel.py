@@ -1,0 +1,80 @@
+"""All figures of one channel, in the order in which they are looked at."""
+
+from __future__ import annotations
+
+import re
+from typing import NamedTuple
+
+from becalm.cleaning.recipe import Recipe
+from becalm.cleaning.report import ChannelReport
+from becalm.noise.front import Front
+from becalm.report.behaviour import behaviour_of, front_figure, front_of, step_figure
+from becalm.report.description import Figure
+from becalm.report.gathering import Gathering
+from becalm.report.pictures import Title, closeup_figures, signal_figures, spectrum_figure
+from becalm.report.trust import innovation_figures
+
+_LONGEST_SLUG = 40
+
+
+class Pictured(NamedTuple):
+    """A channel, drawn."""
+
+    report: ChannelReport
+    words: str  # its filter, in a sentence; empty where it passes unchanged
+    wide: tuple[Figure, ...]  # over time
+    narrow: tuple[Figure, ...]
+
+
+class Pictures:
+    """Draws the channels of a recording that was cleaned.
+
+    Parameters
+    ----------
+    recipe : Recipe
+        What was done.
+    reports : tuple of ChannelReport
+        What was found, in the order of the recipe's channels.
+    gathering : Gathering
+        What went by.
+    step_s : float
+        Of its rows.
+    """
+
+    def __init__(self, recipe: Recipe, reports: tuple[ChannelReport, ...], gathering: Gathering, step_s: float) -> None:
+        self._recipe, self._reports, self._gathering, self._step_s = recipe, reports, gathering, step_s
+        self._front: Front = front_of(step_s)
+
+    def __len__(self) -> int:
+        """Return how many channels there are."""
+        return len(self._reports)
+
+    @property
+    def reports(self) -> tuple[ChannelReport, ...]:
+        """What was found of each channel."""
+        return self._reports
+
+    def channel(self, number: int) -> Pictured:
+        """Draw a channel, counted from 0."""
+        recipe, report, gathered = self._recipe, self._reports[number], self._gathering.channels[number]
+        title = Title(f"{number + 1}-{_slug(report.name)}", report.name, report.unit)
+        behaviour = behaviour_of(recipe.channel[number], report, recipe, self._step_s)
+        times = self._gathering.times
+        close = closeup_figures(title, gathered) if self._gathering.rows_each > 1 else ()
+        narrow = (
+            spectrum_figure(title, gathered),
+            front_figure(title, behaviour, self._front, recipe.mode),
+            step_figure(title, behaviour, recipe, self._step_s),
+            *innovation_figures(title, times, gathered, 1 / self._step_s),
+        )
+        return Pictured(
+            report,
+            "" if behaviour.response is None else str(behaviour.response),
+            (*signal_figures(title, times, gathered), *close),
+            tuple(figure for figure in narrow if figure is not None),
+        )
+
+
+def _slug(name: str) -> str:
+    """Return a channel's name as part of a file's."""
+    return re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:_LONGEST_SLUG] or "channel"

@@ -1,0 +1,135 @@
+"""What pictures need of a recording, gathered while its rows go by, in memory that does not grow with them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
+
+import numpy as np
+
+from becalm.core.arrays import Floats
+from becalm.core.told import Told
+from becalm.core.verdict import Verdict
+from becalm.metrics.whiteness import RunningWhiteness, Whiteness
+from becalm.report.closeup import Closeup, Farthest, Middle
+from becalm.report.envelope import Envelope, Kinds, Means, Stretches
+from becalm.report.spectra import RunningSpectrum
+
+_STRETCHES = 18_000  # of all channels together
+_FEWEST, _MOST = 300, 3000  # of one
+_NIS_STRETCHES = 200
+
+WIDTH = 2.0
+"""How many sigma a band is wide, to each side."""
+
+
+class Rows(NamedTuple):
+    """Some rows of one channel, after the filter."""
+
+    times_s: Floats  # (B,) since the first row
+    readings: Floats  # (B,) NaN where missing or impossible
+    told: Told
+
+
+class Gathering:
+    """Gathers what is drawn of a recording.
+
+    Parameters
+    ----------
+    rows : int
+        How many will come.
+    step_s : float
+        The step that elapsed steps are counted in, in seconds.
+    channels : int
+        How many channels each row has.
+
+    Attributes
+    ----------
+    times : Envelope
+        When each stretch began and ended, in seconds since the first row.
+    channels : tuple of ChannelGathering
+        In order.
+    """
+
+    def __init__(self, rows: int, step_s: float, channels: int) -> None:
+        self._stretches = Stretches(rows, min(_MOST, max(_FEWEST, _STRETCHES // max(1, channels))))
+        self._step_s, self._steps = step_s, 0.0
+        self.rows_each = self._stretches.rows_each
+        self.times = Envelope(self._stretches.count)
+        self.channels = tuple(ChannelGathering(rows, step_s, self._stretches.count) for _ in range(channels))
+
+    def add(self, columns: Sequence[Floats], elapsed: Floats, told: Sequence[Told]) -> None:
+        """Take the next rows of all channels.
+
+        Parameters
+        ----------
+        columns : sequence of (B,) float arrays
+            Readings as they came, one array a channel.
+        elapsed : (B,) float array
+            Steps since the row before.
+        told : sequence of Told
+            What the filters say of these rows.
+        """
+        if not len(elapsed):
+            return
+        steps = self._steps + np.cumsum(elapsed)
+        self._steps = float(steps[-1])
+        times, cut = steps * self._step_s, self._stretches.next(len(steps))
+        self.times.add(*cut, times, times)
+        with ThreadPoolExecutor() as pool:
+            done = pool.map(
+                lambda channel, z, of: channel.add(Rows(times, _possible(z, of), of), cut), self.channels, columns, told
+            )
+            list(done)  # raises what went wrong
+
+
+class ChannelGathering:
+    """Gathers what is drawn of one channel."""
+
+    def __init__(self, rows: int, step_s: float, stretches: int) -> None:
+        self.readings, self.clean, self.band = (Envelope(stretches) for _ in range(3))
+        self.kinds = Kinds(stretches)
+        self.before, self.after = RunningSpectrum(rows, 1 / step_s), RunningSpectrum(rows, 1 / step_s)
+        self.closeups: tuple[Closeup, ...] = (Middle(rows), Farthest())
+        self.nis = Means(_NIS_STRETCHES)
+        self._nis_stretches = Stretches(rows, _NIS_STRETCHES)
+        self._whiteness = RunningWhiteness()
+
+    def add(self, rows: Rows, cut: tuple[slice, np.ndarray[tuple[int], np.dtype[np.intp]]]) -> None:
+        """Take the next rows, cut into stretches."""
+        _, z, told = rows
+        half = WIDTH * np.where(np.isfinite(told.sigma), told.sigma, np.nan)
+        self.readings.add(*cut, z, z)
+        self.clean.add(*cut, told.signal, told.signal)
+        self.band.add(*cut, told.signal - half, told.signal + half)
+        self.kinds.add(*cut, told.verdicts)
+        self.before.add(np.where(np.isnan(z), told.signal, z))
+        self.after.add(told.signal)
+        for closeup in self.closeups:
+            closeup.add(rows.times_s, z, told)
+
+    def look(self, innovations: Floats, innovation_sigma: Floats) -> None:
+        """Take the next innovations (B,) and their standard deviations, NaN where there is none."""
+        normalised = innovations / innovation_sigma
+        self._whiteness.add(normalised)
+        self.nis.add(*self._nis_stretches.next(len(normalised)), normalised**2)
+
+    def whiteness(self) -> Whiteness:
+        """Judge all innovations so far."""
+        return self._whiteness.result()
+
+    def correlations(self) -> tuple[Floats, int]:
+        """Return the autocorrelation of the innovations at lags 1 to 32, or fewer of few, and how many there were."""
+        sums = self._whiteness.sums()
+        lags = min(32, sums.seen // 8)
+        covariance = sums.about_mean(lags) if lags else np.zeros(1)
+        return (covariance[1:] / covariance[0] if covariance[0] > 0 else np.zeros(0)), sums.seen
+
+
+def _possible(z: Floats, told: Told) -> Floats:
+    """Return readings to draw: without what no sensor gives, which would leave no room for the others."""
+    if not told.verdicts.any():
+        return z
+    impossible = np.isin(told.verdicts, (Verdict.NONFINITE, Verdict.OVERRANGE))
+    return np.where(impossible, np.nan, z)

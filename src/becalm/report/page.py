@@ -1,0 +1,262 @@
+"""The report: one self-contained page that a browser opens with the network off."""
+
+from __future__ import annotations
+
+import base64
+import gzip
+import platform
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from importlib.resources import files
+from typing import NamedTuple
+
+from jinja2 import Environment
+
+from becalm.cleaning.recipe import Recipe
+from becalm.cleaning.report import ChannelReport
+from becalm.cleaning.words import amount, bandwidth_words, lag_words, model_words, trust_words
+from becalm.report.channel import Pictured, Pictures
+from becalm.report.description import Figure
+from becalm.report.payload import payload
+from becalm.report.printing import can_print, printed
+from becalm.report.vendor import uplot
+
+MOST_PICTURED = 8
+"""Channels that are drawn, so that a page stays small; of the others the table tells."""
+
+_HEADINGS = ("model", "noise", "bandwidth", "lag", "described by its model")
+_TONES = {"fits": "fits", "constant": "fits", "fits except": "except", "does not fit": "not"}
+_HASH_SHOWN = 16
+
+
+@dataclass(frozen=True)
+class Facts:
+    """Which recording a report is about.
+
+    Attributes
+    ----------
+    name : str
+        Of the file, or whatever it is called.
+    rows : int
+        Samples.
+    step_s : float
+        Between them, in seconds.
+    sha256 : str
+        Hash of the file; empty if there was none.
+    """
+
+    name: str
+    rows: int
+    step_s: float
+    sha256: str = ""
+
+
+class Cells(NamedTuple):
+    """A table of text."""
+
+    title: str
+    headings: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+
+class Beside(NamedTuple):
+    """What stands beside becalm's own in the section of a channel."""
+
+    tables: tuple[Cells, ...]
+    figures: tuple[Figure, ...]
+
+
+class _Line(NamedTuple):
+    anchor: str
+    name: str
+    cells: tuple[str, ...]
+    tone: str
+
+
+class _Section(NamedTuple):
+    anchor: str
+    name: str
+    tone: str
+    says: str
+    words: str
+    tables: tuple[Cells, ...]
+    figures_told: tuple[tuple[str, str], ...]
+    figures: tuple[tuple[Figure, str, str], ...]  # each with its kind, and with the others that it is zoomed with
+    printed: tuple[str, ...]
+
+
+def page(
+    facts: Facts,
+    recipe: Recipe,
+    pictures: Pictures,
+    beside: Sequence[Beside] = (),
+) -> str:
+    """Return the report on a recording that was cleaned, as HTML.
+
+    Parameters
+    ----------
+    facts : Facts
+        Which recording it was.
+    recipe : Recipe
+        What was done.
+    pictures : Pictures
+        Of its channels.
+    beside : sequence of Beside
+        For each channel, what else belongs to it; nothing by default.
+
+    Raises
+    ------
+    UsageError
+        If the package was installed without its plotting script.
+    """
+    reports = pictures.reports
+    numbers = _pictured(reports)
+    drawn = {number: pictures.channel(number) for number in numbers}
+    sections = [_section(drawn[number], number, beside[number] if beside else Beside((), ())) for number in numbers]
+    script, style = uplot()
+    template = Environment(autoescape=True).from_string(_asset("page.html"))
+    return template.render(
+        facts=facts,
+        version=version("becalm"),
+        lead=_lead(reports),
+        facts_told=_facts_told(facts, recipe),
+        headings=_HEADINGS,
+        lines=[_line(report, number, number in drawn, recipe.mode) for number, report in enumerate(reports)],
+        left_out=_left_out(len(reports) - len(numbers)),
+        sections=sections,
+        recipe=recipe.model_copy(update={"channel": tuple(recipe.channel[number] for number in numbers)}).to_toml(),
+        versions=_versions(),
+        payload=payload([figure for section in sections for figure, _, _ in section.figures]),
+        uplot_css=style,
+        uplot_js=script,
+        css=_asset("page.css"),
+        js=_asset("page.js"),
+    )
+
+
+def _pictured(reports: Sequence[ChannelReport]) -> list[int]:
+    """Choose the channels that are drawn, in their order: those first that are to be looked at."""
+    first = sorted(range(len(reports)), key=lambda number: reports[number].describes)
+    return sorted(first[:MOST_PICTURED])
+
+
+def _asset(name: str) -> str:
+    return (files("becalm.report") / "assets" / name).read_text(encoding="utf-8")
+
+
+def _lead(reports: Sequence[ChannelReport]) -> str:
+    described = sum(report.describes for report in reports)
+    if described == len(reports):
+        return "Every channel is described by its model: the signal and its sigma may be believed."
+    return (
+        f"{len(reports) - described} of {len(reports)} channels are not described by their models: look at these"
+        " before their signal and sigma are believed."
+    )
+
+
+def _facts_told(facts: Facts, recipe: Recipe) -> list[tuple[str, str]]:
+    mode = {
+        "causal": "a filter: each estimate knows only the past",
+        "smoothed": "a smoother: each estimate knows the whole record",
+        "lagged": f"each estimate waits {amount(recipe.lag_s, 's')} for later readings",
+    }
+    told = [
+        ("rows", f"{facts.rows}"),
+        ("rate", amount(1 / facts.step_s, "Hz")),
+        ("lasts", amount(facts.rows * facts.step_s, "s")),
+        ("mode", mode[recipe.mode]),
+    ]
+    return [*told, ("SHA-256 of the file", f"{facts.sha256[:_HASH_SHOWN]}…")] if facts.sha256 else told
+
+
+def _line(report: ChannelReport, number: int, is_drawn: bool, mode: str) -> _Line:
+    cells = (
+        model_words(report),
+        amount(report.noise_std, report.unit),
+        bandwidth_words(report),
+        lag_words(report, mode == "causal"),
+        trust_words(report),
+    )
+    return _Line(_anchor(number) if is_drawn else "", report.name, cells, _tone(report))
+
+
+def _tone(report: ChannelReport) -> str:
+    return _TONES.get(report.verdict, "")
+
+
+def _anchor(number: int) -> str:
+    return f"channel-{number + 1}"
+
+
+def _left_out(count: int) -> str:
+    if not count:
+        return ""
+    return f"{MOST_PICTURED} channels are drawn, those to be looked at first; of {count} more only the table tells."
+
+
+def _section(drawn: Pictured, number: int, beside: Beside) -> _Section:
+    report = drawn.report
+    together = f"{_anchor(number)}-time"
+    placed = [
+        *((figure, "wide", together if at_once(figure) else "") for figure in drawn.wide),
+        *((figure, "narrow", "") for figure in (*drawn.narrow, *beside.figures)),
+    ]
+    return _Section(
+        _anchor(number),
+        report.name,
+        _tone(report),
+        report.says,
+        drawn.words,
+        beside.tables,
+        _figures_told(report),
+        tuple(placed),
+        _printed(drawn, beside),
+    )
+
+
+def at_once(figure: Figure) -> bool:
+    """Whether a figure shows the whole record, and is looked into together with others that do."""
+    return figure.name.endswith(("-signal", "-verdicts"))
+
+
+def _figures_told(report: ChannelReport) -> tuple[tuple[str, str], ...]:
+    """Say what was found, as far as it was."""
+    told: list[tuple[str, float | None, str]] = [
+        ("noise of a reading", report.noise_std, report.unit),
+        ("bandwidth", report.bandwidth_hz, "Hz"),
+        ("errors count as independent after", report.independence_s, "s"),
+        ("innovations still predictable", _percent(report.predictable_share), "%"),
+        ("which costs in rms error", _percent(report.excess_error), "%"),
+        ("p-value of whiteness (Ljung-Box)", report.whiteness_p, ""),
+        ("mean NIS, 1 is right", report.nis_mean, ""),
+        ("sigma wrong by more than a factor of two", _percent(report.uneven_share), "% of the record"),
+        ("calibration adds", report.calibration_std, report.unit),
+        ("log-likelihood", report.log_likelihood, ""),
+    ]
+    counts = ", ".join(f"{count} {name}" for name, count in report.verdicts.items() if count)
+    found = [(term, amount(value, unit)) for term, value, unit in told if value is not None]
+    return (*found, ("readings", counts))
+
+
+def _percent(share: float | None) -> float | None:
+    return None if share is None else 100 * share
+
+
+def _printed(drawn: Pictured, beside: Beside) -> tuple[str, ...]:
+    """Draw the same figures for print, where that is possible."""
+    if not can_print():
+        return ()
+    sheets = ((drawn.wide, 1), ((*drawn.narrow, *beside.figures), 2))
+    return tuple(_packed(printed(figures, "svg", columns)) for figures, columns in sheets if figures)
+
+
+def _packed(svg: bytes) -> str:
+    """Return an SVG file's element, compressed, in base64: the page unpacks it."""
+    return base64.b64encode(gzip.compress(svg[svg.index(b"<svg") :], mtime=0)).decode("ascii")
+
+
+def _versions() -> str:
+    names = ("becalm", "numpy", "scipy", "numba")
+    libraries = ", ".join(f"{name} {version(name)}" for name in names)
+    return f"Made with {libraries}, Python {platform.python_version()}."

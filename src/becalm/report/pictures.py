@@ -1,0 +1,120 @@
+"""What became of a channel, in pictures: its signal, its verdicts, some rows close up, and its spectra."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from becalm.core.arrays import Floats
+from becalm.core.verdict import Verdict
+from becalm.metrics.spectrum import Spectrum
+from becalm.report.closeup import Closeup
+from becalm.report.description import Axis, Band, Curve, Figure, Lane, Layer
+from becalm.report.envelope import Envelope
+from becalm.report.gathering import WIDTH, ChannelGathering
+
+TIME = Axis("time since the first row (s)")
+
+_POINTS = 240  # of a spectrum, evenly spread over its logarithm
+
+
+class Title(NamedTuple):
+    """Which channel is drawn."""
+
+    slug: str  # begins the names of its figures
+    name: str
+    unit: str
+
+    @property
+    def axis(self) -> str:
+        """The channel's name with its unit."""
+        return f"{self.name} ({self.unit})" if self.unit and self.unit not in self.name else self.name
+
+
+def signal_figures(title: Title, times: Envelope, gathered: ChannelGathering) -> tuple[Figure, ...]:
+    """Draw the whole record: readings, signal and its uncertainty, and in lanes what became of readings.
+
+    Parameters
+    ----------
+    title : Title
+        Which channel.
+    times : Envelope
+        Of the stretches, in seconds.
+    gathered : ChannelGathering
+        What went by.
+
+    Returns
+    -------
+    tuple of Figure
+        One, or two where any reading was not used.
+    """
+    bands = (
+        Band("readings", times.low, gathered.readings.low, gathered.readings.high, "readings"),
+        Band(f"± {WIDTH:g} sigma", times.low, gathered.band.low, gathered.band.high, "clean", faint=True),
+        Band("signal", times.low, gathered.clean.low, gathered.clean.high, "clean"),
+    )
+    drawn = Figure(f"{title.slug}-signal", f"{title.name}: readings and signal", TIME, Axis(title.axis), bands)
+    lanes = tuple(_lanes(times, gathered))
+    if not lanes:
+        return (drawn,)
+    said = "Readings that were not used as they came, and faults."
+    whole = Axis(TIME.label, low=float(times.low[0]), high=float(times.high[-1]))
+    return drawn, Figure(f"{title.slug}-verdicts", f"{title.name}: verdicts", whole, Axis(""), lanes, said)
+
+
+def _lanes(times: Envelope, gathered: ChannelGathering) -> list[Lane]:
+    ends = np.append(times.low[1:], times.high[-1])  # a stretch lasts until the next one
+    lanes = []
+    for verdict in Verdict:
+        first, after = gathered.kinds.runs(verdict)
+        if len(first):
+            lanes.append(Lane(verdict.name.lower(), times.low[first], ends[after - 1]))
+    return lanes
+
+
+def closeup_figures(title: Title, gathered: ChannelGathering) -> tuple[Figure, ...]:
+    """Draw some rows, each by itself."""
+    return tuple(_closeup(title, number, found) for number, found in enumerate(gathered.closeups, start=1))
+
+
+def _closeup(title: Title, number: int, found: Closeup) -> Figure:
+    times_s, z, signal, sigma = found.kept
+    half = WIDTH * np.where(np.isfinite(sigma), sigma, np.nan)
+    layers: tuple[Layer, ...] = (
+        Curve("readings", times_s, z, "readings"),
+        Band(f"± {WIDTH:g} sigma", times_s, signal - half, signal + half, "clean", faint=True),
+        Curve("signal", times_s, signal, "clean"),
+    )
+    return Figure(f"{title.slug}-closeup-{number}", found.title, TIME, Axis(title.axis), layers)
+
+
+def spectrum_figure(title: Title, gathered: ChannelGathering) -> Figure | None:
+    """Draw the spectra of readings and signal; None where no stretch was whole."""
+    before, after = gathered.before.result(), gathered.after.result()
+    if before is None or after is None:
+        return None
+    unit = f"density (({title.unit})²/Hz)" if title.unit else "density (1/Hz)"
+    layers = (_drawn("readings", before, "readings"), _drawn("signal", after, "clean"))
+    said = "Where the lines lie together it is taken for signal; where they part, noise is removed."
+    axis = Axis(unit, log=True)
+    return Figure(f"{title.slug}-spectrum", "Spectra", Axis("frequency (Hz)", log=True), axis, layers, said)
+
+
+def _drawn(name: str, spectrum: Spectrum, role: str) -> Curve:
+    """Thin a spectrum out evenly over its logarithm: the means of what falls together."""
+    f, density = spectrum
+    edges = np.geomspace(f[0], f[-1] * (1 + 1e-9), _POINTS + 1)
+    first = np.unique(np.searchsorted(f, edges[:-1]))
+    counts = np.diff(np.append(first, len(f)))
+    return Curve(name, _mean(f, first, counts), _positive(_mean(density, first, counts)), role)  # type: ignore[arg-type]
+
+
+def _mean(values: Floats, first: np.ndarray[tuple[int], np.dtype[np.intp]], counts: Floats) -> Floats:
+    mean: Floats = np.add.reduceat(values, first) / counts
+    return mean
+
+
+def _positive(values: Floats) -> Floats:
+    """Return what a logarithm can show."""
+    return np.where(values > 0, values, np.nan)

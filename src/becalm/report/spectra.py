@@ -1,0 +1,59 @@
+"""The spectrum of a sequence of any length, from segments spread over it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
+from becalm.core.arrays import Floats
+from becalm.metrics.spectrum import Spectrum
+
+_LONGEST, _SHORTEST = 4096, 16
+_FEWEST = 8  # segments that a short record is cut into
+_MOST = 512  # segments that are looked at
+
+
+class RunningSpectrum:
+    """Welch's spectrum of a sequence that comes in blocks; a long one is looked at in 512 segments spread evenly.
+
+    Segments with a missing value, or an edge between blocks inside, are left out.
+
+    Parameters
+    ----------
+    rows : int
+        How many samples will come.
+    rate_hz : float
+        Of them.
+
+    Notes
+    -----
+    Welch, IEEE Transactions on Audio and Electroacoustics 15 (1967) 70: Hann windows, half overlapping.
+    """
+
+    def __init__(self, rows: int, rate_hz: float) -> None:
+        wanted = max(_SHORTEST, min(_LONGEST, rows // _FEWEST))
+        self._segment = 1 << (wanted.bit_length() - 1)
+        self._spacing = max(self._segment // 2, rows // _MOST)
+        self._rate_hz = rate_hz
+        self._density = np.zeros(self._segment // 2 + 1)
+        self._frequency_hz = np.arange(self._segment // 2 + 1.0) * rate_hz / self._segment
+        self._segments = 0
+
+    def add(self, values: Floats) -> None:
+        """Add a block (B,); NaN where missing."""
+        if len(values) < self._segment:
+            return
+        segments = sliding_window_view(values, self._segment)[:: self._spacing]
+        whole = segments[np.isfinite(segments.sum(axis=1))]
+        if len(whole):
+            from scipy.signal import periodogram
+
+            _, density = periodogram(whole, self._rate_hz, window="hann")
+            self._density += density.sum(axis=0)
+            self._segments += len(whole)
+
+    def result(self) -> Spectrum | None:
+        """Return the spectrum without 0 Hz; None where no segment was whole."""
+        if not self._segments:
+            return None
+        return Spectrum(self._frequency_hz[1:], self._density[1:] / self._segments)

@@ -1,0 +1,93 @@
+"""Whether to trust the filter of a channel, in pictures of its innovations."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.special import chdtri
+
+from becalm.core.arrays import Floats
+from becalm.metrics.whiteness import smoothed_power
+from becalm.report.description import Axis, Curve, Figure, Layer, Rule
+from becalm.report.envelope import Envelope
+from becalm.report.gathering import ChannelGathering
+from becalm.report.pictures import TIME, Title
+
+_WITHIN = 1.96  # standard deviations, and
+_SHARE = 0.025  # of chance outside on each side: limits that hold 95 % of what is right
+
+
+def innovation_figures(title: Title, times: Envelope, gathered: ChannelGathering, rate_hz: float) -> tuple[Figure, ...]:
+    """Draw how innovations hang together, at which frequency, and how large they are over time.
+
+    Parameters
+    ----------
+    title : Title
+        Which channel.
+    times : Envelope
+        Of the stretches, in seconds.
+    gathered : ChannelGathering
+        What went by.
+    rate_hz : float
+        Samples a second.
+
+    Returns
+    -------
+    tuple of Figure
+        None of too few innovations.
+    """
+    correlations, count = gathered.correlations()
+    if not len(correlations):
+        return ()
+    return (
+        _correlation(title, correlations, count),
+        _spectrum(title, gathered, correlations, rate_hz),
+        _nis(title, times, gathered),
+    )
+
+
+def _level(name: str, x: Floats, height: float) -> Curve:
+    return Curve(name, x[[0, -1]], np.full(2, height), "limit", "dashed")
+
+
+def _correlation(title: Title, correlations: Floats, count: int) -> Figure:
+    lags = np.arange(1.0, len(correlations) + 1)
+    limit = _WITHIN / np.sqrt(count)
+    layers = (
+        Curve("autocorrelation", lags, correlations, "clean", "points"),
+        _level("95 % of white noise", lags, limit),
+        _level("", lags, -limit),
+    )
+    said = "White innovations hold nothing that could still be foretold; of long records the limits are very near."
+    reach = max(0.1, 1.2 * float(np.abs(correlations).max()))
+    axis = Axis("autocorrelation", low=-reach, high=reach)
+    return Figure(f"{title.slug}-whiteness", "Innovations: whiteness", Axis("lag (rows)"), axis, layers, said)
+
+
+def _spectrum(title: Title, gathered: ChannelGathering, correlations: Floats, rate_hz: float) -> Figure:
+    found = gathered.whiteness()
+    cycles = np.linspace(0.0, 0.5, 251)
+    layers: tuple[Layer, ...] = (
+        Curve("innovations", cycles * rate_hz, smoothed_power(np.append(1.0, correlations), cycles), "clean"),
+        _level("white", cycles * rate_hz, 1.0),
+    )
+    said = "1 is white. A peak is a frequency that the model does not describe."
+    if found.loudest is not None and len(found.predictor.coefficients):
+        layers += (Rule("loudest", found.loudest * rate_hz),)
+        said += f" Loudest near {found.loudest * rate_hz:.3g} Hz."
+    axis = Axis("power, relative", low=0.0)
+    return Figure(f"{title.slug}-colour", "Innovations: spectrum", Axis("frequency (Hz)"), axis, layers, said)
+
+
+def _nis(title: Title, times: Envelope, gathered: ChannelGathering) -> Figure:
+    seen, mean = gathered.nis.seen, gathered.nis.result()
+    at = np.linspace(0, len(times.low) - 1, len(mean)).astype(np.intp)
+    x = times.low[at]
+    known = np.maximum(seen, 1)
+    upper, lower = chdtri(known, _SHARE) / known, chdtri(known, 1 - _SHARE) / known
+    layers = (
+        Curve("normalised innovation squared", x, mean, "clean"),
+        Curve("95 % where sigma is right", x, np.where(seen > 0, upper, np.nan), "limit", "dashed"),
+        Curve("", x, np.where(seen > 0, lower, np.nan), "limit", "dashed"),
+    )
+    said = "Means over stretches. Above: readings lie farther off than sigma says; below: nearer."
+    return Figure(f"{title.slug}-nis", "Innovations: size (NIS)", TIME, Axis("NIS", low=0.0), layers, said)
