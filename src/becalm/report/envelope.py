@@ -98,10 +98,18 @@ class Means:
 
     def add(self, touched: slice, begins: NDArray[np.intp], values: Floats) -> None:
         """Add a block (B,), as `Stretches.next` has cut it."""
-        if len(values):
+        if not len(values):
+            return
+        sizes = np.diff(np.append(begins, len(values)))
+        total = np.add.reduceat(values, begins)
+        if not np.isfinite(total).all():
             known = np.isfinite(values)
-            self.seen[touched] += np.add.reduceat(known.astype(np.float64), begins)
-            self._total[touched] += np.add.reduceat(np.where(known, values, 0.0), begins)
+            sizes, total = (
+                np.add.reduceat(known.astype(np.intp), begins),
+                np.add.reduceat(np.where(known, values, 0.0), begins),
+            )
+        self.seen[touched] += sizes
+        self._total[touched] += total
 
     def result(self) -> Floats:
         """Return the means (count,); NaN where nothing came."""

@@ -10,11 +10,11 @@ from becalm.metrics.spectrum import Spectrum
 
 _LONGEST, _SHORTEST = 4096, 16
 _FEWEST = 8  # segments that a short record is cut into
-_MOST = 512  # segments that are looked at
+_MOST = 256  # segments that are looked at
 
 
 class RunningSpectrum:
-    """Welch's spectrum of a sequence that comes in blocks; a long one is looked at in 512 segments spread evenly.
+    """Welch's spectrum of a sequence that comes in blocks; a long one is looked at in 256 segments spread evenly.
 
     Segments with a missing value, or an edge between blocks inside, are left out.
 
