@@ -6,7 +6,7 @@ WORKERS ?= 2
 KERNELS := src/becalm/core/__pycache__
 COMPILED := $(addprefix src/becalm/core/,sized.py small.py compiling.py warming.py) $(wildcard src/becalm/core/kernel*.py)
 
-.PHONY: demo test lint types arrows fast slow bench lock clean
+.PHONY: demo test lint types arrows fast slow bench site lock clean
 
 demo: .venv/installed
 	$(BIN)/becalm demo -o demo
@@ -30,6 +30,10 @@ fast: .venv/kernels
 
 slow: .venv/kernels
 	$(BIN)/pytest -n $(WORKERS) --dist worksteal -m slow
+
+site: .venv/tested
+	$(BIN)/python docs/blocks.py
+	$(BIN)/sphinx-build -q -W --keep-going docs build/site
 
 bench: .venv/tested
 	$(BIN)/python benchmarks/accuracy.py -o docs/accuracy.md
@@ -72,7 +76,7 @@ bench: .venv/tested
 lock: .venv/bin/python
 	$(BIN)/python -m pip install --quiet uv
 	$(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-annotate --no-header --no-emit-index-url --no-emit-find-links --extra build pyproject.toml -o requirements.lock
-	$(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-annotate --no-header --no-emit-index-url --no-emit-find-links --extra build --extra test pyproject.toml -o requirements-test.lock
+	$(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-annotate --no-header --no-emit-index-url --no-emit-find-links --extra build --extra site --extra test pyproject.toml -o requirements-test.lock
 
 clean:
-	rm -rf .venv demo
+	rm -rf .venv demo build docs/gallery_pages docs/sg_execution_times.rst
