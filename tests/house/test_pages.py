@@ -13,8 +13,9 @@ from urllib.parse import unquote, urlsplit
 import pytest
 from blocks import DOCS, PAGES, ROOT, has_blocks, rewritten
 
-from becalm.cleaning import judging
+from becalm.cleaning import judging, tuning
 from becalm.core import clock, gates, kernel_ahead, monitor, noise_change, reach, starting, verdict
+from becalm.files import opening
 from becalm.noise import banks, lines, risk, switching
 
 NAMED = {page: str(page.relative_to(ROOT)) for page in PAGES}
@@ -37,6 +38,9 @@ def test_links_lead_somewhere(page: Path) -> None:
     assert [target for target in targets if not (page.parent / target).exists()] == []
 
 
+WORDS = {3: "three", 5: "five", 8: "eight", 50: "fifty"}
+
+
 def spelt(number: float) -> str:
     return f"{number:.0e}".replace("e+", "e").replace("e0", "e")
 
@@ -44,6 +48,10 @@ def spelt(number: float) -> str:
 @pytest.mark.parametrize(
     ("page", "said"),
     [
+        ("design", f"{WORDS[verdict.AGREE].capitalize()} rejects in a row that agree"),
+        ("design", f"{WORDS[verdict.AT_MOST]} are believed whatever they are"),
+        ("design", f"Up to {WORDS[tuning.SOON]} readings of lag"),
+        ("design", f"tuned on {WORDS[opening.STRETCHES]} stretches"),
         ("design", f"blocks of {kernel_ahead.BLOCK}"),
         ("design", f"at 500 Hz, {gates.threshold_for(1, 10_000):.2f} at 10 kHz"),
         ("design", f"({gates.threshold_for(1, 500):.1f} at 500 Hz"),
