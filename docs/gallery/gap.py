@@ -35,15 +35,16 @@ for name, out in (("filter", filtered), ("smoother", smoothed)):
 # The Butterworth filter, which is given the readings joined by a line, has the bandwidth of becalm's own smoother.
 
 butterworth = CLASSICS["Butterworth 2 both ways"].clean(noisy, smoothed.reports[0].bandwidth_hz / rate_hz)
+part = (t > 7) & (t < 13)
 figure, all_axes = plt.subplots(2, 1, sharex=True, sharey=True)
 for axes, (name, out) in zip(all_axes, (("filter", filtered), ("smoother", smoothed)), strict=True):
-    signal, sigma = out.signal.samples[:, 0], out.sigma.samples[:, 0]
-    axes.plot(t, noisy, ".", color="0.8", markersize=2)
-    axes.fill_between(t, signal - 2 * sigma, signal + 2 * sigma, alpha=0.3, linewidth=0)
-    axes.plot(t, signal, label=name)
-    axes.plot(t, truth, "k--", linewidth=0.8, label="truth")
-    axes.set(ylabel="angle (rad)", ylim=(-2.5, 2.5), xlim=(7, 13))
-all_axes[1].plot(t, butterworth, ":", label="Butterworth, both ways")
+    signal, sigma = out.signal.samples[part, 0], out.sigma.samples[part, 0]
+    axes.plot(t[part], noisy[part], ".", color="0.8", markersize=2)
+    axes.fill_between(t[part], signal - 2 * sigma, signal + 2 * sigma, alpha=0.3, linewidth=0)
+    axes.plot(t[part], signal, label=name)
+    axes.plot(t[part], truth[part], "k--", linewidth=0.8, label="truth")
+    axes.set(ylabel="angle (rad)", ylim=(-2.5, 2.5))
+all_axes[1].plot(t[part], butterworth[part], ":", label="Butterworth, both ways")
 all_axes[1].set(xlabel="time (s)")
 for axes in all_axes:
     axes.legend(loc="upper right")

@@ -36,16 +36,15 @@ for name, cleaned in (("fixed", fixed), ("switching", out)):
 # %%
 # How probable each mode was is a part of the output.
 
+part = (t > 12) & (t < 26)
 figure, (above, below) = plt.subplots(2, 1, sharex=True, height_ratios=(2, 1))
-above.plot(t, noisy, ".", color="0.85", markersize=1)
-above.plot(t, fixed.signal.samples[:, 0], linewidth=0.8, label="fixed")
-above.plot(t, out.signal.samples[:, 0], label="switching")
-above.plot(t, truth, "k--", linewidth=0.8, label="truth")
-above.set(ylabel="level (mm)", xlim=(12, 26))
-inside = (t > 12) & (t < 26)
-above.set_ylim(noisy[inside].min(), noisy[inside].max())
+above.plot(t[part], noisy[part], ".", color="0.85", markersize=1)
+above.plot(t[part], fixed.signal.samples[part, 0], linewidth=0.8, label="fixed")
+above.plot(t[part], out.signal.samples[part, 0], label="switching")
+above.plot(t[part], truth[part], "k--", linewidth=0.8, label="truth")
+above.set(ylabel="level (mm)")
 above.legend()
 for mode in channel.switching.mode:
-    below.plot(t, out.parts.channel(f"level_probability_{mode.name}"), label=mode.name)
+    below.plot(t[part], out.parts.channel(f"level_probability_{mode.name}")[part], label=mode.name)
 below.set(xlabel="time (s)", ylabel="probability")
 below.legend(loc="center right")
