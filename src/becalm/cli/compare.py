@@ -18,7 +18,7 @@ from becalm.files.source import Asker, ReadOptions
 
 if TYPE_CHECKING:
     from becalm.cleaning.comparison import ChannelComparison, Comparison, Contender
-    from becalm.cleaning.recipe import Recipe
+    from becalm.cli.said import Said
     from becalm.core.recording import Recording
     from becalm.files.opening import OpenSource
 
@@ -27,24 +27,24 @@ _WITHOUT_TRUTH = 6  # of them
 _NOTHING = 1e-9  # of whatever unit: rounding
 
 
-def run(source: OpenSource, recipe: Recipe | None, truth: Path | None, causal: bool, as_json: bool) -> None:
+def run(source: OpenSource, said: Said, truth: Path | None, causal: bool, as_json: bool) -> None:
     """Compare on a file, or on the beginning of a long one, and show what came out."""
     recording = beginning(source)
     ahead(recording, causal=causal)
-    true = None if truth is None else _truth(truth, source)
-    found = compare(recording, recipe, truth=true, causal=causal or None, channels=source.names)
+    true = None if truth is None else _truth(truth, source, said)
+    found = compare(recording, said.recipe, truth=true, causal=causal or None, channels=source.names)
     if as_json:
-        print(json.dumps(_summary(source, recording, found), indent=2))  # noqa: T201
+        print(json.dumps(_summary(source, recording, found), indent=2, allow_nan=False))  # noqa: T201
     else:
         _show(found)
     if cut := cut_short(source, recording):
         stderr.print(cut.strip())
 
 
-def _truth(path: Path, source: OpenSource) -> Recording:
-    """Read the same channels of the truth."""
+def _truth(path: Path, source: OpenSource, said: Said) -> Recording:
+    """Read the same channels of the truth; what was said of time holds for both files."""
     asker = Asker("The recording", " Give a truth of the same channels, or choose some with --channels.")
-    with open_source(path, ReadOptions(None, None, tuple(source.names), asker)) as other:
+    with open_source(path, ReadOptions(said.time, said.rate_hz, tuple(source.names), asker)) as other:
         return beginning(other)
 
 

@@ -48,7 +48,8 @@ def run(folder: Path) -> None:
 
 
 def _figures(drive: Drive, smoothed: Cleaned, causal: Cleaned) -> Table:
-    from becalm.classic.with_truth import best_causal
+    from becalm.classic.matching import best_of
+    from becalm.classic.register import USUAL
     from becalm.metrics.truth import coverage, rms_error
 
     table = Table(box=None, pad_edge=False)
@@ -61,7 +62,7 @@ def _figures(drive: Drive, smoothed: Cleaned, causal: Cleaned) -> Table:
         table.add_row(
             name,
             f"{rms_error(measured, truth):.4f}",
-            f"{best_causal(measured, truth, drive.measured.rate_hz).error:.4f}",
+            f"{best_of(USUAL[True], measured, truth).error:.4f}",
             f"{rms_error(causal.signal.samples[:, i], truth):.4f}",
             f"{rms_error(signal, truth):.4f}",
             f"{coverage(signal, sigma, truth):.0%}",

@@ -134,7 +134,7 @@ def compare(  # noqa: PLR0913  (the contract's options)
     given = load(recipe)
     said = Said(channels, rate, time) if given is None else Said(channels, rate, time).or_as(given)
     with open_as(file, said) as source:
-        run(source, given, truth, causal, as_json)
+        run(source, said, truth, causal, as_json)
 
 
 @app.command()
