@@ -22,6 +22,9 @@ RecipeIn = Annotated[Path | None, typer.Option("--recipe", metavar="R.toml", hel
 Truth = Annotated[
     Path | None, typer.Option("--truth", metavar="FILE", help="What is true: the same channels at the same times.")
 ]
+ComparedIn = Annotated[
+    Path | None, typer.Option("-o", "--output", metavar="DIR", help="Folder for a page with the same in pictures.")
+]
 Channels = Annotated[
     str | None, typer.Option("--channels", metavar="a,b", help="Clean these channels; the others pass through.")
 ]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, cast, get_args
 
 import typer
 
-from becalm.errors import OutputError, UsageError
+from becalm.errors import UsageError
 
 if TYPE_CHECKING:
     from becalm.cleaning.recipe import Recipe
@@ -83,13 +83,13 @@ class Picturing:
             return {}
         from becalm.files.plain import write_text
         from becalm.report.channel import Pictures
-        from becalm.report.page import Facts, page
+        from becalm.report.page import Facts, page_of
 
         pictures = Pictures(recipe, reports, gathering, source.clock.step_s)
         drawn = {}
         if self._page is not None:
             facts = Facts(source.path.name, source.rows, source.clock.step_s, source.sha256())
-            write_text(self._page, page(facts, recipe, pictures))
+            write_text(self._page, page_of(facts, recipe, pictures))
             drawn["report"] = str(self._page)
             typer.echo(f"Wrote {self._page}.", err=True)
         if self._kind is not None:
@@ -99,13 +99,10 @@ class Picturing:
         return drawn
 
     def _print(self, pictures: Pictures, kind: Kind) -> int:
-        from becalm.files.plain import write_bytes
+        from becalm.files.plain import make_folder, write_bytes
         from becalm.report.printing import printed
 
-        try:
-            self._folder.mkdir(exist_ok=True)
-        except OSError as cause:
-            raise OutputError(f"The folder {self._folder} cannot be made: {cause.strerror}.") from cause
+        make_folder(self._folder)
         count = 0
         for number in range(len(pictures)):
             drawn = pictures.channel(number)
