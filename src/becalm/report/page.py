@@ -42,6 +42,8 @@ class Facts:
         Samples.
     step_s : float
         Between them, in seconds.
+    lasts_s : float
+        From the first to the last, in seconds.
     sha256 : str
         Hash of the file; empty if there was none.
     """
@@ -49,6 +51,7 @@ class Facts:
     name: str
     rows: int
     step_s: float
+    lasts_s: float
     sha256: str = ""
 
 
@@ -165,7 +168,7 @@ def _facts_told(facts: Facts, recipe: Recipe) -> list[tuple[str, str]]:
     told = [
         ("rows", f"{facts.rows}"),
         ("rate", amount(1 / facts.step_s, "Hz")),
-        ("lasts", amount(facts.rows * facts.step_s, "s")),
+        ("lasts", amount(facts.lasts_s, "s")),
         ("mode", mode[recipe.mode]),
     ]
     return [*told, ("SHA-256 of the file", f"{facts.sha256[:_HASH_SHOWN]}…")] if facts.sha256 else told
