@@ -54,6 +54,12 @@ class Pictures:
         """What was found of each channel."""
         return self._reports
 
+    @property
+    def lasts_s(self) -> float:
+        """How long the recording is, gaps included, in seconds."""
+        times = self._gathering.times
+        return float(times.high[-1] - times.low[0]) + self._step_s
+
     def channel(self, number: int) -> Pictured:
         """Draw a channel, counted from 0."""
         recipe, report, gathered = self._recipe, self._reports[number], self._gathering.channels[number]

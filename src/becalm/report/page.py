@@ -120,7 +120,7 @@ def page(
         facts=facts,
         version=version("becalm"),
         lead=_lead(reports),
-        facts_told=_facts_told(facts, recipe),
+        facts_told=_facts_told(facts, recipe, pictures.lasts_s),
         headings=_HEADINGS,
         lines=[_line(report, number, number in drawn, recipe.mode) for number, report in enumerate(reports)],
         left_out=_left_out(len(reports) - len(numbers)),
@@ -155,7 +155,7 @@ def _lead(reports: Sequence[ChannelReport]) -> str:
     )
 
 
-def _facts_told(facts: Facts, recipe: Recipe) -> list[tuple[str, str]]:
+def _facts_told(facts: Facts, recipe: Recipe, lasts_s: float) -> list[tuple[str, str]]:
     mode = {
         "causal": "a filter: each estimate knows only the past",
         "smoothed": "a smoother: each estimate knows the whole record",
@@ -164,7 +164,7 @@ def _facts_told(facts: Facts, recipe: Recipe) -> list[tuple[str, str]]:
     told = [
         ("rows", f"{facts.rows}"),
         ("rate", amount(1 / facts.step_s, "Hz")),
-        ("lasts", amount(facts.rows * facts.step_s, "s")),
+        ("lasts", amount(lasts_s, "s")),
         ("mode", mode[recipe.mode]),
     ]
     return [*told, ("SHA-256 of the file", f"{facts.sha256[:_HASH_SHOWN]}…")] if facts.sha256 else told
