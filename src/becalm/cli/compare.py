@@ -70,8 +70,7 @@ def _write(page: Path, source: OpenSource, read: tuple[Recording, Recording | No
     from becalm.report.running import pictures_of
 
     recording, truth = read
-    time = recording.timebase
-    facts = Facts(source.path.name, len(recording), time.step_s, time.duration_s, source.sha256())
+    facts = Facts(source.path.name, len(recording), recording.timebase.step_s, source.sha256())
     recipe = found.cleaned.recipe
     write_text(page, page_of(facts, recipe, pictures_of(recording, recipe), beside(found, recording, truth)))
     stderr.print(f"Wrote {page}.")

@@ -36,8 +36,7 @@ def run(folder: Path) -> None:
         write(path, cleaned.signal, cleaned.sigma)
         write_text(Path(f"{path}.recipe.toml"), cleaned.recipe.to_toml())
     page = folder / "drive_clean.html"
-    time = recording.timebase
-    facts = Facts(raw.name, len(recording), time.step_s, time.duration_s)
+    facts = Facts(raw.name, len(recording), recording.timebase.step_s)
     write_text(page, page_of(facts, smoothed.recipe, pictures_of(recording, smoothed.recipe)))
     out = Console(highlight=False, soft_wrap=True, markup=False)
     out.print("A simulated test drive, 60 s at 500 Hz, cleaned with nothing chosen. Best classic: the best causal")

@@ -88,8 +88,7 @@ class Picturing:
         pictures = Pictures(recipe, reports, gathering, source.clock.step_s)
         drawn = {}
         if self._page is not None:
-            clock = source.clock
-            facts = Facts(source.path.name, source.rows, clock.step_s, clock.duration_s, source.sha256())
+            facts = Facts(source.path.name, source.rows, source.clock.step_s, source.sha256())
             write_text(self._page, page_of(facts, recipe, pictures))
             drawn["report"] = str(self._page)
             typer.echo(f"Wrote {self._page}.", err=True)

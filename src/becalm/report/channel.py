@@ -51,6 +51,12 @@ class Pictures:
         """What was found of each channel."""
         return self._reports
 
+    @property
+    def lasts_s(self) -> float:
+        """How long the recording is, gaps included, in seconds."""
+        times = self._gathering.times
+        return float(times.high[-1] - times.low[0]) + self._step_s
+
     def channel(self, number: int) -> Pictured:
         """Draw a channel, counted from 0."""
         recipe, report, gathered = self._recipe, self._reports[number], self._gathering.channels[number]
@@ -62,7 +68,7 @@ class Pictures:
             spectrum_figure(title, gathered),
             front_figure(title, behaviour, self._front, recipe.mode),
             step_figure(title, behaviour, recipe, self._step_s),
-            *innovation_figures(title, times, gathered, 1 / self._step_s),
+            *innovation_figures(title, self._gathering.nis_times, gathered, 1 / self._step_s),
         )
         return Pictured(
             report,

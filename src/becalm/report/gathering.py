@@ -46,8 +46,8 @@ class Gathering:
 
     Attributes
     ----------
-    times : Envelope
-        When each stretch began and ended, in seconds since the first row.
+    times, nis_times : Envelope
+        When each stretch began and ended, in seconds since the first row; those of the innovations are longer.
     channels : tuple of ChannelGathering
         In order.
     """
@@ -56,7 +56,8 @@ class Gathering:
         self._stretches = Stretches(rows, min(_MOST, max(_FEWEST, _STRETCHES // max(1, channels))))
         self._step_s, self._steps = step_s, 0.0
         self.rows_each = self._stretches.rows_each
-        self.times = Envelope(self._stretches.count)
+        self._nis_stretches = Stretches(rows, _NIS_STRETCHES)
+        self.times, self.nis_times = Envelope(self._stretches.count), Envelope(self._nis_stretches.count)
         self.channels = tuple(ChannelGathering(rows, step_s, self._stretches.count) for _ in range(channels))
 
     def add(self, columns: Sequence[Floats], elapsed: Floats, told: Sequence[Told]) -> None:
@@ -77,6 +78,7 @@ class Gathering:
         self._steps = float(steps[-1])
         times, cut = steps * self._step_s, self._stretches.next(len(steps))
         self.times.add(*cut, times, times)
+        self.nis_times.add(*self._nis_stretches.next(len(steps)), times, times)
         with ThreadPoolExecutor() as pool:
             done = pool.map(
                 lambda channel, z, of: channel.add(Rows(times, _possible(z, of), of), cut), self.channels, columns, told
@@ -92,8 +94,8 @@ class ChannelGathering:
         self.kinds = Kinds(stretches)
         self.before, self.after = RunningSpectrum(rows, 1 / step_s), RunningSpectrum(rows, 1 / step_s)
         self.closeups: tuple[Closeup, ...] = (Middle(rows), Farthest())
-        self.nis = Means(_NIS_STRETCHES)
         self._nis_stretches = Stretches(rows, _NIS_STRETCHES)
+        self.nis = Means(self._nis_stretches.count)
         self._whiteness = RunningWhiteness()
 
     def add(self, rows: Rows, cut: tuple[slice, np.ndarray[tuple[int], np.dtype[np.intp]]]) -> None:

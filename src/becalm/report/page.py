@@ -42,8 +42,6 @@ class Facts:
         Samples.
     step_s : float
         Between them, in seconds.
-    lasts_s : float
-        From the first to the last, in seconds.
     sha256 : str
         Hash of the file; empty if there was none.
     """
@@ -51,7 +49,6 @@ class Facts:
     name: str
     rows: int
     step_s: float
-    lasts_s: float
     sha256: str = ""
 
 
@@ -124,7 +121,7 @@ def page_of(
         facts=facts,
         version=version("becalm"),
         lead=_lead(reports),
-        facts_told=_facts_told(facts, recipe),
+        facts_told=_facts_told(facts, recipe, pictures.lasts_s),
         headings=_HEADINGS,
         lines=[_line(report, number, number in drawn, recipe.mode) for number, report in enumerate(reports)],
         left_out=_left_out(len(reports) - len(numbers)),
@@ -159,7 +156,7 @@ def _lead(reports: Sequence[ChannelReport]) -> str:
     )
 
 
-def _facts_told(facts: Facts, recipe: Recipe) -> list[tuple[str, str]]:
+def _facts_told(facts: Facts, recipe: Recipe, lasts_s: float) -> list[tuple[str, str]]:
     mode = {
         "causal": "a filter: each estimate knows only the past",
         "smoothed": "a smoother: each estimate knows the whole record",
@@ -168,7 +165,7 @@ def _facts_told(facts: Facts, recipe: Recipe) -> list[tuple[str, str]]:
     told = [
         ("rows", f"{facts.rows}"),
         ("rate", amount(1 / facts.step_s, "Hz")),
-        ("lasts", amount(facts.lasts_s, "s")),
+        ("lasts", amount(lasts_s, "s")),
         ("mode", mode[recipe.mode]),
     ]
     return [*told, ("SHA-256 of the file", f"{facts.sha256[:_HASH_SHOWN]}…")] if facts.sha256 else told

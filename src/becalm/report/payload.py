@@ -1,4 +1,4 @@
-"""Figures as JSON for the page: each array once, in base64, what runs along as float64, what it tells as float32."""
+"""Figures as JSON for the page: each array once, in base64; what runs along as float64, what it tells as float32."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import numpy as np
 from becalm.core.arrays import Floats
 from becalm.report.description import Axis, Band, Figure, Lane, Layer, Rule, Surface
 
+_LEAST, _MOST = 1e-30, 1e30  # magnitudes that float32 holds well
 _NEAR = 0.1  # of the first value: values no farther from it lose digits unless it is taken off
 
 
@@ -23,7 +24,7 @@ class _Arrays:
         self._known: dict[tuple[int, bool], tuple[int, Floats]] = {}  # with the array, so that its id stays its own
 
     def place(self, values: Floats, *, exact: bool) -> int:
-        """Return the place of an array: an exact one is kept as float64, others as float32."""
+        """Return the place of an array: an exact one is kept as float64, others as float32 if that holds them."""
         key = (id(values), exact)
         if key not in self._known:
             self._known[key] = len(self.held), values
@@ -33,13 +34,13 @@ class _Arrays:
 
 def _encoded(values: Floats, exact: bool) -> dict[str, object]:
     """Return an array as text; of what lies far from 0 an offset is taken off, which would cost digits."""
-    if exact:
-        return {"float64": _text(np.asarray(values, dtype="<f8"))}
     known = values[np.isfinite(values)]
+    largest = float(np.abs(known).max(initial=0.0))
+    if exact or (largest and not _LEAST < largest < _MOST):
+        return {"float64": _text(np.asarray(values, dtype="<f8"))}
     near = len(known) and np.ptp(known) < _NEAR * abs(known[0])
     offset = float(known[0]) if near else 0.0
-    with np.errstate(over="ignore"):  # what float32 cannot hold leaves a gap
-        return {"float32": _text((values - offset).astype("<f4")), "offset": offset}
+    return {"float32": _text((values - offset).astype("<f4")), "offset": offset}
 
 
 def _text(values: np.ndarray[Any, Any]) -> str:

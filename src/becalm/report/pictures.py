@@ -97,9 +97,9 @@ def _closeup(title: Title, number: int, found: Closeup) -> Figure:
 
 
 def spectrum_figure(title: Title, gathered: ChannelGathering) -> Figure | None:
-    """Draw the spectra of readings and signal; None where no stretch was whole."""
+    """Draw the spectra of readings and signal; None where no stretch was whole, or nothing ever changed."""
     before, after = gathered.before.result(), gathered.after.result()
-    if before is None or after is None:
+    if before is None or after is None or not before.density.any():
         return None
     unit = f"density (({title.unit})²/Hz)" if title.unit else "density (1/Hz)"
     layers = (_drawn("readings", before, "readings"), _drawn("signal", after, "clean"))

@@ -24,7 +24,7 @@ def innovation_figures(title: Title, times: Envelope, gathered: ChannelGathering
     title : Title
         Which channel.
     times : Envelope
-        Of the stretches, in seconds.
+        Of the stretches whose innovations are told together, in seconds.
     gathered : ChannelGathering
         What went by.
     rate_hz : float
@@ -80,8 +80,7 @@ def _spectrum(title: Title, gathered: ChannelGathering, correlations: Floats, ra
 
 def _nis(title: Title, times: Envelope, gathered: ChannelGathering) -> Figure:
     seen, mean = gathered.nis.seen, gathered.nis.result()
-    at = np.linspace(0, len(times.low) - 1, len(mean)).astype(np.intp)
-    x = times.low[at]
+    x = (times.low + times.high) / 2
     known = np.maximum(seen, 1)
     upper, lower = chdtri(known, _SHARE) / known, chdtri(known, 1 - _SHARE) / known
     layers = (
