@@ -31,7 +31,7 @@ _MARKERS = "osD^"  # points at one place are told apart
 _WIDTH, _HEIGHT, _SQUARE, _LANE = 7.5, 1.85, 2.6, 0.16  # inches: a sheet; axes, those of a surface, a lane in them
 _LEFT, _RIGHT, _TOP, _BOTTOM = 0.8, 0.15, 0.3, 0.45  # inches about the axes of a figure
 _SCALE = 0.55  # inches beside those of a surface
-_ENTRY, _MARK, _LETTER = 0.16, 0.5, 0.062  # inches of a legend: how high an entry is; how wide, and each of its letters
+_ENTRY, _MARK, _LETTER = 0.16, 0.42, 0.062  # inches of a legend: how high an entry is, and how wide, with its letters
 _NARROW = 100.0  # of a logarithmic axis, highest over lowest, that shows more than powers of ten
 _EDGE = 0.15  # of the axes' width
 _STRETCHES = 400  # of a band: more no print shows
@@ -50,6 +50,7 @@ _SETTINGS: Any = {
     "grid.color": "0.93",
     "legend.fontsize": 8,
     "legend.frameon": False,
+    "legend.columnspacing": 1.0,
 }
 _UNDATED: dict[Kind, dict[str, None]] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {}}
 
