@@ -134,11 +134,11 @@ def figure(got: dict[str, Measured]) -> Figure:
         times_ms = np.maximum(list(found.t90_ms.values()), 1e3 / RATE_HZ)
         noises = np.full(len(times_ms), found.rest_noise / std)
         paper = np.array([found.paper_t90_ms[0.2]]), np.array([found.paper_rest_noise / std])
-        layers.append(Curve(f"switching, {name}", times_ms, noises, "other", "points"))
+        layers.append(Curve(f"switching, {name}", times_ms, noises, "clean", "points"))
         layers.append(Curve(f"paper, {name}", *paper, "other", "points"))
     x = Axis("time to nine tenths of a step (ms)", log=True, low=5e-2, high=3e3)
     title = (
-        f"Steps of {', '.join(f'{size / np.sqrt(ACCELEROMETER.variance):.2g}' for size in STEPS)} standard deviations"
+        f"Steps of {', '.join(f'{size / np.sqrt(ACCELEROMETER.variance):.3g}' for size in STEPS)} standard deviations"
     )
     return Figure("switching", title, x, Axis("noise at rest / noise read", log=True), tuple(layers))
 
