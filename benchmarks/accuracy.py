@@ -3,7 +3,7 @@
 Seven signals at 100 Hz, 10 000 samples, white noise of 5 % and 30 % of the signal's standard
 deviation. The classic filters are, causal, Butterworth orders 1, 2, 4 and the moving average; for
 smoothing, Butterworth orders 1, 2, 4 forward and back and Savitzky-Golay of degree 2 to 5. Each has the
-cut-off or length that has the least rms error *knowing the truth*; becalm knows the readings alone.
+cut-off that has the least rms error *knowing the truth*; becalm knows the readings alone.
 
 Run: python benchmarks/accuracy.py [-o docs/accuracy.md]
 """
@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import becalm
-from becalm.classic.with_truth import best_causal, best_zero_phase
+from becalm.classic.matching import best_of
+from becalm.classic.register import USUAL
 from becalm.cleaning.report import ChannelReport
 from becalm.metrics.truth import coverage, rms_error
 from pages import page_parser, publish
@@ -93,7 +94,7 @@ def table(causal: bool) -> list[dict[str, object]]:
             z = truth + noise * truth.std() * rng.normal(size=COUNT)
             out = becalm.clean(becalm.Recording(z, rate_hz=RATE_HZ), causal=causal)
             clean, sigma = out.signal.samples[:, 0], out.sigma.samples[:, 0]
-            rival = (best_causal if causal else best_zero_phase)(z, truth, RATE_HZ)
+            rival = best_of(USUAL[causal], z, truth)
             error = rms_error(clean, truth)
             rows.append(
                 {
@@ -101,7 +102,7 @@ def table(causal: bool) -> list[dict[str, object]]:
                     "noise": noise,
                     "raw": rms_error(z, truth),
                     "classic": rival.error,
-                    "rival": rival.name,
+                    "rival": f"{rival.classic.name}, {rival.cutoff * RATE_HZ:.3g} Hz",
                     "becalm": error,
                     "ratio": error / rival.error,
                     "model": _model(out.reports[0]),

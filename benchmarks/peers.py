@@ -13,7 +13,7 @@ What is "asked" was set before the work, from prototypes on another machine, who
 its processor. Where it is not reached, look at the rows of copying first: into fresh arrays, copying alone
 is not five times as fast as `lfilter` here, and arrays filled side by side cost more than one after the other.
 
-What else was measured is listed in the [README](../README.md#what-was-measured).
+What else was measured is listed in [Measured](measured.md).
 
 Run: pip install 'becalm[bench]', then python benchmarks/peers.py [-o docs/benchmarks.md]
 """

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from becalm.classic.matching import best_with_truth, equal_lag, equal_noise, lag, noise_gain
-from becalm.classic.register import CAUSAL, CLASSICS, HIGHEST, LOWEST, ZERO_PHASE, Classic
+from becalm.classic.matching import best_of, best_with_truth, equal_lag, equal_noise, lag, noise_gain
+from becalm.classic.register import CAUSAL, CLASSICS, HIGHEST, LOWEST, USUAL, ZERO_PHASE, Classic
 from becalm.core.closed_forms import butterworth_noise_gain
 from becalm.metrics.truth import rms_error
 
@@ -63,3 +63,29 @@ def test_best_with_truth_is_no_worse_than_what_is_near_it(classic: Classic) -> N
     assert error <= near * (1 + (1e-9 if classic.calms else 0.01))  # of those that learn, few settings are looked at
     if classic.calms:
         assert error < 0.3 / 2
+
+
+@pytest.mark.parametrize("classic", CALM, ids=NAMES)
+@pytest.mark.parametrize("count", [12, 600])
+def test_best_with_truth_is_the_least_of_a_dense_grid(classic: Classic, count: int) -> None:
+    rng = np.random.default_rng(8)
+    for truth in (np.zeros(count), np.cumsum(0.2 * rng.normal(size=count))):
+        z = truth + rng.normal(size=count)
+        error = rms_error(classic.clean(z, best_with_truth(classic, z, truth)), truth)
+        dense = min(rms_error(classic.clean(z, cutoff), truth) for cutoff in np.geomspace(LOWEST, HIGHEST, 400))
+        assert error <= 1.03 * dense  # of long windows in mere noise it jumps, from one setting to the next
+
+
+def test_a_setting_that_changes_nothing_any_more_is_not_told() -> None:
+    z = np.random.default_rng(9).normal(size=400)
+    assert best_with_truth(CLASSICS["centred average"], z, np.zeros(400)) > 0.443 / 500
+
+
+@pytest.mark.parametrize("causal", [True, False])
+def test_the_best_of_some_filters_is_one_of_them_in_its_best_setting(causal: bool) -> None:
+    truth = np.sin(np.arange(2000) / 60)
+    z = truth + 0.3 * np.random.default_rng(2).normal(size=2000)
+    best = best_of(USUAL[causal], z, truth)
+    assert {one.causal for one in USUAL[causal]} == {causal}
+    assert best.error == rms_error(best.classic.clean(z, best.cutoff), truth)
+    assert all(best.error <= rms_error(one.clean(z, 0.02), truth) for one in USUAL[causal])

@@ -90,6 +90,36 @@ def test_no_filter_is_given_what_is_no_reading(odd: float) -> None:
     assert max(errors) < 1
 
 
+@pytest.mark.parametrize("odd", [np.nan, np.inf, 1e300])
+def test_where_the_truth_is_not_known_no_error_is_told(odd: float) -> None:
+    measured = Recording(Z[:2000], rate_hz=RATE_HZ)
+    some, none = TRUTH[:2000].copy(), np.full(2000, odd)
+    some[:700] = odd
+    (channel,) = compare(measured, truth=Recording(some, rate_hz=RATE_HZ), causal=True).channels
+    errors = [contender.rms_error for contender in channel.contenders if contender.rms_error is not None]
+    assert len(errors) == len(channel.contenders)
+    assert max(errors) < 1
+    (channel,) = compare(measured, truth=Recording(none, rate_hz=RATE_HZ), causal=True).channels
+    assert all(contender.rms_error is None for contender in channel.contenders)
+    assert not ruled(channel, "best with truth")
+
+
+def test_a_truth_known_only_late_in_a_long_record_finds_the_best_setting_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("becalm.cleaning.comparison._LOOKED_AT", 1000)
+    late = np.where(np.arange(3000) < 1500, np.nan, TRUTH[:3000])
+    (channel,) = compare(Recording(Z[:3000], rate_hz=RATE_HZ), truth=Recording(late, rate_hz=RATE_HZ)).channels
+    told = ruled(channel, "best with truth")
+    assert all(one.rms_error is not None and one.rms_error < 1 for one in told if CLASSICS[one.name].calms)
+    assert len(told) == len(ZERO_PHASE)
+
+
+def test_a_truth_at_other_times_or_in_other_units_is_refused() -> None:
+    with pytest.raises(RecordingError, match=r"Row 3 of the truth lies 0.01 s after its first row"):
+        compare(MEASURED, truth=Recording(TRUTH, names=("a",), units=("m/s^2",), rate_hz=2 * RATE_HZ))
+    with pytest.raises(RecordingError, match=r"is in cm/s\^2, the recording in m/s\^2"):
+        compare(MEASURED, truth=Recording(TRUTH, names=("a",), units=("cm/s^2",), rate_hz=RATE_HZ))
+
+
 def test_what_cannot_be_compared_is_refused() -> None:
     with pytest.raises(RecordingError, match="no channel 'a'; it has 'b'"):
         compare(MEASURED, truth=Recording(TRUTH, names=("b",), rate_hz=RATE_HZ))

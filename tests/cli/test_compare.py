@@ -59,3 +59,22 @@ def test_a_truth_of_other_rows_or_channels_is_refused(run: Run, walk: Path, tmp_
         assert ran.returncode != 0
         assert said in ran.stderr
         assert "Traceback" not in ran.stderr
+
+
+def test_a_rate_that_is_said_holds_for_the_truth_too(run: Run, walk: Path, tmp_path: Path) -> None:
+    for name in ("walk.csv", "truth.csv"):
+        rows = (tmp_path / name).read_text(encoding="utf-8").splitlines()[:500]
+        (tmp_path / name).write_text("\n".join(row.split(",")[1] for row in rows) + "\n", encoding="utf-8")
+    ran = run("compare", walk, "--truth", "truth.csv", "--rate", "100")
+    assert ran.returncode == 0, ran.stderr
+    assert "best with truth" in ran.stdout
+
+
+def test_what_is_not_known_of_the_truth_makes_no_number_that_json_has_not(run: Run, walk: Path, tmp_path: Path) -> None:
+    rows = (tmp_path / "truth.csv").read_text(encoding="utf-8").splitlines()
+    rows[300] = "2.99,inf"
+    (tmp_path / "truth.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    ran = run("compare", walk, "--truth", "truth.csv", "--json")
+    assert ran.returncode == 0, ran.stderr
+    assert "Infinity" not in ran.stdout
+    assert "NaN" not in ran.stdout

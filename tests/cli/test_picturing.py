@@ -210,13 +210,13 @@ SLEEPY = """
 import time
 import becalm.report.page as page
 from becalm.cli.main import main
-begun = page.page
+begun = page.page_of
 def slowly(*words):
     html = begun(*words)
     print("drawn", flush=True)
     time.sleep(60)
     return html
-page.page = slowly
+page.page_of = slowly
 main()
 """
 

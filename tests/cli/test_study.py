@@ -26,6 +26,14 @@ def test_a_folder_that_cannot_be_made_is_said(run: Run, tmp_path: Path) -> None:
     assert "Traceback" not in ran.stderr
 
 
+def test_a_page_that_cannot_be_written_is_said_before_the_work(run: Run, tmp_path: Path) -> None:
+    (tmp_path / "study" / "imu.md").mkdir(parents=True)
+    ran = run("study", "imu", timeout=20)
+    assert ran.returncode == 2
+    assert "imu.md is a directory" in ran.stderr
+    assert [path.name for path in (tmp_path / "study").iterdir()] == ["imu.md"]
+
+
 @pytest.mark.slow
 def test_the_page_is_printed_and_written(run: Run, tmp_path: Path) -> None:
     ran = run("study", "imu", "-o", "study")

@@ -35,3 +35,10 @@ def test_a_step_that_is_followed_at_once_has_no_delay_and_one_never_reached_has_
     assert follow(0.7 * step, 100, 0.0, 1.0).delay_90 == np.inf
     assert follow(1.2 * step, 100, 0.0, 1.0).overshoot == pytest.approx(0.2)
     assert follow(-step, 100, 0.0, -1.0) == (0.0, 0.0, 0.0)
+
+
+def test_no_lag_is_told_where_the_farthest_differs_least() -> None:
+    rng = np.random.default_rng(6)
+    told = [lag_of(np.cumsum(rng.normal(size=10)), np.cumsum(rng.normal(size=10))) for _ in range(300)]
+    assert np.isnan(told).any()
+    assert np.nanmax(np.abs(told)) <= 4.5

@@ -16,7 +16,7 @@ from becalm.core.arrays import Floats
 from becalm.core.recording import Recording
 from becalm.report.channel import Pictures
 from becalm.report.gathering import Gathering
-from becalm.report.page import Facts, page
+from becalm.report.page import Facts, page_of
 
 
 class Drawn(NamedTuple):
@@ -28,7 +28,7 @@ class Drawn(NamedTuple):
     facts: Facts
 
     def page(self) -> str:
-        return page(self.facts, self.recipe, self.pictures)
+        return page_of(self.facts, self.recipe, self.pictures)
 
 
 def draw(recording: Recording, recipe: Recipe | None = None, *, block: int = 1 << 18, name: str = "drive.csv") -> Drawn:

@@ -7,7 +7,7 @@ Haykin, Adaptive Filter Theory (1996), chapter 13; Widrow et al., Proceedings of
 from __future__ import annotations
 
 import numpy as np
-from scipy.signal import butter, sosfilt, sosfilt_zi
+from scipy.signal import butter, sosfilt
 
 from becalm.core.arrays import Floats
 
@@ -36,10 +36,10 @@ def cancel(z: Floats, cutoff: float, taps: int = TAPS, forgetting: float = FORGE
         0 to 1.
     """
     sos = butter(2, 2 * cutoff, "highpass", output="sos")
-    reference = sosfilt(sos, z, zi=sosfilt_zi(sos) * z[0])[0]
+    primary, left = z - z[0], np.empty(len(z))
+    reference = sosfilt(sos, primary)
     weights, inverse = np.zeros(taps), np.zeros((taps, taps))  # of the reference's correlation
     seen = np.lib.stride_tricks.sliding_window_view(np.concatenate([np.zeros(taps - 1), reference]), taps)[:, ::-1]
-    primary, left = z - z[0], np.empty(len(z))
     for k, u in enumerate(seen):
         if not inverse[0, 0] and abs(u[0]) > _ROUNDING * abs(primary[k]):
             inverse = np.eye(taps) * _START / u[0] ** 2

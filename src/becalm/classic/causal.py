@@ -1,14 +1,15 @@
 """Causal classic filters, which know no later reading: Butterworth, averages, median, fading memory, notch.
 
 All take readings (N,) without gaps and a dial in cycles a sample, 0 to 0.5; a *small* cut-off smooths more and lags
-more. They start as if the first reading had always been there.
+more. They start as if the first reading had always been there: what is linear filters what readings differ from it,
+so that a large offset costs no digits.
 """
 
 from __future__ import annotations
 
 import numpy as np
 from scipy.ndimage import median_filter
-from scipy.signal import butter, iirnotch, lfilter, lfilter_zi, sosfilt, sosfilt_zi, tf2sos
+from scipy.signal import butter, iirnotch, lfilter, sosfilt, tf2sos
 
 from becalm.core.arrays import Floats
 
@@ -29,7 +30,7 @@ def butterworth(z: Floats, cutoff: float, order: int) -> Floats:
         1 or more.
     """
     sos = butter(order, 2 * cutoff, output="sos")
-    filtered: Floats = sosfilt(sos, z, zi=sosfilt_zi(sos) * z[0])[0]
+    filtered: Floats = sosfilt(sos, z - z[0]) + z[0]
     return filtered
 
 
@@ -69,14 +70,14 @@ def fading_memory(z: Floats, cutoff: float, order: int) -> Floats:
     theta = float(np.exp(-2 * np.pi * cutoff))
     behind = np.poly(np.full(order, theta))
     ahead = behind - theta**order * np.poly(np.ones(order))
-    filtered: Floats = lfilter(ahead, behind, z, zi=lfilter_zi(ahead, behind) * z[0])[0]
+    filtered: Floats = lfilter(ahead, behind, z - z[0]) + z[0]
     return filtered
 
 
 def notch(z: Floats, frequency: float, quality: float = 30.0) -> Floats:
     """Take one frequency, in cycles a sample, out of z (N,); a *small* quality takes a wide band, and rings shortly."""
     sos = tf2sos(*iirnotch(2 * frequency, quality))
-    filtered: Floats = sosfilt(sos, z, zi=sosfilt_zi(sos) * z[0])[0]
+    filtered: Floats = sosfilt(sos, z - z[0]) + z[0]
     return filtered
 
 

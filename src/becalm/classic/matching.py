@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import bisect, minimize_scalar
@@ -16,10 +17,10 @@ _LONG = 12.0  # over the cut-off: samples in which the slowest filter has settle
 _MOST = 1 << 21
 _DRAWS = 40  # times the settling, for what is not linear
 _PRECISION = 1e-4  # of a cut-off, in its logarithm
-_SHORTEST = 2.0  # periods of a cut-off in a record
+_SHORTEST = 0.005  # periods of a cut-off in a record: with fewer, a dial changes nothing any more
 _NEAR = 0.02  # of the best cut-off
 _STRIDE = 0.7  # from one cut-off to a lower one, in its logarithm
-_GRID, _FEW = 60, 12  # cut-offs, before the best is looked for between them; of filters that learn, or are slow
+_GRID, _FEW = 120, 12  # cut-offs, before the best is looked for between them; of filters that learn, or are slow
 _SEED = 7
 
 
@@ -64,15 +65,38 @@ def equal_lag(classic: Classic, samples: float) -> float:
     return _where(lambda cutoff: samples / max(lag(classic, cutoff), 1e-12))
 
 
+class Best(NamedTuple):
+    """What errs least from a known truth."""
+
+    classic: Classic
+    cutoff: float  # in cycles a sample
+    signal: Floats  # (N,)
+    error: float  # root mean square, in unit
+
+
+def best_of(classics: Iterable[Classic], z: Floats, truth: Floats) -> Best:
+    """Return which of some filters, each in its best setting, errs least from a known truth (N,) of z (N,)."""
+    found = []
+    for classic in classics:
+        cutoff = best_with_truth(classic, z, truth)
+        signal = classic.clean(z, cutoff)
+        found.append(Best(classic, cutoff, signal, rms_error(signal, truth)))
+    return min(found, key=lambda best: best.error)
+
+
 def best_with_truth(classic: Classic, z: Floats, truth: Floats) -> float:
-    """Return the cut-off, in cycles a sample, at which a filter of z (N,) errs least from a known truth (N,)."""
+    """Return the cut-off, in cycles a sample, at which a filter of z (N,) errs least from a known truth (N,).
+
+    Of settings that err alike, as where a window cannot grow any more, the highest.
+    """
 
     def error(log_cutoff: float) -> float:
         return rms_error(classic.clean(z, float(np.exp(log_cutoff))), truth)
 
-    grid = np.linspace(np.log(max(LOWEST, _SHORTEST / len(z))), np.log(HIGHEST), _GRID if classic.calms else _FEW)
+    lowest = max(LOWEST, _SHORTEST / len(z))
+    grid = np.linspace(np.log(HIGHEST), np.log(lowest), _GRID if classic.calms else _FEW)
     best = int(np.argmin([error(each) for each in grid]))
-    around = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
+    around = grid[min(best + 1, len(grid) - 1)], grid[max(best - 1, 0)]
     found = minimize_scalar(error, bounds=around, method="bounded", options={"xatol": _NEAR})
     return float(np.exp(min(grid[best], float(found.x), key=error)))
 

@@ -106,3 +106,9 @@ ZERO_PHASE = (
 
 CLASSICS = {classic.name: classic for classic in (*CAUSAL, *ZERO_PHASE)}
 """Every classic filter by its name."""
+
+USUAL = {
+    True: tuple(CLASSICS[name] for name in ("Butterworth 1", "Butterworth 2", "Butterworth 4", "moving average")),
+    False: tuple(one for one in ZERO_PHASE if one.name.startswith(("Butterworth", "Savitzky-Golay"))),
+}
+"""What most people would try: causal (True), and knowing the whole record."""

@@ -10,7 +10,7 @@ import numpy as np
 from becalm.classic.matching import best_with_truth, equal_lag, equal_noise, lag, noise_gain, overshoot
 from becalm.classic.register import CAUSAL, ZERO_PHASE, Classic
 from becalm.cleaning.figures import response_of
-from becalm.cleaning.pipeline import Cleaned, clean
+from becalm.cleaning.pipeline import Cleaned, clean, in_mode
 from becalm.cleaning.recipe import Recipe
 from becalm.core.arrays import Floats
 from becalm.core.recording import Recording
@@ -39,7 +39,8 @@ class Contender(NamedTuple):
     cutoff_hz : float or None
         The setting of a classic filter.
     noise_removed_db : float or None
-        Of white noise: 10 log10 of its variance before over after; None where a filter learns, or switches.
+        Of white noise: 10 log10 of its variance before over after; of a filter that switches, in the mode that was
+        most in force, as lag and overshoot. None where a filter learns, or never settles.
     lag_s : float or None
         Delay of a slow signal or of a step at half height, whichever is longer.
     overshoot_percent : float or None
@@ -47,7 +48,7 @@ class Contender(NamedTuple):
     rms_error : float or None
         From the truth, in unit, where it is known.
     measured_lag_s : float or None
-        By which the output trails the truth, where it is known, by their correlation.
+        By which the output trails the truth, where it is known, see `becalm.metrics.delay.lag_of`.
     """
 
     name: str
@@ -103,8 +104,9 @@ def compare(
     recipe : Recipe, optional
         As of `clean`.
     truth : Recording, optional
-        What is true, (N, .): channels of the same names, at the same times. Then each classic filter also gets
-        the setting that has the least rms error *knowing the truth*.
+        What is true, (N, .): channels of the same names and units, at the same times, counted from the first row; not
+        finite where it is not known. Then each classic filter also gets the setting that has the least rms error
+        *knowing the truth*, over the first 50 000 rows from where it is known.
     causal : bool, optional
         As of `clean`: causal filters beside a filter, filters without lag beside a smoother.
     channels : sequence of str, optional
@@ -115,11 +117,11 @@ def compare(
     UsageError
         If the recipe waits for a lag, which no classic filter does.
     RecordingError
-        If the truth has other rows, or not the channels.
+        If the truth has other rows or times, or not the channels in their units.
     """
-    cleaned = clean(recording, recipe, causal=causal, channels=channels)
-    if cleaned.recipe.mode == "lagged":
+    if recipe is not None and in_mode(recipe, causal).mode == "lagged":
         raise UsageError("No classic filter waits for a lag; compare a filter (--causal) or a smoother.")
+    cleaned = clean(recording, recipe, causal=causal, channels=channels)
     true = None if truth is None else _fitting(truth, recording, cleaned)
     is_causal, step_s = cleaned.recipe.mode == "causal", recording.timebase.step_s
     told = []
@@ -149,7 +151,35 @@ def _fitting(truth: Recording, recording: Recording, cleaned: Cleaned) -> Floats
             f"The truth has {len(truth.samples)} rows, the recording {len(recording.samples)}; give the truth of the"
             " same rows."
         )
-    return truth.select(names).samples
+    _refuse_other_times(truth, recording)
+    _refuse_other_units(truth, cleaned)
+    return np.column_stack([judge(np.ascontiguousarray(truth.channel(name))).readings for name in names])
+
+
+def _refuse_other_times(truth: Recording, recording: Recording) -> None:
+    """Refuse a truth whose rows are not those of the recording; where either begins is its own affair."""
+    apart_s = np.abs(_since_first_s(truth) - _since_first_s(recording))
+    if not apart_s.max() <= recording.timebase.step_s / 2:
+        row = int(np.argmax(apart_s > recording.timebase.step_s / 2))
+        raise RecordingError(
+            f"Row {row + 1} of the truth lies {_since_first_s(truth)[row]:.6g} s after its first row, that of the"
+            f" recording {_since_first_s(recording)[row]:.6g} s; give the truth at the same times, or --rate for both."
+        )
+
+
+def _since_first_s(recording: Recording) -> Floats:
+    elapsed = recording.timebase.elapsed_steps
+    return np.asarray(np.cumsum(np.append(0.0, elapsed[1:])) * recording.timebase.step_s)
+
+
+def _refuse_other_units(truth: Recording, cleaned: Cleaned) -> None:
+    units = dict(zip(truth.names, truth.units, strict=True))
+    for channel in cleaned.recipe.channel:
+        if units[channel.name] and channel.unit and units[channel.name] != channel.unit:
+            raise RecordingError(
+                f"The truth of {channel.name!r} is in {units[channel.name]}, the recording in {channel.unit}; give it"
+                f" in {channel.unit}."
+            )
 
 
 def _becalm(signal: Floats, readings: _Readings, own: Response | None) -> Contender:
@@ -174,8 +204,9 @@ def _classics(readings: _Readings, own: Response, causal: bool) -> Iterator[Cont
             twin = _classic(classic, readings, "equal lag", equal_lag(classic, own.lag_s / readings.step_s))
             if abs((twin.lag_s or 0.0) - own.lag_s) <= readings.step_s:
                 yield twin
-        if readings.truth is not None:
-            part = slice(_LOOKED_AT)
+        if readings.truth is not None and np.isfinite(readings.truth).any():
+            first = int(np.argmax(np.isfinite(readings.truth)))
+            part = slice(first, first + _LOOKED_AT)
             best = best_with_truth(classic, readings.z[part], readings.truth[part])
             yield _classic(classic, readings, "best with truth", best)
 

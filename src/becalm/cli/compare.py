@@ -4,47 +4,82 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from rich.console import Console
 from rich.table import Table
 
 from becalm.cleaning.comparison import compare
+from becalm.cleaning.comparison_words import cells, headings
 from becalm.cli.portions import beginning, cut_short
 from becalm.cli.talk import stderr
 from becalm.cli.warm import ahead
 from becalm.files.opening import open_source
+from becalm.files.plain import make_folder, refuse_unwritable, write_text
 from becalm.files.source import Asker, ReadOptions
 
 if TYPE_CHECKING:
-    from becalm.cleaning.comparison import ChannelComparison, Comparison, Contender
-    from becalm.cleaning.recipe import Recipe
+    from becalm.cleaning.comparison import ChannelComparison, Comparison
+    from becalm.cli.said import Said
     from becalm.core.recording import Recording
     from becalm.files.opening import OpenSource
 
-_HEADINGS = ("filter", "setting", "at", "noise removed", "lag", "overshoot", "rms error", "lag found")
-_WITHOUT_TRUTH = 6  # of them
-_NOTHING = 1e-9  # of whatever unit: rounding
+_WORDS = 3  # columns
 
 
-def run(source: OpenSource, recipe: Recipe | None, truth: Path | None, causal: bool, as_json: bool) -> None:
+class Asking(NamedTuple):
+    """What is asked of a comparison."""
+
+    truth: Path | None
+    causal: bool
+    folder: Path | None
+
+
+def run(source: OpenSource, said: Said, asking: Asking, *, as_json: bool) -> None:
     """Compare on a file, or on the beginning of a long one, and show what came out."""
+    truth, causal, folder = asking
+    page = None if folder is None else _page_in(folder)
     recording = beginning(source)
     ahead(recording, causal=causal)
-    true = None if truth is None else _truth(truth, source)
-    found = compare(recording, recipe, truth=true, causal=causal or None, channels=source.names)
+    true = None if truth is None else _truth(truth, source, said)
+    found = compare(recording, said.recipe, truth=true, causal=causal or None, channels=source.names)
     if as_json:
-        print(json.dumps(_summary(source, recording, found), indent=2))  # noqa: T201
+        print(json.dumps(_summary(source, recording, found), indent=2, allow_nan=False))  # noqa: T201
     else:
-        _show(found)
+        _show(found, true is not None)
+    if page is not None:
+        _write(page, source, (recording, true), found)
     if cut := cut_short(source, recording):
         stderr.print(cut.strip())
 
 
-def _truth(path: Path, source: OpenSource) -> Recording:
-    """Read the same channels of the truth."""
+def _page_in(folder: Path) -> Path:
+    """Return where the page goes; what hinders it is said before the work."""
+    from becalm.report.vendor import uplot
+
+    uplot()
+    make_folder(folder)
+    page = folder / "compare.html"
+    refuse_unwritable(page)
+    return page
+
+
+def _write(page: Path, source: OpenSource, read: tuple[Recording, Recording | None], found: Comparison) -> None:
+    from becalm.report.beside import beside
+    from becalm.report.page import Facts, page_of
+    from becalm.report.running import pictures_of
+
+    recording, truth = read
+    facts = Facts(source.path.name, len(recording), recording.timebase.step_s, source.sha256())
+    recipe = found.cleaned.recipe
+    write_text(page, page_of(facts, recipe, pictures_of(recording, recipe), beside(found, recording, truth)))
+    stderr.print(f"Wrote {page}.")
+
+
+def _truth(path: Path, source: OpenSource, said: Said) -> Recording:
+    """Read the same channels of the truth; what was said of time holds for both files."""
     asker = Asker("The recording", " Give a truth of the same channels, or choose some with --channels.")
-    with open_source(path, ReadOptions(None, None, tuple(source.names), asker)) as other:
+    with open_source(path, ReadOptions(said.time, said.rate_hz, tuple(source.names), asker)) as other:
         return beginning(other)
 
 
@@ -67,37 +102,17 @@ def _summary(source: OpenSource, recording: Recording, found: Comparison) -> dic
     }
 
 
-def _show(found: Comparison) -> None:
+def _show(found: Comparison, true: bool) -> None:
     out = Console(highlight=False, soft_wrap=True, markup=False, width=1000)  # breaks no figure
     for channel in found.channels:
         out.print(f"{channel.name}: {channel.says}")
-        out.print(_table(channel))
+        out.print(_table(channel, true))
 
 
-def _table(channel: ChannelComparison) -> Table:
-    """Lay out a channel; without truth, what only truth tells is left out."""
-    true = any(contender.rms_error is not None for contender in channel.contenders)
-    headings = _HEADINGS if true else _HEADINGS[:_WITHOUT_TRUTH]
+def _table(channel: ChannelComparison, true: bool) -> Table:
     table = Table(box=None, pad_edge=False)
-    for heading in headings:
-        table.add_column(heading, justify="left" if heading in _HEADINGS[:3] else "right", no_wrap=True)
+    for number, heading in enumerate(headings(true)):
+        table.add_column(heading, justify="left" if number < _WORDS else "right", no_wrap=True)
     for contender in channel.contenders:
-        table.add_row(*_cells(contender, channel.unit)[: len(headings)])
+        table.add_row(*cells(contender, channel.unit, true))
     return table
-
-
-def _cells(contender: Contender, unit: str) -> tuple[str, ...]:
-    return (
-        contender.name,
-        "" if contender.cutoff_hz is None else f"{contender.cutoff_hz:.4g} Hz",
-        contender.rule,
-        _told(contender.noise_removed_db, "{:.1f} dB"),
-        _told(contender.lag_s, "{:.4g} s"),
-        _told(contender.overshoot_percent, "{:.0f} %"),
-        _told(contender.rms_error, "{:.4g} " + unit).rstrip(),
-        _told(contender.measured_lag_s, "{:.4g} s"),
-    )
-
-
-def _told(value: float | None, form: str) -> str:
-    return "" if value is None else form.format(0.0 if abs(value) < _NOTHING else value)

@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.table import Table
 
-from becalm.errors import OutputError
-
 if TYPE_CHECKING:
     from becalm.cleaning.pipeline import Cleaned
     from becalm.studies.drive import Drive
@@ -19,15 +17,14 @@ def run(folder: Path) -> None:
     """Write the drive and its clean signal into a folder, and print the figures."""
     from becalm.cleaning.pipeline import clean
     from becalm.cli.warm import ahead
-    from becalm.files.plain import write_text
+    from becalm.files.plain import make_folder, write_text
     from becalm.files.reading import read
     from becalm.files.writing import write
+    from becalm.report.page import Facts, page_of
+    from becalm.report.running import pictures_of
     from becalm.studies.drive import simulate
 
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as cause:
-        raise OutputError(f"The folder {folder} cannot be made ({cause.strerror}); name another with -o.") from cause
+    make_folder(folder)
     drive = simulate()
     ahead(drive.measured, causal=True)
     raw, calm, live = folder / "drive.csv", folder / "drive_clean.csv", folder / "drive_causal.csv"
@@ -38,17 +35,21 @@ def run(folder: Path) -> None:
     for path, cleaned in ((calm, smoothed), (live, causal)):
         write(path, cleaned.signal, cleaned.sigma)
         write_text(Path(f"{path}.recipe.toml"), cleaned.recipe.to_toml())
+    page = folder / "drive_clean.html"
+    facts = Facts(raw.name, len(recording), recording.timebase.step_s)
+    write_text(page, page_of(facts, smoothed.recipe, pictures_of(recording, smoothed.recipe)))
     out = Console(highlight=False, soft_wrap=True, markup=False)
     out.print("A simulated test drive, 60 s at 500 Hz, cleaned with nothing chosen. Best classic: the best causal")
     out.print("Butterworth (order 1, 2, 4) or moving average, its cut-off chosen knowing the truth.\n")
     out.print(_figures(drive, smoothed, causal))
     out.print("\nThe files:")
-    out.print("\n".join(f"  {path}" for path in (raw, calm, live)))
+    out.print("\n".join(f"  {path}" for path in (raw, calm, live, page)))
     out.print(f"Try it on a file of yours: becalm clean FILE -o {folder / 'mine.csv'}")
 
 
 def _figures(drive: Drive, smoothed: Cleaned, causal: Cleaned) -> Table:
-    from becalm.classic.with_truth import best_causal
+    from becalm.classic.matching import best_of
+    from becalm.classic.register import USUAL
     from becalm.metrics.truth import coverage, rms_error
 
     table = Table(box=None, pad_edge=False)
@@ -61,7 +62,7 @@ def _figures(drive: Drive, smoothed: Cleaned, causal: Cleaned) -> Table:
         table.add_row(
             name,
             f"{rms_error(measured, truth):.4f}",
-            f"{best_causal(measured, truth, drive.measured.rate_hz).error:.4f}",
+            f"{best_of(USUAL[True], measured, truth).error:.4f}",
             f"{rms_error(causal.signal.samples[:, i], truth):.4f}",
             f"{rms_error(signal, truth):.4f}",
             f"{coverage(signal, sigma, truth):.0%}",

@@ -126,15 +126,16 @@ def compare(  # noqa: PLR0913  (the contract's options)
     rate: o.Rate = None,
     time: o.Time = None,
     causal: o.Causal = False,
+    output: o.ComparedIn = None,
     as_json: o.Json = False,
 ) -> None:
     """Hold becalm beside what people use today: at equal noise, at equal lag, and knowing the truth."""
-    from becalm.cli.compare import run
+    from becalm.cli.compare import Asking, run
 
     given = load(recipe)
     said = Said(channels, rate, time) if given is None else Said(channels, rate, time).or_as(given)
     with open_as(file, said) as source:
-        run(source, given, truth, causal, as_json)
+        run(source, said, Asking(truth, causal, output), as_json=as_json)
 
 
 @app.command()

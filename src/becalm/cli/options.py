@@ -20,7 +20,10 @@ Output = Annotated[Path, typer.Option("-o", "--output", metavar="OUT", help="Whe
 RecipeOut = Annotated[Path, typer.Option("-o", "--output", metavar="R.toml", help="Where to write the recipe.")]
 RecipeIn = Annotated[Path | None, typer.Option("--recipe", metavar="R.toml", help="Do as this recipe says.")]
 Truth = Annotated[
-    Path | None, typer.Option("--truth", metavar="FILE", help="What is true: the same channels at the same rows.")
+    Path | None, typer.Option("--truth", metavar="FILE", help="What is true: the same channels at the same times.")
+]
+ComparedIn = Annotated[
+    Path | None, typer.Option("-o", "--output", metavar="DIR", help="Folder for a page with the same in pictures.")
 ]
 Channels = Annotated[
     str | None, typer.Option("--channels", metavar="a,b", help="Clean these channels; the others pass through.")

@@ -106,14 +106,14 @@ class Picturing:
             return {}
         from becalm.files.plain import write_text
         from becalm.report.channel import Pictures
-        from becalm.report.page import Facts, page
+        from becalm.report.page import Facts, page_of
 
         pictures = Pictures(recipe, reports, gathering, source.clock.step_s)
         drawn = {}
         if self._page is not None:
             name = os.fsencode(source.path.name).decode("utf-8", "replace")  # it need not be text
             facts = Facts(name, source.rows, source.clock.step_s, source.sha256())
-            write_text(self._page, page(facts, recipe, pictures))
+            write_text(self._page, page_of(facts, recipe, pictures))
             drawn["report"] = str(self._page)
             typer.echo(f"Wrote {self._page}.", err=True)
         if self._kind is not None:
@@ -123,13 +123,10 @@ class Picturing:
         return drawn
 
     def _print(self, pictures: Pictures, kind: Kind) -> int:
-        from becalm.files.plain import write_bytes
+        from becalm.files.plain import make_folder, write_bytes
         from becalm.report.printing import printed
 
-        try:
-            self._folder.mkdir(exist_ok=True)
-        except OSError as cause:
-            raise OutputError(f"The folder {self._folder} cannot be made: {cause.strerror}.") from cause
+        make_folder(self._folder)
         count = 0
         for number in range(len(pictures)):
             drawn = pictures.channel(number)

@@ -5,7 +5,8 @@ from __future__ import annotations
 from importlib import import_module
 from pathlib import Path
 
-from becalm.errors import OutputError, UsageError
+from becalm.errors import UsageError
+from becalm.files.plain import make_folder, refuse_unwritable
 
 PAPERS = ("car", "imu", "strain")
 
@@ -18,12 +19,10 @@ def run(paper: str, folder: Path) -> None:
     UsageError
         If there is no such paper.
     OutputError
-        If the folder cannot be made.
+        If the folder cannot be made, or written to: said before the work is done.
     """
     if paper not in PAPERS:
         raise UsageError(f"There is no paper {paper!r}; write becalm study {' or '.join(PAPERS)}.")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as cause:
-        raise OutputError(f"The folder {folder} cannot be made ({cause.strerror}); name another with -o.") from cause
+    make_folder(folder)
+    refuse_unwritable(folder / f"{paper}.md")
     print(import_module(f"becalm.studies.{paper}").run(folder))  # noqa: T201  (the page is the data)

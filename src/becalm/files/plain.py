@@ -8,7 +8,22 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from becalm.errors import OutputError
 from becalm.files.whole import refuse_folder, replace_file, replacing, sentences
+
+
+def make_folder(path: Path) -> None:
+    """Make a folder, and those that it is in; one that is there stays as it is.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be made.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as cause:
+        raise OutputError(f"The folder {path} cannot be made ({cause.strerror}); name another with -o.") from cause
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:

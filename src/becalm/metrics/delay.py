@@ -15,7 +15,7 @@ def lag_of(signal: Floats, truth: Floats) -> float:
 
     That is where their correlation is highest, of as many samples as lie beside each other. A parabola through the
     least value and its neighbours tells parts of a sample; beside noise, or of a slow truth, it is told badly. Lags of
-    up to half of the record are looked at. NaN where one of them does not change.
+    up to half of the record are looked at. NaN where one of them does not change, or the farthest lag differs least.
     """
     known = np.isfinite(signal) & np.isfinite(truth)
     a, b = (np.where(known, values - values[known].mean(), 0.0) for values in (signal, truth))
@@ -27,7 +27,9 @@ def lag_of(signal: Floats, truth: Floats) -> float:
     late, early = np.maximum(lags, 0), np.maximum(-lags, 0)  # samples that lie beside none
     squares = _sums(a, late, early) + _sums(b, early, late)
     apart = (squares - 2 * products) / (len(a) - late - early)
-    best = int(np.argmin(apart[1:-1])) + 1
+    best = int(np.argmin(apart))
+    if best in (0, len(apart) - 1):
+        return np.nan
     before, least, after = apart[best - 1 : best + 2]
     bend = before - 2 * least + after
     return float(lags[best]) + (0.5 * float(before - after) / float(bend) if bend > 0 else 0.0)

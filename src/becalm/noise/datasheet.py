@@ -159,7 +159,7 @@ def noise_variance(white: float, rate_hz: float, bandwidth_hz: float = np.inf, p
     Notes
     -----
     Noise over half of the rate is folded back. What a filter slower than the sensor meets is the folded
-    density at low frequencies, R = N^2 rate sum_k |H(k rate)|^2, here in closed form. It goes from
+    density at low frequencies, R = N^2 rate times the sum of abs(H(k rate))^2 over k, here in closed form. It goes from
     N^2 rate, of a bandwidth far below the rate, where readings are correlated and their own variance
     `rms(...)^2` would promise too much, to 2 N^2 (noise bandwidth), of one far above it. A sensor
     that is read with its full bandwidth is noisier than n_d^2 rate / 2 says.

@@ -64,8 +64,9 @@ def front_figure(title: Title, found: Behaviour, front: Front, mode: str) -> Fig
         x, y = np.array([(point.lag_s, noise_std * point.noise_std) for point in points]).T
         layers.append(Curve(f"causal, order {order}", x[::-1], y[::-1], "other", "dashed"))
     late_s = found.response.lag_s
-    if mode != "causal" and found.waits:
-        x, y = np.array([(one.wait_s, one.noise_std) for one in found.waits[1:-1]]).T
+    later = found.waits[1:-1]  # nothing where even the next reading tells all that later ones can
+    if mode != "causal" and later:
+        x, y = np.array([(one.wait_s, one.noise_std) for one in later]).T
         layers.append(Curve("this filter, told later", x, y, "clean"))
         late_s = float(x[-1]) if found.report.delay_s is None else found.report.delay_s
     left = found.noise_left(late_s if mode == "lagged" else None)

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import re
 from typing import NamedTuple
 
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.report import ChannelReport
 from becalm.noise.front import Front
-from becalm.report.behaviour import behaviour_of, front_figure, front_of, step_figure
+from becalm.report.behaviour import Behaviour, behaviour_of, front_figure, front_of, step_figure
 from becalm.report.description import Figure
 from becalm.report.gathering import Gathering
-from becalm.report.pictures import Title, closeup_figures, signal_figures, spectrum_figure
+from becalm.report.pictures import Title, closeup_figures, signal_figures, slug_of, spectrum_figure
 from becalm.report.trust import innovation_figures
-
-_LONGEST_SLUG = 40
 
 
 class Pictured(NamedTuple):
@@ -63,7 +60,7 @@ class Pictures:
     def channel(self, number: int) -> Pictured:
         """Draw a channel, counted from 0."""
         recipe, report, gathered = self._recipe, self._reports[number], self._gathering.channels[number]
-        title = Title(f"{number + 1}-{_slug(report.name)}", report.name, report.unit)
+        title = Title(slug_of(number, report.name), report.name, report.unit)
         behaviour = behaviour_of(recipe.channel[number], report, recipe, self._step_s)
         times = self._gathering.times
         close = closeup_figures(title, gathered) if self._gathering.rows_each > 1 else ()
@@ -75,12 +72,15 @@ class Pictures:
         )
         return Pictured(
             report,
-            "" if behaviour.response is None else str(behaviour.response),
+            _words(behaviour),
             (*signal_figures(title, times, gathered), *close),
             tuple(figure for figure in narrow if figure is not None),
         )
 
 
-def _slug(name: str) -> str:
-    """Return a channel's name as part of a file's."""
-    return re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:_LONGEST_SLUG] or "channel"
+def _words(behaviour: Behaviour) -> str:
+    """Say in a sentence what the filter is; nothing where it passes all unchanged, or never settles."""
+    if behaviour.response is None:
+        return ""
+    where = "In the mode that was most in force it" if behaviour.report.modes else "The filter"
+    return f"{where} is {behaviour.response}."

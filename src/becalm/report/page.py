@@ -63,8 +63,9 @@ class Cells(NamedTuple):
 class Beside(NamedTuple):
     """What stands beside becalm's own in the section of a channel."""
 
-    tables: tuple[Cells, ...]
-    figures: tuple[Figure, ...]
+    tables: tuple[Cells, ...] = ()
+    wide: tuple[Figure, ...] = ()
+    narrow: tuple[Figure, ...] = ()
 
 
 class _Line(NamedTuple):
@@ -86,7 +87,7 @@ class _Section(NamedTuple):
     printed: tuple[str, ...]
 
 
-def page(
+def page_of(
     facts: Facts,
     recipe: Recipe,
     pictures: Pictures,
@@ -113,7 +114,7 @@ def page(
     reports = pictures.reports
     numbers = _pictured(reports)
     drawn = {number: pictures.channel(number) for number in numbers}
-    sections = [_section(drawn[number], number, beside[number] if beside else Beside((), ())) for number in numbers]
+    sections = [_section(drawn[number], number, beside[number] if beside else Beside()) for number in numbers]
     script, style = uplot()
     template = Environment(autoescape=True).from_string(_asset("page.html"))
     return template.render(
@@ -199,8 +200,8 @@ def _section(drawn: Pictured, number: int, beside: Beside) -> _Section:
     report = drawn.report
     together = f"{_anchor(number)}-time"
     placed = [
-        *((figure, "wide", together if at_once(figure) else "") for figure in drawn.wide),
-        *((figure, "narrow", "") for figure in (*drawn.narrow, *beside.figures)),
+        *((figure, "wide", together if at_once(figure) else "") for figure in (*drawn.wide, *beside.wide)),
+        *((figure, "narrow", "") for figure in (*drawn.narrow, *beside.narrow)),
     ]
     return _Section(
         _anchor(number),
@@ -247,7 +248,7 @@ def _printed(drawn: Pictured, beside: Beside) -> tuple[str, ...]:
     """Draw the same figures for print, where that is possible."""
     if not can_print():
         return ()
-    sheets = ((drawn.wide, 1), ((*drawn.narrow, *beside.figures), 2))
+    sheets = (((*drawn.wide, *beside.wide), 1), ((*drawn.narrow, *beside.narrow), 2))
     return tuple(_packed(printed(figures, "svg", columns)) for figures, columns in sheets if figures)
 
 

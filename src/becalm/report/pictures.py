@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +17,7 @@ from becalm.report.gathering import WIDTH, ChannelGathering
 
 TIME = Axis("time since the first row (s)")
 
+_LONGEST_SLUG = 40
 _POINTS = 240  # of a spectrum, evenly spread over its logarithm
 
 
@@ -30,6 +32,11 @@ class Title(NamedTuple):
     def axis(self) -> str:
         """The channel's name with its unit."""
         return f"{self.name} ({self.unit})" if self.unit and self.unit not in self.name else self.name
+
+
+def slug_of(number: int, name: str) -> str:
+    """Return what begins the names of a channel's figures, counted from 0: none has that of another."""
+    return f"{number + 1}-{re.sub('[^a-z0-9]+', '-', name.lower()).strip('-')[:_LONGEST_SLUG]}".strip("-")
 
 
 def signal_figures(title: Title, times: Envelope, gathered: ChannelGathering) -> tuple[Figure, ...]:

@@ -20,6 +20,7 @@ from becalm.core.filtering import kalman_filter
 from becalm.core.model import Model
 from becalm.core.recording import Recording
 from becalm.core.response import describe
+from becalm.files.plain import write_text
 from becalm.metrics.decibels import snr_db, snr_paper_db
 from becalm.metrics.delay import lag_of
 from becalm.metrics.spectrum import VEHICLE_BANDS_HZ, band_powers, welch
@@ -236,7 +237,7 @@ def run(folder: Path, recordings: Path = RECORDINGS) -> str:
     folder.mkdir(parents=True, exist_ok=True)
     found = study(recordings)
     text = page(found, _drawn(figures, found, folder))
-    (folder / "car.md").write_text(text, encoding="utf-8")
+    write_text(folder / "car.md", text)
     return text
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from becalm.core.arrays import Floats
+from becalm.files.plain import write_text
 from becalm.metrics.spectrum import Spectrum, welch
 from becalm.noise.step_spectrum import Sensor
 from becalm.studies.imu_page import write_page
@@ -116,5 +117,5 @@ def run(folder: Path, recordings: Path = RECORDINGS) -> str:
 
         drawn = figures(found, folder)
     text = write_page(found, drawn)
-    (folder / "imu.md").write_text(text, encoding="utf-8")
+    write_text(folder / "imu.md", text)
     return text

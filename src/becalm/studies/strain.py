@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Floats
+from becalm.files.plain import write_text
 from becalm.metrics.delay import lag_of
 from becalm.studies.recordings import RECORDINGS
 from becalm.studies.strain_gauge import Gauge, absent, measure_gauge
@@ -156,5 +157,5 @@ def run(folder: Path) -> str:
     found = study()
     drawn = figures(found, folder) if find_spec("matplotlib") else {}
     text = page(found, drawn)
-    (folder / "strain.md").write_text(text, encoding="utf-8")
+    write_text(folder / "strain.md", text)
     return text

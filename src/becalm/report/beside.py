@@ -1,0 +1,99 @@
+"""What stands beside becalm's own in a report: every classic filter, in a table and in two pictures."""
+
+from __future__ import annotations
+
+from itertools import chain
+
+import numpy as np
+
+from becalm.classic.register import CAUSAL, ZERO_PHASE, Classic
+from becalm.cleaning.comparison import BECALM, RULES, ChannelComparison, Comparison, Contender
+from becalm.cleaning.comparison_words import cells, headings
+from becalm.core.arrays import Floats
+from becalm.core.recording import Recording
+from becalm.core.verdict import judge
+from becalm.report.description import Axis, Curve, Figure, Layer, Role
+from becalm.report.page import Beside, Cells
+from becalm.report.pictures import TIME, Title, slug_of
+
+_ROWS = 600
+_RIVALS = 2  # that are drawn beside becalm
+
+
+def beside(found: Comparison, recording: Recording, truth: Recording | None = None) -> tuple[Beside, ...]:
+    """Lay out what a comparison found, for each channel.
+
+    Parameters
+    ----------
+    found : Comparison
+        What came out of all filters.
+    recording : Recording
+        Samples (N, m) that were compared on.
+    truth : Recording, optional
+        What is true, (N, .).
+    """
+    return tuple(_channel(found, number, recording, truth) for number in range(len(found.channels)))
+
+
+def _channel(found: Comparison, number: int, recording: Recording, truth: Recording | None) -> Beside:
+    channel = found.channels[number]
+    title = Title(slug_of(number, channel.name), channel.name, channel.unit)
+    rows = tuple(cells(one, channel.unit, truth is not None) for one in channel.contenders)
+    table = Cells("Beside what people use today", headings(truth is not None), rows)
+    outputs, removed = _outputs(title, channel, found, recording, truth), _noise_and_lag(title, channel, found.causal)
+    return Beside((table,), outputs, removed)
+
+
+def _noise_and_lag(title: Title, channel: ChannelComparison, causal: bool) -> tuple[Figure, ...]:
+    """Draw every contender by what it removes and how late it is; where none is late, there is nothing to draw."""
+    known = [one for one in channel.contenders if one.noise_removed_db is not None and one.lag_s is not None]
+    if not causal or len(known) < 2:
+        return ()
+    layers = []
+    for rule in ("", *RULES):
+        told = [one for one in known if one.rule == rule]
+        if told:
+            late, removed = np.array([(one.lag_s, one.noise_removed_db) for one in told], dtype=np.float64).T
+            role: Role = "clean" if rule == "" else "other"
+            layers.append(Curve(rule or BECALM, late, removed, role, "points"))
+    said = "Up and to the left is better: more noise removed, and less late."
+    late_axis, removed_axis = Axis("lag (s)"), Axis("noise removed (dB)")
+    name, shown = f"{title.slug}-contenders", "Noise removed against lag"
+    return (Figure(name, shown, late_axis, removed_axis, tuple(layers), said),)
+
+
+def _outputs(
+    title: Title, channel: ChannelComparison, found: Comparison, recording: Recording, truth: Recording | None
+) -> tuple[Figure, ...]:
+    """Draw the outputs of a few, from the middle of the recording."""
+    rivals = _rivals(channel.contenders, truth is not None)
+    if not rivals:
+        return ()
+    start = max(0, (len(recording) - _ROWS) // 2)
+    shown, step_s = slice(start, start + _ROWS), recording.timebase.step_s
+    times_s = (recording.times_s - recording.times_s[0])[shown]
+    z = judge(np.ascontiguousarray(recording.channel(channel.name))).readings
+    layers: list[Layer] = [Curve("readings", times_s, z[shown], "readings")]
+    for one in rivals:
+        output = _output(one, z, step_s, found.causal)
+        layers.append(Curve(f"{one.name}, {one.rule}", times_s, output[shown]))
+    layers.append(Curve(BECALM, times_s, found.cleaned.signal.channel(channel.name)[shown], "clean"))
+    if truth is not None:
+        layers.append(Curve("truth", times_s, truth.channel(channel.name)[shown], "truth", "dashed"))
+    said = "A few rows from the middle of the recording."
+    return (Figure(f"{title.slug}-outputs", "Side by side", TIME, Axis(title.axis), tuple(layers), said),)
+
+
+def _rivals(contenders: tuple[Contender, ...], true: bool) -> list[Contender]:
+    """Choose whom to draw: the best that know the truth, or the first that are fair otherwise."""
+    classics = [one for one in contenders if one.rule and one.cutoff_hz is not None]
+    if true:
+        known = [one for one in classics if one.rms_error is not None]
+        return sorted(known, key=lambda one: one.rms_error or np.inf)[:_RIVALS]
+    return classics[:_RIVALS]
+
+
+def _output(one: Contender, z: Floats, step_s: float, causal: bool) -> Floats:
+    register: dict[str, Classic] = {classic.name: classic for classic in chain(CAUSAL if causal else ZERO_PHASE)}
+    assert one.cutoff_hz is not None
+    return register[one.name].clean(z, one.cutoff_hz * step_s)

@@ -1,0 +1,39 @@
+"""A recording in memory, looked at while it is cleaned."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from becalm.cleaning.cleaner import Cleaner
+from becalm.cleaning.recipe import Recipe
+from becalm.core.recording import Recording
+from becalm.report.channel import Pictures
+from becalm.report.gathering import Gathering
+
+
+def pictures_of(recording: Recording, recipe: Recipe) -> Pictures:
+    """Clean a recording by a recipe, and draw what was done.
+
+    Parameters
+    ----------
+    recording : Recording
+        Samples (N, m), with the recipe's channels.
+    recipe : Recipe
+        What to do; that of `clean`, or of `tune`.
+
+    Raises
+    ------
+    RecordingError
+        If the recording lacks a channel of the recipe.
+    RecipeError
+        If a channel's numbers make no filter at the recording's rate.
+    """
+    names = [channel.name for channel in recipe.channel]
+    chosen, time = recording.select(names), recording.timebase
+    columns = [np.ascontiguousarray(chosen.channel(name)) for name in names]
+    gathering = Gathering(len(chosen), time.step_s, len(names))
+    looks = [channel.look for channel in gathering.channels]
+    with Cleaner(recipe, time.step_s, looks=looks) as cleaner:
+        for told in (*cleaner.push(columns, time.elapsed_steps), *cleaner.finish()):
+            gathering.add(columns, time.elapsed_steps, told)
+        return Pictures(recipe, cleaner.reports(), gathering, time.step_s)
