@@ -164,7 +164,7 @@ def spiked(rows: int) -> Floats:
 
 
 GAPPED_S = np.cumsum(np.where(np.arange(3000) % 500 == 0, 3.0, 0.01))
-REPEATED_S = np.repeat(np.arange(1500) / 50, 2)
+REPEATED_S = np.floor(np.arange(3000) * 0.9) / 100
 HOSTILE = {
     "missing": Recording(np.full((500, 1), np.nan), names=["a"], rate_hz=100.0),
     "constant": Recording(np.full((5000, 1), 2.5), names=["a"], rate_hz=100.0),

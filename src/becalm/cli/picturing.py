@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, cast, get_args
 
 import typer
 
-from becalm.errors import UsageError
+from becalm.cli.said import is_same
+from becalm.errors import OutputError, UsageError
 
 if TYPE_CHECKING:
     from becalm.cleaning.recipe import Recipe
@@ -40,7 +42,11 @@ class Picturing:
     Raises
     ------
     UsageError
-        If the page is no HTML file, the kind is unknown, or something that draws is not installed.
+        If the page is no HTML file or another output, the kind is unknown, or matplotlib is not installed.
+    OutputError
+        If a file is where figures go.
+    BecalmError
+        If becalm was never installed, and what draws the page is not here.
     """
 
     def __init__(self, output: Path, page: Path | None, kind: str | None) -> None:
@@ -53,9 +59,26 @@ class Picturing:
             if page.suffix.lower() not in _PAGES:
                 better = page.with_suffix(".html")
                 raise UsageError(f"The report is a page, and {page} is none; write --report {better}")
-            if page.resolve() == output.resolve():
-                raise UsageError(f"{page} is the output too; give the report another name.")
+            for taken, what in ((output, "output"), (Path(f"{output}.recipe.toml"), "recipe")):
+                if page.resolve() == taken.resolve():
+                    raise UsageError(f"{page} is the {what} too; give the report another name.")
             uplot()
+        if kind is not None and self._folder.exists() and not self._folder.is_dir():
+            raise OutputError(
+                f"Figures go into the folder {self._folder}, which is a file; name another output with -o."
+            )
+
+    def refuse_overwriting(self, file: Path, recipe: Path | None) -> None:
+        """Refuse a page that would take the place of what is read.
+
+        Raises
+        ------
+        UsageError
+            If the page is the input, or the recipe that was given, by whatever name.
+        """
+        for read, what in ((file, "input"), (recipe, "recipe")):
+            if self._page is not None and read is not None and is_same(self._page, read):
+                raise UsageError(f"{self._page} is the {what} itself; name another page with --report.")
 
     def gathering(self, source: OpenSource, channels: int) -> Gathering | None:
         """Return what gathers while the file is cleaned, if anything is to be drawn."""
@@ -88,7 +111,8 @@ class Picturing:
         pictures = Pictures(recipe, reports, gathering, source.clock.step_s)
         drawn = {}
         if self._page is not None:
-            facts = Facts(source.path.name, source.rows, source.clock.step_s, source.sha256())
+            name = os.fsencode(source.path.name).decode("utf-8", "replace")  # it need not be text
+            facts = Facts(name, source.rows, source.clock.step_s, source.sha256())
             write_text(self._page, page_of(facts, recipe, pictures))
             drawn["report"] = str(self._page)
             typer.echo(f"Wrote {self._page}.", err=True)
