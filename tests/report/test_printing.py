@@ -24,6 +24,7 @@ LAYERS: dict[str, Layer] = {
     "lane": Lane("told", X[:2], X[:2] + 0.1),
     "rule": Rule("told", 0.5, "limit"),
     "surface": Surface("told", X, X[:3], np.add.outer(X, X[:3])),
+    "surface by point": Surface("told", X, X[:3], np.add.outer(X, X[:3]), by_point=True),
 }
 FIRST_BYTES = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}
 

@@ -61,12 +61,13 @@ class Rule(NamedTuple):
 
 
 class Surface(NamedTuple):
-    """Heights over a plane, drawn as filled contours; for print only."""
+    """Heights over a plane, drawn as filled contours, or point by point; for print only."""
 
     name: str
     x: Floats  # (k,)
     y: Floats  # (l,)
     height: Floats  # (k, l)
+    by_point: bool = False  # of a rough one, whose contours would be many
 
 
 Layer = Curve | Band | Lane | Rule | Surface

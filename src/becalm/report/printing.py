@@ -221,5 +221,11 @@ def _thinned(band: Band) -> tuple[Floats, Floats, Floats]:
 
 
 def _draw_surface(axes: Axes, layer: Surface) -> None:
-    filled = axes.contourf(layer.x, layer.y, layer.height.T, 16, cmap="Greys")  # what is drawn upon it has colours
+    place = (layer.x, layer.y, layer.height.T)
+    grey = "Greys"  # what is drawn upon it has colours
+    filled: Any = None
+    if layer.by_point:
+        filled = axes.pcolormesh(*place, cmap=grey, shading="nearest", rasterized=True)
+    else:
+        filled = axes.contourf(*place, 16, cmap=grey)
     axes.figure.colorbar(filled, ax=axes, label=layer.name)

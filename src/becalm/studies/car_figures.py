@@ -7,13 +7,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.report.description import Axis, Curve, Figure, Role
+from becalm.metrics.spectrum import spectrogram
+from becalm.report.description import Axis, Curve, Figure, Role, Surface
 from becalm.studies.sheets import Sheet
 
 if TYPE_CHECKING:
     from becalm.studies.car import CarStudy
 
 _CLOSE_S = (20.0, 25.0)  # of the vertical acceleration, which is too quick for a minute across a figure
+_SEGMENT = 512
+_HIGHEST_HZ, _FAINTEST = 30.0, 1e-5  # (m/s²)²/Hz
 _TIME, _SPEED = Axis("time (s)"), Axis("speed (km/h)")
 _ALONG, _UP = Axis("longitudinal acceleration (m/s²)"), Axis("vertical acceleration (m/s²)")
 
@@ -41,7 +44,18 @@ def sheets(found: CarStudy) -> tuple[Sheet, ...]:
     ]
     if found.real is not None:
         figures.append(_real(found))
-    return tuple(Sheet(figure.name, (figure,)) for figure in figures)
+    shown = tuple(_spectrogram(name, times, drawn[name][:, 2]) for name in (MEASURED, OWN))
+    return *(Sheet(figure.name, (figure,)) for figure in figures), Sheet("car-spectrogram", shown)
+
+
+def _spectrogram(name: str, times_s: Floats, values: Floats) -> Figure:
+    """Show what a signal holds at which frequency, and when."""
+    found = spectrogram(values, 1 / float(np.diff(times_s).mean()), _SEGMENT)
+    shown = found.frequency_hz <= _HIGHEST_HZ
+    decibels = 10 * np.log10(np.maximum(found.density[shown].T, _FAINTEST))
+    layer = Surface("density (dB of (m/s²)²/Hz)", found.times_s, found.frequency_hz[shown], decibels, by_point=True)
+    title = f"Vertical acceleration, {name}"
+    return Figure("car-spectrogram", title, _TIME, Axis("frequency (Hz)"), (layer,))
 
 
 def _real(found: CarStudy) -> Figure:

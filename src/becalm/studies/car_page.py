@@ -259,5 +259,5 @@ def _real(found: CarStudy) -> str:
 
 def _figures(drawn: Sequence[Path]) -> str:
     if not drawn:
-        return "## Figures\n\nNot drawn: matplotlib is not installed (`pip install matplotlib`)."
+        return "## Figures\n\nNot drawn: matplotlib is not installed (`pip install 'becalm[figures]'`)."
     return "## Figures\n\n" + "\n\n".join(f"![{path.stem}]({path.name})" for path in drawn)

@@ -212,7 +212,7 @@ def _trial(trial: Trial) -> Sequence[str]:
 
 def _figures(drawn: Mapping[str, str]) -> str:
     if not drawn:
-        return "## Figures\n\nNo figures: matplotlib is not installed. Install it: `pip install matplotlib`."
+        return "## Figures\n\nNo figures: matplotlib is not installed. Install it: `pip install 'becalm[figures]'`."
     return "## Figures\n\n" + "\n\n".join(f"![{title}]({name})\n\n{title}" for title, name in drawn.items())
 
 
