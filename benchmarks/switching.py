@@ -11,7 +11,7 @@ Run: python benchmarks/switching.py [-o docs/switching.md] [--figure docs/switch
 from __future__ import annotations
 
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 import becalm
 from becalm.core.components import motion
 from becalm.noise.front import noise_lag_front
+from becalm.report.description import Axis, Curve, Figure, Layer, Look
+from becalm.report.printing import Kind, printed, refuse_unprintable
 from pages import page_parser, publish
 
 Floats = NDArray[np.float64]
@@ -38,6 +40,7 @@ class Sensor(NamedTuple):
 ACCELEROMETER = Sensor(1.8472e-4, 22.95, 6e-5)
 SCALE = float(np.sqrt(1.3872e-6 / ACCELEROMETER.variance))
 SENSORS = {"accelerometer": ACCELEROMETER, "gyroscope": Sensor(1.3872e-6, 1027.5, SCALE * ACCELEROMETER.rest_noise)}
+LOOKS: tuple[Look, ...] = ("line", "dashed", "dotted")
 STEPS = {0.2: 0.2, 0.05: 0.2, 0.02: 2.0, 0.005: 15.0}  # of the accelerometer: size, and the ms asked
 
 
@@ -119,33 +122,25 @@ def table(sensor: Sensor, got: Measured) -> str:
     return "\n".join(lines) + "\n"
 
 
-def draw(path: Path, got: dict[str, Measured]) -> None:
-    """Draw the front of noise against the time to follow a step, for fixed gains, and the filter that switches."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    figure, axes = plt.subplots(figsize=(7, 4.5), layout="constrained")
-    for order, style in zip((1, 2, 3), ("-", "--", ":"), strict=True):
-        points = [
-            point for point in noise_lag_front(ACCELEROMETER.variance, 1 / RATE_HZ).points if point.order == order
-        ]
-        std = np.sqrt(ACCELEROMETER.variance)
-        times, noises = [1e3 * point.step_90_s for point in points], [point.noise_std / std for point in points]
-        axes.plot(times, noises, style, color="0.35", label=f"fixed gain, order {order}")
-    for (name, found), marker in zip(got.items(), "os", strict=True):
-        std = np.sqrt(SENSORS[name].variance)
-        times = [max(time, 1e3 / RATE_HZ) for time in found.t90_ms.values()]
-        axes.plot(times, [found.rest_noise / std] * len(times), marker, label=f"switching, {name}")
-        axes.plot(found.paper_t90_ms[0.2], found.paper_rest_noise / std, marker, mfc="none", label=f"paper, {name}")
-    axes.set(
-        xscale="log", yscale="log", xlabel="time to nine tenths of a step, ms", ylabel="noise at rest / noise read"
+def figure(got: dict[str, Measured]) -> Figure:
+    """Say what the figure shows: fixed gains, the paper's, and the filter that switches."""
+    layers, std = list[Layer](), float(np.sqrt(ACCELEROMETER.variance))
+    front = noise_lag_front(ACCELEROMETER.variance, 1 / RATE_HZ).points
+    for order, look in zip((1, 2, 3), LOOKS, strict=True):
+        points = np.array([(1e3 * one.step_90_s, one.noise_std / std) for one in front if one.order == order])
+        layers.append(Curve(f"fixed gain, order {order}", points[:, 0], points[:, 1], "other", look))
+    for name, found in got.items():
+        std = float(np.sqrt(SENSORS[name].variance))
+        times_ms = np.maximum(list(found.t90_ms.values()), 1e3 / RATE_HZ)
+        noises = np.full(len(times_ms), found.rest_noise / std)
+        paper = np.array([found.paper_t90_ms[0.2]]), np.array([found.paper_rest_noise / std])
+        layers.append(Curve(f"switching, {name}", times_ms, noises, "clean", "points"))
+        layers.append(Curve(f"paper, {name}", *paper, "other", "points"))
+    x = Axis("time to nine tenths of a step (ms)", log=True, low=5e-2, high=3e3)
+    title = (
+        f"Steps of {', '.join(f'{size / np.sqrt(ACCELEROMETER.variance):.3g}' for size in STEPS)} standard deviations"
     )
-    axes.set_title("Steps of 14.7, 3.7, 1.5 and 0.37 standard deviations", fontsize=10)
-    axes.set_xlim(5e-2, 3e3)
-    axes.legend(fontsize=8)
-    figure.savefig(path, metadata={"Date": None} if path.suffix == ".svg" else None)
+    return Figure("switching", title, x, Axis("noise at rest / noise read", log=True), tuple(layers))
 
 
 def main() -> None:
@@ -154,10 +149,14 @@ def main() -> None:
     parser.add_argument("--figure", type=Path, help="picture to draw: SVG, PNG or PDF")
     parser.add_argument("--seeds", type=int, default=20, help="records of each step")
     asked = parser.parse_args()
+    if asked.figure:
+        refuse_unprintable()
+        if asked.figure.suffix[1:] not in get_args(Kind):
+            parser.error(f"--figure {asked.figure} ends in none of {', '.join(get_args(Kind))}")
     got = {name: measure(sensor, asked.seeds) for name, sensor in SENSORS.items()}
     text = "\n".join(f"## {name.capitalize()}\n\n{table(SENSORS[name], one)}" for name, one in got.items())
     if asked.figure:
-        draw(asked.figure, got)
+        asked.figure.write_bytes(printed([figure(got)], asked.figure.suffix[1:]))
         text += f"\n![Noise at rest over the time to nine tenths of a step]({asked.figure.name})\n"
     publish("Switching", __doc__, text, asked.output)
 

@@ -12,9 +12,10 @@ import pytest
 from becalm.core.filtering import kalman_filter
 from becalm.metrics.truth import rms_error
 from becalm.noise.joint import tune_model
+from becalm.report.description import Curve, Figure
 from becalm.studies.car import CANCELLER, MEASURED, OWN, PRINTED, TRUTH, CarStudy, run, study
 from becalm.studies.car_drive import SENSITIVITY_V_PER_G, SHARES, simulate
-from becalm.studies.car_figures import plan, thinned
+from becalm.studies.car_figures import sheets
 from becalm.studies.car_filters import printed_model, response, settled_gain, white_noise_left
 from becalm.studies.car_page import page
 from becalm.studies.car_real import slope_of_speed, study_real_car
@@ -30,6 +31,10 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> CarStudy:
 
 def error(found: CarStudy, name: str, axis: str) -> float:
     return next(score.rms_error for score in found.scores if (score.filter, score.axis) == (name, axis))
+
+
+def curves(figure: Figure) -> list[Curve]:
+    return [layer for layer in figure.layers if isinstance(layer, Curve)]
 
 
 class TestDrive:
@@ -123,15 +128,12 @@ class TestPage:
         assert "matplotlib is not installed" in text
         assert "nan" not in text.lower()
 
-    def test_figures_6_to_10_are_planned_without_losing_a_peak(self, found: CarStudy) -> None:
-        planned = plan(found)
-        assert [int(re.findall(r"\d+", figure.file)[0]) for figure in planned] == [6, 7, 8, 9, 10]
-        assert planned[1].curves[0].values.max() == found.estimates[MEASURED][:, 1].max()
-        assert [curve.name for curve in planned[3].curves] == [PRINTED, OWN, TRUTH]
-
-    def test_a_short_curve_stays_as_it_is(self) -> None:
-        curve = thinned("short", np.arange(4.0), np.array([1.0, np.nan, 3.0, 4.0]))
-        assert curve.values.tolist() == [1.0, 3.0, 4.0]
+    def test_figures_6_to_10_show_all_that_was_measured(self, found: CarStudy) -> None:
+        figures = [figure for sheet in sheets(found) for figure in sheet.figures]
+        assert [int(re.findall(r"\d+", figure.name)[0]) for figure in figures] == [6, 7, 8, 9, 10]
+        (along,) = curves(figures[1])
+        np.testing.assert_array_equal(along.y, found.estimates[MEASURED][:, 1])
+        assert [curve.name for curve in curves(figures[3])] == [PRINTED, OWN, TRUTH]
 
     @pytest.mark.slow
     def test_page_and_figures_are_written(self, tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import re
 import sys
 from pathlib import Path
@@ -12,6 +11,7 @@ import pytest
 
 from becalm.core.closed_forms import butterworth_noise_gain
 from becalm.noise.step_spectrum import Sensor
+from becalm.report import printing
 from becalm.studies import imu, imu_switching, imu_valley
 from becalm.studies.imu_records import HARMONICS_HZ, PRINTED, RATE_HZ, SENSORS, find_rests, identify, makeup, motionless
 from becalm.studies.imu_responses import Answer, reached_ms
@@ -164,7 +164,7 @@ def test_the_page_tells_the_numbers_and_shows_the_figures(
     held = imu.Study(studied, (imu_valley.Coloured("white", 92.0),), *find_rests(tmp_path), contest)
     monkeypatch.setattr(imu, "study", lambda data: held)
     with monkeypatch.context() as alone:
-        alone.setattr(importlib.util, "find_spec", lambda name: None)
+        alone.setattr(printing, "find_spec", lambda name: None)
         page = imu.run(tmp_path / "plain", tmp_path)
     assert "pip install matplotlib" in page
     assert "](imu-" not in page

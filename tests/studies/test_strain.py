@@ -10,7 +10,9 @@ import pytest
 from becalm.core.arrays import Floats
 from becalm.core.filtering import kalman_filter
 from becalm.studies.recordings import RECORDINGS
+from becalm.studies.sheets import draw
 from becalm.studies.strain import NOISES, SHOWN, SLOPE, Measured, Shown, Study, measure, ramps, records, simulate
+from becalm.studies.strain_figures import sheets
 from becalm.studies.strain_gauge import AT_REST, LOADED, Gauge, absent, measure_gauge
 from becalm.studies.strain_methods import (
     AVERAGE,
@@ -182,10 +184,8 @@ def test_the_page_says_what_was_measured(rms: float, says: str) -> None:
 
 def test_figures_are_drawn_where_they_can_be(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
-    from becalm.studies.strain_figures import figures
-
     time_s, truth = ramps()
     study = told_study(0.01)._replace(shown=Shown(time_s, truth, dict.fromkeys(METHODS, truth)))
-    drawn = figures(study, tmp_path)
-    assert list(drawn.values()) == [f"strain-{number}.svg" for number in range(1, 7)]
-    assert all((tmp_path / name).stat().st_size > 5000 for name in drawn.values())
+    drawn = draw(sheets(study), tmp_path)
+    assert [path.name for path in drawn] == [f"strain-{number}.svg" for number in range(1, 7)]
+    assert all(path.stat().st_size > 5000 for path in drawn)

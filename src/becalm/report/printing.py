@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator, Sequence
 from importlib.util import find_spec
 from itertools import cycle
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from becalm.report.envelope import Envelope
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
 
 Kind = Literal["png", "svg", "pdf"]
 
@@ -25,16 +26,23 @@ COLOURS: dict[Role, str] = {"readings": "#9aa5b1", "clean": "#0f62c4", "truth": 
 OTHERS = ("#d55e00", "#117733", "#aa4499", "#8a6d00", "#2a9d9d", "#5b4a9c")
 """Told apart by the colour-blind too."""
 
-_LOOKS = {"line": "-", "dashed": "--", "dotted": ":", "points": ""}
-_WIDTH, _HEIGHT, _LANE = 7.5, 2.6, 0.16  # inches: a sheet, a row, and a lane of one
+_LOOKS = {"line": "-", "dashed": "--", "dotted": ":", "points": "none"}
+_MARKERS = "osD^"  # points at one place are told apart
+_WIDTH, _HEIGHT, _SQUARE, _LANE = 7.5, 1.85, 2.6, 0.16  # inches: a sheet; axes, those of a surface, a lane in them
 _LEFT, _RIGHT, _TOP, _BOTTOM = 0.8, 0.15, 0.3, 0.45  # inches about the axes of a figure
+_SCALE = 0.55  # inches beside those of a surface
+_ENTRY, _MARK, _LETTER = 0.16, 0.42, 0.062  # inches of a legend: how high an entry is, and how wide, with its letters
+_NARROW = 100.0  # of a logarithmic axis, highest over lowest, that shows more than powers of ten
+_EDGE = 0.15  # of the axes' width
 _STRETCHES = 400  # of a band: more no print shows
+_TAG = re.compile(rb"<[^<>]*>")
 _TOO_FINE = re.compile(rb"(\d\.\d\d)\d+")  # less than a hundredth of a point
 _SETTINGS: Any = {
     "svg.hashsalt": "becalm",  # the same figure gives the same bytes
     "svg.fonttype": "none",
     "path.simplify_threshold": 0.5,  # pixels
     "font.size": 9,
+    "axes.titlesize": "medium",
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.grid": True,
@@ -42,6 +50,7 @@ _SETTINGS: Any = {
     "grid.color": "0.93",
     "legend.fontsize": 8,
     "legend.frameon": False,
+    "legend.columnspacing": 1.0,
 }
 _UNDATED: dict[Kind, dict[str, None]] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {}}
 
@@ -79,27 +88,60 @@ def printed(figures: Sequence[Figure], kind: Kind = "svg", columns: int = 1) -> 
     from matplotlib.figure import Figure as Sheet
 
     rows = [figures[start : start + columns] for start in range(0, len(figures), columns)]
-    heights = [max(_height(figure) for figure in row) for row in rows]
-    total, width = sum(heights), _WIDTH / columns
+    width = _WIDTH / columns
+    rooms = [[_Room.of(figure, width) for figure in row] for row in rows]
+    ups = [max(room.up for room in row) for row in rooms]
+    downs = [max(room.down for room in row) for row in rooms]
+    heights = _TOP + np.add(ups, downs)
+    total = float(heights.sum())
     with rc_context(_SETTINGS):
         sheet = Sheet(figsize=(_WIDTH, total))
-        for row, height, below in zip(rows, heights, total - np.cumsum(heights), strict=True):
+        for row, up, down, below in zip(rows, ups, downs, total - np.cumsum(heights), strict=True):
             for column, figure in enumerate(row):  # in inches, for a layout that is sought takes as long as drawing
-                left, bottom = column * width + _LEFT, below + _BOTTOM
-                across, up = width - _LEFT - _RIGHT, height - _TOP - _BOTTOM
-                _draw(sheet.add_axes((left / _WIDTH, bottom / total, across / _WIDTH, up / total)), figure)
+                room, left = _Room.of(figure, width), column * width + _LEFT
+                place = left / _WIDTH, (below + down) / total, room.across / _WIDTH, up / total
+                _draw(axes := sheet.add_axes(place), figure)
+                _tell(axes, figure, -_BOTTOM / up, room.beside)
         file = io.BytesIO()
         sheet.savefig(file, format=kind, dpi=150, metadata=_UNDATED[kind])
-    return _TOO_FINE.sub(rb"\1", file.getvalue()) if kind == "svg" else file.getvalue()
+    return _TAG.sub(_rounded, file.getvalue()) if kind == "svg" else file.getvalue()
 
 
-def _height(figure: Figure) -> float:
-    lanes = [layer for layer in figure.layers if isinstance(layer, Lane)]
-    return _TOP + _BOTTOM + _LANE * len(lanes) if lanes else _HEIGHT
+def _rounded(tag: re.Match[bytes]) -> bytes:
+    """Round places within a tag; the text between tags stays as it is."""
+    return _TOO_FINE.sub(rb"\1", tag[0])
+
+
+class _Room(NamedTuple):
+    """How much room a figure takes."""
+
+    across: float  # inches of its axes
+    up: float
+    down: float  # inches below them
+    beside: int  # entries of the legend beside each other
+
+    @classmethod
+    def of(cls, figure: Figure, width: float) -> _Room:
+        kinds, names = [type(layer) for layer in figure.layers], _named(figure)
+        lanes = kinds.count(Lane)
+        across, up = width - _LEFT - _RIGHT, _LANE * lanes if lanes else _HEIGHT
+        if Surface in kinds:
+            across, up = across - _SCALE, _SQUARE
+        if not names:
+            return cls(across, up, _BOTTOM, 0)
+        beside = max(1, min(len(names), int(width / (_MARK + _LETTER * max(map(len, names))))))
+        return cls(across, up, _BOTTOM + _ENTRY * -(-len(names) // beside), beside)
+
+
+def _named(figure: Figure) -> list[str]:
+    """Return what stands in the legend."""
+    if len(figure.layers) < 2:
+        return []
+    return [layer.name for layer in figure.layers if isinstance(layer, Curve | Band | Rule) and layer.name]
 
 
 def _draw(axes: Axes, figure: Figure) -> None:
-    others, lanes = cycle(OTHERS), 0
+    others, markers, lanes = cycle(OTHERS), cycle(_MARKERS), 0
     for layer in figure.layers:
         if isinstance(layer, Surface):
             _draw_surface(axes, layer)
@@ -109,39 +151,67 @@ def _draw(axes: Axes, figure: Figure) -> None:
             lanes += 1
         elif isinstance(layer, Rule):
             axes.axvline(layer.at, color=_colour(layer, others), linestyle=":", linewidth=1, label=layer.name)
+        elif isinstance(layer, Band):
+            _draw_band(axes, layer, _colour(layer, others))
         else:
-            _draw_layer(axes, layer, others)
-    if any(isinstance(layer, Band | Lane) for layer in figure.layers):
+            _draw_curve(axes, layer, _colour(layer, others), markers)
+
+
+def _tell(axes: Axes, figure: Figure, below: float, beside: int) -> None:
+    """Say what is measured along the axes, and below them, as a share of their height, what is drawn."""
+    if not any(isinstance(layer, Curve) and layer.look == "points" for layer in figure.layers):
         axes.margins(x=0)  # what has time in common lies in line
     axes.set(title=figure.title, xlabel=figure.x.label, ylabel=figure.y.label)
-    axes.set(xscale="log" if figure.x.log else "linear", yscale="log" if figure.y.log else "linear")
+    x_log, y_log = (figure.x.log, figure.y.log) & np.isfinite(axes.dataLim.minpos)  # where anything is positive
+    axes.set(xscale="log" if x_log else "linear", yscale="log" if y_log else "linear")
     axes.set(xlim=(figure.x.low, figure.x.high), ylim=(figure.y.low, figure.y.high))
-    for axis, told in ((axes.xaxis, figure.x), (axes.yaxis, figure.y)):
-        if told.log:
-            axis.set_major_formatter("{x:g}")  # powers set as mathematics take a third of the time
+    for axis in (axes.xaxis, axes.yaxis):
+        if axis.get_scale() == "log":
+            _number(axis)
     axes.minorticks_off()
+    lanes = [layer.name for layer in figure.layers if isinstance(layer, Lane)]
     if lanes:
-        names = [layer.name for layer in figure.layers if isinstance(layer, Lane)]
-        axes.set_yticks(-np.arange(lanes), names)
-    elif len(figure.layers) > 1:
-        axes.legend(loc="upper right")  # the best place takes long to find
+        axes.set_yticks(-np.arange(len(lanes)), lanes)
+    for layer in figure.layers:
+        if isinstance(layer, Curve):
+            _label(axes, layer)
+    if beside:
+        axes.legend(loc="upper center", bbox_to_anchor=(0.5, below), borderaxespad=0, borderpad=0, ncols=beside)
+
+
+def _number(axis: Axis) -> None:
+    """Put numbers along a logarithmic axis."""
+    from matplotlib.ticker import LogLocator
+
+    axis.set_major_formatter("{x:g}")  # powers set as mathematics take a third of the time
+    low, high = axis.get_view_interval()
+    if high < _NARROW * low:
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))  # which goes on to even steps where these are too few
 
 
 def _colour(layer: Curve | Band | Rule, others: Iterator[str]) -> str:
     return COLOURS.get(layer.role) or next(others)
 
 
-def _draw_layer(axes: Axes, layer: Curve | Band, others: Iterator[str]) -> None:
-    colour = _colour(layer, others)
-    if isinstance(layer, Band):
-        edge: dict[str, Any] = {"alpha": 0.25, "linewidth": 0} if layer.faint else {"linewidth": 0.6}
-        axes.fill_between(*_thinned(layer), color=colour, label=layer.name, **edge)
-        return
-    marker = "o" if layer.look == "points" else None
+def _draw_band(axes: Axes, layer: Band, colour: str) -> None:
+    edge: dict[str, Any] = {"alpha": 0.25, "linewidth": 0} if layer.faint else {"linewidth": 0.6}
+    axes.fill_between(*_thinned(layer), color=colour, label=layer.name or None, **edge)
+
+
+def _draw_curve(axes: Axes, layer: Curve, colour: str, markers: Iterator[str]) -> None:
     style: dict[str, Any] = {"color": colour, "label": layer.name or None, "linewidth": 1}
-    axes.plot(layer.x, layer.y, _LOOKS[layer.look], marker=marker, markersize=5, **style)
+    if layer.look == "points":
+        style |= {"marker": next(markers), "markersize": 5, "markerfacecolor": "none"}
+    axes.plot(layer.x, layer.y, linestyle=_LOOKS[layer.look], **style)
+
+
+def _label(axes: Axes, layer: Curve) -> None:
+    """Write the names of points above them; of those near an edge, so that it stays inside."""
     for text, *place in zip(layer.labels, layer.x, layer.y, strict=False):
-        axes.annotate(text, tuple(place), xytext=(5, 5), textcoords="offset points", fontsize=8)
+        if np.isfinite(place).all():
+            share = axes.transAxes.inverted().transform(axes.transData.transform(place))[0]
+            side = "left" if share < _EDGE else "right" if share > 1 - _EDGE else "center"
+            axes.annotate(text, tuple(place), xytext=(0, 5), textcoords="offset points", ha=side, fontsize=8)
 
 
 def _thinned(band: Band) -> tuple[Floats, Floats, Floats]:
@@ -151,5 +221,5 @@ def _thinned(band: Band) -> tuple[Floats, Floats, Floats]:
 
 
 def _draw_surface(axes: Axes, layer: Surface) -> None:
-    filled = axes.contourf(layer.x, layer.y, layer.height.T, 16)
+    filled = axes.contourf(layer.x, layer.y, layer.height.T, 16, cmap="Greys")  # what is drawn upon it has colours
     axes.figure.colorbar(filled, ax=axes, label=layer.name)

@@ -6,7 +6,6 @@ what `study` returns.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -231,21 +230,12 @@ def run(folder: Path, recordings: Path = RECORDINGS) -> str:
     recordings : Path
         Folder of real recordings.
     """
-    from becalm.studies.car_figures import figures
+    from becalm.studies.car_figures import sheets
     from becalm.studies.car_page import page
+    from becalm.studies.sheets import draw
 
     folder.mkdir(parents=True, exist_ok=True)
     found = study(recordings)
-    text = page(found, _drawn(figures, found, folder))
+    text = page(found, draw(sheets(found), folder))
     write_text(folder / "car.md", text)
     return text
-
-
-def _drawn(figures: Callable[[CarStudy, Path], tuple[Path, ...]], found: CarStudy, folder: Path) -> tuple[Path, ...]:
-    """Draw the figures; none where matplotlib is not installed."""
-    try:
-        return figures(found, folder)
-    except ModuleNotFoundError as cause:
-        if cause.name != "matplotlib":
-            raise
-        return ()

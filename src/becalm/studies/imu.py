@@ -1,11 +1,10 @@
 """The IMU paper (Kownacki 2010) re-run: what a motionless record tells, why that is too slow, and what is not.
 
-`study` computes, `write_page` tells, `becalm.studies.imu_figures` draws; `run` does all three.
+`study` computes, `write_page` tells, `becalm.studies.imu_figures` shows; `run` does all three.
 """
 
 from __future__ import annotations
 
-import importlib.util
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -109,13 +108,11 @@ def study_sensor(sensor: Sensor) -> SensorStudy:
 
 def run(folder: Path, recordings: Path = RECORDINGS) -> str:
     """Write the page `imu.md` and, where matplotlib is installed, its figures into a folder; return the page."""
+    from becalm.studies.imu_figures import sheets
+    from becalm.studies.sheets import draw
+
     found = study(recordings)
     folder.mkdir(parents=True, exist_ok=True)
-    drawn: dict[str, str] = {}
-    if importlib.util.find_spec("matplotlib"):
-        from becalm.studies.imu_figures import figures
-
-        drawn = figures(found, folder)
-    text = write_page(found, drawn)
+    text = write_page(found, draw(sheets(found), folder))
     write_text(folder / "imu.md", text)
     return text

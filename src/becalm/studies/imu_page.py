@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,11 +21,12 @@ if TYPE_CHECKING:
 _FIGURE: dict[Sensor, int] = {"accelerometer": 5, "gyroscope": 6}
 
 
-def write_page(study: Study, drawn: Mapping[str, str]) -> str:
-    """Return the page; `drawn` holds a file's name for each figure, and is empty where none could be drawn."""
+def write_page(study: Study, drawn: Sequence[Path]) -> str:
+    """Return the page; `drawn` are the figures beside it, none where none could be drawn."""
+    names = {path.stem: path.name for path in drawn}
 
     def figure(name: str, caption: str) -> str:
-        return f"![{caption}]({drawn[name]})\n" if name in drawn else ""
+        return f"![{caption}]({names[key]})\n" if (key := f"imu-{name}") in names else ""
 
     without = "" if drawn else "\nFigures are left out: drawing them needs matplotlib, `pip install matplotlib`.\n"
     parts = [

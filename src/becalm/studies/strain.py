@@ -6,7 +6,6 @@ averaging; what the paper found by trial, and measured beforehand, is told by th
 
 from __future__ import annotations
 
-from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 
@@ -150,12 +149,14 @@ def run(folder: Path) -> str:
     str
         The text of the page.
     """
-    from becalm.studies.strain_figures import figures
+    from becalm.studies.sheets import draw
+    from becalm.studies.strain_figures import sheets
     from becalm.studies.strain_page import page
 
     folder.mkdir(parents=True, exist_ok=True)
     found = study()
-    drawn = figures(found, folder) if find_spec("matplotlib") else {}
+    planned = sheets(found)
+    drawn = {sheet.figures[0].title: path.name for sheet, path in zip(planned, draw(planned, folder), strict=False)}
     text = page(found, drawn)
     write_text(folder / "strain.md", text)
     return text

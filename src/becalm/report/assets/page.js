@@ -75,15 +75,29 @@
   function axisOf(axis, more) {
     const font = "12px system-ui, sans-serif";
     const lines = { stroke: colour("grid"), width: 1 };
-    const powers = axis.log ? { splits: powersOfTen, filter: (u, splits) => splits, values: (u, splits) => splits.map(short) } : {};
+    const powers = axis.log ? { splits: logarithmic, filter: (u, splits) => splits, values: (u, splits) => splits.map(short) } : {};
     return { label: axis.label, labelFont: font, labelSize: 18, font, stroke: colour("ink"), grid: lines, ticks: lines, ...powers, ...more };
   }
 
-  /** Where a logarithmic axis has its numbers: at most seven powers of ten. */
-  function powersOfTen(u, axis, low, high) {
+  /** Where a logarithmic axis has its numbers: at most seven powers of ten; of less than two decades more than these. */
+  function logarithmic(u, axis, low, high) {
+    if (high < 100 * low) return within(low, high);
     const [first, last] = [Math.ceil(Math.log10(low) - 1e-9), Math.floor(Math.log10(high) + 1e-9)];
     const stride = Math.max(1, Math.ceil((last - first + 1) / 7));
     return Array.from({ length: Math.floor((last - first) / stride) + 1 }, (_, i) => 10 ** (first + i * stride));
+  }
+
+  /** Once, twice and five times the powers of ten; where these are too few, even steps. */
+  function within(low, high) {
+    const first = Math.floor(Math.log10(low));
+    const found = [0, 1, 2].flatMap((i) => [1, 2, 5].map((times) => times * 10 ** (first + i)));
+    const inside = found.filter((value) => value >= low * (1 - 1e-9) && value <= high * (1 + 1e-9));
+    if (inside.length > 1) return inside;
+    const rough = (high - low) / 4;
+    const power = 10 ** Math.floor(Math.log10(rough));
+    const step = power * [1, 2, 5, 10].find((times) => times * power >= rough);
+    const begin = Math.ceil(low / step);
+    return Array.from({ length: Math.floor(high / step) - begin + 1 }, (_, i) => (begin + i) * step);
   }
 
   /** Keep a scale to what is asked; what is not comes from the data, or from where the reader looks. */
@@ -121,7 +135,10 @@
       });
       figure.layers.forEach((layer, i) => {
         if (layer.kind === "rule") rule(u, layer, palette.get(roles[i]));
-        (layer.labels ?? []).forEach((text, k) => label(u, text, arrays[layer.x][k], arrays[layer.y][k]));
+        (layer.labels ?? []).forEach((text, k) => {
+          const [x, y] = [arrays[layer.x][k], arrays[layer.y][k]];
+          if (x !== null && y !== null) label(u, text, x, y);
+        });
       });
       ctx.restore();
     };

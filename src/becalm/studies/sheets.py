@@ -1,0 +1,37 @@
+"""The figures of a study as SVG files in a folder, where they can be drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import NamedTuple
+
+from becalm.files.plain import write_bytes
+from becalm.report.description import Figure
+from becalm.report.printing import can_print, printed
+
+
+class Sheet(NamedTuple):
+    """What one file shows."""
+
+    name: str  # of the file, without its ending
+    figures: tuple[Figure, ...]  # row by row
+    columns: int = 1
+
+
+def draw(sheets: Iterable[Sheet], folder: Path) -> tuple[Path, ...]:
+    """Draw sheets into a folder that exists; return where each is, nothing where matplotlib is not installed.
+
+    Raises
+    ------
+    OutputError
+        If a file cannot be written.
+    """
+    if not can_print():
+        return ()
+    return tuple(_drawn(sheet, folder / f"{sheet.name}.svg") for sheet in sheets)
+
+
+def _drawn(sheet: Sheet, path: Path) -> Path:
+    write_bytes(path, printed(sheet.figures, "svg", sheet.columns))
+    return path
