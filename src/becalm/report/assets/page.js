@@ -108,6 +108,13 @@
     return scale;
   }
 
+  /** Keep the heights in sight however little they differ: what uPlot takes for rounding may be all there is. */
+  function heightsOf(axis) {
+    if (axis.log || axis.low !== null || axis.high !== null) return scaleOf(axis);
+    const room = (least, most) => 0.05 * (most - least) || 0.05 * Math.abs(most) || 1;
+    return { range: (u, least, most) => (least === null ? [0, 1] : [least - room(least, most), most + room(least, most)]) };
+  }
+
   /** Draw what uPlot has no series for: lanes, rules, and the names of points. */
   function extras(figure, arrays, roles) {
     const lanes = figure.layers.filter((layer) => layer.kind === "lane");
@@ -205,7 +212,7 @@
     const y = lanes.length
       ? axisOf(figure.y, { splits: () => lanes.map((_, i) => -i), values: () => lanes.map((lane) => lane.name), grid: { show: false }, size: LEFT })
       : axisOf(figure.y, { size: place.classList.contains("wide") ? LEFT : 52 });
-    const yScale = lanes.length ? { range: [0.5 - lanes.length, 0.5] } : scaleOf(figure.y);
+    const yScale = lanes.length ? { range: [0.5 - lanes.length, 0.5] } : heightsOf(figure.y);
     const reset = place.querySelector(".reset");
     let update = () => {};
     const u = new uPlot(
