@@ -28,7 +28,7 @@ def write_page(study: Study, drawn: Sequence[Path]) -> str:
     def figure(name: str, caption: str) -> str:
         return f"![{caption}]({names[key]})\n" if (key := f"imu-{name}") in names else ""
 
-    without = "" if drawn else "\nFigures are left out: drawing them needs matplotlib, `pip install 'becalm[figures]'`.\n"
+    without = "" if drawn else "\nFigures are left out: they need matplotlib, `pip install 'becalm[figures]'`.\n"
     parts = [
         _opening() + without,
         _measured(study) + figure("record", "Figure 3: motionless records") + figure("spectra", "Figure 4: spectra"),
