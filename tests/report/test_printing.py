@@ -186,3 +186,11 @@ def test_without_matplotlib_it_is_said_what_to_type(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(printing, "find_spec", lambda name: None)
     with pytest.raises(UsageError, match=r"pip install 'becalm\[figures\]'"):
         printed([figure(LAYERS["line"])])
+
+
+@pytest.mark.parametrize("name", [r"cost $\frac{$", "加速度", "a\nb", "", "x" * 300])
+@pytest.mark.parametrize("kind", get_args(Kind))
+def test_any_name_is_printed(name: str, kind: Kind) -> None:
+    """A name may hold what mathematics is set with, and letters that the font lacks."""
+    curve = Curve(name, X, X)
+    assert printed([Figure("any", name, Axis(name), Axis(name), (curve, curve._replace(name="other")))], kind)

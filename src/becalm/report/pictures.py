@@ -17,7 +17,7 @@ from becalm.report.gathering import WIDTH, ChannelGathering
 
 TIME = Axis("time since the first row (s)")
 
-_LONGEST_SLUG = 40
+_LONGEST_SLUG, _LONGEST_NAME = 40, 40
 _POINTS = 240  # of a spectrum, evenly spread over its logarithm
 
 
@@ -29,9 +29,14 @@ class Title(NamedTuple):
     unit: str
 
     @property
+    def short(self) -> str:
+        """As much of the channel's name as has room beside an axis."""
+        return self.name if len(self.name) <= _LONGEST_NAME else f"{self.name[: _LONGEST_NAME - 1]}…"
+
+    @property
     def axis(self) -> str:
         """The channel's name with its unit."""
-        return f"{self.name} ({self.unit})" if self.unit and self.unit not in self.name else self.name
+        return f"{self.short} ({self.unit})" if self.unit and self.unit not in self.name else self.short
 
 
 def slug_of(number: int, name: str) -> str:
@@ -61,13 +66,13 @@ def signal_figures(title: Title, times: Envelope, gathered: ChannelGathering) ->
         Band(f"± {WIDTH:g} sigma", times.low, gathered.band.low, gathered.band.high, "clean", faint=True),
         Band("signal", times.low, gathered.clean.low, gathered.clean.high, "clean"),
     )
-    drawn = Figure(f"{title.slug}-signal", f"{title.name}: readings and signal", TIME, Axis(title.axis), bands)
+    drawn = Figure(f"{title.slug}-signal", f"{title.short}: readings and signal", TIME, Axis(title.axis), bands)
     lanes = tuple(_lanes(times, gathered))
     if not lanes:
         return (drawn,)
     said = "Readings that were not used as they came, and faults."
     whole = Axis(TIME.label, low=float(times.low[0]), high=float(times.high[-1]))
-    return drawn, Figure(f"{title.slug}-verdicts", f"{title.name}: verdicts", whole, Axis(""), lanes, said)
+    return drawn, Figure(f"{title.slug}-verdicts", f"{title.short}: verdicts", whole, Axis(""), lanes, said)
 
 
 def _lanes(times: Envelope, gathered: ChannelGathering) -> list[Lane]:

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from importlib.util import find_spec
 from itertools import cycle
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from warnings import catch_warnings, filterwarnings
 
 import numpy as np
 
@@ -40,6 +41,7 @@ _TOO_FINE = re.compile(rb"(\d\.\d\d)\d+")  # less than a hundredth of a point
 _SETTINGS: Any = {
     "svg.hashsalt": "becalm",  # the same figure gives the same bytes
     "svg.fonttype": "none",
+    "text.parse_math": False,  # a name may hold a dollar
     "path.simplify_threshold": 0.5,  # pixels
     "font.size": 9,
     "axes.titlesize": "medium",
@@ -103,7 +105,9 @@ def printed(figures: Sequence[Figure], kind: Kind = "svg", columns: int = 1) -> 
                 _draw(axes := sheet.add_axes(place), figure)
                 _tell(axes, figure, -_BOTTOM / up, room.beside)
         file = io.BytesIO()
-        sheet.savefig(file, format=kind, dpi=150, metadata=_UNDATED[kind])
+        with catch_warnings():
+            filterwarnings("ignore", message="Glyph")  # of a name that the font lacks letters of: SVG keeps them
+            sheet.savefig(file, format=kind, dpi=150, metadata=_UNDATED[kind])
     return _TAG.sub(_rounded, file.getvalue()) if kind == "svg" else file.getvalue()
 
 

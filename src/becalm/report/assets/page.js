@@ -191,8 +191,9 @@
   }
 
   function short(value) {
-    const far = value !== 0 && (Math.abs(value) >= 1e5 || Math.abs(value) < 1e-3);
-    return far ? value.toExponential(4).replace(/\.?0*e\+?/, "e") : String(Number(value.toPrecision(5)));
+    const far = value !== 0 && (Math.abs(value) >= 1e12 || Math.abs(value) < 1e-3);
+    if (far) return value.toExponential(4).replace(/\.?0*e\+?/, "e");
+    return String(Number(value.toPrecision(Math.abs(value) >= 1e4 ? 12 : 5))); // what is large may differ by little
   }
 
   /** Unpack what is shown in print. */
@@ -268,10 +269,11 @@
     if (key && !groups.has(key)) groups.set(key, { key, plots: [] });
     return draw(figure, arrays, place, groups.get(key));
   });
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
-    readColours();
-    plots.forEach((u) => u.redraw(false, true));
-  });
+  for (const asked of ["(prefers-color-scheme: dark)", "print"])
+    matchMedia(asked).addEventListener("change", () => {
+      readColours();
+      plots.forEach((u) => u.redraw(false, true));
+    });
   document.querySelectorAll("[data-svg]").forEach(unpack);
   window.becalmPlots = plots;
 })();
