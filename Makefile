@@ -45,6 +45,7 @@ bench: .venv/tested
 	$(BIN)/python benchmarks/honest_sigma.py -o docs/honest-sigma.md
 	$(BIN)/python benchmarks/speed.py -o docs/speed.md
 	$(BIN)/python benchmarks/large_files.py -o docs/large-files.md
+	$(BIN)/python benchmarks/reporting.py -o docs/reporting.md
 	$(BIN)/python benchmarks/constant_velocity.py -o docs/constant-velocity.md
 	$(BIN)/python benchmarks/imu_tuning.py -o docs/imu-tuning.md
 	$(BIN)/python benchmarks/full_noise.py -o docs/full-noise.md
