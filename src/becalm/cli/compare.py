@@ -102,17 +102,17 @@ def _summary(source: OpenSource, recording: Recording, found: Comparison) -> dic
     }
 
 
-def _show(found: Comparison, true: bool) -> None:
+def _show(found: Comparison, with_truth: bool) -> None:
     out = Console(highlight=False, soft_wrap=True, markup=False, width=1000)  # breaks no figure
     for channel in found.channels:
         out.print(f"{channel.name}: {channel.says}")
-        out.print(_table(channel, true))
+        out.print(_table(channel, with_truth))
 
 
-def _table(channel: ChannelComparison, true: bool) -> Table:
+def _table(channel: ChannelComparison, with_truth: bool) -> Table:
     table = Table(box=None, pad_edge=False)
-    for number, heading in enumerate(headings(true)):
+    for number, heading in enumerate(headings(with_truth)):
         table.add_column(heading, justify="left" if number < _WORDS else "right", no_wrap=True)
     for contender in channel.contenders:
-        table.add_row(*cells(contender, channel.unit, true))
+        table.add_row(*cells(contender, channel.unit, with_truth))
     return table
