@@ -12,6 +12,7 @@ from rich.table import Table
 from becalm.cleaning.comparison import compare
 from becalm.cleaning.comparison_words import cells, headings
 from becalm.cli.portions import beginning, cut_short
+from becalm.cli.said import shown_name
 from becalm.cli.talk import stderr
 from becalm.cli.warm import ahead
 from becalm.files.opening import open_source
@@ -70,7 +71,7 @@ def _write(page: Path, source: OpenSource, read: tuple[Recording, Recording | No
     from becalm.report.running import pictures_of
 
     recording, truth = read
-    facts = Facts(source.path.name, len(recording), recording.timebase.step_s, source.sha256())
+    facts = Facts(shown_name(source.path), len(recording), recording.timebase.step_s, source.sha256())
     recipe = found.cleaned.recipe
     write_text(page, page_of(facts, recipe, pictures_of(recording, recipe), beside(found, recording, truth)))
     stderr.print(f"Wrote {page}.")
