@@ -60,7 +60,7 @@ def provide(root: Path) -> None:
 
     Parameters
     ----------
-    root
+    root : Path
         The folder of pyproject.toml.
 
     Raises

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
@@ -68,6 +69,15 @@ def test_a_rate_that_is_said_holds_for_the_truth_too(run: Run, walk: Path, tmp_p
     ran = run("compare", walk, "--truth", "truth.csv", "--rate", "100")
     assert ran.returncode == 0, ran.stderr
     assert "best with truth" in ran.stdout
+
+
+def test_a_file_whose_name_is_no_text_has_a_page(run: Run, walk: Path, tmp_path: Path) -> None:
+    strange = os.fsdecode(b"w\xe4lk.csv")
+    rows = walk.read_text(encoding="utf-8").splitlines()[:500]
+    (tmp_path / strange).write_text("\n".join(rows) + "\n", encoding="utf-8")
+    ran = run("compare", strange, "-o", "compared")
+    assert ran.returncode == 0, ran.stderr
+    assert "<h1>w" in (tmp_path / "compared" / "compare.html").read_text(encoding="utf-8")
 
 
 def test_what_is_not_known_of_the_truth_makes_no_number_that_json_has_not(run: Run, walk: Path, tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from importlib import resources
 from typing import get_args
 from xml.etree import ElementTree as Tree
 
@@ -82,6 +83,19 @@ def test_roles_have_their_colours_and_others_differ() -> None:
     sheet = drawn(figure(*layers, *(Rule(f"other {k}", k / 10) for k in range(3))))
     assert all(paths(sheet, colour) for colour in (*COLOURS.values(), *OTHERS[:3]))
     assert not paths(sheet, OTHERS[3])
+
+
+def test_a_page_has_the_colours_of_print() -> None:
+    style, script = (
+        (resources.files("becalm.report") / "assets" / name).read_text(encoding="utf-8")
+        for name in ("page.css", "page.js")
+    )
+    light = style.partition("@media")[0]
+    wanted = {str(role): colour for role, colour in COLOURS.items()}
+    wanted |= {f"other-{k}": one for k, one in enumerate(OTHERS)}
+    assert {name: colour for name, colour in re.findall(r"--([\w-]+): (#\w+);", light) if name in wanted} == wanted
+    assert f"--other-{len(OTHERS)}:" not in light
+    assert f"const OTHERS = {len(OTHERS)};" in script
 
 
 def test_looks_differ() -> None:

@@ -9,12 +9,12 @@ _WITHOUT_TRUTH = 6  # of them
 _NOTHING = 1e-9  # of whatever unit: rounding
 
 
-def headings(true: bool) -> tuple[str, ...]:
+def headings(with_truth: bool) -> tuple[str, ...]:
     """Name the columns; what only truth tells is left out without it."""
-    return _HEADINGS if true else _HEADINGS[:_WITHOUT_TRUTH]
+    return _HEADINGS if with_truth else _HEADINGS[:_WITHOUT_TRUTH]
 
 
-def cells(contender: Contender, unit: str, true: bool) -> tuple[str, ...]:
+def cells(contender: Contender, unit: str, with_truth: bool) -> tuple[str, ...]:
     """Return the cells of a contender, one a heading."""
     told = (
         contender.name,
@@ -26,7 +26,7 @@ def cells(contender: Contender, unit: str, true: bool) -> tuple[str, ...]:
         _told(contender.rms_error, "{:.4g} " + unit).rstrip(),
         _told(contender.measured_lag_s, "{:.4g} s"),
     )
-    return told[: len(headings(true))]
+    return told[: len(headings(with_truth))]
 
 
 def _told(value: float | None, form: str) -> str:

@@ -7,14 +7,25 @@ from becalm.cleaning.report import ChannelReport
 _SELDOM = 0.01  # share of a record, below which a mode's bandwidth is not told
 
 
-def bandwidth_words(report: ChannelReport) -> str:
+def cells(report: ChannelReport, causal: bool) -> tuple[str, ...]:
+    """Return the cells of a channel: model, noise, bandwidth, lag, and whether its model describes the signal."""
+    return (
+        _model(report),
+        amount(report.noise_std, report.unit),
+        _bandwidth(report),
+        _lag(report, causal),
+        _trust(report),
+    )
+
+
+def _bandwidth(report: ChannelReport) -> str:
     """Say its bandwidth, or from which to which those of its modes reach."""
     if report.modes:
         return _between([mode.bandwidth_hz for mode in report.modes.values() if mode.share >= _SELDOM], "Hz")
     return amount(report.bandwidth_hz, "Hz")
 
 
-def lag_words(report: ChannelReport, causal: bool) -> str:
+def _lag(report: ChannelReport, causal: bool) -> str:
     """Say by how much its output trails, or how long it waits."""
     if report.delay_s is not None:
         return f"told {amount(report.delay_s, 's')} later"
@@ -25,14 +36,14 @@ def lag_words(report: ChannelReport, causal: bool) -> str:
     return amount(report.lag_s, "s") if causal else "none"
 
 
-def trust_words(report: ChannelReport) -> str:
+def _trust(report: ChannelReport) -> str:
     """Say whether the model describes the signal."""
     if report.verdict == "fits except":
         return f"except near {amount(report.loudest_hz, 'Hz')}"
     return {"fits": "yes", "does not fit": "no"}.get(report.verdict, "see below")
 
 
-def model_words(report: ChannelReport) -> str:
+def _model(report: ChannelReport) -> str:
     """Say what the signal is modelled as."""
     if report.order is None:
         return report.model

@@ -10,7 +10,7 @@ import typer
 
 from becalm.cleaning.pipeline import fitted, in_mode
 from becalm.cli.picturing import Picturing
-from becalm.cli.said import is_same, load, open_as, refuse_overwriting, refuse_taken, tuned
+from becalm.cli.said import is_same, load, open_as, recipe_beside, refuse_overwriting, refuse_taken, tuned
 from becalm.cli.streaming import clean_chunks
 from becalm.cli.talk import progress, tell, tell_columns, tell_not_removed
 from becalm.errors import UsageError
@@ -46,7 +46,7 @@ class Outputs(NamedTuple):
     @property
     def recipe(self) -> Path:
         """Where the recipe goes."""
-        return Path(f"{self.output}.recipe.toml")
+        return recipe_beside(self.output)
 
 
 def run(file: Path, said: Said, asking: Asking, outputs: Outputs, *, as_json: bool) -> bool:

@@ -12,6 +12,7 @@ from rich.table import Table
 from becalm.cleaning.comparison import compare
 from becalm.cleaning.comparison_words import cells, headings
 from becalm.cli.portions import beginning, cut_short
+from becalm.cli.said import shown_name
 from becalm.cli.talk import stderr
 from becalm.cli.warm import ahead
 from becalm.files.opening import open_source
@@ -70,7 +71,7 @@ def _write(page: Path, source: OpenSource, read: tuple[Recording, Recording | No
     from becalm.report.running import pictures_of
 
     recording, truth = read
-    facts = Facts(source.path.name, len(recording), recording.timebase.step_s, source.sha256())
+    facts = Facts(shown_name(source.path), len(recording), recording.timebase.step_s, source.sha256())
     recipe = found.cleaned.recipe
     write_text(page, page_of(facts, recipe, pictures_of(recording, recipe), beside(found, recording, truth)))
     stderr.print(f"Wrote {page}.")
@@ -102,17 +103,17 @@ def _summary(source: OpenSource, recording: Recording, found: Comparison) -> dic
     }
 
 
-def _show(found: Comparison, true: bool) -> None:
+def _show(found: Comparison, with_truth: bool) -> None:
     out = Console(highlight=False, soft_wrap=True, markup=False, width=1000)  # breaks no figure
     for channel in found.channels:
         out.print(f"{channel.name}: {channel.says}")
-        out.print(_table(channel, true))
+        out.print(_table(channel, with_truth))
 
 
-def _table(channel: ChannelComparison, true: bool) -> Table:
+def _table(channel: ChannelComparison, with_truth: bool) -> Table:
     table = Table(box=None, pad_edge=False)
-    for number, heading in enumerate(headings(true)):
+    for number, heading in enumerate(headings(with_truth)):
         table.add_column(heading, justify="left" if number < _WORDS else "right", no_wrap=True)
     for contender in channel.contenders:
-        table.add_row(*cells(contender, channel.unit, true))
+        table.add_row(*cells(contender, channel.unit, with_truth))
     return table

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 def run(folder: Path) -> None:
     """Write the drive and its clean signal into a folder, and print the figures."""
     from becalm.cleaning.pipeline import clean
+    from becalm.cli.said import recipe_beside
     from becalm.cli.warm import ahead
     from becalm.files.plain import make_folder, write_text
     from becalm.files.reading import read
@@ -34,7 +35,7 @@ def run(folder: Path) -> None:
     smoothed, causal = clean(recording), clean(recording, causal=True)
     for path, cleaned in ((calm, smoothed), (live, causal)):
         write(path, cleaned.signal, cleaned.sigma)
-        write_text(Path(f"{path}.recipe.toml"), cleaned.recipe.to_toml())
+        write_text(recipe_beside(path), cleaned.recipe.to_toml())
     page = folder / "drive_clean.html"
     facts = Facts(raw.name, len(recording), recording.timebase.step_s)
     write_text(page, page_of(facts, smoothed.recipe, pictures_of(recording, smoothed.recipe)))

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, cast, get_args
 
 import typer
 
-from becalm.cli.said import is_same
+from becalm.cli.said import is_same, recipe_beside, shown_name
 from becalm.errors import OutputError, UsageError
 
 if TYPE_CHECKING:
@@ -59,7 +58,7 @@ class Picturing:
             if page.suffix.lower() not in _PAGES:
                 better = page.with_suffix(".html")
                 raise UsageError(f"The report is a page, and {page} is none; write --report {better}")
-            for taken, what in ((output, "output"), (Path(f"{output}.recipe.toml"), "recipe")):
+            for taken, what in ((output, "output"), (recipe_beside(output), "recipe")):
                 if page.resolve() == taken.resolve():
                     raise UsageError(f"{page} is the {what} too; give the report another name.")
             uplot()
@@ -111,8 +110,7 @@ class Picturing:
         pictures = Pictures(recipe, reports, gathering, source.clock.step_s)
         drawn = {}
         if self._page is not None:
-            name = os.fsencode(source.path.name).decode("utf-8", "replace")  # it need not be text
-            facts = Facts(name, source.rows, source.clock.step_s, source.sha256())
+            facts = Facts(shown_name(source.path), source.rows, source.clock.step_s, source.sha256())
             write_text(self._page, page_of(facts, recipe, pictures))
             drawn["report"] = str(self._page)
             typer.echo(f"Wrote {self._page}.", err=True)
@@ -139,7 +137,8 @@ class Picturing:
 def _known(kind: str) -> Kind:
     from becalm.report.printing import Kind, refuse_unprintable
 
-    if kind not in get_args(Kind):
-        raise UsageError(f"--figures {kind} is not known; write --figures {', '.join(get_args(Kind)[:-1])} or pdf.")
+    *others, last = get_args(Kind)
+    if kind not in (*others, last):
+        raise UsageError(f"--figures {kind} is not known; write --figures {', '.join(others)} or {last}.")
     refuse_unprintable()
     return cast("Kind", kind)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -54,6 +55,16 @@ def open_as(file: Path, said: Said) -> OpenSource:
         another = f"make another recipe with: becalm tune {file} -o R.toml"
         asker = Asker("The recipe", f" Choose some of its channels with --channels, or {another}")
     return open_source(file, ReadOptions(said.time, said.rate_hz, said.names, asker))
+
+
+def recipe_beside(output: Path) -> Path:
+    """Return where the recipe of an output goes."""
+    return Path(f"{output}.recipe.toml")
+
+
+def shown_name(file: Path) -> str:
+    """Return the name of a file as text, which it need not be."""
+    return os.fsencode(file.name).decode("utf-8", "replace")
 
 
 def load(path: Path | None) -> Recipe | None:

@@ -30,20 +30,13 @@ def progress(title: str, count: int) -> Iterator[Callable[[str, int], None]]:
 def tell(reports: tuple[ChannelReport, ...], causal: bool) -> None:
     """Show what was found for each channel, then whom to trust."""
     from becalm.cleaning.judging import DESCRIBED
-    from becalm.cleaning.words import amount, bandwidth_words, lag_words, model_words, trust_words
+    from becalm.cleaning.words import cells
 
     table = Table(box=None, pad_edge=False)
     for heading in ("channel", "model", "noise", "bandwidth", "lag", "trust"):
         table.add_column(heading, justify="right" if heading in ("noise", "bandwidth", "lag") else "left")
     for report in reports:
-        table.add_row(
-            report.name,
-            model_words(report),
-            amount(report.noise_std, report.unit),
-            bandwidth_words(report),
-            lag_words(report, causal),
-            trust_words(report),
-        )
+        table.add_row(report.name, *cells(report, causal))
     stderr.print(table)
     for report in reports:
         if report.says != DESCRIBED:

@@ -134,7 +134,7 @@ def _price(predictor: Predictor, count: int) -> float:
 
 
 def smoothed_power(correlation: Floats, cycles: Floats) -> Floats:
-    """Return the power (k,), 1 of white noise, at cycles a value (k,), from lagged correlations (l + 1,).
+    """Return the power (k,), 1 of white noise, at frequencies (k,) in cycles a value, from correlations at lags 0 to l.
 
     Notes
     -----

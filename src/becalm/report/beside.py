@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from itertools import chain
-
 import numpy as np
 
-from becalm.classic.register import CAUSAL, ZERO_PHASE, Classic
+from becalm.classic.register import CLASSICS
 from becalm.cleaning.comparison import BECALM, RULES, ChannelComparison, Comparison, Contender
 from becalm.cleaning.comparison_words import cells, headings
 from becalm.core.arrays import Floats
@@ -75,8 +73,7 @@ def _outputs(
     z = judge(np.ascontiguousarray(recording.channel(channel.name))).readings
     layers: list[Layer] = [Curve("readings", times_s, z[shown], "readings")]
     for one in rivals:
-        output = _output(one, z, step_s, found.causal)
-        layers.append(Curve(f"{one.name}, {one.rule}", times_s, output[shown]))
+        layers.append(Curve(f"{one.name}, {one.rule}", times_s, _output(one, z, step_s)[shown]))
     layers.append(Curve(BECALM, times_s, found.cleaned.signal.channel(channel.name)[shown], "clean"))
     if truth is not None:
         layers.append(Curve("truth", times_s, truth.channel(channel.name)[shown], "truth", "dashed"))
@@ -84,16 +81,15 @@ def _outputs(
     return (Figure(f"{title.slug}-outputs", "Side by side", TIME, Axis(title.axis), tuple(layers), said),)
 
 
-def _rivals(contenders: tuple[Contender, ...], true: bool) -> list[Contender]:
-    """Choose whom to draw: the best that know the truth, or the first that are fair otherwise."""
-    classics = [one for one in contenders if one.rule and one.cutoff_hz is not None]
-    if true:
-        known = [one for one in classics if one.rms_error is not None]
-        return sorted(known, key=lambda one: one.rms_error or np.inf)[:_RIVALS]
+def _rivals(contenders: tuple[Contender, ...], with_truth: bool) -> list[Contender]:
+    """Choose whom to draw: those that err least where the truth is known, or the first that are fair otherwise."""
+    classics = [one for one in contenders if one.rule]
+    if with_truth:
+        errors = [np.inf if one.rms_error is None else one.rms_error for one in classics]
+        classics = [classics[place] for place in np.argsort(errors, kind="stable") if np.isfinite(errors[place])]
     return classics[:_RIVALS]
 
 
-def _output(one: Contender, z: Floats, step_s: float, causal: bool) -> Floats:
-    register: dict[str, Classic] = {classic.name: classic for classic in chain(CAUSAL if causal else ZERO_PHASE)}
-    assert one.cutoff_hz is not None
-    return register[one.name].clean(z, one.cutoff_hz * step_s)
+def _output(one: Contender, z: Floats, step_s: float) -> Floats:
+    assert one.cutoff_hz is not None  # of a classic
+    return CLASSICS[one.name].clean(z, one.cutoff_hz * step_s)

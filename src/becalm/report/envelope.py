@@ -7,6 +7,9 @@ from numpy.typing import NDArray
 
 from becalm.core.arrays import Codes, Floats
 
+Cut = tuple[slice, NDArray[np.intp]]
+"""How a block of rows is cut: which stretches it touches, and where in the block each of them begins."""
+
 
 class Stretches:
     """How rows that come in blocks fall into stretches of equally many.
@@ -17,6 +20,11 @@ class Stretches:
         How many will come.
     most : int
         How many stretches there may be; a *small* number joins more rows in each.
+
+    Attributes
+    ----------
+    rows_each, count : int
+        Rows of a stretch, the last of which may have fewer, and how many stretches there are.
     """
 
     def __init__(self, rows: int, most: int) -> None:
@@ -24,7 +32,7 @@ class Stretches:
         self.count = max(1, -(-rows // self.rows_each))
         self._at = 0  # rows so far
 
-    def next(self, rows: int) -> tuple[slice, NDArray[np.intp]]:
+    def next(self, rows: int) -> Cut:
         """Take a block of rows: return which stretches it touches, and where in the block each of them begins."""
         first, inside = divmod(self._at, self.rows_each)
         begins = np.append(0, np.arange(self.rows_each - inside, rows, self.rows_each))

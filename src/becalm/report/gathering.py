@@ -13,12 +13,13 @@ from becalm.core.told import Told
 from becalm.core.verdict import Verdict
 from becalm.metrics.whiteness import RunningWhiteness, Whiteness
 from becalm.report.closeup import Closeup, Farthest, Middle
-from becalm.report.envelope import Envelope, Kinds, Means, Stretches
+from becalm.report.envelope import Cut, Envelope, Kinds, Means, Stretches
 from becalm.report.spectra import RunningSpectrum
 
 _STRETCHES = 18_000  # of all channels together
 _FEWEST, _MOST = 300, 3000  # of one
 _NIS_STRETCHES = 200
+_LAGS, _READINGS_A_LAG = 32, 8  # of an autocorrelation: fewer of few readings
 
 WIDTH = 2.0
 """How many sigma a band is wide, to each side."""
@@ -46,6 +47,8 @@ class Gathering:
 
     Attributes
     ----------
+    rows_each : int
+        Rows of a stretch.
     times, nis_times : Envelope
         When each stretch began and ended, in seconds since the first row; those of the innovations are longer.
     channels : tuple of ChannelGathering
@@ -87,7 +90,30 @@ class Gathering:
 
 
 class ChannelGathering:
-    """Gathers what is drawn of one channel."""
+    """Gathers what is drawn of one channel.
+
+    Parameters
+    ----------
+    rows : int
+        How many will come.
+    step_s : float
+        The step that elapsed steps are counted in, in seconds.
+    stretches : int
+        How many they are cut into.
+
+    Attributes
+    ----------
+    readings, clean, band : Envelope
+        Of what was read, of the signal, and of `WIDTH` sigma about it, in unit.
+    kinds : Kinds
+        What became of readings.
+    before, after : RunningSpectrum
+        Of readings, those that are missing replaced by the signal; and of the signal.
+    closeups : tuple of Closeup
+        Some rows, each by itself.
+    nis : Means
+        Of normalised innovations squared.
+    """
 
     def __init__(self, rows: int, step_s: float, stretches: int) -> None:
         self.readings, self.clean, self.band = (Envelope(stretches) for _ in range(3))
@@ -98,7 +124,7 @@ class ChannelGathering:
         self.nis = Means(self._nis_stretches.count)
         self._whiteness = RunningWhiteness()
 
-    def add(self, rows: Rows, cut: tuple[slice, np.ndarray[tuple[int], np.dtype[np.intp]]]) -> None:
+    def add(self, rows: Rows, cut: Cut) -> None:
         """Take the next rows, cut into stretches."""
         _, z, told = rows
         half = WIDTH * np.where(np.isfinite(told.sigma), told.sigma, np.nan)
@@ -124,7 +150,7 @@ class ChannelGathering:
     def correlations(self) -> tuple[Floats, int]:
         """Return the autocorrelation of the innovations at lags 1 to 32, or fewer of few, and how many there were."""
         sums = self._whiteness.sums()
-        lags = min(32, sums.seen // 8)
+        lags = min(_LAGS, sums.seen // _READINGS_A_LAG)
         covariance = sums.about_mean(lags) if lags else np.zeros(1)
         return (covariance[1:] / covariance[0] if covariance[0] > 0 else np.zeros(0)), sums.seen
 

@@ -15,7 +15,7 @@ from jinja2 import Environment
 
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.report import ChannelReport
-from becalm.cleaning.words import amount, bandwidth_words, lag_words, model_words, trust_words
+from becalm.cleaning.words import amount, cells
 from becalm.report.channel import Pictured, Pictures
 from becalm.report.description import Figure
 from becalm.report.payload import payload
@@ -82,7 +82,7 @@ class _Section(NamedTuple):
     says: str
     words: str
     tables: tuple[Cells, ...]
-    figures_told: tuple[tuple[str, str], ...]
+    numbers: tuple[tuple[str, str], ...]
     figures: tuple[tuple[Figure, str, str], ...]  # each with its kind, and with the others that it is zoomed with
     printed: tuple[str, ...]
 
@@ -108,8 +108,8 @@ def page_of(
 
     Raises
     ------
-    UsageError
-        If the package was installed without its plotting script.
+    BecalmError
+        If becalm was never installed, and what draws the page is not here.
     """
     reports = pictures.reports
     numbers = _pictured(reports)
@@ -172,14 +172,8 @@ def _facts_told(facts: Facts, recipe: Recipe, lasts_s: float) -> list[tuple[str,
 
 
 def _line(report: ChannelReport, number: int, is_drawn: bool, mode: str) -> _Line:
-    cells = (
-        model_words(report),
-        amount(report.noise_std, report.unit),
-        bandwidth_words(report),
-        lag_words(report, mode == "causal"),
-        trust_words(report),
-    )
-    return _Line(_anchor(number) if is_drawn else "", report.name, cells, _tone(report))
+    anchor = _anchor(number) if is_drawn else ""
+    return _Line(anchor, report.name, cells(report, mode == "causal"), _tone(report))
 
 
 def _tone(report: ChannelReport) -> str:
@@ -200,7 +194,7 @@ def _section(drawn: Pictured, number: int, beside: Beside) -> _Section:
     report = drawn.report
     together = f"{_anchor(number)}-time"
     placed = [
-        *((figure, "wide", together if at_once(figure) else "") for figure in (*drawn.wide, *beside.wide)),
+        *((figure, "wide", together if _at_once(figure) else "") for figure in (*drawn.wide, *beside.wide)),
         *((figure, "narrow", "") for figure in (*drawn.narrow, *beside.narrow)),
     ]
     return _Section(
@@ -210,18 +204,18 @@ def _section(drawn: Pictured, number: int, beside: Beside) -> _Section:
         report.says,
         drawn.words,
         beside.tables,
-        _figures_told(report),
+        _numbers(report),
         tuple(placed),
         _printed(drawn, beside),
     )
 
 
-def at_once(figure: Figure) -> bool:
+def _at_once(figure: Figure) -> bool:
     """Whether a figure shows the whole record, and is looked into together with others that do."""
     return figure.name.endswith(("-signal", "-verdicts"))
 
 
-def _figures_told(report: ChannelReport) -> tuple[tuple[str, str], ...]:
+def _numbers(report: ChannelReport) -> tuple[tuple[str, str], ...]:
     """Say what was found, as far as it was."""
     told: list[tuple[str, float | None, str]] = [
         ("noise of a reading", report.noise_std, report.unit),

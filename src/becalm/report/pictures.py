@@ -11,7 +11,7 @@ from becalm.core.arrays import Floats
 from becalm.core.verdict import Verdict
 from becalm.metrics.spectrum import Spectrum
 from becalm.report.closeup import Closeup
-from becalm.report.description import Axis, Band, Curve, Figure, Lane, Layer
+from becalm.report.description import Axis, Band, Curve, Figure, Lane, Layer, Role
 from becalm.report.envelope import Envelope
 from becalm.report.gathering import WIDTH, ChannelGathering
 
@@ -113,18 +113,14 @@ def spectrum_figure(title: Title, gathered: ChannelGathering) -> Figure | None:
     return Figure(f"{title.slug}-spectrum", "Spectra", Axis("frequency (Hz)", log=True), axis, layers, said)
 
 
-def _drawn(name: str, spectrum: Spectrum, role: str) -> Curve:
+def _drawn(name: str, spectrum: Spectrum, role: Role) -> Curve:
     """Thin a spectrum out evenly over its logarithm: the means of what falls together."""
     f, density = spectrum
     edges = np.geomspace(f[0], f[-1] * (1 + 1e-9), _POINTS + 1)
     first = np.unique(np.searchsorted(f, edges[:-1]))
     counts = np.diff(np.append(first, len(f)))
-    return Curve(name, _mean(f, first, counts), _positive(_mean(density, first, counts)), role)  # type: ignore[arg-type]
-
-
-def _mean(values: Floats, first: np.ndarray[tuple[int], np.dtype[np.intp]], counts: Floats) -> Floats:
-    mean: Floats = np.add.reduceat(values, first) / counts
-    return mean
+    means = [np.add.reduceat(values, first) / counts for values in (f, density)]
+    return Curve(name, means[0], _positive(means[1]), role)
 
 
 def _positive(values: Floats) -> Floats:

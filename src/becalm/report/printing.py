@@ -98,9 +98,11 @@ def printed(figures: Sequence[Figure], kind: Kind = "svg", columns: int = 1) -> 
     total = float(heights.sum())
     with rc_context(_SETTINGS):
         sheet = Sheet(figsize=(_WIDTH, total))
-        for row, up, down, below in zip(rows, ups, downs, total - np.cumsum(heights), strict=True):
-            for column, figure in enumerate(row):  # in inches, for a layout that is sought takes as long as drawing
-                room, left = _Room.of(figure, width), column * width + _LEFT
+        feet = total - np.cumsum(heights)
+        for row, beside, up, down, below in zip(rows, rooms, ups, downs, feet, strict=True):
+            for column, (figure, room) in enumerate(zip(row, beside, strict=True)):
+                # in inches, for a layout that is sought takes as long as drawing
+                left = column * width + _LEFT
                 place = left / _WIDTH, (below + down) / total, room.across / _WIDTH, up / total
                 _draw(axes := sheet.add_axes(place), figure)
                 _tell(axes, figure, -_BOTTOM / up, room.beside)
@@ -227,7 +229,7 @@ def _thinned(band: Band) -> tuple[Floats, Floats, Floats]:
 def _draw_surface(axes: Axes, layer: Surface) -> None:
     place = (layer.x, layer.y, layer.height.T)
     grey = "Greys"  # what is drawn upon it has colours
-    filled: Any = None
+    filled: Any
     if layer.by_point:
         filled = axes.pcolormesh(*place, cmap=grey, shading="nearest", rasterized=True)
     else:

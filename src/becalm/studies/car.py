@@ -19,7 +19,7 @@ from becalm.core.filtering import kalman_filter
 from becalm.core.model import Model
 from becalm.core.recording import Recording
 from becalm.core.response import describe
-from becalm.files.plain import write_text
+from becalm.files.plain import make_folder, write_text
 from becalm.metrics.decibels import snr_db, snr_paper_db
 from becalm.metrics.delay import lag_of
 from becalm.metrics.spectrum import VEHICLE_BANDS_HZ, band_powers, welch
@@ -234,7 +234,7 @@ def run(folder: Path, recordings: Path = RECORDINGS) -> str:
     from becalm.studies.car_page import page
     from becalm.studies.sheets import draw
 
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     found = study(recordings)
     text = page(found, draw(sheets(found), folder))
     write_text(folder / "car.md", text)

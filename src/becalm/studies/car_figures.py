@@ -44,18 +44,20 @@ def sheets(found: CarStudy) -> tuple[Sheet, ...]:
     ]
     if found.real is not None:
         figures.append(_real(found))
-    shown = tuple(_spectrogram(name, times, drawn[name][:, 2]) for name in (MEASURED, OWN))
+    shown = tuple(
+        _spectrogram(f"car-spectrogram-{number}", name, times, drawn[name][:, 2])
+        for number, name in enumerate((MEASURED, OWN), start=1)
+    )
     return *(Sheet(figure.name, (figure,)) for figure in figures), Sheet("car-spectrogram", shown)
 
 
-def _spectrogram(name: str, times_s: Floats, values: Floats) -> Figure:
+def _spectrogram(name: str, shown: str, times_s: Floats, values: Floats) -> Figure:
     """Show what a signal holds at which frequency, and when."""
     found = spectrogram(values, 1 / float(np.diff(times_s).mean()), _SEGMENT)
-    shown = found.frequency_hz <= _HIGHEST_HZ
-    decibels = 10 * np.log10(np.maximum(found.density[shown].T, _FAINTEST))
-    layer = Surface("density (dB of (m/s²)²/Hz)", found.times_s, found.frequency_hz[shown], decibels, by_point=True)
-    title = f"Vertical acceleration, {name}"
-    return Figure("car-spectrogram", title, _TIME, Axis("frequency (Hz)"), (layer,))
+    low = found.frequency_hz <= _HIGHEST_HZ
+    decibels = 10 * np.log10(np.maximum(found.density[low].T, _FAINTEST))
+    layer = Surface("density (dB of (m/s²)²/Hz)", found.times_s, found.frequency_hz[low], decibels, by_point=True)
+    return Figure(name, f"Vertical acceleration, {shown}", _TIME, Axis("frequency (Hz)"), (layer,))
 
 
 def _real(found: CarStudy) -> Figure:

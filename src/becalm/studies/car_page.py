@@ -23,6 +23,7 @@ from becalm.studies.car_drive import (
     TRANSVERSE,
 )
 from becalm.studies.drive import RATE_HZ
+from becalm.studies.sheets import NOT_DRAWN
 
 if TYPE_CHECKING:
     from becalm.studies.car import CarStudy, Score
@@ -259,5 +260,5 @@ def _real(found: CarStudy) -> str:
 
 def _figures(drawn: Sequence[Path]) -> str:
     if not drawn:
-        return "## Figures\n\nNot drawn: matplotlib is not installed (`pip install 'becalm[figures]'`)."
+        return f"## Figures\n\n{NOT_DRAWN}"
     return "## Figures\n\n" + "\n\n".join(f"![{path.stem}]({path.name})" for path in drawn)

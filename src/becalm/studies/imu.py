@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.files.plain import write_text
+from becalm.files.plain import make_folder, write_text
 from becalm.metrics.spectrum import Spectrum, welch
 from becalm.noise.step_spectrum import Sensor
 from becalm.studies.imu_page import write_page
@@ -112,7 +112,7 @@ def run(folder: Path, recordings: Path = RECORDINGS) -> str:
     from becalm.studies.sheets import draw
 
     found = study(recordings)
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     text = write_page(found, draw(sheets(found), folder))
     write_text(folder / "imu.md", text)
     return text

@@ -14,6 +14,7 @@ from becalm.studies import imu_switching
 from becalm.studies.imu_records import PRINTED, RATE_HZ, RECORD_S, SPLIT_HZ, SPLIT_ORDER, makeup
 from becalm.studies.imu_responses import STEP, Answer
 from becalm.studies.imu_valley import least_ratio
+from becalm.studies.sheets import NOT_DRAWN
 
 if TYPE_CHECKING:
     from becalm.studies.imu import Study
@@ -28,7 +29,7 @@ def write_page(study: Study, drawn: Sequence[Path]) -> str:
     def figure(name: str, caption: str) -> str:
         return f"![{caption}]({names[key]})\n" if (key := f"imu-{name}") in names else ""
 
-    without = "" if drawn else "\nFigures are left out: they need matplotlib, `pip install 'becalm[figures]'`.\n"
+    without = "" if drawn else f"\n{NOT_DRAWN}\n"
     parts = [
         _opening() + without,
         _measured(study) + figure("record", "Figure 3: motionless records") + figure("spectra", "Figure 4: spectra"),

@@ -10,6 +10,9 @@ from becalm.files.plain import write_bytes
 from becalm.report.description import Figure
 from becalm.report.printing import can_print, printed
 
+NOT_DRAWN = "No figures: drawing them needs matplotlib; type `pip install 'becalm[figures]'`."
+"""What a page says where there is none."""
+
 
 class Sheet(NamedTuple):
     """What one file shows."""

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.files.plain import write_text
+from becalm.files.plain import make_folder, write_text
 from becalm.metrics.delay import lag_of
 from becalm.studies.recordings import RECORDINGS
 from becalm.studies.strain_gauge import Gauge, absent, measure_gauge
@@ -153,7 +153,7 @@ def run(folder: Path) -> str:
     from becalm.studies.strain_figures import sheets
     from becalm.studies.strain_page import page
 
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     found = study()
     planned = sheets(found)
     drawn = {sheet.figures[0].title: path.name for sheet, path in zip(planned, draw(planned, folder), strict=False)}

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from becalm.studies.sheets import NOT_DRAWN
 from becalm.studies.strain import NOISES, RUNS, SHOWN, SLOPE, Study
 from becalm.studies.strain_gauge import CUTOFF_HZ, DRIFT_S, Gauge, Trial
 from becalm.studies.strain_methods import (
@@ -212,7 +213,7 @@ def _trial(trial: Trial) -> Sequence[str]:
 
 def _figures(drawn: Mapping[str, str]) -> str:
     if not drawn:
-        return "## Figures\n\nNo figures: matplotlib is not installed. Install it: `pip install 'becalm[figures]'`."
+        return f"## Figures\n\n{NOT_DRAWN}"
     return "## Figures\n\n" + "\n\n".join(f"![{title}]({name})\n\n{title}" for title, name in drawn.items())
 
 

@@ -20,9 +20,13 @@
   const colour = (role) => () => palette.get(role);
   const translucent = (role) => () => `${palette.get(role)}40`;
 
+  function bytesOf(base64) {
+    return Uint8Array.from(atob(base64), (letter) => letter.charCodeAt(0));
+  }
+
   /** Turn base64 into numbers; what is no number becomes null, where uPlot leaves a gap. */
   function decode(held) {
-    const bytes = Uint8Array.from(atob(held.float64 ?? held.float32), (letter) => letter.charCodeAt(0));
+    const bytes = bytesOf(held.float64 ?? held.float32);
     const numbers = held.float64 ? new Float64Array(bytes.buffer) : new Float32Array(bytes.buffer);
     return Array.from(numbers, (value) => (Number.isFinite(value) ? value + (held.offset ?? 0) : null));
   }
@@ -172,7 +176,7 @@
       button.type = "button";
       button.setAttribute("aria-pressed", "true");
       button.style.setProperty("--mark", `var(--${roles[i]})`);
-      const value = document.createElement("output");
+      const value = document.createElement("span");
       button.append(layer.name, " ", value);
       button.addEventListener("click", () => {
         const show = button.getAttribute("aria-pressed") !== "true";
@@ -190,6 +194,7 @@
     };
   }
 
+  /** Write a number in five digits; very large and very small ones with a power of ten. */
   function short(value) {
     const far = value !== 0 && (Math.abs(value) >= 1e12 || Math.abs(value) < 1e-3);
     if (far) return value.toExponential(4).replace(/\.?0*e\+?/, "e");
@@ -198,8 +203,7 @@
 
   /** Unpack what is shown in print. */
   async function unpack(place) {
-    const bytes = Uint8Array.from(atob(place.dataset.svg), (letter) => letter.charCodeAt(0));
-    const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"));
+    const stream = new Blob([bytesOf(place.dataset.svg)]).stream().pipeThrough(new DecompressionStream("gzip"));
     place.innerHTML = await new Response(stream).text();
   }
 
@@ -275,5 +279,5 @@
       plots.forEach((u) => u.redraw(false, true));
     });
   document.querySelectorAll("[data-svg]").forEach(unpack);
-  window.becalmPlots = plots;
+  window.becalmPlots = plots; // for whoever looks at the page by a script, as its tests do
 })();
