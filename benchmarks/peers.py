@@ -9,7 +9,7 @@ than 1e-6 would not be the same job. Models have x0 and P0, and a library that r
 all of them, from the first reading on. statsmodels and dynamax get their readings in units of the
 noise and statsmodels a smaller tolerance; as they come, both are wrong on the gyroscope's small numbers.
 
-What is "asked" was set before the work, from prototypes on another machine, whose memory was quicker beside
+What is "asked" was set before the work, from prototypes elsewhere, whose memory was quicker beside
 its processor. Where it is not reached, look at the rows of copying first: into fresh arrays, copying alone
 is not five times as fast as `lfilter` here, and arrays filled side by side cost more than one after the other.
 
