@@ -259,6 +259,15 @@ def test_channels_of_hostile_names_are_drawn_and_run_nothing(
     assert opened.page.evaluate("() => document.documentElement.scrollWidth") <= 1300
 
 
+def test_readings_between_missing_ones_are_seen(tmp_path: Path, open_page: Open) -> None:
+    z = np.cumsum(np.random.default_rng(8).normal(0, 0.1, 4000))
+    z += np.random.default_rng(9).normal(0, 0.5, 4000)
+    z[::2] = np.nan
+    opened = open_page(written(tmp_path, Recording(z, names=["a"], rate_hz=100.0)))
+    assert opened.pixels("1-a-closeup-1", "readings")["all"] > 300
+    assert opened.wrong == []
+
+
 @pytest.mark.parametrize(("offset", "scale"), [(0.0, 1e-12), (1e9, 1.0), (-1e9, 1e-3), (0.0, 1e20), (3.0, 1e-5)])
 def test_numbers_beside_an_axis_differ_and_have_room(
     offset: float, scale: float, tmp_path: Path, open_page: Open

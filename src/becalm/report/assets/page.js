@@ -48,18 +48,26 @@
     return { data, owners };
   }
 
+  /** Where a value has no neighbours, so that no line leads to it; what is undefined has its x from another layer. */
+  function alone(u, i) {
+    const y = u.data[i];
+    const own = [...y.keys()].filter((k) => y[k] !== undefined);
+    return own.filter((k, at) => y[k] !== null && (y[own[at - 1]] ?? null) === null && (y[own[at + 1]] ?? null) === null);
+  }
+
   function seriesOf(figure, owners, roles) {
     if (!owners.length) return [{}, { stroke: "transparent", points: { show: false } }];
     const shared = { width: 1, spanGaps: false };
+    const dots = (role) => ({ show: true, size: 3, fill: colour(role), filter: alone });
     return [
       {},
       ...owners.map((i) => {
         const { kind, look, faint } = figure.layers[i];
-        if (kind === "band") return { ...shared, stroke: faint ? "transparent" : colour(roles[i]), points: { show: false } };
+        if (kind === "band") return { ...shared, stroke: faint ? "transparent" : colour(roles[i]), points: faint ? { show: false } : dots(roles[i]) };
         if (look === "points")
           return { ...shared, stroke: colour(roles[i]), paths: () => null, points: { show: true, size: 7, fill: colour(roles[i]) } };
         const dash = { dashed: [6, 4], dotted: [2, 3] }[look];
-        return { ...shared, stroke: colour(roles[i]), dash, points: { show: false } };
+        return { ...shared, stroke: colour(roles[i]), dash, points: dots(roles[i]) };
       }),
     ];
   }
