@@ -57,8 +57,7 @@
 
   function seriesOf(figure, owners, roles) {
     if (!owners.length) return [{}, { stroke: "transparent", points: { show: false } }];
-    const shared = { width: 1, spanGaps: false };
-    const dots = (role) => ({ show: true, size: 3, fill: colour(role), filter: alone });
+    const [shared, dots] = [{ width: 1, spanGaps: false }, (role) => ({ show: true, size: 3, fill: colour(role), filter: alone })];
     return [
       {},
       ...owners.map((i) => {
@@ -91,8 +90,7 @@
   /** A number beside others that lie a step apart, with the digits that tell it from them. */
   function even(value, step) {
     const power = (number) => Math.floor(Math.log10(number) + 1e-9);
-    const nothing = Math.abs(value) < 1e-6 * step;
-    if (nothing) return "0";
+    if (Math.abs(value) < 1e-6 * step) return "0";
     const far = Math.abs(value) >= 1e15 || (Math.abs(value) < 1 && step < 1e-4);
     const digits = Math.max(0, power(Math.abs(value)) - power(step) + 1);
     const told = far ? value.toExponential(digits) : value.toFixed(Math.max(0, Math.min(20, 1 - power(step))));
