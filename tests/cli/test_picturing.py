@@ -246,3 +246,14 @@ def test_a_signal_while_drawing_leaves_no_half_of_a_report(
     assert process.returncode == 128 + number, said
     assert said.endswith("becalm: Stopped; nothing half-written is left.\n")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["drive.csv", "out.csv", "out.csv.recipe.toml", "r.toml"]
+
+
+def test_figures_of_an_older_run_are_told(run: Run, drive: Path, recipe: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "o.csv.figures"
+    folder.mkdir()
+    (folder / "9-other-signal.svg").write_text("old", encoding="utf-8")
+    asked = ("clean", str(drive), "-o", str(tmp_path / "o.csv"), "--recipe", str(recipe), "--figures", "svg")
+    ran = run(*asked)
+    assert f"1 more files in {folder} are not of this run" in ran.stderr
+    (folder / "9-other-signal.svg").unlink()
+    assert "not of this run" not in run(*asked).stderr, "its own are written anew"

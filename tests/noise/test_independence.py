@@ -8,6 +8,7 @@ import pytest
 from becalm.core.response import describe
 from becalm.noise.independence import independence_steps
 from becalm.noise.likelihood import Tuning
+from becalm.noise.waiting import waiting_curve
 from walks import clean, draw
 
 ROWS = 400_000
@@ -39,3 +40,12 @@ def test_of_order_one_it_is_that_of_a_decaying_correlation() -> None:
     K = (np.sqrt(ratio**2 + 4 * ratio) - ratio) / 2
     assert independence_steps(Tuning(1, ratio, 3.0, 0), causal=True) == pytest.approx((2 - K) / K)
     assert independence_steps(Tuning(1, 0.0, 3.0, 0), causal=True) is None
+
+
+@pytest.mark.parametrize("order", [1, 2, 3, 4, 5])
+def test_a_long_mean_of_smoothed_samples_is_as_good_as_that_of_readings(order: int) -> None:
+    tuning = Tuning(order, 1e-4**order, 4.0, 0)
+    length = independence_steps(tuning, causal=False)
+    assert length is not None
+    sigma = waiting_curve(order, tuning.ratio, 4.0, 1.0)[-1].sigma
+    assert sigma**2 * length == pytest.approx(4.0, rel=1e-6)

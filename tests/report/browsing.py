@@ -31,6 +31,14 @@ COUNT = """([figure, role]) => {
 SCALE = "name => { const u = plotOf(name); return [u.scales.x.min, u.scales.x.max]; }"
 PLOT_OF = "name => window.becalmPlots.find((u) => u.root.closest('figure').id === name)"
 
+TICKS = """([name, axis]) => {
+  // where an axis has numbers, what they say, and the room left beside the widest
+  const u = plotOf(name), { _splits, _values, _size, labelSize, font } = u.axes[axis];
+  const pen = document.createElement("canvas").getContext("2d");
+  pen.font = font[0].replace(/[0-9.]+px/, "12px");
+  return [_splits, _values, _size - labelSize - Math.max(..._values.map((one) => pen.measureText(one).width))];
+}"""
+
 
 class Opened(NamedTuple):
     """A page in a browser, and what went wrong there."""

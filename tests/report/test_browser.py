@@ -14,7 +14,7 @@ import pytest
 from becalm.core.recording import Recording
 from becalm.files.reading import read
 from becalm.studies.drive import simulate
-from browsing import PLOT_OF, Opened, settle
+from browsing import PLOT_OF, TICKS, Opened, settle
 from drawing import draw
 
 if TYPE_CHECKING:
@@ -257,3 +257,28 @@ def test_channels_of_hostile_names_are_drawn_and_run_nothing(
         if figure.endswith("-signal"):
             assert opened.pixels(figure, "readings")["all"] > 20
     assert opened.page.evaluate("() => document.documentElement.scrollWidth") <= 1300
+
+
+def test_readings_between_missing_ones_are_seen(tmp_path: Path, open_page: Open) -> None:
+    z = np.cumsum(np.random.default_rng(8).normal(0, 0.1, 4000))
+    z += np.random.default_rng(9).normal(0, 0.5, 4000)
+    z[::2] = np.nan
+    opened = open_page(written(tmp_path, Recording(z, names=["a"], rate_hz=100.0)))
+    assert opened.pixels("1-a-closeup-1", "readings")["all"] > 300
+    assert opened.wrong == []
+
+
+@pytest.mark.parametrize(("offset", "scale"), [(0.0, 1e-12), (1e9, 1.0), (-1e9, 1e-3), (0.0, 1e20), (3.0, 1e-5)])
+def test_numbers_beside_an_axis_differ_and_have_room(
+    offset: float, scale: float, tmp_path: Path, open_page: Open
+) -> None:
+    rng = np.random.default_rng(7)
+    z = offset + scale * (np.cumsum(rng.normal(0, 0.1, 4000)) + rng.normal(0, 0.5, 4000))
+    opened = open_page(written(tmp_path, Recording(z, names=["a"], units=["V"], rate_hz=1e5)))
+    for figure, axis in (("1-a-signal", 0), ("1-a-signal", 1), ("1-a-closeup-1", 0), ("1-a-closeup-1", 1)):
+        places, told, room = opened.page.evaluate(TICKS.replace("plotOf", f"({PLOT_OF})"), [figure, axis])
+        assert len(told) > 2
+        step = places[1] - places[0]
+        assert [float(one) for one in told] == pytest.approx(places, rel=0, abs=0.01 * step), told
+        assert room > 0 or axis == 0, told
+    assert opened.wrong == []

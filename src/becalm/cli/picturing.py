@@ -125,12 +125,16 @@ class Picturing:
         from becalm.report.printing import printed
 
         make_folder(self._folder)
-        count = 0
+        older, count = {path.name for path in self._folder.iterdir()}, 0
         for number in range(len(pictures)):
             drawn = pictures.channel(number)
             for figure in (*drawn.wide, *drawn.narrow):
-                write_bytes(self._folder / f"{figure.name}.{kind}", printed([figure], kind))
+                name = f"{figure.name}.{kind}"
+                write_bytes(self._folder / name, printed([figure], kind))
+                older.discard(name)
                 count += 1
+        if older:
+            typer.echo(f"{len(older)} more files in {self._folder} are not of this run; remove it first.", err=True)
         return count
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from becalm.noise.excess import powers
 from becalm.noise.likelihood import Tuning
 from becalm.noise.tuning_spread import settled_filter, spectra_of
 
@@ -41,7 +42,7 @@ def independence_steps(tuning: Tuning, causal: bool) -> float | None:
         found = spectra_of(tuning)
         if found is None:
             return None
-        noise = found.total - found.signal
+        noise = powers(tuning, 2 * np.pi * found.f[:1])[1]  # total - signal would lose it beside a motion
         return float(found.signal[0] / found.total[0] * noise[0] / found.filter.error_variance(np.inf))
     settled = settled_filter(tuning)
     if settled is None:

@@ -63,6 +63,7 @@ def front_figure(title: Title, found: Behaviour, front: Front, mode: str) -> Fig
         points = [point for point in front.points if point.order == order]
         x, y = np.array([(point.lag_s, noise_std * point.noise_std) for point in points]).T
         layers.append(Curve(f"causal, order {order}", x[::-1], y[::-1], "other", "dashed"))
+    layers += _of_modes(found)
     late_s = found.response.lag_s
     later = found.waits[1:-1]  # nothing where even the next reading tells all that later ones can
     if mode != "causal" and later:
@@ -70,13 +71,24 @@ def front_figure(title: Title, found: Behaviour, front: Front, mode: str) -> Fig
         layers.append(Curve("this filter, told later", x, y, "clean"))
         late_s = float(x[-1]) if found.report.delay_s is None else found.report.delay_s
     left = found.noise_left(late_s if mode == "lagged" else None)
-    if late_s > 0 and left is not None:
+    if late_s > 0 and left is not None and not found.report.modes:
         chosen = "chosen" if mode != "smoothed" else "chosen: waits for all"
         layers.append(Curve("chosen", np.array([late_s]), np.array([left]), "truth", "points", (chosen,)))
+    if len(layers) == len(front.orders):  # nothing of this filter is known
+        return None
     said = "How late: by how much a causal output trails, or how long a later one waits."
     unit = f" ({title.unit})" if title.unit else ""
     late, noise = Axis("how late (s)", log=True), Axis(f"noise left{unit}", log=True)
     return Figure(f"{title.slug}-front", "Noise against lag", late, noise, tuple(layers), said)
+
+
+def _of_modes(found: Behaviour) -> list[Layer]:
+    """Return where each mode of a causal filter that switches stands."""
+    return [
+        Curve(name, np.array([mode.lag_s]), np.array([mode.noise_left]), "truth", "points", (name,))
+        for name, mode in found.report.modes.items()
+        if mode.lag_s and mode.noise_left
+    ]
 
 
 def step_figure(title: Title, found: Behaviour, recipe: Recipe, step_s: float) -> Figure | None:
@@ -111,7 +123,10 @@ def _rows_to_show(found: Behaviour, step_s: float) -> int | None:
     told = found.response
     if told is None or not told.bandwidth_hz > 0:
         return None
-    lasts_s = 2 / told.bandwidth_hz if told.step is None else 2 * told.step.settling_s
+    narrowest_hz = min(high - low for low, high in told.bands_hz)
+    quick_hz = max((mode.bandwidth_hz or 0.0 for mode in found.report.modes.values()), default=0.0)
+    lasts_s = 2 / narrowest_hz if told.step is None else 2 * told.step.settling_s
+    lasts_s = 2 / quick_hz if quick_hz else lasts_s  # of one that switches: a step is motion
     rows = max(20, int(np.ceil(lasts_s / step_s)))
     return rows if 4 * rows <= _MOST_ROWS else None
 

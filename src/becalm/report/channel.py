@@ -6,6 +6,8 @@ from typing import NamedTuple
 
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.report import ChannelReport
+from becalm.cleaning.words import amount
+from becalm.core.response import decibels
 from becalm.noise.front import Front
 from becalm.report.behaviour import Behaviour, behaviour_of, front_figure, front_of, step_figure
 from becalm.report.description import Figure
@@ -72,14 +74,20 @@ class Pictures:
         )
         return Pictured(
             report,
-            _words(behaviour),
+            _words(behaviour, recipe.mode),
             (*signal_figures(title, times, gathered), *close),
             tuple(figure for figure in narrow if figure is not None),
         )
 
 
-def _words(behaviour: Behaviour) -> str:
-    """Say in a sentence what the filter is; nothing where it passes all unchanged, or never settles."""
+def _words(behaviour: Behaviour, mode: str) -> str:
+    """Say in a sentence what the filter is; nothing where it passes all unchanged, never settles, or is not known."""
+    delay_s, noise_std = behaviour.report.delay_s, behaviour.report.noise_std
+    if mode == "lagged" and delay_s is not None:
+        left = behaviour.noise_left(delay_s)
+        if left is None or not noise_std:
+            return ""
+        return f"Told {amount(delay_s, 's')} later, noise is down {-decibels((left / noise_std) ** 2):.1f} dB."
     if behaviour.response is None:
         return ""
     where = "In the mode that was most in force it" if behaviour.report.modes else "The filter"

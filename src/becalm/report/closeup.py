@@ -52,7 +52,7 @@ class Middle:
 class Farthest:
     """Keeps the rows about the reading that lies the most sigma from the signal."""
 
-    title = "Close up, where a reading lies farthest from the signal"
+    title = "Close up, where a reading lies the most sigma from the signal"
 
     def __init__(self) -> None:
         self.kept = np.empty((4, 0))

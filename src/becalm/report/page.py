@@ -26,7 +26,7 @@ MOST_PICTURED = 8
 """Channels that are drawn, so that a page stays small; of the others the table tells."""
 
 _HEADINGS = ("model", "noise", "bandwidth", "lag", "described by its model")
-_TONES = {"fits": "fits", "constant": "fits", "fits except": "except", "does not fit": "not"}
+_TONES = {"fits": "fits", "fits except": "except", "does not fit": "not"}
 _HASH_SHOWN = 16
 
 
@@ -148,8 +148,14 @@ def _asset(name: str) -> str:
 
 def _lead(reports: Sequence[ChannelReport]) -> str:
     described = sum(report.describes for report in reports)
+    constant = sum(report.verdict == "constant" for report in reports)
+    narrow = sum(report.verdict == "fits except" for report in reports)
+    if constant == len(reports):
+        return "Every channel is constant: its sigma is unknown."
     if described == len(reports):
-        return "Every channel is described by its model: the signal and its sigma may be believed."
+        but = f" {constant} of {len(reports)} channels are constant, of which no sigma is known." if constant else ""
+        near = f", but near some frequency in {narrow} of {len(reports)}: look at these" if narrow else ""
+        return f"Every channel that changes is described by its model, as far as its readings tell{near}.{but}"
     return (
         f"{len(reports) - described} of {len(reports)} channels are not described by their models: look at these"
         " before their signal and sigma are believed."

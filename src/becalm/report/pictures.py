@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import unicodedata
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +19,7 @@ from becalm.report.gathering import WIDTH, ChannelGathering
 TIME = Axis("time since the first row (s)")
 
 _LONGEST_SLUG, _LONGEST_NAME = 40, 40
+_PAUSE = 4.0  # usual steps in time, above which it pauses
 _POINTS = 240  # of a spectrum, evenly spread over its logarithm
 
 
@@ -36,7 +38,14 @@ class Title(NamedTuple):
     @property
     def axis(self) -> str:
         """The channel's name with its unit."""
-        return f"{self.short} ({self.unit})" if self.unit and self.unit not in self.name else self.short
+        bracketed = re.search(r"[(\[]([^()\[\]]+)[)\]]\s*$", self.name)
+        told = bracketed is not None and _folded(bracketed[1]) == _folded(self.unit)
+        return f"{self.short} ({self.unit})" if self.unit and not told else self.short
+
+
+def _folded(unit: str) -> str:
+    """Return a unit as it is compared, however its powers and its micro are written."""
+    return unicodedata.normalize("NFKC", unit).replace("^", "").replace("μ", "u").strip()
 
 
 def slug_of(number: int, name: str) -> str:
@@ -61,10 +70,12 @@ def signal_figures(title: Title, times: Envelope, gathered: ChannelGathering) ->
     tuple of Figure
         One, or two where any reading was not used.
     """
+    edges = [edge for of in (gathered.readings, gathered.band, gathered.clean) for edge in (of.low, of.high)]
+    x, *y = parted(times.low, *edges)
     bands = (
-        Band("readings", times.low, gathered.readings.low, gathered.readings.high, "readings"),
-        Band(f"± {WIDTH:g} sigma", times.low, gathered.band.low, gathered.band.high, "clean", faint=True),
-        Band("signal", times.low, gathered.clean.low, gathered.clean.high, "clean"),
+        Band("readings", x, y[0], y[1], "readings"),
+        Band(f"± {WIDTH:g} sigma", x, y[2], y[3], "clean", faint=True),
+        Band("signal", x, y[4], y[5], "clean"),
     )
     drawn = Figure(f"{title.slug}-signal", f"{title.short}: readings and signal", TIME, Axis(title.axis), bands)
     lanes = tuple(_lanes(times, gathered))
@@ -75,8 +86,36 @@ def signal_figures(title: Title, times: Envelope, gathered: ChannelGathering) ->
     return drawn, Figure(f"{title.slug}-verdicts", f"{title.short}: verdicts", whole, Axis(""), lanes, said)
 
 
+def parted(times_s: Floats, *heights: Floats) -> tuple[Floats, ...]:
+    """Put NaN where time pauses, so that nothing is drawn where there are no rows.
+
+    Parameters
+    ----------
+    times_s : (k,) float array
+        Never falling, in seconds.
+    *heights : (k,) float array
+        What is drawn there.
+
+    Returns
+    -------
+    tuple of float array
+        The times and the heights; the same arrays where there is no pause.
+    """
+    usual = _usual(times_s)
+    before = np.flatnonzero(np.diff(times_s) > _PAUSE * usual)
+    if not len(before):
+        return times_s, *heights
+    return np.insert(times_s, before + 1, times_s[before] + usual), *(np.insert(y, before + 1, np.nan) for y in heights)
+
+
+def _usual(times_s: Floats) -> float:
+    steps = np.diff(times_s)
+    return float(np.median(steps[steps > 0])) if (steps > 0).any() else np.inf
+
+
 def _lanes(times: Envelope, gathered: ChannelGathering) -> list[Lane]:
-    ends = np.append(times.low[1:], times.high[-1])  # a stretch lasts until the next one
+    ends = np.append(times.low[1:], times.high[-1])  # a stretch lasts until the next one, and not across a pause
+    ends = np.minimum(ends, times.high + _usual(times.low))
     lanes = []
     for verdict in Verdict:
         first, after = gathered.kinds.runs(verdict)
@@ -87,12 +126,15 @@ def _lanes(times: Envelope, gathered: ChannelGathering) -> list[Lane]:
 
 def closeup_figures(title: Title, gathered: ChannelGathering) -> tuple[Figure, ...]:
     """Draw some rows, each by itself."""
-    return tuple(_closeup(title, number, found) for number, found in enumerate(gathered.closeups, start=1))
+    return tuple(
+        _closeup(title, number, found) for number, found in enumerate(gathered.closeups, start=1) if found.kept.size
+    )
 
 
 def _closeup(title: Title, number: int, found: Closeup) -> Figure:
     times_s, z, signal, sigma = found.kept
     half = WIDTH * np.where(np.isfinite(sigma), sigma, np.nan)
+    times_s, z, signal, half = parted(times_s, z, signal, half)
     layers: tuple[Layer, ...] = (
         Curve("readings", times_s, z, "readings"),
         Band(f"± {WIDTH:g} sigma", times_s, signal - half, signal + half, "clean", faint=True),

@@ -209,6 +209,10 @@ def _draw_curve(axes: Axes, layer: Curve, colour: str, markers: Iterator[str]) -
     if layer.look == "points":
         style |= {"marker": next(markers), "markersize": 5, "markerfacecolor": "none"}
     axes.plot(layer.x, layer.y, linestyle=_LOOKS[layer.look], **style)
+    known = np.isfinite(np.concatenate([[np.nan], layer.y, [np.nan]]))
+    alone = known[1:-1] & ~known[:-2] & ~known[2:]  # to which no line leads
+    if layer.look != "points" and alone.any():
+        axes.plot(layer.x[alone], layer.y[alone], color=colour, marker=".", markersize=2, linestyle="none")
 
 
 def _label(axes: Axes, layer: Curve) -> None:

@@ -10,7 +10,7 @@ from becalm.metrics.whiteness import smoothed_power
 from becalm.report.description import Axis, Curve, Figure, Layer, Rule
 from becalm.report.envelope import Envelope
 from becalm.report.gathering import ChannelGathering
-from becalm.report.pictures import TIME, Title
+from becalm.report.pictures import TIME, Title, parted
 
 _WITHIN = 1.96  # standard deviations, and
 _SHARE = 0.025  # of chance outside on each side: limits that hold 95 % of what is right
@@ -80,13 +80,13 @@ def _spectrum(title: Title, gathered: ChannelGathering, correlations: Floats, ra
 
 def _nis(title: Title, times: Envelope, gathered: ChannelGathering) -> Figure:
     seen, mean = gathered.nis.seen, gathered.nis.result()
-    x = (times.low + times.high) / 2
     known = np.maximum(seen, 1)
-    upper, lower = chdtri(known, _SHARE) / known, chdtri(known, 1 - _SHARE) / known
+    upper, lower = (np.where(seen > 0, chdtri(known, share) / known, np.nan) for share in (_SHARE, 1 - _SHARE))
+    x, mean, upper, lower = parted(times.low, mean, upper, lower)
     layers = (
         Curve("normalised innovation squared", x, mean, "clean"),
-        Curve("95 % where sigma is right", x, np.where(seen > 0, upper, np.nan), "limit", "dashed"),
-        Curve("", x, np.where(seen > 0, lower, np.nan), "limit", "dashed"),
+        Curve("95 % where sigma is right", x, upper, "limit", "dashed"),
+        Curve("", x, lower, "limit", "dashed"),
     )
     said = "Means over stretches. Above: readings lie farther off than sigma says; below: nearer."
     return Figure(f"{title.slug}-nis", "Innovations: size (NIS)", TIME, Axis("NIS", low=0.0), layers, said)

@@ -52,18 +52,25 @@
     return { data, owners };
   }
 
+  /** Where a value has no neighbours, so that no line leads to it; what is undefined has its x from another layer. */
+  function alone(u, i) {
+    const y = u.data[i];
+    const own = [...y.keys()].filter((k) => y[k] !== undefined);
+    return own.filter((k, at) => y[k] !== null && (y[own[at - 1]] ?? null) === null && (y[own[at + 1]] ?? null) === null);
+  }
+
   function seriesOf(figure, owners, roles) {
     if (!owners.length) return [{}, { stroke: "transparent", points: { show: false } }];
-    const shared = { width: 1, spanGaps: false };
+    const [shared, dots] = [{ width: 1, spanGaps: false }, (role) => ({ show: true, size: 3, fill: colour(role), filter: alone })];
     return [
       {},
       ...owners.map((i) => {
         const { kind, look, faint } = figure.layers[i];
-        if (kind === "band") return { ...shared, stroke: faint ? "transparent" : colour(roles[i]), points: { show: false } };
+        if (kind === "band") return { ...shared, stroke: faint ? "transparent" : colour(roles[i]), points: faint ? { show: false } : dots(roles[i]) };
         if (look === "points")
           return { ...shared, stroke: colour(roles[i]), paths: () => null, points: { show: true, size: 7, fill: colour(roles[i]) } };
         const dash = { dashed: [6, 4], dotted: [2, 3] }[look];
-        return { ...shared, stroke: colour(roles[i]), dash, points: { show: false } };
+        return { ...shared, stroke: colour(roles[i]), dash, points: dots(roles[i]) };
       }),
     ];
   }
@@ -79,8 +86,24 @@
   function axisOf(axis, more) {
     const font = "12px system-ui, sans-serif";
     const lines = { stroke: colour("grid"), width: 1 };
-    const powers = axis.log ? { splits: logarithmic, filter: (u, splits) => splits, values: (u, splits) => splits.map(short) } : {};
-    return { label: axis.label, labelFont: font, labelSize: 18, font, stroke: colour("ink"), grid: lines, ticks: lines, ...powers, ...more };
+    const values = axis.log ? (u, splits) => splits.map(short) : (u, splits, i, space, step) => splits.map((value) => even(value, step));
+    const powers = axis.log ? { splits: logarithmic, filter: (u, splits) => splits } : {};
+    return { label: axis.label, labelFont: font, labelSize: 18, font, stroke: colour("ink"), grid: lines, ticks: lines, values, ...powers, ...more };
+  }
+
+  /** A number beside others that lie a step apart, with the digits that tell it from them. */
+  function even(value, step) {
+    const power = (number) => Math.floor(Math.log10(number) + 1e-9);
+    if (Math.abs(value) < 1e-6 * step) return "0";
+    const far = Math.abs(value) >= 1e15 || (Math.abs(value) < 1 && step < 1e-4);
+    const digits = Math.max(0, power(Math.abs(value)) - power(step) + 1);
+    const told = far ? value.toExponential(digits) : value.toFixed(Math.max(0, Math.min(20, 1 - power(step))));
+    return told.replace(/(\.\d*?)0+(?=e|$)/, "$1").replace(/\.(?=e|$)/, "").replace("e+", "e");
+  }
+
+  /** The room that numbers beside an axis take, and its label; never less than others have with which it lies in line. */
+  function roomFor(least) {
+    return (u, values) => Math.max(least, 26 + 7.2 * Math.max(0, ...(values ?? []).map((value) => value.length)));
   }
 
   /** Where a logarithmic axis has its numbers: at most seven powers of ten; of less than two decades more than these. */
@@ -215,8 +238,8 @@
     const height = lanes.length ? 58 + 20 * lanes.length : place.classList.contains("wide") ? 320 : 240;
     const size = () => ({ width: canvas.clientWidth, height });
     const y = lanes.length
-      ? axisOf(figure.y, { splits: () => lanes.map((_, i) => -i), values: () => lanes.map((lane) => lane.name), grid: { show: false }, size: LEFT })
-      : axisOf(figure.y, { size: place.classList.contains("wide") ? LEFT : 52 });
+      ? axisOf(figure.y, { splits: () => lanes.map((_, i) => -i), values: () => lanes.map((lane) => lane.name), grid: { show: false }, size: () => group?.plots[0]?.u.axes[1]._size ?? LEFT })
+      : axisOf(figure.y, { size: roomFor(place.classList.contains("wide") ? LEFT : 52) });
     const yScale = lanes.length ? { range: [0.5 - lanes.length, 0.5] } : heightsOf(figure.y);
     const reset = place.querySelector(".reset");
     let update = () => {};
