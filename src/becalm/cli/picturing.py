@@ -84,7 +84,9 @@ class Picturing:
         if self._page is None and self._kind is None:
             return None
         from becalm.report.gathering import Gathering
+        from becalm.report.printing import load_meanwhile
 
+        load_meanwhile()
         return Gathering(source.rows, source.clock.step_s, channels)
 
     def draw(

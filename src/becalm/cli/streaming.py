@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from typing import TYPE_CHECKING, NamedTuple
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import nullcontext
+from types import TracebackType
+from typing import TYPE_CHECKING, NamedTuple, Self
 
 import numpy as np
 import pyarrow as pa
@@ -59,12 +62,15 @@ def clean_chunks(  # noqa: PLR0913  (each by its name)
 
     def answer(told: list[Told]) -> None:
         table, columns, elapsed = waiting.popleft()
-        if gathering is not None:
-            gathering.add(columns, elapsed, told)
+        if behind is not None:
+            behind.add(columns, elapsed, told)
         write(_output(table, recipe, told, verdicts))
 
     looks = [] if gathering is None else [channel.look for channel in gathering.channels]
-    with Cleaner(recipe, source.clock.step_s, split=split, looks=looks) as cleaner:
+    with (
+        nullcontext() if gathering is None else _Behind(gathering) as behind,
+        Cleaner(recipe, source.clock.step_s, split=split, looks=looks) as cleaner,
+    ):
         for chunk in source.chunks(rows_of_chunks(source, len(numbers))):
             columns = [chunk.channel(number) for number in numbers]
             waiting.append(_Waiting(chunk.table, [] if gathering is None else columns, chunk.elapsed_steps))
@@ -74,6 +80,35 @@ def clean_chunks(  # noqa: PLR0913  (each by its name)
         for told in cleaner.finish():
             answer(told)
         return cleaner.reports()
+
+
+class _Behind:
+    """Gathers beside the cleaning of the next rows: one stretch at a time, in order."""
+
+    def __init__(self, gathering: Gathering) -> None:
+        self._gathering, self._pool = gathering, ThreadPoolExecutor(1)
+        self._last: Future[None] | None = None
+
+    def add(self, columns: list[Floats], elapsed: Floats, told: list[Told]) -> None:
+        """Gather some rows, once those before them are."""
+        self._wait()
+        self._last = self._pool.submit(self._gathering.add, columns, elapsed, told)
+
+    def _wait(self) -> None:
+        if self._last is not None:
+            self._last.result()
+
+    def __enter__(self) -> Self:
+        """Return itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, cause: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Wait for the rest, or leave it where something went wrong."""
+        self._pool.shutdown(cancel_futures=kind is not None)
+        if kind is None:
+            self._wait()
 
 
 class _Waiting(NamedTuple):

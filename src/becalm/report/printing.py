@@ -5,8 +5,10 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Iterator, Sequence
+from importlib import import_module
 from importlib.util import find_spec
 from itertools import cycle
+from threading import Thread
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 from warnings import catch_warnings, filterwarnings
 
@@ -27,6 +29,7 @@ COLOURS: dict[Role, str] = {"readings": "#9aa5b1", "clean": "#0f62c4", "truth": 
 OTHERS = ("#d55e00", "#117733", "#aa4499", "#8a6d00", "#2a9d9d", "#5b4a9c")
 """Told apart by the colour-blind too."""
 
+_NUMBERS = 6  # along an axis, at most: each takes time to draw
 _LOOKS = {"line": "-", "dashed": "--", "dotted": ":", "points": "none"}
 _MARKERS = "osD^"  # points at one place are told apart
 _WIDTH, _HEIGHT, _SQUARE, _LANE = 7.5, 1.85, 2.6, 0.16  # inches: a sheet; axes, those of a surface, a lane in them
@@ -60,6 +63,12 @@ _UNDATED: dict[Kind, dict[str, None]] = {"svg": {"Date": None}, "pdf": {"Creatio
 def can_print() -> bool:
     """Whether matplotlib is here."""
     return find_spec("matplotlib") is not None
+
+
+def load_meanwhile() -> None:
+    """Load matplotlib, if it is here, beside what else is to be done first: that takes a second."""
+    if can_print():
+        Thread(target=import_module, args=["matplotlib.figure"], daemon=True).start()
 
 
 def refuse_unprintable() -> None:
@@ -165,6 +174,8 @@ def _draw(axes: Axes, figure: Figure) -> None:
 
 def _tell(axes: Axes, figure: Figure, below: float, beside: int) -> None:
     """Say what is measured along the axes, and below them, as a share of their height, what is drawn."""
+    from matplotlib.ticker import MaxNLocator
+
     if not any(isinstance(layer, Curve) and layer.look == "points" for layer in figure.layers):
         axes.margins(x=0)  # what has time in common lies in line
     axes.set(title=figure.title, xlabel=figure.x.label, ylabel=figure.y.label)
@@ -174,6 +185,8 @@ def _tell(axes: Axes, figure: Figure, below: float, beside: int) -> None:
     for axis in (axes.xaxis, axes.yaxis):
         if axis.get_scale() == "log":
             _number(axis)
+        else:
+            axis.set_major_locator(MaxNLocator(_NUMBERS, steps=(1, 2, 2.5, 5, 10)))
     axes.minorticks_off()
     lanes = [layer.name for layer in figure.layers if isinstance(layer, Lane)]
     if lanes:
