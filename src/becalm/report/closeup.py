@@ -8,6 +8,7 @@ import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.core.told import Told
+from becalm.metrics.running import PIECE
 
 _ROWS = 600
 
@@ -60,14 +61,16 @@ class Farthest:
 
     def add(self, times_s: Floats, z: Floats, told: Told) -> None:
         """Take the next rows; what is kept does not reach beyond a block of them."""
-        with np.errstate(divide="ignore", invalid="ignore"):
-            far = np.abs(z - told.signal) / told.sigma
-        far = np.where(np.isfinite(far), far, -1.0)
-        i = int(np.argmax(far)) if len(far) else 0
-        if len(far) and far[i] > self._farthest:
-            self._farthest = float(far[i])
-            start = max(0, min(i - _ROWS // 2, len(z) - _ROWS))
-            self.kept = _stack(times_s, z, told, slice(start, start + _ROWS))
+        for first in range(0, len(z), PIECE):  # which stay in the cache
+            part = slice(first, first + PIECE)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                far = np.abs(z[part] - told.signal[part]) / told.sigma[part]
+            far[~np.isfinite(far)] = -1.0
+            i = int(np.argmax(far))
+            if far[i] > self._farthest:
+                self._farthest = float(far[i])
+                start = max(0, min(first + i - _ROWS // 2, len(z) - _ROWS))
+                self.kept = _stack(times_s, z, told, slice(start, start + _ROWS))
 
 
 def _stack(times_s: Floats, z: Floats, told: Told, rows: slice) -> Floats:

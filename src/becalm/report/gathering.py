@@ -11,6 +11,7 @@ import numpy as np
 from becalm.core.arrays import Floats
 from becalm.core.told import Told
 from becalm.core.verdict import Verdict
+from becalm.metrics.running import PIECE
 from becalm.metrics.whiteness import RunningWhiteness, Whiteness
 from becalm.report.closeup import Closeup, Farthest, Middle
 from becalm.report.envelope import Cut, Envelope, Kinds, Means, Stretches
@@ -79,12 +80,17 @@ class Gathering:
             return
         steps = self._steps + np.cumsum(elapsed)
         self._steps = float(steps[-1])
-        times, cut = steps * self._step_s, self._stretches.next(len(steps))
-        self.times.add(*cut, times, times)
+        times = steps * self._step_s
+        cuts = [(part, self._stretches.next(part.stop - part.start)) for part in _parts(len(steps))]
+        for part, cut in cuts:
+            self.times.add(*cut, times[part], times[part])
         self.nis_times.add(*self._nis_stretches.next(len(steps)), times, times)
         with ThreadPoolExecutor() as pool:
             done = pool.map(
-                lambda channel, z, of: channel.add(Rows(times, _possible(z, of), of), cut), self.channels, columns, told
+                lambda channel, z, of: channel.add(Rows(times, _possible(z, of), of), cuts),
+                self.channels,
+                columns,
+                told,
             )
             list(done)  # raises what went wrong
 
@@ -124,24 +130,29 @@ class ChannelGathering:
         self.nis = Means(self._nis_stretches.count)
         self._whiteness = RunningWhiteness()
 
-    def add(self, rows: Rows, cut: Cut) -> None:
-        """Take the next rows, cut into stretches."""
-        _, z, told = rows
+    def add(self, rows: Rows, cuts: Sequence[tuple[slice, Cut]]) -> None:
+        """Take the next rows, and which parts of them are cut into stretches how."""
+        times_s, z, told = rows
+        for part, cut in cuts:
+            self._enclose(z[part], told.rows(part), cut)
+        self.before.add(z, told.signal)
+        self.after.add(told.signal)
+        for closeup in self.closeups:
+            closeup.add(times_s, z, told)
+
+    def _enclose(self, z: Floats, told: Told, cut: Cut) -> None:
         half = WIDTH * np.where(np.isfinite(told.sigma), told.sigma, np.nan)
         self.readings.add(*cut, z, z)
         self.clean.add(*cut, told.signal, told.signal)
         self.band.add(*cut, told.signal - half, told.signal + half)
         self.kinds.add(*cut, told.verdicts)
-        self.before.add(np.where(np.isnan(z), told.signal, z))
-        self.after.add(told.signal)
-        for closeup in self.closeups:
-            closeup.add(rows.times_s, z, told)
 
     def look(self, innovations: Floats, innovation_sigma: Floats) -> None:
         """Take the next innovations (B,) and their standard deviations, NaN where there is none."""
-        normalised = innovations / innovation_sigma
-        self._whiteness.add(normalised)
-        self.nis.add(*self._nis_stretches.next(len(normalised)), normalised**2)
+        for part in _parts(len(innovations)):
+            normalised = innovations[part] / innovation_sigma[part]
+            self._whiteness.add(normalised)
+            self.nis.add(*self._nis_stretches.next(len(normalised)), normalised**2)
 
     def whiteness(self) -> Whiteness:
         """Judge all innovations so far."""
@@ -153,6 +164,11 @@ class ChannelGathering:
         lags = min(_LAGS, sums.seen // _READINGS_A_LAG)
         covariance = sums.about_mean(lags) if lags else np.zeros(1)
         return (covariance[1:] / covariance[0] if covariance[0] > 0 else np.zeros(0)), sums.seen
+
+
+def _parts(rows: int) -> list[slice]:
+    """Cut rows into parts that stay in the cache while they are looked at."""
+    return [slice(start, min(start + PIECE, rows)) for start in range(0, rows, PIECE)]
 
 
 def _possible(z: Floats, told: Told) -> Floats:

@@ -39,11 +39,13 @@ class RunningSpectrum:
         self._frequency_hz = np.arange(self._segment // 2 + 1.0) * rate_hz / self._segment
         self._segments = 0
 
-    def add(self, values: Floats) -> None:
-        """Add a block (B,); NaN where missing."""
+    def add(self, values: Floats, instead: Floats | None = None) -> None:
+        """Add a block (B,); NaN where missing, for which another block (B,) may stand in."""
         if len(values) < self._segment:
             return
-        segments = sliding_window_view(values, self._segment)[:: self._spacing]
+        segments = self._spread(values)
+        if instead is not None:
+            segments = np.where(np.isnan(segments), self._spread(instead), segments)
         whole = segments[np.isfinite(segments.sum(axis=1))]
         if len(whole):
             from scipy.signal import periodogram
@@ -51,6 +53,9 @@ class RunningSpectrum:
             _, density = periodogram(whole, self._rate_hz, window="hann")
             self._density += density.sum(axis=0)
             self._segments += len(whole)
+
+    def _spread(self, values: Floats) -> Floats:
+        return sliding_window_view(values, self._segment)[:: self._spacing]
 
     def result(self) -> Spectrum | None:
         """Return the spectrum without 0 Hz; None where no segment was whole."""
