@@ -132,7 +132,7 @@ def page_of(
         uplot_css=style,
         uplot_js=script,
         css=_asset("page.css"),
-        js=_asset("page.js"),
+        js=_asset("numbers.js") + _asset("page.js"),
     )
 
 

@@ -1,4 +1,4 @@
-// Draws the figures of a report with uPlot; all that it needs stands in the page.
+// Draws the figures of a report with uPlot and numbers.js; all that it needs stands in the page.
 "use strict";
 
 (() => {
@@ -91,40 +91,9 @@
     return { label: axis.label, labelFont: font, labelSize: 18, font, stroke: colour("ink"), grid: lines, ticks: lines, values, ...powers, ...more };
   }
 
-  /** A number beside others that lie a step apart, with the digits that tell it from them. */
-  function even(value, step) {
-    const power = (number) => Math.floor(Math.log10(number) + 1e-9);
-    if (Math.abs(value) < 1e-6 * step) return "0";
-    const far = Math.abs(value) >= 1e15 || (Math.abs(value) < 1 && step < 1e-4);
-    const digits = Math.max(0, power(Math.abs(value)) - power(step) + 1);
-    const told = far ? value.toExponential(digits) : value.toFixed(Math.max(0, Math.min(20, 1 - power(step))));
-    return told.replace(/(\.\d*?)0+(?=e|$)/, "$1").replace(/\.(?=e|$)/, "").replace("e+", "e");
-  }
-
   /** The room that numbers beside an axis take, and its label; never less than others have with which it lies in line. */
   function roomFor(least) {
     return (u, values) => Math.max(least, 26 + 7.2 * Math.max(0, ...(values ?? []).map((value) => value.length)));
-  }
-
-  /** Where a logarithmic axis has its numbers: at most seven powers of ten; of less than two decades more than these. */
-  function logarithmic(u, axis, low, high) {
-    if (high < 100 * low) return within(low, high);
-    const [first, last] = [Math.ceil(Math.log10(low) - 1e-9), Math.floor(Math.log10(high) + 1e-9)];
-    const stride = Math.max(1, Math.ceil((last - first + 1) / 7));
-    return Array.from({ length: Math.floor((last - first) / stride) + 1 }, (_, i) => 10 ** (first + i * stride));
-  }
-
-  /** Once, twice and five times the powers of ten; where these are too few, even steps. */
-  function within(low, high) {
-    const first = Math.floor(Math.log10(low));
-    const found = [0, 1, 2].flatMap((i) => [1, 2, 5].map((times) => times * 10 ** (first + i)));
-    const inside = found.filter((value) => value >= low * (1 - 1e-9) && value <= high * (1 + 1e-9));
-    if (inside.length > 1) return inside;
-    const rough = (high - low) / 4;
-    const power = 10 ** Math.floor(Math.log10(rough));
-    const step = power * [1, 2, 5, 10].find((times) => times * power >= rough);
-    const begin = Math.ceil(low / step);
-    return Array.from({ length: Math.floor(high / step) - begin + 1 }, (_, i) => (begin + i) * step);
   }
 
   /** Keep a scale to what is asked; what is not comes from the data, or from where the reader looks. */
@@ -215,13 +184,6 @@
         value.textContent = values.some((one) => one === null || one === undefined) ? "" : [...new Set(values.map(short))].join(" to ");
       }
     };
-  }
-
-  /** Write a number in five digits; very large and very small ones with a power of ten. */
-  function short(value) {
-    const far = value !== 0 && (Math.abs(value) >= 1e12 || Math.abs(value) < 1e-3);
-    if (far) return value.toExponential(4).replace(/\.?0*e\+?/, "e");
-    return String(Number(value.toPrecision(Math.abs(value) >= 1e4 ? 12 : 5))); // what is large may differ by little
   }
 
   /** Unpack what is shown in print. */
