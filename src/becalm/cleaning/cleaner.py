@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import deque
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -51,7 +52,7 @@ class Cleaner:
         ]
         self._ready = [_Rows() for _ in self._channels]
         self._sizes: deque[int] = deque()  # of pushes that were not answered yet
-        self._pool = ThreadPoolExecutor()
+        self._pool = ThreadPoolExecutor(os.cpu_count())  # more would wait for each other at every small step
 
     def push(self, columns: Sequence[Floats], elapsed: Floats) -> list[list[Told]]:
         """Take the next rows of all channels.
