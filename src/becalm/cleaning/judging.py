@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -67,6 +67,8 @@ class Judgement:
         Share of the record whose innovations are half or twice as large as expected, or worse.
     nis_mean : float or None
         Mean squared normalised innovation; 1 is right.
+    lagged : LaggedSums or None
+        Of the normalised innovations: what whiteness was judged by.
     says : str
         The judgement as a sentence, with what to do.
     """
@@ -79,6 +81,7 @@ class Judgement:
     loudest_hz: float | None = None
     uneven_share: float | None = None
     nis_mean: float | None = None
+    lagged: LaggedSums | None = field(default=None, repr=False, compare=False)
     says: str = ""
 
     @property
@@ -172,6 +175,7 @@ class InnovationJudge:
             loudest_hz=loudest_hz,
             uneven_share=uneven,
             nis_mean=nis,
+            lagged=sums.lagged,
             says=_sentence(faults, fault if narrow else "", loudest_hz) + _reserve(found, excess, bool(fault)),
         )
 

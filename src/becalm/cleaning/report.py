@@ -99,7 +99,8 @@ class ChannelReport(Judgement):
 
     def as_dict(self) -> dict[str, object]:
         """Return the report for JSON; what is unknown is None."""
-        return {key: _finite(value) for key, value in asdict(self).items()} | {"describes": self.describes}
+        told = {key: _finite(value) for key, value in asdict(self).items() if key != "lagged"}
+        return told | {"describes": self.describes}
 
 
 def _finite(value: object) -> object:

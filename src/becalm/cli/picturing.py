@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, cast, get_args
 
@@ -87,6 +88,8 @@ class Picturing:
         from becalm.report.printing import load_meanwhile
 
         load_meanwhile()
+        if self._page is not None:
+            self._sha256 = ThreadPoolExecutor(1).submit(source.sha256)
         return Gathering(source.rows, source.clock.step_s, channels)
 
     def draw(
@@ -112,7 +115,7 @@ class Picturing:
         pictures = Pictures(recipe, reports, gathering, source.clock.step_s)
         drawn = {}
         if self._page is not None:
-            facts = Facts(shown_name(source.path), source.rows, source.clock.step_s, source.sha256())
+            facts = Facts(shown_name(source.path), source.rows, source.clock.step_s, self._sha256.result())
             write_text(self._page, page_of(facts, recipe, pictures))
             drawn["report"] = str(self._page)
             typer.echo(f"Wrote {self._page}.", err=True)

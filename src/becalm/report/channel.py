@@ -70,7 +70,7 @@ class Pictures:
             spectrum_figure(title, gathered),
             front_figure(title, behaviour, self._front, recipe.mode),
             step_figure(title, behaviour, recipe, self._step_s),
-            *innovation_figures(title, self._gathering.nis_times, gathered, 1 / self._step_s),
+            *innovation_figures(title, self._gathering.nis_times, report.lagged, gathered.nis, 1 / self._step_s),
         )
         return Pictured(
             report,

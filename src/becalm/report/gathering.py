@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +11,6 @@ from becalm.core.arrays import Floats
 from becalm.core.told import Told
 from becalm.core.verdict import Verdict
 from becalm.metrics.running import PIECE
-from becalm.metrics.whiteness import RunningWhiteness, Whiteness
 from becalm.report.closeup import Closeup, Farthest, Middle
 from becalm.report.envelope import Cut, Envelope, Kinds, Means, Stretches
 from becalm.report.spectra import RunningSpectrum
@@ -20,7 +18,6 @@ from becalm.report.spectra import RunningSpectrum
 _STRETCHES = 18_000  # of all channels together
 _FEWEST, _MOST = 300, 3000  # of one
 _NIS_STRETCHES = 200
-_LAGS, _READINGS_A_LAG = 32, 8  # of an autocorrelation: fewer of few readings
 
 WIDTH = 2.0
 """How many sigma a band is wide, to each side."""
@@ -85,14 +82,8 @@ class Gathering:
         for part, cut in cuts:
             self.times.add(*cut, times[part], times[part])
         self.nis_times.add(*self._nis_stretches.next(len(steps)), times, times)
-        with ThreadPoolExecutor() as pool:
-            done = pool.map(
-                lambda channel, z, of: channel.add(Rows(times, _possible(z, of), of), cuts),
-                self.channels,
-                columns,
-                told,
-            )
-            list(done)  # raises what went wrong
+        for channel, z, of in zip(self.channels, columns, told, strict=True):
+            channel.add(Rows(times, _possible(z, of), of), cuts)
 
 
 class ChannelGathering:
@@ -128,7 +119,6 @@ class ChannelGathering:
         self.closeups: tuple[Closeup, ...] = (Middle(rows), Farthest())
         self._nis_stretches = Stretches(rows, _NIS_STRETCHES)
         self.nis = Means(self._nis_stretches.count)
-        self._whiteness = RunningWhiteness()
 
     def add(self, rows: Rows, cuts: Sequence[tuple[slice, Cut]]) -> None:
         """Take the next rows, and which parts of them are cut into stretches how."""
@@ -151,19 +141,7 @@ class ChannelGathering:
         """Take the next innovations (B,) and their standard deviations, NaN where there is none."""
         for part in _parts(len(innovations)):
             normalised = innovations[part] / innovation_sigma[part]
-            self._whiteness.add(normalised)
             self.nis.add(*self._nis_stretches.next(len(normalised)), normalised**2)
-
-    def whiteness(self) -> Whiteness:
-        """Judge all innovations so far."""
-        return self._whiteness.result()
-
-    def correlations(self) -> tuple[Floats, int]:
-        """Return the autocorrelation of the innovations at lags 1 to 32, or fewer of few, and how many there were."""
-        sums = self._whiteness.sums()
-        lags = min(_LAGS, sums.seen // _READINGS_A_LAG)
-        covariance = sums.about_mean(lags) if lags else np.zeros(1)
-        return (covariance[1:] / covariance[0] if covariance[0] > 0 else np.zeros(0)), sums.seen
 
 
 def _parts(rows: int) -> list[slice]:

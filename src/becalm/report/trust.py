@@ -6,17 +6,20 @@ import numpy as np
 from scipy.special import chdtri
 
 from becalm.core.arrays import Floats
-from becalm.metrics.whiteness import smoothed_power
+from becalm.metrics.lagged import MOST_LAGS, LaggedSums
+from becalm.metrics.whiteness import judge_whiteness, smoothed_power
 from becalm.report.description import Axis, Curve, Figure, Layer, Rule
-from becalm.report.envelope import Envelope
-from becalm.report.gathering import ChannelGathering
+from becalm.report.envelope import Envelope, Means
 from becalm.report.pictures import TIME, Title, parted
 
 _WITHIN = 1.96  # standard deviations, and
 _SHARE = 0.025  # of chance outside on each side: limits that hold 95 % of what is right
+_READINGS_A_LAG = 8  # of an autocorrelation: fewer lags of few readings
 
 
-def innovation_figures(title: Title, times: Envelope, gathered: ChannelGathering, rate_hz: float) -> tuple[Figure, ...]:
+def innovation_figures(
+    title: Title, times: Envelope, sums: LaggedSums | None, nis: Means, rate_hz: float
+) -> tuple[Figure, ...]:
     """Draw how innovations hang together, at which frequency, and how large they are over time.
 
     Parameters
@@ -25,8 +28,10 @@ def innovation_figures(title: Title, times: Envelope, gathered: ChannelGathering
         Which channel.
     times : Envelope
         Of the stretches whose innovations are told together, in seconds.
-    gathered : ChannelGathering
-        What went by.
+    sums : LaggedSums or None
+        Of all normalised innovations; None of too few.
+    nis : Means
+        Of their squares.
     rate_hz : float
         Samples a second.
 
@@ -35,14 +40,20 @@ def innovation_figures(title: Title, times: Envelope, gathered: ChannelGathering
     tuple of Figure
         None of too few innovations.
     """
-    correlations, count = gathered.correlations()
-    if not len(correlations):
+    correlations = np.zeros(0) if sums is None else _correlations(sums)
+    if sums is None or not len(correlations):
         return ()
     return (
-        _correlation(title, correlations, count),
-        _spectrum(title, gathered, correlations, rate_hz),
-        _nis(title, times, gathered),
+        _correlation(title, correlations, sums.seen),
+        _spectrum(title, sums, correlations, rate_hz),
+        _nis(title, times, nis),
     )
+
+
+def _correlations(sums: LaggedSums) -> Floats:
+    """Return the autocorrelation of the innovations at lags 1 to 32, or fewer of few."""
+    covariance = sums.about_mean(min(MOST_LAGS, sums.seen // _READINGS_A_LAG))
+    return covariance[1:] / covariance[0] if covariance[0] > 0 else np.zeros(0)
 
 
 def _level(name: str, x: Floats, height: float) -> Curve:
@@ -63,8 +74,8 @@ def _correlation(title: Title, correlations: Floats, count: int) -> Figure:
     return Figure(f"{title.slug}-whiteness", "Innovations: whiteness", Axis("lag (rows)"), axis, layers, said)
 
 
-def _spectrum(title: Title, gathered: ChannelGathering, correlations: Floats, rate_hz: float) -> Figure:
-    found = gathered.whiteness()
+def _spectrum(title: Title, sums: LaggedSums, correlations: Floats, rate_hz: float) -> Figure:
+    found = judge_whiteness(sums)
     cycles = np.linspace(0.0, 0.5, 251)
     layers: tuple[Layer, ...] = (
         Curve("innovations", cycles * rate_hz, smoothed_power(np.append(1.0, correlations), cycles), "clean"),
@@ -78,8 +89,8 @@ def _spectrum(title: Title, gathered: ChannelGathering, correlations: Floats, ra
     return Figure(f"{title.slug}-colour", "Innovations: spectrum", Axis("frequency (Hz)"), axis, layers, said)
 
 
-def _nis(title: Title, times: Envelope, gathered: ChannelGathering) -> Figure:
-    seen, mean = gathered.nis.seen, gathered.nis.result()
+def _nis(title: Title, times: Envelope, nis: Means) -> Figure:
+    seen, mean = nis.seen, nis.result()
     known = np.maximum(seen, 1)
     upper, lower = (np.where(seen > 0, chdtri(known, share) / known, np.nan) for share in (_SHARE, 1 - _SHARE))
     x, mean, upper, lower = parted(times.low, mean, upper, lower)
