@@ -208,3 +208,9 @@ def test_any_name_is_printed(name: str, kind: Kind) -> None:
     """A name may hold what mathematics is set with, and letters that the font lacks."""
     curve = Curve(name, X, X)
     assert printed([Figure("any", name, Axis(name), Axis(name), (curve, curve._replace(name="other")))], kind)
+
+
+def test_heights_that_begin_at_zero_end_above_what_is_drawn() -> None:
+    level = Curve("innovations", X, np.ones(len(X)), "clean")
+    free, fixed = (drawn(figure(level, y=Axis("power", low=0.0, high=high))) for high in (None, 1.05))
+    assert paths(free, COLOURS["clean"]) == paths(fixed, COLOURS["clean"])

@@ -15,6 +15,8 @@ import pyarrow as pa
 from becalm.errors import OutputError
 from becalm.files.waiting import in_waiting
 
+_LONGEST_SHOWN = 60  # letters of a name
+
 
 def replace_file(path: Path, fill: Callable[[IO[bytes]], None]) -> None:
     """Write a file under a temporary name in the same folder, and rename it when it is safely on disk.
@@ -101,6 +103,7 @@ def _sync_folder(folder: Path) -> None:
 
 def _why_not(path: Path, cause: OSError) -> str:
     folder = path.parent
+    name = path.name if len(path.name) <= _LONGEST_SHOWN else f"{path.name[:_LONGEST_SHOWN]}..."
     sentences = {
         errno.ENOSPC: f"The disk of {folder} is full; make room or write elsewhere.",
         errno.EDQUOT: f"Your quota on the disk of {folder} is used up; make room or write elsewhere.",
@@ -110,7 +113,7 @@ def _why_not(path: Path, cause: OSError) -> str:
         errno.ENOENT: f"The folder {folder} does not exist; make it first (`mkdir -p {folder}`).",
         errno.ENOTDIR: f"{folder} is a file, not a folder; choose another path with -o.",
         errno.EISDIR: f"{path} is a directory; give the path of a file in it.",
-        errno.ENAMETOOLONG: f"The name {path.name[:40]}... is too long; choose a shorter one.",
+        errno.ENAMETOOLONG: f"The name {name} is too long; choose a shorter one.",
     }
     text = sentences.get(cause.errno or 0, f"{path} cannot be written: {cause.strerror or cause}.")
-    return f"{text} Nothing was written."
+    return f"{text} {name} was not written."

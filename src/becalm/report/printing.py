@@ -40,6 +40,7 @@ _SCALE = 0.55  # inches beside those of a surface
 _ENTRY, _MARK, _LETTER = 0.16, 0.42, 0.062  # inches of a legend: how high an entry is, and how wide, with its letters
 _NARROW = 100.0  # of a logarithmic axis, highest over lowest, that shows more than powers of ten
 _EDGE = 0.15  # of the axes' width
+_ABOVE = 1.05  # of the height of what is drawn
 _STRETCHES = 400  # of a band: more no print shows
 _TAG = re.compile(rb"<[^<>]*>")
 _TOO_FINE = re.compile(rb"(\d\.\d\d)\d+")  # less than a hundredth of a point
@@ -197,6 +198,7 @@ def _tell(axes: Axes, figure: Figure, below: float, beside: int) -> None:
     x_log, y_log = (figure.x.log, figure.y.log) & np.isfinite(axes.dataLim.minpos)  # where anything is positive
     axes.set(xscale="log" if x_log else "linear", yscale="log" if y_log else "linear")
     axes.set(xlim=(figure.x.low, figure.x.high), ylim=(figure.y.low, figure.y.high))
+    _leave_room_above(axes, figure.y.low, figure.y.high)
     for axis in (axes.xaxis, axes.yaxis):
         if axis.get_scale() == "log":
             _number(axis)
@@ -211,6 +213,13 @@ def _tell(axes: Axes, figure: Figure, below: float, beside: int) -> None:
             _label(axes, layer)
     if beside:
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, below), borderaxespad=0, borderpad=0, ncols=beside)
+
+
+def _leave_room_above(axes: Axes, low: float | None, high: float | None) -> None:
+    """Let heights that begin where it was asked end above what is drawn, not upon it."""
+    highest = axes.dataLim.y1
+    if low is not None and high is None and np.isfinite(highest) and highest > low:
+        axes.set_ylim(top=low + _ABOVE * (highest - low))
 
 
 def _number(axis: Axis) -> None:
