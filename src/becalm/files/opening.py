@@ -18,7 +18,9 @@ from becalm.core.clock import FASTEST_HZ, SLOWEST_HZ, Clock
 from becalm.core.recording import Recording
 from becalm.core.timebase import Timebase
 from becalm.errors import InputError, TimeError, UsageError
-from becalm.files.registry import read_raw
+from becalm.files.blank_rows import without_blank_end
+from becalm.files.choosing import chosen_table
+from becalm.files.registry import read_tables
 from becalm.files.roles import choose_channels, missing_in, unit_of, values_of
 from becalm.files.rows import HeldRows, block_rows, rebatched
 from becalm.files.source import Layout, RawTable, ReadOptions, TimeLayout, layout_of
@@ -100,15 +102,15 @@ class OpenSource:
     def _understand(self, raw: RawTable, options: ReadOptions) -> None:
         if raw.count == 0:
             raise InputError("It has columns but no rows; two or more rows are needed.")
-        found = find_time(raw)
-        if (count := _without_blank_end(raw, found)) < raw.count:
-            self._raw = raw = replace(raw, count=count)
-            found = find_time(raw)
-        candidates = [column for columns in found for column in columns] + spoilt_times(raw)
-        if options.rate_hz is None:
-            self._stamps, self._time = read_time(raw, choose_time(raw, found, options.time))
-        elif options.time is not None:
-            candidates.append(named_column(raw, options.time, TIME_OPTION))
+        rate_hz = options.rate_hz
+        if raw.time is not None and rate_hz is None and options.time is None:
+            candidates, rate_hz = [raw.time.column], raw.time.rate_hz
+            self._time = TimeLayout((), "rate in the file", "", raw.time.start)
+            if rate_hz is None:
+                self._stamps, told = read_time(raw, (raw.time.column,))
+                self._time = replace(told, start=raw.time.start)
+        else:
+            raw, candidates = self._sought_time(raw, options)
         chosen = choose_channels(raw, self._time.columns, candidates, options.channels, options.asker)
         self.names, self.columns = chosen
         self.units = tuple(unit_of(raw, name) for name in self.names)
@@ -117,11 +119,24 @@ class OpenSource:
         self.clock = (
             Clock.from_stamps(self.rows, self._stamps.blocks)
             if self._stamps is not None
-            else Clock.counted(self.rows, options.rate_hz or 1.0)
+            else Clock.counted(self.rows, rate_hz or 1.0)
         )
         if self._stamps is not None and self.clock.even:  # then rows can be counted
             self._stamps.close()
             self._stamps = None
+
+    def _sought_time(self, raw: RawTable, options: ReadOptions) -> tuple[RawTable, list[str]]:
+        """Find the time among the columns; return the table without blank rows at its end, and what could be time."""
+        found = find_time(raw)
+        if (count := without_blank_end(raw, found)) < raw.count:
+            self._raw = raw = replace(raw, count=count)
+            found = find_time(raw)
+        candidates = [column for columns in found for column in columns] + spoilt_times(raw)
+        if options.rate_hz is None:
+            self._stamps, self._time = read_time(raw, choose_time(raw, found, options.time))
+        elif options.time is not None:
+            candidates.append(named_column(raw, options.time, TIME_OPTION))
+        return raw, candidates
 
     @cached_property
     def layout(self) -> Layout:
@@ -240,7 +255,7 @@ class OpenSource:
 
 
 def open_source(path: str | os.PathLike[str], options: ReadOptions | None = None) -> OpenSource:
-    """Understand a CSV, CSV.GZ or Parquet file without holding it in memory.
+    """Understand a file of any known format without holding it in memory.
 
     Parameters
     ----------
@@ -259,7 +274,16 @@ def open_source(path: str | os.PathLike[str], options: ReadOptions | None = None
     file, options = Path(path), options or ReadOptions()
     if options.rate_hz is not None and not SLOWEST_HZ <= options.rate_hz <= FASTEST_HZ:
         raise UsageError(f"--rate {options.rate_hz:g} is not a rate; give hertz, {SLOWEST_HZ:g} to {FASTEST_HZ:g}.")
-    raw = read_raw(file)
+    tables = read_tables(file)
+    try:
+        raw = chosen_table(file, tables, options)
+    except BaseException:
+        for table in tables:
+            table.rows.close()
+        raise
+    for table in tables:
+        if table is not raw:
+            table.rows.close()
     try:
         return OpenSource(file, raw, options)
     except InputError as cause:
@@ -267,25 +291,3 @@ def open_source(path: str | os.PathLike[str], options: ReadOptions | None = None
             raise
         kind = TimeError if isinstance(cause, TimeError) else InputError
         raise kind(f"{file}: {cause}") from cause
-
-
-def _without_blank_end(raw: RawTable, found: list[tuple[str, ...]]) -> int:
-    """Leave out rows of nothing but separators at the end of a text file, if it has a time to tell them by."""
-    rows = raw.count
-    if raw.format != "csv" or not found:
-        return rows
-    length = 256
-    while rows > 1:
-        start = max(0, rows - length)
-        table = pa.concat_tables(list(raw.blocks(raw.names, start, most_rows=length)))
-        last = table.num_rows - (raw.count - rows)
-        while last > 0 and rows > 1 and _is_blank(table, last - 1):
-            last -= 1
-            rows -= 1
-        if last > 0:
-            return rows
-    return rows
-
-
-def _is_blank(table: pa.Table, row: int) -> bool:
-    return all(column[row].as_py() in (None, "") for column in table.columns)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
+from typing import NamedTuple
 
-from becalm.errors import OutputError
+from becalm.errors import InputError, OutputError
 from becalm.files.csv_reader import read_csv
 from becalm.files.csv_spool import spool_csv
 from becalm.files.identity import Original
@@ -26,9 +29,30 @@ ENDINGS: dict[str, str] = {
 }
 """What the ending of an output's name asks for."""
 
+_HEAD = 512  # bytes that tell a format
 
-def read_raw(path: Path) -> RawTable:
-    """Look into a file of any known format; its content decides, whatever it is called.
+
+class Foreigner(NamedTuple):
+    """A format that another library reads.
+
+    Attributes
+    ----------
+    module : str
+        In this room; its `read` takes the path and gives a table for each time base.
+    is_it : callable
+        Whether the first bytes of a file are of this format.
+    """
+
+    module: str
+    is_it: Callable[[bytes], bool]
+
+
+FOREIGNERS: tuple[Foreigner, ...] = ()
+"""In the order in which they are tried."""
+
+
+def read_tables(path: Path) -> tuple[RawTable, ...]:
+    """Look into a file of any known format: a table for each time base in it; its content decides, whatever its name.
 
     Raises
     ------
@@ -39,19 +63,28 @@ def read_raw(path: Path) -> RawTable:
         once = not path.is_file()  # a pipe; or nothing
     if once:
         data = read_bytes(path)
-        return read_parquet(path, data) if data.startswith(PARQUET) else read_csv(path, data)
+        if _foreigner(data):
+            raise InputError(f"{path} is a pipe, of which only CSV and Parquet are read; save it as a file first.")
+        return (read_parquet(path, data) if data.startswith(PARQUET) else read_csv(path, data),)
     original = Original(path)
     try:
-        return replace(_read_again_and_again(path, original), original=original)
+        return tuple(replace(table, original=original) for table in _read_again_and_again(path, original))
     finally:
         original.refuse_changed()
 
 
-def _read_again_and_again(path: Path, original: Original) -> RawTable:
-    head = read_bytes(path, len(PARQUET))
+def _read_again_and_again(path: Path, original: Original) -> tuple[RawTable, ...]:
+    head = read_bytes(path, _HEAD)
     if head.startswith(PARQUET):
-        return read_parquet(path, original)
-    return spool_csv(path) if is_large(path, head) else read_csv(path, read_bytes(path))
+        return (read_parquet(path, original),)
+    if found := _foreigner(head):
+        read: Callable[[Path], tuple[RawTable, ...]] = import_module(f"becalm.files.{found.module}").read
+        return read(path)
+    return (spool_csv(path) if is_large(path, head) else read_csv(path, read_bytes(path)),)
+
+
+def _foreigner(head: bytes) -> Foreigner | None:
+    return next((one for one in FOREIGNERS if one.is_it(head)), None)
 
 
 def format_to_write(path: Path) -> str:

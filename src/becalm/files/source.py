@@ -52,12 +52,15 @@ class ReadOptions:
         Columns to read, as in the header or without their units; all that look like signals by default.
     asker : Asker
         Who names the channels.
+    group : str, optional
+        Of a file with several time bases, which of them.
     """
 
     time: str | None = None
     rate_hz: float | None = None
     channels: tuple[str, ...] | None = None
     asker: Asker = COMMAND_LINE
+    group: str | None = None
 
 
 @dataclass(frozen=True)
@@ -91,6 +94,24 @@ class TextLayout:
     first_line: int
 
 
+class ToldTime(NamedTuple):
+    """The time of rows, where the format itself tells it.
+
+    Attributes
+    ----------
+    column : str
+        The column that holds it, in seconds; "" where rows are even and none does.
+    rate_hz : float or None
+        Of even rows.
+    start : str
+        The first instant as ISO 8601 text; "" where the file does not tell.
+    """
+
+    column: str = ""
+    rate_hz: float | None = None
+    start: str = ""
+
+
 @dataclass(frozen=True)
 class RawTable:
     """Columns as they are in the file, before anyone asked what they mean.
@@ -102,13 +123,19 @@ class RawTable:
     count : int
         How many of the rows count: blank ones at the end of a text file do not.
     format : str
-        "csv" or "parquet".
+        "csv", "parquet", "mf4" and so on.
     units : dict of str to str
         Units that the file gives apart from the names (a row of units, field metadata).
     text : TextLayout, optional
         How the text was written, for text files.
     original : Original, optional
         The file as it was when reading began, if it can be read again.
+    group : str
+        What the file calls these columns, which share one time; "" where all of them do.
+    time : ToldTime, optional
+        Where the format itself tells which time it is.
+    notes : tuple of str
+        What a person must know, as sentences: that the file is incomplete, or was mended.
     """
 
     rows: Rows
@@ -117,6 +144,9 @@ class RawTable:
     units: dict[str, str] = field(default_factory=dict)
     text: TextLayout | None = None
     original: Original | None = None
+    group: str = ""
+    time: ToldTime | None = None
+    notes: tuple[str, ...] = ()
 
     @property
     def names(self) -> list[str]:

@@ -1,0 +1,84 @@
+"""A format that its field's own library reads: the library when it is needed, and its failures in sentences."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+from warnings import catch_warnings, simplefilter
+
+from becalm.errors import BecalmError, InputError
+
+_SQUEEZED = 200  # as often as its own size no recording unpacks, for noise does not pack
+_SMALL = 256 << 20  # bytes that may be claimed whatever the size
+
+
+class Foreign:
+    """A file of a format that another library reads.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    name : str
+        The format as people call it, "MF4".
+    """
+
+    def __init__(self, path: Path, name: str) -> None:
+        self.path, self.name = path, name
+
+    def library(self, module: str) -> ModuleType:
+        """Load a library.
+
+        Raises
+        ------
+        InputError
+            If it is not installed.
+        """
+        try:
+            return import_module(module)
+        except ModuleNotFoundError as cause:
+            raise InputError(
+                f"{self.path} is {self.name}, which is read by {module.partition('.')[0]}; that is not here."
+                " Type: pip install 'becalm[formats]'"
+            ) from cause
+
+    @contextmanager
+    def damage_told(self) -> Iterator[None]:
+        """Say in a sentence that the file is damaged, whatever a library raises of it; its warnings are not passed on.
+
+        Raises
+        ------
+        InputError
+            If anything but an error of becalm's own is raised.
+        """
+        try:
+            with catch_warnings():
+                simplefilter("ignore")
+                yield
+        except (BecalmError, MemoryError):
+            raise
+        except Exception as cause:  # a library's of a damaged file: of any kind
+            raise self.damaged(cause) from cause
+
+    def damaged(self, cause: object) -> InputError:
+        """Return the error that says so."""
+        reason = " ".join(str(cause).split())[:200] or type(cause).__name__
+        return InputError(f"{self.path} is a damaged {self.name} file ({reason}); copy or download it again.")
+
+    def refuse_claim(self, wanted_bytes: int) -> None:
+        """Refuse to unpack what no recording of this size holds.
+
+        Raises
+        ------
+        InputError
+            If the file claims to hold so much more than its size.
+        """
+        size = self.path.stat().st_size
+        if wanted_bytes > max(_SMALL, _SQUEEZED * size):
+            raise InputError(
+                f"{self.path} claims to hold {wanted_bytes:,} bytes in a file of {size:,}; it is damaged, or made"
+                " to fill the memory, and is not read."
+            )
