@@ -1,6 +1,6 @@
 """A verdict for every channel of every real recording, smoothed and causal, with nothing said.
 
-Run: python docs/real_channels.py [-o docs/real-channels.md] [FILE ...]   (needs `pip install 'becalm[docs]'`)
+Run: python docs/real_channels.py [-o docs/real-channels.md] [FILE ...]   (needs `pip install 'becalm[formats]'`)
 The recordings lie in ../shared/data; with names, only files whose path holds one of them are taken.
 """
 

@@ -1,6 +1,6 @@
 """The real recordings as channels: each file by its field's own library, each rate a part of its own.
 
-Needs `pip install 'becalm[docs]'`. Nothing is resampled and nothing is left out: constant channels, counters,
+Needs `pip install 'becalm[formats]'`. Nothing is resampled and nothing is left out: constant channels, counters,
 flags and clocks that a logger wrote are parts of what it wrote.
 """
 
