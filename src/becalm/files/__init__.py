@@ -1,6 +1,7 @@
 """Files: recordings in, recordings out; CSV, CSV.GZ and Parquet, found by content and by ending."""
 
-from becalm.files.opening import Chunk, OpenSource, open_source
+from becalm.files.chunk import Chunk
+from becalm.files.opening import OpenSource, open_source
 from becalm.files.reading import read, read_source
 from becalm.files.source import ColumnLayout, Layout, ReadOptions, SourceFile
 from becalm.files.tables import CleanChannel, output_block, output_table, recording_table

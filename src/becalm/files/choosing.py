@@ -28,16 +28,16 @@ def chosen_table(path: Path, tables: Sequence[RawTable], options: ReadOptions) -
     if len(tables) == 1:
         return tables[0]
     if options.channels is None:
-        raise InputError(f"{path} holds {_listed(tables)}. Choose one with --group NAME, or its channels by name.")
-    holding = [table for table in tables if any(_holds(table, name) for name in options.channels)]
+        raise InputError(f"{path} holds {listed(tables)}. Choose one with --group NAME, or its channels by name.")
+    holding = [table for table in tables if any(holds(table, name) for name in options.channels)]
     if not holding:
         raise UsageError(
             f"{options.asker.name} names {options.channels[0]!r}, which is not in {path}; it holds"
-            f" {_listed(tables)}.{options.asker.way_out}"
+            f" {listed(tables)}.{options.asker.way_out}"
         )
     if len(holding) > 1:
         raise UsageError(
-            f"The channels asked for have times of their own: {path} holds {_listed(holding)}."
+            f"The channels asked for have times of their own: {path} holds {listed(holding)}."
             " Ask for channels of one of them, or choose it with --group NAME."
         )
     return holding[0]
@@ -49,14 +49,16 @@ def _named(path: Path, tables: Sequence[RawTable], group: str) -> RawTable:
             return table
     if len(tables) == 1:
         raise UsageError(f"--group names {group!r}, but all channels of {path} share one time; leave --group out.")
-    raise UsageError(f"--group names {group!r}, which is not in {path}; it holds {_listed(tables)}.")
+    raise UsageError(f"--group names {group!r}, which is not in {path}; it holds {listed(tables)}.")
 
 
-def _holds(table: RawTable, name: str) -> bool:
+def holds(table: RawTable, name: str) -> bool:
+    """Whether a table has a column of that name, with or without its unit."""
     return name in table.names or any(parse_header(own)[0] == name.strip() for own in table.names)
 
 
-def _listed(tables: Sequence[RawTable]) -> str:
+def listed(tables: Sequence[RawTable]) -> str:
+    """Say which channels there are at which times."""
     told = [f"{table.group!r} ({table.count} rows of {_channels(table)})" for table in tables[:_MOST_NAMED]]
     more = f" and {len(tables) - _MOST_NAMED} more" if len(tables) > _MOST_NAMED else ""
     return f"channels at {len(tables)} times: {', '.join(told)}{more}"

@@ -6,6 +6,9 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
+import numpy as np
+import pyarrow as pa
+
 from becalm.errors import InputError
 from becalm.files.columns import Column, ColumnRows
 from becalm.files.csv_header import unique_names
@@ -72,11 +75,24 @@ def tables(
     held = _Held(len(kept), close)
     made = []
     for group, title in zip(kept, titles, strict=True):
-        columns = {f"{title}/{name}" if met[name] > 1 else name: column for name, column in group.columns.items()}
+        columns = {f"{title}/{name}" if met[name] > 1 else name: column for name, column in _timed(group).items()}
         units = {name: column.unit for name, column in columns.items() if column.unit}
         held_rows = ColumnRows(columns, group.rows, foreign, held.one_less())
-        made.append(RawTable(held_rows, group.rows, form, units, group=title, time=group.time, notes=group.notes))
+        made.append(RawTable(held_rows, group.rows, form, units, group=title, time=_time(group), notes=group.notes))
     return tuple(made)
+
+
+def _timed(group: Group) -> Mapping[str, Column]:
+    """Return the columns of a group; even time becomes one of them, so that what is written of it tells the time."""
+    if group.time is None or group.time.rate_hz is None:
+        return group.columns
+    step_s = 1 / group.time.rate_hz
+    even = Column(pa.float64(), lambda start, stop: np.arange(start, stop) * step_s, "s")
+    return {TIME: even, **group.columns}
+
+
+def _time(group: Group) -> ToldTime | None:
+    return None if group.time is None else group.time._replace(column=TIME)
 
 
 class _Held:

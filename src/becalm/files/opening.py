@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
@@ -20,6 +20,7 @@ from becalm.core.timebase import Timebase
 from becalm.errors import InputError, TimeError, UsageError
 from becalm.files.blank_rows import without_blank_end
 from becalm.files.choosing import chosen_table
+from becalm.files.chunk import Chunk
 from becalm.files.registry import read_tables
 from becalm.files.roles import choose_channels, missing_in, unit_of, values_of
 from becalm.files.rows import HeldRows, block_rows, rebatched
@@ -29,45 +30,6 @@ from becalm.files.times import Stamps, read_time
 
 STRETCHES = 8
 """A sample of a long recording is made of so many parts."""
-
-
-@dataclass(frozen=True)
-class Chunk:
-    """Some consecutive rows of a file.
-
-    Attributes
-    ----------
-    first_row : int
-        The row of the file that comes first, counted from 0.
-    table : pyarrow.Table
-        All columns in the order of the file, as they are to be passed through.
-    elapsed_steps : (n,) float array
-        Time since the row before, in steps of the clock; 0 for the first of the file.
-    names : tuple of str
-        The channels.
-    """
-
-    first_row: int
-    table: pa.Table
-    elapsed_steps: Floats
-    names: tuple[str, ...]
-    decimal: str = "."
-
-    def __len__(self) -> int:
-        """Return the number of rows."""
-        return int(self.table.num_rows)
-
-    def channel(self, number: int) -> Floats:
-        """Return one channel, (n,), NaN where a cell is missing; read-only where it is the file's own memory."""
-        return values_of(self.table.column(self.names[number]), self.decimal)
-
-    @property
-    def samples(self) -> Floats:
-        """All channels, (n, m)."""
-        out = np.empty((len(self), len(self.names)))
-        for number in range(len(self.names)):
-            out[:, number] = self.channel(number)
-        return out
 
 
 class OpenSource:
@@ -104,8 +66,9 @@ class OpenSource:
             raise InputError("It has columns but no rows; two or more rows are needed.")
         rate_hz = options.rate_hz
         if raw.time is not None and rate_hz is None and options.time is None:
-            candidates, rate_hz = [raw.time.column], raw.time.rate_hz
-            self._time = TimeLayout((), "rate in the file", "", raw.time.start)
+            candidates: list[str] = []
+            rate_hz = raw.time.rate_hz
+            self._time = TimeLayout((raw.time.column,), "rate in the file", "s", raw.time.start)
             if rate_hz is None:
                 self._stamps, told = read_time(raw, (raw.time.column,))
                 self._time = replace(told, start=raw.time.start)
@@ -272,18 +235,25 @@ def open_source(path: str | os.PathLike[str], options: ReadOptions | None = None
         If the options do not fit the file.
     """
     file, options = Path(path), options or ReadOptions()
-    if options.rate_hz is not None and not SLOWEST_HZ <= options.rate_hz <= FASTEST_HZ:
-        raise UsageError(f"--rate {options.rate_hz:g} is not a rate; give hertz, {SLOWEST_HZ:g} to {FASTEST_HZ:g}.")
+    refuse_no_rate(options)
     tables = read_tables(file)
     try:
         raw = chosen_table(file, tables, options)
     except BaseException:
-        for table in tables:
-            table.rows.close()
+        close(tables)
         raise
-    for table in tables:
-        if table is not raw:
-            table.rows.close()
+    close([table for table in tables if table is not raw])
+    return understood(file, raw, options)
+
+
+def understood(file: Path, raw: RawTable, options: ReadOptions) -> OpenSource:
+    """Understand one table of a file.
+
+    Raises
+    ------
+    InputError
+        If it can be read in more than one way, or not at all; it is closed then.
+    """
     try:
         return OpenSource(file, raw, options)
     except InputError as cause:
@@ -291,3 +261,21 @@ def open_source(path: str | os.PathLike[str], options: ReadOptions | None = None
             raise
         kind = TimeError if isinstance(cause, TimeError) else InputError
         raise kind(f"{file}: {cause}") from cause
+
+
+def refuse_no_rate(options: ReadOptions) -> None:
+    """Refuse a rate that was said and is none.
+
+    Raises
+    ------
+    UsageError
+        If it is out of range.
+    """
+    if options.rate_hz is not None and not SLOWEST_HZ <= options.rate_hz <= FASTEST_HZ:
+        raise UsageError(f"--rate {options.rate_hz:g} is not a rate; give hertz, {SLOWEST_HZ:g} to {FASTEST_HZ:g}.")
+
+
+def close(tables: Iterable[RawTable]) -> None:
+    """Close tables that are not needed."""
+    for table in tables:
+        table.rows.close()

@@ -100,9 +100,9 @@ class ToldTime(NamedTuple):
     Attributes
     ----------
     column : str
-        The column that holds it, in seconds; "" where rows are even and none does.
+        The column that holds it, in seconds; "" before it has one.
     rate_hz : float or None
-        Of even rows.
+        Of rows that are even, which counts more than the column.
     start : str
         The first instant as ISO 8601 text; "" where the file does not tell.
     """
