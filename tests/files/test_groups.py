@@ -41,6 +41,12 @@ def test_names_differ_in_all_tables_and_time_is_a_column_of_each() -> None:
     assert slow.units["slow/ax"] == "g"
 
 
+def test_what_is_written_of_a_table_tells_its_group_and_its_start() -> None:
+    fast, slow = log()
+    assert fast.rows.schema.metadata == {b"becalm.group": b"fast", b"becalm.start": b"2026-01-02"}
+    assert next(slow.blocks(["flag"])).schema.metadata == {b"becalm.group": b"slow"}
+
+
 def test_a_told_rate_is_the_rate_and_a_told_column_the_time() -> None:
     fast, slow = (OpenSource(PATH, table, ReadOptions()) for table in log())
     assert (fast.rate_hz, fast.names, fast.units) == (100.0, ("fast/ax", "ay"), ("m/s^2", "m/s^2"))

@@ -48,17 +48,24 @@ class ColumnRows:
         Says what went wrong while they are read.
     close : callable, optional
         Gives back what is held.
+    metadata : mapping of str to str, optional
+        Of the table, which whatever is written of it keeps.
     """
 
     def __init__(
-        self, columns: Mapping[str, Column], count: int, foreign: Foreign, close: Callable[[], None] | None = None
+        self,
+        columns: Mapping[str, Column],
+        count: int,
+        foreign: Foreign,
+        close: Callable[[], None] | None = None,
+        metadata: Mapping[str, str] | None = None,
     ) -> None:
         self._columns, self.count, self._foreign, self._close = dict(columns), count, foreign, close
-        self.schema: pa.Schema = pa.schema([_field(name, column) for name, column in columns.items()])
+        self.schema: pa.Schema = pa.schema([_field(name, column) for name, column in columns.items()], metadata or None)
 
     def blocks(self, names: Sequence[str], most_rows: int, start: int = 0) -> Iterator[pa.Table]:
         """Read the named columns from row `start` on, in blocks of up to `most_rows`."""
-        schema = pa.schema([self.schema.field(name) for name in names])
+        schema = pa.schema([self.schema.field(name) for name in names], self.schema.metadata)
         for first in range(start, self.count, most_rows):
             last = min(first + most_rows, self.count)
             with self._foreign.damage_told():

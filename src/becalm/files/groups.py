@@ -16,7 +16,10 @@ from becalm.files.foreign import Foreign
 from becalm.files.source import RawTable, ToldTime
 
 TIME = "time_s"
-"""What the time of a group is called, where it has a column."""
+"""What the time of a group is called."""
+
+GROUP, START = "becalm.group", "becalm.start"
+"""Keys of a table's metadata: what the file calls it, and its first instant as ISO 8601 text."""
 
 
 class Group(NamedTuple):
@@ -77,7 +80,9 @@ def tables(
     for group, title in zip(kept, titles, strict=True):
         columns = {f"{title}/{name}" if met[name] > 1 else name: column for name, column in _timed(group).items()}
         units = {name: column.unit for name, column in columns.items() if column.unit}
-        held_rows = ColumnRows(columns, group.rows, foreign, held.one_less())
+        start = group.time.start if group.time else ""
+        told = {key: text for key, text in ((GROUP, title), (START, start)) if text}
+        held_rows = ColumnRows(columns, group.rows, foreign, held.one_less(), told)
         made.append(RawTable(held_rows, group.rows, form, units, group=title, time=_time(group), notes=group.notes))
     return tuple(made)
 
