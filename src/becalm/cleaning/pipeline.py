@@ -146,6 +146,17 @@ def in_mode(recipe: Recipe, causal: bool | None = None, lag_s: float | None = No
     return recipe.model_copy(update={"mode": "causal" if causal else "smoothed", "lag_s": None})
 
 
+def joined(recipes: Sequence[Recipe]) -> Recipe:
+    """Return one recipe for the channels of several recordings: of the first, all else.
+
+    Parameters
+    ----------
+    recipes : sequence of Recipe
+        One or more, of different channels.
+    """
+    return recipes[0].model_copy(update={"channel": tuple(channel for recipe in recipes for channel in recipe.channel)})
+
+
 def _narrowed(recipe: Recipe, channels: Sequence[str] | None) -> Recipe:
     if channels is None:
         return recipe

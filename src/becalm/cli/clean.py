@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import typer
 
-from becalm.cleaning.pipeline import fitted, in_mode
+from becalm.cleaning.pipeline import fitted, in_mode, joined
 from becalm.cli.picturing import Picturing
-from becalm.cli.said import is_same, load, open_as, recipe_beside, refuse_overwriting, refuse_taken, tuned
+from becalm.cli.said import is_same, load, open_every, recipe_beside, refuse_overwriting, refuse_taken, tuned
 from becalm.cli.streaming import clean_chunks
-from becalm.cli.talk import progress, tell, tell_columns, tell_not_removed
+from becalm.cli.talk import progress, tell, tell_not_removed
+from becalm.cli.times import pass_through, refuse_times, tell_times
 from becalm.errors import UsageError
 from becalm.files.plain import refuse_unwritable, text_in_waiting
 from becalm.files.registry import format_to_write
@@ -20,6 +21,7 @@ from becalm.files.writing import open_output, refuse_columns
 
 if TYPE_CHECKING:
     from becalm.cleaning.recipe import Recipe
+    from becalm.cleaning.report import ChannelReport
     from becalm.cli.options import Asked
     from becalm.cli.said import Said
     from becalm.files.opening import OpenSource
@@ -61,27 +63,36 @@ def run(file: Path, said: Said, asking: Asking, outputs: Outputs, *, as_json: bo
     refuse_unwritable(output, beside, *picturing.paths)
     given = load(asking.recipe)
     said = said if given is None else said.or_as(given)
-    with open_as(file, said) as source:
-        refuse_columns(output, source.schema)
-        recipe = _decided(source, said, asking, given)
-        refuse_taken(recipe, source.schema.names, split=outputs.split, verdicts=outputs.verdicts)
+    with open_every(file, said) as opened:
+        sources = opened.sources
+        refuse_times(output, opened)
+        picturing.refuse_times(sources)
+        for source in sources:
+            refuse_columns(output, source.schema)
+        recipes = [_decided(source, said, asking, given) for source in sources]
+        recipe = joined(recipes)
+        for source in sources:
+            refuse_taken(recipe, source.schema.names, split=outputs.split, verdicts=outputs.verdicts)
         if asking.recipe is not None and is_same(beside, asking.recipe) and recipe != given:
             raise UsageError(f"{beside} is the recipe itself and would change; name another output with -o.")
-        text, gathering = recipe.to_toml(), picturing.gathering(source, len(recipe.channel))
+        text, gathering = recipe.to_toml(), picturing.gathering(sources[0], len(recipe.channel))
+        reports: tuple[ChannelReport, ...] = ()
         with (
             text_in_waiting(beside, text),
             open_output(output, {"becalm.recipe": text}) as out,
-            progress("cleaning", source.rows) as step,
+            progress("cleaning", sum(source.rows for source in sources)) as step,
         ):
-            reports = clean_chunks(
-                source, recipe, out.write, step, split=outputs.split, verdicts=outputs.verdicts, gathering=gathering
-            )
+            for source, part in zip(sources, recipes, strict=True):
+                reports += clean_chunks(
+                    source, part, out.write, step, split=outputs.split, verdicts=outputs.verdicts, gathering=gathering
+                )
+            pass_through(output, opened, out.write)
         tell(reports, recipe.mode == "causal")
         tell_not_removed(reports, asked.removed_hz)
-        tell_columns(source)
-        rows, rate_hz = source.rows, source.rate_hz
+        tell_times(output, opened)
+        times = [{"group": one.group, "rows": one.rows, "rate_hz": one.rate_hz} for one in sources]
         typer.echo(f"Wrote {output} and {beside}.", err=True)
-        drawn = picturing.draw(source, recipe, reports, gathering)
+        drawn = picturing.draw(sources[0], recipe, reports, gathering)
     describes = all(report.describes for report in reports)
     if as_json:
         summary = {
@@ -89,8 +100,7 @@ def run(file: Path, said: Said, asking: Asking, outputs: Outputs, *, as_json: bo
             "output": str(output),
             "recipe": str(beside),
             **drawn,
-            "rows": rows,
-            "rate_hz": rate_hz,
+            **({"rows": times[0]["rows"], "rate_hz": times[0]["rate_hz"]} if len(times) == 1 else {"times": times}),
             "mode": recipe.mode,
             "describes": describes,
             "channels": [report.as_dict() for report in reports],
@@ -109,5 +119,5 @@ def _decided(source: OpenSource, said: Said, asking: Asking, given: Recipe | Non
     """Return what to do with a file: as the recipe says that was given, or as one says that is found."""
     found = tuned(source, asking.causal, asking.asked, asking.lag_s) if given is None else given
     decided = in_mode(found, asking.causal or None, asking.lag_s)
-    named = source.names if said.channels else None
+    named = source.names if said.channels or source.group else None
     return said.kept_in(fitted(decided, source.names, source.units, channels=named))

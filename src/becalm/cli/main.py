@@ -13,7 +13,7 @@ from typing import Annotated
 import typer
 
 from becalm.cli import options as o
-from becalm.cli.said import Said, load, open_as, refuse_overwriting, tuned
+from becalm.cli.said import Said, load, open_as, open_every, refuse_overwriting, tuned
 from becalm.cli.stopping import stop_cleanly
 from becalm.errors import BecalmError, UsageError
 
@@ -29,22 +29,22 @@ app = typer.Typer(
 
 
 @app.command()
-def inspect(
+def inspect(  # noqa: PLR0913  (the contract's options)
     file: o.Source,
     channels: o.Channels = None,
     rate: o.Rate = None,
     time: o.Time = None,
+    group: o.Group = None,
     as_json: o.Json = False,
 ) -> None:
     """Show how a file is understood: columns, units, time."""
-    from becalm.cli.layouts import show
+    from becalm.cli.layouts import show, summary
 
-    with open_as(file, Said(channels, rate, time)) as source:
-        layout = source.layout
-    if as_json:
-        print(json.dumps({"file": str(file), **layout.as_dict()}, indent=2))  # noqa: T201
-    else:
-        show(file, layout)
+    with open_every(file, Said(channels, rate, time, group=group)) as opened:
+        if as_json:
+            print(json.dumps({"file": str(file), **summary(opened)}, indent=2))  # noqa: T201
+        else:
+            show(file, opened)
 
 
 @app.command()
@@ -55,6 +55,7 @@ def clean(  # noqa: PLR0913  (the contract's options)
     channels: o.Channels = None,
     rate: o.Rate = None,
     time: o.Time = None,
+    group: o.Group = None,
     causal: o.Causal = False,
     lag: o.Lag = None,
     max_lag: o.MaxLag = None,
@@ -74,7 +75,9 @@ def clean(  # noqa: PLR0913  (the contract's options)
 
     asked, lag_s = o.asked_of(o.Dials(max_lag, bandwidth, noise_gain), still, remove, robust), o.lag_of(lag)
     outputs = Outputs(output, split, verdicts, report, figures)
-    if not run(file, Said(channels, rate, time), Asking(recipe, causal, lag_s, asked), outputs, as_json=as_json):
+    if not run(
+        file, Said(channels, rate, time, group=group), Asking(recipe, causal, lag_s, asked), outputs, as_json=as_json
+    ):
         raise typer.Exit(NOT_DESCRIBED)
 
 
@@ -85,6 +88,7 @@ def tune(  # noqa: PLR0913  (the contract's options)
     channels: o.Channels = None,
     rate: o.Rate = None,
     time: o.Time = None,
+    group: o.Group = None,
     causal: o.Causal = False,
     lag: o.Lag = None,
     max_lag: o.MaxLag = None,
@@ -99,14 +103,18 @@ def tune(  # noqa: PLR0913  (the contract's options)
     from dataclasses import asdict
 
     from becalm.cleaning.delays import delays
+    from becalm.cleaning.pipeline import joined
     from becalm.cli.talk import tell_delays
     from becalm.files.plain import refuse_unwritable, write_text
 
     refuse_overwriting(file, output)
     refuse_unwritable(output)
-    said, asked = Said(channels, rate, time), o.asked_of(o.Dials(max_lag, bandwidth, noise_gain), still, remove, robust)
-    with open_as(file, said) as source:
-        found = said.kept_in(tuned(source, causal, asked, o.lag_of(lag)))
+    said, asked = (
+        Said(channels, rate, time, group=group),
+        o.asked_of(o.Dials(max_lag, bandwidth, noise_gain), still, remove, robust),
+    )
+    with open_every(file, said) as opened:
+        found = said.kept_in(joined([tuned(source, causal, asked, o.lag_of(lag)) for source in opened.sources]))
     write_text(output, found.to_toml())
     bought = delays(found)
     tell_delays(bought)
@@ -125,6 +133,7 @@ def compare(  # noqa: PLR0913  (the contract's options)
     channels: o.Looked = None,
     rate: o.Rate = None,
     time: o.Time = None,
+    group: o.Group = None,
     causal: o.Causal = False,
     output: o.ComparedIn = None,
     as_json: o.Json = False,
@@ -133,7 +142,11 @@ def compare(  # noqa: PLR0913  (the contract's options)
     from becalm.cli.compare import Asking, run
 
     given = load(recipe)
-    said = Said(channels, rate, time) if given is None else Said(channels, rate, time).or_as(given)
+    said = (
+        Said(channels, rate, time, group=group)
+        if given is None
+        else Said(channels, rate, time, group=group).or_as(given)
+    )
     with open_as(file, said) as source:
         run(source, said, Asking(truth, causal, output), as_json=as_json)
 
@@ -144,6 +157,7 @@ def noise(  # noqa: PLR0913  (the contract's options)
     channels: o.Looked = None,
     rate: o.Rate = None,
     time: o.Time = None,
+    group: o.Group = None,
     still: o.Rest = None,
     cutoff: o.Cutoff = None,
     as_json: o.Json = False,
@@ -152,7 +166,7 @@ def noise(  # noqa: PLR0913  (the contract's options)
     from becalm.cli.noise import run
 
     spans_s, cutoff_hz = o.still_of(still), None if cutoff is None else o.frequency_of("--cutoff", cutoff)
-    with open_as(file, Said(channels, rate, time)) as source:
+    with open_as(file, Said(channels, rate, time, group=group)) as source:
         run(source, spans_s, cutoff_hz, as_json)
 
 

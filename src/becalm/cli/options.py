@@ -32,6 +32,9 @@ Rate = Annotated[
     float | None, typer.Option("--rate", metavar="HZ", help="Count rows at this rate; replaces the time column.")
 ]
 Time = Annotated[str | None, typer.Option("--time", metavar="COLUMN", help="Name of the time column.")]
+Group = Annotated[
+    str | None, typer.Option("--group", metavar="NAME", help="Of a file with channels at several times, which of them.")
+]
 Causal = Annotated[bool, typer.Option("--causal", help="Let each estimate know only the past, as a live filter does.")]
 MaxLag = Annotated[
     str | None,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, cast, get_args
@@ -79,6 +80,18 @@ class Picturing:
         for read, what in ((file, "input"), (recipe, "recipe")):
             if self._page is not None and read is not None and is_same(self._page, read):
                 raise UsageError(f"{self._page} is the {what} itself; name another page with --report.")
+
+    def refuse_times(self, sources: Sequence[OpenSource]) -> None:
+        """Refuse to draw channels at several times on one page.
+
+        Raises
+        ------
+        UsageError
+            If something is to be drawn, and there are several.
+        """
+        if len(sources) > 1 and (self._page is not None or self._kind is not None):
+            named = ", ".join(repr(source.group) for source in sources[:10])
+            raise UsageError(f"A report is about one time, and the file holds {named}; choose one with --group.")
 
     def gathering(self, source: OpenSource, channels: int) -> Gathering | None:
         """Return what gathers while the file is cleaned, if anything is to be drawn."""

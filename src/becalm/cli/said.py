@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -13,7 +13,9 @@ from becalm.errors import UsageError
 if TYPE_CHECKING:
     from becalm.cleaning.recipe import Recipe
     from becalm.cli.options import Asked
+    from becalm.files.every_time import OpenFile
     from becalm.files.opening import OpenSource
+    from becalm.files.source import ReadOptions
 
 
 class Said(NamedTuple):
@@ -23,11 +25,12 @@ class Said(NamedTuple):
     rate_hz: float | None
     time: str | None
     recipe: Recipe | None = None
+    group: str | None = None
 
     def or_as(self, recipe: Recipe) -> Said:
         """Take the time from a recipe, if nothing was said of it."""
         if self.rate_hz is None and self.time is None:
-            return Said(self.channels, recipe.rate_hz, recipe.time, recipe)
+            return self._replace(rate_hz=recipe.rate_hz, time=recipe.time, recipe=recipe)
         return self._replace(recipe=recipe)
 
     def kept_in(self, recipe: Recipe) -> Recipe:
@@ -46,15 +49,27 @@ class Said(NamedTuple):
 
 
 def open_as(file: Path, said: Said) -> OpenSource:
-    """Open a file as it was said to be."""
+    """Open one time of a file as it was said to be."""
     from becalm.files.opening import open_source
+
+    return open_source(file, _options(file, said))
+
+
+def open_every(file: Path, said: Said) -> AbstractContextManager[OpenFile]:
+    """Open a file as it was said to be, with all its times."""
+    from becalm.files.every_time import open_file
+
+    return open_file(file, _options(file, said))
+
+
+def _options(file: Path, said: Said) -> ReadOptions:
     from becalm.files.source import COMMAND_LINE, Asker, ReadOptions
 
     asker = COMMAND_LINE
     if said.recipe is not None and said.channels is None:
         another = f"make another recipe with: becalm tune {file} -o R.toml"
         asker = Asker("The recipe", f" Choose some of its channels with --channels, or {another}")
-    return open_source(file, ReadOptions(said.time, said.rate_hz, said.names, asker))
+    return ReadOptions(said.time, said.rate_hz, said.names, asker, said.group)
 
 
 def recipe_beside(output: Path) -> Path:

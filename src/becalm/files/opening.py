@@ -109,6 +109,16 @@ class OpenSource:
         return layout_of(self._raw, self._time, self.clock, columns)
 
     @property
+    def group(self) -> str:
+        """What the file calls these channels; "" where all share one time."""
+        return self._raw.group
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a person must know of the file, as sentences."""
+        return self._raw.notes
+
+    @property
     def rate_hz(self) -> float:
         """Samples per second, 1 over the step."""
         return self.clock.rate_hz

@@ -29,6 +29,7 @@ ENDINGS: dict[str, str] = {
 }
 """What the ending of an output's name asks for."""
 
+_SEVERAL_TIMES = frozenset({"hdf5", "mat", "npz"})
 _HEAD = 512  # bytes that tell a format
 
 
@@ -85,6 +86,11 @@ def _read_again_and_again(path: Path, original: Original) -> tuple[RawTable, ...
 
 def _foreigner(head: bytes) -> Foreigner | None:
     return next((one for one in FOREIGNERS if one.is_it(head)), None)
+
+
+def holds_times(form: str) -> bool:
+    """Whether a format holds channels at several times."""
+    return form in _SEVERAL_TIMES
 
 
 def format_to_write(path: Path) -> str:

@@ -226,10 +226,12 @@ class Layout:
     """How a file was understood; what `becalm inspect` shows.
 
     `separator`, `decimal`, `encoding` and `compression` are "" and the rows above the data 0 where
-    the format has no such thing. `gaps` and `repeats` count rows.
+    the format has no such thing. `gaps` and `repeats` count rows; `notes` are sentences for a person.
     """
 
     format: str
+    group: str
+    notes: tuple[str, ...]
     rows: int
     encoding: str
     compression: str
@@ -252,7 +254,7 @@ class Layout:
     def as_dict(self) -> dict[str, Any]:
         """Return plain values, ready for JSON."""
         plain = asdict(self)
-        plain["time_columns"] = list(self.time_columns)
+        plain |= {"time_columns": list(self.time_columns), "notes": list(self.notes)}
         plain["columns"] = [asdict(column) for column in self.columns]
         return plain
 
@@ -281,6 +283,8 @@ def layout_of(raw: RawTable, time: TimeLayout, clock: Clock, columns: tuple[Colu
     text = raw.text or TextLayout("", "", "", "", 0, 0, 1)
     return Layout(
         format=raw.format,
+        group=raw.group,
+        notes=raw.notes,
         rows=raw.count,
         encoding=text.encoding,
         compression=text.compression,

@@ -1,0 +1,56 @@
+"""Files that hold channels at several times."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from becalm.cli.talk import stderr, tell_columns
+from becalm.errors import UsageError
+from becalm.files.registry import format_to_write, holds_times
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+    from becalm.files.every_time import OpenFile
+
+_MOST_NAMED = 12
+
+
+def refuse_times(output: Path, opened: OpenFile) -> None:
+    """Refuse an output that holds one time, where the file has several.
+
+    Raises
+    ------
+    UsageError
+        If it is so.
+    """
+    if len(opened.sources) > 1 and not holds_times(format_to_write(output)):
+        named = ", ".join(repr(source.group) for source in opened.sources[:_MOST_NAMED])
+        more = f" and {len(opened.sources) - _MOST_NAMED} more" if len(opened.sources) > _MOST_NAMED else ""
+        raise UsageError(
+            f"The file holds channels at {len(opened.sources)} times ({named}{more}), and {output} can hold one; name"
+            " an output that ends in .h5, .mat or .npz, or choose one with --group."
+        )
+
+
+def pass_through(output: Path, opened: OpenFile, write: Callable[[pa.Table], None]) -> None:
+    """Write what is not cleaned as it is, where the output holds several times."""
+    if holds_times(format_to_write(output)):
+        for raw, _ in opened.passed:
+            for block in raw.blocks(raw.names):
+                write(block)
+
+
+def tell_times(output: Path, opened: OpenFile) -> None:
+    """Say what a person must know of the file, and what was not cleaned."""
+    for note in dict.fromkeys(note for source in opened.sources for note in source.notes):
+        stderr.print(note)
+    for source in opened.sources:
+        tell_columns(source)
+    what = "Passed through unchanged" if holds_times(format_to_write(output)) else "Not written"
+    for raw, why in opened.passed[:_MOST_NAMED]:
+        stderr.print(f"{what}: {raw.group} ({why}).")
+    if len(opened.passed) > _MOST_NAMED:
+        stderr.print(f"{what}: {len(opened.passed) - _MOST_NAMED} more groups.")
