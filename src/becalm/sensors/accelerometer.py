@@ -66,7 +66,8 @@ class Accelerometer:
         """Return the acceleration (n, m) of readings (n, m); NaN where an axis that it needs is NaN."""
         told, inverse = readings - self.bias, np.linalg.inv(self.sensitivity)
         needed = np.abs(inverse) > np.finfo(float).eps * np.abs(inverse).max()
-        return np.column_stack([told[:, need] @ row[need] for row, need in zip(inverse, needed, strict=True)])
+        sums = [(told[:, need] * row[need]).sum(axis=1) for row, need in zip(inverse, needed, strict=True)]
+        return np.column_stack(sums)  # no product of matrices: each row has the same bits, however many come
 
 
 def sensitivity_matrix(sensitivities: ArrayLike, cross_axis_percent: ArrayLike | None = None) -> Floats:
