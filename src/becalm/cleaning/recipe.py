@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated, Literal, NamedTuple, Self
 
 import tomlkit
-from pydantic import Field, ValidationError, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from becalm.cleaning.recipe_modes import SwitchingRecipe
 from becalm.cleaning.recipe_parts import (
@@ -19,6 +19,7 @@ from becalm.cleaning.recipe_parts import (
     Settings,
     ToneRecipe,
 )
+from becalm.cleaning.toml_text import TomlKind
 from becalm.errors import RecipeError
 
 VERSION: Literal[4] = 4  # 1 knew no tones, 2 no disturbances, 3 no gates, lags and spread; all are read
@@ -32,6 +33,8 @@ Readings at low or high, or beyond, are clipped, and stuck from so many equal on
 sigma is widened by the share tuning_spread; [channel.calibration] with relative_std, offset_std adds what averaging
 does not lower."""
 
+
+_KIND = TomlKind("recipe", RecipeError)
 
 Mode = Literal["smoothed", "causal", "lagged"]
 
@@ -210,15 +213,7 @@ class Recipe(Settings):
         RecipeError
             If the text is not TOML, or a value is missing, unknown or impossible.
         """
-        try:
-            return cls.model_validate(tomlkit.parse(text).unwrap())
-        except ValidationError as cause:
-            faults = "; ".join(_faults({error["loc"]: error["msg"] for error in cause.errors()}))
-            raise RecipeError(
-                f"{source} does not say what a recipe must: {faults}. Make one with: becalm tune FILE -o R.toml"
-            ) from cause
-        except (tomlkit.exceptions.TOMLKitError, ValueError) as cause:
-            raise RecipeError(f"{source} is not TOML ({cause}). Make one with: becalm tune FILE -o R.toml") from cause
+        return _KIND.parsed(cls, text, source, "Make one with: becalm tune FILE -o R.toml")
 
     @classmethod
     def load(cls, path: str | Path) -> Recipe:
@@ -229,18 +224,5 @@ class Recipe(Settings):
         RecipeError
             If the file cannot be read or is not a recipe.
         """
-        try:
-            text = Path(path).read_text(encoding="utf-8-sig")
-        except (OSError, UnicodeDecodeError) as cause:
-            reason = getattr(cause, "strerror", None) or "it is not UTF-8 text"
-            raise RecipeError(
-                f"The recipe {path} cannot be read: {reason}. Make one with: becalm tune FILE -o {path}"
-            ) from cause
+        text = _KIND.text_of(path, f"Make one with: becalm tune FILE -o {path}")
         return cls.from_toml(text, f"The recipe {path}")
-
-
-def _faults(messages: dict[tuple[int | str, ...], str]) -> list[str]:
-    """Say what is wrong where; of a list that counts as empty because of what is in it, only that."""
-    inside = {where[:depth] for where in messages for depth in range(1, len(where))}
-    named = {where: ".".join(str(part + 1) if isinstance(part, int) else part for part in where) for where in messages}
-    return [f"{named[at]}: {said}" if at else said for at, said in messages.items() if at not in inside]

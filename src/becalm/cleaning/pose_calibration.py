@@ -1,0 +1,76 @@
+"""A recording in which an accelerometer lay in many poses: its rests are found, and calibrate it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from becalm.core.recording import Recording
+from becalm.errors import SensorError
+from becalm.noise.still import SHORTEST_S, find_still
+from becalm.sensors.checks import STANDARD_GRAVITY
+from becalm.sensors.poses import FEWEST_POSES, PoseCalibration, Rests, calibrate_by_length
+
+_AXES = 3
+_BLOCKS = 8  # of a rest, whose means tell how well its own is known, whatever remembers within a block
+
+
+def find_rests(recording: Recording, shortest_s: float = SHORTEST_S) -> Rests:
+    """Find the rests of a triaxial sensor, and their means.
+
+    Parameters
+    ----------
+    recording : Recording
+        Its three channels, in readings.
+    shortest_s : float
+        Shortest rest that counts, in seconds; a *small* one trusts short calms.
+
+    Returns
+    -------
+    Rests
+        Of the rests in which eight readings or more of each axis came, and vary.
+
+    Raises
+    ------
+    SensorError
+        If there are not three channels.
+    RecordingError
+        If `shortest_s` is not positive.
+    """
+    if len(recording.names) != _AXES:
+        raise SensorError(f"{len(recording.names)} channels came; a triaxial sensor has three. Select those.")
+    means, stds = [], []
+    for start, stop in find_still(recording, shortest_s).stretches:
+        rest = recording.samples[start:stop]
+        rest = rest[np.isfinite(rest).all(axis=1)]
+        if len(rest) < _BLOCKS:
+            continue
+        blocks = np.array([block.mean(axis=0) for block in np.array_split(rest, _BLOCKS)])
+        std = blocks.std(axis=0, ddof=1) / np.sqrt(_BLOCKS)
+        if (std > 0).all():
+            means.append(rest.mean(axis=0))
+            stds.append(std)
+    return Rests(np.reshape(means, (-1, _AXES)), np.reshape(stds, (-1, _AXES)))
+
+
+def calibrate_poses(recording: Recording, gravity: float = STANDARD_GRAVITY) -> PoseCalibration:
+    """Calibrate a triaxial accelerometer by a recording in which it was laid down in many poses.
+
+    Parameters
+    ----------
+    recording : Recording
+        Its three channels, in readings: V, counts.
+    gravity : float
+        Where it lay, in the unit that is wanted.
+
+    Raises
+    ------
+    SensorError
+        If there are not three channels, too few rests, or rests too alike.
+    """
+    rests = find_rests(recording)
+    if len(rests.means) < FEWEST_POSES:
+        raise SensorError(
+            f"{len(rests.means)} rests were found, of {FEWEST_POSES} that are needed: "
+            f"{find_still(recording).reason} Lay the sensor down in each pose for some seconds."
+        )
+    return calibrate_by_length(rests, gravity)

@@ -1,0 +1,80 @@
+"""What temperature does to a strain gauge and its leads; no filter takes it off, since it is as slow as load."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from becalm.core.arrays import Floats
+from becalm.errors import SensorError
+from becalm.sensors.checks import finite, finite_array, positive
+
+SHEET_GAUGE_FACTOR = 2.0
+"""The gauge factor at which sheets tell thermal output, whatever the gauge's own (Micro-Measurements TN-504)."""
+
+COPPER_PER_K = 0.0039
+"""Relative change of copper's resistance, per kelvin."""
+
+_MOST_COEFFICIENTS = 5
+
+
+def thermal_output(coefficients_um: Sequence[float], temperature_degc: Floats, gauge_factor: float) -> Floats:
+    """Return the strain, in m/m, that a gauge reads of temperature alone; take it off what was read.
+
+    Parameters
+    ----------
+    coefficients_um : sequence of up to 5 floats
+        Of the sheet's polynomial, in um/m per degC to the power of 0, 1, 2, 3, 4; valid for one lot of gauges
+        on one material.
+    temperature_degc : (n,) float array
+        Of the gauge.
+    gauge_factor : float
+        That the instrument was set to, at which strain was read.
+
+    Raises
+    ------
+    SensorError
+        If there is no coefficient or more than five, or a number is impossible.
+    """
+    if not 1 <= len(coefficients_um) <= _MOST_COEFFICIENTS:
+        raise SensorError(f"{len(coefficients_um)} coefficients came; a sheet's thermal output has 1 to 5.")
+    own = finite_array("coefficients_um", coefficients_um, (len(coefficients_um),))
+    share = SHEET_GAUGE_FACTOR / positive("gauge_factor", gauge_factor, "2.1")
+    return np.asarray(1e-6 * share * np.polynomial.polynomial.polyval(temperature_degc, own))
+
+
+def gauge_factor_at(
+    temperature_degc: Floats, gauge_factor: float, percent_per_100_k: float, reference_degc: float = 24.0
+) -> Floats:
+    """Return the gauge factor (n,) at temperatures (n,), linear about the one at which the sheet tells it.
+
+    Raises
+    ------
+    SensorError
+        If a number is impossible.
+    """
+    slope = finite("percent_per_100_k", percent_per_100_k, "1.3") / 1e4
+    warmer = temperature_degc - finite("reference_degc", reference_degc, "24.0")
+    return np.asarray(positive("gauge_factor", gauge_factor, "2.1") * (1 + slope * warmer))
+
+
+def two_wire_drift(lead_ohm: float, warmer_k: float, gauge_ohm: float, gauge_factor: float) -> float:
+    """Return the strain, in m/m, that copper leads seem to show when they warm, where a gauge has two wires only.
+
+    Parameters
+    ----------
+    lead_ohm : float
+        Of both leads together.
+    warmer_k : float
+        By which they warm.
+    gauge_ohm, gauge_factor : float
+        Of the gauge.
+
+    Raises
+    ------
+    SensorError
+        If a number is impossible.
+    """
+    change = COPPER_PER_K * finite("warmer_k", warmer_k, "10.0") * positive("lead_ohm", lead_ohm, "1.0", zero=True)
+    return change / (positive("gauge_ohm", gauge_ohm, "350.0") * positive("gauge_factor", gauge_factor, "2.1"))
