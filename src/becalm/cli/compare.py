@@ -15,9 +15,9 @@ from becalm.cli.portions import beginning, cut_short
 from becalm.cli.said import shown_name
 from becalm.cli.talk import stderr
 from becalm.cli.warm import ahead
+from becalm.files.asked import Asker, ReadOptions
 from becalm.files.opening import open_source
 from becalm.files.plain import make_folder, refuse_unwritable, write_text
-from becalm.files.source import Asker, ReadOptions
 
 if TYPE_CHECKING:
     from becalm.cleaning.comparison import ChannelComparison, Comparison

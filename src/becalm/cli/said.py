@@ -13,9 +13,9 @@ from becalm.errors import UsageError
 if TYPE_CHECKING:
     from becalm.cleaning.recipe import Recipe
     from becalm.cli.options import Asked
+    from becalm.files.asked import ReadOptions
     from becalm.files.every_time import OpenFile
     from becalm.files.opening import OpenSource
-    from becalm.files.source import ReadOptions
 
 
 class Said(NamedTuple):
@@ -63,7 +63,7 @@ def open_every(file: Path, said: Said) -> AbstractContextManager[OpenFile]:
 
 
 def _options(file: Path, said: Said) -> ReadOptions:
-    from becalm.files.source import COMMAND_LINE, Asker, ReadOptions
+    from becalm.files.asked import COMMAND_LINE, Asker, ReadOptions
 
     asker = COMMAND_LINE
     if said.recipe is not None and said.channels is None:

@@ -10,10 +10,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 from becalm.errors import InputError, UsageError
+from becalm.files.asked import ReadOptions
 from becalm.files.choosing import chosen_table, holds, listed
 from becalm.files.opening import OpenSource, close, refuse_no_rate, understood
 from becalm.files.registry import read_tables
-from becalm.files.source import RawTable, ReadOptions
+from becalm.files.source import RawTable
 
 
 class Passed(NamedTuple):

@@ -18,13 +18,14 @@ from becalm.core.clock import FASTEST_HZ, SLOWEST_HZ, Clock
 from becalm.core.recording import Recording
 from becalm.core.timebase import Timebase
 from becalm.errors import InputError, TimeError, UsageError
+from becalm.files.asked import ReadOptions
 from becalm.files.blank_rows import without_blank_end
 from becalm.files.choosing import chosen_table
 from becalm.files.chunk import Chunk
 from becalm.files.registry import read_tables
 from becalm.files.roles import choose_channels, missing_in, unit_of, values_of
 from becalm.files.rows import HeldRows, block_rows, rebatched
-from becalm.files.source import Layout, RawTable, ReadOptions, TimeLayout, layout_of
+from becalm.files.source import Layout, RawTable, TimeLayout, layout_of
 from becalm.files.time_column import TIME_OPTION, choose_time, find_time, named_column, spoilt_times
 from becalm.files.times import Stamps, read_time
 

@@ -6,8 +6,9 @@ import os
 from collections.abc import Sequence
 
 from becalm.core.recording import Recording
+from becalm.files.asked import ReadOptions
 from becalm.files.opening import open_source
-from becalm.files.source import ReadOptions, SourceFile
+from becalm.files.source import SourceFile
 
 
 def read_source(path: str | os.PathLike[str], options: ReadOptions | None = None) -> SourceFile:
