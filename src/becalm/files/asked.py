@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 
@@ -24,6 +25,21 @@ class Asker(NamedTuple):
 COMMAND_LINE = Asker("--channels")
 
 
+class Fitting(NamedTuple):
+    """What channels are to be like.
+
+    Attributes
+    ----------
+    asker : Asker
+        Who needs it.
+    units : mapping of str to str
+        Units by names of channels.
+    """
+
+    asker: Asker
+    units: Mapping[str, str]
+
+
 @dataclass(frozen=True)
 class ReadOptions:
     """What a person said, on the command line or by a recipe.
@@ -40,6 +56,10 @@ class ReadOptions:
         Who names the channels.
     group : str, optional
         Of a file with several time bases, which of them.
+    fitting : Fitting, optional
+        Names and units that channels are to have; those of the same bare name in others are converted.
+    units : mapping of str to str
+        Units to have columns in, by their names as in the header or without their units.
     """
 
     time: str | None = None
@@ -47,3 +67,5 @@ class ReadOptions:
     channels: tuple[str, ...] | None = None
     asker: Asker = COMMAND_LINE
     group: str | None = None
+    fitting: Fitting | None = None
+    units: Mapping[str, str] = field(default_factory=dict)
