@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from becalm.errors import InputError, UsageError
+from becalm.files.asked import ReadOptions
 from becalm.files.choosing import chosen_table
 from becalm.files.columns import Column
 from becalm.files.foreign import Foreign
 from becalm.files.groups import TIME, Group, tables
 from becalm.files.opening import OpenSource
-from becalm.files.source import RawTable, ReadOptions, ToldTime
+from becalm.files.source import RawTable, ToldTime
 
 PATH = Path("log.xyz")
 FOREIGN = Foreign(PATH, "XYZ")

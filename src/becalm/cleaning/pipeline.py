@@ -199,8 +199,10 @@ def fitted(
             )
         unit = units[list(names).index(channel.name)]
         if channel.unit != unit:
+            wanted = f"{channel.name}={channel.unit or 'UNIT'}"
             raise RecipeError(
                 f"The recipe has {channel.name!r} in {channel.unit or 'no unit'!r}, the recording in"
-                f" {unit or 'no unit'!r}. Convert one of them, or tune a recipe on this recording."
+                f" {unit or 'no unit'!r}. Convert or tell it (a file's by --unit {wanted!r}), or tune a recipe on this"
+                " recording."
             )
     return recipe

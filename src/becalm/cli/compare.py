@@ -13,11 +13,11 @@ from becalm.cleaning.comparison import compare
 from becalm.cleaning.comparison_words import cells, headings
 from becalm.cli.portions import beginning, cut_short
 from becalm.cli.said import shown_name
-from becalm.cli.talk import stderr
+from becalm.cli.talk import stderr, tell_notes
 from becalm.cli.warm import ahead
+from becalm.files.asked import Asker, Fitting, ReadOptions
 from becalm.files.opening import open_source
 from becalm.files.plain import make_folder, refuse_unwritable, write_text
-from becalm.files.source import Asker, ReadOptions
 
 if TYPE_CHECKING:
     from becalm.cleaning.comparison import ChannelComparison, Comparison
@@ -40,6 +40,7 @@ def run(source: OpenSource, said: Said, asking: Asking, *, as_json: bool) -> Non
     """Compare on a file, or on the beginning of a long one, and show what came out."""
     truth, causal, folder = asking
     page = None if folder is None else _page_in(folder)
+    tell_notes(source)
     recording = beginning(source)
     ahead(recording, causal=causal)
     true = None if truth is None else _truth(truth, source, said)
@@ -80,7 +81,10 @@ def _write(page: Path, source: OpenSource, read: tuple[Recording, Recording | No
 def _truth(path: Path, source: OpenSource, said: Said) -> Recording:
     """Read the same channels of the truth; what was said of time holds for both files."""
     asker = Asker("The recording", " Give a truth of the same channels, or choose some with --channels.")
-    with open_source(path, ReadOptions(said.time, said.rate_hz, tuple(source.names), asker)) as other:
+    fitting = Fitting(asker, dict(zip(source.names, source.units, strict=True)))
+    options = ReadOptions(said.time, said.rate_hz, tuple(source.names), asker, fitting=fitting)
+    with open_source(path, options) as other:
+        tell_notes(other)
         return beginning(other)
 
 

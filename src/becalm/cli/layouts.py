@@ -33,6 +33,7 @@ def show(file: Path, opened: OpenFile) -> None:
 
 def _show_time(out: Console, told: dict[str, Any]) -> None:
     columns = told.pop("columns")
+    told["notes"] = " ".join(told["notes"])
     facts = Table(box=None, show_header=False, pad_edge=False)
     for key, value in told.items():
         if value not in (None, "", [], ()):

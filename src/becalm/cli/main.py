@@ -35,12 +35,13 @@ def inspect(  # noqa: PLR0913  (the contract's options)
     rate: o.Rate = None,
     time: o.Time = None,
     group: o.Group = None,
+    unit: o.Units = None,
     as_json: o.Json = False,
 ) -> None:
     """Show how a file is understood: columns, units, time."""
     from becalm.cli.layouts import show, summary
 
-    with open_every(file, Said(channels, rate, time, group=group)) as opened:
+    with open_every(file, Said(channels, rate, time, group=group, units=o.units_of(unit))) as opened:
         if as_json:
             print(json.dumps({"file": str(file), **summary(opened)}, indent=2))  # noqa: T201
         else:
@@ -56,6 +57,7 @@ def clean(  # noqa: PLR0913  (the contract's options)
     rate: o.Rate = None,
     time: o.Time = None,
     group: o.Group = None,
+    unit: o.Units = None,
     causal: o.Causal = False,
     lag: o.Lag = None,
     max_lag: o.MaxLag = None,
@@ -75,9 +77,8 @@ def clean(  # noqa: PLR0913  (the contract's options)
 
     asked, lag_s = o.asked_of(o.Dials(max_lag, bandwidth, noise_gain), still, remove, robust), o.lag_of(lag)
     outputs = Outputs(output, split, verdicts, report, figures)
-    if not run(
-        file, Said(channels, rate, time, group=group), Asking(recipe, causal, lag_s, asked), outputs, as_json=as_json
-    ):
+    said = Said(channels, rate, time, group=group, units=o.units_of(unit))
+    if not run(file, said, Asking(recipe, causal, lag_s, asked), outputs, as_json=as_json):
         raise typer.Exit(NOT_DESCRIBED)
 
 
@@ -89,6 +90,7 @@ def tune(  # noqa: PLR0913  (the contract's options)
     rate: o.Rate = None,
     time: o.Time = None,
     group: o.Group = None,
+    unit: o.Units = None,
     causal: o.Causal = False,
     lag: o.Lag = None,
     max_lag: o.MaxLag = None,
@@ -104,16 +106,15 @@ def tune(  # noqa: PLR0913  (the contract's options)
 
     from becalm.cleaning.delays import delays
     from becalm.cleaning.pipeline import joined
-    from becalm.cli.talk import tell_delays
+    from becalm.cli.talk import tell_delays, tell_notes
     from becalm.files.plain import refuse_unwritable, write_text
 
     refuse_overwriting(file, output)
     refuse_unwritable(output)
-    said, asked = (
-        Said(channels, rate, time, group=group),
-        o.asked_of(o.Dials(max_lag, bandwidth, noise_gain), still, remove, robust),
-    )
+    said = Said(channels, rate, time, group=group, units=o.units_of(unit))
+    asked = o.asked_of(o.Dials(max_lag, bandwidth, noise_gain), still, remove, robust)
     with open_every(file, said) as opened:
+        tell_notes(*opened.sources)
         found = said.kept_in(joined([tuned(source, causal, asked, o.lag_of(lag)) for source in opened.sources]))
     write_text(output, found.to_toml())
     bought = delays(found)
@@ -134,6 +135,7 @@ def compare(  # noqa: PLR0913  (the contract's options)
     rate: o.Rate = None,
     time: o.Time = None,
     group: o.Group = None,
+    unit: o.Units = None,
     causal: o.Causal = False,
     output: o.ComparedIn = None,
     as_json: o.Json = False,
@@ -142,11 +144,8 @@ def compare(  # noqa: PLR0913  (the contract's options)
     from becalm.cli.compare import Asking, run
 
     given = load(recipe)
-    said = (
-        Said(channels, rate, time, group=group)
-        if given is None
-        else Said(channels, rate, time, group=group).or_as(given)
-    )
+    said = Said(channels, rate, time, group=group, units=o.units_of(unit))
+    said = said if given is None else said.or_as(given)
     with open_as(file, said) as source:
         run(source, said, Asking(truth, causal, output), as_json=as_json)
 
@@ -158,6 +157,7 @@ def noise(  # noqa: PLR0913  (the contract's options)
     rate: o.Rate = None,
     time: o.Time = None,
     group: o.Group = None,
+    unit: o.Units = None,
     still: o.Rest = None,
     cutoff: o.Cutoff = None,
     as_json: o.Json = False,
@@ -166,7 +166,7 @@ def noise(  # noqa: PLR0913  (the contract's options)
     from becalm.cli.noise import run
 
     spans_s, cutoff_hz = o.still_of(still), None if cutoff is None else o.frequency_of("--cutoff", cutoff)
-    with open_as(file, Said(channels, rate, time, group=group)) as source:
+    with open_as(file, Said(channels, rate, time, group=group, units=o.units_of(unit))) as source:
         run(source, spans_s, cutoff_hz, as_json)
 
 

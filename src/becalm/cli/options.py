@@ -35,6 +35,10 @@ Time = Annotated[str | None, typer.Option("--time", metavar="COLUMN", help="Name
 Group = Annotated[
     str | None, typer.Option("--group", metavar="NAME", help="Of a file with channels at several times, which of them.")
 ]
+Units = Annotated[
+    list[str] | None,
+    typer.Option("--unit", metavar="NAME=UNIT", help="Have a channel in this unit, as ax=m/s^2; may be repeated."),
+]
 Causal = Annotated[bool, typer.Option("--causal", help="Let each estimate know only the past, as a live filter does.")]
 MaxLag = Annotated[
     str | None,
@@ -133,6 +137,25 @@ def asked_of(dials: Dials, still: str | None, remove: str | None, robust: bool =
     named = [] if remove is None else [part for part in remove.split(",") if part.strip()]
     removed = tuple(frequency_of("--remove", part) for part in named)
     return Asked(dial_of(*dials), still_of(still) or (), removed, robust)
+
+
+def units_of(texts: list[str] | None) -> dict[str, str]:
+    """Read the units to have channels in, by their names.
+
+    Raises
+    ------
+    UsageError
+        If a text is not NAME=UNIT, or names a channel again.
+    """
+    units: dict[str, str] = {}
+    for text in texts or ():
+        name, _, unit = (part.strip() for part in text.rpartition("="))
+        if not name or not unit:
+            raise UsageError(f"--unit {text} is not NAME=UNIT; write a channel and the unit to have it in: ax=m/s^2")
+        if name in units:
+            raise UsageError(f"--unit names {name!r} twice; give it one unit.")
+        units[name] = unit
+    return units
 
 
 def lag_of(text: str | None) -> float | None:

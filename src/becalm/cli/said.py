@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
 
 from becalm.cli.options import split_names
@@ -13,9 +15,9 @@ from becalm.errors import UsageError
 if TYPE_CHECKING:
     from becalm.cleaning.recipe import Recipe
     from becalm.cli.options import Asked
+    from becalm.files.asked import ReadOptions
     from becalm.files.every_time import OpenFile
     from becalm.files.opening import OpenSource
-    from becalm.files.source import ReadOptions
 
 
 class Said(NamedTuple):
@@ -26,6 +28,7 @@ class Said(NamedTuple):
     time: str | None
     recipe: Recipe | None = None
     group: str | None = None
+    units: Mapping[str, str] = MappingProxyType({})
 
     def or_as(self, recipe: Recipe) -> Said:
         """Take the time from a recipe, if nothing was said of it."""
@@ -63,13 +66,17 @@ def open_every(file: Path, said: Said) -> AbstractContextManager[OpenFile]:
 
 
 def _options(file: Path, said: Said) -> ReadOptions:
-    from becalm.files.source import COMMAND_LINE, Asker, ReadOptions
+    from becalm.files.asked import COMMAND_LINE, Asker, Fitting, ReadOptions
 
     asker = COMMAND_LINE
     if said.recipe is not None and said.channels is None:
         another = f"make another recipe with: becalm tune {file} -o R.toml"
         asker = Asker("The recipe", f" Choose some of its channels with --channels, or {another}")
-    return ReadOptions(said.time, said.rate_hz, said.names, asker, said.group)
+    fitting = None
+    if said.recipe is not None:
+        needs = Asker("The recipe", f" Make another recipe with: becalm tune {file} -o R.toml")
+        fitting = Fitting(needs, {channel.name: channel.unit for channel in said.recipe.channel})
+    return ReadOptions(said.time, said.rate_hz, said.names, asker, said.group, fitting, said.units)
 
 
 def recipe_beside(output: Path) -> Path:

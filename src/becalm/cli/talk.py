@@ -66,6 +66,12 @@ def tell_not_removed(reports: tuple[ChannelReport, ...], removed_hz: tuple[float
             )
 
 
+def tell_notes(*sources: OpenSource) -> None:
+    """Say what a person must know of a file, each sentence once."""
+    for note in dict.fromkeys(note for source in sources for note in source.notes):
+        stderr.print(note)
+
+
 def tell_columns(source: OpenSource) -> None:
     """Say which columns were not cleaned, and which of the file's own were replaced."""
     passed = [f"{column.name} ({column.why})" for column in source.columns if column.role == "passed through"]

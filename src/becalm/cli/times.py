@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from becalm.cli.talk import stderr, tell_columns
+from becalm.cli.talk import stderr, tell_columns, tell_notes
 from becalm.errors import UsageError
 from becalm.files.registry import format_to_write, holds_times
 
@@ -45,8 +45,7 @@ def pass_through(output: Path, opened: OpenFile, write: Callable[[pa.Table], Non
 
 def tell_times(output: Path, opened: OpenFile) -> None:
     """Say what a person must know of the file, and what was not cleaned."""
-    for note in dict.fromkeys(note for source in opened.sources for note in source.notes):
-        stderr.print(note)
+    tell_notes(*opened.sources)
     for source in opened.sources:
         tell_columns(source)
     what = "Passed through unchanged" if holds_times(format_to_write(output)) else "Not written"

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from becalm.errors import InputError, UsageError
+from becalm.files.asked import ReadOptions
 from becalm.files.groups import TIME
-from becalm.files.source import RawTable, ReadOptions
+from becalm.files.source import RawTable
 from becalm.files.units import parse_header
 
 _MOST_NAMED = 8  # groups, and channels of one, in a message

@@ -18,13 +18,15 @@ from becalm.core.clock import FASTEST_HZ, SLOWEST_HZ, Clock
 from becalm.core.recording import Recording
 from becalm.core.timebase import Timebase
 from becalm.errors import InputError, TimeError, UsageError
+from becalm.files.asked import ReadOptions
 from becalm.files.blank_rows import without_blank_end
 from becalm.files.choosing import chosen_table
 from becalm.files.chunk import Chunk
+from becalm.files.converting import in_units_asked
 from becalm.files.registry import read_tables
 from becalm.files.roles import choose_channels, missing_in, unit_of, values_of
 from becalm.files.rows import HeldRows, block_rows, rebatched
-from becalm.files.source import Layout, RawTable, ReadOptions, TimeLayout, layout_of
+from becalm.files.source import Layout, RawTable, TimeLayout, layout_of
 from becalm.files.time_column import TIME_OPTION, choose_time, find_time, named_column, spoilt_times
 from becalm.files.times import Stamps, read_time
 
@@ -235,7 +237,7 @@ def open_source(path: str | os.PathLike[str], options: ReadOptions | None = None
     path : path-like
         The file; its content decides the format.
     options : ReadOptions, optional
-        What a person said about time, rate and channels; by default all is found out.
+        What a person said about time, rate, channels and units; by default all is found out.
 
     Raises
     ------
@@ -248,6 +250,7 @@ def open_source(path: str | os.PathLike[str], options: ReadOptions | None = None
     refuse_no_rate(options)
     tables = read_tables(file)
     try:
+        tables, options = in_units_asked(tables, options)
         raw = chosen_table(file, tables, options)
     except BaseException:
         close(tables)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from becalm.core.recording import Recording
+from becalm.files.asked import ReadOptions
 from becalm.files.opening import open_source
-from becalm.files.source import ReadOptions, SourceFile
+from becalm.files.source import SourceFile
 
 
 def read_source(path: str | os.PathLike[str], options: ReadOptions | None = None) -> SourceFile:
@@ -43,6 +44,7 @@ def read(
     channels: Sequence[str] | str | None = None,
     rate_hz: float | None = None,
     time: str | None = None,
+    units: Mapping[str, str] | None = None,
 ) -> Recording:
     """Read a recording from a CSV, CSV.GZ or Parquet file.
 
@@ -56,14 +58,16 @@ def read(
         Count rows at this rate instead of reading a time column.
     time : str, optional
         Name of the time column; found by itself where it is clear.
+    units : mapping of str to str, optional
+        Units to have channels in, by their names, as {"ax": "m/s^2"}; what the file does not tell, they tell.
 
     Raises
     ------
     InputError
         If the file cannot be read, or can be read in more than one way.
     UsageError
-        If a column asked for is not there.
+        If a column asked for is not there, or cannot be converted.
     """
     asked = (channels,) if isinstance(channels, str) else None if channels is None else tuple(channels)
-    with open_source(path, ReadOptions(time, rate_hz, asked)) as source:
+    with open_source(path, ReadOptions(time, rate_hz, asked, units=units or {})) as source:
         return source.recording()

@@ -10,9 +10,10 @@ import pyarrow as pa
 from becalm.core.arrays import Floats
 from becalm.errors import InputError, UsageError
 from becalm.files import clock
+from becalm.files.asked import Asker
 from becalm.files.bad_cells import bad_cell, find_bad_cells, meant_as_numbers
 from becalm.files.numbers import Numbers
-from becalm.files.source import Asker, RawTable
+from becalm.files.source import RawTable
 from becalm.files.units import parse_header
 
 _NAMES = re.compile(

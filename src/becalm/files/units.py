@@ -4,8 +4,13 @@ from __future__ import annotations
 
 import re
 
-_BRACKETED = re.compile(r"^(?P<name>.*?)\s*(?:\((?P<round>[^()]*)\)|\[(?P<square>[^\[\]]*)\]|<(?P<angle>[^<>]*)>)\s*$")
+_BRACKETED = re.compile(
+    r"^(?P<name>.*?)\s*"
+    r"(?:\((?P<round>[^()]*(?:\([^()]*\)[^()]*)*)\)|\[(?P<square>[^\[\]]*)\]|<(?P<angle>[^<>]*)>)\s*$"
+)
 _AFTER_COMMA = re.compile(r"^(?P<name>.+?)\s*[,/]\s+(?P<unit>\S+)$")
+_AFTER_IN = re.compile(r"^(?P<name>.+?)\s+in\s+(?P<unit>\S+)\s*$")
+_SIGN = re.compile(r"^(?P<name>.+?)\s+(?P<unit>\S*[\u00b0%/\\^\u00b2]\S*)\s*$")  # a word alone may be part of a name
 
 SUFFIXES: dict[str, str] = {
     "s": "s",
@@ -78,11 +83,16 @@ _SPELLINGS = (
     ("**", "^"),
 )
 
+_PATTERNS = (
+    (r"(?<=\w)\{[^{}]*\}", ""),  # UCUM's remarks: ug{RMS}
+    (r"^(\w+)[.* ](\w+?)\^?-1$", r"\1/\2"),  # rad.s-1
+    (r"^(\w+)[.* ](\w+?)\^?-([2-9])$", r"\1/\2^\3"),
+    (r"/(s|mm|cm|m)([23])$", r"/\1^\2"),
+)
+_ENCLOSED = re.compile(r"^[\[(<]((?:[^\[\]()<>]|\([^()]*\))*)[\])>]$")
+
 _WHOLE = {
-    "m/s2": "m/s^2",
     "m/s/s": "m/s^2",
-    "m s^-2": "m/s^2",
-    "m*s^-2": "m/s^2",
     "mps": "m/s",
     "mps2": "m/s^2",
     "dps": "deg/s",
@@ -118,22 +128,24 @@ _UNIT_WORD = re.compile(
 
 
 def tidy_unit(text: str) -> str:
-    r"""Spell a unit plainly: `um\m` is `um/m`, `m/s2` is `m/s^2`; "" for a dash."""
-    unit = text.strip().strip("[]()<>").strip()
-    for old, new in _SPELLINGS:
-        unit = unit.replace(old, new)
+    r"""Spell a unit plainly: `um\m` is `um/m`, `m/s2` and `m.s-2` are `m/s^2`; "" for a dash."""
+    unit = text.strip()
+    while found := _ENCLOSED.match(unit):
+        unit = found[1].strip()
+    unit = _plain(unit)
     return _WHOLE.get(unit, unit)
 
 
 def parse_header(header: str) -> tuple[str, str]:
     """Return the name without its unit, and the unit ("" where there is none)."""
     found = _BRACKETED.match(header)
-    if found and found["name"].strip():
+    if found and found["name"].strip(" /"):
         unit = next(text for text in (found["round"], found["square"], found["angle"]) if text is not None)
-        return found["name"].strip(), tidy_unit(unit)
-    found = _AFTER_COMMA.match(header)
-    if found and looks_like_unit(found["unit"]):
-        return found["name"].strip(), tidy_unit(found["unit"])
+        return found["name"].rstrip(" /").strip(), tidy_unit(unit)
+    for pattern in (_AFTER_COMMA, _AFTER_IN, _SIGN):
+        found = pattern.match(header)
+        if found and looks_like_unit(found["unit"]):
+            return found["name"].strip(), tidy_unit(found["unit"])
     name, underscore, last = header.strip().rpartition("_")
     unit = SUFFIXES.get(last) or (SUFFIXES.get(last.lower(), "") if len(last) > 1 else "")
     if underscore and name.strip("_") and unit:
@@ -143,7 +155,13 @@ def parse_header(header: str) -> tuple[str, str]:
 
 def looks_like_unit(text: str) -> bool:
     """Tell whether a cell under a name is a unit, or a dash that says there is none."""
-    plain = text.strip()
+    return _UNIT_WORD.match(_plain(text.strip())) is not None
+
+
+def _plain(text: str) -> str:
+    """Spell signs as letters, and powers as becalm does."""
     for old, new in _SPELLINGS:
-        plain = plain.replace(old, new)
-    return _UNIT_WORD.match(plain) is not None
+        text = text.replace(old, new)
+    for pattern, plain in _PATTERNS:
+        text = re.sub(pattern, plain, text)
+    return text

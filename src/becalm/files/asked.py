@@ -1,0 +1,71 @@
+"""What a person said of a file, on the command line or by a recipe."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+
+class Asker(NamedTuple):
+    """Who names columns, for messages.
+
+    Attributes
+    ----------
+    name : str
+        As a sentence begins.
+    way_out : str
+        What else can be done, as a further sentence.
+    """
+
+    name: str
+    way_out: str = ""
+
+
+COMMAND_LINE = Asker("--channels")
+
+
+class Fitting(NamedTuple):
+    """What channels are to be like.
+
+    Attributes
+    ----------
+    asker : Asker
+        Who needs it.
+    units : mapping of str to str
+        Units by names of channels.
+    """
+
+    asker: Asker
+    units: Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class ReadOptions:
+    """What a person said, on the command line or by a recipe.
+
+    Attributes
+    ----------
+    time : str, optional
+        Name of the time column, as in the header or without its unit.
+    rate_hz : float, optional
+        Rows are counted at this rate; the time column, if any, only passes through.
+    channels : tuple of str, optional
+        Columns to read, as in the header or without their units; all that look like signals by default.
+    asker : Asker
+        Who names the channels.
+    group : str, optional
+        Of a file with several time bases, which of them.
+    fitting : Fitting, optional
+        Names and units that channels are to have; those of the same bare name in others are converted.
+    units : mapping of str to str
+        Units to have columns in, by their names as in the header or without their units.
+    """
+
+    time: str | None = None
+    rate_hz: float | None = None
+    channels: tuple[str, ...] | None = None
+    asker: Asker = COMMAND_LINE
+    group: str | None = None
+    fitting: Fitting | None = None
+    units: Mapping[str, str] = field(default_factory=dict)
