@@ -98,7 +98,7 @@ def test_sets_of_several_times_stay_apart(tmp_path: Path) -> None:
         one_set(id1="late", x=X + 1),
     ]
     found = read_tables(written(tmp_path, *sets))
-    assert [(table.group, table.names, table.count) for table in found] == [
+    assert [(table.group, table.names[1:], table.count) for table in found] == [
         ("a", ["a", "b"], ROWS),
         ("slow", ["slow"], ROWS),
         ("short", ["short"], 50),
@@ -127,7 +127,7 @@ NAMES = {
 @pytest.mark.parametrize(("told", "names"), NAMES.values(), ids=NAMES.keys())
 def test_names(told: list[str], names: list[str], tmp_path: Path) -> None:
     (table,) = read_tables(written(tmp_path, one_set(id1=told[0]), one_set(id1=told[1], rsp_dir=-3)))
-    assert table.names == names
+    assert table.names[1:] == names
 
 
 @pytest.mark.parametrize(("unit", "rate_hz"), [("NONE", 64), ("ms", 64_000), ("sec", 64)])
@@ -141,7 +141,7 @@ def test_the_unit_of_time_counts(unit: str, rate_hz: float, tmp_path: Path) -> N
 def test_what_is_no_time_response_is_left_out_and_said(tmp_path: Path) -> None:
     spectrum = one_set(func_type=4, id1="frf", data=SIGNAL + 1j, ord_data_type=6, abscissa_spec_data_type=18)
     (table,) = read_tables(written(tmp_path, spectrum, one_set(), one_set(func_type=9, id1="psd")))
-    assert table.names == ["front left"]
+    assert table.names == ["time_s", "front left"]
     assert "'frf' is a function of type 4" in table.notes[0]
     assert "1 more" in table.notes[0]
     with pytest.raises(InputError, match=r"without a time response.*type 4"):

@@ -90,7 +90,7 @@ def test_extensible_format(tmp_path: Path) -> None:
 def test_the_unit_is_said_to_be_outside(tmp_path: Path) -> None:
     (table,) = read_tables(written(tmp_path, wav((WAVES * 99).astype("i2"))))
     assert "full scale" in table.notes[0]
-    assert table.units == {}
+    assert table.units == {"time_s": "s"}
     (table,) = read_tables(written(tmp_path, wav(WAVES)))
     assert table.notes == ()
 
