@@ -15,7 +15,6 @@ GZIP = b"\x1f\x8b"
 PARQUET = b"PAR1"
 
 _OTHER_FORMATS: tuple[tuple[bytes, str], ...] = (
-    (b"MDF     ", "an ASAM MDF file"),
     (b"\x89HDF\r\n\x1a\n", "an HDF5 file (or a MATLAB 7.3 one)"),
     (b"MATLAB 5.0", "a MATLAB file"),
     (b"ULog", "a ULog file"),
