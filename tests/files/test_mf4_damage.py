@@ -132,6 +132,29 @@ def test_a_recorder_that_was_not_stopped(flags: int, tmp_path: Path, tables: Tab
     assert path.read_bytes() == before
 
 
+@pytest.mark.parametrize("compression", [0, 1])
+@pytest.mark.parametrize("chained", [False, True])
+def test_a_list_of_blocks_that_was_not_completed(
+    compression: Any, chained: bool, tmp_path: Path, tables: Tables
+) -> None:
+    times, path = np.arange(20_000) / 100, tmp_path / "list.mf4"
+    with MDF(written(tmp_path, [signal("a", times * 2, t=times)])) as log:
+        log.configure(write_fragment_size=16_000)
+        log.save(path, overwrite=True, compression=compression)
+    data, (start,) = bytearray(path.read_bytes()), raw_blocks(path, b"##DL")
+    if chained:  # a second list, of no blocks
+        data += bytes(-len(data) % 8)
+        data[start + 24 : start + 32] = len(data).to_bytes(8, "little")
+        data += b"##DL" + bytes(4) + (40).to_bytes(8, "little") + (1).to_bytes(8, "little") + bytes(16)
+    data[:8], data[60:62] = b"UnFinMF ", (0x11).to_bytes(2, "little")
+    path.write_bytes(data)
+    (table,) = tables(path)
+    assert table.count == 20_000
+    assert bool(table.notes) == chained
+    (block,) = table.blocks(["a"], most_rows=20_000)
+    np.testing.assert_array_equal(block["a"].to_numpy(), times * 2)
+
+
 @pytest.mark.parametrize("kind", [b"##DG", b"##CG", b"##CN"])
 def test_blocks_in_a_ring_are_refused(kind: bytes, tmp_path: Path) -> None:
     path = written(tmp_path, [signal("a", SIGNAL)])

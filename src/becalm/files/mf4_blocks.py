@@ -88,16 +88,26 @@ def looked_through(path: Path) -> Mending:
             raise ValueError("it has no header block")
         (flags,) = struct.unpack_from("<H", data, _FLAGS)
         patches: dict[int, bytes] = {}
-        ends_short = _follow(data, flags, patches)
-        left = flags & ~(_LAST_LENGTH | _LAST_LIST) | (_COUNTERS if patches else 0)
+        cut, chained = _follow(data, flags, patches)
+        left = flags & ~_LAST_LENGTH | (_COUNTERS if patches else 0)
+        if chained and left & _LAST_LIST:  # asammdf completes one list, but goes round and round in a chain of them
+            left, cut = left & ~_LAST_LIST, True
         if patches or flags:
             patches |= {0: b"UnFinMF " if left else b"MDF     ", _FLAGS: struct.pack("<H", left)}
-        return Mending(patches, ends_short)
+        return Mending(patches, cut)
 
 
-def _follow(data: mmap, flags: int, patches: dict[int, bytes]) -> bool:
-    """Note what to change: links that lead nowhere, and wrong lengths; tell whether anything is not there."""
-    cut = False
+def _follow(data: mmap, flags: int, patches: dict[int, bytes]) -> tuple[bool, bool]:
+    """Note what to change: links that lead nowhere, and wrong lengths.
+
+    Returns
+    -------
+    cut : bool
+        Whether anything is not there.
+    chained : bool
+        Whether a list of blocks goes on in another one.
+    """
+    cut = chained = False
     seen: set[int] = set()
     todo = [_Link(_HEADER_LINKS + 8 * number, b"##HD") for number in range(5)]
     while todo:
@@ -114,6 +124,7 @@ def _follow(data: mmap, flags: int, patches: dict[int, bytes]) -> bool:
         if address in seen or len(seen) > _MOST_BLOCKS:
             raise ValueError(f"its blocks form a ring at {address:#x}")
         seen.add(address)
+        chained |= link.source == kind == b"##DL"
         there = len(data) - address
         if kind in _NUMBERS and (length > there or _is_open(flags, link, length)):
             stop = _next_block(data, address)
@@ -127,7 +138,7 @@ def _follow(data: mmap, flags: int, patches: dict[int, bytes]) -> bool:
             if kind == b"##CN":
                 _refuse_outside(data, address, link.channels)
             todo += _links(data, address, kind, link)
-    return cut
+    return cut, chained
 
 
 def _is_open(flags: int, link: _Link, length: int) -> bool:
