@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import logging
+from collections.abc import Container, Iterator
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
@@ -28,6 +29,7 @@ class Foreign:
 
     def __init__(self, path: Path, name: str) -> None:
         self.path, self.name = path, name
+        self._libraries: set[str] = set()
 
     def library(self, module: str) -> ModuleType:
         """Load a library.
@@ -37,6 +39,7 @@ class Foreign:
         InputError
             If it is not installed.
         """
+        self._libraries.add(module.partition(".")[0])
         try:
             return import_module(module)
         except ModuleNotFoundError as cause:
@@ -47,7 +50,7 @@ class Foreign:
 
     @contextmanager
     def damage_told(self) -> Iterator[None]:
-        """Say in a sentence that the file is damaged, whatever a library raises of it; its warnings are not passed on.
+        """Say in a sentence that the file is damaged, whatever a library raises of it, and keep its words away.
 
         Raises
         ------
@@ -55,7 +58,7 @@ class Foreign:
             If anything but an error of becalm's own is raised.
         """
         try:
-            with catch_warnings():
+            with catch_warnings(), _silent(self._libraries):
                 simplefilter("ignore")
                 yield
         except (BecalmError, MemoryError):
@@ -82,3 +85,17 @@ class Foreign:
                 f"{self.path} claims to hold {wanted_bytes:,} bytes in a file of {size:,}; it is damaged, or made"
                 " to fill the memory, and is not read."
             )
+
+
+@contextmanager
+def _silent(libraries: Container[str]) -> Iterator[None]:
+    """Keep the loggers of libraries quiet, for what they say is said in notes and errors."""
+    names = [name for name in logging.root.manager.loggerDict if name.partition(".")[0] in libraries]
+    talking = [logger for logger in map(logging.getLogger, names) if not logger.disabled]
+    for logger in talking:
+        logger.disabled = True
+    try:
+        yield
+    finally:
+        for logger in talking:
+            logger.disabled = False

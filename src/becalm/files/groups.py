@@ -93,7 +93,8 @@ def _timed(group: Group) -> Mapping[str, Column]:
         return group.columns
     step_s = 1 / group.time.rate_hz
     even = Column(pa.float64(), lambda start, stop: np.arange(start, stop) * step_s, "s")
-    return {TIME: even, **group.columns}
+    own, *names = unique_names([TIME, *group.columns])
+    return {own: even, **dict(zip(names, group.columns.values(), strict=True))}
 
 
 def _time(group: Group) -> ToldTime | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from importlib import import_module
@@ -48,7 +49,12 @@ class Foreigner(NamedTuple):
     is_it: Callable[[bytes], bool]
 
 
-FOREIGNERS: tuple[Foreigner, ...] = ()
+FOREIGNERS: tuple[Foreigner, ...] = (
+    Foreigner("mf4", lambda head: head.startswith((b"MDF     ", b"UnFinMF "))),
+    Foreigner("tdms", lambda head: head.startswith(b"TDSm")),
+    Foreigner("uff", lambda head: re.match(rb" {4}-1 *\r?\n(?=[ \d]{6}) *\d+[bB]?\s", head) is not None),
+    Foreigner("wav", lambda head: head[:4] in (b"RIFF", b"RIFX", b"RF64", b"BW64") and head[8:12] == b"WAVE"),
+)
 """In the order in which they are tried."""
 
 
