@@ -30,6 +30,10 @@ ENDINGS: dict[str, str] = {
 """What the ending of an output's name asks for."""
 
 _SEVERAL_TIMES = frozenset({"hdf5", "mat", "npz"})
+
+BAG = "metadata.yaml"
+"""What a folder holds that ROS 2 recorded into; no other folder is read."""
+
 _HEAD = 512  # bytes that tell a format
 
 
@@ -48,7 +52,12 @@ class Foreigner(NamedTuple):
     is_it: Callable[[bytes], bool]
 
 
-FOREIGNERS: tuple[Foreigner, ...] = ()
+FOREIGNERS: tuple[Foreigner, ...] = (
+    Foreigner("ide", lambda head: head.startswith(b"\x1a\x45\xdf\xa3") and b"mide" in head[:64]),
+    Foreigner("mcap", lambda head: head.startswith(b"\x89MCAP0\r\n")),
+    Foreigner("rosbag", lambda head: head.startswith((b"#ROSBAG V", b"SQLite format 3\0"))),
+    Foreigner("ulog", lambda head: head.startswith(b"ULog\x01\x125")),
+)
 """In the order in which they are tried."""
 
 
@@ -60,6 +69,8 @@ def read_tables(path: Path) -> tuple[RawTable, ...]:
     InputError
         If it cannot be read, or changes meanwhile.
     """
+    if (path / BAG).is_file():
+        return _foreign_tables("rosbag", path)
     with told(path):
         once = not path.is_file()  # a pipe; or nothing
     if once:
@@ -79,9 +90,13 @@ def _read_again_and_again(path: Path, original: Original) -> tuple[RawTable, ...
     if head.startswith(PARQUET):
         return (read_parquet(path, original),)
     if found := _foreigner(head):
-        read: Callable[[Path], tuple[RawTable, ...]] = import_module(f"becalm.files.{found.module}").read
-        return read(path)
+        return _foreign_tables(found.module, path)
     return (spool_csv(path) if is_large(path, head) else read_csv(path, read_bytes(path)),)
+
+
+def _foreign_tables(module: str, path: Path) -> tuple[RawTable, ...]:
+    read: Callable[[Path], tuple[RawTable, ...]] = import_module(f"becalm.files.{module}").read
+    return read(path)
 
 
 def _foreigner(head: bytes) -> Foreigner | None:
