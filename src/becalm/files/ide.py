@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from becalm.files.foreign import Foreign
 from becalm.files.groups import TIME, Group, tables
 from becalm.files.source import RawTable, ToldTime
 from becalm.files.stamps import instant
+from becalm.files.watched import WatchedFile
 
 _PER_SECOND = 1e-6  # of the microseconds that the library gives
 
@@ -35,9 +36,11 @@ def read(path: Path) -> tuple[RawTable, ...]:
     foreign = Foreign(path, "IDE")
     library = foreign.library("idelib.importer")
     with foreign.damage_told(), path.open("rb") as file, _unheard():
-        recording = library.openFile(file, quiet=True)
+        opened = WatchedFile(file)
+        recording = library.openFile(opened, quiet=True)
+        notes = _cut_off(recording.ebmldoc, opened)
         library.readData(recording)  # all blocks, as they are in the file; they are decoded when asked for
-        groups = _groups(recording)
+        groups = _groups(recording, notes)
     return tables(foreign, "ide", groups)
 
 
@@ -52,11 +55,25 @@ def _unheard() -> Iterator[None]:
         logging.disable(before)
 
 
-def _groups(recording: Any) -> list[Group]:
-    cut = ("The file ends too early; the blocks that are whole were read.",) if recording.fileDamaged else ()
+def _cut_off(document: Any, opened: WatchedFile) -> tuple[str, ...]:
+    """Let the file end with its last whole element, of which the library would else refuse all."""
+    whole = 0
+    with suppress(Exception):  # the library's, of a damaged element: of any kind; those before are whole
+        for element in document:
+            end = element.payloadOffset + element.size
+            if end > opened.size:
+                break
+            whole = end
+    if whole == opened.size:
+        return ()
+    opened.size = whole
+    return ("The file is damaged or ends too early; the blocks before that were read.",)
+
+
+def _groups(recording: Any, notes: tuple[str, ...]) -> list[Group]:
     names = Counter(channel.name for channel in recording.channels.values())
     return [
-        _group(channel, f" (channel {channel.id})" if names[channel.name] > 1 else "", events, cut)
+        _group(channel, f" (channel {channel.id})" if names[channel.name] > 1 else "", events, notes)
         for channel in recording.channels.values()
         for events in channel.sessions.values()
         if len(events)

@@ -29,7 +29,7 @@ def read(path: Path) -> tuple[RawTable, ...]:
     InputError
         If it is damaged, or holds no numbers.
     """
-    foreign = Foreign(path, "a ROS bag")
+    foreign = Foreign(path, "ROS bag")
     foreign.library("rosbags.typesys")
     with foreign.damage_told(), ExitStack() as held:
         parts = _parts(foreign, path, held) if path.is_dir() else [path]

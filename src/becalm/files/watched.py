@@ -7,7 +7,8 @@ import os
 from typing import BinaryIO
 
 _AGAIN = 64  # as often as its own size may a file be read: libraries go back to look for the next whole part
-_ALWAYS = 1 << 28  # bytes that may be read whatever the size
+_ALWAYS = 1 << 24  # bytes that may be read whatever the size
+_CALL = 64  # bytes that a reading of nothing counts as
 
 
 class WatchedFile:
@@ -21,7 +22,7 @@ class WatchedFile:
     Attributes
     ----------
     size : int
-        In bytes.
+        In bytes; what is made smaller ends there.
     cut : bool
         Whether a reading came to the end of the file before it had all it asked for.
     """
@@ -37,7 +38,7 @@ class WatchedFile:
         """Read up to `count` bytes, all by default."""
         there = max(0, self.size - self._file.tell())
         data = self._file.read(there if count < 0 else min(count, there)) if self._left > 0 else b""
-        self._left -= len(data) + 1
+        self._left -= len(data) + _CALL
         self.cut = self.cut or 0 < len(data) < count
         return data
 
