@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from becalm.files.unpacking import unpacked
 from becalm.files.watched import WatchedFile, watched
 
 _MAGIC_BYTES = 8
+_HEAD_BYTES, _CHUNK = 9, b"\x06"  # what a record is, and its length
 
 
 def read(path: Path) -> tuple[RawTable, ...]:
@@ -78,13 +80,15 @@ class Log:
                 yield from self._told(record)
 
     def _whole(self, file: WatchedFile) -> Iterator[Any]:
-        """Give records until one is cut off or damaged."""
-        reader = self._library.StreamReader(file, skip_magic=True, emit_chunks=True, record_size_limit=file.size)
+        """Give records until one is damaged or cut off; of a chunk that is cut off, what is left."""
+        reader = self._library.StreamReader(file, skip_magic=True, emit_chunks=True, record_size_limit=None)
         records = iter(reader.records)
         while True:
+            start = file.tell()
             try:
                 record = next(records, None)
             except self._foreign.library("mcap.exceptions").EndOfFile:
+                yield from self._rest_of_chunk(file, start)
                 return
             except Exception:  # the library's, of a damaged record: of any kind
                 self._damaged += 1
@@ -93,14 +97,21 @@ class Log:
                 return
             yield record
 
+    def _rest_of_chunk(self, file: WatchedFile, start: int) -> Iterator[Any]:
+        file.seek(start)
+        if file.cut and file.read(_HEAD_BYTES)[:1] == _CHUNK:
+            with suppress(Exception):  # the library's, where nothing is left
+                yield self._records.Chunk.read(self._foreign.library("mcap.data_stream").ReadDataStream(file))
+
     def _chunk(self, chunk: Any) -> bytes | None:
         """Unpack a chunk; None if it is damaged."""
         try:
-            data = unpacked(self._foreign, chunk.compression, chunk.data, chunk.uncompressed_size)
+            cut = self._file.cut
+            data = unpacked(self._foreign, chunk.compression, chunk.data, chunk.uncompressed_size, cut)
         except ValueError:
             self._damaged += 1
             return None
-        if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
+        if not cut and chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
             self._damaged += 1
             return None
         return data

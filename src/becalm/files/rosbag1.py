@@ -65,9 +65,12 @@ class Log:
     def _records(self, file: WatchedFile) -> Iterator[Message]:
         while file.tell() < file.size:
             try:
-                header, data = self._record(file)
-                told = list(self._told(header, data)) if header.get_uint8("op") != _CHUNK else None
-                inner = self._chunk(header, data) if told is None else None
+                header, data, cut = self._record(file)
+                is_chunk = header.get_uint8("op") == _CHUNK
+                if cut and not is_chunk:
+                    return
+                told = [] if is_chunk else list(self._told(header, data))
+                inner = self._chunk(header, data, cut) if is_chunk else None
             except _CutError:
                 self._cut = True
                 return
@@ -76,12 +79,12 @@ class Log:
             except Exception:  # the library's, of a damaged record: of any kind
                 self._damaged += 1
                 return
-            yield from told or ()
+            yield from told
             if inner is not None:
                 yield from self._records(inner)
 
-    def _record(self, file: WatchedFile) -> tuple[Any, bytes]:
-        """Read a record: its header and what it holds."""
+    def _record(self, file: WatchedFile) -> tuple[Any, bytes, bool]:
+        """Read a record: its header and what it holds, or what is left of that, and whether that is less."""
         cut = file.cut
         try:
             header = self._library.Header.read(file)
@@ -91,9 +94,9 @@ class Log:
             if file.cut and not cut:
                 raise _CutError from None
             raise
-        if len(data) < size:
-            raise _CutError
-        return header, data
+        cut = len(data) < size
+        self._cut = self._cut or cut
+        return header, data, cut
 
     def _told(self, header: Any, data: bytes) -> Iterator[Message]:
         kind = header.get_uint8("op")
@@ -113,10 +116,11 @@ class Log:
             topic, schema = self._connections[conn]
             yield Message(topic, schema, header.get_time("time"), data)
 
-    def _chunk(self, header: Any, data: bytes) -> WatchedFile | None:
+    def _chunk(self, header: Any, data: bytes, cut: bool) -> WatchedFile | None:
         """Unpack a chunk; None if it is damaged."""
+        how, size = header.get_string("compression"), header.get_uint32("size")
         try:
-            return watched(unpacked(self._foreign, header.get_string("compression"), data, header.get_uint32("size")))
+            return watched(unpacked(self._foreign, how, data, size, cut))
         except ValueError:
             self._damaged += 1
             return None

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 _FLAG, _WHOLE, _REAL = "b", "q", "d"
-_MOST = 4096  # columns, that a file which invents names fills no memory
+_MOST = 4096  # columns
+_SPARSE, _ALWAYS = 64, 1 << 20  # so many cells may be missing for each that is there, and so many whatever is there
 _LEAST_WHOLE, _MOST_WHOLE = -(1 << 63), (1 << 63) - 1
 
 
@@ -22,12 +23,13 @@ class Series:
     count : int
         How many messages there were.
     full : bool
-        Whether names came that found no place.
+        Whether numbers came that found no place, so that a file which invents names fills no memory.
     """
 
     def __init__(self) -> None:
         self._columns: dict[str, array[Any]] = {}
         self.count = 0
+        self._spare = _ALWAYS
         self.full = False
 
     def add(self, message: Iterable[tuple[str, float]]) -> None:
@@ -39,23 +41,34 @@ class Series:
                 if len(self._columns) >= _MOST:
                     self.full = True
                     continue
-                column = self._columns[name] = array(_REAL if self.count else kind, [np.nan] * self.count)
+                column = self._columns[name] = array(_REAL if self.count else kind)
             missed = self.count - len(column)
-            if missed < 0:  # a name twice in one message
+            if missed < 0 or not self._may_miss(missed):  # or a name twice in one message
                 continue
             if column.typecode != _REAL and (missed or kind != column.typecode):
                 column = self._columns[name] = array(_REAL, column)
             if missed:
-                column.extend([np.nan] * missed)
+                column.extend(array(_REAL, [np.nan]) * missed)
             column.append(value)
+            self._spare += _SPARSE
         self.count += 1
+
+    def _may_miss(self, cells: int) -> bool:
+        if cells > self._spare:
+            self.full = True
+            return False
+        self._spare -= cells
+        return True
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return the columns, each (count,), in the order in which their names first came."""
         out: dict[str, NDArray[Any]] = {}
         for name, column in self._columns.items():
+            missed = self.count - len(column)
+            if not self._may_miss(missed):
+                continue
             values = np.array(column)
-            if missed := self.count - len(values):
+            if missed:
                 values = np.concatenate([values, np.full(missed, np.nan)])
             out[name] = values.astype(np.bool_) if values.dtype == np.int8 else values
         return out

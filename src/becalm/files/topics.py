@@ -158,7 +158,7 @@ def _what_is_missing(topic: _Topic) -> Iterator[str]:
     if topic.decode.left_out:
         yield f"Texts, nested and long lists were left out: {_few(sorted(topic.decode.left_out))}."
     if topic.series.full:
-        yield "There are more numbers in a message than columns that can be; the last were left out."
+        yield "There are more names of numbers than columns that can be; some were left out."
 
 
 def _few(names: list[str]) -> str:

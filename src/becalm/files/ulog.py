@@ -21,7 +21,7 @@ from becalm.files.source import RawTable, ToldTime
 from becalm.files.stamps import in_order, seconds_of
 from becalm.files.watched import WatchedFile
 
-_STAMP = "timestamp"
+_STAMP = ("uint64_t", 0, "timestamp")  # type, length of a list, and name
 _PADDING = "_padding"
 _MOST_BYTES = 0xFFFF  # of a message, and so the most fields it can have
 _PER_SECOND = 1_000_000
@@ -42,8 +42,9 @@ def read(path: Path) -> tuple[RawTable, ...]:
         heading = library.ULog(_Kept(opened), parse_header_only=True)
         _refuse_endless(foreign, heading.message_formats)
         opened.seek(0)
-        log = library.ULog(_Kept(opened))
-        notes = _notes(log, opened)
+        stamped = [name for name, one in heading.message_formats.items() if _STAMP in one.fields]
+        log = library.ULog(_Kept(opened), stamped)  # which else ends at the first message without a stamp
+        notes = _notes(log, opened, _unstamped(log, stamped))
         groups = [_group(topic, log.start_timestamp, notes) for topic in log.data_list]
     return tables(foreign, "ulog", groups)
 
@@ -87,12 +88,20 @@ def _refuse_endless(foreign: Foreign, formats: dict[str, Any]) -> None:
         size(name, ())
 
 
-def _notes(log: Any, opened: WatchedFile) -> tuple[str, ...]:
+def _unstamped(log: Any, stamped: list[str]) -> list[str]:
+    """Return what was subscribed to although its messages have no stamp; parts of others are not."""
+    parts = {kind for one in log.message_formats.values() for kind, _, _ in one.fields}
+    return sorted(set(log.message_formats) - set(stamped) - parts)
+
+
+def _notes(log: Any, opened: WatchedFile, unstamped: list[str]) -> tuple[str, ...]:
     notes = []
     if log.file_corruption:
         notes.append("Parts of the file are damaged; the messages that are whole were read.")
     elif opened.cut:
         notes.append("The file ends in the middle of a message; those before it were read.")
+    if unstamped:
+        notes.append(f"Left out, for their messages have no timestamp: {', '.join(unstamped[:8])}.")
     if log.dropouts:
         lost_s = sum(dropout.duration for dropout in log.dropouts) / 1000.0
         times = "once" if len(log.dropouts) == 1 else f"{len(log.dropouts):,} times"
@@ -105,9 +114,7 @@ def _group(topic: Any, start: int, notes: tuple[str, ...]) -> Group:
     fields = _fields(topic)
     rows = len(next(iter(topic.data.values())))
     name = f"{topic.name}_{topic.multi_id}"
-    if _STAMP not in fields:
-        return Group(name, {own: _column(values) for own, values in fields.items()}, rows, notes=notes)
-    told = in_order(_signed(fields.pop(_STAMP)))
+    told = in_order(_signed(fields.pop(_STAMP[2])))
     titles = unique_names((TIME, *fields))
     time = seconds_of(told.stamps, _PER_SECOND, int(_signed(np.array([start], np.uint64))[0]))
     columns = {TIME: Column.of(time, "s")}

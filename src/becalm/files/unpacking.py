@@ -10,7 +10,7 @@ from becalm.files.foreign import Foreign
 ZSTD = b"\x28\xb5\x2f\xfd"
 
 
-def unpacked(foreign: Foreign, compression: str, data: bytes, size: int) -> bytes:
+def unpacked(foreign: Foreign, compression: str, data: bytes, size: int, cut: bool = False) -> bytes:
     """Unpack a part of a file.
 
     Parameters
@@ -23,6 +23,8 @@ def unpacked(foreign: Foreign, compression: str, data: bytes, size: int) -> byte
         What is compressed.
     size : int
         How many bytes it claims to be.
+    cut : bool
+        Whether its end is missing; then what is before that is unpacked.
 
     Raises
     ------
@@ -42,7 +44,7 @@ def unpacked(foreign: Foreign, compression: str, data: bytes, size: int) -> byte
         raise
     except Exception as cause:  # each library's own
         raise ValueError(f"it cannot be unpacked ({cause})") from cause
-    if len(plain) != size:
+    if len(plain) != size and not cut:
         raise ValueError(f"it holds {len(plain)} bytes, not {size}")
     return plain
 
