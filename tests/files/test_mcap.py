@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mcap.writer import CompressionType
+from mcap.writer import CompressionType, Writer
 
 from becalm.errors import InputError
 from robot_logs import EPOCH_NS, by_name, json_log, read_through, whole
@@ -113,3 +113,18 @@ def test_a_chunk_that_claims_to_be_endless_is_refused(tmp_path: Path) -> None:
     path.write_bytes(data)
     with pytest.raises(InputError, match="claims to hold 1,125,899,906,842,624 bytes"):
         read_through(path)
+
+
+def test_no_code_in_the_name_of_a_type_is_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "a"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        name = 'a/msg/B(__import__("pathlib").Path("ran").touch() or object)'
+        topic = writer.register_channel("/x", "cdr", writer.register_schema(name, "ros2msg", b"float64 x\n"))
+        writer.add_message(topic, EPOCH_NS, bytes((0, 1, 0, 0)) + bytes(8), EPOCH_NS)
+        writer.finish()  # type: ignore[no-untyped-call]
+    with pytest.raises(InputError, match="the file does not define their types rightly: /x"):
+        read_through(path)
+    assert not (tmp_path / "ran").exists()

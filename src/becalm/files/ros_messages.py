@@ -133,15 +133,20 @@ def _store(typesys: ModuleType, schema: Schema, kind: str) -> Any:
         return typesys.get_typestore(typesys.Stores.ROS1_NOETIC if schema.encoding == "ros1" else typesys.Stores.LATEST)
     store = typesys.get_typestore(typesys.Stores.EMPTY)
     if schema.language == MSG:
-        store.register(typesys.get_types_from_msg(schema.definition, kind))
-        return store
-    types: dict[str, Any] = {}
-    ruler = "=" * 80 + "\n"
-    for part in schema.definition.split(ruler):  # each but the first begins with a line that names it
-        text = part.partition("\n")[2] if part.startswith("IDL: ") else part
-        types |= typesys.get_types_from_idl(text) if text.strip() else {}
+        types = typesys.get_types_from_msg(schema.definition, kind)
+    else:
+        types = _types_of_idl(typesys, schema.definition)
     store.register(types)
     return store
+
+
+def _types_of_idl(typesys: ModuleType, definition: str) -> dict[str, Any]:
+    types: dict[str, Any] = {}
+    ruler = "=" * 80 + "\n"
+    for part in definition.split(ruler):  # each but the first begins with a line that names it
+        text = part.partition("\n")[2] if part.startswith("IDL: ") else part
+        types |= typesys.get_types_from_idl(text) if text.strip() else {}
+    return types
 
 
 def _stamp_path(store: Any, kind: str) -> str:
