@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mcap.writer import CompressionType, Writer
+from rosbags.typesys import Stores, get_types_from_idl, get_typestore
 
 from becalm.errors import InputError
 from robot_logs import EPOCH_NS, by_name, json_log, read_through, whole
@@ -128,3 +129,41 @@ def test_no_code_in_the_name_of_a_type_is_run(tmp_path: Path, monkeypatch: pytes
     with pytest.raises(InputError, match="the file does not define their types rightly: /x"):
         read_through(path)
     assert not (tmp_path / "ran").exists()
+
+
+IDL = """module a { module msg {
+  struct Pair { double x; sequence<float> more; string text; boolean on; };
+}; };"""
+
+
+def test_a_type_may_be_defined_in_idl(tmp_path: Path) -> None:
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_idl(IDL))
+    path = tmp_path / "a"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        kind = writer.register_schema("a/msg/Pair", "ros2idl", IDL.encode())
+        topic = writer.register_channel("/x", "cdr", kind)
+        for row in range(3):
+            pair = store.types["a/msg/Pair"](row + 0.5, np.array([1.0, row], np.float32), "t", row == 1)
+            writer.add_message(topic, EPOCH_NS + row, bytes(store.serialize_cdr(pair, "a/msg/Pair")), EPOCH_NS)
+        writer.finish()  # type: ignore[no-untyped-call]
+    (table,) = by_name(path).values()
+    held = whole(table).select(["x", "more_0", "more_1", "on"]).to_pylist()
+    assert held[1] == {"x": 1.5, "more_0": 1.0, "more_1": 1.0, "on": True}
+    assert held[2] == {"x": 2.5, "more_0": 1.0, "more_1": 2.0, "on": False}
+
+
+def test_types_without_an_end_are_left_out(tmp_path: Path) -> None:
+    path = tmp_path / "a"
+    kinds = "b/A a\n", "===\n", "MSG: b/A\n", "b/A a\n"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        kind = writer.register_schema("b/msg/X", "ros2msg", "".join(kinds).replace("===", "=" * 80).encode())
+        topic = writer.register_channel("/x", "cdr", kind)
+        writer.add_message(topic, EPOCH_NS, bytes(20), EPOCH_NS)
+        writer.finish()  # type: ignore[no-untyped-call]
+    with pytest.raises(InputError, match="the file does not define their types rightly: /x"):
+        read_through(path)

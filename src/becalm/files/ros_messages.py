@@ -22,7 +22,7 @@ _STAMPS = ("header.stamp", "stamp", "timestamp")
 _BYTES = ("byte", "char", "int8", "uint8")
 _TEXTS = ("string", "wstring", "wchar", "float128")
 _LONGEST = 64  # numbers of a list of any length that become columns
-_DEEPEST = 16
+_DEEPEST, _MOST_FIELDS = 16, 4096
 _SECOND = 1_000_000_000
 
 MSG, IDL = "ros2msg", "ros2idl"
@@ -166,7 +166,7 @@ def _named(desc: Any) -> str:
 
 def _gather(store: Any, kind: str, fields: _Fields, within: tuple[str, str], depth: int) -> bool:
     """Gather the numbers in a type, as seen and as attributes; false if it holds a picture or the like."""
-    if depth > _DEEPEST:
+    if depth > _DEEPEST or len(fields.paths) > _MOST_FIELDS:
         raise ValueError(f"the type {kind} nests without an end")
     own_name, own_path = within
     for field, (node, what) in store.fielddefs[kind][1]:
