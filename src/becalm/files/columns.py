@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 
 from becalm.files.foreign import Foreign
 
+NO_UNIT = "-"
+"""Of a column whose name holds no unit either: `range_min` is no range in minutes where a format names its fields."""
+
 
 class Column(NamedTuple):
     """One column of a file.

@@ -31,6 +31,10 @@ ENDINGS: dict[str, str] = {
 """What the ending of an output's name asks for."""
 
 _SEVERAL_TIMES = frozenset({"hdf5", "mat", "npz"})
+
+BAG = "metadata.yaml"
+"""What a folder holds that ROS 2 recorded into; no other folder is read."""
+
 _HEAD = 512  # bytes that tell a format
 
 
@@ -50,9 +54,13 @@ class Foreigner(NamedTuple):
 
 
 FOREIGNERS: tuple[Foreigner, ...] = (
+    Foreigner("ide", lambda head: head.startswith(b"\x1a\x45\xdf\xa3") and b"mide" in head[:64]),
+    Foreigner("mcap", lambda head: head.startswith(b"\x89MCAP0\r\n")),
     Foreigner("mf4", lambda head: head.startswith((b"MDF     ", b"UnFinMF "))),
+    Foreigner("rosbag", lambda head: head.startswith((b"#ROSBAG V", b"SQLite format 3\0"))),
     Foreigner("tdms", lambda head: head.startswith(b"TDSm")),
     Foreigner("uff", lambda head: re.match(rb" {4}-1 *\r?\n(?=[ \d]{6}) *\d+[bB]?\s", head) is not None),
+    Foreigner("ulog", lambda head: head.startswith(b"ULog\x01\x125")),
     Foreigner("wav", lambda head: head[:4] in (b"RIFF", b"RIFX", b"RF64", b"BW64") and head[8:12] == b"WAVE"),
 )
 """In the order in which they are tried."""
@@ -66,6 +74,8 @@ def read_tables(path: Path) -> tuple[RawTable, ...]:
     InputError
         If it cannot be read, or changes meanwhile.
     """
+    if (path / BAG).is_file():
+        return _foreign_tables("rosbag", path)
     with told(path):
         once = not path.is_file()  # a pipe; or nothing
     if once:
@@ -85,9 +95,13 @@ def _read_again_and_again(path: Path, original: Original) -> tuple[RawTable, ...
     if head.startswith(PARQUET):
         return (read_parquet(path, original),)
     if found := _foreigner(head):
-        read: Callable[[Path], tuple[RawTable, ...]] = import_module(f"becalm.files.{found.module}").read
-        return read(path)
+        return _foreign_tables(found.module, path)
     return (spool_csv(path) if is_large(path, head) else read_csv(path, read_bytes(path)),)
+
+
+def _foreign_tables(module: str, path: Path) -> tuple[RawTable, ...]:
+    read: Callable[[Path], tuple[RawTable, ...]] = import_module(f"becalm.files.{module}").read
+    return read(path)
 
 
 def _foreigner(head: bytes) -> Foreigner | None:

@@ -47,8 +47,10 @@ class Sensed(NamedTuple):
     def note(self) -> str:
         """What was done, as a sentence."""
         named = ", ".join(map(repr, self.columns))
-        return f"--sensors: {named} {'is' if len(self.columns) == 1 else 'are'} turned from {self.record.raw_unit}" \
+        return (
+            f"--sensors: {named} {'is' if len(self.columns) == 1 else 'are'} turned from {self.record.raw_unit}"
             f" into {self.record.unit} by the sensor's sheet."
+        )
 
 
 class SensedRows:
@@ -67,7 +69,9 @@ class SensedRows:
     def __init__(self, rows: Rows, sensed: Sequence[Sensed], decimal: str) -> None:
         self._rows, self._decimal = rows, decimal
         self._by_name = {name: one for one in sensed for name in one.names}
-        renamed = {own: (name, one.record.unit) for one in sensed for own, name in zip(one.columns, one.names, strict=True)}
+        renamed = {
+            own: (name, one.record.unit) for one in sensed for own, name in zip(one.columns, one.names, strict=True)
+        }
         self._own = {new: own for own, (new, _) in renamed.items()}
         self.count: int = rows.count
         fields = [_field(field, *renamed[field.name]) if field.name in renamed else field for field in rows.schema]
@@ -137,8 +141,10 @@ def _found(tables: Sequence[RawTable], record: SensorRecord) -> tuple[RawTable, 
     holding = [table for table in tables if all(holds(table, name) for name in record.channels)]
     if len(holding) != 1:
         named, where = ", ".join(map(repr, record.channels)), listed(tables)
-        raise UsageError(f"--sensors names {named}, which {'no' if not holding else 'more than one'} time of the file"
-                         f" has together; it holds {where}.")
+        raise UsageError(
+            f"--sensors names {named}, which {'no' if not holding else 'more than one'} time of the file"
+            f" has together; it holds {where}."
+        )
     (table,) = holding
     columns = tuple(named_column(table, name, SENSORS_OPTION) for name in record.channels)
     sizes = tuple(_size(table, column, record.raw_unit) for column in columns)

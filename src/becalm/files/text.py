@@ -17,12 +17,10 @@ PARQUET = b"PAR1"
 _OTHER_FORMATS: tuple[tuple[bytes, str], ...] = (
     (b"\x89HDF\r\n\x1a\n", "an HDF5 file (or a MATLAB 7.3 one)"),
     (b"MATLAB 5.0", "a MATLAB file"),
-    (b"ULog", "a ULog file"),
     (b"PK\x03\x04", "a ZIP archive or an Excel workbook"),
     (b"\xd0\xcf\x11\xe0", "an old Excel or Office file"),
     (b"\x89PNG", "a picture"),
     (b"%PDF", "a PDF document"),
-    (b"SQLite format 3", "an SQLite database"),
     (b"ARROW1", "an Arrow (Feather) file"),
     (b"\x28\xb5\x2f\xfd", "a file compressed with zstd"),
     (b"BZh", "a file compressed with bzip2"),

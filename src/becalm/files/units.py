@@ -8,6 +8,7 @@ _BRACKETED = re.compile(
     r"^(?P<name>.*?)\s*"
     r"(?:\((?P<round>[^()]*(?:\([^()]*\)[^()]*)*)\)|\[(?P<square>[^\[\]]*)\]|<(?P<angle>[^<>]*)>)\s*$"
 )
+_INDEXED = re.compile(r"\w\[[0-9]+\]\s*$")  # `gyro_rad[0]`: one of several, which is no unit
 _AFTER_COMMA = re.compile(r"^(?P<name>.+?)\s*[,/]\s+(?P<unit>\S+)$")
 _AFTER_IN = re.compile(r"^(?P<name>.+?)\s+in\s+(?P<unit>\S+)\s*$")
 _SIGN = re.compile(r"^(?P<name>.+?)\s+(?P<unit>\S*[\u00b0%/\\^\u00b2]\S*)\s*$")  # a word alone may be part of a name
@@ -138,6 +139,8 @@ def tidy_unit(text: str) -> str:
 
 def parse_header(header: str) -> tuple[str, str]:
     """Return the name without its unit, and the unit ("" where there is none)."""
+    if _INDEXED.search(header):
+        return header.strip(), ""
     found = _BRACKETED.match(header)
     if found and found["name"].strip(" /"):
         unit = next(text for text in (found["round"], found["square"], found["angle"]) if text is not None)
