@@ -11,7 +11,11 @@ from typing import NamedTuple
 from becalm.errors import InputError, OutputError
 from becalm.files.csv_reader import read_csv
 from becalm.files.csv_spool import spool_csv
+from becalm.files.hdf5 import is_hdf5
 from becalm.files.identity import Original
+from becalm.files.mat import is_mat
+from becalm.files.mat73 import is_mat73
+from becalm.files.npz import is_npz
 from becalm.files.parquet import read_parquet
 from becalm.files.source import RawTable
 from becalm.files.text import PARQUET, read_bytes, told
@@ -47,7 +51,12 @@ class Foreigner(NamedTuple):
     is_it: Callable[[bytes], bool]
 
 
-FOREIGNERS: tuple[Foreigner, ...] = ()
+FOREIGNERS: tuple[Foreigner, ...] = (
+    Foreigner("hdf5", is_hdf5),
+    Foreigner("mat", is_mat),
+    Foreigner("mat73", is_mat73),
+    Foreigner("npz", is_npz),
+)
 """In the order in which they are tried."""
 
 

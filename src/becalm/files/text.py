@@ -16,8 +16,6 @@ PARQUET = b"PAR1"
 
 _OTHER_FORMATS: tuple[tuple[bytes, str], ...] = (
     (b"MDF     ", "an ASAM MDF file"),
-    (b"\x89HDF\r\n\x1a\n", "an HDF5 file (or a MATLAB 7.3 one)"),
-    (b"MATLAB 5.0", "a MATLAB file"),
     (b"TDSm", "a TDMS file"),
     (b"ULog", "a ULog file"),
     (b"PK\x03\x04", "a ZIP archive or an Excel workbook"),
