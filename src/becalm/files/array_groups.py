@@ -73,9 +73,7 @@ class Grouping:
         used = {home.time for home in self._homes}
         for path, leaf in self._times.items():
             if path not in used and self._is_worth_a_word(leaf):
-                self._found.notes.append(
-                    f"{self._said(path)} is a time of {leaf.length} values; no channel has as many."
-                )
+                self._found.notes.append(f"{self._said(path)} is a time of {leaf.length} values, but of no channel.")
         notes = tuple(self._found.notes)
         return [self._group(home, leaves, notes) for home, leaves in self._homes.items()]
 
@@ -137,7 +135,10 @@ class Grouping:
     def _title(self, home: _Home, leaves: Sequence[Leaf]) -> str:
         """Name a group by its folder; where that holds several, by its first array too."""
         rivals = [other for other in self._homes if other.folder == home.folder]
-        return self._joint.join(home.folder if len(rivals) == 1 else (*home.folder, leaves[0].path[-1]))
+        if len(rivals) == 1:
+            return self._joint.join(home.folder)
+        name = self._name(leaves[0], home)
+        return self._joint.join((*home.folder, name)) if self._apart else name
 
     def _columns(self, leaf: Leaf, home: _Home) -> list[tuple[str, Column]]:
         rows = leaf.meant.index(home.meant)

@@ -14,6 +14,9 @@ VARIABLES, NAMES, UNITS = "becalm_variables", "becalm_names", "becalm_units"
 NAME = "becalm.name"
 """Of an array, the column that it holds."""
 
+FLAG = "becalm.flag"
+"""Of an array of whole numbers, that they are true and false."""
+
 _LONGEST = 50  # letters; MATLAB reads 63
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from becalm.files.array_labels import FLAG
 from becalm.files.arrays import Found, Key, Leaf, Path
 
 _FILLS = ("_FillValue", "missing_value")
@@ -35,6 +36,9 @@ def follow_customs(found: Found) -> None:
 
 
 def _netcdf(found: Found, leaf: Leaf) -> Leaf:
+    if (*leaf.path, FLAG) in found.numbers and leaf.type.kind == "u":
+        flags = leaf.take
+        return leaf._replace(type=np.dtype(bool), take=lambda key: flags(key).astype(np.bool_))
     fills = [found.numbers[path] for name in _FILLS if (path := (*leaf.path, name)) in found.numbers]
     scale, offset = (found.numbers.get((*leaf.path, name)) for name in ("scale_factor", "add_offset"))
     if leaf.type.kind in "iuf" and (fills or scale is not None or offset is not None):

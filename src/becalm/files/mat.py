@@ -107,15 +107,17 @@ def _hold(found: Found, path: tuple[str, ...], value: Any) -> None:
     elif value.dtype.kind == "O":
         _hold_cells(found, path, value)
     else:
-        found.add(Leaf.of(path, value))
+        found.add(Leaf.of(path, np.char.rstrip(value) if value.dtype.kind == "U" else value))
 
 
 def _hold_struct(found: Found, path: tuple[str, ...], value: NDArray[Any]) -> None:
     elements = value.ravel(order="F")
-    for name in value.dtype.names or ():
+    names = value.dtype.names or ()
+    records = len(elements) > 1 and all(_is_single(one) for name in names for one in elements[name])
+    for name in names:
         held = elements[name]
-        if len(elements) > 1 and all(isinstance(one, np.ndarray) and _is_number(one) for one in held):
-            found.add(Leaf.of((*path, name), np.array([one.item() for one in held])))
+        if records:
+            found.add(Leaf.of((*path, name), np.array([one.item() if one.size else "" for one in held])))
             continue
         for number, one in enumerate(held[:MOST_ELEMENTS], start=1):
             where = path if len(elements) == 1 else (*path[:-1], f"{path[-1]}({number})")
@@ -135,3 +137,8 @@ def _hold_cells(found: Found, path: tuple[str, ...], value: NDArray[Any]) -> Non
 
 def _is_number(value: NDArray[Any]) -> bool:
     return value.size == 1 and value.dtype.kind in "biuf" and not value.dtype.names
+
+
+def _is_single(value: object) -> bool:
+    """Tell a number, or a text."""
+    return isinstance(value, np.ndarray) and (_is_number(value) or (value.dtype.kind == "U" and value.size <= 1))

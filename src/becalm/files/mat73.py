@@ -103,7 +103,11 @@ class _MatlabTree(Tree):
             if not struct:
                 self.found.add(Leaf.of(path, np.array([self._one_text(one) for one in held], object)))
                 return
-        elif len(held) > 1 and all(one is not None and one.size == 1 and _kind(one) in _NUMBERS for one in held):
+        elif (
+            len(held) > 1
+            and (not struct or _are_records(dataset.parent))
+            and all(one is not None and one.size == 1 and _kind(one) in _NUMBERS for one in held)
+        ):
             self.found.add(Leaf.of(path, np.array([one[()].item() for one in held if one is not None])))
             return
         for number, (thing, one) in enumerate(zip(things[:MOST_ELEMENTS], held, strict=False), start=1):
@@ -122,6 +126,12 @@ class _MatlabTree(Tree):
         """Turn the axes round."""
         turned = leaf._replace(shape=leaf.shape[::-1], claimed=leaf.claimed[::-1])
         return turned._replace(take=lambda key: np.asarray(leaf.take(key[::-1])).T)
+
+
+def _are_records(group: Any) -> bool:
+    """Tell whether the first of an array of structs has single numbers and texts only."""
+    firsts = [group.file[field[()].ravel()[0]] for field in group.values()]
+    return all(_kind(one) == "char" or getattr(one, "size", 0) == 1 for one in firsts)
 
 
 def _cell(path: Where, number: int) -> Where:

@@ -1,4 +1,4 @@
-"""Members of a ZIP archive of arrays, also where its end is missing: where they are, and as much of them as there is."""
+"""Members of a ZIP archive, also of one whose end is missing: where they are, and as much of them as there is."""
 
 from __future__ import annotations
 

@@ -21,17 +21,23 @@ from becalm.files.source import RawTable
 from becalm.files.text import PARQUET, read_bytes, told
 from becalm.files.text_blocks import is_large
 
-CSV, CSV_GZ, PARQUET_FORMAT = "csv", "csv.gz", "parquet"
+CSV, CSV_GZ, HDF5, MAT, NPZ, PARQUET_FORMAT = "csv", "csv.gz", "hdf5", "mat", "npz", "parquet"
 
 ENDINGS: dict[str, str] = {
     ".csv": CSV,
     ".txt": CSV,
     ".csv.gz": CSV_GZ,
     ".txt.gz": CSV_GZ,
+    ".h5": HDF5,
+    ".hdf5": HDF5,
+    ".mat": MAT,
+    ".npz": NPZ,
     ".parquet": PARQUET_FORMAT,
     ".pq": PARQUET_FORMAT,
 }
 """What the ending of an output's name asks for."""
+
+_ENDINGS = ".csv, .csv.gz, .h5, .mat, .npz or .parquet"
 
 _HEAD = 512  # bytes that tell a format
 
@@ -108,4 +114,4 @@ def format_to_write(path: Path) -> str:
     for ending in sorted(ENDINGS, key=len, reverse=True):
         if name.endswith(ending):
             return ENDINGS[ending]
-    raise OutputError(f"{path} has an unknown ending {path.suffix!r}; end the name in .csv, .csv.gz or .parquet.")
+    raise OutputError(f"{path} has an unknown ending {path.suffix!r}; end the name in {_ENDINGS}.")
