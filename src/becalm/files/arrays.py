@@ -129,4 +129,4 @@ def as_text(values: NDArray[Any]) -> NDArray[np.object_]:
 def _text(value: object) -> str:
     if isinstance(value, bytes):
         return value.rstrip(b"\0").decode("utf-8", "replace")
-    return "" if value is None else str(value).rstrip("\0")
+    return "" if value is None else str(value).rstrip("\0").encode("utf-8", "replace").decode()

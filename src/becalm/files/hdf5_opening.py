@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from becalm.files.hdf5_heaps import damaged_heap
+
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _CACHE_BYTES = 8 << 20
 _END_AT = {0: 40, 1: 44, 2: 28, 3: 28}  # where a superblock of that version says how long the file is
@@ -36,8 +38,11 @@ class Opened:
     """
 
     def __init__(self, h5py: ModuleType, path: Path, base: int = 0) -> None:
-        self._h5py, self.base = h5py, base
+        self._h5py = h5py
+        if damaged_heap(path):
+            raise OSError("a heap of texts in it makes no sense")
         self.size: int | None = None
+        self._length = path.stat().st_size - base
         self._stretched: _Stretched | None = None
         try:
             self.file = h5py.File(path, "r", rdcc_nbytes=_CACHE_BYTES, locking=False)
@@ -61,21 +66,43 @@ class Opened:
     def whole_rows(self, dataset: Any) -> int:
         """Return how many entries of a dataset's first axis are before the end of the file."""
         rows = dataset.shape[0] if dataset.shape else 1
-        if self.size is None:
+        if dataset.is_virtual:
             return int(rows)
+        if self.size is None:
+            return self._written_rows(dataset, int(rows))
         if self._h5py.check_string_dtype(dataset.dtype) and dataset.dtype.kind == "O":
             return 0  # its texts are somewhere else
         if dataset.chunks is None:
-            offset = dataset.id.get_offset()
-            if offset is None:
-                return int(rows)
-            row_bytes = dataset.dtype.itemsize * int(np.prod(dataset.shape[1:], dtype=object))
-            return int(max(0, min(rows, (self.size - self.base - offset) // max(row_bytes, 1))))
+            return self._contiguous_rows(dataset, int(rows))
         for number in range(dataset.id.get_num_chunks()):
             chunk = dataset.id.get_chunk_info(number)
-            if chunk.byte_offset + chunk.size > self.size - self.base:
+            if chunk.byte_offset + chunk.size > self._length:
                 rows = min(rows, chunk.chunk_offset[0])
         return int(rows)
+
+    def _contiguous_rows(self, dataset: Any, rows: int) -> int:
+        """Return how many rows there is room for: in the file, or in the header of a small dataset."""
+        offset = dataset.id.get_offset()
+        room = dataset.id.get_storage_size() if offset is None else self._length - offset
+        row_bytes = dataset.id.get_type().get_size() * int(np.prod(dataset.shape[1:], dtype=object))
+        return int(max(0, min(rows, room // max(row_bytes, 1))))
+
+    def _written_rows(self, dataset: Any, rows: int) -> int:
+        """Return how many rows were written of a dataset that a logger made larger beforehand."""
+        sizes = dataset.chunks
+        if sizes is None:
+            return self._contiguous_rows(dataset, rows)
+        wanted = int(np.prod([-(-size // step) for size, step in zip(dataset.shape, sizes, strict=True)], dtype=object))
+        if dataset.id.get_num_chunks() >= wanted:
+            return rows
+        last = 0
+
+        def look(chunk: Any) -> None:
+            nonlocal last
+            last = max(last, chunk.chunk_offset[0] + sizes[0])
+
+        dataset.id.chunk_iter(look)
+        return min(rows, last)
 
 
 class _Stretched(io.RawIOBase):

@@ -122,11 +122,13 @@ class Tree:
         shape = (rows, *dataset.shape[1:]) if dataset.shape else ()
         if shape != dataset.shape:
             if not rows:
-                self.note(path, "the file ends before it")
+                self.note(path, "nothing of it was written" if self._opened.size is None else "the file ends before it")
                 return
+            says = (
+                "The file ends in the middle" if self._opened.size is not None else "The logger stopped in the middle"
+            )
             self.found.notes.append(
-                f"The file ends in the middle of {'/'.join(path)!r}; {rows} of {dataset.shape[0]} rows are whole and"
-                " were read."
+                f"{says} of {'/'.join(path)!r}; {rows} of {dataset.shape[0]} rows are whole and were read."
             )
         shapes = _Shapes(shape, dataset.shape if shape != dataset.shape else ())
         self._claimed += int(np.prod(shape, dtype=object)) * dataset.dtype.itemsize

@@ -103,11 +103,7 @@ class _MatlabTree(Tree):
             if not struct:
                 self.found.add(Leaf.of(path, np.array([self._one_text(one) for one in held], object)))
                 return
-        elif (
-            len(held) > 1
-            and (not struct or _are_records(dataset.parent))
-            and all(one is not None and one.size == 1 and _kind(one) in _NUMBERS for one in held)
-        ):
+        elif len(held) > 1 and (not struct or _are_records(dataset.parent)) and all(map(_is_number, held)):
             self.found.add(Leaf.of(path, np.array([one[()].item() for one in held if one is not None])))
             return
         for number, (thing, one) in enumerate(zip(things[:MOST_ELEMENTS], held, strict=False), start=1):
@@ -126,6 +122,10 @@ class _MatlabTree(Tree):
         """Turn the axes round."""
         turned = leaf._replace(shape=leaf.shape[::-1], claimed=leaf.claimed[::-1])
         return turned._replace(take=lambda key: np.asarray(leaf.take(key[::-1])).T)
+
+
+def _is_number(dataset: Any) -> bool:
+    return dataset is not None and dataset.size == 1 and _kind(dataset) in _NUMBERS
 
 
 def _are_records(group: Any) -> bool:

@@ -13,7 +13,12 @@ from typing import NamedTuple
 from becalm.files.foreign import Foreign
 
 MATRIX, _COMPRESSED = 14, 15
-_CELL, _STRUCT, _OBJECT, _CHAR, _SPARSE, OPAQUE = 1, 2, 3, 4, 5, 17
+_CELL, _STRUCT, _OBJECT, _CHAR, _SPARSE, _FUNCTION, OPAQUE = 1, 2, 3, 4, 5, 16, 17
+_VALUES = {1, 2, 3, 4, 5, 6, 7, 9, 12, 13}
+_LETTERS = {1, 2, 3, 4, 16, 17, 18}
+_TYPES = _VALUES | _LETTERS | {MATRIX}
+_FEWEST_PARTS = {_CELL: 3, _STRUCT: 5, _OBJECT: 6}
+_COMPLEX = 0x800
 _DEEPEST = 32  # struct in struct: more would fill the stack of a library
 _SPARE = 1024
 _NUMBERS4 = (8, 4, 4, 2, 2, 1)  # bytes of a value, by the digit P of version 4
@@ -180,12 +185,29 @@ def _check(data: memoryview, start: int, end: int, order: str, depth: int) -> No
     parts = _parts(data, start, end, order)
     kind = _class(data, parts, order)
     inner = [part for part in parts if part.kind == MATRIX]
-    if any(part.kind == _COMPRESSED for part in parts):
-        raise DamageError("it is packed twice")
-    if kind != OPAQUE:
+    if any(part.kind not in _TYPES for part in parts):
+        raise DamageError("a part of it is of a type that there is not")
+    if not 0 < kind <= OPAQUE:
+        raise DamageError(f"it is of the class {kind}, which there is not")
+    if kind not in (OPAQUE, _FUNCTION):
+        _check_kinds(data, parts, order, kind, len(inner))
         _check_count(data, parts, order, kind, len(inner))
     for part in inner:
         _check(data, part.start, part.start + part.length, order, depth + 1)
+
+
+def _check_kinds(data: memoryview, parts: list[_Part], order: str, kind: int, inner: int) -> None:
+    """Refuse other parts than an array of this kind has."""
+    if [part.kind for part in parts[:2]] != [6, 5] or parts[2:3] == [] or parts[2].kind not in (1, 2, 16):
+        raise DamageError("it does not say what it is")
+    flags = struct.unpack(order + "I", data[parts[0].start : parts[0].start + 4])[0]
+    if kind in _FEWEST_PARTS:
+        if len(parts) != _FEWEST_PARTS[kind] + inner:
+            raise DamageError("it has other parts than its kind")
+    elif kind != _SPARSE and (len(parts) != (5 if flags & _COMPLEX else 4) or inner):
+        raise DamageError("it has other parts than its kind")
+    elif not {part.kind for part in parts[3:]} <= (_LETTERS if kind == _CHAR else _VALUES):
+        raise DamageError("its values are of a type that they cannot be")
 
 
 def _check_count(data: memoryview, parts: list[_Part], order: str, kind: int, inner: int) -> None:
