@@ -1,4 +1,4 @@
-"""MAT files of versions 4 and 5, by scipy: one variable after another, held in memory; version 7.3 is HDF5."""
+"""MAT files of versions 4 and 5: one variable after another, held in memory; version 7.3 is HDF5."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from becalm.files.arrays import Found, Leaf
 from becalm.files.foreign import Foreign
 from becalm.files.groups import tables
 from becalm.files.mat_elements import Variable, variables4, variables5
+from becalm.files.mat_values import Opaque, value_of
 from becalm.files.source import RawTable
 
 MOST_ELEMENTS = 1024
@@ -78,36 +79,38 @@ def read(path: Path) -> tuple[RawTable, ...]:
 
 def _add(found: Found, variable: Variable) -> None:
     """Read one variable; what is wrong with it is noted."""
-    from scipy.io import loadmat
-
     called = repr(variable.name) if variable.name else "A variable"
     why = variable.why
     if not why:
         try:
-            held: dict[str, Any] = loadmat(io.BytesIO(variable.data), mat_dtype=True)  # type: ignore[arg-type]  # takes files
+            held = _values(variable)
         except Exception as cause:  # of a damaged variable, scipy raises anything
             why = " ".join(str(cause).split())[:100] or type(cause).__name__
         else:
-            for name, value in held.items():
-                if not name.startswith("__"):
-                    _hold(found, (name,), value)
+            _hold(found, (variable.name,), held)
     if why:
         found.notes.append(f"{called} is not read: {why}{SAVE_AS if 'only MATLAB' in why else ''}.")
 
 
+def _values(variable: Variable) -> Any:
+    if variable.order:
+        data = memoryview(variable.data)
+        return value_of(data, 8, 8 + struct.unpack(variable.order + "4xI", data[:8])[0], variable.order)
+    from scipy.io import loadmat
+
+    return loadmat(io.BytesIO(variable.data))[variable.name]  # type: ignore[arg-type]  # takes files
+
+
 def _hold(found: Found, path: tuple[str, ...], value: Any) -> None:
     """Take a value apart, down to arrays."""
-    if not isinstance(value, np.ndarray):
-        found.notes.append(f"{'.'.join(path)!r} is not read: it is a {type(value).__name__}.")
-    elif type(value).__name__ in ("MatlabOpaque", "MatlabFunction"):
-        kind = value["s2"].item().decode("latin-1") if value.dtype.names and "s2" in value.dtype.names else "function"
-        found.notes.append(f"{'.'.join(path)!r} is not read: it is a MATLAB {kind}, which only MATLAB opens{SAVE_AS}.")
+    if isinstance(value, Opaque):
+        found.notes.append(f"{'.'.join(path)!r} is not read: only MATLAB opens it{SAVE_AS}.")
     elif value.dtype.names:
         _hold_struct(found, path, value)
     elif value.dtype.kind == "O":
         _hold_cells(found, path, value)
     else:
-        found.add(Leaf.of(path, np.char.rstrip(value) if value.dtype.kind == "U" else value))
+        found.add(Leaf.of(path, value))
 
 
 def _hold_struct(found: Found, path: tuple[str, ...], value: NDArray[Any]) -> None:

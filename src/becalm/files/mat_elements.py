@@ -13,11 +13,11 @@ from typing import NamedTuple
 from becalm.files.foreign import Foreign
 
 MATRIX, _COMPRESSED = 14, 15
-_CELL, _STRUCT, _OBJECT, _CHAR, _SPARSE, _FUNCTION, OPAQUE = 1, 2, 3, 4, 5, 16, 17
+CELL, STRUCT, OBJECT, CHAR, _SPARSE, _FUNCTION, OPAQUE = 1, 2, 3, 4, 5, 16, 17
 _VALUES = {1, 2, 3, 4, 5, 6, 7, 9, 12, 13}
 _LETTERS = {1, 2, 3, 4, 16, 17, 18}
 _TYPES = _VALUES | _LETTERS | {MATRIX}
-_FEWEST_PARTS = {_CELL: 3, _STRUCT: 5, _OBJECT: 6}
+_FEWEST_PARTS = {CELL: 3, STRUCT: 5, OBJECT: 6}
 _COMPLEX = 0x800
 _DEEPEST = 32  # struct in struct: more would fill the stack of a library
 _SPARE = 1024
@@ -32,17 +32,22 @@ class Variable(NamedTuple):
     name : str
         "" where it is damaged so that it tells none.
     data : bytes
-        A file of its own, which holds nothing else; empty where it must not be read.
+        Its element, unpacked; of version 4 a file which holds nothing else; empty where it must not be read.
     why : str
         Why it must not be.
+    order : str
+        Of its bytes, "<" or ">"; "" in version 4.
     """
 
     name: str
     data: bytes
     why: str = ""
+    order: str = ""
 
 
-class _Part(NamedTuple):
+class Part(NamedTuple):
+    """An element in an element: its type, where its bytes begin, and how many they are."""
+
     kind: int
     start: int
     length: int
@@ -55,7 +60,7 @@ class DamageError(Exception):
 def variables5(foreign: Foreign, data: memoryview) -> Iterator[Variable]:
     """Give the variables of a file of version 5, unpacked; the last without data where the file ends in it."""
     order = "<" if bytes(data[126:128]) == b"IM" else ">"
-    head, unpacked, at = bytes(data[:128]), 0, 128
+    unpacked, at = 0, 128
     while at < len(data):
         if at + 8 > len(data):
             yield Variable("", b"", "the file ends in it")
@@ -69,7 +74,7 @@ def variables5(foreign: Foreign, data: memoryview) -> Iterator[Variable]:
         elif kind != MATRIX:
             yield Variable("", b"", f"it begins with the type {kind}, which is none")
             return
-        yield _looked_over(head, element, order, whole)
+        yield _looked_over(element, order, whole)
         at = end if kind == _COMPRESSED else end + -length % 8
 
 
@@ -111,25 +116,25 @@ def _unpacked(packed: memoryview, foreign: Foreign, before: int, order: str) -> 
     return memoryview(tag + rest), len(rest) == length
 
 
-def _looked_over(head: bytes, element: memoryview, order: str, whole: bool) -> Variable:
+def _looked_over(element: memoryview, order: str, whole: bool) -> Variable:
     name = ""
     try:
         end = 8 + struct.unpack(order + "II", element[:8])[1] if len(element) >= 8 else 0
-        parts = _parts(element, 8, len(element), order, to_the_end=whole)
+        parts = parts_of(element, 8, len(element), order, to_the_end=whole)
         name = _name(element, parts)
         if not whole or end > len(element):
             return Variable(name, b"", "the file ends in it, or it is damaged")
-        if _class(element, parts, order) in (OPAQUE, _SPARSE):
-            return Variable(name, b"", _foreign_class(element, parts, order))
+        if kind_of(element, parts, order) in (OPAQUE, _SPARSE):
+            return Variable(name, b"", _foreignkind_of(element, parts, order))
         _check(element, 8, end, order, 0)
     except DamageError as cause:
         return Variable(name, b"", str(cause))
-    return Variable(name, head + bytes(element))
+    return Variable(name, bytes(element), order=order)
 
 
-def _parts(data: memoryview, start: int, end: int, order: str, to_the_end: bool = True) -> list[_Part]:
+def parts_of(data: memoryview, start: int, end: int, order: str, to_the_end: bool = True) -> list[Part]:
     """List the elements in an element."""
-    parts: list[_Part] = []
+    parts: list[Part] = []
     while start < end:
         if start + 8 > end:
             if not to_the_end:
@@ -146,25 +151,26 @@ def _parts(data: memoryview, start: int, end: int, order: str, to_the_end: bool 
             if not to_the_end:
                 return parts
             raise DamageError("a part of it claims more than it holds")
-        parts.append(_Part(kind, at, length))
+        parts.append(Part(kind, at, length))
         start = following
     return parts
 
 
-def _class(data: memoryview, parts: list[_Part], order: str) -> int:
+def kind_of(data: memoryview, parts: list[Part], order: str) -> int:
+    """Return the class of an array."""
     if not parts or parts[0].length != 8:
         raise DamageError("it does not say what it is")
     return int(struct.unpack(order + "I", data[parts[0].start : parts[0].start + 4])[0] & 0xFF)
 
 
-def _name(data: memoryview, parts: list[_Part]) -> str:
+def _name(data: memoryview, parts: list[Part]) -> str:
     """Return the name: the first text among the elements."""
     texts = [part for part in parts[1:4] if part.kind in (1, 2, 16)]
     return bytes(data[texts[0].start :][: texts[0].length]).decode("latin-1") if texts else ""
 
 
-def _foreign_class(data: memoryview, parts: list[_Part], order: str) -> str:
-    if _class(data, parts, order) == _SPARSE:
+def _foreignkind_of(data: memoryview, parts: list[Part], order: str) -> str:
+    if kind_of(data, parts, order) == _SPARSE:
         return "it is a sparse matrix"
     texts = [bytes(data[p.start :][: p.length]).decode("latin-1") for p in parts[1:] if p.kind in (1, 2, 16)]
     return f"it is a MATLAB {texts[-1] if texts else 'object'}, which only MATLAB opens"
@@ -182,8 +188,8 @@ def _check(data: memoryview, start: int, end: int, order: str, depth: int) -> No
         raise DamageError(f"it is nested more than {_DEEPEST} deep")
     if start == end:
         return  # an empty cell
-    parts = _parts(data, start, end, order)
-    kind = _class(data, parts, order)
+    parts = parts_of(data, start, end, order)
+    kind = kind_of(data, parts, order)
     inner = [part for part in parts if part.kind == MATRIX]
     if any(part.kind not in _TYPES for part in parts):
         raise DamageError("a part of it is of a type that there is not")
@@ -196,7 +202,7 @@ def _check(data: memoryview, start: int, end: int, order: str, depth: int) -> No
         _check(data, part.start, part.start + part.length, order, depth + 1)
 
 
-def _check_kinds(data: memoryview, parts: list[_Part], order: str, kind: int, inner: int) -> None:
+def _check_kinds(data: memoryview, parts: list[Part], order: str, kind: int, inner: int) -> None:
     """Refuse other parts than an array of this kind has."""
     if [part.kind for part in parts[:2]] != [6, 5] or parts[2:3] == [] or parts[2].kind not in (1, 2, 16):
         raise DamageError("it does not say what it is")
@@ -206,11 +212,11 @@ def _check_kinds(data: memoryview, parts: list[_Part], order: str, kind: int, in
             raise DamageError("it has other parts than its kind")
     elif kind != _SPARSE and (len(parts) != (5 if flags & _COMPLEX else 4) or inner):
         raise DamageError("it has other parts than its kind")
-    elif not {part.kind for part in parts[3:]} <= (_LETTERS if kind == _CHAR else _VALUES):
+    elif not {part.kind for part in parts[3:]} <= (_LETTERS if kind == CHAR else _VALUES):
         raise DamageError("its values are of a type that they cannot be")
 
 
-def _check_count(data: memoryview, parts: list[_Part], order: str, kind: int, inner: int) -> None:
+def _check_count(data: memoryview, parts: list[Part], order: str, kind: int, inner: int) -> None:
     if len(parts) < 3 or parts[1].length % 4:
         raise DamageError("it does not say how large it is")
     dimensions = struct.unpack(f"{order}{parts[1].length // 4}i", data[parts[1].start :][: parts[1].length])
@@ -219,13 +225,13 @@ def _check_count(data: memoryview, parts: list[_Part], order: str, kind: int, in
         count *= size
     if min(dimensions, default=0) < 0:
         raise DamageError("it claims a negative size")
-    if kind in (_STRUCT, _OBJECT):
-        lengths, names = parts[3 + (kind == _OBJECT) :][:2] if len(parts) > 4 else (parts[0], parts[0])
+    if kind in (STRUCT, OBJECT):
+        lengths, names = parts[3 + (kind == OBJECT) :][:2] if len(parts) > 4 else (parts[0], parts[0])
         letters = struct.unpack(order + "i", data[lengths.start :][:4])[0]
         if letters <= 0 or count * (names.length // letters) != inner or (not inner and count > _SPARE):
             raise DamageError("it claims other fields than it has")
-    elif kind == _CELL:
+    elif kind == CELL:
         if count != inner:
             raise DamageError("it claims other cells than it has")
-    elif kind != _SPARSE and count > max((part.length for part in parts), default=0) + (0 if kind == _CHAR else _SPARE):
+    elif kind != _SPARSE and count > max((part.length for part in parts), default=0) + (0 if kind == CHAR else _SPARE):
         raise DamageError("it claims more values than it has")
