@@ -42,7 +42,7 @@ class Opened:
         if damaged_heap(path):
             raise OSError("a heap of texts in it makes no sense")
         self.size: int | None = None
-        self._length = path.stat().st_size - base
+        self._base, self._length = base, path.stat().st_size - base
         self._stretched: _Stretched | None = None
         try:
             self.file = h5py.File(path, "r", rdcc_nbytes=_CACHE_BYTES, locking=False)
@@ -83,7 +83,7 @@ class Opened:
     def _contiguous_rows(self, dataset: Any, rows: int) -> int:
         """Return how many rows there is room for: in the file, or in the header of a small dataset."""
         offset = dataset.id.get_offset()
-        room = dataset.id.get_storage_size() if offset is None else self._length - offset
+        room = dataset.id.get_storage_size() if offset is None else self._length + self._base - offset
         row_bytes = dataset.id.get_type().get_size() * int(np.prod(dataset.shape[1:], dtype=object))
         return int(max(0, min(rows, room // max(row_bytes, 1))))
 

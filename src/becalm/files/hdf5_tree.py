@@ -43,6 +43,9 @@ class Tree:
         The library.
     """
 
+    entries = "rows"
+    """What the first axis of a dataset counts."""
+
     def __init__(self, foreign: Foreign, opened: Opened, h5py: ModuleType) -> None:
         self._foreign, self._opened, self.h5py = foreign, opened, h5py
         self.found = Found()
@@ -128,7 +131,7 @@ class Tree:
                 "The file ends in the middle" if self._opened.size is not None else "The logger stopped in the middle"
             )
             self.found.notes.append(
-                f"{says} of {'/'.join(path)!r}; {rows} of {dataset.shape[0]} rows are whole and were read."
+                f"{says} of {'/'.join(path)!r}; {rows} of {dataset.shape[0]} {self.entries} are whole and were read."
             )
         shapes = _Shapes(shape, dataset.shape if shape != dataset.shape else ())
         self._claimed += int(np.prod(shape, dtype=object)) * dataset.dtype.itemsize

@@ -79,6 +79,8 @@ def read(path: Path) -> tuple[RawTable, ...]:
 
 def _add(found: Found, variable: Variable) -> None:
     """Read one variable; what is wrong with it is noted."""
+    if not variable.name and not variable.why:
+        return  # what MATLAB keeps for itself
     called = repr(variable.name) if variable.name else "A variable"
     why = variable.why
     if not why:

@@ -50,6 +50,7 @@ def _understood(foreign: Foreign, opened: Opened, h5py: ModuleType) -> Grouping:
 class _MatlabTree(Tree):
     """Finds what a file holds, as MATLAB has it."""
 
+    entries = "columns"
     _left = _MOST_REFERENCES
 
     def look(self, group: Any, name: str, path: Where) -> None:
