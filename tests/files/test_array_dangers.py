@@ -137,9 +137,8 @@ def make_mat(path: Path, packed: bool) -> None:
 
 
 def make_npz(path: Path, packed: bool) -> None:
-    arrays = {"t": np.arange(COUNT) / 10, "acc": VALUES, "s": np.array(["a"] * COUNT)}
-    with path.open("wb") as file:
-        (np.savez_compressed if packed else np.savez)(file, **arrays)  # type: ignore[operator]
+    save = np.savez_compressed if packed else np.savez
+    save(path, t=np.arange(COUNT) / 10, acc=VALUES, s=np.array(["a"] * COUNT))
 
 
 MAKERS = {
@@ -163,7 +162,7 @@ def test_damaged_files_give_tables_or_a_sentence(name: str, tmp_path: Path) -> N
         data = bytearray(whole)
         for _ in range(random.integers(1, 6)):
             reach = len(data) if random.random() < 0.5 else min(2048, len(data))
-            data[random.integers(reach)] = random.choice([0, 1, 128, 255, random.integers(256)])
+            data[random.integers(reach)] = random.choice([0, 1, 128, 255, int(random.integers(256))])
         if random.random() < 0.1:
             data = data[: random.integers(1, len(data))]
         (tmp_path / name).write_bytes(data)

@@ -28,7 +28,7 @@ def table() -> pa.Table:
         "n": pa.array([1, None, 3, 4, 5, 6, 7]),
         "big": pa.array([(1 << 60) + 1] * COUNT),
         "flag": pa.array([True, False, True, True, False, True, False]),
-        "a_verdict": in_words(np.arange(COUNT) % 4),
+        "a_verdict": in_words(np.arange(COUNT, dtype=np.int8) % np.int8(4)),
         "note": pa.array(["a", "ü", None, "", 'b, "c"', "x" * 70, "z"]),
         "when": pa.array(range(COUNT), pa.timestamp("ms")),
         "long": pa.array(range(COUNT), pa.duration("ms")),

@@ -228,7 +228,7 @@ def test_an_interrupted_write_leaves_nothing(tmp_path: Path, monkeypatch: pytest
 def test_a_disk_that_fills_up_while_writing(ending: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     real = Path.open
     monkeypatch.setattr(
-        Path, "open", lambda self, mode: real(Path("/dev/full"), "wb") if mode == "xb" else real(self, mode)
+        Path, "open", lambda self, mode: real(Path("/dev/full"), "wb") if mode == "x+b" else real(self, mode)
     )
     with pytest.raises(OutputError, match="full"):
         write(tmp_path / f"out.{ending}", Recording(np.arange(100_000.0) / 7, rate_hz=1.0))

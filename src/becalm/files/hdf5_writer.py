@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import suppress
 from importlib import import_module
 from typing import IO, Any
@@ -18,6 +19,47 @@ _CHUNK_ROWS = 1 << 15
 _LONGEST = 64  # letters of a date
 
 
+class _Sheltered:
+    """A file whose failures are kept for later: HDF5 ends the whole process where writing fails."""
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self._file = file
+        self._failure: BaseException | None = None
+
+    def raise_failure(self) -> None:
+        if self._failure is not None:
+            raise self._failure
+
+    def _attempt(self, step: Callable[[], Any], otherwise: int) -> Any:
+        if self._failure is None:
+            try:
+                return step()
+            except (OSError, ValueError) as cause:
+                self._failure = cause
+        return otherwise
+
+    def write(self, data: Any) -> Any:
+        return self._attempt(lambda: self._file.write(data), len(data))
+
+    def read(self, size: int = -1) -> Any:
+        return self._attempt(lambda: self._file.read(size), 0)
+
+    def readinto(self, buffer: Any) -> Any:
+        return self._attempt(lambda: self._file.readinto(buffer), len(buffer))  # type: ignore[attr-defined]
+
+    def seek(self, offset: int, whence: int = 0) -> Any:
+        return self._attempt(lambda: self._file.seek(offset, whence), 0)
+
+    def tell(self) -> Any:
+        return self._attempt(self._file.tell, 0)
+
+    def truncate(self, size: int | None = None) -> Any:
+        return self._attempt(lambda: self._file.truncate(size), 0)
+
+    def flush(self) -> None:
+        self._attempt(self._file.flush, 0)
+
+
 class Hdf5Rows:
     """Writes tables of one schema below each other.
 
@@ -32,7 +74,7 @@ class Hdf5Rows:
     """
 
     def __init__(self, file: IO[bytes]) -> None:
-        self._file, self._out = file, None
+        self._file, self._out = _Sheltered(file), None
         self._datasets: list[Any] = []
         self._missing: list[bool] = []
         self._rows = 0
@@ -47,6 +89,7 @@ class Hdf5Rows:
             if table.num_rows:
                 dataset[self._rows :] = self._values(number, dataset, column)
         self._rows = stop
+        self._file.raise_failure()
 
     def close(self) -> None:
         """Finish the file, which stays open."""
@@ -57,6 +100,7 @@ class Hdf5Rows:
                 dataset.attrs["_FillValue"] = _fill(dataset.dtype)
                 dataset.attrs.pop(FLAG, None)
         self._out.close()
+        self._file.raise_failure()
 
     def drop(self) -> None:
         """Let go of the file."""
