@@ -22,7 +22,7 @@ from becalm.files import ReadOptions, output_table, plain, read, read_source, re
 from becalm.files.plain import refuse_unwritable
 from becalm.files.writing import refuse_columns
 
-ENDINGS = ["csv", "csv.gz", "parquet"]
+ENDINGS = ["csv", "csv.gz", "h5", "mat", "npz", "parquet"]
 LOG = 'time_s,note,force (kN),n\n0.000000,a,1.5,7\n0.009583,,2.5,8\n0.019196,NA,NA,7\n0.028809,"b, c",-1e-05,9\n'
 
 
@@ -173,7 +173,7 @@ def test_gzip_output_is_the_same_every_time(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["out.xlsx", "out", "out.gz"])
 def test_unknown_endings_are_refused(name: str, tmp_path: Path) -> None:
-    with pytest.raises(OutputError, match=r"\.csv, \.csv\.gz or \.parquet"):
+    with pytest.raises(OutputError, match=r"\.npz or \.parquet"):
         write(tmp_path / name, Recording([1.0, 2.0], rate_hz=1.0))
 
 
@@ -228,7 +228,7 @@ def test_an_interrupted_write_leaves_nothing(tmp_path: Path, monkeypatch: pytest
 def test_a_disk_that_fills_up_while_writing(ending: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     real = Path.open
     monkeypatch.setattr(
-        Path, "open", lambda self, mode: real(Path("/dev/full"), "wb") if mode == "xb" else real(self, mode)
+        Path, "open", lambda self, mode: real(Path("/dev/full"), "wb") if mode == "x+b" else real(self, mode)
     )
     with pytest.raises(OutputError, match="full"):
         write(tmp_path / f"out.{ending}", Recording(np.arange(100_000.0) / 7, rate_hz=1.0))

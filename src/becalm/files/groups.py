@@ -14,6 +14,7 @@ from becalm.files.columns import Column, ColumnRows
 from becalm.files.csv_header import unique_names
 from becalm.files.foreign import Foreign
 from becalm.files.source import RawTable, ToldTime
+from becalm.files.time_column import is_time_name
 
 TIME = "time_s"
 """What the time of a group is called."""
@@ -74,7 +75,7 @@ def tables(
         raise InputError(f"{foreign.path} holds no channel with rows; two or more rows are needed.")
     named = [group.name or f"group {number}" for number, group in enumerate(kept, start=1)]
     titles = unique_names(named) if len(kept) > 1 else ("",)
-    met = Counter(name for group in kept for name in group.columns if name != TIME)
+    met = Counter(name for group in kept for name in group.columns if not is_time_name(name))
     held = _Held(len(kept), close)
     made = []
     for group, title in zip(kept, titles, strict=True):

@@ -12,19 +12,27 @@ from typing import NamedTuple
 from becalm.errors import InputError, OutputError
 from becalm.files.csv_reader import read_csv
 from becalm.files.csv_spool import spool_csv
+from becalm.files.hdf5 import is_hdf5
 from becalm.files.identity import Original
+from becalm.files.mat import is_mat
+from becalm.files.mat73 import is_mat73
+from becalm.files.npz import is_npz
 from becalm.files.parquet import read_parquet
 from becalm.files.source import RawTable
 from becalm.files.text import PARQUET, read_bytes, told
 from becalm.files.text_blocks import is_large
 
-CSV, CSV_GZ, PARQUET_FORMAT = "csv", "csv.gz", "parquet"
+CSV, CSV_GZ, HDF5, MAT, NPZ, PARQUET_FORMAT = "csv", "csv.gz", "hdf5", "mat", "npz", "parquet"
 
 ENDINGS: dict[str, str] = {
     ".csv": CSV,
     ".txt": CSV,
     ".csv.gz": CSV_GZ,
     ".txt.gz": CSV_GZ,
+    ".h5": HDF5,
+    ".hdf5": HDF5,
+    ".mat": MAT,
+    ".npz": NPZ,
     ".parquet": PARQUET_FORMAT,
     ".pq": PARQUET_FORMAT,
 }
@@ -34,6 +42,8 @@ _SEVERAL_TIMES = frozenset({"hdf5", "mat", "npz"})
 
 BAG = "metadata.yaml"
 """What a folder holds that ROS 2 recorded into; no other folder is read."""
+
+_ENDINGS = ".csv, .csv.gz, .h5, .mat, .npz or .parquet"
 
 _HEAD = 512  # bytes that tell a format
 
@@ -54,9 +64,13 @@ class Foreigner(NamedTuple):
 
 
 FOREIGNERS: tuple[Foreigner, ...] = (
+    Foreigner("hdf5", is_hdf5),
     Foreigner("ide", lambda head: head.startswith(b"\x1a\x45\xdf\xa3") and b"mide" in head[:64]),
+    Foreigner("mat", is_mat),
+    Foreigner("mat73", is_mat73),
     Foreigner("mcap", lambda head: head.startswith(b"\x89MCAP0\r\n")),
     Foreigner("mf4", lambda head: head.startswith((b"MDF     ", b"UnFinMF "))),
+    Foreigner("npz", is_npz),
     Foreigner("rosbag", lambda head: head.startswith((b"#ROSBAG V", b"SQLite format 3\0"))),
     Foreigner("tdms", lambda head: head.startswith(b"TDSm")),
     Foreigner("uff", lambda head: re.match(rb" {4}-1 *\r?\n(?=[ \d]{6}) *\d+[bB]?\s", head) is not None),
@@ -125,4 +139,4 @@ def format_to_write(path: Path) -> str:
     for ending in sorted(ENDINGS, key=len, reverse=True):
         if name.endswith(ending):
             return ENDINGS[ending]
-    raise OutputError(f"{path} has an unknown ending {path.suffix!r}; end the name in .csv, .csv.gz or .parquet.")
+    raise OutputError(f"{path} has an unknown ending {path.suffix!r}; end the name in {_ENDINGS}.")

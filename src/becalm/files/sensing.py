@@ -129,7 +129,7 @@ def with_sensors(tables: Sequence[RawTable], records: Sequence[SensorRecord]) ->
 
 
 def uncertainties(records: Sequence[SensorRecord]) -> Mapping[str, tuple[float, float]]:
-    """Return the standard uncertainty (k = 1) of sensitivity, as a share, and of zero, in unit, by bare channel name."""
+    """Return standard uncertainties (k = 1) by bare channel name: of the sensitivity, a share; of the zero, in unit."""
     return {
         parse_header(name)[0]: (share, record.offset_std)
         for record in records

@@ -15,8 +15,6 @@ GZIP = b"\x1f\x8b"
 PARQUET = b"PAR1"
 
 _OTHER_FORMATS: tuple[tuple[bytes, str], ...] = (
-    (b"\x89HDF\r\n\x1a\n", "an HDF5 file (or a MATLAB 7.3 one)"),
-    (b"MATLAB 5.0", "a MATLAB file"),
     (b"PK\x03\x04", "a ZIP archive or an Excel workbook"),
     (b"\xd0\xcf\x11\xe0", "an old Excel or Office file"),
     (b"\x89PNG", "a picture"),

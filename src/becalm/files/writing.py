@@ -14,9 +14,11 @@ from typing import IO, Protocol
 import pyarrow as pa
 
 from becalm.core.recording import Recording
+from becalm.files.array_writer import MatRows, NpzRows
 from becalm.files.csv_writer import CsvRows
+from becalm.files.hdf5_writer import Hdf5Rows
 from becalm.files.parquet_writer import ParquetRows
-from becalm.files.registry import CSV, CSV_GZ, PARQUET_FORMAT, format_to_write
+from becalm.files.registry import CSV, CSV_GZ, HDF5, MAT, NPZ, PARQUET_FORMAT, format_to_write
 from becalm.files.tables import output_table, recording_table
 from becalm.files.whole import refuse_folder, replace_file, replacing, sentences
 
@@ -26,7 +28,7 @@ _WAITING = 1  # chunks between the one being made and the one being written
 
 
 def write(path: str | os.PathLike[str], recording: Recording, sigma: Recording | None = None) -> None:
-    """Write a recording as CSV, CSV.GZ or Parquet, by the ending of the name.
+    """Write a recording as CSV, CSV.GZ, HDF5, MAT, NPZ or Parquet, by the ending of the name.
 
     Parameters
     ----------
@@ -51,11 +53,11 @@ def write_table(path: str | os.PathLike[str], table: pa.Table, metadata: Mapping
     Parameters
     ----------
     path : path-like
-        Ends in .csv, .csv.gz or .parquet.
+        Ends in .csv, .csv.gz, .h5, .hdf5, .mat, .npz or .parquet.
     table : pyarrow.Table
         What to write.
     metadata : mapping of str to str, optional
-        Kept in a Parquet file's own metadata; CSV has no place for it.
+        Kept in the file: as Parquet's own metadata, attributes (HDF5), texts (MAT, NPZ); CSV has no place for it.
 
     Raises
     ------
@@ -73,9 +75,9 @@ def open_output(path: str | os.PathLike[str], metadata: Mapping[str, str] | None
     Parameters
     ----------
     path : path-like
-        Ends in .csv, .csv.gz or .parquet.
+        Ends in .csv, .csv.gz, .h5, .hdf5, .mat, .npz or .parquet.
     metadata : mapping of str to str, optional
-        Kept in a Parquet file's own metadata; CSV has no place for it.
+        Kept in the file: as Parquet's own metadata, attributes (HDF5), texts (MAT, NPZ); CSV has no place for it.
 
     Raises
     ------
@@ -128,6 +130,9 @@ class _Writer(Protocol):
 _WRITERS: dict[str, Callable[[IO[bytes]], _Writer]] = {
     CSV: CsvRows,
     CSV_GZ: lambda file: CsvRows(file, packed=True),
+    HDF5: Hdf5Rows,
+    MAT: MatRows,
+    NPZ: NpzRows,
     PARQUET_FORMAT: ParquetRows,
 }
 
