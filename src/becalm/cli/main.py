@@ -13,7 +13,7 @@ from typing import Annotated
 import typer
 
 from becalm.cli import options as o
-from becalm.cli.said import Said, load, open_as, open_every, refuse_overwriting, tuned
+from becalm.cli.said import load, open_as, open_every, refuse_overwriting, said_of, tuned
 from becalm.cli.stopping import stop_cleanly
 from becalm.errors import BecalmError, UsageError
 
@@ -36,12 +36,13 @@ def inspect(  # noqa: PLR0913  (the contract's options)
     time: o.Time = None,
     group: o.Group = None,
     unit: o.Units = None,
+    sensors: o.Sensors = None,
     as_json: o.Json = False,
 ) -> None:
     """Show how a file is understood: columns, units, time."""
     from becalm.cli.layouts import show, summary
 
-    with open_every(file, Said(channels, rate, time, group=group, units=o.units_of(unit))) as opened:
+    with open_every(file, said_of(channels, o.When(rate, time, group), unit, sensors)) as opened:
         if as_json:
             print(json.dumps({"file": str(file), **summary(opened)}, indent=2))  # noqa: T201
         else:
@@ -58,6 +59,7 @@ def clean(  # noqa: PLR0913  (the contract's options)
     time: o.Time = None,
     group: o.Group = None,
     unit: o.Units = None,
+    sensors: o.Sensors = None,
     causal: o.Causal = False,
     lag: o.Lag = None,
     max_lag: o.MaxLag = None,
@@ -77,7 +79,7 @@ def clean(  # noqa: PLR0913  (the contract's options)
 
     asked, lag_s = o.asked_of(o.Dials(max_lag, bandwidth, noise_gain), still, remove, robust), o.lag_of(lag)
     outputs = Outputs(output, split, verdicts, report, figures)
-    said = Said(channels, rate, time, group=group, units=o.units_of(unit))
+    said = said_of(channels, o.When(rate, time, group), unit, sensors)
     if not run(file, said, Asking(recipe, causal, lag_s, asked), outputs, as_json=as_json):
         raise typer.Exit(NOT_DESCRIBED)
 
@@ -91,6 +93,7 @@ def tune(  # noqa: PLR0913  (the contract's options)
     time: o.Time = None,
     group: o.Group = None,
     unit: o.Units = None,
+    sensors: o.Sensors = None,
     causal: o.Causal = False,
     lag: o.Lag = None,
     max_lag: o.MaxLag = None,
@@ -111,7 +114,7 @@ def tune(  # noqa: PLR0913  (the contract's options)
 
     refuse_overwriting(file, output)
     refuse_unwritable(output)
-    said = Said(channels, rate, time, group=group, units=o.units_of(unit))
+    said = said_of(channels, o.When(rate, time, group), unit, sensors)
     asked = o.asked_of(o.Dials(max_lag, bandwidth, noise_gain), still, remove, robust)
     with open_every(file, said) as opened:
         tell_notes(*opened.sources)
@@ -136,6 +139,7 @@ def compare(  # noqa: PLR0913  (the contract's options)
     time: o.Time = None,
     group: o.Group = None,
     unit: o.Units = None,
+    sensors: o.Sensors = None,
     causal: o.Causal = False,
     output: o.ComparedIn = None,
     as_json: o.Json = False,
@@ -144,7 +148,7 @@ def compare(  # noqa: PLR0913  (the contract's options)
     from becalm.cli.compare import Asking, run
 
     given = load(recipe)
-    said = Said(channels, rate, time, group=group, units=o.units_of(unit))
+    said = said_of(channels, o.When(rate, time, group), unit, sensors)
     said = said if given is None else said.or_as(given)
     with open_as(file, said) as source:
         run(source, said, Asking(truth, causal, output), as_json=as_json)
@@ -158,6 +162,7 @@ def noise(  # noqa: PLR0913  (the contract's options)
     time: o.Time = None,
     group: o.Group = None,
     unit: o.Units = None,
+    sensors: o.Sensors = None,
     still: o.Rest = None,
     cutoff: o.Cutoff = None,
     as_json: o.Json = False,
@@ -166,7 +171,7 @@ def noise(  # noqa: PLR0913  (the contract's options)
     from becalm.cli.noise import run
 
     spans_s, cutoff_hz = o.still_of(still), None if cutoff is None else o.frequency_of("--cutoff", cutoff)
-    with open_as(file, Said(channels, rate, time, group=group, units=o.units_of(unit))) as source:
+    with open_as(file, said_of(channels, o.When(rate, time, group), unit, sensors)) as source:
         run(source, spans_s, cutoff_hz, as_json)
 
 

@@ -39,6 +39,9 @@ Units = Annotated[
     list[str] | None,
     typer.Option("--unit", metavar="NAME=UNIT", help="Have a channel in this unit, as ax=m/s^2; may be repeated."),
 ]
+Sensors = Annotated[
+    Path | None, typer.Option("--sensors", metavar="S.toml", help="Turn volts into units by these calibrations first.")
+]
 Causal = Annotated[bool, typer.Option("--causal", help="Let each estimate know only the past, as a live filter does.")]
 MaxLag = Annotated[
     str | None,
@@ -116,6 +119,14 @@ class Asked(NamedTuple):
     def anything(self) -> bool:
         """Whether something was asked at all."""
         return self.dial is not None or self.robust or bool(self.still_s or self.removed_hz)
+
+
+class When(NamedTuple):
+    """What was said of the time."""
+
+    rate_hz: float | None = None
+    time: str | None = None
+    group: str | None = None
 
 
 class Dials(NamedTuple):

@@ -9,15 +9,16 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
 
-from becalm.cli.options import split_names
+from becalm.cli.options import split_names, units_of
 from becalm.errors import UsageError
 
 if TYPE_CHECKING:
     from becalm.cleaning.recipe import Recipe
-    from becalm.cli.options import Asked
+    from becalm.cli.options import Asked, When
     from becalm.files.asked import ReadOptions
     from becalm.files.every_time import OpenFile
     from becalm.files.opening import OpenSource
+    from becalm.sensors.record import SensorRecord
 
 
 class Said(NamedTuple):
@@ -29,6 +30,7 @@ class Said(NamedTuple):
     recipe: Recipe | None = None
     group: str | None = None
     units: Mapping[str, str] = MappingProxyType({})
+    sensors: tuple[SensorRecord, ...] = ()
 
     def or_as(self, recipe: Recipe) -> Said:
         """Take the time from a recipe, if nothing was said of it."""
@@ -49,6 +51,21 @@ class Said(NamedTuple):
         if not names:
             raise UsageError("--channels names no channel; write --channels NAME,NAME or leave it out.")
         return names
+
+
+def said_of(channels: str | None, when: When, units: list[str] | None, sensors: Path | None) -> Said:
+    """Put together what was said of a file; warn of sensors that are due for calibration."""
+    records: tuple[SensorRecord, ...] = ()
+    if sensors is not None:
+        from datetime import datetime
+
+        from becalm.cleaning.sensor_file import due_warnings, load_sensors
+        from becalm.cli.talk import stderr
+
+        records = load_sensors(sensors)
+        for sentence in due_warnings(records, datetime.now().astimezone().date()):
+            stderr.print(sentence)
+    return Said(channels, when.rate_hz, when.time, None, when.group, units_of(units), records)
 
 
 def open_as(file: Path, said: Said) -> OpenSource:
@@ -76,7 +93,7 @@ def _options(file: Path, said: Said) -> ReadOptions:
     if said.recipe is not None:
         needs = Asker("The recipe", f" Make another recipe with: becalm tune {file} -o R.toml")
         fitting = Fitting(needs, {channel.name: channel.unit for channel in said.recipe.channel})
-    return ReadOptions(said.time, said.rate_hz, said.names, asker, said.group, fitting, said.units)
+    return ReadOptions(said.time, said.rate_hz, said.names, asker, said.group, fitting, said.units, said.sensors)
 
 
 def recipe_beside(output: Path) -> Path:
@@ -138,6 +155,7 @@ def refuse_taken(recipe: Recipe, columns: list[str], *, split: bool, verdicts: b
 
 def tuned(source: OpenSource, causal: bool, asked: Asked, lag_s: float | None = None) -> Recipe:
     """Tune a recipe on a file, or on evenly spread stretches of a long one."""
+    from becalm.cleaning.calibrating import calibrated
     from becalm.cleaning.tuning import Wishes, tune, tuned_as_filter
     from becalm.cli.portions import beginning, rest_within, rows_to_tune_on
     from becalm.cli.talk import progress
@@ -150,4 +168,6 @@ def tuned(source: OpenSource, causal: bool, asked: Asked, lag_s: float | None = 
     told = rest_within(source, rest) if asked.still_s else nullcontext()
     with progress("tuning", len(source.names)) as step, told:
         found = tune(sample, causal=causal, wishes=wishes, progress=lambda name: step(name, 1))
-    return found.model_copy(update={"tuned_on": found.tuned_on.model_copy(update={"sha256": source.sha256()})})
+    origin = found.tuned_on.model_copy(update={"sha256": source.sha256()})
+    channels = calibrated(found.channel, source.calibrations)
+    return found.model_copy(update={"tuned_on": origin, "channel": channels})

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from becalm.sensors.record import SensorRecord
+
 
 class Asker(NamedTuple):
     """Who names columns, for messages.
@@ -60,6 +62,8 @@ class ReadOptions:
         Names and units that channels are to have; those of the same bare name in others are converted.
     units : mapping of str to str
         Units to have columns in, by their names as in the header or without their units.
+    sensors : tuple of SensorRecord
+        What columns are turned into before that.
     """
 
     time: str | None = None
@@ -69,3 +73,4 @@ class ReadOptions:
     group: str | None = None
     fitting: Fitting | None = None
     units: Mapping[str, str] = field(default_factory=dict)
+    sensors: tuple[SensorRecord, ...] = ()

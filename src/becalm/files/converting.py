@@ -193,7 +193,12 @@ def _carried(raw: RawTable, columns: Mapping[str, Converted]) -> RawTable:
             own[name + SIGMA] = Converted(renamed + SIGMA, unit, Conversion(factor))
     units = {name: unit for name, unit in raw.units.items() if name not in own}
     units |= {converted.name: converted.unit for converted in own.values()}
-    return replace(raw, rows=ConvertedRows(raw.rows, own), units=units, notes=(*raw.notes, *notes))
+    uncertain = {
+        own[name].name if name in own else name: (share, zero * (own[name].conversion.factor if name in own else 1.0))
+        for name, (share, zero) in raw.calibrations.items()
+    }
+    rows = ConvertedRows(raw.rows, own)
+    return replace(raw, rows=rows, units=units, notes=(*raw.notes, *notes), calibrations=uncertain)
 
 
 def _renamed(options: ReadOptions, columns: Mapping[str, Converted]) -> ReadOptions:

@@ -15,6 +15,7 @@ from becalm.files.choosing import chosen_table, holds, listed
 from becalm.files.converting import in_units_asked
 from becalm.files.opening import OpenSource, close, refuse_no_rate, understood
 from becalm.files.registry import read_tables
+from becalm.files.sensing import with_sensors
 from becalm.files.source import RawTable
 
 
@@ -71,7 +72,7 @@ def open_file(path: str | os.PathLike[str], options: ReadOptions | None = None) 
     tables = read_tables(file)
     opened: list[OpenSource] = []
     try:
-        tables, options = in_units_asked(tables, options)
+        tables, options = in_units_asked(*with_sensors(tables, options))
         passed = list(_open_each(file, tables, options, opened))
         if not opened:
             raise InputError(f"Nothing in {file} can be cleaned: {'; '.join(one.why for one in passed[:10])}")

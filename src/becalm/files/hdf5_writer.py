@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from becalm.errors import OutputError
 from becalm.files.array_labels import FLAG, NAME, variables
 from becalm.files.column_arrays import is_text, numbers_of, refuse_strange_types, texts_of, told_of, unit_of_field
+from becalm.files.groups import GROUP, START
 
 _CHUNK_ROWS = 1 << 15
 _LONGEST = 64  # letters of a date
@@ -61,11 +62,11 @@ class _Sheltered:
 
 
 class Hdf5Rows:
-    """Writes tables of one schema below each other.
+    """Writes tables of one schema below each other; those of another group go into a folder of their own.
 
     Each column is a dataset of its own, with its unit as the attribute `unit`; where a name cannot be that of a
     dataset, the attribute `becalm.name` has it. Dates are text. Missing whole numbers have the value that the
-    attribute `_FillValue` tells. What is told of the table stands in the file's attributes.
+    attribute `_FillValue` tells. What is told of the table stands in the attributes of the file, or of the folder.
 
     Parameters
     ----------
@@ -74,31 +75,31 @@ class Hdf5Rows:
     """
 
     def __init__(self, file: IO[bytes]) -> None:
-        self._file, self._out = _Sheltered(file), None
-        self._datasets: list[Any] = []
-        self._missing: list[bool] = []
-        self._rows = 0
+        self._file = _Sheltered(file)
+        self._out: Any = None
+        self._tables: dict[str, _Table] = {}
 
     def write(self, table: pa.Table) -> None:
-        """Write some rows."""
+        """Write some rows of a group."""
         if self._out is None:
-            self._begin(table)
-        stop = self._rows + table.num_rows
-        for number, (dataset, column) in enumerate(zip(self._datasets, table.columns, strict=True)):
-            dataset.resize((stop,))
-            if table.num_rows:
-                dataset[self._rows :] = self._values(number, dataset, column)
-        self._rows = stop
+            self._out = _h5py().File(self._file, "w", libver="v108", track_order=True)
+        told = told_of(table.schema)
+        group = told.get(GROUP, "")
+        if group not in self._tables:
+            refuse_strange_types(table.schema, "HDF5")
+            folder = self._out.create_group(group, track_order=True) if group else self._out
+            self._tables[group] = _Table(folder, table)
+            for key, text in told.items():
+                (folder if key in (GROUP, START) else self._out).attrs[key] = text
+        self._tables[group].write(table)
         self._file.raise_failure()
 
     def close(self) -> None:
         """Finish the file, which stays open."""
         if self._out is None:
             return
-        for dataset, missing in zip(self._datasets, self._missing, strict=True):
-            if missing:
-                dataset.attrs["_FillValue"] = _fill(dataset.dtype)
-                dataset.attrs.pop(FLAG, None)
+        for table in self._tables.values():
+            table.close()
         self._out.close()
         self._file.raise_failure()
 
@@ -108,19 +109,18 @@ class Hdf5Rows:
             with suppress(Exception):  # it is unwanted, and may be half written
                 self._out.close()
 
-    def _begin(self, table: pa.Table) -> None:
-        refuse_strange_types(table.schema, "HDF5")
-        try:
-            h5py = import_module("h5py")
-        except ModuleNotFoundError as cause:
-            raise OutputError("HDF5 is written by h5py. Type: pip install 'becalm[formats]'") from cause
-        self._out = out = h5py.File(self._file, "w", libver="v108", track_order=True)
-        for key, text in told_of(table.schema).items():
-            out.attrs[key] = text
+
+class _Table:
+    """The datasets of one table."""
+
+    def __init__(self, folder: Any, table: pa.Table) -> None:
+        self._datasets: list[Any] = []
+        self._missing = [False] * table.num_columns
+        self._rows = 0
         for variable, field in zip(variables(table.column_names), table.schema, strict=True):
-            kind = _stored(field, table.column(field.name), h5py)
+            kind = _stored(field, table.column(field.name), _h5py())
             packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if kind.kind != "f" else {}
-            dataset = out.create_dataset(variable, (0,), kind, maxshape=(None,), chunks=(_CHUNK_ROWS,), **packed)
+            dataset = folder.create_dataset(variable, (0,), kind, maxshape=(None,), chunks=(_CHUNK_ROWS,), **packed)
             if unit := unit_of_field(field):
                 dataset.attrs["unit"] = unit
             if variable != field.name:
@@ -128,7 +128,20 @@ class Hdf5Rows:
             if pa.types.is_boolean(field.type):
                 dataset.attrs[FLAG] = True
             self._datasets.append(dataset)
-            self._missing.append(False)
+
+    def write(self, table: pa.Table) -> None:
+        stop = self._rows + table.num_rows
+        for number, (dataset, column) in enumerate(zip(self._datasets, table.columns, strict=True)):
+            dataset.resize((stop,))
+            if table.num_rows:
+                dataset[self._rows :] = self._values(number, dataset, column)
+        self._rows = stop
+
+    def close(self) -> None:
+        for dataset, missing in zip(self._datasets, self._missing, strict=True):
+            if missing:
+                dataset.attrs["_FillValue"] = _fill(dataset.dtype)
+                dataset.attrs.pop(FLAG, None)
 
     def _values(self, number: int, dataset: Any, column: pa.ChunkedArray) -> NDArray[Any]:
         if is_text(column.type):
@@ -147,6 +160,13 @@ class Hdf5Rows:
             self._missing[number] = True
             return np.where(missing, _fill(dataset.dtype), values)
         return values
+
+
+def _h5py() -> Any:
+    try:
+        return import_module("h5py")
+    except ModuleNotFoundError as cause:
+        raise OutputError("HDF5 is written by h5py. Type: pip install 'becalm[formats]'") from cause
 
 
 def _stored(field: pa.Field, column: pa.ChunkedArray, h5py: Any) -> np.dtype[Any]:

@@ -26,6 +26,7 @@ from becalm.files.converting import in_units_asked
 from becalm.files.registry import read_tables
 from becalm.files.roles import choose_channels, missing_in, unit_of, values_of
 from becalm.files.rows import HeldRows, block_rows, rebatched
+from becalm.files.sensing import with_sensors
 from becalm.files.source import Layout, RawTable, TimeLayout, layout_of
 from becalm.files.time_column import TIME_OPTION, choose_time, find_time, named_column, spoilt_times
 from becalm.files.times import Stamps, read_time
@@ -114,6 +115,11 @@ class OpenSource:
     def group(self) -> str:
         """What the file calls these channels; "" where all share one time."""
         return self._raw.group
+
+    @property
+    def calibrations(self) -> dict[str, tuple[float, float]]:
+        """Standard uncertainties (k = 1) of sensors, by channel: of the sensitivity, a share; of the zero, in unit."""
+        return self._raw.calibrations
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -250,7 +256,7 @@ def open_source(path: str | os.PathLike[str], options: ReadOptions | None = None
     refuse_no_rate(options)
     tables = read_tables(file)
     try:
-        tables, options = in_units_asked(tables, options)
+        tables, options = in_units_asked(*with_sensors(tables, options))
         raw = chosen_table(file, tables, options)
     except BaseException:
         close(tables)

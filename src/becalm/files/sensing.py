@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -10,7 +10,7 @@ import pyarrow as pa
 
 from becalm.core.arrays import Floats
 from becalm.errors import UsageError
-from becalm.files.asked import Asker
+from becalm.files.asked import Asker, ReadOptions
 from becalm.files.choosing import holds, listed
 from becalm.files.conversion import Conversion, conversion
 from becalm.files.roles import unit_of, values_of
@@ -104,37 +104,34 @@ class SensedRows:
         return dict(zip(one.names, found.values(), strict=True))
 
 
-def with_sensors(tables: Sequence[RawTable], records: Sequence[SensorRecord]) -> tuple[RawTable, ...]:
+def with_sensors(tables: Sequence[RawTable], options: ReadOptions) -> tuple[tuple[RawTable, ...], ReadOptions]:
     """Turn columns into what their sensors measured.
 
     Parameters
     ----------
     tables : sequence of RawTable
         A file.
-    records : sequence of SensorRecord
-        Of the sensors; each must find its columns in one of the tables, in a unit that it can use.
+    options : ReadOptions
+        With the sensors; each must find its columns in one of the tables, in a unit that it can use.
 
     Returns
     -------
     tuple of RawTable
         With what was done among their notes.
+    ReadOptions
+        The same, but for channels that are called otherwise now.
 
     Raises
     ------
     UsageError
         If a column is not there, or in a unit that is no other size of the one the sensor expects.
     """
-    found = [_found(tables, record) for record in records]
-    return tuple(_carried(table, [one for holder, one in found if holder is table]) for table in tables)
-
-
-def uncertainties(records: Sequence[SensorRecord]) -> Mapping[str, tuple[float, float]]:
-    """Return standard uncertainties (k = 1) by bare channel name: of the sensitivity, a share; of the zero, in unit."""
-    return {
-        parse_header(name)[0]: (share, record.offset_std)
-        for record in records
-        for name, share in zip(record.channels, record.relative_stds, strict=True)
-    }
+    found = [_found(tables, record) for record in options.sensors]
+    carried = tuple(_carried(table, [one for holder, one in found if holder is table]) for table in tables)
+    if options.channels is None:
+        return carried, options
+    renamed = {own: name for _, one in found for own, name in zip(one.columns, one.names, strict=True)}
+    return carried, replace(options, channels=tuple(renamed.get(name, name) for name in options.channels))
 
 
 def _found(tables: Sequence[RawTable], record: SensorRecord) -> tuple[RawTable, Sensed]:
@@ -175,8 +172,13 @@ def _carried(table: RawTable, sensed: Sequence[Sensed]) -> RawTable:
     own = {name for one in sensed for name in one.columns}
     units = {name: unit for name, unit in table.units.items() if name not in own}
     units |= {name: one.record.unit for one in sensed for name in one.names}
-    rows = SensedRows(table.rows, sensed, table.decimal)
-    return replace(table, rows=rows, units=units, notes=(*table.notes, *(one.note for one in sensed)))
+    rows, notes = SensedRows(table.rows, sensed, table.decimal), (*table.notes, *(one.note for one in sensed))
+    uncertain = {
+        name: (share, one.record.offset_std)
+        for one in sensed
+        for name, share in zip(one.names, one.record.relative_stds, strict=True)
+    }
+    return replace(table, rows=rows, units=units, notes=notes, calibrations=uncertain)
 
 
 def _field(field: pa.Field, name: str, unit: str) -> pa.Field:

@@ -93,6 +93,9 @@ class RawTable:
         Where the format itself tells which time it is.
     notes : tuple of str
         What a person must know, as sentences: that the file is incomplete, or was mended.
+    calibrations : dict of str to (float, float)
+        Of columns that sensors turned into their units: standard uncertainties (k = 1) of the sensitivity, as a share,
+        and of the zero, in unit.
     """
 
     rows: Rows
@@ -104,6 +107,7 @@ class RawTable:
     group: str = ""
     time: ToldTime | None = None
     notes: tuple[str, ...] = ()
+    calibrations: dict[str, tuple[float, float]] = field(default_factory=dict)
 
     @property
     def names(self) -> list[str]:
