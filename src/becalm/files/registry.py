@@ -38,7 +38,7 @@ ENDINGS: dict[str, str] = {
 }
 """What the ending of an output's name asks for."""
 
-_SEVERAL_TIMES = frozenset({HDF5})
+_SEVERAL_TIMES = frozenset({HDF5, MAT, NPZ})
 
 BAG = "metadata.yaml"
 """What a folder holds that ROS 2 recorded into; no other folder is read."""
