@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
@@ -84,9 +83,9 @@ class Mf4Rows:
         """Return an empty log, whose rows wait beside the output, where there is the room for them."""
         folder = None
         if isinstance(getattr(self._file, "name", None), str):
-            beside = Path(self._file.name)
-            folder = Path(tempfile.mkdtemp(".part", f"{beside.name[:80]}.", beside.parent))
+            folder = Path(f"{self._file.name}.rows")
             self._stack.enter_context(in_waiting(folder))
+            folder.mkdir()
         log = self._library.MDF(version="4.10", temporary_folder=folder)
         self._stack.callback(log.close)
         return log
