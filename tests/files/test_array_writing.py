@@ -1,4 +1,4 @@
-"""HDF5, MAT and NPZ: what is written reads back the same, with names, units and what is told of it."""
+"""HDF5, MAT, MF4 and NPZ: what is written reads back the same, with names, units and what is told of it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from becalm.files import array_writer, open_output
 from becalm.files.registry import read_tables
 from becalm.files.tables import in_words
 
-ENDINGS = ["h5", "mat", "npz"]
+ENDINGS = ["h5", "mat", "mf4", "npz"]
 COUNT = 7
 
 
@@ -62,7 +62,7 @@ def test_every_column_reads_back(ending: str, cut: int, tmp_path: Path) -> None:
 
 def test_the_recipe_is_found_by_each_formats_own_library(tmp_path: Path) -> None:
     recipe = '{"ä": "' + "x" * 100_000 + '"}'  # longer than an attribute of old HDF5 may be
-    for ending in ENDINGS:
+    for ending in ("h5", "mat", "npz"):
         with open_output(tmp_path / f"a.{ending}", {"becalm.recipe": recipe}) as out:
             out.write(table())
     with h5py.File(tmp_path / "a.h5") as file:

@@ -31,7 +31,7 @@ def refuse_times(output: Path, opened: OpenFile) -> None:
         more = f" and {len(opened.sources) - _MOST_NAMED} more" if len(opened.sources) > _MOST_NAMED else ""
         raise UsageError(
             f"The file holds channels at {len(opened.sources)} times ({named}{more}), and {output} can hold one; name"
-            " an output that ends in .h5, or choose one with --group."
+            " an output that ends in .h5, .mat, .mf4 or .npz, or choose one with --group."
         )
 
 

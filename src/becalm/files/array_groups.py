@@ -16,7 +16,7 @@ from becalm.files.array_rates import Rates
 from becalm.files.arrays import Found, Leaf, Path
 from becalm.files.columns import Column
 from becalm.files.csv_header import unique_names
-from becalm.files.groups import Group
+from becalm.files.groups import GROUP, START, TIME, Group
 from becalm.files.source import ToldTime
 from becalm.files.time_column import is_time_name
 from becalm.files.units import parse_header
@@ -56,7 +56,9 @@ class Grouping:
         self._rates = Rates(found)
         self._described = found.described_units()
         leaves = [leaf for leaf in found.leaves if self._fits(leaf)]
-        self._times = {leaf.path: leaf for leaf in leaves if len(leaf.shape) == 1 and _may_be_time(leaf, leaves)}
+        self._written = {path[:-1] for path in found.words if path[-1] == GROUP}  # each by becalm, and one table
+        others = [leaf for leaf in leaves if leaf.path[:-1] not in self._written]
+        self._times = {leaf.path: leaf for leaf in others if len(leaf.shape) == 1 and _may_be_time(leaf, others)}
         self._homes: dict[_Home, list[Leaf]] = {}
         for leaf in leaves:
             if leaf.path not in self._times:
@@ -87,6 +89,8 @@ class Grouping:
         return columns <= _MOST_COLUMNS
 
     def _home(self, leaf: Leaf) -> _Home:
+        if leaf.path[:-1] in self._written:
+            return _Home(leaf.path[:-1], (), None, leaf.length, leaf.meant[0])
         for depth in range(len(leaf.path) - 1, -1, -1):
             folder = leaf.path[:depth]
             beside = [one for path, one in self._times.items() if path[:-1] == folder and one.meant[0] in leaf.meant]
@@ -104,11 +108,12 @@ class Grouping:
     def _leave_strays_out(self) -> None:
         """Leave out what is far shorter than the rest and has no times: a matrix of calibration, a list of limits."""
         longest = max((home.rows for home in self._homes), default=0)
-        for home, leaves in list(self._homes.items()):
+        loose = {home: leaves for home, leaves in self._homes.items() if home.folder not in self._written}
+        for home, leaves in loose.items():
             if not home.time and len(self._homes) > 1 and all(leaf.type.kind == "O" for leaf in leaves):
                 del self._homes[home]  # names and units of others
-        for home in list(self._homes):
-            if not home.time and home.rows <= _SHORT and home.rows * _STRAY < longest:
+        for home in loose:
+            if home in self._homes and not home.time and home.rows <= _SHORT and home.rows * _STRAY < longest:
                 for leaf in self._homes.pop(home):
                     if leaf.type.kind != "O":
                         self._found.notes.append(f"{self._said(leaf.path)} has {home.rows} values only; left out.")
@@ -129,11 +134,15 @@ class Grouping:
         time = None
         if home.rate_hz is not None and not any(is_time_name(name) for name in names):
             time = ToldTime("", home.rate_hz, self._rates.start(home.folder))
+        elif TIME in names and (start := self._found.word((*home.folder, START))):
+            time = ToldTime(TIME, None, start)
         named = dict(zip(names, (column for _, column in columns), strict=True))
         return Group(self._title(home, leaves), named, home.rows, time, notes)
 
     def _title(self, home: _Home, leaves: Sequence[Leaf]) -> str:
-        """Name a group by its folder; where that holds several, by its first array too."""
+        """Name a group as its folder is called; where that holds several, by its first array too."""
+        if told := self._found.word((*home.folder, GROUP)):
+            return told
         rivals = [other for other in self._homes if other.folder == home.folder]
         if len(rivals) == 1:
             return self._joint.join(home.folder)

@@ -12,9 +12,9 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from becalm.errors import OutputError
-from becalm.files.array_labels import FLAG, NAME, variables
+from becalm.files.array_labels import FLAG, NAME, OF_TABLE, folder_name, variables
 from becalm.files.column_arrays import is_text, numbers_of, refuse_strange_types, texts_of, told_of, unit_of_field
-from becalm.files.groups import GROUP, START
+from becalm.files.groups import GROUP
 
 _CHUNK_ROWS = 1 << 15
 _LONGEST = 64  # letters of a date
@@ -87,10 +87,11 @@ class Hdf5Rows:
         group = told.get(GROUP, "")
         if group not in self._tables:
             refuse_strange_types(table.schema, "HDF5")
-            folder = self._out.create_group(group, track_order=True) if group else self._out
+            name = folder_name(group, self._out.keys())
+            folder = self._out.create_group(name, track_order=True) if group else self._out
             self._tables[group] = _Table(folder, table)
-            for key, text in told.items():
-                (folder if key in (GROUP, START) else self._out).attrs[key] = text
+            for key, text in {GROUP: "", **told}.items():
+                (folder if key in OF_TABLE else self._out).attrs[key] = text
         self._tables[group].write(table)
         self._file.raise_failure()
 

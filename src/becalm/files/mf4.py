@@ -22,11 +22,11 @@ from becalm.files.csv_header import unique_names
 from becalm.files.foreign import Foreign
 from becalm.files.groups import TIME, Group, tables
 from becalm.files.mf4_blocks import looked_through
-from becalm.files.mf4_columns import Channel, MasterTime, columns_of
+from becalm.files.mf4_columns import NO_START, Channel, MasterTime, columns_of
 from becalm.files.source import RawTable, ToldTime
 
 _VARIABLE_LENGTH, _BUS_EVENT = 1, 2  # flags of a channel group
-_TIME_MASTERS = (0, 1)  # kinds of synchronisation; others are angle, distance, index
+_TIME_MASTERS, _INDEX = (0, 1), 4  # kinds of synchronisation; others are angle and distance
 _CUT = "The file is incomplete; what is whole of it was read."
 _MESSAGE = re.compile(r"message (?P<name>\S+) 0x")  # of a decoded group
 
@@ -148,6 +148,8 @@ def _master(log: Any, index: int) -> tuple[dict[str, Column], ToldTime | None]:
     if number is None:
         return {}, None
     channel = log.groups[index].channels[number]
+    if getattr(channel, "sync_type", 1) == _INDEX:  # the number of the row
+        return {}, None
     if getattr(channel, "sync_type", 1) not in _TIME_MASTERS:
         made = Column(
             pa.float64(), lambda first, last: log.get_master(index, record_offset=first, record_count=last - first)
@@ -155,6 +157,8 @@ def _master(log: Any, index: int) -> tuple[dict[str, Column], ToldTime | None]:
         return {channel.name: made._replace(unit=channel.unit)}, None
     time = MasterTime(Channel(log, index, number))
     start = ""
+    if str(getattr(log.groups[index].channel_group, "comment", "")) == NO_START:
+        return {TIME: Column(pa.float64(), time.read, "s")}, ToldTime(TIME)
     with suppress(Exception):  # a date that is none is no reason to refuse the file
         start = _instant(log, time.first_s)
     return {TIME: Column(pa.float64(), time.read, "s")}, ToldTime(TIME, None, start)

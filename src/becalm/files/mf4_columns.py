@@ -19,6 +19,9 @@ _MOST_PARTS = 4096
 _ENOUGH = 1000  # rows that tell whether a channel is of names or of numbers
 _MOSTLY = 0.5
 
+NO_START = "Its first instant is not known; that of the file is another group's."
+"""The comment on a group which the start of the file is not about."""
+
 Values = NDArray[Any]
 Tidy = Callable[[Values], Values]
 
@@ -60,22 +63,23 @@ class MasterTime:
     def __init__(self, channel: Channel) -> None:
         self._channel = channel
         conversion = channel.head.conversion
-        self._second = float(conversion.a) if conversion is not None and _is_linear(conversion) else 1.0
-        self._offset = float(conversion.b) if conversion is not None and _is_linear(conversion) else 0.0
-        self._counts = (conversion is None or _is_linear(conversion)) and self._raw(0, 1).dtype.kind in "iu"
-        self._first = self._raw(0, 1)[0] if self._counts else self._seconds(0, 1)[0]
+        scaled = conversion is not None and _is_linear(conversion)
+        self._second, self._offset = (float(conversion.a), float(conversion.b)) if scaled else (1.0, 0.0)
+        self._linear = (conversion is None or scaled) and self._raw(0, 1).dtype.kind in "iuf"
+        self._first = self._raw(0, 1)[0] if self._linear else self._seconds(0, 1)[0]
 
     @property
     def first_s(self) -> float:
         """The time of the first row in seconds, as the file counts them."""
-        return float(self._first) * self._second + self._offset if self._counts else float(self._first)
+        return float(self._first) * self._second + self._offset if self._linear else float(self._first)
 
     def read(self, first: int, last: int) -> Floats:
-        """Return seconds since the first row; of counts the difference is taken before they are scaled."""
-        if self._counts:
-            since = self._raw(first, last).astype(np.int64) - np.int64(self._first)
-            return np.asarray(since * self._second, np.float64)
-        return np.asarray(self._seconds(first, last) - self._first, np.float64)
+        """Return seconds since the first row; the difference is taken before it is scaled."""
+        if not self._linear:
+            return np.asarray(self._seconds(first, last) - self._first, np.float64)
+        raw = self._raw(first, last)
+        kind = np.float64 if raw.dtype.kind == "f" else np.int64
+        return np.asarray((raw.astype(kind) - kind(self._first)) * self._second, np.float64)
 
     def _raw(self, first: int, last: int) -> Values:
         return self._channel.read(first, last, raw=True)[0]
@@ -98,7 +102,8 @@ def columns_of(foreign: Foreign, channel: Channel) -> tuple[list[tuple[str, Colu
         return [], [f"{name!r} was left out: it has {len(parts)} values a row."]
     made = []
     for title, pick in parts:
-        of_type, tidy = _type_of(pick(probe), conversion is not None)
+        flag = channel.head.bit_count == 1 and conversion is None
+        of_type, tidy = _type_of(pick(probe).astype(bool) if flag else pick(probe), conversion is not None)
         if of_type is None:
             return [], [f"{name!r} was left out: it holds values of an unknown type."]
         made.append((title, Column(of_type, _reader(channel, _both(pick, tidy)), unit)))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from becalm.errors import InputError
 from becalm.files.array_groups import Grouping
-from becalm.files.array_labels import take_labels
+from becalm.files.array_labels import VARIABLES, take_labels
 from becalm.files.arrays import Found, Leaf
 from becalm.files.foreign import Foreign
 from becalm.files.groups import tables
@@ -46,7 +46,7 @@ def read(path: Path) -> tuple[RawTable, ...]:
         with path.open("rb") as file:
             alone = file.read(len(npy.MAGIC_PREFIX)) == npy.MAGIC_PREFIX
         if alone:
-            _take(found, path.stem or "array", path.read_bytes(), whole=True)
+            _take(found, (path.stem or "array",), path.read_bytes(), whole=True)
         else:
             _take_members(found, foreign)
         take_labels(found)
@@ -61,23 +61,27 @@ def _take_members(found: Found, foreign: Foreign) -> None:
     if not whole:
         found.notes.append("The archive is cut short; what is before its end was read.")
     foreign.refuse_claim(sum(member.bytes for member in listed))
+    own = {folder for member in listed if (folder := member.name.removesuffix(f"/{VARIABLES}.npy")) != member.name}
     for member in listed:
         if member.why:
             found.notes.append(f"{member.name!r} is not read: {member.why}.")
         elif member.name.endswith(".npy"):
-            _take_member(found, foreign, member)
+            folder, _, name = member.name.removesuffix(".npy").rpartition("/")
+            path = (folder, name) if folder in own else (member.name.removesuffix(".npy"),)
+            _take_member(found, foreign, member, path)
 
 
-def _take_member(found: Found, foreign: Foreign, member: Member) -> None:
+def _take_member(found: Found, foreign: Foreign, member: Member, path: tuple[str, ...]) -> None:
     data, undamaged = content(foreign, member)
     if not undamaged and len(data) == member.bytes:
         found.notes.append(f"{member.name!r} is not read: it is damaged.")
         return
-    _take(found, member.name.removesuffix(".npy"), data, undamaged)
+    _take(found, path, data, undamaged)
 
 
-def _take(found: Found, name: str, data: bytes, whole: bool) -> None:
+def _take(found: Found, path: tuple[str, ...], data: bytes, whole: bool) -> None:
     """Read one array, or the rows of it that are whole."""
+    name = "/".join(path)
     file = io.BytesIO(data)
     try:
         version = npy.read_magic(file)
@@ -103,7 +107,7 @@ def _take(found: Found, name: str, data: bytes, whole: bool) -> None:
         return
     count = int(np.prod(shape, dtype=object))
     values = np.frombuffer(data, kind, count, file.tell()).reshape(shape, order="F" if by_columns else "C")
-    _hold(found, (name,), values, claimed)
+    _hold(found, path, values, claimed)
 
 
 def _hold(found: Found, path: tuple[str, ...], values: NDArray[Any], claimed: tuple[int, ...]) -> None:

@@ -22,7 +22,8 @@ from becalm.files.source import RawTable
 from becalm.files.text import PARQUET, read_bytes, told
 from becalm.files.text_blocks import is_large
 
-CSV, CSV_GZ, HDF5, MAT, NPZ, PARQUET_FORMAT = "csv", "csv.gz", "hdf5", "mat", "npz", "parquet"
+CSV, CSV_GZ, HDF5, MAT, MF4, NPZ = "csv", "csv.gz", "hdf5", "mat", "mf4", "npz"
+PARQUET_FORMAT = "parquet"
 
 ENDINGS: dict[str, str] = {
     ".csv": CSV,
@@ -32,18 +33,19 @@ ENDINGS: dict[str, str] = {
     ".h5": HDF5,
     ".hdf5": HDF5,
     ".mat": MAT,
+    ".mf4": MF4,
     ".npz": NPZ,
     ".parquet": PARQUET_FORMAT,
     ".pq": PARQUET_FORMAT,
 }
 """What the ending of an output's name asks for."""
 
-_SEVERAL_TIMES = frozenset({HDF5})
+_SEVERAL_TIMES = frozenset({HDF5, MAT, MF4, NPZ})
 
 BAG = "metadata.yaml"
 """What a folder holds that ROS 2 recorded into; no other folder is read."""
 
-_ENDINGS = ".csv, .csv.gz, .h5, .mat, .npz or .parquet"
+_ENDINGS = ".csv, .csv.gz, .h5, .mat, .mf4, .npz or .parquet"
 
 _HEAD = 512  # bytes that tell a format
 
@@ -139,4 +141,8 @@ def format_to_write(path: Path) -> str:
     for ending in sorted(ENDINGS, key=len, reverse=True):
         if name.endswith(ending):
             return ENDINGS[ending]
+    if name.endswith(".mdf"):
+        raise OutputError(
+            f"{path} is the name of an MDF file of version 3; version 4 is written: end the name in .mf4."
+        )
     raise OutputError(f"{path} has an unknown ending {path.suffix!r}; end the name in {_ENDINGS}.")

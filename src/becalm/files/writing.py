@@ -17,8 +17,9 @@ from becalm.core.recording import Recording
 from becalm.files.array_writer import MatRows, NpzRows
 from becalm.files.csv_writer import CsvRows
 from becalm.files.hdf5_writer import Hdf5Rows
+from becalm.files.mf4_writer import Mf4Rows
 from becalm.files.parquet_writer import ParquetRows
-from becalm.files.registry import CSV, CSV_GZ, HDF5, MAT, NPZ, PARQUET_FORMAT, format_to_write
+from becalm.files.registry import CSV, CSV_GZ, HDF5, MAT, MF4, NPZ, PARQUET_FORMAT, format_to_write
 from becalm.files.tables import output_table, recording_table
 from becalm.files.whole import refuse_folder, replace_file, replacing, sentences
 
@@ -28,7 +29,7 @@ _WAITING = 1  # chunks between the one being made and the one being written
 
 
 def write(path: str | os.PathLike[str], recording: Recording, sigma: Recording | None = None) -> None:
-    """Write a recording as CSV, CSV.GZ, HDF5, MAT, NPZ or Parquet, by the ending of the name.
+    """Write a recording as CSV, CSV.GZ, HDF5, MAT, MF4, NPZ or Parquet, by the ending of the name.
 
     Parameters
     ----------
@@ -53,11 +54,12 @@ def write_table(path: str | os.PathLike[str], table: pa.Table, metadata: Mapping
     Parameters
     ----------
     path : path-like
-        Ends in .csv, .csv.gz, .h5, .hdf5, .mat, .npz or .parquet.
+        Ends in .csv, .csv.gz, .h5, .hdf5, .mat, .mf4, .npz or .parquet.
     table : pyarrow.Table
         What to write.
     metadata : mapping of str to str, optional
-        Kept in the file: as Parquet's own metadata, attributes (HDF5), texts (MAT, NPZ); CSV has no place for it.
+        Kept in the file: as Parquet's own metadata, attributes (HDF5), history (MF4), texts (MAT, NPZ); CSV has no
+        place for it.
 
     Raises
     ------
@@ -75,9 +77,10 @@ def open_output(path: str | os.PathLike[str], metadata: Mapping[str, str] | None
     Parameters
     ----------
     path : path-like
-        Ends in .csv, .csv.gz, .h5, .hdf5, .mat, .npz or .parquet.
+        Ends in .csv, .csv.gz, .h5, .hdf5, .mat, .mf4, .npz or .parquet.
     metadata : mapping of str to str, optional
-        Kept in the file: as Parquet's own metadata, attributes (HDF5), texts (MAT, NPZ); CSV has no place for it.
+        Kept in the file: as Parquet's own metadata, attributes (HDF5), history (MF4), texts (MAT, NPZ); CSV has no
+        place for it.
 
     Raises
     ------
@@ -132,6 +135,7 @@ _WRITERS: dict[str, Callable[[IO[bytes]], _Writer]] = {
     CSV_GZ: lambda file: CsvRows(file, packed=True),
     HDF5: Hdf5Rows,
     MAT: MatRows,
+    MF4: Mf4Rows,
     NPZ: NpzRows,
     PARQUET_FORMAT: ParquetRows,
 }
