@@ -1,4 +1,4 @@
-"""The commands: inspect, clean, tune, compare, noise, calibrate, study, demo, warm; rooms are loaded inside them."""
+"""The commands, from inspect and clean to warm; rooms are loaded inside them."""
 
 from __future__ import annotations
 
@@ -192,6 +192,14 @@ def calibrate(  # noqa: PLR0913  (the contract's options)
 
     said = said_of(channels, o.When(rate, time, group), None, None)
     run(file, said, output, unit, gravity, as_json=as_json)
+
+
+@app.command()
+def recalibrate(file: o.Clean, output: o.Output, old: o.OldSensors, new: o.NewSensors) -> None:
+    """Give a clean recording another sensitivity and zero, without its readings."""
+    from becalm.cli.recalibrate import Calibrations, run
+
+    run(file, output, Calibrations(old, new))
 
 
 @app.command()
