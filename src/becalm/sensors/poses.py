@@ -1,7 +1,7 @@
 """A triaxial accelerometer calibrated by rest: gravity is as long in every pose.
 
 Nothing but the sensor is needed: it is laid down in many poses, and scale, bias and skew of its axes are those
-that make |a| the same in all. Which way its axes point in space gravity cannot tell; so the first axis is taken as
+that make |a| the same in all. Which way its axes point in space gravity cannot tell; so the third axis is taken as
 it is, the second lies in a plane with it (the upper triangular matrix of Tedaldi, Pretto and Menegatti, ICRA 2014).
 Where directions are known, as on the six faces of a cube, everything is found by linear least squares (IEEE 1293).
 """
