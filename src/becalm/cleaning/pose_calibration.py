@@ -67,10 +67,21 @@ def calibrate_poses(recording: Recording, gravity: float = STANDARD_GRAVITY) -> 
     SensorError
         If there are not three channels, too few rests, or rests too alike.
     """
+    return calibrate_by_length(find_poses(recording), gravity)
+
+
+def find_poses(recording: Recording) -> Rests:
+    """Find the rests of a triaxial sensor, as `find_rests` does, and refuse too few.
+
+    Raises
+    ------
+    SensorError
+        If there are not three channels, or fewer than ten rests.
+    """
     rests = find_rests(recording)
     if len(rests.means) < FEWEST_POSES:
         raise SensorError(
             f"{len(rests.means)} rests were found, of {FEWEST_POSES} that are needed: "
             f"{find_still(recording).reason} Lay the sensor down in each pose for some seconds."
         )
-    return calibrate_by_length(rests, gravity)
+    return rests

@@ -2,133 +2,23 @@
 
 from __future__ import annotations
 
-from datetime import date
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
-from becalm.cleaning.recipe_parts import Finite, NotNegative, Positive, Settings
-from becalm.sensors.accelerometer import Accelerometer, FullScale, sensitivity_matrix, volts_per_count
+from becalm.cleaning.recipe_parts import Finite, NotNegative, Positive
+from becalm.cleaning.sensor_entry import Entry, Name, OneChannel
+from becalm.sensors.accelerometer import Accelerometer, sensitivity_matrix
 from becalm.sensors.bridge import Bridge, Configuration
 from becalm.sensors.curve import Curve
 from becalm.sensors.load_cell import LoadCell
-from becalm.sensors.record import Sensitivity, SensorRecord, Sheet
+from becalm.sensors.record import Sensitivity, SensorRecord
 
 Three = tuple[Finite, Finite, Finite]
-Name = Annotated[str, Field(min_length=1)]
 
 
-class SheetEntry(Settings):
-    """`becalm.sensors.record.Sheet`, as it is written; each line may be left out."""
-
-    manufacturer: str = ""
-    model: str = ""
-    version: str = ""
-    serial: str = ""
-    calibrated: date | None = None
-    due: date | None = None
-    laboratory: str = ""
-    certificate: str = ""
-    reference_frequency_hz: NotNegative | None = None
-    reference_temperature_degc: Finite | None = None
-    range_low: Finite | None = None
-    range_high: Finite | None = None
-    impedance_ohm: Positive | None = None
-    temperature_coefficient_percent_per_k: Finite | None = None
-    direction: str = ""
-    location: str = ""
-    transverse_percent: NotNegative | None = None
-    noise_density: Positive | None = None
-
-
-class _Entry(Settings):
-    """What every kind has.
-
-    Attributes
-    ----------
-    raw_unit : {"V", "mV", "mV/V", "counts"}
-        Of the readings that come.
-    unit : str
-        Of the result.
-    span_v, bits : float, int or None
-        Of the converter whose counts come: from its least to its greatest input, and its resolution.
-    lowest_reading, highest_reading : float or None
-        Full scale, in raw_unit; from 0.999 of it readings are clipped, and count as missing.
-    zero_uncertainty : float
-        Expanded (k = 2), of the result at rest, in unit; a *small* one trusts the zero.
-    sheet : SheetEntry
-        What else its sheet says.
-    """
-
-    raw_unit: Literal["V", "mV", "mV/V", "counts"]
-    unit: Name
-    span_v: Positive | None = None
-    bits: Annotated[int, Field(ge=1, le=64)] | None = None
-    lowest_reading: Finite | None = None
-    highest_reading: Finite | None = None
-    zero_uncertainty: NotNegative = 0.0
-    sheet: SheetEntry = SheetEntry()
-
-    @model_validator(mode="after")
-    def _makes_a_record(self) -> Self:
-        self.record()
-        return self
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The channels that the sensor feeds."""
-        raise NotImplementedError
-
-    def record(self) -> SensorRecord:
-        """Make the record; every fault is a ValueError, and a sentence."""
-        raise NotImplementedError
-
-    def _shared(self) -> dict[str, Any]:
-        """Return what is the same in the records of all kinds."""
-        low, high = self.lowest_reading, self.highest_reading
-        if (low is None) != (high is None) or (low is not None and high is not None and low >= high):
-            raise ValueError("full scale goes from lowest_reading up to highest_reading; give both, or neither")
-        if self.raw_unit != "counts" and (self.span_v is not None or self.bits is not None):
-            raise ValueError('span_v and bits belong to raw_unit = "counts"; leave them out')
-        return {
-            "channels": self.names,
-            "raw_unit": self.raw_unit,
-            "unit": self.unit,
-            "zero_uncertainty": self.zero_uncertainty,
-            "full_scale": None if low is None or high is None else FullScale(low, high),
-            "sheet": Sheet(**self.sheet.model_dump()),
-        }
-
-    def _volts(self) -> float:
-        """Return the volts of one reading."""
-        if self.raw_unit == "counts":
-            if self.span_v is None or self.bits is None:
-                raise ValueError('raw_unit = "counts" needs the converter\'s span_v and bits, as 10.0 and 16')
-            return volts_per_count(self.span_v, self.bits)
-        if self.raw_unit == "mV/V":
-            raise ValueError('raw_unit = "mV/V" belongs to bridges and load cells; give volts or counts')
-        return {"V": 1.0, "mV": 1e-3}[self.raw_unit]
-
-    def _ratio(self, excitation_v: float | None) -> float:
-        """Return the V/V of one reading."""
-        if self.raw_unit == "mV/V":
-            return 1e-3
-        if excitation_v is None:
-            raise ValueError(f'raw_unit = "{self.raw_unit}" needs excitation_v, as 5.0; readings in mV/V do not')
-        return self._volts() / excitation_v
-
-
-class _OneChannel(_Entry):
-    channel: Name
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The one channel."""
-        return (self.channel,)
-
-
-class AccelerometerEntry(_OneChannel):
+class AccelerometerEntry(OneChannel):
     """An accelerometer, or any sensor with one sensitivity.
 
     Attributes
@@ -148,10 +38,10 @@ class AccelerometerEntry(_OneChannel):
         """Make the record."""
         told = Sensitivity(self.sensitivity_mv, f"mV/{self.unit}", self.sensitivity_uncertainty_mv)
         one = Accelerometer(sensitivity_matrix([self.sensitivity_mv / 1e3]), np.array([self.bias_mv / 1e3]))
-        return SensorRecord(**self._shared(), conversion=one, reading_size=self._volts(), sensitivities=(told,))
+        return SensorRecord(**self.shared(), conversion=one, reading_size=self.volts(), sensitivities=(told,))
 
 
-class TriaxialEntry(_Entry):
+class TriaxialEntry(Entry):
     """A triaxial accelerometer: by its sheet, or as its rests in many poses calibrated it.
 
     Attributes
@@ -166,6 +56,8 @@ class TriaxialEntry(_Entry):
         In place of sensitivities: a = correction (readings - bias), in unit per reading.
     bias : tuple of three float
         In readings, beside `correction`.
+    scale_uncertainty_percent : tuple of three float
+        Expanded (k = 2), of each axis, beside `correction`.
     """
 
     kind: Literal["triaxial"]
@@ -176,6 +68,7 @@ class TriaxialEntry(_Entry):
     bias_mv: Three = (0.0, 0.0, 0.0)
     correction: tuple[Three, Three, Three] | None = None
     bias: Three = (0.0, 0.0, 0.0)
+    scale_uncertainty_percent: tuple[NotNegative, NotNegative, NotNegative] = (0.0, 0.0, 0.0)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -186,9 +79,9 @@ class TriaxialEntry(_Entry):
         """Make the record."""
         by_sheet = {"sensitivity_uncertainty_mv", "cross_axis_percent", "bias_mv"} & self.model_fields_set
         if self.correction is not None and self.sensitivity_mv is None and not by_sheet:
-            found = Accelerometer.corrected_by(self.correction, self.bias)
-            return SensorRecord(**self._shared(), conversion=found)
-        if self.sensitivity_mv is None or self.correction is not None or "bias" in self.model_fields_set:
+            return self._corrected(Accelerometer.corrected_by(self.correction, self.bias))
+        by_poses = {"bias", "scale_uncertainty_percent"} & self.model_fields_set
+        if self.sensitivity_mv is None or self.correction is not None or by_poses:
             raise ValueError("give either sensitivity_mv, with bias_mv, or correction, with bias in readings")
         heard = sensitivity_matrix(np.array(self.sensitivity_mv) / 1e3, self.cross_axis_percent)
         told = tuple(
@@ -196,10 +89,18 @@ class TriaxialEntry(_Entry):
             for value, u in zip(self.sensitivity_mv, self.sensitivity_uncertainty_mv, strict=True)
         )
         three = Accelerometer(heard, np.array(self.bias_mv) / 1e3)
-        return SensorRecord(**self._shared(), conversion=three, reading_size=self._volts(), sensitivities=told)
+        return SensorRecord(**self.shared(), conversion=three, reading_size=self.volts(), sensitivities=told)
+
+    def _corrected(self, found: Accelerometer) -> SensorRecord:
+        sizes = np.linalg.norm(found.sensitivity, axis=1).tolist()  # of each axis, whichever way it points
+        told = tuple(
+            Sensitivity(size, f"{self.raw_unit}/{self.unit}", percent / 100 * size)
+            for size, percent in zip(sizes, self.scale_uncertainty_percent, strict=True)
+        )
+        return SensorRecord(**self.shared(), conversion=found, sensitivities=told)
 
 
-class BridgeEntry(_OneChannel):
+class BridgeEntry(OneChannel):
     """Strain gauges in a bridge, see `becalm.sensors.bridge.Bridge`.
 
     Attributes
@@ -238,15 +139,15 @@ class BridgeEntry(_OneChannel):
             tension_lowers=self.tension_lowers,
         )
         return SensorRecord(
-            **self._shared(),
+            **self.shared(),
             conversion=bridge,
-            reading_size=self._ratio(self.excitation_v),
+            reading_size=self.ratio(self.excitation_v),
             result_size=1e6 if self.unit == "um/m" else 1.0,
             sensitivities=(told,),
         )
 
 
-class LoadCellEntry(_OneChannel):
+class LoadCellEntry(OneChannel):
     """A load cell, see `becalm.sensors.load_cell.LoadCell`.
 
     Attributes
@@ -268,11 +169,11 @@ class LoadCellEntry(_OneChannel):
         """Make the record."""
         cell = LoadCell(self.rated_output_mv_per_v, self.capacity, self.zero_balance_mv_per_v, self.excitation_v)
         told = Sensitivity(self.rated_output_mv_per_v, "mV/V", self.rated_output_uncertainty_mv_per_v)
-        size = 1e3 * self._ratio(self.excitation_v)
-        return SensorRecord(**self._shared(), conversion=cell, reading_size=size, sensitivities=(told,))
+        size = 1e3 * self.ratio(self.excitation_v)
+        return SensorRecord(**self.shared(), conversion=cell, reading_size=size, sensitivities=(told,))
 
 
-class CurveEntry(_OneChannel):
+class CurveEntry(OneChannel):
     """A calibration curve.
 
     Attributes
@@ -286,7 +187,7 @@ class CurveEntry(_OneChannel):
 
     def record(self) -> SensorRecord:
         """Make the record."""
-        return SensorRecord(**self._shared(), conversion=Curve(self.coefficients))
+        return SensorRecord(**self.shared(), conversion=Curve(self.coefficients))
 
 
 SensorEntry = Annotated[

@@ -7,6 +7,7 @@ from datetime import date
 from pathlib import Path
 from typing import Annotated, Self
 
+import tomlkit
 from pydantic import Field, model_validator
 
 from becalm.cleaning.recipe_parts import Settings
@@ -41,6 +42,17 @@ def load_sensors(path: str | Path) -> tuple[SensorRecord, ...]:
     """
     text = _KIND.text_of(path, _WAY_OUT)
     return tuple(entry.record() for entry in _KIND.parsed(_Sensors, text, f"The sensor file {path}", _WAY_OUT).sensor)
+
+
+def to_toml(entries: Iterable[SensorEntry], comment: str = "") -> str:
+    """Write sensors as TOML, below a comment; what is as by default is left out."""
+    document, sensors = tomlkit.document(), tomlkit.aot()
+    for line in comment.splitlines():
+        document.add(tomlkit.comment(line))
+    for entry in entries:
+        sensors.append(tomlkit.item({"kind": entry.kind, **entry.model_dump(exclude_defaults=True)}))
+    document.add("sensor", sensors)
+    return tomlkit.dumps(document)
 
 
 def due_warnings(records: Iterable[SensorRecord], today: date) -> tuple[str, ...]:

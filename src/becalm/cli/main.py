@@ -1,4 +1,4 @@
-"""The commands: inspect, clean, tune, compare, noise, study, demo, warm; rooms are loaded inside them."""
+"""The commands, from inspect and clean to warm; rooms are loaded inside them."""
 
 from __future__ import annotations
 
@@ -173,6 +173,33 @@ def noise(  # noqa: PLR0913  (the contract's options)
     spans_s, cutoff_hz = o.still_of(still), None if cutoff is None else o.frequency_of("--cutoff", cutoff)
     with open_as(file, said_of(channels, o.When(rate, time, group), unit, sensors)) as source:
         run(source, spans_s, cutoff_hz, as_json)
+
+
+@app.command()
+def calibrate(  # noqa: PLR0913  (the contract's options)
+    file: o.Source,
+    output: o.SensorsOut,
+    channels: o.Axes = None,
+    rate: o.Rate = None,
+    time: o.Time = None,
+    group: o.Group = None,
+    gravity: o.Gravity = None,
+    unit: o.Acceleration = "m/s^2",
+    as_json: o.Json = False,
+) -> None:
+    """Calibrate a triaxial accelerometer that was laid down in ten poses or more; write its sensor file."""
+    from becalm.cli.calibrate import run
+
+    said = said_of(channels, o.When(rate, time, group), None, None)
+    run(file, said, output, unit, gravity, as_json=as_json)
+
+
+@app.command()
+def recalibrate(file: o.Clean, output: o.Output, old: o.OldSensors, new: o.NewSensors) -> None:
+    """Give a clean recording another sensitivity and zero, without its readings."""
+    from becalm.cli.recalibrate import Calibrations, run
+
+    run(file, output, Calibrations(old, new))
 
 
 @app.command()

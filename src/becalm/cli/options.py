@@ -42,6 +42,17 @@ Units = Annotated[
 Sensors = Annotated[
     Path | None, typer.Option("--sensors", metavar="S.toml", help="Turn volts into units by these calibrations first.")
 ]
+SensorsOut = Annotated[
+    Path, typer.Option("-o", "--output", metavar="S.toml", help="Where to write the sensor, for --sensors.")
+]
+Clean = Annotated[Path, typer.Argument(metavar="CLEAN", help="Output of becalm clean, with its recipe beside it.")]
+OldSensors = Annotated[Path, typer.Option("--from", metavar="OLD.toml", help="The sensors that it was cleaned with.")]
+NewSensors = Annotated[Path, typer.Option("--to", metavar="NEW.toml", help="The same sensors, calibrated anew.")]
+Axes = Annotated[str | None, typer.Option("--channels", metavar="x,y,z", help="The three axes.")]
+Gravity = Annotated[
+    float | None, typer.Option("--gravity", metavar="9.81", help="Where the sensor lay, in m/s^2; 9.80665 by default.")
+]
+Acceleration = Annotated[str, typer.Option("--unit", metavar="m/s^2|g", help="What to calibrate in.")]
 Causal = Annotated[bool, typer.Option("--causal", help="Let each estimate know only the past, as a live filter does.")]
 MaxLag = Annotated[
     str | None,

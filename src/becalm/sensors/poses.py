@@ -1,7 +1,7 @@
 """A triaxial accelerometer calibrated by rest: gravity is as long in every pose.
 
 Nothing but the sensor is needed: it is laid down in many poses, and scale, bias and skew of its axes are those
-that make |a| the same in all. Which way its axes point in space gravity cannot tell; so the first axis is taken as
+that make |a| the same in all. Which way its axes point in space gravity cannot tell; so the third axis is taken as
 it is, the second lies in a plane with it (the upper triangular matrix of Tedaldi, Pretto and Menegatti, ICRA 2014).
 Where directions are known, as on the six faces of a cube, everything is found by linear least squares (IEEE 1293).
 """
@@ -109,7 +109,7 @@ def calibrate_by_length(rests: Rests, gravity: float = STANDARD_GRAVITY) -> Pose
     """
     means, stds = _checked(rests, FEWEST_POSES, "poses")
     g = positive("gravity", gravity, "9.80665")
-    centre, radius = _sphere(means)
+    centre, radius = nearest_sphere(means)
     u, u_std = (means - centre) / radius, stds / radius  # of length 1, about: all unknowns are of one size
     p = np.concatenate([np.eye(3)[_UPPER], np.zeros(3)])
     _refuse_alike(_slopes(p, u))
@@ -198,8 +198,14 @@ def _checked(rests: Rests, fewest: int, what: str) -> tuple[Floats, Floats]:
     return means, stds
 
 
-def _sphere(means: Floats) -> tuple[Floats, float]:
-    """Return centre (3,) and radius of the sphere nearest to points (k, 3), by |x|^2 = 2 x c + (r^2 - |c|^2)."""
+def nearest_sphere(means: Floats) -> tuple[Floats, float]:
+    """Return centre (3,) and radius of the sphere nearest to points (k, 3), by |x|^2 = 2 x c + (r^2 - |c|^2).
+
+    Raises
+    ------
+    SensorError
+        If they lie in a plane, or nearly.
+    """
     middle = means.mean(axis=0)
     size = float(np.sqrt(np.mean((means - middle) ** 2))) or 1.0
     x = (means - middle) / size
