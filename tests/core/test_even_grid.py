@@ -47,10 +47,10 @@ def polled(true: Floats, rng: np.random.Generator) -> Floats:
 
 
 def equal(true: Floats, rng: np.random.Generator) -> Floats:
-    """A driver waits for so many samples, and stamps them all at once."""
-    size = int(rng.integers(2, 9))
-    burst = np.arange(len(true)) // size
-    last = np.minimum((burst + 1) * size - 1, len(true) - 1)
+    """A driver waits for about so many samples, and stamps them all at once."""
+    sizes = rng.integers(2, 7) + rng.integers(0, 3, len(true))
+    burst = np.searchsorted(np.cumsum(sizes), np.arange(len(true)), side="right")
+    last = np.minimum(np.cumsum(sizes)[burst] - 1, len(true) - 1)
     late = rng.exponential(0.1 * (true[1] - true[0]), len(true))
     return np.asarray(true[last] + late[burst])
 
@@ -107,6 +107,11 @@ def duty_cycle(rng: np.random.Generator) -> Floats:
     return np.asarray((np.arange(500.0)[:, None] + np.arange(rng.integers(2, 9)) * 0.02).ravel())
 
 
+def sensors_in_turn(rng: np.random.Generator) -> Floats:
+    """A table with a row for each of some sensors at every time."""
+    return np.repeat(np.arange(1000) + rng.normal(0.0, 0.01, 1000), rng.integers(2, 6))
+
+
 def whole_seconds(rng: np.random.Generator) -> Floats:
     """Stamps cut to seconds come before their samples, not after."""
     return np.floor(np.arange(3000) / rng.uniform(5.0, 30.0))
@@ -128,6 +133,7 @@ IRREGULAR: dict[str, Sampled] = {
     "another rate": another_rate,
     "a gap": a_gap,
     "duty cycle": duty_cycle,
+    "sensors in turn": sensors_in_turn,
     "whole seconds": whole_seconds,
 }
 

@@ -33,7 +33,6 @@ _FEWEST_BURSTS = 128
 _SEVERAL = 1.5  # rows in the mean burst
 _SIZES = 65  # bursts of up to 64 rows
 _UNLIKE = 0.05  # share of bursts of unusual size, so that the time between bursts is seen to grow with their size
-_EQUAL = 0.5  # share of equal stamps in bursts
 _COARSE = 0.75  # last digit of stamps, in times between bursts
 _SEGMENTS = 64
 
@@ -142,7 +141,6 @@ class _Bursts:
         self._rows: list[float] = []
         self._stamps: list[float] = []
         self._sizes = np.zeros(_SIZES + 1, np.int64)
-        self._repeats = 0
         self._ended = -1.0
         self.count = 0
 
@@ -152,9 +150,7 @@ class _Bursts:
 
     def parted(self, rows: Floats, stamps: Floats) -> tuple[Floats, Floats]:
         """Return the last row and the first stamp of the bursts that ended meanwhile; the last of all is left open."""
-        steps = np.diff(stamps, prepend=self._before)
-        begins = np.flatnonzero(steps > _APART * self.mean)
-        self._repeats += int(np.count_nonzero(steps == 0.0))
+        begins = np.flatnonzero(np.diff(stamps, prepend=self._before) > _APART * self.mean)
         self._before = float(stamps[-1])
         ends, firsts = rows[begins] - 1.0, stamps[begins]
         if self._open is None:
@@ -179,14 +175,13 @@ class _Bursts:
 
     @property
     def clear(self) -> bool:
-        """Whether there are bursts that nobody sampled so: of different sizes, or of equal stamps."""
+        """Whether there are bursts of different sizes; those of one size may be sampled so, or several sensors."""
         rows = self._ended + 1.0
         if self.count < _FEWEST_BURSTS or self._sizes[_SIZES] or rows < _SEVERAL * self.count:
             return False
         if last_digit(np.array(self._stamps)) >= _COARSE * self.mean * rows / self.count:
             return False  # cut to whole seconds, say: those come before their samples
-        odd = self.count - int(self._sizes.max())
-        return odd >= _UNLIKE * self.count or self._repeats >= _EQUAL * (rows - self.count)
+        return self.count - int(self._sizes.max()) >= _UNLIKE * self.count
 
     def below(self) -> _Line:
         """Return the line below all first stamps that is nearest to them: the edge of their hull in the middle."""
