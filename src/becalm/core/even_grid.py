@@ -136,7 +136,7 @@ class _Bursts:
 
     def __init__(self, first: float, mean: float) -> None:
         self._first, self.mean = first, mean
-        self._open: tuple[float, float] | None = None  # first stamp and last row of the burst that may go on
+        self._open: float | None = None  # the first stamp of the burst that may go on
         self._before = -np.inf
         self._rows: list[float] = []
         self._stamps: list[float] = []
@@ -156,8 +156,8 @@ class _Bursts:
         if self._open is None:
             ends, closed = ends[1:], firsts[:-1]
         else:
-            closed = np.concatenate([[self._open[0]], firsts[:-1]]) if len(begins) else firsts
-        self._open = (float(firsts[-1]) if len(begins) else self._open[0] if self._open else 0.0, float(rows[-1]))
+            closed = np.concatenate([[self._open], firsts])[: len(ends)]
+        self._open = float(firsts[-1]) if len(begins) else self._open
         return ends, closed
 
     def _keep(self, ends: Floats, firsts: Floats) -> None:
