@@ -192,7 +192,7 @@ def _look(count: int, blocks: Blocks) -> _Look:
     step = float(np.median(seen.values))
     if not (np.isfinite(first) and step > 0):
         _refuse(blocks)
-    return _Look(step, first, last, _last_digit(np.concatenate(some)))
+    return _Look(step, first, last, last_digit(np.concatenate(some)))
 
 
 def _refuse(blocks: Blocks) -> None:
@@ -270,7 +270,7 @@ def _twelve_digits(step_s: float) -> float:
     return 1.0 / float(f"{1.0 / step_s:.12g}")
 
 
-def _last_digit(some: Floats) -> float:
+def last_digit(some: Floats) -> float:
     """Find the decimal place that the stamps are rounded to, in seconds; 0 if none is seen."""
     for place in range(_FINEST_DIGIT + 1):
         scaled = some * 10.0**place

@@ -29,6 +29,7 @@ from becalm.files.rows import HeldRows, block_rows, rebatched
 from becalm.files.sensing import with_sensors
 from becalm.files.source import Layout, RawTable, TimeLayout, layout_of
 from becalm.files.time_column import TIME_OPTION, choose_time, find_time, named_column, spoilt_times
+from becalm.files.time_mending import clock_of
 from becalm.files.times import Stamps, read_time
 
 STRETCHES = 8
@@ -82,14 +83,12 @@ class OpenSource:
         self.units = tuple(unit_of(raw, name) for name in self.names)
         self.rows: int = raw.count
         self.schema: pa.Schema = raw.rows.schema
-        self.clock = (
-            Clock.from_stamps(self.rows, self._stamps.blocks)
-            if self._stamps is not None
-            else Clock.counted(self.rows, rate_hz or 1.0)
-        )
-        if self._stamps is not None and self.clock.even:  # then rows can be counted
-            self._stamps.close()
-            self._stamps = None
+        self.clock = Clock.counted(self.rows, rate_hz or 1.0)
+        if self._stamps is not None:
+            self.clock, self._time = clock_of(self._stamps, self._time)
+            if self.clock.even:  # then rows can be counted
+                self._stamps.close()
+                self._stamps = None
 
     def _sought_time(self, raw: RawTable, options: ReadOptions) -> tuple[RawTable, list[str]]:
         """Find the time among the columns; return the table without blank rows at its end, and what could be time."""
@@ -124,7 +123,7 @@ class OpenSource:
     @property
     def notes(self) -> tuple[str, ...]:
         """What a person must know of the file, as sentences."""
-        return self._raw.notes
+        return (*self._raw.notes, *self._time.notes)
 
     @property
     def rate_hz(self) -> float:

@@ -163,12 +163,15 @@ class TimeLayout:
         Unit of the numbers; "" where the kind says it all.
     start : str
         The first instant as ISO 8601 text where the file gives a date; "" otherwise.
+    notes : tuple of str
+        What was mended, as sentences.
     """
 
     columns: tuple[str, ...]
     kind: str
     unit: str = ""
     start: str = ""
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -245,7 +248,7 @@ def layout_of(raw: RawTable, time: TimeLayout, clock: Clock, columns: tuple[Colu
     return Layout(
         format=raw.format,
         group=raw.group,
-        notes=raw.notes,
+        notes=(*raw.notes, *time.notes),
         rows=raw.count,
         encoding=text.encoding,
         compression=text.compression,

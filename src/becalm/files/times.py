@@ -17,6 +17,7 @@ from becalm.files.numbers import Numbers
 from becalm.files.rows import Spool
 from becalm.files.source import RawTable, TimeLayout
 from becalm.files.time_column import COUNT, NUMBERS, TEMPORAL, kind_of_column, numbers, spoilt
+from becalm.files.time_mending import on_one_clock, without_wraps
 from becalm.files.units import parse_header
 
 PER_SECOND = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
@@ -56,11 +57,24 @@ class Stamps:
 def read_time(raw: RawTable, columns: tuple[str, ...]) -> tuple[Stamps, TimeLayout]:
     """Read the time in seconds: as in the file, or since the first row where the file gives dates.
 
+    Wraps of counters and hours of summer time are undone.
+
     Raises
     ------
     TimeError
         If the cells are not times, or their unit cannot be known.
     """
+    stamps, layout = _as_written(raw, columns)
+    if layout.kind != clock.DATE_TIME or not layout.start or layout.start.endswith("Z"):
+        return stamps, layout
+    mended, layout = on_one_clock(stamps, layout)
+    if mended is None:
+        return stamps, layout
+    stamps.close()
+    return Stamps(mended), layout
+
+
+def _as_written(raw: RawTable, columns: tuple[str, ...]) -> tuple[Stamps, TimeLayout]:
     if len(columns) == 2:
         return _written(raw, columns, clock.DATE_TIME, _date_and_time(raw, *columns))
     name = columns[0]
@@ -171,21 +185,38 @@ def _numeric(raw: RawTable, name: str) -> tuple[Stamps, TimeLayout]:
     unit = raw.units.get(name, "") or unit or _IMPLIED.get(bare.lower(), "")
     seen = Numbers(raw.count)
     exact = pa.types.is_integer(raw.type_of(name)) and not any(column.null_count for column in raw.column(name))
+    notes: tuple[str, ...] = ()
     spool = Spool(_as_they_are(raw, name, seen, exact), raw.count)
+    if seen.falls:
+        spool, notes = without_wraps(name, spool)
+        seen = _seen(spool) if notes else seen
     epoch = _epoch(seen, unit)
     if epoch:
         start = str(np.datetime64(int(seen.first_known / PER_SECOND[epoch] * 1e6), "us")) + "Z"
-        return Stamps(spool, _epoch_seconds(spool, seen, epoch, exact)), TimeLayout((name,), "epoch", epoch, start)
+        return Stamps(spool, _epoch_seconds(spool, seen, epoch, exact)), TimeLayout(
+            (name,), "epoch", epoch, start, notes
+        )
     if unit in PER_SECOND:
-        return Stamps(spool, lambda values: values / PER_SECOND[unit]), TimeLayout((name,), "numbers", unit)
+        return Stamps(spool, lambda values: values / PER_SECOND[unit]), TimeLayout(
+            (name,), "numbers", unit, notes=notes
+        )
     if unit in SECONDS:
-        return Stamps(spool, lambda values: values * SECONDS[unit]), TimeLayout((name,), "numbers", unit)
+        return Stamps(spool, lambda values: values * SECONDS[unit]), TimeLayout((name,), "numbers", unit, notes=notes)
     try:
         _refuse_unknown_unit(name, seen)
     except TimeError:
         spool.close()
         raise
-    return Stamps(spool, lambda values: np.asarray(values, np.float64)), TimeLayout((name,), "numbers", "s")
+    return Stamps(spool, lambda values: np.asarray(values, np.float64)), TimeLayout(
+        (name,), "numbers", "s", notes=notes
+    )
+
+
+def _seen(spool: Spool) -> Numbers:
+    seen = Numbers(spool.count)
+    for block in spool.blocks():
+        seen.add(np.asarray(block, np.float64))
+    return seen
 
 
 def _as_they_are(raw: RawTable, name: str, seen: Numbers, exact: bool) -> Iterator[Floats | Integers]:
