@@ -179,3 +179,11 @@ def test_a_dial_that_cannot_be_turned_is_said(run: Run, tmp_path: Path, words: l
     assert ran.returncode == 2, ran.stderr
     assert says in " ".join(ran.stderr.split())
     assert not (tmp_path / "out.csv").exists()
+
+
+def test_a_file_whose_time_jitters_is_shown(run: Run, tmp_path: Path) -> None:
+    t = np.arange(300) / 100 + np.random.default_rng(5).uniform(0, 2e-3, 300)
+    (tmp_path / "in.csv").write_text("time_s,a\n" + "".join(f"{at:.7f},{k % 7}\n" for k, at in enumerate(t)))
+    ran = run("inspect", "in.csv")
+    assert ran.returncode == 0, ran.stderr
+    assert "jitter s" in ran.stdout

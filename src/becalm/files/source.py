@@ -264,7 +264,7 @@ def layout_of(raw: RawTable, time: TimeLayout, clock: Clock, columns: tuple[Colu
         time_start=time.start,
         rate_hz=clock.rate_hz,
         uniform=clock.uniform,
-        jitter_s=clock.jitter_s,
+        jitter_s=float(clock.jitter_s),  # plain: comparing NumPy's with a list makes an array
         duration_s=clock.duration_s,
         gaps=clock.gaps,
         repeats=clock.repeats,
