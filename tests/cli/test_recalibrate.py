@@ -7,9 +7,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pytest
 
 from becalm.core.arrays import Floats
+from becalm.files.opening import close
+from becalm.files.registry import read_tables
+from becalm.files.writing import open_output
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 OLD = """
@@ -70,6 +74,33 @@ def test_there_and_back_is_as_before(clean: Path, run: Run, tmp_path: Path) -> N
     ran = run("recalibrate", "mended.csv", "-o", "back.csv", "--from", "new.toml", "--to", "old.toml")
     assert ran.returncode == 0, ran.stderr
     np.testing.assert_allclose(columns(tmp_path / "back.csv"), columns(tmp_path / "clean.csv"), rtol=1e-6, atol=1e-8)
+
+
+def test_each_time_of_a_file_is_mended_by_its_own_sensors(run: Run, tmp_path: Path) -> None:
+    rng = np.random.default_rng(4)
+    with open_output(tmp_path / "raw.h5") as out:
+        for group, channel, rate_hz in (("fast", "a", 100.0), ("slow", "b", 10.0)):
+            fields = [pa.field("time_s", pa.float64()), pa.field(channel, pa.float64(), metadata={b"unit": b"V"})]
+            walk = np.cumsum(rng.normal(0, 1e-3, 300)) + rng.normal(0, 2e-3, 300)
+            schema = pa.schema(fields, {"becalm.group": group})
+            out.write(pa.table([pa.array(np.arange(300) / rate_hz), pa.array(walk)], schema=schema))
+    (tmp_path / "old.toml").write_text(OLD + OLD.replace('"a"', '"b"'), encoding="utf-8")
+    (tmp_path / "new.toml").write_text(NEW + OLD.replace('"a"', '"b"'), encoding="utf-8")
+    ran = run("clean", "raw.h5", "-o", "clean.h5", "--sensors", "old.toml")
+    assert ran.returncode in (0, 4), ran.stderr
+    ran = run("recalibrate", "clean.h5", "-o", "mended.h5", "--from", "old.toml", "--to", "new.toml")
+    assert ran.returncode == 0, ran.stderr
+    ran = run("recalibrate", "clean.h5", "-o", "mended.csv", "--from", "old.toml", "--to", "new.toml")
+    assert ran.returncode == 2
+    assert "channels at 2 times" in ran.stderr
+    was, now = (read_tables(tmp_path / name) for name in ("clean.h5", "mended.h5"))
+    try:
+        assert [table.group for table in now] == ["fast", "slow"]
+        before, after = ([next(table.blocks(table.names)) for table in tables] for tables in (was, now))
+    finally:
+        close((*was, *now))
+    np.testing.assert_allclose(after[0]["a"], 1.25 * np.asarray(before[0]["a"]) - 0.25, rtol=1e-12)
+    assert after[1].equals(before[1])
 
 
 BRIDGE = '[[sensor]]\nkind = "bridge"\nchannel = "a"\nraw_unit = "mV/V"\nconfiguration = "full I"\ngauge_factor = 2\n'

@@ -72,6 +72,17 @@ def test_each_group_is_cleaned_and_told_apart(ending: str, log: Path, run: Run, 
         table.rows.close()
 
 
+def test_a_report_shows_the_channels_of_all_times(log: Path, run: Run, tmp_path: Path) -> None:
+    (tmp_path / "r.toml").write_text(RECIPE, encoding="utf-8")
+    ran = run("clean", log, "-o", "out.h5", "--recipe", "r.toml", "--report", "r.html")
+    assert ran.returncode in (0, 4), ran.stderr
+    html = (tmp_path / "r.html").read_text(encoding="utf-8")
+    for number, (group, rate_hz) in enumerate(RATES.items(), 1):
+        assert f"<h2>{group}/x</h2>" in html
+        assert f"<dt>{group}</dt><dd>{ROWS} rows at {rate_hz:g} Hz, lasts {ROWS / rate_hz:g} s</dd>" in html
+        assert html.count(f'<section id="channel-{number}"') == 1
+
+
 def test_an_output_that_holds_one_time_is_refused_with_those_that_hold_several(log: Path, run: Run) -> None:
     ran = run("clean", log, "-o", "out.csv")
     assert ran.returncode == 2

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import typer
 
 from becalm.cleaning.pipeline import fitted, in_mode, joined
-from becalm.cli.picturing import Picturing
+from becalm.cli.picturing import Done, Picturing
 from becalm.cli.said import is_same, load, open_every, recipe_beside, refuse_overwriting, refuse_taken, tuned
 from becalm.cli.streaming import clean_chunks
 from becalm.cli.talk import progress, tell, tell_not_removed
@@ -21,7 +21,6 @@ from becalm.files.writing import open_output, refuse_columns
 
 if TYPE_CHECKING:
     from becalm.cleaning.recipe import Recipe
-    from becalm.cleaning.report import ChannelReport
     from becalm.cli.options import Asked
     from becalm.cli.said import Said
     from becalm.files.opening import OpenSource
@@ -65,8 +64,7 @@ def run(file: Path, said: Said, asking: Asking, outputs: Outputs, *, as_json: bo
     said = said if given is None else said.or_as(given)
     with open_every(file, said) as opened:
         sources = opened.sources
-        refuse_times(output, opened)
-        picturing.refuse_times(sources)
+        refuse_times(output, [source.group for source in sources])
         for source in sources:
             refuse_columns(output, source.schema)
         recipes = [_decided(source, said, asking, given) for source in sources]
@@ -75,24 +73,26 @@ def run(file: Path, said: Said, asking: Asking, outputs: Outputs, *, as_json: bo
             refuse_taken(recipe, source.schema.names, split=outputs.split, verdicts=outputs.verdicts)
         if asking.recipe is not None and is_same(beside, asking.recipe) and recipe != given:
             raise UsageError(f"{beside} is the recipe itself and would change; name another output with -o.")
-        text, gathering = recipe.to_toml(), picturing.gathering(sources[0], len(recipe.channel))
-        reports: tuple[ChannelReport, ...] = ()
+        text, gatherings = recipe.to_toml(), picturing.gatherings(sources, recipes)
+        done: list[Done] = []
         with (
             text_in_waiting(beside, text),
             open_output(output, {"becalm.recipe": text}) as out,
             progress("cleaning", sum(source.rows for source in sources)) as step,
         ):
-            for source, part in zip(sources, recipes, strict=True):
-                reports += clean_chunks(
+            for source, part, gathering in zip(sources, recipes, gatherings, strict=True):
+                found = clean_chunks(
                     source, part, out.write, step, split=outputs.split, verdicts=outputs.verdicts, gathering=gathering
                 )
+                done.append(Done(source, part, found, gathering))
             pass_through(output, opened, out.write)
+        reports = tuple(report for one in done for report in one.reports)
         tell(reports, recipe.mode == "causal")
         tell_not_removed(reports, asked.removed_hz)
         tell_times(output, opened)
         times = [{"group": one.group, "rows": one.rows, "rate_hz": one.rate_hz} for one in sources]
         typer.echo(f"Wrote {output} and {beside}.", err=True)
-        drawn = picturing.draw(sources[0], recipe, reports, gathering)
+        drawn = picturing.draw(recipe, done)
     describes = all(report.describes for report in reports)
     if as_json:
         summary = {

@@ -72,7 +72,7 @@ def _write(page: Path, source: OpenSource, read: tuple[Recording, Recording | No
     from becalm.report.running import pictures_of
 
     recording, truth = read
-    facts = Facts(shown_name(source.path), len(recording), recording.timebase.step_s, source.sha256())
+    facts = Facts(shown_name(source.path), source.sha256())
     recipe = found.cleaned.recipe
     write_text(page, page_of(facts, recipe, pictures_of(recording, recipe), beside(found, recording, truth)))
     stderr.print(f"Wrote {page}.")

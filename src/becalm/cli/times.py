@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,19 +18,19 @@ if TYPE_CHECKING:
 _MOST_NAMED = 12
 
 
-def refuse_times(output: Path, opened: OpenFile) -> None:
-    """Refuse an output that holds one time, where the file has several.
+def refuse_times(output: Path, groups: Sequence[str]) -> None:
+    """Refuse an output that holds one time, where there are several.
 
     Raises
     ------
     UsageError
         If it is so.
     """
-    if len(opened.sources) > 1 and not holds_times(format_to_write(output)):
-        named = ", ".join(repr(source.group) for source in opened.sources[:_MOST_NAMED])
-        more = f" and {len(opened.sources) - _MOST_NAMED} more" if len(opened.sources) > _MOST_NAMED else ""
+    if len(groups) > 1 and not holds_times(format_to_write(output)):
+        named = ", ".join(map(repr, groups[:_MOST_NAMED]))
+        more = f" and {len(groups) - _MOST_NAMED} more" if len(groups) > _MOST_NAMED else ""
         raise UsageError(
-            f"The file holds channels at {len(opened.sources)} times ({named}{more}), and {output} can hold one; name"
+            f"The file holds channels at {len(groups)} times ({named}{more}), and {output} can hold one; name"
             " an output that ends in .h5, .mat, .mf4 or .npz, or choose one with --group."
         )
 

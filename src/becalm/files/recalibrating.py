@@ -18,6 +18,7 @@ from becalm.cleaning.recipe import Recipe
 from becalm.core.arrays import Floats
 from becalm.errors import UsageError
 from becalm.files.asked import Asker
+from becalm.files.choosing import holds, listed
 from becalm.files.roles import SIGMA, unit_of, values_of
 from becalm.files.source import RawTable
 from becalm.files.time_column import named_column
@@ -59,18 +60,23 @@ class Recalibrated(NamedTuple):
 
 
 def recalibrated(
-    table: RawTable, recipe: Recipe, old: Sequence[SensorRecord], new: Sequence[SensorRecord]
-) -> tuple[Recalibrated, ...]:
+    tables: Sequence[RawTable], recipe: Recipe, old: Sequence[SensorRecord], new: Sequence[SensorRecord]
+) -> tuple[tuple[Recalibrated, ...], ...]:
     """Find what a new calibration makes of the channels of a clean recording.
 
     Parameters
     ----------
-    table : RawTable
-        The clean recording.
+    tables : sequence of RawTable
+        The clean recording, one or more times.
     recipe : Recipe
         That it was cleaned by.
     old, new : sequence of SensorRecord
         The calibrations, of the same channels.
+
+    Returns
+    -------
+    tuple of tuple of Recalibrated
+        The channels of each table.
 
     Raises
     ------
@@ -84,7 +90,11 @@ def recalibrated(
     if missing or len(new) != len(old):
         odd = missing[0] if missing else next(one for one in new if one.channels not in {each.channels for each in old})
         raise UsageError(f"The sensor of {', '.join(odd.channels)} is in one of --from and --to only; both need it.")
-    return tuple(_of_channel(table, recipe, one, by_channels[one.channels]) for one in old)
+    of_tables: list[list[Recalibrated]] = [[] for _ in tables]
+    for one in old:
+        place = _place(tables, one)
+        of_tables[place].append(_of_channel(tables[place], recipe, one, by_channels[one.channels]))
+    return tuple(map(tuple, of_tables))
 
 
 def recalibrated_blocks(table: RawTable, channels: Sequence[Recalibrated]) -> Iterator[pa.Table]:
@@ -97,6 +107,14 @@ def recalibrated_blocks(table: RawTable, channels: Sequence[Recalibrated]) -> It
                 at = block.schema.get_field_index(name)
                 block = block.set_column(at, block.schema.field(at).with_type(pa.float64()), pa.array(values))
         yield block
+
+
+def _place(tables: Sequence[RawTable], record: SensorRecord) -> int:
+    """Return which table has a sensor's channel; the first where none has, which then says so."""
+    holding = [place for place, table in enumerate(tables) if holds(table, record.channels[0])]
+    if len(holding) > 1:
+        raise UsageError(f"{record.channels[0]!r} is no one column; there are {listed(tables)}. Name it in full.")
+    return holding[0] if holding else 0
 
 
 def _of_channel(table: RawTable, recipe: Recipe, old: SensorRecord, new: SensorRecord) -> Recalibrated:
