@@ -1,4 +1,4 @@
-"""Whether what a filter passes, or what rows can hold, is within the band in which the sensor's amplitudes are right."""
+"""Whether what a filter passes, or rows can hold, is within the band in which the sensor's amplitudes are right."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def beyond_flat(name: str, resonance: Resonance, passed_hz: float | None, rate_h
         return ""
     what = f"its rows, at {rate_hz:.6g} Hz, hold" if passed_hz is None else "its filter passes"
     return (
-        f"{name}: {what} up to {band_hz:.4g} Hz, but its sensor, with a resonance at {resonance.natural_hz:.6g} Hz and a"
-        f" damping ratio of {resonance.damping_ratio:g}, tells amplitudes within {FLAT_PERCENT:g} % only up to"
+        f"{name}: {what} up to {band_hz:.4g} Hz, but its sensor, with a resonance at {resonance.natural_hz:.6g} Hz and"
+        f" a damping ratio of {resonance.damping_ratio:g}, tells amplitudes within {FLAT_PERCENT:g} % only up to"
         f" {flat_hz:.4g} Hz. Trust no amplitude above, or smooth it away with --bandwidth {flat_hz:.3g}Hz."
     )
