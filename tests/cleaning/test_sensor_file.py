@@ -159,6 +159,23 @@ MISTAKES = {
     "no ratio": (ONE.replace('"mV"', '"mV/V"'), "belongs to bridges and load cells"),
     "no supply": (BRIDGE.replace("mV/V", "V"), "needs excitation_v"),
     "no Poisson ratio": (BRIDGE.replace("full I", "full II"), "give poisson_ratio"),
+    "half a shunt": (BRIDGE + "shunt_ohm = 1e5", "shunt_ohm and shunt_reading belong together"),
+    "a shunt and a gain": (
+        BRIDGE + "shunt_ohm = 1e5\nshunt_reading = 0.8\ngain_adjustment = 1.0",
+        "give either it, or shunt_ohm and shunt_reading",
+    ),
+    "a shunt the wrong way": (BRIDGE + "shunt_ohm = 1e5\nshunt_reading = -0.8", "no gain explains"),
+    "no temperature": (BRIDGE + "gauge_factor_percent_per_100_k = 1.3", "give either temperature_degc"),
+    "a temperature for nothing": (BRIDGE + "temperature_degc = 35.0", "a temperature changes nothing without"),
+    "its own thermometer": (
+        BRIDGE + 'gauge_factor_percent_per_100_k = 1.3\ntemperature_channel = "e"',
+        "is the bridge's own channel",
+    ),
+    "output that cancels": (BRIDGE + "thermal_output_um = [1]\ntemperature_degc = 35", "off each other"),
+    "no stretch": (ONE + 'tare = "20s"', 'tare = "20s" is no stretch of time; write START:STOP'),
+    "a stretch backwards": (ONE + 'tare = "2s:1000ms"', "is no stretch of time"),
+    "two zeros": (ONE + 'tare = "0:1"\nbias_mv = 1', "tare takes the zero that bias_mv tells"),
+    "damping of nothing": (ONE + "[sensor.sheet]\ndamping_ratio = 0.7", "damping_ratio belongs to resonance_hz"),
     "no matrix": (TRIAXIAL, "give either sensitivity_mv, with bias_mv, or correction"),
     "two of them": (
         TRIAXIAL + "sensitivity_mv = [1, 1, 1]\ncorrection = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]",
@@ -181,3 +198,13 @@ def test_a_mistake_is_a_sentence(kind: str, tmp_path: Path) -> None:
 def test_a_file_that_is_not_there_is_a_sentence(tmp_path: Path) -> None:
     with pytest.raises(SensorError, match=r"none\.toml cannot be read: No such file"):
         load_sensors(tmp_path / "none.toml")
+
+
+def test_a_shunt_tells_the_gain_of_a_bridge(tmp_path: Path) -> None:
+    quarter = BRIDGE.replace("full I", "quarter I").replace("gauge_factor = 2\n", "gauge_factor = 2.1\n")
+    shunted = 350 * 174_650 / (350 + 174_650)
+    ratio = 1e3 * (350 / (350 + shunted) - 0.5)  # mV/V, by resistors
+    text = quarter + f"shunt_ohm = 174650\nshunt_reading = {0.98 * ratio!r}\n"
+    (record,) = load_sensors(written(tmp_path, text))
+    found = applied(record, {"e": np.array([0.98 * ratio])})["e"]
+    np.testing.assert_allclose(found, -952.381, atol=5e-4)

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from becalm.errors import SensorError
-from becalm.sensors.bridge import CONFIGURATIONS, Bridge, Configuration, gain_adjustment, shunt_strain
+from becalm.sensors.bridge import CONFIGURATIONS, Bridge, Configuration, Shunt, gain_adjustment, shunt_strain
 
 GAUGE = Fraction(350)
 STRAINS = [sign * size for size in (1e-6, 1e-5, 1e-4, 1e-3, 1e-2) for sign in (-1, 1)]
@@ -134,3 +134,34 @@ def test_volts_need_the_excitation() -> None:
 def test_a_shunt_that_no_gain_explains_is_refused(read: float) -> None:
     with pytest.raises(SensorError, match="no gain explains"):
         gain_adjustment(-952e-6, read)
+
+
+@pytest.mark.parametrize("configuration", CONFIGURATIONS)
+@pytest.mark.parametrize("tension_lowers", [True, False])
+def test_a_shunt_restores_what_an_amplifier_loses(configuration: Configuration, tension_lowers: bool) -> None:
+    """The resistor lies across the gauge in tension; the amplifier gives 0.97 of the ratio, and an offset."""
+    none, sign, lead = Fraction(0), 1 if tension_lowers else -1, 0.0 if configuration.startswith("full") else 2.0
+    shunted = 1 / (1 / GAUGE + Fraction(1, 174_650)) / GAUGE - 1
+
+    def read(changes: list[Fraction]) -> float:
+        return sign * 0.97 * wheatstone(changes, lead) + 3e-4
+
+    bridge = Bridge(
+        configuration,
+        2.1,
+        0.3,
+        lead_ohm=lead,
+        tension_lowers=tension_lowers,
+        shunt=Shunt(174_650.0, read([none, none, none, shunted])),
+    ).zeroed_at(read([none] * 4))
+    assert bridge.gain == pytest.approx(1 / 0.97, rel=1e-3)
+    strains = np.array([-1e-3, 1e-4, 1e-3])
+    ratios = np.array([read(arms(configuration, strain, 2.1, 0.3)) for strain in strains])
+    np.testing.assert_allclose(bridge.strain(ratios), strains, rtol=1e-3)
+
+
+def test_a_shunt_of_another_zero_is_refused_when_needed() -> None:
+    with pytest.raises(SensorError, match="no gain explains"):
+        Bridge("quarter I", 2.1, shunt=Shunt(174_650.0, -5e-4)).strain(np.zeros(1))
+    with pytest.raises(SensorError, match="shunt_ohm = 0"):
+        Bridge("quarter I", 2.1, shunt=Shunt(0, 5e-4))

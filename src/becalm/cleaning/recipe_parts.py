@@ -129,6 +129,32 @@ class LimitsRecipe(Settings):
         return self
 
 
+class TareRecipe(Settings):
+    """A zero that was taken while the recording was read: an event, told here and taken anew from the readings.
+
+    Attributes
+    ----------
+    start_s, stop_s : float
+        The stretch, in seconds after the first row.
+    reading, reading_std : float, float or None
+        What was read without load, and its standard uncertainty, in raw_unit; None where readings did not vary.
+    raw_unit : str
+        Of the readings.
+    readings : int
+        In the stretch.
+    temperature_degc : float or None
+        Of the sensor then, where it is known.
+    """
+
+    start_s: NotNegative
+    stop_s: Positive
+    reading: Finite
+    reading_std: NotNegative | None = None
+    raw_unit: str
+    readings: Annotated[int, Field(ge=1)]
+    temperature_degc: Finite | None = None
+
+
 class CalibrationRecipe(Settings):
     """What is uncertain in the sensor's calibration: one error for all samples, which averaging does not lower.
 
@@ -138,7 +164,10 @@ class CalibrationRecipe(Settings):
         Standard uncertainty (k = 1) of the sensitivity, as a share; a *small* one trusts the calibration.
     offset_std : float
         Standard uncertainty (k = 1) of the zero, in unit; a *small* one trusts it.
+    tare : TareRecipe or None
+        The zero that was taken.
     """
 
     relative_std: NotNegative = 0.0
     offset_std: NotNegative = 0.0
+    tare: TareRecipe | None = None

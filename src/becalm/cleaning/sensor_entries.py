@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
 
+from becalm.cleaning.bridge_entry import BridgeEntry
 from becalm.cleaning.recipe_parts import Finite, NotNegative, Positive
 from becalm.cleaning.sensor_entry import Entry, Name, OneChannel
 from becalm.sensors.accelerometer import Accelerometer, sensitivity_matrix
-from becalm.sensors.bridge import Bridge, Configuration
 from becalm.sensors.curve import Curve
 from becalm.sensors.load_cell import LoadCell
 from becalm.sensors.record import Sensitivity, SensorRecord
@@ -30,6 +30,7 @@ class AccelerometerEntry(OneChannel):
     """
 
     kind: Literal["accelerometer"]
+    zero_line: ClassVar[str] = "bias_mv"
     sensitivity_mv: Finite
     sensitivity_uncertainty_mv: NotNegative = 0.0
     bias_mv: Finite = 0.0
@@ -100,53 +101,6 @@ class TriaxialEntry(Entry):
         return SensorRecord(**self.shared(), conversion=found, sensitivities=told)
 
 
-class BridgeEntry(OneChannel):
-    """Strain gauges in a bridge, see `becalm.sensors.bridge.Bridge`.
-
-    Attributes
-    ----------
-    gauge_factor, gauge_factor_uncertainty : float
-        And expanded (k = 2).
-    initial_mv_per_v : float
-        What the unstrained bridge puts out.
-    """
-
-    kind: Literal["bridge"]
-    unit: Literal["um/m", "m/m"] = "um/m"
-    configuration: Configuration
-    gauge_factor: Positive
-    gauge_factor_uncertainty: NotNegative = 0.0
-    poisson_ratio: NotNegative | None = None
-    excitation_v: Positive | None = None
-    gauge_ohm: Positive = 350.0
-    lead_ohm: NotNegative = 0.0
-    gain_adjustment: Positive = 1.0
-    initial_mv_per_v: Finite = 0.0
-    tension_lowers: bool = True
-
-    def record(self) -> SensorRecord:
-        """Make the record."""
-        told = Sensitivity(self.gauge_factor, "(ohm/ohm)/(m/m)", self.gauge_factor_uncertainty)
-        bridge = Bridge(
-            self.configuration,
-            self.gauge_factor,
-            self.poisson_ratio,
-            self.excitation_v,
-            gauge_ohm=self.gauge_ohm,
-            lead_ohm=self.lead_ohm,
-            gain_adjustment=self.gain_adjustment,
-            initial_ratio=1e-3 * self.initial_mv_per_v,
-            tension_lowers=self.tension_lowers,
-        )
-        return SensorRecord(
-            **self.shared(),
-            conversion=bridge,
-            reading_size=self.ratio(self.excitation_v),
-            result_size=1e6 if self.unit == "um/m" else 1.0,
-            sensitivities=(told,),
-        )
-
-
 class LoadCellEntry(OneChannel):
     """A load cell, see `becalm.sensors.load_cell.LoadCell`.
 
@@ -159,6 +113,7 @@ class LoadCellEntry(OneChannel):
     """
 
     kind: Literal["load cell"]
+    zero_line: ClassVar[str] = "zero_balance_mv_per_v"
     rated_output_mv_per_v: Finite
     rated_output_uncertainty_mv_per_v: NotNegative = 0.0
     capacity: Positive

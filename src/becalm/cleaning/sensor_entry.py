@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from datetime import date
-from typing import Annotated, Any, Literal, Self
+from math import inf
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -13,6 +15,8 @@ from becalm.sensors.record import SensorRecord, Sheet
 
 Name = Annotated[str, Field(min_length=1)]
 _VOLTS = {"V": 1.0, "mV": 1e-3}
+_TIME = re.compile(r"(?P<number>\d+\.?\d*|\.\d+) *(?P<unit>ms|s|min)?")
+_SECONDS = {None: 1.0, "ms": 1e-3, "s": 1.0, "min": 60.0}
 RawUnit = Literal["V", "mV", "mV/V", "counts", "g", "m/s^2"]
 
 
@@ -37,6 +41,14 @@ class SheetEntry(Settings):
     location: str = ""
     transverse_percent: NotNegative | None = None
     noise_density: Positive | None = None
+    resonance_hz: Positive | None = None
+    damping_ratio: NotNegative | None = None
+
+    @model_validator(mode="after")
+    def _damping_is_of_a_resonance(self) -> Self:
+        if self.damping_ratio is not None and self.resonance_hz is None:
+            raise ValueError("damping_ratio belongs to resonance_hz; give both, or leave it out")
+        return self
 
 
 class Entry(Settings):
@@ -119,11 +131,37 @@ class Entry(Settings):
 
 
 class OneChannel(Entry):
-    """A sensor of one channel."""
+    """A sensor of one channel.
+
+    Attributes
+    ----------
+    tare : str or None
+        Where it carried no load, to take its zero there: "0s:20s" are the first 20 s after the first row. The
+        stretch must be quiet. An accelerometer's zero takes gravity with it.
+    """
 
     channel: Name
+    tare: str | None = None
+    zero_line: ClassVar[str] = ""  # what tells the zero in place of a tare
 
     @property
     def names(self) -> tuple[str, ...]:
         """The one channel."""
         return (self.channel,)
+
+    def shared(self) -> dict[str, Any]:
+        """Return what is the same in the records of all kinds, and the stretch of the tare."""
+        if self.tare is not None and self.zero_line in self.model_fields_set:
+            raise ValueError(f"tare takes the zero that {self.zero_line} tells; give one of them")
+        return super().shared() | {"tare_s": None if self.tare is None else _span_s(self.tare)}
+
+
+def _span_s(text: str) -> tuple[float, float]:
+    """Read a stretch of time, START:STOP, in seconds."""
+    ends = [_TIME.fullmatch(end.strip()) for end in text.split(":")]
+    times_s = [float(end["number"]) * _SECONDS[end["unit"]] for end in ends if end]
+    if len(ends) != 2 or len(times_s) != 2 or not times_s[0] < times_s[1] < inf:
+        raise ValueError(
+            f'tare = "{text}" is no stretch of time; write START:STOP after the first row, as "0s:20s" or "1min:2min"'
+        )
+    return times_s[0], times_s[1]

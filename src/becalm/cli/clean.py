@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import typer
 
+from becalm.cleaning.calibrating import tared_anew
 from becalm.cleaning.pipeline import fitted, in_mode, joined
 from becalm.cli.picturing import Done, Picturing
 from becalm.cli.said import is_same, load, open_every, recipe_beside, refuse_overwriting, refuse_taken, tuned
 from becalm.cli.streaming import clean_chunks
-from becalm.cli.talk import progress, tell, tell_not_removed
+from becalm.cli.talk import progress, tell, tell_bands, tell_not_removed
 from becalm.cli.times import pass_through, refuse_times, tell_times
 from becalm.errors import UsageError
 from becalm.files.plain import refuse_unwritable, text_in_waiting
@@ -90,6 +91,8 @@ def run(file: Path, said: Said, asking: Asking, outputs: Outputs, *, as_json: bo
         tell(reports, recipe.mode == "causal")
         tell_not_removed(reports, asked.removed_hz)
         tell_times(output, opened)
+        for source in sources:
+            tell_bands(source, reports)
         times = [{"group": one.group, "rows": one.rows, "rate_hz": one.rate_hz} for one in sources]
         typer.echo(f"Wrote {output} and {beside}.", err=True)
         drawn = picturing.draw(recipe, done)
@@ -120,4 +123,5 @@ def _decided(source: OpenSource, said: Said, asking: Asking, given: Recipe | Non
     found = tuned(source, asking.causal, asking.asked, asking.lag_s) if given is None else given
     decided = in_mode(found, asking.causal or None, asking.lag_s)
     named = source.names if said.channels or source.group else None
-    return said.kept_in(fitted(decided, source.names, source.units, channels=named))
+    fit = fitted(decided, source.names, source.units, channels=named)
+    return said.kept_in(fit.model_copy(update={"channel": tared_anew(fit.channel, source.calibrations)}))

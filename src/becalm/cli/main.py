@@ -41,12 +41,15 @@ def inspect(  # noqa: PLR0913  (the contract's options)
 ) -> None:
     """Show how a file is understood: columns, units, time."""
     from becalm.cli.layouts import show, summary
+    from becalm.cli.talk import tell_bands
 
     with open_every(file, said_of(channels, o.When(rate, time, group), unit, sensors)) as opened:
         if as_json:
             print(json.dumps({"file": str(file), **summary(opened)}, indent=2))  # noqa: T201
         else:
             show(file, opened)
+        for source in opened.sources:
+            tell_bands(source)
 
 
 @app.command()

@@ -66,6 +66,18 @@ def tell_not_removed(reports: tuple[ChannelReport, ...], removed_hz: tuple[float
             )
 
 
+def tell_bands(source: OpenSource, reports: tuple[ChannelReport, ...] = ()) -> None:
+    """Say which channels go beyond the band in which their sensors are right: as filtered, or as read."""
+    from becalm.cleaning.bands import beyond_flat
+
+    passed = {one.name: max((one.bandwidth_hz, *one.tones_hz)) for one in reports if one.bandwidth_hz is not None}
+    for name, calibration in source.calibrations.items():
+        if calibration.resonance is None or name not in source.names:
+            continue
+        if said := beyond_flat(name, calibration.resonance, passed.get(name), source.rate_hz):
+            stderr.print(said)
+
+
 def tell_notes(*sources: OpenSource) -> None:
     """Say what a person must know of a file, each sentence once."""
     for note in dict.fromkeys(note for source in sources for note in source.notes):

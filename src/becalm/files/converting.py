@@ -18,6 +18,7 @@ from becalm.files.rows import Rows
 from becalm.files.source import RawTable
 from becalm.files.time_column import is_time_name, named_column
 from becalm.files.units import parse_header, tidy_unit
+from becalm.sensors.record import Calibration
 
 UNIT_OPTION = Asker("--unit")
 SAME = Conversion()
@@ -194,11 +195,15 @@ def _carried(raw: RawTable, columns: Mapping[str, Converted]) -> RawTable:
     units = {name: unit for name, unit in raw.units.items() if name not in own}
     units |= {converted.name: converted.unit for converted in own.values()}
     uncertain = {
-        own[name].name if name in own else name: (share, zero * (own[name].conversion.factor if name in own else 1.0))
-        for name, (share, zero) in raw.calibrations.items()
+        own[name].name if name in own else name: _scaled_zero(one, own[name].conversion if name in own else SAME)
+        for name, one in raw.calibrations.items()
     }
     rows = ConvertedRows(raw.rows, own)
     return replace(raw, rows=rows, units=units, notes=(*raw.notes, *notes), calibrations=uncertain)
+
+
+def _scaled_zero(calibration: Calibration, size: Conversion) -> Calibration:
+    return calibration._replace(offset_std=calibration.offset_std * size.factor)
 
 
 def _renamed(options: ReadOptions, columns: Mapping[str, Converted]) -> ReadOptions:

@@ -19,18 +19,18 @@ from becalm.core.recording import Recording
 from becalm.core.timebase import Timebase
 from becalm.errors import InputError, TimeError, UsageError
 from becalm.files.asked import ReadOptions
-from becalm.files.blank_rows import without_blank_end
 from becalm.files.choosing import chosen_table
 from becalm.files.chunk import Chunk
 from becalm.files.converting import in_units_asked
 from becalm.files.registry import read_tables
 from becalm.files.roles import choose_channels, missing_in, unit_of, values_of
+from becalm.files.row_times import row_times
 from becalm.files.rows import HeldRows, block_rows, rebatched
 from becalm.files.sensing import with_sensors
 from becalm.files.source import Layout, RawTable, TimeLayout, layout_of
-from becalm.files.time_column import TIME_OPTION, choose_time, find_time, named_column, spoilt_times
 from becalm.files.time_mending import clock_of
-from becalm.files.times import Stamps, read_time
+from becalm.files.times import Stamps
+from becalm.sensors.record import Calibration
 
 STRETCHES = 8
 """A sample of a long recording is made of so many parts."""
@@ -68,40 +68,19 @@ class OpenSource:
     def _understand(self, raw: RawTable, options: ReadOptions) -> None:
         if raw.count == 0:
             raise InputError("It has columns but no rows; two or more rows are needed.")
-        rate_hz = options.rate_hz
-        if raw.time is not None and rate_hz is None and options.time is None:
-            candidates: list[str] = []
-            rate_hz = raw.time.rate_hz
-            self._time = TimeLayout((raw.time.column,), "rate in the file", "s", raw.time.start)
-            if rate_hz is None:
-                self._stamps, told = read_time(raw, (raw.time.column,))
-                self._time = replace(told, start=raw.time.start)
-        else:
-            raw, candidates = self._sought_time(raw, options)
-        chosen = choose_channels(raw, self._time.columns, candidates, options.channels, options.asker)
+        times = row_times(raw, options)
+        self._raw, self._stamps, self._time, raw = times.raw, times.stamps, times.layout, times.raw
+        chosen = choose_channels(raw, self._time.columns, times.candidates, options.channels, options.asker)
         self.names, self.columns = chosen
         self.units = tuple(unit_of(raw, name) for name in self.names)
         self.rows: int = raw.count
         self.schema: pa.Schema = raw.rows.schema
-        self.clock = Clock.counted(self.rows, rate_hz or 1.0)
+        self.clock = Clock.counted(self.rows, times.rate_hz or 1.0)
         if self._stamps is not None:
             self.clock, self._time = clock_of(self._stamps, self._time)
             if self.clock.even:  # then rows can be counted
                 self._stamps.close()
                 self._stamps = None
-
-    def _sought_time(self, raw: RawTable, options: ReadOptions) -> tuple[RawTable, list[str]]:
-        """Find the time among the columns; return the table without blank rows at its end, and what could be time."""
-        found = find_time(raw)
-        if (count := without_blank_end(raw, found)) < raw.count:
-            self._raw = raw = replace(raw, count=count)
-            found = find_time(raw)
-        candidates = [column for columns in found for column in columns] + spoilt_times(raw)
-        if options.rate_hz is None:
-            self._stamps, self._time = read_time(raw, choose_time(raw, found, options.time))
-        elif options.time is not None:
-            candidates.append(named_column(raw, options.time, TIME_OPTION))
-        return raw, candidates
 
     @cached_property
     def layout(self) -> Layout:
@@ -116,8 +95,8 @@ class OpenSource:
         return self._raw.group
 
     @property
-    def calibrations(self) -> dict[str, tuple[float, float]]:
-        """Standard uncertainties (k = 1) of sensors, by channel: of the sensitivity, a share; of the zero, in unit."""
+    def calibrations(self) -> dict[str, Calibration]:
+        """What must be known of the channels that sensors turned into their units."""
         return self._raw.calibrations
 
     @property

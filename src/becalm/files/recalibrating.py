@@ -15,6 +15,7 @@ import numpy as np
 import pyarrow as pa
 
 from becalm.cleaning.recipe import Recipe
+from becalm.cleaning.recipe_parts import CalibrationRecipe
 from becalm.core.arrays import Floats
 from becalm.errors import UsageError
 from becalm.files.asked import Asker
@@ -25,7 +26,8 @@ from becalm.files.time_column import named_column
 from becalm.files.units import parse_header
 from becalm.sensors.bridge import Bridge
 from becalm.sensors.curve import Curve
-from becalm.sensors.record import SensorRecord, applied
+from becalm.sensors.record import SensorRecord, applied, tared
+from becalm.sensors.tare import Tare
 
 _FROM = Asker("--from")
 _AGAIN = "Clean the readings again, with the new sensors."
@@ -129,8 +131,11 @@ def _of_channel(table: RawTable, recipe: Recipe, old: SensorRecord, new: SensorR
         raise UsageError(f"The filter of {column!r} switches: its signal is not linear in the readings. {_AGAIN}")
     if split := [f"{column}_{part}" for part in channel.parts if f"{column}_{part}" in table.names]:
         raise UsageError(f"The file has parts of {column!r} ({split[0]!r}), which have no zero of their own. {_AGAIN}")
+    told = channel.calibration
+    tare = _zero_taken(old, told)
+    old, new = _with_zero(old, tare), _with_zero(new, tare)
     (slope, zero), (new_slope, new_zero) = _line(old), _line(new)
-    factor, told = new_slope / slope, channel.calibration
+    factor = new_slope / slope
     return Recalibrated(
         column,
         factor,
@@ -154,8 +159,26 @@ def _refuse_other(old: SensorRecord, new: SensorRecord) -> None:
             f"The sensor of {named} turns {old.raw_unit} into {old.unit} by --from, and {new.raw_unit} into {new.unit} "
             "by --to; write both in the same units."
         )
+    if new.tare_s not in (None, old.tare_s):
+        raise UsageError(f"--to takes the zero of {named} from another stretch than --from. {_AGAIN}")
     if old.full_scale != new.full_scale:
         raise UsageError(f"The sensor of {named} has another full scale, and so other readings are clipped. {_AGAIN}")
+
+
+def _zero_taken(old: SensorRecord, told: CalibrationRecipe | None) -> Tare | None:
+    """Return the zero that was taken when the recording was cleaned, which must be the one that --from asks for."""
+    tare = None if told is None or told.tare is None else Tare(**told.tare.model_dump())
+    asked = None if old.tare_s is None else (*old.tare_s, old.raw_unit)
+    if asked != (None if tare is None else (tare.start_s, tare.stop_s, tare.raw_unit)):
+        raise UsageError(
+            f"--from and the recipe do not take the same zero of {old.channels[0]!r}: the recording was cleaned with"
+            f" another sensor file. {_AGAIN}"
+        )
+    return tare
+
+
+def _with_zero(record: SensorRecord, tare: Tare | None) -> SensorRecord:
+    return record if record.tare_s is None or tare is None else tared(record, tare)
 
 
 def _line(record: SensorRecord) -> tuple[float, float]:

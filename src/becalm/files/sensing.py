@@ -2,106 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
-import pyarrow as pa
-
-from becalm.core.arrays import Floats
 from becalm.errors import UsageError
 from becalm.files.asked import Asker, ReadOptions
 from becalm.files.choosing import holds, listed
 from becalm.files.conversion import Conversion, conversion
-from becalm.files.roles import unit_of, values_of
-from becalm.files.rows import Rows
+from becalm.files.roles import unit_of
+from becalm.files.sensed import Sensed, SensedRows, Thermometer
 from becalm.files.source import RawTable
+from becalm.files.taring import with_tares
 from becalm.files.time_column import named_column
 from becalm.files.units import parse_header
-from becalm.sensors.record import SensorRecord, applied
+from becalm.sensors.record import Calibration, SensorRecord
 
 SENSORS_OPTION = Asker("--sensors")
-
-
-class Sensed(NamedTuple):
-    """A sensor and the columns that it fed.
-
-    Attributes
-    ----------
-    record : SensorRecord
-        What its sheet says.
-    columns : tuple of str
-        In the file, in the order of the record's channels.
-    sizes : tuple of Conversion
-        From the units of the file to the one that the record expects.
-    names : tuple of str
-        What the columns are called afterwards.
-    """
-
-    record: SensorRecord
-    columns: tuple[str, ...]
-    sizes: tuple[Conversion, ...]
-    names: tuple[str, ...]
-
-    @property
-    def note(self) -> str:
-        """What was done, as a sentence."""
-        named = ", ".join(map(repr, self.columns))
-        return (
-            f"--sensors: {named} {'is' if len(self.columns) == 1 else 'are'} turned from {self.record.raw_unit}"
-            f" into {self.record.unit} by the sensor's sheet."
-        )
-
-
-class SensedRows:
-    """Rows of which some columns are in what sensors measured.
-
-    Parameters
-    ----------
-    rows : Rows
-        As they are in the file; closed with these.
-    sensed : sequence of Sensed
-        Of different columns.
-    decimal : str
-        The decimal sign of numbers in text.
-    """
-
-    def __init__(self, rows: Rows, sensed: Sequence[Sensed], decimal: str) -> None:
-        self._rows, self._decimal = rows, decimal
-        self._by_name = {name: one for one in sensed for name in one.names}
-        renamed = {
-            own: (name, one.record.unit) for one in sensed for own, name in zip(one.columns, one.names, strict=True)
-        }
-        self._own = {new: own for own, (new, _) in renamed.items()}
-        self.count: int = rows.count
-        fields = [_field(field, *renamed[field.name]) if field.name in renamed else field for field in rows.schema]
-        self.schema: pa.Schema = pa.schema(fields, metadata=rows.schema.metadata)
-
-    def blocks(self, names: Sequence[str], most_rows: int, start: int = 0) -> Iterator[pa.Table]:
-        """Give the named columns from row `start` on, in blocks of up to `most_rows`."""
-        needed = dict.fromkeys(own for name in names for own in self._needed(name))
-        for block in self._rows.blocks(list(needed), most_rows, start):
-            told: dict[str, Floats] = {}
-            for one in {id(one): one for name in names if (one := self._by_name.get(name))}.values():
-                told |= self._told(one, block)
-            columns = [pa.array(told[name]) if name in told else block.column(name) for name in names]
-            fields = [self.schema.field(name) for name in names]
-            yield pa.table(columns, schema=pa.schema(fields, metadata=block.schema.metadata))
-
-    def close(self) -> None:
-        """Close the rows of the file."""
-        self._rows.close()
-
-    def _needed(self, name: str) -> tuple[str, ...]:
-        return self._by_name[name].columns if name in self._by_name else (name,)
-
-    def _told(self, one: Sensed, block: pa.Table) -> dict[str, Floats]:
-        readings = [
-            values_of(block.column(own), self._decimal) * size.factor + size.offset
-            for own, size in zip(one.columns, one.sizes, strict=True)
-        ]
-        found = applied(one.record, dict(zip(one.record.channels, readings, strict=True)))
-        return dict(zip(one.names, found.values(), strict=True))
+DEGC = "degC"
 
 
 def with_sensors(tables: Sequence[RawTable], options: ReadOptions) -> tuple[tuple[RawTable, ...], ReadOptions]:
@@ -125,9 +42,11 @@ def with_sensors(tables: Sequence[RawTable], options: ReadOptions) -> tuple[tupl
     ------
     UsageError
         If a column is not there, or in a unit that is no other size of the one the sensor expects.
+    SensorError
+        If a stretch from which a zero is to be taken is not quiet.
     """
     found = [_found(tables, record) for record in options.sensors]
-    carried = tuple(_carried(table, [one for holder, one in found if holder is table]) for table in tables)
+    carried = tuple(_carried(table, [one for holder, one in found if holder is table], options) for table in tables)
     if options.channels is None:
         return carried, options
     renamed = {own: name for _, one in found for own, name in zip(one.columns, one.names, strict=True)}
@@ -135,9 +54,9 @@ def with_sensors(tables: Sequence[RawTable], options: ReadOptions) -> tuple[tupl
 
 
 def _found(tables: Sequence[RawTable], record: SensorRecord) -> tuple[RawTable, Sensed]:
-    holding = [table for table in tables if all(holds(table, name) for name in record.channels)]
+    holding = [table for table in tables if all(holds(table, name) for name in record.needed)]
     if len(holding) != 1:
-        named, where = ", ".join(map(repr, record.channels)), listed(tables)
+        named, where = ", ".join(map(repr, record.needed)), listed(tables)
         raise UsageError(
             f"--sensors names {named}, which {'no' if not holding else 'more than one'} time of the file"
             f" has together; it holds {where}."
@@ -148,14 +67,32 @@ def _found(tables: Sequence[RawTable], record: SensorRecord) -> tuple[RawTable, 
     return table, Sensed(record, columns, sizes, tuple(_named(table, column, record.unit) for column in columns))
 
 
+def _with_thermometer(table: RawTable, one: Sensed, others: Sequence[Sensed]) -> Sensed:
+    """Find the column that tells a sensor's temperature, which may have a sensor of its own."""
+    channel = None if one.record.temperature is None else one.record.temperature.channel
+    if channel is None:
+        return one
+    column = named_column(table, channel, SENSORS_OPTION)
+    for other in others:
+        if column in other.columns:
+            if other.record.tare_s is not None:
+                raise UsageError(f"--sensors: {column!r} tells a temperature, whose zero is no load's; leave tare out.")
+            named = other.names[other.columns.index(column)]
+            return one._replace(thermometer=Thermometer(named, _conversion(column, other.record.unit, DEGC)))
+    return one._replace(thermometer=Thermometer(column, _size(table, column, DEGC)))
+
+
 def _size(table: RawTable, column: str, raw_unit: str) -> Conversion:
-    told = unit_of(table, column)
-    if told in ("", raw_unit):
+    return _conversion(column, unit_of(table, column) or raw_unit, raw_unit)
+
+
+def _conversion(column: str, told: str, wanted: str) -> Conversion:
+    if told == wanted:
         return Conversion()
     try:
-        return conversion(told, raw_unit)
+        return conversion(told, wanted)
     except UsageError as cause:
-        raise UsageError(f"--sensors expects {column!r} in {raw_unit}: {cause}") from cause
+        raise UsageError(f"--sensors expects {column!r} in {wanted}: {cause}") from cause
 
 
 def _named(table: RawTable, column: str, unit: str) -> str:
@@ -166,20 +103,20 @@ def _named(table: RawTable, column: str, unit: str) -> str:
     return renamed
 
 
-def _carried(table: RawTable, sensed: Sequence[Sensed]) -> RawTable:
-    if not sensed:
+def _carried(table: RawTable, found: Sequence[Sensed], options: ReadOptions) -> RawTable:
+    if not found:
         return table
+    sensed = with_tares(table, [_with_thermometer(table, one, found) for one in found], options)
     own = {name for one in sensed for name in one.columns}
     units = {name: unit for name, unit in table.units.items() if name not in own}
     units |= {name: one.record.unit for one in sensed for name in one.names}
-    rows, notes = SensedRows(table.rows, sensed, table.decimal), (*table.notes, *(one.note for one in sensed))
+    rows, notes = (
+        SensedRows(table.rows, sensed, table.decimal),
+        table.notes + tuple(note for one in sensed for note in one.notes),
+    )
     uncertain = {
-        name: (share, one.record.offset_std)
+        name: Calibration(share, one.record.offset_std, one.tare, one.record.sheet.resonance)
         for one in sensed
         for name, share in zip(one.names, one.record.relative_stds, strict=True)
     }
     return replace(table, rows=rows, units=units, notes=notes, calibrations=uncertain)
-
-
-def _field(field: pa.Field, name: str, unit: str) -> pa.Field:
-    return pa.field(name, pa.float64(), metadata={**(field.metadata or {}), b"unit": unit.encode()})

@@ -13,6 +13,7 @@ from becalm.core.clock import Clock
 from becalm.core.recording import Recording
 from becalm.files.identity import Original
 from becalm.files.rows import Rows, block_rows, rebatched
+from becalm.sensors.record import Calibration
 
 TIME = "time"
 CHANNEL = "channel"
@@ -93,9 +94,8 @@ class RawTable:
         Where the format itself tells which time it is.
     notes : tuple of str
         What a person must know, as sentences: that the file is incomplete, or was mended.
-    calibrations : dict of str to (float, float)
-        Of columns that sensors turned into their units: standard uncertainties (k = 1) of the sensitivity, as a share,
-        and of the zero, in unit.
+    calibrations : dict of str to Calibration
+        Of columns that sensors turned into their units.
     """
 
     rows: Rows
@@ -107,7 +107,7 @@ class RawTable:
     group: str = ""
     time: ToldTime | None = None
     notes: tuple[str, ...] = ()
-    calibrations: dict[str, tuple[float, float]] = field(default_factory=dict)
+    calibrations: dict[str, Calibration] = field(default_factory=dict)
 
     @property
     def names(self) -> list[str]:

@@ -62,6 +62,10 @@ class Accelerometer:
         own = cls(finite_array("correction", correction, (size, size)), np.zeros(size)).sensitivity
         return cls(frozen(np.linalg.inv(own)), frozen(bias))
 
+    def zeroed_at(self, reading: float) -> Accelerometer:
+        """Return the same one whose every axis read this at 0."""
+        return Accelerometer(self.sensitivity, np.full(len(self.bias), reading))
+
     def acceleration(self, readings: Floats) -> Floats:
         """Return the acceleration (n, m) of readings (n, m); NaN where an axis that it needs is NaN."""
         told, inverse = readings - self.bias, np.linalg.inv(self.sensitivity)

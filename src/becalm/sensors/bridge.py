@@ -9,7 +9,7 @@ with c, d0, d1 of its own; G is the gauge factor. Signs are those of NI-DAQmx: t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
@@ -33,6 +33,21 @@ class _Terms(NamedTuple):
     d1: float
 
 
+class Shunt(NamedTuple):
+    """A resistor that was put across a gauge in tension, as a check.
+
+    Attributes
+    ----------
+    shunt_ohm : float
+        Its resistance.
+    ratio : float
+        What the bridge put out meanwhile, in V/V, with no other load than when its zero was taken.
+    """
+
+    shunt_ohm: float
+    ratio: float
+
+
 @dataclass(frozen=True)
 class Bridge:
     """A strain gauge bridge.
@@ -52,7 +67,9 @@ class Bridge:
     gauge_ohm, lead_ohm : float
         Resistance of a gauge, and of one lead in series with it, of quarter (three wires) and half bridges.
     gain_adjustment : float
-        What a shunt told, see `gain_adjustment`.
+        What strain is multiplied by, see the function of this name.
+    shunt : Shunt or None
+        What tells the gain adjustment in its place; it depends on the zero, and so is worked out when needed.
     initial_ratio : float
         Ratio of the unstrained bridge in V/V, see `becalm.sensors.tare`.
     tension_lowers : bool
@@ -77,6 +94,7 @@ class Bridge:
     gain_adjustment: float = 1.0
     initial_ratio: float = 0.0
     tension_lowers: bool = True
+    shunt: Shunt | None = None
 
     def __post_init__(self) -> None:
         """Check what came."""
@@ -87,12 +105,40 @@ class Bridge:
         positive("lead_ohm", self.lead_ohm, "0.5", zero=True)
         positive("gain_adjustment", self.gain_adjustment, "1.0")
         finite("initial_ratio", self.initial_ratio, "2e-5")
+        if self.shunt is not None:
+            positive("shunt_ohm", self.shunt.shunt_ohm, "174650.0")
+            finite("shunt_reading", self.shunt.ratio, "0.5")
         if self.excitation_v is not None:
             positive("excitation_v", self.excitation_v, "5.0")
         if self.poisson_ratio is not None:
             positive("poisson_ratio", self.poisson_ratio, "0.3", zero=True)
         elif self.configuration in _WITH_POISSON:
             raise SensorError(f"The bridge {self.configuration!r} has gauges across; give poisson_ratio, as 0.3.")
+
+    def zeroed_at(self, ratio: float) -> Bridge:
+        """Return the same bridge that put out this ratio, in V/V, when it was unstrained."""
+        return replace(self, initial_ratio=ratio)
+
+    @property
+    def gain(self) -> float:
+        """What strain is multiplied by: `gain_adjustment`, or what the shunt tells.
+
+        Raises
+        ------
+        SensorError
+            If no gain explains what was read of the shunt.
+
+        Notes
+        -----
+        A shunt takes what cables and amplifier lose; it is no calibration of the gauge, its glue or its place.
+        """
+        if self.shunt is None:
+            return self.gain_adjustment
+        bare, sign = replace(self, shunt=None, gain_adjustment=1.0), self._sign()
+        changed = self.gauge_factor * shunt_strain(self.gauge_ohm, self.shunt.shunt_ohm, self.gauge_factor)
+        balanced = replace(bare, lead_ohm=0.0, initial_ratio=0.0)
+        simulated = balanced.strain(np.array([-sign * changed / (4 + 2 * changed)]))
+        return gain_adjustment(float(simulated[0]), float(bare.strain(np.array([self.shunt.ratio]))[0]))
 
     def ratio(self, voltage_v: Floats) -> Floats:
         """Return the ratio (n,), in V/V, of the bridge's output (n,) in volts.
@@ -126,7 +172,7 @@ class Bridge:
     def _gain(self) -> float:
         """Return what the ratio is multiplied by beside the circuit's own terms."""
         leads = 1.0 if self.configuration.startswith("full") else 1 + self.lead_ohm / self.gauge_ohm
-        return self.gain_adjustment * leads / self.gauge_factor
+        return self.gain * leads / self.gauge_factor
 
     def _terms(self) -> _Terms:
         nu = self.poisson_ratio or 0.0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -46,6 +46,10 @@ class LoadCell:
         finite("zero_balance_mv_per_v", self.zero_balance_mv_per_v, "0.02")
         if self.excitation_v is not None:
             positive("excitation_v", self.excitation_v, "10.0")
+
+    def zeroed_at(self, ratio_mv_per_v: float) -> LoadCell:
+        """Return the same cell that put out so many mV/V without load."""
+        return replace(self, zero_balance_mv_per_v=ratio_mv_per_v)
 
     def ratio(self, voltage_v: Floats) -> Floats:
         """Return the output (n,) in mV/V of voltages (n,).

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import date
 from typing import NamedTuple
 
@@ -15,6 +15,9 @@ from becalm.sensors.accelerometer import Accelerometer, FullScale
 from becalm.sensors.bridge import Bridge
 from becalm.sensors.curve import Curve
 from becalm.sensors.load_cell import LoadCell
+from becalm.sensors.resonance import Resonance
+from becalm.sensors.tare import Tare
+from becalm.sensors.thermal import GaugeTemperature
 
 _COVERAGE = 2.0  # k of the uncertainties that sheets tell
 
@@ -64,6 +67,8 @@ class Sheet:
         The greatest sensitivity across the axis, of that along it.
     noise_density : float or None
         In unit of the result per sqrt(Hz), one-sided.
+    resonance_hz, damping_ratio : float or None
+        Of its proof mass, or spring; without a damping it is taken to have none.
     """
 
     manufacturer: str = ""
@@ -84,10 +89,38 @@ class Sheet:
     location: str = ""
     transverse_percent: float | None = None
     noise_density: float | None = None
+    resonance_hz: float | None = None
+    damping_ratio: float | None = None
+
+    @property
+    def resonance(self) -> Resonance | None:
+        """What its resonance does to what it measures; None where the sheet does not tell it."""
+        return None if self.resonance_hz is None else Resonance(self.resonance_hz, self.damping_ratio or 0.0)
 
     def is_due(self, today: date) -> bool:
         """Tell whether the day has come on which it must be calibrated again; without such a day it never does."""
         return self.due is not None and today >= self.due
+
+
+class Calibration(NamedTuple):
+    """What must be known of a channel after its sensor turned it into its unit.
+
+    Attributes
+    ----------
+    relative_std : float
+        Standard uncertainty (k = 1) of the sensitivity, as a share.
+    offset_std : float
+        Standard uncertainty (k = 1) of the zero, in unit.
+    tare : Tare or None
+        The zero that was taken.
+    resonance : Resonance or None
+        Of the sensor.
+    """
+
+    relative_std: float = 0.0
+    offset_std: float = 0.0
+    tare: Tare | None = None
+    resonance: Resonance | None = None
 
 
 @dataclass(frozen=True)
@@ -112,6 +145,11 @@ class SensorRecord:
         Expanded (k = 2), of the result without load, in unit.
     full_scale : FullScale or None
         The least and the greatest reading, in raw_unit; None calls no reading clipped.
+    tare_s : (float, float) or None
+        The stretch without load from which the zero is to be taken, in seconds after the first row; None keeps the
+        zero of the sheet.
+    temperature : GaugeTemperature or None
+        What temperature does to the gauges of a bridge; None corrects nothing.
     sheet : Sheet
         All else.
     """
@@ -125,7 +163,15 @@ class SensorRecord:
     sensitivities: tuple[Sensitivity, ...] = ()
     zero_uncertainty: float = 0.0
     full_scale: FullScale | None = None
+    tare_s: tuple[float, float] | None = None
+    temperature: GaugeTemperature | None = None
     sheet: Sheet = field(default_factory=Sheet)
+
+    @property
+    def needed(self) -> tuple[str, ...]:
+        """Its channels, and the one that tells the temperature, if one does."""
+        told = None if self.temperature is None else self.temperature.channel
+        return self.channels if told is None else (*self.channels, told)
 
     @property
     def relative_stds(self) -> tuple[float, ...]:
@@ -146,28 +192,84 @@ def applied(record: SensorRecord, columns: Mapping[str, Floats]) -> dict[str, Fl
     record : SensorRecord
         Of the sensor.
     columns : mapping of str to (n,) float array
-        Readings by channel, in raw_unit; others than the sensor's are not looked at.
+        Readings by channel, in raw_unit; a channel of temperature in degC. Others are not looked at.
 
     Returns
     -------
     dict of str to (n,) float array
-        The sensor's channels, in unit; NaN where a reading that is needed is missing or clipped.
+        The sensor's channels, in unit; NaN where a reading that is needed, or the temperature, is missing, or
+        a reading is clipped.
 
     Raises
     ------
     SensorError
         If a channel is not there, or its columns differ in length.
     """
-    for name in record.channels:
+    for name in record.needed:
         if name not in columns:
             raise SensorError(f"The sensor's channel {name!r} is not there; there are {', '.join(columns) or 'none'}.")
-    if len({np.shape(columns[name]) for name in record.channels}) > 1:
-        raise SensorError(f"The columns {', '.join(record.channels)} differ in length; one sensor reads them together.")
+    if len({np.shape(columns[name]) for name in record.needed}) > 1:
+        raise SensorError(f"The columns {', '.join(record.needed)} differ in length; one sensor reads them together.")
     readings = np.column_stack([np.asarray(columns[name], dtype=np.float64) for name in record.channels])
     if record.full_scale is not None:
         readings = np.where(record.full_scale.clipped(readings), np.nan, readings)
-    told = record.result_size * _converted(record.conversion, record.reading_size * readings)
+    told = _converted(record.conversion, record.reading_size * readings)
+    if record.temperature is not None and isinstance(record.conversion, Bridge):
+        told = _without_temperature(told, record.temperature, record.conversion.gauge_factor, columns)
+    told = record.result_size * told
     return dict(zip(record.channels, told.T, strict=True))
+
+
+def tared(record: SensorRecord, tare: Tare) -> SensorRecord:
+    """Return a sensor of one channel with the zero that was taken.
+
+    Parameters
+    ----------
+    record : SensorRecord
+        With `tare_s`; its `zero_uncertainty` is what is uncertain beside the taking, as a zero that wanders later.
+    tare : Tare
+        In its raw_unit.
+
+    Raises
+    ------
+    SensorError
+        If readings that did not vary leave unknown how uncertain the zero is, or the zero fits the sensor's shunt not.
+    """
+    (name,) = record.channels
+    value, std = tare.reading, tare.reading_std
+    temperature = record.temperature
+    if temperature is not None:
+        temperature = replace(temperature, zero_degc=tare.temperature_degc)
+    zeroed = replace(
+        record,
+        conversion=record.conversion.zeroed_at(record.reading_size * value),
+        temperature=temperature,
+        tare_s=None,
+    )
+    if std is None:
+        if record.zero_uncertainty > 0:
+            return zeroed
+        raise SensorError(
+            f"All {tare.readings} readings of the stretch are {value:.6g} {record.raw_unit}, so that it is not known"
+            f" how uncertain their mean is; give zero_uncertainty, in {record.unit}."
+        )
+    columns = {name: np.array([value, value + std])}
+    if temperature is not None and temperature.channel is not None:
+        columns[temperature.channel] = np.full(2, tare.temperature_degc)
+    at_zero, beyond = applied(replace(zeroed, full_scale=None), columns)[name]
+    told = _COVERAGE * abs(float(beyond - at_zero))
+    return replace(zeroed, zero_uncertainty=float(np.hypot(told, record.zero_uncertainty)))
+
+
+def _without_temperature(
+    strain: Floats, temperature: GaugeTemperature, gauge_factor: float, columns: Mapping[str, Floats]
+) -> Floats:
+    """Return the strain (n, 1) of a bridge without what temperature did to it."""
+    if temperature.constant_degc is not None:
+        degc = np.full(len(strain), temperature.constant_degc)
+    else:
+        degc = np.asarray(columns[str(temperature.channel)], dtype=np.float64)
+    return temperature.corrected(strain[:, 0], degc, gauge_factor)[:, np.newaxis]
 
 
 def _converted(conversion: Accelerometer | Bridge | LoadCell | Curve, readings: Floats) -> Floats:

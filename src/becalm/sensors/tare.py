@@ -20,6 +20,9 @@ MOST_WANDER = 1 / 3
 MOST_UNEVEN = 4.0
 """Power of one block over that of the others."""
 
+MOST_READINGS = 1 << 24
+"""In a stretch, which is held in memory."""
+
 _CHANCE = 1e-3  # that noise alone looks as unquiet
 
 
@@ -40,6 +43,32 @@ class Zero(NamedTuple):
     value: float
     std: float
     readings: int
+
+
+class Tare(NamedTuple):
+    """A zero that was taken: when, what was read, and how warm it was.
+
+    Attributes
+    ----------
+    start_s, stop_s : float
+        The stretch, in seconds after the first row.
+    reading, reading_std : float, float or None
+        The zero and its standard uncertainty, in raw_unit; None where the readings did not vary.
+    raw_unit : str
+        Of the readings.
+    readings : int
+        That it is the mean of.
+    temperature_degc : float or None
+        Mean temperature over the stretch, where it is known.
+    """
+
+    start_s: float
+    stop_s: float
+    reading: float
+    reading_std: float | None
+    raw_unit: str
+    readings: int
+    temperature_degc: float | None = None
 
 
 def zero_of(stretch: Floats) -> Zero:
