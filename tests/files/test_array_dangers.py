@@ -90,6 +90,7 @@ def test_npz_is_never_unpickled_and_never_leads_out(tmp_path: Path) -> None:
     assert "Python objects" in table.notes[1]
 
 
+@pytest.mark.slow
 def test_members_that_would_fill_the_memory_are_refused(tmp_path: Path) -> None:
     with zipfile.ZipFile(tmp_path / "a.npz", "w", zipfile.ZIP_DEFLATED) as archive:
         header = io.BytesIO()

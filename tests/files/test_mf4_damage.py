@@ -187,6 +187,15 @@ def test_a_channel_outside_its_rows_is_refused(version: str, at: int, tmp_path: 
         becalm.read(path)
 
 
+def test_a_text_longer_than_its_block_is_refused(tmp_path: Path) -> None:
+    path = written(tmp_path, [signal("s", np.array([b"abc", b"defgh"] * (ROWS // 2)), encoding="utf-8")])
+    data, (texts,) = bytearray(path.read_bytes()), raw_blocks(path, b"##SD")
+    data[texts + 24 : texts + 28] = (1 << 30).to_bytes(4, "little")
+    path.write_bytes(data)
+    with pytest.raises(InputError, match="longer than the block"):
+        becalm.read(path)
+
+
 @pytest.mark.parametrize("version", ["3.30", "4.10"])
 def test_mutants_are_read_or_refused(version: str, tmp_path: Path) -> None:
     rng = np.random.default_rng(410)

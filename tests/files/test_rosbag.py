@@ -163,3 +163,13 @@ def test_a_folder_that_is_no_whole_bag_is_refused(tmp_path: Path, text: str, mes
 def test_any_other_folder_is_still_a_directory(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="is a directory"):
         read_through(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["../../etc/passwd", "/etc/passwd", "a/../../b.db3"])
+def test_a_folder_that_names_files_outside_is_refused(name: str, tmp_path: Path) -> None:
+    folder = bag2(tmp_path / "bag", "SQLITE3")
+    told = (folder / "metadata.yaml").read_text()
+    own = next(folder.glob("*.db3")).name
+    (folder / "metadata.yaml").write_text(told.replace(f"- {own}", f"- {name}"))
+    with pytest.raises(InputError, match="outside of the folder"):
+        read_through(folder)

@@ -30,6 +30,7 @@ class Foreign:
     def __init__(self, path: Path, name: str) -> None:
         self.path, self.name = path, name
         self._libraries: set[str] = set()
+        self._unpacked = 0
 
     def library(self, module: str) -> ModuleType:
         """Load a library.
@@ -79,12 +80,35 @@ class Foreign:
         InputError
             If the file claims to hold so much more than its size.
         """
-        size = self.path.stat().st_size
-        if wanted_bytes > max(_SMALL, _SQUEEZED * size):
-            raise InputError(
-                f"{self.path} claims to hold {wanted_bytes:,} bytes in a file of {size:,}; it is damaged, or made"
-                " to fill the memory, and is not read."
-            )
+        parts = self.path.iterdir() if self.path.is_dir() else [self.path]
+        refuse_claim(self.path, wanted_bytes, sum(part.stat().st_size for part in parts))
+
+    def refuse_unpacking(self, more_bytes: int) -> None:
+        """Refuse to unpack another part where all of them are what no recording of this size holds.
+
+        Raises
+        ------
+        InputError
+            If they are.
+        """
+        self._unpacked += more_bytes
+        if self._unpacked > _SMALL:
+            self.refuse_claim(self._unpacked)
+
+
+def refuse_claim(path: Path, wanted_bytes: int, size: int) -> None:
+    """Refuse what claims to hold so much more than its size, in bytes, as no recording does.
+
+    Raises
+    ------
+    InputError
+        If it does.
+    """
+    if wanted_bytes > max(_SMALL, _SQUEEZED * size):
+        raise InputError(
+            f"{path} claims to hold {wanted_bytes:,} bytes in a file of {size:,}; it is damaged, or made to fill the"
+            " memory, and is not read."
+        )
 
 
 @contextmanager

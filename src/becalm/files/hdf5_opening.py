@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from becalm.files.hdf5_gaps import Written, is_there
 from becalm.files.hdf5_heaps import damaged_heap
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
@@ -39,8 +40,8 @@ class Opened:
 
     def __init__(self, h5py: ModuleType, path: Path, base: int = 0) -> None:
         self._h5py = h5py
-        if damaged_heap(path):
-            raise OSError("a heap of texts in it makes no sense")
+        if damaged_heap(path, base):
+            raise OSError("its texts are not where it says, or not as long")
         self.size: int | None = None
         self._base, self._length = base, path.stat().st_size - base
         self._stretched: _Stretched | None = None
@@ -66,8 +67,6 @@ class Opened:
     def whole_rows(self, dataset: Any) -> int:
         """Return how many entries of a dataset's first axis are before the end of the file."""
         rows = dataset.shape[0] if dataset.shape else 1
-        if dataset.is_virtual:
-            return int(rows)
         if self.size is None:
             return self._written_rows(dataset, int(rows))
         if self._h5py.check_string_dtype(dataset.dtype) and dataset.dtype.kind == "O":
@@ -76,9 +75,16 @@ class Opened:
             return self._contiguous_rows(dataset, int(rows))
         for number in range(dataset.id.get_num_chunks()):
             chunk = dataset.id.get_chunk_info(number)
-            if chunk.byte_offset + chunk.size > self._length:
+            if not is_there(chunk, self._length):
                 rows = min(rows, chunk.chunk_offset[0])
         return int(rows)
+
+    def written(self, dataset: Any, rows: int) -> Written | None:
+        """Return which parts of so many rows are in the file; None where all are."""
+        if dataset.chunks is None:
+            return None
+        told = Written(dataset, rows, self._length)
+        return told if told.missing else None
 
     def _contiguous_rows(self, dataset: Any, rows: int) -> int:
         """Return how many rows there is room for: in the file, or in the header of a small dataset."""

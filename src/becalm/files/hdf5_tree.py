@@ -10,6 +10,7 @@ import numpy as np
 
 from becalm.files.arrays import Found, Key, Leaf, Path, as_text
 from becalm.files.foreign import Foreign
+from becalm.files.hdf5_gaps import Written
 from becalm.files.hdf5_opening import Opened
 
 DEEPEST = 64
@@ -21,13 +22,20 @@ _FIELD_UNITS = ("units", "unit")
 
 
 class _Shapes(NamedTuple):
-    """The shape of what is there, and the one that a file cut short claims, () if it does not."""
+    """The shape of what is there, the one that a file cut short claims, () if it does not, and what has gaps."""
 
     there: tuple[int, ...]
     claimed: tuple[int, ...]
+    written: Written | None
 
     def with_axes(self, inner: tuple[int, ...]) -> _Shapes:
-        return _Shapes((*self.there, *inner), (*self.claimed, *inner) if self.claimed else ())
+        return _Shapes((*self.there, *inner), (*self.claimed, *inner) if self.claimed else (), self.written)
+
+    def with_gaps(self, leaf: Leaf) -> Leaf:
+        if self.written is None:
+            return leaf
+        written, read = self.written, leaf.take
+        return leaf._replace(type=written.type_of(leaf.type), take=lambda key: written.applied(read(key), key))
 
 
 class Tree:
@@ -133,9 +141,12 @@ class Tree:
             self.found.notes.append(
                 f"{says} of {'/'.join(path)!r}; {rows} of {dataset.shape[0]} {self.entries} are whole and were read."
             )
-        shapes = _Shapes(shape, dataset.shape if shape != dataset.shape else ())
         self._claimed += int(np.prod(shape, dtype=object)) * dataset.dtype.itemsize
         self._foreign.refuse_claim(max(self._claimed, _chunk_bytes(dataset)))
+        written = self._opened.written(dataset, rows)
+        if written is not None:
+            self.found.notes.append(f"Parts of {'/'.join(path)!r} were never written, and are missing.")
+        shapes = _Shapes(shape, dataset.shape if shape != dataset.shape else (), written)
         if dataset.dtype.names:
             self._take_fields(dataset, path, shapes)
         else:
@@ -172,14 +183,14 @@ class Tree:
         self._take((*path, *fields), shapes.with_axes(inner), base, take)
 
     def _take(self, path: Path, shapes: _Shapes, kind: np.dtype[Any], take: Any) -> None:
-        h5py, (shape, claimed) = self.h5py, shapes
+        h5py, shape, claimed = self.h5py, shapes.there, shapes.claimed
         if h5py.check_string_dtype(kind) or kind.kind in "SU":
             text = Leaf(path, shape, np.dtype(object), lambda key: as_text(np.asarray(take(key))), claimed)
-            self.found.add(self.placed(text))
+            self.found.add(self.placed(shapes.with_gaps(text)))
         elif h5py.check_enum_dtype(kind) or kind.kind in "biufcMm":
             plain = np.dtype(kind.str)
             numbers = Leaf(path, shape, plain, lambda key: np.asarray(take(key)).astype(plain, copy=False), claimed)
-            self.found.add(self.placed(numbers))
+            self.found.add(self.placed(shapes.with_gaps(numbers)))
         elif not h5py.check_ref_dtype(kind):
             self.note(path, f"it holds {kind}, no numbers and no text")
 
@@ -191,8 +202,9 @@ class Tree:
         """Say why a dataset is not read, "" if it is."""
         if dataset.external:
             return f"its values are in another file, {dataset.external[0][0]!r}"
-        if dataset.is_virtual and any(source.file_name != "." for source in dataset.virtual_sources()):
-            return "its values are in other files"
+        if dataset.is_virtual:
+            outside = any(source.file_name != "." for source in dataset.virtual_sources())
+            return f"its values are in other {'files' if outside else 'arrays, which are read themselves'}"
         settings = dataset.id.get_create_plist()
         for number in range(settings.get_nfilters()):
             code, _, _, name = settings.get_filter(number)

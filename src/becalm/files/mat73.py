@@ -78,8 +78,8 @@ class _MatlabTree(Tree):
             self.note(path, f"it is a MATLAB {kind}, which only MATLAB opens{SAVE_AS}")
         else:
             super().take_dataset(dataset, path)
-            if self.found.leaves and kind == "logical" and self.found.leaves[-1].path == path:
-                leaf = self.found.leaves[-1]
+            leaf = self.found.leaves[-1] if self.found.leaves else None
+            if kind == "logical" and leaf is not None and leaf.path == path and leaf.type.kind == "u":
                 self.found.leaves[-1] = leaf._replace(
                     type=np.dtype(bool), take=lambda key: leaf.take(key).astype(np.bool_)
                 )

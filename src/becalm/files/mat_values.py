@@ -71,6 +71,8 @@ def _texts(data: bytes, kind: int, sizes: tuple[int, ...], order: str) -> NDArra
     rows = sizes[0] if sizes else 0
     if not rows or not letters:
         return np.array([""])
+    if rows > len(letters):
+        raise DamageError("it claims more lines than it has letters")
     return np.array([letters[row::rows].rstrip(" \0") for row in range(rows)])
 
 

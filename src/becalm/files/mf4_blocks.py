@@ -135,10 +135,19 @@ def _follow(data: mmap, flags: int, patches: dict[int, bytes]) -> tuple[bool, bo
         elif length > there:
             patches[link.place], cut = bytes(8), True
         else:
-            if kind == b"##CN":
-                _refuse_outside(data, address, link.channels)
+            _refuse_lies(data, address, kind, link.channels)
             todo += _links(data, address, kind, link)
     return cut, chained
+
+
+def _refuse_lies(data: mmap, address: int, kind: bytes, channels: int) -> None:
+    """Refuse what asammdf would believe: a channel outside its rows, a text beyond its block."""
+    if kind == b"##CN":
+        _refuse_outside(data, address, channels)
+    elif kind == b"##SD":
+        end = address + _length(data, address)
+        if _whole_texts(data, address + _HEAD, end)[0] + 4 <= end:
+            raise ValueError(f"a text in the block at {address:#x} is longer than the block")
 
 
 def _is_open(flags: int, link: _Link, length: int) -> bool:
@@ -176,18 +185,24 @@ def _next_block(data: mmap, address: int) -> int:
 
 def _shorten(data: mmap, group: int, texts: int, patches: dict[int, bytes]) -> None:
     """Leave out the rows of a group whose bytes of variable length, in a block of their own, are cut off."""
-    stop, rows = texts + _HEAD, 0
-    while stop + 4 <= len(data):
-        (length,) = struct.unpack_from("<I", data, stop)
-        if stop + 4 + length > len(data):
-            break
-        stop, rows = stop + 4 + length, rows + 1
+    stop, rows = _whole_texts(data, texts + _HEAD, len(data))
     patches[texts + 8] = struct.pack("<Q", stop - texts)
     channels, numbers = struct.unpack_from("<QQ", data, group + _HEAD + 8)
     if data[group + 56] or not _is_block(data, numbers) or data[numbers : numbers + 4] != b"##DT":
         return  # rows of several groups, or in several blocks, are not counted
     width = sum(_widths(data, channels))
     patches[numbers + 8] = struct.pack("<Q", min(_HEAD + rows * width, len(data) - numbers))
+
+
+def _whole_texts(data: mmap, at: int, end: int) -> tuple[int, int]:
+    """Return where the last whole text of a block ends, and how many there are; each begins with its length."""
+    count = 0
+    while at + 4 <= end:
+        (length,) = struct.unpack_from("<I", data, at)
+        if at + 4 + length > end:
+            break
+        at, count = at + 4 + length, count + 1
+    return at, count
 
 
 def _body(data: mmap, address: int) -> int:

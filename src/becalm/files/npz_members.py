@@ -6,11 +6,12 @@ import struct
 import zipfile
 import zlib
 from pathlib import Path, PurePosixPath
-from typing import NamedTuple
+from typing import BinaryIO, NamedTuple
 
 from becalm.files.foreign import Foreign
 
 LOCAL = b"PK\x03\x04"
+_HEAD = 30  # bytes before the name of a member
 _STORED, _PACKED = 0, 8
 _ENCRYPTED, _SIZE_LATER = 1, 8
 _IN_ZIP64 = 0xFFFFFFFF
@@ -53,8 +54,7 @@ def members(path: Path) -> tuple[list[Member], bool]:
     with path.open("rb") as file:
         found = []
         for start, (size, packed_size, crc) in zip(starts, told, strict=True):
-            file.seek(start)
-            member = _local(file.read(30 + 2 * 65536), start)
+            member = _local(file, start)
             if member is None:
                 raise zipfile.BadZipFile("a member is not where the archive says")
             found.append(member._replace(bytes=size, packed_bytes=packed_size, crc=crc))
@@ -67,8 +67,7 @@ def _walked(path: Path) -> list[Member]:
     size = path.stat().st_size
     with path.open("rb") as file:
         while at < size:
-            file.seek(at)
-            member = _local(file.read(30 + 2 * 65536), at)
+            member = _local(file, at)
             if member is None or (member.packed_bytes == 0 and member.bytes != 0):
                 break
             found.append(member)
@@ -76,12 +75,14 @@ def _walked(path: Path) -> list[Member]:
     return found
 
 
-def _local(head: bytes, start: int) -> Member | None:
-    if len(head) < 30 or not head.startswith(LOCAL):
+def _local(file: BinaryIO, start: int) -> Member | None:
+    file.seek(start)
+    head = file.read(_HEAD)
+    if len(head) < _HEAD or not head.startswith(LOCAL):
         return None
-    _, _, flags, method, _, _, crc, packed, size, letters, more = struct.unpack("<4sHHHHHIIIHH", head[:30])
-    name = head[30 : 30 + letters].decode("utf-8", "replace")
-    extra = head[30 + letters : 30 + letters + more]
+    _, _, flags, method, _, _, crc, packed, size, letters, more = struct.unpack("<4sHHHHHIIIHH", head)
+    name = file.read(letters).decode("utf-8", "replace")
+    extra = file.read(more)
     if _IN_ZIP64 in (packed, size) and len(extra) >= 20 and extra[:2] == b"\x01\x00":
         size, packed = struct.unpack("<QQ", extra[4:20])
     why = ""
@@ -93,7 +94,7 @@ def _local(head: bytes, start: int) -> Member | None:
         why = "its name leads out of the archive"
     elif flags & _SIZE_LATER and not size:
         size = 0
-    return Member(name, start + 30 + letters + more, packed, size, method == _PACKED, crc, why)
+    return Member(name, start + _HEAD + letters + more, packed, size, method == _PACKED, crc, why)
 
 
 def content(foreign: Foreign, member: Member) -> tuple[bytes, bool]:
@@ -107,7 +108,7 @@ def content(foreign: Foreign, member: Member) -> tuple[bytes, bool]:
     foreign.refuse_claim(member.bytes)
     with foreign.path.open("rb") as file:
         file.seek(member.at)
-        data = file.read(member.packed_bytes)
+        data = file.read(min(member.packed_bytes, foreign.path.stat().st_size))
     if member.packed:
         try:
             data = zlib.decompressobj(-15).decompress(data, member.bytes) if member.bytes else b""

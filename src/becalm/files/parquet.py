@@ -12,6 +12,7 @@ import pyarrow as pa
 
 from becalm.errors import InputError
 from becalm.files.csv_header import unique_names
+from becalm.files.foreign import refuse_claim
 from becalm.files.identity import Original
 from becalm.files.source import RawTable
 
@@ -63,6 +64,9 @@ class ParquetRows:
             self._ends = list(accumulate(file.metadata.row_group(i).num_rows for i in range(file.num_row_groups)))
         self.count: int = self._ends[-1] if self._ends else 0
         names = unique_names(self._stored.names)
+        fields_bytes = sum(_width(field.type) for field in self._stored)
+        size = len(kept) if isinstance(kept, bytes) else path.stat().st_size
+        refuse_claim(path, self.count * fields_bytes, size)
         fields = [_plain(field.with_name(name)) for field, name in zip(self._stored, names, strict=True)]
         self.schema: pa.Schema = pa.schema(fields, metadata=self._stored.metadata)
         self._by_name = _told_apart(self._stored.names)
@@ -142,6 +146,10 @@ def _plain(field: pa.Field) -> pa.Field:
     if pa.types.is_string_view(field.type):
         return field.with_type(pa.string())
     return field.with_type(field.type.value_type) if pa.types.is_dictionary(field.type) else field
+
+
+def _width(kind: pa.DataType) -> int:
+    return kind.bit_width // 8 if pa.types.is_primitive(kind) else 1
 
 
 def _unit(field: pa.Field) -> str:

@@ -67,11 +67,14 @@ def _parts(foreign: Foreign, folder: Path, held: ExitStack) -> list[Path]:
     try:
         listed = foreign.library("ruamel.yaml").YAML(typ="safe").load((folder / BAG).read_text("utf-8"))
         told = listed["rosbag2_bagfile_information"]
-        parts = [folder / PurePath(name).name for name in told["relative_file_paths"]]
+        names = [PurePath(name) for name in told["relative_file_paths"]]
     except InputError:
         raise
     except Exception as cause:
         raise InputError(f"{folder / BAG} does not tell the files of a ROS 2 bag; give one of them by name.") from cause
+    if outside := [str(name) for name in names if name.is_absolute() or ".." in name.parts]:
+        raise InputError(f"{folder / BAG} names {outside[0]}, which is outside of the folder; that is not read.")
+    parts = [folder / name.name for name in names]
     if missing := [part.name for part in parts if not part.is_file()]:
         raise InputError(f"{folder} lacks {', '.join(missing[:8])}, which its {BAG} names; copy the whole folder.")
     if not parts:

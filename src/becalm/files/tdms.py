@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import os
 import struct
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -39,7 +41,7 @@ def read(path: Path) -> tuple[RawTable, ...]:
     """
     foreign = Foreign(path, "TDMS")
     library = foreign.library("nptdms")
-    file = path.open("rb")  # an index file beside it may be of another state
+    file = _File(path)  # an index file beside it may be of another state
     try:
         with foreign.damage_told():
             held = library.TdmsFile.open(file, raw_timestamps=True)
@@ -48,7 +50,7 @@ def read(path: Path) -> tuple[RawTable, ...]:
                 name: one.expected_length - one.read_length
                 for name, one in ((status.channel_statuses or {}) if status.incomplete_final_segment else {}).items()
             }
-            whole = not status.incomplete_final_segment and _ends_whole(path)
+            whole = not status.incomplete_final_segment and _ends_whole(path) and not _overpromised(held)
             groups = [one for group in held.groups() for one in _groups(foreign, group, missing)]
             if not whole:
                 groups = [one._replace(notes=(*one.notes, _cut(one.rows))) for one in groups]
@@ -56,6 +58,15 @@ def read(path: Path) -> tuple[RawTable, ...]:
     except BaseException:
         file.close()
         raise
+
+
+class _File(io.FileIO):
+    """A file that makes no room for more than it holds."""
+
+    def read(self, size: int | None = -1) -> bytes:
+        """Read up to `size` bytes, all by default."""
+        left = max(0, os.fstat(self.fileno()).st_size - self.tell())
+        return super().read(left if size is None or size < 0 else min(size, left)) or b""
 
 
 def _cut(rows: int) -> str:
@@ -76,6 +87,12 @@ def _ends_whole(path: Path) -> bool:
                 return False
             at += _LEAD_IN.size + length
     return at == size
+
+
+def _overpromised(held: Any) -> bool:
+    """Tell whether a segment is to hold more than there is room for in it; only the library's inside knows."""
+    segments = getattr(getattr(held, "_reader", None), "_segments", ())
+    return any(getattr(one, "final_chunk_lengths_override", None) for one in segments)
 
 
 def _groups(foreign: Foreign, group: Any, missing: dict[str, int]) -> Iterator[Group]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import io
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from becalm.errors import InputError
+from becalm.files.foreign import refuse_claim
 
 GZIP = b"\x1f\x8b"
 PARQUET = b"PAR1"
@@ -31,6 +33,7 @@ BOMS: tuple[tuple[bytes, str, str], ...] = (
     (b"\xfe\xff", "utf-16-be", "utf-16-be"),
 )
 
+_BLOCK = 1 << 20
 _CONTROL = bytes(set(range(32)) - set(b"\t\n\r\f\v\x1a"))
 
 
@@ -111,13 +114,16 @@ def decode(path: Path, data: bytes) -> Text:
 
 
 def _gunzip(path: Path, data: bytes) -> bytes:
-    with told(path):
-        plain = gzip.decompress(data)
+    plain = bytearray()
+    with told(path), gzip.GzipFile(fileobj=io.BytesIO(data)) as file:
+        while block := file.read(_BLOCK):
+            plain += block
+            refuse_claim(path, len(plain), len(data))
     refuse_nothing(path, plain)
-    return plain
+    return bytes(plain)
 
 
-def refuse_nothing(path: Path, plain: bytes) -> None:
+def refuse_nothing(path: Path, plain: bytes | bytearray) -> None:
     """Refuse an archive that holds nothing.
 
     Raises

@@ -6,10 +6,12 @@ import codecs
 import gzip
 import re
 from collections.abc import Iterable, Iterator
+from itertools import islice
 from pathlib import Path
 from typing import IO, cast
 
 from becalm.errors import InputError
+from becalm.files.foreign import refuse_claim
 from becalm.files.text import (
     BOMS,
     GZIP,
@@ -43,7 +45,10 @@ def is_large(path: Path, head: bytes) -> bool:
         with path.open("rb") as file:
             file.seek(max(0, size - 4))
             told_size = int.from_bytes(file.read(4), "little")  # of the last part, below 4 GB
-        return size * _PACKED > WHOLE_BYTES or told_size > WHOLE_BYTES
+        if size * _PACKED > WHOLE_BYTES or told_size > WHOLE_BYTES:
+            return True
+        with cast(IO[bytes], gzip.open(path, "rb")) as unpacked:
+            return sum(len(block) for block in islice(_blocks(unpacked), WHOLE_BYTES // BLOCK_BYTES + 1)) > WHOLE_BYTES
 
 
 class TextFile:
@@ -96,10 +101,13 @@ class TextFile:
             If it is damaged.
         """
         decoder = codecs.getincrementaldecoder(self._codec)()
-        lines = 0
+        lines = count = 0
+        size = self._path.stat().st_size
         with told(self._path), self._open() as file:
             file.read(len(self._mark))
-            while data := file.read(BLOCK_BYTES):
+            for data in _blocks(file):
+                count += len(data)
+                refuse_claim(self._path, count, size)
                 block = self._as_utf8(decoder, data)
                 (refuse_nul(self._path, block, lines) if lines else refuse_binary(self._path, block))
                 lines += block.count(b"\n")
@@ -119,6 +127,10 @@ class TextFile:
 
     def _open(self) -> IO[bytes]:
         return cast(IO[bytes], gzip.open(self._path, "rb")) if self.compression else self._path.open("rb")
+
+
+def _blocks(file: IO[bytes]) -> Iterator[bytes]:
+    return iter(lambda: file.read(BLOCK_BYTES), b"")
 
 
 def whole_lines(path: Path, blocks: Iterable[bytes]) -> Iterator[bytes]:

@@ -16,7 +16,8 @@ _HEAD_LINES = 12  # after the mark; the first of them names the set
 _LONGEST = 400  # bytes of such a line; 80 is usual
 _SIZE = slice(31, 43)  # where that first line of a binary set tells the bytes of its numbers
 _LINE = re.compile(rb"^ {4}-1 *\r?(?:\n|\Z)", re.MULTILINE)
-_AFTER_NUMBERS = re.compile(rb"[\r\n ]*? {4}-1 *\r?(?:\n|\Z)")
+_MARK = re.compile(rb" {4}-1 *\r?(?:\n|\Z)")
+_AFTER_NUMBERS = re.compile(rb"[\r\n ]*?" + _MARK.pattern)
 
 
 class Values(NamedTuple):
@@ -121,8 +122,10 @@ def _numbers(data: mmap, begin: int, first: bytes) -> tuple[int, int]:
     stop = begin + int(size) if size.isdigit() else begin
     if stop > begin and (closing := _AFTER_NUMBERS.match(data, stop)):
         return stop, closing.end()
-    closing = _AFTER_NUMBERS.search(data, begin)
-    return (closing.start(), closing.end()) if closing else (len(data), len(data))
+    closing = _MARK.search(data, begin)
+    if closing is None:
+        return len(data), len(data)
+    return begin + len(data[begin : closing.start()].rstrip(b"\r\n ")), closing.end()
 
 
 def _of_text(text: bytes, double: bool, uneven: bool, promised: int) -> Values:

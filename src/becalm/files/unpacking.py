@@ -37,7 +37,7 @@ def unpacked(foreign: Foreign, compression: str, data: bytes, size: int, cut: bo
         return data
     if size < 0:
         raise ValueError("it does not tell its size")
-    foreign.refuse_claim(size)
+    foreign.refuse_unpacking(size)
     try:
         plain = _plain(foreign, compression, data, size)
     except BecalmError:
