@@ -85,7 +85,9 @@ def test_a_vector_of_times_and_matrices_are_a_table(form: str, tmp_path: Path) -
 
 
 @pytest.mark.parametrize("form", SAVERS)
-@pytest.mark.parametrize(("name", "number"), [("Fs", 50.0), ("sampling_rate", 50.0), ("dt", 0.02), ("fs_hz", 50.0)])
+@pytest.mark.parametrize(
+    ("name", "number"), [("Fs", 50.0), ("sampling_rate", 50.0), ("dt", 0.02), ("fs_hz", 50.0), ("Tinterval", 0.02)]
+)
 def test_a_number_tells_the_rate(form: str, name: str, number: float, tmp_path: Path) -> None:
     path = tmp_path / FILES[form]
     SAVERS[form](path, {"acc": ACC, name: number})
@@ -280,3 +282,11 @@ def test_scales_fill_values_and_dates_of_netcdf_are_used_once(tmp_path: Path) ->
         expected = np.where(raw == -999, np.nan, raw.astype(float) * 0.01 + 5.0)
         np.testing.assert_array_equal(source.recording().channel("level"), expected)
         assert source.units == ("m",)
+
+
+def test_times_in_the_middle_of_a_name_are_those_of_one_channel(tmp_path: Path) -> None:
+    path = tmp_path / "dewesoft.mat"
+    held = {"Sample_rate": 100.0, "Data1_AI_1": ACC[:, 0], "Data1_time_AI_1": TIME}
+    savemat(path, held | {"Data1_AI_2": ACC[:60, 1], "Data1_time_AI_2": TIME[::5]})
+    rates = [open_source(path, ReadOptions(group=group)).rate_hz for group in tables_of(path)]
+    assert rates == pytest.approx([100, 20])

@@ -134,6 +134,20 @@ def test_a_spectrum_is_no_waveform(tmp_path: Path) -> None:
         becalm.read(path)
 
 
+@pytest.mark.parametrize("unit", ["s", "seconds", "Seconds"])
+def test_the_unit_of_time_may_be_a_word(unit: str, tmp_path: Path) -> None:
+    path = written(tmp_path, [channel("a", SIGNAL, **WAVE, wf_xunit_string=unit)])
+    assert becalm.read(path).rate_hz == 100
+
+
+def test_a_preset_step_beside_a_channel_of_times_is_no_rate(tmp_path: Path) -> None:
+    times = channel("Time", np.arange(len(SIGNAL)) / 50, unit_string="s")
+    path = written(tmp_path, [times, channel("a", SIGNAL, wf_increment=1.0, wf_samples=1, unit_string="Volts")])
+    recording = becalm.read(path)
+    assert (recording.names, recording.units) == (("a",), ("V",))
+    assert recording.rate_hz == pytest.approx(50)
+
+
 def test_a_time_that_was_not_set_is_no_start(tmp_path: Path, tables: Tables) -> None:
     (table,) = tables(written(tmp_path, [channel("a", SIGNAL, **WAVE | {"wf_start_time": datetime(1904, 1, 1)})]))
     assert table.time

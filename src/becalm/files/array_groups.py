@@ -25,7 +25,10 @@ _MOST_COLUMNS = 1024  # of one array; more are a picture
 _STRAY, _SHORT = 50, 100  # a matrix of calibration is so much shorter than a recording, and so short
 _UNITS = ("units", "unit", "Units", "Unit", "UNITS", "units_")
 _NAMES = ("columns", "column_names", "names", "labels", "channels", "channel_names", "axes", "axis", "header")
-_OWN_TIME = re.compile(r"(?:t|time|times|timestamp|timestamps)_(.+)|(.+)_(?:t|time|times|timestamp|timestamps)")
+_OWN_TIME = re.compile(
+    r"(?:t|time|times|timestamp|timestamps)_(.+)|(.+)_(?:t|time|times|timestamp|timestamps)"
+    r"|(.+_)(?:time|times|timestamp|timestamps)_(.+)"  # Data1_time_AI_1 of Data1_AI_1
+)
 
 
 class _Home(NamedTuple):
@@ -226,7 +229,7 @@ def _rows(leaf: Leaf, meant: int) -> int:
 def _stem(name: str) -> str:
     """Return of what alone an array is the time, "" if it is of all beside it, or none."""
     found = None if is_time_name(name) else _OWN_TIME.fullmatch(parse_header(name)[0])
-    return (found[1] or found[2]) if found else ""
+    return "".join(part for part in found.groups() if part) if found else ""
 
 
 def _is_of(name: str, stem: str) -> bool:

@@ -11,7 +11,9 @@ from becalm.files.arrays import Found, Leaf, Path
 from becalm.files.units import parse_header, tidy_unit
 
 _RATES = re.compile(r"fs|fsample|sr|srate|rate|sampl(?:e|ing)(?:rate|freq|frequency)|samplespersecond|freqsampling")
-_STEPS = re.compile(r"dt|ts|deltat|timestep|timeincrement|wfincrement|sampl(?:e|ing)(?:interval|period|time|step)")
+_STEPS = re.compile(
+    r"dt|ts|deltat|timestep|timeincrement|wfincrement|tinterval|xspacing|sampl(?:e|ing)(?:interval|period|time|step)"
+)
 _TOO_SHORT = ("rate", "sr", "ts")  # to be part of a longer name: a heart_rate is none
 _HERTZ = {"Hz": 1.0, "hz": 1.0, "HZ": 1.0, "kHz": 1e3, "MHz": 1e6, "S/s": 1.0, "Sa/s": 1.0, "1/s": 1.0, "": 1.0}
 _SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "": 1.0}

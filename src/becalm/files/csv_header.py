@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from becalm.files.cells import GONE, NUMBER, kind_of, split
+from becalm.files.logger_headers import logger_header
 from becalm.files.units import looks_like_unit, tidy_unit
 
 _COMMENT = ("#", "%", "//")
@@ -29,7 +30,7 @@ class Header:
     given : int
         How many cells the row of names has; 0 for no header.
     fits : bool
-        Whether that is one a column, or one a column that holds anything.
+        Whether that is one a column; columns at the right that hold nothing need none.
     """
 
     names: tuple[str, ...]
@@ -57,12 +58,16 @@ def find_header(above: Sequence[str], start: int, separator: str, kinds: tuple[s
     width = len(kinds)
     filled = [number for number in range(start, len(above)) if above[number].strip()]
     plain = [number for number in filled if not above[number].strip().startswith(_COMMENT)]
-    rows = [_cut(above[number], separator, width) for number in plain]
+    rows = [_filled(_cut(above[number], separator, width), kinds) for number in plain]
     if not rows or (width > 1 and len(rows[-1]) < 2 and rows[-1] != [""]):
         rows = _commented(above, filled, separator, width)
     if not rows:
         return Header(("",) * width, ("",) * width, 0, len(filled) + start, 0)
-    return _read(rows, kinds, len(filled) + start)
+    if known := logger_header(rows, width):
+        names, units, used = known
+        return _header(names, units, used, (len(filled) + start, width))
+    together = next((back for back in range(1, len(plain)) if plain[-back] - plain[-back - 1] > 1), len(plain))
+    return _read(rows, kinds, len(filled) + start, together)
 
 
 def unique_names(names: Sequence[str]) -> tuple[str, ...]:
@@ -81,7 +86,8 @@ def unique_names(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(out)
 
 
-def _read(rows: list[list[str]], kinds: tuple[str, ...], lines: int) -> Header:
+def _read(rows: list[list[str]], kinds: tuple[str, ...], lines: int, together: int) -> Header:
+    """Find names and units in rows of cells, of which the last `together` have no blank line between them."""
     width = len(kinds)
     units: list[str] = []
     used = 1
@@ -89,13 +95,18 @@ def _read(rows: list[list[str]], kinds: tuple[str, ...], lines: int) -> Header:
         units = [tidy_unit(cell) for cell in rows.pop()]
         used += 1
     names = rows[-1]
-    two_storeys = len(rows) > 1 and len(rows[-2]) == len(names) == width
+    two_storeys = together > used and len(rows) > 1 and len(rows[-2]) == len(names) == width
     if two_storeys and _belong_together(rows[-2], names, len(rows) == 2):
         names = [_joined(upper, lower) for upper, lower in zip(rows[-2], names, strict=True)]
         used += 1
-    given = len(names)
-    fits = given == width or (given < width and all(kind == GONE for kind in kinds[given:]))
-    return Header(_padded(names, width), _padded(units, width), used, lines - used, given, fits)
+    return _header(names, units, used, (lines, width))
+
+
+def _header(names: Sequence[str], units: Sequence[str], used: int, size: tuple[int, int]) -> Header:
+    """Put a header together; `size`: lines above the table that are not blank, and its columns."""
+    lines, width = size
+    padded = tuple(_padded(names, width)), tuple(_padded(units, width))
+    return Header(*padded, used, lines - used, len(names), len(names) == width)
 
 
 def _cut(line: str, separator: str, width: int) -> list[str]:
@@ -103,6 +114,12 @@ def _cut(line: str, separator: str, width: int) -> list[str]:
     while len(cells) > width and not cells[-1]:
         cells.pop()
     return cells
+
+
+def _filled(cells: list[str], kinds: Sequence[str]) -> list[str]:
+    """Add blank cells where the columns at the right hold nothing: trailing separators make them."""
+    empty = all(kind == GONE for kind in kinds[len(cells) :])
+    return _padded(cells, len(kinds)) if len(cells) > 1 and empty else cells
 
 
 def _commented(above: Sequence[str], filled: Sequence[int], separator: str, width: int) -> list[list[str]]:
@@ -124,12 +141,14 @@ def _are_units(row: Sequence[str]) -> bool:
 def _belong_together(upper: Sequence[str], lower: Sequence[str], at_top: bool) -> bool:
     """Tell whether two rows are one header in two storeys, and not a note above a header."""
     repeated = max(Counter(cell for cell in lower if cell).values(), default=0) > 1
-    return repeated or (at_top and all(upper[1:])) or (len(upper) > 2 and all(upper))
+    if repeated or any(kind_of(cell) == NUMBER for cell in upper):  # a note has numbers: "Sample rate, 100"
+        return repeated
+    return (at_top and all(upper[1:])) or (len(upper) > 2 and all(upper))
 
 
 def _joined(upper: str, lower: str) -> str:
     return ".".join(part for part in (upper, lower) if part)
 
 
-def _padded(cells: Sequence[str], width: int) -> tuple[str, ...]:
-    return (*cells[:width], *[""] * (width - len(cells)))
+def _padded(cells: Sequence[str], width: int) -> list[str]:
+    return [*cells[:width], *[""] * (width - len(cells))]

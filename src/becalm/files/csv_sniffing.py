@@ -79,7 +79,8 @@ def sniff(path: Path, data: bytes) -> Dialect:
     lines = _head(data)
     told = re.match(r"^sep=([^\w\s\"]|\t)\s*$", lines[0].text, re.IGNORECASE) if lines else None
     start = 1 if told else 0
-    plain = [number for number in range(start, len(lines)) if lines[number].plain]
+    begin = max((number + 1 for number in range(start, len(lines)) if _ends_head(lines[number])), default=start)
+    plain = [number for number in range(begin, len(lines)) if lines[number].plain]
     if not plain:
         raise InputError(f"{path} holds no table; a header and two or more rows of numbers are needed.")
     separator = told[1] if told else _separator(path, [lines[number].text for number in plain])
@@ -95,6 +96,11 @@ def sniff(path: Path, data: bytes) -> Dialect:
     kinds = _column_kinds([row for row in data_rows if len(row) == width], width)
     decimal = _decimal(path, data_rows, kinds)
     return Dialect(separator, decimal, header, kinds, first, lines[first].offset)
+
+
+def _ends_head(line: _Line) -> bool:
+    """Tell whether LabVIEW says that its head, which has numbers in columns, ends here."""
+    return line.text.startswith("***End_of_Header***")
 
 
 def _head(data: bytes) -> list[_Line]:

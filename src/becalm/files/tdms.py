@@ -17,10 +17,13 @@ from becalm.files.columns import Column
 from becalm.files.foreign import Foreign
 from becalm.files.groups import Group, tables
 from becalm.files.source import RawTable, ToldTime
+from becalm.files.time_column import is_time_name
+from becalm.files.units import tidy_unit
 
 _LEAD_IN = struct.Struct("<4siiQQ")
 _UNFINISHED = 0xFFFFFFFFFFFFFFFF
 _BIG_ENDIAN = 1 << 6
+_PRESET_S = 1.0  # a step that stands there if nobody set one; a channel of times beside it knows better
 _NOT_SET_BEFORE = np.datetime64("1905-01-01")  # 1904 is their zero
 
 
@@ -99,9 +102,12 @@ def _groups(foreign: Foreign, group: Any, missing: dict[str, int]) -> Iterator[G
     """Sort the channels of a group by their time."""
     held: dict[_Base, list[Any]] = {}
     empty = [channel.name for channel in group.channels() if not len(channel)]
+    clocks = {len(channel) for channel in group.channels() if is_time_name(channel.name)}
     for channel in group.channels():
         if len(channel):
-            base = _Base(len(channel) + missing.get(channel.path, 0), _told_time(channel.properties))
+            preset = len(channel) in clocks and channel.properties.get("wf_increment") == _PRESET_S
+            time = None if preset else _told_time(channel.properties)
+            base = _Base(len(channel) + missing.get(channel.path, 0), time)
             held.setdefault(base, []).append(channel)
     for base in [base for base in held if base.time is None]:  # beside waveforms of one time, of that time
         timed = [other for other in held if other.time is not None and other.rows == base.rows]
@@ -126,7 +132,7 @@ def _told_time(properties: dict[str, Any]) -> ToldTime | None:
     step_s = properties.get("wf_increment")
     if not isinstance(step_s, float | int) or not 0.0 < step_s < np.inf:
         return None
-    if str(properties.get("wf_xunit_string", "s")).strip() not in ("", "s"):  # a spectrum
+    if tidy_unit(str(properties.get("wf_xunit_string", "s"))) not in ("", "s"):  # a spectrum
         return None
     start, offset = properties.get("wf_start_time"), properties.get("wf_start_offset", 0.0)
     if start is None or not hasattr(start, "as_datetime64"):

@@ -24,7 +24,7 @@ _NAMES = re.compile(
     r"datumuhrzeit|datumzeit|messzeit|temps|horodatage|heure|dateheure|tempo|ora|dataora|hora|fecha|"
     r"fechahora|tiempo|tijd|tid|tijdstip|czas"
 )
-_LIKE = re.compile(r"^(?:time|timestamp|elapsed|zeit)(?:since|stamp|from|utc|local|abs|rel|seit)\w*$")
+_LIKE = re.compile(r"^(?:time|timestamp|elapsed|zeit)(?:since|stamp|from|utc|local|abs|rel|seit|\d)\w*$")
 _UNITS_OF_TIME = ("s", "ms", "us", "ns", "min", "h", "-", "1")
 _NEARLY_EVEN = 0.5
 COUNT = "or give --rate HZ to count rows at a known rate"
@@ -79,7 +79,22 @@ def find_time(raw: RawTable) -> list[tuple[str, ...]]:
     found: list[tuple[str, ...]] = [(name,) for name in named if kinds[name] != clock.DATE] or [
         (name,) for name in named
     ]
-    return found or ([] if spoilt_times(raw) else _first_column(raw, kinds))
+    found = found or ([] if spoilt_times(raw) else _first_column(raw, kinds))
+    return found + [(name,) for name in _namesakes(raw, found, kinds)]
+
+
+def _namesakes(raw: RawTable, found: list[tuple[str, ...]], kinds: dict[str, str]) -> list[str]:
+    """List columns that the file calls as it calls the time, and that tell another one: `X [s]` for each sensor."""
+    if len(found) != 1 or kinds[found[0][0]] != NUMBERS:
+        return []
+    first = found[0][0]
+    alike = [name for name in raw.names if name.startswith(f"{first}_") and name[len(first) + 1 :].isdecimal()]
+    return [name for name in alike if kinds[name] == NUMBERS and not _same(raw, first, name)]
+
+
+def _same(raw: RawTable, one: str, other: str) -> bool:
+    pairs = zip(raw.column(one), raw.column(other), strict=True)
+    return all(np.array_equal(numbers(first), numbers(second), equal_nan=True) for first, second in pairs)
 
 
 def spoilt_times(raw: RawTable) -> list[str]:

@@ -88,6 +88,7 @@ _PATTERNS = (
     (r"(?<=\w)\{[^{}]*\}", ""),  # UCUM's remarks: ug{RMS}
     (r"^(\w+)[.* ](\w+?)\^?-1$", r"\1/\2"),  # rad.s-1
     (r"^(\w+)[.* ](\w+?)\^?-([2-9])$", r"\1/\2^\3"),
+    (r"/\(([^()/*]*)\)$", r"/\1"),  # m/(s^2)
     (r"/(s|mm|cm|m)([23])$", r"/\1^\2"),
 )
 _ENCLOSED = re.compile(r"^[\[(<]((?:[^\[\]()<>]|\([^()]*\))*)[\])>]$")
@@ -113,16 +114,19 @@ _WHOLE = {
     "secs": "s",
     "second": "s",
     "seconds": "s",
+    "Seconds": "s",
     "Sekunden": "s",
     "msec": "ms",
     "usec": "us",
     "nsec": "ns",
     "minutes": "min",
     "hours": "h",
+    **dict.fromkeys(("volt", "Volt", "volts", "Volts"), "V"),
+    **dict.fromkeys(("Amp", "amps", "Amps"), "A"),
 }
 
 _UNIT_WORD = re.compile(
-    r"^[\[(<]?\s*(?:-|--|%|(?:[yzafpnumcdhkMGT]|da)?(?:s|sec|m|g|V|A|N|Nm|Pa|bar|Hz|T|Gauss|rad|deg|degC|C|K|W|J|Ohm|strain|"
+    r"^[\[(<]?\s*(?:-|--|%|G|[Ss]ec(?:ond)?s?|[Vv]olts?|[Aa]mps?|(?:[yzafpnumcdhkMGT]|da)?(?:s|sec|m|g|V|A|N|Nm|Pa|bar|Hz|T|Gauss|rad|deg|degC|C|K|W|J|Ohm|strain|"
     r"rpm|min|h|counts?|LSB)(?:[\^]?-?\d)?(?:[/*]\s*(?:[numcdhkM]?(?:s|m|V|h|min|N|g))(?:[\^]?-?\d)?){0,2}"
     r"|hh:mm:ss\S*|dd.mm.yyyy\S*|yyyy\S*)\s*[\])>]?$"
 )
@@ -142,6 +146,8 @@ def parse_header(header: str) -> tuple[str, str]:
     if _INDEXED.search(header):
         return header.strip(), ""
     found = _BRACKETED.match(header)
+    if found and ":" in (found["round"] or ""):  # a remark: (S/N: 123)
+        return parse_header(found["name"])
     if found and found["name"].strip(" /"):
         unit = next(text for text in (found["round"], found["square"], found["angle"]) if text is not None)
         return found["name"].rstrip(" /").strip(), tidy_unit(unit)
