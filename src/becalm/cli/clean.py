@@ -14,7 +14,7 @@ from becalm.cli.picturing import Done, Picturing
 from becalm.cli.said import is_same, load, open_every, recipe_beside, refuse_overwriting, refuse_taken, tuned
 from becalm.cli.streaming import clean_chunks
 from becalm.cli.talk import progress, tell, tell_bands, tell_not_removed
-from becalm.cli.times import pass_through, refuse_times, tell_times
+from becalm.cli.times import pass_through, refuse_times, tell_times, timed
 from becalm.errors import UsageError
 from becalm.files.plain import refuse_unwritable, text_in_waiting
 from becalm.files.registry import format_to_write
@@ -83,7 +83,13 @@ def run(file: Path, said: Said, asking: Asking, outputs: Outputs, *, as_json: bo
         ):
             for source, part, gathering in zip(sources, recipes, gatherings, strict=True):
                 found = clean_chunks(
-                    source, part, out.write, step, split=outputs.split, verdicts=outputs.verdicts, gathering=gathering
+                    source,
+                    part,
+                    timed(output, source, out.write),
+                    step,
+                    split=outputs.split,
+                    verdicts=outputs.verdicts,
+                    gathering=gathering,
                 )
                 done.append(Done(source, part, found, gathering))
             pass_through(output, opened, out.write)

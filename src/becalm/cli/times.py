@@ -9,11 +9,13 @@ from typing import TYPE_CHECKING
 from becalm.cli.talk import stderr, tell_columns, tell_notes
 from becalm.errors import UsageError
 from becalm.files.registry import format_to_write, holds_times
+from becalm.files.told_time import with_time
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
     from becalm.files.every_time import OpenFile
+    from becalm.files.opening import OpenSource
 
 _MOST_NAMED = 12
 
@@ -33,6 +35,11 @@ def refuse_times(output: Path, groups: Sequence[str]) -> None:
             f"The file holds channels at {len(groups)} times ({named}{more}), and {output} can hold one; name"
             " an output that ends in .h5, .mat, .mf4 or .npz, or choose one with --group."
         )
+
+
+def timed(output: Path, source: OpenSource, write: Callable[[pa.Table], None]) -> Callable[[pa.Table], None]:
+    """Return what writes one time of a file; an output that may hold several tells it in seconds in any case."""
+    return with_time(source, write) if holds_times(format_to_write(output)) else write
 
 
 def pass_through(output: Path, opened: OpenFile, write: Callable[[pa.Table], None]) -> None:

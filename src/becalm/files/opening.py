@@ -100,6 +100,11 @@ class OpenSource:
         return self._raw.calibrations
 
     @property
+    def start(self) -> str:
+        """The first instant as ISO 8601 text; "" where the file gives no date."""
+        return self._time.start
+
+    @property
     def notes(self) -> tuple[str, ...]:
         """What a person must know of the file, as sentences."""
         return (*self._raw.notes, *self._time.notes)
