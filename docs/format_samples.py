@@ -131,7 +131,7 @@ def _mcap(path: Path, rows: int) -> Path:
         for row, values in enumerate(signal(rows).tolist()):
             at_ns = _EPOCH_NS + row * _STEP_NS
             writer.add_message(topic, at_ns, json.dumps(dict(zip(NAMES, values, strict=True))).encode(), at_ns)
-        writer.finish()
+        writer.finish()  # type: ignore[no-untyped-call]
     return path
 
 
