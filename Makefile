@@ -56,6 +56,7 @@ bench: .venv/tested
 	$(BIN)/python benchmarks/resting.py -o docs/resting.md
 	$(BIN)/python benchmarks/fixed_lag.py -o docs/fixed-lag.md
 	$(BIN)/python docs/real_files.py -o docs/real-files.md
+	$(BIN)/python docs/formats.py -o docs/formats.md
 
 .venv/bin/python:
 	$(PYTHON) -c "import sys; sys.exit(sys.version_info < (3, 11) and 'becalm needs Python 3.11 or newer; say which: make PYTHON=python3.12')"

@@ -15,7 +15,8 @@ from becalm.errors import UsageError
 if TYPE_CHECKING:
     from becalm.noise.dial import Dial, Kind
 
-Source = Annotated[Path, typer.Argument(metavar="FILE", help="Recording: CSV (also gzipped) or Parquet.")]
+_READ = "CSV, Parquet, MF4, TDMS, UFF58, MAT, HDF5, NPZ, WAV, ROS bag, MCAP, ULog or IDE"
+Source = Annotated[Path, typer.Argument(metavar="FILE", help=f"Recording: {_READ}.")]
 Output = Annotated[Path, typer.Option("-o", "--output", metavar="OUT", help="Where to write; format by file ending.")]
 RecipeOut = Annotated[Path, typer.Option("-o", "--output", metavar="R.toml", help="Where to write the recipe.")]
 RecipeIn = Annotated[Path | None, typer.Option("--recipe", metavar="R.toml", help="Do as this recipe says.")]

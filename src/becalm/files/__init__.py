@@ -1,4 +1,4 @@
-"""Files: recordings in, recordings out; CSV, CSV.GZ and Parquet, found by content and by ending."""
+"""Files: recordings in, recordings out; of the formats of loggers, found by content and by ending."""
 
 from becalm.files.asked import ReadOptions
 from becalm.files.chunk import Chunk

@@ -12,7 +12,7 @@ from becalm.files.source import SourceFile
 
 
 def read_source(path: str | os.PathLike[str], options: ReadOptions | None = None) -> SourceFile:
-    """Read a CSV, CSV.GZ or Parquet file.
+    """Read a file of any known format; of several times in it, the one that the options choose.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ def read(
     time: str | None = None,
     units: Mapping[str, str] | None = None,
 ) -> Recording:
-    """Read a recording from a CSV, CSV.GZ or Parquet file.
+    """Read a recording from a file of any known format; of channels at several times, those asked for.
 
     Parameters
     ----------

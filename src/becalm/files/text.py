@@ -16,6 +16,8 @@ from becalm.files.foreign import refuse_claim
 GZIP = b"\x1f\x8b"
 PARQUET = b"PAR1"
 
+READS = "becalm reads CSV (also gzipped), Parquet, MF4, TDMS, UFF58, MAT, HDF5, NPZ, WAV, ROS bags, MCAP, ULog and IDE."
+
 _OTHER_FORMATS: tuple[tuple[bytes, str], ...] = (
     (b"PK\x03\x04", "a ZIP archive or an Excel workbook"),
     (b"\xd0\xcf\x11\xe0", "an old Excel or Office file"),
@@ -145,7 +147,7 @@ def refuse_other_formats(path: Path, data: bytes) -> None:
     """
     for magic, what in _OTHER_FORMATS:
         if data.startswith(magic):
-            raise InputError(f"{path} is {what}; becalm reads CSV, CSV.GZ and Parquet. Export it as one of these.")
+            raise InputError(f"{path} is {what}; {READS} Export it as one of these.")
 
 
 def _recode(path: Path, data: bytes, codec: str) -> bytes:
@@ -173,7 +175,7 @@ def refuse_nul(path: Path, data: bytes, lines: int = 0) -> None:
     """
     if (at := data.find(b"\0")) >= 0:
         line = lines + data.count(b"\n", 0, at) + 1
-        raise InputError(f"{path} is not text: there is a NUL byte in line {line}. A CSV or Parquet file is needed.")
+        raise InputError(f"{path} is not text: there is a NUL byte in line {line}. {READS}")
 
 
 def refuse_binary(path: Path, data: bytes) -> None:
@@ -191,7 +193,7 @@ def refuse_binary(path: Path, data: bytes) -> None:
     head = data[:4096]
     controls = len(head) - len(head.translate(None, _CONTROL))
     if controls > len(head) // 100:
-        raise InputError(f"{path} is not text: it begins with unprintable bytes. A CSV or Parquet file is needed.")
+        raise InputError(f"{path} is not text: it begins with unprintable bytes. {READS}")
 
 
 def _from_western(data: bytes) -> bytes:
