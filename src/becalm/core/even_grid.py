@@ -14,8 +14,9 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Floats, Integers
+from becalm.core.burst_gaps import rows_lost_between
 from becalm.core.clock import Blocks, last_digit
-from becalm.core.summing import Moments
+from becalm.core.summing import Moments, Thinned
 
 JITTER, BURSTS = "jitter", "bursts"
 
@@ -209,11 +210,17 @@ def _lower_hull(x: Floats, y: Floats) -> Integers:
 def _bursts(count: int, blocks: Blocks, seen: _Bursts) -> Grid | None:
     line = seen.below()
     about, again, least = Moments(), _Bursts(0.0, seen.mean), np.full(_PARTS, np.inf)
+    steps, before = Thinned(count), 0.0
     for rows, offsets in _offsets(blocks, line.start, line.step):
-        ends, firsts = again.parted(rows, offsets + line.step * rows)
+        stamps = offsets + line.step * rows
+        steps.add(np.diff(stamps, prepend=before))
+        before = float(stamps[-1])
+        ends, firsts = again.parted(rows, stamps)
         late = (firsts - line.step * ends) / line.step
         if not late.max(initial=0.0) <= _LATEST:
             return None
         np.minimum.at(least, (ends * _PARTS / count).astype(np.int64), late)
         about.add(offsets)
-    return Grid(BURSTS, line.start, line.step, about.std) if np.all(least <= _TOUCHING) else None
+    if not np.all(least <= _TOUCHING) or rows_lost_between(steps.values[1:], _APART * seen.mean):
+        return None
+    return Grid(BURSTS, line.start, line.step, about.std)
