@@ -161,6 +161,8 @@ class Recipe(Settings):
         Name of the time column, if it had to be said.
     rate_hz : float or None
         Rate that replaces the time column, if it was said.
+    stamps : "as-written" or None
+        Whether stamps that a driver made stay, if it was said; None mends them.
     tuned_on : Origin
         Where the numbers come from.
     channel : tuple of ChannelRecipe
@@ -172,6 +174,7 @@ class Recipe(Settings):
     lag_s: Positive | None = None
     time: str | None = None
     rate_hz: Positive | None = None
+    stamps: Literal["as-written"] | None = None
     tuned_on: Origin
     channel: Annotated[tuple[ChannelRecipe, ...], Field(min_length=1)]
 

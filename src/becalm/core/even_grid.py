@@ -85,6 +85,33 @@ def even_grid(count: int, blocks: Blocks) -> Grid | None:
     return _bursts(count, blocks, bursts) if bursts.clear else _jitter(blocks, line)
 
 
+class EqualBursts(NamedTuple):
+    """Bursts of one size, of which stamps alone do not tell whether a driver made them."""
+
+    rows: int
+    rate_hz: float
+
+
+def equal_bursts(count: int, blocks: Blocks) -> EqualBursts | None:
+    """Find bursts of one size, and the mean rate of their rows; None where stamps do not come so.
+
+    Parameters
+    ----------
+    count : int
+        How many stamps there are.
+    blocks : callable
+        Gives the stamps in seconds, in (n,) blocks; called for each pass.
+    """
+    ends = _ends(blocks) if count >= FEWEST_ROWS else None
+    if ends is None:
+        return None
+    mean_s = (ends[1] - ends[0]) / (count - 1)
+    bursts = _Bursts(ends[0], mean_s)
+    for rows, offsets in _offsets(blocks, ends[0], mean_s):
+        bursts.add(rows, offsets + mean_s * rows)
+    return bursts.equal
+
+
 def _ends(blocks: Blocks) -> tuple[float, float] | None:
     """Return the first and the last stamp; None where one is missing or time falls or stands still."""
     first = last = None
@@ -183,6 +210,15 @@ class _Bursts:
         if last_digit(np.array(self._stamps)) >= _COARSE * self.mean * rows / self.count:
             return False  # cut to whole seconds, say: those come before their samples
         return self.count - int(self._sizes.max()) >= _UNLIKE * self.count
+
+    @property
+    def equal(self) -> EqualBursts | None:
+        """What bursts of one size are like, if nearly all of them are of it."""
+        size = int(np.argmax(self._sizes))
+        unlike = self.count - int(self._sizes[size])
+        if self.count < _FEWEST_BURSTS or not 1 < size < _SIZES or unlike >= _UNLIKE * self.count or not self._open:
+            return None
+        return EqualBursts(size, float(f"{(self._ended + 1.0) / self._open:.6g}"))
 
     def below(self) -> _Line:
         """Return the line below all first stamps that is nearest to them: the edge of their hull in the middle."""
