@@ -102,6 +102,26 @@ def a_gap(rng: np.random.Generator) -> Floats:
     return stamps
 
 
+def periodic_drop_outs(rng: np.random.Generator) -> Floats:
+    """Even samples, of which a radio loses most, again and again."""
+    rows, period = np.arange(60_000.0), 300.7
+    kept = rows[(rows + rng.uniform(0.0, period)) % period < 20.3]
+    return np.sort(kept + rng.normal(0.0, rng.choice([0.005, 0.03, 0.1, 0.2]), len(kept)))
+
+
+def drop_outs(rng: np.random.Generator) -> Floats:
+    """Even samples, of which any share is kept, in stretches of any length."""
+    share, length = 10 ** rng.uniform(-2.0, -0.4), rng.uniform(1.6, 60.0)
+    rows, period = np.arange(max(60_000.0, length / share * rng.integers(150, 400))), length / share
+    kept = rows[(rows + rng.uniform(0.0, period)) % period < length]
+    return np.sort(kept + rng.normal(0.0, rng.uniform(0.01, 0.15), len(kept)))
+
+
+def random_drop_outs(rng: np.random.Generator) -> Floats:
+    rows = np.arange(6000.0)[rng.uniform(size=6000) < rng.uniform(0.05, 0.95)]
+    return np.sort(rows + rng.normal(0.0, rng.uniform(0.03, 0.1), len(rows)))
+
+
 def duty_cycle(rng: np.random.Generator) -> Floats:
     """A logger that wakes, reads some samples quickly, and sleeps."""
     return np.asarray((np.arange(500.0)[:, None] + np.arange(rng.integers(2, 9)) * 0.02).ravel())
@@ -132,6 +152,9 @@ IRREGULAR: dict[str, Sampled] = {
     "rows lost": some_rows_lost,
     "another rate": another_rate,
     "a gap": a_gap,
+    "periodic drop-outs": periodic_drop_outs,
+    "drop-outs": drop_outs,
+    "random drop-outs": random_drop_outs,
     "duty cycle": duty_cycle,
     "sensors in turn": sensors_in_turn,
     "whole seconds": whole_seconds,

@@ -17,6 +17,7 @@ from becalm.cleaning.recipe_parts import (
     NotNegative,
     Positive,
     Settings,
+    TimingRecipe,
     ToneRecipe,
 )
 from becalm.cleaning.toml_text import TomlKind
@@ -31,7 +32,7 @@ A tone with disturbance = true, and coloured_noise, are taken off the signal.
 A gate leaves spikes out and follows steps; without one every reading is believed.
 Readings at low or high, or beyond, are clipped, and stuck from so many equal ones on: they count as missing.
 sigma is widened by the share tuning_spread; [channel.calibration] with relative_std, offset_std adds what averaging
-does not lower."""
+does not lower; [channel.timing] with std_s adds to the noise where the signal moves, beyond its included_std."""
 
 
 _KIND = TomlKind("recipe", RecipeError)
@@ -70,6 +71,8 @@ class ChannelRecipe(Settings):
         Beside the white noise.
     calibration : CalibrationRecipe or None
         What is uncertain in the sensor's calibration.
+    timing : TimingRecipe or None
+        What is uncertain in the time of its readings.
     tone : tuple of ToneRecipe
         Oscillations beside the motion.
     gate : GateRecipe or None
@@ -89,6 +92,7 @@ class ChannelRecipe(Settings):
     tuning_spread: NotNegative = 0.0
     coloured_noise: ColouredNoiseRecipe | None = None
     calibration: CalibrationRecipe | None = None
+    timing: TimingRecipe | None = None
     tone: tuple[ToneRecipe, ...] = ()
     gate: GateRecipe | None = None
     switching: SwitchingRecipe | None = None
@@ -157,6 +161,8 @@ class Recipe(Settings):
         Name of the time column, if it had to be said.
     rate_hz : float or None
         Rate that replaces the time column, if it was said.
+    stamps : "as-written" or None
+        Whether stamps that a driver made stay, if it was said; None mends them.
     tuned_on : Origin
         Where the numbers come from.
     channel : tuple of ChannelRecipe
@@ -168,6 +174,7 @@ class Recipe(Settings):
     lag_s: Positive | None = None
     time: str | None = None
     rate_hz: Positive | None = None
+    stamps: Literal["as-written"] | None = None
     tuned_on: Origin
     channel: Annotated[tuple[ChannelRecipe, ...], Field(min_length=1)]
 

@@ -171,3 +171,19 @@ class CalibrationRecipe(Settings):
     relative_std: NotNegative = 0.0
     offset_std: NotNegative = 0.0
     tare: TareRecipe | None = None
+
+
+class TimingRecipe(Settings):
+    """What is uncertain in the time of readings: noise where the signal moves.
+
+    Attributes
+    ----------
+    std_s : float
+        Standard uncertainty (k = 1) of the time of each reading, independent of the others, in seconds; a *small* one
+        trusts the stamps.
+    included_std : float
+        What of it noise_std holds already, in unit, as a root mean square; 0 where the noise was told at rest.
+    """
+
+    std_s: Positive
+    included_std: NotNegative = 0.0

@@ -12,7 +12,7 @@ from rich.table import Table
 from becalm.cleaning.comparison import compare
 from becalm.cleaning.comparison_words import cells, headings
 from becalm.cli.portions import beginning, cut_short
-from becalm.cli.said import shown_name
+from becalm.cli.said import AS_WRITTEN, shown_name
 from becalm.cli.talk import stderr, tell_notes
 from becalm.cli.warm import ahead
 from becalm.files.asked import Asker, Fitting, ReadOptions
@@ -82,7 +82,8 @@ def _truth(path: Path, source: OpenSource, said: Said) -> Recording:
     """Read the same channels of the truth; what was said of time holds for both files."""
     asker = Asker("The recording", " Give a truth of the same channels, or choose some with --channels.")
     fitting = Fitting(asker, dict(zip(source.names, source.units, strict=True)))
-    options = ReadOptions(said.time, said.rate_hz, tuple(source.names), asker, fitting=fitting)
+    kept = said.stamps == AS_WRITTEN
+    options = ReadOptions(said.time, said.rate_hz, tuple(source.names), asker, fitting=fitting, as_written=kept)
     with open_source(path, options) as other:
         tell_notes(other)
         return beginning(other)

@@ -34,6 +34,7 @@ def inspect(  # noqa: PLR0913  (the contract's options)
     channels: o.Channels = None,
     rate: o.Rate = None,
     time: o.Time = None,
+    stamps: o.Stamps = None,
     group: o.Group = None,
     unit: o.Units = None,
     sensors: o.Sensors = None,
@@ -43,7 +44,7 @@ def inspect(  # noqa: PLR0913  (the contract's options)
     from becalm.cli.layouts import show, summary
     from becalm.cli.talk import tell_bands
 
-    with open_every(file, said_of(channels, o.When(rate, time, group), unit, sensors)) as opened:
+    with open_every(file, said_of(channels, o.When(rate, time, group, stamps), unit, sensors)) as opened:
         if as_json:
             print(json.dumps({"file": str(file), **summary(opened)}, indent=2))  # noqa: T201
         else:
@@ -60,6 +61,7 @@ def clean(  # noqa: PLR0913  (the contract's options)
     channels: o.Channels = None,
     rate: o.Rate = None,
     time: o.Time = None,
+    stamps: o.Stamps = None,
     group: o.Group = None,
     unit: o.Units = None,
     sensors: o.Sensors = None,
@@ -69,6 +71,7 @@ def clean(  # noqa: PLR0913  (the contract's options)
     bandwidth: o.Bandwidth = None,
     noise_gain: o.NoiseGain = None,
     still: o.Still = None,
+    time_jitter: o.TimeJitter = None,
     remove: o.Remove = None,
     robust: o.Robust = False,
     split: o.Split = False,
@@ -80,10 +83,10 @@ def clean(  # noqa: PLR0913  (the contract's options)
     """Remove the noise from a recording; nothing needs to be chosen."""
     from becalm.cli.clean import Asking, Outputs, run
 
-    asked, lag_s = o.asked_of(o.Dials(max_lag, bandwidth, noise_gain), still, remove, robust), o.lag_of(lag)
+    asked = o.asked_of(o.Dials(max_lag, bandwidth, noise_gain), still, remove, robust, time_jitter)
     outputs = Outputs(output, split, verdicts, report, figures)
-    said = said_of(channels, o.When(rate, time, group), unit, sensors)
-    if not run(file, said, Asking(recipe, causal, lag_s, asked), outputs, as_json=as_json):
+    said = said_of(channels, o.When(rate, time, group, stamps), unit, sensors)
+    if not run(file, said, Asking(recipe, causal, o.lag_of(lag), asked), outputs, as_json=as_json):
         raise typer.Exit(NOT_DESCRIBED)
 
 
@@ -94,6 +97,7 @@ def tune(  # noqa: PLR0913  (the contract's options)
     channels: o.Channels = None,
     rate: o.Rate = None,
     time: o.Time = None,
+    stamps: o.Stamps = None,
     group: o.Group = None,
     unit: o.Units = None,
     sensors: o.Sensors = None,
@@ -103,6 +107,7 @@ def tune(  # noqa: PLR0913  (the contract's options)
     bandwidth: o.Bandwidth = None,
     noise_gain: o.NoiseGain = None,
     still: o.Still = None,
+    time_jitter: o.TimeJitter = None,
     remove: o.Remove = None,
     robust: o.Robust = False,
     as_json: o.Json = False,
@@ -117,8 +122,8 @@ def tune(  # noqa: PLR0913  (the contract's options)
 
     refuse_overwriting(file, output)
     refuse_unwritable(output)
-    said = said_of(channels, o.When(rate, time, group), unit, sensors)
-    asked = o.asked_of(o.Dials(max_lag, bandwidth, noise_gain), still, remove, robust)
+    said = said_of(channels, o.When(rate, time, group, stamps), unit, sensors)
+    asked = o.asked_of(o.Dials(max_lag, bandwidth, noise_gain), still, remove, robust, time_jitter)
     with open_every(file, said) as opened:
         tell_notes(*opened.sources)
         found = said.kept_in(joined([tuned(source, causal, asked, o.lag_of(lag)) for source in opened.sources]))
@@ -140,6 +145,7 @@ def compare(  # noqa: PLR0913  (the contract's options)
     channels: o.Looked = None,
     rate: o.Rate = None,
     time: o.Time = None,
+    stamps: o.Stamps = None,
     group: o.Group = None,
     unit: o.Units = None,
     sensors: o.Sensors = None,
@@ -151,7 +157,7 @@ def compare(  # noqa: PLR0913  (the contract's options)
     from becalm.cli.compare import Asking, run
 
     given = load(recipe)
-    said = said_of(channels, o.When(rate, time, group), unit, sensors)
+    said = said_of(channels, o.When(rate, time, group, stamps), unit, sensors)
     said = said if given is None else said.or_as(given)
     with open_as(file, said) as source:
         run(source, said, Asking(truth, causal, output), as_json=as_json)
@@ -163,6 +169,7 @@ def noise(  # noqa: PLR0913  (the contract's options)
     channels: o.Looked = None,
     rate: o.Rate = None,
     time: o.Time = None,
+    stamps: o.Stamps = None,
     group: o.Group = None,
     unit: o.Units = None,
     sensors: o.Sensors = None,
@@ -174,7 +181,7 @@ def noise(  # noqa: PLR0913  (the contract's options)
     from becalm.cli.noise import run
 
     spans_s, cutoff_hz = o.still_of(still), None if cutoff is None else o.frequency_of("--cutoff", cutoff)
-    with open_as(file, said_of(channels, o.When(rate, time, group), unit, sensors)) as source:
+    with open_as(file, said_of(channels, o.When(rate, time, group, stamps), unit, sensors)) as source:
         run(source, spans_s, cutoff_hz, as_json)
 
 
@@ -185,6 +192,7 @@ def calibrate(  # noqa: PLR0913  (the contract's options)
     channels: o.Axes = None,
     rate: o.Rate = None,
     time: o.Time = None,
+    stamps: o.Stamps = None,
     group: o.Group = None,
     gravity: o.Gravity = None,
     unit: o.Acceleration = "m/s^2",
@@ -193,7 +201,7 @@ def calibrate(  # noqa: PLR0913  (the contract's options)
     """Calibrate a triaxial accelerometer that was laid down in ten poses or more; write its sensor file."""
     from becalm.cli.calibrate import run
 
-    said = said_of(channels, o.When(rate, time, group), None, None)
+    said = said_of(channels, o.When(rate, time, group, stamps), None, None)
     run(file, said, output, unit, gravity, as_json=as_json)
 
 

@@ -33,6 +33,20 @@ Rate = Annotated[
     float | None, typer.Option("--rate", metavar="HZ", help="Count rows at this rate; replaces the time column.")
 ]
 Time = Annotated[str | None, typer.Option("--time", metavar="COLUMN", help="Name of the time column.")]
+Stamps = Annotated[
+    str | None,
+    typer.Option(
+        "--stamps", metavar="as-written|mended", help="Whether stamps that a driver made are mended; they are."
+    ),
+]
+TimeJitter = Annotated[
+    str | None,
+    typer.Option(
+        "--time-jitter",
+        metavar="50us",
+        help="The sampling jitters by so much (k = 1), which widens sigma; s, ms or us.",
+    ),
+]
 Group = Annotated[
     str | None, typer.Option("--group", metavar="NAME", help="Of a file with channels at several times, which of them.")
 ]
@@ -126,11 +140,13 @@ class Asked(NamedTuple):
     still_s: tuple[tuple[float, float], ...]
     removed_hz: tuple[float, ...]
     robust: bool
+    time_std_s: float | None = None
 
     @property
     def anything(self) -> bool:
         """Whether something was asked at all."""
-        return self.dial is not None or self.robust or bool(self.still_s or self.removed_hz)
+        told = self.dial is not None or self.time_std_s is not None
+        return told or self.robust or bool(self.still_s or self.removed_hz)
 
 
 class When(NamedTuple):
@@ -139,6 +155,7 @@ class When(NamedTuple):
     rate_hz: float | None = None
     time: str | None = None
     group: str | None = None
+    stamps: str | None = None
 
 
 class Dials(NamedTuple):
@@ -149,8 +166,10 @@ class Dials(NamedTuple):
     noise_gain: str | None
 
 
-def asked_of(dials: Dials, still: str | None, remove: str | None, robust: bool = False) -> Asked:
-    """Read what is asked: --max-lag, --bandwidth or --noise-gain, --still, --remove and --robust.
+def asked_of(
+    dials: Dials, still: str | None, remove: str | None, robust: bool = False, jitter: str | None = None
+) -> Asked:
+    """Read what is asked: --max-lag, --bandwidth or --noise-gain, --still, --remove, --robust and --time-jitter.
 
     Raises
     ------
@@ -159,7 +178,7 @@ def asked_of(dials: Dials, still: str | None, remove: str | None, robust: bool =
     """
     named = [] if remove is None else [part for part in remove.split(",") if part.strip()]
     removed = tuple(frequency_of("--remove", part) for part in named)
-    return Asked(dial_of(*dials), still_of(still) or (), removed, robust)
+    return Asked(dial_of(*dials), still_of(still) or (), removed, robust, jitter_of(jitter))
 
 
 def units_of(texts: list[str] | None) -> dict[str, str]:
@@ -195,6 +214,14 @@ def lag_of(text: str | None) -> float | None:
     if lag_s is None or not 0 < lag_s < inf:
         raise UsageError(f"--lag {text} is no time to wait; write a positive number and then s, ms or us, as 10ms.")
     return lag_s
+
+
+def jitter_of(text: str | None) -> float | None:
+    """Read by how much the sampling jitters, in seconds; a UsageError if it is no positive number with its unit."""
+    std_s = None if text is None else _quantity(text, "max_lag_s")
+    if text is not None and (std_s is None or not 0 < std_s < inf):
+        raise UsageError(f"--time-jitter {text} is no time; write a positive number and then s, ms or us, as 50us.")
+    return std_s
 
 
 def dial_of(max_lag: str | None, bandwidth: str | None, noise_gain: str | None) -> Dial | None:

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from becalm.files.opening import OpenSource
     from becalm.sensors.record import SensorRecord
 
+AS_WRITTEN, MENDED = "as-written", "mended"
+
 
 class Said(NamedTuple):
     """What a person said of a file."""
@@ -31,16 +33,23 @@ class Said(NamedTuple):
     group: str | None = None
     units: Mapping[str, str] = MappingProxyType({})
     sensors: tuple[SensorRecord, ...] = ()
+    stamps: str | None = None
 
     def or_as(self, recipe: Recipe) -> Said:
         """Take the time from a recipe, if nothing was said of it."""
         if self.rate_hz is None and self.time is None:
-            return self._replace(rate_hz=recipe.rate_hz, time=recipe.time, recipe=recipe)
+            rate_hz = None if self.stamps == AS_WRITTEN else recipe.rate_hz
+            stamps = self.stamps or recipe.stamps
+            return self._replace(rate_hz=rate_hz, time=recipe.time, stamps=stamps, recipe=recipe)
         return self._replace(recipe=recipe)
 
     def kept_in(self, recipe: Recipe) -> Recipe:
         """Put into a recipe what was said of the time, so that it gives the same bytes again."""
-        return recipe.model_copy(update={"rate_hz": self.rate_hz, "time": self.time})
+        return recipe.model_copy(update={"rate_hz": self.rate_hz, "time": self.time, "stamps": self._kept_stamps})
+
+    @property
+    def _kept_stamps(self) -> str | None:
+        return AS_WRITTEN if self.stamps == AS_WRITTEN else None  # a recipe's silence mends
 
     @property
     def names(self) -> tuple[str, ...] | None:
@@ -54,7 +63,15 @@ class Said(NamedTuple):
 
 
 def said_of(channels: str | None, when: When, units: list[str] | None, sensors: Path | None) -> Said:
-    """Put together what was said of a file; warn of sensors that are due for calibration."""
+    """Put together what was said of a file; warn of sensors that are due for calibration.
+
+    Raises
+    ------
+    UsageError
+        If it is not said how stamps are to be, or units cannot be read.
+    """
+    if when.stamps not in (None, AS_WRITTEN, MENDED):
+        raise UsageError(f"--stamps {when.stamps} is not known; write --stamps {AS_WRITTEN}, or {MENDED}.")
     records: tuple[SensorRecord, ...] = ()
     if sensors is not None:
         from datetime import datetime
@@ -65,7 +82,7 @@ def said_of(channels: str | None, when: When, units: list[str] | None, sensors: 
         records = load_sensors(sensors)
         for sentence in due_warnings(records, datetime.now().astimezone().date()):
             stderr.print(sentence)
-    return Said(channels, when.rate_hz, when.time, None, when.group, units_of(units), records)
+    return Said(channels, when.rate_hz, when.time, None, when.group, units_of(units), records, when.stamps)
 
 
 def open_as(file: Path, said: Said) -> OpenSource:
@@ -93,7 +110,8 @@ def _options(file: Path, said: Said) -> ReadOptions:
     if said.recipe is not None:
         needs = Asker("The recipe", f" Make another recipe with: becalm tune {file} -o R.toml")
         fitting = Fitting(needs, {channel.name: channel.unit for channel in said.recipe.channel})
-    return ReadOptions(said.time, said.rate_hz, said.names, asker, said.group, fitting, said.units, said.sensors)
+    kept = said.stamps == AS_WRITTEN
+    return ReadOptions(said.time, said.rate_hz, said.names, asker, said.group, fitting, said.units, said.sensors, kept)
 
 
 def recipe_beside(output: Path) -> Path:
@@ -164,7 +182,7 @@ def tuned(source: OpenSource, causal: bool, asked: Asked, lag_s: float | None = 
     sample = source.sample(rows_to_tune_on(source))
     ahead(sample, causal=tuned_as_filter(causal, lag_s, sample.timebase.step_s))
     rest = beginning(source) if asked.still_s else sample
-    wishes = Wishes(asked.dial, asked.still_s, rest, asked.removed_hz, lag_s, asked.robust)
+    wishes = Wishes(asked.dial, asked.still_s, rest, asked.removed_hz, lag_s, asked.robust, asked.time_std_s)
     told = rest_within(source, rest) if asked.still_s else nullcontext()
     with progress("tuning", len(source.names)) as step, told:
         found = tune(sample, causal=causal, wishes=wishes, progress=lambda name: step(name, 1))

@@ -14,8 +14,9 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Floats, Integers
+from becalm.core.burst_gaps import rows_lost_between
 from becalm.core.clock import Blocks, last_digit
-from becalm.core.summing import Moments
+from becalm.core.summing import Moments, Thinned
 
 JITTER, BURSTS = "jitter", "bursts"
 
@@ -82,6 +83,33 @@ def even_grid(count: int, blocks: Blocks) -> Grid | None:
     slope = sums.product / sums.scatter
     line = _Line(mean_s + slope, first + sums.other - slope * sums.mean)
     return _bursts(count, blocks, bursts) if bursts.clear else _jitter(blocks, line)
+
+
+class EqualBursts(NamedTuple):
+    """Bursts of one size, of which stamps alone do not tell whether a driver made them."""
+
+    rows: int
+    rate_hz: float
+
+
+def equal_bursts(count: int, blocks: Blocks) -> EqualBursts | None:
+    """Find bursts of one size, and the mean rate of their rows; None where stamps do not come so.
+
+    Parameters
+    ----------
+    count : int
+        How many stamps there are.
+    blocks : callable
+        Gives the stamps in seconds, in (n,) blocks; called for each pass.
+    """
+    ends = _ends(blocks) if count >= FEWEST_ROWS else None
+    if ends is None:
+        return None
+    mean_s = (ends[1] - ends[0]) / (count - 1)
+    bursts = _Bursts(ends[0], mean_s)
+    for rows, offsets in _offsets(blocks, ends[0], mean_s):
+        bursts.add(rows, offsets + mean_s * rows)
+    return bursts.equal
 
 
 def _ends(blocks: Blocks) -> tuple[float, float] | None:
@@ -183,6 +211,15 @@ class _Bursts:
             return False  # cut to whole seconds, say: those come before their samples
         return self.count - int(self._sizes.max()) >= _UNLIKE * self.count
 
+    @property
+    def equal(self) -> EqualBursts | None:
+        """What bursts of one size are like, if nearly all of them are of it."""
+        size = int(np.argmax(self._sizes))
+        unlike = self.count - int(self._sizes[size])
+        if self.count < _FEWEST_BURSTS or not 1 < size < _SIZES or unlike >= _UNLIKE * self.count or not self._open:
+            return None
+        return EqualBursts(size, float(f"{(self._ended + 1.0) / self._open:.6g}"))
+
     def below(self) -> _Line:
         """Return the line below all first stamps that is nearest to them: the edge of their hull in the middle."""
         rows, stamps = np.array(self._rows), np.array(self._stamps)
@@ -209,11 +246,17 @@ def _lower_hull(x: Floats, y: Floats) -> Integers:
 def _bursts(count: int, blocks: Blocks, seen: _Bursts) -> Grid | None:
     line = seen.below()
     about, again, least = Moments(), _Bursts(0.0, seen.mean), np.full(_PARTS, np.inf)
+    steps, before = Thinned(count), 0.0
     for rows, offsets in _offsets(blocks, line.start, line.step):
-        ends, firsts = again.parted(rows, offsets + line.step * rows)
+        stamps = offsets + line.step * rows
+        steps.add(np.diff(stamps, prepend=before))
+        before = float(stamps[-1])
+        ends, firsts = again.parted(rows, stamps)
         late = (firsts - line.step * ends) / line.step
         if not late.max(initial=0.0) <= _LATEST:
             return None
         np.minimum.at(least, (ends * _PARTS / count).astype(np.int64), late)
         about.add(offsets)
-    return Grid(BURSTS, line.start, line.step, about.std) if np.all(least <= _TOUCHING) else None
+    if not np.all(least <= _TOUCHING) or rows_lost_between(steps.values[1:], _APART * seen.mean):
+        return None
+    return Grid(BURSTS, line.start, line.step, about.std)

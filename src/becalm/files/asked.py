@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from becalm.core.clock import FASTEST_HZ, SLOWEST_HZ
+from becalm.errors import UsageError
 from becalm.sensors.record import SensorRecord
 
 
@@ -64,6 +66,8 @@ class ReadOptions:
         Units to have columns in, by their names as in the header or without their units.
     sensors : tuple of SensorRecord
         What columns are turned into before that.
+    as_written : bool
+        Whether stamps stay as they are, where they would be put onto an even grid, or hours undone.
     """
 
     time: str | None = None
@@ -74,3 +78,20 @@ class ReadOptions:
     fitting: Fitting | None = None
     units: Mapping[str, str] = field(default_factory=dict)
     sensors: tuple[SensorRecord, ...] = ()
+    as_written: bool = False
+
+
+def refuse_impossible(options: ReadOptions) -> None:
+    """Refuse a rate that was said and is none, or beside stamps that are to stay.
+
+    Raises
+    ------
+    UsageError
+        If it is out of range, or both are asked.
+    """
+    if options.rate_hz is not None and not SLOWEST_HZ <= options.rate_hz <= FASTEST_HZ:
+        raise UsageError(f"--rate {options.rate_hz:g} is not a rate; give hertz, {SLOWEST_HZ:g} to {FASTEST_HZ:g}.")
+    if options.rate_hz is not None and options.as_written:
+        raise UsageError(
+            "--rate counts rows in place of their stamps, and --stamps as-written keeps these; ask for one of them."
+        )

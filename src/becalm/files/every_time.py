@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 from becalm.errors import InputError, UsageError
-from becalm.files.asked import ReadOptions
+from becalm.files.asked import ReadOptions, refuse_impossible
 from becalm.files.choosing import chosen_table, holds, listed
 from becalm.files.converting import in_units_asked
-from becalm.files.opening import OpenSource, close, refuse_no_rate, understood
+from becalm.files.opening import OpenSource, close, understood
 from becalm.files.registry import read_tables
 from becalm.files.sensing import with_sensors
 from becalm.files.source import RawTable
@@ -68,7 +68,7 @@ def open_file(path: str | os.PathLike[str], options: ReadOptions | None = None) 
         If the options do not fit the file.
     """
     file, options = Path(path), options or ReadOptions()
-    refuse_no_rate(options)
+    refuse_impossible(options)
     tables = read_tables(file)
     opened: list[OpenSource] = []
     try:

@@ -14,11 +14,11 @@ import numpy as np
 import pyarrow as pa
 
 from becalm.core.arrays import Floats
-from becalm.core.clock import FASTEST_HZ, SLOWEST_HZ, Clock
+from becalm.core.clock import Clock
 from becalm.core.recording import Recording
 from becalm.core.timebase import Timebase
-from becalm.errors import InputError, TimeError, UsageError
-from becalm.files.asked import ReadOptions
+from becalm.errors import InputError, TimeError
+from becalm.files.asked import ReadOptions, refuse_impossible
 from becalm.files.choosing import chosen_table
 from becalm.files.chunk import Chunk
 from becalm.files.converting import in_units_asked
@@ -77,7 +77,7 @@ class OpenSource:
         self.schema: pa.Schema = raw.rows.schema
         self.clock = Clock.counted(self.rows, times.rate_hz or 1.0)
         if self._stamps is not None:
-            self.clock, self._time = clock_of(self._stamps, self._time)
+            self.clock, self._time = clock_of(self._stamps, self._time, options.as_written)
             if self.clock.even:  # then rows can be counted
                 self._stamps.close()
                 self._stamps = None
@@ -236,7 +236,7 @@ def open_source(path: str | os.PathLike[str], options: ReadOptions | None = None
         If the options do not fit the file.
     """
     file, options = Path(path), options or ReadOptions()
-    refuse_no_rate(options)
+    refuse_impossible(options)
     tables = read_tables(file)
     try:
         tables, options = in_units_asked(*with_sensors(tables, options))
@@ -263,18 +263,6 @@ def understood(file: Path, raw: RawTable, options: ReadOptions) -> OpenSource:
             raise
         kind = TimeError if isinstance(cause, TimeError) else InputError
         raise kind(f"{file}: {cause}") from cause
-
-
-def refuse_no_rate(options: ReadOptions) -> None:
-    """Refuse a rate that was said and is none.
-
-    Raises
-    ------
-    UsageError
-        If it is out of range.
-    """
-    if options.rate_hz is not None and not SLOWEST_HZ <= options.rate_hz <= FASTEST_HZ:
-        raise UsageError(f"--rate {options.rate_hz:g} is not a rate; give hertz, {SLOWEST_HZ:g} to {FASTEST_HZ:g}.")
 
 
 def close(tables: Iterable[RawTable]) -> None:

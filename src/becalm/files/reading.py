@@ -38,13 +38,14 @@ def read_source(path: str | os.PathLike[str], options: ReadOptions | None = None
         return SourceFile(source.recording(), table, source.layout)
 
 
-def read(
+def read(  # noqa: PLR0913  (what is wanted, each by its name)
     path: str | os.PathLike[str],
     *,
     channels: Sequence[str] | str | None = None,
     rate_hz: float | None = None,
     time: str | None = None,
     units: Mapping[str, str] | None = None,
+    as_written: bool = False,
 ) -> Recording:
     """Read a recording from a file of any known format; of channels at several times, those asked for.
 
@@ -60,6 +61,8 @@ def read(
         Name of the time column; found by itself where it is clear.
     units : mapping of str to str, optional
         Units to have channels in, by their names, as {"ax": "m/s^2"}; what the file does not tell, they tell.
+    as_written : bool
+        Keep stamps as they are, where a driver seems to have made them, or summer time to have moved them.
 
     Raises
     ------
@@ -69,5 +72,5 @@ def read(
         If a column asked for is not there, or cannot be converted.
     """
     asked = (channels,) if isinstance(channels, str) else None if channels is None else tuple(channels)
-    with open_source(path, ReadOptions(time, rate_hz, asked, units=units or {})) as source:
+    with open_source(path, ReadOptions(time, rate_hz, asked, units=units or {}, as_written=as_written)) as source:
         return source.recording()

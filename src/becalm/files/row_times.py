@@ -54,7 +54,7 @@ def row_times(raw: RawTable, options: ReadOptions) -> RowTimes:
         if raw.time.rate_hz is not None:
             told = TimeLayout((raw.time.column,), "rate in the file", "s", raw.time.start)
             return RowTimes(raw, told, None, raw.time.rate_hz)
-        stamps, told = read_time(raw, (raw.time.column,))
+        stamps, told = read_time(raw, (raw.time.column,), options.as_written)
         return RowTimes(raw, replace(told, start=raw.time.start), stamps, None)
     found = find_time(raw)
     if (count := without_blank_end(raw, found)) < raw.count:
@@ -62,7 +62,7 @@ def row_times(raw: RawTable, options: ReadOptions) -> RowTimes:
         found = find_time(raw)
     candidates = [column for columns in found for column in columns] + spoilt_times(raw)
     if options.rate_hz is None:
-        stamps, told = read_time(raw, choose_time(raw, found, options.time))
+        stamps, told = read_time(raw, choose_time(raw, found, options.time), options.as_written)
         return RowTimes(raw, told, stamps, None, tuple(candidates))
     if options.time is not None:
         candidates.append(named_column(raw, options.time, TIME_OPTION))

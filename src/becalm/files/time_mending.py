@@ -10,17 +10,18 @@ import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.core.clock import Clock
-from becalm.core.even_grid import JITTER, even_grid
+from becalm.core.even_grid import JITTER, equal_bursts, even_grid
 from becalm.core.time_repair import Steps, one_clock, unwrapped
 from becalm.errors import TimeError
 from becalm.files.rows import Spool
 from becalm.files.source import TimeLayout
 
 _SAID = {
-    JITTER: "The stamps of {} jitter by {:.3g} ms about an even {:.6g} Hz; the rows are counted at that rate instead.",
+    JITTER: "The stamps of {} jitter by {:.3g} ms about an even {:.6g} Hz; the rows are counted at that rate instead;",
     "bursts": "The stamps of {} come in bursts, {:.3g} ms (std) about an even {:.6g} Hz that bounds them from below;"
-    " the rows are counted at that rate instead.",
+    " the rows are counted at that rate instead;",
 }
+_KEEP = "keep them as written with --stamps as-written."
 
 
 class Times(Protocol):
@@ -68,12 +69,22 @@ def on_one_clock(times: Times, layout: TimeLayout) -> tuple[Spool | None, TimeLa
         return None, layout
     mended = Spool((hours.stamps_s for hours in one_clock(times.blocks(), first_s, steps.median)), times.count)
     moved = " and ".join(f"{way} {_times(n)}" for way, n in (("back", back), ("forth", forth)) if n)
-    said = f"The clock of {_named(layout)} was put {moved} by an hour, as for summer time; that was undone."
+    said = f"The clock of {_named(layout)} was put {moved} by an hour, as for summer time; that was undone"
+    said += "." if back else "; keep the stamps as written with --stamps as-written."  # time that falls is refused
     return mended, replace(layout, notes=(*layout.notes, said))
 
 
-def clock_of(times: Times, layout: TimeLayout) -> tuple[Clock, TimeLayout]:
+def clock_of(times: Times, layout: TimeLayout, as_written: bool = False) -> tuple[Clock, TimeLayout]:
     """Understand stamps; those that a driver made late are put onto the even grid behind them, and that is said.
+
+    Parameters
+    ----------
+    times : Times
+        Stamps in seconds.
+    layout : TimeLayout
+        How they were read.
+    as_written : bool
+        Whether they stay as they are.
 
     Raises
     ------
@@ -83,10 +94,25 @@ def clock_of(times: Times, layout: TimeLayout) -> tuple[Clock, TimeLayout]:
     try:
         clock = Clock.from_stamps(times.count, times.blocks)
     except TimeError:  # bursts of equal stamps
-        if (counted := _counted(times, layout)) is None:
+        if as_written or (counted := _counted(times, layout)) is None:
             raise
         return counted
-    return (None if clock.uniform else _counted(times, layout)) or (clock, layout)
+    if clock.uniform or as_written:
+        return clock, layout
+    return _counted(times, layout) or (clock, replace(layout, notes=(*layout.notes, *_unsure(times, layout))))
+
+
+def _unsure(times: Times, layout: TimeLayout) -> list[str]:
+    """Say which rate stamps have, if they come in bursts that may be a driver's or the sampling itself."""
+    bursts = equal_bursts(times.count, times.blocks)
+    return (
+        []
+        if bursts is None
+        else [
+            f"The stamps of {_named(layout)} come in bursts of {bursts.rows} rows, and are used as they are;"
+            f" if a driver made them of even rows, count those with --rate {bursts.rate_hz:.6g}."
+        ]
+    )
 
 
 def _counted(times: Times, layout: TimeLayout) -> tuple[Clock, TimeLayout] | None:
@@ -94,7 +120,7 @@ def _counted(times: Times, layout: TimeLayout) -> tuple[Clock, TimeLayout] | Non
     if grid is None:
         return None
     clock = replace(Clock.counted(times.count, 1.0 / grid.step_s, grid.start_s), jitter_s=grid.jitter_s)
-    said = _SAID[grid.kind].format(_named(layout), 1e3 * grid.jitter_s, clock.rate_hz)
+    said = f"{_SAID[grid.kind].format(_named(layout), 1e3 * grid.jitter_s, clock.rate_hz)} {_KEEP}"
     return clock, replace(layout, notes=(*layout.notes, said))
 
 

@@ -54,10 +54,10 @@ class Stamps:
         return map(self._in_seconds, self._spool.blocks())
 
 
-def read_time(raw: RawTable, columns: tuple[str, ...]) -> tuple[Stamps, TimeLayout]:
+def read_time(raw: RawTable, columns: tuple[str, ...], as_written: bool = False) -> tuple[Stamps, TimeLayout]:
     """Read the time in seconds: as in the file, or since the first row where the file gives dates.
 
-    Wraps of counters and hours of summer time are undone.
+    Wraps of counters are undone, and hours of summer time too, unless stamps are to stay as written.
 
     Raises
     ------
@@ -65,7 +65,7 @@ def read_time(raw: RawTable, columns: tuple[str, ...]) -> tuple[Stamps, TimeLayo
         If the cells are not times, or their unit cannot be known.
     """
     stamps, layout = _as_written(raw, columns)
-    if layout.kind != clock.DATE_TIME or not layout.start or layout.start.endswith("Z"):
+    if as_written or layout.kind != clock.DATE_TIME or not layout.start or layout.start.endswith("Z"):
         return stamps, layout
     mended, layout = on_one_clock(stamps, layout)
     if mended is None:

@@ -232,6 +232,7 @@ def _numbers(report: ChannelReport) -> tuple[tuple[str, str], ...]:
         ("mean NIS, 1 is right", report.nis_mean, ""),
         ("sigma wrong by more than a factor of two", _percent(report.uneven_share), "% of the record"),
         ("calibration adds", report.calibration_std, report.unit),
+        ("uncertain time widens sigma by up to", _percent(report.timing_share), "%"),
         ("log-likelihood", report.log_likelihood, ""),
     ]
     counts = ", ".join(f"{count} {name}" for name, count in report.verdicts.items() if count)
