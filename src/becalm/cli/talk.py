@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from becalm.files.opening import OpenSource
     from becalm.noise.waiting import Delay
 
+_MOST_NAMED = 8  # channels of which the same is said
 stderr = Console(stderr=True, highlight=False, soft_wrap=True, markup=False)
 
 
@@ -38,9 +39,13 @@ def tell(reports: tuple[ChannelReport, ...], causal: bool) -> None:
     for report in reports:
         table.add_row(report.name, *cells(report, causal))
     stderr.print(table)
+    alike: dict[str, list[str]] = {}
     for report in reports:
         if report.says != DESCRIBED:
-            stderr.print(f"{report.name}: {report.says}")
+            alike.setdefault(report.says, []).append(report.name)
+    for says, names in alike.items():
+        more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
+        stderr.print(f"{', '.join(names[:_MOST_NAMED])}{more}: {says}")
 
 
 def tell_delays(delays: dict[str, tuple[Delay, ...]]) -> None:

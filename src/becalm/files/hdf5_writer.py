@@ -17,6 +17,7 @@ from becalm.files.column_arrays import is_text, numbers_of, refuse_strange_types
 from becalm.files.groups import GROUP
 
 _CHUNK_ROWS = 1 << 15
+_FEWEST = 16  # rows of a chunk
 _LONGEST = 64  # letters of a date
 
 
@@ -118,10 +119,11 @@ class _Table:
         self._datasets: list[Any] = []
         self._missing = [False] * table.num_columns
         self._rows = 0
+        chunk = (min(_CHUNK_ROWS, max(_FEWEST, table.num_rows)),)  # a short table need not hold a long one's room
         for variable, field in zip(variables(table.column_names), table.schema, strict=True):
             kind = _stored(field, table.column(field.name), _h5py())
             packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if kind.kind != "f" else {}
-            dataset = folder.create_dataset(variable, (0,), kind, maxshape=(None,), chunks=(_CHUNK_ROWS,), **packed)
+            dataset = folder.create_dataset(variable, (0,), kind, maxshape=(None,), chunks=chunk, **packed)
             if unit := unit_of_field(field):
                 dataset.attrs["unit"] = unit
             if variable != field.name:
