@@ -12,8 +12,9 @@ import pyarrow.parquet as pq
 import pytest
 from scipy.io import savemat
 
-from becalm.errors import BecalmError
+from becalm.errors import BecalmError, InputError
 from becalm.files.registry import read_tables
+from becalm.files.writing import open_output
 from test_array_dangers import MAKERS
 from test_arrays import save_mat73
 from test_damaged_logs import LOGS
@@ -146,3 +147,14 @@ def _expect_the_beginning(path: Path, whole: list[Columns], name: str) -> None:
         assert any(fits(part, one) for one in whole), part.keys()
     if parts != whole:
         assert said
+
+
+@pytest.mark.parametrize("ending", [".h5", ".mf4"])
+def test_where_nothing_is_left_the_cut_is_said(ending: str, tmp_path: Path) -> None:
+    path = tmp_path / f"log{ending}"
+    with open_output(path) as out:
+        out.write(pa.table({"time_s": np.arange(ROWS) / 10, "a": VALUES[:, 0]}))
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) // 2])
+    with pytest.raises(InputError, match="is cut short, and nothing that is left can be read"):
+        read_tables(path)

@@ -25,12 +25,18 @@ class Foreign:
         The file.
     name : str
         The format as people call it, "MF4".
+
+    Attributes
+    ----------
+    cut : bool
+        Whether its reader saw that the file ends too early.
     """
 
     def __init__(self, path: Path, name: str) -> None:
         self.path, self.name = path, name
         self._libraries: set[str] = set()
         self._unpacked = 0
+        self.cut = False
 
     def library(self, module: str) -> ModuleType:
         """Load a library.
@@ -71,6 +77,14 @@ class Foreign:
         """Return the error that says so."""
         reason = " ".join(str(cause).split())[:200] or type(cause).__name__
         return InputError(f"{self.path} is a damaged {self.name} file ({reason}); copy or download it again.")
+
+    def holds_nothing(self) -> InputError:
+        """Return the error that says that nothing can be read, and why."""
+        if self.cut:
+            return InputError(
+                f"{self.path} is cut short, and nothing that is left can be read; copy or download it again."
+            )
+        return InputError(f"{self.path} holds no channel with rows; two or more rows are needed.")
 
     def refuse_claim(self, wanted_bytes: int) -> None:
         """Refuse to unpack what no recording of this size holds.

@@ -9,7 +9,6 @@ from typing import NamedTuple
 import numpy as np
 import pyarrow as pa
 
-from becalm.errors import InputError
 from becalm.files.columns import Column, ColumnRows
 from becalm.files.csv_header import unique_names
 from becalm.files.foreign import Foreign
@@ -72,7 +71,7 @@ def tables(
     if not kept:
         if close is not None:
             close()
-        raise InputError(f"{foreign.path} holds no channel with rows; two or more rows are needed.")
+        raise foreign.holds_nothing()
     named = [group.name or f"group {number}" for number, group in enumerate(kept, start=1)]
     titles = unique_names(named) if len(kept) > 1 else ("",)
     met = Counter(name for group in kept for name in group.columns if not is_time_name(name))

@@ -62,6 +62,7 @@ def read_tree(
     h5py = foreign.library("h5py")
     with foreign.damage_told():
         opened = Opened(h5py, foreign.path, base)
+        foreign.cut = opened.size is not None
     try:
         with foreign.damage_told():
             grouping = understood(foreign, opened, h5py)
@@ -70,9 +71,7 @@ def read_tree(
             raise InputError(f"{foreign.path} holds no channel that can be read: {' '.join(grouping.notes)[:500]}")
     except BaseException as cause:
         opened.close()
-        if opened.size is not None and isinstance(cause, InputError):
-            raise InputError(
-                f"{foreign.path} is cut short, and nothing that is left can be read; copy or download it again."
-            ) from cause
+        if foreign.cut and isinstance(cause, InputError):
+            raise foreign.holds_nothing() from cause
         raise
     return tables(foreign, form, groups, opened.close)

@@ -47,6 +47,7 @@ def read(path: Path) -> tuple[RawTable, ...]:
         log = _opened(library, file)
         stack.callback(log.close)
         _refuse_outside(log)
+        foreign.cut = mending.cut
         notes = [_CUT] if mending.cut else []
         buses = [index for index, group in enumerate(log.groups) if _is_bus(group)]
         groups = list(_groups(foreign, log, [index for index in log.virtual_groups if index not in buses]))
