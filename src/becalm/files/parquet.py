@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from itertools import accumulate
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from becalm.files.identity import Original
 from becalm.files.source import RawTable
 
 _READ_BYTES = 1 << 20
+_MAGIC = b"PAR1"
 
 
 def read_parquet(path: Path, kept: Original | bytes) -> RawTable:
@@ -128,7 +130,21 @@ class ParquetRows:
                     f"{self._path} holds what cannot be read, in {', '.join(map(repr, nested or names)) or 'a column'}"
                     f" ({reason}); write it again without that column, or as plain numbers and text."
                 ) from cause
+            if self._is_cut():
+                raise InputError(
+                    f"{self._path} is cut short: Parquet says what its columns are at the very end, and without that"
+                    " nothing of it can be read; copy or write it again."
+                ) from cause
             raise InputError(f"{self._path} is a damaged Parquet file ({reason}); copy or write it again.") from cause
+
+    def _is_cut(self) -> bool:
+        """Whether its last bytes are not those of a Parquet file."""
+        if isinstance(self._kept, bytes):
+            return not self._kept.endswith(_MAGIC)
+        with suppress(OSError), self._path.open("rb") as file:
+            file.seek(-len(_MAGIC), os.SEEK_END)
+            return file.read() != _MAGIC
+        return False
 
 
 def _told_apart(names: Sequence[str]) -> bool:
