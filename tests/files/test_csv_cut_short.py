@@ -182,6 +182,15 @@ def test_a_short_row_with_a_line_end_is_refused(road: str, tmp_path: Path) -> No
         _read(path)
 
 
+def test_a_wide_row_cut_short(road: str, tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    row = ",".join(f"{column}.25" for column in range(9000))
+    path.write_text("\n".join(f"{second},{row}" for second in range(20)) + f"\n20,{row[:40_000]}")
+    part, said = _read(path)
+    assert part.num_rows == 20
+    assert "of 9001 cells" in said
+
+
 def test_people_are_told(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     path.write_text(WRITTEN["fixed decimals"] + "7.500,1.0")
