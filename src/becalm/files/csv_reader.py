@@ -18,6 +18,7 @@ from becalm.files.rows import HeldRows
 from becalm.files.source import RawTable, TextLayout
 from becalm.files.text import decode
 from becalm.files.text_blocks import rows_of_text
+from becalm.files.text_ends import LastLine, with_end_told
 from becalm.files.text_rows import ragged, refuse_strays, spans_lines
 
 _EXACT_DIGITS = 15  # float64 keeps whole numbers of this many digits
@@ -33,12 +34,14 @@ def read_csv(path: Path, data: bytes) -> RawTable:
     """
     text = decode(path, data)
     dialect = sniff(path, text.data)
-    body = b"".join(rows_of_text([text.data], dialect.offset, dialect.separator))
+    last = LastLine(dialect)
+    body = b"".join(rows_of_text(last.whole_rows([text.data]), dialect.separator))
     names = unique_names(dialect.header.names)
     table, decimal = _parse(path, body, dialect, names)
     table = table.select(without_padding(dialect, names, [column.null_count == len(table) for column in table.columns]))
     layout = text_layout(text.encoding, text.compression, dialect, decimal)
-    return RawTable(HeldRows(table), table.num_rows, "csv", units_of(dialect, names), layout)
+    raw = RawTable(HeldRows(table), table.num_rows, "csv", units_of(dialect, names), layout)
+    return with_end_told(raw, text.cut, last)
 
 
 def text_layout(encoding: str, compression: str, dialect: Dialect, decimal: str) -> TextLayout:

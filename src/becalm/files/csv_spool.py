@@ -28,7 +28,8 @@ from becalm.files.csv_reader import (
 from becalm.files.csv_sniffing import Dialect, sniff
 from becalm.files.rows import SpooledRows
 from becalm.files.source import RawTable
-from becalm.files.text_blocks import OtherEncodingError, TextFile, rows_of_text, whole_lines
+from becalm.files.text_blocks import OtherEncodingError, TextFile, rows_of_text
+from becalm.files.text_ends import LastLine, with_end_told
 from becalm.files.text_rows import ragged, refuse_strays, spans_lines
 
 _PARSED_BYTES = 1 << 20
@@ -56,7 +57,8 @@ class _Spooling:
 
     def __init__(self, path: Path, text: TextFile) -> None:
         self._path, self._text = path, text
-        self._dialect: Dialect = sniff(path, _head(whole_lines(path, text.blocks())))
+        self._dialect: Dialect = sniff(path, _head(text.lines()))
+        self._last = LastLine(self._dialect)
         self._names = unique_names(self._dialect.header.names)
 
     def table(self) -> RawTable:
@@ -80,11 +82,11 @@ class _Spooling:
         empty = [missing == rows.count for missing in rows.missing]
         rows.keep(without_padding(self._dialect, self._names, empty))
         layout = text_layout(self._text.encoding, self._text.compression, self._dialect, decimal)
-        return RawTable(rows, rows.count, "csv", units_of(self._dialect, self._names), layout)
+        raw = RawTable(rows, rows.count, "csv", units_of(self._dialect, self._names), layout)
+        return with_end_told(raw, self._text.cut, self._last)
 
     def _body(self) -> Iterator[bytes]:
-        lines = whole_lines(self._path, self._text.blocks())
-        return rows_of_text(lines, self._dialect.offset, self._dialect.separator)
+        return rows_of_text(self._last.whole_rows(self._text.lines()), self._dialect.separator)
 
     def _spooled(self, types: dict[str, pa.DataType]) -> SpooledRows:
         rows = SpooledRows(pa.schema(list(types.items())))

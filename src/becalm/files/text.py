@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import codecs
 import gzip
 import io
+import sys
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -35,17 +37,65 @@ BOMS: tuple[tuple[bytes, str, str], ...] = (
     (b"\xfe\xff", "utf-16-be", "utf-16-be"),
 )
 
+CUT_ARCHIVE = (
+    "The gzip file ends too early: what unpacks is read, up to its last whole line. The file is incomplete; copy or"
+    " download it again if there is more of it."
+)
+CUT_CHARACTER = "The text ends within a character: its last line is left out, and the file is incomplete."
+
 _BLOCK = 1 << 20
+_PART = 1 << 16
 _CONTROL = bytes(set(range(32)) - set(b"\t\n\r\f\v\x1a"))
 
 
 @dataclass(frozen=True)
 class Text:
-    """The text of a file as UTF-8 bytes without a byte-order mark, and how it was stored."""
+    """The text of a file as UTF-8 bytes without a byte-order mark, and how it was stored.
+
+    `cut` is a sentence where it is known to end too early, otherwise ""; then only whole lines are in it.
+    """
 
     data: bytes
     encoding: str
     compression: str
+    cut: str = ""
+
+
+class Gunzip(gzip.GzipFile):
+    """A gzip file that is unpacked as far as it goes.
+
+    Attributes
+    ----------
+    cut : bool
+        Whether it was found to end too early.
+    """
+
+    cut = False
+    _some = False
+
+    def read(self, size: int | None = -1) -> bytes:
+        """Read so many bytes, fewer only at the end, or where it was cut.
+
+        Raises
+        ------
+        EOFError
+            If it is cut before anything unpacks.
+        """
+        out = bytearray()
+        wanted = sys.maxsize if size is None or size < 0 else size
+        while len(out) < wanted and not self.cut:
+            try:
+                part = self.read1(min(_PART, wanted - len(out)))  # which loses nothing of what came before the cut
+            except EOFError:
+                if not (self._some or out):
+                    raise
+                self.cut = True
+                break
+            if not part:
+                break
+            out += part
+        self._some = self._some or bool(out)
+        return bytes(out)
 
 
 def read_bytes(path: Path, most: int | None = None) -> bytes:
@@ -100,29 +150,52 @@ def decode(path: Path, data: bytes) -> Text:
     InputError
         If the bytes are a damaged archive, another format, or no text.
     """
-    compression = ""
+    compression = cut = ""
     if data.startswith(GZIP):
-        data, compression = _gunzip(path, data), "gzip"
+        data, cut = _gunzip(path, data)
+        compression = "gzip"
     refuse_other_formats(path, data)
     for mark, codec, name in BOMS:
         if data.startswith(mark):
-            return Text(_recode(path, data[len(mark) :], codec), name, compression)
-    refuse_binary(path, data)
-    try:
-        data.decode("utf-8")
-    except UnicodeDecodeError:
-        return Text(_from_western(data), "cp1252", compression)
-    return Text(data, "utf-8", compression)
+            (data, rest), encoding = _recode(path, data[len(mark) :], codec), name
+            break
+    else:
+        refuse_binary(path, data)
+        data, rest, encoding = _without_mark(data, surely_cut=cut != "")
+    cut = cut or (CUT_CHARACTER if rest else "")
+    return Text(without_open_line(data) if cut else data, encoding, compression, cut)
 
 
-def _gunzip(path: Path, data: bytes) -> bytes:
+def _gunzip(path: Path, data: bytes) -> tuple[bytes, str]:
     plain = bytearray()
-    with told(path), gzip.GzipFile(fileobj=io.BytesIO(data)) as file:
+    with told(path), Gunzip(fileobj=io.BytesIO(data)) as file:
         while block := file.read(_BLOCK):
             plain += block
             refuse_claim(path, len(plain), len(data))
     refuse_nothing(path, plain)
-    return bytes(plain)
+    return bytes(plain), CUT_ARCHIVE if file.cut else ""
+
+
+def _without_mark(data: bytes, surely_cut: bool) -> tuple[bytes, bytes, str]:
+    """Return a text as UTF-8, what there is of a last character that was cut as well, and its encoding."""
+    try:
+        rest = _decoded(data, "utf-8")[1]
+    except UnicodeDecodeError:
+        return _from_western(data), b"", "cp1252"
+    if rest and not surely_cut and data[: -len(rest)].isascii():  # only its last bytes are none of ASCII
+        return _from_western(data), b"", "cp1252"
+    return data, rest, "utf-8"
+
+
+def _decoded(data: bytes, codec: str) -> tuple[str, bytes]:
+    """Decode a text; return what there is of a last character that was cut as well."""
+    decoder = codecs.getincrementaldecoder(codec)()
+    return decoder.decode(data), decoder.getstate()[0]
+
+
+def without_open_line(data: bytes) -> bytes:
+    """Leave out what comes after the last line end."""
+    return data[: max(data.rfind(b"\n"), data.rfind(b"\r")) + 1]
 
 
 def refuse_nothing(path: Path, plain: bytes | bytearray) -> None:
@@ -150,13 +223,14 @@ def refuse_other_formats(path: Path, data: bytes) -> None:
             raise InputError(f"{path} is {what}; {READS} Export it as one of these.")
 
 
-def _recode(path: Path, data: bytes, codec: str) -> bytes:
+def _recode(path: Path, data: bytes, codec: str) -> tuple[bytes, bytes]:
     try:
-        plain = data.decode(codec).encode("utf-8")
+        text, rest = _decoded(data, codec)
     except UnicodeError as cause:
         raise damaged_text(path, codec, cause) from cause
+    plain = text.encode("utf-8")
     refuse_binary(path, plain)
-    return plain
+    return plain, rest
 
 
 def damaged_text(path: Path, codec: str, cause: UnicodeError) -> InputError:
