@@ -196,6 +196,11 @@ def _ulog(path: Path) -> None:
     ulog(path, *parts, part("F", b"a4:float x;"), topic(0, "a0"))
 
 
+def _ulog_topics(path: Path) -> None:
+    kind = part("F", b"a:uint64_t timestamp;float[65000] b;")
+    ulog(path, kind, *(topic(number, "a") for number in range(1000)))
+
+
 def _drone(path: Path) -> None:
     drone(path)
     data = path.read_bytes()
@@ -241,6 +246,7 @@ CLAIMS: dict[str, Callable[[Path], None]] = {
     "all.bag": lambda path: _ros1(path, 3),
     "a.db3": _ros2,
     "fields.ulg": _ulog,
+    "topics.ulg": _ulog_topics,
     "message.ulg": _drone,
     "a.parquet": _parquet,
     "large.csv.gz": lambda path: _csv(path, b"1,2\n"),

@@ -212,3 +212,31 @@ def test_mutants_are_read_or_refused(version: str, tmp_path: Path) -> None:
             for table in read_tables(path):
                 with closing(table.rows):
                     assert len(table.head) <= len(data)
+
+
+@pytest.mark.parametrize("place", [2**62, 3, 2**16])
+def test_a_row_that_points_to_no_text_leaves_the_channel_out(place: int, tmp_path: Path, tables: Tables) -> None:
+    texts = signal("s", np.array([b"abc", b"defgh"] * (ROWS // 2)), encoding="utf-8")
+    path = written(tmp_path, [signal("a", SIGNAL), texts])
+    data, (numbers, *_) = bytearray(path.read_bytes()), raw_blocks(path, b"##DT")
+    (texts_at,) = raw_blocks(path, b"##SD")
+    second = 4 + int.from_bytes(data[texts_at + 24 : texts_at + 28], "little")
+    at = data.index(second.to_bytes(8, "little"), numbers + 24)  # where the row says that it begins
+    data[at : at + 8] = place.to_bytes(8, "little")
+    path.write_bytes(data)
+    (table,) = tables(path)
+    assert table.names == ["time_s", "a"]
+    assert table.notes == ("'s' was left out: its texts are not where its rows say.",)
+
+
+@pytest.mark.parametrize("compression", [1, 2])
+def test_a_packed_block_that_holds_more_than_it_says_is_refused(compression: Any, tmp_path: Path) -> None:
+    with MDF(written(tmp_path, [signal("a", SIGNAL)])) as log:
+        path = Path(log.save(tmp_path / "packed.mf4", compression=compression))
+    assert becalm.read(path).channel("a").tolist() == SIGNAL.tolist()
+    data, (block,) = bytearray(path.read_bytes()), raw_blocks(path, b"##DZ")
+    claimed = int.from_bytes(data[block + 32 : block + 40], "little")
+    data[block + 32 : block + 40] = (claimed - 8).to_bytes(8, "little")
+    path.write_bytes(data)
+    with pytest.raises(InputError, match="does not hold"):
+        becalm.read(path)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import logging
+import os
 import struct
 import sys
+import tracemalloc
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, suppress
 from datetime import datetime
@@ -12,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import pytest
 from nptdms import ChannelObject, TdmsWriter
 
@@ -135,3 +138,45 @@ def test_mutants_are_read_or_refused(tmp_path: Path, tables: Tables) -> None:
         with suppress(BecalmError):
             for table in tables(path):
                 assert len(table.head) <= len(data)
+
+
+@pytest.mark.parametrize("interleaved", [False, True])
+@pytest.mark.parametrize("cut", [0, 8 * 60 * 3 + 5])
+def test_a_large_chunk_is_read_in_pieces(
+    interleaved: bool, cut: int, tmp_path: Path, tables: Tables, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    counts = np.arange(ROWS, dtype=np.int16)
+    if interleaved:
+        path = written(tmp_path, [channel("a", SIGNAL), channel("b", counts)])
+        data = bytearray(path.read_bytes())
+        data[4] |= 1 << 5
+        values = np.rec.fromarrays([SIGNAL, counts]).tobytes()
+        data[-len(values) :] = values
+    else:
+        path = written(tmp_path, *[[channel("a", SIGNAL), channel("s", ["x"] * ROWS), channel("b", counts)]] * 4)
+        data = bytearray(path.read_bytes())
+    path.write_bytes(data[: len(data) - (cut if not interleaved else min(cut, 205))])
+    (whole,) = tables(path)
+    (expected,) = whole.blocks(whole.names)
+    monkeypatch.setattr("becalm.files.tdms_pieces._PIECE_BYTES", 56)
+    (table,) = tables(path)
+    assert table.count == whole.count
+    for block in (1, 7, 60, 1000):
+        got = pa.concat_tables(table.blocks(table.names, most_rows=block))
+        assert got.to_pydict() == expected.to_pydict()
+
+
+@pytest.mark.slow
+def test_a_chunk_takes_no_memory_of_its_size(tmp_path: Path, tables: Tables) -> None:
+    path = written(tmp_path, [channel(name, SIGNAL) for name in "abcdefgh"])
+    data, rows = path.read_bytes(), 4_000_000
+    head = data[: -8 * 8 * ROWS].replace(struct.pack("<IQ", 1, ROWS), struct.pack("<IQ", 1, rows))
+    path.write_bytes(head[:12] + struct.pack("<Q", len(head) - 28 + 64 * rows) + head[20:])
+    os.truncate(path, len(head) + 64 * rows)
+    tracemalloc.start()
+    try:
+        (table,) = tables(path)
+        assert sum(block.num_rows for block in table.blocks(table.names, most_rows=50_000)) == rows
+        assert tracemalloc.get_traced_memory()[1] < 8 * rows
+    finally:
+        tracemalloc.stop()

@@ -127,3 +127,10 @@ def test_a_real_log_is_read_as_by_its_library() -> None:
     combined = read_source(path, ReadOptions(group="sensor_combined_0")).recording
     assert combined.rate_hz == pytest.approx(204.58, abs=0.01)
     assert set(combined.units) == {""}
+
+
+def test_topics_of_far_too_many_fields_are_refused(tmp_path: Path) -> None:
+    kind = part("F", b"a:uint64_t timestamp;float[65000] b;")
+    path = ulog(tmp_path / "a.ulg", kind, *(topic(number, "a") for number in range(10)))
+    with pytest.raises(InputError, match="more than 500,000 fields"):
+        by_name(path)

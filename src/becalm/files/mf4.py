@@ -42,7 +42,7 @@ def read(path: Path) -> tuple[RawTable, ...]:
     foreign = Foreign(path, "MDF")
     library = foreign.library("asammdf")
     with ExitStack() as stack, foreign.damage_told():
-        mending = looked_through(path)
+        mending = looked_through(foreign)
         file = stack.enter_context(mending.opened(path))
         log = _opened(library, file)
         stack.callback(log.close)
@@ -57,6 +57,7 @@ def read(path: Path) -> tuple[RawTable, ...]:
             if decoded is not None:
                 stack.callback(decoded.close)
                 groups += _groups(foreign, decoded, list(decoded.virtual_groups))
+        notes += [note for one in groups if set(one.columns) <= {TIME} for note in one.notes]  # which is no table
         held = stack.pop_all()
         return tables(foreign, "mf4", [one._replace(notes=(*one.notes, *notes)) for one in groups], held.close)
 

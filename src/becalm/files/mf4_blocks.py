@@ -11,6 +11,9 @@ from pathlib import Path
 from tempfile import TemporaryFile
 from typing import IO, NamedTuple
 
+from becalm.files.foreign import Foreign
+from becalm.files.unpacking import unpacked
+
 _HEADER_LINKS = 88  # of the file; links of all other blocks begin after 24 bytes
 _HEAD = 24
 _FLAGS = 60  # where the first two bytes tell what the recorder left undone
@@ -20,6 +23,9 @@ _MOST_BLOCKS = 1_000_000
 _COUNTED = (3, 6)  # kinds of channels that are not in the rows
 _MAY_BE_INVALID = 2
 _NUMBERS = (b"##DT", b"##DV", b"##DI", b"##SD", b"##RD", b"##RV", b"##RI")
+_PACKED = struct.Struct("<B5xQQ")  # of a ##DZ: how, then its bytes before and after, from 26 on
+_PACKED_AT, _PACKED_HEAD = 26, 48
+_PACKINGS = ("deflate", "deflate", "zstd", "zstd", "lz4", "lz4")  # each second one is of columns
 _ALL = -1
 _FOLLOWED: dict[bytes, tuple[int, ...]] = {
     b"##DG": (0, 1, 2),
@@ -73,22 +79,24 @@ class Mending(NamedTuple):
         return copy
 
 
-def looked_through(path: Path) -> Mending:
+def looked_through(foreign: Foreign) -> Mending:
     """Follow the blocks of a file of version 4.
 
     Raises
     ------
+    InputError
+        If they are packed and claim to hold what no recording of this size holds.
     ValueError
-        If they form a ring, or there are far too many.
+        If they form a ring, there are far too many, or one is not what it says.
     """
-    with path.open("rb") as file, mmap(file.fileno(), 0, access=ACCESS_READ) as data:
+    with foreign.path.open("rb") as file, mmap(file.fileno(), 0, access=ACCESS_READ) as data:
         if data[_VERSION : _VERSION + 1] != b"4":  # other versions know no such blocks
             return Mending({}, False)
         if len(data) < _HEADER_LINKS + 48 or data[64:68] != b"##HD":
             raise ValueError("it has no header block")
         (flags,) = struct.unpack_from("<H", data, _FLAGS)
         patches: dict[int, bytes] = {}
-        cut, chained = _follow(data, flags, patches)
+        cut, chained = _follow(foreign, data, flags, patches)
         left = flags & ~_LAST_LENGTH | (_COUNTERS if patches else 0)
         if chained and left & _LAST_LIST:  # asammdf completes one list, but goes round and round in a chain of them
             left, cut = left & ~_LAST_LIST, True
@@ -97,7 +105,7 @@ def looked_through(path: Path) -> Mending:
         return Mending(patches, cut)
 
 
-def _follow(data: mmap, flags: int, patches: dict[int, bytes]) -> tuple[bool, bool]:
+def _follow(foreign: Foreign, data: mmap, flags: int, patches: dict[int, bytes]) -> tuple[bool, bool]:
     """Note what to change: links that lead nowhere, and wrong lengths.
 
     Returns
@@ -135,6 +143,8 @@ def _follow(data: mmap, flags: int, patches: dict[int, bytes]) -> tuple[bool, bo
         elif length > there:
             patches[link.place], cut = bytes(8), True
         else:
+            if kind == b"##DZ":
+                _refuse_unlike(foreign, data, address)
             _refuse_lies(data, address, kind, link.channels)
             todo += _links(data, address, kind, link)
     return cut, chained
@@ -148,6 +158,16 @@ def _refuse_lies(data: mmap, address: int, kind: bytes, channels: int) -> None:
         end = address + _length(data, address)
         if _whole_texts(data, address + _HEAD, end)[0] + 4 <= end:
             raise ValueError(f"a text in the block at {address:#x} is longer than the block")
+
+
+def _refuse_unlike(foreign: Foreign, data: mmap, address: int) -> None:
+    """Refuse a packed block that does not hold what it says, for asammdf unpacks it whole, however much that is."""
+    how, plain, packed = _PACKED.unpack_from(data, address + _PACKED_AT)
+    if how >= len(_PACKINGS) or packed > _length(data, address) - _PACKED_HEAD:
+        raise ValueError(f"the block at {address:#x} is packed in an unknown way, or beyond its end")
+    if plain:
+        at = address + _PACKED_HEAD
+        unpacked(foreign, _PACKINGS[how], data[at : at + packed], plain)
 
 
 def _is_open(flags: int, link: _Link, length: int) -> bool:

@@ -16,6 +16,8 @@ from becalm.files.foreign import Foreign
 
 _FORMULA, _TABLE_OF_TEXTS, _RANGES_OF_TEXTS, _LINEAR = 3, 7, 8, 1
 _MOST_PARTS = 4096
+_ELSEWHERE = 1  # a type of channel whose rows hold places in a block of values, each after its length
+_LENGTH_BYTES = 4
 _ENOUGH = 1000  # rows that tell whether a channel is of names or of numbers
 _MOSTLY = 0.5
 
@@ -56,6 +58,23 @@ class Channel(NamedTuple):
         )
         return values, invalid
 
+    def points_wrongly(self) -> bool:
+        """Tell whether a row points outside the channel's values; asammdf takes whatever is there for a length."""
+        if getattr(self.head, "channel_type", 0) != _ELSEWHERE or not hasattr(self.log.groups[self.group], "sorted"):
+            return False
+        log, group = self.log._mdf, self.log.groups[self.group]
+        links = group.channel_dependencies[self.number]
+        where = (self.head, group, self.group, self.number, links)
+        places = log._get_scalar(*where, None, None, True, 0, None, False, skip_vlsd=True)[0].astype(np.uint64)
+        values = np.frombuffer(log._load_signal_data(group, self.number), np.uint8)
+        if not len(places) or len(values) < _LENGTH_BYTES:
+            return bool(len(places))
+        most = np.uint64(len(values) - _LENGTH_BYTES)
+        if (places > most).any() or (np.diff(places.astype(np.int64)) < 0).any():
+            return True
+        parts = values[places.astype(np.int64)[:, None] + np.arange(_LENGTH_BYTES)]
+        return bool((parts.view("<u4")[:, 0] > most - places).any())
+
 
 class MasterTime:
     """The times of a group, from its first row on; of a master channel."""
@@ -94,6 +113,8 @@ def columns_of(foreign: Foreign, channel: Channel) -> tuple[list[tuple[str, Colu
     conversion, name, unit = channel.head.conversion, channel.head.name, channel.unit
     if why := _not_converted(foreign, conversion):
         return [], [f"{name!r} was left out: {why}."]
+    if channel.points_wrongly():
+        return [], [f"{name!r} was left out: its texts are not where its rows say."]
     if getattr(conversion, "conversion_type", 0) in (_TABLE_OF_TEXTS, _RANGES_OF_TEXTS):
         return [(name, _of_texts(channel))], []
     probe, _ = channel.read(0, 1)

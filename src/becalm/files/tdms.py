@@ -17,6 +17,7 @@ from becalm.files.columns import Column
 from becalm.files.foreign import Foreign
 from becalm.files.groups import Group, tables
 from becalm.files.source import RawTable, ToldTime
+from becalm.files.tdms_pieces import in_pieces
 from becalm.files.time_column import is_time_name
 from becalm.files.units import tidy_unit
 
@@ -54,6 +55,7 @@ def read(path: Path) -> tuple[RawTable, ...]:
                 for name, one in ((status.channel_statuses or {}) if status.incomplete_final_segment else {}).items()
             }
             whole = not status.incomplete_final_segment and _ends_whole(path) and not _overpromised(held)
+            in_pieces(held)
             groups = [one for group in held.groups() for one in _groups(foreign, group, missing)]
             if not whole:
                 groups = [one._replace(notes=(*one.notes, _cut(one.rows))) for one in groups]

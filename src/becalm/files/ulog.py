@@ -6,6 +6,7 @@ import io
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,7 @@ from becalm.files.watched import WatchedFile
 _STAMP = ("uint64_t", 0, "timestamp")  # type, length of a list, and name
 _PADDING = "_padding"
 _MOST_BYTES = 0xFFFF  # of a message, and so the most fields it can have
+_MOST_FIELDS = 500_000  # of all topics that are subscribed to; each takes some hundred bytes in pyulog
 _PER_SECOND = 1_000_000
 
 
@@ -40,10 +42,11 @@ def read(path: Path) -> tuple[RawTable, ...]:
     with foreign.damage_told(), path.open("rb") as file, _unheard():
         opened = WatchedFile(file)
         heading = library.ULog(_Kept(opened), parse_header_only=True)
-        _refuse_endless(foreign, heading.message_formats)
+        sizes = _sizes(foreign, heading.message_formats)
         opened.seek(0)
         stamped = [name for name, one in heading.message_formats.items() if _STAMP in one.fields]
-        log = library.ULog(_Kept(opened), stamped)  # which else ends at the first message without a stamp
+        reader = _bounded(foreign, library, sizes)
+        log = reader(_Kept(opened), stamped)  # which else ends at the first message without a stamp
         notes = _notes(log, opened, _unstamped(log, stamped))
         groups = [_group(topic, log.start_timestamp, notes) for topic in log.data_list]
     return tables(foreign, "ulog", groups)
@@ -66,8 +69,8 @@ def _unheard() -> Iterator[None]:
         yield
 
 
-def _refuse_endless(foreign: Foreign, formats: dict[str, Any]) -> None:
-    """Refuse formats that hold each other without an end, or more fields than a message has bytes."""
+def _sizes(foreign: Foreign, formats: dict[str, Any]) -> dict[str, int]:
+    """Count the fields of each format; refuse those without an end, or with more than a message has bytes."""
     sizes: dict[str, int] = {}
 
     def size(name: str, within: tuple[str, ...]) -> int:
@@ -86,6 +89,21 @@ def _refuse_endless(foreign: Foreign, formats: dict[str, Any]) -> None:
 
     for name in formats:
         size(name, ())
+    return sizes
+
+
+def _bounded(foreign: Foreign, library: ModuleType, sizes: dict[str, int]) -> Any:
+    """Return the library's reader, refusing more fields in all topics than any log has: it makes an object of each."""
+    told, left = library.ULog._MessageAddLogged, _MOST_FIELDS
+
+    def subscribed(data: bytes, header: Any, formats: dict[str, Any]) -> Any:
+        nonlocal left
+        left -= sizes.get(library.ULog.parse_string(data[3:]), 0)
+        if left < 0:
+            raise foreign.damaged(f"its topics have more than {_MOST_FIELDS:,} fields in all")
+        return told(data, header, formats)
+
+    return type("_Bounded", (library.ULog,), {"_MessageAddLogged": staticmethod(subscribed)})
 
 
 def _unstamped(log: Any, stamped: list[str]) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import bz2
+import zlib
 
 from becalm.errors import BecalmError
 from becalm.files.foreign import Foreign
@@ -18,7 +19,7 @@ def unpacked(foreign: Foreign, compression: str, data: bytes, size: int, cut: bo
     foreign : Foreign
         The file.
     compression : str
-        "zstd", "lz4", "bz2", or "" and "none".
+        "deflate", "zstd", "lz4", "bz2", or "" and "none".
     data : bytes
         What is compressed.
     size : int
@@ -39,17 +40,19 @@ def unpacked(foreign: Foreign, compression: str, data: bytes, size: int, cut: bo
         raise ValueError("it does not tell its size")
     foreign.refuse_unpacking(size)
     try:
-        plain = _plain(foreign, compression, data, size)
+        plain = _plain(foreign, compression, data, size + 1)  # one more, to see whether there is more
     except BecalmError:
         raise
     except Exception as cause:  # each library's own
         raise ValueError(f"it cannot be unpacked ({cause})") from cause
     if len(plain) != size and not cut:
-        raise ValueError(f"it holds {len(plain)} bytes, not {size}")
+        raise ValueError(f"it does not hold {size} bytes")
     return plain
 
 
 def _plain(foreign: Foreign, compression: str, data: bytes, size: int) -> bytes:
+    if compression == "deflate":
+        return zlib.decompressobj().decompress(data, size)
     if compression == "bz2":
         return bz2.BZ2Decompressor().decompress(data, size)
     if compression == "lz4":
