@@ -16,7 +16,7 @@ from becalm.files.numbers import Signal
 from becalm.files.rows import block_rows
 from becalm.files.source import CHANNEL, PASSED, TIME, ColumnLayout, RawTable
 from becalm.files.time_column import NUMBERS, kind_of_column, named_column, numbers
-from becalm.files.units import parse_header, tidy_unit
+from becalm.files.units import on_sensor, parse_header, tidy_unit
 
 SIGMA = "_sigma"
 _FIRST_ROWS = 1 << 16
@@ -84,7 +84,7 @@ def choose_channels(
 
 def unit_of(raw: RawTable, name: str) -> str:
     """Return the unit of a column, "" where the file does not say."""
-    return tidy_unit(raw.units[name]) if name in raw.units else parse_header(name)[1]
+    return on_sensor(name, tidy_unit(raw.units[name])) if name in raw.units else parse_header(name)[1]
 
 
 def values_of(column: pa.ChunkedArray, decimal: str) -> Floats:
