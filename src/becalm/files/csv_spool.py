@@ -13,6 +13,7 @@ import pyarrow as pa
 from becalm.errors import InputError
 from becalm.files.cells import NUMBER, TIME
 from becalm.files.csv_header import unique_names
+from becalm.files.csv_rates import with_rate
 from becalm.files.csv_reader import (
     TextNumbers,
     arrow_options,
@@ -80,7 +81,8 @@ class _Spooling:
         empty = [missing == rows.count for missing in rows.missing]
         rows.keep(without_padding(self._dialect, self._names, empty))
         layout = text_layout(self._text.encoding, self._text.compression, self._dialect, decimal)
-        return RawTable(rows, rows.count, "csv", units_of(self._dialect, self._names), layout)
+        raw = RawTable(rows, rows.count, "csv", units_of(self._dialect, self._names), layout)
+        return with_rate(raw, self._dialect.header.rate_hz)
 
     def _body(self) -> Iterator[bytes]:
         lines = whole_lines(self._path, self._text.blocks())

@@ -99,7 +99,7 @@ _PATTERNS = (
 _ENCLOSED = re.compile(r"^[\[(<]((?:[^\[\]()<>]|\([^()]*\))*)[\])>]$")
 
 _LARGE_G = re.compile(r"([mun]?)G")
-_MAGNETIC = re.compile(r"mag|gauss|field|flux|hall|compass|(?:^|[\W_])[Bb]_?[xyz]?(?:$|[\W_])", re.IGNORECASE)
+_MAGNETIC = re.compile(r"(?i:mag|gauss|field|flux|hall|compass)|(?:^|[\W_])B_?[xyzXYZ]?(?:$|[\W_])")
 
 _WHOLE = {
     "m/s/s": "m/s^2",
@@ -121,6 +121,7 @@ _WHOLE = {
     "sec": "s",
     "secs": "s",
     "second": "s",
+    "Second": "s",
     "seconds": "s",
     "Seconds": "s",
     "Sekunden": "s",
@@ -129,7 +130,7 @@ _WHOLE = {
     "nsec": "ns",
     "minutes": "min",
     "hours": "h",
-    **dict.fromkeys(("volt", "Volt", "volts", "Volts"), "V"),
+    **dict.fromkeys(("volt", "Volt", "volts", "Volts", "VOLT"), "V"),
     **dict.fromkeys(("Amp", "amps", "Amps"), "A"),
 }
 
