@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 
 import pyarrow as pa
@@ -19,6 +20,7 @@ from becalm.files.time_column import NUMBERS, kind_of_column, named_column, numb
 from becalm.files.units import on_sensor, parse_header, tidy_unit
 
 SIGMA = "_sigma"
+_COVARIANCE = re.compile(r".*_covariance_[0-9]+")  # what a ROS driver says of its sensor, beside each reading
 _FIRST_ROWS = 1 << 16
 
 
@@ -128,6 +130,8 @@ def _why_passed(raw: RawTable, times: Sequence[str]) -> dict[str, str]:
         kind = raw.type_of(name)
         if name.endswith(SIGMA) and name.removesuffix(SIGMA) in raw.names:
             told[name] = f"the uncertainty of {name.removesuffix(SIGMA)!r}"
+        elif _COVARIANCE.fullmatch(name):
+            told[name] = "a covariance that the sensor states"
         elif pa.types.is_boolean(kind):
             told[name] = "a flag (true and false)"
         elif pa.types.is_null(kind):
