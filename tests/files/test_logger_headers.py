@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from becalm.errors import InputError
-from becalm.files import read_source
+from becalm.files import open_source, read_source
 
 COUNT = 60
 TIMES = np.arange(COUNT) / 100
@@ -43,7 +43,37 @@ def table(separator: str, tail: str = "") -> str:
     return "".join(separator.join((f"{t:.2f}", f"{a:.4f}", f"{b:.4f}")) + tail + "\n" for t, a, b in lines)
 
 
+WITHOUT_X = LABVIEW.replace("X_Columns\tOne", "X_Columns\tNo").replace("X_Value\t", "")
+RACE = "Format,3\nTrack name,X\nNote,\n\ntimestamp,a,b\nunix time,V,G\ncalc,100: gps,102: acc\n"
+WAVEFORM = "waveform\t[0]\t[1]\nt0\t3/25/2024 2:02:03 PM\t3/25/2024 2:02:03 PM\ndelta t\t0.010000\t0.010000\n\n"
+CONCEPTS = ";Title, X16-1D\n;Temperature, 20.00, deg C, Vbat, 1526, mv\n;SampleRate, 100,Hz\n;Headers, time,a,b\n"
+
+
+def pair(separator: str) -> str:
+    return "".join(f"{a:.4f}{separator}{b:.4f}\n" for a, b in zip(A, B, strict=True))
+
+
+def counted(tail: str) -> str:
+    return "".join(f"{row},{a:.4f},{b:.4f}{tail}\n" for row, (a, b) in enumerate(zip(A, B, strict=True)))
+
+
 HEADS = {
+    "LabVIEW, no X": WITHOUT_X + pair("\t"),
+    "RaceChrono": RACE
+    + "".join(f"{1709647323 + t:.2f},{a:.4f},{b:.4f}\n" for t, a, b in zip(TIMES, A, B, strict=True)),
+    "INCA": "ETASAsciiItemFile\trecord\t\nsampleCount\t60\ntime\ta\tb\nf8\tf8\tf8\ns\tV\tg\n" + table("\t"),
+    "units above": "s,V,g\nTime,a,b\n" + table(","),
+    "Siglent": "Sample Interval,Analog:0.01\nVertical Units,CH1:V,CH2:g\nSource,a,b\nSecond,Volt,g\n" + table(","),
+    "Rigol": "X,a,b,Start,Increment,\nSequence,Volt,g,-3.00e-01,1.000000e-02\n" + counted(","),
+    "Rigol, in one row": "a (V),b (g),t0 = -0.3, tInc = 0.01,\n" + pair(",").replace("\n", ",,\n"),
+    "a waveform of LabVIEW": WAVEFORM + "a (V)\tb (g)\n" + pair("\t"),
+    "a waveform of LabVIEW with times": WAVEFORM
+    + "time\ta (V)\tb (g)\n"
+    + "".join(
+        f"3/25/2024 2:02:03.{row:02d} PM\t{a:.4f}\t{b:.4f}\n" for row, (a, b) in enumerate(zip(A, B, strict=True))
+    ),
+    "a rate above": "Sample rate: 100 Hz\n\na (V);b (g)\n" + pair(";"),
+    "a commented step": "# dt = 10 ms\n# a (V), b (g)\n" + pair(","),
     "LabVIEW, comments left out": LABVIEW + table("\t"),
     "LabVIEW, comments empty": LABVIEW + table("\t", "\t"),
     "Campbell": CAMPBELL
@@ -71,6 +101,61 @@ def test_names_and_units_come_from_the_right_line(text: str, tmp_path: Path) -> 
     assert recording.rate_hz == pytest.approx(100)
     np.testing.assert_array_equal(recording.samples[:, 0], A.round(4))
     np.testing.assert_array_equal(recording.samples[:, 1], B.round(4))
+
+
+def test_a_head_of_comments_with_semicolons_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text(CONCEPTS + table(","))
+    recording = read_source(path).recording
+    assert recording.names == ("a", "b")
+    assert recording.rate_hz == pytest.approx(100)
+
+
+@pytest.mark.parametrize(
+    "above", ["Sample rate: 100 Hz\nSample rate: 50 Hz\n\n", "Sample rate: 0 Hz\n\n", "Rate of x: 100\n\n", ""]
+)
+def test_a_rate_that_is_none_is_not_taken(above: str, tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text(above + "a (V);b (g)\n" + pair(";"))
+    with pytest.raises(InputError, match="no time column"):
+        read_source(path)
+
+
+def test_times_count_more_than_a_rate_above(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("Sample rate: 50 Hz\n\nTime (s),a,b\n" + table(","))
+    assert read_source(path).recording.rate_hz == pytest.approx(100)
+
+
+def test_a_large_file_takes_its_rate_as_a_small_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("Sample rate: 100 Hz\n\na (V);b (g)\n" + pair(";"))
+    monkeypatch.setattr("becalm.files.text_blocks.WHOLE_BYTES", 100)
+    with open_source(path) as source:
+        assert source.rate_hz == pytest.approx(100)
+        assert [chunk.table.column("time_s")[0].as_py() for chunk in source.chunks(25)] == [0.0, 0.25, 0.5]
+
+
+@pytest.mark.parametrize(("separator", "decimal", "thousands"), [(";", ".", ","), (";", ",", "."), ("\t", ".", ",")])
+def test_thousands_may_be_parted(separator: str, decimal: str, thousands: str, tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    signs = str.maketrans({".": decimal, ",": thousands})
+    lines = [
+        separator.join((f"{t:.2f}", f"{4e3 * a:,.2f}", f"{b:.4f}")).translate(signs)
+        for t, a, b in zip(TIMES, A, B, strict=True)
+    ]
+    path.write_text(f"Time (s){separator}a (N){separator}b (g)\n" + "\n".join(lines) + "\n")
+    recording = read_source(path).recording
+    np.testing.assert_array_equal(recording.samples[:, 0], [float(f"{4e3 * a:.2f}") for a in A])
+
+
+def test_the_month_is_first_where_halves_of_the_day_are_told(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    days = [f"3/{5 + hour // 24}/2024 {(hour - 1) % 12 + 1}:00:00 {'AP'[hour % 24 // 12]}M" for hour in range(COUNT)]
+    path.write_text("Date,a (V)\n" + "".join(f"{day},{a:.4f}\n" for day, a in zip(days, A, strict=True)))
+    with open_source(path) as source:
+        assert source.layout.time_start == "2024-03-05T00:00:00.000000000"
+        assert source.rate_hz == pytest.approx(1 / 3600)
 
 
 @pytest.mark.parametrize("head", ["Time 1 (s),a,Time 2 (s),b", "X [s],a,X [s],b"])

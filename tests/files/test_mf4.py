@@ -11,7 +11,8 @@ from typing import Any, Literal
 
 import numpy as np
 import pytest
-from asammdf import MDF, Signal
+from asammdf import MDF, Signal, Source
+from asammdf.blocks.v4_constants import FLAG_CG_BUS_EVENT, FLAG_CG_PLAIN_BUS_EVENT
 
 import becalm
 from becalm.errors import InputError
@@ -100,6 +101,30 @@ def test_a_bus_log_without_its_database(tmp_path: Path) -> None:
     (tmp_path / "other.dbc").write_bytes(bytes(range(256)))
     with pytest.raises(InputError):
         becalm.read(tmp_path / LOG)
+
+
+def test_frames_of_a_bus_are_decoded_by_a_database_beside_them(tmp_path: Path) -> None:
+    counts = np.arange(ROWS, dtype=np.uint16) * 300
+    parts: list[tuple[str, Any, Any]] = [("BusChannel", "u1", 1), ("ID", "<u4", 0x123), ("IDE", "u1", 0)]
+    parts += [("DLC", "u1", 8), ("DataLength", "u1", 8), ("DataBytes", "(8,)u1", 0), ("Dir", "u1", 0)]
+    frames = np.zeros(ROWS, [(f"CAN_DataFrame.{name}", kind) for name, kind, _ in parts])
+    for name, _, value in parts:
+        frames[f"CAN_DataFrame.{name}"] = value
+    frames["CAN_DataFrame.DataBytes"][:, :2] = counts.view("u1").reshape(-1, 2)
+    path = tmp_path / "bus.mf4"
+    with MDF(version="4.11") as log:
+        log.append(signal("CAN_DataFrame", frames, source=Source("CAN1", "CAN1", "", 2, 2)))
+        log.groups[0].channel_group.flags = FLAG_CG_BUS_EVENT | FLAG_CG_PLAIN_BUS_EVENT  # type: ignore[union-attr]
+        log.save(path)
+    with pytest.raises(InputError, match=r"put the \.dbc file that knows its frames beside it"):
+        becalm.read(path)
+    (tmp_path / "car.dbc").write_text(
+        'VERSION ""\nBO_ 291 Motion: 8 X\n SG_ Speed : 0|16@1+ (0.01,-5) [0|655] "km/h" X\n'
+    )
+    recording = becalm.read(path)
+    assert (recording.names, recording.units) == (("Speed",), ("km/h",))
+    assert recording.rate_hz == pytest.approx(50)
+    np.testing.assert_allclose(recording.samples[:, 0], counts * 0.01 - 5, atol=1e-12)
 
 
 @pytest.mark.parametrize("percent", [70, 80, 90, 99])

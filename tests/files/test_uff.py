@@ -235,3 +235,16 @@ def test_mutants_are_read_or_refused(binary: int, tmp_path: Path) -> None:
         path.write_bytes(data)
         with suppress(BecalmError):
             becalm.read(path, channels=("front left",))
+
+
+@pytest.mark.parametrize("binary", [0, 1])
+@pytest.mark.parametrize(
+    ("mark", "above"), [(b"    -1", b"\r\n"), (b"    -1", b" \n\n"), (b"-1", b""), (b"  -1  ", b"\n")]
+)
+def test_marks_need_not_be_as_the_format_has_them(mark: bytes, above: bytes, binary: int, tmp_path: Path) -> None:
+    path = written(tmp_path, one_set(binary=binary), one_set(binary=binary, id1="rear", data=-SIGNAL))
+    whole = becalm.read(path)
+    path.write_bytes(above + path.read_bytes().replace(b"    -1\n", mark + b"\n"))
+    recording = becalm.read(path)
+    assert recording.names == whole.names == ("front left", "rear")
+    np.testing.assert_array_equal(recording.samples, whole.samples)

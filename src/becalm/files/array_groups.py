@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from becalm.files.array_labels import NAME
 from becalm.files.array_rates import Rates
+from becalm.files.array_titles import is_alone, take_titles
 from becalm.files.arrays import Found, Leaf, Path
 from becalm.files.columns import Column
 from becalm.files.csv_header import unique_names
@@ -55,13 +56,14 @@ class Grouping:
     """
 
     def __init__(self, found: Found, joint: str, apart: bool) -> None:
+        take_titles(found)
         self._found, self._joint, self._apart = found, joint, apart
         self._rates = Rates(found)
         self._described = found.described_units()
         leaves = [leaf for leaf in found.leaves if self._fits(leaf)]
         self._written = {path[:-1] for path in found.words if path[-1] == GROUP}  # each by becalm, and one table
         others = [leaf for leaf in leaves if leaf.path[:-1] not in self._written]
-        self._times = {leaf.path: leaf for leaf in others if len(leaf.shape) == 1 and _may_be_time(leaf, others)}
+        self._times = {leaf.path: leaf for leaf in others if len(leaf.shape) == 1 and self._may_be_time(leaf, others)}
         self._homes: dict[_Home, list[Leaf]] = {}
         for leaf in leaves:
             if leaf.path not in self._times:
@@ -91,6 +93,15 @@ class Grouping:
             )
         return columns <= _MOST_COLUMNS
 
+    def _may_be_time(self, leaf: Leaf, leaves: Sequence[Leaf]) -> bool:
+        folder, name = leaf.path[:-1], leaf.path[-1]
+        if leaf.type.kind not in "iufMmO":
+            return False
+        if stem := _stem(name):
+            beside = [one for one in leaves if one.path[:-1] == folder and one is not leaf]
+            return any(_is_of(one.path[-1], stem) and leaf.meant[0] in one.meant for one in beside)
+        return is_time_name(self._found.word((*leaf.path, NAME)) or name) or leaf.type.kind == "M"
+
     def _home(self, leaf: Leaf) -> _Home:
         if leaf.path[:-1] in self._written:
             return _Home(leaf.path[:-1], (), None, leaf.length, leaf.meant[0])
@@ -105,8 +116,16 @@ class Grouping:
                     return _Home(folder, times[0].path, None, min(times[0].length, _rows(leaf, meant)), meant)
         told = self._rates.of(leaf)
         folder = leaf.path[:-1] if self._apart else told[0] if told and told[0] != leaf.path else ()
+        if told and not self._apart and folder == leaf.path[:-1] and self._is_whole(leaf):
+            folder = folder[:-1]
         meant = max(leaf.meant)
         return _Home(folder, (), told[1] if told else None, _rows(leaf, meant), meant)
+
+    def _is_whole(self, leaf: Leaf) -> bool:
+        """Tell whether its struct holds one channel, which begins when others do."""
+        folder = leaf.path[:-1]
+        alone = is_alone(leaf.path) and bool(self._found.word((*leaf.path, NAME)))
+        return alone and self._rates.start(folder) == self._rates.start(folder[:-1])
 
     def _leave_strays_out(self) -> None:
         """Leave out what is far shorter than the rest and has no times: a matrix of calibration, a list of limits."""
@@ -149,6 +168,8 @@ class Grouping:
         rivals = [other for other in self._homes if other.folder == home.folder]
         if len(rivals) == 1:
             return self._joint.join(home.folder)
+        if not self._apart and self._is_whole(leaves[0]):
+            return self._joint.join(leaves[0].path[:-1])
         name = self._name(leaves[0], home)
         return self._joint.join((*home.folder, name)) if self._apart else name
 
@@ -178,9 +199,6 @@ class Grouping:
         if own:
             return own
         below = leaf.path[len(home.folder) :] if self._apart else leaf.path
-        called = next((word for n in ("name", "label") if (word := self._found.word((*leaf.path[:-1], n)))), "")
-        if called and leaf.path[1:] and leaf.path[-1].lower() in ("data", "value", "values", "samples", "signal", "y"):
-            return called
         return self._joint.join(below)
 
     def _axes(self, leaf: Leaf, name: str, count: int) -> list[str]:
@@ -210,16 +228,6 @@ class Grouping:
 
     def _said(self, path: Path) -> str:
         return repr(self._joint.join(path))
-
-
-def _may_be_time(leaf: Leaf, leaves: Sequence[Leaf]) -> bool:
-    name, folder = leaf.path[-1], leaf.path[:-1]
-    if leaf.type.kind not in "iufMmO":
-        return False
-    if stem := _stem(name):
-        beside = [one for one in leaves if one.path[:-1] == folder and one is not leaf]
-        return any(_is_of(one.path[-1], stem) and leaf.meant[0] in one.meant for one in beside)
-    return is_time_name(name) or leaf.type.kind == "M"
 
 
 def _rows(leaf: Leaf, meant: int) -> int:

@@ -61,6 +61,11 @@ class Rates:
         return ""
 
 
+def hertz_of(name: str, number: float, unit: str) -> float | None:
+    """Return the rate in Hz that a number of this name tells, in its unit or, where that is "", in Hz or seconds."""
+    return _hertz(name, _in_unit((name,), number, unit) if unit else number)
+
+
 def _written(found: Found) -> list[tuple[Path, float]]:
     """Numbers that are written as texts: "100 Hz"."""
     out = []

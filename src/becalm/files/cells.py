@@ -23,6 +23,12 @@ POINT = rf"^\s*[+-]?(?:(?:[0-9]+\.?[0-9]*|\.[0-9]+){_TAIL}|{_ENDLESS})\s*$"
 COMMA = rf"^\s*[+-]?(?:(?:[0-9]+(?:,[0-9]+)?|,[0-9]+){_TAIL}|{_ENDLESS})\s*$"
 """Numbers with a decimal point and with a decimal comma; understood alike by `re` and by RE2."""
 
+THOUSANDS = {
+    ".": r"^\s*[+-]?[0-9]{1,3}(?:,[0-9]{3})+\.[0-9]+\s*$",
+    ",": r"^\s*[+-]?[0-9]{1,3}(?:\.[0-9]{3})+,[0-9]+\s*$",
+}
+"""Numbers that show both signs, so that one must part thousands, by their decimal sign."""
+
 _DATE_LIKE = r"\d{1,4}[-/.](?:\d{1,2}|[A-Za-z]{3})[-/.]\d{1,4}"
 _CLOCK_LIKE = (
     r"\d{1,2}:\d{2}(?::\d{2}(?:[.,:]\d{1,9})?)?"
@@ -30,6 +36,7 @@ _CLOCK_LIKE = (
 )
 _TIME_LIKE = re.compile(rf"^\s*(?:{_DATE_LIKE}(?:[T ,;]+{_CLOCK_LIKE})?|{_CLOCK_LIKE})\s*$")
 _POINT, _COMMA = re.compile(POINT), re.compile(COMMA)
+_THOUSANDS = {sign: re.compile(pattern) for sign, pattern in THOUSANDS.items()}
 _MISSING = frozenset(MISSING)
 
 NUMBER, TIME, GONE, WORDS = "number", "time", "missing", "words"
@@ -51,16 +58,16 @@ def kind_of(cell: str) -> str:
     """Tell what one cell holds, with either decimal sign."""
     if cell.strip() in _MISSING:
         return GONE
-    if _POINT.match(cell) or _COMMA.match(cell):
+    if _POINT.match(cell) or _COMMA.match(cell) or any(one.match(cell) for one in _THOUSANDS.values()):
         return NUMBER
     return TIME if _TIME_LIKE.match(cell) else WORDS
 
 
 def decimal_of(cell: str) -> str:
     """Return the decimal sign that a number shows, "" for whole numbers and all else."""
-    if "." in cell and _POINT.match(cell):
+    if "." in cell and (_POINT.match(cell) or _THOUSANDS["."].match(cell)):
         return "."
-    return "," if "," in cell and _COMMA.match(cell) else ""
+    return "," if "," in cell and (_COMMA.match(cell) or _THOUSANDS[","].match(cell)) else ""
 
 
 def is_row(line: str, separator: str, kinds: Sequence[str]) -> bool:
@@ -112,6 +119,10 @@ def to_numbers(text: pa.Array, decimal: str) -> tuple[pa.Array, Booleans]:
         True where a cell is neither a number nor missing.
     """
     trimmed = pc.utf8_trim_whitespace(text.cast(pa.string()))
+    parted = pc.match_substring_regex(trimmed, THOUSANDS["," if decimal == "," else "."])
+    if pc.any(parted).as_py():
+        whole = pc.replace_substring(trimmed, "." if decimal == "," else ",", "")
+        trimmed = pc.if_else(parted, whole, trimmed)
     gone = pc.fill_null(pc.is_in(trimmed, value_set=pa.array(MISSING)), True)
     fits = pc.fill_null(pc.match_substring_regex(trimmed, COMMA if decimal == "," else POINT), False)
     plain = pc.replace_substring_regex(trimmed, r"^\+", "")

@@ -158,7 +158,7 @@ class _Dates:
 
     def __init__(self) -> None:
         self._some = self._named = self._day_wrong = self._month_wrong = False
-        self._first_years = self._last_years = False
+        self._first_years = self._last_years = self._halves = False
         self._same = True
         self._mark = ""
         self._last: int | None = None
@@ -168,6 +168,7 @@ class _Dates:
         present = ~missing & ~np.asarray(pc.is_null(parts))
         year_first = np.asarray(pc.utf8_length(_field(parts, "a"))) == 4
         self._mark = self._mark or next((mark for mark in _field(parts, "mark").to_pylist() if mark), "")
+        self._halves = self._halves or bool(pc.any(pc.not_equal(_field(parts, "half"), "")).as_py())
         self._named = self._named or _month_numbers(_field(parts, "b"))[1]
         self._first_years = self._first_years or bool(year_first[present].any())
         self._last_years = self._last_years or not year_first[present].all()
@@ -188,6 +189,8 @@ class _Dates:
         if self._named or not self._day_wrong:
             if self._named or self._month_wrong or self._mark == "." or self._same:
                 return DAY_FIRST
+            if self._halves:  # AM and PM are written where the month comes first
+                return MONTH_FIRST
             raise TimeError(
                 f"The dates in {name!r} can be read day first or month first, and the two differ. "
                 "Write them as YYYY-MM-DD, name another column with --time, or count rows with --rate HZ."

@@ -31,6 +31,8 @@ class Header:
         How many cells the row of names has; 0 for no header.
     fits : bool
         Whether that is one a column; columns at the right that hold nothing need none.
+    rate_hz : float, optional
+        Of the rows, where the lines above tell it.
     """
 
     names: tuple[str, ...]
@@ -39,6 +41,7 @@ class Header:
     skipped: int
     given: int
     fits: bool = True
+    rate_hz: float | None = None
 
 
 def find_header(above: Sequence[str], start: int, separator: str, kinds: tuple[str, ...]) -> Header:
@@ -63,9 +66,8 @@ def find_header(above: Sequence[str], start: int, separator: str, kinds: tuple[s
         rows = _commented(above, filled, separator, width)
     if not rows:
         return Header(("",) * width, ("",) * width, 0, len(filled) + start, 0)
-    if known := logger_header(rows, width):
-        names, units, used = known
-        return _header(names, units, used, (len(filled) + start, width))
+    if known := logger_header([_cut(above[number], separator, width) for number in plain] or rows, width):
+        return _header(known.names, known.units, known.used, (len(filled) + start, width))
     together = next((back for back in range(1, len(plain)) if plain[-back] - plain[-back - 1] > 1), len(plain))
     return _read(rows, kinds, len(filled) + start, together)
 
@@ -93,6 +95,9 @@ def _read(rows: list[list[str]], kinds: tuple[str, ...], lines: int, together: i
     used = 1
     if len(rows) > 1 and _are_units(rows[-1]) and len(rows[-1]) == len(rows[-2]) == width:
         units = [tidy_unit(cell) for cell in rows.pop()]
+        used += 1
+    elif len(rows) > 1 and _are_above(rows[-2], rows[-1], width):
+        units = [tidy_unit(cell) for cell in rows.pop(-2)]
         used += 1
     names = rows[-1]
     two_storeys = together > used and len(rows) > 1 and len(rows[-2]) == len(names) == width
@@ -130,12 +135,18 @@ def _commented(above: Sequence[str], filled: Sequence[int], separator: str, widt
     if not last.startswith(_COMMENT):
         return []
     cells = _cut(last.lstrip("#%/").strip(), separator, width)
-    return [cells] if len(cells) == width and not any(kind_of(cell) == NUMBER for cell in cells) else []
+    named = len(cells) == width or (len(cells) == width + 1 and cells[0] == "Headers")
+    return [cells] if named and not any(kind_of(cell) == NUMBER for cell in cells) else []
 
 
 def _are_units(row: Sequence[str]) -> bool:
     filled = [cell for cell in row if cell]
     return bool(filled) and any(cell not in ("-", "--") for cell in filled) and all(map(looks_like_unit, filled))
+
+
+def _are_above(upper: Sequence[str], names: Sequence[str], width: int) -> bool:
+    """Tell whether units stand above the names, all different."""
+    return len(upper) == len(names) == width == len(set(names)) and _are_units(upper) and not _are_units(names)
 
 
 def _belong_together(upper: Sequence[str], lower: Sequence[str], at_top: bool) -> bool:

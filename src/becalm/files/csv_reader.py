@@ -13,6 +13,7 @@ import pyarrow.compute as pc
 
 from becalm.files.cells import COMMA, GONE, MISSING, NUMBER, TIME, to_numbers
 from becalm.files.csv_header import unique_names
+from becalm.files.csv_rates import with_rate
 from becalm.files.csv_sniffing import Dialect, sniff
 from becalm.files.rows import HeldRows
 from becalm.files.source import RawTable, TextLayout
@@ -41,7 +42,7 @@ def read_csv(path: Path, data: bytes) -> RawTable:
     table = table.select(without_padding(dialect, names, [column.null_count == len(table) for column in table.columns]))
     layout = text_layout(text.encoding, text.compression, dialect, decimal)
     raw = RawTable(HeldRows(table), table.num_rows, "csv", units_of(dialect, names), layout)
-    return with_end_told(raw, text.cut, last)
+    return with_rate(with_end_told(raw, text.cut, last), dialect.header.rate_hz)
 
 
 def text_layout(encoding: str, compression: str, dialect: Dialect, decimal: str) -> TextLayout:

@@ -5,12 +5,13 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from becalm.errors import InputError
 from becalm.files.cells import GONE, NUMBER, TIME, WORDS, decimal_of, is_left_open, kind_of, split
 from becalm.files.csv_header import Header, find_header
+from becalm.files.csv_rates import rate_above
 
 _SEPARATORS = (";", "\t", ",", "|", "", " ")  # in a draw the earlier one wins; "" is a file of one column
 _HEAD_BYTES = 65_536
@@ -90,7 +91,8 @@ def sniff(path: Path, data: bytes) -> Dialect:
     kinds = _column_kinds(body, width)
     first = _first_row(path, plain, cells, kinds)
     _refuse_open_cells(path, {number: lines[number].text for number in plain if number < first}, separator, width)
-    header = find_header([line.text for line in lines[:first]], start, separator, kinds)
+    above = [line.text for line in lines[:first]]
+    header = replace(find_header(above, start, separator, kinds), rate_hz=rate_above(above[start:], separator))
     _refuse_misfit(path, separator, header, width)
     data_rows = [cells[number] for number in plain if number >= first][:_JUDGED]
     kinds = _column_kinds([row for row in data_rows if len(row) == width], width)
@@ -100,7 +102,7 @@ def sniff(path: Path, data: bytes) -> Dialect:
 
 def _ends_head(line: _Line) -> bool:
     """Tell whether LabVIEW says that its head, which has numbers in columns, ends here."""
-    return line.text.startswith("***End_of_Header***")
+    return line.text.startswith(("***End_of_Header***", "delta t\t"))
 
 
 def _head(data: bytes) -> list[_Line]:
@@ -109,6 +111,8 @@ def _head(data: bytes) -> list[_Line]:
         if found.start() >= len(data) or (found.start() > _HEAD_BYTES and len(lines) >= _HEAD_LINES):
             break
         lines.append(_Line(found[1].decode("utf-8"), found.start()))
+    if lines[-1:] and lines[0].text.startswith(";") and ";" not in lines[-1].text:  # comments as Gulf Coast writes
+        return [_Line(re.sub("^;", "#", line.text), line.offset) for line in lines]
     return lines
 
 

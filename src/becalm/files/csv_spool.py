@@ -13,6 +13,7 @@ import pyarrow as pa
 from becalm.errors import InputError
 from becalm.files.cells import NUMBER, TIME
 from becalm.files.csv_header import unique_names
+from becalm.files.csv_rates import with_rate
 from becalm.files.csv_reader import (
     TextNumbers,
     arrow_options,
@@ -83,7 +84,8 @@ class _Spooling:
         rows.keep(without_padding(self._dialect, self._names, empty))
         layout = text_layout(self._text.encoding, self._text.compression, self._dialect, decimal)
         raw = RawTable(rows, rows.count, "csv", units_of(self._dialect, self._names), layout)
-        return with_end_told(raw, self._text.cut, self._last)
+        told = with_end_told(raw, self._text.cut, self._last)
+        return with_rate(told, self._dialect.header.rate_hz)
 
     def _body(self) -> Iterator[bytes]:
         return rows_of_text(self._last.whole_rows(self._text.lines()), self._dialect.separator)

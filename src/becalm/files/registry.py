@@ -75,7 +75,7 @@ FOREIGNERS: tuple[Foreigner, ...] = (
     Foreigner("npz", is_npz),
     Foreigner("rosbag", lambda head: head.startswith((b"#ROSBAG V", b"SQLite format 3\0"))),
     Foreigner("tdms", lambda head: head.startswith(b"TDSm")),
-    Foreigner("uff", lambda head: re.match(rb" {4}-1 *\r?\n(?=[ \d]{6}) *\d+[bB]?\s", head) is not None),
+    Foreigner("uff", lambda head: re.match(rb"\s{0,64}-1 *\r?\n(?=[ \d]{6}) *\d+[bB]?\s", head) is not None),
     Foreigner("ulog", lambda head: head.startswith(b"ULog\x01\x125")),
     Foreigner("wav", lambda head: head[:4] in (b"RIFF", b"RIFX", b"RF64", b"BW64") and head[8:12] == b"WAVE"),
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 
 import pyarrow as pa
@@ -16,9 +17,10 @@ from becalm.files.numbers import Signal
 from becalm.files.rows import block_rows
 from becalm.files.source import CHANNEL, PASSED, TIME, ColumnLayout, RawTable
 from becalm.files.time_column import NUMBERS, kind_of_column, named_column, numbers
-from becalm.files.units import parse_header, tidy_unit
+from becalm.files.units import on_sensor, parse_header, tidy_unit
 
 SIGMA = "_sigma"
+_COVARIANCE = re.compile(r".*_covariance_[0-9]+")  # what a ROS driver says of its sensor, beside each reading
 _FIRST_ROWS = 1 << 16
 
 
@@ -84,7 +86,7 @@ def choose_channels(
 
 def unit_of(raw: RawTable, name: str) -> str:
     """Return the unit of a column, "" where the file does not say."""
-    return tidy_unit(raw.units[name]) if name in raw.units else parse_header(name)[1]
+    return on_sensor(name, tidy_unit(raw.units[name])) if name in raw.units else parse_header(name)[1]
 
 
 def values_of(column: pa.ChunkedArray, decimal: str) -> Floats:
@@ -128,6 +130,8 @@ def _why_passed(raw: RawTable, times: Sequence[str]) -> dict[str, str]:
         kind = raw.type_of(name)
         if name.endswith(SIGMA) and name.removesuffix(SIGMA) in raw.names:
             told[name] = f"the uncertainty of {name.removesuffix(SIGMA)!r}"
+        elif _COVARIANCE.fullmatch(name):
+            told[name] = "a covariance that the sensor states"
         elif pa.types.is_boolean(kind):
             told[name] = "a flag (true and false)"
         elif pa.types.is_null(kind):

@@ -15,9 +15,9 @@ from becalm.core.arrays import Floats
 _HEAD_LINES = 12  # after the mark; the first of them names the set
 _LONGEST = 400  # bytes of such a line; 80 is usual
 _SIZE = slice(31, 43)  # where that first line of a binary set tells the bytes of its numbers
-_LINE = re.compile(rb"^ {4}-1 *\r?(?:\n|\Z)", re.MULTILINE)
+_LINE = re.compile(rb"^ {0,5}-1 *\r?(?:\n|\Z)", re.MULTILINE)  # four blanks, of which some writers leave out a few
 _MARK = re.compile(rb" {4}-1 *\r?(?:\n|\Z)")
-_AFTER_NUMBERS = re.compile(rb"[\r\n ]*?" + _MARK.pattern)
+_AFTER_NUMBERS = re.compile(rb"[\r\n ]*?-1 *\r?(?:\n|\Z)")
 
 
 class Values(NamedTuple):

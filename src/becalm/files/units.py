@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 
+from becalm.files.unit_words import is_unit
+
 _BRACKETED = re.compile(
     r"^(?P<name>.*?)\s*"
     r"(?:\((?P<round>[^()]*(?:\([^()]*\)[^()]*)*)\)|\[(?P<square>[^\[\]]*)\]|<(?P<angle>[^<>]*)>)\s*$"
@@ -77,6 +79,8 @@ _SPELLINGS = (
     ("\u00b5", "u"),  # the micro sign
     ("\u03b5", "strain"),
     ("\u00b0", "deg"),
+    ("\u03a9", "ohm"),
+    ("\u2126", "ohm"),
     ("\u00b2", "^2"),
     ("\u00b3", "^3"),
     ("\u00b7", "*"),
@@ -90,8 +94,12 @@ _PATTERNS = (
     (r"^(\w+)[.* ](\w+?)\^?-([2-9])$", r"\1/\2^\3"),
     (r"/\(([^()/*]*)\)$", r"/\1"),  # m/(s^2)
     (r"/(s|mm|cm|m)([23])$", r"/\1^\2"),
+    (r"^[Dd]eg(?:rees?|s)?\.? ?([CF])$", r"deg\1"),
 )
 _ENCLOSED = re.compile(r"^[\[(<]((?:[^\[\]()<>]|\([^()]*\))*)[\])>]$")
+
+_LARGE_G = re.compile(r"([mun]?)G")
+_MAGNETIC = re.compile(r"(?i:mag|gauss|field|flux|hall|compass)|(?:^|[\W_])B_?[xyzXYZ]?(?:$|[\W_])")
 
 _WHOLE = {
     "m/s/s": "m/s^2",
@@ -113,6 +121,7 @@ _WHOLE = {
     "sec": "s",
     "secs": "s",
     "second": "s",
+    "Second": "s",
     "seconds": "s",
     "Seconds": "s",
     "Sekunden": "s",
@@ -121,7 +130,7 @@ _WHOLE = {
     "nsec": "ns",
     "minutes": "min",
     "hours": "h",
-    **dict.fromkeys(("volt", "Volt", "volts", "Volts"), "V"),
+    **dict.fromkeys(("volt", "Volt", "volts", "Volts", "VOLT"), "V"),
     **dict.fromkeys(("Amp", "amps", "Amps"), "A"),
 }
 
@@ -143,14 +152,29 @@ def tidy_unit(text: str) -> str:
 
 def parse_header(header: str) -> tuple[str, str]:
     """Return the name without its unit, and the unit ("" where there is none)."""
+    name, unit = _parted(header)
+    return name, on_sensor(name, unit)
+
+
+def on_sensor(name: str, unit: str) -> str:
+    """Return what a unit means in a column of that name: G is g, and gauss only where something is magnetic."""
+    if (found := _LARGE_G.fullmatch(unit)) and not _MAGNETIC.search(name):
+        return f"{found[1]}g"
+    return unit
+
+
+def _parted(header: str) -> tuple[str, str]:
     if _INDEXED.search(header):
         return header.strip(), ""
     found = _BRACKETED.match(header)
     if found and ":" in (found["round"] or ""):  # a remark: (S/N: 123)
-        return parse_header(found["name"])
+        return _parted(found["name"])
     if found and found["name"].strip(" /"):
         unit = next(text for text in (found["round"], found["square"], found["angle"]) if text is not None)
-        return found["name"].rstrip(" /").strip(), tidy_unit(unit)
+        if found["round"] is None or is_unit(tidy_unit(unit)):
+            return found["name"].rstrip(" /").strip(), tidy_unit(unit)
+        name, inner = _parted(found["name"])  # V(out), acc (g) (raw)
+        return (f"{name} ({unit})", inner) if inner else (header.strip(), "")
     for pattern in (_AFTER_COMMA, _AFTER_IN, _SIGN):
         found = pattern.match(header)
         if found and looks_like_unit(found["unit"]):
