@@ -68,7 +68,7 @@ def test_a_library_that_is_missing_is_named(tmp_path: Path, monkeypatch: pytest.
     def missing(name: str) -> object:
         raise ModuleNotFoundError(name) if name == "h5py" else AssertionError(name)
 
-    importlib.import_module("becalm.files.hdf5")
+    importlib.import_module("becalm.files.arrays.hdf5")
     monkeypatch.setattr(foreign, "import_module", missing)
     with pytest.raises(InputError, match=r"pip install 'becalm\[formats\]'"):
         read_tables(tmp_path / "a.h5")

@@ -11,7 +11,8 @@ import pytest
 from scipy.io import loadmat
 
 from becalm.errors import OutputError
-from becalm.files import array_writer, open_output
+from becalm.files import open_output
+from becalm.files.arrays import array_writer
 from becalm.files.registry import read_tables
 from becalm.files.tables import in_words
 

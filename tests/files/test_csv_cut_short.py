@@ -13,8 +13,9 @@ from typer.testing import CliRunner
 
 from becalm.cli.main import app
 from becalm.errors import BecalmError, InputError
-from becalm.files import read_source, rows, text_blocks
+from becalm.files import read_source, rows
 from becalm.files.registry import read_tables
+from becalm.files.text import text_blocks
 
 ROWS = 60
 ENOUGH_ROWS = 12

@@ -17,15 +17,8 @@ import pytest
 from becalm.core.clock import Clock
 from becalm.core.timebase import Timebase
 from becalm.errors import BecalmError, InputError, OutputError
-from becalm.files import (
-    ReadOptions,
-    SourceFile,
-    open_source,
-    read_source,
-    roles,
-    rows,
-    text_blocks,
-)
+from becalm.files import ReadOptions, SourceFile, open_source, read_source, roles, rows
+from becalm.files.text import text_blocks
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"
 

@@ -158,7 +158,7 @@ def test_a_large_chunk_is_read_in_pieces(
     path.write_bytes(data[: len(data) - (cut if not interleaved else min(cut, 205))])
     (whole,) = tables(path)
     (expected,) = whole.blocks(whole.names)
-    monkeypatch.setattr("becalm.files.tdms_pieces._PIECE_BYTES", 56)
+    monkeypatch.setattr("becalm.files.recorders.tdms_pieces._PIECE_BYTES", 56)
     (table,) = tables(path)
     assert table.count == whole.count
     for block in (1, 7, 60, 1000):

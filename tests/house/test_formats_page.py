@@ -10,10 +10,10 @@ from format_samples import RATE_HZ, SAMPLES, Sample, signal
 
 from becalm.files import open_source
 from becalm.files.registry import FOREIGNERS
-from becalm.files.text import read_bytes
+from becalm.files.text.text import read_bytes
 
 ROWS = 60
-NO_WRITER = {"ide"}  # nothing here writes it; its sample is real
+NO_WRITER = {"recorders.ide"}  # nothing here writes it; its sample is real
 
 
 @pytest.mark.parametrize("sample", SAMPLES, ids=lambda sample: sample.name)

@@ -16,7 +16,7 @@ from becalm.files.conversion import Conversion, conversion
 from becalm.files.roles import SIGMA, unit_of
 from becalm.files.rows import Rows
 from becalm.files.source import RawTable
-from becalm.files.time_column import is_time_name, named_column
+from becalm.files.timing.time_column import is_time_name, named_column
 from becalm.files.units import parse_header, tidy_unit
 from becalm.sensors.record import Calibration
 

@@ -10,10 +10,10 @@ import numpy as np
 import pyarrow as pa
 
 from becalm.files.columns import Column, ColumnRows
-from becalm.files.csv_header import unique_names
 from becalm.files.foreign import Foreign
 from becalm.files.source import RawTable, ToldTime
-from becalm.files.time_column import is_time_name
+from becalm.files.text.csv_header import unique_names
+from becalm.files.timing.time_column import is_time_name
 
 TIME = "time_s"
 """What the time of a group is called."""

@@ -24,12 +24,12 @@ from becalm.files.chunk import Chunk
 from becalm.files.converting import in_units_asked
 from becalm.files.registry import read_tables
 from becalm.files.roles import choose_channels, missing_in, unit_of, values_of
-from becalm.files.row_times import row_times
 from becalm.files.rows import HeldRows, block_rows, rebatched
 from becalm.files.sensing import with_sensors
 from becalm.files.source import Layout, RawTable, TimeLayout, layout_of
-from becalm.files.time_mending import clock_of
-from becalm.files.times import Stamps
+from becalm.files.timing.row_times import row_times
+from becalm.files.timing.time_mending import clock_of
+from becalm.files.timing.times import Stamps
 from becalm.sensors.record import Calibration
 
 STRETCHES = 8

@@ -12,10 +12,10 @@ from typing import Any
 import pyarrow as pa
 
 from becalm.errors import InputError
-from becalm.files.csv_header import unique_names
 from becalm.files.foreign import refuse_claim
 from becalm.files.identity import Original
 from becalm.files.source import RawTable
+from becalm.files.text.csv_header import unique_names
 
 _READ_BYTES = 1 << 20
 _MAGIC = b"PAR1"

@@ -22,7 +22,7 @@ from becalm.files.asked import Asker
 from becalm.files.choosing import holds, listed
 from becalm.files.roles import SIGMA, unit_of, values_of
 from becalm.files.source import RawTable
-from becalm.files.time_column import named_column
+from becalm.files.timing.time_column import named_column
 from becalm.files.units import parse_header
 from becalm.sensors.bridge import Bridge
 from becalm.sensors.curve import Curve

@@ -10,17 +10,17 @@ from pathlib import Path
 from typing import NamedTuple
 
 from becalm.errors import InputError, OutputError
-from becalm.files.csv_reader import read_csv
-from becalm.files.csv_spool import spool_csv
-from becalm.files.hdf5 import is_hdf5
+from becalm.files.arrays.hdf5 import is_hdf5
+from becalm.files.arrays.mat import is_mat
+from becalm.files.arrays.mat73 import is_mat73
+from becalm.files.arrays.npz import is_npz
 from becalm.files.identity import Original
-from becalm.files.mat import is_mat
-from becalm.files.mat73 import is_mat73
-from becalm.files.npz import is_npz
 from becalm.files.parquet import read_parquet
 from becalm.files.source import RawTable
-from becalm.files.text import PARQUET, read_bytes, told
-from becalm.files.text_blocks import is_large
+from becalm.files.text.csv_reader import read_csv
+from becalm.files.text.csv_spool import spool_csv
+from becalm.files.text.text import PARQUET, read_bytes, told
+from becalm.files.text.text_blocks import is_large
 
 CSV, CSV_GZ, HDF5, MAT, MF4, NPZ = "csv", "csv.gz", "hdf5", "mat", "mf4", "npz"
 PARQUET_FORMAT = "parquet"
@@ -66,18 +66,18 @@ class Foreigner(NamedTuple):
 
 
 FOREIGNERS: tuple[Foreigner, ...] = (
-    Foreigner("hdf5", is_hdf5),
-    Foreigner("ide", lambda head: head.startswith(b"\x1a\x45\xdf\xa3") and b"mide" in head[:64]),
-    Foreigner("mat", is_mat),
-    Foreigner("mat73", is_mat73),
-    Foreigner("mcap", lambda head: head.startswith(b"\x89MCAP0\r\n")),
-    Foreigner("mf4", lambda head: head.startswith((b"MDF     ", b"UnFinMF "))),
-    Foreigner("npz", is_npz),
-    Foreigner("rosbag", lambda head: head.startswith((b"#ROSBAG V", b"SQLite format 3\0"))),
-    Foreigner("tdms", lambda head: head.startswith(b"TDSm")),
-    Foreigner("uff", lambda head: re.match(rb"\s{0,64}-1 *\r?\n(?=[ \d]{6}) *\d+[bB]?\s", head) is not None),
-    Foreigner("ulog", lambda head: head.startswith(b"ULog\x01\x125")),
-    Foreigner("wav", lambda head: head[:4] in (b"RIFF", b"RIFX", b"RF64", b"BW64") and head[8:12] == b"WAVE"),
+    Foreigner("arrays.hdf5", is_hdf5),
+    Foreigner("recorders.ide", lambda head: head.startswith(b"\x1a\x45\xdf\xa3") and b"mide" in head[:64]),
+    Foreigner("arrays.mat", is_mat),
+    Foreigner("arrays.mat73", is_mat73),
+    Foreigner("robots.mcap", lambda head: head.startswith(b"\x89MCAP0\r\n")),
+    Foreigner("recorders.mf4", lambda head: head.startswith((b"MDF     ", b"UnFinMF "))),
+    Foreigner("arrays.npz", is_npz),
+    Foreigner("robots.rosbag", lambda head: head.startswith((b"#ROSBAG V", b"SQLite format 3\0"))),
+    Foreigner("recorders.tdms", lambda head: head.startswith(b"TDSm")),
+    Foreigner("recorders.uff", lambda head: re.match(rb"\s{0,64}-1 *\r?\n(?=[ \d]{6}) *\d+[bB]?\s", head) is not None),
+    Foreigner("robots.ulog", lambda head: head.startswith(b"ULog\x01\x125")),
+    Foreigner("recorders.wav", lambda head: head[:4] in (b"RIFF", b"RIFX", b"RF64", b"BW64") and head[8:12] == b"WAVE"),
 )
 """In the order in which they are tried."""
 
@@ -91,7 +91,7 @@ def read_tables(path: Path) -> tuple[RawTable, ...]:
         If it cannot be read, or changes meanwhile.
     """
     if (path / BAG).is_file():
-        return _foreign_tables("rosbag", path)
+        return _foreign_tables("robots.rosbag", path)
     with told(path):
         once = not path.is_file()  # a pipe; or nothing
     if once:

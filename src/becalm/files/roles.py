@@ -11,12 +11,12 @@ import pyarrow.compute as pc
 from becalm.core.arrays import Floats
 from becalm.errors import InputError, UsageError
 from becalm.files.asked import COMMAND_LINE, Asker
-from becalm.files.bad_cells import bad_cell, find_bad_cells, is_text
-from becalm.files.cells import to_numbers
 from becalm.files.numbers import Signal
 from becalm.files.rows import block_rows
 from becalm.files.source import CHANNEL, PASSED, TIME, ColumnLayout, RawTable
-from becalm.files.time_column import NUMBERS, kind_of_column, named_column, numbers
+from becalm.files.text.bad_cells import bad_cell, find_bad_cells, is_text
+from becalm.files.text.cells import to_numbers
+from becalm.files.timing.time_column import NUMBERS, kind_of_column, named_column, numbers
 from becalm.files.units import on_sensor, parse_header, tidy_unit
 
 SIGMA = "_sigma"

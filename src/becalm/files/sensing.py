@@ -13,7 +13,7 @@ from becalm.files.roles import unit_of
 from becalm.files.sensed import Sensed, SensedRows, Thermometer
 from becalm.files.source import RawTable
 from becalm.files.taring import with_tares
-from becalm.files.time_column import named_column
+from becalm.files.timing.time_column import named_column
 from becalm.files.units import parse_header
 from becalm.sensors.record import Calibration, SensorRecord
 

@@ -11,9 +11,9 @@ from becalm.core.arrays import Floats
 from becalm.errors import SensorError
 from becalm.files.asked import ReadOptions
 from becalm.files.roles import values_of
-from becalm.files.row_times import RowTimes, row_times, rows_between
 from becalm.files.sensed import Sensed, SensedRows
 from becalm.files.source import RawTable
+from becalm.files.timing.row_times import RowTimes, row_times, rows_between
 from becalm.sensors.curve import Curve
 from becalm.sensors.record import tared
 from becalm.sensors.tare import MOST_READINGS, Tare, zero_of
