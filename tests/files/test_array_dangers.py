@@ -61,6 +61,24 @@ def test_rows_that_no_logger_wrote_are_no_rows(tmp_path: Path) -> None:
     assert "The logger stopped in the middle of 'x'" in " ".join(table.notes)
 
 
+@pytest.mark.parametrize("rows", [1000, 1 << 18])
+def test_chunks_that_unpack_to_more_than_their_rows_are_refused(rows: int, tmp_path: Path) -> None:
+    noise = np.random.default_rng(1).bytes(1_200_000)
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        dataset = file.create_dataset("x", (rows,), "f8", chunks=(rows,), compression="gzip")
+        dataset.id.write_direct_chunk((0,), zlib.compress(noise + bytes(1_200_000), 1))
+    with pytest.raises(InputError, match=r"than unpacked|more than its rows"):
+        read_tables(tmp_path / "a.h5")
+
+
+def test_large_chunks_of_noise_are_read(tmp_path: Path) -> None:
+    noise = np.random.default_rng(1).random(1 << 18)
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file.create_dataset("x", data=noise, chunks=(1 << 18,), compression="gzip", shuffle=True, fletcher32=True)
+    (table,) = read_tables(tmp_path / "a.h5")
+    np.testing.assert_array_equal(np.concatenate([block["x"] for block in table.blocks(["x"])]), noise)
+
+
 def test_a_library_that_is_missing_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file["x"] = VALUES

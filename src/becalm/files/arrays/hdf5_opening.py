@@ -12,6 +12,7 @@ import numpy as np
 
 from becalm.files.arrays.hdf5_gaps import Written, is_there
 from becalm.files.arrays.hdf5_heaps import damaged_heap
+from becalm.files.arrays.hdf5_packing import refuse_swollen
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _CACHE_BYTES = 8 << 20
@@ -65,7 +66,14 @@ class Opened:
             self._stretched.close()
 
     def whole_rows(self, dataset: Any) -> int:
-        """Return how many entries of a dataset's first axis are before the end of the file."""
+        """Return how many entries of a dataset's first axis are before the end of the file.
+
+        Raises
+        ------
+        ValueError
+            If it would unpack to more than its rows.
+        """
+        refuse_swollen(dataset)
         rows = dataset.shape[0] if dataset.shape else 1
         if self.size is None:
             return self._written_rows(dataset, int(rows))
