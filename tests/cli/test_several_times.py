@@ -86,4 +86,4 @@ def test_a_report_shows_the_channels_of_all_times(log: Path, run: Run, tmp_path:
 def test_an_output_that_holds_one_time_is_refused_with_those_that_hold_several(log: Path, run: Run) -> None:
     ran = run("clean", log, "-o", "out.csv")
     assert ran.returncode == 2
-    assert all(ending in ran.stderr for ending in (".h5", ".mat", ".mf4", ".npz", "--group")), ran.stderr
+    assert all(ending in ran.stderr for ending in (".h5", ".mat", ".mf4", ".npz", ".tdms", "--group")), ran.stderr

@@ -15,6 +15,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from asammdf import MDF
+from nptdms import TdmsFile
 from scipy.io import loadmat
 
 from becalm.errors import OutputError
@@ -184,6 +185,29 @@ def test_asammdf_sees_its_own_kind_of_file(tmp_path: Path) -> None:
     told = ElementTree.fromstring(history.comment)
     assert told.findtext("tool_id") == "becalm"
     assert told.findtext("common_properties/e[@name='becalm.recipe']") == RECIPE
+
+
+def test_nptdms_sees_its_own_kind_of_file(tmp_path: Path) -> None:
+    held = TdmsFile.read(write(tmp_path / "a.tdms", fast(), slow()))
+    assert [group.name for group in held.groups()] == [FAST, SLOW]
+    assert held.properties["becalm.recipe"] == RECIPE
+    ax = held[FAST]["ax"]
+    assert ax.properties["unit_string"] == "m/s^2"
+    np.testing.assert_array_equal(ax[:], fast()["ax"].to_numpy())
+    assert held[FAST]["ax_sigma"].dtype == np.float32
+    np.testing.assert_array_equal(held[FAST]["time_s"][:], TIMES)
+    assert held[FAST]["on"].dtype == bool
+    assert list(held[FAST]["ax_verdict"][:]) == fast()["ax_verdict"].to_pylist()
+    count = held[FAST]["count"]
+    np.testing.assert_array_equal(np.flatnonzero(count[:] == count.properties["_FillValue"]), [3])
+    assert held[SLOW].properties["becalm.start"] == "2026-01-02T03:04:07Z"
+    assert list(held[SLOW]["note"][:]) == slow()["note"].to_pylist()
+
+
+def test_missing_flags_are_refused_where_they_would_be_false(tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match="Flags in 'on' are missing"):
+        write_table(tmp_path / "a.tdms", pa.table({"on": pa.array([True, None, False])}))
+    assert not list(tmp_path.iterdir())
 
 
 def test_scipy_numpy_and_h5py_see_groups_as_theirs(tmp_path: Path) -> None:

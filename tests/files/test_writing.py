@@ -173,7 +173,7 @@ def test_gzip_output_is_the_same_every_time(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["out.xlsx", "out", "out.gz"])
 def test_unknown_endings_are_refused(name: str, tmp_path: Path) -> None:
-    with pytest.raises(OutputError, match=r"\.npz or \.parquet"):
+    with pytest.raises(OutputError, match=r"\.parquet or \.tdms"):
         write(tmp_path / name, Recording([1.0, 2.0], rate_hz=1.0))
 
 

@@ -33,7 +33,7 @@ def refuse_times(output: Path, groups: Sequence[str]) -> None:
         more = f" and {len(groups) - _MOST_NAMED} more" if len(groups) > _MOST_NAMED else ""
         raise UsageError(
             f"The file holds channels at {len(groups)} times ({named}{more}), and {output} can hold one; name"
-            " an output that ends in .h5, .mat, .mf4 or .npz, or choose one with --group."
+            " an output that ends in .h5, .mat, .mf4, .npz or .tdms, or choose one with --group."
         )
 
 

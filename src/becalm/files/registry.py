@@ -22,7 +22,7 @@ from becalm.files.text.csv_spool import spool_csv
 from becalm.files.text.text import PARQUET, read_bytes, told
 from becalm.files.text.text_blocks import is_large
 
-CSV, CSV_GZ, HDF5, MAT, MF4, NPZ = "csv", "csv.gz", "hdf5", "mat", "mf4", "npz"
+CSV, CSV_GZ, HDF5, MAT, MF4, NPZ, TDMS = "csv", "csv.gz", "hdf5", "mat", "mf4", "npz", "tdms"
 PARQUET_FORMAT = "parquet"
 
 ENDINGS: dict[str, str] = {
@@ -37,15 +37,16 @@ ENDINGS: dict[str, str] = {
     ".npz": NPZ,
     ".parquet": PARQUET_FORMAT,
     ".pq": PARQUET_FORMAT,
+    ".tdms": TDMS,
 }
 """What the ending of an output's name asks for."""
 
-_SEVERAL_TIMES = frozenset({HDF5, MAT, MF4, NPZ})
+_SEVERAL_TIMES = frozenset({HDF5, MAT, MF4, NPZ, TDMS})
 
 BAG = "metadata.yaml"
 """What a folder holds that ROS 2 recorded into; no other folder is read."""
 
-_ENDINGS = ".csv, .csv.gz, .h5, .mat, .mf4, .npz or .parquet"
+_ENDINGS = ".csv, .csv.gz, .h5, .mat, .mf4, .npz, .parquet or .tdms"
 
 _HEAD = 512  # bytes that tell a format
 

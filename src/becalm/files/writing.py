@@ -18,7 +18,8 @@ from becalm.files.arrays.array_writer import MatRows, NpzRows
 from becalm.files.arrays.hdf5_writer import Hdf5Rows
 from becalm.files.parquet_writer import ParquetRows
 from becalm.files.recorders.mf4_writer import Mf4Rows
-from becalm.files.registry import CSV, CSV_GZ, HDF5, MAT, MF4, NPZ, PARQUET_FORMAT, format_to_write
+from becalm.files.recorders.tdms_writer import TdmsRows
+from becalm.files.registry import CSV, CSV_GZ, HDF5, MAT, MF4, NPZ, PARQUET_FORMAT, TDMS, format_to_write
 from becalm.files.tables import output_table, recording_table
 from becalm.files.text.csv_writer import CsvRows
 from becalm.files.whole import refuse_folder, replace_file, replacing, sentences
@@ -29,7 +30,7 @@ _WAITING = 1  # chunks between the one being made and the one being written
 
 
 def write(path: str | os.PathLike[str], recording: Recording, sigma: Recording | None = None) -> None:
-    """Write a recording as CSV, CSV.GZ, HDF5, MAT, MF4, NPZ or Parquet, by the ending of the name.
+    """Write a recording as CSV, CSV.GZ, HDF5, MAT, MF4, NPZ, Parquet or TDMS, by the ending of the name.
 
     Parameters
     ----------
@@ -54,12 +55,12 @@ def write_table(path: str | os.PathLike[str], table: pa.Table, metadata: Mapping
     Parameters
     ----------
     path : path-like
-        Ends in .csv, .csv.gz, .h5, .hdf5, .mat, .mf4, .npz or .parquet.
+        Ends in .csv, .csv.gz, .h5, .hdf5, .mat, .mf4, .npz, .parquet or .tdms.
     table : pyarrow.Table
         What to write.
     metadata : mapping of str to str, optional
-        Kept in the file: as Parquet's own metadata, attributes (HDF5), history (MF4), texts (MAT, NPZ); CSV has no
-        place for it.
+        Kept in the file: as Parquet's own metadata, attributes (HDF5), history (MF4), properties (TDMS), texts (MAT,
+        NPZ); CSV has no place for it.
 
     Raises
     ------
@@ -77,10 +78,10 @@ def open_output(path: str | os.PathLike[str], metadata: Mapping[str, str] | None
     Parameters
     ----------
     path : path-like
-        Ends in .csv, .csv.gz, .h5, .hdf5, .mat, .mf4, .npz or .parquet.
+        Ends in .csv, .csv.gz, .h5, .hdf5, .mat, .mf4, .npz, .parquet or .tdms.
     metadata : mapping of str to str, optional
-        Kept in the file: as Parquet's own metadata, attributes (HDF5), history (MF4), texts (MAT, NPZ); CSV has no
-        place for it.
+        Kept in the file: as Parquet's own metadata, attributes (HDF5), history (MF4), properties (TDMS), texts (MAT,
+        NPZ); CSV has no place for it.
 
     Raises
     ------
@@ -138,6 +139,7 @@ _WRITERS: dict[str, Callable[[IO[bytes]], _Writer]] = {
     MF4: Mf4Rows,
     NPZ: NpzRows,
     PARQUET_FORMAT: ParquetRows,
+    TDMS: TdmsRows,
 }
 
 

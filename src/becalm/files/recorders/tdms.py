@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from becalm.files.columns import Column
 from becalm.files.foreign import Foreign
-from becalm.files.groups import Group, tables
+from becalm.files.groups import GROUP, START, TIME, Group, tables
 from becalm.files.recorders.tdms_pieces import in_pieces
+from becalm.files.recorders.tdms_writer import FILL
 from becalm.files.source import RawTable, ToldTime
 from becalm.files.timing.time_column import is_time_name
 from becalm.files.units import tidy_unit
@@ -105,10 +106,12 @@ def _groups(foreign: Foreign, group: Any, missing: dict[str, int]) -> Iterator[G
     held: dict[_Base, list[Any]] = {}
     empty = [channel.name for channel in group.channels() if not len(channel)]
     clocks = {len(channel) for channel in group.channels() if is_time_name(channel.name)}
+    name, start = (str(group.properties.get(key, other)) for key, other in ((GROUP, group.name), (START, "")))
+    dated = ToldTime(TIME, None, start) if start and TIME in {channel.name for channel in group.channels()} else None
     for channel in group.channels():
         if len(channel):
             preset = len(channel) in clocks and channel.properties.get("wf_increment") == _PRESET_S
-            time = None if preset else _told_time(channel.properties)
+            time = dated if preset or dated else _told_time(channel.properties)
             base = _Base(len(channel) + missing.get(channel.path, 0), time)
             held.setdefault(base, []).append(channel)
     for base in [base for base in held if base.time is None]:  # beside waveforms of one time, of that time
@@ -126,7 +129,7 @@ def _groups(foreign: Foreign, group: Any, missing: dict[str, int]) -> Iterator[G
                 notes.append(f"{channel.name!r} holds values of an unknown type, and was left out.")
             columns |= made
         foreign.refuse_claim(rows * sum(_width(column.type) for column in columns.values()))
-        yield Group(group.name, columns, rows, base.time, tuple(notes))
+        yield Group(name, columns, rows, base.time, tuple(notes))
 
 
 def _told_time(properties: dict[str, Any]) -> ToldTime | None:
@@ -146,7 +149,14 @@ def _told_time(properties: dict[str, Any]) -> ToldTime | None:
 def _columns(channel: Any) -> Iterator[tuple[str, Column]]:
     """Give the columns of a channel: one; two of complex values; none of what nobody knows."""
     kind = np.dtype(channel.dtype).newbyteorder("=")
-    unit = _unit(channel.properties)
+    unit, fill = _unit(channel.properties), channel.properties.get(FILL)
+    if kind.kind in "iu" and fill is not None:
+
+        def holed(values: NDArray[Any]) -> NDArray[np.float64]:
+            return np.where(values == fill, np.nan, values.astype(np.float64))
+
+        yield channel.name, Column(pa.float64(), _reader(channel, holed), unit)
+        return
     if kind.kind in "iufb":
         yield (
             channel.name,
