@@ -138,3 +138,12 @@ def test_equal_units_need_no_library() -> None:
         [sys.executable, "-c", f"{code}; assert 'pint' not in sys.modules"], capture_output=True, text=True, check=True
     )
     assert ran.stdout.strip() == "Conversion(factor=1.0, offset=0.0)"
+
+
+def test_no_unit_is_told_twice() -> None:
+    code = (
+        "import logging; logging.basicConfig(level=logging.WARNING)\n"
+        "from becalm.files.conversion import conversion; print(conversion('V', 'mV').factor)"
+    )
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert (ran.stdout.strip(), ran.stderr) == ("1000.0", "")
