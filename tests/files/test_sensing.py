@@ -163,9 +163,25 @@ def test_a_sensor_whose_time_is_not_clear_is_refused(channel: str, said: str, tm
 
 
 MISTAKES = {
+    "no channel": ('"pull"', '"push"', "pull,y", "names 'push', which is not a column; there are 'time_s', 'pull', 'y'"),
     "another unit": ('"pull"', '"pull (g)"', "pull (g)", r"--sensors expects 'pull \(g\)' in mV: 'g' is a unit of"),
     "a name taken": ('"pull"', '"pull (V)"', "pull (V),pull (N)", r"makes 'pull \(V\)' 'pull \(N\)', and another"),
 }
+
+
+@pytest.mark.parametrize("kind", ["two sensors", "two axes"])
+def test_a_column_with_two_sensors_is_refused(kind: str, log: Path) -> None:
+    text = BRIDGE + CELL.replace('"pull"', '" root"') if kind == "two sensors" else TRIAXIAL.replace('"y"', '"x (mV)"')
+    with pytest.raises(UsageError, match="names '.*' twice; a channel has one sensor"):
+        read(log, text)
+
+
+def test_two_columns_that_would_be_called_alike_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("time_s,pull (V),pull (mV)\n0,1,1\n1,2,1\n2,1,1\n", encoding="utf-8")
+    text = "".join(CELL.replace('"pull"', f'"pull ({unit})"') for unit in ("V", "mV"))
+    with pytest.raises(UsageError, match=r"makes both 'pull \(V\)' and 'pull \(mV\)' 'pull \(N\)'"):
+        read(path, text)
 
 
 @pytest.mark.parametrize("mistake", MISTAKES)

@@ -203,7 +203,7 @@ def test_readings_that_do_not_vary_have_the_uncertainty_that_was_said(tmp_path: 
 
 
 MISTAKES = {
-    "no thermometer": ("T2 (degC)", BRIDGE, "names 'root', 'T1', which no time of the file has together"),
+    "no thermometer": ("T2 (degC)", BRIDGE, "names 'T1', which is not a column"),
     "no temperature": ("T1 (V)", BRIDGE, r"expects 'T1 \(V\)' in degC"),
     "a thermometer's zero": ("T1", BRIDGE + THERMOMETER + 'tare = "0:1"\n', "tells a temperature, whose zero"),
 }

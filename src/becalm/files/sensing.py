@@ -41,11 +41,14 @@ def with_sensors(tables: Sequence[RawTable], options: ReadOptions) -> tuple[tupl
     Raises
     ------
     UsageError
-        If a column is not there, or in a unit that is no other size of the one the sensor expects.
+        If a column is not there, not of numbers, named by two sensors, or in a unit that is no other size of the one
+        the sensor expects.
     SensorError
         If a stretch from which a zero is to be taken is not quiet.
     """
     found = [_found(tables, record) for record in options.sensors]
+    for table in tables:
+        _refuse_twice([one for holder, one in found if holder is table])
     carried = tuple(_carried(table, [one for holder, one in found if holder is table], options) for table in tables)
     if options.channels is None:
         return carried, options
@@ -55,6 +58,8 @@ def with_sensors(tables: Sequence[RawTable], options: ReadOptions) -> tuple[tupl
 
 def _found(tables: Sequence[RawTable], record: SensorRecord) -> tuple[RawTable, Sensed]:
     holding = [table for table in tables if all(holds(table, name) for name in record.needed)]
+    if len(tables) == 1:
+        holding = list(tables)  # whoever looks for the column says which there are
     if len(holding) != 1:
         named, where = ", ".join(map(repr, record.needed)), listed(tables)
         raise UsageError(
@@ -65,6 +70,18 @@ def _found(tables: Sequence[RawTable], record: SensorRecord) -> tuple[RawTable, 
     columns = tuple(named_column(table, name, SENSORS_OPTION) for name in record.channels)
     sizes = tuple(_size(table, column, record.raw_unit) for column in columns)
     return table, Sensed(record, columns, sizes, tuple(_named(table, column, record.unit) for column in columns))
+
+
+def _refuse_twice(found: Sequence[Sensed]) -> None:
+    """Refuse a column that two sensors turn, by its name with and without a unit, and two that would be called alike."""
+    columns = [column for one in found for column in one.columns]
+    names = [name for one in found for name in one.names]
+    for at, (column, name) in enumerate(zip(columns, names, strict=True)):
+        if column in columns[:at]:
+            raise UsageError(f"--sensors names {column!r} twice; a channel has one sensor.")
+        if name in names[:at]:
+            other = columns[names.index(name)]
+            raise UsageError(f"--sensors makes both {other!r} and {column!r} {name!r}; rename one in the file.")
 
 
 def _with_thermometer(table: RawTable, one: Sensed, others: Sequence[Sensed]) -> Sensed:
