@@ -139,6 +139,16 @@ def test_a_filter_that_is_more_than_size_and_zero_is_refused(words: str, sentenc
     assert sentence in ran.stderr
 
 
+def test_a_unit_that_only_the_recipe_tells_is_seen(clean: Path, run: Run, tmp_path: Path) -> None:
+    clean.write_text(clean.read_text(encoding="utf-8").replace("a (V)", "a", 1), encoding="utf-8")
+    run("clean", clean, "-o", "mg.csv", "--channels", "a", "--sensors", "old.toml", "--unit", "a=m/s^2")
+    assert (tmp_path / "mg.csv").read_text(encoding="utf-8").startswith("time_s,a,a_sigma,")
+    ran = run("recalibrate", "mg.csv", "-o", "mended.csv", "--from", "old.toml", "--to", "new.toml")
+    assert ran.returncode == 2
+    assert "'a' is in m/s^2, and --from turns its readings into g" in ran.stderr
+    assert not (tmp_path / "mended.csv").exists()
+
+
 def test_without_its_recipe_nobody_knows_how_it_was_cleaned(clean: Path, run: Run, tmp_path: Path) -> None:
     ran = run("recalibrate", clean, "-o", "mended.csv", "--from", "old.toml", "--to", "new.toml")
     assert ran.returncode == 2

@@ -100,7 +100,7 @@ def test_the_other_commands_take_sensors(log: Path, run: Run) -> None:
 
 MISTAKES = {
     "no file": (None, "The sensor file s.toml cannot be read: No such file"),
-    "no channel": (CELL.replace('"pull"', '"push"'), "--sensors names 'push', which no time of the file has together"),
+    "no channel": (CELL.replace('"pull"', '"push"'), "--sensors names 'push', which is not a column; there are"),
     "a unit": (CELL.replace('"mV"', '"mV/V"'), "--sensors expects 'pull (V)' in mV/V"),
     "no TOML": ("[[sensor", "is not TOML"),
 }

@@ -12,7 +12,7 @@ import pytest
 
 from becalm.cleaning.sensor_file import load_sensors
 from becalm.core.arrays import Floats
-from becalm.errors import UsageError
+from becalm.errors import InputError, UsageError
 from becalm.files.asked import ReadOptions
 from becalm.files.opening import open_source
 from becalm.files.reading import read_source
@@ -87,7 +87,8 @@ def test_axes_in_other_sizes_of_volts_become_accelerations_together(log: Path) -
     assert source.table.schema.field("y").metadata == {b"unit": b"m/s^2"}
     assert source.table.column("note").to_pylist() == ["a", "b", "c"]
     said = "--sensors: 'x (mV)', 'y', 'z' are turned from V into m/s^2 by the sensor's sheet."
-    assert source.layout.notes == (said,)
+    taken = "--sensors: the file does not tell the unit of 'y', 'z'; it is taken to be V."
+    assert source.layout.notes == (said, taken)
 
 
 def test_a_bridge_tells_strain_exactly_and_a_load_cell_force(log: Path) -> None:
@@ -163,9 +164,45 @@ def test_a_sensor_whose_time_is_not_clear_is_refused(channel: str, said: str, tm
 
 
 MISTAKES = {
+    "no channel": (
+        '"pull"',
+        '"push"',
+        "pull,y",
+        "names 'push', which is not a column; there are 'time_s', 'pull', 'y'",
+    ),
     "another unit": ('"pull"', '"pull (g)"', "pull (g)", r"--sensors expects 'pull \(g\)' in mV: 'g' is a unit of"),
     "a name taken": ('"pull"', '"pull (V)"', "pull (V),pull (N)", r"makes 'pull \(V\)' 'pull \(N\)', and another"),
 }
+
+
+@pytest.mark.parametrize("cells", ["12,1x,14,15", "on,off,on,on"])
+def test_a_column_that_is_not_of_numbers_is_refused(cells: str, tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    rows = "".join(f"{k},{cell},1\n" for k, cell in enumerate(cells.split(",")))
+    path.write_text("time_s,pull (mV),y\n" + rows, encoding="utf-8")
+    with pytest.raises(InputError, match=r"Column 'pull \(mV\)' holds '(1x|on)' in .*, which is not a number"):
+        read(path, CELL)
+
+
+def test_a_share_of_a_temperature_is_none_of_another_scale(log: Path) -> None:
+    text = TRIAXIAL.replace('"m/s^2"', '"degC"')
+    with pytest.raises(UsageError, match="which is another share on another scale of temperature"):
+        open_source(log, ReadOptions(sensors=sensors(log.parent, text), units={"x": "K"}))
+
+
+@pytest.mark.parametrize("kind", ["two sensors", "two axes"])
+def test_a_column_with_two_sensors_is_refused(kind: str, log: Path) -> None:
+    text = BRIDGE + CELL.replace('"pull"', '" root"') if kind == "two sensors" else TRIAXIAL.replace('"y"', '"x (mV)"')
+    with pytest.raises(UsageError, match=r"names '.*' twice; a channel has one sensor"):
+        read(log, text)
+
+
+def test_two_columns_that_would_be_called_alike_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("time_s,pull (V),pull (mV)\n0,1,1\n1,2,1\n2,1,1\n", encoding="utf-8")
+    text = "".join(CELL.replace('"pull"', f'"pull ({unit})"') for unit in ("V", "mV"))
+    with pytest.raises(UsageError, match=r"makes both 'pull \(V\)' and 'pull \(mV\)' 'pull \(N\)'"):
+        read(path, text)
 
 
 @pytest.mark.parametrize("mistake", MISTAKES)

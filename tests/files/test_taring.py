@@ -104,6 +104,8 @@ def test_a_warm_bridge_tells_the_strain_of_its_resistors(kind: str, first: str, 
     assert tare.temperature_degc == pytest.approx(40.0)
     assert offset_std == pytest.approx(noise_um / np.sqrt(200), rel=0.2)
     assert any("the zero of 'root' was taken from 0 s to 2 s" in note and "at 40 degC" in note for note in notes)
+    untold = [note for note in notes if "does not tell the unit of 'T1'; it is taken to be degC" in note]
+    assert len(untold) == (kind == "no unit")
 
 
 def test_uncorrected_it_is_far_off(tmp_path: Path) -> None:
@@ -124,7 +126,7 @@ def test_a_constant_temperature_is_taken_off(tmp_path: Path) -> None:
     text = BRIDGE.replace('temperature_channel = "T1"', "temperature_degc = 40.0")
     with opened(written(tmp_path, "T1 (degC)", DEGC), text) as source:
         found = source.recording().channel("root")
-        (note, tared) = source.notes
+        note, tared, *_ = source.notes
     assert "corrected for temperature by 40 degC" in note
     assert "at 40 degC" in tared
     np.testing.assert_allclose(found[:250], 1e6 * STRAIN[:250], atol=6)
@@ -179,6 +181,17 @@ def test_the_zero_is_as_uncertain_as_its_mean_and_what_the_sheet_says(tmp_path: 
     assert found == pytest.approx(1e-3 * np.hypot(mean_n, 3.0), rel=1e-6)
 
 
+@pytest.mark.parametrize("wild", [np.inf, -1e200])
+def test_what_no_sensor_gives_is_not_in_the_zero(wild: float, tmp_path: Path) -> None:
+    pull = NOISY.copy()
+    pull[150] = wild
+    with opened(pulled(tmp_path, pull), CELL) as source:
+        tare = source.calibrations["pull"].tare
+    assert tare is not None
+    assert tare.readings == 199
+    assert tare.reading == pytest.approx(np.delete(NOISY, 150)[100:299].mean(), abs=1e-6)
+
+
 QUIET = "The zero of 'pull' cannot be taken from 1 s to 3 s, as its tare says: "
 REFUSED = {
     "a drift": (NOISY + 0.01 * T, QUIET + "The stretch is not quiet: it wanders by"),
@@ -203,7 +216,7 @@ def test_readings_that_do_not_vary_have_the_uncertainty_that_was_said(tmp_path: 
 
 
 MISTAKES = {
-    "no thermometer": ("T2 (degC)", BRIDGE, "names 'root', 'T1', which no time of the file has together"),
+    "no thermometer": ("T2 (degC)", BRIDGE, "names 'T1', which is not a column"),
     "no temperature": ("T1 (V)", BRIDGE, r"expects 'T1 \(V\)' in degC"),
     "a thermometer's zero": ("T1", BRIDGE + THERMOMETER + 'tare = "0:1"\n', "tells a temperature, whose zero"),
 }

@@ -83,3 +83,10 @@ def test_columns_that_do_not_fit_are_refused() -> None:
 def test_a_curve_that_tells_nothing_is_refused(coefficients: tuple[float, ...]) -> None:
     with pytest.raises(SensorError, match=r"tells nothing|not a finite"):
         Curve(coefficients)
+
+
+@pytest.mark.parametrize("conversion", [Curve((1.0, 2.0, 3.0)), Bridge("quarter I", 2.0), LoadCell(2.0, 100.0)])
+def test_a_reading_without_bounds_is_no_number_and_no_warning(conversion: Curve | Bridge | LoadCell) -> None:
+    record = SensorRecord(("a",), "V", "N", conversion)
+    told = applied(record, {"a": np.array([np.inf, 1e-3, -np.inf, 1e-3])})["a"]
+    np.testing.assert_array_equal(np.isfinite(told), [False, True, False, True])

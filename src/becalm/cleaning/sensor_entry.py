@@ -73,7 +73,7 @@ class Entry(Settings):
     raw_unit: RawUnit
     unit: Name
     span_v: Positive | None = None
-    bits: Annotated[int, Field(ge=1, le=64)] | None = None
+    bits: Annotated[int, Field(ge=1, le=64, strict=True)] | None = None
     lowest_reading: Finite | None = None
     highest_reading: Finite | None = None
     zero_uncertainty: NotNegative = 0.0

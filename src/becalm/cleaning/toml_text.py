@@ -33,7 +33,7 @@ class TomlKind(NamedTuple):
         try:
             return model.model_validate(tomlkit.parse(text).unwrap())
         except ValidationError as cause:
-            faults = "; ".join(_faults({error["loc"]: error["msg"] for error in cause.errors()}))
+            faults = "; ".join(_faults({error["loc"]: _words(error["msg"]) for error in cause.errors()}))
             raise self.error(f"{source} does not say what a {self.name} must: {faults}. {way_out}") from cause
         except (tomlkit.exceptions.TOMLKitError, ValueError) as cause:
             raise self.error(f"{source} is not TOML ({cause}). {way_out}") from cause
@@ -44,3 +44,8 @@ def _faults(messages: dict[tuple[int | str, ...], str]) -> list[str]:
     inside = {where[:depth] for where in messages for depth in range(1, len(where))}
     named = {where: ".".join(str(part + 1) if isinstance(part, int) else part for part in where) for where in messages}
     return [f"{named[at]}: {said}" if at else said for at, said in messages.items() if at not in inside]
+
+
+def _words(message: str) -> str:
+    """Return what is wrong without pydantic's heading, and without the full stop that follows all faults."""
+    return message.removeprefix("Value error, ").removesuffix(".")

@@ -203,6 +203,11 @@ def _carried(raw: RawTable, columns: Mapping[str, Converted]) -> RawTable:
 
 
 def _scaled_zero(calibration: Calibration, size: Conversion) -> Calibration:
+    if size.offset and calibration.relative_std:
+        raise UsageError(
+            "A sensor's sheet tells how uncertain a sensitivity is as a share of the result, which is another share on"
+            " another scale of temperature; leave the unit as the sheet has it, or write the sensor for the other."
+        )
     return calibration._replace(offset_std=calibration.offset_std * size.factor)
 
 

@@ -125,7 +125,7 @@ def _of_channel(table: RawTable, recipe: Recipe, old: SensorRecord, new: SensorR
     channel = next((one for one in recipe.channel if one.name == column), None)
     if channel is None or column + SIGMA not in table.names:
         raise UsageError(f"{column!r} was not cleaned: the recipe, or its column of sigma, is without it. {_AGAIN}")
-    if (unit := unit_of(table, column)) not in ("", old.unit):
+    if (unit := unit_of(table, column) or channel.unit) not in ("", old.unit):
         raise UsageError(f"{column!r} is in {unit}, and --from turns its readings into {old.unit}. {_AGAIN}")
     if channel.switching is not None:
         raise UsageError(f"The filter of {column!r} switches: its signal is not linear in the readings. {_AGAIN}")

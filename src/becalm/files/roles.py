@@ -80,7 +80,7 @@ def choose_channels(
         reasons = "; ".join(f"{c.name!r}: {c.why or c.role}" for c in columns[:10])
         raise InputError(f"There is no column of numbers to clean ({reasons}). Name one with --channels to insist.")
     for name in channels if wanted is None else wanted:
-        _refuse_no_numbers(raw, name, times)
+        refuse_no_numbers(raw, name, times)
     return (channels if wanted is None else wanted), tuple(columns)
 
 
@@ -179,8 +179,14 @@ def _or_without(raw: RawTable, name: str, times: Sequence[str]) -> str:
     return f", or leave the column out by naming the others: --channels {','.join(others[:3])!r}" if others else ""
 
 
-def _refuse_no_numbers(raw: RawTable, name: str, times: Sequence[str]) -> None:
-    """Refuse a channel that was asked for and holds no numbers."""
+def refuse_no_numbers(raw: RawTable, name: str, times: Sequence[str]) -> None:
+    """Refuse a channel that was asked for and holds no numbers; `times` are none to take in its place.
+
+    Raises
+    ------
+    InputError
+        With its first cell that is none.
+    """
     kind = raw.type_of(name)
     if is_text(kind):
         bad = find_bad_cells(raw, name)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from dataclasses import replace
 
 from becalm.errors import UsageError
 from becalm.files.asked import Asker, ReadOptions
 from becalm.files.choosing import holds, listed
 from becalm.files.conversion import Conversion, conversion
-from becalm.files.roles import unit_of
+from becalm.files.roles import refuse_no_numbers, unit_of
 from becalm.files.sensed import Sensed, SensedRows, Thermometer
 from becalm.files.source import RawTable
 from becalm.files.taring import with_tares
@@ -41,11 +41,16 @@ def with_sensors(tables: Sequence[RawTable], options: ReadOptions) -> tuple[tupl
     Raises
     ------
     UsageError
-        If a column is not there, or in a unit that is no other size of the one the sensor expects.
+        If a column is not there, named by two sensors, or in a unit that is no other size of the one that the sensor
+        expects.
+    InputError
+        If a column holds no numbers.
     SensorError
         If a stretch from which a zero is to be taken is not quiet.
     """
     found = [_found(tables, record) for record in options.sensors]
+    for table in tables:
+        _refuse_twice([one for holder, one in found if holder is table])
     carried = tuple(_carried(table, [one for holder, one in found if holder is table], options) for table in tables)
     if options.channels is None:
         return carried, options
@@ -55,6 +60,8 @@ def with_sensors(tables: Sequence[RawTable], options: ReadOptions) -> tuple[tupl
 
 def _found(tables: Sequence[RawTable], record: SensorRecord) -> tuple[RawTable, Sensed]:
     holding = [table for table in tables if all(holds(table, name) for name in record.needed)]
+    if len(tables) == 1:
+        holding = list(tables)  # whoever looks for the column says which there are
     if len(holding) != 1:
         named, where = ", ".join(map(repr, record.needed)), listed(tables)
         raise UsageError(
@@ -65,6 +72,18 @@ def _found(tables: Sequence[RawTable], record: SensorRecord) -> tuple[RawTable, 
     columns = tuple(named_column(table, name, SENSORS_OPTION) for name in record.channels)
     sizes = tuple(_size(table, column, record.raw_unit) for column in columns)
     return table, Sensed(record, columns, sizes, tuple(_named(table, column, record.unit) for column in columns))
+
+
+def _refuse_twice(found: Sequence[Sensed]) -> None:
+    """Refuse a column that two sensors turn, by whichever of its names, and two that would be called alike."""
+    columns = [column for one in found for column in one.columns]
+    names = [name for one in found for name in one.names]
+    for at, (column, name) in enumerate(zip(columns, names, strict=True)):
+        if column in columns[:at]:
+            raise UsageError(f"--sensors names {column!r} twice; a channel has one sensor.")
+        if name in names[:at]:
+            other = columns[names.index(name)]
+            raise UsageError(f"--sensors makes both {other!r} and {column!r} {name!r}; rename one in the file.")
 
 
 def _with_thermometer(table: RawTable, one: Sensed, others: Sequence[Sensed]) -> Sensed:
@@ -83,6 +102,7 @@ def _with_thermometer(table: RawTable, one: Sensed, others: Sequence[Sensed]) ->
 
 
 def _size(table: RawTable, column: str, raw_unit: str) -> Conversion:
+    refuse_no_numbers(table, column, ())
     return _conversion(column, unit_of(table, column) or raw_unit, raw_unit)
 
 
@@ -110,13 +130,24 @@ def _carried(table: RawTable, found: Sequence[Sensed], options: ReadOptions) -> 
     own = {name for one in sensed for name in one.columns}
     units = {name: unit for name, unit in table.units.items() if name not in own}
     units |= {name: one.record.unit for one in sensed for name in one.names}
-    rows, notes = (
-        SensedRows(table.rows, sensed, table.decimal),
-        table.notes + tuple(note for one in sensed for note in one.notes),
-    )
+    rows = SensedRows(table.rows, sensed, table.decimal)
+    notes = (*table.notes, *(note for one in sensed for note in (*one.notes, *_taken_for(table, one, own))))
     uncertain = {
         name: Calibration(share, one.record.offset_std, one.tare, one.record.sheet.resonance)
         for one in sensed
         for name, share in zip(one.names, one.record.relative_stds, strict=True)
     }
     return replace(table, rows=rows, units=units, notes=notes, calibrations=uncertain)
+
+
+def _taken_for(table: RawTable, one: Sensed, sensed: Container[str]) -> tuple[str, ...]:
+    """Say of columns whose unit the file does not tell what they are taken to be in."""
+    read = [(one.columns, one.record.raw_unit)]
+    if one.thermometer is not None and one.thermometer.column in table.names and one.thermometer.column not in sensed:
+        read.append(((one.thermometer.column,), DEGC))
+    untold = [([name for name in names if not unit_of(table, name)], unit) for names, unit in read]
+    return tuple(
+        f"--sensors: the file does not tell the unit of {', '.join(map(repr, names))}; it is taken to be {unit}."
+        for names, unit in untold
+        if names
+    )

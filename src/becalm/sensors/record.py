@@ -213,7 +213,8 @@ def applied(record: SensorRecord, columns: Mapping[str, Floats]) -> dict[str, Fl
     readings = np.column_stack([np.asarray(columns[name], dtype=np.float64) for name in record.channels])
     if record.full_scale is not None:
         readings = np.where(record.full_scale.clipped(readings), np.nan, readings)
-    told = _converted(record.conversion, record.reading_size * readings)
+    with np.errstate(invalid="ignore", over="ignore"):  # of a reading that is inf
+        told = _converted(record.conversion, record.reading_size * readings)
     if record.temperature is not None and isinstance(record.conversion, Bridge):
         told = _without_temperature(told, record.temperature, record.conversion.gauge_factor, columns)
     told = record.result_size * told

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.special import fdtrc
 
 from becalm.core.arrays import Floats
+from becalm.core.verdict import BEYOND_ANY_SENSOR
 from becalm.errors import SensorError
 
 BLOCKS = 8
@@ -77,7 +78,7 @@ def zero_of(stretch: Floats) -> Zero:
     Parameters
     ----------
     stretch : (n,) float array
-        Readings without load, in any unit; NaN is left out.
+        Readings without load, in any unit; NaN is left out, and what no sensor gives, as inf.
 
     Raises
     ------
@@ -89,7 +90,7 @@ def zero_of(stretch: Floats) -> Zero:
     Eight blocks are compared by analysis of variance: their means with the noise within them, and the power of the
     loudest with that of the others. Refused is what is both significant (one in a thousand) and large.
     """
-    seen = stretch[np.isfinite(stretch)]
+    seen = stretch[np.abs(stretch) <= BEYOND_ANY_SENSOR]
     if len(seen) < FEWEST:
         raise SensorError(f"The stretch has {len(seen)} readings; a zero needs {FEWEST}. Give a longer one.")
     blocks = np.array_split(seen - seen[0], BLOCKS)  # told from the first one, so that an offset costs no digits
