@@ -17,7 +17,7 @@ from typing import Any
 import pyarrow as pa
 
 from becalm.errors import InputError
-from becalm.files.columns import Column
+from becalm.files.columns import Column, least_bytes
 from becalm.files.foreign import Foreign
 from becalm.files.groups import TIME, Group, tables
 from becalm.files.recorders.mf4_blocks import looked_through
@@ -126,7 +126,7 @@ def _groups(foreign: Foreign, log: Any, masters: Sequence[int]) -> Iterator[Grou
         master, time = _master(log, index)
         names = unique_names([*master, *(name for name, _ in named)])
         columns = dict(zip(names, [*master.values(), *(column for _, column in named)], strict=True))
-        foreign.refuse_claim(rows * sum(_width(column.type) for column in columns.values()))
+        foreign.refuse_claim(rows * sum(least_bytes(column.type) for column in columns.values()))
         yield Group(_title(group), columns, rows, time, tuple(notes))
 
 
@@ -181,7 +181,3 @@ def _title(group: Any) -> str:
         return found["name"]
     name = str(getattr(group, "acq_name", "") or "")
     return name or ("" if "<" in comment else comment.strip())
-
-
-def _width(kind: pa.DataType) -> int:
-    return kind.bit_width // 8 if pa.types.is_primitive(kind) else 1
