@@ -66,7 +66,7 @@ def _opened(library: ModuleType, file: Any) -> Any:
     try:
         with redirect_stdout(io.StringIO()):
             return library.MDF(file, raise_on_multiple_occurrences=False, add_array_components=False)
-    except Exception as cause:
+    except Exception as cause:  # asammdf's, of a damaged file: of any kind
         told, sys.unraisablehook = sys.unraisablehook, lambda _: None  # half an object complains when it goes
         try:
             clear_frames(cause.__traceback__)
@@ -133,16 +133,12 @@ def _groups(foreign: Foreign, log: Any, masters: Sequence[int]) -> Iterator[Grou
 def _rows(group: Any) -> int:
     """Return how many rows the blocks of a group can hold."""
     head = group.channel_group
-    width = head.samples_byte_nr + (
-        0 if getattr(group, "uses_ld", False) else getattr(head, "invalidation_bytes_nr", 0)
-    )
+    invalidation = 0 if getattr(group, "uses_ld", False) else getattr(head, "invalidation_bytes_nr", 0)
+    width = head.samples_byte_nr + invalidation
     if not width:  # nothing but a time that is counted
         return int(head.cycles_nr)
-    return (
-        sum(block.original_size for block in group.get_data_blocks()) // width
-        if hasattr(group, "get_data_blocks")
-        else 0
-    )
+    blocks = group.get_data_blocks() if hasattr(group, "get_data_blocks") else ()
+    return int(sum(block.original_size for block in blocks) // width)
 
 
 def _master(log: Any, index: int) -> tuple[dict[str, Column], ToldTime | None]:
