@@ -24,6 +24,10 @@ _SPARE = 1024
 _NUMBERS4 = (8, 4, 4, 2, 2, 1)  # bytes of a value, by the digit P of version 4
 
 
+SPARSE = "it is a sparse matrix; save it from MATLAB as full(A)"
+"""Why such a matrix is not read, and what to do."""
+
+
 class Variable(NamedTuple):
     """One variable.
 
@@ -97,7 +101,7 @@ def variables4(data: memoryview) -> Iterator[Variable]:
         if end > len(data):
             yield Variable(name, b"", "the file ends in it")
             return
-        yield Variable(name, bytes(data[at:end])) if content < 2 else Variable(name, b"", "it is a sparse matrix")
+        yield Variable(name, bytes(data[at:end])) if content < 2 else Variable(name, b"", SPARSE)
         at = end
 
 
@@ -172,7 +176,7 @@ def _name(data: memoryview, parts: list[Part]) -> str:
 def _why_not(data: memoryview, parts: list[Part], order: str) -> str:
     """Say why an array that only MATLAB opens, or a sparse one, is not read."""
     if kind_of(data, parts, order) == _SPARSE:
-        return "it is a sparse matrix"
+        return SPARSE
     texts = [bytes(data[one.start :][: one.length]).decode("latin-1") for one in parts[1:] if one.kind in (1, 2, 16)]
     return f"it is a MATLAB {texts[-1] if texts else 'object'}, which only MATLAB opens"
 
