@@ -217,7 +217,13 @@ def lag_of(text: str | None) -> float | None:
 
 
 def jitter_of(text: str | None) -> float | None:
-    """Read by how much the sampling jitters, in seconds; a UsageError if it is no positive number with its unit."""
+    """Read by how much the sampling jitters, in seconds.
+
+    Raises
+    ------
+    UsageError
+        If it is no positive number with its unit.
+    """
     std_s = None if text is None else _quantity(text, "max_lag_s")
     if text is not None and (std_s is None or not 0 < std_s < inf):
         raise UsageError(f"--time-jitter {text} is no time; write a positive number and then s, ms or us, as 50us.")
