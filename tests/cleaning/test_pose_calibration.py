@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from becalm.cleaning.pose_calibration import calibrate_poses, find_rests
+from becalm.cleaning.pose_calibration import find_poses, find_rests
 from becalm.core.arrays import Floats
 from becalm.core.recording import Recording
 from becalm.errors import SensorError
@@ -40,7 +40,7 @@ def sphere(means: Floats) -> Floats:
 
 def test_gravity_becomes_as_long_in_all_poses() -> None:
     means = rests().means
-    after = calibrate_poses(laid_down()).spread(means)
+    after = calibrate_by_length(find_poses(laid_down())).spread(means)
     assert FEWER * after < common_factor(means, sphere(means)).spread(means)
     assert 100 * after < common_factor(means, MID_SCALE).spread(means)
 
@@ -53,7 +53,7 @@ def test_gravity_becomes_as_long_in_poses_that_were_held_out(first: int) -> None
 
 
 def test_errors_are_small_and_told() -> None:
-    found = calibrate_poses(laid_down())
+    found = calibrate_by_length(find_poses(laid_down()))
     assert (found.bias_std < 1.0).all()  # of 4000 counts for g
     halves = [calibrate_by_length(Rests(*(part[first::2] for part in rests()))) for first in (0, 1)]
     apart = np.abs(halves[0].bias - halves[1].bias) / np.hypot(halves[0].bias_std, halves[1].bias_std)
@@ -63,9 +63,9 @@ def test_errors_are_small_and_told() -> None:
 def test_a_record_with_few_rests_says_how_many() -> None:
     noise = np.random.default_rng(0).normal([0.0, 0.0, 9.8], 1.0, (3000, 3))
     with pytest.raises(SensorError, match="1 rests were found, of 10 that are needed"):
-        calibrate_poses(Recording(noise, rate_hz=100.0))
+        find_poses(Recording(noise, rate_hz=100.0))
 
 
 def test_a_sensor_of_two_axes_is_refused() -> None:
     with pytest.raises(SensorError, match="2 channels came"):
-        calibrate_poses(Recording(np.zeros((100, 2)), rate_hz=100.0))
+        find_poses(Recording(np.zeros((100, 2)), rate_hz=100.0))

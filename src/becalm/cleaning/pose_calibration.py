@@ -1,4 +1,4 @@
-"""A recording in which an accelerometer lay in many poses: its rests are found, and calibrate it."""
+"""A recording in which an accelerometer lay in many poses: the rests that calibrate it."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ import numpy as np
 from becalm.core.recording import Recording
 from becalm.errors import SensorError
 from becalm.noise.still import SHORTEST_S, find_still
-from becalm.sensors.checks import STANDARD_GRAVITY
-from becalm.sensors.poses import FEWEST_POSES, PoseCalibration, Rests, calibrate_by_length
+from becalm.sensors.poses import FEWEST_POSES, Rests
 
 _AXES = 3
 _BLOCKS = 8  # of a rest, whose means tell how well its own is known, whatever remembers within a block
@@ -50,24 +49,6 @@ def find_rests(recording: Recording, shortest_s: float = SHORTEST_S) -> Rests:
             means.append(rest.mean(axis=0))
             stds.append(std)
     return Rests(np.reshape(means, (-1, _AXES)), np.reshape(stds, (-1, _AXES)))
-
-
-def calibrate_poses(recording: Recording, gravity: float = STANDARD_GRAVITY) -> PoseCalibration:
-    """Calibrate a triaxial accelerometer by a recording in which it was laid down in many poses.
-
-    Parameters
-    ----------
-    recording : Recording
-        Its three channels, in readings: V, counts.
-    gravity : float
-        Where it lay, in the unit that is wanted.
-
-    Raises
-    ------
-    SensorError
-        If there are not three channels, too few rests, or rests too alike.
-    """
-    return calibrate_by_length(find_poses(recording), gravity)
 
 
 def find_poses(recording: Recording) -> Rests:

@@ -22,14 +22,13 @@ from becalm.sensors.poses import (
     common_factor,
     nearest_sphere,
 )
+from becalm.sensors.record import COVERAGE
 
 ACCELERATIONS = {"m/s^2": 1.0, "g": STANDARD_GRAVITY}
 """What an accelerometer can be calibrated in, in m/s^2."""
 
 LEAST_GRAVITY, MOST_GRAVITY = 9.780, 9.832
 """At sea level on the equator and at the poles, in m/s^2."""
-
-_COVERAGE = 2.0
 
 
 class PoseReport(NamedTuple):
@@ -74,13 +73,13 @@ class PoseReport(NamedTuple):
     def scale_uncertainties_percent(self) -> Floats:
         """Expanded (k = 2), (3,), gravity's included."""
         relative = np.diag(self.calibration.matrix_std) / np.abs(self.scales)
-        return np.asarray(100 * _COVERAGE * np.hypot(relative, self.gravity_relative_std))
+        return np.asarray(100 * COVERAGE * np.hypot(relative, self.gravity_relative_std))
 
     @property
     def zero_uncertainty(self) -> float:
         """Expanded (k = 2), of the result of that axis of which it is largest, in unit."""
         of_axes = np.sqrt(self.calibration.matrix**2 @ self.calibration.bias_std**2)
-        return float(_COVERAGE * of_axes.max())
+        return float(COVERAGE * of_axes.max())
 
     def entry(self, calibrated: date) -> TriaxialEntry:
         """Return what goes into the sensor file, with the day of calibration."""

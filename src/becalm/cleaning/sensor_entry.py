@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import re
 from datetime import date
-from math import inf
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
 from becalm.cleaning.recipe_parts import Finite, NotNegative, Positive, Settings
+from becalm.cleaning.stretches import stretch_s
 from becalm.sensors.accelerometer import FullScale, volts_per_count
 from becalm.sensors.record import SensorRecord, Sheet
 
 Name = Annotated[str, Field(min_length=1)]
 _VOLTS = {"V": 1.0, "mV": 1e-3}
-_TIME = re.compile(r"(?P<number>\d+\.?\d*|\.\d+) *(?P<unit>ms|s|min)?")
-_SECONDS = {None: 1.0, "ms": 1e-3, "s": 1.0, "min": 60.0}
 RawUnit = Literal["V", "mV", "mV/V", "counts", "g", "m/s^2"]
 
 
@@ -158,10 +155,9 @@ class OneChannel(Entry):
 
 def _span_s(text: str) -> tuple[float, float]:
     """Read a stretch of time, START:STOP, in seconds."""
-    ends = [_TIME.fullmatch(end.strip()) for end in text.split(":")]
-    times_s = [float(end["number"]) * _SECONDS[end["unit"]] for end in ends if end]
-    if len(ends) != 2 or len(times_s) != 2 or not times_s[0] < times_s[1] < inf:
+    span_s = stretch_s(text)
+    if span_s is None:
         raise ValueError(
             f'tare = "{text}" is no stretch of time; write START:STOP after the first row, as "0s:20s" or "1min:2min"'
         )
-    return times_s[0], times_s[1]
+    return span_s

@@ -21,7 +21,13 @@ class TomlKind(NamedTuple):
     error: type[RecipeError | SensorError]
 
     def text_of(self, path: str | Path, way_out: str) -> str:
-        """Return the text of a file; `way_out` ends the sentence that says why it cannot be read."""
+        """Return the text of a file; `way_out` ends the sentence that says why it cannot be read.
+
+        Raises
+        ------
+        RecipeError or SensorError
+            As this kind has it, if the file cannot be read or is not UTF-8.
+        """
         try:
             return Path(path).read_text(encoding="utf-8-sig")
         except (OSError, UnicodeDecodeError) as cause:
@@ -29,7 +35,13 @@ class TomlKind(NamedTuple):
             raise self.error(f"The {self.name} {path} cannot be read: {reason}. {way_out}") from cause
 
     def parsed(self, model: type[Document], text: str, source: str, way_out: str) -> Document:
-        """Return what a text says; `source` begins the sentence that says what is wrong, `way_out` ends it."""
+        """Return what a text says; `source` begins the sentence that says what is wrong, `way_out` ends it.
+
+        Raises
+        ------
+        RecipeError or SensorError
+            As this kind has it, if the text is not TOML, or a value is missing, unknown or impossible.
+        """
         try:
             return model.model_validate(tomlkit.parse(text).unwrap())
         except ValidationError as cause:

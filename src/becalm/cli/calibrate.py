@@ -18,6 +18,7 @@ from becalm.cli.talk import stderr, tell_notes
 from becalm.errors import SensorError, UsageError
 from becalm.files.plain import refuse_unwritable, write_text
 from becalm.sensors.checks import STANDARD_GRAVITY
+from becalm.sensors.record import COVERAGE
 
 _AXES = 3
 
@@ -77,7 +78,7 @@ def _show(found: PoseReport, gravity: float | None) -> None:
         table.add_row(
             name,
             f"{calibration.bias[axis]:.6g}",
-            f"{2 * calibration.bias_std[axis]:.2g}",
+            f"{COVERAGE * calibration.bias_std[axis]:.2g}",
             f"{found.scales[axis]:.6g}",
             f"{found.scale_uncertainties_percent[axis]:.2g} %",
             f"{100 * np.abs(others).max():.2g} %",

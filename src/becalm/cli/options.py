@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
+from becalm.cleaning.stretches import stretch_s
 from becalm.errors import UsageError
 
 if TYPE_CHECKING:
@@ -122,8 +123,6 @@ Cutoff = Annotated[
 
 
 _QUANTITY = re.compile(r"(?P<number>[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?)\s*(?P<unit>[a-z]+)", re.IGNORECASE)
-_TIME = re.compile(r"(?P<number>(\d+\.?\d*|\.\d+)(e[-+]?\d+)?)\s*(?P<unit>ms|s|min|h)?", re.IGNORECASE)
-_SECONDS = {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0}
 _SIZES: dict[Kind, dict[str, float]] = {
     "max_lag_s": {"s": 1.0, "ms": 1e-3, "us": 1e-6},
     "bandwidth_hz": {"hz": 1.0, "khz": 1e3},
@@ -217,7 +216,13 @@ def lag_of(text: str | None) -> float | None:
 
 
 def jitter_of(text: str | None) -> float | None:
-    """Read by how much the sampling jitters, in seconds; a UsageError if it is no positive number with its unit."""
+    """Read by how much the sampling jitters, in seconds.
+
+    Raises
+    ------
+    UsageError
+        If it is no positive number with its unit.
+    """
     std_s = None if text is None else _quantity(text, "max_lag_s")
     if text is not None and (std_s is None or not 0 < std_s < inf):
         raise UsageError(f"--time-jitter {text} is no time; write a positive number and then s, ms or us, as 50us.")
@@ -281,14 +286,13 @@ def _quantity(text: str, kind: Kind) -> float | None:
 
 
 def _span_of(text: str) -> tuple[float, float]:
-    ends = [_TIME.fullmatch(end.strip()) for end in text.split(":")]
-    times_s = [float(end["number"]) * _SECONDS[(end["unit"] or "s").lower()] for end in ends if end]
-    if len(ends) != 2 or len(times_s) != 2 or not times_s[0] < times_s[1] < inf:
+    span_s = stretch_s(text)
+    if span_s is None:
         raise UsageError(
             f"--still {text.strip()} is no stretch of time; write START:STOP in seconds after the first row, as 0:30"
             " for the first half minute, or with units, as 1min:2min; several with commas."
         )
-    return times_s[0], times_s[1]
+    return span_s
 
 
 def split_names(text: str) -> tuple[str, ...]:

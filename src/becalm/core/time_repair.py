@@ -21,11 +21,9 @@ COUNTERS = (2.0**8, 2.0**16, 2.0**24, 2.0**31, 2.0**32)
 HOUR_S = 3600.0
 _ALIKE = (0.5, 1.5)  # of the median step: what a mended step may be
 _SLOWEST_S = 900.0  # a step so long that an hour is only a few rows tells nothing
-_SPRING, _NIGHT_HOURS, _SUNDAY = (
-    (3, 9, 10),
-    (1, 2, 3, 4),
-    3,
-)  # months; hours after the leap; days since Thursday, 1970-01-01
+_SPRING = (3, 9, 10)  # months, north and south
+_NIGHT_HOURS = (1, 2, 3, 4)  # after the leap
+_SUNDAY = 3  # days since Thursday, 1970-01-01
 
 
 class Steps:

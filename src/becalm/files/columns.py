@@ -82,5 +82,10 @@ class ColumnRows:
             self._close()
 
 
+def least_bytes(kind: pa.DataType) -> int:
+    """Return how many bytes a value takes at least: numbers, flags and times as many as they have, all else 1."""
+    return kind.bit_width // 8 if pa.types.is_primitive(kind) else 1
+
+
 def _field(name: str, column: Column) -> pa.Field:
     return pa.field(name, column.type, metadata={b"unit": column.unit.encode()} if column.unit else None)

@@ -12,13 +12,14 @@ from typing import Any
 import pyarrow as pa
 
 from becalm.errors import InputError
+from becalm.files.columns import least_bytes
 from becalm.files.foreign import refuse_claim
 from becalm.files.identity import Original
 from becalm.files.source import RawTable
 from becalm.files.text.csv_header import unique_names
+from becalm.files.text.text import PARQUET
 
 _READ_BYTES = 1 << 20
-_MAGIC = b"PAR1"
 
 
 def read_parquet(path: Path, kept: Original | bytes) -> RawTable:
@@ -66,7 +67,7 @@ class ParquetRows:
             self._ends = list(accumulate(file.metadata.row_group(i).num_rows for i in range(file.num_row_groups)))
         self.count: int = self._ends[-1] if self._ends else 0
         names = unique_names(self._stored.names)
-        fields_bytes = sum(_width(field.type) for field in self._stored)
+        fields_bytes = sum(least_bytes(field.type) for field in self._stored)
         size = len(kept) if isinstance(kept, bytes) else path.stat().st_size
         refuse_claim(path, self.count * fields_bytes, size)
         fields = [_plain(field.with_name(name)) for field, name in zip(self._stored, names, strict=True)]
@@ -140,10 +141,10 @@ class ParquetRows:
     def _is_cut(self) -> bool:
         """Whether its last bytes are not those of a Parquet file."""
         if isinstance(self._kept, bytes):
-            return not self._kept.endswith(_MAGIC)
+            return not self._kept.endswith(PARQUET)
         with suppress(OSError), self._path.open("rb") as file:
-            file.seek(-len(_MAGIC), os.SEEK_END)
-            return file.read() != _MAGIC
+            file.seek(-len(PARQUET), os.SEEK_END)
+            return file.read() != PARQUET
         return False
 
 
@@ -162,10 +163,6 @@ def _plain(field: pa.Field) -> pa.Field:
     if pa.types.is_string_view(field.type):
         return field.with_type(pa.string())
     return field.with_type(field.type.value_type) if pa.types.is_dictionary(field.type) else field
-
-
-def _width(kind: pa.DataType) -> int:
-    return kind.bit_width // 8 if pa.types.is_primitive(kind) else 1
 
 
 def _unit(field: pa.Field) -> str:

@@ -137,7 +137,7 @@ class Bridge:
         bare, sign = replace(self, shunt=None, gain_adjustment=1.0), self._sign()
         changed = self.gauge_factor * shunt_strain(self.gauge_ohm, self.shunt.shunt_ohm, self.gauge_factor)
         balanced = replace(bare, lead_ohm=0.0, initial_ratio=0.0)
-        simulated = balanced.strain(np.array([-sign * changed / (4 + 2 * changed)]))
+        simulated = balanced.strain(np.array([-sign * changed / (4 + 2 * changed)]))  # of one gauge, changed so
         return gain_adjustment(float(simulated[0]), float(bare.strain(np.array([self.shunt.ratio]))[0]))
 
     def ratio(self, voltage_v: Floats) -> Floats:
@@ -155,13 +155,13 @@ class Bridge:
     def strain(self, ratio: Floats) -> Floats:
         """Return the strain (n,), in m/m, of ratios (n,) in V/V; NaN where no gauge can give such a ratio."""
         r, terms = self._unbalance(ratio), self._terms()
-        return np.asarray(-self._gain() * terms.c * r / _possible(terms.d0 + terms.d1 * r))
+        return np.asarray(-self._factor() * terms.c * r / _possible(terms.d0 + terms.d1 * r))
 
     def slope(self, ratio: Floats) -> Floats:
         """Return d strain / d ratio (n,), in m/m per V/V: the standard uncertainty of a ratio, times its magnitude."""
         terms = self._terms()
         bottom = _possible(terms.d0 + terms.d1 * self._unbalance(ratio))
-        return np.asarray(-self._sign() * self._gain() * terms.c * terms.d0 / bottom**2)
+        return np.asarray(-self._sign() * self._factor() * terms.c * terms.d0 / bottom**2)
 
     def _sign(self) -> float:
         return 1.0 if self.tension_lowers else -1.0
@@ -169,7 +169,7 @@ class Bridge:
     def _unbalance(self, ratio: Floats) -> Floats:
         return np.asarray(self._sign() * (ratio - self.initial_ratio))
 
-    def _gain(self) -> float:
+    def _factor(self) -> float:
         """Return what the ratio is multiplied by beside the circuit's own terms."""
         leads = 1.0 if self.configuration.startswith("full") else 1 + self.lead_ohm / self.gauge_ohm
         return self.gain * leads / self.gauge_factor

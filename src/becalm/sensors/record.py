@@ -19,7 +19,8 @@ from becalm.sensors.resonance import Resonance
 from becalm.sensors.tare import Tare
 from becalm.sensors.thermal import GaugeTemperature
 
-_COVERAGE = 2.0  # k of the uncertainties that sheets tell
+COVERAGE = 2.0
+"""k of the expanded uncertainties that sheets tell."""
 
 
 class Sensitivity(NamedTuple):
@@ -42,7 +43,7 @@ class Sensitivity(NamedTuple):
     @property
     def relative_std(self) -> float:
         """Its standard uncertainty (k = 1), as a share."""
-        return self.uncertainty / _COVERAGE / abs(self.value)
+        return self.uncertainty / COVERAGE / abs(self.value)
 
 
 @dataclass(frozen=True)
@@ -181,7 +182,7 @@ class SensorRecord:
     @property
     def offset_std(self) -> float:
         """Standard uncertainty (k = 1) of the zero, in unit."""
-        return self.zero_uncertainty / _COVERAGE
+        return self.zero_uncertainty / COVERAGE
 
 
 def applied(record: SensorRecord, columns: Mapping[str, Floats]) -> dict[str, Floats]:
@@ -234,7 +235,8 @@ def tared(record: SensorRecord, tare: Tare) -> SensorRecord:
     Raises
     ------
     SensorError
-        If readings that did not vary leave unknown how uncertain the zero is, or the zero fits the sensor's shunt not.
+        If readings that did not vary leave unknown how uncertain the zero is, or the zero does not fit the
+        sensor's shunt.
     """
     (name,) = record.channels
     value, std = tare.reading, tare.reading_std
@@ -258,7 +260,7 @@ def tared(record: SensorRecord, tare: Tare) -> SensorRecord:
     if temperature is not None and temperature.channel is not None:
         columns[temperature.channel] = np.full(2, tare.temperature_degc)
     at_zero, beyond = applied(replace(zeroed, full_scale=None), columns)[name]
-    told = _COVERAGE * abs(float(beyond - at_zero))
+    told = COVERAGE * abs(float(beyond - at_zero))
     return replace(zeroed, zero_uncertainty=float(np.hypot(told, record.zero_uncertainty)))
 
 

@@ -43,8 +43,8 @@ def is_alone(path: Path) -> bool:
 
 def _lift(found: Found) -> None:
     """Take what `meta.fs` tells for `fs`: it is about all beside `meta`, but for a name, which may be a person's."""
-    for texts in [(path, words) for path, words in found.words.items() if _is_about_all(path)]:
-        found.words.setdefault((*texts[0][:-2], texts[0][-1]), texts[1])
+    for path, texts in [(path, texts) for path, texts in found.words.items() if _is_about_all(path)]:
+        found.words.setdefault((*path[:-2], path[-1]), texts)
     for path, number in [(path, number) for path, number in found.numbers.items() if _is_about_all(path)]:
         found.numbers.setdefault((*path[:-2], path[-1]), number)
 

@@ -14,7 +14,7 @@ from becalm.files.arrays.arrays import Found, Key, Leaf, Path
 
 _FILLS = ("_FillValue", "missing_value")
 _SINCE = re.compile(r"(\w+) since (.+)")
-_NANOSECONDS = {
+_STEPS = {
     "ns": ("nanosecond", "nanoseconds", "ns"),
     "us": ("microsecond", "microseconds", "us"),
     "ms": ("millisecond", "milliseconds", "msec", "ms"),
@@ -23,6 +23,8 @@ _NANOSECONDS = {
     "h": ("hour", "hours", "h", "hr"),
     "D": ("day", "days", "d"),
 }
+"""NumPy's units of time, and how they are called in netCDF."""
+
 _NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable"
 
 
@@ -60,7 +62,7 @@ def _scaled(leaf: Leaf, fills: list[float], scale: float, offset: float) -> Leaf
 
 def _since(found: Found, leaf: Leaf, word: str, text: str, unit: Path) -> Leaf:
     """Make instants of a count since a date."""
-    step = next((step for step, words in _NANOSECONDS.items() if word.lower() in words), None)
+    step = next((step for step, words in _STEPS.items() if word.lower() in words), None)
     plain = re.sub(r"(?:\s*UTC|Z|[+-]00:?00|\s*\+0:00)$", "", text.strip()).replace(" ", "T", 1)
     try:
         first = np.datetime64(plain, "ns") if step else None

@@ -154,8 +154,8 @@ class _Table:
             encoded = np.array([text.encode() for text in texts])
             if encoded.dtype.itemsize > dataset.dtype.itemsize:
                 raise OutputError(
-                    f"A word in {dataset.name!r} is longer than those before it, {encoded[0].decode()!r} among them;"
-                    " write it as plain text."
+                    f"{max(encoded, key=len).decode()!r} in {dataset.name!r} is longer than the words before it;"
+                    " cast that column to pyarrow.string()."
                 )
             return encoded
         values, missing = numbers_of(column)

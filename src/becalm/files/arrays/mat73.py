@@ -16,6 +16,7 @@ from becalm.files.arrays.hdf5 import read_tree
 from becalm.files.arrays.hdf5_opening import Opened
 from becalm.files.arrays.hdf5_tree import DEEPEST, Tree
 from becalm.files.arrays.mat import MOST_ELEMENTS, SAVE_AS
+from becalm.files.arrays.mat_elements import SPARSE
 from becalm.files.foreign import Foreign
 from becalm.files.source import RawTable
 
@@ -61,7 +62,7 @@ class _MatlabTree(Tree):
         if thing is self.h5py.Group and (kind := _kind(group[name])) not in ("", "struct"):
             self.note(path, f"it is a MATLAB {kind}, which only MATLAB opens{SAVE_AS}")
         elif thing is self.h5py.Group and "MATLAB_sparse" in group[name].attrs:
-            self.note(path, "it is a sparse matrix")
+            self.note(path, SPARSE)
         else:
             super().look(group, name, path)
 

@@ -24,6 +24,10 @@ _SPARE = 1024
 _NUMBERS4 = (8, 4, 4, 2, 2, 1)  # bytes of a value, by the digit P of version 4
 
 
+SPARSE = "it is a sparse matrix; save it from MATLAB as full(A)"
+"""Why such a matrix is not read, and what to do."""
+
+
 class Variable(NamedTuple):
     """One variable.
 
@@ -97,7 +101,7 @@ def variables4(data: memoryview) -> Iterator[Variable]:
         if end > len(data):
             yield Variable(name, b"", "the file ends in it")
             return
-        yield Variable(name, bytes(data[at:end])) if content < 2 else Variable(name, b"", "it is a sparse matrix")
+        yield Variable(name, bytes(data[at:end])) if content < 2 else Variable(name, b"", SPARSE)
         at = end
 
 
@@ -125,7 +129,7 @@ def _looked_over(element: memoryview, order: str, whole: bool) -> Variable:
         if not whole or end > len(element):
             return Variable(name, b"", "the file ends in it, or it is damaged")
         if kind_of(element, parts, order) in (OPAQUE, _SPARSE):
-            return Variable(name, b"", _foreignkind_of(element, parts, order))
+            return Variable(name, b"", _why_not(element, parts, order))
         _check(element, 8, end, order, 0)
     except DamageError as cause:
         return Variable(name, b"", str(cause))
@@ -169,10 +173,11 @@ def _name(data: memoryview, parts: list[Part]) -> str:
     return bytes(data[texts[0].start :][: texts[0].length]).decode("latin-1") if texts else ""
 
 
-def _foreignkind_of(data: memoryview, parts: list[Part], order: str) -> str:
+def _why_not(data: memoryview, parts: list[Part], order: str) -> str:
+    """Say why an array that only MATLAB opens, or a sparse one, is not read."""
     if kind_of(data, parts, order) == _SPARSE:
-        return "it is a sparse matrix"
-    texts = [bytes(data[p.start :][: p.length]).decode("latin-1") for p in parts[1:] if p.kind in (1, 2, 16)]
+        return SPARSE
+    texts = [bytes(data[one.start :][: one.length]).decode("latin-1") for one in parts[1:] if one.kind in (1, 2, 16)]
     return f"it is a MATLAB {texts[-1] if texts else 'object'}, which only MATLAB opens"
 
 

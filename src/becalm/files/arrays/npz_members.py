@@ -13,7 +13,7 @@ from becalm.files.foreign import Foreign
 LOCAL = b"PK\x03\x04"
 _HEAD = 30  # bytes before the name of a member
 _STORED, _PACKED = 0, 8
-_ENCRYPTED, _SIZE_LATER = 1, 8
+_ENCRYPTED = 1
 _IN_ZIP64 = 0xFFFFFFFF
 
 
@@ -92,8 +92,6 @@ def _local(file: BinaryIO, start: int) -> Member | None:
         why = f"it is packed by method {method}, which is not known here"
     elif PurePosixPath(name).is_absolute() or ".." in PurePosixPath(name.replace("\\", "/")).parts:
         why = "its name leads out of the archive"
-    elif flags & _SIZE_LATER and not size:
-        size = 0
     return Member(name, start + _HEAD + letters + more, packed, size, method == _PACKED, crc, why)
 
 

@@ -17,7 +17,7 @@ from typing import Any
 import pyarrow as pa
 
 from becalm.errors import InputError
-from becalm.files.columns import Column
+from becalm.files.columns import Column, least_bytes
 from becalm.files.foreign import Foreign
 from becalm.files.groups import TIME, Group, tables
 from becalm.files.recorders.mf4_blocks import looked_through
@@ -66,7 +66,7 @@ def _opened(library: ModuleType, file: Any) -> Any:
     try:
         with redirect_stdout(io.StringIO()):
             return library.MDF(file, raise_on_multiple_occurrences=False, add_array_components=False)
-    except Exception as cause:
+    except Exception as cause:  # asammdf's, of a damaged file: of any kind
         told, sys.unraisablehook = sys.unraisablehook, lambda _: None  # half an object complains when it goes
         try:
             clear_frames(cause.__traceback__)
@@ -126,23 +126,19 @@ def _groups(foreign: Foreign, log: Any, masters: Sequence[int]) -> Iterator[Grou
         master, time = _master(log, index)
         names = unique_names([*master, *(name for name, _ in named)])
         columns = dict(zip(names, [*master.values(), *(column for _, column in named)], strict=True))
-        foreign.refuse_claim(rows * sum(_width(column.type) for column in columns.values()))
+        foreign.refuse_claim(rows * sum(least_bytes(column.type) for column in columns.values()))
         yield Group(_title(group), columns, rows, time, tuple(notes))
 
 
 def _rows(group: Any) -> int:
     """Return how many rows the blocks of a group can hold."""
     head = group.channel_group
-    width = head.samples_byte_nr + (
-        0 if getattr(group, "uses_ld", False) else getattr(head, "invalidation_bytes_nr", 0)
-    )
+    invalidation = 0 if getattr(group, "uses_ld", False) else getattr(head, "invalidation_bytes_nr", 0)
+    width = head.samples_byte_nr + invalidation
     if not width:  # nothing but a time that is counted
         return int(head.cycles_nr)
-    return (
-        sum(block.original_size for block in group.get_data_blocks()) // width
-        if hasattr(group, "get_data_blocks")
-        else 0
-    )
+    blocks = group.get_data_blocks() if hasattr(group, "get_data_blocks") else ()
+    return int(sum(block.original_size for block in blocks) // width)
 
 
 def _master(log: Any, index: int) -> tuple[dict[str, Column], ToldTime | None]:
@@ -181,7 +177,3 @@ def _title(group: Any) -> str:
         return found["name"]
     name = str(getattr(group, "acq_name", "") or "")
     return name or ("" if "<" in comment else comment.strip())
-
-
-def _width(kind: pa.DataType) -> int:
-    return kind.bit_width // 8 if pa.types.is_primitive(kind) else 1

@@ -14,7 +14,7 @@ from becalm.core.arrays import Floats
 from becalm.files.columns import Column
 from becalm.files.foreign import Foreign
 
-_FORMULA, _TABLE_OF_TEXTS, _RANGES_OF_TEXTS, _LINEAR = 3, 7, 8, 1
+_LINEAR, _FORMULA, _TABLE_OF_TEXTS, _RANGES_OF_TEXTS = 1, 3, 7, 8  # types of conversions
 _MOST_PARTS = 4096
 _ELSEWHERE = 1  # a type of channel whose rows hold places in a block of values, each after its length
 _LENGTH_BYTES = 4
@@ -59,7 +59,10 @@ class Channel(NamedTuple):
         return values, invalid
 
     def points_wrongly(self) -> bool:
-        """Tell whether a row points outside the channel's values; asammdf takes whatever is there for a length."""
+        """Tell whether a row points outside the channel's values; asammdf takes whatever is there for a length.
+
+        Only its inside gives the places and the values without following them.
+        """
         if getattr(self.head, "channel_type", 0) != _ELSEWHERE or not hasattr(self.log.groups[self.group], "sorted"):
             return False
         log, group = self.log._mdf, self.log.groups[self.group]

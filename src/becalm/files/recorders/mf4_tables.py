@@ -125,7 +125,7 @@ class MdfTable:
         met, places = np.unique(texts.astype(str), return_inverse=True)
         codes = [words.setdefault(str(word), len(words)) for word in met]
         if len(words) > _MOST_WORDS:
-            raise OutputError(f"{name!r} holds more than {_MOST_WORDS} words; write it as plain text.")
+            raise OutputError(f"{name!r} holds more than {_MOST_WORDS} words; cast that column to pyarrow.string().")
         return np.array(codes, np.uint16)[places]
 
     def _conversion(self, words: dict[str, int]) -> Any:

@@ -13,7 +13,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from becalm.files.columns import Column
+from becalm.files.columns import Column, least_bytes
 from becalm.files.foreign import Foreign
 from becalm.files.groups import GROUP, START, TIME, Group, tables
 from becalm.files.recorders.tdms_pieces import in_pieces
@@ -128,7 +128,7 @@ def _groups(foreign: Foreign, group: Any, missing: dict[str, int]) -> Iterator[G
             if not made:
                 notes.append(f"{channel.name!r} holds values of an unknown type, and was left out.")
             columns |= made
-        foreign.refuse_claim(rows * sum(_width(column.type) for column in columns.values()))
+        foreign.refuse_claim(rows * sum(least_bytes(column.type) for column in columns.values()))
         yield Group(name, columns, rows, base.time, tuple(notes))
 
 
@@ -174,10 +174,6 @@ def _columns(channel: Any) -> Iterator[tuple[str, Column]]:
 
 def _unit(properties: dict[str, Any]) -> str:
     return next((str(properties[name]) for name in ("unit_string", "NI_UnitDescription") if name in properties), "")
-
-
-def _width(kind: pa.DataType) -> int:
-    return kind.bit_width // 8 if pa.types.is_primitive(kind) else 1
 
 
 def _reader(channel: Any, tidy: Callable[[Any], NDArray[np.generic]]) -> Callable[[int, int], NDArray[np.generic]]:

@@ -79,7 +79,10 @@ def read(path: Path) -> tuple[RawTable, ...]:
             else:
                 sets.append(_Set(header, block.values(path, header)))
         if not sets:
-            raise InputError(f"{path} is UFF without a time response: the set {left_out[0]}.")
+            raise InputError(
+                f"{path} is UFF without a time response: the set {left_out[0]}. Export the signal"
+                " as a function of time (type 1)."
+            )
         ends = ("The file ends within the head of a set, which was left out.",) if cut else ()
         return tables(foreign, "uff", list(_groups(sets, (*_told(left_out), *ends))))
 

@@ -13,7 +13,7 @@ from becalm.files.foreign import Foreign
 from becalm.files.groups import tables
 from becalm.files.registry import BAG
 from becalm.files.robots import mcap, rosbag1, rosbag2
-from becalm.files.robots.topics import Message, gathered
+from becalm.files.robots.topics import Message, few, gathered
 from becalm.files.source import RawTable
 from becalm.files.watched import WatchedFile
 
@@ -73,12 +73,14 @@ def _parts(foreign: Foreign, folder: Path, held: ExitStack) -> list[Path]:
     except Exception as cause:
         raise InputError(f"{folder / BAG} does not tell the files of a ROS 2 bag; give one of them by name.") from cause
     if outside := [str(name) for name in names if name.is_absolute() or ".." in name.parts]:
-        raise InputError(f"{folder / BAG} names {outside[0]}, which is outside of the folder; that is not read.")
+        raise InputError(
+            f"{folder / BAG} names {outside[0]}, which is outside of the folder; give one file of the bag by name."
+        )
     parts = [folder / name.name for name in names]
     if missing := [part.name for part in parts if not part.is_file()]:
-        raise InputError(f"{folder} lacks {', '.join(missing[:8])}, which its {BAG} names; copy the whole folder.")
+        raise InputError(f"{folder} lacks {few(missing)}, which its {BAG} names; copy the whole folder.")
     if not parts:
-        raise InputError(f"{folder} is a ROS 2 bag without files.")
+        raise InputError(f"{folder} is a ROS 2 bag without files; copy the whole folder.")
     if str(told.get("compression_mode", "")).lower() == "file":
         return [_unpacked(foreign, part, held) for part in parts]
     return parts

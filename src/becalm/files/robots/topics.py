@@ -126,7 +126,7 @@ class Topics:
         InputError
             If there is none.
         """
-        notes += tuple(f"Left out, for {why}: {_few(names)}." for why, names in self._left_out.items())
+        notes += tuple(f"Left out, for {why}: {few(names)}." for why, names in self._left_out.items())
         found = [
             _group(name, topic, notes)
             for (name, _), topic in self._topics.items()
@@ -156,12 +156,13 @@ def _what_is_missing(topic: _Topic) -> Iterator[str]:
     if topic.undecoded:
         yield f"Messages that could not be decoded were left out: {topic.undecoded:,}."
     if topic.decode.left_out:
-        yield f"Texts, nested and long lists were left out: {_few(sorted(topic.decode.left_out))}."
+        yield f"Texts, nested and long lists were left out: {few(sorted(topic.decode.left_out))}."
     if topic.series.full:
         yield "There are more names of numbers than columns that can be; some were left out."
 
 
-def _few(names: list[str]) -> str:
+def few(names: list[str]) -> str:
+    """Name the first of many, and say how many more there are."""
     more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
     return ", ".join(names[:_MOST_NAMED]) + more
 

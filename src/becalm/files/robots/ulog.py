@@ -17,6 +17,7 @@ from becalm.core.arrays import Integers
 from becalm.files.columns import NO_UNIT, Column
 from becalm.files.foreign import Foreign
 from becalm.files.groups import TIME, Group, tables
+from becalm.files.robots.topics import few
 from becalm.files.source import RawTable, ToldTime
 from becalm.files.stamps import in_order, seconds_of
 from becalm.files.text.csv_header import unique_names
@@ -119,7 +120,7 @@ def _notes(log: Any, opened: WatchedFile, unstamped: list[str]) -> tuple[str, ..
     elif opened.cut:
         notes.append("The file ends in the middle of a message; those before it were read.")
     if unstamped:
-        notes.append(f"Left out, for their messages have no timestamp: {', '.join(unstamped[:8])}.")
+        notes.append(f"Left out, for their messages have no timestamp: {few(unstamped)}.")
     if log.dropouts:
         lost_s = sum(dropout.duration for dropout in log.dropouts) / 1000.0
         times = "once" if len(log.dropouts) == 1 else f"{len(log.dropouts):,} times"

@@ -87,7 +87,7 @@ def _rigol(rows: Rows, width: int) -> Known | None:
     return Known([*rows[-2][:count], *blank], [*_units(rows[-1][:count]), *blank], 2)
 
 
-def _concepts(rows: Rows, width: int) -> Known | None:
+def _gulf_coast(rows: Rows, width: int) -> Known | None:
     """Return what Gulf Coast Data Concepts call columns; their times are seconds."""
     if rows[-1][0] != "Headers" or len(rows[-1]) != width + 1:
         return None
@@ -105,5 +105,5 @@ _KINDS: tuple[Callable[[Rows, int], Known | None], ...] = (
     _inca,
     _siglent,
     _rigol,
-    _concepts,
+    _gulf_coast,
 )

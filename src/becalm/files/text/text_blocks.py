@@ -136,7 +136,10 @@ class TextFile:
                 count += len(data)
                 refuse_claim(self._path, count, size)
                 block = self._as_utf8(decoder, data)
-                (refuse_nul(self._path, block, lines) if lines else refuse_binary(self._path, block))
+                if lines:
+                    refuse_nul(self._path, block, lines)
+                else:
+                    refuse_binary(self._path, block)
                 lines += block.count(b"\n")
                 rest = decoder.getstate()[0]
                 certain = certain or not block[: max(0, len(block) - len(rest))].isascii()

@@ -10,7 +10,7 @@ import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.core.clock import Clock
-from becalm.core.even_grid import JITTER, equal_bursts, even_grid
+from becalm.core.even_grid import BURSTS, JITTER, equal_bursts, even_grid
 from becalm.core.time_repair import Steps, one_clock, unwrapped
 from becalm.errors import TimeError
 from becalm.files.rows import Spool
@@ -18,7 +18,7 @@ from becalm.files.source import TimeLayout
 
 _SAID = {
     JITTER: "The stamps of {} jitter by {:.3g} ms about an even {:.6g} Hz; the rows are counted at that rate instead;",
-    "bursts": "The stamps of {} come in bursts, {:.3g} ms (std) about an even {:.6g} Hz that bounds them from below;"
+    BURSTS: "The stamps of {} come in bursts, {:.3g} ms (std) about an even {:.6g} Hz that bounds them from below;"
     " the rows are counted at that rate instead;",
 }
 _KEEP = "keep them as written with --stamps as-written."
