@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -13,6 +14,8 @@ from scipy.io import loadmat
 from becalm.errors import OutputError
 from becalm.files import open_output
 from becalm.files.arrays import array_writer
+from becalm.files.asked import ReadOptions
+from becalm.files.opening import OpenSource
 from becalm.files.registry import read_tables
 from becalm.files.tables import in_words
 
@@ -89,3 +92,12 @@ def test_a_mat_file_over_two_gigabytes_is_refused_as_soon_as_it_is_known(
     with pytest.raises(OutputError, match=r"write \.h5"), open_output(tmp_path / "a.mat") as out:
         out.write(table())
     assert not list(tmp_path.iterdir())
+
+
+def test_each_folder_of_an_archive_has_its_own_times(tmp_path: Path) -> None:
+    times, path = np.arange(200) / 100, tmp_path / "a.npz"
+    arrays: dict[str, Any] = {"a/time": times, "a/x": np.sin(times), "b/time": times * 10, "b/x": np.cos(times)}
+    np.savez(path, **arrays)
+    found = [OpenSource(path, one, ReadOptions()) for one in read_tables(path)]
+    assert [one.rate_hz for one in found] == [100.0, 10.0]
+    assert [one.names for one in read_tables(path)] == [["a/time", "a/x"], ["b/time", "b/x"]]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -162,6 +163,16 @@ def test_what_was_read_back_can_be_written_again(ending: str, tmp_path: Path, ta
     for one, block in zip(again, blocks, strict=True):
         for name in block.column_names:
             np.testing.assert_array_equal(next(iter(one.blocks([name])))[name].to_numpy(), block[name].to_numpy())
+
+
+def test_the_hour_of_writing_changes_no_byte(tmp_path: Path) -> None:
+    def contents(name: str) -> dict[str, bytes]:
+        return {ending: write(tmp_path / f"{name}{ending}", fast()).read_bytes() for ending in sorted(ENDINGS)}
+
+    first = contents("a")
+    time.sleep(2.1)  # archives count in steps of two seconds
+    again = contents("a")
+    assert [ending for ending in first if first[ending] != again[ending]] == []
 
 
 def test_asammdf_sees_its_own_kind_of_file(tmp_path: Path) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 import gzip
 import os
-from collections.abc import Callable
 from pathlib import Path
 from typing import IO
 
@@ -18,7 +17,7 @@ from hypothesis import strategies as st
 
 from becalm.core.recording import Recording
 from becalm.errors import OutputError, RecordingError
-from becalm.files import ReadOptions, output_table, plain, read, read_source, replace_file, write, write_table
+from becalm.files import ReadOptions, output_table, read, read_source, write, write_table
 from becalm.files.plain import refuse_unwritable
 from becalm.files.writing import refuse_columns
 
@@ -244,13 +243,21 @@ def test_looking_whether_a_file_can_be_written_touches_no_other(tmp_path: Path) 
     assert left_in(tmp_path) == [own.name]
 
 
+def test_what_is_refused_is_the_output_and_no_name_of_our_own(tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match=r"mkdir -p .*none`\)\. out\.csv was not written\.$"):
+        refuse_unwritable(tmp_path / "none" / "out.csv", tmp_path / "none" / "out.csv.recipe.toml")
+    assert left_in(tmp_path) == []
+
+
 def test_looking_twice_at_once_is_no_trouble(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def replace_and_look_again(path: Path, fill: Callable[[IO[bytes]], None]) -> None:
+    real = Path.touch
+
+    def touch_and_look_again(path: Path, exist_ok: bool) -> None:
         monkeypatch.undo()
-        replace_file(path, fill)
+        real(path, exist_ok=exist_ok)
         refuse_unwritable(tmp_path / "out.csv")
 
-    monkeypatch.setattr(plain, "replace_file", replace_and_look_again)
+    monkeypatch.setattr(Path, "touch", touch_and_look_again)
     refuse_unwritable(tmp_path / "out.csv")
     assert left_in(tmp_path) == []
 

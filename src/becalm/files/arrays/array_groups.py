@@ -100,7 +100,9 @@ class Grouping:
         if stem := _stem(name):
             beside = [one for one in leaves if one.path[:-1] == folder and one is not leaf]
             return any(_is_of(one.path[-1], stem) and leaf.meant[0] in one.meant for one in beside)
-        return is_time_name(self._found.word((*leaf.path, NAME)) or name) or leaf.type.kind == "M"
+        told = self._found.word((*leaf.path, NAME))
+        own = told if told != "/".join(leaf.path) else name  # a path says no more than its end
+        return is_time_name(own or name) or leaf.type.kind == "M"
 
     def _home(self, leaf: Leaf) -> _Home:
         if leaf.path[:-1] in self._written:

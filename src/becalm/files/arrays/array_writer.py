@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import re
 import zipfile
 from collections.abc import Mapping
@@ -17,6 +18,7 @@ from becalm.files.arrays.array_labels import NAMES, OF_TABLE, UNITS, VARIABLES, 
 from becalm.files.column_arrays import refuse_strange_types, told_of, unit_of_field, whole_column
 from becalm.files.groups import GROUP
 
+_HEAD = b"MATLAB 5.0 MAT-file, written by becalm".ljust(116)  # without a date: the same recipe gives the same bytes
 _MOST_BYTES = (1 << 31) - (1 << 16)  # of a variable of version 5
 
 
@@ -133,6 +135,9 @@ class MatRows(_ArrayRows):
             )
         except MatWriteError as cause:
             raise OutputError(f"A MAT file of version 5 cannot hold this ({cause}); write .h5 instead.") from cause
+        self._file.seek(0)
+        self._file.write(_HEAD)
+        self._file.seek(0, io.SEEK_END)
 
 
 def _members(folder: _Folder) -> dict[str, Any]:

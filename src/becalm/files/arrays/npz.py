@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from becalm.errors import InputError
 from becalm.files.arrays.array_groups import Grouping
-from becalm.files.arrays.array_labels import VARIABLES, take_labels
+from becalm.files.arrays.array_labels import NAME, VARIABLES, take_labels
 from becalm.files.arrays.arrays import Found, Leaf
 from becalm.files.arrays.npz_members import LOCAL, Member, content, members
 from becalm.files.foreign import Foreign
@@ -66,8 +66,10 @@ def _take_members(found: Found, foreign: Foreign) -> None:
         if member.why:
             found.notes.append(f"{member.name!r} is not read: {member.why}.")
         elif member.name.endswith(".npy"):
-            folder, _, name = member.name.removesuffix(".npy").rpartition("/")
-            path = (folder, name) if folder in own else (member.name.removesuffix(".npy"),)
+            name = member.name.removesuffix(".npy")
+            path = tuple(name.split("/"))  # a folder has times of its own
+            if len(path) > 1 and "/".join(path[:-1]) not in own:
+                found.words[(*path, NAME)] = (name,)
             _take_member(found, foreign, member, path)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from importlib import import_module
@@ -64,7 +63,8 @@ class Mf4Rows:
             return
         self._tell_start()
         history = self._library.blocks.v4_blocks.FileHistory()
-        history.abs_time, history.tz_offset, history.daylight_save_time, history.time_flags = time.time_ns(), 0, 0, _UTC
+        # the hour of writing is left out: the same recipe gives the same bytes
+        history.abs_time, history.tz_offset, history.daylight_save_time, history.time_flags = 0, 0, 0, _UTC
         history.comment = _comment(self._told)
         self._log.file_history.append(history)
         with _sentence(self._library):
