@@ -54,6 +54,7 @@ def test_every_column_reads_back(ending: str, cut: int, tmp_path: Path) -> None:
     assert again.names == told.column_names
     assert again.units["force (kN)"] == "kN"
     block = next(iter(again.blocks(again.names)))
+    again.rows.close()
     for name in ("time_s", "force (kN)", "a/b", "großer Wert", "big", "flag"):
         np.testing.assert_array_equal(block[name].to_numpy(), told[name].to_numpy())
         assert block[name].type == told[name].type

@@ -131,7 +131,8 @@ def refuse_long_numbers(body: bytes, dialect: Dialect) -> None:
     pyarrow.ArrowInvalid
         As if a cell could not be converted.
     """
-    long = rb"(?<![.,\d])\d{%d,}(?![.\d])" % (_EXACT_DIGITS + 1)
+    fraction = b"." if dialect.separator == "," else b".,"  # before digits that are no whole number
+    long = rb"(?<![%b\d])\d{%d,}(?![.\d])" % (fraction, _EXACT_DIGITS + 1)
     if {NUMBER, GONE} & set(dialect.kinds) and re.search(long, body[:4096]):
         raise pa.ArrowInvalid("conversion error: long whole numbers")
 
