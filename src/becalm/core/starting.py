@@ -21,6 +21,7 @@ from becalm.errors import ModelError
 
 _WELL_DETERMINED = 1e-6  # smallest eigenvalue of the information, scaled to a unit diagonal
 _IN_RANGE = 1e-9
+_FAR_MORE = 1e6  # of what readings tell to what the next state tells
 _WIDE = 1e9  # of P0 over R: P - K S K' keeps less than seven digits
 _INVERTIBLE = 1e14
 _STRETCH = 4096
@@ -117,11 +118,15 @@ def carry(now: Information, F: Floats, Q: Floats) -> Information:
     """
     back = np.linalg.inv(F)
     M, b = back.T @ now.Y @ back, back.T @ now.y
-    scale, vectors, root = _factored(M)
-    L = scale[:, np.newaxis] * vectors * root
+    scale = np.sqrt(np.maximum(np.diag(M), 0.0))
+    scale[scale == 0] = 1.0
+    values, vectors = np.linalg.eigh((M + M.T) / (2 * np.outer(scale, scale)))
+    live = values > len(M) * np.finfo(float).eps * values[-1]
+    root = np.sqrt(values[live])
+    L = scale[:, np.newaxis] * vectors[:, live] * root
     kept = np.linalg.inv(np.eye(len(root)) + L.T @ Q @ L)
     Y = L @ kept @ L.T
-    return Information((Y + Y.T) / 2, L @ kept @ (vectors.T @ (b / scale) / root))
+    return Information((Y + Y.T) / 2, L @ kept @ (vectors[:, live].T @ (b / scale) / root))
 
 
 def learn(now: Information, H: Floats, R: Floats, reading: Floats) -> Information:
@@ -191,28 +196,18 @@ class Regression(NamedTuple):
 def regress(now: Information, F: Floats, Q: Floats) -> Regression:
     """Find what the next state says of this one, beside what this one's own readings say.
 
-    That is F' Q^-1 F beside Y. Where part of the state has no noise, and Q no inverse, the noise of the step is found
-    instead: given both, it has covariance W = G (I + G' M G)^-1 G' with Q = G G' and M = F^-T Y F^-1.
+    With M = F^-T Y F^-1 the noise of the step has covariance W = (M + Q^-1)^-1 = Q (I + M Q)^-1, given both, which is
+    near Q where readings tell little, and needs no inverse of Q. Where they tell far more than the next state, as
+    across a long gap, nothing would be left of it in float64; then F' Q^-1 F is put beside Y.
     """
-    if is_determined(Q):
+    back = np.linalg.inv(F)
+    M, b = back.T @ now.Y @ back, back.T @ now.y
+    if np.trace(M @ Q) > _FAR_MORE and is_determined(Q):
         pull = F.T @ _symmetric_inverse(Q)
         W = _symmetric_inverse(now.Y + pull @ F)
         return Regression(W @ pull, W @ now.y, W)
-    back = np.linalg.inv(F)
-    M, b = back.T @ now.Y @ back, back.T @ now.y
-    scale, vectors, root = _factored(Q)
-    G = scale[:, np.newaxis] * vectors * root
-    W = G @ np.linalg.inv(np.eye(len(root)) + G.T @ M @ G) @ G.T
+    W = Q @ np.linalg.inv(np.eye(len(M)) + M @ Q)
     return Regression(back @ (np.eye(len(M)) - W @ M), back @ W @ b, back @ W @ back.T)
-
-
-def _factored(M: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return scales (n,), vectors (n, r) and roots (r,): M (n, n) is L L' with L = scales * vectors * roots."""
-    scale = np.sqrt(np.maximum(np.diag(M), 0.0))
-    scale[scale == 0] = 1.0
-    values, vectors = np.linalg.eigh((M + M.T) / (2 * np.outer(scale, scale)))
-    live = values > len(M) * np.finfo(float).eps * values[-1]
-    return scale, vectors[:, live], np.sqrt(values[live])
 
 
 def _symmetric_inverse(Y: Floats) -> Floats:
