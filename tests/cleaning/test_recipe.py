@@ -114,7 +114,7 @@ FAULTS = [
     ("order = 2", "order = 6", "channel.1.order: Input should be less than or equal to 5"),
     ("order = 2", "order = 0", "channel.1.order: Input should be greater than or equal to 1"),
     ("order = 2", "order = 1.5", "channel.1.order: Input should be a valid integer"),
-    ("order = 2", "", "channel.1: Value error, a motion needs order, process_noise_density and noise_std"),
+    ("order = 2", "", "channel.1: a motion needs order, process_noise_density and noise_std"),
     ("noise_std = 0.1", "noise_std = 0.0", "channel.1.noise_std: Input should be greater than 0"),
     ("noise_std = 0.1", "noise_std = -1", "channel.1.noise_std: Input should be greater than 0"),
     ("noise_std = 0.1", "noise_std = nan", "channel.1.noise_std: Input should be"),

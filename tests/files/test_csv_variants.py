@@ -233,3 +233,20 @@ def test_the_layout_is_plain_data(tmp_path: Path) -> None:
     assert plain["decimal"] == ","
     assert plain["time_columns"] == ["time_s"]
     assert [column["role"] for column in plain["columns"]] == ["time", "channel", "channel"]
+
+
+def test_covariances_that_a_driver_states_are_no_signals(tmp_path: Path) -> None:
+    path = tmp_path / "imu.csv"
+    lines = (f"{t:.2f},{a:.5f},{1 + n % 3}\n" for n, (t, a) in enumerate(zip(TIMES, ACC, strict=True)))
+    path.write_text("time_s,acc.x,acc_covariance_0\n" + "".join(lines))
+    assert read_source(path).recording.names == ("acc.x",)
+    asked = ReadOptions(channels=("acc_covariance_0",))
+    assert read_source(path, asked).recording.names == ("acc_covariance_0",)
+
+
+@pytest.mark.parametrize("separator", [",", ";", "\t"])
+def test_long_whole_numbers_keep_all_digits(separator: str, tmp_path: Path) -> None:
+    ids = [9_007_199_254_740_991 + 2 * row for row in range(60)]  # from the second on, no float64
+    lines = [separator.join((f"{row / 100}", f"{row % 7}.25", str(one))) for row, one in enumerate(ids)]
+    text = separator.join(("time_s", "a", "id")) + "\n" + "\n".join(lines) + "\n"
+    assert read_source(save(tmp_path, text), ReadOptions(channels=("a",))).table["id"].to_pylist() == ids

@@ -14,7 +14,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from becalm.errors import InputError
-from becalm.files import open_source, read, text_blocks, text_rows
+from becalm.files import open_source, read
+from becalm.files.text import text_blocks, text_rows
 
 ROWS = [[f"{i / 100:.2f}", f"{i % 7}.25", f"ok {i}"] for i in range(3000)]
 HEADS = ("t", "a", "note")

@@ -17,15 +17,8 @@ import pytest
 from becalm.core.clock import Clock
 from becalm.core.timebase import Timebase
 from becalm.errors import BecalmError, InputError, OutputError
-from becalm.files import (
-    ReadOptions,
-    SourceFile,
-    open_source,
-    read_source,
-    roles,
-    rows,
-    text_blocks,
-)
+from becalm.files import ReadOptions, SourceFile, open_source, read_source, roles, rows
+from becalm.files.text import text_blocks
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"
 
@@ -51,6 +44,7 @@ def lines(head: str, line: str, count: int, *more: str) -> str:
 LATE: dict[str, str] = {
     "decimal commas late": lines("time_s;a", "{i};7", 300, "300;2,25\n"),
     "long whole numbers": "t_ns,a\n" + "".join(f"{1_646_670_915_123_456_789 + 10**7 * i},{i % 3}\n" for i in range(99)),
+    "long whole numbers behind commas": lines("time_s,a,id", "{t},{v},9007199254740{i:03d}", 300),
     "quotes late": lines("time_s,a,n", "{t},{v},x", 99, '12.5,0.5,"a, b"\n', "12.625,0.5,y\n"),
     "line ends in cells": lines("time_s,a,n", '{t},{v},"x\ny"', 99),
     "words late": lines("time_s,a,b", "{t},{v},1.5", 300, "37.5,1,off\n", "37.625,1,2\n"),

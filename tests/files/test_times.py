@@ -9,7 +9,7 @@ import pytest
 
 from becalm.errors import InputError, TimeError
 from becalm.files import ReadOptions, SourceFile, read_source
-from becalm.files.time_column import is_time_name
+from becalm.files.timing.time_column import is_time_name
 
 COUNT = 40
 EVERY_10_MS = np.arange(COUNT) / 100

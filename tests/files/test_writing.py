@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 import gzip
 import os
-from collections.abc import Callable
 from pathlib import Path
 from typing import IO
 
@@ -18,11 +17,11 @@ from hypothesis import strategies as st
 
 from becalm.core.recording import Recording
 from becalm.errors import OutputError, RecordingError
-from becalm.files import ReadOptions, output_table, plain, read, read_source, replace_file, write, write_table
+from becalm.files import ReadOptions, output_table, read, read_source, write, write_table
 from becalm.files.plain import refuse_unwritable
 from becalm.files.writing import refuse_columns
 
-ENDINGS = ["csv", "csv.gz", "parquet"]
+ENDINGS = ["csv", "csv.gz", "h5", "mat", "npz", "parquet"]
 LOG = 'time_s,note,force (kN),n\n0.000000,a,1.5,7\n0.009583,,2.5,8\n0.019196,NA,NA,7\n0.028809,"b, c",-1e-05,9\n'
 
 
@@ -173,7 +172,7 @@ def test_gzip_output_is_the_same_every_time(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["out.xlsx", "out", "out.gz"])
 def test_unknown_endings_are_refused(name: str, tmp_path: Path) -> None:
-    with pytest.raises(OutputError, match=r"\.csv, \.csv\.gz or \.parquet"):
+    with pytest.raises(OutputError, match=r"\.parquet or \.tdms"):
         write(tmp_path / name, Recording([1.0, 2.0], rate_hz=1.0))
 
 
@@ -211,7 +210,7 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(
 
 
 def test_an_interrupted_write_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import becalm.files.csv_writer as csv_writer
+    import becalm.files.text.csv_writer as csv_writer
 
     def interrupt(table: pa.Table, file: IO[bytes]) -> None:
         file.write(b"half")
@@ -228,7 +227,7 @@ def test_an_interrupted_write_leaves_nothing(tmp_path: Path, monkeypatch: pytest
 def test_a_disk_that_fills_up_while_writing(ending: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     real = Path.open
     monkeypatch.setattr(
-        Path, "open", lambda self, mode: real(Path("/dev/full"), "wb") if mode == "xb" else real(self, mode)
+        Path, "open", lambda self, mode: real(Path("/dev/full"), "wb") if mode == "x+b" else real(self, mode)
     )
     with pytest.raises(OutputError, match="full"):
         write(tmp_path / f"out.{ending}", Recording(np.arange(100_000.0) / 7, rate_hz=1.0))
@@ -244,13 +243,21 @@ def test_looking_whether_a_file_can_be_written_touches_no_other(tmp_path: Path) 
     assert left_in(tmp_path) == [own.name]
 
 
+def test_what_is_refused_is_the_output_and_no_name_of_our_own(tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match=r"mkdir -p .*none`\)\. out\.csv was not written\.$"):
+        refuse_unwritable(tmp_path / "none" / "out.csv", tmp_path / "none" / "out.csv.recipe.toml")
+    assert left_in(tmp_path) == []
+
+
 def test_looking_twice_at_once_is_no_trouble(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def replace_and_look_again(path: Path, fill: Callable[[IO[bytes]], None]) -> None:
+    real = Path.touch
+
+    def touch_and_look_again(path: Path, exist_ok: bool) -> None:
         monkeypatch.undo()
-        replace_file(path, fill)
+        real(path, exist_ok=exist_ok)
         refuse_unwritable(tmp_path / "out.csv")
 
-    monkeypatch.setattr(plain, "replace_file", replace_and_look_again)
+    monkeypatch.setattr(Path, "touch", touch_and_look_again)
     refuse_unwritable(tmp_path / "out.csv")
     assert left_in(tmp_path) == []
 

@@ -162,3 +162,11 @@ def test_variances_of_quiet_and_of_most_readings() -> None:
     z[::10] += 100.0
     assert middle_variance(z) < 4 * 4.0
     assert quiet_variance(np.zeros(5)) == 0.0
+
+
+def test_a_first_stretch_of_few_readings_does_not_decide() -> None:
+    z = levels(3) + noise(4)
+    z[3:10] = np.nan  # three readings, and then all the others
+    switched = found(z, causal=False)
+    assert switched is not None
+    assert switched.kind == "jumping"

@@ -15,6 +15,7 @@ from becalm.cleaning.judging import Decision, InnovationJudge, Judgement
 from becalm.cleaning.modes import modes_in_steps
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.report import ChannelReport
+from becalm.cleaning.slopes import TimingNoise
 from becalm.cleaning.steps import gate_of, in_steps
 from becalm.cleaning.uncertainty import Uncertainty
 from becalm.core.arrays import Floats
@@ -92,6 +93,10 @@ class MotionChannel:
         self._uncertainty = Uncertainty(recipe.tuning_spread, recipe.calibration)
         self._modes = None if recipe.switching is None else modes_in_steps(recipe.switching, self._tuning, step_s)
         self._also = look
+        modes = self._modes  # the noise of a bank's reading is that of its calmest mode
+        noise_std = recipe.motion.noise_std if modes is None else float(np.sqrt(modes.modes[0].noise_variance))
+        self._noise_std, timing = noise_std, recipe.timing
+        self._timing = None if timing is None else TimingNoise(timing, noise_std, step_s)
         self._flow = self._parted_flow(split)
 
     def _parted_flow(self, split: bool) -> PartedFlow:
@@ -116,6 +121,8 @@ class MotionChannel:
 
     def push(self, z: Floats, elapsed: Floats) -> list[Told]:
         """Take readings (B,) and the steps before them; return what is clean, in order."""
+        if self._timing is not None:
+            self._timing.push(elapsed)
         return self._counted(self._flow.push(self._sensor.push(z, elapsed), elapsed))
 
     def finish(self) -> list[Told]:
@@ -132,6 +139,8 @@ class MotionChannel:
         told = self._sensor.named(told)
         for part in told:
             self._counts.update(counted(part.verdicts))
+        if self._timing is not None:
+            told = [self._timing.widened(part) for part in told]
         return self._uncertainty.widened(told)
 
     def report(self) -> ChannelReport:
@@ -140,6 +149,7 @@ class MotionChannel:
         smooths = self._lag is None and figures.removes_noise
         found = self._judge.judgement(partial(excess_error, tuning) if smooths else None)
         says = f"{found.says} {_NOTHING_REMOVED}" if figures.removes_nothing else found.says
+        says = " ".join([says, *([] if self._timing is None else self._timing.says())])
         return ChannelReport(
             **_fields(found),
             name=self._recipe.name,
@@ -148,7 +158,7 @@ class MotionChannel:
             order=tuning.order,
             tones_hz=self._tones_hz(disturbance=False),
             removed_hz=self._tones_hz(disturbance=True),
-            noise_std=self._noise_std(),
+            noise_std=self._noise_std,
             coloured_std=None if tuning.coloured is None else float(np.sqrt(tuning.coloured.variance)),
             q_over_r=tuning.ratio,
             bandwidth_hz=figures.bandwidth_hz,
@@ -157,6 +167,7 @@ class MotionChannel:
             independence_s=figures.independence_s,
             tuning_spread=self._recipe.tuning_spread,
             calibration_std=self._uncertainty.calibration_std,
+            timing_share=None if self._timing is None else self._timing.most,
             modes=figures.modes,
             log_likelihood=self._flow.log_likelihood,
             settled_row=self._flow.settled_row,
@@ -165,10 +176,6 @@ class MotionChannel:
             faults=self._sensor.faults(),
             says=_with_advice(says, self._counts, self._sensor.says()),
         )
-
-    def _noise_std(self) -> float | None:
-        """Return the noise of a reading; of a bank, that of its calmest mode."""
-        return self._recipe.noise_std if self._modes is None else float(np.sqrt(self._modes.modes[0].noise_variance))
 
     def _figures(self) -> Figures:
         if self._modes is not None:

@@ -146,6 +146,17 @@ def in_mode(recipe: Recipe, causal: bool | None = None, lag_s: float | None = No
     return recipe.model_copy(update={"mode": "causal" if causal else "smoothed", "lag_s": None})
 
 
+def joined(recipes: Sequence[Recipe]) -> Recipe:
+    """Return one recipe for the channels of several recordings: of the first, all else.
+
+    Parameters
+    ----------
+    recipes : sequence of Recipe
+        One or more, of different channels.
+    """
+    return recipes[0].model_copy(update={"channel": tuple(channel for recipe in recipes for channel in recipe.channel)})
+
+
 def _narrowed(recipe: Recipe, channels: Sequence[str] | None) -> Recipe:
     if channels is None:
         return recipe
@@ -188,8 +199,10 @@ def fitted(
             )
         unit = units[list(names).index(channel.name)]
         if channel.unit != unit:
+            wanted = f"{channel.name}={channel.unit or 'UNIT'}"
             raise RecipeError(
                 f"The recipe has {channel.name!r} in {channel.unit or 'no unit'!r}, the recording in"
-                f" {unit or 'no unit'!r}. Convert one of them, or tune a recipe on this recording."
+                f" {unit or 'no unit'!r}. Convert or tell it (a file's by --unit {wanted!r}), or tune a recipe on this"
+                " recording."
             )
     return recipe

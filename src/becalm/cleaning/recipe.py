@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated, Literal, NamedTuple, Self
 
 import tomlkit
-from pydantic import Field, ValidationError, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from becalm.cleaning.recipe_modes import SwitchingRecipe
 from becalm.cleaning.recipe_parts import (
@@ -17,8 +17,10 @@ from becalm.cleaning.recipe_parts import (
     NotNegative,
     Positive,
     Settings,
+    TimingRecipe,
     ToneRecipe,
 )
+from becalm.cleaning.toml_text import TomlKind
 from becalm.errors import RecipeError
 
 VERSION: Literal[4] = 4  # 1 knew no tones, 2 no disturbances, 3 no gates, lags and spread; all are read
@@ -30,8 +32,10 @@ A tone with disturbance = true, and coloured_noise, are taken off the signal.
 A gate leaves spikes out and follows steps; without one every reading is believed.
 Readings at low or high, or beyond, are clipped, and stuck from so many equal ones on: they count as missing.
 sigma is widened by the share tuning_spread; [channel.calibration] with relative_std, offset_std adds what averaging
-does not lower."""
+does not lower; [channel.timing] with std_s adds to the noise where the signal moves, beyond its included_std."""
 
+
+_KIND = TomlKind("recipe", RecipeError)
 
 Mode = Literal["smoothed", "causal", "lagged"]
 
@@ -67,6 +71,8 @@ class ChannelRecipe(Settings):
         Beside the white noise.
     calibration : CalibrationRecipe or None
         What is uncertain in the sensor's calibration.
+    timing : TimingRecipe or None
+        What is uncertain in the time of its readings.
     tone : tuple of ToneRecipe
         Oscillations beside the motion.
     gate : GateRecipe or None
@@ -86,6 +92,7 @@ class ChannelRecipe(Settings):
     tuning_spread: NotNegative = 0.0
     coloured_noise: ColouredNoiseRecipe | None = None
     calibration: CalibrationRecipe | None = None
+    timing: TimingRecipe | None = None
     tone: tuple[ToneRecipe, ...] = ()
     gate: GateRecipe | None = None
     switching: SwitchingRecipe | None = None
@@ -154,6 +161,8 @@ class Recipe(Settings):
         Name of the time column, if it had to be said.
     rate_hz : float or None
         Rate that replaces the time column, if it was said.
+    stamps : "as-written" or None
+        Whether stamps that a driver made stay, if it was said; None mends them.
     tuned_on : Origin
         Where the numbers come from.
     channel : tuple of ChannelRecipe
@@ -165,6 +174,7 @@ class Recipe(Settings):
     lag_s: Positive | None = None
     time: str | None = None
     rate_hz: Positive | None = None
+    stamps: Literal["as-written"] | None = None
     tuned_on: Origin
     channel: Annotated[tuple[ChannelRecipe, ...], Field(min_length=1)]
 
@@ -210,15 +220,7 @@ class Recipe(Settings):
         RecipeError
             If the text is not TOML, or a value is missing, unknown or impossible.
         """
-        try:
-            return cls.model_validate(tomlkit.parse(text).unwrap())
-        except ValidationError as cause:
-            faults = "; ".join(_faults({error["loc"]: error["msg"] for error in cause.errors()}))
-            raise RecipeError(
-                f"{source} does not say what a recipe must: {faults}. Make one with: becalm tune FILE -o R.toml"
-            ) from cause
-        except (tomlkit.exceptions.TOMLKitError, ValueError) as cause:
-            raise RecipeError(f"{source} is not TOML ({cause}). Make one with: becalm tune FILE -o R.toml") from cause
+        return _KIND.parsed(cls, text, source, "Make one with: becalm tune FILE -o R.toml")
 
     @classmethod
     def load(cls, path: str | Path) -> Recipe:
@@ -229,18 +231,5 @@ class Recipe(Settings):
         RecipeError
             If the file cannot be read or is not a recipe.
         """
-        try:
-            text = Path(path).read_text(encoding="utf-8-sig")
-        except (OSError, UnicodeDecodeError) as cause:
-            reason = getattr(cause, "strerror", None) or "it is not UTF-8 text"
-            raise RecipeError(
-                f"The recipe {path} cannot be read: {reason}. Make one with: becalm tune FILE -o {path}"
-            ) from cause
+        text = _KIND.text_of(path, f"Make one with: becalm tune FILE -o {path}")
         return cls.from_toml(text, f"The recipe {path}")
-
-
-def _faults(messages: dict[tuple[int | str, ...], str]) -> list[str]:
-    """Say what is wrong where; of a list that counts as empty because of what is in it, only that."""
-    inside = {where[:depth] for where in messages for depth in range(1, len(where))}
-    named = {where: ".".join(str(part + 1) if isinstance(part, int) else part for part in where) for where in messages}
-    return [f"{named[at]}: {said}" if at else said for at, said in messages.items() if at not in inside]

@@ -9,9 +9,10 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from becalm.core.clock import GAP_STEPS
 from becalm.core.verdict import AGREE, AT_MOST
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
+# Strict: neither true nor "1.0" is a number.
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False, strict=True)]
+Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 
 _MOST_REJECTS = 1 << 31  # in a row: more than are ever waited for
 
@@ -129,6 +130,32 @@ class LimitsRecipe(Settings):
         return self
 
 
+class TareRecipe(Settings):
+    """A zero that was taken while the recording was read: an event, told here and taken anew from the readings.
+
+    Attributes
+    ----------
+    start_s, stop_s : float
+        The stretch, in seconds after the first row.
+    reading, reading_std : float, float or None
+        What was read without load, and its standard uncertainty, in raw_unit; None where readings did not vary.
+    raw_unit : str
+        Of the readings.
+    readings : int
+        In the stretch.
+    temperature_degc : float or None
+        Of the sensor then, where it is known.
+    """
+
+    start_s: NotNegative
+    stop_s: Positive
+    reading: Finite
+    reading_std: NotNegative | None = None
+    raw_unit: str
+    readings: Annotated[int, Field(ge=1)]
+    temperature_degc: Finite | None = None
+
+
 class CalibrationRecipe(Settings):
     """What is uncertain in the sensor's calibration: one error for all samples, which averaging does not lower.
 
@@ -138,7 +165,26 @@ class CalibrationRecipe(Settings):
         Standard uncertainty (k = 1) of the sensitivity, as a share; a *small* one trusts the calibration.
     offset_std : float
         Standard uncertainty (k = 1) of the zero, in unit; a *small* one trusts it.
+    tare : TareRecipe or None
+        The zero that was taken.
     """
 
     relative_std: NotNegative = 0.0
     offset_std: NotNegative = 0.0
+    tare: TareRecipe | None = None
+
+
+class TimingRecipe(Settings):
+    """What is uncertain in the time of readings: noise where the signal moves.
+
+    Attributes
+    ----------
+    std_s : float
+        Standard uncertainty (k = 1) of the time of each reading, independent of the others, in seconds; a *small* one
+        trusts the stamps.
+    included_std : float
+        What of it noise_std holds already, in unit, as a root mean square; 0 where the noise was told at rest.
+    """
+
+    std_s: Positive
+    included_std: NotNegative = 0.0

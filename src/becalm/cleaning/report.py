@@ -61,6 +61,8 @@ class ChannelReport(Judgement):
     calibration_std : float or None
         What the calibration adds, as a root of a sum of squares, at the mean magnitude of the signal, in unit; no
         averaging lowers it. None where the recipe tells no calibration.
+    timing_share : float or None
+        By which share sigma is wider for an uncertain time of readings, at most; None where the recipe tells none.
     modes : dict of str to ModeReport
         Of a filter that switches, which has neither one bandwidth nor one lag.
     log_likelihood : float or None
@@ -90,6 +92,7 @@ class ChannelReport(Judgement):
     independence_s: float | None = None
     tuning_spread: float | None = None
     calibration_std: float | None = None
+    timing_share: float | None = None
     modes: dict[str, ModeReport] = field(default_factory=dict)
     log_likelihood: float | None = None
     settled_row: int | None = None

@@ -16,6 +16,7 @@ from becalm.cleaning.modes import modes_in_seconds
 from becalm.cleaning.recipe import ChannelRecipe, Mode, Origin, Recipe
 from becalm.cleaning.recipe_parts import GateRecipe
 from becalm.cleaning.steps import gate_of, in_seconds, lag_in_rows
+from becalm.cleaning.timing import time_std_of, timed
 from becalm.core.arrays import Floats
 from becalm.core.recording import Recording
 from becalm.core.verdict import judge
@@ -57,6 +58,9 @@ class Wishes(NamedTuple):
         How long each estimate may wait for later readings; with a *small* one it comes soon, and noisier.
     robust : bool
         Whether many readings are wild, one in a hundred to one in ten, and shall be left out.
+    time_std_s : float or None
+        Standard uncertainty (k = 1) of the time of each reading, independent of the others: jitter of the sampling
+        clock, in seconds. None takes it from the last digit of stamps that are no even grid.
     """
 
     dial: Dial | None = None
@@ -65,6 +69,7 @@ class Wishes(NamedTuple):
     removed_hz: tuple[float, ...] = ()
     lag_s: float | None = None
     robust: bool = False
+    time_std_s: float | None = None
 
 
 NO_WISHES = Wishes()
@@ -114,7 +119,9 @@ def tune(
         pool.shutdown(wait=False, cancel_futures=True)  # who stops it need not wait for the others
     origin = Origin(rows=len(chosen), rate_hz=chosen.rate_hz, becalm=_version())
     mode: Mode = "causal" if causal else "smoothed" if wishes.lag_s is None else "lagged"
-    return Recipe(mode=mode, lag_s=wishes.lag_s, tuned_on=origin, channel=found)
+    recipe = Recipe(mode=mode, lag_s=wishes.lag_s, tuned_on=origin, channel=found)
+    std_s = time_std_of(chosen.timebase) if wishes.time_std_s is None else wishes.time_std_s
+    return timed(recipe, chosen, std_s, at_rest=bool(wishes.still_s)) if std_s else recipe
 
 
 def _version() -> str:

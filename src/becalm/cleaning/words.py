@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from becalm.cleaning.report import ChannelReport
 
+_MOST_PLAIN = 1e6  # from which on numbers are told by powers of ten
 _SELDOM = 0.01  # share of a record, below which a mode's bandwidth is not told
 
 
@@ -69,4 +70,6 @@ def amount(value: float | None, unit: str) -> str:
     if value is None:
         return "-"
     nothing = unit in ("s", "Hz") and abs(value) < 1e-12
-    return f"{0.0 if nothing else value:.3g} {unit}".strip()
+    told = f"{0.0 if nothing else value:.3g}"
+    plain = f"{float(told):.0f}" if "e+0" in told and abs(value) < _MOST_PLAIN else told
+    return f"{plain} {unit}".strip()

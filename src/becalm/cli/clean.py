@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import typer
 
-from becalm.cleaning.pipeline import fitted, in_mode
-from becalm.cli.picturing import Picturing
-from becalm.cli.said import is_same, load, open_as, recipe_beside, refuse_overwriting, refuse_taken, tuned
+from becalm.cleaning.calibrating import tared_anew
+from becalm.cleaning.pipeline import fitted, in_mode, joined
+from becalm.cli.picturing import Done, Picturing
+from becalm.cli.said import is_same, load, open_every, recipe_beside, refuse_overwriting, refuse_taken, tuned
 from becalm.cli.streaming import clean_chunks
-from becalm.cli.talk import progress, tell, tell_columns, tell_not_removed
+from becalm.cli.talk import progress, tell, tell_bands, tell_not_removed
+from becalm.cli.times import pass_through, refuse_times, tell_times, timed
 from becalm.errors import UsageError
 from becalm.files.plain import refuse_unwritable, text_in_waiting
 from becalm.files.registry import format_to_write
@@ -61,27 +63,45 @@ def run(file: Path, said: Said, asking: Asking, outputs: Outputs, *, as_json: bo
     refuse_unwritable(output, beside, *picturing.paths)
     given = load(asking.recipe)
     said = said if given is None else said.or_as(given)
-    with open_as(file, said) as source:
-        refuse_columns(output, source.schema)
-        recipe = _decided(source, said, asking, given)
-        refuse_taken(recipe, source.schema.names, split=outputs.split, verdicts=outputs.verdicts)
+    with open_every(file, said) as opened:
+        sources = opened.sources
+        refuse_times(output, [source.group for source in sources])
+        for source in sources:
+            refuse_columns(output, source.schema)
+        recipes = [_decided(source, said, asking, given) for source in sources]
+        recipe = joined(recipes)
+        for source in sources:
+            refuse_taken(recipe, source.schema.names, split=outputs.split, verdicts=outputs.verdicts)
         if asking.recipe is not None and is_same(beside, asking.recipe) and recipe != given:
             raise UsageError(f"{beside} is the recipe itself and would change; name another output with -o.")
-        text, gathering = recipe.to_toml(), picturing.gathering(source, len(recipe.channel))
+        text, gatherings = recipe.to_toml(), picturing.gatherings(sources, recipes)
+        done: list[Done] = []
         with (
             text_in_waiting(beside, text),
             open_output(output, {"becalm.recipe": text}) as out,
-            progress("cleaning", source.rows) as step,
+            progress("cleaning", sum(source.rows for source in sources)) as step,
         ):
-            reports = clean_chunks(
-                source, recipe, out.write, step, split=outputs.split, verdicts=outputs.verdicts, gathering=gathering
-            )
+            for source, part, gathering in zip(sources, recipes, gatherings, strict=True):
+                found = clean_chunks(
+                    source,
+                    part,
+                    timed(output, source, out.write),
+                    step,
+                    split=outputs.split,
+                    verdicts=outputs.verdicts,
+                    gathering=gathering,
+                )
+                done.append(Done(source, part, found, gathering))
+            pass_through(output, opened, out.write)
+        reports = tuple(report for one in done for report in one.reports)
         tell(reports, recipe.mode == "causal")
         tell_not_removed(reports, asked.removed_hz)
-        tell_columns(source)
-        rows, rate_hz = source.rows, source.rate_hz
+        tell_times(output, opened)
+        for source in sources:
+            tell_bands(source, reports)
+        times = [{"group": one.group, "rows": one.rows, "rate_hz": one.rate_hz} for one in sources]
         typer.echo(f"Wrote {output} and {beside}.", err=True)
-        drawn = picturing.draw(source, recipe, reports, gathering)
+        drawn = picturing.draw(recipe, done)
     describes = all(report.describes for report in reports)
     if as_json:
         summary = {
@@ -89,8 +109,7 @@ def run(file: Path, said: Said, asking: Asking, outputs: Outputs, *, as_json: bo
             "output": str(output),
             "recipe": str(beside),
             **drawn,
-            "rows": rows,
-            "rate_hz": rate_hz,
+            **({"rows": times[0]["rows"], "rate_hz": times[0]["rate_hz"]} if len(times) == 1 else {"times": times}),
             "mode": recipe.mode,
             "describes": describes,
             "channels": [report.as_dict() for report in reports],
@@ -109,5 +128,6 @@ def _decided(source: OpenSource, said: Said, asking: Asking, given: Recipe | Non
     """Return what to do with a file: as the recipe says that was given, or as one says that is found."""
     found = tuned(source, asking.causal, asking.asked, asking.lag_s) if given is None else given
     decided = in_mode(found, asking.causal or None, asking.lag_s)
-    named = source.names if said.channels else None
-    return said.kept_in(fitted(decided, source.names, source.units, channels=named))
+    named = source.names if said.channels or source.group else None
+    fit = fitted(decided, source.names, source.units, channels=named)
+    return said.kept_in(fit.model_copy(update={"channel": tared_anew(fit.channel, source.calibrations)}))

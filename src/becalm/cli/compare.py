@@ -12,12 +12,12 @@ from rich.table import Table
 from becalm.cleaning.comparison import compare
 from becalm.cleaning.comparison_words import cells, headings
 from becalm.cli.portions import beginning, cut_short
-from becalm.cli.said import shown_name
-from becalm.cli.talk import stderr
+from becalm.cli.said import AS_WRITTEN, shown_name
+from becalm.cli.talk import stderr, tell_notes
 from becalm.cli.warm import ahead
+from becalm.files.asked import Asker, Fitting, ReadOptions
 from becalm.files.opening import open_source
 from becalm.files.plain import make_folder, refuse_unwritable, write_text
-from becalm.files.source import Asker, ReadOptions
 
 if TYPE_CHECKING:
     from becalm.cleaning.comparison import ChannelComparison, Comparison
@@ -40,6 +40,7 @@ def run(source: OpenSource, said: Said, asking: Asking, *, as_json: bool) -> Non
     """Compare on a file, or on the beginning of a long one, and show what came out."""
     truth, causal, folder = asking
     page = None if folder is None else _page_in(folder)
+    tell_notes(source)
     recording = beginning(source)
     ahead(recording, causal=causal)
     true = None if truth is None else _truth(truth, source, said)
@@ -71,7 +72,7 @@ def _write(page: Path, source: OpenSource, read: tuple[Recording, Recording | No
     from becalm.report.running import pictures_of
 
     recording, truth = read
-    facts = Facts(shown_name(source.path), len(recording), recording.timebase.step_s, source.sha256())
+    facts = Facts(shown_name(source.path), source.sha256())
     recipe = found.cleaned.recipe
     write_text(page, page_of(facts, recipe, pictures_of(recording, recipe), beside(found, recording, truth)))
     stderr.print(f"Wrote {page}.")
@@ -80,7 +81,11 @@ def _write(page: Path, source: OpenSource, read: tuple[Recording, Recording | No
 def _truth(path: Path, source: OpenSource, said: Said) -> Recording:
     """Read the same channels of the truth; what was said of time holds for both files."""
     asker = Asker("The recording", " Give a truth of the same channels, or choose some with --channels.")
-    with open_source(path, ReadOptions(said.time, said.rate_hz, tuple(source.names), asker)) as other:
+    fitting = Fitting(asker, dict(zip(source.names, source.units, strict=True)))
+    kept = said.stamps == AS_WRITTEN
+    options = ReadOptions(said.time, said.rate_hz, tuple(source.names), asker, fitting=fitting, as_written=kept)
+    with open_source(path, options) as other:
+        tell_notes(other)
         return beginning(other)
 
 

@@ -37,7 +37,7 @@ def run(folder: Path) -> None:
         write(path, cleaned.signal, cleaned.sigma)
         write_text(recipe_beside(path), cleaned.recipe.to_toml())
     page = folder / "drive_clean.html"
-    facts = Facts(raw.name, len(recording), recording.timebase.step_s)
+    facts = Facts(raw.name)
     write_text(page, page_of(facts, smoothed.recipe, pictures_of(recording, smoothed.recipe)))
     out = Console(highlight=False, soft_wrap=True, markup=False)
     out.print("A simulated test drive, 60 s at 500 Hz, cleaned with nothing chosen. Best classic: the best causal")

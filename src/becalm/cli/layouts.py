@@ -3,21 +3,37 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.table import Table
 
 if TYPE_CHECKING:
-    from becalm.files.source import Layout
+    from becalm.files.every_time import OpenFile
 
 
-def show(file: Path, layout: Layout) -> None:
-    """Print the layout of a file on stdout."""
+def summary(opened: OpenFile) -> dict[str, Any]:
+    """Return how a file was understood, for JSON: of several times, a list of layouts."""
+    layouts = [source.layout.as_dict() for source in opened.sources]
+    if len(layouts) == 1 and not opened.passed:
+        return layouts[0]
+    passed = [{"group": raw.group, "rows": raw.count, "columns": raw.names, "why": why} for raw, why in opened.passed]
+    return {"times": layouts, "passed": passed}
+
+
+def show(file: Path, opened: OpenFile) -> None:
+    """Print how a file was understood on stdout."""
     out = Console(highlight=False, soft_wrap=True, markup=False)
-    told = layout.as_dict()
-    columns = told.pop("columns")
     out.print(f"{file}")
+    for source in opened.sources:
+        _show_time(out, source.layout.as_dict())
+    for raw, why in opened.passed:
+        out.print(f"Nothing to clean: {raw.group} ({why}).")
+
+
+def _show_time(out: Console, told: dict[str, Any]) -> None:
+    columns = told.pop("columns")
+    told["notes"] = " ".join(told["notes"])
     facts = Table(box=None, show_header=False, pad_edge=False)
     for key, value in told.items():
         if value not in (None, "", [], ()):

@@ -1,4 +1,4 @@
-"""The commands: inspect, clean, tune, compare, noise, study, demo, warm; rooms are loaded inside them."""
+"""The commands, from inspect and clean to warm; rooms are loaded inside them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Annotated
 import typer
 
 from becalm.cli import options as o
-from becalm.cli.said import Said, load, open_as, refuse_overwriting, tuned
+from becalm.cli.said import load, open_as, open_every, refuse_overwriting, said_of, tuned
 from becalm.cli.stopping import stop_cleanly
 from becalm.errors import BecalmError, UsageError
 
@@ -29,22 +29,28 @@ app = typer.Typer(
 
 
 @app.command()
-def inspect(
+def inspect(  # noqa: PLR0913  (the contract's options)
     file: o.Source,
     channels: o.Channels = None,
     rate: o.Rate = None,
     time: o.Time = None,
+    stamps: o.Stamps = None,
+    group: o.Group = None,
+    unit: o.Units = None,
+    sensors: o.Sensors = None,
     as_json: o.Json = False,
 ) -> None:
     """Show how a file is understood: columns, units, time."""
-    from becalm.cli.layouts import show
+    from becalm.cli.layouts import show, summary
+    from becalm.cli.talk import tell_bands
 
-    with open_as(file, Said(channels, rate, time)) as source:
-        layout = source.layout
-    if as_json:
-        print(json.dumps({"file": str(file), **layout.as_dict()}, indent=2))  # noqa: T201
-    else:
-        show(file, layout)
+    with open_every(file, said_of(channels, o.When(rate, time, group, stamps), unit, sensors)) as opened:
+        if as_json:
+            print(json.dumps({"file": str(file), **summary(opened)}, indent=2))  # noqa: T201
+        else:
+            show(file, opened)
+        for source in opened.sources:
+            tell_bands(source)
 
 
 @app.command()
@@ -55,12 +61,17 @@ def clean(  # noqa: PLR0913  (the contract's options)
     channels: o.Channels = None,
     rate: o.Rate = None,
     time: o.Time = None,
+    stamps: o.Stamps = None,
+    group: o.Group = None,
+    unit: o.Units = None,
+    sensors: o.Sensors = None,
     causal: o.Causal = False,
     lag: o.Lag = None,
     max_lag: o.MaxLag = None,
     bandwidth: o.Bandwidth = None,
     noise_gain: o.NoiseGain = None,
     still: o.Still = None,
+    time_jitter: o.TimeJitter = None,
     remove: o.Remove = None,
     robust: o.Robust = False,
     split: o.Split = False,
@@ -72,9 +83,10 @@ def clean(  # noqa: PLR0913  (the contract's options)
     """Remove the noise from a recording; nothing needs to be chosen."""
     from becalm.cli.clean import Asking, Outputs, run
 
-    asked, lag_s = o.asked_of(o.Dials(max_lag, bandwidth, noise_gain), still, remove, robust), o.lag_of(lag)
+    asked = o.asked_of(o.Dials(max_lag, bandwidth, noise_gain), still, remove, robust, time_jitter)
     outputs = Outputs(output, split, verdicts, report, figures)
-    if not run(file, Said(channels, rate, time), Asking(recipe, causal, lag_s, asked), outputs, as_json=as_json):
+    said = said_of(channels, o.When(rate, time, group, stamps), unit, sensors)
+    if not run(file, said, Asking(recipe, causal, o.lag_of(lag), asked), outputs, as_json=as_json):
         raise typer.Exit(NOT_DESCRIBED)
 
 
@@ -85,12 +97,17 @@ def tune(  # noqa: PLR0913  (the contract's options)
     channels: o.Channels = None,
     rate: o.Rate = None,
     time: o.Time = None,
+    stamps: o.Stamps = None,
+    group: o.Group = None,
+    unit: o.Units = None,
+    sensors: o.Sensors = None,
     causal: o.Causal = False,
     lag: o.Lag = None,
     max_lag: o.MaxLag = None,
     bandwidth: o.Bandwidth = None,
     noise_gain: o.NoiseGain = None,
     still: o.Still = None,
+    time_jitter: o.TimeJitter = None,
     remove: o.Remove = None,
     robust: o.Robust = False,
     as_json: o.Json = False,
@@ -99,14 +116,17 @@ def tune(  # noqa: PLR0913  (the contract's options)
     from dataclasses import asdict
 
     from becalm.cleaning.delays import delays
-    from becalm.cli.talk import tell_delays
+    from becalm.cleaning.pipeline import joined
+    from becalm.cli.talk import tell_delays, tell_notes
     from becalm.files.plain import refuse_unwritable, write_text
 
     refuse_overwriting(file, output)
     refuse_unwritable(output)
-    said, asked = Said(channels, rate, time), o.asked_of(o.Dials(max_lag, bandwidth, noise_gain), still, remove, robust)
-    with open_as(file, said) as source:
-        found = said.kept_in(tuned(source, causal, asked, o.lag_of(lag)))
+    said = said_of(channels, o.When(rate, time, group, stamps), unit, sensors)
+    asked = o.asked_of(o.Dials(max_lag, bandwidth, noise_gain), still, remove, robust, time_jitter)
+    with open_every(file, said) as opened:
+        tell_notes(*opened.sources)
+        found = said.kept_in(joined([tuned(source, causal, asked, o.lag_of(lag)) for source in opened.sources]))
     write_text(output, found.to_toml())
     bought = delays(found)
     tell_delays(bought)
@@ -125,6 +145,10 @@ def compare(  # noqa: PLR0913  (the contract's options)
     channels: o.Looked = None,
     rate: o.Rate = None,
     time: o.Time = None,
+    stamps: o.Stamps = None,
+    group: o.Group = None,
+    unit: o.Units = None,
+    sensors: o.Sensors = None,
     causal: o.Causal = False,
     output: o.ComparedIn = None,
     as_json: o.Json = False,
@@ -133,7 +157,8 @@ def compare(  # noqa: PLR0913  (the contract's options)
     from becalm.cli.compare import Asking, run
 
     given = load(recipe)
-    said = Said(channels, rate, time) if given is None else Said(channels, rate, time).or_as(given)
+    said = said_of(channels, o.When(rate, time, group, stamps), unit, sensors)
+    said = said if given is None else said.or_as(given)
     with open_as(file, said) as source:
         run(source, said, Asking(truth, causal, output), as_json=as_json)
 
@@ -144,6 +169,10 @@ def noise(  # noqa: PLR0913  (the contract's options)
     channels: o.Looked = None,
     rate: o.Rate = None,
     time: o.Time = None,
+    stamps: o.Stamps = None,
+    group: o.Group = None,
+    unit: o.Units = None,
+    sensors: o.Sensors = None,
     still: o.Rest = None,
     cutoff: o.Cutoff = None,
     as_json: o.Json = False,
@@ -152,8 +181,36 @@ def noise(  # noqa: PLR0913  (the contract's options)
     from becalm.cli.noise import run
 
     spans_s, cutoff_hz = o.still_of(still), None if cutoff is None else o.frequency_of("--cutoff", cutoff)
-    with open_as(file, Said(channels, rate, time)) as source:
+    with open_as(file, said_of(channels, o.When(rate, time, group, stamps), unit, sensors)) as source:
         run(source, spans_s, cutoff_hz, as_json)
+
+
+@app.command()
+def calibrate(  # noqa: PLR0913  (the contract's options)
+    file: o.Source,
+    output: o.SensorsOut,
+    channels: o.Axes = None,
+    rate: o.Rate = None,
+    time: o.Time = None,
+    stamps: o.Stamps = None,
+    group: o.Group = None,
+    gravity: o.Gravity = None,
+    unit: o.Acceleration = "m/s^2",
+    as_json: o.Json = False,
+) -> None:
+    """Calibrate a triaxial accelerometer that was laid down in ten poses or more; write its sensor file."""
+    from becalm.cli.calibrate import run
+
+    said = said_of(channels, o.When(rate, time, group, stamps), None, None)
+    run(file, said, output, unit, gravity, as_json=as_json)
+
+
+@app.command()
+def recalibrate(file: o.Clean, output: o.Output, old: o.OldSensors, new: o.NewSensors) -> None:
+    """Give a clean recording another sensitivity and zero, without its readings."""
+    from becalm.cli.recalibrate import Calibrations, run
+
+    run(file, output, Calibrations(old, new))
 
 
 @app.command()

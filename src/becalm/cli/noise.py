@@ -11,7 +11,7 @@ from rich.table import Table
 
 from becalm.cleaning.noise_report import ChannelNoise, report_noise
 from becalm.cli.portions import beginning, cut_short, rest_within
-from becalm.cli.talk import progress, stderr
+from becalm.cli.talk import progress, stderr, tell_notes
 from becalm.errors import UsageError
 
 if TYPE_CHECKING:
@@ -38,6 +38,7 @@ def run(source: OpenSource, spans_s: Spans | None, cutoff_hz: float | None, as_j
         raise UsageError(
             f"--cutoff {cutoff_hz:g}Hz cannot be had at {source.rate_hz:.4g} rows a second; stay below half of that."
         )
+    tell_notes(source)
     recording = beginning(source)
     with progress("measuring", len(source.names)) as step, rest_within(source, recording):
         told = report_noise(

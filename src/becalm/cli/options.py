@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
+from becalm.cleaning.stretches import stretch_s
 from becalm.errors import UsageError
 
 if TYPE_CHECKING:
     from becalm.noise.dial import Dial, Kind
 
-Source = Annotated[Path, typer.Argument(metavar="FILE", help="Recording: CSV (also gzipped) or Parquet.")]
+_READ = "CSV, Parquet, MF4, TDMS, UFF58, MAT, HDF5, NPZ, WAV, ROS bag, MCAP, ULog or IDE"
+Source = Annotated[Path, typer.Argument(metavar="FILE", help=f"Recording: {_READ}.")]
 Output = Annotated[Path, typer.Option("-o", "--output", metavar="OUT", help="Where to write; format by file ending.")]
 RecipeOut = Annotated[Path, typer.Option("-o", "--output", metavar="R.toml", help="Where to write the recipe.")]
 RecipeIn = Annotated[Path | None, typer.Option("--recipe", metavar="R.toml", help="Do as this recipe says.")]
@@ -32,6 +34,41 @@ Rate = Annotated[
     float | None, typer.Option("--rate", metavar="HZ", help="Count rows at this rate; replaces the time column.")
 ]
 Time = Annotated[str | None, typer.Option("--time", metavar="COLUMN", help="Name of the time column.")]
+Stamps = Annotated[
+    str | None,
+    typer.Option(
+        "--stamps", metavar="as-written|mended", help="Whether stamps that a driver made are mended; they are."
+    ),
+]
+TimeJitter = Annotated[
+    str | None,
+    typer.Option(
+        "--time-jitter",
+        metavar="50us",
+        help="The sampling jitters by so much (k = 1), which widens sigma; s, ms or us.",
+    ),
+]
+Group = Annotated[
+    str | None, typer.Option("--group", metavar="NAME", help="Of a file with channels at several times, which of them.")
+]
+Units = Annotated[
+    list[str] | None,
+    typer.Option("--unit", metavar="NAME=UNIT", help="Have a channel in this unit, as ax=m/s^2; may be repeated."),
+]
+Sensors = Annotated[
+    Path | None, typer.Option("--sensors", metavar="S.toml", help="Turn volts into units by these calibrations first.")
+]
+SensorsOut = Annotated[
+    Path, typer.Option("-o", "--output", metavar="S.toml", help="Where to write the sensor, for --sensors.")
+]
+Clean = Annotated[Path, typer.Argument(metavar="CLEAN", help="Output of becalm clean, with its recipe beside it.")]
+OldSensors = Annotated[Path, typer.Option("--from", metavar="OLD.toml", help="The sensors that it was cleaned with.")]
+NewSensors = Annotated[Path, typer.Option("--to", metavar="NEW.toml", help="The same sensors, calibrated anew.")]
+Axes = Annotated[str | None, typer.Option("--channels", metavar="x,y,z", help="The three axes.")]
+Gravity = Annotated[
+    float | None, typer.Option("--gravity", metavar="9.81", help="Where the sensor lay, in m/s^2; 9.80665 by default.")
+]
+Acceleration = Annotated[str, typer.Option("--unit", metavar="m/s^2|g", help="What to calibrate in.")]
 Causal = Annotated[bool, typer.Option("--causal", help="Let each estimate know only the past, as a live filter does.")]
 MaxLag = Annotated[
     str | None,
@@ -86,8 +123,6 @@ Cutoff = Annotated[
 
 
 _QUANTITY = re.compile(r"(?P<number>[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?)\s*(?P<unit>[a-z]+)", re.IGNORECASE)
-_TIME = re.compile(r"(?P<number>(\d+\.?\d*|\.\d+)(e[-+]?\d+)?)\s*(?P<unit>ms|s|min|h)?", re.IGNORECASE)
-_SECONDS = {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0}
 _SIZES: dict[Kind, dict[str, float]] = {
     "max_lag_s": {"s": 1.0, "ms": 1e-3, "us": 1e-6},
     "bandwidth_hz": {"hz": 1.0, "khz": 1e3},
@@ -104,11 +139,22 @@ class Asked(NamedTuple):
     still_s: tuple[tuple[float, float], ...]
     removed_hz: tuple[float, ...]
     robust: bool
+    time_std_s: float | None = None
 
     @property
     def anything(self) -> bool:
         """Whether something was asked at all."""
-        return self.dial is not None or self.robust or bool(self.still_s or self.removed_hz)
+        told = self.dial is not None or self.time_std_s is not None
+        return told or self.robust or bool(self.still_s or self.removed_hz)
+
+
+class When(NamedTuple):
+    """What was said of the time."""
+
+    rate_hz: float | None = None
+    time: str | None = None
+    group: str | None = None
+    stamps: str | None = None
 
 
 class Dials(NamedTuple):
@@ -119,8 +165,10 @@ class Dials(NamedTuple):
     noise_gain: str | None
 
 
-def asked_of(dials: Dials, still: str | None, remove: str | None, robust: bool = False) -> Asked:
-    """Read what is asked: --max-lag, --bandwidth or --noise-gain, --still, --remove and --robust.
+def asked_of(
+    dials: Dials, still: str | None, remove: str | None, robust: bool = False, jitter: str | None = None
+) -> Asked:
+    """Read what is asked: --max-lag, --bandwidth or --noise-gain, --still, --remove, --robust and --time-jitter.
 
     Raises
     ------
@@ -129,7 +177,26 @@ def asked_of(dials: Dials, still: str | None, remove: str | None, robust: bool =
     """
     named = [] if remove is None else [part for part in remove.split(",") if part.strip()]
     removed = tuple(frequency_of("--remove", part) for part in named)
-    return Asked(dial_of(*dials), still_of(still) or (), removed, robust)
+    return Asked(dial_of(*dials), still_of(still) or (), removed, robust, jitter_of(jitter))
+
+
+def units_of(texts: list[str] | None) -> dict[str, str]:
+    """Read the units to have channels in, by their names.
+
+    Raises
+    ------
+    UsageError
+        If a text is not NAME=UNIT, or names a channel again.
+    """
+    units: dict[str, str] = {}
+    for text in texts or ():
+        name, _, unit = (part.strip() for part in text.rpartition("="))
+        if not name or not unit:
+            raise UsageError(f"--unit {text} is not NAME=UNIT; write a channel and the unit to have it in: ax=m/s^2")
+        if name in units:
+            raise UsageError(f"--unit names {name!r} twice; give it one unit.")
+        units[name] = unit
+    return units
 
 
 def lag_of(text: str | None) -> float | None:
@@ -146,6 +213,20 @@ def lag_of(text: str | None) -> float | None:
     if lag_s is None or not 0 < lag_s < inf:
         raise UsageError(f"--lag {text} is no time to wait; write a positive number and then s, ms or us, as 10ms.")
     return lag_s
+
+
+def jitter_of(text: str | None) -> float | None:
+    """Read by how much the sampling jitters, in seconds.
+
+    Raises
+    ------
+    UsageError
+        If it is no positive number with its unit.
+    """
+    std_s = None if text is None else _quantity(text, "max_lag_s")
+    if text is not None and (std_s is None or not 0 < std_s < inf):
+        raise UsageError(f"--time-jitter {text} is no time; write a positive number and then s, ms or us, as 50us.")
+    return std_s
 
 
 def dial_of(max_lag: str | None, bandwidth: str | None, noise_gain: str | None) -> Dial | None:
@@ -205,14 +286,13 @@ def _quantity(text: str, kind: Kind) -> float | None:
 
 
 def _span_of(text: str) -> tuple[float, float]:
-    ends = [_TIME.fullmatch(end.strip()) for end in text.split(":")]
-    times_s = [float(end["number"]) * _SECONDS[(end["unit"] or "s").lower()] for end in ends if end]
-    if len(ends) != 2 or len(times_s) != 2 or not times_s[0] < times_s[1] < inf:
+    span_s = stretch_s(text)
+    if span_s is None:
         raise UsageError(
             f"--still {text.strip()} is no stretch of time; write START:STOP in seconds after the first row, as 0:30"
             " for the first half minute, or with units, as 1min:2min; several with commas."
         )
-    return times_s[0], times_s[1]
+    return span_s
 
 
 def split_names(text: str) -> tuple[str, ...]:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING, cast, get_args
+from typing import TYPE_CHECKING, NamedTuple, cast, get_args
 
 import typer
 
@@ -18,6 +19,16 @@ if TYPE_CHECKING:
     from becalm.report.channel import Pictures
     from becalm.report.gathering import Gathering
     from becalm.report.printing import Kind
+
+
+class Done(NamedTuple):
+    """One time of a file, cleaned."""
+
+    source: OpenSource
+    recipe: Recipe
+    reports: tuple[ChannelReport, ...]
+    gathering: Gathering | None
+
 
 _PAGES = (".html", ".htm")
 
@@ -80,42 +91,44 @@ class Picturing:
             if self._page is not None and read is not None and is_same(self._page, read):
                 raise UsageError(f"{self._page} is the {what} itself; name another page with --report.")
 
-    def gathering(self, source: OpenSource, channels: int) -> Gathering | None:
-        """Return what gathers while the file is cleaned, if anything is to be drawn."""
+    def gatherings(self, sources: Sequence[OpenSource], recipes: Sequence[Recipe]) -> list[Gathering | None]:
+        """Return what gathers while each time of a file is cleaned, if anything is to be drawn."""
         if self._page is None and self._kind is None:
-            return None
+            return [None] * len(sources)
         from becalm.report.gathering import Gathering
         from becalm.report.printing import load_meanwhile
 
         load_meanwhile()
         if self._page is not None:
-            self._sha256 = ThreadPoolExecutor(1).submit(source.sha256)
-        return Gathering(source.rows, source.clock.step_s, channels)
+            self._sha256 = ThreadPoolExecutor(1).submit(sources[0].sha256)
+        return [
+            Gathering(source.rows, source.clock.step_s, len(recipe.channel))
+            for source, recipe in zip(sources, recipes, strict=True)
+        ]
 
-    def draw(
-        self,
-        source: OpenSource,
-        recipe: Recipe,
-        reports: tuple[ChannelReport, ...],
-        gathering: Gathering | None,
-    ) -> dict[str, str]:
-        """Draw, and say where; return the same for JSON.
+    def draw(self, recipe: Recipe, done: Sequence[Done]) -> dict[str, str]:
+        """Draw what was done of all times by a recipe, and say where; return the same for JSON.
 
         Raises
         ------
         OutputError
             If something cannot be written.
         """
-        if gathering is None:
+        if self._page is None and self._kind is None:
             return {}
         from becalm.files.plain import write_text
-        from becalm.report.channel import Pictures
+        from becalm.report.channel import Cleaned, Pictures
         from becalm.report.page import Facts, page_of
 
-        pictures = Pictures(recipe, reports, gathering, source.clock.step_s)
+        times = [
+            Cleaned(one.recipe, one.reports, one.gathering, one.source.clock.step_s, one.source.group)
+            for one in done
+            if one.gathering is not None
+        ]
+        pictures = Pictures(*times)
         drawn = {}
         if self._page is not None:
-            facts = Facts(shown_name(source.path), source.rows, source.clock.step_s, self._sha256.result())
+            facts = Facts(shown_name(done[0].source.path), self._sha256.result())
             write_text(self._page, page_of(facts, recipe, pictures))
             drawn["report"] = str(self._page)
             typer.echo(f"Wrote {self._page}.", err=True)

@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 import os
-from contextlib import nullcontext
+from collections.abc import Mapping
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
 
-from becalm.cli.options import split_names
+from becalm.cli.options import split_names, units_of
 from becalm.errors import UsageError
 
 if TYPE_CHECKING:
     from becalm.cleaning.recipe import Recipe
-    from becalm.cli.options import Asked
+    from becalm.cli.options import Asked, When
+    from becalm.files.asked import ReadOptions
+    from becalm.files.every_time import OpenFile
     from becalm.files.opening import OpenSource
+    from becalm.sensors.record import SensorRecord
+
+AS_WRITTEN, MENDED = "as-written", "mended"
 
 
 class Said(NamedTuple):
@@ -23,16 +30,26 @@ class Said(NamedTuple):
     rate_hz: float | None
     time: str | None
     recipe: Recipe | None = None
+    group: str | None = None
+    units: Mapping[str, str] = MappingProxyType({})
+    sensors: tuple[SensorRecord, ...] = ()
+    stamps: str | None = None
 
     def or_as(self, recipe: Recipe) -> Said:
         """Take the time from a recipe, if nothing was said of it."""
         if self.rate_hz is None and self.time is None:
-            return Said(self.channels, recipe.rate_hz, recipe.time, recipe)
+            rate_hz = None if self.stamps == AS_WRITTEN else recipe.rate_hz
+            stamps = self.stamps or recipe.stamps
+            return self._replace(rate_hz=rate_hz, time=recipe.time, stamps=stamps, recipe=recipe)
         return self._replace(recipe=recipe)
 
     def kept_in(self, recipe: Recipe) -> Recipe:
         """Put into a recipe what was said of the time, so that it gives the same bytes again."""
-        return recipe.model_copy(update={"rate_hz": self.rate_hz, "time": self.time})
+        return recipe.model_copy(update={"rate_hz": self.rate_hz, "time": self.time, "stamps": self._kept_stamps})
+
+    @property
+    def _kept_stamps(self) -> str | None:
+        return AS_WRITTEN if self.stamps == AS_WRITTEN else None  # a recipe's silence mends
 
     @property
     def names(self) -> tuple[str, ...] | None:
@@ -45,16 +62,56 @@ class Said(NamedTuple):
         return names
 
 
+def said_of(channels: str | None, when: When, units: list[str] | None, sensors: Path | None) -> Said:
+    """Put together what was said of a file; warn of sensors that are due for calibration.
+
+    Raises
+    ------
+    UsageError
+        If it is not said how stamps are to be, or units cannot be read.
+    """
+    if when.stamps not in (None, AS_WRITTEN, MENDED):
+        raise UsageError(f"--stamps {when.stamps} is not known; write --stamps {AS_WRITTEN}, or {MENDED}.")
+    records: tuple[SensorRecord, ...] = ()
+    if sensors is not None:
+        from datetime import datetime
+
+        from becalm.cleaning.sensor_file import due_warnings, load_sensors
+        from becalm.cli.talk import stderr
+
+        records = load_sensors(sensors)
+        for sentence in due_warnings(records, datetime.now().astimezone().date()):
+            stderr.print(sentence)
+    return Said(channels, when.rate_hz, when.time, None, when.group, units_of(units), records, when.stamps)
+
+
 def open_as(file: Path, said: Said) -> OpenSource:
-    """Open a file as it was said to be."""
+    """Open one time of a file as it was said to be."""
     from becalm.files.opening import open_source
-    from becalm.files.source import COMMAND_LINE, Asker, ReadOptions
+
+    return open_source(file, _options(file, said))
+
+
+def open_every(file: Path, said: Said) -> AbstractContextManager[OpenFile]:
+    """Open a file as it was said to be, with all its times."""
+    from becalm.files.every_time import open_file
+
+    return open_file(file, _options(file, said))
+
+
+def _options(file: Path, said: Said) -> ReadOptions:
+    from becalm.files.asked import COMMAND_LINE, Asker, Fitting, ReadOptions
 
     asker = COMMAND_LINE
     if said.recipe is not None and said.channels is None:
         another = f"make another recipe with: becalm tune {file} -o R.toml"
         asker = Asker("The recipe", f" Choose some of its channels with --channels, or {another}")
-    return open_source(file, ReadOptions(said.time, said.rate_hz, said.names, asker))
+    fitting = None
+    if said.recipe is not None:
+        needs = Asker("The recipe", f" Make another recipe with: becalm tune {file} -o R.toml")
+        fitting = Fitting(needs, {channel.name: channel.unit for channel in said.recipe.channel})
+    kept = said.stamps == AS_WRITTEN
+    return ReadOptions(said.time, said.rate_hz, said.names, asker, said.group, fitting, said.units, said.sensors, kept)
 
 
 def recipe_beside(output: Path) -> Path:
@@ -116,6 +173,7 @@ def refuse_taken(recipe: Recipe, columns: list[str], *, split: bool, verdicts: b
 
 def tuned(source: OpenSource, causal: bool, asked: Asked, lag_s: float | None = None) -> Recipe:
     """Tune a recipe on a file, or on evenly spread stretches of a long one."""
+    from becalm.cleaning.calibrating import calibrated
     from becalm.cleaning.tuning import Wishes, tune, tuned_as_filter
     from becalm.cli.portions import beginning, rest_within, rows_to_tune_on
     from becalm.cli.talk import progress
@@ -124,8 +182,10 @@ def tuned(source: OpenSource, causal: bool, asked: Asked, lag_s: float | None = 
     sample = source.sample(rows_to_tune_on(source))
     ahead(sample, causal=tuned_as_filter(causal, lag_s, sample.timebase.step_s))
     rest = beginning(source) if asked.still_s else sample
-    wishes = Wishes(asked.dial, asked.still_s, rest, asked.removed_hz, lag_s, asked.robust)
+    wishes = Wishes(asked.dial, asked.still_s, rest, asked.removed_hz, lag_s, asked.robust, asked.time_std_s)
     told = rest_within(source, rest) if asked.still_s else nullcontext()
     with progress("tuning", len(source.names)) as step, told:
         found = tune(sample, causal=causal, wishes=wishes, progress=lambda name: step(name, 1))
-    return found.model_copy(update={"tuned_on": found.tuned_on.model_copy(update={"sha256": source.sha256()})})
+    origin = found.tuned_on.model_copy(update={"sha256": source.sha256()})
+    channels = calibrated(found.channel, source.calibrations)
+    return found.model_copy(update={"tuned_on": origin, "channel": channels})

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from becalm.files.opening import OpenSource
     from becalm.noise.waiting import Delay
 
+_MOST_NAMED = 8  # channels of which the same is said
 stderr = Console(stderr=True, highlight=False, soft_wrap=True, markup=False)
 
 
@@ -38,9 +39,13 @@ def tell(reports: tuple[ChannelReport, ...], causal: bool) -> None:
     for report in reports:
         table.add_row(report.name, *cells(report, causal))
     stderr.print(table)
+    alike: dict[str, list[str]] = {}
     for report in reports:
         if report.says != DESCRIBED:
-            stderr.print(f"{report.name}: {report.says}")
+            alike.setdefault(report.says, []).append(report.name)
+    for says, names in alike.items():
+        more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
+        stderr.print(f"{', '.join(names[:_MOST_NAMED])}{more}: {says}")
 
 
 def tell_delays(delays: dict[str, tuple[Delay, ...]]) -> None:
@@ -64,6 +69,24 @@ def tell_not_removed(reports: tuple[ChannelReport, ...], removed_hz: tuple[float
             stderr.print(
                 f"No tone stands out near {frequency:.6g} Hz in {', '.join(lacking)}: nothing was taken off there."
             )
+
+
+def tell_bands(source: OpenSource, reports: tuple[ChannelReport, ...] = ()) -> None:
+    """Say which channels go beyond the band in which their sensors are right: as filtered, or as read."""
+    from becalm.cleaning.bands import beyond_flat
+
+    passed = {one.name: max((one.bandwidth_hz, *one.tones_hz)) for one in reports if one.bandwidth_hz is not None}
+    for name, calibration in source.calibrations.items():
+        if calibration.resonance is None or name not in source.names:
+            continue
+        if said := beyond_flat(name, calibration.resonance, passed.get(name), source.rate_hz):
+            stderr.print(said)
+
+
+def tell_notes(*sources: OpenSource) -> None:
+    """Say what a person must know of a file, each sentence once."""
+    for note in dict.fromkeys(note for source in sources for note in source.notes):
+        stderr.print(note)
 
 
 def tell_columns(source: OpenSource) -> None:

@@ -52,6 +52,8 @@ class Clock:
         Rows before which more than 1.5 steps passed.
     repeats : int
         Rows with the same time as the row before.
+    resolution_s : float
+        As in `Timebase`.
     """
 
     count: int
@@ -63,6 +65,7 @@ class Clock:
     duration_s: float = 0.0
     gaps: int = 0
     repeats: int = 0
+    resolution_s: float = 0.0
 
     @classmethod
     def counted(cls, count: int, rate_hz: float, start_s: float = 0.0) -> Clock:
@@ -110,9 +113,11 @@ class Clock:
             residual, worst = _residual(line, near, seen, blocks)
             if worst <= tolerance:
                 step = _twelve_digits(near + line.slope)
-                return cls(count, step, seen.first, True, residual.std, near, step * line.length, line.gaps)
+                told = (residual.std, near, step * line.length, line.gaps, 0, seen.digit)
+                return cls(count, step, seen.first, True, *told)
         jitter = offsets.std / np.sqrt(2)
-        return cls(count, seen.step, seen.first, False, jitter, seen.step, seen.last - seen.first, gaps, repeats)
+        told = (jitter, seen.step, seen.last - seen.first, gaps, repeats, seen.digit)
+        return cls(count, seen.step, seen.first, False, *told)
 
     @property
     def rate_hz(self) -> float:
@@ -192,7 +197,7 @@ def _look(count: int, blocks: Blocks) -> _Look:
     step = float(np.median(seen.values))
     if not (np.isfinite(first) and step > 0):
         _refuse(blocks)
-    return _Look(step, first, last, _last_digit(np.concatenate(some)))
+    return _Look(step, first, last, last_digit(np.concatenate(some)))
 
 
 def _refuse(blocks: Blocks) -> None:
@@ -270,7 +275,7 @@ def _twelve_digits(step_s: float) -> float:
     return 1.0 / float(f"{1.0 / step_s:.12g}")
 
 
-def _last_digit(some: Floats) -> float:
+def last_digit(some: Floats) -> float:
     """Find the decimal place that the stamps are rounded to, in seconds; 0 if none is seen."""
     for place in range(_FINEST_DIGIT + 1):
         scaled = some * 10.0**place

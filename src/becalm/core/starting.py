@@ -21,6 +21,7 @@ from becalm.errors import ModelError
 
 _WELL_DETERMINED = 1e-6  # smallest eigenvalue of the information, scaled to a unit diagonal
 _IN_RANGE = 1e-9
+_FAR_MORE = 1e6  # of what readings tell to what the next state tells
 _WIDE = 1e9  # of P0 over R: P - K S K' keeps less than seven digits
 _INVERTIBLE = 1e14
 _STRETCH = 4096
@@ -193,10 +194,19 @@ class Regression(NamedTuple):
 
 
 def regress(now: Information, F: Floats, Q: Floats) -> Regression:
-    """Find what the next state says of this one, beside what this one's own readings say."""
+    """Find what the next state says of this one, beside what this one's own readings say.
+
+    With M = F^-T Y F^-1 the noise of the step has covariance W = (M + Q^-1)^-1 = Q (I + M Q)^-1, given both, which is
+    near Q where readings tell little, and needs no inverse of Q. Where they tell far more than the next state, as
+    across a long gap, nothing would be left of it in float64; then F' Q^-1 F is put beside Y.
+    """
     back = np.linalg.inv(F)
     M, b = back.T @ now.Y @ back, back.T @ now.y
-    W = Q @ np.linalg.inv(np.eye(len(M)) + M @ Q)  # of the noise of the step, given both
+    if np.trace(M @ Q) > _FAR_MORE and is_determined(Q):
+        pull = F.T @ _symmetric_inverse(Q)
+        W = _symmetric_inverse(now.Y + pull @ F)
+        return Regression(W @ pull, W @ now.y, W)
+    W = Q @ np.linalg.inv(np.eye(len(M)) + M @ Q)
     return Regression(back @ (np.eye(len(M)) - W @ M), back @ W @ b, back @ W @ back.T)
 
 

@@ -39,6 +39,8 @@ class Timebase:
     jitter_s : float
         Standard deviation of one stamp about its place, in seconds: about the even grid of uniform
         time; of the distances over the root of two otherwise, gaps left aside.
+    resolution_s : float
+        Last digit that stamps are rounded to, in seconds; 0 if none is seen, or rows are counted.
     """
 
     elapsed_steps: Floats
@@ -46,6 +48,7 @@ class Timebase:
     start_s: float = 0.0
     uniform: bool = True
     jitter_s: float = 0.0
+    resolution_s: float = 0.0
 
     @classmethod
     def even(cls, count: int, rate_hz: float, start_s: float = 0.0) -> Timebase:
@@ -81,7 +84,8 @@ class Timebase:
     @classmethod
     def of(cls, clock: Clock, elapsed_steps: Floats) -> Timebase:
         """Put together what a clock knows and the steps between some of its rows; the array is kept, not copied."""
-        return cls(read_only(elapsed_steps), clock.step_s, clock.start_s, clock.uniform, clock.jitter_s)
+        told = (clock.step_s, clock.start_s, clock.uniform, clock.jitter_s, clock.resolution_s)
+        return cls(read_only(elapsed_steps), *told)
 
     @property
     def count(self) -> int:

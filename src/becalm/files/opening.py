@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
@@ -14,58 +14,26 @@ import numpy as np
 import pyarrow as pa
 
 from becalm.core.arrays import Floats
-from becalm.core.clock import FASTEST_HZ, SLOWEST_HZ, Clock
+from becalm.core.clock import Clock
 from becalm.core.recording import Recording
 from becalm.core.timebase import Timebase
-from becalm.errors import InputError, TimeError, UsageError
-from becalm.files.registry import read_raw
+from becalm.errors import InputError, TimeError
+from becalm.files.asked import ReadOptions, refuse_impossible
+from becalm.files.choosing import chosen_table
+from becalm.files.chunk import Chunk
+from becalm.files.converting import in_units_asked
+from becalm.files.registry import read_tables
 from becalm.files.roles import choose_channels, missing_in, unit_of, values_of
 from becalm.files.rows import HeldRows, block_rows, rebatched
-from becalm.files.source import Layout, RawTable, ReadOptions, TimeLayout, layout_of
-from becalm.files.time_column import TIME_OPTION, choose_time, find_time, named_column, spoilt_times
-from becalm.files.times import Stamps, read_time
+from becalm.files.sensing import with_sensors
+from becalm.files.source import Layout, RawTable, TimeLayout, layout_of
+from becalm.files.timing.row_times import row_times
+from becalm.files.timing.time_mending import clock_of
+from becalm.files.timing.times import Stamps
+from becalm.sensors.record import Calibration
 
 STRETCHES = 8
 """A sample of a long recording is made of so many parts."""
-
-
-@dataclass(frozen=True)
-class Chunk:
-    """Some consecutive rows of a file.
-
-    Attributes
-    ----------
-    first_row : int
-        The row of the file that comes first, counted from 0.
-    table : pyarrow.Table
-        All columns in the order of the file, as they are to be passed through.
-    elapsed_steps : (n,) float array
-        Time since the row before, in steps of the clock; 0 for the first of the file.
-    names : tuple of str
-        The channels.
-    """
-
-    first_row: int
-    table: pa.Table
-    elapsed_steps: Floats
-    names: tuple[str, ...]
-    decimal: str = "."
-
-    def __len__(self) -> int:
-        """Return the number of rows."""
-        return int(self.table.num_rows)
-
-    def channel(self, number: int) -> Floats:
-        """Return one channel, (n,), NaN where a cell is missing; read-only where it is the file's own memory."""
-        return values_of(self.table.column(self.names[number]), self.decimal)
-
-    @property
-    def samples(self) -> Floats:
-        """All channels, (n, m)."""
-        out = np.empty((len(self), len(self.names)))
-        for number in range(len(self.names)):
-            out[:, number] = self.channel(number)
-        return out
 
 
 class OpenSource:
@@ -100,28 +68,19 @@ class OpenSource:
     def _understand(self, raw: RawTable, options: ReadOptions) -> None:
         if raw.count == 0:
             raise InputError("It has columns but no rows; two or more rows are needed.")
-        found = find_time(raw)
-        if (count := _without_blank_end(raw, found)) < raw.count:
-            self._raw = raw = replace(raw, count=count)
-            found = find_time(raw)
-        candidates = [column for columns in found for column in columns] + spoilt_times(raw)
-        if options.rate_hz is None:
-            self._stamps, self._time = read_time(raw, choose_time(raw, found, options.time))
-        elif options.time is not None:
-            candidates.append(named_column(raw, options.time, TIME_OPTION))
-        chosen = choose_channels(raw, self._time.columns, candidates, options.channels, options.asker)
+        times = row_times(raw, options)
+        self._raw, self._stamps, self._time, raw = times.raw, times.stamps, times.layout, times.raw
+        chosen = choose_channels(raw, self._time.columns, times.candidates, options.channels, options.asker)
         self.names, self.columns = chosen
         self.units = tuple(unit_of(raw, name) for name in self.names)
         self.rows: int = raw.count
         self.schema: pa.Schema = raw.rows.schema
-        self.clock = (
-            Clock.from_stamps(self.rows, self._stamps.blocks)
-            if self._stamps is not None
-            else Clock.counted(self.rows, options.rate_hz or 1.0)
-        )
-        if self._stamps is not None and self.clock.even:  # then rows can be counted
-            self._stamps.close()
-            self._stamps = None
+        self.clock = Clock.counted(self.rows, times.rate_hz or 1.0)
+        if self._stamps is not None:
+            self.clock, self._time = clock_of(self._stamps, self._time, options.as_written)
+            if self.clock.even:  # then rows can be counted
+                self._stamps.close()
+                self._stamps = None
 
     @cached_property
     def layout(self) -> Layout:
@@ -129,6 +88,26 @@ class OpenSource:
         counts = missing_in(self._raw)
         columns = tuple(replace(column, missing=count) for column, count in zip(self.columns, counts, strict=True))
         return layout_of(self._raw, self._time, self.clock, columns)
+
+    @property
+    def group(self) -> str:
+        """What the file calls these channels; "" where all share one time."""
+        return self._raw.group
+
+    @property
+    def calibrations(self) -> dict[str, Calibration]:
+        """What must be known of the channels that sensors turned into their units."""
+        return self._raw.calibrations
+
+    @property
+    def start(self) -> str:
+        """The first instant as ISO 8601 text; "" where the file gives no date."""
+        return self._time.start
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a person must know of the file, as sentences."""
+        return (*self._raw.notes, *self._time.notes)
 
     @property
     def rate_hz(self) -> float:
@@ -240,14 +219,14 @@ class OpenSource:
 
 
 def open_source(path: str | os.PathLike[str], options: ReadOptions | None = None) -> OpenSource:
-    """Understand a CSV, CSV.GZ or Parquet file without holding it in memory.
+    """Understand a file of any known format without holding it in memory.
 
     Parameters
     ----------
     path : path-like
         The file; its content decides the format.
     options : ReadOptions, optional
-        What a person said about time, rate and channels; by default all is found out.
+        What a person said about time, rate, channels and units; by default all is found out.
 
     Raises
     ------
@@ -257,9 +236,26 @@ def open_source(path: str | os.PathLike[str], options: ReadOptions | None = None
         If the options do not fit the file.
     """
     file, options = Path(path), options or ReadOptions()
-    if options.rate_hz is not None and not SLOWEST_HZ <= options.rate_hz <= FASTEST_HZ:
-        raise UsageError(f"--rate {options.rate_hz:g} is not a rate; give hertz, {SLOWEST_HZ:g} to {FASTEST_HZ:g}.")
-    raw = read_raw(file)
+    refuse_impossible(options)
+    tables = read_tables(file)
+    try:
+        tables, options = in_units_asked(*with_sensors(tables, options))
+        raw = chosen_table(file, tables, options)
+    except BaseException:
+        close(tables)
+        raise
+    close([table for table in tables if table is not raw])
+    return understood(file, raw, options)
+
+
+def understood(file: Path, raw: RawTable, options: ReadOptions) -> OpenSource:
+    """Understand one table of a file.
+
+    Raises
+    ------
+    InputError
+        If it can be read in more than one way, or not at all; it is closed then.
+    """
     try:
         return OpenSource(file, raw, options)
     except InputError as cause:
@@ -269,23 +265,7 @@ def open_source(path: str | os.PathLike[str], options: ReadOptions | None = None
         raise kind(f"{file}: {cause}") from cause
 
 
-def _without_blank_end(raw: RawTable, found: list[tuple[str, ...]]) -> int:
-    """Leave out rows of nothing but separators at the end of a text file, if it has a time to tell them by."""
-    rows = raw.count
-    if raw.format != "csv" or not found:
-        return rows
-    length = 256
-    while rows > 1:
-        start = max(0, rows - length)
-        table = pa.concat_tables(list(raw.blocks(raw.names, start, most_rows=length)))
-        last = table.num_rows - (raw.count - rows)
-        while last > 0 and rows > 1 and _is_blank(table, last - 1):
-            last -= 1
-            rows -= 1
-        if last > 0:
-            return rows
-    return rows
-
-
-def _is_blank(table: pa.Table, row: int) -> bool:
-    return all(column[row].as_py() in (None, "") for column in table.columns)
+def close(tables: Iterable[RawTable]) -> None:
+    """Close tables that are not needed."""
+    for table in tables:
+        table.rows.close()

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from itertools import accumulate
 from pathlib import Path
 from typing import Any
@@ -11,9 +12,12 @@ from typing import Any
 import pyarrow as pa
 
 from becalm.errors import InputError
-from becalm.files.csv_header import unique_names
+from becalm.files.columns import least_bytes
+from becalm.files.foreign import refuse_claim
 from becalm.files.identity import Original
 from becalm.files.source import RawTable
+from becalm.files.text.csv_header import unique_names
+from becalm.files.text.text import PARQUET
 
 _READ_BYTES = 1 << 20
 
@@ -63,6 +67,9 @@ class ParquetRows:
             self._ends = list(accumulate(file.metadata.row_group(i).num_rows for i in range(file.num_row_groups)))
         self.count: int = self._ends[-1] if self._ends else 0
         names = unique_names(self._stored.names)
+        fields_bytes = sum(least_bytes(field.type) for field in self._stored)
+        size = len(kept) if isinstance(kept, bytes) else path.stat().st_size
+        refuse_claim(path, self.count * fields_bytes, size)
         fields = [_plain(field.with_name(name)) for field, name in zip(self._stored, names, strict=True)]
         self.schema: pa.Schema = pa.schema(fields, metadata=self._stored.metadata)
         self._by_name = _told_apart(self._stored.names)
@@ -124,7 +131,21 @@ class ParquetRows:
                     f"{self._path} holds what cannot be read, in {', '.join(map(repr, nested or names)) or 'a column'}"
                     f" ({reason}); write it again without that column, or as plain numbers and text."
                 ) from cause
+            if self._is_cut():
+                raise InputError(
+                    f"{self._path} is cut short: Parquet says what its columns are at the very end, and without that"
+                    " nothing of it can be read; copy or write it again."
+                ) from cause
             raise InputError(f"{self._path} is a damaged Parquet file ({reason}); copy or write it again.") from cause
+
+    def _is_cut(self) -> bool:
+        """Whether its last bytes are not those of a Parquet file."""
+        if isinstance(self._kept, bytes):
+            return not self._kept.endswith(PARQUET)
+        with suppress(OSError), self._path.open("rb") as file:
+            file.seek(-len(PARQUET), os.SEEK_END)
+            return file.read() != PARQUET
+        return False
 
 
 def _told_apart(names: Sequence[str]) -> bool:

@@ -9,7 +9,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from becalm.errors import OutputError
-from becalm.files.whole import refuse_folder, replace_file, replacing, sentences
+from becalm.files.waiting import in_waiting
+from becalm.files.whole import refuse_folder, replacing, sentences
 
 
 def make_folder(path: Path) -> None:
@@ -84,9 +85,10 @@ def refuse_unwritable(*paths: str | os.PathLike[str]) -> None:
     OutputError
         If no file can have such a name, or none can be made in the folder.
     """
-    for path in paths:
-        refuse_folder(Path(path))
-    for folder in {Path(path).parent for path in paths}:
-        probe = folder / f".becalm.{secrets.token_hex(4)}.probe"
-        replace_file(probe, lambda _: None)
-        probe.unlink(missing_ok=True)
+    targets = [Path(path) for path in paths]
+    for target in targets:
+        refuse_folder(target)
+    for target in {target.parent: target for target in reversed(targets)}.values():
+        probe = target.parent / f".becalm.{secrets.token_hex(4)}.probe"
+        with in_waiting(probe), sentences(target):
+            probe.touch(exist_ok=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 
 import pyarrow as pa
@@ -9,15 +10,17 @@ import pyarrow.compute as pc
 
 from becalm.core.arrays import Floats
 from becalm.errors import InputError, UsageError
-from becalm.files.bad_cells import bad_cell, find_bad_cells, is_text
-from becalm.files.cells import to_numbers
+from becalm.files.asked import COMMAND_LINE, Asker
 from becalm.files.numbers import Signal
 from becalm.files.rows import block_rows
-from becalm.files.source import CHANNEL, COMMAND_LINE, PASSED, TIME, Asker, ColumnLayout, RawTable
-from becalm.files.time_column import NUMBERS, kind_of_column, named_column, numbers
-from becalm.files.units import parse_header, tidy_unit
+from becalm.files.source import CHANNEL, PASSED, TIME, ColumnLayout, RawTable
+from becalm.files.text.bad_cells import bad_cell, find_bad_cells, is_text
+from becalm.files.text.cells import to_numbers
+from becalm.files.timing.time_column import NUMBERS, kind_of_column, named_column, numbers
+from becalm.files.units import on_sensor, parse_header, tidy_unit
 
 SIGMA = "_sigma"
+_COVARIANCE = re.compile(r".*_covariance_[0-9]+")  # what a ROS driver says of its sensor, beside each reading
 _FIRST_ROWS = 1 << 16
 
 
@@ -77,13 +80,13 @@ def choose_channels(
         reasons = "; ".join(f"{c.name!r}: {c.why or c.role}" for c in columns[:10])
         raise InputError(f"There is no column of numbers to clean ({reasons}). Name one with --channels to insist.")
     for name in channels if wanted is None else wanted:
-        _refuse_no_numbers(raw, name, times)
+        refuse_no_numbers(raw, name, times)
     return (channels if wanted is None else wanted), tuple(columns)
 
 
 def unit_of(raw: RawTable, name: str) -> str:
     """Return the unit of a column, "" where the file does not say."""
-    return tidy_unit(raw.units[name]) if name in raw.units else parse_header(name)[1]
+    return on_sensor(name, tidy_unit(raw.units[name])) if name in raw.units else parse_header(name)[1]
 
 
 def values_of(column: pa.ChunkedArray, decimal: str) -> Floats:
@@ -127,6 +130,8 @@ def _why_passed(raw: RawTable, times: Sequence[str]) -> dict[str, str]:
         kind = raw.type_of(name)
         if name.endswith(SIGMA) and name.removesuffix(SIGMA) in raw.names:
             told[name] = f"the uncertainty of {name.removesuffix(SIGMA)!r}"
+        elif _COVARIANCE.fullmatch(name):
+            told[name] = "a covariance that the sensor states"
         elif pa.types.is_boolean(kind):
             told[name] = "a flag (true and false)"
         elif pa.types.is_null(kind):
@@ -174,8 +179,14 @@ def _or_without(raw: RawTable, name: str, times: Sequence[str]) -> str:
     return f", or leave the column out by naming the others: --channels {','.join(others[:3])!r}" if others else ""
 
 
-def _refuse_no_numbers(raw: RawTable, name: str, times: Sequence[str]) -> None:
-    """Refuse a channel that was asked for and holds no numbers."""
+def refuse_no_numbers(raw: RawTable, name: str, times: Sequence[str]) -> None:
+    """Refuse a channel that was asked for and holds no numbers; `times` are none to take in its place.
+
+    Raises
+    ------
+    InputError
+        With its first cell that is none.
+    """
     kind = raw.type_of(name)
     if is_text(kind):
         bad = find_bad_cells(raw, name)

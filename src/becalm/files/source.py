@@ -1,4 +1,4 @@
-"""What a person said, what was found, and how it was understood."""
+"""What was found in a file, and how it was understood."""
 
 from __future__ import annotations
 
@@ -13,51 +13,12 @@ from becalm.core.clock import Clock
 from becalm.core.recording import Recording
 from becalm.files.identity import Original
 from becalm.files.rows import Rows, block_rows, rebatched
+from becalm.sensors.record import Calibration
 
 TIME = "time"
 CHANNEL = "channel"
 PASSED = "passed through"
 HEAD_ROWS = 200
-
-
-class Asker(NamedTuple):
-    """Who names columns, for messages.
-
-    Attributes
-    ----------
-    name : str
-        As a sentence begins.
-    way_out : str
-        What else can be done, as a further sentence.
-    """
-
-    name: str
-    way_out: str = ""
-
-
-COMMAND_LINE = Asker("--channels")
-
-
-@dataclass(frozen=True)
-class ReadOptions:
-    """What a person said, on the command line or by a recipe.
-
-    Attributes
-    ----------
-    time : str, optional
-        Name of the time column, as in the header or without its unit.
-    rate_hz : float, optional
-        Rows are counted at this rate; the time column, if any, only passes through.
-    channels : tuple of str, optional
-        Columns to read, as in the header or without their units; all that look like signals by default.
-    asker : Asker
-        Who names the channels.
-    """
-
-    time: str | None = None
-    rate_hz: float | None = None
-    channels: tuple[str, ...] | None = None
-    asker: Asker = COMMAND_LINE
 
 
 @dataclass(frozen=True)
@@ -91,6 +52,24 @@ class TextLayout:
     first_line: int
 
 
+class ToldTime(NamedTuple):
+    """The time of rows, where the format itself tells it.
+
+    Attributes
+    ----------
+    column : str
+        The column that holds it, in seconds; "" before it has one.
+    rate_hz : float or None
+        Of rows that are even, which counts more than the column.
+    start : str
+        The first instant as ISO 8601 text; "" where the file does not tell.
+    """
+
+    column: str = ""
+    rate_hz: float | None = None
+    start: str = ""
+
+
 @dataclass(frozen=True)
 class RawTable:
     """Columns as they are in the file, before anyone asked what they mean.
@@ -102,13 +81,21 @@ class RawTable:
     count : int
         How many of the rows count: blank ones at the end of a text file do not.
     format : str
-        "csv" or "parquet".
+        "csv", "parquet", "mf4" and so on.
     units : dict of str to str
         Units that the file gives apart from the names (a row of units, field metadata).
     text : TextLayout, optional
         How the text was written, for text files.
     original : Original, optional
         The file as it was when reading began, if it can be read again.
+    group : str
+        What the file calls these columns, which share one time; "" where all of them do.
+    time : ToldTime, optional
+        Where the format itself tells which time it is.
+    notes : tuple of str
+        What a person must know, as sentences: that the file is incomplete, or was mended.
+    calibrations : dict of str to Calibration
+        Of columns that sensors turned into their units.
     """
 
     rows: Rows
@@ -117,6 +104,10 @@ class RawTable:
     units: dict[str, str] = field(default_factory=dict)
     text: TextLayout | None = None
     original: Original | None = None
+    group: str = ""
+    time: ToldTime | None = None
+    notes: tuple[str, ...] = ()
+    calibrations: dict[str, Calibration] = field(default_factory=dict)
 
     @property
     def names(self) -> list[str]:
@@ -172,12 +163,15 @@ class TimeLayout:
         Unit of the numbers; "" where the kind says it all.
     start : str
         The first instant as ISO 8601 text where the file gives a date; "" otherwise.
+    notes : tuple of str
+        What was mended, as sentences.
     """
 
     columns: tuple[str, ...]
     kind: str
     unit: str = ""
     start: str = ""
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -196,10 +190,12 @@ class Layout:
     """How a file was understood; what `becalm inspect` shows.
 
     `separator`, `decimal`, `encoding` and `compression` are "" and the rows above the data 0 where
-    the format has no such thing. `gaps` and `repeats` count rows.
+    the format has no such thing. `gaps` and `repeats` count rows; `notes` are sentences for a person.
     """
 
     format: str
+    group: str
+    notes: tuple[str, ...]
     rows: int
     encoding: str
     compression: str
@@ -222,7 +218,7 @@ class Layout:
     def as_dict(self) -> dict[str, Any]:
         """Return plain values, ready for JSON."""
         plain = asdict(self)
-        plain["time_columns"] = list(self.time_columns)
+        plain |= {"time_columns": list(self.time_columns), "notes": list(self.notes)}
         plain["columns"] = [asdict(column) for column in self.columns]
         return plain
 
@@ -251,6 +247,8 @@ def layout_of(raw: RawTable, time: TimeLayout, clock: Clock, columns: tuple[Colu
     text = raw.text or TextLayout("", "", "", "", 0, 0, 1)
     return Layout(
         format=raw.format,
+        group=raw.group,
+        notes=(*raw.notes, *time.notes),
         rows=raw.count,
         encoding=text.encoding,
         compression=text.compression,

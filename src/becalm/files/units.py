@@ -4,8 +4,16 @@ from __future__ import annotations
 
 import re
 
-_BRACKETED = re.compile(r"^(?P<name>.*?)\s*(?:\((?P<round>[^()]*)\)|\[(?P<square>[^\[\]]*)\]|<(?P<angle>[^<>]*)>)\s*$")
+from becalm.files.unit_words import is_unit
+
+_BRACKETED = re.compile(
+    r"^(?P<name>.*?)\s*"
+    r"(?:\((?P<round>[^()]*(?:\([^()]*\)[^()]*)*)\)|\[(?P<square>[^\[\]]*)\]|<(?P<angle>[^<>]*)>)\s*$"
+)
+_INDEXED = re.compile(r"\w\[[0-9]+\]\s*$")  # `gyro_rad[0]`: one of several, which is no unit
 _AFTER_COMMA = re.compile(r"^(?P<name>.+?)\s*[,/]\s+(?P<unit>\S+)$")
+_AFTER_IN = re.compile(r"^(?P<name>.+?)\s+in\s+(?P<unit>\S+)\s*$")
+_SIGN = re.compile(r"^(?P<name>.+?)\s+(?P<unit>\S*[\u00b0%/\\^\u00b2]\S*)\s*$")  # a word alone may be part of a name
 
 SUFFIXES: dict[str, str] = {
     "s": "s",
@@ -71,6 +79,8 @@ _SPELLINGS = (
     ("\u00b5", "u"),  # the micro sign
     ("\u03b5", "strain"),
     ("\u00b0", "deg"),
+    ("\u03a9", "ohm"),
+    ("\u2126", "ohm"),
     ("\u00b2", "^2"),
     ("\u00b3", "^3"),
     ("\u00b7", "*"),
@@ -78,11 +88,21 @@ _SPELLINGS = (
     ("**", "^"),
 )
 
+_PATTERNS = (
+    (r"(?<=\w)\{[^{}]*\}", ""),  # UCUM's remarks: ug{RMS}
+    (r"^(\w+)[.* ](\w+?)\^?-1$", r"\1/\2"),  # rad.s-1
+    (r"^(\w+)[.* ](\w+?)\^?-([2-9])$", r"\1/\2^\3"),
+    (r"/\(([^()/*]*)\)$", r"/\1"),  # m/(s^2)
+    (r"/(s|mm|cm|m)([23])$", r"/\1^\2"),
+    (r"^[Dd]eg(?:rees?|s)?\.? ?([CF])$", r"deg\1"),
+)
+_ENCLOSED = re.compile(r"^[\[(<]((?:[^\[\]()<>]|\([^()]*\))*)[\])>]$")
+
+_LARGE_G = re.compile(r"([mun]?)G")
+_MAGNETIC = re.compile(r"(?i:mag|gauss|field|flux|hall|compass)|(?:^|[\W_])B_?[xyzXYZ]?(?:$|[\W_])")
+
 _WHOLE = {
-    "m/s2": "m/s^2",
     "m/s/s": "m/s^2",
-    "m s^-2": "m/s^2",
-    "m*s^-2": "m/s^2",
     "mps": "m/s",
     "mps2": "m/s^2",
     "dps": "deg/s",
@@ -101,39 +121,64 @@ _WHOLE = {
     "sec": "s",
     "secs": "s",
     "second": "s",
+    "Second": "s",
     "seconds": "s",
+    "Seconds": "s",
     "Sekunden": "s",
     "msec": "ms",
     "usec": "us",
     "nsec": "ns",
     "minutes": "min",
     "hours": "h",
+    **dict.fromkeys(("volt", "Volt", "volts", "Volts", "VOLT"), "V"),
+    **dict.fromkeys(("Amp", "amps", "Amps"), "A"),
 }
 
 _UNIT_WORD = re.compile(
-    r"^[\[(<]?\s*(?:-|--|%|(?:[yzafpnumcdhkMGT]|da)?(?:s|sec|m|g|V|A|N|Nm|Pa|bar|Hz|T|Gauss|rad|deg|degC|C|K|W|J|Ohm|strain|"
+    r"^[\[(<]?\s*(?:-|--|%|G|[Ss]ec(?:ond)?s?|[Vv]olts?|[Aa]mps?|(?:[yzafpnumcdhkMGT]|da)?(?:s|sec|m|g|V|A|N|Nm|Pa|bar|Hz|T|Gauss|rad|deg|degC|C|K|W|J|Ohm|strain|"
     r"rpm|min|h|counts?|LSB)(?:[\^]?-?\d)?(?:[/*]\s*(?:[numcdhkM]?(?:s|m|V|h|min|N|g))(?:[\^]?-?\d)?){0,2}"
     r"|hh:mm:ss\S*|dd.mm.yyyy\S*|yyyy\S*)\s*[\])>]?$"
 )
 
 
 def tidy_unit(text: str) -> str:
-    r"""Spell a unit plainly: `um\m` is `um/m`, `m/s2` is `m/s^2`; "" for a dash."""
-    unit = text.strip().strip("[]()<>").strip()
-    for old, new in _SPELLINGS:
-        unit = unit.replace(old, new)
+    r"""Spell a unit plainly: `um\m` is `um/m`, `m/s2` and `m.s-2` are `m/s^2`; "" for a dash."""
+    unit = text.strip()
+    while found := _ENCLOSED.match(unit):
+        unit = found[1].strip()
+    unit = _plain(unit)
     return _WHOLE.get(unit, unit)
 
 
 def parse_header(header: str) -> tuple[str, str]:
     """Return the name without its unit, and the unit ("" where there is none)."""
+    name, unit = _parted(header)
+    return name, on_sensor(name, unit)
+
+
+def on_sensor(name: str, unit: str) -> str:
+    """Return what a unit means in a column of that name: G is g, and gauss only where something is magnetic."""
+    if (found := _LARGE_G.fullmatch(unit)) and not _MAGNETIC.search(name):
+        return f"{found[1]}g"
+    return unit
+
+
+def _parted(header: str) -> tuple[str, str]:
+    if _INDEXED.search(header):
+        return header.strip(), ""
     found = _BRACKETED.match(header)
-    if found and found["name"].strip():
+    if found and ":" in (found["round"] or ""):  # a remark: (S/N: 123)
+        return _parted(found["name"])
+    if found and found["name"].strip(" /"):
         unit = next(text for text in (found["round"], found["square"], found["angle"]) if text is not None)
-        return found["name"].strip(), tidy_unit(unit)
-    found = _AFTER_COMMA.match(header)
-    if found and looks_like_unit(found["unit"]):
-        return found["name"].strip(), tidy_unit(found["unit"])
+        if found["round"] is None or is_unit(tidy_unit(unit)):
+            return found["name"].rstrip(" /").strip(), tidy_unit(unit)
+        name, inner = _parted(found["name"])  # V(out), acc (g) (raw)
+        return (f"{name} ({unit})", inner) if inner else (header.strip(), "")
+    for pattern in (_AFTER_COMMA, _AFTER_IN, _SIGN):
+        found = pattern.match(header)
+        if found and looks_like_unit(found["unit"]):
+            return found["name"].strip(), tidy_unit(found["unit"])
     name, underscore, last = header.strip().rpartition("_")
     unit = SUFFIXES.get(last) or (SUFFIXES.get(last.lower(), "") if len(last) > 1 else "")
     if underscore and name.strip("_") and unit:
@@ -143,7 +188,13 @@ def parse_header(header: str) -> tuple[str, str]:
 
 def looks_like_unit(text: str) -> bool:
     """Tell whether a cell under a name is a unit, or a dash that says there is none."""
-    plain = text.strip()
+    return _UNIT_WORD.match(_plain(text.strip())) is not None
+
+
+def _plain(text: str) -> str:
+    """Spell signs as letters, and powers as becalm does."""
     for old, new in _SPELLINGS:
-        plain = plain.replace(old, new)
-    return _UNIT_WORD.match(plain) is not None
+        text = text.replace(old, new)
+    for pattern, plain in _PATTERNS:
+        text = re.sub(pattern, plain, text)
+    return text

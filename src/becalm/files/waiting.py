@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,7 +12,7 @@ _waiting: set[Path] = set()
 
 @contextmanager
 def in_waiting(path: Path) -> Iterator[None]:
-    """Keep in mind that a file is half-written; in the end it is removed, if it still has this name."""
+    """Keep in mind that a file, or a folder, is half-written; in the end it is removed, if it still has this name."""
     _waiting.add(path)
     try:
         yield
@@ -28,6 +29,9 @@ def abandon() -> None:
 
 def _remove(path: Path) -> None:
     try:
-        path.unlink(missing_ok=True)
+        if path.is_dir():
+            shutil.rmtree(path)
+        else:
+            path.unlink(missing_ok=True)
     except OSError:  # the folder is not writable or not there: then nothing was made
         return

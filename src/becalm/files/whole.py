@@ -43,7 +43,7 @@ def replacing(path: Path) -> Iterator[IO[bytes]]:
     temporary = target.with_name(f".{target.name[:80]}.{secrets.token_hex(4)}.part")
     with in_waiting(temporary):
         with sentences(path):
-            file = temporary.open("xb")
+            file = temporary.open("x+b")
         try:
             yield file
             with sentences(path):

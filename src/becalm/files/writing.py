@@ -14,10 +14,14 @@ from typing import IO, Protocol
 import pyarrow as pa
 
 from becalm.core.recording import Recording
-from becalm.files.csv_writer import CsvRows
+from becalm.files.arrays.array_writer import MatRows, NpzRows
+from becalm.files.arrays.hdf5_writer import Hdf5Rows
 from becalm.files.parquet_writer import ParquetRows
-from becalm.files.registry import CSV, CSV_GZ, PARQUET_FORMAT, format_to_write
+from becalm.files.recorders.mf4_writer import Mf4Rows
+from becalm.files.recorders.tdms_writer import TdmsRows
+from becalm.files.registry import CSV, CSV_GZ, HDF5, MAT, MF4, NPZ, PARQUET_FORMAT, TDMS, format_to_write
 from becalm.files.tables import output_table, recording_table
+from becalm.files.text.csv_writer import CsvRows
 from becalm.files.whole import refuse_folder, replace_file, replacing, sentences
 
 __all__ = ["Output", "open_output", "output_table", "recording_table", "replace_file", "write", "write_table"]
@@ -26,7 +30,7 @@ _WAITING = 1  # chunks between the one being made and the one being written
 
 
 def write(path: str | os.PathLike[str], recording: Recording, sigma: Recording | None = None) -> None:
-    """Write a recording as CSV, CSV.GZ or Parquet, by the ending of the name.
+    """Write a recording as CSV, CSV.GZ, HDF5, MAT, MF4, NPZ, Parquet or TDMS, by the ending of the name.
 
     Parameters
     ----------
@@ -51,11 +55,12 @@ def write_table(path: str | os.PathLike[str], table: pa.Table, metadata: Mapping
     Parameters
     ----------
     path : path-like
-        Ends in .csv, .csv.gz or .parquet.
+        Ends in .csv, .csv.gz, .h5, .hdf5, .mat, .mf4, .npz, .parquet or .tdms.
     table : pyarrow.Table
         What to write.
     metadata : mapping of str to str, optional
-        Kept in a Parquet file's own metadata; CSV has no place for it.
+        Kept in the file: as Parquet's own metadata, attributes (HDF5), history (MF4), properties (TDMS), texts (MAT,
+        NPZ); CSV has no place for it.
 
     Raises
     ------
@@ -73,9 +78,10 @@ def open_output(path: str | os.PathLike[str], metadata: Mapping[str, str] | None
     Parameters
     ----------
     path : path-like
-        Ends in .csv, .csv.gz or .parquet.
+        Ends in .csv, .csv.gz, .h5, .hdf5, .mat, .mf4, .npz, .parquet or .tdms.
     metadata : mapping of str to str, optional
-        Kept in a Parquet file's own metadata; CSV has no place for it.
+        Kept in the file: as Parquet's own metadata, attributes (HDF5), history (MF4), properties (TDMS), texts (MAT,
+        NPZ); CSV has no place for it.
 
     Raises
     ------
@@ -128,7 +134,12 @@ class _Writer(Protocol):
 _WRITERS: dict[str, Callable[[IO[bytes]], _Writer]] = {
     CSV: CsvRows,
     CSV_GZ: lambda file: CsvRows(file, packed=True),
+    HDF5: Hdf5Rows,
+    MAT: MatRows,
+    MF4: Mf4Rows,
+    NPZ: NpzRows,
     PARQUET_FORMAT: ParquetRows,
+    TDMS: TdmsRows,
 }
 
 

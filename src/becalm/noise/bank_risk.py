@@ -62,9 +62,11 @@ def errs_less(switching: Switching, tuning: Tuning, evidence: Evidence) -> bool:
 
 def _hidden_error(flow: Flow | SwitchingFlow, evidence: Evidence) -> float:
     """Return the mean squared error of a smoother at every tenth reading, which it is not shown."""
-    part = long_pieces(evidence)[0]
+    part = max(long_pieces(evidence), key=lambda piece: piece.stop - piece.start)
     z, elapsed = evidence.z[part, 0], evidence.elapsed[part]
     hidden = np.arange(len(z)) % _HIDDEN == _HIDDEN // 2
+    if not hidden.any():
+        return np.nan  # nobody knows, and so neither errs less
     return float(np.mean((_smoothed(flow, np.where(hidden, np.nan, z), elapsed) - z)[hidden] ** 2))
 
 

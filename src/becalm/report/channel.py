@@ -25,10 +25,10 @@ class Pictured(NamedTuple):
     narrow: tuple[Figure, ...]
 
 
-class Pictures:
-    """Draws the channels of a recording that was cleaned.
+class Cleaned(NamedTuple):
+    """Channels that share one time, and what went by while they were cleaned.
 
-    Parameters
+    Attributes
     ----------
     recipe : Recipe
         What was done.
@@ -38,44 +38,63 @@ class Pictures:
         What went by.
     step_s : float
         Of its rows.
+    group : str
+        What the file calls this time; "" where it has no other.
     """
 
-    def __init__(self, recipe: Recipe, reports: tuple[ChannelReport, ...], gathering: Gathering, step_s: float) -> None:
-        self._recipe, self._reports, self._gathering, self._step_s = recipe, reports, gathering, step_s
-        self._front: Front = front_of(step_s)
+    recipe: Recipe
+    reports: tuple[ChannelReport, ...]
+    gathering: Gathering
+    step_s: float
+    group: str = ""
+
+    @property
+    def lasts_s(self) -> float:
+        """How long it is, gaps included, in seconds."""
+        times = self.gathering.times
+        return float(times.high[-1] - times.low[0]) + self.step_s
+
+
+class Pictures:
+    """Draws the channels of a recording that was cleaned.
+
+    Parameters
+    ----------
+    *times : Cleaned
+        One, or several that are drawn one after the other.
+    """
+
+    def __init__(self, *times: Cleaned) -> None:
+        self.times = times
+        self._fronts: dict[float, Front] = {step_s: front_of(step_s) for step_s in {time.step_s for time in times}}
+        self._places = [(time, number) for time in times for number in range(len(time.reports))]
 
     def __len__(self) -> int:
         """Return how many channels there are."""
-        return len(self._reports)
+        return len(self._places)
 
     @property
     def reports(self) -> tuple[ChannelReport, ...]:
         """What was found of each channel."""
-        return self._reports
-
-    @property
-    def lasts_s(self) -> float:
-        """How long the recording is, gaps included, in seconds."""
-        times = self._gathering.times
-        return float(times.high[-1] - times.low[0]) + self._step_s
+        return tuple(time.reports[number] for time, number in self._places)
 
     def channel(self, number: int) -> Pictured:
         """Draw a channel, counted from 0."""
-        recipe, report, gathered = self._recipe, self._reports[number], self._gathering.channels[number]
+        (recipe, reports, gathering, step_s, _), own = self._places[number]
+        report, gathered = reports[own], gathering.channels[own]
         title = Title(slug_of(number, report.name), report.name, report.unit)
-        behaviour = behaviour_of(recipe.channel[number], report, recipe, self._step_s)
-        times = self._gathering.times
-        close = closeup_figures(title, gathered) if self._gathering.rows_each > 1 else ()
+        behaviour = behaviour_of(recipe.channel[own], report, recipe, step_s)
+        close = closeup_figures(title, gathered) if gathering.rows_each > 1 else ()
         narrow = (
             spectrum_figure(title, gathered),
-            front_figure(title, behaviour, self._front, recipe.mode),
-            step_figure(title, behaviour, recipe, self._step_s),
-            *innovation_figures(title, self._gathering.nis_times, report.lagged, gathered.nis, 1 / self._step_s),
+            front_figure(title, behaviour, self._fronts[step_s], recipe.mode),
+            step_figure(title, behaviour, recipe, step_s),
+            *innovation_figures(title, gathering.nis_times, report.lagged, gathered.nis, 1 / step_s),
         )
         return Pictured(
             report,
             _words(behaviour, recipe.mode),
-            (*signal_figures(title, times, gathered), *close),
+            (*signal_figures(title, gathering.times, gathered), *close),
             tuple(figure for figure in narrow if figure is not None),
         )
 

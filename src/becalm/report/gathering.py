@@ -45,6 +45,8 @@ class Gathering:
 
     Attributes
     ----------
+    rows : int
+        How many come.
     rows_each : int
         Rows of a stretch.
     times, nis_times : Envelope
@@ -56,6 +58,7 @@ class Gathering:
     def __init__(self, rows: int, step_s: float, channels: int) -> None:
         self._stretches = Stretches(rows, min(_MOST, max(_FEWEST, _STRETCHES // max(1, channels))))
         self._step_s, self._steps = step_s, 0.0
+        self.rows = rows
         self.rows_each = self._stretches.rows_each
         self._nis_stretches = Stretches(rows, _NIS_STRETCHES)
         self.times, self.nis_times = Envelope(self._stretches.count), Envelope(self._nis_stretches.count)

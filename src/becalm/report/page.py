@@ -16,7 +16,7 @@ from jinja2 import Environment
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.report import ChannelReport
 from becalm.cleaning.words import amount, cells
-from becalm.report.channel import Pictured, Pictures
+from becalm.report.channel import Cleaned, Pictured, Pictures
 from becalm.report.description import Figure
 from becalm.report.payload import payload
 from becalm.report.printing import can_print, printed
@@ -38,17 +38,11 @@ class Facts:
     ----------
     name : str
         Of the file, or whatever it is called.
-    rows : int
-        Samples.
-    step_s : float
-        Between them, in seconds.
     sha256 : str
         Hash of the file; empty if there was none.
     """
 
     name: str
-    rows: int
-    step_s: float
     sha256: str = ""
 
 
@@ -121,7 +115,7 @@ def page_of(
         facts=facts,
         version=version("becalm"),
         lead=_lead(reports),
-        facts_told=_facts_told(facts, recipe, pictures.lasts_s),
+        facts_told=_facts_told(facts, recipe, pictures.times),
         headings=_HEADINGS,
         lines=[_line(report, number, number in drawn, recipe.mode) for number, report in enumerate(reports)],
         left_out=_left_out(len(reports) - len(numbers)),
@@ -162,19 +156,24 @@ def _lead(reports: Sequence[ChannelReport]) -> str:
     )
 
 
-def _facts_told(facts: Facts, recipe: Recipe, lasts_s: float) -> list[tuple[str, str]]:
+def _facts_told(facts: Facts, recipe: Recipe, times: Sequence[Cleaned]) -> list[tuple[str, str]]:
     mode = {
         "causal": "a filter: each estimate knows only the past",
         "smoothed": "a smoother: each estimate knows the whole record",
         "lagged": f"each estimate waits {amount(recipe.lag_s, 's')} for later readings",
     }
-    told = [
-        ("rows", f"{facts.rows}"),
-        ("rate", amount(1 / facts.step_s, "Hz")),
-        ("lasts", amount(lasts_s, "s")),
-        ("mode", mode[recipe.mode]),
-    ]
+    told = [*_times_told(times), ("mode", mode[recipe.mode])]
     return [*told, ("SHA-256 of the file", f"{facts.sha256[:_HASH_SHOWN]}…")] if facts.sha256 else told
+
+
+def _times_told(times: Sequence[Cleaned]) -> list[tuple[str, str]]:
+    told = [(f"{one.gathering.rows}", amount(1 / one.step_s, "Hz"), amount(one.lasts_s, "s")) for one in times]
+    if len(told) == 1:
+        return list(zip(("rows", "rate", "lasts"), told[0], strict=True))
+    return [
+        (one.group, f"{rows} rows at {rate}, lasts {lasts}")
+        for one, (rows, rate, lasts) in zip(times, told, strict=True)
+    ]
 
 
 def _line(report: ChannelReport, number: int, is_drawn: bool, mode: str) -> _Line:
@@ -233,6 +232,7 @@ def _numbers(report: ChannelReport) -> tuple[tuple[str, str], ...]:
         ("mean NIS, 1 is right", report.nis_mean, ""),
         ("sigma wrong by more than a factor of two", _percent(report.uneven_share), "% of the record"),
         ("calibration adds", report.calibration_std, report.unit),
+        ("uncertain time widens sigma by up to", _percent(report.timing_share), "%"),
         ("log-likelihood", report.log_likelihood, ""),
     ]
     counts = ", ".join(f"{count} {name}" for name, count in report.verdicts.items() if count)

@@ -1,0 +1,210 @@
+"""What becalm reads and writes: every format, every real file, and the units that it understands.
+
+Run: python docs/formats.py [-o docs/formats.md] [FILE ...]   (needs Linux, and `pip install 'becalm[formats]'`)
+The recordings lie in ../shared/data; with names, only files whose path holds one of them are taken.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ctypes
+import gc
+import re
+import sys
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from multiprocessing import get_context
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from types import ModuleType
+from typing import NamedTuple
+
+import pyarrow as pa
+from format_files import files_table, table
+from format_samples import SAMPLES, UNIT, Sample
+from format_units import units_table
+from real_recordings import DATA
+
+from becalm.errors import BecalmError
+from becalm.files import registry
+from becalm.files.every_time import open_file
+from becalm.files.foreign import Foreign
+
+IDE = "endaq/test1.IDE"
+
+_FEW = 20_000  # rows
+_VALUE = 8  # bytes
+_KEPT = 0.4  # of the bytes of a file that is cut off
+
+
+class Reading(NamedTuple):
+    """What a file of some format gave."""
+
+    values: int
+    unit: str
+    time: str
+    said: tuple[str, ...]
+    libraries: tuple[str, ...]
+
+
+def read(path: Path) -> Reading:
+    """Understand a file, and see which libraries becalm loads for it."""
+    with _libraries() as loaded, open_file(path) as opened:
+        sources = opened.sources
+        said = dict.fromkeys(note for source in sources for note in source.notes)
+        kind = sources[0].layout.as_dict()["time_kind"]
+        return Reading(
+            sum(source.rows * len(source.names) for source in sources),
+            sources[0].units[0],
+            "its own rate" if kind == "rate in the file" else "stamps",
+            tuple(said),
+            tuple(dict.fromkeys(loaded)),
+        )
+
+
+@contextmanager
+def _libraries() -> Iterator[list[str]]:
+    """Note which libraries are asked for."""
+    loaded: list[str] = []
+    theirs = Foreign.library
+
+    def library(self: Foreign, module: str) -> ModuleType:
+        loaded.append(module.partition(".")[0])
+        return theirs(self, module)
+
+    Foreign.library = library  # type: ignore[method-assign]
+    try:
+        yield loaded
+    finally:
+        Foreign.library = theirs  # type: ignore[method-assign]
+
+
+def held_bytes(small: Path, large: Path) -> int:
+    """Return by how many bytes memory grows when a large file is opened; a small one comes first, for the libraries."""
+    read(small)
+    before = _memory_bytes()
+    with open_file(large):
+        return _memory_bytes() - before
+
+
+def _memory_bytes() -> int:
+    """Return what the process holds, without what it may give back, and the pages of files, which it may drop."""
+    gc.collect()
+    pa.default_memory_pool().release_unused()
+    ctypes.CDLL(None).malloc_trim(0)
+    status = Path("/proc/self/status").read_text(encoding="ascii")
+    return 1024 * int(re.search(r"RssAnon:\s+(\d+)", status)[1])  # type: ignore[index]
+
+
+def format_row(sample: Sample) -> list[str]:
+    """Measure one format."""
+    print(sample.name, file=sys.stderr)
+    with TemporaryDirectory() as folder:
+        small = sample.make(Path(folder) / f"small{sample.endings[0]}", _FEW)
+        found = read(small)
+        large = sample.make(Path(folder) / f"large{sample.endings[0]}", sample.many)
+        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as apart:
+            share = apart.submit(held_bytes, small, large).result() / (_VALUE * 4 * sample.many)
+        cut = _cut(small, found)
+    return [
+        sample.name,
+        ", ".join(sample.endings),
+        ", ".join(found.libraries),
+        _written(sample),
+        found.time,
+        "yes" if found.unit == UNIT else "no",
+        f"{'in blocks' if share < 0.5 else 'in memory'} ({max(share, 0.0):.0%})",
+        cut,
+    ]
+
+
+def _written(sample: Sample) -> str:
+    """Say whether becalm writes the format, and several times in one file."""
+    form = registry.ENDINGS.get(sample.endings[0])
+    if form is None or sample.name == "MAT 7.3":
+        return "no"
+    return "yes, several rates" if registry.holds_times(form) else "yes"
+
+
+def _cut(path: Path, before: Reading) -> str:
+    """Say what is read of a file that was cut off."""
+    whole = path.read_bytes()
+    path.write_bytes(whole[: int(_KEPT * len(whole))])
+    try:
+        found = read(path)
+    except BecalmError as refusal:
+        return f"refused: {_plain(str(refusal), path)}"
+    said = [text for text in found.said if text not in before.said]
+    return f"{found.values / before.values:.0%} of the values: {_plain(said[0], path) if said else 'nothing said'}"
+
+
+def _plain(text: str, path: Path) -> str:
+    return text.replace(f"{path}: ", "").replace(str(path), "it").replace("|", "\\|")
+
+
+def formats() -> str:
+    """Make the table of formats."""
+    rows = [format_row(sample) for sample in SAMPLES]
+    with TemporaryDirectory() as folder:
+        real = Path(folder) / "real.ide"
+        real.write_bytes((DATA / IDE).read_bytes())
+        found = read(real)
+        unit = "yes" if found.unit else "no"
+        cut = _cut(real, found)
+        rows.append(["enDAQ IDE", ".ide", ", ".join(found.libraries), "no", found.time, unit, "not measured", cut])
+    heads = ["format", "names end in", "libraries", "written", "time", "unit", "held", "cut off"]
+    return table(heads, rows)
+
+
+def page(words: list[str]) -> str:
+    """Write the whole page."""
+    measured = formats()
+    texts = [_FORMATS, measured, _UNITS, units_table(), _FILES, files_table(words)]
+    return "\n".join(text.rstrip() + "\n" for text in texts)
+
+
+def main() -> None:
+    """Print the page; with -o, write it."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser.add_argument("-o", "--output", type=Path, help="page to write")
+    parser.add_argument("words", nargs="*", help="part of a path; all files by default")
+    asked = parser.parse_args()
+    output: Path | None = asked.output
+    text = page(asked.words)
+    print(text)
+    if output:
+        output.write_text(text, encoding="utf-8")
+
+
+_FORMATS = f"""# Formats and units
+
+Written by `docs/formats.py`. What a file is, its first bytes say, whatever its name. CSV, Parquet, MAT (but 7.3), NPZ
+and WAV need nothing else; the others need `pip install 'becalm[formats]'`. Channels of one file that have times of
+their own stay apart: `becalm clean` cleans all of them into one `.h5`, `.mat`, `.mf4` or `.npz`, and `--group NAME`
+chooses one of them for a `.csv` or `.parquet`.
+
+Each format holds the same recording here: four channels in {UNIT} at 1000 Hz. *libraries* are those that becalm
+loaded to read it, beside NumPy and pyarrow; *time* is a rate that the format itself tells, or stamps; *unit*, whether
+the unit came with it. *held* is by how much the process had grown once a large file was open, beside the size of its
+values in float64: a format is read in blocks where that is under half, for then its values stay in the file until
+they are asked for. *cut off* is what is read of the first {_KEPT:.0%} of the file's bytes, and said first.
+"""
+
+_UNITS = """## Units
+
+The unit of a channel is told by its header, a row under it, or the file's own record; `--unit NAME=UNIT` has the
+channel in another, or tells it where the file does not. `--sensors S.toml` makes units of volts, with the
+calibration's uncertainty ([conventions](conventions.md)).
+"""
+
+_FILES = """## Real files
+
+Real recordings, understood by `becalm inspect` and cleaned by `becalm clean FILE -o out.h5`, with nothing said
+but what stands under *asked*. *verdicts* are those on the channels; where one does not fit, the exit code is 4, and the
+output is written all the same.
+"""
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,115 @@
+"""What a person writes about strain gauges in a bridge, and the record that it makes."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Literal
+
+from becalm.cleaning.recipe_parts import Finite, NotNegative, Positive
+from becalm.cleaning.sensor_entry import Name, OneChannel
+from becalm.sensors.bridge import Bridge, Configuration, Shunt
+from becalm.sensors.record import Sensitivity, SensorRecord
+from becalm.sensors.thermal import REFERENCE_DEGC, GaugeTemperature
+
+
+class BridgeEntry(OneChannel):
+    """Strain gauges in a bridge, see `becalm.sensors.bridge.Bridge`.
+
+    Attributes
+    ----------
+    gauge_factor, gauge_factor_uncertainty : float
+        And expanded (k = 2).
+    initial_mv_per_v : float
+        What the unstrained bridge puts out.
+    shunt_ohm, shunt_reading : float or None
+        A resistor across a gauge in tension, and what was read meanwhile, in raw_unit, the load being that of the
+        zero; they tell `gain_adjustment` in its place. That mends what cables and amplifier lose, and calibrates no
+        gauge.
+    thermal_output_um : tuple of up to 5 floats
+        Of a quarter bridge without dummy: um/m per degC to the power of 0, 1, 2, 3, 4, at a gauge factor of 2.0, as the
+        lot's sheet tells them for the material.
+    gauge_factor_percent_per_100_k, gauge_factor_reference_degc : float
+        By which the gauge factor grows, and where the sheet tells it.
+    temperature_degc, temperature_channel : float, str or None
+        Of the gauge: constant, or told by another channel of the same time.
+    """
+
+    kind: Literal["bridge"]
+    zero_line: ClassVar[str] = "initial_mv_per_v"
+    unit: Literal["um/m", "m/m"] = "um/m"
+    configuration: Configuration
+    gauge_factor: Positive
+    gauge_factor_uncertainty: NotNegative = 0.0
+    poisson_ratio: NotNegative | None = None
+    excitation_v: Positive | None = None
+    gauge_ohm: Positive = 350.0
+    lead_ohm: NotNegative = 0.0
+    gain_adjustment: Positive = 1.0
+    shunt_ohm: Positive | None = None
+    shunt_reading: Finite | None = None
+    initial_mv_per_v: Finite = 0.0
+    tension_lowers: bool = True
+    thermal_output_um: tuple[Finite, ...] = ()
+    gauge_factor_percent_per_100_k: Finite = 0.0
+    gauge_factor_reference_degc: Finite = REFERENCE_DEGC
+    temperature_degc: Finite | None = None
+    temperature_channel: Name | None = None
+
+    def record(self) -> SensorRecord:
+        """Make the record."""
+        told = Sensitivity(self.gauge_factor, "(ohm/ohm)/(m/m)", self.gauge_factor_uncertainty)
+        size = self.ratio(self.excitation_v)
+        bridge = Bridge(
+            self.configuration,
+            self.gauge_factor,
+            self.poisson_ratio,
+            self.excitation_v,
+            gauge_ohm=self.gauge_ohm,
+            lead_ohm=self.lead_ohm,
+            gain_adjustment=self.gain_adjustment,
+            initial_ratio=1e-3 * self.initial_mv_per_v,
+            tension_lowers=self.tension_lowers,
+            shunt=self._shunt(size),
+        )
+        shared = self.shared()
+        if self.tare is None:
+            _ = bridge.gain  # that of a bridge whose zero is known; refused here if the shunt tells none
+        return SensorRecord(
+            **shared,
+            conversion=bridge,
+            reading_size=size,
+            result_size=1e6 if self.unit == "um/m" else 1.0,
+            sensitivities=(told,),
+            temperature=self._temperature(),
+        )
+
+    def _shunt(self, size: float) -> Shunt | None:
+        if self.shunt_ohm is None and self.shunt_reading is None:
+            return None
+        if self.shunt_ohm is None or self.shunt_reading is None:
+            raise ValueError("shunt_ohm and shunt_reading belong together; give both, or neither")
+        if "gain_adjustment" in self.model_fields_set:
+            raise ValueError("a shunt tells the gain_adjustment; give either it, or shunt_ohm and shunt_reading")
+        return Shunt(self.shunt_ohm, size * self.shunt_reading)
+
+    def _temperature(self) -> GaugeTemperature | None:
+        if not (self.thermal_output_um or self.gauge_factor_percent_per_100_k):
+            if {"temperature_degc", "temperature_channel", "gauge_factor_reference_degc"} & self.model_fields_set:
+                raise ValueError(
+                    "a temperature changes nothing without thermal_output_um or gauge_factor_percent_per_100_k;"
+                    " give one of them from the gauge's sheet, or leave it out"
+                )
+            return None
+        if self.thermal_output_um and self.configuration != "quarter I":
+            raise ValueError(
+                f'in a bridge "{self.configuration}" gauges or a dummy take thermal output off each other;'
+                ' thermal_output_um belongs to "quarter I", leave it out'
+            )
+        if self.temperature_channel == self.channel:
+            raise ValueError("temperature_channel is the bridge's own channel; name the one of the thermometer")
+        return GaugeTemperature(
+            self.thermal_output_um,
+            self.gauge_factor_percent_per_100_k,
+            self.gauge_factor_reference_degc,
+            self.temperature_degc,
+            self.temperature_channel,
+        )

@@ -1,0 +1,68 @@
+"""A recording in which an accelerometer lay in many poses: the rests that calibrate it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from becalm.core.recording import Recording
+from becalm.errors import SensorError
+from becalm.noise.still import SHORTEST_S, find_still
+from becalm.sensors.poses import FEWEST_POSES, Rests
+
+_AXES = 3
+_BLOCKS = 8  # of a rest, whose means tell how well its own is known, whatever remembers within a block
+
+
+def find_rests(recording: Recording, shortest_s: float = SHORTEST_S) -> Rests:
+    """Find the rests of a triaxial sensor, and their means.
+
+    Parameters
+    ----------
+    recording : Recording
+        Its three channels, in readings.
+    shortest_s : float
+        Shortest rest that counts, in seconds; a *small* one trusts short calms.
+
+    Returns
+    -------
+    Rests
+        Of the rests in which eight readings or more of each axis came, and vary.
+
+    Raises
+    ------
+    SensorError
+        If there are not three channels.
+    RecordingError
+        If `shortest_s` is not positive.
+    """
+    if len(recording.names) != _AXES:
+        raise SensorError(f"{len(recording.names)} channels came; a triaxial sensor has three. Select those.")
+    means, stds = [], []
+    for start, stop in find_still(recording, shortest_s).stretches:
+        rest = recording.samples[start:stop]
+        rest = rest[np.isfinite(rest).all(axis=1)]
+        if len(rest) < _BLOCKS:
+            continue
+        blocks = np.array([block.mean(axis=0) for block in np.array_split(rest, _BLOCKS)])
+        std = blocks.std(axis=0, ddof=1) / np.sqrt(_BLOCKS)
+        if (std > 0).all():
+            means.append(rest.mean(axis=0))
+            stds.append(std)
+    return Rests(np.reshape(means, (-1, _AXES)), np.reshape(stds, (-1, _AXES)))
+
+
+def find_poses(recording: Recording) -> Rests:
+    """Find the rests of a triaxial sensor, as `find_rests` does, and refuse too few.
+
+    Raises
+    ------
+    SensorError
+        If there are not three channels, or fewer than ten rests.
+    """
+    rests = find_rests(recording)
+    if len(rests.means) < FEWEST_POSES:
+        raise SensorError(
+            f"{len(rests.means)} rests were found, of {FEWEST_POSES} that are needed: "
+            f"{find_still(recording).reason} Lay the sensor down in each pose for some seconds."
+        )
+    return rests

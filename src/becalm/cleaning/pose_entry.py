@@ -1,0 +1,188 @@
+"""What a recording in many poses tells of an accelerometer: how much it betters it, and the entry for its file."""
+
+from __future__ import annotations
+
+from datetime import date
+from typing import Any, NamedTuple, get_args
+
+import numpy as np
+
+from becalm.cleaning.pose_calibration import find_poses
+from becalm.cleaning.sensor_entries import TriaxialEntry
+from becalm.cleaning.sensor_entry import RawUnit, SheetEntry
+from becalm.core.arrays import Floats
+from becalm.core.recording import Recording
+from becalm.errors import SensorError
+from becalm.sensors.checks import STANDARD_GRAVITY, positive
+from becalm.sensors.poses import (
+    FEWEST_POSES,
+    PoseCalibration,
+    Rests,
+    calibrate_by_length,
+    common_factor,
+    nearest_sphere,
+)
+from becalm.sensors.record import COVERAGE
+
+ACCELERATIONS = {"m/s^2": 1.0, "g": STANDARD_GRAVITY}
+"""What an accelerometer can be calibrated in, in m/s^2."""
+
+LEAST_GRAVITY, MOST_GRAVITY = 9.780, 9.832
+"""At sea level on the equator and at the poles, in m/s^2."""
+
+
+class PoseReport(NamedTuple):
+    """A calibration by poses, with what speaks for it.
+
+    Attributes
+    ----------
+    channels : tuple of three str
+        The axes.
+    raw_unit, unit : str
+        Of readings, and of the result.
+    rests : int
+        That were found.
+    calibration : PoseCalibration
+        What was found of them.
+    before : float
+        Standard deviation of |a| over the rests, in unit: of readings as they came, if they are accelerations; else
+        by one factor for all axes, and the zero that suits it best.
+    after, held_out : float
+        The same of the calibration, and root mean square of what each rest lacks of gravity by a calibration without
+        it; NaN where ten rests leave none to spare.
+    gravity_relative_std : float
+        Standard uncertainty (k = 1) of gravity, as a share.
+    """
+
+    channels: tuple[str, str, str]
+    raw_unit: RawUnit
+    unit: str
+    rests: int
+    calibration: PoseCalibration
+    before: float
+    after: float
+    held_out: float
+    gravity_relative_std: float
+
+    @property
+    def scales(self) -> Floats:
+        """What one reading of each axis is along itself, (3,), in unit."""
+        return np.diag(self.calibration.matrix)
+
+    @property
+    def scale_uncertainties_percent(self) -> Floats:
+        """Expanded (k = 2), (3,), gravity's included."""
+        relative = np.diag(self.calibration.matrix_std) / np.abs(self.scales)
+        return np.asarray(100 * COVERAGE * np.hypot(relative, self.gravity_relative_std))
+
+    @property
+    def zero_uncertainty(self) -> float:
+        """Expanded (k = 2), of the result of that axis of which it is largest, in unit."""
+        of_axes = np.sqrt(self.calibration.matrix**2 @ self.calibration.bias_std**2)
+        return float(COVERAGE * of_axes.max())
+
+    def entry(self, calibrated: date) -> TriaxialEntry:
+        """Return what goes into the sensor file, with the day of calibration."""
+        found: Any = self.calibration
+        return TriaxialEntry(
+            kind="triaxial",
+            channels=self.channels,
+            raw_unit=self.raw_unit,
+            unit=self.unit,
+            correction=found.matrix.tolist(),
+            bias=found.bias.tolist(),
+            scale_uncertainty_percent=self.scale_uncertainties_percent.tolist(),
+            zero_uncertainty=self.zero_uncertainty,
+            sheet=SheetEntry(calibrated=calibrated),
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain values, ready for JSON."""
+        found = self.calibration
+        return {
+            "channels": list(self.channels),
+            "raw_unit": self.raw_unit,
+            "unit": self.unit,
+            "rests": self.rests,
+            "spread_before": self.before,
+            "spread_after": self.after,
+            "error_held_out": None if np.isnan(self.held_out) else self.held_out,
+            "correction": found.matrix.tolist(),
+            "correction_std": found.matrix_std.tolist(),
+            "bias": found.bias.tolist(),
+            "bias_std": found.bias_std.tolist(),
+            "excess": found.excess,
+            "scale_uncertainty_percent": self.scale_uncertainties_percent.tolist(),
+            "zero_uncertainty": self.zero_uncertainty,
+        }
+
+
+def report_poses(recording: Recording, unit: str = "m/s^2", gravity: float | None = None) -> PoseReport:
+    """Calibrate a triaxial accelerometer by a recording in which it was laid down in many poses.
+
+    Parameters
+    ----------
+    recording : Recording
+        Its three channels, all in V, mV, mV/V, counts, g or m/s^2; readings of no told unit count as counts.
+    unit : str
+        Of the result: m/s^2 or g.
+    gravity : float, optional
+        Where it lay, in m/s^2, taken as exact; without it standard gravity is taken, and as uncertain as gravity
+        differs from place to place.
+
+    Raises
+    ------
+    SensorError
+        If there are not three channels, too few rests, rests too alike, or a unit or gravity is impossible.
+    """
+    if unit not in ACCELERATIONS:
+        raise SensorError(f"--unit {unit} is no unit to calibrate in; write --unit m/s^2 or --unit g.")
+    rests, raw_unit = find_poses(recording), _raw_unit(recording.units)
+    told = STANDARD_GRAVITY if gravity is None else positive("--gravity", gravity, "9.81")
+    width = (MOST_GRAVITY - LEAST_GRAVITY) / np.sqrt(12)  # of an even distribution over places
+    g = told / ACCELERATIONS[unit]
+    found = calibrate_by_length(rests, g)
+    return PoseReport(
+        channels=(recording.names[0], recording.names[1], recording.names[2]),
+        raw_unit=raw_unit,
+        unit=unit,
+        rests=len(rests.means),
+        calibration=found,
+        before=_before(rests.means, raw_unit, unit, g),
+        after=found.spread(rests.means),
+        held_out=_held_out(rests, g),
+        gravity_relative_std=float(width / STANDARD_GRAVITY) if gravity is None else 0.0,
+    )
+
+
+def _raw_unit(units: tuple[str, ...]) -> RawUnit:
+    told = sorted(set(units))
+    known: dict[str, RawUnit] = {unit: unit for unit in get_args(RawUnit)} | {"": "counts"}
+    if len(told) != 1 or told[0] not in known:
+        raise SensorError(
+            f"The channels are in {', '.join(unit or 'no told unit' for unit in told)}; all three must be in one of "
+            f"{', '.join(get_args(RawUnit))}."
+        )
+    return known[told[0]]
+
+
+def _before(means: Floats, raw_unit: str, unit: str, gravity: float) -> float:
+    """Return the spread of |a| without this calibration."""
+    if raw_unit in ACCELERATIONS:
+        as_read = np.linalg.norm(means, axis=1) * ACCELERATIONS[raw_unit] / ACCELERATIONS[unit]
+        return float(as_read.std())
+    return common_factor(means, nearest_sphere(means)[0], gravity).spread(means)
+
+
+def _held_out(rests: Rests, gravity: float) -> float:
+    if len(rests.means) <= FEWEST_POSES:
+        return np.nan
+    left = []
+    for one in range(len(rests.means)):
+        others = np.arange(len(rests.means)) != one
+        try:
+            found = calibrate_by_length(Rests(rests.means[others], rests.stds[others]), gravity)
+        except SensorError:  # a pose without which the others are too alike
+            return np.nan
+        left.append(float(np.linalg.norm(found.acceleration(rests.means[[one]]))) - gravity)
+    return float(np.sqrt(np.mean(np.square(left))))

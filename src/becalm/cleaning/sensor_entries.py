@@ -1,0 +1,150 @@
+"""What a person writes about a sensor, one settings type for each kind, and the record that it makes."""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar, Literal
+
+import numpy as np
+from pydantic import Field
+
+from becalm.cleaning.bridge_entry import BridgeEntry
+from becalm.cleaning.recipe_parts import Finite, NotNegative, Positive
+from becalm.cleaning.sensor_entry import Entry, Name, OneChannel
+from becalm.sensors.accelerometer import Accelerometer, sensitivity_matrix
+from becalm.sensors.curve import Curve
+from becalm.sensors.load_cell import LoadCell
+from becalm.sensors.record import Sensitivity, SensorRecord
+
+Three = tuple[Finite, Finite, Finite]
+
+
+class AccelerometerEntry(OneChannel):
+    """An accelerometer, or any sensor with one sensitivity.
+
+    Attributes
+    ----------
+    sensitivity_mv, sensitivity_uncertainty_mv : float
+        In mV per unit, and expanded (k = 2).
+    bias_mv : float
+        What it puts out at 0.
+    """
+
+    kind: Literal["accelerometer"]
+    zero_line: ClassVar[str] = "bias_mv"
+    sensitivity_mv: Finite
+    sensitivity_uncertainty_mv: NotNegative = 0.0
+    bias_mv: Finite = 0.0
+
+    def record(self) -> SensorRecord:
+        """Make the record."""
+        told = Sensitivity(self.sensitivity_mv, f"mV/{self.unit}", self.sensitivity_uncertainty_mv)
+        one = Accelerometer(sensitivity_matrix([self.sensitivity_mv / 1e3]), np.array([self.bias_mv / 1e3]))
+        return SensorRecord(**self.shared(), conversion=one, reading_size=self.volts(), sensitivities=(told,))
+
+
+class TriaxialEntry(Entry):
+    """A triaxial accelerometer: by its sheet, or as its rests in many poses calibrated it.
+
+    Attributes
+    ----------
+    channels : tuple of three str
+        Its axes.
+    sensitivity_mv, sensitivity_uncertainty_mv, bias_mv : tuple of three float
+        As of an accelerometer, each axis along itself.
+    cross_axis_percent : three tuples of three float, or None
+        What each axis (a tuple) hears of each direction, in percent of its own sensitivity.
+    correction : three tuples of three float, or None
+        In place of sensitivities: a = correction (readings - bias), in unit per reading.
+    bias : tuple of three float
+        In readings, beside `correction`.
+    scale_uncertainty_percent : tuple of three float
+        Expanded (k = 2), of each axis, beside `correction`.
+    """
+
+    kind: Literal["triaxial"]
+    channels: tuple[Name, Name, Name]
+    sensitivity_mv: Three | None = None
+    sensitivity_uncertainty_mv: tuple[NotNegative, NotNegative, NotNegative] = (0.0, 0.0, 0.0)
+    cross_axis_percent: tuple[Three, Three, Three] | None = None
+    bias_mv: Three = (0.0, 0.0, 0.0)
+    correction: tuple[Three, Three, Three] | None = None
+    bias: Three = (0.0, 0.0, 0.0)
+    scale_uncertainty_percent: tuple[NotNegative, NotNegative, NotNegative] = (0.0, 0.0, 0.0)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Its three channels."""
+        return self.channels
+
+    def record(self) -> SensorRecord:
+        """Make the record."""
+        by_sheet = {"sensitivity_uncertainty_mv", "cross_axis_percent", "bias_mv"} & self.model_fields_set
+        if self.correction is not None and self.sensitivity_mv is None and not by_sheet:
+            return self._corrected(Accelerometer.corrected_by(self.correction, self.bias))
+        by_poses = {"bias", "scale_uncertainty_percent"} & self.model_fields_set
+        if self.sensitivity_mv is None or self.correction is not None or by_poses:
+            raise ValueError("give either sensitivity_mv, with bias_mv, or correction, with bias in readings")
+        heard = sensitivity_matrix(np.array(self.sensitivity_mv) / 1e3, self.cross_axis_percent)
+        told = tuple(
+            Sensitivity(value, f"mV/{self.unit}", u)
+            for value, u in zip(self.sensitivity_mv, self.sensitivity_uncertainty_mv, strict=True)
+        )
+        three = Accelerometer(heard, np.array(self.bias_mv) / 1e3)
+        return SensorRecord(**self.shared(), conversion=three, reading_size=self.volts(), sensitivities=told)
+
+    def _corrected(self, found: Accelerometer) -> SensorRecord:
+        sizes = np.linalg.norm(found.sensitivity, axis=1).tolist()  # of each axis, whichever way it points
+        told = tuple(
+            Sensitivity(size, f"{self.raw_unit}/{self.unit}", percent / 100 * size)
+            for size, percent in zip(sizes, self.scale_uncertainty_percent, strict=True)
+        )
+        return SensorRecord(**self.shared(), conversion=found, sensitivities=told)
+
+
+class LoadCellEntry(OneChannel):
+    """A load cell, see `becalm.sensors.load_cell.LoadCell`.
+
+    Attributes
+    ----------
+    rated_output_uncertainty_mv_per_v : float
+        Expanded (k = 2).
+    capacity : float
+        In unit.
+    """
+
+    kind: Literal["load cell"]
+    zero_line: ClassVar[str] = "zero_balance_mv_per_v"
+    rated_output_mv_per_v: Finite
+    rated_output_uncertainty_mv_per_v: NotNegative = 0.0
+    capacity: Positive
+    zero_balance_mv_per_v: Finite = 0.0
+    excitation_v: Positive | None = None
+
+    def record(self) -> SensorRecord:
+        """Make the record."""
+        cell = LoadCell(self.rated_output_mv_per_v, self.capacity, self.zero_balance_mv_per_v, self.excitation_v)
+        told = Sensitivity(self.rated_output_mv_per_v, "mV/V", self.rated_output_uncertainty_mv_per_v)
+        size = 1e3 * self.ratio(self.excitation_v)
+        return SensorRecord(**self.shared(), conversion=cell, reading_size=size, sensitivities=(told,))
+
+
+class CurveEntry(OneChannel):
+    """A calibration curve.
+
+    Attributes
+    ----------
+    coefficients : tuple of float
+        Of readings in raw_unit to the power of 0, 1, 2, ...
+    """
+
+    kind: Literal["polynomial"]
+    coefficients: tuple[Finite, ...]
+
+    def record(self) -> SensorRecord:
+        """Make the record."""
+        return SensorRecord(**self.shared(), conversion=Curve(self.coefficients))
+
+
+SensorEntry = Annotated[
+    AccelerometerEntry | TriaxialEntry | BridgeEntry | LoadCellEntry | CurveEntry, Field(discriminator="kind")
+]

@@ -1,0 +1,163 @@
+"""What a person writes about any sensor: its units, its converter, its full scale, and what else a sheet says."""
+
+from __future__ import annotations
+
+from datetime import date
+from typing import Annotated, Any, ClassVar, Literal, Self
+
+from pydantic import Field, model_validator
+
+from becalm.cleaning.recipe_parts import Finite, NotNegative, Positive, Settings
+from becalm.cleaning.stretches import stretch_s
+from becalm.sensors.accelerometer import FullScale, volts_per_count
+from becalm.sensors.record import SensorRecord, Sheet
+
+Name = Annotated[str, Field(min_length=1)]
+_VOLTS = {"V": 1.0, "mV": 1e-3}
+RawUnit = Literal["V", "mV", "mV/V", "counts", "g", "m/s^2"]
+
+
+class SheetEntry(Settings):
+    """`becalm.sensors.record.Sheet`, as it is written; each line may be left out."""
+
+    manufacturer: str = ""
+    model: str = ""
+    version: str = ""
+    serial: str = ""
+    calibrated: date | None = None
+    due: date | None = None
+    laboratory: str = ""
+    certificate: str = ""
+    reference_frequency_hz: NotNegative | None = None
+    reference_temperature_degc: Finite | None = None
+    range_low: Finite | None = None
+    range_high: Finite | None = None
+    impedance_ohm: Positive | None = None
+    temperature_coefficient_percent_per_k: Finite | None = None
+    direction: str = ""
+    location: str = ""
+    transverse_percent: NotNegative | None = None
+    noise_density: Positive | None = None
+    resonance_hz: Positive | None = None
+    damping_ratio: NotNegative | None = None
+
+    @model_validator(mode="after")
+    def _damping_is_of_a_resonance(self) -> Self:
+        if self.damping_ratio is not None and self.resonance_hz is None:
+            raise ValueError("damping_ratio belongs to resonance_hz; give both, or leave it out")
+        return self
+
+
+class Entry(Settings):
+    """What every kind has.
+
+    Attributes
+    ----------
+    raw_unit : {"V", "mV", "mV/V", "counts", "g", "m/s^2"}
+        Of the readings that come; the last two where a `correction` betters what an accelerometer tells already.
+    unit : str
+        Of the result.
+    span_v, bits : float, int or None
+        Of the converter whose counts come: from its least to its greatest input, and its resolution.
+    lowest_reading, highest_reading : float or None
+        Full scale, in raw_unit; from 0.999 of it readings are clipped, and count as missing.
+    zero_uncertainty : float
+        Expanded (k = 2), of the result at rest, in unit; a *small* one trusts the zero.
+    sheet : SheetEntry
+        What else its sheet says.
+    """
+
+    raw_unit: RawUnit
+    unit: Name
+    span_v: Positive | None = None
+    bits: Annotated[int, Field(ge=1, le=64, strict=True)] | None = None
+    lowest_reading: Finite | None = None
+    highest_reading: Finite | None = None
+    zero_uncertainty: NotNegative = 0.0
+    sheet: SheetEntry = SheetEntry()
+
+    @model_validator(mode="after")
+    def _makes_a_record(self) -> Self:
+        self.record()
+        return self
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The channels that the sensor feeds."""
+        raise NotImplementedError
+
+    def record(self) -> SensorRecord:
+        """Make the record; every fault is a ValueError, and a sentence."""
+        raise NotImplementedError
+
+    def shared(self) -> dict[str, Any]:
+        """Return what is the same in the records of all kinds."""
+        low, high = self.lowest_reading, self.highest_reading
+        if (low is None) != (high is None) or (low is not None and high is not None and low >= high):
+            raise ValueError("full scale goes from lowest_reading up to highest_reading; give both, or neither")
+        if self.raw_unit != "counts" and (self.span_v is not None or self.bits is not None):
+            raise ValueError('span_v and bits belong to raw_unit = "counts"; leave them out')
+        return {
+            "channels": self.names,
+            "raw_unit": self.raw_unit,
+            "unit": self.unit,
+            "zero_uncertainty": self.zero_uncertainty,
+            "full_scale": None if low is None or high is None else FullScale(low, high),
+            "sheet": Sheet(**self.sheet.model_dump()),
+        }
+
+    def volts(self) -> float:
+        """Return the volts of one reading."""
+        if self.raw_unit == "counts":
+            if self.span_v is None or self.bits is None:
+                raise ValueError('raw_unit = "counts" needs the converter\'s span_v and bits, as 10.0 and 16')
+            return volts_per_count(self.span_v, self.bits)
+        if self.raw_unit == "mV/V":
+            raise ValueError('raw_unit = "mV/V" belongs to bridges and load cells; give volts or counts')
+        if self.raw_unit not in _VOLTS:
+            raise ValueError(f'raw_unit = "{self.raw_unit}" belongs to a triaxial sensor with correction; give volts')
+        return _VOLTS[self.raw_unit]
+
+    def ratio(self, excitation_v: float | None) -> float:
+        """Return the V/V of one reading."""
+        if self.raw_unit == "mV/V":
+            return 1e-3
+        if excitation_v is None:
+            raise ValueError(f'raw_unit = "{self.raw_unit}" needs excitation_v, as 5.0; readings in mV/V do not')
+        return self.volts() / excitation_v
+
+
+class OneChannel(Entry):
+    """A sensor of one channel.
+
+    Attributes
+    ----------
+    tare : str or None
+        Where it carried no load, to take its zero there: "0s:20s" are the first 20 s after the first row. The
+        stretch must be quiet. An accelerometer's zero takes gravity with it.
+    """
+
+    channel: Name
+    tare: str | None = None
+    zero_line: ClassVar[str] = ""  # what tells the zero in place of a tare
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The one channel."""
+        return (self.channel,)
+
+    def shared(self) -> dict[str, Any]:
+        """Return what is the same in the records of all kinds, and the stretch of the tare."""
+        if self.tare is not None and self.zero_line in self.model_fields_set:
+            raise ValueError(f"tare takes the zero that {self.zero_line} tells; give one of them")
+        return super().shared() | {"tare_s": None if self.tare is None else _span_s(self.tare)}
+
+
+def _span_s(text: str) -> tuple[float, float]:
+    """Read a stretch of time, START:STOP, in seconds."""
+    span_s = stretch_s(text)
+    if span_s is None:
+        raise ValueError(
+            f'tare = "{text}" is no stretch of time; write START:STOP after the first row, as "0s:20s" or "1min:2min"'
+        )
+    return span_s

@@ -1,0 +1,69 @@
+"""A file of sensors, as TOML that a person writes: one `[[sensor]]` each."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from datetime import date
+from pathlib import Path
+from typing import Annotated, Self
+
+import tomlkit
+from pydantic import Field, model_validator
+
+from becalm.cleaning.recipe_parts import Settings
+from becalm.cleaning.sensor_entries import SensorEntry
+from becalm.cleaning.toml_text import TomlKind
+from becalm.errors import SensorError
+from becalm.sensors.record import SensorRecord
+
+_KIND = TomlKind("sensor file", SensorError)
+_WAY_OUT = "Each sensor begins with [[sensor]] and says its kind, channel, raw_unit and unit."
+
+
+class _Sensors(Settings):
+    sensor: Annotated[tuple[SensorEntry, ...], Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _channels_differ(self) -> Self:
+        names = [name for sensor in self.sensor for name in sensor.names]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise ValueError(f"the channel {twice[0]!r} is named twice; a channel has one sensor")
+        return self
+
+
+def load_sensors(path: str | Path) -> tuple[SensorRecord, ...]:
+    """Read the sensors of a file, in its order.
+
+    Raises
+    ------
+    SensorError
+        If the file cannot be read or is not TOML, or a value is missing, unknown or impossible.
+    """
+    text = _KIND.text_of(path, _WAY_OUT)
+    return tuple(entry.record() for entry in _KIND.parsed(_Sensors, text, f"The sensor file {path}", _WAY_OUT).sensor)
+
+
+def to_toml(entries: Iterable[SensorEntry], comment: str = "") -> str:
+    """Write sensors as TOML, below a comment; what is as by default is left out."""
+    document, sensors = tomlkit.document(), tomlkit.aot()
+    for line in comment.splitlines():
+        document.add(tomlkit.comment(line))
+    for entry in entries:
+        sensors.append(tomlkit.item({"kind": entry.kind, **entry.model_dump(exclude_defaults=True)}))
+    document.add("sensor", sensors)
+    return tomlkit.dumps(document)
+
+
+def due_warnings(records: Iterable[SensorRecord], today: date) -> tuple[str, ...]:
+    """Say of each sensor that is due for calibration since when, a sentence each; nothing is refused for it."""
+    return tuple(
+        f"The sensor of {', '.join(record.channels)}{_serial(record)} was due for calibration on {record.sheet.due}; "
+        "its sensitivity and its uncertainty may no longer hold."
+        for record in records
+        if record.sheet.is_due(today)
+    )
+
+
+def _serial(record: SensorRecord) -> str:
+    return f" (serial {record.sheet.serial})" if record.sheet.serial else ""

@@ -1,0 +1,87 @@
+"""How fast a clean signal changes, row by row, and what that makes of an uncertain time."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from becalm.cleaning.recipe_parts import TimingRecipe
+from becalm.core.arrays import Floats
+from becalm.core.told import Told
+
+_WORTH_SAYING = 0.001
+
+
+class Slopes:
+    """Backward differences of a signal that comes in parts; where it is cut changes no bit.
+
+    Parameters
+    ----------
+    step_s : float
+        The step that elapsed steps are counted in, in seconds.
+    """
+
+    def __init__(self, step_s: float) -> None:
+        self._step_s, self._last, self._slope = step_s, np.nan, 0.0
+
+    def of(self, signal: Floats, elapsed: Floats) -> Floats:
+        """Return the slope at the next rows, (B,), in units a second; of a repeated time, or unknown, the one before.
+
+        Parameters
+        ----------
+        signal : (B,) float array
+            What is clean.
+        elapsed : (B,) float array
+            Steps since the row before.
+        """
+        if not len(signal):
+            return np.empty(0)
+        risen = np.diff(signal, prepend=self._last)
+        known = (elapsed > 0.0) & np.isfinite(risen)
+        slopes = np.divide(risen, elapsed * self._step_s, out=np.full(len(signal), self._slope), where=known)
+        latest = np.maximum.accumulate(np.where(known, np.arange(len(signal)), -1))
+        slopes = np.where(latest >= 0, slopes[latest], self._slope)
+        self._last, self._slope = float(signal[-1]), float(slopes[-1])
+        return slopes
+
+
+class TimingNoise:
+    """Widens sigma by what an uncertain time adds to the noise.
+
+    Parameters
+    ----------
+    timing : TimingRecipe
+        What is uncertain.
+    noise_std : float
+        Standard deviation of a reading's noise, in unit.
+    step_s : float
+        One step, in seconds.
+    """
+
+    def __init__(self, timing: TimingRecipe, noise_std: float, step_s: float) -> None:
+        self._timing, self._variance, self._slopes = timing, noise_std**2, Slopes(step_s)
+        self._elapsed: list[Floats] = []
+        self.most = 0.0
+        """The largest share that was added to sigma so far."""
+
+    def push(self, elapsed: Floats) -> None:
+        """Take the steps before rows that will be told, (B,)."""
+        self._elapsed.append(elapsed)
+
+    def widened(self, told: Told) -> Told:
+        """Return rows with the sigma that they have."""
+        slopes = self._slopes.of(told.signal, self._taken(len(told.signal)))
+        more = (slopes * self._timing.std_s) ** 2 - self._timing.included_std**2
+        wider = np.sqrt(1.0 + np.maximum(more, 0.0) / self._variance)
+        self.most = max(self.most, float(wider.max(initial=1.0)) - 1.0)
+        return told._replace(sigma=wider * told.sigma)
+
+    def says(self) -> list[str]:
+        """Say what it adds, in a sentence, where that is worth one."""
+        if self.most < _WORTH_SAYING:
+            return []
+        return [f"Times uncertain by {1e6 * self._timing.std_s:.3g} us add up to {self.most:.1%} to sigma."]
+
+    def _taken(self, count: int) -> Floats:
+        waiting = np.concatenate([*self._elapsed, np.empty(0)])
+        self._elapsed = [waiting[count:]]
+        return waiting[:count]

@@ -1,0 +1,62 @@
+"""Files that hold channels at several times."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from becalm.cli.talk import stderr, tell_columns, tell_notes
+from becalm.errors import UsageError
+from becalm.files.registry import format_to_write, holds_times
+from becalm.files.timing.told_time import with_time
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+    from becalm.files.every_time import OpenFile
+    from becalm.files.opening import OpenSource
+
+_MOST_NAMED = 12
+
+
+def refuse_times(output: Path, groups: Sequence[str]) -> None:
+    """Refuse an output that holds one time, where there are several.
+
+    Raises
+    ------
+    UsageError
+        If it is so.
+    """
+    if len(groups) > 1 and not holds_times(format_to_write(output)):
+        named = ", ".join(map(repr, groups[:_MOST_NAMED]))
+        more = f" and {len(groups) - _MOST_NAMED} more" if len(groups) > _MOST_NAMED else ""
+        raise UsageError(
+            f"The file holds channels at {len(groups)} times ({named}{more}), and {output} can hold one; name"
+            " an output that ends in .h5, .mat, .mf4, .npz or .tdms, or choose one with --group."
+        )
+
+
+def timed(output: Path, source: OpenSource, write: Callable[[pa.Table], None]) -> Callable[[pa.Table], None]:
+    """Return what writes one time of a file; an output that may hold several tells it in seconds in any case."""
+    return with_time(source, write) if holds_times(format_to_write(output)) else write
+
+
+def pass_through(output: Path, opened: OpenFile, write: Callable[[pa.Table], None]) -> None:
+    """Write what is not cleaned as it is, where the output holds several times."""
+    if holds_times(format_to_write(output)):
+        for raw, _ in opened.passed:
+            for block in raw.blocks(raw.names):
+                write(block)
+
+
+def tell_times(output: Path, opened: OpenFile) -> None:
+    """Say what a person must know of the file, and what was not cleaned."""
+    tell_notes(*opened.sources)
+    for source in opened.sources:
+        tell_columns(source)
+    what = "Passed through unchanged" if holds_times(format_to_write(output)) else "Not written"
+    for raw, why in opened.passed[:_MOST_NAMED]:
+        stderr.print(f"{what}: {raw.group} ({why}).")
+    if len(opened.passed) > _MOST_NAMED:
+        stderr.print(f"{what}: {len(opened.passed) - _MOST_NAMED} more groups.")

@@ -1,0 +1,49 @@
+"""Names of columns beside arrays whose own names cannot be such: `force (kN)` is kept as `force_kN`."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Sequence
+
+from becalm.files.arrays.arrays import Found
+from becalm.files.groups import GROUP, START
+from becalm.files.text.csv_header import unique_names
+
+VARIABLES, NAMES, UNITS = "becalm_variables", "becalm_names", "becalm_units"
+"""Lists in a file: arrays, the columns that they hold, and their units."""
+
+NAME = "becalm.name"
+"""Of an array, the column that it holds."""
+
+FLAG = "becalm.flag"
+"""Of an array of whole numbers, that they are true and false."""
+
+OF_TABLE = (GROUP, START)
+"""What is told of each table, and not of all."""
+
+_OWN = {VARIABLES, NAMES, UNITS, *(key.replace(".", "_") for key in OF_TABLE)}
+_LONGEST = 50  # letters; MATLAB reads 63
+
+
+def variables(names: Sequence[str]) -> tuple[str, ...]:
+    """Return an identifier for each name, all different."""
+    plain = [re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_")[:_LONGEST] for name in names]
+    return unique_names([one if re.match(r"[A-Za-z]", one) else f"c_{one}".rstrip("_") for one in plain])
+
+
+def folder_name(group: str, taken: Collection[str]) -> str:
+    """Return an identifier for a group that no other folder has."""
+    return variables((*taken, group))[-1]
+
+
+def take_labels(found: Found) -> None:
+    """Give arrays the names and units that becalm wrote beside them, and forget the lists."""
+    for folder in [path[:-1] for path in found.words if path[-1] == VARIABLES]:
+        lists = [found.words.pop((*folder, key), ()) for key in (VARIABLES, NAMES, UNITS)]
+        if len({len(one) for one in lists}) == 1:
+            for variable, name, unit in zip(*lists, strict=True):
+                found.words[(*folder, variable, NAME)] = (name,)
+                found.words[(*folder, variable, "unit")] = (unit,)
+        for key in OF_TABLE:
+            found.words[(*folder, key)] = found.words.pop((*folder, key.replace(".", "_")), ("",))
+    found.leaves = [leaf for leaf in found.leaves if leaf.path[-1] not in _OWN]

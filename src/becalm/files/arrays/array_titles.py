@@ -1,0 +1,67 @@
+"""Names and units that stand beside an array: in the struct that holds it alone, or in a head of its own."""
+
+from __future__ import annotations
+
+import re
+
+from becalm.files.arrays.array_labels import NAME
+from becalm.files.arrays.arrays import Found, Path
+
+_VALUES = ("data", "value", "values", "samples", "signal", "y")
+_NAMES = ("name", "label", "signalname", "channelname")
+_UNITS = ("unit", "units", "unitstring")
+_ABOUT_VALUES, _ABOUT_TIMES = "datainfo", "timeinfo"  # of MATLAB's timeseries
+_ABOUT_ALL = ("meta", "metadata", "info", "header", "hdr", "properties", "props", "params", "parameters", "settings")
+_HEADED = re.compile(r"(.+)_data", re.IGNORECASE)  # Channel_2_Data, of which Channel_2_Header tells
+
+
+def take_titles(found: Found) -> None:
+    """Tell of each array what stands beside it, as if it were told of the array itself."""
+    _lift(found)
+    folders: dict[Path, dict[str, Path]] = {}
+    for path in (*found.words, *found.numbers):
+        folders.setdefault(_small(path[:-1]), {})[path[-1].lower()] = path
+    for leaf in found.leaves:
+        folder, name = _small(leaf.path[:-1]), leaf.path[-1].lower()
+        if headed := _HEADED.fullmatch(name):
+            head = folders.get((*folder, f"{headed[1]}_header"), {})
+            _give(found, leaf.path, head, _NAMES + _UNITS)
+            for key, path in head.items():
+                if path in found.numbers:
+                    found.numbers.setdefault((*leaf.path, key), found.numbers[path])
+        elif is_alone(leaf.path):
+            _give(found, leaf.path, folders.get(folder, {}), _NAMES + _UNITS)
+            _give(found, leaf.path, folders.get((*folder, _ABOUT_VALUES), {}), _UNITS)
+        elif name == "time":
+            _give(found, leaf.path, folders.get((*folder, _ABOUT_TIMES), {}), _UNITS)
+
+
+def is_alone(path: Path) -> bool:
+    """Tell whether an array is called as the values of a struct that holds one channel: `force.data`."""
+    return len(path) > 1 and path[-1].lower() in _VALUES
+
+
+def _lift(found: Found) -> None:
+    """Take what `meta.fs` tells for `fs`: it is about all beside `meta`, but for a name, which may be a person's."""
+    for path, texts in [(path, texts) for path, texts in found.words.items() if _is_about_all(path)]:
+        found.words.setdefault((*path[:-2], path[-1]), texts)
+    for path, number in [(path, number) for path, number in found.numbers.items() if _is_about_all(path)]:
+        found.numbers.setdefault((*path[:-2], path[-1]), number)
+
+
+def _is_about_all(path: Path) -> bool:
+    return len(path) > 1 and path[-2].lower() in _ABOUT_ALL and path[-1].lower() not in _NAMES
+
+
+def _small(path: Path) -> Path:
+    return tuple(part.lower() for part in path)
+
+
+def _give(found: Found, leaf: Path, beside: dict[str, Path], keys: tuple[str, ...]) -> None:
+    """Give an array the names and units that it has not yet."""
+    for key in keys:
+        if texts := found.words.get(beside.get(key, ()), ()):
+            if key in _UNITS:
+                found.words.setdefault((*leaf, "unit"), texts)
+            elif len(texts) == 1 and texts[0]:
+                found.words.setdefault((*leaf, NAME), texts)

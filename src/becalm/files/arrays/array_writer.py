@@ -1,0 +1,176 @@
+"""Tables to MAT and NPZ: an array for each column, held in memory until the last row has come."""
+
+from __future__ import annotations
+
+import io
+import re
+import zipfile
+from collections.abc import Mapping
+from typing import IO, Any, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+from numpy.lib import format as npy
+from numpy.typing import NDArray
+
+from becalm.errors import OutputError
+from becalm.files.arrays.array_labels import NAMES, OF_TABLE, UNITS, VARIABLES, folder_name, variables
+from becalm.files.column_arrays import refuse_strange_types, told_of, unit_of_field, whole_column
+from becalm.files.groups import GROUP
+
+_HEAD = b"MATLAB 5.0 MAT-file, written by becalm".ljust(116)  # without a date: the same recipe gives the same bytes
+_MOST_BYTES = (1 << 31) - (1 << 16)  # of a variable of version 5
+
+
+class _Folder(NamedTuple):
+    """What is written of one group: arrays by their names, and texts, or lists of them."""
+
+    arrays: dict[str, NDArray[Any]]
+    texts: dict[str, str | list[str]]
+
+
+class _ArrayRows:
+    """Takes tables of one schema; those of another group go into a folder of their own.
+
+    The lists `becalm_variables`, `becalm_names` and `becalm_units` tell which array holds which column; `becalm_group`
+    tells what a folder is called. Dates are text. Missing whole numbers and flags make their column one of float64,
+    NaN where they are missing.
+
+    Parameters
+    ----------
+    file : binary file
+        Where to.
+    """
+
+    form = ""
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self._file = file
+        self._held: dict[str, list[pa.Table]] = {}
+
+    def write(self, table: pa.Table) -> None:
+        """Hold some rows of a group."""
+        group = told_of(table.schema).get(GROUP, "")
+        if group not in self._held:
+            refuse_strange_types(table.schema, self.form)
+        self._held.setdefault(group, []).append(table)
+        rows = sum(one.num_rows for one in self._held[group])
+        self._refuse_size(rows, 8 * rows * (table.num_columns if group else 1))
+
+    def close(self) -> None:
+        """Write all; the file stays open."""
+        if not self._held:
+            return
+        root = _Folder({}, {})
+        folders: dict[str, _Folder] = {}
+        for group in list(self._held):
+            table = pa.concat_tables(self._held.pop(group))
+            told = told_of(table.schema)
+            root.texts.update(_texts({key: text for key, text in told.items() if key not in OF_TABLE}))
+            made = _folder(table, {key: text for key, text in told.items() if key in OF_TABLE})
+            if group:
+                folders[folder_name(group, {*folders, *root.texts})] = made
+            else:
+                root.arrays.update(made.arrays)
+                root.texts.update(made.texts)
+        self._save(root, folders)
+
+    def drop(self) -> None:
+        """Forget what is held."""
+        self._held = {}
+
+    def _refuse_size(self, rows: int, most_bytes: int) -> None:
+        """Refuse what the format cannot hold."""
+
+    def _save(self, root: _Folder, folders: dict[str, _Folder]) -> None:
+        raise NotImplementedError
+
+
+def _folder(table: pa.Table, told: Mapping[str, str]) -> _Folder:
+    names = variables(table.column_names)
+    arrays = {name: whole_column(column) for name, column in zip(names, table.columns, strict=True)}
+    units = [unit_of_field(field) for field in table.schema]
+    lists = {VARIABLES: list(names), NAMES: table.column_names, UNITS: units}
+    return _Folder(arrays, lists | _texts(told))
+
+
+def _texts(told: Mapping[str, str]) -> dict[str, str | list[str]]:
+    return {re.sub(r"\W", "_", key): text for key, text in told.items()}
+
+
+class MatRows(_ArrayRows):
+    """Writes version 5 of MAT: columns as variables, text as matrices of letters, a struct for each group.
+
+    Parameters
+    ----------
+    file : binary file
+        Where to.
+
+    Raises
+    ------
+    OutputError
+        If a column, or a group of several, takes more than 2 GB, which that version cannot hold.
+    """
+
+    form = "MAT"
+
+    def _refuse_size(self, rows: int, most_bytes: int) -> None:
+        if most_bytes > _MOST_BYTES:
+            raise OutputError(
+                f"{rows} rows are more than a MAT file of version 5 can hold, 2 GB a variable; write .h5, which MATLAB"
+                " reads by h5read."
+            )
+
+    def _save(self, root: _Folder, folders: dict[str, _Folder]) -> None:
+        from scipy.io import savemat
+        from scipy.io.matlab import MatWriteError
+
+        try:
+            savemat(
+                self._file,  # type: ignore[arg-type]  # takes files
+                _members(root) | {name: _members(folder) for name, folder in folders.items()},
+                do_compression=True,
+                long_field_names=True,
+                oned_as="column",
+            )
+        except MatWriteError as cause:
+            raise OutputError(f"A MAT file of version 5 cannot hold this ({cause}); write .h5 instead.") from cause
+        self._file.seek(0)
+        self._file.write(_HEAD)
+        self._file.seek(0, io.SEEK_END)
+
+
+def _members(folder: _Folder) -> dict[str, Any]:
+    """Return variables, or fields of a struct: columns as such, lists as cells."""
+    columns = {name: values.reshape(-1, 1) for name, values in folder.arrays.items()}
+    cells = {
+        name: texts if isinstance(texts, str) else np.array([*texts, None], object)[:-1].reshape(-1, 1)
+        for name, texts in folder.texts.items()
+    }
+    return columns | cells
+
+
+class NpzRows(_ArrayRows):
+    """Writes NPZ: columns as arrays, nothing pickled; what repeats is packed; names of a group begin with `folder/`.
+
+    Parameters
+    ----------
+    file : binary file
+        Where to.
+    """
+
+    form = "NPZ"
+
+    def _save(self, root: _Folder, folders: dict[str, _Folder]) -> None:
+        with zipfile.ZipFile(self._file, "w") as archive:
+            for prefix, folder in {"": root, **{f"{name}/": folder for name, folder in folders.items()}}.items():
+                texts = {name: np.array(text) for name, text in folder.texts.items()}
+                for name, values in (folder.arrays | texts).items():
+                    _add(archive, f"{prefix}{name}.npy", values)
+
+
+def _add(archive: zipfile.ZipFile, name: str, values: NDArray[Any]) -> None:
+    member = zipfile.ZipInfo(name)  # its date is always the same
+    member.compress_type = zipfile.ZIP_STORED if values.dtype.kind == "f" else zipfile.ZIP_DEFLATED
+    with archive.open(member, "w", force_zip64=True) as file:
+        npy.write_array(file, np.ascontiguousarray(values), allow_pickle=False)

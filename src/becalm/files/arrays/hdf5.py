@@ -1,0 +1,77 @@
+"""HDF5, by h5py: arrays read when they are asked for; netCDF 4 and the tables of pandas and PyTables are HDF5."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+
+from becalm.errors import InputError
+from becalm.files.arrays.array_groups import Grouping
+from becalm.files.arrays.hdf5_customs import follow_customs
+from becalm.files.arrays.hdf5_opening import SIGNATURE, Opened
+from becalm.files.arrays.hdf5_tree import Tree
+from becalm.files.foreign import Foreign
+from becalm.files.groups import tables
+from becalm.files.source import RawTable
+
+
+def is_hdf5(head: bytes) -> bool:
+    """Tell it by its first bytes."""
+    return head.startswith(SIGNATURE)
+
+
+def read(path: Path) -> tuple[RawTable, ...]:
+    """Look into an HDF5 file: arrays of one folder that are of one length, or share a time, are a table.
+
+    Raises
+    ------
+    InputError
+        If nothing in it can be read.
+    """
+    return read_tree(Foreign(path, "HDF5"), "hdf5", _understood)
+
+
+def _understood(foreign: Foreign, opened: Opened, h5py: ModuleType) -> Grouping:
+    found = Tree(foreign, opened, h5py).walk(opened.file)
+    follow_customs(found)
+    return Grouping(found, "/", apart=True)
+
+
+def read_tree(
+    foreign: Foreign, form: str, understood: Callable[[Foreign, Opened, ModuleType], Grouping], base: int = 0
+) -> tuple[RawTable, ...]:
+    """Look into a file of HDF5's kind, and close it if nothing can be read.
+
+    Parameters
+    ----------
+    foreign : Foreign
+        The file.
+    form : str
+        Its format in short.
+    understood : callable
+        Finds out what is in the open file.
+    base : int
+        Bytes before its HDF5.
+
+    Raises
+    ------
+    InputError
+        If nothing in it can be read.
+    """
+    h5py = foreign.library("h5py")
+    with foreign.damage_told():
+        opened = Opened(h5py, foreign.path, base)
+        foreign.cut = opened.size is not None
+    try:
+        with foreign.damage_told():
+            grouping = understood(foreign, opened, h5py)
+            groups = grouping.groups()
+        if not groups and grouping.notes:
+            raise InputError(f"{foreign.path} holds no channel that can be read: {' '.join(grouping.notes)[:500]}")
+    except BaseException as cause:
+        opened.close()
+        if foreign.cut and isinstance(cause, InputError):
+            raise foreign.holds_nothing() from cause
+        raise
+    return tables(foreign, form, groups, opened.close)

@@ -1,0 +1,68 @@
+"""Parts of a dataset that nobody wrote: HDF5 gives zeros for them, which nobody must take for readings."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from becalm.files.arrays.arrays import Key
+
+_ABSENT = {"M": np.datetime64("NaT"), "m": np.timedelta64("NaT"), "c": complex(np.nan, np.nan), "O": ""}
+
+
+def is_there(chunk: Any, end: int) -> bool:
+    """Tell whether a chunk lies before the end of the file; one of no bytes, or at its head, was read from zeros."""
+    return bool(chunk.byte_offset > 0 and 0 < chunk.size <= end - chunk.byte_offset)
+
+
+class Written:
+    """The chunks of a dataset that are in the file.
+
+    Parameters
+    ----------
+    dataset : h5py.Dataset
+        In chunks, and not all of them there.
+    rows : int
+        Of its first axis that count.
+    end : int
+        Where the file ends, in bytes; chunks beyond are not there.
+    """
+
+    def __init__(self, dataset: Any, rows: int, end: int) -> None:
+        self._steps: tuple[int, ...] = dataset.chunks
+        self._shape = (rows, *dataset.shape[1:])
+        self._there = np.zeros([-(-size // step) for size, step in zip(self._shape, self._steps, strict=True)], bool)
+
+        absent = []
+
+        def look(chunk: Any) -> None:
+            place = tuple(at // step for at, step in zip(chunk.chunk_offset, self._steps, strict=True))
+            if any(at >= count for at, count in zip(place, self._there.shape, strict=True)):
+                return
+            self._there[place] = True
+            if not is_there(chunk, end):
+                absent.append(place)
+
+        dataset.id.chunk_iter(look)
+        for place in absent:
+            self._there[place] = False
+
+    @property
+    def missing(self) -> int:
+        """How many chunks are not there."""
+        return int(self._there.size - np.count_nonzero(self._there))
+
+    def type_of(self, plain: np.dtype[Any]) -> np.dtype[Any]:
+        """Return the type of values some of which are missing."""
+        return np.dtype(np.float64) if plain.kind in "biu" else plain
+
+    def applied(self, values: NDArray[Any], key: Key) -> NDArray[Any]:
+        """Return values at an index or a slice for each axis (and others behind those), missing where none are."""
+        axes = [range(size)[part] for size, part in zip(self._shape, key, strict=False)]
+        chunks = [np.atleast_1d(np.asarray(one)) // step for one, step in zip(axes, self._steps, strict=True)]
+        there = self._there[np.ix_(*chunks)].reshape([len(one) for one in axes if isinstance(one, range)])
+        there = there.reshape(there.shape + (1,) * (values.ndim - there.ndim))
+        kind = self.type_of(values.dtype)
+        return np.where(there, values.astype(kind, copy=False), np.array(_ABSENT.get(kind.kind, np.nan), kind))

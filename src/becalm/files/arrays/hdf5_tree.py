@@ -1,0 +1,218 @@
+"""The arrays in an HDF5 file: folder by folder, never beyond the file."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from types import ModuleType
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from becalm.files.arrays.arrays import Found, Key, Leaf, Path, as_text
+from becalm.files.arrays.hdf5_gaps import Written
+from becalm.files.arrays.hdf5_opening import Opened
+from becalm.files.foreign import Foreign
+
+DEEPEST = 64
+"""Folder in folder."""
+
+_ATTRIBUTE_BYTES = 1 << 20
+_HIDDEN = (b"TINDEX", b"INDEX")  # classes of folders that PyTables keeps for itself
+_FIELD_UNITS = ("units", "unit")
+
+
+class _Shapes(NamedTuple):
+    """The shape of what is there, the one that a file cut short claims, () if it does not, and what has gaps."""
+
+    there: tuple[int, ...]
+    claimed: tuple[int, ...]
+    written: Written | None
+
+    def with_axes(self, inner: tuple[int, ...]) -> _Shapes:
+        return _Shapes((*self.there, *inner), (*self.claimed, *inner) if self.claimed else (), self.written)
+
+    def with_gaps(self, leaf: Leaf) -> Leaf:
+        if self.written is None:
+            return leaf
+        written, read = self.written, leaf.take
+        return leaf._replace(type=written.type_of(leaf.type), take=lambda key: written.applied(read(key), key))
+
+
+class Tree:
+    """Finds what a file holds.
+
+    Parameters
+    ----------
+    foreign : Foreign
+        The file.
+    opened : Opened
+        The same, open.
+    h5py : module
+        The library.
+    """
+
+    entries = "rows"
+    """What the first axis of a dataset counts."""
+
+    def __init__(self, foreign: Foreign, opened: Opened, h5py: ModuleType) -> None:
+        self._foreign, self._opened, self.h5py = foreign, opened, h5py
+        self.found = Found()
+        self._met: set[Any] = set()
+        self._claimed = 0
+
+    def walk(self, group: Any, path: Path = ()) -> Found:
+        """Look into a folder and all in it."""
+        self._met.add(self._identity(group))
+        self.take_attributes(group, path)
+        if len(path) >= DEEPEST:
+            self.note(path, f"it is nested more than {DEEPEST} deep")
+            return self.found
+        for name in group:
+            inner = (*path, name.encode("utf-8", "replace").decode())
+            try:
+                self.look(group, name, inner)
+            except (OSError, KeyError, RuntimeError, ValueError, TypeError) as cause:
+                cut = self._opened.size is not None
+                self.note(inner, "the file ends before it" if cut else " ".join(str(cause).split())[:120])
+        return self.found
+
+    def look(self, group: Any, name: str, path: Path) -> None:
+        """Take what a name in a folder leads to, if it is in this file and not met before."""
+        link = group.get(name, getlink=True)
+        if isinstance(link, self.h5py.ExternalLink):
+            self.note(path, f"it leads to another file, {link.filename!r}")
+        if not isinstance(link, self.h5py.HardLink):
+            return  # what a soft link leads to is found by itself
+        thing = group[name]
+        if (identity := self._identity(thing)) in self._met:
+            return
+        self._met.add(identity)
+        if isinstance(thing, self.h5py.Group):
+            if thing.attrs.get("CLASS") not in _HIDDEN:
+                self.walk(thing, path)
+        elif isinstance(thing, self.h5py.Dataset):
+            self.take_attributes(thing, path)
+            self.take_dataset(thing, path)
+
+    def _identity(self, thing: Any) -> Any:
+        return self.h5py.h5o.get_info(thing.id).addr
+
+    def note(self, path: Path, why: str) -> None:
+        """Say that something is not read."""
+        self.found.notes.append(f"{'/'.join(path)!r} is not read: {why}.")
+
+    def take_attributes(self, thing: Any, path: Path) -> None:
+        """Keep numbers and texts."""
+        for name in thing.attrs:
+            with suppress(OSError, KeyError, RuntimeError, ValueError, TypeError):  # a damaged one says nothing
+                self._take_attribute(thing, name, path)
+
+    def _take_attribute(self, thing: Any, name: str, path: Path) -> None:
+        attribute = thing.attrs.get_id(name)
+        claimed = int(np.prod(attribute.shape or (), dtype=object)) * attribute.dtype.itemsize
+        text = self.h5py.check_string_dtype(attribute.dtype) is not None
+        if claimed > _ATTRIBUTE_BYTES or not (text or attribute.dtype.kind in "biufSU"):
+            return
+        value = thing.attrs[name]
+        if isinstance(value, self.h5py.Empty):
+            return
+        values = as_text(np.asarray(value)) if text else np.asarray(value)
+        if text and values.size and values.ndim < 2:
+            self.found.words[(*path, name)] = tuple(str(one).strip() for one in values.ravel())
+        elif not text and values.size == 1:
+            self.found.numbers[(*path, name)] = float(values.ravel()[0])
+
+    def take_dataset(self, dataset: Any, path: Path) -> None:
+        """Keep a dataset, or each field of one; what cannot be read, or leads out of the file, is noted."""
+        if dataset.shape is None:
+            return
+        if why := self._why_not(dataset):
+            self.note(path, why)
+            return
+        rows = self._opened.whole_rows(dataset)
+        shape = (rows, *dataset.shape[1:]) if dataset.shape else ()
+        if shape != dataset.shape:
+            if not rows:
+                self.note(path, "nothing of it was written" if self._opened.size is None else "the file ends before it")
+                return
+            says = (
+                "The file ends in the middle" if self._opened.size is not None else "The logger stopped in the middle"
+            )
+            self.found.notes.append(
+                f"{says} of {'/'.join(path)!r}; {rows} of {dataset.shape[0]} {self.entries} are whole and were read."
+            )
+        self._claimed += int(np.prod(shape, dtype=object)) * dataset.dtype.itemsize
+        self._foreign.refuse_claim(max(self._claimed, _chunk_bytes(dataset)))
+        written = self._opened.written(dataset, rows)
+        if written is not None:
+            self.found.notes.append(f"Parts of {'/'.join(path)!r} were never written, and are missing.")
+        shapes = _Shapes(shape, dataset.shape if shape != dataset.shape else (), written)
+        if dataset.dtype.names:
+            self._take_fields(dataset, path, shapes)
+        else:
+            self._take(path, shapes, dataset.dtype, lambda key: dataset[key])
+
+    def _take_fields(self, dataset: Any, path: Path, shapes: _Shapes) -> None:
+        names = dataset.dtype.names
+        for position, name in enumerate(names):
+            for word in _FIELD_UNITS:
+                texts = self.found.words.get((*path, word), ())
+                own = self.found.word((*path, f"FIELD_{position}_{word.upper()}"))
+                if own or len(texts) == len(names):
+                    self.found.words[(*path, name, "unit")] = (own or texts[position],)
+            self._take_field(dataset, (name,), path, shapes)
+
+    def _take_field(self, dataset: Any, fields: tuple[str, ...], path: Path, shapes: _Shapes) -> None:
+        kind = dataset.dtype
+        for name in fields:
+            kind = kind[name]
+        if kind.names:
+            for name in kind.names:
+                self._take_field(dataset, (*fields, name), path, shapes)
+            return
+        base, inner = kind.subdtype or (kind, ())
+        depth = len(shapes.there)
+
+        def take(key: Key) -> Any:
+            values = dataset.fields(fields[0])[key[:depth]]
+            for name in fields[1:]:
+                values = values[name]
+            values = np.asarray(values)
+            return values[(..., *key[depth:])] if inner else values
+
+        self._take((*path, *fields), shapes.with_axes(inner), base, take)
+
+    def _take(self, path: Path, shapes: _Shapes, kind: np.dtype[Any], take: Any) -> None:
+        h5py, shape, claimed = self.h5py, shapes.there, shapes.claimed
+        if h5py.check_string_dtype(kind) or kind.kind in "SU":
+            text = Leaf(path, shape, np.dtype(object), lambda key: as_text(np.asarray(take(key))), claimed)
+            self.found.add(self.placed(shapes.with_gaps(text)))
+        elif h5py.check_enum_dtype(kind) or kind.kind in "biufcMm":
+            plain = np.dtype(kind.str)
+            numbers = Leaf(path, shape, plain, lambda key: np.asarray(take(key)).astype(plain, copy=False), claimed)
+            self.found.add(self.placed(shapes.with_gaps(numbers)))
+        elif not h5py.check_ref_dtype(kind):
+            self.note(path, f"it holds {kind}, no numbers and no text")
+
+    def placed(self, leaf: Leaf) -> Leaf:
+        """Return an array with its axes in the order that is meant."""
+        return leaf
+
+    def _why_not(self, dataset: Any) -> str:
+        """Say why a dataset is not read, "" if it is."""
+        if dataset.external:
+            return f"its values are in another file, {dataset.external[0][0]!r}"
+        if dataset.is_virtual:
+            outside = any(source.file_name != "." for source in dataset.virtual_sources())
+            return f"its values are in other {'files' if outside else 'arrays, which are read themselves'}"
+        settings = dataset.id.get_create_plist()
+        for number in range(settings.get_nfilters()):
+            code, _, _, name = settings.get_filter(number)
+            if not self.h5py.h5z.filter_avail(code):
+                called = name.decode("latin-1") or "no name"
+                return f"it is packed by filter {code} ({called}), which is not here; type: h5repack -f GZIP=4 IN OUT"
+        return ""
+
+
+def _chunk_bytes(dataset: Any) -> int:
+    return int(np.prod(dataset.chunks or (0,), dtype=object)) * int(dataset.dtype.itemsize)

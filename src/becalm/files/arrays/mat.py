@@ -1,0 +1,149 @@
+"""MAT files of versions 4 and 5: one variable after another, held in memory; version 7.3 is HDF5."""
+
+from __future__ import annotations
+
+import io
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from becalm.errors import InputError
+from becalm.files.arrays.array_groups import Grouping
+from becalm.files.arrays.array_labels import take_labels
+from becalm.files.arrays.arrays import Found, Leaf
+from becalm.files.arrays.mat_elements import Variable, variables4, variables5
+from becalm.files.arrays.mat_values import Opaque, value_of
+from becalm.files.foreign import Foreign
+from becalm.files.groups import tables
+from becalm.files.source import RawTable
+
+MOST_ELEMENTS = 1024
+"""Of a cell or an array of structs that are looked into."""
+
+SAVE_AS = "; save it from MATLAB as plain arrays: S = table2struct(T, 'ToScalar', true)"
+"""What to do about what only MATLAB opens."""
+
+
+def is_mat5(head: bytes) -> bool:
+    """Tell version 5 (which calls itself 6 and 7, too) by its first bytes."""
+    return head[124:128] in (b"\x00\x01IM", b"\x01\x00MI")
+
+
+def is_mat4(head: bytes) -> bool:
+    """Tell version 4, which has no mark, by a first variable that makes sense."""
+    for order in "<>":
+        if len(head) < 22:
+            return False
+        kind, rows, columns, imaginary, letters = struct.unpack(order + "IIIII", head[:20])
+        name = head[20 : 20 + letters]
+        plausible = kind in _KINDS4[order] and imaginary <= 1 and 2 <= letters <= 64 and rows < 2**31 > columns
+        if plausible and name.endswith(b"\0") and name[:-1].decode("latin-1").isidentifier():
+            return True
+    return False
+
+
+_KINDS4 = {
+    order: {thousand + 10 * stored + content for stored in range(6) for content in range(3)}
+    for order, thousand in (("<", 0), (">", 1000))
+}
+
+
+def is_mat(head: bytes) -> bool:
+    """Tell versions 4 and 5."""
+    return is_mat5(head) or is_mat4(head)
+
+
+def read(path: Path) -> tuple[RawTable, ...]:
+    """Look into a MAT file of version 4 or 5; what is nested has dotted names.
+
+    Raises
+    ------
+    InputError
+        If no variable in it can be read.
+    """
+    foreign = Foreign(path, "MAT")
+    found = Found()
+    with foreign.damage_told():
+        data = memoryview(path.read_bytes())
+        for variable in variables5(foreign, data) if is_mat5(bytes(data[:128])) else variables4(data):
+            _add(found, variable)
+    take_labels(found)
+    groups = Grouping(found, ".", apart=False).groups()
+    if not groups and found.notes:
+        raise InputError(f"{path} holds no channel that can be read: {' '.join(found.notes)[:500]}")
+    return tables(foreign, "mat", groups)
+
+
+def _add(found: Found, variable: Variable) -> None:
+    """Read one variable; what is wrong with it is noted."""
+    if not variable.name and not variable.why:
+        return  # what MATLAB keeps for itself
+    called = repr(variable.name) if variable.name else "A variable"
+    why = variable.why
+    if not why:
+        try:
+            held = _values(variable)
+        except Exception as cause:  # of a damaged variable, scipy raises anything
+            why = " ".join(str(cause).split())[:100] or type(cause).__name__
+        else:
+            _hold(found, (variable.name,), held)
+    if why:
+        found.notes.append(f"{called} is not read: {why}{SAVE_AS if 'only MATLAB' in why else ''}.")
+
+
+def _values(variable: Variable) -> Any:
+    if variable.order:
+        data = memoryview(variable.data)
+        return value_of(data, 8, 8 + struct.unpack(variable.order + "4xI", data[:8])[0], variable.order)
+    from scipy.io import loadmat
+
+    return loadmat(io.BytesIO(variable.data))[variable.name]  # type: ignore[arg-type]  # takes files
+
+
+def _hold(found: Found, path: tuple[str, ...], value: Any) -> None:
+    """Take a value apart, down to arrays."""
+    if isinstance(value, Opaque):
+        found.notes.append(f"{'.'.join(path)!r} is not read: only MATLAB opens it{SAVE_AS}.")
+    elif value.dtype.names:
+        _hold_struct(found, path, value)
+    elif value.dtype.kind == "O":
+        _hold_cells(found, path, value)
+    else:
+        found.add(Leaf.of(path, value))
+
+
+def _hold_struct(found: Found, path: tuple[str, ...], value: NDArray[Any]) -> None:
+    elements = value.ravel(order="F")
+    names = value.dtype.names or ()
+    records = len(elements) > 1 and all(_is_single(one) for name in names for one in elements[name])
+    for name in names:
+        held = elements[name]
+        if records:
+            found.add(Leaf.of((*path, name), np.array([one.item() if one.size else "" for one in held])))
+            continue
+        for number, one in enumerate(held[:MOST_ELEMENTS], start=1):
+            where = path if len(elements) == 1 else (*path[:-1], f"{path[-1]}({number})")
+            _hold(found, (*where, name), one)
+
+
+def _hold_cells(found: Found, path: tuple[str, ...], value: NDArray[Any]) -> None:
+    cells = value.ravel(order="F")
+    if all(isinstance(one, np.ndarray) and one.dtype.kind == "U" and one.size <= 1 for one in cells):
+        found.add(Leaf.of(path, np.array([one.item() if one.size else "" for one in cells], object)))
+    elif len(cells) > 1 and all(isinstance(one, np.ndarray) and _is_number(one) for one in cells):
+        found.add(Leaf.of(path, np.array([one.item() for one in cells])))
+    else:
+        for number, one in enumerate(cells[:MOST_ELEMENTS], start=1):
+            _hold(found, (*path[:-1], f"{path[-1]}{{{number}}}"), one)
+
+
+def _is_number(value: NDArray[Any]) -> bool:
+    return value.size == 1 and value.dtype.kind in "biuf" and not value.dtype.names
+
+
+def _is_single(value: object) -> bool:
+    """Tell a number, or a text."""
+    return isinstance(value, np.ndarray) and (_is_number(value) or (value.dtype.kind == "U" and value.size <= 1))

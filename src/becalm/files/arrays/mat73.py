@@ -1,0 +1,145 @@
+"""MAT files of version 7.3, which are HDF5: MATLAB's arrays, structs, cells and texts, read when they are asked for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from becalm.files.arrays.array_groups import Grouping
+from becalm.files.arrays.array_labels import take_labels
+from becalm.files.arrays.arrays import Leaf
+from becalm.files.arrays.arrays import Path as Where
+from becalm.files.arrays.hdf5 import read_tree
+from becalm.files.arrays.hdf5_opening import Opened
+from becalm.files.arrays.hdf5_tree import DEEPEST, Tree
+from becalm.files.arrays.mat import MOST_ELEMENTS, SAVE_AS
+from becalm.files.arrays.mat_elements import SPARSE
+from becalm.files.foreign import Foreign
+from becalm.files.source import RawTable
+
+_USER_BLOCK = 512
+_MOST_REFERENCES = 100_000
+_TEXT_BYTES = 1 << 24
+_NUMBERS = {"double", "single", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))}
+
+
+def is_mat73(head: bytes) -> bool:
+    """Tell it by its first bytes."""
+    return head.startswith(b"MATLAB 7.3") or head[124:128] in (b"\x00\x02IM", b"\x02\x00MI")
+
+
+def read(path: Path) -> tuple[RawTable, ...]:
+    """Look into a MAT file of version 7.3; what is nested has dotted names.
+
+    Raises
+    ------
+    InputError
+        If nothing in it can be read.
+    """
+    return read_tree(Foreign(path, "MAT 7.3"), "mat", _understood, _USER_BLOCK)
+
+
+def _understood(foreign: Foreign, opened: Opened, h5py: ModuleType) -> Grouping:
+    found = _MatlabTree(foreign, opened, h5py).walk(opened.file)
+    take_labels(found)
+    return Grouping(found, ".", apart=False)
+
+
+class _MatlabTree(Tree):
+    """Finds what a file holds, as MATLAB has it."""
+
+    entries = "columns"
+    _left = _MOST_REFERENCES
+
+    def look(self, group: Any, name: str, path: Where) -> None:
+        """Pass over what MATLAB keeps for itself, and what only it can open."""
+        if name.startswith("#"):
+            return
+        thing = group.get(name, getclass=True, getlink=False)
+        if thing is self.h5py.Group and (kind := _kind(group[name])) not in ("", "struct"):
+            self.note(path, f"it is a MATLAB {kind}, which only MATLAB opens{SAVE_AS}")
+        elif thing is self.h5py.Group and "MATLAB_sparse" in group[name].attrs:
+            self.note(path, SPARSE)
+        else:
+            super().look(group, name, path)
+
+    def take_dataset(self, dataset: Any, path: Where) -> None:
+        """Keep an array as MATLAB has it: its axes are the other way round in the file."""
+        kind = _kind(dataset)
+        if "MATLAB_empty" in dataset.attrs or not dataset.shape:
+            return
+        if self.h5py.check_ref_dtype(dataset.dtype):
+            self._take_references(dataset, path, struct=kind != "cell")
+        elif kind == "char":
+            self._take_text(dataset, path)
+        elif kind and kind not in _NUMBERS and kind != "logical":
+            self.note(path, f"it is a MATLAB {kind}, which only MATLAB opens{SAVE_AS}")
+        else:
+            super().take_dataset(dataset, path)
+            leaf = self.found.leaves[-1] if self.found.leaves else None
+            if kind == "logical" and leaf is not None and leaf.path == path and leaf.type.kind == "u":
+                self.found.leaves[-1] = leaf._replace(
+                    type=np.dtype(bool), take=lambda key: leaf.take(key).astype(np.bool_)
+                )
+
+    def _take_text(self, dataset: Any, path: Where) -> None:
+        if dataset.size * 2 > _TEXT_BYTES:
+            self.note(path, f"it is a text of {dataset.size} letters")
+            return
+        codes = np.atleast_2d(dataset[()].T).astype("<u2")
+        lines = [row.tobytes().decode("utf-16-le", "replace").rstrip() for row in codes]
+        self.found.add(Leaf.of(path, np.array(lines, object)))
+
+    def _take_references(self, dataset: Any, path: Where, struct: bool) -> None:
+        """Take a cell, or a field of an array of structs, apart."""
+        if dataset.size > min(self._left, _MOST_REFERENCES) or len(path) > DEEPEST:
+            self.note(path, f"it has {dataset.size} elements, too many to look into")
+            return
+        self._left -= dataset.size
+        things = [self.h5py.h5r.dereference(ref, dataset.id) for ref in dataset[()].T.ravel(order="F")]
+        held = [self.h5py.Dataset(thing) if isinstance(thing, self.h5py.h5d.DatasetID) else None for thing in things]
+        if all(one is not None and _kind(one) == "char" for one in held):
+            if not struct:
+                self.found.add(Leaf.of(path, np.array([self._one_text(one) for one in held], object)))
+                return
+        elif len(held) > 1 and (not struct or _are_records(dataset.parent)) and all(map(_is_number, held)):
+            self.found.add(Leaf.of(path, np.array([one[()].item() for one in held if one is not None])))
+            return
+        for number, (thing, one) in enumerate(zip(things[:MOST_ELEMENTS], held, strict=False), start=1):
+            where = (*path[:-2], f"{path[-2]}({number})", path[-1]) if struct and len(path) > 1 else _cell(path, number)
+            if one is not None:
+                self.take_dataset(one, where)
+            elif isinstance(thing, self.h5py.h5g.GroupID):
+                self.walk(self.h5py.Group(thing), where)
+
+    def _one_text(self, dataset: Any) -> str:
+        if "MATLAB_empty" in dataset.attrs or dataset.size > _MOST_REFERENCES:
+            return ""
+        return str(np.asarray(dataset[()].T).astype("<u2").tobytes().decode("utf-16-le", "replace"))
+
+    def placed(self, leaf: Leaf) -> Leaf:
+        """Turn the axes round."""
+        turned = leaf._replace(shape=leaf.shape[::-1], claimed=leaf.claimed[::-1])
+        return turned._replace(take=lambda key: np.asarray(leaf.take(key[::-1])).T)
+
+
+def _is_number(dataset: Any) -> bool:
+    return dataset is not None and dataset.size == 1 and _kind(dataset) in _NUMBERS
+
+
+def _are_records(group: Any) -> bool:
+    """Tell whether the first of an array of structs has single numbers and texts only."""
+    firsts = [group.file[field[()].ravel()[0]] for field in group.values()]
+    return all(_kind(one) == "char" or getattr(one, "size", 0) == 1 for one in firsts)
+
+
+def _cell(path: Where, number: int) -> Where:
+    return (*path[:-1], f"{path[-1]}{{{number}}}")
+
+
+def _kind(thing: Any) -> str:
+    kind = thing.attrs.get("MATLAB_class", b"")
+    return kind.decode("latin-1") if isinstance(kind, bytes) else str(kind)

@@ -1,0 +1,242 @@
+"""Variables of MAT files as bytes: found, unpacked and looked over before a library trusts what they claim.
+
+Of version 5 after "MAT-File Format", MathWorks: a tag of type and length before each element, elements in elements.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from becalm.files.foreign import Foreign
+
+MATRIX, _COMPRESSED = 14, 15
+CELL, STRUCT, OBJECT, CHAR, _SPARSE, _FUNCTION, OPAQUE = 1, 2, 3, 4, 5, 16, 17
+_VALUES = {1, 2, 3, 4, 5, 6, 7, 9, 12, 13}
+_LETTERS = {1, 2, 3, 4, 16, 17, 18}
+_TYPES = _VALUES | _LETTERS | {MATRIX}
+_FEWEST_PARTS = {CELL: 3, STRUCT: 5, OBJECT: 6}
+_COMPLEX = 0x800
+_DEEPEST = 32  # struct in struct: more would fill the stack of a library
+_SPARE = 1024
+_NUMBERS4 = (8, 4, 4, 2, 2, 1)  # bytes of a value, by the digit P of version 4
+
+
+SPARSE = "it is a sparse matrix; save it from MATLAB as full(A)"
+"""Why such a matrix is not read, and what to do."""
+
+
+class Variable(NamedTuple):
+    """One variable.
+
+    Attributes
+    ----------
+    name : str
+        "" where it is damaged so that it tells none.
+    data : bytes
+        Its element, unpacked; of version 4 a file which holds nothing else; empty where it must not be read.
+    why : str
+        Why it must not be.
+    order : str
+        Of its bytes, "<" or ">"; "" in version 4.
+    """
+
+    name: str
+    data: bytes
+    why: str = ""
+    order: str = ""
+
+
+class Part(NamedTuple):
+    """An element in an element: its type, where its bytes begin, and how many they are."""
+
+    kind: int
+    start: int
+    length: int
+
+
+class DamageError(Exception):
+    """What is wrong with an element."""
+
+
+def variables5(foreign: Foreign, data: memoryview) -> Iterator[Variable]:
+    """Give the variables of a file of version 5, unpacked; the last without data where the file ends in it."""
+    order = "<" if bytes(data[126:128]) == b"IM" else ">"
+    unpacked, at = 0, 128
+    while at < len(data):
+        if at + 8 > len(data):
+            yield Variable("", b"", "the file ends in it")
+            return
+        kind, length = struct.unpack(order + "II", data[at : at + 8])
+        end = at + 8 + length
+        element, whole = data[at : min(end, len(data))], end <= len(data)
+        if kind == _COMPRESSED:
+            element, whole = _unpacked(element[8:], foreign, unpacked, order)
+            unpacked += len(element)
+        elif kind != MATRIX:
+            yield Variable("", b"", f"it begins with the type {kind}, which is none")
+            return
+        yield _looked_over(element, order, whole)
+        at = end if kind == _COMPRESSED else end + -length % 8
+
+
+def variables4(data: memoryview) -> Iterator[Variable]:
+    """Give the variables of a file of version 4."""
+    at, order = 0, "<"
+    while at < len(data):
+        if at + 20 > len(data):
+            yield Variable("", b"", "the file ends in it")
+            return
+        if not at:
+            order = "<" if struct.unpack("<I", data[:4])[0] < 5000 else ">"
+        kind, rows, columns, imaginary, letters = struct.unpack(order + "IIIII", data[at : at + 20])
+        stored, content = kind // 10 % 10, kind % 10
+        if kind >= 5000 or stored >= len(_NUMBERS4) or content > 2 or letters > 256 or imaginary > 1:
+            yield Variable("", b"", "it begins with a type that is none")
+            return
+        end = at + 20 + letters + rows * columns * (1 + imaginary) * _NUMBERS4[stored]
+        name = bytes(data[at + 20 : at + 20 + letters]).rstrip(b"\0").decode("latin-1")
+        if end > len(data):
+            yield Variable(name, b"", "the file ends in it")
+            return
+        yield Variable(name, bytes(data[at:end])) if content < 2 else Variable(name, b"", SPARSE)
+        at = end
+
+
+def _unpacked(packed: memoryview, foreign: Foreign, before: int, order: str) -> tuple[memoryview, bool]:
+    """Unpack an element as far as it goes; whether it is whole."""
+    unpacker = zlib.decompressobj()
+    try:
+        tag = unpacker.decompress(packed, 8)
+        if len(tag) < 8:
+            return memoryview(tag), False
+        length = struct.unpack(order + "II", tag)[1]
+        foreign.refuse_claim(before + length)
+        rest = unpacker.decompress(unpacker.unconsumed_tail, length) if length else b""
+    except zlib.error:
+        return memoryview(b""), False
+    return memoryview(tag + rest), len(rest) == length
+
+
+def _looked_over(element: memoryview, order: str, whole: bool) -> Variable:
+    name = ""
+    try:
+        end = 8 + struct.unpack(order + "II", element[:8])[1] if len(element) >= 8 else 0
+        parts = parts_of(element, 8, len(element), order, to_the_end=whole)
+        name = _name(element, parts)
+        if not whole or end > len(element):
+            return Variable(name, b"", "the file ends in it, or it is damaged")
+        if kind_of(element, parts, order) in (OPAQUE, _SPARSE):
+            return Variable(name, b"", _why_not(element, parts, order))
+        _check(element, 8, end, order, 0)
+    except DamageError as cause:
+        return Variable(name, b"", str(cause))
+    return Variable(name, bytes(element), order=order)
+
+
+def parts_of(data: memoryview, start: int, end: int, order: str, to_the_end: bool = True) -> list[Part]:
+    """List the elements in an element."""
+    parts: list[Part] = []
+    while start < end:
+        if start + 8 > end:
+            if not to_the_end:
+                return parts
+            raise DamageError("its last part is cut off")
+        kind, length = struct.unpack(order + "II", data[start : start + 8])
+        if kind >> 16:  # a small one keeps its bytes in its tag
+            kind, length, at, following = kind & 0xFFFF, kind >> 16, start + 4, start + 8
+        else:
+            at, following = start + 8, start + 8 + length + -length % 8
+        if length > 4 and at == start + 4:
+            raise DamageError("a part of it claims more than it holds")
+        if at + length > end:
+            if not to_the_end:
+                return parts
+            raise DamageError("a part of it claims more than it holds")
+        parts.append(Part(kind, at, length))
+        start = following
+    return parts
+
+
+def kind_of(data: memoryview, parts: list[Part], order: str) -> int:
+    """Return the class of an array."""
+    if not parts or parts[0].length != 8:
+        raise DamageError("it does not say what it is")
+    return int(struct.unpack(order + "I", data[parts[0].start : parts[0].start + 4])[0] & 0xFF)
+
+
+def _name(data: memoryview, parts: list[Part]) -> str:
+    """Return the name: the first text among the elements."""
+    texts = [part for part in parts[1:4] if part.kind in (1, 2, 16)]
+    return bytes(data[texts[0].start :][: texts[0].length]).decode("latin-1") if texts else ""
+
+
+def _why_not(data: memoryview, parts: list[Part], order: str) -> str:
+    """Say why an array that only MATLAB opens, or a sparse one, is not read."""
+    if kind_of(data, parts, order) == _SPARSE:
+        return SPARSE
+    texts = [bytes(data[one.start :][: one.length]).decode("latin-1") for one in parts[1:] if one.kind in (1, 2, 16)]
+    return f"it is a MATLAB {texts[-1] if texts else 'object'}, which only MATLAB opens"
+
+
+def _check(data: memoryview, start: int, end: int, order: str, depth: int) -> None:
+    """Refuse an array that claims more values than it has, or holds itself too often.
+
+    Raises
+    ------
+    DamageError
+        If it does.
+    """
+    if depth > _DEEPEST:
+        raise DamageError(f"it is nested more than {_DEEPEST} deep")
+    if start == end:
+        return  # an empty cell
+    parts = parts_of(data, start, end, order)
+    kind = kind_of(data, parts, order)
+    inner = [part for part in parts if part.kind == MATRIX]
+    if any(part.kind not in _TYPES for part in parts):
+        raise DamageError("a part of it is of a type that there is not")
+    if not 0 < kind <= OPAQUE:
+        raise DamageError(f"it is of the class {kind}, which there is not")
+    if kind not in (OPAQUE, _FUNCTION):
+        _check_kinds(data, parts, order, kind, len(inner))
+        _check_count(data, parts, order, kind, len(inner))
+    for part in inner:
+        _check(data, part.start, part.start + part.length, order, depth + 1)
+
+
+def _check_kinds(data: memoryview, parts: list[Part], order: str, kind: int, inner: int) -> None:
+    """Refuse other parts than an array of this kind has."""
+    if [part.kind for part in parts[:2]] != [6, 5] or parts[2:3] == [] or parts[2].kind not in (1, 2, 16):
+        raise DamageError("it does not say what it is")
+    flags = struct.unpack(order + "I", data[parts[0].start : parts[0].start + 4])[0]
+    if kind in _FEWEST_PARTS:
+        if len(parts) != _FEWEST_PARTS[kind] + inner:
+            raise DamageError("it has other parts than its kind")
+    elif kind != _SPARSE and (len(parts) != (5 if flags & _COMPLEX else 4) or inner):
+        raise DamageError("it has other parts than its kind")
+    elif not {part.kind for part in parts[3:]} <= (_LETTERS if kind == CHAR else _VALUES):
+        raise DamageError("its values are of a type that they cannot be")
+
+
+def _check_count(data: memoryview, parts: list[Part], order: str, kind: int, inner: int) -> None:
+    if len(parts) < 3 or parts[1].length % 4:
+        raise DamageError("it does not say how large it is")
+    dimensions = struct.unpack(f"{order}{parts[1].length // 4}i", data[parts[1].start :][: parts[1].length])
+    count = 1
+    for size in dimensions:
+        count *= size
+    if min(dimensions, default=0) < 0:
+        raise DamageError("it claims a negative size")
+    if kind in (STRUCT, OBJECT):
+        lengths, names = parts[3 + (kind == OBJECT) :][:2] if len(parts) > 4 else (parts[0], parts[0])
+        letters = struct.unpack(order + "i", data[lengths.start :][:4])[0]
+        if letters <= 0 or count * (names.length // letters) != inner or (not inner and count > _SPARE):
+            raise DamageError("it claims other fields than it has")
+    elif kind == CELL:
+        if count != inner:
+            raise DamageError("it claims other cells than it has")
+    elif kind != _SPARSE and count > max((part.length for part in parts), default=0) + (0 if kind == CHAR else _SPARE):
+        raise DamageError("it claims more values than it has")

@@ -1,0 +1,71 @@
+"""Which of a file's time bases is meant."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from becalm.errors import InputError, UsageError
+from becalm.files.asked import ReadOptions
+from becalm.files.groups import TIME
+from becalm.files.source import RawTable
+from becalm.files.units import parse_header
+
+_MOST_NAMED = 8  # groups, and channels of one, in a message
+
+
+def chosen_table(path: Path, tables: Sequence[RawTable], options: ReadOptions) -> RawTable:
+    """Return the one table that is meant.
+
+    Raises
+    ------
+    UsageError
+        If the group asked for is not there, or the channels asked for are not of one group.
+    InputError
+        If there are several groups, and nothing was said that chooses one.
+    """
+    if options.group is not None:
+        return _named(path, tables, options.group)
+    if len(tables) == 1:
+        return tables[0]
+    if options.channels is None:
+        raise InputError(f"{path} holds {listed(tables)}. Choose one with --group NAME, or its channels by name.")
+    holding = [table for table in tables if any(holds(table, name) for name in options.channels)]
+    if not holding:
+        raise UsageError(
+            f"{options.asker.name} names {options.channels[0]!r}, which is not in {path}; it holds"
+            f" {listed(tables)}.{options.asker.way_out}"
+        )
+    if len(holding) > 1:
+        raise UsageError(
+            f"The channels asked for have times of their own: {path} holds {listed(holding)}."
+            " Ask for channels of one of them, or choose it with --group NAME."
+        )
+    return holding[0]
+
+
+def _named(path: Path, tables: Sequence[RawTable], group: str) -> RawTable:
+    for table in tables:
+        if table.group == group:
+            return table
+    if len(tables) == 1:
+        raise UsageError(f"--group names {group!r}, but all channels of {path} share one time; leave --group out.")
+    raise UsageError(f"--group names {group!r}, which is not in {path}; it holds {listed(tables)}.")
+
+
+def holds(table: RawTable, name: str) -> bool:
+    """Whether a table has a column of that name, with or without its unit."""
+    return name in table.names or any(parse_header(own)[0] == name.strip() for own in table.names)
+
+
+def listed(tables: Sequence[RawTable]) -> str:
+    """Say which channels there are at which times."""
+    told = [f"{table.group!r} ({table.count} rows of {_channels(table)})" for table in tables[:_MOST_NAMED]]
+    more = f" and {len(tables) - _MOST_NAMED} more" if len(tables) > _MOST_NAMED else ""
+    return f"channels at {len(tables)} times: {', '.join(told)}{more}"
+
+
+def _channels(table: RawTable) -> str:
+    names = [name for name in table.names if name != TIME]
+    more = ", ..." if len(names) > _MOST_NAMED else ""
+    return ", ".join(names[:_MOST_NAMED]) + more

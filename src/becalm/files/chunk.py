@@ -1,0 +1,50 @@
+"""Some consecutive rows of a file that is read in chunks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pyarrow as pa
+
+from becalm.core.arrays import Floats
+from becalm.files.roles import values_of
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """Some consecutive rows of a file.
+
+    Attributes
+    ----------
+    first_row : int
+        The row of the file that comes first, counted from 0.
+    table : pyarrow.Table
+        All columns in the order of the file, as they are to be passed through.
+    elapsed_steps : (n,) float array
+        Time since the row before, in steps of the clock; 0 for the first of the file.
+    names : tuple of str
+        The channels.
+    """
+
+    first_row: int
+    table: pa.Table
+    elapsed_steps: Floats
+    names: tuple[str, ...]
+    decimal: str = "."
+
+    def __len__(self) -> int:
+        """Return the number of rows."""
+        return int(self.table.num_rows)
+
+    def channel(self, number: int) -> Floats:
+        """Return one channel, (n,), NaN where a cell is missing; read-only where it is the file's own memory."""
+        return values_of(self.table.column(self.names[number]), self.decimal)
+
+    @property
+    def samples(self) -> Floats:
+        """All channels, (n, m)."""
+        out = np.empty((len(self), len(self.names)))
+        for number in range(len(self.names)):
+            out[:, number] = self.channel(number)
+        return out

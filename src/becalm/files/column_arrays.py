@@ -1,0 +1,97 @@
+"""Columns of a table as NumPy arrays, for formats that hold arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+from numpy.typing import NDArray
+
+from becalm.errors import OutputError
+
+
+def refuse_strange_types(schema: pa.Schema, form: str) -> None:
+    """Refuse columns that are no numbers, times or texts.
+
+    Parameters
+    ----------
+    schema : pyarrow.Schema
+        Of the table.
+    form : str
+        The format, as people call it.
+
+    Raises
+    ------
+    OutputError
+        If there is one.
+    """
+    for field in schema:
+        if pa.types.is_nested(field.type) or pa.types.is_binary(field.type) or pa.types.is_large_binary(field.type):
+            raise OutputError(
+                f"Column {field.name!r} holds {field.type}, which {form} cannot hold here; write .parquet instead."
+            )
+
+
+def unit_of_field(field: pa.Field) -> str:
+    """Return the unit of a column, "" where there is none; a duration is a number of its ticks."""
+    if pa.types.is_duration(field.type):
+        return str(field.type.unit)
+    told: bytes = (field.metadata or {}).get(b"unit", b"")
+    return told.decode("utf-8", "replace")
+
+
+def told_of(schema: pa.Schema) -> Mapping[str, str]:
+    """Return a table's metadata as text."""
+    return {key.decode("utf-8", "replace"): text.decode("utf-8", "replace") for key, text in _items(schema)}
+
+
+def _items(schema: pa.Schema) -> list[tuple[bytes, bytes]]:
+    return [(key, text) for key, text in (schema.metadata or {}).items() if key != b"ARROW:schema"]
+
+
+def is_text(kind: pa.DataType) -> bool:
+    """Tell whether a column becomes text: words, dates, times of day."""
+    return not (
+        pa.types.is_integer(kind)
+        or pa.types.is_floating(kind)
+        or pa.types.is_boolean(kind)
+        or pa.types.is_decimal(kind)
+        or pa.types.is_duration(kind)
+        or pa.types.is_null(kind)
+    )
+
+
+def texts_of(column: pa.ChunkedArray) -> NDArray[np.object_]:
+    """Return a column of text, dates or times of day, (N,) of str, "" where a cell is missing."""
+    text = pc.fill_null(column.cast(pa.string()), "")
+    return np.asarray(text.to_numpy(), object)
+
+
+def numbers_of(column: pa.ChunkedArray) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+    """Return (N,) numbers or flags, 0 where a cell is missing, and where that is; NaN are numbers."""
+    kind = column.type
+    if pa.types.is_decimal(kind) or pa.types.is_null(kind):
+        column = column.cast(pa.float64())
+    elif pa.types.is_float16(kind):
+        column = column.cast(pa.float32())
+    elif pa.types.is_duration(kind):
+        column = column.cast(pa.int64())
+    missing = np.asarray(column.is_null().to_numpy())
+    if missing.any():
+        zero = np.nan if pa.types.is_floating(column.type) else False if pa.types.is_boolean(column.type) else 0
+        column = pc.fill_null(column, pa.scalar(zero, column.type))
+    return np.asarray(column.to_numpy()), missing
+
+
+def whole_column(column: pa.ChunkedArray) -> NDArray[Any]:
+    """Return all of a column as an array: text as "U", whole numbers and flags with missing cells as float64."""
+    if is_text(column.type):
+        texts = texts_of(column)
+        return texts.astype(f"U{max((len(text) for text in texts), default=0) or 1}")
+    values, missing = numbers_of(column)
+    if missing.any() and values.dtype.kind != "f":
+        return np.where(missing, np.nan, values.astype(np.float64))
+    return values

@@ -1,0 +1,119 @@
+"""A file with all its time bases, each understood by itself."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+from becalm.errors import InputError, UsageError
+from becalm.files.asked import ReadOptions, refuse_impossible
+from becalm.files.choosing import chosen_table, holds, listed
+from becalm.files.converting import in_units_asked
+from becalm.files.opening import OpenSource, close, understood
+from becalm.files.registry import read_tables
+from becalm.files.sensing import with_sensors
+from becalm.files.source import RawTable
+
+
+class Passed(NamedTuple):
+    """A table in which nothing is cleaned.
+
+    Attributes
+    ----------
+    raw : RawTable
+        As the file has it.
+    why : str
+        In a sentence, or a few words.
+    """
+
+    raw: RawTable
+    why: str
+
+
+class OpenFile(NamedTuple):
+    """A file that was understood; made by `open_file`.
+
+    Attributes
+    ----------
+    sources : tuple of OpenSource
+        One or more, each with channels and a time of its own.
+    passed : tuple of Passed
+        The other tables.
+    """
+
+    sources: tuple[OpenSource, ...]
+    passed: tuple[Passed, ...]
+
+
+@contextmanager
+def open_file(path: str | os.PathLike[str], options: ReadOptions | None = None) -> Iterator[OpenFile]:
+    """Understand all of a file, or what was asked for, and close it at the end.
+
+    Parameters
+    ----------
+    path : path-like
+        The file; its content decides the format.
+    options : ReadOptions, optional
+        What a person said; by default all is found out.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or nothing in it can be cleaned.
+    UsageError
+        If the options do not fit the file.
+    """
+    file, options = Path(path), options or ReadOptions()
+    refuse_impossible(options)
+    tables = read_tables(file)
+    opened: list[OpenSource] = []
+    try:
+        tables, options = in_units_asked(*with_sensors(tables, options))
+        passed = list(_open_each(file, tables, options, opened))
+        if not opened:
+            raise InputError(f"Nothing in {file} can be cleaned: {'; '.join(one.why for one in passed[:10])}")
+        yield OpenFile(tuple(opened), tuple(passed))
+    finally:
+        for source in opened:
+            source.close()
+        close(tables)
+
+
+def _open_each(
+    file: Path, tables: Sequence[RawTable], options: ReadOptions, opened: list[OpenSource]
+) -> Iterator[Passed]:
+    """Open every table that is meant; give the others."""
+    if len(tables) == 1 or options.group is not None:
+        chosen = chosen_table(file, tables, options)
+        opened.append(understood(file, chosen, options))
+        yield from (Passed(table, "not asked for") for table in tables if table is not chosen)
+        return
+    if options.rate_hz is not None or options.time is not None:
+        raise UsageError(
+            f"--rate and --time tell one time, and {file} holds {listed(tables)}. Choose one with --group."
+        )
+    _refuse_strangers(file, tables, options)
+    for table in tables:
+        asked = None if options.channels is None else tuple(name for name in options.channels if holds(table, name))
+        if asked == ():
+            yield Passed(table, "not asked for")
+            continue
+        try:
+            opened.append(understood(file, table, replace(options, channels=asked)))
+        except InputError as cause:
+            if asked is not None:
+                raise
+            yield Passed(table, f"{table.group}: {str(cause).removeprefix(f'{file}: ')}")
+
+
+def _refuse_strangers(file: Path, tables: Sequence[RawTable], options: ReadOptions) -> None:
+    for name in options.channels or ():
+        if not any(holds(table, name) for table in tables):
+            raise UsageError(
+                f"{options.asker.name} names {name!r}, which is not in {file}; it holds"
+                f" {listed(tables)}.{options.asker.way_out}"
+            )

@@ -1,0 +1,1 @@
+"""Recorders of cars, laboratories and sound: MF4, TDMS, UFF, WAV and IDE."""

@@ -1,0 +1,123 @@
+"""IDE: what the shock and vibration recorders of enDAQ (Mide) write; each channel with a time of its own."""
+
+from __future__ import annotations
+
+import logging
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from becalm.core.arrays import Floats
+from becalm.files.columns import NO_UNIT, Column
+from becalm.files.foreign import Foreign
+from becalm.files.groups import TIME, Group, tables
+from becalm.files.source import RawTable, ToldTime
+from becalm.files.stamps import instant
+from becalm.files.text.csv_header import unique_names
+from becalm.files.watched import WatchedFile
+
+_PER_SECOND = 1e-6  # of the microseconds that the library gives
+
+
+def read(path: Path) -> tuple[RawTable, ...]:
+    """Read a recording: a table for each channel, calibrated by the polynomials in the file.
+
+    Raises
+    ------
+    InputError
+        If it is damaged, or holds no samples.
+    """
+    foreign = Foreign(path, "IDE")
+    library = foreign.library("idelib.importer")
+    with foreign.damage_told(), path.open("rb") as file, _unheard():
+        opened = WatchedFile(file)
+        recording = library.openFile(opened, quiet=True)
+        notes = _cut_off(recording.ebmldoc, opened)
+        library.readData(recording)  # all blocks, as they are in the file; they are decoded when asked for
+        groups = _groups(recording, notes)
+    return tables(foreign, "ide", groups)
+
+
+@contextmanager
+def _unheard() -> Iterator[None]:
+    """Keep the library from logging what is said in a sentence."""
+    before = logging.root.manager.disable
+    logging.disable(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        logging.disable(before)
+
+
+def _cut_off(document: Any, opened: WatchedFile) -> tuple[str, ...]:
+    """Let the file end with its last whole element, of which the library would else refuse all."""
+    whole = 0
+    with suppress(Exception):  # the library's, of a damaged element: of any kind; those before are whole
+        for element in document:
+            end = element.payloadOffset + element.size
+            if end > opened.size:
+                break
+            whole = end
+    if whole == opened.size:
+        return ()
+    opened.size = whole
+    return ("The file is damaged or ends too early; the blocks before that were read.",)
+
+
+def _groups(recording: Any, notes: tuple[str, ...]) -> list[Group]:
+    names = Counter(channel.name for channel in recording.channels.values())
+    return [
+        _group(channel, f" (channel {channel.id})" if names[channel.name] > 1 else "", events, notes)
+        for channel in recording.channels.values()
+        for events in channel.sessions.values()
+        if len(events)
+    ]
+
+
+def _group(channel: Any, which: str, events: Any, notes: tuple[str, ...]) -> Group:
+    samples = _Samples(events)
+    titles = unique_names((TIME, *(part.displayName for part in channel.subchannels)))
+    columns = {TIME: Column(pa.float64(), samples.seconds, "s")}
+    for place, (title, part) in enumerate(zip(titles[1:], channel.subchannels, strict=True), start=1):
+        columns[title] = Column(pa.float64(), samples.row(place), part.units[1] or NO_UNIT)
+    return Group(channel.name + which, columns, len(events), ToldTime(TIME, start=_start(events, samples)), notes)
+
+
+def _start(events: Any, samples: _Samples) -> str:
+    """Return when the first sample was taken, where the recorder's clock was set."""
+    utc_s = events.session.utcStartTime
+    return instant(np.array([int((utc_s + samples.seconds(0, 1)[0]) * 1e6) * 1000])) if utc_s else ""
+
+
+class _Samples:
+    """The samples of one channel, decoded once for all columns of a block of rows.
+
+    Parameters
+    ----------
+    events : idelib.dataset.EventArray
+        Gives times in microseconds, and below them a row for each subchannel.
+    """
+
+    def __init__(self, events: Any) -> None:
+        self._events = events
+        self._where, self._held = (0, 0), np.empty((0, 0))
+
+    def _decoded(self, start: int, stop: int) -> Floats:
+        if self._where != (start, stop):
+            self._held, self._where = self._events.arraySlice(start, stop), (start, stop)
+        return self._held
+
+    def seconds(self, start: int, stop: int) -> Floats:
+        """Return the times of rows on the recorder's clock."""
+        seconds: Floats = self._decoded(start, stop)[0] * _PER_SECOND
+        return seconds
+
+    def row(self, place: int) -> Callable[[int, int], NDArray[np.generic]]:
+        """Return what reads one subchannel."""
+        return lambda start, stop: self._decoded(start, stop)[place]

@@ -1,0 +1,179 @@
+"""MDF, as cars' loggers write it (MF4, and 2 and 3): a group for each master; logs of a CAN bus by their DBC."""
+
+from __future__ import annotations
+
+import gc
+import io
+import re
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, redirect_stdout, suppress
+from datetime import UTC, timedelta
+from pathlib import Path
+from traceback import clear_frames
+from types import ModuleType
+from typing import Any
+
+import pyarrow as pa
+
+from becalm.errors import InputError
+from becalm.files.columns import Column, least_bytes
+from becalm.files.foreign import Foreign
+from becalm.files.groups import TIME, Group, tables
+from becalm.files.recorders.mf4_blocks import looked_through
+from becalm.files.recorders.mf4_columns import NO_START, Channel, MasterTime, columns_of
+from becalm.files.source import RawTable, ToldTime
+from becalm.files.text.csv_header import unique_names
+
+_VARIABLE_LENGTH, _BUS_EVENT = 1, 2  # flags of a channel group
+_TIME_MASTERS, _INDEX = (0, 1), 4  # kinds of synchronisation; others are angle and distance
+_CUT = "The file is incomplete; what is whole of it was read."
+_MESSAGE = re.compile(r"message (?P<name>\S+) 0x")  # of a decoded group
+
+
+def read(path: Path) -> tuple[RawTable, ...]:
+    """Look into an MDF file.
+
+    Raises
+    ------
+    InputError
+        If it is damaged, or a log of a bus without a database beside it that knows its frames.
+    """
+    foreign = Foreign(path, "MDF")
+    library = foreign.library("asammdf")
+    with ExitStack() as stack, foreign.damage_told():
+        mending = looked_through(foreign)
+        file = stack.enter_context(mending.opened(path))
+        log = _opened(library, file)
+        stack.callback(log.close)
+        _refuse_outside(log)
+        foreign.cut = mending.cut
+        notes = [_CUT] if mending.cut else []
+        buses = [index for index, group in enumerate(log.groups) if _is_bus(group)]
+        groups = list(_groups(foreign, log, [index for index in log.virtual_groups if index not in buses]))
+        if any(log.groups[index].channel_group.cycles_nr for index in buses):
+            decoded, told = _decoded(foreign, log, bool(groups))
+            notes += told
+            if decoded is not None:
+                stack.callback(decoded.close)
+                groups += _groups(foreign, decoded, list(decoded.virtual_groups))
+        notes += [note for one in groups if set(one.columns) <= {TIME} for note in one.notes]  # which is no table
+        held = stack.pop_all()
+        return tables(foreign, "mf4", [one._replace(notes=(*one.notes, *notes)) for one in groups], held.close)
+
+
+def _opened(library: ModuleType, file: Any) -> Any:
+    try:
+        with redirect_stdout(io.StringIO()):
+            return library.MDF(file, raise_on_multiple_occurrences=False, add_array_components=False)
+    except Exception as cause:  # asammdf's, of a damaged file: of any kind
+        told, sys.unraisablehook = sys.unraisablehook, lambda _: None  # half an object complains when it goes
+        try:
+            clear_frames(cause.__traceback__)
+            gc.collect()
+        finally:
+            sys.unraisablehook = told
+        raise ValueError(str(cause)) from None
+
+
+def _refuse_outside(log: Any) -> None:
+    """Refuse a channel of versions 2 and 3 that lies outside its rows, for asammdf's C code reads whatever is there."""
+    for group in log.groups if log.version < "4" else ():
+        for channel in group.channels:
+            stop = 8 * getattr(channel, "additional_byte_offset", 0) + channel.start_offset + channel.bit_count
+            if stop > 8 * group.channel_group.samples_byte_nr:
+                raise ValueError(f"the channel {channel.name!r} lies outside its rows")
+
+
+def _is_bus(group: Any) -> bool:
+    return bool(getattr(group.channel_group, "flags", 0) & _BUS_EVENT)
+
+
+def _decoded(foreign: Foreign, log: Any, more: bool) -> tuple[Any, list[str]]:
+    """Have the frames of a bus decoded by the databases that lie beside the log; say why, if that gives nothing."""
+    path = foreign.path
+    databases = sorted(one for one in path.parent.iterdir() if one.suffix.lower() == ".dbc")
+    why = f"{path} is a log of a CAN bus; put the .dbc file that knows its frames beside it."
+    if databases:
+        with redirect_stdout(io.StringIO()):
+            decoded = log.extract_bus_logging(database_files={"CAN": [(str(one), 0) for one in databases]})
+        if decoded.groups:
+            return decoded, []
+        decoded.close()
+        names = ", ".join(one.name for one in databases)
+        why = f"{path} is a log of a CAN bus whose frames {names} does not know; put the .dbc file that does beside it."
+    if not more:
+        raise InputError(why)
+    return None, [why]
+
+
+def _groups(foreign: Foreign, log: Any, masters: Sequence[int]) -> Iterator[Group]:
+    for index in masters:
+        group = log.groups[index].channel_group
+        rows = min(
+            log.virtual_groups[index].cycles_nr, *(_rows(log.groups[one]) for one in log.virtual_groups[index].groups)
+        )
+        if not rows or getattr(group, "flags", 0) & _VARIABLE_LENGTH:
+            continue
+        promised = log.virtual_groups[index].cycles_nr
+        notes = [] if rows == promised else [f"Of {promised} rows {rows} are whole and were read."]
+        named: list[tuple[str, Column]] = []
+        for one, numbers in log.included_channels(index)[index].items():
+            for number in numbers:
+                made, note = columns_of(foreign, Channel(log, one, number))
+                named += made
+                notes += note
+        master, time = _master(log, index)
+        names = unique_names([*master, *(name for name, _ in named)])
+        columns = dict(zip(names, [*master.values(), *(column for _, column in named)], strict=True))
+        foreign.refuse_claim(rows * sum(least_bytes(column.type) for column in columns.values()))
+        yield Group(_title(group), columns, rows, time, tuple(notes))
+
+
+def _rows(group: Any) -> int:
+    """Return how many rows the blocks of a group can hold."""
+    head = group.channel_group
+    invalidation = 0 if getattr(group, "uses_ld", False) else getattr(head, "invalidation_bytes_nr", 0)
+    width = head.samples_byte_nr + invalidation
+    if not width:  # nothing but a time that is counted
+        return int(head.cycles_nr)
+    blocks = group.get_data_blocks() if hasattr(group, "get_data_blocks") else ()
+    return int(sum(block.original_size for block in blocks) // width)
+
+
+def _master(log: Any, index: int) -> tuple[dict[str, Column], ToldTime | None]:
+    number = log.masters_db.get(index)
+    if number is None:
+        return {}, None
+    channel = log.groups[index].channels[number]
+    if getattr(channel, "sync_type", 1) == _INDEX:  # the number of the row
+        return {}, None
+    if getattr(channel, "sync_type", 1) not in _TIME_MASTERS:
+        made = Column(
+            pa.float64(), lambda first, last: log.get_master(index, record_offset=first, record_count=last - first)
+        )
+        return {channel.name: made._replace(unit=channel.unit)}, None
+    time = MasterTime(Channel(log, index, number))
+    start = ""
+    if str(getattr(log.groups[index].channel_group, "comment", "")) == NO_START:
+        return {TIME: Column(pa.float64(), time.read, "s")}, ToldTime(TIME)
+    with suppress(Exception):  # a date that is none is no reason to refuse the file
+        start = _instant(log, time.first_s)
+    return {TIME: Column(pa.float64(), time.read, "s")}, ToldTime(TIME, None, start)
+
+
+def _instant(log: Any, after_s: float) -> str:
+    began = log.header.start_time
+    if began.year <= 1970:  # not set
+        return ""
+    if began.tzinfo is None:
+        return str((began + timedelta(seconds=after_s)).isoformat())
+    return f"{(began + timedelta(seconds=after_s)).astimezone(UTC).replace(tzinfo=None).isoformat()}Z"
+
+
+def _title(group: Any) -> str:
+    comment = str(getattr(group, "comment", "") or "")
+    if found := _MESSAGE.search(comment):
+        return found["name"]
+    name = str(getattr(group, "acq_name", "") or "")
+    return name or ("" if "<" in comment else comment.strip())

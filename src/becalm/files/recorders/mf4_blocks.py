@@ -1,0 +1,246 @@
+"""The blocks of an MDF 4 file, looked through before it is read: cut off, unfinished, or in rings."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import struct
+from collections.abc import Iterator
+from mmap import ACCESS_READ, mmap
+from pathlib import Path
+from tempfile import TemporaryFile
+from typing import IO, NamedTuple
+
+from becalm.files.foreign import Foreign
+from becalm.files.unpacking import unpacked
+
+_HEADER_LINKS = 88  # of the file; links of all other blocks begin after 24 bytes
+_HEAD = 24
+_FLAGS = 60  # where the first two bytes tell what the recorder left undone
+_VERSION = 8
+_COUNTERS, _LAST_LENGTH, _LAST_LIST = 0x1, 0x4, 0x10
+_MOST_BLOCKS = 1_000_000
+_COUNTED = (3, 6)  # kinds of channels that are not in the rows
+_MAY_BE_INVALID = 2
+_NUMBERS = (b"##DT", b"##DV", b"##DI", b"##SD", b"##RD", b"##RV", b"##RI")
+_PACKED = struct.Struct("<B5xQQ")  # of a ##DZ: how, then its bytes before and after, from 26 on
+_PACKED_AT, _PACKED_HEAD = 26, 48
+_PACKINGS = ("deflate", "deflate", "zstd", "zstd", "lz4", "lz4")  # each second one is of columns
+_ALL = -1
+_FOLLOWED: dict[bytes, tuple[int, ...]] = {
+    b"##DG": (0, 1, 2),
+    b"##CG": (0, 1),
+    b"##CN": (0, 1, 5),
+    b"##CA": (0,),
+    b"##FH": (0,),
+    b"##AT": (0,),
+    b"##EV": (0,),
+    b"##CH": (0,),
+    b"##HL": (0,),
+    b"##DL": (_ALL,),
+    b"##LD": (_ALL,),
+}
+"""Which links of a block lead to others that belong to it alone."""
+_ANY = re.compile(rb"##[A-Z]{2}\0{4}")
+
+
+class _Link(NamedTuple):
+    place: int  # of the link itself
+    source: bytes  # the kind of block that it is in
+    group: int = 0  # the data group that it belongs to
+    channels: int = 0  # the channel group that it belongs to
+
+
+class Mending(NamedTuple):
+    """What is to be changed in a copy of a file before it can be read.
+
+    Attributes
+    ----------
+    patches : dict of int to bytes
+        What to write, and where; empty where the file can be read as it is.
+    cut : bool
+        Whether blocks, or parts of them, are not there.
+    """
+
+    patches: dict[int, bytes]
+    cut: bool
+
+    def opened(self, path: Path) -> IO[bytes]:
+        """Open the file, or a mended copy of it that is gone once it is closed."""
+        if not self.patches:
+            return path.open("rb")
+        copy = TemporaryFile()  # noqa: SIM115 - closed by who asked for it
+        with path.open("rb") as file:
+            shutil.copyfileobj(file, copy)
+        for place, change in self.patches.items():
+            copy.seek(place)
+            copy.write(change)
+        copy.seek(0)
+        return copy
+
+
+def looked_through(foreign: Foreign) -> Mending:
+    """Follow the blocks of a file of version 4.
+
+    Raises
+    ------
+    InputError
+        If they are packed and claim to hold what no recording of this size holds.
+    ValueError
+        If they form a ring, there are far too many, or one is not what it says.
+    """
+    with foreign.path.open("rb") as file, mmap(file.fileno(), 0, access=ACCESS_READ) as data:
+        if data[_VERSION : _VERSION + 1] != b"4":  # other versions know no such blocks
+            return Mending({}, False)
+        if len(data) < _HEADER_LINKS + 48 or data[64:68] != b"##HD":
+            raise ValueError("it has no header block")
+        (flags,) = struct.unpack_from("<H", data, _FLAGS)
+        patches: dict[int, bytes] = {}
+        cut, chained = _follow(foreign, data, flags, patches)
+        left = flags & ~_LAST_LENGTH | (_COUNTERS if patches else 0)
+        if chained and left & _LAST_LIST:  # asammdf completes one list, but goes round and round in a chain of them
+            left, cut = left & ~_LAST_LIST, True
+        if patches or flags:
+            patches |= {0: b"UnFinMF " if left else b"MDF     ", _FLAGS: struct.pack("<H", left)}
+        return Mending(patches, cut)
+
+
+def _follow(foreign: Foreign, data: mmap, flags: int, patches: dict[int, bytes]) -> tuple[bool, bool]:
+    """Note what to change: links that lead nowhere, and wrong lengths.
+
+    Returns
+    -------
+    cut : bool
+        Whether anything is not there.
+    chained : bool
+        Whether a list of blocks goes on in another one.
+    """
+    cut = chained = False
+    seen: set[int] = set()
+    todo = [_Link(_HEADER_LINKS + 8 * number, b"##HD") for number in range(5)]
+    while todo:
+        link = todo.pop()
+        (address,) = struct.unpack_from("<Q", data, link.place)
+        if not address:
+            continue
+        if not _is_block(data, address):
+            patches[link.place], cut = bytes(8), True
+            continue
+        kind, length = bytes(data[address : address + 4]), _length(data, address)
+        if link.source == b"##CN" and kind == b"##CG":  # shared with the chain of groups
+            continue
+        if address in seen or len(seen) > _MOST_BLOCKS:
+            raise ValueError(f"its blocks form a ring at {address:#x}")
+        seen.add(address)
+        chained |= link.source == kind == b"##DL"
+        there = len(data) - address
+        if kind in _NUMBERS and (length > there or _is_open(flags, link, length)):
+            stop = _next_block(data, address)
+            patches[address + 8] = struct.pack("<Q", stop - address)
+            cut = cut or length > there
+            if kind == b"##SD":
+                _shorten(data, link.group, address, patches)
+        elif length > there:
+            patches[link.place], cut = bytes(8), True
+        else:
+            if kind == b"##DZ":
+                _refuse_unlike(foreign, data, address)
+            _refuse_lies(data, address, kind, link.channels)
+            todo += _links(data, address, kind, link)
+    return cut, chained
+
+
+def _refuse_lies(data: mmap, address: int, kind: bytes, channels: int) -> None:
+    """Refuse what asammdf would believe: a channel outside its rows, a text beyond its block."""
+    if kind == b"##CN":
+        _refuse_outside(data, address, channels)
+    elif kind == b"##SD":
+        end = address + _length(data, address)
+        if _whole_texts(data, address + _HEAD, end)[0] + 4 <= end:
+            raise ValueError(f"a text in the block at {address:#x} is longer than the block")
+
+
+def _refuse_unlike(foreign: Foreign, data: mmap, address: int) -> None:
+    """Refuse a packed block that does not hold what it says, for asammdf unpacks it whole, however much that is."""
+    how, plain, packed = _PACKED.unpack_from(data, address + _PACKED_AT)
+    if how >= len(_PACKINGS) or packed > _length(data, address) - _PACKED_HEAD:
+        raise ValueError(f"the block at {address:#x} is packed in an unknown way, or beyond its end")
+    if plain:
+        at = address + _PACKED_HEAD
+        unpacked(foreign, _PACKINGS[how], data[at : at + packed], plain)
+
+
+def _is_open(flags: int, link: _Link, length: int) -> bool:
+    """Tell whether the length of a block of numbers was left open by the recorder."""
+    return bool(flags & _LAST_LENGTH) and (length <= _HEAD or link.source == b"##DG")
+
+
+def _is_block(data: mmap, address: int) -> bool:
+    return address + _HEAD <= len(data) and data[address : address + 2] == b"##"
+
+
+def _length(data: mmap, address: int) -> int:
+    return int(struct.unpack_from("<Q", data, address + 8)[0])
+
+
+def _links(data: mmap, address: int, kind: bytes, link: _Link) -> Iterator[_Link]:
+    (count,) = struct.unpack_from("<Q", data, address + 16)
+    if _HEAD + 8 * count > _length(data, address):
+        raise ValueError(f"a block at {address:#x} has {count} links in {_length(data, address)} bytes")
+    numbers = _FOLLOWED.get(kind, ())
+    group = address if kind == b"##DG" else link.group
+    channels = address if kind == b"##CG" else link.channels
+    for number in range(count) if _ALL in numbers else numbers:
+        if number < count:
+            yield _Link(address + _HEAD + 8 * number, kind, group, channels)
+
+
+def _next_block(data: mmap, address: int) -> int:
+    """Return where the next block begins, or the file ends."""
+    for found in _ANY.finditer(data, address + _HEAD):
+        if found.start() % 8 == 0:
+            return found.start()
+    return len(data)
+
+
+def _shorten(data: mmap, group: int, texts: int, patches: dict[int, bytes]) -> None:
+    """Leave out the rows of a group whose bytes of variable length, in a block of their own, are cut off."""
+    stop, rows = _whole_texts(data, texts + _HEAD, len(data))
+    patches[texts + 8] = struct.pack("<Q", stop - texts)
+    channels, numbers = struct.unpack_from("<QQ", data, group + _HEAD + 8)
+    if data[group + 56] or not _is_block(data, numbers) or data[numbers : numbers + 4] != b"##DT":
+        return  # rows of several groups, or in several blocks, are not counted
+    width = sum(_widths(data, channels))
+    patches[numbers + 8] = struct.pack("<Q", min(_HEAD + rows * width, len(data) - numbers))
+
+
+def _whole_texts(data: mmap, at: int, end: int) -> tuple[int, int]:
+    """Return where the last whole text of a block ends, and how many there are; each begins with its length."""
+    count = 0
+    while at + 4 <= end:
+        (length,) = struct.unpack_from("<I", data, at)
+        if at + 4 + length > end:
+            break
+        at, count = at + 4 + length, count + 1
+    return at, count
+
+
+def _body(data: mmap, address: int) -> int:
+    """Return where a block goes on after its links."""
+    return address + _HEAD + 8 * int(struct.unpack_from("<Q", data, address + 16)[0])
+
+
+def _widths(data: mmap, channels: int) -> tuple[int, int]:
+    """Return how many bytes a row of a channel group has: of samples, and of bits that say which are invalid."""
+    samples, invalid = struct.unpack_from("<II", data, _body(data, channels) + 24)
+    return int(samples), int(invalid)
+
+
+def _refuse_outside(data: mmap, channel: int, channels: int) -> None:
+    """Refuse a channel that lies outside its rows, for asammdf's C code reads whatever is there."""
+    samples, invalid = _widths(data, channels)
+    kind, bit, byte, bits, flags, invalid_bit = struct.unpack_from("<BxxBIIII", data, _body(data, channel))
+    if kind not in _COUNTED and 8 * byte + bit + bits > 8 * samples:
+        raise ValueError(f"a channel at byte {byte} lies outside rows of {samples} bytes")
+    if flags & _MAY_BE_INVALID and invalid_bit >= 8 * invalid:
+        raise ValueError(f"a bit of validity, {invalid_bit}, lies outside rows with {invalid} bytes of them")

@@ -1,0 +1,221 @@
+"""Channels of an MDF file as columns: conversions applied once, invalid samples missing, texts as texts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from operator import itemgetter
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from becalm.core.arrays import Floats
+from becalm.files.columns import Column
+from becalm.files.foreign import Foreign
+
+_LINEAR, _FORMULA, _TABLE_OF_TEXTS, _RANGES_OF_TEXTS = 1, 3, 7, 8  # types of conversions
+_MOST_PARTS = 4096
+_ELSEWHERE = 1  # a type of channel whose rows hold places in a block of values, each after its length
+_LENGTH_BYTES = 4
+_ENOUGH = 1000  # rows that tell whether a channel is of names or of numbers
+_MOSTLY = 0.5
+
+NO_START = "Its first instant is not known; that of the file is another group's."
+"""The comment on a group which the start of the file is not about."""
+
+Values = NDArray[Any]
+Tidy = Callable[[Values], Values]
+
+
+class Channel(NamedTuple):
+    """A channel of a file: the file as asammdf has it, and the numbers of its group and of itself there."""
+
+    log: Any
+    group: int
+    number: int
+
+    @property
+    def head(self) -> Any:
+        """What the file says of it."""
+        return self.log.groups[self.group].channels[self.number]
+
+    @property
+    def unit(self) -> str:
+        """As the file has it."""
+        return str(self.log.get_channel_unit(group=self.group, index=self.number) or "")
+
+    def read(self, first: int, last: int, raw: bool = False) -> tuple[Values, Values | None]:
+        """Return samples, and which of them are invalid; raw ones are not converted."""
+        values, invalid = self.log.get(
+            group=self.group,
+            index=self.number,
+            samples_only=True,
+            raw=raw,
+            ignore_invalidation_bits=True,
+            record_offset=first,
+            record_count=last - first,
+        )
+        return values, invalid
+
+    def points_wrongly(self) -> bool:
+        """Tell whether a row points outside the channel's values; asammdf takes whatever is there for a length.
+
+        Only its inside gives the places and the values without following them.
+        """
+        if getattr(self.head, "channel_type", 0) != _ELSEWHERE or not hasattr(self.log.groups[self.group], "sorted"):
+            return False
+        log, group = self.log._mdf, self.log.groups[self.group]
+        links = group.channel_dependencies[self.number]
+        where = (self.head, group, self.group, self.number, links)
+        places = log._get_scalar(*where, None, None, True, 0, None, False, skip_vlsd=True)[0].astype(np.uint64)
+        values = np.frombuffer(log._load_signal_data(group, self.number), np.uint8)
+        if not len(places) or len(values) < _LENGTH_BYTES:
+            return bool(len(places))
+        most = np.uint64(len(values) - _LENGTH_BYTES)
+        if (places > most).any() or (np.diff(places.astype(np.int64)) < 0).any():
+            return True
+        parts = values[places.astype(np.int64)[:, None] + np.arange(_LENGTH_BYTES)]
+        return bool((parts.view("<u4")[:, 0] > most - places).any())
+
+
+class MasterTime:
+    """The times of a group, from its first row on; of a master channel."""
+
+    def __init__(self, channel: Channel) -> None:
+        self._channel = channel
+        conversion = channel.head.conversion
+        scaled = conversion is not None and _is_linear(conversion)
+        self._second, self._offset = (float(conversion.a), float(conversion.b)) if scaled else (1.0, 0.0)
+        self._linear = (conversion is None or scaled) and self._raw(0, 1).dtype.kind in "iuf"
+        self._first = self._raw(0, 1)[0] if self._linear else self._seconds(0, 1)[0]
+
+    @property
+    def first_s(self) -> float:
+        """The time of the first row in seconds, as the file counts them."""
+        return float(self._first) * self._second + self._offset if self._linear else float(self._first)
+
+    def read(self, first: int, last: int) -> Floats:
+        """Return seconds since the first row; the difference is taken before it is scaled."""
+        if not self._linear:
+            return np.asarray(self._seconds(first, last) - self._first, np.float64)
+        raw = self._raw(first, last)
+        kind = np.float64 if raw.dtype.kind == "f" else np.int64
+        return np.asarray((raw.astype(kind) - kind(self._first)) * self._second, np.float64)
+
+    def _raw(self, first: int, last: int) -> Values:
+        return self._channel.read(first, last, raw=True)[0]
+
+    def _seconds(self, first: int, last: int) -> Values:
+        log, group = self._channel.log, self._channel.group
+        return np.asarray(log.get_master(group, record_offset=first, record_count=last - first))
+
+
+def columns_of(foreign: Foreign, channel: Channel) -> tuple[list[tuple[str, Column]], list[str]]:
+    """Return the columns of a channel, by their names, and what is to be said of it."""
+    conversion, name, unit = channel.head.conversion, channel.head.name, channel.unit
+    if why := _not_converted(foreign, conversion):
+        return [], [f"{name!r} was left out: {why}."]
+    if channel.points_wrongly():
+        return [], [f"{name!r} was left out: its texts are not where its rows say."]
+    if getattr(conversion, "conversion_type", 0) in (_TABLE_OF_TEXTS, _RANGES_OF_TEXTS):
+        return [(name, _of_texts(channel))], []
+    probe, _ = channel.read(0, 1)
+    parts = _parts(name, probe)
+    if len(parts) > _MOST_PARTS:
+        return [], [f"{name!r} was left out: it has {len(parts)} values a row."]
+    made = []
+    for title, pick in parts:
+        flag = channel.head.bit_count == 1 and conversion is None
+        of_type, tidy = _type_of(pick(probe).astype(bool) if flag else pick(probe), conversion is not None)
+        if of_type is None:
+            return [], [f"{name!r} was left out: it holds values of an unknown type."]
+        made.append((title, Column(of_type, _reader(channel, _both(pick, tidy)), unit)))
+    return made, []
+
+
+def _of_texts(channel: Channel) -> Column:
+    """Return a channel of names; or of numbers, of which some are called by a name, "invalid"."""
+    conversion = channel.head.conversion
+    if np.isnan(_numbers(channel.read(0, _ENOUGH)[0])).mean() < _MOSTLY:
+        return Column(pa.float64(), _reader(channel, _numbers), channel.unit)
+
+    def named(counts: Values) -> Values:
+        return _texts(conversion.convert(counts, as_object=True))
+
+    return Column(pa.string(), _reader(channel, named, raw=True), channel.unit)
+
+
+def _not_converted(foreign: Foreign, conversion: Any) -> str:
+    """Say why a conversion, or one that it falls back on, is not made; "" if it is."""
+    if conversion is None:
+        return ""
+    if getattr(conversion, "conversion_type", 0) == _FORMULA:
+        formula = str(conversion.formula)
+        numbers = {name: np.ones(1) for name in ("X", "X1", "INF", "NaN")}
+        if foreign.library("numexpr").validate(formula.replace("X1", "X"), local_dict=numbers) is not None:
+            return f"its formula {formula[:60]!r} is not understood"
+    others = getattr(conversion, "referenced_blocks", None) or {}
+    return next((why for one in others.values() if _is_conversion(one) and (why := _not_converted(foreign, one))), "")
+
+
+def _is_conversion(block: Any) -> bool:
+    return hasattr(block, "conversion_type")
+
+
+def _is_linear(conversion: Any) -> bool:
+    return getattr(conversion, "conversion_type", 0) == _LINEAR and hasattr(conversion, "a")
+
+
+def _parts(name: str, values: Values) -> list[tuple[str, Tidy]]:
+    """Take samples of several numbers apart; each part knows how to find itself in them."""
+    if values.dtype.names:
+        found = []
+        for field in values.dtype.names:
+            inner = _parts(name if field == name else f"{name}.{field}", values[field])
+            found += [(title, _both(itemgetter(field), pick)) for title, pick in inner]
+        return found
+    if values.ndim > 1 and values.dtype.kind in "biufc":
+        return [(f"{name}_{at}", _element(at)) for at in range(int(np.prod(values.shape[1:])))]
+    return [(name, np.asarray)]
+
+
+def _element(at: int) -> Tidy:
+    return lambda values: values.reshape(len(values), -1)[:, at]
+
+
+def _both(one: Tidy, other: Tidy) -> Tidy:
+    return lambda values: other(one(values))
+
+
+def _type_of(values: Values, converted: bool) -> tuple[pa.DataType | None, Tidy]:
+    kind = values.dtype.newbyteorder("=")
+    if kind.kind in "SUO":
+        return pa.string(), _texts
+    if kind.kind == "b" or (kind.kind in "iuf" and not converted):
+        return pa.from_numpy_dtype(kind), lambda values: values.astype(kind)
+    if kind.kind in "iuf":
+        return pa.float64(), _numbers
+    return None, _numbers
+
+
+def _texts(values: Values) -> Values:
+    return np.array(
+        [one.decode("utf-8", "replace") if isinstance(one, bytes) else str(one) for one in values.tolist()], object
+    )
+
+
+def _numbers(values: Values) -> Values:
+    """Return numbers, NaN where a text says that there is none."""
+    return np.full(len(values), np.nan) if values.dtype.kind in "SUO" else values.astype(np.float64)
+
+
+def _reader(channel: Channel, tidy: Tidy, raw: bool = False) -> Callable[[int, int], Values]:
+    def read_rows(first: int, last: int) -> Values:
+        values, invalid = channel.read(first, last, raw)
+        if len(values) != last - first:
+            raise ValueError(f"a channel has {first + len(values)} values where {last} were promised")
+        made = tidy(values)
+        return made if invalid is None else np.ma.masked_array(made, np.asarray(invalid, bool))
+
+    return read_rows

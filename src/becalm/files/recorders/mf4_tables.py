@@ -1,0 +1,146 @@
+"""One table as a channel group of an MF4 file: its master, its channels, and their rows chunk by chunk."""
+
+from __future__ import annotations
+
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from becalm.core.arrays import Floats
+from becalm.errors import OutputError
+from becalm.files.column_arrays import is_text, numbers_of, texts_of, unit_of_field
+from becalm.files.groups import TIME
+from becalm.files.recorders.mf4_columns import NO_START
+from becalm.files.timing.time_column import is_time_name
+from becalm.files.timing.times import PER_SECOND, SECONDS
+from becalm.files.units import parse_header
+
+_MOST_WORDS = 1 << 16
+_TIME, _INDEX = ("time", 1), ("index", 4)  # names of masters, and what kind they are
+
+Samples = tuple[NDArray[Any], NDArray[np.bool_] | None]
+
+
+class MdfTable:
+    """The channel group of one table.
+
+    Parameters
+    ----------
+    library : module
+        asammdf.
+    group : str
+        What the table is called.
+    start : str
+        Its first instant as ISO 8601 text, "" where it is not known.
+    """
+
+    def __init__(self, library: ModuleType, group: str, start: str) -> None:
+        self._library, self._group, self.start = library, group, start
+        self._number: int | None = None
+        self._rows = 0
+        self._first_s = 0.0
+        self._words: dict[str, dict[str, int]] = {}
+        self.after_ns: int | None = 0
+        """By how much its zero is later than the start of the file; None where nobody knows."""
+
+    @property
+    def zero_ns(self) -> int | None:
+        """The instant of its zero, in ns since 1970; None where it is not known."""
+        start = instant_ns(self.start)
+        return None if start is None else start - round(self._first_s * 1e9)
+
+    def write(self, log: Any, table: pa.Table) -> None:
+        """Write some rows; the first that are there make the channels."""
+        if not table.num_rows:
+            return
+        times, kind = self._master(table)
+        fields = [field for field in table.schema if field.name != TIME or kind == _INDEX] or list(table.schema)
+        samples = [self._samples(field, table.column(field.name)) for field in fields]
+        if self._number is None:
+            self._first_s = float(times[0]) if len(times) and np.isfinite(times[0]) else 0.0
+            self._number = self._append(log, fields, samples, times, kind)
+        else:
+            log.extend(self._number, [(times, None), *samples])
+        self._rows += table.num_rows
+
+    def close(self, log: Any) -> None:
+        """Tell what was not known before the last row."""
+        if self._number is None:
+            return
+        channels = log.groups[self._number].channels
+        for channel in channels[1:]:
+            if channel.name in self._words:
+                channel.conversion = self._conversion(self._words[channel.name])
+        if self.after_ns is None:
+            log.groups[self._number].channel_group.comment = NO_START
+        elif self.after_ns:
+            channels[0].conversion = self._made({"a": 1.0, "b": self.after_ns / 1e9})
+
+    def _append(self, log: Any, fields: list[pa.Field], samples: list[Samples], times: Floats, kind: Any) -> int:
+        signals = [
+            self._library.Signal(
+                values,
+                times,
+                unit=unit_of_field(field),
+                name=field.name,
+                encoding="utf-8" if values.dtype.kind == "S" else None,
+                invalidation_bits=invalid,
+                master_metadata=kind,
+                bit_count=1 if pa.types.is_boolean(field.type) else None,
+            )
+            for field, (values, invalid) in zip(fields, samples, strict=True)
+        ]
+        return int(log.append(signals, acq_name=self._group, comment="", common_timebase=True))
+
+    def _master(self, table: pa.Table) -> tuple[Floats, tuple[str, int]]:
+        named = [name for name in table.column_names if is_time_name(name)]
+        for name in [TIME] if TIME in named else named:
+            column = table.column(name)
+            if pa.types.is_integer(column.type) or pa.types.is_floating(column.type):
+                unit = unit_of_field(table.schema.field(name)) or parse_header(name)[1]
+                values = numbers_of(column)[0].astype(np.float64)
+                return values * SECONDS[unit] if unit in SECONDS else values / PER_SECOND.get(unit, 1.0), _TIME
+        return np.arange(self._rows, self._rows + table.num_rows, dtype=np.float64), _INDEX
+
+    def _samples(self, field: pa.Field, column: pa.ChunkedArray) -> Samples:
+        """Return values, and which are invalid where there may be such: NaN needs no such mark."""
+        if pa.types.is_dictionary(field.type):
+            listed = [str(word) for chunk in column.chunks for word in chunk.dictionary.drop_null().to_pylist()]
+            return self._codes(field.name, listed, texts_of(column)), None
+        if is_text(field.type):
+            return np.array([text.encode() or b"\0" for text in texts_of(column)]), None
+        values, missing = numbers_of(column)
+        if values.dtype.kind == "f":
+            return values, None
+        return values.astype(np.uint8) if values.dtype.kind == "b" else values, missing
+
+    def _codes(self, name: str, listed: list[str], texts: NDArray[np.object_]) -> NDArray[np.uint16]:
+        """Return the codes of words: their places in the first list of them, and after it."""
+        words = self._words.setdefault(name, {})
+        for word in listed:
+            words.setdefault(word, len(words))
+        met, places = np.unique(texts.astype(str), return_inverse=True)
+        codes = [words.setdefault(str(word), len(words)) for word in met]
+        if len(words) > _MOST_WORDS:
+            raise OutputError(f"{name!r} holds more than {_MOST_WORDS} words; cast that column to pyarrow.string().")
+        return np.array(codes, np.uint16)[places]
+
+    def _conversion(self, words: dict[str, int]) -> Any:
+        pairs = {f"val_{code}": code for code in words.values()} | {
+            f"text_{code}": word for word, code in words.items()
+        }
+        return self._made({**pairs, "default": ""})
+
+    def _made(self, told: dict[str, Any]) -> Any:
+        return self._library.blocks.conversion_utils.from_dict(told)
+
+
+def instant_ns(text: str) -> int | None:
+    """Return an instant that is written as ISO 8601, in ns since 1970; None if it is none."""
+    try:
+        return int(np.datetime64(text.removesuffix("Z"), "ns").astype(np.int64)) if text else None
+    except ValueError:
+        return None

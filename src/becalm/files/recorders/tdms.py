@@ -1,0 +1,186 @@
+"""TDMS, as LabVIEW and DIAdem write it: waveforms by their properties, else by a channel of times."""
+
+from __future__ import annotations
+
+import io
+import os
+import struct
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from becalm.files.columns import Column, least_bytes
+from becalm.files.foreign import Foreign
+from becalm.files.groups import GROUP, START, TIME, Group, tables
+from becalm.files.recorders.tdms_pieces import in_pieces
+from becalm.files.recorders.tdms_writer import FILL
+from becalm.files.source import RawTable, ToldTime
+from becalm.files.timing.time_column import is_time_name
+from becalm.files.units import tidy_unit
+
+_LEAD_IN = struct.Struct("<4siiQQ")
+_UNFINISHED = 0xFFFFFFFFFFFFFFFF
+_BIG_ENDIAN = 1 << 6
+_PRESET_S = 1.0  # a step that stands there if nobody set one; a channel of times beside it knows better
+_NOT_SET_BEFORE = np.datetime64("1905-01-01")  # 1904 is their zero
+
+
+class _Base(NamedTuple):
+    """What channels of one time have in common."""
+
+    rows: int  # that were meant to be written
+    time: ToldTime | None
+
+
+def read(path: Path) -> tuple[RawTable, ...]:
+    """Look into a TDMS file.
+
+    Raises
+    ------
+    InputError
+        If it is damaged, or holds no channel of numbers.
+    """
+    foreign = Foreign(path, "TDMS")
+    library = foreign.library("nptdms")
+    file = _File(path)  # an index file beside it may be of another state
+    try:
+        with foreign.damage_told():
+            held = library.TdmsFile.open(file, raw_timestamps=True)
+            status = held.file_status
+            missing = {
+                name: one.expected_length - one.read_length
+                for name, one in ((status.channel_statuses or {}) if status.incomplete_final_segment else {}).items()
+            }
+            whole = not status.incomplete_final_segment and _ends_whole(path) and not _overpromised(held)
+            in_pieces(held)
+            groups = [one for group in held.groups() for one in _groups(foreign, group, missing)]
+            if not whole:
+                groups = [one._replace(notes=(*one.notes, _cut(one.rows))) for one in groups]
+            return tables(foreign, "tdms", groups, file.close)
+    except BaseException:
+        file.close()
+        raise
+
+
+class _File(io.FileIO):
+    """A file that makes no room for more than it holds."""
+
+    def read(self, size: int | None = -1) -> bytes:
+        """Read up to `size` bytes, all by default."""
+        left = max(0, os.fstat(self.fileno()).st_size - self.tell())
+        return super().read(left if size is None or size < 0 else min(size, left)) or b""
+
+
+def _cut(rows: int) -> str:
+    return f"The file ends in the middle of a segment; {rows} rows are whole and were read."
+
+
+def _ends_whole(path: Path) -> bool:
+    """Tell whether the last segment is as long as it says."""
+    size, at = path.stat().st_size, 0
+    with path.open("rb") as file:
+        while at + _LEAD_IN.size <= size:
+            file.seek(at)
+            lead = file.read(_LEAD_IN.size)
+            _, mask, _, length, _ = _LEAD_IN.unpack(lead)
+            if mask & _BIG_ENDIAN:
+                length = struct.unpack_from(">Q", lead, 12)[0]
+            if length == _UNFINISHED:
+                return False
+            at += _LEAD_IN.size + length
+    return at == size
+
+
+def _overpromised(held: Any) -> bool:
+    """Tell whether a segment is to hold more than there is room for in it; only the library's inside knows."""
+    segments = getattr(getattr(held, "_reader", None), "_segments", ())
+    return any(getattr(one, "final_chunk_lengths_override", None) for one in segments)
+
+
+def _groups(foreign: Foreign, group: Any, missing: dict[str, int]) -> Iterator[Group]:
+    """Sort the channels of a group by their time."""
+    held: dict[_Base, list[Any]] = {}
+    empty = [channel.name for channel in group.channels() if not len(channel)]
+    clocks = {len(channel) for channel in group.channels() if is_time_name(channel.name)}
+    name, start = (str(group.properties.get(key, other)) for key, other in ((GROUP, group.name), (START, "")))
+    dated = ToldTime(TIME, None, start) if start and TIME in {channel.name for channel in group.channels()} else None
+    for channel in group.channels():
+        if len(channel):
+            preset = len(channel) in clocks and channel.properties.get("wf_increment") == _PRESET_S
+            time = dated if preset or dated else _told_time(channel.properties)
+            base = _Base(len(channel) + missing.get(channel.path, 0), time)
+            held.setdefault(base, []).append(channel)
+    for base in [base for base in held if base.time is None]:  # beside waveforms of one time, of that time
+        timed = [other for other in held if other.time is not None and other.rows == base.rows]
+        if len(timed) == 1:
+            order = {channel.path: number for number, channel in enumerate(group.channels())}
+            held[timed[0]] = sorted(held[timed[0]] + held.pop(base), key=lambda channel: order[channel.path])
+    for base, members in held.items():
+        rows = min(len(channel) for channel in members)
+        columns: dict[str, Column] = {}
+        notes = [f"{name!r} has no rows, and was left out." for name in empty]
+        for channel in members:
+            made = dict(_columns(channel))
+            if not made:
+                notes.append(f"{channel.name!r} holds values of an unknown type, and was left out.")
+            columns |= made
+        foreign.refuse_claim(rows * sum(least_bytes(column.type) for column in columns.values()))
+        yield Group(name, columns, rows, base.time, tuple(notes))
+
+
+def _told_time(properties: dict[str, Any]) -> ToldTime | None:
+    """Return the time of a waveform."""
+    step_s = properties.get("wf_increment")
+    if not isinstance(step_s, float | int) or not 0.0 < step_s < np.inf:
+        return None
+    if tidy_unit(str(properties.get("wf_xunit_string", "s"))) not in ("", "s"):  # a spectrum
+        return None
+    start, offset = properties.get("wf_start_time"), properties.get("wf_start_offset", 0.0)
+    if start is None or not hasattr(start, "as_datetime64"):
+        return ToldTime(rate_hz=1.0 / step_s)
+    first = start.as_datetime64("us") + np.timedelta64(round(float(offset) * 1e6), "us")
+    return ToldTime(rate_hz=1.0 / step_s, start="" if first < _NOT_SET_BEFORE else f"{first}Z")
+
+
+def _columns(channel: Any) -> Iterator[tuple[str, Column]]:
+    """Give the columns of a channel: one; two of complex values; none of what nobody knows."""
+    kind = np.dtype(channel.dtype).newbyteorder("=")
+    unit, fill = _unit(channel.properties), channel.properties.get(FILL)
+    if kind.kind in "iu" and fill is not None:
+
+        def holed(values: NDArray[Any]) -> NDArray[np.float64]:
+            return np.where(values == fill, np.nan, values.astype(np.float64))
+
+        yield channel.name, Column(pa.float64(), _reader(channel, holed), unit)
+        return
+    if kind.kind in "iufb":
+        yield (
+            channel.name,
+            Column(pa.from_numpy_dtype(kind), _reader(channel, lambda values: values.astype(kind)), unit),
+        )
+    elif kind.kind == "c":
+        for part in ("real", "imag"):
+            of_part = _reader(channel, lambda values, part=part: getattr(values, part).astype(np.float64))  # type: ignore[misc]
+            yield f"{channel.name}_{part}", Column(pa.float64(), of_part, unit)
+    elif kind.kind == "M":
+        yield channel.name, Column(pa.timestamp("ns"), _reader(channel, lambda stamps: stamps.as_datetime64("ns")))
+    elif kind.kind == "O":
+        yield channel.name, Column(pa.string(), _reader(channel, np.asarray))
+
+
+def _unit(properties: dict[str, Any]) -> str:
+    return next((str(properties[name]) for name in ("unit_string", "NI_UnitDescription") if name in properties), "")
+
+
+def _reader(channel: Any, tidy: Callable[[Any], NDArray[np.generic]]) -> Callable[[int, int], NDArray[np.generic]]:
+    def read_rows(first: int, last: int) -> NDArray[np.generic]:
+        values = tidy(channel[first:last])
+        if len(values) != last - first:
+            raise ValueError(f"{channel.name} has {first + len(values)} values, not {len(channel)}")
+        return values
+
+    return read_rows

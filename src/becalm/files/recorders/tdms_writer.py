@@ -1,0 +1,103 @@
+"""Tables to TDMS: a group for each table, a channel for each column, a segment for each chunk of rows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from importlib import import_module
+from types import ModuleType
+from typing import IO, Any
+
+import numpy as np
+import pyarrow as pa
+
+from becalm.errors import OutputError
+from becalm.files.arrays.array_labels import OF_TABLE
+from becalm.files.column_arrays import is_text, numbers_of, refuse_strange_types, texts_of, told_of, unit_of_field
+from becalm.files.groups import GROUP
+
+FILL = "_FillValue"
+"""Of a channel, the whole number that stands for none."""
+
+_NAMELESS = "recording"
+
+
+class TdmsRows:
+    """Writes tables of one schema below each other; those of another group go into a group of their own.
+
+    Each channel has its unit as `unit_string`; words and dates are texts. Missing whole numbers have the value that
+    the property `_FillValue` tells. What is told of the file stands in its properties, what is told of a table in
+    those of its group.
+
+    Parameters
+    ----------
+    file : binary file
+        Where to.
+    """
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self._library = _nptdms()
+        self._out = self._library.TdmsWriter(file)
+        self._groups: dict[str, str] = {}
+        self._out.open()
+
+    def write(self, table: pa.Table) -> None:
+        """Write some rows of a group."""
+        told = told_of(table.schema)
+        group = told.get(GROUP, "")
+        if group not in self._groups:
+            refuse_strange_types(table.schema, "TDMS")
+            self._begin(group, told)
+        if table.num_rows:
+            channels = zip(table.schema, table.columns, strict=True)
+            name = self._groups[group]
+            self._out.write_segment([self._channel(name, field, column) for field, column in channels])
+
+    def close(self) -> None:
+        """Finish the file, which stays open."""
+        if not self._groups:
+            self._out.write_segment([self._library.RootObject()])
+        self._out.close()
+
+    def drop(self) -> None:
+        """Let go of the file."""
+        self._out.close()
+
+    def _begin(self, group: str, told: Mapping[str, str]) -> None:
+        """Write what is told of a group, and of the file."""
+        names = (group or _NAMELESS, *(f"{_NAMELESS} {number}" for number in range(2, len(self._groups) + 3)))
+        self._groups[group] = next(name for name in names if name not in self._groups.values())
+        of_file = {key: text for key, text in told.items() if key not in OF_TABLE}
+        of_group = {GROUP: "", **{key: text for key, text in told.items() if key in OF_TABLE}}
+        library = self._library
+        self._out.write_segment(
+            [library.RootObject(of_file), library.GroupObject(self._groups[group], properties=of_group)]
+        )
+
+    def _channel(self, group: str, field: pa.Field, column: pa.ChunkedArray) -> Any:
+        properties = dict(_told_of_channel(field))
+        if is_text(column.type):
+            return self._library.ChannelObject(group, field.name, texts_of(column), properties)
+        values, missing = numbers_of(column)
+        if values.dtype.kind == "b" and missing.any():
+            raise OutputError(f"Flags in {field.name!r} are missing, which TDMS has no word for; write .h5 instead.")
+        if values.dtype.kind in "iu" and missing.any():
+            properties[FILL] = _fill(values.dtype)
+            values = np.where(missing, properties[FILL], values)
+        return self._library.ChannelObject(group, field.name, values, properties)
+
+
+def _told_of_channel(field: pa.Field) -> Iterator[tuple[str, Any]]:
+    if unit := unit_of_field(field):
+        yield "unit_string", unit
+
+
+def _fill(kind: np.dtype[Any]) -> Any:
+    limits = np.iinfo(kind)
+    return kind.type(limits.max if kind.kind == "u" else limits.min)
+
+
+def _nptdms() -> ModuleType:
+    try:
+        return import_module("nptdms")
+    except ModuleNotFoundError as cause:
+        raise OutputError("TDMS is written by npTDMS. Type: pip install 'becalm[formats]'") from cause

@@ -1,0 +1,139 @@
+"""WAV: sound cards and vibration recorders; samples are parts of full scale."""
+
+from __future__ import annotations
+
+import io
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import BinaryIO, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from becalm.errors import InputError
+from becalm.files.columns import Column
+from becalm.files.foreign import Foreign
+from becalm.files.groups import Group, tables
+from becalm.files.source import RawTable, ToldTime
+
+_PCM, _FLOAT, _EXTENSIBLE = 1, 3, 0xFFFE
+_UNKNOWN = (0, 0xFFFFFFFF)  # lengths of a recorder that was not stopped, and of one that writes to a pipe
+_MOST_FORMAT = 1024  # bytes; a format takes 16 to 40
+_SCALE = "Samples are parts of full scale, 1.0; the unit and the scale of the sensor are not in a WAV file."
+
+
+class _Sound(NamedTuple):
+    """What the head of a file says."""
+
+    order: str  # of bytes, as struct has it
+    format: bytes
+    start: int  # of the samples, in bytes
+    length: int  # of the samples as far as they are there, in bytes
+    complete: bool
+
+    def field(self, kind: str, offset: int) -> int:
+        return int(struct.unpack_from(self.order + kind, self.format, offset)[0])
+
+    @property
+    def coding(self) -> int:
+        tag = self.field("H", 0)
+        return self.field("H", 24) if tag == _EXTENSIBLE and len(self.format) >= 40 else tag
+
+
+def read(path: Path) -> tuple[RawTable, ...]:
+    """Look into a WAV file.
+
+    Raises
+    ------
+    InputError
+        If it is damaged, or coded otherwise than as plain numbers.
+    """
+    foreign = Foreign(path, "WAV")
+    decoder = foreign.library("scipy.io.wavfile")
+    with foreign.damage_told():
+        sound = _understood(foreign)
+        channels, rate_hz, width = sound.field("H", 2), sound.field("I", 4), sound.field("H", 12)
+        if sound.coding not in (_PCM, _FLOAT):
+            raise InputError(
+                f"{path} is a WAV file whose samples are packed (coding {sound.coding:#x}); only plain numbers (PCM or"
+                " float) are read. Save it as PCM."
+            )
+        if not (channels and rate_hz and width) or width % channels:
+            raise ValueError(f"{channels} channels of {width} bytes at {rate_hz} Hz")
+        whole = sound.coding == _PCM
+        kept: list[tuple[int, int, NDArray[np.generic]]] = []
+
+        def samples(first: int, last: int) -> NDArray[np.generic]:
+            """Read rows, (n, channels); all columns ask for the same ones in turn."""
+            if not kept or kept[0][:2] != (first, last):
+                with path.open("rb") as file:
+                    file.seek(sound.start + first * width)
+                    data = file.read((last - first) * width)
+                _, values = decoder.read(io.BytesIO(_little_file(sound, data)))
+                kept[:] = [(first, last, _scaled(values).reshape(-1, channels))]
+            return kept[0][2]
+
+        rows = sound.length // width
+        kind = pa.from_numpy_dtype(samples(0, min(rows, 1)).dtype)
+        columns = {
+            name: Column(kind, lambda first, last, number=number: samples(first, last)[:, number])  # type: ignore[misc]
+            for number, name in enumerate([f"channel_{number}" for number in range(1, channels + 1)])
+        }
+        notes = (
+            () if sound.complete else (f"The file ends before its samples do; {rows} rows are whole and were read.",)
+        )
+        group = Group("", columns, rows, ToldTime(rate_hz=float(rate_hz)), (_SCALE,) * whole + notes)
+        return tables(foreign, "wav", (group,))
+
+
+def _understood(foreign: Foreign) -> _Sound:
+    size = foreign.path.stat().st_size
+    with foreign.path.open("rb") as file:
+        mark = file.read(12)[:4]
+        order = ">" if mark == b"RIFX" else "<"
+        form, long_length = b"", None
+        for name, start, length in _chunks(file, order, size):
+            if name == b"ds64":
+                long_length = struct.unpack_from("<Q", file.read(16), 8)[0]
+            elif name == b"fmt ":
+                form = file.read(min(length, _MOST_FORMAT))
+                if len(form) < 16:
+                    raise ValueError("its format is cut off")
+            elif name == b"data":
+                if not form:
+                    raise ValueError("its samples come before their format")
+                told = long_length if length == 0xFFFFFFFF and long_length else length
+                there = size - start
+                unknown = told in _UNKNOWN
+                return _Sound(order, form, start, there if unknown else min(told, there), not unknown and told <= there)
+    raise ValueError("there are no samples in it")
+
+
+def _chunks(file: BinaryIO, order: str, size: int) -> Iterator[tuple[bytes, int, int]]:
+    """Give the name, the place and the length of each part of the file, with the file there."""
+    at = 12
+    while at + 8 <= size:
+        file.seek(at)
+        name, length = struct.unpack(order + "4sI", file.read(8))
+        yield name, at + 8, length
+        at += 8 + length + length % 2
+
+
+def _little_file(sound: _Sound, data: bytes) -> bytes:
+    """Return a file of some samples only, with the format of the whole."""
+    mark = b"RIFX" if sound.order == ">" else b"RIFF"
+    form, pad = sound.format, bytes(len(data) % 2)
+    body = b"WAVEfmt " + struct.pack(sound.order + "I", len(form)) + form + bytes(len(form) % 2)
+    body += b"data" + struct.pack(sound.order + "I", len(data)) + data + pad
+    return mark + struct.pack(sound.order + "I", len(body)) + body
+
+
+def _scaled(values: NDArray[np.generic]) -> NDArray[np.floating]:
+    """Return numbers from -1 to 1; fractions as they are."""
+    if values.dtype.kind == "f":
+        return values.astype(values.dtype.newbyteorder("="))
+    if values.dtype.kind == "u":  # up to 8 bits, around their middle
+        return (values.astype(np.float64) - 128.0) / 128.0
+    return values.astype(np.float64) / 2.0 ** (8 * values.dtype.itemsize - 1)

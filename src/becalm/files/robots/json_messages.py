@@ -1,0 +1,64 @@
+"""Messages written as JSON: their numbers by dotted names, and their stamps."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+_LONGEST = 64  # numbers of a list that become columns
+_DEEPEST = 16
+_SECOND = 1_000_000_000
+_STAMPS = (("header", "stamp"), ("stamp",), ("timestamp",))
+_FRACTIONS = ("nanosec", "nsec", "nsecs", "nanos")
+
+
+class Decoder:
+    """Decodes messages; it has what that of ROS has.
+
+    Attributes
+    ----------
+    units : mapping of str to str
+        None are known.
+    left_out : set of str
+        Names of texts, and of lists too long for columns.
+    """
+
+    def __init__(self) -> None:
+        self.units: Mapping[str, str] = {}
+        self.left_out: set[str] = set()
+
+    def __call__(self, data: bytes) -> tuple[int | None, Iterator[tuple[str, float]]]:
+        """Return the stamp of a message in nanoseconds, None without, and its numbers."""
+        message = json.loads(data)
+        if not isinstance(message, dict):
+            raise ValueError("a message is no JSON object")
+        return _stamp(message), self._numbers(message, "", 0)
+
+    def _numbers(self, value: Any, name: str, depth: int) -> Iterator[tuple[str, float]]:
+        if isinstance(value, (bool, int, float)):
+            yield name, value
+        elif isinstance(value, dict) and depth < _DEEPEST:
+            for key, inner in value.items():
+                yield from self._numbers(inner, f"{name}.{key}" if name else str(key), depth + 1)
+        elif isinstance(value, list) and depth < _DEEPEST and len(value) <= _LONGEST:
+            for place, inner in enumerate(value):
+                yield from self._numbers(inner, f"{name}_{place}", depth + 1)
+        elif value is not None:
+            self.left_out.add(name)
+
+
+def _stamp(message: dict[str, Any]) -> int | None:
+    """Take the time of a message from its header, as ROS and Foxglove write it, and out of its numbers."""
+    for *outer, last in _STAMPS:
+        held: Any = message
+        for key in outer:
+            held = held.get(key) if isinstance(held, dict) else None
+        stamp = held.get(last) if isinstance(held, dict) else None
+        if not isinstance(stamp, dict):
+            continue
+        seconds, fraction = stamp.get("sec"), next((stamp[key] for key in _FRACTIONS if key in stamp), None)
+        if type(seconds) is int and type(fraction) is int:
+            del held[last]
+            return seconds * _SECOND + fraction
+    return None

@@ -1,0 +1,136 @@
+"""MCAP: messages of ROS 1, ROS 2 or JSON, read in the order of the file, whether it has an end or not."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from becalm.files.foreign import Foreign
+from becalm.files.groups import tables
+from becalm.files.robots.ros_messages import IDL, MSG, Schema
+from becalm.files.robots.topics import Message, gathered
+from becalm.files.source import RawTable
+from becalm.files.unpacking import unpacked
+from becalm.files.watched import WatchedFile, watched
+
+_MAGIC_BYTES = 8
+_HEAD_BYTES, _CHUNK = 9, b"\x06"  # what a record is, and its length
+
+
+def read(path: Path) -> tuple[RawTable, ...]:
+    """Read a log: a table for each topic.
+
+    Raises
+    ------
+    InputError
+        If it is damaged, or holds no numbers.
+    """
+    foreign = Foreign(path, "MCAP")
+    foreign.library("mcap.stream_reader")
+    with foreign.damage_told(), path.open("rb") as file:
+        log = Log(foreign, WatchedFile(file))
+        groups = gathered(foreign, log.messages(), log.notes)
+    return tables(foreign, "mcap", groups)
+
+
+class Log:
+    """One MCAP file.
+
+    Parameters
+    ----------
+    foreign : Foreign
+        What is read, for messages.
+    file : WatchedFile
+        The file, at its start.
+    """
+
+    def __init__(self, foreign: Foreign, file: WatchedFile) -> None:
+        self._foreign, self._file = foreign, file
+        self._library = foreign.library("mcap.stream_reader")
+        self._records = foreign.library("mcap.records")
+        self._schemas: dict[int, Any] = {}
+        self._channels: dict[int, tuple[str, Schema]] = {}
+        self._ended = False
+        self._damaged = 0
+
+    def notes(self) -> tuple[str, ...]:
+        """Return what must be said of the file, once its messages went by."""
+        notes = []
+        if not self._ended:
+            notes.append("The file has no end, as if recording or copying was cut off; what is whole was read.")
+        if self._damaged:
+            notes.append(f"Damaged parts of the file were left out: {self._damaged:,}.")
+        return tuple(notes)
+
+    def messages(self) -> Iterator[Message]:
+        """Give the messages in the order of the file."""
+        self._file.seek(_MAGIC_BYTES)
+        for record in self._whole(self._file):
+            if isinstance(record, self._records.DataEnd):
+                self._ended = True
+                return
+            if isinstance(record, self._records.Chunk):
+                data = self._chunk(record)
+                for inner in () if data is None else self._whole(watched(data)):
+                    yield from self._told(inner)
+            else:
+                yield from self._told(record)
+
+    def _whole(self, file: WatchedFile) -> Iterator[Any]:
+        """Give records until one is damaged or cut off; of a chunk that is cut off, what is left."""
+        reader = self._library.StreamReader(file, skip_magic=True, emit_chunks=True, record_size_limit=None)
+        records = iter(reader.records)
+        while True:
+            start = file.tell()
+            try:
+                record = next(records, None)
+            except self._foreign.library("mcap.exceptions").EndOfFile:
+                yield from self._rest_of_chunk(file, start)
+                return
+            except Exception:  # the library's, of a damaged record: of any kind
+                self._damaged += 1
+                return
+            if record is None or file.cut:
+                return
+            yield record
+
+    def _rest_of_chunk(self, file: WatchedFile, start: int) -> Iterator[Any]:
+        file.seek(start)
+        if file.cut and file.read(_HEAD_BYTES)[:1] == _CHUNK:
+            with suppress(Exception):  # the library's, where nothing is left
+                yield self._records.Chunk.read(self._foreign.library("mcap.data_stream").ReadDataStream(file))
+
+    def _chunk(self, chunk: Any) -> bytes | None:
+        """Unpack a chunk; None if it is damaged."""
+        try:
+            cut = self._file.cut
+            data = unpacked(self._foreign, chunk.compression, chunk.data, chunk.uncompressed_size, cut)
+        except ValueError:
+            self._damaged += 1
+            return None
+        if not cut and chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
+            self._damaged += 1
+            return None
+        return data
+
+    def _told(self, record: Any) -> Iterator[Message]:
+        if isinstance(record, self._records.Schema):
+            self._schemas[record.id] = record
+        elif isinstance(record, self._records.Channel):
+            self._channels[record.id] = record.topic, self._schema(record)
+        elif isinstance(record, self._records.Message):
+            if record.channel_id not in self._channels or record.log_time >= 1 << 63:
+                self._damaged += 1
+                return
+            topic, schema = self._channels[record.channel_id]
+            yield Message(topic, schema, record.log_time, record.data)
+
+    def _schema(self, channel: Any) -> Schema:
+        known = self._schemas.get(channel.schema_id)
+        if known is None:
+            return Schema("", channel.message_encoding)
+        definition = known.data.decode("utf-8", "replace") if channel.message_encoding != "json" else ""
+        return Schema(known.name, channel.message_encoding, definition, IDL if known.encoding == IDL else MSG)

@@ -1,0 +1,190 @@
+"""Messages of ROS 1 and ROS 2: their numbers by dotted names, their stamps, and the units that their types define."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from keyword import iskeyword
+from operator import attrgetter
+from types import ModuleType
+from typing import Any, NamedTuple
+
+from becalm.files.foreign import Foreign
+from becalm.files.unpacking import ZSTD, unpacked
+
+UNITS = {
+    "sensor_msgs/msg/Imu": {"linear_acceleration.": "m/s^2", "angular_velocity.": "rad/s"},
+}
+"""By type and by the beginning of a field's name, as the type defines them."""
+
+_LOGS = ("rosgraph_msgs/msg/Log", "rcl_interfaces/msg/Log")  # texts, with numbers of lines
+_TIMES = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
+_STAMPS = ("header.stamp", "stamp", "timestamp")
+_BYTES = ("byte", "char", "int8", "uint8")
+_TEXTS = ("string", "wstring", "wchar", "float128")
+_LONGEST = 64  # numbers of a list of any length that become columns
+_DEEPEST, _MOST_FIELDS = 16, 4096
+_SECOND = 1_000_000_000
+
+MSG, IDL = "ros2msg", "ros2idl"
+
+Numbers = Iterator[tuple[str, float]]
+
+
+class Schema(NamedTuple):
+    """Of which type messages are.
+
+    Attributes
+    ----------
+    type : str
+        "sensor_msgs/msg/Imu".
+    encoding : str
+        "ros1" or "cdr".
+    definition : str
+        Of the type, as text; "" where the file has none.
+    language : str
+        Of the definition: MSG, also for ROS 1, or IDL.
+    """
+
+    type: str
+    encoding: str
+    definition: str = ""
+    language: str = MSG
+
+
+class _Fields(NamedTuple):
+    names: list[str]  # as people see them
+    most: list[int]  # numbers in a list that become columns; 0 of one number
+    paths: list[str]  # as attributes
+    out: list[str]  # left out: texts, nested lists
+    stamp: str  # the path, "" without
+
+
+class Decoder:
+    """Decodes the messages of one type.
+
+    Parameters
+    ----------
+    foreign : Foreign
+        The file.
+    schema : Schema
+        The type.
+
+    Attributes
+    ----------
+    units : mapping of str to str
+        By the beginning of a field's name.
+    signals : bool
+        Whether there is anything but texts, pictures and point clouds.
+    left_out : set of str
+        Names of fields that were no numbers, or lists too long for columns.
+
+    Raises
+    ------
+    Exception
+        Of the library's own, if the type is unknown or its definition damaged.
+    """
+
+    def __init__(self, foreign: Foreign, schema: Schema) -> None:
+        typesys = foreign.library("rosbags.typesys")
+        kind = foreign.library("rosbags.typesys.msg").normalize_msgtype(schema.type)
+        store = _store(typesys, schema, kind)
+        fields = _Fields([], [], [], [], _stamp_path(store, kind))
+        told = kind not in _LOGS and _gather(store, kind, fields, ("", ""), 0)
+        self.signals = told and any(not path.startswith("header.") for path in fields.paths)
+        self.left_out = set(fields.out)
+        self.units = UNITS.get(kind, {})
+        self._names = list(zip(fields.names, fields.most, strict=True))
+        self._get = attrgetter(*fields.paths) if fields.paths else None
+        self._one = len(fields.paths) == 1
+        self._stamp = attrgetter(fields.stamp) if fields.stamp else None
+        self._foreign, self._ros1 = foreign, schema.encoding == "ros1"
+        decode = store.deserialize_ros1 if self._ros1 else store.deserialize_cdr
+        self._decode: Callable[[bytes], Any] = lambda data: decode(data, kind)
+
+    def __call__(self, data: bytes) -> tuple[int | None, Numbers]:
+        """Return the stamp of a message in nanoseconds, None without, and its numbers."""
+        message = self._decode(data if self._ros1 or not data.startswith(ZSTD) else self._plain(data))
+        stamp = None
+        if self._stamp is not None:
+            time = self._stamp(message)
+            stamp = time.sec * _SECOND + time.nanosec
+        values = self._get(message) if self._get is not None else ()
+        return stamp, self._numbers((values,) if self._one else values)
+
+    def _plain(self, data: bytes) -> bytes:
+        """Unpack a message that is packed for itself; CDR never begins like that."""
+        size = self._foreign.library("zstandard").frame_content_size(data)
+        return unpacked(self._foreign, "zstd", data, size)
+
+    def _numbers(self, values: tuple[Any, ...]) -> Numbers:
+        for (name, most), value in zip(self._names, values, strict=True):
+            if not most:
+                yield name, value
+            elif len(value) > most:
+                self.left_out.add(name)
+            else:
+                for place, one in enumerate(value.tolist()):
+                    yield f"{name}_{place}", one
+
+
+def _store(typesys: ModuleType, schema: Schema, kind: str) -> Any:
+    """Return the types that the file defines, or the standard ones where it defines none."""
+    if not schema.definition:
+        return typesys.get_typestore(typesys.Stores.ROS1_NOETIC if schema.encoding == "ros1" else typesys.Stores.LATEST)
+    store = typesys.get_typestore(typesys.Stores.EMPTY)
+    if schema.language == MSG:
+        types = typesys.get_types_from_msg(schema.definition, kind)
+    else:
+        types = _types_of_idl(typesys, schema.definition)
+    store.register(types)
+    return store
+
+
+def _types_of_idl(typesys: ModuleType, definition: str) -> dict[str, Any]:
+    types: dict[str, Any] = {}
+    ruler = "=" * 80 + "\n"
+    for part in definition.split(ruler):  # each but the first begins with a line that names it
+        text = part.partition("\n")[2] if part.startswith("IDL: ") else part
+        types |= typesys.get_types_from_idl(text) if text.strip() else {}
+    return types
+
+
+def _stamp_path(store: Any, kind: str) -> str:
+    """Return where the stamp of a message is, "" where it has none."""
+    for path in _STAMPS:
+        at = kind
+        for name in path.split("."):
+            at = next((_named(desc) for own, desc in store.fielddefs.get(at, ([], []))[1] if own == name), "")
+        if at == _TIMES[0]:
+            return path
+    return ""
+
+
+def _named(desc: Any) -> str:
+    return desc[1] if isinstance(desc[1], str) else ""
+
+
+def _gather(store: Any, kind: str, fields: _Fields, within: tuple[str, str], depth: int) -> bool:
+    """Gather the numbers in a type, as seen and as attributes; false if it holds a picture or the like."""
+    if depth > _DEEPEST or len(fields.paths) > _MOST_FIELDS:
+        raise ValueError(f"the type {kind} nests without an end")
+    own_name, own_path = within
+    for field, (node, what) in store.fielddefs[kind][1]:
+        name, path = own_name + field, own_path + field + ("_" if iskeyword(field) else "")
+        if path == fields.stamp or field == "structure_needs_at_least_one_member":
+            continue
+        if isinstance(what, str):
+            if not _gather(store, what, fields, (f"{name}.", f"{path}."), depth + 1):
+                return False
+            continue
+        element, count = what if isinstance(what[0], tuple) else ((node, what), None)
+        base = element[1][0] if isinstance(element[1], tuple) else ""
+        if base in _BYTES and count == 0:  # of any length
+            return False
+        if not base or base in _TEXTS:
+            fields.out.append(name)
+            continue
+        fields.names.append(name)
+        fields.most.append(0 if count is None else max(count, _LONGEST))
+        fields.paths.append(path)
+    return True

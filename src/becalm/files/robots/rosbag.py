@@ -1,0 +1,99 @@
+"""Bags of ROS 1 and ROS 2: a file, or the folder that ROS 2 records into."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path, PurePath
+from typing import Any
+
+from becalm.errors import InputError
+from becalm.files.foreign import Foreign
+from becalm.files.groups import tables
+from becalm.files.registry import BAG
+from becalm.files.robots import mcap, rosbag1, rosbag2
+from becalm.files.robots.topics import Message, few, gathered
+from becalm.files.source import RawTable
+from becalm.files.watched import WatchedFile
+
+_MCAP = b"\x89MCAP0\r\n"
+_BLOCK = 1 << 20
+
+
+def read(path: Path) -> tuple[RawTable, ...]:
+    """Read a bag: a table for each topic.
+
+    Raises
+    ------
+    InputError
+        If it is damaged, or holds no numbers.
+    """
+    foreign = Foreign(path, "ROS bag")
+    foreign.library("rosbags.typesys")
+    with foreign.damage_told(), ExitStack() as held:
+        parts = _parts(foreign, path, held) if path.is_dir() else [path]
+        logs = [_log(foreign, part, held) for part in parts]
+        groups = gathered(foreign, _all(logs), lambda: _notes(parts, logs))
+    return tables(foreign, "rosbag", groups)
+
+
+def _log(foreign: Foreign, part: Path, held: ExitStack) -> Any:
+    """Open one file."""
+    file = held.enter_context(part.open("rb"))
+    head = file.read(len(_MCAP))
+    file.seek(0)
+    if head == _MCAP:
+        return mcap.Log(foreign, WatchedFile(file))
+    if head.startswith(b"#ROSBAG"):
+        return rosbag1.Log(foreign, WatchedFile(file))
+    return held.enter_context(rosbag2.Log(foreign, part))
+
+
+def _all(logs: list[Any]) -> Iterator[Message]:
+    for log in logs:
+        yield from log.messages()
+
+
+def _notes(parts: list[Path], logs: list[Any]) -> tuple[str, ...]:
+    if len(parts) == 1:
+        told: tuple[str, ...] = logs[0].notes()
+        return told
+    return tuple(f"{part.name}: {note}" for part, log in zip(parts, logs, strict=True) for note in log.notes())
+
+
+def _parts(foreign: Foreign, folder: Path, held: ExitStack) -> list[Path]:
+    """Return the files of a folder in the order in which they were recorded, unpacked where they are packed whole."""
+    try:
+        listed = foreign.library("ruamel.yaml").YAML(typ="safe").load((folder / BAG).read_text("utf-8"))
+        told = listed["rosbag2_bagfile_information"]
+        names = [PurePath(name) for name in told["relative_file_paths"]]
+    except InputError:
+        raise
+    except Exception as cause:
+        raise InputError(f"{folder / BAG} does not tell the files of a ROS 2 bag; give one of them by name.") from cause
+    if outside := [str(name) for name in names if name.is_absolute() or ".." in name.parts]:
+        raise InputError(
+            f"{folder / BAG} names {outside[0]}, which is outside of the folder; give one file of the bag by name."
+        )
+    parts = [folder / name.name for name in names]
+    if missing := [part.name for part in parts if not part.is_file()]:
+        raise InputError(f"{folder} lacks {few(missing)}, which its {BAG} names; copy the whole folder.")
+    if not parts:
+        raise InputError(f"{folder} is a ROS 2 bag without files; copy the whole folder.")
+    if str(told.get("compression_mode", "")).lower() == "file":
+        return [_unpacked(foreign, part, held) for part in parts]
+    return parts
+
+
+def _unpacked(foreign: Foreign, part: Path, held: ExitStack) -> Path:
+    """Unpack a file into a temporary folder."""
+    plain = Path(held.enter_context(tempfile.TemporaryDirectory(prefix="becalm."))) / part.stem
+    library = foreign.library("zstandard")
+    own, written = Foreign(part, "zstd"), 0
+    with part.open("rb") as packed, plain.open("wb") as file:
+        for block in library.ZstdDecompressor().read_to_iter(packed, write_size=_BLOCK):
+            written += len(block)
+            own.refuse_claim(written)
+            file.write(block)
+    return plain

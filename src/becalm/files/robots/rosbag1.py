@@ -1,0 +1,131 @@
+"""Bags of ROS 1, read in the order of the file, whether they have an index or not."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from becalm.errors import InputError
+from becalm.files.foreign import Foreign
+from becalm.files.robots.ros_messages import MSG, Schema
+from becalm.files.robots.topics import Message
+from becalm.files.unpacking import unpacked
+from becalm.files.watched import WatchedFile, watched
+
+_VERSION = b"#ROSBAG V2.0\n"
+_MESSAGE, _HEADER, _CHUNK, _CONNECTION = 2, 3, 5, 7
+
+
+class _CutError(Exception):
+    """The file ends within a record."""
+
+
+class Log:
+    """One bag.
+
+    Parameters
+    ----------
+    foreign : Foreign
+        What is read, for messages.
+    file : WatchedFile
+        The file, at its start.
+
+    Raises
+    ------
+    InputError
+        If it is of another version.
+    """
+
+    def __init__(self, foreign: Foreign, file: WatchedFile) -> None:
+        self._foreign, self._file = foreign, file
+        self._library = foreign.library("rosbags.rosbag1.reader")
+        self._connections: dict[int, tuple[str, Schema]] = {}
+        self._closed, self._cut = False, False
+        self._damaged = 0
+        first = file.read(len(_VERSION))
+        if first != _VERSION:
+            version = first[8:].decode("ascii", "replace").strip()
+            raise InputError(
+                f"{foreign.path} is a ROS bag of version {version}; 2.0 is read. Type: rosbag fix {foreign.path.name}"
+            )
+
+    def notes(self) -> tuple[str, ...]:
+        """Return what must be said of the file, once its messages went by."""
+        notes = []
+        if self._cut or not self._closed:
+            notes.append("The bag was not closed, or was cut off; the messages that are whole were read.")
+        if self._damaged:
+            notes.append(f"Damaged parts of the bag were left out: {self._damaged:,}.")
+        return tuple(notes)
+
+    def messages(self) -> Iterator[Message]:
+        """Give the messages in the order of the file."""
+        yield from self._records(self._file)
+
+    def _records(self, file: WatchedFile) -> Iterator[Message]:
+        while file.tell() < file.size:
+            try:
+                header, data, cut = self._record(file)
+                is_chunk = header.get_uint8("op") == _CHUNK
+                if cut and not is_chunk:
+                    return
+                told = [] if is_chunk else list(self._told(header, data))
+                inner = self._chunk(header, data, cut) if is_chunk else None
+            except _CutError:
+                self._cut = True
+                return
+            except InputError:
+                raise
+            except Exception:  # the library's, of a damaged record: of any kind
+                self._damaged += 1
+                return
+            yield from told
+            if inner is not None:
+                yield from self._records(inner)
+
+    def _record(self, file: WatchedFile) -> tuple[Any, bytes, bool]:
+        """Read a record: its header and what it holds, or what is left of that, and whether that is less."""
+        cut = file.cut
+        try:
+            header = self._library.Header.read(file)
+            size = self._library.read_uint32(file)
+            data = file.read(size)
+        except self._library.ReaderError:
+            if file.cut and not cut:
+                raise _CutError from None
+            raise
+        cut = len(data) < size
+        self._cut = self._cut or cut
+        return header, data, cut
+
+    def _told(self, header: Any, data: bytes) -> Iterator[Message]:
+        kind = header.get_uint8("op")
+        if kind == _HEADER:
+            self._closed = 0 < header.get_uint64("index_pos") <= self._file.size
+            if header.get("encryptor"):
+                raise InputError(f"{self._foreign.path} is an encrypted ROS bag; decrypt it: rosbag decrypt.")
+        elif kind == _CONNECTION:
+            about = self._library.Header.read(_prefixed(data))
+            schema = Schema(about.get_string("type"), "ros1", about.get_string("message_definition"), MSG)
+            topic = self._library.normalize(header.get_string("topic"))
+            self._connections[header.get_uint32("conn")] = topic, schema
+        elif kind == _MESSAGE:
+            if (conn := header.get_uint32("conn")) not in self._connections:
+                self._damaged += 1
+                return
+            topic, schema = self._connections[conn]
+            yield Message(topic, schema, header.get_time("time"), data)
+
+    def _chunk(self, header: Any, data: bytes, cut: bool) -> WatchedFile | None:
+        """Unpack a chunk; None if it is damaged."""
+        how, size = header.get_string("compression"), header.get_uint32("size")
+        try:
+            return watched(unpacked(self._foreign, how, data, size, cut))
+        except ValueError:
+            self._damaged += 1
+            return None
+
+
+def _prefixed(data: bytes) -> WatchedFile:
+    """Put the length before a header, as where a record begins."""
+    return watched(len(data).to_bytes(4, "little") + data)

@@ -1,0 +1,177 @@
+"""ULog: the messages of a PX4 autopilot, each topic and each of its sensors with stamps of its own."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stdout
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from becalm.core.arrays import Integers
+from becalm.files.columns import NO_UNIT, Column
+from becalm.files.foreign import Foreign
+from becalm.files.groups import TIME, Group, tables
+from becalm.files.robots.topics import few
+from becalm.files.source import RawTable, ToldTime
+from becalm.files.stamps import in_order, seconds_of
+from becalm.files.text.csv_header import unique_names
+from becalm.files.watched import WatchedFile
+
+_STAMP = ("uint64_t", 0, "timestamp")  # type, length of a list, and name
+_PADDING = "_padding"
+_MOST_BYTES = 0xFFFF  # of a message, and so the most fields it can have
+_MOST_FIELDS = 500_000  # of all topics that are subscribed to; each takes some hundred bytes in pyulog
+_PER_SECOND = 1_000_000
+
+
+def read(path: Path) -> tuple[RawTable, ...]:
+    """Read a log: a table for each topic and instance; time runs from the start of the log.
+
+    Raises
+    ------
+    InputError
+        If it is damaged, or holds no messages.
+    """
+    foreign = Foreign(path, "ULog")
+    library = foreign.library("pyulog")
+    with foreign.damage_told(), path.open("rb") as file, _unheard():
+        opened = WatchedFile(file)
+        heading = library.ULog(_Kept(opened), parse_header_only=True)
+        sizes = _sizes(foreign, heading.message_formats)
+        opened.seek(0)
+        stamped = [name for name, one in heading.message_formats.items() if _STAMP in one.fields]
+        reader = _bounded(foreign, library, sizes)
+        log = reader(_Kept(opened), stamped)  # which else ends at the first message without a stamp
+        notes = _notes(log, opened, _unstamped(log, stamped))
+        groups = [_group(topic, log.start_timestamp, notes) for topic in log.data_list]
+    return tables(foreign, "ulog", groups)
+
+
+class _Kept:
+    """A file that its reader may not close."""
+
+    def __init__(self, file: WatchedFile) -> None:
+        self.read, self.seek, self.tell = file.read, file.seek, file.tell
+
+    def close(self) -> None:
+        """Leave it open."""
+
+
+@contextmanager
+def _unheard() -> Iterator[None]:
+    """Keep the library from printing."""
+    with redirect_stdout(io.StringIO()):
+        yield
+
+
+def _sizes(foreign: Foreign, formats: dict[str, Any]) -> dict[str, int]:
+    """Count the fields of each format; refuse those without an end, or with more than a message has bytes."""
+    sizes: dict[str, int] = {}
+
+    def size(name: str, within: tuple[str, ...]) -> int:
+        if name not in formats:
+            return 1  # a number, or unknown; the library tells which
+        if name in within:
+            raise foreign.damaged(f"the format {name} holds itself")
+        if name not in sizes:
+            held = (max(1, count) * size(kind, (*within, name)) for kind, count, _ in formats[name].fields)
+            sizes[name] = sum(held)
+        if sizes[name] > _MOST_BYTES:
+            raise foreign.damaged(
+                f"the format {name} holds {sizes[name]:,} fields; a message has {_MOST_BYTES:,} bytes"
+            )
+        return sizes[name]
+
+    for name in formats:
+        size(name, ())
+    return sizes
+
+
+def _bounded(foreign: Foreign, library: ModuleType, sizes: dict[str, int]) -> Any:
+    """Return the library's reader, refusing more fields in all topics than any log has: it makes an object of each."""
+    told, left = library.ULog._MessageAddLogged, _MOST_FIELDS
+
+    def subscribed(data: bytes, header: Any, formats: dict[str, Any]) -> Any:
+        nonlocal left
+        left -= sizes.get(library.ULog.parse_string(data[3:]), 0)
+        if left < 0:
+            raise foreign.damaged(f"its topics have more than {_MOST_FIELDS:,} fields in all")
+        return told(data, header, formats)
+
+    return type("_Bounded", (library.ULog,), {"_MessageAddLogged": staticmethod(subscribed)})
+
+
+def _unstamped(log: Any, stamped: list[str]) -> list[str]:
+    """Return what was subscribed to although its messages have no stamp; parts of others are not."""
+    parts = {kind for one in log.message_formats.values() for kind, _, _ in one.fields}
+    return sorted(set(log.message_formats) - set(stamped) - parts)
+
+
+def _notes(log: Any, opened: WatchedFile, unstamped: list[str]) -> tuple[str, ...]:
+    notes = []
+    if log.file_corruption:
+        notes.append("Parts of the file are damaged; the messages that are whole were read.")
+    elif opened.cut:
+        notes.append("The file ends in the middle of a message; those before it were read.")
+    if unstamped:
+        notes.append(f"Left out, for their messages have no timestamp: {few(unstamped)}.")
+    if log.dropouts:
+        lost_s = sum(dropout.duration for dropout in log.dropouts) / 1000.0
+        times = "once" if len(log.dropouts) == 1 else f"{len(log.dropouts):,} times"
+        notes.append(f"The logger lost messages {times}, for {lost_s:g} s in all.")
+    return tuple(notes)
+
+
+def _group(topic: Any, start: int, notes: tuple[str, ...]) -> Group:
+    """Make a group of a topic's fields; padding is none of them, and the stamp is the time."""
+    fields = _fields(topic)
+    rows = len(next(iter(topic.data.values())))
+    name = f"{topic.name}_{topic.multi_id}"
+    told = in_order(_signed(fields.pop(_STAMP[2])))
+    titles = unique_names((TIME, *fields))
+    time = seconds_of(told.stamps, _PER_SECOND, int(_signed(np.array([start], np.uint64))[0]))
+    columns = {TIME: Column.of(time, "s")}
+    for title, values in zip(titles[1:], fields.values(), strict=True):
+        columns[title] = _column(values if told.order is None else values[told.order])
+    return Group(name, columns, rows, ToldTime(TIME), (*notes, *told.notes))
+
+
+def _signed(stamps: NDArray[Any]) -> Integers:
+    return stamps.astype(np.uint64).view(np.int64)
+
+
+def _column(values: NDArray[Any]) -> Column:
+    """Return a column of numbers, flags or texts."""
+    if values.dtype.kind == "S":
+        texts = values
+        return Column(pa.string(), lambda start, stop: _decoded(texts[start:stop]), NO_UNIT)
+    return Column.of(values, NO_UNIT)
+
+
+def _decoded(texts: NDArray[np.bytes_]) -> NDArray[np.object_]:
+    return np.array([text.decode("utf-8", "replace") for text in texts.tolist()], object)
+
+
+def _fields(topic: Any) -> dict[str, NDArray[Any]]:
+    """Return the values of all fields; flags as such, and characters in a row as a text."""
+    fields: dict[str, NDArray[Any]] = {}
+    texts: dict[str, list[NDArray[Any]]] = {}
+    for field in topic.field_data:
+        name, values = field.field_name, topic.data[field.field_name]
+        if name.rpartition(".")[2].startswith(_PADDING):
+            continue
+        if field.type_str == "char":
+            texts.setdefault(name.rpartition("[")[0] or name, []).append(values)
+            fields.setdefault(name.rpartition("[")[0] or name, values)
+        else:
+            fields[name] = values != 0 if field.type_str == "bool" else values
+    for name, characters in texts.items():
+        rows = np.ascontiguousarray(np.stack(characters, axis=1))
+        fields[name] = rows.view(f"S{len(characters)}").reshape(-1)
+    return fields

@@ -1,0 +1,1 @@
+"""Delimited text: bytes to text, text to cells, cells to columns."""

@@ -1,0 +1,237 @@
+"""How a CSV file is written: separator, decimal sign, header, found by looking at its first lines."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from becalm.errors import InputError
+from becalm.files.text.cells import GONE, NUMBER, TIME, WORDS, decimal_of, is_left_open, kind_of, split
+from becalm.files.text.csv_header import Header, find_header
+from becalm.files.text.csv_rates import rate_above
+
+_SEPARATORS = (";", "\t", ",", "|", "", " ")  # in a draw the earlier one wins; "" is a file of one column
+_HEAD_BYTES = 65_536
+_HEAD_LINES = 30
+_LOOKED_AT = 40
+_JUDGED = 300
+_LINE = re.compile(rb"([^\r\n]*)(\r\n|\n|\r|$)")
+_COMMENT = ("#", "%", "//")
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """How the table is written.
+
+    Attributes
+    ----------
+    separator : str
+        Between two cells; " " for runs of spaces, "" for one column.
+    decimal : str
+        "." or ","; "" where the head shows no fraction.
+    header : Header
+        Names and units, and where they stood.
+    kinds : tuple of str
+        For each column "number", "time", "missing" or "words".
+    first_line : int
+        Line of the first row of data, counted from 0.
+    offset : int
+        The same in bytes.
+    """
+
+    separator: str
+    decimal: str
+    header: Header
+    kinds: tuple[str, ...]
+    first_line: int
+    offset: int
+
+
+@dataclass(frozen=True)
+class _Line:
+    text: str
+    offset: int
+
+    @property
+    def plain(self) -> bool:
+        """Whether the line can belong to the table: neither blank nor a comment."""
+        stripped = self.text.strip()
+        return bool(stripped) and not stripped.startswith(_COMMENT)
+
+
+def sniff(path: Path, data: bytes) -> Dialect:
+    """Decide how a CSV file is written.
+
+    Parameters
+    ----------
+    path : Path
+        Only for messages.
+    data : bytes
+        The text as UTF-8 without a byte-order mark.
+
+    Raises
+    ------
+    InputError
+        If there is no table of numbers, or it can be read in two ways.
+    """
+    lines = _head(data)
+    told = re.match(r"^sep=([^\w\s\"]|\t)\s*$", lines[0].text, re.IGNORECASE) if lines else None
+    start = 1 if told else 0
+    begin = max((number + 1 for number in range(start, len(lines)) if _ends_head(lines[number])), default=start)
+    plain = [number for number in range(begin, len(lines)) if lines[number].plain]
+    if not plain:
+        raise InputError(f"{path} holds no table; a header and two or more rows of numbers are needed.")
+    separator = told[1] if told else _separator(path, [lines[number].text for number in plain])
+    cells = {number: split(lines[number].text, separator) for number in plain}
+    width = _width([cells[number] for number in plain[len(plain) // 2 :]])
+    body = [cells[number] for number in plain[-_JUDGED:] if len(cells[number]) == width]
+    kinds = _column_kinds(body, width)
+    first = _first_row(path, plain, cells, kinds)
+    _refuse_open_cells(path, {number: lines[number].text for number in plain if number < first}, separator, width)
+    above = [line.text for line in lines[:first]]
+    header = replace(find_header(above, start, separator, kinds), rate_hz=rate_above(above[start:], separator))
+    _refuse_misfit(path, separator, header, width)
+    data_rows = [cells[number] for number in plain if number >= first][:_JUDGED]
+    kinds = _column_kinds([row for row in data_rows if len(row) == width], width)
+    decimal = _decimal(path, data_rows, kinds)
+    return Dialect(separator, decimal, header, kinds, first, lines[first].offset)
+
+
+def _ends_head(line: _Line) -> bool:
+    """Tell whether LabVIEW says that its head, which has numbers in columns, ends here."""
+    return line.text.startswith(("***End_of_Header***", "delta t\t"))
+
+
+def _head(data: bytes) -> list[_Line]:
+    lines: list[_Line] = []
+    for found in _LINE.finditer(data):
+        if found.start() >= len(data) or (found.start() > _HEAD_BYTES and len(lines) >= _HEAD_LINES):
+            break
+        lines.append(_Line(found[1].decode("utf-8"), found.start()))
+    if lines[-1:] and lines[0].text.startswith(";") and ";" not in lines[-1].text:  # comments as Gulf Coast writes
+        return [_Line(re.sub("^;", "#", line.text), line.offset) for line in lines]
+    return lines
+
+
+def _separator(path: Path, plain: Sequence[str]) -> str:
+    """Choose the separator that cuts the later lines into equally many cells, most of them numbers."""
+    later = plain[len(plain) // 2 :][:_LOOKED_AT]
+    scores = {separator: _score(later, separator) for separator in _SEPARATORS}
+    best = max(_SEPARATORS, key=lambda separator: scores[separator])
+    if scores[best] == 0:
+        raise InputError(f"{path} holds text but no column of numbers; a header and rows of numbers are needed.")
+    if best == "," and scores[""] == scores[","]:
+        return _one_or_two(path, plain)
+    return best
+
+
+def _score(lines: Sequence[str], separator: str) -> float:
+    if separator and sum(separator in line.strip() for line in lines) * 2 < len(lines):
+        return 0.0
+    rows = [split(line, separator) for line in lines]
+    width = _width(rows)
+    if separator and width < 2:
+        return 0.0
+    fitting = [row for row in rows if len(row) == width]
+    kinds = Counter(kind_of(cell) for row in fitting for cell in row)
+    like = kinds[NUMBER] + kinds[TIME]
+    return len(fitting) / len(rows) * like / max(1, like + kinds[WORDS])
+
+
+def _one_or_two(path: Path, plain: Sequence[str]) -> str:
+    """`1,234` down a file: one column with decimal commas, or two columns; only a header can tell."""
+    header = next((line for line in reversed(plain) if kind_of(line) != NUMBER), None)
+    if header is None:
+        raise InputError(
+            f"{path} can be read as one column with decimal commas or as two columns: {plain[0].strip()!r}."
+            " Put a line with the column names above, or write decimal points."
+        )
+    return "," if "," in header else ""
+
+
+def _width(rows: Sequence[Sequence[str]]) -> int:
+    counts = Counter(len(row) for row in rows)
+    most = max(counts.values())
+    return max(width for width, count in counts.items() if count == most)
+
+
+def _column_kinds(rows: Sequence[Sequence[str]], width: int) -> tuple[str, ...]:
+    kinds = []
+    for column in range(width):
+        counts = Counter(kind_of(row[column]) for row in rows)
+        number, time, words = counts[NUMBER], counts[TIME], counts[WORDS]
+        if not (number or time or words):
+            kinds.append(GONE)
+        elif number >= max(time, words):
+            kinds.append(NUMBER)
+        else:
+            kinds.append(TIME if time >= words else WORDS)
+    return tuple(kinds)
+
+
+def _first_row(path: Path, plain: Sequence[int], cells: dict[int, list[str]], kinds: tuple[str, ...]) -> int:
+    """Find the line of the first row of data."""
+    signals = [column for column, kind in enumerate(kinds) if kind in (NUMBER, TIME)]
+    found = [number for number in plain if _is_data(cells[number], signals, len(kinds))]
+    if not signals or not found:
+        raise InputError(f"{path} has a header but no rows of numbers; two or more rows are needed.")
+    first = found[0]
+    at = plain.index(first)
+    if at == 0 and len(found) > 1 and any(kind_of(cells[first][column]) == WORDS for column in signals):
+        return found[1]  # names that are mostly numbers
+    return plain[at - 1] if at >= 2 and _is_damaged(cells[plain[at - 2]], cells[plain[at - 1]], signals) else first
+
+
+def _refuse_open_cells(path: Path, above: dict[int, str], separator: str, width: int) -> None:
+    """Refuse a quote above the table that takes the first row, or the names, into its cell."""
+    for number, line in above.items():
+        in_table = number == max(above) or line.count(separator or "\x1f") >= max(1, width - 1)
+        if in_table and is_left_open(line, separator):
+            raise InputError(
+                f"Line {number + 1} of {path} opens a quoted cell and does not close it: {line[:60]!r}. Remove that"
+                " quote, or close the cell with another; in the first row and above it, a cell must be on one line."
+            )
+
+
+def _is_damaged(above: Sequence[str], row: Sequence[str], signals: Sequence[int]) -> bool:
+    """Tell whether a row with words and numbers below a row of names is data with a bad cell."""
+    if len(above) != len(row) or not all(kind_of(cell) in (WORDS, GONE) for cell in above):
+        return False
+    return len(row) > signals[-1] and any(kind_of(row[column]) in (NUMBER, TIME) for column in signals)
+
+
+def _is_data(row: Sequence[str], signals: Sequence[int], width: int) -> bool:
+    if len(row) != width:
+        return False
+    kinds = [kind_of(row[column]) for column in signals]
+    good = sum(kind in (NUMBER, TIME) for kind in kinds)
+    return good > kinds.count(WORDS)
+
+
+def _refuse_misfit(path: Path, separator: str, header: Header, width: int) -> None:
+    if separator == "," and header.given and width == 2 * header.given:
+        raise InputError(
+            f"{path} has {header.given} names in its header but {width} cells in each row: decimal commas in a file"
+            " that is separated by commas. Save it with decimal points, or with ; between the columns."
+        )
+    if header.given and not header.fits:
+        raise InputError(
+            f"{path} has {header.given} names in its header but {width} cells in each row; one name a column is needed."
+        )
+
+
+def _decimal(path: Path, rows: Sequence[Sequence[str]], kinds: tuple[str, ...]) -> str:
+    seen: dict[str, str] = {}
+    for row in rows:
+        for cell, kind in zip(row, kinds, strict=False):
+            if kind == NUMBER and (sign := decimal_of(cell)):
+                seen.setdefault(sign, cell)
+    if len(seen) > 1:
+        raise InputError(
+            f"{path} has decimal points ({seen['.'].strip()!r}) and decimal commas ({seen[','].strip()!r})."
+            " Save all numbers with the same decimal sign."
+        )
+    return next(iter(seen), "")

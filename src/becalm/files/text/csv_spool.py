@@ -1,0 +1,199 @@
+"""CSV larger than memory: parsed block by block into a temporary table, understood as if it were read whole."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+
+from becalm.errors import InputError
+from becalm.files.rows import SpooledRows
+from becalm.files.source import RawTable
+from becalm.files.text.cells import NUMBER, TIME
+from becalm.files.text.csv_header import unique_names
+from becalm.files.text.csv_rates import with_rate
+from becalm.files.text.csv_reader import (
+    TextNumbers,
+    arrow_options,
+    column_types,
+    has_decimal_commas,
+    is_conversion,
+    numbers_of,
+    refuse_long_numbers,
+    text_layout,
+    units_of,
+    without_padding,
+)
+from becalm.files.text.csv_sniffing import Dialect, sniff
+from becalm.files.text.text_blocks import OtherEncodingError, TextFile, rows_of_text
+from becalm.files.text.text_ends import LastLine, with_end_told
+from becalm.files.text.text_rows import ragged, refuse_strays, spans_lines
+
+_PARSED_BYTES = 1 << 20
+_HEAD_BYTES = 8 << 20
+
+
+def spool_csv(path: Path) -> RawTable:
+    """Read a CSV file of any size, compressed or not, in constant memory.
+
+    Raises
+    ------
+    InputError
+        As `read_csv` does.
+    """
+    text = TextFile(path)
+    while True:
+        try:
+            return _Spooling(path, text).table()
+        except OtherEncodingError:
+            text.take_for_western()
+
+
+class _Spooling:
+    """One try to read a file, in an encoding."""
+
+    def __init__(self, path: Path, text: TextFile) -> None:
+        self._path, self._text = path, text
+        self._dialect: Dialect = sniff(path, _head(text.lines()))
+        self._last = LastLine(self._dialect)
+        self._names = unique_names(self._dialect.header.names)
+
+    def table(self) -> RawTable:
+        types = column_types(self._dialect, self._names)
+        try:
+            refuse_long_numbers(next(self._body()), self._dialect)
+            rows = self._spooled(types)
+        except pa.ArrowInvalid as cause:
+            if not is_conversion(cause):
+                raise self._ragged(cause) from cause
+            try:
+                rows = self._spooled(dict.fromkeys(self._names, pa.string()))
+            except pa.ArrowInvalid as second:
+                raise self._ragged(second) from second
+        try:
+            decimal = self._dialect.decimal or self._decimal_of(rows)
+            rows = self._with_numbers(rows, decimal)
+        except BaseException:
+            rows.close()
+            raise
+        empty = [missing == rows.count for missing in rows.missing]
+        rows.keep(without_padding(self._dialect, self._names, empty))
+        layout = text_layout(self._text.encoding, self._text.compression, self._dialect, decimal)
+        raw = RawTable(rows, rows.count, "csv", units_of(self._dialect, self._names), layout)
+        told = with_end_told(raw, self._text.cut, self._last)
+        return with_rate(told, self._dialect.header.rate_hz)
+
+    def _body(self) -> Iterator[bytes]:
+        return rows_of_text(self._last.whole_rows(self._text.lines()), self._dialect.separator)
+
+    def _spooled(self, types: dict[str, pa.DataType]) -> SpooledRows:
+        rows = SpooledRows(pa.schema(list(types.items())))
+        lines_in_cells = False
+        try:
+            for table in self._parsed(types):
+                lines_in_cells = lines_in_cells or spans_lines(table)
+                rows.add(table)
+            if lines_in_cells:
+                refuse_strays(self._path, self._body, self._dialect)
+        except BaseException:
+            rows.close()
+            raise
+        return rows
+
+    def _parsed(self, types: dict[str, pa.DataType]) -> Iterator[pa.Table]:
+        """Parse the blocks, each by itself until one has quotes: from there, a row may go on in the next."""
+        import pyarrow.csv as arrow_csv
+
+        body = self._body()
+        for block in body:
+            if b'"' in block:
+                stream = pa.PythonFile(_Stream(chain([block], body)), "r")
+                how = arrow_options(self._dialect, self._names, types, (True, _quoted_block(block)))
+                yield from map(_one_batch, arrow_csv.open_csv(stream, **how))
+                return
+            how = arrow_options(self._dialect, self._names, types, (False, _PARSED_BYTES))
+            yield arrow_csv.read_csv(pa.BufferReader(block), **how)
+
+    def _ragged(self, cause: pa.ArrowInvalid) -> InputError:
+        return ragged(self._path, self._body, self._dialect, str(cause))
+
+    def _texts(self, rows: SpooledRows) -> dict[str, str]:
+        """Return the columns of text that may yet be numbers, and what their heads say."""
+        kinds = zip(self._names, self._dialect.kinds, strict=True)
+        return {name: kind for name, kind in kinds if kind != TIME and pa.types.is_string(rows.schema.field(name).type)}
+
+    def _decimal_of(self, rows: SpooledRows) -> str:
+        names = [name for name, kind in self._texts(rows).items() if kind == NUMBER]
+        blocks = rows.blocks(names, max(1, rows.count)) if names else iter(())
+        return "," if any(has_decimal_commas(column) for block in blocks for column in block.columns) else "."
+
+    def _with_numbers(self, rows: SpooledRows, decimal: str) -> SpooledRows:
+        """Write the table anew if columns of text turn out to be numbers."""
+        found = {name: TextNumbers(kind, decimal) for name, kind in self._texts(rows).items()}
+        for block in rows.blocks(list(found), max(1, rows.count)) if found else ():
+            for name, numbers in found.items():
+                numbers.add(block.column(name))
+            if not any(numbers.possible for numbers in found.values()):
+                return rows
+        types = {name: kind for name, numbers in found.items() if (kind := numbers.type) is not None}
+        if not types:
+            return rows
+        fields = [pa.field(field.name, types.get(field.name, field.type)) for field in rows.schema]
+        anew = SpooledRows(pa.schema(fields))
+        try:
+            for block in rows.blocks(self._names, max(1, rows.count)):
+                anew.add(pa.table([_as(block.column(n), decimal, types.get(n)) for n in self._names], anew.schema))
+        except BaseException:
+            anew.close()
+            raise
+        rows.close()
+        return anew
+
+
+def _as(column: pa.ChunkedArray, decimal: str, kind: pa.DataType | None) -> Any:
+    return column if kind is None else numbers_of(column, decimal, kind)
+
+
+def _head(lines: Iterator[bytes]) -> bytes:
+    """Return the first lines, enough to see how the table is written."""
+    head = b""
+    while len(head) < _HEAD_BYTES and (block := next(lines, b"")):
+        head += block
+    return head
+
+
+def _one_batch(batch: pa.RecordBatch) -> pa.Table:
+    return pa.Table.from_batches([batch])
+
+
+def _quoted_block(block: bytes) -> int:
+    """Return how much is parsed at once: some rows must fit, however long they are."""
+    return max(_PARSED_BYTES, len(block))
+
+
+class _Stream(io.RawIOBase):
+    """Blocks of bytes as a file that is read once."""
+
+    def __init__(self, blocks: Iterator[bytes]) -> None:
+        self._blocks = blocks
+        self._rest = memoryview(b"")
+
+    def readable(self) -> bool:
+        return True
+
+    def read(self, size: int = -1) -> bytes:
+        out: list[memoryview] = []
+        while size:
+            if not self._rest:
+                self._rest = memoryview(next(self._blocks, b""))
+                if not self._rest:
+                    break
+            part = self._rest if size < 0 else self._rest[:size]
+            self._rest = self._rest[len(part) :]
+            out.append(part)
+            size -= len(part) if size > 0 else 0
+        return b"".join(out)

@@ -1,0 +1,277 @@
+"""Bytes to text: compression and encoding by content, and a clear word about what is no text."""
+
+from __future__ import annotations
+
+import codecs
+import gzip
+import io
+import sys
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from becalm.errors import InputError
+from becalm.files.foreign import refuse_claim
+
+GZIP = b"\x1f\x8b"
+PARQUET = b"PAR1"
+
+READS = "becalm reads CSV (also gzipped), Parquet, MF4, TDMS, UFF58, MAT, HDF5, NPZ, WAV, ROS bags, MCAP, ULog and IDE."
+
+_OTHER_FORMATS: tuple[tuple[bytes, str], ...] = (
+    (b"PK\x03\x04", "a ZIP archive or an Excel workbook"),
+    (b"\xd0\xcf\x11\xe0", "an old Excel or Office file"),
+    (b"\x89PNG", "a picture"),
+    (b"%PDF", "a PDF document"),
+    (b"ARROW1", "an Arrow (Feather) file"),
+    (b"\x28\xb5\x2f\xfd", "a file compressed with zstd"),
+    (b"BZh", "a file compressed with bzip2"),
+    (b"\xfd7zXZ", "a file compressed with xz"),
+)
+
+BOMS: tuple[tuple[bytes, str, str], ...] = (
+    (b"\xef\xbb\xbf", "utf-8", "utf-8-bom"),
+    (b"\xff\xfe", "utf-16-le", "utf-16-le"),
+    (b"\xfe\xff", "utf-16-be", "utf-16-be"),
+)
+
+CUT_ARCHIVE = (
+    "The gzip file ends too early: what unpacks is read, up to its last whole line. The file is incomplete; copy or"
+    " download it again if there is more of it."
+)
+CUT_CHARACTER = "The text ends within a character: its last line is left out, and the file is incomplete."
+
+_BLOCK = 1 << 20
+_PART = 1 << 16
+_CONTROL = bytes(set(range(32)) - set(b"\t\n\r\f\v\x1a"))
+
+
+@dataclass(frozen=True)
+class Text:
+    """The text of a file as UTF-8 bytes without a byte-order mark, and how it was stored.
+
+    `cut` is a sentence where it is known to end too early, otherwise ""; then only whole lines are in it.
+    """
+
+    data: bytes
+    encoding: str
+    compression: str
+    cut: str = ""
+
+
+class Gunzip(gzip.GzipFile):
+    """A gzip file that is unpacked as far as it goes.
+
+    Attributes
+    ----------
+    cut : bool
+        Whether it was found to end too early.
+    """
+
+    cut = False
+    _some = False
+
+    def read(self, size: int | None = -1) -> bytes:
+        """Read so many bytes, fewer only at the end, or where it was cut.
+
+        Raises
+        ------
+        EOFError
+            If it is cut before anything unpacks.
+        """
+        out = bytearray()
+        wanted = sys.maxsize if size is None or size < 0 else size
+        while len(out) < wanted and not self.cut:
+            try:
+                part = self.read1(min(_PART, wanted - len(out)))  # which loses nothing of what came before the cut
+            except EOFError:
+                if not (self._some or out):
+                    raise
+                self.cut = True
+                break
+            if not part:
+                break
+            out += part
+        self._some = self._some or bool(out)
+        return bytes(out)
+
+
+def read_bytes(path: Path, most: int | None = None) -> bytes:
+    """Read a whole file, or its first bytes.
+
+    Raises
+    ------
+    InputError
+        If it is missing, a directory, forbidden or empty.
+    """
+    with told(path):
+        if most is None:
+            data = path.read_bytes()
+        else:
+            with path.open("rb") as file:
+                data = file.read(most)
+    if not data:
+        raise InputError(f"{path} is empty (0 bytes); a header and two or more rows are needed.")
+    return data
+
+
+@contextmanager
+def told(path: Path) -> Iterator[None]:
+    """Say in a sentence why a file cannot be read.
+
+    Raises
+    ------
+    InputError
+        If it is missing, a directory, forbidden, or a damaged archive.
+    """
+    try:
+        yield
+    except FileNotFoundError:
+        raise InputError(f"{path} does not exist; give the path of a recording.") from None
+    except IsADirectoryError:
+        raise InputError(f"{path} is a directory; give the path of one file in it.") from None
+    except PermissionError:
+        raise InputError(f"{path} may not be read; ask for permission (`chmod u+r`).") from None
+    except EOFError:
+        raise InputError(f"{path} is a gzip file that ends too early; copy or download it again.") from None
+    except (gzip.BadGzipFile, zlib.error) as cause:
+        raise InputError(f"{path} is a damaged gzip file ({cause}); copy or download it again.") from cause
+    except (OSError, ValueError) as cause:
+        raise InputError(f"{path} cannot be read: {getattr(cause, 'strerror', None) or cause}.") from cause
+
+
+def decode(path: Path, data: bytes) -> Text:
+    """Uncompress and decode the bytes of a text file.
+
+    Raises
+    ------
+    InputError
+        If the bytes are a damaged archive, another format, or no text.
+    """
+    compression = cut = ""
+    if data.startswith(GZIP):
+        data, cut = _gunzip(path, data)
+        compression = "gzip"
+    refuse_other_formats(path, data)
+    for mark, codec, name in BOMS:
+        if data.startswith(mark):
+            (data, rest), encoding = _recode(path, data[len(mark) :], codec), name
+            break
+    else:
+        refuse_binary(path, data)
+        data, rest, encoding = _without_mark(data, surely_cut=cut != "")
+    cut = cut or (CUT_CHARACTER if rest else "")
+    return Text(without_open_line(data) if cut else data, encoding, compression, cut)
+
+
+def _gunzip(path: Path, data: bytes) -> tuple[bytes, str]:
+    plain = bytearray()
+    with told(path), Gunzip(fileobj=io.BytesIO(data)) as file:
+        while block := file.read(_BLOCK):
+            plain += block
+            refuse_claim(path, len(plain), len(data))
+    refuse_nothing(path, plain)
+    return bytes(plain), CUT_ARCHIVE if file.cut else ""
+
+
+def _without_mark(data: bytes, surely_cut: bool) -> tuple[bytes, bytes, str]:
+    """Return a text as UTF-8, what there is of a last character that was cut as well, and its encoding."""
+    try:
+        rest = _decoded(data, "utf-8")[1]
+    except UnicodeDecodeError:
+        return _from_western(data), b"", "cp1252"
+    if rest and not surely_cut and data[: -len(rest)].isascii():  # only its last bytes are none of ASCII
+        return _from_western(data), b"", "cp1252"
+    return data, rest, "utf-8"
+
+
+def _decoded(data: bytes, codec: str) -> tuple[str, bytes]:
+    """Decode a text; return what there is of a last character that was cut as well."""
+    decoder = codecs.getincrementaldecoder(codec)()
+    return decoder.decode(data), decoder.getstate()[0]
+
+
+def without_open_line(data: bytes) -> bytes:
+    """Leave out what comes after the last line end."""
+    return data[: max(data.rfind(b"\n"), data.rfind(b"\r")) + 1]
+
+
+def refuse_nothing(path: Path, plain: bytes | bytearray) -> None:
+    """Refuse an archive that holds nothing.
+
+    Raises
+    ------
+    InputError
+        If it does.
+    """
+    if not plain:
+        raise InputError(f"{path} is a gzip file with nothing in it; a header and two or more rows are needed.")
+
+
+def refuse_other_formats(path: Path, data: bytes) -> None:
+    """Refuse what is known to be no text.
+
+    Raises
+    ------
+    InputError
+        If it is; the sentence says what.
+    """
+    for magic, what in _OTHER_FORMATS:
+        if data.startswith(magic):
+            raise InputError(f"{path} is {what}; {READS} Export it as one of these.")
+
+
+def _recode(path: Path, data: bytes, codec: str) -> tuple[bytes, bytes]:
+    try:
+        text, rest = _decoded(data, codec)
+    except UnicodeError as cause:
+        raise damaged_text(path, codec, cause) from cause
+    plain = text.encode("utf-8")
+    refuse_binary(path, plain)
+    return plain, rest
+
+
+def damaged_text(path: Path, codec: str, cause: UnicodeError) -> InputError:
+    """Say that a text is not written as its byte-order mark promises."""
+    reason = getattr(cause, "reason", cause)
+    return InputError(f"{path} begins as {codec.upper()} text but is damaged ({reason}); save it again.")
+
+
+def refuse_nul(path: Path, data: bytes, lines: int = 0) -> None:
+    """Refuse a part of a text, below so many lines, if it holds a NUL byte.
+
+    Raises
+    ------
+    InputError
+        If it does.
+    """
+    if (at := data.find(b"\0")) >= 0:
+        line = lines + data.count(b"\n", 0, at) + 1
+        raise InputError(f"{path} is not text: there is a NUL byte in line {line}. {READS}")
+
+
+def refuse_binary(path: Path, data: bytes) -> None:
+    """Refuse what holds zeros or begins with unprintable bytes.
+
+    Raises
+    ------
+    InputError
+        If it does.
+    """
+    if b"\0" in data:
+        if data[:400:2].count(0) * 4 >= len(data[:400]) or data[1:400:2].count(0) * 4 >= len(data[:400]):
+            raise InputError(f"{path} looks like UTF-16 text without a byte-order mark; save it as UTF-8.")
+        refuse_nul(path, data)
+    head = data[:4096]
+    controls = len(head) - len(head.translate(None, _CONTROL))
+    if controls > len(head) // 100:
+        raise InputError(f"{path} is not text: it begins with unprintable bytes. {READS}")
+
+
+def _from_western(data: bytes) -> bytes:
+    try:
+        return data.decode("cp1252").encode("utf-8")
+    except UnicodeDecodeError:
+        return data.decode("latin-1").encode("utf-8")

@@ -1,0 +1,195 @@
+"""A text file too large to be held: its rows as UTF-8, in blocks, as often as asked."""
+
+from __future__ import annotations
+
+import codecs
+import re
+from collections.abc import Iterable, Iterator
+from itertools import islice
+from pathlib import Path
+from typing import IO, cast
+
+from becalm.errors import InputError
+from becalm.files.foreign import refuse_claim
+from becalm.files.text.text import (
+    BOMS,
+    CUT_ARCHIVE,
+    CUT_CHARACTER,
+    GZIP,
+    Gunzip,
+    damaged_text,
+    read_bytes,
+    refuse_binary,
+    refuse_nothing,
+    refuse_nul,
+    refuse_other_formats,
+    told,
+    without_open_line,
+)
+
+WHOLE_BYTES = 64 << 20
+"""Text files up to this size are held in memory."""
+
+BLOCK_BYTES = 16 << 20
+_LONGEST_BYTES = 256 << 20
+_PACKED = 8  # gzip makes tables of numbers smaller by less than this, mostly
+
+
+class OtherEncodingError(Exception):
+    """The text is not in the encoding that it was taken for; begin again."""
+
+
+def is_large(path: Path, head: bytes) -> bool:
+    """Tell whether a text file is better read in blocks."""
+    with told(path):
+        size = path.stat().st_size
+        if not head.startswith(GZIP):
+            return size > WHOLE_BYTES
+        with path.open("rb") as file:
+            file.seek(max(0, size - 4))
+            told_size = int.from_bytes(file.read(4), "little")  # of the last part, below 4 GB
+        if size * _PACKED > WHOLE_BYTES or told_size > WHOLE_BYTES:
+            return True
+        with Gunzip(path, "rb") as unpacked:
+            blocks = _blocks(cast(IO[bytes], unpacked))
+            return sum(len(block) for block in islice(blocks, WHOLE_BYTES // BLOCK_BYTES + 1)) > WHOLE_BYTES
+
+
+class TextFile:
+    """A text file, compressed or not, in any of the usual encodings.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Attributes
+    ----------
+    encoding : str
+        As in `TextLayout`; UTF-8 until it is found to be another.
+    compression : str
+        "gzip" or "".
+    cut : str
+        A sentence where it is found to end too early; "" before it was read to its end.
+
+    Raises
+    ------
+    InputError
+        If it is no text, now or while it is read.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self.compression = "gzip" if read_bytes(path, 2) == GZIP else ""
+        with told(path), self._open() as file:
+            head = file.read(4096)
+        if self.compression:
+            refuse_nothing(path, head)
+        refuse_other_formats(path, head)
+        self._mark, self._codec, self.encoding = b"", "utf-8", "utf-8"
+        self.cut = ""
+        for mark, codec, name in BOMS:
+            if head.startswith(mark):
+                self._mark, self._codec, self.encoding = mark, codec, name
+
+    def take_for_western(self) -> None:
+        """Read it as a text of before Unicode from now on."""
+        self._codec = "latin-1" if self._codec == "cp1252" else "cp1252"
+        self.encoding = "cp1252"
+
+    def lines(self) -> Iterator[bytes]:
+        """Give the text as UTF-8 without a byte-order mark, in blocks of whole lines.
+
+        Only the last line may have no line end, where it is not known to be cut.
+
+        Raises
+        ------
+        OtherEncodingError
+            If it is in another encoding: call `take_for_western` and begin again.
+        InputError
+            If it is damaged, or a line does not end.
+        """
+        rest = b""
+        for block in self._blocks():
+            held = rest + block
+            end = held.rfind(b"\n") + 1 or held.rfind(b"\r", 0, len(held) - 1) + 1
+            if end:
+                yield held[:end]
+            rest = held[end:]
+            if len(rest) > _LONGEST_BYTES:
+                raise InputError(
+                    f"{self._path} has a line of over {_LONGEST_BYTES >> 20} MB; a table has shorter ones."
+                )
+        if self.cut:
+            rest = without_open_line(rest)
+        if rest:
+            yield rest
+
+    def _blocks(self) -> Iterator[bytes]:
+        decoder = codecs.getincrementaldecoder(self._codec)()
+        lines = count = 0
+        certain, rest = self._mark != b"", b""
+        size = self._path.stat().st_size
+        with told(self._path), self._open() as file:
+            file.read(len(self._mark))
+            for data in _blocks(file):
+                count += len(data)
+                refuse_claim(self._path, count, size)
+                block = self._as_utf8(decoder, data)
+                if lines:
+                    refuse_nul(self._path, block, lines)
+                else:
+                    refuse_binary(self._path, block)
+                lines += block.count(b"\n")
+                rest = decoder.getstate()[0]
+                certain = certain or not block[: max(0, len(block) - len(rest))].isascii()
+                yield block
+            archive_cut = isinstance(file, Gunzip) and file.cut
+        if rest and not (certain or archive_cut):  # only its last bytes are none of ASCII
+            raise OtherEncodingError
+        self.cut = CUT_ARCHIVE if archive_cut else CUT_CHARACTER if rest else ""
+
+    def _as_utf8(self, decoder: codecs.IncrementalDecoder, data: bytes) -> bytes:
+        if self._codec == "utf-8" and data.isascii() and not decoder.getstate()[0]:
+            return data
+        try:
+            text = decoder.decode(data)
+        except UnicodeError as cause:
+            if self._mark:
+                raise damaged_text(self._path, self._codec, cause) from cause
+            raise OtherEncodingError from cause
+        return data if self._codec == "utf-8" else text.encode("utf-8")
+
+    def _open(self) -> IO[bytes]:
+        return cast(IO[bytes], Gunzip(self._path, "rb")) if self.compression else self._path.open("rb")
+
+
+def _blocks(file: IO[bytes]) -> Iterator[bytes]:
+    return iter(lambda: file.read(BLOCK_BYTES), b"")
+
+
+def rows_of_text(blocks: Iterable[bytes], separator: str) -> Iterator[bytes]:
+    """Leave out blank lines at the end, and join runs of spaces where they separate.
+
+    Parameters
+    ----------
+    blocks : iterable of bytes
+        Whole lines of data.
+    separator : str
+        As in `Dialect`.
+    """
+    blank = b" \r\n\x1a" if separator == "\t" else b" \t\r\n\x1a"
+    held = b""
+    for own in blocks:
+        if held.strip(blank) and own.strip(blank):
+            yield _joined_spaces(held, separator)
+            held = b""
+        held += own
+    yield _joined_spaces(held.rstrip(blank), separator) + b"\n"
+
+
+def _joined_spaces(block: bytes, separator: str) -> bytes:
+    if separator != " ":
+        return block
+    block = re.sub(rb"(?m)^[ \t]+|[ \t]+(?=\r?$)", b"", block)
+    return re.sub(rb"[ \t]+", b" ", block)

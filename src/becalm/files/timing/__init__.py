@@ -1,0 +1,1 @@
+"""When rows were: the time column, what it says, and what loggers did to it."""

@@ -1,0 +1,280 @@
+"""Dates and times of day as text, read without being told the pattern."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from becalm.core.arrays import Booleans, Integers
+from becalm.errors import TimeError
+
+DATE_TIME, DATE, TIME_OF_DAY = "date-time", "date", "time of day"
+YEAR_FIRST, DAY_FIRST, MONTH_FIRST, MIXED = "year first", "day first", "month first", "mixed"
+
+_SECOND = 1_000_000_000
+DAY_NS = 86_400 * _SECOND
+_MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
+
+_DATE = r"(?P<a>[0-9]{1,4})(?P<mark>[-/.])(?P<b>[0-9]{1,2}|[A-Za-z]{3})[-/.](?P<c>[0-9]{1,4})"
+_CLOCK = r"(?P<h>[0-9]{1,2}):(?P<m>[0-9]{2})(?::(?P<s>[0-9]{2})(?:[.,:](?P<f>[0-9]{1,9}))?)?"
+_AFTER = r"\s*(?P<half>[AaPp]\.?[Mm]\.?)?\s*(?P<zone>Z|UTC|GMT|[+-][0-9]{2}:?[0-9]{2}|[+-][0-9]{2})?"
+_PATTERN = rf"^\s*(?:{_DATE})?[T ,;]*(?:{_CLOCK}{_AFTER})?\s*$"
+_COMPILED = re.compile(_PATTERN)
+
+
+@dataclass(frozen=True)
+class Instants:
+    """Times read from text.
+
+    Attributes
+    ----------
+    kind : str
+        "date-time", "date" or "time of day".
+    ns : (N,) int64 array
+        Nanoseconds since 1970 (UTC where a zone is given), or since the first midnight.
+    missing : (N,) bool array
+        Where a cell is empty.
+    zoned : bool
+        Whether the cells give a time zone.
+    """
+
+    kind: str
+    ns: Integers
+    missing: Booleans
+    zoned: bool = False
+
+    def cut(self, start: int, stop: int | None) -> Instants:
+        """Return some of the rows."""
+        return Instants(self.kind, self.ns[start:stop], self.missing[start:stop], self.zoned)
+
+
+def kind_of_text(column: pa.ChunkedArray) -> str:
+    """Tell by the most of its first cells whether a column of text holds times; "" if not."""
+    some = [cell for cell in column.slice(0, 200).to_pylist() if cell and cell.strip()][:50]
+    kinds = Counter(_kind_of_cell(cell) for cell in some)
+    kind, count = kinds.most_common(1)[0] if kinds else ("", 0)
+    return kind if 2 * count > len(some) else ""
+
+
+def _kind_of_cell(cell: str) -> str:
+    found = _COMPILED.match(cell)
+    if not found:
+        return ""
+    if found["a"] is None:
+        return TIME_OF_DAY if found["h"] is not None else ""
+    return DATE_TIME if found["h"] is not None else DATE
+
+
+class Reader:
+    """Reads a column of dates, times of day, or both, block by block.
+
+    Parameters
+    ----------
+    name : str
+        The column, for messages.
+    kind : str
+        What its first cells hold.
+    column : callable
+        Gives the column in blocks; called for each pass.
+
+    Raises
+    ------
+    TimeError
+        If a cell is no time, now or while the blocks are read, or day and month cannot be told apart.
+    """
+
+    def __init__(self, name: str, kind: str, column: Callable[[], Iterable[pa.ChunkedArray]]) -> None:
+        self._name, self._kind, self._column = name, kind, column
+        self._order = YEAR_FIRST if kind == TIME_OF_DAY or _all_years_first(column()) else ""
+        if not self._order:
+            dates = _Dates()
+            for block in column():
+                dates.add(*_parts(block)[1:])
+            self._order = dates.order(name)
+
+    def blocks(self) -> Iterator[Instants]:
+        """Read the column."""
+        midnights, row = Midnights(), 0
+        for block in self._column():
+            text, parts, missing = _parts(block)
+            broken = ~missing & np.asarray(pc.is_null(parts))
+            ns = np.zeros(len(text), np.int64)
+            zones = _field(parts, "zone")
+            if self._kind != TIME_OF_DAY:
+                days, wrong = _days(parts, ~missing & ~broken, self._order)
+                ns += days * DAY_NS
+                broken |= wrong & ~missing
+            if self._kind != DATE:
+                clock, wrong = _time_of_day(parts)
+                ns += clock - _zone_ns(zones)
+                broken |= wrong & ~missing
+            if broken.any():
+                at = int(np.flatnonzero(broken)[0])
+                raise TimeError(
+                    f"Row {row + at + 1} of the time column {self._name!r} holds {text[at].as_py()!r}, which is not a"
+                    f" {self._kind} as the rows before it. Mend the cell, name another column with --time, or count"
+                    " rows with --rate HZ."
+                )
+            if self._kind == TIME_OF_DAY:
+                ns = midnights.passed(ns, missing)
+            row += len(text)
+            yield Instants(self._kind, ns, missing, bool(pc.any(pc.not_equal(zones, "")).as_py()))
+
+
+def _parts(block: pa.ChunkedArray) -> tuple[pa.Array, pa.Array, Booleans]:
+    """Take the cells apart; also the cells, and where they are empty."""
+    text = block.combine_chunks().cast(pa.string())
+    missing = np.asarray(pc.fill_null(pc.equal(pc.utf8_trim_whitespace(text), ""), True))
+    return text, pc.extract_regex(text, _PATTERN), missing
+
+
+def _all_years_first(column: Iterable[pa.ChunkedArray]) -> bool:
+    """Tell whether all dates begin with a year of four digits, as nearly all do."""
+    for block in column:
+        first = pc.or_(pc.match_substring_regex(block, r"^\s*[0-9]{4}[-/.]"), pc.match_substring_regex(block, r"^\s*$"))
+        if not pc.all(first, min_count=0).as_py():
+            return False
+    return True
+
+
+def _field(parts: pa.Array, name: str) -> pa.Array:
+    return pc.fill_null(pc.struct_field(parts, name), "")
+
+
+def _whole(text: pa.Array, empty: int = 0) -> Integers:
+    """Read whole numbers; `empty` where there is none."""
+    filled = pc.if_else(pc.equal(text, ""), str(empty), text)
+    return np.asarray(filled.cast(pa.int64()))
+
+
+class _Dates:
+    """What all dates of a column say about the order of day, month and year."""
+
+    def __init__(self) -> None:
+        self._some = self._named = self._day_wrong = self._month_wrong = False
+        self._first_years = self._last_years = self._halves = False
+        self._same = True
+        self._mark = ""
+        self._last: int | None = None
+
+    def add(self, parts: pa.Array, missing: Booleans) -> None:
+        """Look at the next dates."""
+        present = ~missing & ~np.asarray(pc.is_null(parts))
+        year_first = np.asarray(pc.utf8_length(_field(parts, "a"))) == 4
+        self._mark = self._mark or next((mark for mark in _field(parts, "mark").to_pylist() if mark), "")
+        self._halves = self._halves or bool(pc.any(pc.not_equal(_field(parts, "half"), "")).as_py())
+        self._named = self._named or _month_numbers(_field(parts, "b"))[1]
+        self._first_years = self._first_years or bool(year_first[present].any())
+        self._last_years = self._last_years or not year_first[present].all()
+        if not present.any() or self._first_years:
+            return
+        (days, day_wrong), (months, month_wrong) = (_days(parts, present, order) for order in (DAY_FIRST, MONTH_FIRST))
+        self._day_wrong = self._day_wrong or bool(day_wrong[present].any())
+        self._month_wrong = self._month_wrong or bool(month_wrong[present].any())
+        apart = days[present] - months[present]
+        last = int(apart[0]) if self._last is None else self._last
+        self._same = self._same and bool(np.all(apart == last))
+        self._last = last
+
+    def order(self, name: str) -> str:
+        """Decide the order."""
+        if self._first_years:
+            return MIXED if self._last_years else YEAR_FIRST
+        if self._named or not self._day_wrong:
+            if self._named or self._month_wrong or self._mark == "." or self._same:
+                return DAY_FIRST
+            if self._halves:  # AM and PM are written where the month comes first
+                return MONTH_FIRST
+            raise TimeError(
+                f"The dates in {name!r} can be read day first or month first, and the two differ. "
+                "Write them as YYYY-MM-DD, name another column with --time, or count rows with --rate HZ."
+            )
+        return DAY_FIRST if self._month_wrong else MONTH_FIRST
+
+
+def _days(parts: pa.Array, present: Booleans, order: str) -> tuple[Integers, Booleans]:
+    """Days since 1970 and where the date does not exist."""
+    first, last = _field(parts, "a"), _field(parts, "c")
+    if not present.any():
+        return np.zeros(len(first), np.int64), ~present
+    if order == MIXED:
+        return np.zeros(len(first), np.int64), np.asarray(pc.utf8_length(first)) == 4
+    a, b, c = _whole(first), _whole(_month_numbers(_field(parts, "b"))[0]), _whole(last)
+    if order == YEAR_FIRST:
+        return _civil(a, b, c)
+    c = np.where(c < 100, c + 2000, c)
+    return _civil(c, b, a) if order == DAY_FIRST else _civil(c, a, b)
+
+
+def _month_numbers(middle: pa.Array) -> tuple[pa.Array, bool]:
+    lower = pc.utf8_lower(middle)
+    if not pc.any(pc.match_substring_regex(lower, "[a-z]")).as_py():
+        return middle, False
+    for number, month in enumerate(_MONTHS, start=1):
+        lower = pc.if_else(pc.equal(lower, month), str(number), lower)
+    known = pc.match_substring_regex(lower, "^[0-9]*$")
+    return pc.if_else(known, lower, "0"), True
+
+
+def _civil(year: Integers, month: Integers, day: Integers) -> tuple[Integers, Booleans]:
+    """Days since 1970 of calendar dates, and where there is no such date."""
+    wrong = (month < 1) | (month > 12) | (day < 1) | (day > 31) | (year < 1700) | (year > 2200)
+    safe_year, safe_month = np.where(wrong, 1970, year), np.where(wrong, 1, month)
+    months = (safe_year - 1970).astype("datetime64[Y]").astype("datetime64[M]") + (safe_month - 1)
+    dates = months.astype("datetime64[D]") + (np.where(wrong, 1, day) - 1)
+    wrong |= dates.astype("datetime64[M]") != months
+    return dates.astype(np.int64), wrong
+
+
+def _time_of_day(parts: pa.Array) -> tuple[Integers, Booleans]:
+    """Nanoseconds since midnight, and where there is no such time."""
+    hour, minute, second = (_whole(_field(parts, part), -1) for part in "hms")
+    second = np.where(second == -1, 0, second)
+    wrong = (hour < 0) | (hour > 23) | (minute < 0) | (minute > 59) | (second > 60)
+    half = pc.utf8_lower(pc.utf8_slice_codeunits(_field(parts, "half"), 0, 1))
+    afternoon, morning = np.asarray(pc.equal(half, "p")), np.asarray(pc.equal(half, "a"))
+    wrong |= (afternoon | morning) & ((hour > 12) | (hour < 1))
+    hour = np.where(afternoon | morning, hour % 12, hour) + 12 * afternoon
+    fraction = _whole(pc.utf8_rpad(_field(parts, "f"), 9, "0"))
+    return ((hour * 60 + minute) * 60 + second) * _SECOND + fraction, wrong
+
+
+def _zone_ns(zones: pa.Array) -> Integers:
+    """How far each cell's zone is ahead of UTC, in nanoseconds."""
+    coded = zones.dictionary_encode()
+    ahead = np.array([_offset_ns(zone) for zone in coded.dictionary.to_pylist()] or [0], np.int64)
+    return np.asarray(ahead[np.asarray(coded.indices)])
+
+
+def _offset_ns(zone: str) -> int:
+    if zone[:1] not in ("+", "-"):
+        return 0
+    digits = zone[1:].replace(":", "").ljust(4, "0")
+    minutes = int(digits[:2]) * 60 + int(digits[2:])
+    return (-minutes if zone[0] == "-" else minutes) * 60 * _SECOND
+
+
+class Midnights:
+    """Adds a day wherever the clock jumps back by more than half a day."""
+
+    def __init__(self) -> None:
+        self._last: int | None = None
+        self._days = 0
+
+    def passed(self, ns: Integers, missing: Booleans) -> Integers:
+        """Return the next times of day, in nanoseconds since the first midnight."""
+        known = np.flatnonzero(~missing)
+        if not len(known):
+            return ns
+        out = ns.copy()
+        before = ns[known[0]] if self._last is None else self._last
+        days = self._days + np.cumsum(np.diff(ns[known], prepend=before) < -DAY_NS // 2)
+        out[known] += days * DAY_NS
+        self._last, self._days = int(ns[known[-1]]), int(days[-1])
+        return out

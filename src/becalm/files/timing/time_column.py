@@ -1,0 +1,182 @@
+"""Which column is the time."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pyarrow as pa
+
+from becalm.core.arrays import Floats
+from becalm.errors import InputError, UsageError
+from becalm.files.asked import Asker
+from becalm.files.numbers import Numbers
+from becalm.files.source import RawTable
+from becalm.files.text.bad_cells import bad_cell, find_bad_cells, meant_as_numbers
+from becalm.files.timing import clock
+from becalm.files.units import parse_header
+
+_NAMES = re.compile(
+    r"time|times|t|timestamp|timestamps|datetime|date|dateandtime|datetimeutc|clock|elapsed|"
+    r"elapsedtime|timeelapsed|relativetime|timerelative|reltime|abstime|absolutetime|systime|"
+    r"systemtime|sampletime|runtime|uptime|epoch|unixtime|unix|utc|timeutc|utctime|localtime|"
+    r"loggertime|gpstime|sec|secs|second|seconds|millis|micros|zeit|zeitstempel|datum|uhrzeit|"
+    r"datumuhrzeit|datumzeit|messzeit|temps|horodatage|heure|dateheure|tempo|ora|dataora|hora|fecha|"
+    r"fechahora|tiempo|tijd|tid|tijdstip|czas"
+)
+_LIKE = re.compile(r"^(?:time|timestamp|elapsed|zeit)(?:since|stamp|from|utc|local|abs|rel|seit|\d)\w*$")
+_UNITS_OF_TIME = ("s", "ms", "us", "ns", "min", "h", "-", "1")
+_NEARLY_EVEN = 0.5
+COUNT = "or give --rate HZ to count rows at a known rate"
+"""The end of every sentence about a time that cannot be used."""
+
+TIME_OPTION = Asker("--time")
+
+NUMBERS, TEMPORAL, NO_TIME = "numbers", "temporal", ""
+
+
+def kind_of_column(column: pa.ChunkedArray) -> str:
+    """Tell how a column could serve as time: "numbers", "temporal", a kind of text, or "" for not at all."""
+    kind = column.type
+    if pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind):
+        return NUMBERS
+    if pa.types.is_timestamp(kind) or pa.types.is_duration(kind) or pa.types.is_time(kind) or pa.types.is_date(kind):
+        return TEMPORAL
+    if pa.types.is_string(kind) or pa.types.is_large_string(kind):
+        return clock.kind_of_text(column)
+    return NO_TIME
+
+
+def is_time_name(header: str) -> bool:
+    """Tell whether a header says time, in one of the usual languages."""
+    bare, unit = parse_header(header)
+    if unit and unit not in _UNITS_OF_TIME:
+        return False
+    plain = re.sub(r"[\W_]+", "", bare.rpartition(".")[2].lower())
+    return _NAMES.fullmatch(plain) is not None or _LIKE.match(plain) is not None
+
+
+def numbers(column: pa.ChunkedArray) -> Floats:
+    """Return a numeric column as float64, NaN where a cell is missing; the file's own memory where it can be."""
+    if pa.types.is_float16(column.type):
+        column = column.cast(pa.float32())
+    column = column.cast(pa.float64(), safe=False)
+    values = column.chunk(0).to_numpy(zero_copy_only=False) if column.num_chunks == 1 else column.to_numpy()
+    return np.asarray(values, np.float64)
+
+
+def find_time(raw: RawTable) -> list[tuple[str, ...]]:
+    """List what could be the time: each entry is a column, or a date and a time of day together."""
+    kinds = {name: kind_of_column(raw.head.column(name)) for name in raw.names}
+    named = [name for name, kind in kinds.items() if kind and is_time_name(name)]
+    if not named:
+        named = [n for n, k in kinds.items() if k in (clock.DATE_TIME, clock.DATE, clock.TIME_OF_DAY, TEMPORAL)]
+    dates = [name for name in named if kinds[name] == clock.DATE]
+    times = [name for name in named if kinds[name] == clock.TIME_OF_DAY]
+    if len(dates) == len(times) == 1:
+        rest: list[tuple[str, ...]] = [(name,) for name in named if name not in (*dates, *times)]
+        return [(dates[0], times[0]), *rest]
+    found: list[tuple[str, ...]] = [(name,) for name in named if kinds[name] != clock.DATE] or [
+        (name,) for name in named
+    ]
+    found = found or ([] if spoilt_times(raw) else _first_column(raw, kinds))
+    return found + [(name,) for name in _namesakes(raw, found, kinds)]
+
+
+def _namesakes(raw: RawTable, found: list[tuple[str, ...]], kinds: dict[str, str]) -> list[str]:
+    """List columns that the file calls as it calls the time, and that tell another one: `X [s]` for each sensor."""
+    if len(found) != 1 or kinds[found[0][0]] != NUMBERS:
+        return []
+    first = found[0][0]
+    alike = [name for name in raw.names if name.startswith(f"{first}_") and name[len(first) + 1 :].isdecimal()]
+    return [name for name in alike if kinds[name] == NUMBERS and not _same(raw, first, name)]
+
+
+def _same(raw: RawTable, one: str, other: str) -> bool:
+    pairs = zip(raw.column(one), raw.column(other), strict=True)
+    return all(np.array_equal(numbers(first), numbers(second), equal_nan=True) for first, second in pairs)
+
+
+def spoilt_times(raw: RawTable) -> list[str]:
+    """List columns that are called time and would be, but for cells that are no numbers."""
+    return [name for name in raw.names if is_time_name(name) and _is_spoilt(raw, name)]
+
+
+def _is_spoilt(raw: RawTable, name: str) -> bool:
+    return not kind_of_column(raw.head.column(name)) and meant_as_numbers(raw, name)
+
+
+def spoilt(raw: RawTable, name: str) -> InputError:
+    """Name the first cell of a time column that is no number."""
+    return bad_cell(raw, name, find_bad_cells(raw, name), f", name another time column with --time, {COUNT}")
+
+
+def _first_column(raw: RawTable, kinds: dict[str, str]) -> list[tuple[str, ...]]:
+    name = raw.names[0]
+    if kinds[name] != NUMBERS or len(raw.names) < 2:
+        return []
+    seen = Numbers(raw.count)
+    for column in raw.column(name):
+        seen.add(numbers(column))
+        if not seen.rises:
+            return []
+    steps = seen.steps
+    if not len(steps):
+        return []
+    median = np.median(steps)
+    even = np.mean(np.abs(steps - median) <= _NEARLY_EVEN * median)
+    return [(name,)] if even >= 0.9 else []
+
+
+def choose_time(raw: RawTable, found: list[tuple[str, ...]], asked: str | None) -> tuple[str, ...]:
+    """Return the time column, or the date and the time of day.
+
+    Parameters
+    ----------
+    raw : RawTable
+        The file.
+    found : list of tuple of str
+        What `find_time` found in it.
+    asked : str, optional
+        The column that a person named.
+
+    Raises
+    ------
+    UsageError
+        If `asked` is not a column.
+    InputError
+        If there is no time, or more than one, or a cell of it is no number.
+    """
+    if asked is not None:
+        return (named_column(raw, asked, TIME_OPTION),)
+    if not found:
+        for name in spoilt_times(raw):
+            raise spoilt(raw, name)
+        raise InputError(
+            "There is no time column (none is called time, and the first does not rise evenly)."
+            " Name it with --time COLUMN, " + COUNT + "."
+        )
+    if len(found) > 1:
+        listed = " or ".join(f"--time {columns[-1]!r}" for columns in found)
+        raise InputError(f"{len(found)} columns could be the time; choose one with {listed}, {COUNT}.")
+    return found[0]
+
+
+def named_column(raw: RawTable, asked: str, asker: Asker) -> str:
+    """Find a column by its header, or by its header without the unit.
+
+    Raises
+    ------
+    UsageError
+        If there is none, or more than one.
+    """
+    names = raw.names
+    if asked in names:
+        return asked
+    bare = [name for name in names if parse_header(name)[0] == asked.strip() or name.strip() == asked.strip()]
+    if len(bare) == 1:
+        return bare[0]
+    if bare:
+        raise UsageError(f"{asker.name} {asked!r} fits {', '.join(map(repr, bare))}; write one of these in full.")
+    listed = ", ".join(map(repr, names[:20])) + (f" and {len(names) - 20} more" if len(names) > 20 else "")
+    raise UsageError(f"{asker.name} names {asked!r}, which is not a column; there are {listed}.{asker.way_out}")

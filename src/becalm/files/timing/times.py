@@ -1,0 +1,271 @@
+"""The seconds in a time column: numbers with a unit, counts since 1970, dates, times of day."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from becalm.core.arrays import Booleans, Floats, Integers
+from becalm.errors import TimeError
+from becalm.files.numbers import Numbers
+from becalm.files.rows import Spool
+from becalm.files.source import RawTable, TimeLayout
+from becalm.files.text.bad_cells import meant_as_numbers
+from becalm.files.timing import clock
+from becalm.files.timing.time_column import COUNT, NUMBERS, TEMPORAL, kind_of_column, numbers, spoilt
+from becalm.files.timing.time_mending import on_one_clock, without_wraps
+from becalm.files.units import parse_header
+
+PER_SECOND = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
+SECONDS = {"min": 60.0, "h": 3600.0}
+
+_DAY_COUNTS = ((2.5e4, 7.5e4), (6.9e5, 7.7e5))  # Excel, MATLAB: years 1968 to 2105, 1889 to 2108
+_TEN_SECONDS = 10.0 / 86_400.0
+_IMPLIED = {"millis": "ms", "micros": "us", "sec": "s", "secs": "s", "second": "s", "seconds": "s"}
+_EPOCHS = (("s", 9.4e8, 4.2e9), ("ms", 9.4e11, 4.2e12), ("us", 9.4e14, 4.2e15), ("ns", 9.4e17, 4.2e18))
+
+
+class Stamps:
+    """The time of every row in seconds, NaN where it is missing.
+
+    Parameters
+    ----------
+    spool : Spool
+        Numbers as in the file.
+    in_seconds : callable
+        Makes seconds of them.
+    """
+
+    def __init__(self, spool: Spool, in_seconds: Callable[[Any], Floats] = np.asarray) -> None:
+        self._spool, self._in_seconds = spool, in_seconds
+        self.count = spool.count
+        self.close = spool.close
+
+    def read(self, start: int, stop: int) -> Floats:
+        """Return the seconds of the rows from `start` up to `stop`."""
+        return self._in_seconds(self._spool.read(start, stop))
+
+    def blocks(self) -> Iterator[Floats]:
+        """Give the seconds of all rows in small blocks."""
+        return map(self._in_seconds, self._spool.blocks())
+
+
+def read_time(raw: RawTable, columns: tuple[str, ...], as_written: bool = False) -> tuple[Stamps, TimeLayout]:
+    """Read the time in seconds: as in the file, or since the first row where the file gives dates.
+
+    Wraps of counters are undone, and hours of summer time too, unless stamps are to stay as written.
+
+    Raises
+    ------
+    TimeError
+        If the cells are not times, or their unit cannot be known.
+    """
+    stamps, layout = _as_written(raw, columns)
+    if as_written or layout.kind != clock.DATE_TIME or not layout.start or layout.start.endswith("Z"):
+        return stamps, layout
+    mended, layout = on_one_clock(stamps, layout)
+    if mended is None:
+        return stamps, layout
+    stamps.close()
+    return Stamps(mended), layout
+
+
+def _as_written(raw: RawTable, columns: tuple[str, ...]) -> tuple[Stamps, TimeLayout]:
+    if len(columns) == 2:
+        return _written(raw, columns, clock.DATE_TIME, _date_and_time(raw, *columns))
+    name = columns[0]
+    kind = kind_of_column(raw.head.column(name))
+    if kind == NUMBERS:
+        return _numeric(raw, name)
+    if kind == TEMPORAL:
+        return _temporal(raw, name)
+    if not kind:
+        if meant_as_numbers(raw, name):
+            raise spoilt(raw, name)
+        raise TimeError(f"The column {name!r} does not hold times; name another with --time, {COUNT}.")
+    return _written(raw, columns, kind, _reader(raw, name, kind).blocks())
+
+
+def _reader(raw: RawTable, name: str, kind: str) -> clock.Reader:
+    return clock.Reader(name, kind, lambda: raw.column(name))
+
+
+def _date_and_time(raw: RawTable, date: str, time: str) -> Iterator[clock.Instants]:
+    dates, times = _reader(raw, date, clock.DATE).blocks(), _reader(raw, time, clock.TIME_OF_DAY).blocks()
+    for day, of_day in _in_step(dates, times):
+        ns, missing = day.ns + of_day.ns % clock.DAY_NS, day.missing | of_day.missing
+        yield clock.Instants(clock.DATE_TIME, ns, missing, of_day.zoned)
+
+
+def _in_step(
+    first: Iterator[clock.Instants], second: Iterator[clock.Instants]
+) -> Iterator[tuple[clock.Instants, clock.Instants]]:
+    """Pair blocks of two columns; each is cut where either ends."""
+    one, other = next(first, None), next(second, None)
+    while one is not None and other is not None:
+        count = min(len(one.ns), len(other.ns))
+        yield one.cut(0, count), other.cut(0, count)
+        one = one.cut(count, None) if len(one.ns) > count else next(first, None)
+        other = other.cut(count, None) if len(other.ns) > count else next(second, None)
+
+
+def _written(
+    raw: RawTable, columns: tuple[str, ...], kind: str, blocks: Iterator[clock.Instants]
+) -> tuple[Stamps, TimeLayout]:
+    since, zoned = _SinceFirst(1e9), False
+
+    def seconds() -> Iterator[Floats]:
+        nonlocal zoned
+        for block in blocks:
+            zoned = zoned or block.zoned
+            yield since.seconds(block.ns, block.missing)
+
+    stamps = Stamps(Spool(seconds(), raw.count))
+    dated = kind != clock.TIME_OF_DAY and since.first is not None
+    start = str(np.datetime64(since.first, "ns")) + ("Z" if zoned else "") if dated else ""
+    return stamps, TimeLayout(columns, kind, "", start)
+
+
+class _SinceFirst:
+    """Seconds since the first tick that is not missing."""
+
+    def __init__(self, per_second: float) -> None:
+        self._per_second = per_second
+        self.first: int | None = None
+
+    def seconds(self, ticks: Integers, missing: Booleans) -> Floats:
+        if self.first is None and not missing.all():
+            self.first = int(ticks[np.flatnonzero(~missing)[0]])
+        seconds: Floats = (ticks - (self.first or 0)) / self._per_second
+        seconds[missing] = np.nan
+        return seconds
+
+
+def _temporal(raw: RawTable, name: str) -> tuple[Stamps, TimeLayout]:
+    kind = raw.type_of(name)
+    unit = "ms" if pa.types.is_date(kind) else kind.unit
+    since, midnights = _SinceFirst(PER_SECOND[unit]), clock.Midnights()
+    if pa.types.is_time(kind):
+        since = _SinceFirst(1e9)
+    elif pa.types.is_duration(kind):
+        since.first = 0
+
+    def seconds() -> Iterator[Floats]:
+        for column in raw.column(name):
+            ticks, missing = _ticks(column)
+            if pa.types.is_time(kind):
+                ticks = midnights.passed(ticks * (10**9 // int(PER_SECOND[unit])), missing)
+            yield since.seconds(ticks, missing)
+
+    stamps = Stamps(Spool(seconds(), raw.count))
+    if pa.types.is_duration(kind):
+        return stamps, TimeLayout((name,), "duration", unit)
+    if pa.types.is_time(kind):
+        return stamps, TimeLayout((name,), clock.TIME_OF_DAY)
+    zoned = "Z" if getattr(kind, "tz", None) else ""
+    return stamps, TimeLayout(
+        (name,), clock.DATE_TIME, "", str(np.int64(since.first or 0).astype(f"datetime64[{unit}]")) + zoned
+    )
+
+
+def _ticks(column: pa.ChunkedArray) -> tuple[Integers, Booleans]:
+    missing = np.asarray(column.is_null().to_numpy())
+    if pa.types.is_date(column.type):
+        column = column.cast(pa.timestamp("ms"))
+    ticks = column.cast(pa.int32() if pa.types.is_time32(column.type) else pa.int64())
+    return np.asarray(pc.fill_null(ticks, 0).to_numpy()).astype(np.int64), missing
+
+
+def _numeric(raw: RawTable, name: str) -> tuple[Stamps, TimeLayout]:
+    bare, unit = parse_header(name)
+    unit = raw.units.get(name, "") or unit or _IMPLIED.get(bare.lower(), "")
+    seen = Numbers(raw.count)
+    exact = pa.types.is_integer(raw.type_of(name)) and not any(column.null_count for column in raw.column(name))
+    notes: tuple[str, ...] = ()
+    spool = Spool(_as_they_are(raw, name, seen, exact), raw.count)
+    if seen.falls:
+        spool, notes = without_wraps(name, spool)
+        seen = _seen(spool) if notes else seen
+    epoch = _epoch(seen, unit)
+    if epoch:
+        start = str(np.datetime64(int(seen.first_known / PER_SECOND[epoch] * 1e6), "us")) + "Z"
+        return Stamps(spool, _epoch_seconds(spool, seen, epoch, exact)), TimeLayout(
+            (name,), "epoch", epoch, start, notes
+        )
+    if unit in PER_SECOND:
+        return Stamps(spool, lambda values: values / PER_SECOND[unit]), TimeLayout(
+            (name,), "numbers", unit, notes=notes
+        )
+    if unit in SECONDS:
+        return Stamps(spool, lambda values: values * SECONDS[unit]), TimeLayout((name,), "numbers", unit, notes=notes)
+    try:
+        _refuse_unknown_unit(name, seen)
+    except TimeError:
+        spool.close()
+        raise
+    return Stamps(spool, lambda values: np.asarray(values, np.float64)), TimeLayout(
+        (name,), "numbers", "s", notes=notes
+    )
+
+
+def _seen(spool: Spool) -> Numbers:
+    seen = Numbers(spool.count)
+    for block in spool.blocks():
+        seen.add(np.asarray(block, np.float64))
+    return seen
+
+
+def _as_they_are(raw: RawTable, name: str, seen: Numbers, exact: bool) -> Iterator[Floats | Integers]:
+    """Look at each block on its way to the spool."""
+    for column in raw.column(name):
+        if pa.types.is_float32(column.type):
+            column = column.cast(pa.string())  # its shortest decimals: 0.01, not 0.009999999776
+        values = numbers(column)
+        if not np.isfinite(values).all():
+            values = np.where(np.isfinite(values), values, np.nan)
+        seen.add(values)
+        yield np.asarray(column.to_numpy()).astype(np.int64) if exact else values
+
+
+def _epoch(seen: Numbers, unit: str) -> str:
+    """Return the unit of a count since 1970, "" if the numbers are none."""
+    moved = seen.steps
+    if not len(moved):
+        return ""
+    middle, step = float(np.median(seen.values)), abs(float(np.median(moved)))
+    for name, low, high in _EPOCHS:
+        if low <= middle <= high and unit in ("", name):
+            return name if step <= 3600.0 * PER_SECOND[name] else ""
+    return ""
+
+
+def _epoch_seconds(spool: Spool, seen: Numbers, unit: str, exact: bool) -> Callable[[Any], Floats]:
+    per_second = PER_SECOND[unit]
+    if exact:
+        first = spool.read(0, 1)[0]
+        return lambda ticks: np.asarray((ticks - first) / per_second, np.float64)
+    return lambda values: np.round((values - seen.first_known) / per_second, 6)  # an epoch in float64 holds no more
+
+
+def _refuse_unknown_unit(name: str, seen: Numbers) -> None:
+    if seen.counts:
+        raise TimeError(f"The time column {name!r} only counts rows, so the rate is unknown; give it with --rate HZ.")
+    steps = seen.steps
+    if not len(steps) or seen.falls or not (np.median(steps) > 0):
+        return  # the time base says what is wrong with it
+    median = float(np.median(steps))
+    first = seen.first
+    if any(low <= first <= high for low, high in _DAY_COUNTS) and 0.0 < median < _TEN_SECONDS:
+        raise TimeError(
+            f"The time column {name!r} has no unit and looks like days (an Excel or MATLAB date: {first:.6f})."
+            f" Write it as YYYY-MM-DD hh:mm:ss.fff, or name it '{name} (s)' if it is seconds, {COUNT}."
+        )
+    if not 0.0 < median < 1.0 or seen.whole:
+        raise TimeError(
+            f"The time column {name!r} has no unit and steps of {median:.6g}: seconds, milliseconds or ticks?"
+            f" Put the unit in its name (as in '{name} (ms)'), {COUNT}."
+        )

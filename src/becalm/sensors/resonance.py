@@ -1,0 +1,97 @@
+"""What a spring, a mass and a damper make of acceleration: every sensor with a proof mass is one.
+
+The mass lags its case by dx = (m/k) a at low frequencies, rings near sqrt(k/m) / 2 pi, and hears nothing far above.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from becalm.core.arrays import Floats
+from becalm.errors import SensorError
+from becalm.sensors.checks import positive
+
+_WHOLE = 100.0  # percent
+
+
+@dataclass(frozen=True)
+class Resonance:
+    """A sensor of the second order.
+
+    Attributes
+    ----------
+    natural_hz : float
+        f_N, where it would ring without damping.
+    damping_ratio : float
+        zeta: 1 is critical, 0.7 flattest, under 0.05 that of most piezo sensors.
+
+    Raises
+    ------
+    SensorError
+        If the frequency is not positive, or the damping negative.
+    """
+
+    natural_hz: float
+    damping_ratio: float
+
+    def __post_init__(self) -> None:
+        """Check what came."""
+        positive("natural_hz", self.natural_hz, "5000.0")
+        positive("damping_ratio", self.damping_ratio, "0.7", zero=True)
+
+    @classmethod
+    def of_spring(cls, stiffness_n_per_m: float, mass_kg: float, damping_ns_per_m: float) -> Resonance:
+        """Make the sensor of a spring k, a mass m and a damper c: f_N = sqrt(k/m) / 2 pi, zeta = c / (2 sqrt(k m)).
+
+        Raises
+        ------
+        SensorError
+            If a number is not positive, or the damper's is negative.
+        """
+        k, m = positive("stiffness_n_per_m", stiffness_n_per_m, "1000.0"), positive("mass_kg", mass_kg, "1e-3")
+        c = positive("damping_ns_per_m", damping_ns_per_m, "0.1", zero=True)
+        return cls(float(np.sqrt(k / m) / (2 * np.pi)), float(c / (2 * np.sqrt(k * m))))
+
+    @property
+    def ringing_hz(self) -> float:
+        """Where it rings, f_N sqrt(1 - zeta^2); NaN where it does not, from critical damping on."""
+        return float(self.natural_hz * np.sqrt(1 - self.damping_ratio**2)) if self.damping_ratio < 1 else np.nan
+
+    def acceleration(self, displacement_m: Floats) -> Floats:
+        """Return (k/m) dx (n,), in m/s^2, of displacements (n,) in m: right well below the natural frequency."""
+        return np.asarray((2 * np.pi * self.natural_hz) ** 2 * displacement_m)
+
+    def response(self, frequency_hz: Floats) -> tuple[Floats, Floats]:
+        """Return magnitude (k,), 1 at 0 Hz, and phase (k,), in degrees and negative: it lags, at frequencies (k,).
+
+        Without damping the magnitude at the natural frequency itself is inf.
+        """
+        r = np.asarray(frequency_hz) / self.natural_hz
+        real, imaginary = 1 - r**2, 2 * self.damping_ratio * r
+        with np.errstate(divide="ignore"):
+            magnitude = 1 / np.hypot(real, imaginary)
+        return np.asarray(magnitude), np.asarray(-np.degrees(np.arctan2(imaginary, real)))
+
+    def right_to_hz(self, percent: float) -> float:
+        """Return up to where amplitudes are right within some percent, from 0 Hz on.
+
+        Raises
+        ------
+        SensorError
+            If percent is not between 0 and 100.
+
+        Notes
+        -----
+        With u = (f/f_N)^2 the magnitude is that of a limit where u^2 + (4 zeta^2 - 2) u + 1 = 1 / limit^2.
+        """
+        error = positive("percent", percent, "5.0") / _WHOLE
+        if not error < 1:
+            raise SensorError(f"percent = {percent!r} is no error of an amplitude; give less than 100, as 5.0.")
+        half = 1 - 2 * self.damping_ratio**2
+        below = half + np.sqrt(half**2 - 1 + (1 - error) ** -2)  # its product with the other root is negative
+        above = half**2 - 1 + (1 + error) ** -2
+        peaks = half > 0 and above >= 0
+        first = half - np.sqrt(above) if peaks else below
+        return float(self.natural_hz * np.sqrt(first))

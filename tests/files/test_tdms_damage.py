@@ -1,0 +1,182 @@
+"""TDMS files that are cut, lie or are damaged are read as far as they go, or refused."""
+
+from __future__ import annotations
+
+import logging
+import os
+import struct
+import sys
+import tracemalloc
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, suppress
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from nptdms import ChannelObject, TdmsWriter
+
+import becalm
+from becalm.errors import BecalmError, InputError
+from becalm.files.registry import read_tables
+from becalm.files.source import RawTable
+
+Tables = Callable[[Path], tuple[RawTable, ...]]
+ROWS = 60
+SIGNAL = np.random.default_rng(7).normal(size=ROWS)
+START = datetime(2024, 2, 29, 23, 59, 59)
+WAVE: dict[str, Any] = {
+    "wf_increment": 0.01,
+    "wf_start_time": START,
+    "wf_start_offset": 0.25,
+    "wf_samples": 1,
+    "unit_string": "m/s^2",
+}
+
+
+@pytest.fixture
+def tables() -> Iterator[Tables]:
+    """Look into files, and close them at the end."""
+    with ExitStack() as stack:
+
+        def look(path: Path) -> tuple[RawTable, ...]:
+            found = read_tables(path)
+            for table in found:
+                stack.callback(table.rows.close)
+            return found
+
+        yield look
+
+
+def written(folder: Path, *segments: list[Any], **said: Any) -> Path:
+    path = folder / "log.tdms"
+    with TdmsWriter(str(path), **said) as writer:
+        for segment in segments:
+            writer.write_segment(segment)
+    return path
+
+
+def channel(name: str, values: Any, group: str = "run", **properties: Any) -> ChannelObject:
+    return ChannelObject(group, name, values, properties)
+
+
+@pytest.mark.parametrize("tenth", range(1, 10))
+def test_a_cut_file_gives_its_whole_rows_and_says_so(tenth: int, tmp_path: Path, tables: Tables) -> None:
+    path = written(tmp_path, *[[channel("a", SIGNAL + k, **WAVE), channel("b", SIGNAL - k, **WAVE)] for k in range(7)])
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) * tenth // 10])
+    (table,) = tables(path)
+    assert f"{table.count} rows are whole" in table.notes[-1]
+    assert (tenth - 2) / 10 < table.count / (7 * ROWS) < (tenth + 0.5) / 10
+    read = becalm.read(path)
+    np.testing.assert_array_equal(read.channel("a"), np.concatenate([SIGNAL + k for k in range(7)])[: table.count])
+    np.testing.assert_array_equal(read.channel("b"), np.concatenate([SIGNAL - k for k in range(7)])[: table.count])
+
+
+def test_a_whole_file_is_not_said_to_be_cut(tmp_path: Path, tables: Tables) -> None:
+    (table,) = tables(written(tmp_path, [channel("a", SIGNAL, **WAVE)], [channel("a", SIGNAL, **WAVE)]))
+    assert table.notes == ()
+
+
+def test_a_program_that_crashed_while_writing(tmp_path: Path, tables: Tables) -> None:
+    path = written(tmp_path, [channel("a", SIGNAL, **WAVE)])
+    data = bytearray(path.read_bytes())
+    data[12:20] = b"\xff" * 8  # where the next segment begins is not known
+    path.write_bytes(data)
+    (table,) = tables(path)
+    assert (table.count, len(table.notes)) == (ROWS, 1)
+
+
+@pytest.mark.parametrize("rows", [2**31, 2**50, 2**63])
+def test_a_head_that_promises_too_much(rows: int, tmp_path: Path) -> None:
+    path = written(tmp_path, [channel("a", SIGNAL, **WAVE)])
+    data = path.read_bytes()
+    assert data.count(struct.pack("<IQ", 1, ROWS)) == 1
+    path.write_bytes(data.replace(struct.pack("<IQ", 1, ROWS), struct.pack("<IQ", 1, rows)))
+    with suppress(BecalmError):
+        assert becalm.read(path).samples.shape[0] <= ROWS
+
+
+def test_a_head_alone_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "log.tdms"
+    for data in (b"TDSm", b"TDSm" + bytes(24), b"TDSm" + bytes(range(100))):
+        path.write_bytes(data)
+        with pytest.raises(InputError):
+            becalm.read(path)
+
+
+def test_no_word_of_the_library_reaches_the_person(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, tables: Tables
+) -> None:
+    path = written(tmp_path, [channel("a", SIGNAL, **WAVE)])
+    path.write_bytes(path.read_bytes()[:-100])
+    tables(path)
+    assert not caplog.records
+    assert not logging.getLogger("nptdms.reader").disabled
+
+
+def test_a_library_that_is_not_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = written(tmp_path, [channel("a", SIGNAL, **WAVE)])
+    monkeypatch.setitem(sys.modules, "nptdms", None)
+    with pytest.raises(InputError, match=r"pip install 'becalm\[formats\]'"):
+        becalm.read(path)
+
+
+def test_mutants_are_read_or_refused(tmp_path: Path, tables: Tables) -> None:
+    rng = np.random.default_rng(13)
+    path = written(
+        tmp_path, [channel("a", SIGNAL[:9], **WAVE), channel("s", ["x", "yy", "z"])], [channel("a", SIGNAL[:9])]
+    )
+    whole = path.read_bytes()
+    for _ in range(200):
+        data = bytearray(whole)
+        for at in rng.integers(0, len(data), rng.integers(1, 9)):
+            data[at] = rng.integers(256)
+        path.write_bytes(data)
+        with suppress(BecalmError):
+            for table in tables(path):
+                assert len(table.head) <= len(data)
+
+
+@pytest.mark.parametrize("interleaved", [False, True])
+@pytest.mark.parametrize("cut", [0, 8 * 60 * 3 + 5])
+def test_a_large_chunk_is_read_in_pieces(
+    interleaved: bool, cut: int, tmp_path: Path, tables: Tables, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    counts = np.arange(ROWS, dtype=np.int16)
+    if interleaved:
+        path = written(tmp_path, [channel("a", SIGNAL), channel("b", counts)])
+        data = bytearray(path.read_bytes())
+        data[4] |= 1 << 5
+        values = np.rec.fromarrays([SIGNAL, counts]).tobytes()
+        data[-len(values) :] = values
+    else:
+        path = written(tmp_path, *[[channel("a", SIGNAL), channel("s", ["x"] * ROWS), channel("b", counts)]] * 4)
+        data = bytearray(path.read_bytes())
+    path.write_bytes(data[: len(data) - (cut if not interleaved else min(cut, 205))])
+    (whole,) = tables(path)
+    (expected,) = whole.blocks(whole.names)
+    monkeypatch.setattr("becalm.files.recorders.tdms_pieces._PIECE_BYTES", 56)
+    (table,) = tables(path)
+    assert table.count == whole.count
+    for block in (1, 7, 60, 1000):
+        got = pa.concat_tables(table.blocks(table.names, most_rows=block))
+        assert got.to_pydict() == expected.to_pydict()
+
+
+@pytest.mark.slow
+def test_a_chunk_takes_no_memory_of_its_size(tmp_path: Path, tables: Tables) -> None:
+    path = written(tmp_path, [channel(name, SIGNAL) for name in "abcdefgh"])
+    data, rows = path.read_bytes(), 4_000_000
+    head = data[: -8 * 8 * ROWS].replace(struct.pack("<IQ", 1, ROWS), struct.pack("<IQ", 1, rows))
+    path.write_bytes(head[:12] + struct.pack("<Q", len(head) - 28 + 64 * rows) + head[20:])
+    os.truncate(path, len(head) + 64 * rows)
+    tracemalloc.start()
+    try:
+        (table,) = tables(path)
+        assert sum(block.num_rows for block in table.blocks(table.names, most_rows=50_000)) == rows
+        assert tracemalloc.get_traced_memory()[1] < 8 * rows
+    finally:
+        tracemalloc.stop()
