@@ -241,6 +241,20 @@ def test_whatever_comes_the_state_stays_finite(
     assert np.abs(told.signal[-1]) < 20.0
 
 
+@pytest.mark.parametrize("value", [1e3, 1e6, -1e9, 1e13])
+@pytest.mark.parametrize("row", [0, 1, 2, 3, 7])
+@pytest.mark.parametrize("order", [1, 2, 3])
+def test_a_start_from_wild_readings_is_overcome(order: int, row: int, value: float) -> None:
+    """Where the first states are so far off that a covariance that covers them has no digit left for the readings."""
+    for other in (None, 0, 2, 5):
+        z = noise(order, 1024)
+        z[row] = value
+        if other is not None:
+            z[other] = -value / 3
+        told = told_of(component_of(order, 0.05), z, causal=True, cuts=(256, 512))
+        assert np.abs(told.signal[400:]).max() < 20.0
+
+
 def count_false_alarms(rate_hz: float, rows: int, block: int = 1 << 20) -> int:
     flow = Flow(component_of(1), 1.0, causal=True, gate=Gate(threshold_for(1.0, rate_hz)))
     rng, count, level = np.random.default_rng(int(rate_hz)), 0, 0.0

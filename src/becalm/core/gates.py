@@ -149,7 +149,8 @@ class Gatekeeper:
     def suspects(self, found: Estimate) -> bool:
         """Whether rows that were filtered without a gate have to be judged; otherwise they count as used."""
         nu, sigma = found.innovations[:, 0], found.innovation_sigma[:, 0]
-        if self.counters[REJECTED] > 0 or bool(np.any(np.abs(nu) > self._rule.threshold * sigma)):
+        waiting = self.counters[REJECTED] > 0 or self.counters[SINCE] < 0
+        if waiting or bool(np.any(np.abs(nu) > self._rule.threshold * sigma)):
             return True
         self.counters[SINCE] += np.count_nonzero(np.isfinite(nu))
         return False

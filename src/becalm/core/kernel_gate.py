@@ -20,9 +20,13 @@ from becalm.core.sized import Size, Sizes, size, stack_matrix, stack_vector
 COUNTERS: Size = size(6)
 REJECTED, AGREEING, LAST, WANDERED, MISSED, SINCE = 0, 1, 2, 3, 4, 5
 """Rejects in a row; how many of the last agree; the last innovation rejected, and how far the prediction may have
-wandered since; rows missing since; readings used since the last jump."""
+wandered since; rows missing since; readings used since the last jump, below 0 while all are believed: after a jump of
+all states they have to tell what it forgot."""
 
 USED, SPIKE, STEP = 0, 4, 5
+
+WIDE = 1e9
+"""Variances of all states over that of a reading, beyond which a covariance loses the digits of the readings."""
 
 
 class Rule(NamedTuple):
@@ -66,18 +70,24 @@ def round_up(variance: float) -> float:
 
 
 @compiled_part
-def jump(sizes: Sizes, H: Floats, nu: float, level: int, state: State, variances: Floats) -> None:  # noqa: PLR0913
-    """Add to a predicted covariance what makes an innovation likely: to the level alone, or to all states alike."""
-    n, told = len(sizes.states), 0.0
+def jump(sizes: Sizes, step: Step, nu: float, rule: Rule, state: State, variances: Floats, counters: Floats) -> None:  # noqa: PLR0913
+    """Add to a predicted covariance what makes an innovation likely: to the level alone, or to all states alike.
+
+    All states get no more than leaves the readings that follow some digits; where that is too little, as after a start
+    from wild readings, another jump comes.
+    """
+    n, told, square = len(sizes.states), 0.0, min(nu * nu, WIDE * step.R[0, 0])
+    level = rule.level if counters[SINCE] >= rule.at_most else -1
     for i in range(n):
         for j in range(n):
-            told += H[0, i] * state.P[i, j] * H[0, j]
+            told += step.H[0, i] * state.P[i, j] * step.H[0, j]
     for i in range(n):
         if level >= 0:
-            variances[i] = round_up(nu * nu / (H[0, i] * H[0, i])) if i == level else 0.0
+            variances[i] = round_up(nu * nu / (step.H[0, i] * step.H[0, i])) if i == level else 0.0
         else:
-            variances[i] = round_up(nu * nu * (state.P[i, i] / told)) if told > 0.0 else 0.0
+            variances[i] = round_up(square * (state.P[i, i] / told)) if told > 0.0 else 0.0
         state.P[i, i] += variances[i]
+    counters[SINCE] = -1.0 if level >= 0 else -float(n)
 
 
 @compiled_part
@@ -153,7 +163,7 @@ def find_outliers(  # noqa: PLR0913  (a door for Python: what is read, what move
             continue
         weigh(sizes, step.H, step.R, state)
         nu = innovation(sizes, step.H, z[row, 0], state.x)
-        if row <= believed or not abs(nu) > rule.threshold * math.sqrt(state.D[0]):
+        if row <= believed or counters[SINCE] < 0.0 or not abs(nu) > rule.threshold * math.sqrt(state.D[0]):
             believe(sizes, step, z, row, state, counters)
             verdicts[row], first, row = USED, -1, row + 1
             continue
@@ -168,9 +178,9 @@ def find_outliers(  # noqa: PLR0913  (a door for Python: what is read, what move
                 keep(sizes, x, P, state.x, state.P)
                 look(sizes, z, row, state)
                 nu = innovation(sizes, step.H, z[row, 0], state.x)
-            jump(sizes, step.H, nu, rule.level if counters[SINCE] >= rule.at_most else -1, state, jumps[found])
+            jump(sizes, step, nu, rule, state, jumps[found], counters)
             believe(sizes, step, z, row, state, counters)
-            verdicts[row], counters[SINCE], first, found = STEP, 0.0, -1, found + 1
+            verdicts[row], first, found = STEP, -1, found + 1
         row += 1
     carry(sizes, state, counters, memory, SAVE)
     return found, first
