@@ -255,6 +255,17 @@ def test_a_start_from_wild_readings_is_overcome(order: int, row: int, value: flo
         assert np.abs(told.signal[400:]).max() < 20.0
 
 
+@pytest.mark.parametrize("value", [1e6, 1e12])
+@pytest.mark.parametrize("order", [1, 2, 3])
+def test_a_stretch_of_wild_readings_is_overcome(order: int, value: float) -> None:
+    """Though each of them may ask for a jump of its own."""
+    for start in (0, 300):
+        z = noise(order, 1024)
+        z[start : start + 300] = value * np.random.default_rng(order).choice([-1.0, 1.0], 300)
+        told = told_of(component_of(order, 0.05), z, causal=True, cuts=(256, 512))
+        assert np.abs(told.signal[start + 500 :]).max() < 20.0
+
+
 def count_false_alarms(rate_hz: float, rows: int, block: int = 1 << 20) -> int:
     flow = Flow(component_of(1), 1.0, causal=True, gate=Gate(threshold_for(1.0, rate_hz)))
     rng, count, level = np.random.default_rng(int(rate_hz)), 0, 0.0

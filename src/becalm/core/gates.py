@@ -130,7 +130,7 @@ class Gatekeeper:
 
     Attributes
     ----------
-    counters : (6,) float array
+    counters : (7,) float array
         What is remembered from call to call, see `kernel_gate`.
 
     Raises
@@ -177,7 +177,7 @@ class Gatekeeper:
         n = self._states
         memory = np.concatenate([belief[: n + n * n], self.counters])
         verdicts = np.where(np.isnan(z[:, 0]), Verdict.MISSING, Verdict.USED).astype(np.int8)
-        jumps = np.zeros((2 + (len(z) - begun) // self._rule.agree, n))
+        jumps = np.zeros((1 + len(z) - begun, n))  # perhaps one a row, where readings are wild
         record = timeline.record(z)
         found, undecided = find_outliers(
             self._sizes, timeline.system, record, begun, self._rule, memory, verdicts, jumps

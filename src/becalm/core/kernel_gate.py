@@ -17,11 +17,11 @@ from becalm.core.kernel_settling import LOAD, SAVE, transfer_matrix, transfer_ve
 from becalm.core.kernel_steps import State, Step, System, correct, joseph, look, new_state, predict, weigh
 from becalm.core.sized import Size, Sizes, size, stack_matrix, stack_vector
 
-COUNTERS: Size = size(6)
-REJECTED, AGREEING, LAST, WANDERED, MISSED, SINCE = 0, 1, 2, 3, 4, 5
+COUNTERS: Size = size(7)
+REJECTED, AGREEING, LAST, WANDERED, MISSED, SINCE, CAPPED = 0, 1, 2, 3, 4, 5, 6
 """Rejects in a row; how many of the last agree; the last innovation rejected, and how far the prediction may have
 wandered since; rows missing since; readings used since the last jump, below 0 while all are believed: after a jump of
-all states they have to tell what it forgot."""
+all states they have to tell what it forgot; whether that jump was less than its innovation asked for."""
 
 USED, SPIKE, STEP = 0, 4, 5
 
@@ -74,7 +74,7 @@ def jump(sizes: Sizes, step: Step, nu: float, rule: Rule, state: State, variance
     """Add to a predicted covariance what makes an innovation likely: to the level alone, or to all states alike.
 
     All states get no more than leaves the readings that follow some digits; where that is too little, as after a start
-    from wild readings, another jump comes.
+    from wild readings, another jump comes as soon as those have told the states.
     """
     n, told, square = len(sizes.states), 0.0, min(nu * nu, WIDE * step.R[0, 0])
     level = rule.level if counters[SINCE] >= rule.at_most else -1
@@ -88,6 +88,7 @@ def jump(sizes: Sizes, step: Step, nu: float, rule: Rule, state: State, variance
             variances[i] = round_up(square * (state.P[i, i] / told)) if told > 0.0 else 0.0
         state.P[i, i] += variances[i]
     counters[SINCE] = -1.0 if level >= 0 else -float(n)
+    counters[CAPPED] = 1.0 if level < 0 and square < nu * nu else 0.0
 
 
 @compiled_part
@@ -114,7 +115,8 @@ def reject(rule: Rule, R: float, nu: float, counters: Floats) -> bool:
     counters[REJECTED] += 1.0
     counters[LAST] = nu
     counters[WANDERED] = counters[MISSED] = 0.0
-    return bool(counters[AGREEING] >= rule.agree or counters[REJECTED] >= rule.at_most)
+    goes_on = counters[CAPPED] > 0.0 and counters[SINCE] == 0.0
+    return bool(goes_on or counters[AGREEING] >= rule.agree or counters[REJECTED] >= rule.at_most)
 
 
 @compiled_part
