@@ -91,7 +91,7 @@ def test_a_recipe_from_its_text_gives_identical_bytes(causal: bool) -> None:
 
 
 @given(shift=st.floats(-1000, 1000), causal=st.booleans())
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 def test_an_offset_in_is_an_offset_out(shift: float, causal: bool) -> None:
     out, shifted = clean(record(Z), RECIPES[causal]), clean(record(Z + shift), RECIPES[causal])
     np.testing.assert_allclose(shifted.signal.samples, out.signal.samples + shift, rtol=0, atol=1e-9)
@@ -99,7 +99,7 @@ def test_an_offset_in_is_an_offset_out(shift: float, causal: bool) -> None:
 
 
 @given(power=st.integers(-30, 30), sign=st.sampled_from([-1.0, 1.0]), causal=st.booleans())
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 def test_another_unit_in_is_another_unit_out(power: int, sign: float, causal: bool) -> None:
     factor = sign * 2.0**power
     recipe = RECIPES[causal]
@@ -130,7 +130,7 @@ def test_tuning_too_follows_the_unit_and_not_the_offset(causal: bool) -> None:
 
 
 @given(row=st.integers(0, ROWS - 1), causal=st.booleans(), value=st.sampled_from([np.nan, np.inf, -np.inf, 1e101]))
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 def test_one_hole_stays_one_hole(row: int, causal: bool, value: float) -> None:
     """Beside the first readings of a causal run, which have no past, every sample is told."""
     z = Z.copy()
@@ -149,7 +149,7 @@ def test_one_hole_stays_one_hole(row: int, causal: bool, value: float) -> None:
 
 
 @given(order=st.permutations(range(4)), causal=st.booleans())
-@settings(deadline=None, max_examples=15)
+@settings(max_examples=15)
 def test_the_order_of_channels_does_not_matter(order: list[int], causal: bool) -> None:
     names, units = tuple(NAMES[i] for i in order), tuple(UNITS[i] for i in order)
     out, turned = clean(record(Z), causal=causal), clean(record(Z[:, order], names, units), causal=causal)

@@ -7,7 +7,7 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
@@ -34,7 +34,6 @@ def assert_same(found: Judgement, expected: Judgement) -> None:
         assert got == wanted, field.name
 
 
-@settings(deadline=None)
 @given(
     rows=st.one_of(st.integers(0, 40), st.integers(41, 20_000)),
     cuts=st.lists(st.floats(0, 1), max_size=8),

@@ -66,7 +66,7 @@ def recipes(draw: st.DrawFn) -> Recipe:
 
 
 @given(recipe=recipes())
-@settings(deadline=None, max_examples=150)
+@settings(max_examples=150)
 def test_the_text_says_the_recipe_exactly(recipe: Recipe) -> None:
     written = recipe.to_toml()
     assert Recipe.from_toml(written) == recipe
@@ -75,7 +75,7 @@ def test_the_text_says_the_recipe_exactly(recipe: Recipe) -> None:
 
 
 @given(recipe=recipes())
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 def test_a_file_says_the_recipe_exactly(recipe: Recipe, tmp_path_factory: pytest.TempPathFactory) -> None:
     path = tmp_path_factory.mktemp("recipe") / "r.toml"
     path.write_bytes(recipe.to_toml().encode())

@@ -48,7 +48,7 @@ GAPS = st.tuples(EDGES | st.integers(0, ROWS - 1), st.sampled_from([1, 2, 30, 25
 @pytest.mark.parametrize("name", MODELS)
 @example(spoilt=[], gaps=[(445, 1, 0), (510, 1, 0)])  # two losses that end alike are no settled stretch
 @given(spoilt=st.lists(SPOILT, max_size=4), gaps=st.lists(GAPS, max_size=3))
-@settings(deadline=None, max_examples=15)
+@settings(max_examples=15)
 def test_whatever_does_not_arrive(name: str, spoilt: list[Any], gaps: list[Any]) -> None:
     model = MODELS[name]
     z = drawn(model, ROWS)

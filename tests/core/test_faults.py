@@ -100,7 +100,7 @@ ODD = [0.0, 1.0, 2.0, -0.0, 5.0, -5.0, 7.0, np.nan, np.inf, -np.inf, 1e300, -1e3
 READINGS = st.lists(st.tuples(st.sampled_from(ODD), st.sampled_from([0.0, 0.3, 1.0, 1.0, 1.0, 1.4, 1.6, 9.0, 1e300])))
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(rows=READINGS, cuts=st.lists(st.integers(0, 60), max_size=6).map(sorted))
 def test_any_cuts_give_the_same_codes_and_counts(rows: list[tuple[float, float]], cuts: list[int]) -> None:
     z, elapsed = (np.array([row[k] for row in rows], dtype=np.float64) for k in (0, 1))
@@ -112,7 +112,7 @@ def test_any_cuts_give_the_same_codes_and_counts(rows: list[tuple[float, float]]
     assert all(np.array_equal(now, was, equal_nan=True) for now, was in zip((z, elapsed), before, strict=True))
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(z=st.lists(st.sampled_from(ODD) | st.floats(), max_size=80))
 def test_nothing_breaks_the_search_for_limits(z: list[float]) -> None:
     limits = find_limits(np.array(z, dtype=np.float64), even(len(z)), 1.0, 0.01)

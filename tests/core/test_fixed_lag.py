@@ -143,7 +143,7 @@ def test_sigma_is_honest_at_every_lag() -> None:
 
 
 @given(name=names, lag=lags, at=cuts)
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 def test_any_chunks_of_a_stream_are_one_block_to_the_bit(name: str, lag: int, at: list[int]) -> None:
     model = MODELS[name]
     z = readings(model)
@@ -169,7 +169,7 @@ def test_a_stream_is_the_record_so_much_later(name: str) -> None:
 
 
 @given(name=names, lag=lags, cut=st.integers(0, 12) | st.integers(0, ROWS))
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 def test_a_paused_stream_forgets_nothing(name: str, lag: int, cut: int) -> None:
     model = MODELS[name]
     z = readings(model)

@@ -225,7 +225,7 @@ def test_a_step_leaves_a_tone_alone(causal: bool) -> None:
 strange = st.lists(st.tuples(st.integers(0, 700), st.sampled_from(STRANGE)), max_size=60)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(strange, st.sampled_from([1, 2, 3]), st.booleans(), st.booleans())
 def test_whatever_comes_the_state_stays_finite(
     faults: list[tuple[int, float]], order: int, causal: bool, at_once: bool

@@ -258,7 +258,7 @@ TAIL = 31  # rows: too few for the gain to settle, which keeps fewer digits of a
 )
 @example(poles=[1.0, 0.99, 0.9, 0.5], powers=(-8, 0, 0), units=[8, -8, 8, -8], lost=None, mixed=True)
 @example(poles=[1.0], powers=(-12, -6, 0), units=[0, 0, 0, 0], lost=None, mixed=False)
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 def test_any_model(poles: Any, powers: Any, units: Any, lost: int | None, mixed: bool) -> None:
     """Modes of any pace, alone or each fed by the next, in any units; the rows after a block show what it left."""
     n, (q, p, r) = len(poles), powers

@@ -67,7 +67,7 @@ def test_a_row_is_that_of_the_record_cut_after_the_lag(kind: str, lag: int) -> N
 
 
 @given(kind=st.sampled_from(KINDS), lag=st.sampled_from([1, 9, 50]), at=st.lists(st.integers(0, ROWS), max_size=6))
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 def test_stretches_are_the_whole_to_the_bit(kind: str, lag: int, at: list[int]) -> None:
     whole, parts = flow(lag, record(kind), []), flow(lag, record(kind), sorted(at))
     for one, other in zip(whole[:2], parts[:2], strict=True):

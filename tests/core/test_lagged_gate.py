@@ -98,7 +98,7 @@ def test_live_is_the_file(order: int, lag: int) -> None:
     np.testing.assert_allclose(np.append(spread[lag:, 0], last[1][:, 0]), sigma, rtol=1e-12)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.sampled_from([1, 2]), st.sampled_from([1, LAG, 60]), st.sampled_from(["even", "stamps"]), cuts)
 def test_stretches_are_the_whole_to_the_bit(order: int, lag: int, kind: str, at: list[int]) -> None:
     whole, parts = file(order, lag, stamps(kind), []), file(order, lag, stamps(kind), at)
@@ -108,7 +108,7 @@ def test_stretches_are_the_whole_to_the_bit(order: int, lag: int, kind: str, at:
     assert whole[3] == parts[3]
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(cuts, st.integers(0, ROWS))
 def test_any_cuts_and_a_pause_of_a_stream_decide_the_same(at: list[int], pause: int) -> None:
     z = readings(2)

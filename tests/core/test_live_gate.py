@@ -41,7 +41,7 @@ def test_live_is_the_file(order: int) -> None:
     np.testing.assert_allclose(sigma[:, 0], np.concatenate([part.sigma for part in told]), rtol=1e-12)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.lists(st.integers(0, ROWS), max_size=8).map(sorted), st.integers(0, ROWS))
 def test_any_cuts_and_a_pause_decide_the_same(cuts: list[int], pause: int) -> None:
     z = readings(2)
@@ -100,7 +100,7 @@ def test_two_channels_have_no_gate() -> None:
 strange = st.sampled_from([np.nan, np.inf, -np.inf, 1e300, -1e300, 1e99, 1e20, 50.0, 0.0])
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(st.lists(strange, min_size=1, max_size=120))
 def test_whatever_comes_the_state_stays_finite(faults: list[float]) -> None:
     quiet, online = np.random.default_rng(2).normal(size=300), Online(model_of(2), gate=GATE)

@@ -161,7 +161,7 @@ VALUES = st.sampled_from([0.0, 0.1, 1.0, -1.0, 3.0, -3.0, np.nan, np.inf, -np.in
 SENSITIVE = ALARMS._replace(drift_threshold=2.0, quiet_variance=0.8, loud_variance=1.2)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(
     odd=st.lists(st.tuples(st.integers(0, 2999), VALUES), max_size=40),
     cuts=st.lists(st.integers(0, 3000), max_size=8).map(sorted),

@@ -80,7 +80,7 @@ def test_numbers_are_one_block_to_the_bit(name: str) -> None:
 
 
 @given(name=names, at=cuts)
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 def test_any_chunks_are_one_block_to_the_bit(name: str, at: list[int]) -> None:
     model, z = RECORDS[name]
     expected = Online(model).run(z)
@@ -90,7 +90,7 @@ def test_any_chunks_are_one_block_to_the_bit(name: str, at: list[int]) -> None:
 
 
 @given(name=names, cut=st.integers(0, 12) | st.integers(0, ROWS))
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 def test_a_paused_stream_forgets_nothing(name: str, cut: int) -> None:
     model, z = RECORDS[name]
     expected = Online(model).run(z)

@@ -84,7 +84,7 @@ def test_both_sides_of_a_long_gap_are_records_of_their_own_to_the_bit(kind: str)
 
 @pytest.mark.parametrize("kind", OPEN)
 @given(blocks=st.lists(st.integers(0, ROWS // 256), max_size=4))
-@settings(deadline=None, max_examples=10)
+@settings(max_examples=10)
 def test_cut_anywhere_the_bits_are_the_same(kind: str, blocks: list[int]) -> None:
     """At whole blocks, as `Flow` asks."""
     cuts = sorted(256 * block for block in blocks)

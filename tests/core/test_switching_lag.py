@@ -60,7 +60,7 @@ def test_a_row_is_that_of_the_record_cut_within_the_lag(name: str, lag: int, kin
 
 
 @given(name=names, lag=st.sampled_from(LAGS), kind=st.sampled_from(["holes", "uneven"]), at=cuts)
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 def test_stretches_are_the_whole_to_the_bit(name: str, lag: int, kind: str, at: list[int]) -> None:
     whole, parts = (lagged(name, lag, kind, cut) for cut in ([], at))
     assert same(whole[0], parts[0])
@@ -68,7 +68,7 @@ def test_stretches_are_the_whole_to_the_bit(name: str, lag: int, kind: str, at: 
 
 
 @given(name=names, lag=st.sampled_from(LAGS), at=cuts)
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 def test_live_is_the_file_so_much_later_whatever_the_pauses(name: str, lag: int, at: list[int]) -> None:
     online, got = Online(BANKS[name], lag=lag), []
     for some in np.split(record(ROWS, "holes")[0], at):

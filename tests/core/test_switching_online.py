@@ -48,7 +48,7 @@ def test_live_is_the_file(name: str) -> None:
 
 
 @given(name=names, at=cuts)
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 def test_any_chunks_and_pauses_are_one_block_to_the_bit(name: str, at: list[int]) -> None:
     z, online = readings(), Online(BANKS[name])
     expected, told = Online(BANKS[name]).run(z), []
@@ -92,7 +92,7 @@ def test_a_spoilt_snapshot_is_refused() -> None:
 
 
 @given(at=cuts, causal=st.booleans())
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 def test_stretches_are_the_whole_to_the_bit(at: list[int], causal: bool) -> None:
     z = readings()
     whole, parts = (flow(BANKS["3 of 2"], z, cut, causal=causal) for cut in ([], at))
@@ -112,7 +112,7 @@ def test_groups_are_smoothed_as_one_record() -> None:
 
 
 @given(name=names, odd=st.dictionaries(st.integers(0, 79), anything, max_size=30), causal=st.booleans())
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 def test_nothing_that_arrives_spoils_it(name: str, odd: dict[int, float], causal: bool) -> None:
     z = readings()[50:130].copy()
     z[np.isnan(z)] = 100.0
@@ -126,7 +126,7 @@ def test_nothing_that_arrives_spoils_it(name: str, odd: dict[int, float], causal
 
 
 @given(name=names, at=st.integers(0, 79), size=st.sampled_from([1e6, -1e20, 1e50, 9e99]), causal=st.booleans())
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 def test_a_huge_reading_leaves_numbers(name: str, at: int, size: float, causal: bool) -> None:
     """From the first reading on that a sensor of this noise may give."""
     z = readings()[50:130].copy()

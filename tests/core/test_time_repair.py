@@ -20,7 +20,7 @@ def steps_of(stamps: Floats, block: int = 97) -> Steps:
     return steps
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(
     period=st.sampled_from(COUNTERS),
     share=st.floats(0.005, 0.2),
@@ -40,7 +40,7 @@ def test_a_wrapped_counter_runs_on(period: float, share: float, spread: float, s
     np.testing.assert_array_equal(np.concatenate(list(unwrapped(blocks, period))), true)
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(seed=st.integers(0, 10_000), block=st.integers(1, 400))
 def test_other_falls_are_no_wraps(seed: int, block: int) -> None:
     """A logger that starts anew, or one late row."""

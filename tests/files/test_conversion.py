@@ -83,7 +83,7 @@ KINDS = [
 ]
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(data=st.data(), value=st.floats(-1e6, 1e6))
 def test_there_and_back_again(data: st.DataObject, value: float) -> None:
     units = data.draw(st.sampled_from(KINDS))

@@ -213,7 +213,7 @@ def as_csv(rows: list[list[str]], order: list[int], separator: str, end: str) ->
 WORDS = st.text('ab ,;"\n', max_size=6) | st.sampled_from(["", "ok", "a, b", 'say "go"', "one\ntwo"])
 
 
-@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     notes=st.lists(WORDS, min_size=1, max_size=12),
     style=st.tuples(st.permutations([0, 1, 2]), st.sampled_from(",;|"), st.sampled_from(["\n", "\r\n"])),

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
@@ -74,7 +74,6 @@ def cut(e: Floats, shares: list[float]) -> list[Floats]:
     return np.split(e, sorted(round(share * len(e)) for share in shares))
 
 
-@settings(deadline=None)
 @given(rows=LENGTHS, cuts=CUTS, missing=st.sampled_from([0.0, 1e-4, 0.1, 0.9, 1.0]), seed=st.integers(0, 99))
 def test_any_blocks_are_the_whole(rows: int, cuts: list[float], missing: float, seed: int) -> None:
     e, rng = coloured(rows, seed), np.random.default_rng(seed)
@@ -92,7 +91,6 @@ def test_even_blocks_are_the_whole(size: int) -> None:
     assert_same(found_in_blocks([e[start : start + size] for start in range(0, len(e), size)]), found_whole(e))
 
 
-@settings(deadline=None)
 @given(values=st.lists(st.sampled_from([-2.0, 0.1, 0.3, 1.0, np.nan]), max_size=40), cuts=CUTS)
 def test_short_sequences_too(values: list[float], cuts: list[float]) -> None:
     e = np.array(values)
@@ -106,7 +104,6 @@ def test_short_sequences_too(values: list[float], cuts: list[float]) -> None:
         np.testing.assert_allclose(sums.about_mean(lags), in_one_go(finite, lags), rtol=1e-12, atol=1e-12)
 
 
-@settings(deadline=None)
 @given(
     value=st.floats(-1e100, 1e100),
     rows=st.sampled_from([1, 8, 40, 500, PIECE, PIECE + 1, 2 * PIECE + 9]),
@@ -118,7 +115,6 @@ def test_of_a_constant_nothing_is_told(value: float, rows: int, cuts: list[float
     assert found.nis == pytest.approx(value**2, rel=1e-12)
 
 
-@settings(deadline=None)
 @given(rows=st.sampled_from([0, 1, 300, PIECE + 1]), cuts=CUTS)
 def test_of_missing_values_nothing_is_told(rows: int, cuts: list[float]) -> None:
     found = found_in_blocks(cut(np.full(rows, np.nan), cuts))
@@ -127,7 +123,6 @@ def test_of_missing_values_nothing_is_told(rows: int, cuts: list[float]) -> None
     assert np.isnan(found.nis)
 
 
-@settings(deadline=None)
 @given(rows=st.integers(64, 3 * PIECE), offset=st.sampled_from([0.0, 3.0, -1e3, 1e6]), seed=st.integers(0, 99))
 def test_products_about_the_mean_are_their_definition(rows: int, offset: float, seed: int) -> None:
     e = coloured(rows, seed) + offset

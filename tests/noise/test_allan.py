@@ -96,7 +96,7 @@ def test_a_gap_costs_degrees_of_freedom() -> None:
 
 
 @given(offset=st.floats(-1e3, 1e3), scale=st.integers(-60, 60).map(lambda power: 10.0**power))
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 def test_an_offset_adds_nothing_and_a_unit_scales(offset: float, scale: float) -> None:
     x = np.random.default_rng(4).normal(size=300)
     plain, other = allan_deviation(x, 10.0), allan_deviation(scale * (x + offset), 10.0)

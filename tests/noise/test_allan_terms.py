@@ -169,7 +169,7 @@ def test_gaps_do_not_bias_the_terms() -> None:
 
 
 @given(power=st.integers(-100, 100))
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 def test_the_unit_does_not_matter(power: int) -> None:
     x, scale = record(2**10, 6, white=0.1, walk=0.1), 10.0**power
     plain, other = terms(x), terms(scale * x)

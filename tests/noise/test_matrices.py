@@ -25,7 +25,7 @@ def free(freedom: Freedom) -> FreeMatrix:
 
 
 @given(numbers=st.lists(st.floats(-5, 5), min_size=6, max_size=6))
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 def test_any_numbers_give_a_positive_definite_matrix(numbers: list[float]) -> None:
     matrix = free("full")
     found = matrix.at(np.array(numbers))

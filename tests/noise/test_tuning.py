@@ -132,7 +132,7 @@ def test_irregular_time_is_tuned_to_its_truth(order: int) -> None:
     scale=st.integers(-40, 40).map(lambda power: 2.0**power) | st.floats(1e-6, 1e6),
     sign=st.sampled_from([-1.0, 1.0]),
 )
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 def test_the_unit_does_not_matter(order: int, scale: float, sign: float) -> None:
     z, found = RECORDS[order][:1000], tuned(order, RECORDS[order][:1000], even(1000))
     other = tuned(order, sign * scale * z, even(1000))
@@ -143,7 +143,7 @@ def test_the_unit_does_not_matter(order: int, scale: float, sign: float) -> None
 
 
 @given(order=st.sampled_from(ORDERS), offset=st.floats(-1e4, 1e4), slope=st.floats(-10, 10))
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 def test_an_offset_does_not_matter_and_from_order_two_on_no_slope(order: int, offset: float, slope: float) -> None:
     z, found = RECORDS[order][:1000], tuned(order, RECORDS[order][:1000], even(1000))
     other = tuned(order, z + offset + (slope * np.arange(1000.0) if order > 1 else 0.0), even(1000))
