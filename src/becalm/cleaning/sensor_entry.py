@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from datetime import date
 from typing import Annotated, Any, ClassVar, Literal, Self
 
@@ -48,7 +49,7 @@ class SheetEntry(Settings):
         return self
 
 
-class Entry(Settings):
+class Entry(Settings, ABC):
     """What every kind has.
 
     Attributes
@@ -82,13 +83,13 @@ class Entry(Settings):
         return self
 
     @property
+    @abstractmethod
     def names(self) -> tuple[str, ...]:
         """The channels that the sensor feeds."""
-        raise NotImplementedError
 
+    @abstractmethod
     def record(self) -> SensorRecord:
         """Make the record; every fault is a ValueError, and a sentence."""
-        raise NotImplementedError
 
     def shared(self) -> dict[str, Any]:
         """Return what is the same in the records of all kinds."""
