@@ -1,1 +1,1 @@
-"""A stream through a recipe, for weeks: sources and sinks, one transport a file; what runs between them; the journal."""
+"""A stream through a recipe, for weeks: sources, sinks, what runs between them, and the journal."""
