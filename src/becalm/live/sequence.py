@@ -76,8 +76,8 @@ class Sequence:
         seq = _number(batch)
         if self._next is None:
             self._hold(batch, now_s)
-            if seq == 0 or not self.reorder:
-                self._release()
+            if seq == 0 and self._next is None:
+                self._release()  # nothing comes before it
             return
         if seq < self._next and self._is_anew(batch, now_s):
             self._begin(batch)
