@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import threading
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 from types import FrameType
@@ -111,7 +112,7 @@ def _warming(recipe: Recipe | None) -> Callable[[], None]:
 
 
 def _hear_signals(runner: Runner, recipe: Path | None) -> None:
-    """Stop at the first signal to stop, finish the commit, and end at once at the second; reload the recipe at SIGHUP."""
+    """Stop at a first signal, and finish the commit; end at once at a second; read the recipe again at SIGHUP."""
 
     def stop(number: int, frame: FrameType | None) -> None:
         runner.stop()

@@ -6,8 +6,10 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from math import nan
 
 from becalm.cleaning.recipe import Recipe
+from becalm.cleaning.stream import ChannelHealth
 from becalm.errors import UsageError
 from becalm.live.block import Block, Checkpoint, Loss, LossKind, Output
 from becalm.live.keeping import Batch, Keeping, Outlets
@@ -246,8 +248,8 @@ class Runner:
         now = time.monotonic()
         if now - self._health_s >= _HEALTH_S:
             self._health_s = now
-            for name, nis, alarms in stream.health():
-                self.meter.health(name, nis, alarms)
+            for channel in stream.health():
+                self.meter.health(channel.name, nan if channel.nis is None else channel.nis, _alarms(channel))
 
     def _close(self, reader: Reader) -> None:
         reader.join()
@@ -255,6 +257,11 @@ class Runner:
             outlet.close()
         if self.outlets.keeper is not None:
             self.outlets.keeper.close()
+
+
+def _alarms(channel: ChannelHealth) -> list[str]:
+    drift = channel.drift_since_row
+    return [*([] if drift is None else [f"drifts since row {drift}"]), *(["is dead"] if channel.dead else [])]
 
 
 def _rate_of(recipe: Recipe) -> float:
