@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import pyarrow as pa
 
-from becalm.core.arrays import Floats
+from becalm.core.arrays import Floats, Integers
 from becalm.live.messages import Told, UnreadableError, Wanted, first_of
 
 _END = b"\xff\xff\xff\xff\x00\x00\x00\x00"
@@ -38,7 +39,19 @@ class ArrowMessages:
         self._plans: dict[bytes, _Plan] = {}
 
     def read(self, payload: bytes) -> Told:
-        """Return what a message told; raises whatever Arrow raises where it is broken."""
+        """Return what a message told.
+
+        Raises
+        ------
+        UnreadableError
+            If it does not fit. What Python's errors can say of broken bytes goes through.
+        """
+        try:
+            return self._read(payload)
+        except pa.ArrowException as cause:  # not all of Arrow's errors are Python's
+            raise UnreadableError(f"which is broken ({' '.join(str(cause).split())[:80]})") from cause
+
+    def _read(self, payload: bytes) -> Told:
         size = 8 + int.from_bytes(payload[4:8], "little")
         plan = self._plans.get(payload[:size]) or self._planned(payload[:size])
         file = pa.BufferReader(payload)
@@ -48,11 +61,56 @@ class ArrowMessages:
             batch = pa.ipc.read_record_batch(pa.ipc.read_message(file), plan.schema)
             batch.validate()  # else a broken message would be read beyond its end
             parts.append(batch)
-        if not parts:
+        if not any(map(len, parts)):
             raise UnreadableError("which has no rows")
         told = [_matrix(part, plan) for part in parts]
         matrix = told[0] if len(told) == 1 else np.concatenate(told)
-        return _told(matrix, [_moments(part, plan) for part in parts] if plan.moment >= 0 else [], plan)
+        seq = first_of(matrix[:, 0]) if plan.has_seq else None
+        return _told(matrix, [_moments(part, plan) for part in parts] if plan.moment >= 0 else [], seq, plan)
+
+    def read_many(self, payloads: list[bytes]) -> list[Told]:
+        """Return what messages told that begin with the same schema, joined where their rows follow each other.
+
+        They are read as one stream, a third of the work.
+
+        Raises
+        ------
+        UnreadableError
+            If one of them is not one whole record batch, or its rows are not numbered one by one, or as `read` does.
+        """
+        try:
+            return self._read_many(payloads)
+        except pa.ArrowException as cause:
+            raise UnreadableError("one of which is broken") from cause
+
+    def _read_many(self, payloads: list[bytes]) -> list[Told]:
+        first = payloads[0]
+        size = 8 + int.from_bytes(first[4:8], "little")
+        head = first[:size]
+        plan = self._plans.get(head) or self._planned(head)
+        bodies = [payload[size : -8 if payload.endswith(_END) else None] for payload in payloads]
+        stream = pa.py_buffer(b"".join([head, *bodies]))
+        batches = list(pa.ipc.open_stream(stream))
+        ends = np.cumsum([len(head), *map(len, bodies)]) + stream.address
+        begins = [batch.column(0).buffers()[1].address for batch in batches]
+        same = len(begins) == len(bodies) and all(payload.startswith(head) for payload in payloads)
+        if not same or not (ends[:-1] < begins).all() or not (begins < ends[1:]).all():
+            raise UnreadableError("one of which is not one whole record batch")
+        table = pa.Table.from_batches(batches)
+        table.validate()
+        whole = table.combine_chunks().to_batches()[0]
+        matrix = _matrix(whole, plan)
+        moments = _moments(whole, plan) if plan.moment >= 0 else None
+        cuts = _cuts(matrix[:, 0], np.cumsum([len(batch) for batch in batches])) if plan.has_seq else [0, len(matrix)]
+        return [
+            _told(
+                matrix[cut:end],
+                [] if moments is None else [moments[cut:end]],
+                int(matrix[cut, 0]) if plan.has_seq else None,
+                plan,
+            )
+            for cut, end in pairwise(cuts)
+        ]
 
     def _planned(self, head: bytes) -> _Plan:
         schema = pa.ipc.read_schema(pa.py_buffer(head))
@@ -114,11 +172,18 @@ def _moments(batch: pa.RecordBatch, plan: _Plan) -> Floats:
     return np.asarray(column.view(pa.int64()).to_numpy(), dtype=np.float64) * plan.tick_s
 
 
-def _told(matrix: Floats, moments: list[Floats], plan: _Plan) -> Told:
-    seq = first_of(matrix[:, 0]) if plan.has_seq else None
+def _cuts(numbers: Floats, ends: Integers) -> list[int]:
+    """Return where numbers do not go on, which they may only do between messages."""
+    breaks = np.flatnonzero(np.diff(numbers) != 1) + 1
+    if not np.isin(breaks, ends).all():
+        raise UnreadableError("one of which does not number its rows one by one")
+    for cut in (0, *breaks):
+        first_of(numbers[cut : cut + 1])
+    return [0, *breaks.tolist(), len(numbers)]
+
+
+def _told(matrix: Floats, moments: list[Floats], seq: int | None, plan: _Plan) -> Told:
     time_s = np.concatenate(moments) if moments else None
     if plan.has_time:
         time_s = np.ascontiguousarray(matrix[:, plan.leading - 1])
-    if not len(matrix):
-        raise UnreadableError("which has no rows")
     return Told(plan.names, plan.units, seq, time_s, np.ascontiguousarray(matrix[:, plan.leading :]))

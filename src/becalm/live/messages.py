@@ -21,7 +21,8 @@ MAXIMUM_BYTES = 16_000_000
 EXACT_INTEGERS = 2**53
 """Sequence numbers stay below: every language's float holds them."""
 
-_UNREADABLE = (ValueError, TypeError, KeyError, OverflowError, RecursionError, MemoryError, OSError, EOFError)
+_ARROW = b"\xff\xff\xff\xff"
+_UNREADABLE = (ValueError, TypeError, LookupError, ArithmeticError, RuntimeError, MemoryError, OSError, EOFError)
 
 
 class UnreadableError(ValueError):
@@ -138,12 +139,28 @@ class MessageReader:
             When it came, in seconds since 1970.
         """
         try:
-            told = self._told(payload)
-            return Batch(told.seq, told.time_s, self._values(told), arrived_s)
+            return self._batch(self._told(payload), arrived_s)
         except _UNREADABLE as cause:
             self._garbled += 1
             self._first = self._first or f"{_short(cause)}: {payload[:40]!r}{'...' if len(payload) > 40 else ''}"
             return None
+
+    def read_many(self, messages: list[tuple[bytes, float]]) -> list[Batch]:
+        """Return the rows of messages, each with its arrival, in their order; joined where that is faster.
+
+        Parameters
+        ----------
+        messages : list of (bytes, float)
+            Each message, and when it came, in seconds since 1970.
+        """
+        if len(messages) > 1 and self._shape and self._shape[1]:  # without stamps, each has its own arrival
+            payloads = [payload for payload, _ in messages]
+            if payloads[0].startswith(_ARROW) and sum(map(len, payloads)) <= MAXIMUM_BYTES:
+                try:
+                    return [self._batch(told, messages[-1][1]) for told in self._arrow_reader().read_many(payloads)]
+                except _UNREADABLE:
+                    pass  # one by one tells which
+        return [batch for batch in (self.read(*message) for message in messages) if batch is not None]
 
     def losses(self) -> tuple[Loss, ...]:
         """Return what could not be read since this was asked last."""
@@ -157,7 +174,7 @@ class MessageReader:
     def _told(self, payload: bytes) -> Told:
         if len(payload) > MAXIMUM_BYTES:
             raise UnreadableError(f"of {len(payload)} bytes (more than {MAXIMUM_BYTES})")
-        if payload[:4] == b"\xff\xff\xff\xff":
+        if payload.startswith(_ARROW):
             return self._arrow_reader().read(payload)
         from becalm.live import text_messages
 
@@ -172,8 +189,8 @@ class MessageReader:
             self._arrow = ArrowMessages(self._wanted)
         return self._arrow
 
-    def _values(self, told: Told) -> Floats:
-        """Return a message's readings in the stream's order of channels, once they are those of the stream."""
+    def _batch(self, told: Told, arrived_s: float) -> Batch:
+        """Return a message's rows in the stream's order of channels, once they are those of the stream."""
         _check(told)
         if told.time_s is None and len(told.values) > 1 and not self._wanted.rate_hz:
             raise UnreadableError("which has several rows and no stamps (where that is so, say ?rate=HZ)")
@@ -183,10 +200,11 @@ class MessageReader:
         if shape != self._shape:
             raise UnreadableError("which differs from the first message in having stamps or sequence numbers")
         if told.names == self.names:
-            return told.values
+            return Batch(told.seq, told.time_s, told.values, arrived_s)
         if sorted(told.names) != sorted(self.names):
             raise UnreadableError(f"whose channels are {', '.join(told.names)[:80]}, not {', '.join(self.names)[:80]}")
-        return np.ascontiguousarray(told.values[:, [told.names.index(name) for name in self.names]])
+        values = np.ascontiguousarray(told.values[:, [told.names.index(name) for name in self.names]])
+        return Batch(told.seq, told.time_s, values, arrived_s)
 
 
 def _check(told: Told) -> None:
@@ -215,6 +233,6 @@ def first_of(numbers: Floats) -> int:
     if not len(numbers):
         raise UnreadableError("which has no rows")
     first = float(numbers[0])
-    if not (first.is_integer() and first < EXACT_INTEGERS and (np.diff(numbers) == 1).all()):
+    if not (first >= 0 and first.is_integer() and first < EXACT_INTEGERS and (numbers[1:] - numbers[:-1] == 1).all()):
         raise UnreadableError("whose seq does not number its rows one by one")
     return int(first)
