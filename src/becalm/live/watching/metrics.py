@@ -41,7 +41,7 @@ class MetricsServer:
                 "Metrics are told by prometheus-client, which is not here; type: pip install 'becalm[live]'"
             ) from cause
         registry = CollectorRegistry()
-        registry.register(_Counts(meter))
+        registry.register(Counts(meter))
         ProcessCollector(registry=registry)  # memory, processor time, open files
         try:
             self._server, self._thread = start_http_server(port, host, registry)
@@ -69,13 +69,20 @@ class MetricsServer:
         self.close()
 
 
-class _Counts:
-    """The meter as Prometheus sees it: nothing is counted here."""
+class Counts:
+    """The meter as Prometheus sees it: nothing is counted here.
+
+    Parameters
+    ----------
+    meter : Meter
+        What to tell.
+    """
 
     def __init__(self, meter: Meter) -> None:
         self._meter = meter
 
     def collect(self) -> Iterator[Metric]:
+        """Tell all metrics as of now."""
         told = self._meter.status()
         yield _total("becalm_rows_taken", "Rows that came from the source.", told["rows_taken"])
         yield _total("becalm_rows", "Rows that sinks have got.", told["rows"])
