@@ -13,7 +13,7 @@ from becalm.files.opening import open_source
 from becalm.live.address import Address
 from becalm.live.block import Block
 from becalm.live.protocols import EndOfStream
-from becalm.live.sources.replay import ReplaySource, open_replay
+from becalm.live.sources.replay import ReplaySource
 
 _DATA = Path(__file__).parents[2].parent / "shared" / "data"
 _REAL = [
@@ -26,7 +26,7 @@ _REAL = [
 
 
 def _source(text: str) -> ReplaySource:
-    return open_replay(Address.parsed(f"replay:{text}"))
+    return ReplaySource(Address.parsed(f"replay:{text}"))
 
 
 def _blocks(source: ReplaySource, position: str = "", most: int | None = None) -> list[Block]:

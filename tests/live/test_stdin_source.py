@@ -11,9 +11,8 @@ import pytest
 
 from becalm.errors import UsageError
 from becalm.live.address import Address
-from becalm.live.line_columns import LineOptions
 from becalm.live.protocols import EndOfStream
-from becalm.live.sources.stdin import StdinSource, open_stdin
+from becalm.live.sources.stdin import StdinSource
 
 
 @pytest.fixture
@@ -21,7 +20,7 @@ def pipe() -> Iterator[tuple[StdinSource, FileIO]]:
     """Make a pipe: the source that reads it, and what writes into it."""
     reader, writer = os.pipe()
     with FileIO(writer, "w") as end:
-        yield StdinSource(LineOptions(), reader), end
+        yield StdinSource(Address.parsed("stdin:"), reader), end
     os.close(reader)
 
 
@@ -88,10 +87,10 @@ def test_a_line_that_never_ends_holds_nobody_up(pipe: tuple[StdinSource, FileIO]
 
 
 def test_an_address_makes_it() -> None:
-    source = open_stdin(Address.parsed("stdin:?rate=50"))
+    source = StdinSource(Address.parsed("stdin:?rate=50"))
     assert source.rate_hz == 50.0
     assert not source.replays
     with pytest.raises(UsageError, match="no option 'speed'"):
-        open_stdin(Address.parsed("stdin:?speed=1"))
+        StdinSource(Address.parsed("stdin:?speed=1"))
     with pytest.raises(UsageError, match="takes no name"):
-        open_stdin(Address.parsed("stdin:file.csv"))
+        StdinSource(Address.parsed("stdin:file.csv"))

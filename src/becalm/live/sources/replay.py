@@ -40,14 +40,10 @@ class ReplaySource:
 
     Parameters
     ----------
-    path : Path
-        The file; one that can be read again, so no pipe.
-    options : ReadOptions
-        What was said of it.
-    speed : float
-        Seconds of the recording in a second; infinity for as fast as it goes.
-    block_rows : int
-        Rows of each block but the last; 0 chooses: 1000, or what 10 ms hold where the pace is kept.
+    address : Address
+        `replay:FILE?speed=10&rows=1000&group=NAME&rate=100&time=COLUMN&channels=a,b&stamps=as-written`. `speed` is in
+        seconds of the recording a second, or "max", for as fast as it goes; `rows` counts those of each block but the
+        last, by default 1000, or what 10 ms hold where the pace is kept; the rest is as for `becalm clean`.
 
     Attributes
     ----------
@@ -57,19 +53,27 @@ class ReplaySource:
         Rows a second, once it is open.
     step_s : float or None
         One step of the file's clock, once it is open; what `Block.elapsed` counts.
+
+    Raises
+    ------
+    UsageError
+        If an option is not known or not possible.
     """
 
     replays = True
 
-    def __init__(
-        self, path: Path, options: ReadOptions, speed: float = AS_FAST_AS_IT_GOES, block_rows: int = 0
-    ) -> None:
-        self._path, self._options, self._speed, self._asked_rows = path, options, speed, block_rows
+    def __init__(self, address: Address) -> None:
+        address.refuse_unknown(_OPTIONS)
+        if not address.rest:
+            raise UsageError("replay: names no file; write replay:FILE.")
+        self._path, self._options = Path(address.rest), _read_options(address)
+        told = address.options.get("speed", "max")
+        self._speed = AS_FAST_AS_IT_GOES if told == "max" else address.number("speed", 1.0, least=1e-6)
+        self._block_rows = self._asked_rows = int(address.number("rows", 0, least=1, greatest=1e7))
         self._file: OpenSource | None = None
         self._chunks: Iterator[_Rows] = iter(())
         self._rows: _Rows | None = None
         self._at = 0  # in self._rows
-        self._block_rows = block_rows
         self._started: tuple[float, float] | None = None  # time.monotonic(), and the file's
         self._print: dict[str, int | str] = {}
         self.names: tuple[str, ...] = ()
@@ -163,28 +167,14 @@ class ReplaySource:
         return row
 
 
-def open_replay(address: Address) -> ReplaySource:
-    """Make the source that an address names: `replay:FILE?speed=10&rows=1000&group=NAME&rate=100`.
-
-    Raises
-    ------
-    UsageError
-        If an option is not known or not possible.
-    """
-    address.refuse_unknown(_OPTIONS)
-    if not address.rest:
-        raise UsageError("replay: names no file; write replay:FILE.")
-    speed = AS_FAST_AS_IT_GOES
-    if address.options.get("speed", "max") != "max":
-        speed = address.number("speed", speed, least=1e-6)
-    options = ReadOptions(
+def _read_options(address: Address) -> ReadOptions:
+    return ReadOptions(
         time=address.options.get("time"),
         rate_hz=address.number("rate", 0.0) if "rate" in address.options else None,
         channels=address.names("channels") or None,
         group=address.options.get("group"),
         as_written=address.chosen("stamps", ("mended", "as-written"), "mended") == "as-written",
     )
-    return ReplaySource(Path(address.rest), options, speed, int(address.number("rows", 0, least=1, greatest=1e7)))
 
 
 def _read(file: OpenSource, first: int, block_rows: int) -> Iterator[_Rows]:

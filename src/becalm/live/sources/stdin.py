@@ -22,8 +22,8 @@ class StdinSource:
 
     Parameters
     ----------
-    options : LineOptions
-        What was said of the lines.
+    address : Address
+        `stdin:?format=csv&columns=time,ax,ay&time=COLUMN&rate=100&channels=ax`, all of which may be left out.
     descriptor : int
         The file descriptor to read; standard input.
 
@@ -31,11 +31,22 @@ class StdinSource:
     ----------
     rate_hz : float or None
         Rows a second, where it was told.
+
+    Raises
+    ------
+    UsageError
+        If an option is not known or not possible.
     """
 
     replays = False
 
-    def __init__(self, options: LineOptions, descriptor: int = 0) -> None:
+    def __init__(self, address: Address, descriptor: int = 0) -> None:
+        address.refuse_unknown(LineOptions.NAMES)
+        if address.rest:
+            raise UsageError(
+                f"stdin: takes no name, {address.rest!r} came; write stdin: alone, or replay:FILE for a file."
+            )
+        options = LineOptions.of(address)
         self.rate_hz = options.rate_hz
         self._descriptor, self._lines = descriptor, Lines(options)
         self._ended = False
@@ -77,17 +88,3 @@ class StdinSource:
             self._ended = True
             raise EndOfStream
         return data
-
-
-def open_stdin(address: Address) -> StdinSource:
-    """Make the source that an address names: `stdin:?format=csv&columns=time,ax,ay&time=COLUMN&rate=100`.
-
-    Raises
-    ------
-    UsageError
-        If an option is not known or not possible.
-    """
-    address.refuse_unknown(LineOptions.NAMES)
-    if address.rest:
-        raise UsageError(f"stdin: takes no name, {address.rest!r} came; write stdin: alone, or replay:FILE for a file.")
-    return StdinSource(LineOptions.of(address))
