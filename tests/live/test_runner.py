@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from becalm.live.watching.meter import Meter
+from becalm.live.watching.watch import Watch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -32,7 +33,7 @@ EVERY_BLOCK = Settings(commit_s=0.0, patience_s=0.5)
 def runner_of(source: ListSource, keeper: MemoryKeeper | None, recipe: Recipe | None = None, **more: Any) -> Runner:
     outlets = Outlets(keeper, tuple(Outlet(sink) for sink in more.pop("sinks", ())))
     told: dict[str, Any] = {"settings": EVERY_BLOCK, "learner": Learner(2.0), **more}
-    return Runner(source=source, address="list:rows", outlets=outlets, meter=Meter(()), recipe=recipe, **told)
+    return Runner(source=source, address="list:rows", outlets=outlets, watch=Watch(Meter()), recipe=recipe, **told)
 
 
 def run(values: Floats = VALUES, sizes: int | list[int] = 50, **more: Any) -> MemoryKeeper:

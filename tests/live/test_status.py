@@ -23,7 +23,7 @@ def wait_until_rows(path: Path, rows: int) -> None:
 
 def test_it_is_there_at_once_follows_and_tells_the_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(status, "EVERY_S", 0.001)
-    meter, path, said = Meter(NAMES), tmp_path / "status.json", list[str]()
+    meter, path, said = Meter(), tmp_path / "status.json", list[str]()
     with StatusFile(path, meter, said.append) as file:
         for rows in range(1, 6):
             meter.told(used(1, 0.0))
@@ -42,7 +42,7 @@ def test_what_cannot_be_written_is_said_once_and_again_when_it_can(
     folder, said = tmp_path / "gone", list[str]()
     folder.mkdir()
     path = folder / "status.json"
-    with StatusFile(path, Meter(NAMES), said.append):
+    with StatusFile(path, Meter(), said.append):
         folder.rename(tmp_path / "moved")
         deadline = time.monotonic() + 30
         while not said:
@@ -58,4 +58,4 @@ def test_what_cannot_be_written_is_said_once_and_again_when_it_can(
 @pytest.mark.parametrize("name", ["", "no/such/folder/status.json"])
 def test_a_file_that_can_never_be_is_refused_before_the_stream_begins(name: str, tmp_path: Path) -> None:
     with pytest.raises(OutputError, match=r"directory|folder"):
-        StatusFile(tmp_path / name, Meter(NAMES), print)
+        StatusFile(tmp_path / name, Meter(), print)

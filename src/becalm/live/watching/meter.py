@@ -96,25 +96,14 @@ class Meter:
 
     Parameters
     ----------
-    names : sequence of str
-        The channels, (m,), as in every `Output`.
-    source, recipe : str
-        The source's address without secrets, and the recipe as TOML, which is told by its hash; `about` tells them
-        later.
+    source : str
+        The source's address without secrets.
     clock : callable
         `time.monotonic`, as in `Output.arrived_s`.
     """
 
-    def __init__(
-        self,
-        names: Sequence[str],
-        source: str = "",
-        recipe: str = "",
-        *,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
+    def __init__(self, source: str = "", *, clock: Callable[[], float] = time.monotonic) -> None:
         self._lock, self._clock = threading.Lock(), clock
-        self._names = tuple(names)
         self._started_s, self._begun_s = time.time(), clock()
         self._state: State = "starting"
         self._says, self._since_s = "", self._started_s
@@ -124,23 +113,22 @@ class Meter:
         self._seconds: deque[tuple[int, int]] = deque(maxlen=RATE_OVER_S + 1)  # whole seconds, and rows told in each
         self._latencies, self._commits = _Latencies(), _Commits()
         self._losses = {kind: Losses() for kind in LossKind}
-        self._verdicts = np.zeros((len(self._names), len(Verdict)), np.int64)
-        self._first_codes = np.arange(len(self._names)) * len(Verdict)  # each channel's in one row of counts
         self._health: dict[str, tuple[float, tuple[str, ...]]] = {}
-        self._source = self._recipe = ""
-        self.about(source, recipe)
+        self._source, self._recipe = source, ""
+        self.begin((), "")
 
-    def about(self, source: str, recipe: str) -> None:
-        """Say where readings come from, and through which recipe (TOML) they go."""
-        digest = hashlib.sha256(recipe.encode()).hexdigest() if recipe else ""
+    def begin(self, names: Sequence[str], recipe: str) -> None:
+        """Say which channels every `Output` has from now on, and through which recipe (TOML) they go."""
         with self._lock:
-            self._source, self._recipe = source, digest
+            self._names = tuple(names)
+            self._verdicts = np.zeros((len(self._names), len(Verdict)), np.int64)
+            self._first_codes = np.arange(len(self._names)) * len(Verdict)  # each channel's in one row of counts
+            self._recipe = hashlib.sha256(recipe.encode()).hexdigest() if recipe else ""
 
     def took(self, block: Block) -> None:
-        """Count a block that came from the source, and what it says was lost."""
+        """Count a block that came from the source."""
         with self._lock:
             self._taken += len(block)
-            self._count(block.losses)
 
     def queued(self, blocks: int, rows: int) -> None:
         """Say how much waits between source and filter now."""
@@ -151,11 +139,12 @@ class Meter:
         self._turned_s = self._clock()
 
     def told(self, output: Output) -> None:
-        """Count rows that sinks have got; their losses were counted when they were noticed."""
-        if not len(output):
-            return
+        """Count rows that sinks have got, and what is told with them of losses."""
         now_s = self._clock()
         with self._lock:
+            self._count(output.losses)
+            if not len(output):
+                return
             self._told += len(output)
             self._latencies.add(now_s - output.arrived_s)
             second = int(now_s)
@@ -178,11 +167,6 @@ class Meter:
             done.rows += rows
             done.took_s, done.longest_s = took_s, max(done.longest_s, took_s)
             done.last_s, done.position = self._clock(), position
-
-    def lost(self, loss: Loss) -> None:
-        """Count a loss that no block told."""
-        with self._lock:
-            self._count((loss,))
 
     def health(self, channel: str, nis: float, alarms: Sequence[str] = ()) -> None:
         """Say how a channel's filter fares: its windowed NIS (1 is right, NaN unknown), and what is wrong."""
