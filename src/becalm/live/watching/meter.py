@@ -16,7 +16,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from becalm.core.arrays import Floats
+from becalm.core.arrays import Floats, Integers
 from becalm.core.verdict import Verdict
 from becalm.live.block import Block, Loss, LossKind, Output
 from becalm.live.watching.memory import resident_bytes
@@ -125,6 +125,7 @@ class Meter:
         self._latencies, self._commits = _Latencies(), _Commits()
         self._losses = {kind: Losses() for kind in LossKind}
         self._verdicts = np.zeros((len(self._names), len(Verdict)), np.int64)
+        self._all_used = np.eye(1, len(Verdict), Verdict.USED, np.int64)
         self._first_codes = np.arange(len(self._names)) * len(Verdict)  # each channel's in one row of counts
         self._health: dict[str, tuple[float, tuple[str, ...]]] = {}
         self._source = self._recipe = ""
@@ -155,20 +156,16 @@ class Meter:
         if not len(output):
             return
         now_s = self._clock()
+        counts = self._counted(output)
         with self._lock:
             self._told += len(output)
+            self._verdicts += counts
             self._latencies.add(now_s - output.arrived_s)
             second = int(now_s)
             if self._seconds and self._seconds[-1][0] == second:
                 self._seconds[-1] = (second, self._seconds[-1][1] + len(output))
             else:
                 self._seconds.append((second, len(output)))
-            if output.verdicts.any():
-                codes = (output.verdicts + self._first_codes).ravel()
-                counts = np.bincount(codes, minlength=self._verdicts.size)
-                self._verdicts += counts.reshape(self._verdicts.shape)
-            else:
-                self._verdicts[:, Verdict.USED] += len(output)
 
     def kept(self, rows: int, took_s: float, position: str = "") -> None:
         """Count a commit: its rows, how long it took in seconds, and where a restart would go on."""
@@ -222,6 +219,13 @@ class Meter:
                 "position": self._commits.position,
             }
         return told | {"latency_ms": self._latencies.told(last)}
+
+    def _counted(self, output: Output) -> Integers:
+        """Count each channel's verdicts, (m, kinds): at once where all readings were used, as they mostly are."""
+        if not output.verdicts.any():
+            return len(output) * self._all_used
+        codes = (output.verdicts + self._first_codes).ravel()
+        return np.bincount(codes, minlength=self._verdicts.size).reshape(self._verdicts.shape)
 
     def _count(self, losses: Iterable[Loss]) -> None:
         for loss in losses:
