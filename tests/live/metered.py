@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import time
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
 from becalm.core.arrays import Codes
 from becalm.live.block import Block, Loss, Output
+from becalm.live.watching.meter import Meter
 
 NAMES = ("ax", "ay")
 
@@ -34,3 +36,10 @@ def output_of(verdicts: Codes, arrived_s: float, losses: Iterable[Loss] = ()) ->
 
 def used(rows: int, arrived_s: float) -> Output:
     return output_of(np.zeros((rows, 2), np.int8), arrived_s)
+
+
+def metered(names: Sequence[str] = NAMES, clock: Callable[[], float] = time.monotonic) -> Meter:
+    """Return a meter of a stream that has begun."""
+    meter = Meter("udp:9000", clock=clock)
+    meter.begin(names, "")
+    return meter

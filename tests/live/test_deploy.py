@@ -18,9 +18,8 @@ import pytest
 import typer
 
 from becalm.cli import main
-from becalm.live.watching.meter import Meter
 from becalm.live.watching.status import StatusFile
-from metered import NAMES, Clock
+from metered import Clock, metered
 
 ROOT = Path(__file__).parents[2]
 DEPLOY = ROOT / "deploy"
@@ -97,7 +96,7 @@ def health_of(status: Path) -> str | None:
 
 
 def test_a_stream_that_turns_is_healthy_wherever_its_source_is(tmp_path: Path) -> None:
-    path, meter = tmp_path / "status.json", Meter(NAMES)
+    path, meter = tmp_path / "status.json", metered()
     meter.state("away", "No broker.")
     StatusFile(path, meter, print).close()
     assert health_of(path) is None
@@ -108,7 +107,7 @@ def test_a_stream_that_turns_is_healthy_wherever_its_source_is(tmp_path: Path) -
 def test_a_stream_that_hangs_failed_or_is_gone_is_not_healthy(tmp_path: Path) -> None:
     path, clock = tmp_path / "status.json", Clock()
     assert "No status" in (health_of(path) or "")
-    meter = Meter(NAMES, clock=clock)
+    meter = metered(clock=clock)
     clock.now_s += 61
     StatusFile(path, meter, print).close()
     assert health_of(path) == "The main loop has stood still for 61 s."

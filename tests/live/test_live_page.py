@@ -10,9 +10,8 @@ from prometheus_client.metrics_core import Metric
 
 from becalm.cli import main
 from becalm.live.block import LossKind
-from becalm.live.watching.meter import Meter
 from becalm.live.watching.metrics import Counts
-from metered import NAMES, used
+from metered import metered, used
 
 PAGE = (Path(__file__).parents[2] / "docs/live.md").read_text(encoding="utf-8")
 
@@ -41,11 +40,11 @@ def test_it_names_all_kinds_of_losses() -> None:
 
 def test_it_names_all_keys_of_a_status() -> None:
     told = [key for cell in table_after("## Watching it") for key in re.findall(r"`(\w+)`", cell)]
-    assert sorted(told) == sorted(Meter(NAMES).status())
+    assert sorted(told) == sorted(metered().status())
 
 
 def test_it_names_all_metrics() -> None:
-    meter = Meter(NAMES)
+    meter = metered()
     meter.told(used(1, 0.0))
     meter.kept(1, 0.1)
     there = {named(metric) for metric in Counts(meter).collect()}

@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from becalm.core.verdict import Verdict
 from becalm.live.block import Loss, LossKind
 from becalm.live.watching import memory
-from becalm.live.watching.meter import LATENCIES, Meter
-from metered import NAMES, Clock, block_of, output_of, used
+from becalm.live.watching.meter import LATENCIES
+from metered import NAMES, Clock, block_of, metered, output_of, used
 
 
 def test_rows_are_counted_where_they_come_and_where_they_go() -> None:

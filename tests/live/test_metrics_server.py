@@ -13,7 +13,7 @@ from becalm.errors import UsageError
 from becalm.live.block import Loss, LossKind
 from becalm.live.watching.meter import Meter
 from becalm.live.watching.metrics import MetricsServer
-from metered import NAMES, Clock, block_of, output_of, used
+from metered import Clock, block_of, metered, output_of, used
 
 Scraped = dict[tuple[str, frozenset[tuple[str, str]]], float]
 
@@ -31,7 +31,7 @@ def of(found: Scraped, name: str, **labels: str) -> float:
 
 def test_what_is_scraped_is_what_was_counted() -> None:
     clock = Clock()
-    meter = Meter(NAMES, clock=clock)
+    meter = metered(clock=clock)
     verdicts = np.zeros((10, 2), np.int8)
     verdicts[3:5, 1] = Verdict.SPIKE
     meter.took(block_of(12, [Loss(LossKind.MISSING, 3, "Three.")]))
@@ -75,7 +75,7 @@ def test_what_is_scraped_is_what_was_counted() -> None:
 
 
 def test_a_stream_without_rows_or_commits_can_be_asked() -> None:
-    with MetricsServer(0, Meter(())) as server:
+    with MetricsServer(0, Meter()) as server:
         found = scraped(server)
     assert of(found, "becalm_rows_total") == 0
     assert not any(name == "becalm_last_commit_age_seconds" for name, _ in found)
@@ -83,25 +83,25 @@ def test_a_stream_without_rows_or_commits_can_be_asked() -> None:
 
 def test_any_name_of_a_channel_comes_through() -> None:
     name = 'µ "a"\\b\n{c=d}'
-    meter = Meter((name,))
+    meter = metered((name,))
     meter.health(name, 2.0)
     with MetricsServer(0, meter) as server:
         assert of(scraped(server), "becalm_nis", channel=name) == 2
 
 
 def test_a_port_in_use_is_said_in_a_sentence() -> None:
-    with MetricsServer(0, Meter(NAMES)) as first, pytest.raises(UsageError, match=r"127.0.0.1:\d+ .*name another"):
-        MetricsServer(first.port, Meter(NAMES))
+    with MetricsServer(0, metered()) as first, pytest.raises(UsageError, match=r"127.0.0.1:\d+ .*name another"):
+        MetricsServer(first.port, metered())
 
 
 @pytest.mark.parametrize("port", [-1, 70_000])
 def test_no_such_port_is_said_in_a_sentence(port: int) -> None:
     with pytest.raises(UsageError, match=f"127.0.0.1:{port} .*name another"):
-        MetricsServer(port, Meter(NAMES))
+        MetricsServer(port, metered())
 
 
 def test_closed_it_answers_no_more_and_its_port_is_free() -> None:
-    server = MetricsServer(0, Meter(NAMES))
+    server = MetricsServer(0, metered())
     server.close()
     server.close()
-    MetricsServer(server.port, Meter(NAMES)).close()
+    MetricsServer(server.port, metered()).close()

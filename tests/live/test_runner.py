@@ -10,8 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from becalm.live.watching.meter import Meter
-from becalm.live.watching.watch import Watch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -24,6 +22,8 @@ from becalm.live.learning import Learner
 from becalm.live.outlet import Outlet
 from becalm.live.protocols import AwayError, StorageFullError
 from becalm.live.runner import Runner, Settings
+from becalm.live.watching.meter import Meter
+from becalm.live.watching.watch import Watch
 from stand_ins import ListSource, MemoryKeeper, MemorySink, blocks_of, drive, recipe_of
 
 VALUES = drive(600)

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from becalm.errors import OutputError
+from becalm.live.block import Loss, LossKind
 from becalm.live.watching import status
 from becalm.live.watching.meter import Meter
 from becalm.live.watching.status import StatusFile
@@ -33,6 +34,18 @@ def test_it_is_there_at_once_follows_and_tells_the_end(tmp_path: Path, monkeypat
         assert json.loads(path.read_text(encoding="utf-8"))["state"] == "ended"
     assert [each.name for each in tmp_path.iterdir()] == ["status.json"]
     assert said == []
+
+
+def test_it_holds_no_secrets(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("BECALM_MQTT_PASSWORD", "rosebud")
+    meter, path = Meter(NAMES, "mqtt://me:other@host/topic"), tmp_path / "status.json"
+    meter.state("away", "rosebud was refused.")
+    meter.lost(Loss(LossKind.AWAY, None, "rosebud was refused."))
+    StatusFile(path, meter, print).close()
+    text = path.read_text(encoding="utf-8")
+    assert "was refused" in text
+    assert "rosebud" not in text
+    assert "other" not in text
 
 
 def test_what_cannot_be_written_is_said_once_and_again_when_it_can(

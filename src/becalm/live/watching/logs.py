@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import sys
+import threading
 import time
 from collections.abc import Callable, Mapping
 from logging.handlers import RotatingFileHandler
@@ -25,7 +26,7 @@ LOSSES_EVERY_S = 60.0
 
 
 class Log:
-    """The log of one stream, from which secrets are scrubbed.
+    """The log of one stream, from which secrets are scrubbed; any thread may write to it.
 
     A log that cannot be written, on a full disk say, stops no stream: lines are lost until it can.
 
@@ -56,6 +57,7 @@ class Log:
         self._handler = _handler(where)
         self._lines = _lines(self._handler, Scrubber(environment), as_json=where != "-")
         self._clock = clock
+        self._lock = threading.Lock()
         self._pending: dict[LossKind, _Pending] = {}
 
     def info(self, event: str, **values: object) -> None:
@@ -81,22 +83,20 @@ class Log:
     def loss(self, loss: Loss) -> None:
         """Tell a loss: the first of its kind at once, later ones once a minute, counted together."""
         now_s = self._clock()
-        pending = self._pending.setdefault(loss.kind, _Pending(now_s - LOSSES_EVERY_S))
-        pending.events += 1
-        pending.rows += loss.rows or 0
-        pending.last = loss
-        self._tell_pending(pending, now_s)
+        with self._lock:
+            pending = self._pending.setdefault(loss.kind, _Pending(now_s - LOSSES_EVERY_S))
+            pending.events += 1
+            pending.rows += loss.rows or 0
+            pending.last = loss
+            self._tell_pending(pending, now_s)
 
     def turn(self) -> None:
         """Tell what was counted for a minute; to be called now and then."""
-        now_s = self._clock()
-        for pending in self._pending.values():
-            self._tell_pending(pending, now_s)
+        self._tell_all(self._clock())
 
     def close(self) -> None:
         """Tell what is still counted and let go of the file; harmless twice."""
-        for pending in self._pending.values():
-            self._tell_pending(pending, float("inf"))
+        self._tell_all(float("inf"))
         self._handler.close()
 
     def __enter__(self) -> Self:
@@ -108,6 +108,11 @@ class Log:
     ) -> None:
         """Tell what is still counted and let go of the file."""
         self.close()
+
+    def _tell_all(self, now_s: float) -> None:
+        with self._lock:
+            for pending in self._pending.values():
+                self._tell_pending(pending, now_s)
 
     def _tell_pending(self, pending: _Pending, now_s: float) -> None:
         if pending.last is None or now_s - pending.told_s < LOSSES_EVERY_S:

@@ -16,7 +16,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from becalm.core.arrays import Floats
+from becalm.core.arrays import Floats, Integers
 from becalm.core.verdict import Verdict
 from becalm.live.block import Block, Loss, LossKind, Output
 from becalm.live.watching.memory import resident_bytes
@@ -113,6 +113,7 @@ class Meter:
         self._seconds: deque[tuple[int, int]] = deque(maxlen=RATE_OVER_S + 1)  # whole seconds, and rows told in each
         self._latencies, self._commits = _Latencies(), _Commits()
         self._losses = {kind: Losses() for kind in LossKind}
+        self._all_used = np.eye(1, len(Verdict), Verdict.USED, np.int64)
         self._health: dict[str, tuple[float, tuple[str, ...]]] = {}
         self._source, self._recipe = source, ""
         self.begin((), "")
@@ -141,23 +142,19 @@ class Meter:
     def told(self, output: Output) -> None:
         """Count rows that sinks have got, and what is told with them of losses."""
         now_s = self._clock()
+        counts = self._counted(output)
         with self._lock:
             self._count(output.losses)
             if not len(output):
                 return
             self._told += len(output)
+            self._verdicts += counts
             self._latencies.add(now_s - output.arrived_s)
             second = int(now_s)
             if self._seconds and self._seconds[-1][0] == second:
                 self._seconds[-1] = (second, self._seconds[-1][1] + len(output))
             else:
                 self._seconds.append((second, len(output)))
-            if output.verdicts.any():
-                codes = (output.verdicts + self._first_codes).ravel()
-                counts = np.bincount(codes, minlength=self._verdicts.size)
-                self._verdicts += counts.reshape(self._verdicts.shape)
-            else:
-                self._verdicts[:, Verdict.USED] += len(output)
 
     def kept(self, rows: int, took_s: float, position: str = "") -> None:
         """Count a commit: its rows, how long it took in seconds, and where a restart would go on."""
@@ -206,6 +203,13 @@ class Meter:
                 "position": self._commits.position,
             }
         return told | {"latency_ms": self._latencies.told(last)}
+
+    def _counted(self, output: Output) -> Integers:
+        """Count each channel's verdicts, (m, kinds): at once where all readings were used, as they mostly are."""
+        if not output.verdicts.any():
+            return len(output) * self._all_used
+        codes = (output.verdicts + self._first_codes).ravel()
+        return np.bincount(codes, minlength=self._verdicts.size).reshape(self._verdicts.shape)
 
     def _count(self, losses: Iterable[Loss]) -> None:
         for loss in losses:

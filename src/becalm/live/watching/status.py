@@ -12,6 +12,7 @@ from typing import Self
 
 from becalm.files.plain import refuse_unwritable
 from becalm.live.watching.meter import Meter
+from becalm.live.watching.secrets import Scrubber
 
 EVERY_S = 1.0
 
@@ -19,7 +20,8 @@ EVERY_S = 1.0
 class StatusFile:
     """Writes `Meter.status` as JSON, every second from a thread of its own and once more at the end.
 
-    A status that cannot be written, on a full disk say, stops no stream: it is said once, and tried again.
+    Secrets are scrubbed from it as from a log. A status that cannot be written, on a full disk say, stops no stream:
+    it is said once, and tried again.
 
     Parameters
     ----------
@@ -38,7 +40,7 @@ class StatusFile:
 
     def __init__(self, path: Path, meter: Meter, say: Callable[[str], object]) -> None:
         refuse_unwritable(path)
-        self._path, self._meter, self._say = path, meter, say
+        self._path, self._meter, self._say, self._scrub = path, meter, say, Scrubber()
         self._part = path.with_name(f".{path.name}.part")
         self._failing = False
         self._ended = threading.Event()
@@ -69,7 +71,7 @@ class StatusFile:
 
     def _write(self) -> None:
         """Replace the file; it is not forced to the disk, which the journal needs more."""
-        text = json.dumps(self._meter.status(), indent=2, allow_nan=False) + "\n"
+        text = json.dumps(self._scrub.value(self._meter.status()), indent=2, allow_nan=False) + "\n"
         try:
             self._part.write_text(text, encoding="utf-8")
             self._part.replace(self._path)
