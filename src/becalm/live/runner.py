@@ -184,8 +184,8 @@ class Runner:
         return Keeping(self.outlets, self.source, self.watch, head)
 
     def _walk(self, stream: Stream, keeping: Keeping, held: list[Block]) -> None:
-        for block in held:
-            self._take(block, stream, keeping)
+        for early in held:
+            self._take(early, stream, keeping)
         while not self._queue.ended:
             if self._asked.is_set():
                 self._asked.clear()

@@ -226,7 +226,7 @@ def _jumps(stamps: Floats, elapsed: Floats, reset: Booleans, explained: bool) ->
         Loss(LossKind.CLOCK, None, f"The sender's clock jumped to {stamps[k]:.9g} s; the stream goes on from there.")
         for k in np.flatnonzero(reset)
     ]
-    gaps = [] if explained else np.flatnonzero((elapsed > GAP_STEPS) & ~reset)
+    gaps = np.flatnonzero((elapsed > GAP_STEPS) & ~reset & (not explained))
     return losses + [
         Loss(LossKind.GAP, round(elapsed[k] - 1), f"{elapsed[k]:.6g} steps passed before {stamps[k]:.15g} s.")
         for k in gaps
