@@ -34,9 +34,9 @@ def test_what_is_scraped_is_what_was_counted() -> None:
     meter = metered(clock=clock)
     verdicts = np.zeros((10, 2), np.int8)
     verdicts[3:5, 1] = Verdict.SPIKE
-    meter.took(block_of(12, [Loss(LossKind.MISSING, 3, "Three.")]))
+    meter.took(block_of(12))
     meter.queued(2, 20)
-    meter.told(output_of(verdicts, clock.now_s - 0.25))
+    meter.told(output_of(verdicts, clock.now_s - 0.25, [Loss(LossKind.MISSING, 3, "Three.")]))
     meter.kept(10, 0.5)
     meter.health("ax", 1.5, ["drift"])
     meter.state("running")

@@ -6,6 +6,7 @@ import json
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from becalm.errors import OutputError
@@ -13,7 +14,7 @@ from becalm.live.block import Loss, LossKind
 from becalm.live.watching import status
 from becalm.live.watching.meter import Meter
 from becalm.live.watching.status import StatusFile
-from metered import NAMES, used
+from metered import output_of, used
 
 
 def wait_until_rows(path: Path, rows: int) -> None:
@@ -38,9 +39,9 @@ def test_it_is_there_at_once_follows_and_tells_the_end(tmp_path: Path, monkeypat
 
 def test_it_holds_no_secrets(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("BECALM_MQTT_PASSWORD", "rosebud")
-    meter, path = Meter(NAMES, "mqtt://me:other@host/topic"), tmp_path / "status.json"
+    meter, path = Meter("mqtt://me:other@host/topic"), tmp_path / "status.json"
     meter.state("away", "rosebud was refused.")
-    meter.lost(Loss(LossKind.AWAY, None, "rosebud was refused."))
+    meter.told(output_of(np.zeros((0, 2), np.int8), 0.0, [Loss(LossKind.AWAY, None, "rosebud was refused.")]))
     StatusFile(path, meter, print).close()
     text = path.read_text(encoding="utf-8")
     assert "was refused" in text
