@@ -66,6 +66,14 @@ def is_remark(line: bytes) -> bool:
     return line.lstrip()[:1] in (b"", b"#")
 
 
+def may_be_names(line: bytes) -> bool:
+    """Whether a line holds words only, however it is cut."""
+    text = _plain_text(line)
+    return text is not None and all(
+        kind_of(cell) in (WORDS, GONE) for separator in _SEPARATORS for cell in split(text, separator)
+    )
+
+
 def _json_layout(line: bytes, options: LineOptions) -> JsonLayout | None:
     told = json_object(line)
     if told is None:

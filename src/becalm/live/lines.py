@@ -9,7 +9,7 @@ import numpy as np
 from becalm.core.arrays import Floats
 from becalm.live.block import Block, Loss, LossKind
 from becalm.live.line_columns import LineOptions
-from becalm.live.line_layouts import is_remark, layout_of
+from becalm.live.line_layouts import is_remark, layout_of, may_be_names
 from becalm.live.line_rows import Bad, Layout, Taken, take
 
 LONGEST_LINE = 1 << 20
@@ -44,6 +44,7 @@ class Lines:
         self._options = options
         self._half = bytearray()
         self._skipping = False  # up to the next line end
+        self._within = False  # the first line may be the end of one
         self._above: list[bytes] = []
         self._layout: Layout | None = None
         self._bad = Bad()
@@ -88,9 +89,12 @@ class Lines:
         return self._block(taken, came_s)
 
     def begin_within(self) -> None:
-        """Hear that the next bytes may begin within a line, whose rest is left out; what was counted begins anew."""
+        """Hear that the next bytes may begin within a line; what was counted begins anew.
+
+        That line is left out and not counted, unless names are awaited and it holds nothing else.
+        """
         self._half.clear()
-        self._skipping = True
+        self._skipping, self._within = False, True
         self._counted = 0
 
     def _whole_lines(self, data: bytes) -> list[bytes]:
@@ -117,6 +121,10 @@ class Lines:
                 if len(line) > LONGEST_LINE:
                     self._bad.add(line[:_SHOWN], _TOO_LONG)
             lines = [line for line in lines if len(line) <= LONGEST_LINE]
+        if self._within and lines:
+            self._within = False
+            if self._layout is not None or not may_be_names(lines[0]):
+                lines = lines[1:]
         if self._layout is None:
             lines = self._understood(lines)
         if self._layout is None:
