@@ -4,7 +4,7 @@
 killed (SIGKILL) up to some seconds after each start. *JetStream to journal*: a sender publishes the same rows, ten a
 message, through a real NATS server; becalm or the server is killed, by the toss of a coin. *File to PostgreSQL*:
 becalm or a real server, with all its children, is killed. In each case what was kept at the end must be what one
-uninterrupted stream gives, to the bit. *MQTT to journal*: a real mosquitto, with the settings of its package, is killed;
+uninterrupted stream gives, to the bit. *MQTT to journal*: a real mosquitto, set as its package sets it, is killed;
 what it acknowledged and lost is not there any more, but every row must be kept or counted as missing.
 
 Run: python benchmarks/live_kills.py [--kills 200] [--only file,jetstream,postgres,mosquitto] [-o docs/live-kills.md]
