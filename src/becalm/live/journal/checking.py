@@ -7,7 +7,9 @@ import sqlite3
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from becalm.live.journal.database import BrokenSealError, rolled_blocks, unsealed
+from becalm.live.journal.database import NAME, BrokenSealError, rolled_blocks, unsealed
+from becalm.live.journal.mark import MarkFile
+from becalm.live.journal.reading import open_journal
 from becalm.live.journal.records import TABLES, BlockRow, RollRow
 
 Span = tuple[int, int]
@@ -36,6 +38,24 @@ def database_faults(connection: sqlite3.Connection) -> Iterator[str]:
     finally:
         if connection.in_transaction:
             connection.execute("ROLLBACK")
+
+
+def faults(folder: Path) -> Iterator[str]:
+    """Say what is wrong in a journal and its files, a sentence each; its stream may go on meanwhile.
+
+    Raises
+    ------
+    JournalError
+        If there is none.
+    """
+    mark = MarkFile(folder).read()  # first: the stream goes on
+    with open_journal(folder) as journal:
+        yield from database_faults(journal.connection)
+        checkpoint = journal.checkpoint()
+        kept = 0 if checkpoint is None else checkpoint.rows
+        if mark is not None and mark.checkpoint.rows > kept:
+            yield f"{told((kept, mark.checkpoint.rows)).capitalize()} were kept, and are gone from {NAME}."
+        yield from file_faults(folder, journal.rolls())
 
 
 def file_faults(folder: Path, rolls: Iterable[RollRow]) -> Iterator[str]:

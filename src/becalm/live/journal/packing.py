@@ -37,7 +37,8 @@ def joined(outputs: Sequence[Output], first_row: int) -> Output | None:
     full = [one for one in outputs if len(one)]
     if len(full) <= 1:
         return full[0] if full else None
-    return replace(full[0], **{part: np.concatenate([getattr(one, part) for one in full]) for part in _PARTS})
+    parts: list[Any] = [np.concatenate([getattr(one, part) for one in full]) for part in _PARTS]
+    return Output(first_row, *parts)
 
 
 def packed(output: Output) -> bytes:

@@ -19,7 +19,7 @@ from becalm.files.tables import VERDICT, in_words
 from becalm.live.block import Checkpoint, Head
 from becalm.live.journal.database import NAME, JournalError, connect_reading, get, reading, rolled_blocks
 from becalm.live.journal.packing import unpacked
-from becalm.live.journal.records import BlockRow, HeadRow, LossRow, RollRow
+from becalm.live.journal.records import BlockRow, HeadRow, HoleRow, LossRow, RollRow
 from becalm.live.tables import ROW, TIME, output_table, table_schema
 
 _BATCH_ROWS = 1 << 16
@@ -106,6 +106,11 @@ class JournalReader:
         """Return what happened to the stream, in the order in which it was told."""
         with reading(self.folder):
             return get(self.connection, LossRow)
+
+    def holes(self) -> list[tuple[int, int]]:
+        """Return which rows were kept and are known to be lost: the first, and the one after the last."""
+        with reading(self.folder):
+            return [(hole.first_row, hole.end_row) for hole in get(self.connection, HoleRow)]
 
     def rolls(self) -> list[RollRow]:
         """Return the files, in the order of rows, with those that were removed as too old."""

@@ -5,12 +5,12 @@ from __future__ import annotations
 import sqlite3
 import time
 from collections.abc import Iterable
-from contextlib import suppress
+from contextlib import closing, suppress
 from pathlib import Path
 
 from becalm.live.block import Loss, LossKind
 from becalm.live.journal.checking import told
-from becalm.live.journal.database import get, put, rolled_blocks
+from becalm.live.journal.database import NAME, connect, get, put, rolled_blocks, transaction, writing
 from becalm.live.journal.records import LossRow, RollRow
 from becalm.live.journal.rolling import Rolled
 
@@ -49,6 +49,30 @@ def give_up(connection: sqlite3.Connection, age_s: float) -> list[RollRow]:
         old.append(roll)
     if old:
         connection.execute("DELETE FROM losses WHERE row < ?", (old[-1].end_row,))
+    return old
+
+
+def prune(folder: Path, age_s: float) -> list[RollRow]:
+    """Remove files with nothing younger, and return what was recorded of them; the stream may go on meanwhile.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the journal.
+    age_s : float
+        Seconds: of stamps that are dates, else since the file was written.
+
+    Raises
+    ------
+    JournalError
+        If the journal cannot be read.
+    StorageFullError
+        If it cannot be written.
+    """
+    with writing(folder), closing(connect(folder / NAME)) as connection:
+        with transaction(connection, folder):
+            old = give_up(connection, age_s)
+        remove(folder, old)
     return old
 
 
