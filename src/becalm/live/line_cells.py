@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
+from typing import Protocol
 
+import numpy as np
+import pyarrow as pa
+
+from becalm.core.arrays import Floats
 from becalm.errors import UsageError
 from becalm.files.text.cells import MISSING, TIME, kind_of
 from becalm.files.timing.times import EPOCHS, IMPLIED, PER_SECOND, SECONDS
@@ -34,23 +40,71 @@ def number_of(cell: Cell) -> float | None:
         return None
 
 
-def instant_of(cell: Cell) -> float:
-    """Read an ISO date and time, which is UTC where it names no zone, as seconds since 1970.
+def numbers_of(cells: Sequence[bytes]) -> Floats:
+    """Read many cells at once, several times as fast as one by one.
 
     Raises
     ------
     ValueError
-        If it is none.
+        If one of them is no number, though it may be a missing reading.
     """
-    text = cell.decode() if isinstance(cell, bytes) else str(cell)
-    told = datetime.fromisoformat(text.strip().replace("/", "-"))
-    try:
-        return (told if told.tzinfo else told.replace(tzinfo=UTC)).timestamp()
-    except OverflowError as cause:  # the first and the last day of the calendar, in another zone
-        raise ValueError(text) from cause
+    read: Floats = pa.array(cells, pa.string()).cast(pa.float64()).to_numpy()  # Arrow's own error is a ValueError
+    return read
 
 
-def stamp_reader(name: str, unit: str, first: Cell) -> Callable[[Cell], float] | None:
+class StampReader(Protocol):
+    """Reads the cells of a time column."""
+
+    def one(self, cell: Cell) -> float:
+        """Return the seconds in a cell; ValueError if it holds no time."""
+        ...
+
+    def many(self, cells: Sequence[bytes]) -> Floats:
+        """Return the seconds in each cell; ValueError if one holds no time."""
+        ...
+
+
+@dataclass(frozen=True)
+class NumberStamps:
+    """Stamps as numbers, of which so many seconds make `factor` / `per_second`."""
+
+    factor: float = 1.0
+    per_second: float = 1.0
+
+    def one(self, cell: Cell) -> float:
+        """Return the seconds in a cell; ValueError if it holds no time."""
+        value = number_of(cell)
+        if value is None or not math.isfinite(value):
+            raise ValueError(cell)
+        return value * self.factor / self.per_second
+
+    def many(self, cells: Sequence[bytes]) -> Floats:
+        """Return the seconds in each cell; ValueError if one holds no time."""
+        read = numbers_of(cells)
+        if not np.isfinite(read).all():
+            raise ValueError(cells)
+        return read * self.factor / self.per_second
+
+
+class IsoStamps:
+    """Stamps as ISO dates and times, which are UTC where they name no zone, in seconds since 1970."""
+
+    def one(self, cell: Cell) -> float:
+        """Return the seconds in a cell; ValueError if it holds no time."""
+        if not isinstance(cell, str):
+            raise ValueError(cell)
+        told = datetime.fromisoformat(cell.strip().replace("/", "-"))
+        try:
+            return (told if told.tzinfo else told.replace(tzinfo=UTC)).timestamp()
+        except OverflowError as cause:  # the first and the last day of the calendar, in another zone
+            raise ValueError(cell) from cause
+
+    def many(self, cells: Sequence[bytes]) -> Floats:
+        """Return the seconds in each cell; ValueError if one holds no time."""
+        return np.array([self.one(cell.decode()) for cell in cells])
+
+
+def stamp_reader(name: str, unit: str, first: Cell) -> StampReader | None:
     """Return what reads the cells of a time column, by its name, its unit and its first cell; None if that is empty.
 
     Numbers are seconds, unless the unit, the name or the size of the first says otherwise: 1.7e12 counts milliseconds
@@ -63,9 +117,9 @@ def stamp_reader(name: str, unit: str, first: Cell) -> Callable[[Cell], float] |
     """
     value = number_of(first)
     if value is not None:
-        return _number_reader(name, unit, value) if math.isfinite(value) else None
+        return _number_stamps(name, unit, value) if math.isfinite(value) else None
     try:
-        instant_of(first)
+        IsoStamps().one(first)
     except ValueError as cause:
         if isinstance(first, str) and kind_of(first) == TIME:
             raise UsageError(
@@ -73,26 +127,17 @@ def stamp_reader(name: str, unit: str, first: Cell) -> Callable[[Cell], float] |
                 " ?time=COLUMN, or stamp rows when they come with ?time=arrival."
             ) from cause
         return None
-    return instant_of
+    return IsoStamps()
 
 
-def _number_reader(name: str, unit: str, first: float) -> Callable[[Cell], float]:
+def _number_stamps(name: str, unit: str, first: float) -> NumberStamps:
     bare, own = parse_header(name)
     unit = unit or own or IMPLIED.get(bare.lower(), "")
     if unit in SECONDS:
-        factor = SECONDS[unit]
-        return lambda cell: _finite(cell) * factor
+        return NumberStamps(factor=SECONDS[unit])
     if unit not in PER_SECOND:
         unit = next((name for name, low, high in EPOCHS if low <= first <= high), "s")
-    per_second = PER_SECOND[unit]
-    return lambda cell: _finite(cell) / per_second
-
-
-def _finite(cell: Cell) -> float:
-    value = float(cell) if isinstance(cell, bytes) else number_of(cell)
-    if value is None or not math.isfinite(value):
-        raise ValueError(cell)
-    return value
+    return NumberStamps(per_second=PER_SECOND[unit])
 
 
 def place_named(name: str, names: Sequence[str]) -> int | None:

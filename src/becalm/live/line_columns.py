@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from becalm.core.clock import FASTEST_HZ, SLOWEST_HZ
@@ -11,7 +11,7 @@ from becalm.files.text.cells import TIME, kind_of
 from becalm.files.timing.time_column import is_time_name
 from becalm.files.units import parse_header
 from becalm.live.address import Address
-from becalm.live.line_cells import Cell, number_of, place_named, stamp_reader
+from becalm.live.line_cells import Cell, StampReader, number_of, place_named, stamp_reader
 
 ARRIVAL = "arrival"
 _AUTO = "auto"
@@ -80,8 +80,8 @@ class Columns:
         Where they stand in a row.
     stamp_place : int or None
         Where the stamp stands; None where rows are counted, or stamped when they come.
-    stamp_of : callable or None
-        Reads it, as text, bytes or a number, in seconds.
+    stamp_of : StampReader or None
+        Reads it.
     """
 
     all_names: tuple[str, ...]
@@ -89,7 +89,7 @@ class Columns:
     units: tuple[str, ...]
     places: tuple[int, ...]
     stamp_place: int | None
-    stamp_of: Callable[[Cell], float] | None
+    stamp_of: StampReader | None
 
 
 def columns_of(

@@ -61,11 +61,6 @@ def layout_of(above: Sequence[bytes], line: bytes, options: LineOptions) -> tupl
     return CsvLayout(columns, separator), [text.encode() for text in heading.lines]
 
 
-def is_remark(line: bytes) -> bool:
-    """Whether a line is blank, or a remark that begins with #."""
-    return line.lstrip()[:1] in (b"", b"#")
-
-
 def may_be_names(line: bytes) -> bool:
     """Whether a line holds words only, however it is cut."""
     text = _plain_text(line)

@@ -11,9 +11,10 @@ import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.files.text.cells import split
-from becalm.live.line_cells import Cell, number_of
+from becalm.live.line_cells import Cell, number_of, numbers_of
 from becalm.live.line_columns import Columns
 
+_NOT_PLAIN = (b'"', b"#", b"(")  # quotes, remarks, nan(1): read one by one
 _PIECE = 256  # lines that are read at once where all of them are well
 
 
@@ -54,16 +55,16 @@ class Taken:
     ----------
     values : list of (n, m) float arrays
         Readings.
-    stamps : list of float
+    stamps : list of (n,) float arrays
         In seconds; empty where lines have none.
     places : list of int
         Which of the lines became rows, counted from 0.
     lines : int
-        How many lines there were.
+        How many lines there were that could have been.
     """
 
     values: list[Floats] = field(default_factory=list)
-    stamps: list[float] = field(default_factory=list)
+    stamps: list[Floats] = field(default_factory=list)
     places: list[int] = field(default_factory=list)
     lines: int = 0
 
@@ -77,7 +78,7 @@ class Layout(Protocol):
         """Cut a line into its cells, in the order of the columns; UnreadableError if it is no row."""
         ...
 
-    def well(self, lines: Sequence[bytes]) -> tuple[Floats, list[float]] | None:
+    def well(self, lines: Sequence[bytes]) -> tuple[Floats, Floats] | None:
         """Read many lines at once, if nothing is wrong with any."""
         ...
 
@@ -112,23 +113,21 @@ class CsvLayout:
             raise UnreadableError(f"it has {len(cells)} cell{'s' * (len(cells) != 1)}, not {width}")
         return [cell.replace(",", ".") for cell in cells] if self._commas else cells
 
-    def well(self, lines: Sequence[bytes]) -> tuple[Floats, list[float]] | None:
+    def well(self, lines: Sequence[bytes]) -> tuple[Floats, Floats] | None:
         """Read many lines at once, if nothing is wrong with any."""
         columns = self.columns
         if self._commas:
             lines = [line.replace(b",", b".") for line in lines]
         rows = [[line] for line in lines] if self._cut == b"" else [line.split(self._cut) for line in lines]
-        width = len(columns.all_names)
-        if any(len(row) != width for row in rows):
+        if set(map(len, rows)) != {len(columns.all_names)}:
             return None
         cells = list(zip(*rows, strict=True))
-        values = np.empty((len(rows), len(columns.places)))
         try:
-            for number, place in enumerate(columns.places):
-                values[:, number] = list(map(float, cells[place]))
+            values = numbers_of([cell for place in columns.places for cell in cells[place]])
+            by_row = np.ascontiguousarray(values.reshape(-1, len(rows)).T)
             if columns.stamp_place is None or columns.stamp_of is None:
-                return values, []
-            return values, list(map(columns.stamp_of, cells[columns.stamp_place]))
+                return by_row, np.empty(0)
+            return by_row, columns.stamp_of.many(cells[columns.stamp_place])
         except ValueError:
             return None
 
@@ -172,26 +171,30 @@ def json_object(line: bytes) -> dict[str, Cell] | None:
 
 
 def take(layout: Layout, lines: Sequence[bytes], bad: Bad) -> Taken:
-    """Read lines; whatever cannot be read is counted."""
-    taken = Taken(lines=len(lines))
+    """Read lines; blank ones and remarks are left out, and whatever else cannot be read is counted."""
+    taken = Taken()
     for start in range(0, len(lines), _PIECE):
         piece = lines[start : start + _PIECE]
         joined = b"".join(piece)
-        plain = not (b'"' in joined or b"_" in joined)  # a cell in quotes, or Python's own 1_000
-        well = layout.well(piece) if plain else None
+        well = None if any(mark in joined for mark in _NOT_PLAIN) else layout.well(piece)
         if well is None:
-            _take_one_by_one(layout, piece, start, (taken, bad))
+            _take_one_by_one(layout, [line for line in piece if not is_remark(line)], taken, bad)
             continue
         taken.values.append(well[0])
-        taken.stamps += well[1]
-        taken.places += range(start, start + len(piece))
+        taken.stamps.append(well[1])
+        taken.places += range(taken.lines, taken.lines + len(piece))
+        taken.lines += len(piece)
     return taken
 
 
-def _take_one_by_one(layout: Layout, lines: Sequence[bytes], start: int, into: tuple[Taken, Bad]) -> None:
-    taken, bad = into
-    rows = []
-    for place, line in enumerate(lines, start):
+def is_remark(line: bytes) -> bool:
+    """Whether a line is blank, or a remark that begins with #."""
+    return line.lstrip()[:1] in (b"", b"#")
+
+
+def _take_one_by_one(layout: Layout, lines: Sequence[bytes], taken: Taken, bad: Bad) -> None:
+    rows, stamps = [], []
+    for place, line in enumerate(lines, taken.lines):
         try:
             stamp, row, why = _row(layout, line)
         except UnreadableError as cause:
@@ -202,9 +205,11 @@ def _take_one_by_one(layout: Layout, lines: Sequence[bytes], start: int, into: t
         rows.append(row)
         taken.places.append(place)
         if stamp is not None:
-            taken.stamps.append(stamp)
+            stamps.append(stamp)
+    taken.lines += len(lines)
     if rows:
         taken.values.append(np.array(rows))
+        taken.stamps.append(np.array(stamps))
 
 
 def _row(layout: Layout, line: bytes) -> tuple[float | None, list[float], str]:
@@ -220,7 +225,7 @@ def _row(layout: Layout, line: bytes) -> tuple[float | None, list[float], str]:
     stamp = None
     if columns.stamp_place is not None and columns.stamp_of is not None:
         try:
-            stamp = columns.stamp_of(cells[columns.stamp_place])
+            stamp = columns.stamp_of.one(cells[columns.stamp_place])
         except ValueError as cause:
             raise UnreadableError(f"{columns.all_names[columns.stamp_place]!r} is no time") from cause
     return stamp, [np.nan if value is None else value for value in read], why

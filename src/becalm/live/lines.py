@@ -9,8 +9,8 @@ import numpy as np
 from becalm.core.arrays import Floats
 from becalm.live.block import Block, Loss, LossKind
 from becalm.live.line_columns import LineOptions
-from becalm.live.line_layouts import is_remark, layout_of, may_be_names
-from becalm.live.line_rows import Bad, Layout, Taken, take
+from becalm.live.line_layouts import layout_of, may_be_names
+from becalm.live.line_rows import Bad, Layout, Taken, is_remark, take
 
 LONGEST_LINE = 1 << 20
 """Bytes of a line; whatever is longer is garbage, and not held."""
@@ -116,7 +116,7 @@ class Lines:
         return whole.replace(b"\r\n", b"\n").replace(b"\r", b"\n").split(b"\n")[:-1]
 
     def _taken(self, lines: list[bytes]) -> Taken:
-        if any(len(line) > LONGEST_LINE for line in lines):
+        if max(map(len, lines), default=0) > LONGEST_LINE:
             for line in lines:
                 if len(line) > LONGEST_LINE:
                     self._bad.add(line[:_SHOWN], _TOO_LONG)
@@ -129,7 +129,7 @@ class Lines:
             lines = self._understood(lines)
         if self._layout is None:
             return Taken()
-        return take(self._layout, [line for line in lines if not is_remark(line)], self._bad)
+        return take(self._layout, list(filter(None, lines)), self._bad)
 
     def _understood(self, lines: list[bytes]) -> list[bytes]:
         """Find out how lines are written; return those that can be read then."""
@@ -170,8 +170,9 @@ class Lines:
         )
 
     def _times(self, taken: Taken, count: int, came_s: float) -> Floats:
-        if taken.stamps or not count:
-            return np.array(taken.stamps)
+        stamps = np.concatenate(taken.stamps) if taken.stamps else np.empty(0)
+        if len(stamps) or not count:
+            return stamps
         if self._options.rate_hz is not None:
             if not self._counted:
                 self._began_s = came_s
