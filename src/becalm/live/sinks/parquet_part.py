@@ -12,6 +12,7 @@ from pathlib import Path
 
 from becalm.errors import OutputError
 from becalm.files.parquet_writer import ParquetRows
+from becalm.files.whole import sync_folder
 from becalm.live.block import Head, Output
 from becalm.live.protocols import StorageFullError
 from becalm.live.tables import output_table
@@ -97,7 +98,7 @@ class PartFile:
         with told(self._target):
             target = self._free()
             self._path.rename(target)
-            _sync(target.parent)
+            sync_folder(target.parent)
         return target
 
     def _tabulate(self) -> None:
@@ -123,11 +124,3 @@ def told(path: Path) -> Iterator[None]:
         if cause.errno in _FULL:
             raise StorageFullError(f"There is no room for {path} ({cause.strerror}); make room.") from cause
         raise OutputError(f"{path} cannot be written ({cause.strerror}); choose another folder.") from cause
-
-
-def _sync(folder: Path) -> None:
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
