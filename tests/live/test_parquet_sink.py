@@ -6,6 +6,7 @@ import errno
 import logging
 from dataclasses import replace
 from pathlib import Path
+from threading import Event, Thread
 from typing import Any
 
 import duckdb
@@ -88,10 +89,11 @@ def test_duckdb_polars_and_pandas_read_them(tmp_path: Path) -> None:
 @given(
     sizes=st.lists(st.integers(0, 40), max_size=6),
     most=st.sampled_from(["", "?rows=9", "?rows=17"]),
+    flushes=st.booleans(),
     jumps=st.lists(st.sampled_from([0.0, 1.0, 4000.0, -4000.0, -1.7e9, 1e12, np.nan, 1e300]), min_size=6, max_size=6),
 )
 def test_every_row_is_there_once_whatever_the_clock_does(
-    tmp_path_factory: pytest.TempPathFactory, sizes: list[int], most: str, jumps: list[float]
+    tmp_path_factory: pytest.TempPathFactory, sizes: list[int], most: str, flushes: bool, jumps: list[float]
 ) -> None:
     folder = tmp_path_factory.mktemp("clock")
     sink, stamp, row = sink_of(folder, most), 1.7e9, 0
@@ -102,6 +104,8 @@ def test_every_row_is_there_once_whatever_the_clock_does(
         if size and not np.isfinite(jump):
             output.time_s[size // 2] = jump
         sink.write(output)
+        if flushes:
+            sink.flush()
         stamps += output.time_s.tolist()
         row += size
     sink.close()
@@ -121,6 +125,23 @@ def test_a_clock_that_jumps_far_ahead_keeps_no_file_open_for_ever(tmp_path: Path
     assert len([name for name in names_in(tmp_path) if name.endswith(".parquet")]) == 3
     sink.close()
     assert read(tmp_path)["row"].to_pylist() == list(range(217))
+
+
+def test_one_thread_writes_while_another_flushes(tmp_path: Path) -> None:
+    sink, done = sink_of(tmp_path, "?rows=1000"), Event()
+
+    def flushing() -> None:
+        while not done.is_set():
+            sink.flush()
+
+    flusher = Thread(target=flushing)
+    flusher.start()
+    for output in outputs_of([7] * 2000, channels=2):
+        sink.write(output)
+    done.set()
+    flusher.join()
+    sink.close()
+    assert read(tmp_path)["row"].to_pylist() == list(range(14_000))
 
 
 def test_a_name_that_is_taken_is_not_written_over(tmp_path: Path) -> None:
@@ -183,14 +204,13 @@ def test_a_full_disk_loses_no_row_when_there_is_room_again(tmp_path: Path, monke
 
     with monkeypatch.context() as patched:
         patched.setattr(Path, "open", lambda path, *words, **options: Short(opened(path, *words, **options)))
-        first = many(1 << 20, 0)
-        sink.write(first)
-        second = replace(many(10, 1 << 20), time_s=np.full(10, HOUR_S + 3600.0))
+        sink.write(many(1 << 20, 0))
+        sink.write(replace(many(10, 1 << 20), time_s=np.full(10, HOUR_S + 3600.0)))
         for _ in range(3):
             with pytest.raises(StorageFullError, match="no room"):
-                sink.write(second)
+                sink.flush()
         room[0] = 1 << 30
-        sink.write(second)
+        sink.flush()
         room[0] = 0
         for _ in range(2):
             with pytest.raises(StorageFullError):

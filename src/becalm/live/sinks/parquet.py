@@ -7,6 +7,7 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from itertools import count
 from pathlib import Path
+from threading import Lock
 
 import numpy as np
 
@@ -49,6 +50,7 @@ class ParquetSink:
             raise UsageError("parquet: needs a folder; write parquet:DIR.")
         self._folder = Path(address.rest)
         self._asked = int(address.number("rows", 0, least=1)) if "rows" in address.options else None
+        self._lock, self._taken = Lock(), list[Output]()
         self._part: PartFile | None = None
         self._over: list[PartFile] = []  # to be made whole
 
@@ -73,26 +75,10 @@ class ParquetSink:
                 )
 
     def write(self, output: Output) -> None:
-        """Take some rows; they are in memory, or in a file that is not whole yet, until the hour closes.
-
-        Raises
-        ------
-        StorageFullError
-            If there is no room for rows before these; of these none was taken, and the same call may be made again.
-        OutputError
-            If files cannot be written at all.
-        """
-        self.flush()
-        start = 0
-        while start < len(output):
-            part = self._part = self._part or self._begun(output, start)
-            end = self._end(part, output, start)
-            if end > start:
-                part.take(_some(output, start, end))
-            if end < len(output) or part.rows >= self._most:
-                self._over.append(part)
-                self._part = None
-            start = end
+        """Take some rows into memory; `flush`, which another thread may call, has the work with them."""
+        if len(output):
+            with self._lock:
+                self._taken.append(output)
 
     def flush(self) -> None:
         """Write what can be written, and make the files whole whose hours have closed.
@@ -100,10 +86,11 @@ class ParquetSink:
         Raises
         ------
         StorageFullError
-            If there is no room; it may be tried again.
+            If there is no room; nothing is lost, and it may be tried again.
         OutputError
             If files cannot be written at all.
         """
+        self._place()
         while self._over:
             self._over[0].finish()
             del self._over[0]
@@ -120,10 +107,27 @@ class ParquetSink:
         OutputError
             If files cannot be written at all.
         """
+        self._place()
         if self._part is not None:
             self._over.append(self._part)
             self._part = None
         self.flush()
+
+    def _place(self) -> None:
+        """Put each row into the file of its hour, in memory."""
+        with self._lock:
+            taken, self._taken = self._taken, []
+        for output in taken:
+            start = 0
+            while start < len(output):
+                part = self._part = self._part or self._begun(output, start)
+                end = self._end(part, output, start)
+                if end > start:
+                    part.take(_some(output, start, end))
+                if end < len(output) or part.rows >= self._most:
+                    self._over.append(part)
+                    self._part = None
+                start = end
 
     def _begun(self, output: Output, start: int) -> PartFile:
         """Begin the file of the hour, or of the number, of a row."""
