@@ -51,6 +51,20 @@ def test_stamps_coarser_than_the_step_are_counted() -> None:
     assert set(codes) == {TAKEN}
 
 
+def test_a_lost_row_is_seen_in_stamps_as_coarse_as_the_step() -> None:
+    stamps = np.delete(np.arange(50) / 1000, [20, 30, 31])
+    elapsed, _ = passed(stamps, 1e-3, 1e-3)
+    assert np.flatnonzero(elapsed[1:] != 1.0).tolist() == [19, 28]
+    assert elapsed[[20, 29]].tolist() == [2.0, 3.0]
+
+
+def test_a_row_that_shares_a_coarse_stamp_is_no_repeat() -> None:
+    stamps = np.round(np.arange(3000) / 1000.3, 3)
+    elapsed, codes = passed(stamps, 1e-3, 1e-3)
+    assert set(codes) == {TAKEN}
+    assert elapsed.sum() == pytest.approx(2999, rel=2e-3)
+
+
 def test_late_and_repeated_rows_are_told() -> None:
     _, codes = passed([0.0, 0.01, 0.02, 0.01, 0.02, 0.03, 0.03, np.nan, 0.04])
     assert codes == [TAKEN, TAKEN, TAKEN, LATE, REPEATED, TAKEN, REPEATED, UNTIMED, TAKEN]
@@ -93,6 +107,6 @@ def test_what_is_no_clock_is_refused() -> None:
     for step_s in (0.0, -1.0, np.nan, np.inf):
         with pytest.raises(TimeError, match="step_s"):
             LiveClock(step_s)
-    for state in (np.zeros(10), np.zeros(3), np.full(10, np.nan)):
+    for state in (np.zeros(11), np.zeros(3), np.full(11, np.nan)):
         with pytest.raises(ModelError, match="clock"):
             LiveClock.resumed(state)

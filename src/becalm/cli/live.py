@@ -4,38 +4,50 @@ from __future__ import annotations
 
 import signal
 import threading
+from collections.abc import Callable
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from types import FrameType
-from typing import NamedTuple
+from typing import NamedTuple, cast, get_args
 
 import typer
 
 from becalm.cleaning.recipe import Recipe
 from becalm.cli.stopping import stop_cleanly
-from becalm.errors import UsageError
+from becalm.errors import BecalmError, UsageError
 from becalm.live.address import Address, seconds_of
 from becalm.live.keeping import Outlets
 from becalm.live.learning import Learner
 from becalm.live.outlet import Outlet
 from becalm.live.protocols import Keeper, Sink
+from becalm.live.queueing import Policy
 from becalm.live.registry import open_sink, open_source
 from becalm.live.runner import Runner, Settings
-from becalm.live.watching.logs import Log, open_log
+from becalm.live.watching.logs import Log
 from becalm.live.watching.meter import Meter
 from becalm.live.watching.metrics import MetricsServer
 from becalm.live.watching.status import StatusFile
+from becalm.live.watching.watch import Watch
 
 DEFAULT_SINK = "journal:becalm-journal"
+POLICIES = get_args(Policy)
 _LEARNED = "learned.recipe.toml"
 
 
 class Watching(NamedTuple):
-    """Where a stream can be watched."""
+    """How a stream is watched."""
 
     status: Path | None
     metrics: int | None
     log: str
+    silent: str
+
+
+class StreamError(BecalmError):
+    """Something went wrong that nobody foresaw; what was kept before is whole."""
+
+    exit_code = 1
 
 
 class Asking(NamedTuple):
@@ -47,6 +59,21 @@ class Asking(NamedTuple):
     channels: tuple[str, ...]
 
 
+def settings_of(queue_blocks: int, when_full: str, commit: str) -> Settings:
+    """Read how a stream is run.
+
+    Raises
+    ------
+    UsageError
+        If one of them is impossible.
+    """
+    if queue_blocks < 1:
+        raise UsageError(f"--queue {queue_blocks} lets no block wait; give 1 or more.")
+    if when_full not in POLICIES:
+        raise UsageError(f"--when-full {when_full} is none of {', '.join(POLICIES)}.")
+    return Settings(seconds_of("--commit", commit), queue_blocks, cast(Policy, when_full))
+
+
 def run(source: str, sinks: list[str], asking: Asking, settings: Settings, watching: Watching) -> None:
     """Run a stream."""
     recipe = None if asking.recipe is None else Recipe.load(asking.recipe)
@@ -54,30 +81,42 @@ def run(source: str, sinks: list[str], asking: Asking, settings: Settings, watch
     names = sinks or [DEFAULT_SINK]
     keeper, others = _parted([open_sink(name) for name in names])
     learner = Learner(seconds_of("--learn", asking.learn), asking.lag_s, asking.channels)
-    meter = Meter()
-    meter.begin(address)
-    with ExitStack() as open_now:
-        log = open_now.enter_context(open_log(watching.log))
-        meter.listen(log)
+    meter = Meter(address)
+    with ExitStack() as opened:
+        log = opened.enter_context(Log(watching.log))
+        watch = Watch(meter, log, seconds_of("--silent", watching.silent))
+        opened.callback(watch.close)
         if watching.metrics is not None:
-            open_now.enter_context(MetricsServer(watching.metrics, meter))
+            opened.enter_context(MetricsServer(watching.metrics, meter))
         if watching.status is not None:
-            open_now.enter_context(StatusFile(watching.status, meter))
-        beside = _learned_path(names)
+            opened.enter_context(StatusFile(watching.status, meter, log.warning))
         runner = Runner(
             source=made,
             address=address,
             outlets=Outlets(keeper, tuple(Outlet(sink) for sink in others)),
-            meter=meter,
+            watch=watch,
             recipe=recipe,
             learner=learner,
-            learned=lambda found: _save(found, beside, log),
+            learned=partial(_save, path=_learned_path(names), log=log),
             settings=settings,
             ready=_warming(recipe),
         )
         _hear_signals(runner, asking.recipe)
-        runner.run()
+        log.info("start", source=address, sinks=", ".join(str(Address.parsed(name)) for name in names))
+        _walk(runner, log)
     typer.echo(f"Told {runner.rows} rows of {address}.", err=True)
+
+
+def _walk(runner: Runner, log: Log) -> None:
+    """Run a stream; an error that nobody foresaw is told by a sentence, and by the log in full."""
+    try:
+        runner.run()
+    except BecalmError as cause:
+        runner.watch.state("failed", str(cause))
+        raise
+    except Exception as cause:
+        runner.watch.state("failed", type(cause).__name__)
+        raise StreamError(log.unexpected(cause)) from cause
 
 
 def _parted(sinks: list[Sink | Keeper]) -> tuple[Keeper | None, list[Sink]]:
@@ -92,7 +131,7 @@ def _learned_path(sinks: list[str]) -> Path:
     return Path(journals[0] if journals else ".") / _LEARNED
 
 
-def _save(recipe: Recipe, path: Path, log: Log) -> None:
+def _save(recipe: Recipe, *, path: Path, log: Log) -> None:
     from becalm.files.plain import write_text
 
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -111,7 +150,7 @@ def _warming(recipe: Recipe | None) -> Callable[[], None]:
 
 
 def _hear_signals(runner: Runner, recipe: Path | None) -> None:
-    """Stop at the first signal to stop, finish the commit, and end at once at the second; reload the recipe at SIGHUP."""
+    """Stop at a first signal, and finish the commit; end at once at a second; read the recipe again at SIGHUP."""
 
     def stop(number: int, frame: FrameType | None) -> None:
         runner.stop()

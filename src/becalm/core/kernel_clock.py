@@ -7,12 +7,13 @@ import numpy as np
 from becalm.core.arrays import Codes, Floats
 from becalm.core.compiling import compiled, compiled_part
 
-GRID, LAST, STARTED, STEP, SLACK, FARTHEST, PACE, HELD, HELD_LAST, OPENED = range(10)
+GRID, LAST, STARTED, STEP, SLACK, FARTHEST, PACE, HELD, HELD_LAST, OPENED, COARSE = range(11)
 """What the state holds: where the even grid stands, the last stamp (s), whether there was one, the step (s), how far
 off the grid a stamp may lie (steps), the longest gap that one stamp is believed (s), steps of the sender's clock in one
-of ours, stamps held back in a row, the last of them (s), whether the source was opened anew since."""
+of ours, stamps held back in a row, the last of them (s), whether the source was opened anew since, whether rows may
+share a stamp."""
 
-WORDS = 10
+WORDS = 11
 
 TAKEN, LATE, REPEATED, FAR, RESET, UNTIMED = range(6)
 """What became of a row: taken; before or at the row before; far ahead; taken, though the clock jumped; no stamp."""
@@ -72,7 +73,9 @@ def count_steps(state: Floats, t: float, elapsed: Floats, k: int) -> int:
         state[GRID] += step * (state[PACE] + _PULL * off)
         state[PACE] = min(max(state[PACE] + _PULL_PACE * off, _LEAST_PACE), _GREATEST_PACE)
     elif t == state[LAST]:
-        return REPEATED
+        if state[COARSE] == 0.0:
+            return REPEATED
+        elapsed[k] = 1.0
     else:
         on_grid = whole >= 1.0 and abs(steps / state[PACE] - whole) <= state[SLACK] < _HALF
         elapsed[k] = whole if on_grid else (t - state[LAST]) / step

@@ -14,6 +14,7 @@ import numpy as np
 from becalm.core.arrays import Codes, Floats
 from becalm.core.kernel_clock import (
     AGREEING,
+    COARSE,
     FAR,
     FARTHEST,
     LATE,
@@ -33,6 +34,7 @@ from becalm.errors import ModelError, TimeError
 __all__ = ["AGREEING", "FAR", "LATE", "REPEATED", "RESET", "TAKEN", "UNTIMED", "LiveClock", "Passed"]
 
 _SLACK, _ROUNDING = 0.02, 1.05  # of a step; of a last digit
+_MANY_DIGITS, _HALF, _WHOLE = 50, 0.5, 1e-3  # last digits in a step
 _DAY_S, _MANY_STEPS = 86400.0, 1000.0
 
 
@@ -64,7 +66,10 @@ class LiveClock:
             raise TimeError(f"step_s = {step_s!r} is no time between two rows; give a positive number of seconds.")
         self._state = np.zeros(WORDS)
         self._state[STEP], self._state[PACE] = step_s, 1.0
-        self._state[SLACK] = max(_SLACK, _ROUNDING * resolution_s / step_s)
+        digits = step_s / resolution_s if resolution_s > 0 else np.inf
+        on_digits = digits > _MANY_DIGITS or (digits > _HALF and abs(digits - round(digits)) < _WHOLE)
+        self._state[SLACK] = _SLACK if on_digits else max(_SLACK, _ROUNDING / digits)
+        self._state[COARSE] = float(digits < 2)
         self._state[FARTHEST] = max(_DAY_S, _MANY_STEPS * step_s)
 
     def passed(self, stamps_s: Floats) -> Passed:
@@ -85,7 +90,7 @@ class LiveClock:
 
     @property
     def state(self) -> Floats:
-        """All that moves, (10,), for a snapshot."""
+        """All that moves, (11,), for a snapshot."""
         return self._state.copy()
 
     @classmethod

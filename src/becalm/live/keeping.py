@@ -13,7 +13,7 @@ from becalm.live.block import Checkpoint, Head, Loss, LossKind, Output
 from becalm.live.outlet import Outlet
 from becalm.live.protocols import AwayError, Keeper, Source, StorageFullError
 from becalm.live.reader import BackOff
-from becalm.live.watching.meter import Meter
+from becalm.live.watching.watch import Watch
 
 _BATCHES = 2  # that wait for a slow disk, before the filters do
 _POLL_S = 0.25
@@ -42,14 +42,14 @@ class Keeping:
         Sinks are flushed before a batch is kept, so that what is kept is with everyone.
     source : Source
         Hears which position is kept.
-    meter : Meter
+    watch : Watch
         Hears of each commit, and of trouble.
     head : Head
         What every row shares.
     """
 
-    def __init__(self, outlets: Outlets, source: Source, meter: Meter, head: Head) -> None:
-        self._outlets, self._source, self._meter, self._head = outlets, source, meter, head
+    def __init__(self, outlets: Outlets, source: Source, watch: Watch, head: Head) -> None:
+        self._outlets, self._source, self._watch, self._head = outlets, source, watch, head
         self._batches: queue.Queue[Batch | None] = queue.Queue(_BATCHES)
         self._giving_up = threading.Event()
         self._failure: BaseException | None = None
@@ -120,7 +120,8 @@ class Keeping:
         if self._outlets.keeper is not None:
             self._insist(partial(self._keep_once, batch), self._keeper_away)
         self.kept_rows = batch.checkpoint.rows
-        self._meter.kept(sum(len(output) for output in batch.outputs), time.monotonic() - begun)
+        rows = sum(len(output) for output in batch.outputs)
+        self._watch.meter.kept(rows, time.monotonic() - begun, batch.checkpoint.position)
         self._source.committed(batch.checkpoint.position)
 
     def _keep_once(self, batch: Batch) -> None:
@@ -151,7 +152,7 @@ class Keeping:
                 back_off.wait(self._giving_up)
                 continue
             if troubled:
-                self._meter.state("running", "")
+                self._watch.state("running")
             return
 
     def _keeper_away(self) -> None:
@@ -160,5 +161,5 @@ class Keeping:
         self._in_doubt = True
 
     def _tell(self, kind: LossKind, says: str) -> None:
-        self._meter.state("full" if kind is LossKind.STORAGE else "away", says)
+        self._watch.state("full" if kind is LossKind.STORAGE else "away", says)
         self._losses.append(Loss(kind, None, says))

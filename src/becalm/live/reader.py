@@ -9,7 +9,7 @@ import time
 from becalm.live.block import Block, Loss, LossKind
 from becalm.live.protocols import AwayError, EndOfStream, Source
 from becalm.live.queueing import BlockQueue
-from becalm.live.watching.meter import Meter
+from becalm.live.watching.watch import Watch
 
 _FIRST_S, _LONGEST_S = 0.25, 30.0
 _POLL_S = 0.25
@@ -41,14 +41,14 @@ class Reader:
         Where blocks come from.
     queue : BlockQueue
         Where they go.
-    meter : Meter
+    watch : Watch
         Hears of each.
     position : str
         Where to go on; "" of a new stream.
     """
 
-    def __init__(self, source: Source, queue: BlockQueue, meter: Meter, position: str) -> None:
-        self._source, self._queue, self._meter, self._position = source, queue, meter, position
+    def __init__(self, source: Source, queue: BlockQueue, watch: Watch, position: str) -> None:
+        self._source, self._queue, self._watch, self._position = source, queue, watch, position
         self._stop, self.opened = threading.Event(), threading.Event()
         self._away_since: float | None = None
         self._back_off = BackOff()
@@ -100,21 +100,21 @@ class Reader:
 
     def _take(self, block: Block) -> None:
         self._position = block.position or self._position
-        self._meter.took(block)
+        self._watch.meter.took(block)
         self._queue.put(block, self._stop)
-        self._meter.queued(*self._queue.depth)
+        self._watch.meter.queued(*self._queue.depth)
 
     def _went_away(self, cause: AwayError) -> None:
         self._source.close()
         if self._away_since is None:
             self._away_since = time.time()
-            self._meter.state("away", str(cause))
+            self._watch.state("away", str(cause))
             self._queue.tell(Loss(LossKind.AWAY, None, str(cause)))
         self._back_off.wait(self._stop)
 
     def _came_back(self) -> None:
         if self._away_since is not None:
             away_s, self._away_since = time.time() - self._away_since, None
-            self._meter.state("running", "")
+            self._watch.state("running")
             self._queue.tell(Loss(LossKind.AWAY, None, f"The source is back after {away_s:.1f} s."))
         self._back_off.reset()

@@ -6,8 +6,10 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from math import nan
 
 from becalm.cleaning.recipe import Recipe
+from becalm.cleaning.stream import ChannelHealth
 from becalm.errors import UsageError
 from becalm.live.block import Block, Checkpoint, Loss, LossKind, Output
 from becalm.live.keeping import Batch, Keeping, Outlets
@@ -16,8 +18,7 @@ from becalm.live.protocols import Source
 from becalm.live.queueing import BlockQueue, Policy
 from becalm.live.reader import Reader
 from becalm.live.stream import Stream
-from becalm.live.watching.meter import Meter
-from becalm.live.watching.watchdog import Silence
+from becalm.live.watching.watch import Watch
 
 _POLL_S = 0.25
 _MOST_ROWS = 1 << 18  # that one commit holds
@@ -36,8 +37,6 @@ class Settings:
         Blocks that may wait for the filters.
     when_full : {"block", "drop-oldest"}
         What becomes of a block that finds the queue full.
-    silent_s : float
-        After how long a source that says nothing is called silent.
     patience_s : float
         How long a stop waits for a full disk or an absent server.
     """
@@ -45,7 +44,6 @@ class Settings:
     commit_s: float = 1.0
     queue_blocks: int = 64
     when_full: Policy = "block"
-    silent_s: float = 10.0
     patience_s: float = 20.0
 
 
@@ -61,7 +59,7 @@ class Runner:
         Its name, without secrets; a keeper that has another stream's rows is refused.
     outlets : Outlets
         Where rows go.
-    meter : Meter
+    watch : Watch
         Hears of all.
     recipe : Recipe or None
         What to do; None goes on as before, or learns.
@@ -78,7 +76,7 @@ class Runner:
     source: Source
     address: str
     outlets: Outlets
-    meter: Meter
+    watch: Watch
     recipe: Recipe | None
     learner: Learner
     learned: Callable[[Recipe], None] = lambda _: None
@@ -91,7 +89,6 @@ class Runner:
         self._new_recipe: Recipe | None = None
         self._reader: Reader | None = None
         self._queue = BlockQueue(self.settings.queue_blocks, self.settings.when_full)
-        self._silence = Silence(self.settings.silent_s)
         self._outputs: list[Output] = []
         self._losses: list[Loss] = []
         self._position = ""
@@ -118,7 +115,7 @@ class Runner:
         """
         last = None if self.outlets.keeper is None else self.outlets.keeper.last()
         stream = None if last is None else self._resumed(last)
-        reader = self._reader = Reader(self.source, self._queue, self.meter, self._position)
+        reader = self._reader = Reader(self.source, self._queue, self.watch, self._position)
         reader.start()
         keeping: Keeping | None = None
         try:
@@ -155,7 +152,8 @@ class Runner:
     def _begun(self) -> tuple[Stream | None, list[Block]]:
         """Wait for the first rows; make a stream by the recipe, or by one learned from them."""
         held: list[Block] = []
-        self.meter.state("learning" if self.recipe is None else "running", "")
+        if self.recipe is None:
+            self.watch.state("learning")
         while True:
             block = self._next()
             if block is not None:
@@ -170,7 +168,6 @@ class Runner:
             if self.recipe is None and ((ended and held) or self.learner.is_enough(held, rate_hz)):
                 learned = self.learner.learn(held, rate_hz)
                 self.learned(learned.recipe)
-                self.meter.state("running", "")
                 return Stream(learned.recipe, learned.step_s, learned.resolution_s), held
             if ended:
                 return None, held
@@ -181,12 +178,14 @@ class Runner:
             self.outlets.keeper.open(head)
         for outlet in self.outlets.others:
             outlet.open(head)
+        self.watch.meter.begin(head.names, head.recipe)
+        self.watch.state("running")
         self._given_s = time.monotonic()
-        return Keeping(self.outlets, self.source, self.meter, head)
+        return Keeping(self.outlets, self.source, self.watch, head)
 
     def _walk(self, stream: Stream, keeping: Keeping, held: list[Block]) -> None:
-        for block in held:
-            self._take(block, stream, keeping)
+        for early in held:
+            self._take(early, stream, keeping)
         while not self._queue.ended:
             if self._asked.is_set():
                 self._asked.clear()
@@ -197,7 +196,7 @@ class Runner:
                 self._take(block, stream, keeping)
             self._give(stream, keeping)
             self._look_after(stream, keeping)
-        self.meter.state("stopping" if self._stop.is_set() else "ended", "")
+        self.watch.state("stopping" if self._stop.is_set() else "ended")
         if not self._stop.is_set():
             self._tell(stream.finish())
         self._give(stream, keeping, at_once=True)
@@ -206,10 +205,7 @@ class Runner:
         if self._stop.is_set() and self._reader is not None:
             self._reader.stop()
         block = self._queue.get(_POLL_S)
-        now = time.monotonic()
-        said = self._silence.check(now) if block is None else self._silence.heard(now)
-        if said is not None:
-            self._losses.append(said)
+        self._losses += self.watch.turned(block is not None)
         return block
 
     def _take(self, block: Block, stream: Stream, keeping: Keeping) -> None:
@@ -227,9 +223,7 @@ class Runner:
             outlet.write(output)
         self.rows = output.first_row + len(output)
         self._outputs.append(output)
-        self.meter.told(output)
-        for loss in output.losses:
-            self.meter.lost(loss)
+        self.watch.told(output)
 
     def _give(self, stream: Stream, keeping: Keeping, *, at_once: bool = False) -> None:
         """Hand over what was told since the last time, if it is time."""
@@ -246,8 +240,8 @@ class Runner:
         now = time.monotonic()
         if now - self._health_s >= _HEALTH_S:
             self._health_s = now
-            for name, nis, alarms in stream.health():
-                self.meter.health(name, nis, alarms)
+            for channel in stream.health():
+                self.watch.meter.health(channel.name, nan if channel.nis is None else channel.nis, _alarms(channel))
 
     def _close(self, reader: Reader) -> None:
         reader.join()
@@ -255,6 +249,11 @@ class Runner:
             outlet.close()
         if self.outlets.keeper is not None:
             self.outlets.keeper.close()
+
+
+def _alarms(channel: ChannelHealth) -> list[str]:
+    drift = channel.drift_since_row
+    return [*([] if drift is None else [f"drifts since row {drift}"]), *(["is dead"] if channel.dead else [])]
 
 
 def _rate_of(recipe: Recipe) -> float:

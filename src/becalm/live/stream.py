@@ -9,7 +9,7 @@ import numpy as np
 
 from becalm.cleaning.pipeline import fitted
 from becalm.cleaning.recipe import Recipe
-from becalm.cleaning.stream import StreamCleaner, Streamed
+from becalm.cleaning.stream import ChannelHealth, StreamCleaner, Streamed
 from becalm.core.arrays import Booleans, Codes, Floats
 from becalm.core.clock import GAP_STEPS
 from becalm.core.live_clock import FAR, LATE, REPEATED, RESET, TAKEN, UNTIMED, LiveClock
@@ -70,7 +70,7 @@ class Stream:
         if any(loss.kind is LossKind.AWAY for loss in block.losses):
             self._clock.opened()
         if not len(block):
-            return self._output(*self._waiting.none, Streamed.nothing(len(self.recipe.channel)), block.losses, 0.0)
+            return self._output(*_nothing(len(self.recipe.channel)), block.losses, 0.0)
         values = self._chosen(block)
         stamps, losses = block.time_s, list(block.losses)
         if block.elapsed is not None:
@@ -90,12 +90,9 @@ class Stream:
         self._waiting.told = self._waiting.count
         return self._output(*self._waiting.rows(done), Streamed(*(part[done:] for part in told)), (), 0.0)
 
-    def health(self) -> list[tuple[str, float, tuple[str, ...]]]:
-        """Return each channel's name, its NIS of late and what its alarms say."""
-        return [
-            (channel.name, health.nis, health.alarms)
-            for channel, health in zip(self.recipe.channel, self._cleaner.health(), strict=True)
-        ]
+    def health(self) -> tuple[ChannelHealth, ...]:
+        """Say how each channel is."""
+        return self._cleaner.health()
 
     def _chosen(self, block: Block) -> Floats:
         if self._numbers is None:
@@ -206,6 +203,11 @@ class _Waiting:
         self.time_s, self.values, self.told = time_s, values, told
 
 
+def _nothing(channels: int) -> tuple[Floats, Floats, Streamed]:
+    none = np.empty((0, channels))
+    return np.empty(0), none, Streamed(none, none, np.empty((0, channels), np.int8))
+
+
 def _left_out(codes: Codes) -> list[Loss]:
     """Say which rows were not taken for their stamps."""
     if not codes.any():
@@ -224,7 +226,7 @@ def _jumps(stamps: Floats, elapsed: Floats, reset: Booleans, explained: bool) ->
         Loss(LossKind.CLOCK, None, f"The sender's clock jumped to {stamps[k]:.9g} s; the stream goes on from there.")
         for k in np.flatnonzero(reset)
     ]
-    gaps = [] if explained else np.flatnonzero((elapsed > GAP_STEPS) & ~reset)
+    gaps = np.flatnonzero((elapsed > GAP_STEPS) & ~reset & (not explained))
     return losses + [
         Loss(LossKind.GAP, round(elapsed[k] - 1), f"{elapsed[k]:.6g} steps passed before {stamps[k]:.15g} s.")
         for k in gaps
