@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import sys
 import threading
 from collections.abc import Iterator
 from io import FileIO
@@ -134,6 +135,12 @@ def test_a_full_disk_is_a_sentence() -> None:
         sink.open(_head())
         with pytest.raises(OutputError, match="No space left"):
             sink.write(_output(np.zeros(1), np.zeros((1, 2)), np.zeros((1, 2))))
+
+
+def test_a_closed_output_is_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "__stdout__", None)
+    with pytest.raises(OutputError, match="is closed"):
+        StdoutSink(Address.parsed("stdout:")).open(_head())
 
 
 def test_an_output_that_does_not_wait_is_waited_for() -> None:
