@@ -15,8 +15,8 @@ from becalm.live.block import Head, Loss, LossKind
 from becalm.live.protocols import AwayError, Keeper, StorageFullError
 from becalm.live.sinks.postgres import PostgresSink
 from becalm.live.sinks.postgres_rows import BinaryRows
-from postgres_server import PASSWORD, USER, PostgresServer, postgres_server
-from servers import free_port
+from live_postgres import PASSWORD, USER, PostgresServer, postgres_server
+from servers import free_port, need
 from streams import checkpoint_at, head_of, outputs_of
 
 HOSTILE = ('a"; drop table x; --', "b%s", "C d", "ü" * 20)
@@ -24,6 +24,7 @@ HOSTILE = ('a"; drop table x; --', "b%s", "C d", "ü" * 20)
 
 @pytest.fixture(scope="module")
 def server() -> Iterator[PostgresServer]:
+    need("initdb")
     with postgres_server() as running:
         yield running
 
@@ -113,6 +114,7 @@ def test_hostile_names_are_only_names(server: PostgresServer, keepers: list[Post
 
 def test_a_killed_server_keeps_all_or_nothing(keepers: list[PostgresSink]) -> None:
     """Twenty times it is killed at some moment of a transaction; the stream goes on from what it says was last."""
+    need("initdb")
     random, channels = np.random.default_rng(8), 3
     with postgres_server() as server:
         keeper = keeper_of(server, "killed")
