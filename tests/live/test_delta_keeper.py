@@ -21,18 +21,18 @@ from becalm.errors import InputError, OutputError, UsageError
 from becalm.live.address import Address
 from becalm.live.block import Head, Loss, LossKind, Output
 from becalm.live.protocols import AwayError, Keeper, StorageFullError
-from becalm.live.sinks.delta import DeltaKeeper
+from becalm.live.sinks.delta import DeltaSink
 from becalm.live.sinks.delta_files import DeltaFiles
 from becalm.live.tables import output_table
 from streams import checkpoint_at, head_of, outputs_of
 
 
-def keeper_of(place: Path | str) -> DeltaKeeper:
+def keeper_of(place: Path | str) -> DeltaSink:
     """Return a keeper of a folder or URI."""
-    return DeltaKeeper(Address.parsed(f"delta:{place}"))
+    return DeltaSink(Address.parsed(f"delta:{place}"))
 
 
-def opened(place: Path | str, *names: str) -> DeltaKeeper:
+def opened(place: Path | str, *names: str) -> DeltaSink:
     """Return a keeper that is ready."""
     keeper = keeper_of(place)
     keeper.open(head_of(*(names or ("a",))))
@@ -122,8 +122,8 @@ def test_killed_processes_leave_all_or_nothing(tmp_path: Path) -> None:
         f"sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
         "from streams import checkpoint_at, head_of, outputs_of\n"
         "from becalm.live.address import Address\n"
-        "from becalm.live.sinks.delta import DeltaKeeper\n"
-        "keeper = DeltaKeeper(Address.parsed('delta:' + sys.argv[1]))\n"
+        "from becalm.live.sinks.delta import DeltaSink\n"
+        "keeper = DeltaSink(Address.parsed('delta:' + sys.argv[1]))\n"
         "last = keeper.last()\n"
         "rows = 0 if last is None else last.rows\n"
         "keeper.open(head_of('a'))\n"
@@ -265,8 +265,9 @@ def test_other_channels_units_or_recipes_are_refused(tmp_path: Path) -> None:
     keeper = opened(tmp_path)
     keeper.open(head_of("a", recipe="version = 2\n"))  # nothing was kept with the first
     keeper.keep(outputs_of([3]), checkpoint_at(3))
+    keeper.open(head_of("a", recipe="version = 2\n"))  # its own filters, tuned anew meanwhile
     with pytest.raises(UsageError, match="another recipe"):
-        keeper.open(head_of("a", recipe="version = 2\n"))
+        keeper_of(tmp_path).open(head_of("a", recipe="version = 2\n"))
     for head in (head_of("b"), Head(("a",), ("mm",), 1.0, "version = 1\n"), head_of("a", "b")):
         with pytest.raises(UsageError, match="other channels"):
             keeper_of(tmp_path).open(head)
@@ -281,7 +282,7 @@ def test_a_table_of_someone_else_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize("address", ["delta:", "delta:somewhere?compact=1h"])
 def test_addresses_that_cannot_be_meant_are_refused(address: str) -> None:
     with pytest.raises(UsageError):
-        DeltaKeeper(Address.parsed(address))
+        DeltaSink(Address.parsed(address))
 
 
 def test_a_folder_that_is_a_file_is_told(tmp_path: Path) -> None:

@@ -165,6 +165,19 @@ def test_a_bad_cell_is_a_missing_reading() -> None:
     assert "'2,x1,5': 'a' is no number" in blocks[0].losses[0].says
 
 
+def test_a_first_row_with_a_bad_cell_hides_no_channel() -> None:
+    blocks = _read(b"time,a,b\n1,ERR,3\n2,4,5\n")
+    assert blocks[0].names == ("a", "b")
+    np.testing.assert_array_equal(_rows(blocks), [[np.nan, 3.0], [4.0, 5.0]])
+    assert _lost(blocks) == 1
+
+
+def test_columns_of_words_only_pass() -> None:
+    blocks = _read(b"1;ok;2\n2;bad;3\n", columns=("time", "state", "a"))
+    assert blocks[0].names == ("a",)
+    assert _rows(blocks) == [[2.0], [3.0]]
+
+
 def test_blank_lines_and_remarks_are_no_losses() -> None:
     blocks = _read(b"# made by a logger\n\ntime,a\n\r\n1,2\r\n\r\n# status ok\r2,3\r")
     assert _rows(blocks) == [[2.0], [3.0]]

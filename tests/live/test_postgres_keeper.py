@@ -13,7 +13,7 @@ from becalm.errors import InputError, OutputError, UsageError
 from becalm.live.address import Address
 from becalm.live.block import Head, Loss, LossKind
 from becalm.live.protocols import AwayError, Keeper, StorageFullError
-from becalm.live.sinks.postgres import PostgresKeeper
+from becalm.live.sinks.postgres import PostgresSink
 from becalm.live.sinks.postgres_rows import BinaryRows
 from postgres_server import PASSWORD, USER, PostgresServer, postgres_server
 from servers import free_port
@@ -33,15 +33,15 @@ def _known_password(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PGPASSWORD", PASSWORD)
 
 
-def keeper_of(server: PostgresServer, table: str, options: str = "", host: str = "127.0.0.1") -> PostgresKeeper:
+def keeper_of(server: PostgresServer, table: str, options: str = "", host: str = "127.0.0.1") -> PostgresSink:
     """Return a keeper of one table; the caller closes it."""
-    return PostgresKeeper(Address.parsed(f"postgres://{USER}@{host}:{server.port}/postgres?table={table}{options}"))
+    return PostgresSink(Address.parsed(f"postgres://{USER}@{host}:{server.port}/postgres?table={table}{options}"))
 
 
 @pytest.fixture
-def keepers() -> Iterator[list[PostgresKeeper]]:
+def keepers() -> Iterator[list[PostgresSink]]:
     """Collect keepers, to close them all."""
-    made: list[PostgresKeeper] = []
+    made: list[PostgresSink] = []
     yield made
     for keeper in made:
         keeper.close()
@@ -52,7 +52,7 @@ def bits(values: object) -> list[int]:
     return [int(one) for one in np.asarray(values, dtype=np.float64).ravel().view(np.int64)]
 
 
-def test_every_bit_comes_back(server: PostgresServer, keepers: list[PostgresKeeper]) -> None:
+def test_every_bit_comes_back(server: PostgresServer, keepers: list[PostgresSink]) -> None:
     keeper, head = keeper_of(server, "bits"), head_of("a", "b")
     keepers.append(keeper)
     assert isinstance(keeper, Keeper)
@@ -73,9 +73,7 @@ def test_every_bit_comes_back(server: PostgresServer, keepers: list[PostgresKeep
     assert [row[8:] for row in rows] == [tuple(pair) for one in outputs for pair in one.verdicts.tolist()]
 
 
-def test_instants_stand_beside_stamps_that_count_from_1970(
-    server: PostgresServer, keepers: list[PostgresKeeper]
-) -> None:
+def test_instants_stand_beside_stamps_that_count_from_1970(server: PostgresServer, keepers: list[PostgresSink]) -> None:
     keeper = keeper_of(server, "instants")
     keepers.append(keeper)
     keeper.open(head_of("a"))
@@ -87,7 +85,7 @@ def test_instants_stand_beside_stamps_that_count_from_1970(
     assert [row[0] for row in server.asked(asked)] == [None, pytest.approx(1.7e9 + 0.001), None, None, None]
 
 
-def test_losses_stand_beside_their_rows(server: PostgresServer, keepers: list[PostgresKeeper]) -> None:
+def test_losses_stand_beside_their_rows(server: PostgresServer, keepers: list[PostgresSink]) -> None:
     keeper = keeper_of(server, "with_losses")
     keepers.append(keeper)
     keeper.open(head_of("a"))
@@ -99,7 +97,7 @@ def test_losses_stand_beside_their_rows(server: PostgresServer, keepers: list[Po
     assert rows == [(17, "missing", 3, "Three \ufffd rows."), (17, "away", None, "Away.")]
 
 
-def test_hostile_names_are_only_names(server: PostgresServer, keepers: list[PostgresKeeper]) -> None:
+def test_hostile_names_are_only_names(server: PostgresServer, keepers: list[PostgresSink]) -> None:
     server.do("create table x(a int)")
     keeper = keeper_of(server, "t%25s%22%3B%20drop%20table%20x%3B--")
     keepers.append(keeper)
@@ -113,7 +111,7 @@ def test_hostile_names_are_only_names(server: PostgresServer, keepers: list[Post
     assert {*HOSTILE} <= {row[0] for row in columns}
 
 
-def test_a_killed_server_keeps_all_or_nothing(keepers: list[PostgresKeeper]) -> None:
+def test_a_killed_server_keeps_all_or_nothing(keepers: list[PostgresSink]) -> None:
     """Twenty times it is killed at some moment of a transaction; the stream goes on from what it says was last."""
     random, channels = np.random.default_rng(8), 3
     with postgres_server() as server:
@@ -150,7 +148,7 @@ def test_a_killed_server_keeps_all_or_nothing(keepers: list[PostgresKeeper]) -> 
 
 
 def test_no_server_is_away_and_not_for_ever(server: PostgresServer) -> None:
-    keeper = PostgresKeeper(Address.parsed(f"postgres://u@127.0.0.1:{free_port()}/postgres?table=t"))
+    keeper = PostgresSink(Address.parsed(f"postgres://u@127.0.0.1:{free_port()}/postgres?table=t"))
     with pytest.raises(AwayError, match="cannot be reached now"):
         keeper.last()
     keeper.close()
@@ -171,7 +169,7 @@ def test_a_wrong_password_is_no_reason_to_wait(
 
 
 def test_a_password_may_stand_in_a_file(
-    server: PostgresServer, monkeypatch: pytest.MonkeyPatch, keepers: list[PostgresKeeper], tmp_path: Path
+    server: PostgresServer, monkeypatch: pytest.MonkeyPatch, keepers: list[PostgresSink], tmp_path: Path
 ) -> None:
     monkeypatch.setenv("PGPASSWORD", "wrong")
     file = tmp_path / "password"
@@ -180,12 +178,19 @@ def test_a_password_may_stand_in_a_file(
     assert keepers[-1].last() is None
     with pytest.raises(InputError, match="cannot be read"):
         keeper_of(server, "t", f"&password_file={tmp_path}/none").last()
+    file.write_text(f"{USER}\n{PASSWORD}\n", encoding="utf-8")
+    address = f"postgres://127.0.0.1:{server.port}/postgres?table=u&password_file={file}"
+    keepers.append(PostgresSink(Address.parsed(address)))
+    assert keepers[-1].last() is None
+    file.write_text("", encoding="utf-8")
+    with pytest.raises(InputError, match="0 lines"):
+        keeper_of(server, "t", f"&password_file={file}").last()
 
 
 def test_a_missing_database_is_no_reason_to_wait(server: PostgresServer) -> None:
     address = Address.parsed(f"postgres://{USER}@127.0.0.1:{server.port}/nothing?table=t")
     with pytest.raises(InputError, match="does not exist"):
-        PostgresKeeper(address).last()
+        PostgresSink(address).last()
 
 
 @pytest.mark.parametrize(
@@ -203,11 +208,11 @@ def test_a_missing_database_is_no_reason_to_wait(server: PostgresServer) -> None
 )
 def test_addresses_that_cannot_be_meant_are_refused(address: str, said: str) -> None:
     with pytest.raises(UsageError, match=said) as told:
-        PostgresKeeper(Address.parsed(address))
+        PostgresSink(Address.parsed(address))
     assert "hidden" not in str(told.value)
 
 
-def test_the_second_writer_is_refused(server: PostgresServer, keepers: list[PostgresKeeper]) -> None:
+def test_the_second_writer_is_refused(server: PostgresServer, keepers: list[PostgresSink]) -> None:
     keepers += [keeper_of(server, "shared") for _ in range(2)]
     keepers[0].open(head_of("a"))
     with pytest.raises(UsageError, match="Another process writes"):
@@ -222,22 +227,26 @@ def test_the_second_writer_is_refused(server: PostgresServer, keepers: list[Post
         keepers[0].last()
 
 
-def test_other_channels_units_or_recipes_are_refused(server: PostgresServer, keepers: list[PostgresKeeper]) -> None:
+def test_other_channels_units_or_recipes_are_refused(server: PostgresServer, keepers: list[PostgresSink]) -> None:
     keeper = keeper_of(server, "settled")
     keepers.append(keeper)
     keeper.open(head_of("a"))
     keeper.open(head_of("a", recipe="version = 2\n"))  # nothing was kept with the first
     keeper.keep(outputs_of([3]), checkpoint_at(3))
-    keeper.open(head_of("a"))
+    keeper.open(head_of("a", recipe="version = 2\n"))  # its own filters, tuned anew meanwhile
+    keeper.close()
+    keeper = keeper_of(server, "settled")
+    keepers.append(keeper)
     with pytest.raises(UsageError, match="another recipe"):
         keeper.open(head_of("a", recipe="version = 2\n"))
+    keeper.open(head_of("a"))
     with pytest.raises(UsageError, match=r"other channels \(a \[m\]\)"):
         keeper.open(head_of("b"))
     with pytest.raises(UsageError, match="other channels"):
         keeper.open(Head(("a",), ("mm",), 1000.0, "version = 1\n"))
 
 
-def test_a_table_of_someone_else_is_refused(server: PostgresServer, keepers: list[PostgresKeeper]) -> None:
+def test_a_table_of_someone_else_is_refused(server: PostgresServer, keepers: list[PostgresSink]) -> None:
     server.do("create table theirs(a int)")
     keepers.append(keeper_of(server, "theirs"))
     with pytest.raises(UsageError, match="not made by becalm"):
@@ -249,7 +258,7 @@ def test_a_table_of_someone_else_is_refused(server: PostgresServer, keepers: lis
     [(("time",), "instants"), (tuple(f"c{i}" for i in range(301)), "301 channels"), (("n" * 56,), "63")],
 )
 def test_channels_that_postgres_cannot_hold_are_refused(
-    server: PostgresServer, keepers: list[PostgresKeeper], names: tuple[str, ...], said: str
+    server: PostgresServer, keepers: list[PostgresSink], names: tuple[str, ...], said: str
 ) -> None:
     keepers.append(keeper_of(server, "refused"))
     with pytest.raises(UsageError, match=said):
@@ -257,16 +266,14 @@ def test_channels_that_postgres_cannot_hold_are_refused(
     assert keepers[-1].last() is None
 
 
-def test_three_hundred_channels_fit(server: PostgresServer, keepers: list[PostgresKeeper]) -> None:
+def test_three_hundred_channels_fit(server: PostgresServer, keepers: list[PostgresSink]) -> None:
     keepers.append(keeper_of(server, "wide"))
     keepers[-1].open(head_of(*(f"c{number}" for number in range(300))))
     keepers[-1].keep(outputs_of([40], channels=300, begins_s=1.7e9), checkpoint_at(40))
     assert server.asked("select count(*), min(c299_sigma), max(c299_sigma) from wide") == [(40, 0.1, 0.1)]
 
 
-def test_a_full_disk_keeps_nothing_and_can_be_tried_again(
-    server: PostgresServer, keepers: list[PostgresKeeper]
-) -> None:
+def test_a_full_disk_keeps_nothing_and_can_be_tried_again(server: PostgresServer, keepers: list[PostgresSink]) -> None:
     """The server itself raises its code for it, from a trigger; making room takes the trigger away."""
     keepers.append(keeper_of(server, "full"))
     keepers[-1].open(head_of("a"))
@@ -289,14 +296,14 @@ def test_a_full_disk_keeps_nothing_and_can_be_tried_again(
 def test_a_user_who_may_not_write_is_told(server: PostgresServer, monkeypatch: pytest.MonkeyPatch) -> None:
     server.do("create role reader login password 'r'")
     monkeypatch.setenv("PGPASSWORD", "r")
-    keeper = PostgresKeeper(Address.parsed(f"postgres://reader@:{server.port}/postgres?table=unwritable"))
+    keeper = PostgresSink(Address.parsed(f"postgres://reader@:{server.port}/postgres?table=unwritable"))
     assert keeper.last() is None
     with pytest.raises(OutputError, match="GRANT"):
         keeper.open(head_of("a"))
     keeper.close()
 
 
-def test_rows_twice_are_refused(server: PostgresServer, keepers: list[PostgresKeeper]) -> None:
+def test_rows_twice_are_refused(server: PostgresServer, keepers: list[PostgresSink]) -> None:
     keepers.append(keeper_of(server, "twice"))
     keepers[-1].open(head_of("a"))
     keepers[-1].keep(outputs_of([3]), checkpoint_at(3))

@@ -12,7 +12,7 @@ import pytest
 
 from becalm.errors import InputError
 from becalm.live.address import Address
-from becalm.live.sinks.postgres import PostgresKeeper
+from becalm.live.sinks.postgres import PostgresSink
 from postgres_server import PASSWORD, USER, PostgresServer, postgres_server
 from servers import need
 from streams import checkpoint_at, head_of, outputs_of
@@ -48,9 +48,9 @@ def _known_password(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PGPASSWORD", PASSWORD)
 
 
-def keeper_of(server: PostgresServer, options: str, host: str = "127.0.0.1") -> PostgresKeeper:
+def keeper_of(server: PostgresServer, options: str, host: str = "127.0.0.1") -> PostgresSink:
     """Return a keeper that asks for TLS in some way."""
-    return PostgresKeeper(Address.parsed(f"postgres://{USER}@{host}:{server.port}/postgres?table=safe&{options}"))
+    return PostgresSink(Address.parsed(f"postgres://{USER}@{host}:{server.port}/postgres?table=safe&{options}"))
 
 
 def test_rows_go_over_tls_to_the_server_that_was_meant(guarded: tuple[PostgresServer, Path]) -> None:

@@ -21,7 +21,7 @@ _REAL = [
     "fusion/sensor_data.csv",
     "gaitmap/imu_sample.csv?rate=204.8",
     "munich_bridge/support_load_strain.csv.gz",
-    "endaq/test1.IDE?group=ch08",
+    "endaq/test1.IDE?group=40g DC Acceleration",
 ]
 
 
@@ -154,6 +154,13 @@ def test_rows_may_be_counted(drive: Path) -> None:
 def test_impossible_wishes_are_refused(text: str, said: str) -> None:
     with pytest.raises(UsageError, match=said):
         _source(text)
+
+
+def test_what_a_file_needs_to_be_told_is_said_as_it_is_told_here(tmp_path: Path) -> None:
+    file = tmp_path / "timeless.csv"
+    file.write_text("a,b\n" + "".join(f"{k % 7}.5,{k % 5}.25\n" for k in range(20)), encoding="utf-8")
+    with pytest.raises(InputError, match=r"replay:FILE\?rate=HZ"):
+        _source(str(file)).open("")
 
 
 def test_what_is_not_there_is_said(tmp_path: Path) -> None:

@@ -107,8 +107,7 @@ def columns_of(
     if options.channels:
         places = [_asked_place(name, "channels", names) for name in options.channels]
     else:
-        told = bool(options.columns)
-        places = [at for at in range(len(names)) if at not in times and (told or number_of(first[at]) is not None)]
+        places = [at for at in range(len(names)) if at not in times and number_of(first[at]) is not None]
     places = [at for at in places if at != stamp]
     if not places or (stamp is not None and stamp_of is None):
         return None

@@ -18,8 +18,8 @@ _REMARK = "#%/"
 def layout_of(above: Sequence[bytes], line: bytes, options: LineOptions) -> tuple[Layout, list[bytes]] | None:
     """Understand lines by the newest and those above it; None where it is no row, or not enough to tell.
 
-    A row of CSV has numbers, and above it stands a line of as many names, or another row of as many numbers; or its
-    names were told.
+    A row of CSV has numbers, and above it stands a line of as many names, or another such row; or its names were
+    told. Where it has words too, another such row must stand above it in any case.
 
     Parameters
     ----------
@@ -95,23 +95,21 @@ def _csv_rows(above: Sequence[str], row: str, options: LineOptions) -> Iterator[
     for separator in _SEPARATORS:
         cells = split(row, separator)
         kinds = [kind_of(cell) for cell in cells]
-        numbers, words = kinds.count(NUMBER), kinds.count(WORDS)
-        if not numbers or words >= len(cells) - words:
+        words = kinds.count(WORDS)
+        if NUMBER not in kinds or 2 * words >= len(cells):
             continue
-        width = len(cells)
+        named = any(_is_heading(text, separator, len(cells)) for text in above)
         if options.columns:
-            fits = width == len(options.columns)
-        else:
-            rows_above = not words and above and _is_row(above[-1], separator, width)
-            fits = bool(rows_above) or any(_is_heading(text, separator, width) for text in above)
-        if fits:
+            named = len(cells) == len(options.columns)
+        if (named and not words) or ((named or not options.columns) and above and _alike(above[-1], separator, kinds)):
             yield separator, cells
 
 
-def _is_row(text: str, separator: str, width: int) -> bool:
+def _alike(text: str, separator: str, kinds: Sequence[str]) -> bool:
+    """Whether a line has cells of the same kinds: then words in one of them are no bad reading."""
     cells = split(text, separator)
-    kinds = [kind_of(cell) for cell in cells]
-    return len(cells) == width and NUMBER in kinds and WORDS not in kinds
+    pairs = zip(cells, kinds, strict=False)
+    return len(cells) == len(kinds) and all((kind_of(cell) == WORDS) == (kind == WORDS) for cell, kind in pairs)
 
 
 def _is_heading(text: str, separator: str, width: int) -> bool:

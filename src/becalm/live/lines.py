@@ -110,7 +110,7 @@ class Lines:
             self._half.clear()
         self._half += data[end:]
         if len(self._half) > LONGEST_LINE:
-            self._bad.add(bytes(self._half[:_SHOWN]), _TOO_LONG)
+            self._bad.add(bytes(self._half[: _SHOWN + 1]), _TOO_LONG)
             self._half.clear()
             self._skipping = True
         return whole.replace(b"\r\n", b"\n").replace(b"\r", b"\n").split(b"\n")[:-1]
@@ -119,7 +119,7 @@ class Lines:
         if max(map(len, lines), default=0) > LONGEST_LINE:
             for line in lines:
                 if len(line) > LONGEST_LINE:
-                    self._bad.add(line[:_SHOWN], _TOO_LONG)
+                    self._bad.add(line[: _SHOWN + 1], _TOO_LONG)
             lines = [line for line in lines if len(line) <= LONGEST_LINE]
         if self._within and lines:
             self._within = False

@@ -102,7 +102,6 @@ class Reader:
         self._position = block.position or self._position
         self._watch.meter.took(block)
         self._queue.put(block, self._stop)
-        self._watch.meter.queued(*self._queue.depth)
 
     def _went_away(self, cause: AwayError) -> None:
         self._source.close()

@@ -206,6 +206,7 @@ class Runner:
             self._reader.stop()
         block = self._queue.get(_POLL_S)
         self._losses += self.watch.turned(block is not None)
+        self.watch.meter.queued(*self._queue.depth)
         return block
 
     def _take(self, block: Block, stream: Stream, keeping: Keeping) -> None:

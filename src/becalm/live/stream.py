@@ -7,13 +7,14 @@ from typing import Self
 
 import numpy as np
 
+from becalm.cleaning.handover import Handover, rows_to_forget
 from becalm.cleaning.pipeline import fitted
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.stream import ChannelHealth, StreamCleaner, Streamed
 from becalm.core.arrays import Booleans, Codes, Floats
 from becalm.core.clock import GAP_STEPS
 from becalm.core.live_clock import FAR, LATE, REPEATED, RESET, TAKEN, UNTIMED, LiveClock
-from becalm.errors import BecalmError, ModelError
+from becalm.errors import BecalmError, ModelError, RecipeError
 from becalm.live.block import Block, Checkpoint, Head, Loss, LossKind, Output
 
 _VERSION = 1
@@ -43,7 +44,8 @@ class Stream:
         self.rows = 0
         """Rows told so far."""
         self._clock = LiveClock(step_s, resolution_s)
-        self._cleaner = StreamCleaner(recipe, step_s)
+        self._cleaner: StreamCleaner | Handover = StreamCleaner(recipe, step_s)
+        self._former = recipe  # that gives way, in a handover
         self._waiting = _Waiting(len(recipe.channel))
         self._numbers: list[int] | None = None
         self._step_s = step_s
@@ -82,7 +84,10 @@ class Stream:
             if not taken.all():
                 stamps, values, elapsed, codes = stamps[taken], values[taken], elapsed[taken], codes[taken]
             losses += _jumps(stamps, elapsed, codes == RESET, any(one.kind is LossKind.MISSING for one in losses))
-        return self._told(stamps, values, self._cleaner.push(values, elapsed), tuple(losses), block.arrived_s)
+        told = self._cleaner.push(values, elapsed)
+        if isinstance(self._cleaner, Handover) and self._cleaner.is_over:
+            self._cleaner = self._cleaner.later
+        return self._told(stamps, values, told, tuple(losses), block.arrived_s)
 
     def finish(self) -> Output:
         """Tell what still waits for later rows; the stream goes on from there if more come after all."""
@@ -122,13 +127,16 @@ class Stream:
 
     def checkpoint(self, position: str, source: str) -> Checkpoint:
         """Return where the stream stands, once all told so far is kept."""
-        buffer = io.BytesIO()
+        cleaner, buffer = self._cleaner, io.BytesIO()
+        between = isinstance(cleaner, Handover)
+        blob = cleaner.snapshot(self._former) if isinstance(cleaner, Handover) else cleaner.snapshot()
         np.savez(
             buffer,
             version=np.array(_VERSION),
             step_s=np.array(self._step_s),
             clock=self._clock.state,
-            cleaner=np.frombuffer(self._cleaner.snapshot(), np.uint8),
+            handover=np.array(between),
+            cleaner=np.frombuffer(blob, np.uint8),
             waiting_s=self._waiting.time_s,
             waiting=self._waiting.values,
             waiting_told=np.array(self._waiting.told),
@@ -154,7 +162,11 @@ class Stream:
                 )
             stream = cls(recipe, float(arrays["step_s"]))
             stream._clock = LiveClock.resumed(arrays["clock"])
-            stream._cleaner = StreamCleaner.resume(arrays["cleaner"].tobytes(), recipe)
+            blob = arrays["cleaner"].tobytes()
+            if arrays["handover"]:
+                stream._cleaner, stream._former = Handover.resume(blob, recipe)
+            else:
+                stream._cleaner = StreamCleaner.resume(blob, recipe)
             stream._waiting.restore(arrays["waiting_s"], arrays["waiting"], int(arrays["waiting_told"]))
         except BecalmError:
             raise
@@ -171,8 +183,14 @@ class Stream:
         RecipeError
             If it has other channels, or another lag.
         """
-        recipe = fitted(recipe, [one.name for one in self.recipe.channel], [one.unit for one in self.recipe.channel])
-        self._cleaner, self.recipe = self._cleaner.retuned(recipe), recipe
+        names, units = zip(*((one.name, one.unit) for one in self.recipe.channel), strict=True)
+        recipe = fitted(recipe, names, units)
+        if [one.name for one in recipe.channel] != list(names):
+            raise RecipeError("The recipe has other channels than the stream, which keeps those it began with.")
+        former = self._cleaner.later if isinstance(self._cleaner, Handover) else self._cleaner
+        later = StreamCleaner(recipe, self._step_s)
+        self._cleaner = Handover(former, later, rows_to_forget(recipe, self._step_s))
+        self._former, self.recipe = self.recipe, recipe
 
 
 class _Waiting:

@@ -156,6 +156,7 @@ class Journal:
         self._doubtful = True
         self._commit(roller, head, blocks, losses)
         self._doubtful = False
+        self._checkpoint = checkpoint
         self._mark.write(Mark(head.head(), checkpoint))
         last = blocks[-1]
         hour, empty = (last.period_s, last.dated), output is None

@@ -16,7 +16,7 @@ from becalm.live.journal.recording import remove
 from becalm.live.journal.records import RollRow
 from becalm.live.journal.rolling import Rolled, Stopped, next_piece, roll
 
-_AGAIN_S = 60.0  # after a file could not be written, the next attempt
+_AGAIN_S = 60.0  # after a file could not be written, if no hour closes before
 _log = logging.getLogger(__name__)
 
 
@@ -35,7 +35,8 @@ class Roller:
         self._done: deque[Rolled] = deque()
         self._wake, self._stop, self._idle = Event(), Event(), Event()
         self._unwanted: deque[RollRow] = deque()
-        self._lock = Lock()
+        self._lock = Lock()  # of the two events wake and idle
+        self._troubled = False
         self._thread = Thread(target=self._work, name="becalm-roller", daemon=True)
         self._thread.start()
 
@@ -58,8 +59,8 @@ class Roller:
             self.wake()
 
     def settle(self, timeout_s: float) -> bool:
-        """Wait until nothing is left to roll, and tell whether that is so."""
-        return self._idle.wait(timeout_s)
+        """Wait until nothing is left to roll, and tell whether that is so; a file that cannot be written is left."""
+        return self._idle.wait(timeout_s) and not self._troubled
 
     def close(self) -> None:
         """Stop, in the middle of a file if need be: the next start writes it anew."""
@@ -70,16 +71,17 @@ class Roller:
     def _work(self) -> None:
         self.wake()
         while not self._stop.is_set():
-            self._wake.wait()
-            self._wake.clear()
+            self._wake.wait(_AGAIN_S if self._troubled else None)
+            with self._lock:
+                self._wake.clear()
             try:
                 self._roll_all()
+                self._troubled = False
             except Stopped:
                 return
             except (BecalmError, BrokenSealError, sqlite3.Error, OSError) as cause:
-                _log.warning("Nothing is lost, but %s was not rolled into Parquet: %s", self._folder, cause)
-                self._stop.wait(_AGAIN_S)
-                self._wake.set()
+                self._troubled = True
+                _log.warning("No row is lost, but %s did not roll into Parquet: %s", self._folder, cause)
             with self._lock:
                 if not self._wake.is_set():
                     self._idle.set()

@@ -31,7 +31,7 @@ _OTHER = "is written to by another process too; stop it, or give another folder.
 _LOOKED_THROUGH = (16, 1024, None)  # commits; others may have made some since the last of ours
 
 
-class DeltaKeeper:
+class DeltaSink:
     """Keeps a stream in a Delta table: each commit adds rows and tells where the stream stands.
 
     The columns are those of the journal's Parquet files. Filters and position are in a file beside the table
@@ -99,9 +99,9 @@ class DeltaKeeper:
             If the table cannot be made, or is of another stream.
         """
         last = self.last()
-        self._head, self._schema = head, _plain_schema(table_schema(head))
+        again, self._head, self._schema = self._head is not None, head, _plain_schema(table_schema(head))
         if self._table is not None:
-            self._refuse_other(head, last)
+            self._refuse_other(head, None if again else last)  # in its own life it may have got another recipe
             for name in self._files.beside():
                 if name != self._checkpoint_file:  # of a commit that never was
                     self._files.remove(f"{BESIDE}/{name}")
@@ -141,7 +141,7 @@ class DeltaKeeper:
 
     def close(self) -> None:
         """Let go of the table; harmless twice."""
-        self._table = self._head = None
+        self._table = None
 
     def _added(self, name: str, table: pa.Table) -> Any:
         size = self._files.put_table(name, table)

@@ -17,6 +17,7 @@ from pyarrow import fs
 
 from becalm.errors import UsageError
 from becalm.files.parquet_writer import ParquetRows
+from becalm.files.whole import sync_folder
 
 BESIDE = "_becalm"
 """Where checkpoints are; readers and cleaners of Delta tables pass by names that begin with an underscore."""
@@ -99,12 +100,11 @@ class DeltaFiles:
         if self.folder is None:
             return
         file, top = self.folder / name, self.folder.parent
-        for path in (file, *(folder for folder in file.parents if folder.is_relative_to(top))):
-            handle = os.open(path, os.O_RDONLY)
-            try:
-                os.fsync(handle)
-            finally:
-                os.close(handle)
+        with file.open("r+b") as made:
+            os.fsync(made.fileno())
+        for folder in file.parents:
+            if folder.is_relative_to(top):
+                sync_folder(folder)
 
 
 def library(part: str = "") -> Any:

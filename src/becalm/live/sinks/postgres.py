@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     import psycopg
 
 
-class PostgresKeeper:
+class PostgresSink:
     """Keeps a stream in three tables: NAME, NAME_checkpoint and NAME_losses.
 
     NAME has a column `row` (its key), `time_s` as told and `time` as an instant where that counts from 1970, and of
@@ -28,8 +28,9 @@ class PostgresKeeper:
     ----------
     address : Address
         `postgres://USER@HOST:PORT/DATABASE?table=NAME`; without HOST the server on loopback. The password is in the
-        environment (PGPASSWORD), in ~/.pgpass, or in a file (`password_file=FILE`), never in the address. For TLS
-        `sslmode=verify-full&sslrootcert=FILE`, and `sslcert=`, `sslkey=` where the server asks for a certificate.
+        environment (PGPASSWORD), in ~/.pgpass, or in a file (`password_file=FILE`; the user may stand above it),
+        never in the address. For TLS `sslmode=verify-full&sslrootcert=FILE`, and `sslcert=`, `sslkey=` where the
+        server asks for a certificate.
 
     Raises
     ------
@@ -77,12 +78,12 @@ class PostgresKeeper:
             If it never can, or the tables are of another stream, or another process writes to them.
         """
         psycopg = driver()
-        last = self.last()
+        last, again = self.last(), self._head is not None  # in its own life a stream may have got another recipe
         connection = self._reached()
         try:
             with connection.transaction():
                 if self._tables.exist(connection)[1]:
-                    self._refuse_other(head, self._tables.head(connection), last)
+                    self._refuse_other(head, self._tables.head(connection), None if again else last)
                 else:
                     self._tables.make(connection, head)
         except psycopg.Error as cause:

@@ -55,7 +55,7 @@ class Place:
     asked : dict
         What libpq is told; no password.
     password_file : Path or None
-        Holds the password and nothing else.
+        Holds the password, or the user and, below, the password.
     """
 
     table: str
@@ -124,7 +124,7 @@ def connected(place: Place) -> psycopg.Connection:
     library = driver()
     asked = {**place.asked, **_ALIVE, "tcp_user_timeout": _SILENT_MS, "options": _NOTICED}
     if place.password_file is not None:
-        asked["password"] = _password_in(place.password_file)
+        asked |= _login_in(place.password_file)
     try:
         connection: psycopg.Connection = library.connect(**asked, autocommit=True, application_name="becalm")
         connection.execute(
@@ -190,8 +190,12 @@ def _said(cause: psycopg.Error) -> str:
     return " ".join((cause.diag.message_primary or str(cause)).split())[:300].rstrip(".")
 
 
-def _password_in(path: Path) -> str:
+def _login_in(path: Path) -> dict[str, str]:
+    """Return the password, and the user before it where there are two lines."""
     try:
-        return path.read_text(encoding="utf-8").rstrip("\r\n")
+        lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as cause:
         raise InputError(f"The password file {path} cannot be read; give one that holds the password.") from cause
+    if len(lines) not in (1, 2):
+        raise InputError(f"The password file {path} has {len(lines)} lines; write the password, or the user above it.")
+    return dict(zip(("user", "password")[-len(lines) :], lines, strict=True))

@@ -92,7 +92,12 @@ class ReplaySource:
         self.close()
         self._print = _fingerprint(self._path)
         first = self._row_after(position)
-        file = open_source(self._path, self._options)
+        try:
+            file = open_source(self._path, self._options)
+        except (InputError, UsageError) as cause:
+            if "--" not in str(cause):
+                raise
+            raise type(cause)(f"{cause} (Of a stream, write replay:FILE?rate=HZ, and so on.)") from cause
         self._file = file
         self.names, self.units = file.names, file.units
         self.rate_hz, self.step_s = file.rate_hz, file.clock.step_s
