@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from becalm.core.arrays import Codes, Floats
+from becalm.errors import UsageError
 from becalm.live.address import Address
 from becalm.live.block import Head, Output
 from becalm.live.encoding import FORMATS, Encoder
@@ -66,6 +67,12 @@ def test_an_output_is_read_as_it_was_told(form: str) -> None:
     assert held.units == ("m/s^2", "m/s^2", "")
     assert batch.seq == 40
     np.testing.assert_array_equal(batch.values, np.hstack([column + 1, column + 2, verdicts]))
+
+
+@pytest.mark.parametrize("names", [("time",), ("seq", "b"), ("a", "a_sigma"), ("a_verdict", "a")])
+def test_columns_that_would_have_one_name_are_refused(names: tuple[str, ...]) -> None:
+    with pytest.raises(UsageError, match="Two columns"):
+        Encoder.of(Head(names, ("",) * len(names), 100.0, ""), "arrow")
 
 
 @given(st.binary(max_size=200))
