@@ -47,7 +47,7 @@ class Heard:
     @property
     def numbers(self) -> list[int]:
         """The numbers of the rows that came."""
-        return [int(value) for block in self.blocks for value in block.values[:, 0]]
+        return [int(value) for block in self.blocks if len(block) for value in block.values[:, 0]]
 
     @property
     def losses(self) -> list[Loss]:

@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from io import BytesIO
 
 import numpy as np
 import pyarrow as pa
@@ -12,28 +11,13 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from becalm.core.arrays import Codes, Floats
+from becalm.errors import UsageError
 from becalm.live.address import Address
-from becalm.live.block import Head, LossKind, Output
+from becalm.live.block import Head, Output
 from becalm.live.encoding import FORMATS, Encoder
 from becalm.live.message_stream import MessageStream
-from becalm.live.messages import MAXIMUM_BYTES, Batch, MessageReader
-
-UNITS = {"ax": "m/s^2"}
-
-
-def reader(options: str = "") -> MessageReader:
-    return MessageReader(Address.parsed(f"udp:9000{options}"))
-
-
-def columns(rows: int, began_s: float = 0.0) -> dict[str, Floats | Codes]:
-    numbers = np.arange(rows, dtype=np.float64)
-    return {"time": began_s + numbers / 100, "ax": numbers, "ay": -numbers}
-
-
-def good(held: MessageReader, payload: bytes) -> Batch:
-    batch = held.read(payload, 1000.0)
-    assert batch is not None, held.losses()
-    return batch
+from becalm.live.messages import Batch
+from message_makers import arrow, columns, good, reader
 
 
 def whole(batches: list[Batch]) -> Iterator[tuple[int | None, float | None, tuple[float, ...]]]:
@@ -83,6 +67,12 @@ def test_an_output_is_read_as_it_was_told(form: str) -> None:
     assert held.units == ("m/s^2", "m/s^2", "")
     assert batch.seq == 40
     np.testing.assert_array_equal(batch.values, np.hstack([column + 1, column + 2, verdicts]))
+
+
+@pytest.mark.parametrize("names", [("time",), ("seq", "b"), ("a", "a_sigma"), ("a_verdict", "a")])
+def test_columns_that_would_have_one_name_are_refused(names: tuple[str, ...]) -> None:
+    with pytest.raises(UsageError, match="Two columns"):
+        Encoder.of(Head(names, ("",) * len(names), 100.0, ""), "arrow")
 
 
 @given(st.binary(max_size=200))
@@ -164,37 +154,6 @@ def test_units_are_heard_in_json() -> None:
     assert (held.names, held.units) == (("ax", "ay"), ("", "g"))
 
 
-def test_lines_of_csv_have_the_columns_that_the_address_names() -> None:
-    held = reader("?columns=seq,t,ax (m/s^2),ay&time=t")
-    batch = good(held, b"5,0.1,1,2\r\n6,0.2,,nan\n")
-    assert (held.names, held.units, batch.seq) == (("ax", "ay"), ("m/s^2", ""), 5)
-    np.testing.assert_array_equal(batch.values, [[1, 2], [np.nan, np.nan]])
-    assert held.read(b"7,0.3,1\n", 0.0) is None
-    assert held.read(b"5,0.1,1,2\n7,0.2,1,2\n", 0.0) is None
-
-
-def test_columns_choose_among_those_of_other_messages() -> None:
-    held = reader("?columns=ay")
-    np.testing.assert_array_equal(good(held, Encoder().message(columns(3), 0)).values, [[0], [-1], [-2]])
-    np.testing.assert_array_equal(good(held, Encoder("json").message(columns(3), 3)).values, [[0], [-1], [-2]])
-
-
-def test_channels_are_found_by_name() -> None:
-    held = reader()
-    good(held, b'{"ax": 1, "ay": 2}')
-    np.testing.assert_array_equal(good(held, b'{"ay": 20, "ax": 10}').values, [[10, 20]])
-    swapped = {name: column for name, column in reversed(columns(1).items()) if name != "time"}
-    np.testing.assert_array_equal(good(held, Encoder().message({**swapped, "ay": np.array([5.0])})).values, [[0, 5]])
-
-
-def arrow(batch: pa.RecordBatch, *more: pa.RecordBatch) -> bytes:
-    file = BytesIO()
-    with pa.ipc.new_stream(file, batch.schema) as stream:
-        for part in (batch, *more):
-            stream.write_batch(part)
-    return file.getvalue()
-
-
 def test_arrow_of_other_writers_is_read() -> None:
     stamps = pa.array([1_700_000_000_000, 1_700_000_000_010], pa.timestamp("ms", tz="UTC"))
     small = pa.array([1, None], pa.int16())
@@ -210,52 +169,6 @@ def test_arrow_of_other_writers_is_read() -> None:
     following = batch.set_column(1, "seq", pa.array([5, 6], pa.uint32()))
     assert good(held, arrow(batch, following)).seq == 3
     assert len(held.read_many([(arrow(batch), 0.0), (arrow(following), 0.0)])[0]) == 4
-
-
-@pytest.mark.parametrize(
-    ("payload", "says"),
-    [
-        (b"", "neither Arrow nor JSON"),
-        (b"{}", "no channels"),
-        (b'{"seq": 1, "time": 2}', "no channels"),
-        (b'{"ax": "1"}', "no numbers in 'ax'"),
-        (b'{"ax": true}', "no numbers in 'ax'"),
-        (b'{"ax": [1, 2], "ay": [1]}', "not the same number"),
-        (b'{"time": [1], "ax": [1, 2]}', "1 stamps of 2 rows"),
-        (b'{"ax": [1, 2]}', "?rate=HZ"),
-        (b'{"seq": -1, "ax": 1}', "seq is -1"),
-        (b'{"seq": 1.5, "ax": 1}', "one by one"),
-        (b'{"time": null, "ax": 1}', "without a stamp"),
-        (b'{"ax": 1' + b"0" * 400 + b"}", "broken"),
-        (b"[" * 100_000, "broken"),
-        (b" " * (MAXIMUM_BYTES + 1), "more than 16000000"),
-        (Encoder().message({"time": np.empty(0), "ax": np.empty(0)}, 0), "no rows"),
-        (arrow(pa.record_batch({"ax": ["a"]})), "'ax' has string"),
-        (arrow(pa.record_batch([[1], [2]], names=["ax", "ax"])), "or two"),
-        (arrow(pa.record_batch({"seq": [1, 3], "time": [1, 2], "ax": [1, 2]})), "one by one"),
-        (arrow(pa.record_batch({"seq": [None, 3], "time": [1, 2], "ax": [1, 2]})), "one by one"),
-        (arrow(pa.record_batch({"time": pa.array([1, None], pa.timestamp("s")), "ax": [1, 2]})), "without a stamp"),
-    ],
-)
-def test_what_cannot_be_read_is_garbled(payload: bytes, says: str) -> None:
-    held = reader()
-    assert held.read(payload, 0.0) is None
-    (loss,) = held.losses()
-    assert (loss.kind, loss.rows) == (LossKind.GARBLED, 1)
-    assert says in loss.says
-    assert len(loss.says) < 300
-    assert held.losses() == ()
-
-
-@pytest.mark.parametrize(
-    "payload",
-    [b'{"time": 1, "b": 2}', b'{"ax": 2}', b'{"seq": 2, "time": 1, "ax": 2}', b'{"time": 1, "ax": 2, "b": 3}'],
-)
-def test_a_message_that_differs_from_the_first_is_garbled(payload: bytes) -> None:
-    held = reader()
-    good(held, b'{"time": 0, "ax": 1}')
-    assert held.read(payload, 0.0) is None
-    assert held.losses()[0].kind is LossKind.GARBLED
 
 
 def test_rows_without_stamps_are_spread_back_from_their_arrival() -> None:

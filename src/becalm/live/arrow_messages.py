@@ -9,14 +9,15 @@ import numpy as np
 import pyarrow as pa
 
 from becalm.core.arrays import Floats, Integers
-from becalm.live.messages import Told, UnreadableError, Wanted, first_of
+from becalm.live.line_cells import NumberStamps, StampReader
+from becalm.live.message_columns import RoleFinder, Told, UnreadableError, first_of, stamps_reader
 
 _END = b"\xff\xff\xff\xff\x00\x00\x00\x00"
 _SCHEMAS = 16  # a stream has one; memory stays bounded where a sender makes a new one each time
 _SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 
-@dataclass(frozen=True)
+@dataclass
 class _Plan:
     """How a schema's columns are taken: numbers as one matrix (stamps, sequence, channels), timestamps apart."""
 
@@ -29,13 +30,15 @@ class _Plan:
     has_time: bool
     moment: int  # the column of timestamps, -1 where there is none
     tick_s: float
+    stamp: tuple[str, str]  # the column of stamps and its unit
+    stamps: NumberStamps | None = None  # how its numbers are read, as the first of them tells
 
 
 class ArrowMessages:
     """Reads Arrow messages."""
 
-    def __init__(self, wanted: Wanted) -> None:
-        self._wanted = wanted
+    def __init__(self, finder: RoleFinder) -> None:
+        self._finder = finder
         self._plans: dict[bytes, _Plan] = {}
 
     def read(self, payload: bytes) -> Told:
@@ -114,26 +117,30 @@ class ArrowMessages:
 
     def _planned(self, head: bytes) -> _Plan:
         schema = pa.ipc.read_schema(pa.py_buffer(head))
-        wanted = self._wanted
-        channels = [_index(schema, name) for name in wanted.channels(schema.names)]
-        seq = [_index(schema, "seq")] if "seq" in schema.names else []
-        time = [_index(schema, wanted.time)] if wanted.time in schema.names else []
-        temporal = bool(time) and _tick(schema.field(time[0]).type) is not None
-        leading = seq + ([] if temporal else time)
-        for column in leading + channels:
-            kind = schema.field(column).type
-            if not (pa.types.is_integer(kind) or pa.types.is_floating(kind)):
-                raise UnreadableError(f"whose column {schema.field(column).name[:40]!r} has {kind}, and not numbers")
+        roles = self._finder.roles(tuple(schema.names))
+        asked = self._finder.options.channels
+        channels = [one for one in roles.channels if asked or _is_number(schema.field(_index(schema, one[0])).type)]
+        if not channels:
+            raise UnreadableError("which has no channels")
+        stamp = -1 if roles.stamp is None else _index(schema, roles.stamp)
+        tick_s = None if stamp < 0 else _tick(schema.field(stamp).type)
+        leading = [] if roles.seq is None else [_index(schema, roles.seq)]
+        leading += [stamp] if stamp >= 0 and tick_s is None else []
+        columns = leading + [_index(schema, column) for column, _, _ in channels]
+        for field in map(schema.field, columns):
+            if not _is_number(field.type):
+                raise UnreadableError(f"whose column {field.name[:40]!r} has {field.type}, and not numbers")
         plan = _Plan(
             schema,
-            tuple(schema.field(column).name for column in channels),
-            tuple(_unit(schema.field(column)) for column in channels),
-            leading + channels,
+            tuple(name for _, name, _ in channels),
+            tuple(_unit(schema.field(_index(schema, column))) or unit for column, _, unit in channels),
+            columns,
             len(leading),
-            bool(seq),
-            bool(time) and not temporal,
-            time[0] if temporal else -1,
-            (_tick(schema.field(time[0]).type) or 1.0) if temporal else 1.0,
+            roles.seq is not None,
+            stamp >= 0 and tick_s is None,
+            -1 if tick_s is None else stamp,
+            tick_s or 1.0,
+            (roles.stamp or "", "" if stamp < 0 else _unit(schema.field(stamp))),
         )
         if len(self._plans) >= _SCHEMAS:
             self._plans.clear()
@@ -146,6 +153,10 @@ def _index(schema: pa.Schema, name: str) -> int:
     if column < 0:
         raise UnreadableError(f"which has no column {name[:40]!r}, or two")
     return int(column)
+
+
+def _is_number(kind: pa.DataType) -> bool:
+    return bool(pa.types.is_integer(kind) or pa.types.is_floating(kind))
 
 
 def _unit(field: pa.Field) -> str:
@@ -185,5 +196,14 @@ def _cuts(numbers: Floats, ends: Integers) -> list[int]:
 def _told(matrix: Floats, moments: list[Floats], seq: int | None, plan: _Plan) -> Told:
     time_s = np.concatenate(moments) if moments else None
     if plan.has_time:
-        time_s = np.ascontiguousarray(matrix[:, plan.leading - 1])
+        time_s = _seconds(matrix[:, plan.leading - 1], plan)
     return Told(plan.names, plan.units, seq, time_s, np.ascontiguousarray(matrix[:, plan.leading :]))
+
+
+def _seconds(numbers: Floats, plan: _Plan) -> Floats:
+    if plan.stamps is None:
+        reader: StampReader = stamps_reader(*plan.stamp, float(numbers[0]))
+        if not isinstance(reader, NumberStamps):
+            raise UnreadableError("which has a row without a stamp")
+        plan.stamps = reader
+    return numbers * (plan.stamps.factor / plan.stamps.per_second)

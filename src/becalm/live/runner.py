@@ -152,8 +152,7 @@ class Runner:
     def _begun(self) -> tuple[Stream | None, list[Block]]:
         """Wait for the first rows; make a stream by the recipe, or by one learned from them."""
         held: list[Block] = []
-        if self.recipe is None:
-            self.watch.state("learning")
+        self.watch.state("learning" if self.recipe is None else "running")
         while True:
             block = self._next()
             if block is not None:

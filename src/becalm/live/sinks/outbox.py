@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -28,6 +29,11 @@ class Letter:
 
     first_row: int
     payload: bytes
+
+    @property
+    def name(self) -> str:
+        """What no other message has, and the same one sent again has too."""
+        return f"{self.first_row}-{hashlib.blake2b(self.payload, digest_size=12).hexdigest()}"
 
 
 class Outbox:
@@ -76,6 +82,13 @@ class Outbox:
         """Forget messages that are acknowledged, up to the first that is not; take their numbers out of the set."""
         while self._flying and self._flying[0][0] in numbers:
             numbers.remove(self._flying.popleft()[0])
+
+    def arrived(self, name: str) -> None:
+        """Hear that a message came before its connection ended, and so did all before it; unknown ones are others'."""
+        names = [letter.name for letter in self._waiting]
+        if name in names:
+            for _ in range(names.index(name) + 1):
+                self._waiting.popleft()
 
     @property
     def flying(self) -> int:

@@ -63,7 +63,7 @@ class MqttSource:
     replays = False
 
     def __init__(self, address: Address) -> None:
-        address.refuse_unknown(("client", "keep", "version", "window", "columns", "time", "rate", *OPTIONS))
+        address.refuse_unknown(("client", "keep", "version", "window", *MessageStream.OPTIONS, *OPTIONS))
         self._remote = Remote.parsed(address, PORT, TLS_PORT)
         self._topic = topic_of(self._remote)
         digest = hashlib.blake2b(self._topic.encode(), digest_size=6).hexdigest()
