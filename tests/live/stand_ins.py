@@ -34,7 +34,8 @@ def drive(rows: int, channels: int = 2, seed: int = 0) -> Floats:
 def blocks_of(values: Floats, sizes: int | Sequence[int], first: int = 0, *, elapsed: bool = False) -> list[Block]:
     """Cut rows at 100 Hz into blocks; sizes repeat."""
     cycle = [sizes] if isinstance(sizes, int) else list(sizes)
-    names, blocks, at = tuple(("ax", "ay", "az", "gx")[: values.shape[1]]), [], first
+    names, at = tuple(("ax", "ay", "az", "gx")[: values.shape[1]]), first
+    blocks: list[Block] = []
     while at < len(values):
         stop = min(at + cycle[len(blocks) % len(cycle)], len(values))
         steps = np.ones(stop - at)
