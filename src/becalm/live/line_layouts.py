@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
@@ -13,6 +14,7 @@ from becalm.live.line_rows import CsvLayout, JsonLayout, Layout, json_object
 
 _SEPARATORS = (";", "\t", ",", "|", " ", "")  # in a draw the earlier one wins
 _REMARK = "#%/"
+_DIGIT = re.compile("[0-9]")
 
 
 def layout_of(above: Sequence[bytes], line: bytes, options: LineOptions) -> tuple[Layout, list[bytes]] | None:
@@ -45,7 +47,7 @@ def layout_of(above: Sequence[bytes], line: bytes, options: LineOptions) -> tupl
     if options.format != "csv" and (told := _json_layout(line, options)):
         return told, []
     row = _plain_text(line)
-    if options.format == "json" or row is None:
+    if options.format == "json" or row is None or not _DIGIT.search(row):
         return None
     texts = [text for text in map(_plain_text, above) if text is not None]
     found = list(_csv_rows(texts, row, options))
