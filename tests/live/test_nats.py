@@ -44,7 +44,7 @@ def made(server: Broker, **more: Any) -> None:
 
 
 def source_of(server: Broker, options: str = "") -> NatsSource:
-    text = f"nats://127.0.0.1:{server.port}/PUMP?subject=plant.pump&columns=ax,ay{options}"
+    text = f"nats://127.0.0.1:{server.port}/PUMP?subject=plant.pump&channels=ax,ay{options}"
     return NatsSource(Address.parsed(text))
 
 

@@ -154,10 +154,8 @@ def test_a_read_ends_where_nothing_comes_and_where_another_thread_closes() -> No
         assert source.read(0.01) is None
         closer = threading.Timer(0.05, source.close)
         closer.start()
-        began = time.monotonic()
         assert source.read(600.0) is None
         closer.join()
-        assert time.monotonic() - began < 500
         with pytest.raises(EndOfStream):
             source.read(0.0)
         source.close()

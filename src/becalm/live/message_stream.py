@@ -18,8 +18,7 @@ from becalm.live.sequence import Sequence
 class MessageStream:
     """Takes the messages of a stream as they come and makes blocks of those that are ready.
 
-    Options of the address: those of lines but `format=` (`columns=`, `channels=`, `time=`, `rate=`), and `reorder=N`,
-    how many messages may wait for one that is behind.
+    Options of the address: those of lines but `format=` (`columns=`, `channels=`, `time=`, `rate=`).
 
     Rows without stamps have, with `rate=`, the time that their numbers tell from the first row's arrival on; where
     they have no numbers either, the last row of a message has its arrival's time. Without `rate=`, each message may
@@ -30,7 +29,8 @@ class MessageStream:
     address : Address
         With the options.
     reorder : int
-        What `reorder=` is where it is not said; 0 of a transport that keeps the order.
+        How many messages may wait for one that is behind; 0 of a transport that keeps the order, whose position then
+        tells all.
 
     Attributes
     ----------
@@ -38,12 +38,12 @@ class MessageStream:
         Rows a second as the address says; None where it does not.
     """
 
-    OPTIONS = ("columns", "channels", "time", "rate", "reorder")
+    OPTIONS = ("columns", "channels", "time", "rate")
 
     def __init__(self, address: Address, *, reorder: int = 0) -> None:
         options = LineOptions.of(address)
         self.rate_hz = options.rate_hz
-        self._reorder = int(address.number("reorder", reorder, greatest=1000))
+        self._reorder = reorder
         self._reader = MessageReader(options)
         self._sequence = Sequence(self._reorder, self.rate_hz or 0.0)
         self._ready: list[Batch] = []

@@ -39,7 +39,8 @@ class UdpSource:
 
     `host=` is the address to listen at, 127.0.0.1 unless it is said: nothing beyond this machine is heard by
     mistake. `gather=50ms` leaves datagrams in the kernel's buffer for so long (less where it would fill), so that
-    fewer wake-ups take more. `buffer=` is that buffer's size in bytes.
+    fewer wake-ups take more. `buffer=` is that buffer's size in bytes. `reorder=8` is how many messages may wait, for
+    20 ms at most, for one that is behind.
 
     Datagrams cannot be asked for again. What never came is counted in rows by the sender's numbers, and what the
     kernel dropped because nobody read it in time is counted in datagrams: with numbers, both tell of the same rows.
@@ -58,7 +59,7 @@ class UdpSource:
     replays = False
 
     def __init__(self, address: Address) -> None:
-        address.refuse_unknown((*MessageStream.OPTIONS, "host", "gather", "buffer"))
+        address.refuse_unknown((*MessageStream.OPTIONS, "reorder", "host", "gather", "buffer"))
         if not address.rest.isdecimal() or not 0 < int(address.rest) < 65_536:
             raise UsageError(f"udp:{address.rest} names no port; write a number from 1 to 65535, as udp:9000.")
         self._place = (address.options.get("host", "127.0.0.1"), int(address.rest))
@@ -67,7 +68,7 @@ class UdpSource:
             raise UsageError(f"udp: gather={address.options['gather']} is longer than 1s; say gather=50ms.")
         self._buffer = int(address.number("buffer", _BUFFER, least=4096, greatest=2**30))
         self._pause_s = _SHORTEST_PAUSE_S
-        self._stream = MessageStream(address, reorder=_REORDER)
+        self._stream = MessageStream(address, reorder=int(address.number("reorder", _REORDER, greatest=1000)))
         self.rate_hz = self._stream.rate_hz
         self._socket: socket.socket | None = None
         self._dropped = 0
