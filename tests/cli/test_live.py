@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -20,9 +20,10 @@ import pytest
 import becalm
 from becalm.cleaning.recipe import Recipe
 from becalm.live.journal.reading import open_journal
-from conftest import Run
 
 DEADLINE_S = 120.0
+
+Run = Callable[..., subprocess.CompletedProcess[str]]
 
 
 @pytest.fixture

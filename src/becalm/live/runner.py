@@ -124,7 +124,10 @@ class Runner:
                 stream, held = self._begun()
             if stream is not None:
                 keeping = self._open(stream)
-                self._walk(stream, keeping, held)
+                try:
+                    self._walk(stream, keeping, held)
+                finally:
+                    self._give(stream, keeping, at_once=True)
         finally:
             reader.stop()
             try:
@@ -198,7 +201,6 @@ class Runner:
         self.watch.state("stopping" if self._stop.is_set() else "ended")
         if not self._stop.is_set():
             self._tell(stream.finish())
-        self._give(stream, keeping, at_once=True)
 
     def _next(self) -> Block | None:
         if self._stop.is_set() and self._reader is not None:
@@ -219,10 +221,10 @@ class Runner:
             output, self._losses = replace(output, losses=(*self._losses, *output.losses)), []
         if not (len(output) or output.losses):
             return
+        self.rows = output.first_row + len(output)
+        self._outputs.append(output)  # first: a sink that fails for good does not keep it from being kept
         for outlet in self.outlets.others:
             outlet.write(output)
-        self.rows = output.first_row + len(output)
-        self._outputs.append(output)
         self.watch.told(output)
 
     def _give(self, stream: Stream, keeping: Keeping, *, at_once: bool = False) -> None:
