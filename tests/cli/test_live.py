@@ -83,7 +83,10 @@ def test_a_file_replayed_gives_what_clean_gives(run: Run, drive: Path, recipe: P
 def test_without_a_recipe_it_learns_saves_and_goes_on(run: Run, drive: Path, tmp_path: Path) -> None:
     ran = run("live", f"replay:{drive}", "--sink", "journal:kept", "--learn", "2s")
     assert ran.returncode == 0, ran.stderr
-    assert [one.name for one in Recipe.load(tmp_path / "kept" / "learned.recipe.toml").channel] == ["ramp (m/s)", "walk"]
+    assert [one.name for one in Recipe.load(tmp_path / "kept" / "learned.recipe.toml").channel] == [
+        "ramp (m/s)",
+        "walk",
+    ]
     assert kept(tmp_path / "kept").num_rows == 400
     again = run("live", f"replay:{drive}", "--sink", "journal:kept")
     assert again.returncode == 0, again.stderr
