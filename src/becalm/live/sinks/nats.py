@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from becalm.errors import InputError, UsageError
 from becalm.live.address import Address
 from becalm.live.encoding import FORMATS
-from becalm.live.nats_link import PORT, NatsLink, stream_of
+from becalm.live.nats_link import PORT, NatsLink, check_subject, stream_of
 from becalm.live.remote import OPTIONS, Remote
 from becalm.live.sinks.broker import BrokerSink, Line, Told
 from becalm.live.sinks.outbox import Letter
@@ -58,7 +58,7 @@ class NatsSink(BrokerSink):
         line = _NatsLine(self._remote, self._stream, self._subject, self._told)
         line.connect(reached=self._reached)
         try:
-            line.stream_info(self._stream, reached=self._reached)
+            check_subject(line.stream_info(self._stream, reached=self._reached), self._subject)
             if self._refusal is None:  # else an earlier message may be missing before the last
                 self._outbox.arrived(line.last_id())
         except BaseException:
