@@ -30,14 +30,17 @@ def source_of(broker: Broker, options: str = "", topic: str = "plant/pump") -> M
     return MqttSource(Address.parsed(f"mqtt://127.0.0.1:{broker.port}/{topic}?columns=ax,ay{options}"))
 
 
-def sink_of(broker: Broker, options: str = "format=arrow", topic: str = "plant/pump") -> MqttSink:
+def sink_of(broker: Broker, options: str = "gather=0s", topic: str = "plant/pump") -> MqttSink:
     return MqttSink(Address.parsed(f"mqtt://127.0.0.1:{broker.port}/{topic}?{options}"))
 
 
 @pytest.mark.parametrize("version", ["5", "3.1.1"])
 @pytest.mark.parametrize("form", ["arrow", "json"])
 def test_rows_go_through(broker: Broker, version: str, form: str) -> None:
-    source, sink = source_of(broker, f"&version={version}"), sink_of(broker, f"format={form}&version={version}")
+    source, sink = (
+        source_of(broker, f"&version={version}"),
+        sink_of(broker, f"gather=0s&format={form}&version={version}"),
+    )
     heard = Heard(source)
     try:
         source.open("")
@@ -163,7 +166,7 @@ def test_killed_brokers_make_a_sink_send_again_in_order(broker: Broker) -> None:
 
 def test_nats_as_an_mqtt_broker_loses_nothing_when_killed(tmp_path: Path) -> None:
     with nats_as_mqtt(tmp_path / "nats") as server:
-        heard, sink = Heard(source_of(server, "&version=3.1.1")), sink_of(server, "version=3.1.1")
+        heard, sink = Heard(source_of(server, "&version=3.1.1")), sink_of(server, "gather=0s&version=3.1.1")
         heard.source.open("")
         sink.open(HEAD)
         for turn in range(3):

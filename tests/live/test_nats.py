@@ -32,7 +32,7 @@ def source_of(server: Broker, options: str = "") -> NatsSource:
 
 
 def sink_of(server: Broker, options: str = "") -> NatsSink:
-    return NatsSink(Address.parsed(f"nats://127.0.0.1:{server.port}/PUMP?subject=plant.pump{options}"))
+    return NatsSink(Address.parsed(f"nats://127.0.0.1:{server.port}/PUMP?gather=0s&subject=plant.pump{options}"))
 
 
 @pytest.mark.parametrize("form", ["arrow", "json"])

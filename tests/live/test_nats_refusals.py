@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import socket
+import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -29,7 +30,7 @@ def source_of(port: int, options: str = "", host: str = "127.0.0.1", stream: str
 
 
 def sink_of(port: int, options: str = "", host: str = "127.0.0.1", stream: str = "PUMP") -> NatsSink:
-    return NatsSink(Address.parsed(f"nats://{host}:{port}/{stream}?subject=plant.pump{options}"))
+    return NatsSink(Address.parsed(f"nats://{host}:{port}/{stream}?gather=0s&subject=plant.pump{options}"))
 
 
 @pytest.fixture
@@ -218,3 +219,9 @@ def test_creds_need_their_library(server: Broker, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
     with pytest.raises(UsageError, match="pip install nkeys"):
         source_of(server.port, "&creds=/nowhere").open("")
+
+
+def test_a_missing_library_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "nats.aio.client", None)
+    with pytest.raises(UsageError, match=r"pip install 'becalm\[live\]'"):
+        source_of(1).open("")

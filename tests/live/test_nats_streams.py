@@ -23,7 +23,7 @@ def source_of(port: int, options: str = "") -> NatsSource:
 
 
 def sink_of(port: int) -> NatsSink:
-    return NatsSink(Address.parsed(f"nats://127.0.0.1:{port}/PUMP?subject=plant.pump"))
+    return NatsSink(Address.parsed(f"nats://127.0.0.1:{port}/PUMP?gather=0s&subject=plant.pump"))
 
 
 @pytest.fixture
