@@ -62,7 +62,7 @@ def test_any_rows_come_out_to_the_bit(
         parts: list[Any] = [data.draw(some.arrays(np.float64, (size, 2), elements=FLOATS)) for _ in range(3)]
         verdicts = data.draw(some.arrays(np.int8, (size, 2), elements=st.integers(0, max(Verdict))))
         values, signal, sigma = parts
-        stamps = EPOCH_S + np.arange(row, row + size) * 700.0
+        stamps = np.arange(row, row + size, dtype=np.float64) * 700.0 + EPOCH_S
         outputs.append(Output(row, stamps, values, signal, sigma, verdicts))
         row += size
     half = len(outputs) // 2

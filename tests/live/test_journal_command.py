@@ -34,15 +34,8 @@ def test_list_tells_hours_rows_rate_losses_and_position(journal: Path, run: Run)
     ran = run("journal", journal)
     assert ran.returncode == 0, ran.stderr
     lines = ran.stdout.splitlines()
-    assert lines[1].split() == [
-        "2023-11-14/22.parquet",
-        "28,000",
-        "2023-11-14",
-        "22:13:20",
-        "2023-11-14",
-        "22:59:59",
-        "10",
-    ] + [lines[1].split()[-1]]
+    first = "2023-11-14/22.parquet 28,000 2023-11-14 22:13:20 2023-11-14 22:59:59 10"
+    assert " ".join(lines[1].split()[:-1]) == first
     assert [line.split()[0] for line in lines[1:4]] == [
         "2023-11-14/22.parquet",
         "2023-11-14/23.parquet",
