@@ -13,6 +13,7 @@ from typing import Annotated
 import typer
 
 from becalm.cli import options as o
+from becalm.cli.live_command import live
 from becalm.cli.said import load, open_as, open_every, refuse_overwriting, said_of, tuned
 from becalm.cli.stopping import stop_cleanly
 from becalm.errors import BecalmError, UsageError
@@ -249,6 +250,9 @@ def demo(
     from becalm.cli.demo import run
 
     run(output)
+
+
+app.command()(live)
 
 
 @app.command()
