@@ -106,6 +106,19 @@ def test_a_stream_that_is_tuned_anew_goes_on_with_its_new_recipe(tmp_path: Path)
     assert_rows(tmp_path, 150)
 
 
+def test_units_may_be_told_later_and_a_head_without_rows_binds_nobody(tmp_path: Path) -> None:
+    with journal_in(tmp_path, head=replace(HEAD, recipe="recipe = 0\n")):
+        pass
+    with journal_in(tmp_path, head=replace(HEAD, units=("", ""))) as journal:
+        fill(journal, 1)
+    for units in (("m/s^2", ""), ("", "um/m"), ("", "")):
+        with journal_in(tmp_path, head=replace(HEAD, units=units)) as journal:
+            fill(journal, 1)
+    with open_journal(tmp_path) as reader:
+        assert reader.head() == HEAD
+    assert_rows(tmp_path, 400)
+
+
 def test_columns_of_one_name_are_refused(tmp_path: Path) -> None:
     head = Head(("a", "a_raw"), ("", ""), 1.0, "")
     with pytest.raises(UsageError, match="another name at its source"), journal_in(tmp_path, head=head):
