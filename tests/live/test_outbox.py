@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from becalm.errors import OutputError
 from becalm.live.address import Address
-from becalm.live.messages import MessageReader
+from becalm.live.messages.reading import MessageReader
 from becalm.live.sinks.outbox import Letter, Outbox
 from brokered import HEAD, output
 
