@@ -13,12 +13,8 @@ from typing import Annotated
 import typer
 
 from becalm.cli import options as o
-<<<<<<< HEAD
-from becalm.cli.live_commands import journal, live
-=======
 from becalm.cli.journal_command import journal
 from becalm.cli.live_command import live
->>>>>>> 00aa1522fe3e4a11c87b984d4d6832c2537a3402
 from becalm.cli.said import load, open_as, open_every, refuse_overwriting, said_of, tuned
 from becalm.cli.stopping import stop_cleanly
 from becalm.errors import BecalmError, UsageError
