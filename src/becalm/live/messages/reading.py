@@ -132,11 +132,11 @@ class MessageReader:
             raise UnreadableError(f"of {len(payload)} bytes (more than {MAXIMUM_BYTES})")
         if payload.startswith(_ARROW):
             return self._arrow_reader().read(payload)
-        from becalm.live import text_messages
+        from becalm.live.messages import text
 
         if payload[:64].lstrip()[:1] in (b"{", b"["):
-            return text_messages.from_json(payload, self._finder)
-        return text_messages.from_csv(payload, self._finder)
+            return text.from_json(payload, self._finder)
+        return text.from_csv(payload, self._finder)
 
     def _arrow_reader(self) -> ArrowMessages:
         from becalm.live.messages.arrow import ArrowMessages
