@@ -121,3 +121,11 @@ def streamed(stream: StreamCleaner, values: Floats, elapsed: Floats, cuts: Seque
 def joined(parts: Sequence[Streamed]) -> Streamed:
     """Return rows one after the other."""
     return Streamed(*(np.concatenate(fields) for fields in zip(*parts, strict=True)))
+
+
+def assert_same_numbers(got: Streamed, expected: Streamed) -> None:
+    np.testing.assert_array_equal(got.verdicts, expected.verdicts)
+    for channel in range(expected.signal.shape[1]):
+        size = np.nanmax(np.abs(expected.signal[:, channel]), initial=0.0)
+        np.testing.assert_allclose(got.signal[:, channel], expected.signal[:, channel], rtol=1e-12, atol=1e-12 * size)
+        np.testing.assert_allclose(got.sigma[:, channel], expected.sigma[:, channel], rtol=1e-12)

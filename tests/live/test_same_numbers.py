@@ -13,7 +13,19 @@ from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.stream import StreamCleaner, Streamed
 from becalm.core.arrays import Floats
 from becalm.core.recording import Recording
-from stream_recipes import CAUSAL, KINDS, LAGGED, RATE_HZ, motion, recipe_of, rough, streamed, uneven, wander
+from stream_recipes import (
+    CAUSAL,
+    KINDS,
+    LAGGED,
+    RATE_HZ,
+    assert_same_numbers,
+    motion,
+    recipe_of,
+    rough,
+    streamed,
+    uneven,
+    wander,
+)
 
 ROWS = 1700
 
@@ -26,14 +38,6 @@ def of_file(recipe: Recipe, values: Floats, elapsed: Floats, step_s: float = 1 /
         (told,) = [*cleaner.push(columns, elapsed), *cleaner.finish()]
     fields = [[getattr(channel, name) for channel in told] for name in Streamed._fields]
     return Streamed(*(np.column_stack(field) for field in fields))
-
-
-def assert_same_numbers(got: Streamed, expected: Streamed) -> None:
-    np.testing.assert_array_equal(got.verdicts, expected.verdicts)
-    for channel in range(expected.signal.shape[1]):
-        size = np.nanmax(np.abs(expected.signal[:, channel]), initial=0.0)
-        np.testing.assert_allclose(got.signal[:, channel], expected.signal[:, channel], rtol=1e-12, atol=1e-12 * size)
-        np.testing.assert_allclose(got.sigma[:, channel], expected.sigma[:, channel], rtol=1e-12)
 
 
 RECORDS: dict[str, tuple[Floats, Floats]] = {
