@@ -47,6 +47,11 @@ class Broker:
         """Kill it as a power cut would: nothing is written any more."""
         self._end(signal.SIGKILL)
 
+    def send(self, what: signal.Signals) -> None:
+        """Send its process a signal: SIGSTOP makes it stand still, SIGCONT go on."""
+        assert self._process is not None
+        self._process.send_signal(what)
+
     def _end(self, how: signal.Signals) -> None:
         if self._process is not None:
             self._process.send_signal(how)
@@ -109,6 +114,15 @@ def nats_server(folder: Path, *more: str) -> Broker:
     folder.mkdir(parents=True, exist_ok=True)
     command = [program, "-a", "127.0.0.1", "-p", str(port), "-js", "-sd", str(folder / "store"), *more]
     return Broker(command, port, folder)
+
+
+def nats_as_mqtt(folder: Path) -> Broker:
+    """Make a NATS server whose port speaks MQTT; what is published is in a store on disk."""
+    server = nats_server(folder)
+    settings = folder / "nats.conf"
+    settings.write_text(f'server_name: pump\nmqtt {{ listen: "127.0.0.1:{free_port()}" }}\n')
+    port = int(settings.read_text().rpartition(":")[2].split('"')[0])
+    return Broker([*server.command, "-c", str(settings)], port, folder)
 
 
 def certified(folder: Path) -> Path:

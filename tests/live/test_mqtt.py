@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from becalm.errors import BecalmError
+from becalm.live import mqtt_link
 from becalm.live.address import Address
 from becalm.live.block import LossKind
+from becalm.live.protocols import AwayError
+from becalm.live.sinks import broker as broker_sink
 from becalm.live.sinks.mqtt import MqttSink
 from becalm.live.sources.mqtt import MqttSource
 from brokered import HEAD, Heard, flushed, output
-from brokers import Broker, mosquitto
+from brokers import Broker, mosquitto, nats_as_mqtt
 
 
 @pytest.fixture
@@ -25,14 +30,17 @@ def source_of(broker: Broker, options: str = "", topic: str = "plant/pump") -> M
     return MqttSource(Address.parsed(f"mqtt://127.0.0.1:{broker.port}/{topic}?channels=ax,ay{options}"))
 
 
-def sink_of(broker: Broker, options: str = "format=arrow", topic: str = "plant/pump") -> MqttSink:
+def sink_of(broker: Broker, options: str = "gather=0s", topic: str = "plant/pump") -> MqttSink:
     return MqttSink(Address.parsed(f"mqtt://127.0.0.1:{broker.port}/{topic}?{options}"))
 
 
 @pytest.mark.parametrize("version", ["5", "3.1.1"])
 @pytest.mark.parametrize("form", ["arrow", "json"])
 def test_rows_go_through(broker: Broker, version: str, form: str) -> None:
-    source, sink = source_of(broker, f"&version={version}"), sink_of(broker, f"format={form}&version={version}")
+    source, sink = (
+        source_of(broker, f"&version={version}"),
+        sink_of(broker, f"gather=0s&format={form}&version={version}"),
+    )
     heard = Heard(source)
     try:
         source.open("")
@@ -154,3 +162,50 @@ def test_killed_brokers_make_a_sink_send_again_in_order(broker: Broker) -> None:
     assert heard.numbers == sorted(heard.numbers)
     assert len(heard.numbers) + heard.count(LossKind.MISSING) == 400
     assert {loss.kind for loss in heard.losses} <= {LossKind.MISSING, LossKind.GAP, LossKind.REPEATED}
+
+
+def test_nats_as_an_mqtt_broker_loses_nothing_when_killed(tmp_path: Path) -> None:
+    with nats_as_mqtt(tmp_path / "nats") as server:
+        heard, sink = Heard(source_of(server, "&version=3.1.1")), sink_of(server, "gather=0s&version=3.1.1")
+        heard.source.open("")
+        sink.open(HEAD)
+        for turn in range(3):
+            for place in range(40):
+                sink.write(output(turn * 200 + place * 5, 5))
+                if place == 20:
+                    server.kill()
+                    server.start()
+            flushed(sink)
+        heard.until(lambda: len(heard.numbers) >= 600)
+        heard.source.close()
+        sink.close()
+    assert heard.numbers == list(range(600))
+    assert heard.count(LossKind.MISSING) == 0
+
+
+def test_a_broker_of_another_version_is_told(tmp_path: Path) -> None:
+    with nats_as_mqtt(tmp_path / "nats") as server, pytest.raises(BecalmError, match="type version=3"):
+        source_of(server, "&version=5").open("")
+
+
+def test_a_broker_that_stands_still_is_away(broker: Broker, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(broker_sink, "_STALL_S", 0.2)
+    monkeypatch.setattr(mqtt_link, "_ANSWER_S", 0.5)
+    sink, heard = sink_of(broker), Heard(source_of(broker))
+    heard.source.open("")
+    sink.open(HEAD)
+    broker.send(signal.SIGSTOP)
+    try:
+        sink.write(output(0, 3))
+        with pytest.raises(AwayError, match="acknowledged nothing"):
+            sink.flush()
+        sink.close()
+        with pytest.raises(AwayError, match="does not answer"):
+            sink.open(HEAD)
+    finally:
+        broker.send(signal.SIGCONT)
+    monkeypatch.undo()
+    flushed(sink)
+    heard.until(lambda: heard.numbers == [0, 1, 2])
+    heard.source.close()
+    sink.close()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -29,7 +30,7 @@ def source_of(port: int, options: str = "", host: str = "127.0.0.1") -> MqttSour
 
 
 def sink_of(port: int, options: str = "", host: str = "127.0.0.1") -> MqttSink:
-    return MqttSink(Address.parsed(f"mqtt://{host}:{port}/plant/pump?format=arrow{options}"))
+    return MqttSink(Address.parsed(f"mqtt://{host}:{port}/plant/pump?gather=0s{options}"))
 
 
 @pytest.fixture
@@ -257,3 +258,9 @@ def test_a_position_of_another_source_is_told() -> None:
 def test_hosts_ports_and_topics(address: str, host: str, port: int, path: str) -> None:
     remote = Remote.parsed(Address.parsed(address), 1883, 8883)
     assert (remote.host, remote.port, remote.path) == (host, port, path)
+
+
+def test_a_missing_library_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "paho.mqtt.client", None)
+    with pytest.raises(UsageError, match=r"pip install 'becalm\[live\]'"):
+        source_of(1).open("")

@@ -7,18 +7,16 @@ import random
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from becalm.live.address import Address
 from becalm.live.block import LossKind
-from becalm.live.nats_link import NatsLink
-from becalm.live.remote import Remote
 from becalm.live.sinks.nats import NatsSink, _NatsLine
 from becalm.live.sources.nats import NatsSource
 from brokered import HEAD, Heard, flushed, message, output
 from brokers import Broker, nats_server
+from pump import link_to, made, sent, stored
 
 
 @pytest.fixture
@@ -28,35 +26,13 @@ def server(tmp_path: Path) -> Iterator[Broker]:
         yield running
 
 
-def link_to(server: Broker) -> NatsLink:
-    link = NatsLink(Remote.parsed(Address.parsed(f"nats://127.0.0.1:{server.port}/PUMP"), 4222, 4222))
-    link.connect(reached=False)
-    return link
-
-
-def made(server: Broker, **more: Any) -> None:
-    """Make the stream PUMP, anew where it was."""
-    link = link_to(server)
-    if more:
-        link.call(link.stream_api.delete_stream("PUMP"))
-    link.call(link.stream_api.add_stream(name="PUMP", subjects=["plant.*"], **more))
-    link.close()
-
-
 def source_of(server: Broker, options: str = "") -> NatsSource:
     text = f"nats://127.0.0.1:{server.port}/PUMP?subject=plant.pump&channels=ax,ay{options}"
     return NatsSource(Address.parsed(text))
 
 
 def sink_of(server: Broker, options: str = "") -> NatsSink:
-    return NatsSink(Address.parsed(f"nats://127.0.0.1:{server.port}/PUMP?subject=plant.pump{options}"))
-
-
-def sent(server: Broker, payloads: list[bytes], subject: str = "plant.pump") -> None:
-    link = link_to(server)
-    for payload in payloads:
-        link.call(link.stream_api.publish(subject, payload))
-    link.close()
+    return NatsSink(Address.parsed(f"nats://127.0.0.1:{server.port}/PUMP?gather=0s&subject=plant.pump{options}"))
 
 
 @pytest.mark.parametrize("form", ["arrow", "json"])
@@ -111,13 +87,10 @@ def test_a_killed_server_loses_nothing(server: Broker) -> None:
     heard.until(lambda: len(heard.numbers) >= 3000)
     heard.source.close()
     sink.close()
-    link = link_to(server)
-    stored = link.stream_info("PUMP", reached=True).state.messages
-    link.close()
     assert heard.numbers == list(range(3000))
     assert heard.losses == []
     assert heard.returns > 0
-    assert stored == 600
+    assert stored(server) == 600
 
 
 def test_what_was_stored_and_not_acknowledged_is_not_stored_twice(server: Broker) -> None:

@@ -7,13 +7,15 @@ import concurrent.futures
 import contextlib
 import importlib.util
 import threading
-from collections.abc import Coroutine
+from collections.abc import Callable, Coroutine
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from becalm.errors import BecalmError, InputError, UsageError
 from becalm.live.remote import Remote, variable
 
 if TYPE_CHECKING:
+    import ssl
+
     from nats.aio.client import Client
     from nats.js import JetStreamContext
     from nats.js.api import StreamInfo
@@ -41,6 +43,31 @@ def stream_of(remote: Remote) -> str:
     return stream
 
 
+def check_subject(info: StreamInfo, subject: str) -> None:
+    """Refuse a subject that a stream does not hold: nothing would ever come of it.
+
+    Raises
+    ------
+    InputError
+        If it does not.
+    """
+    held = info.config.subjects
+    if held and not any(holds(pattern, subject) for pattern in held):
+        raise InputError(
+            f"The stream {info.config.name} holds {', '.join(held)}, and not {subject}; name one of these by subject=, "
+            f"or let it hold that: nats stream edit {info.config.name} --subjects ..."
+        )
+
+
+def holds(pattern: str, subject: str) -> bool:
+    """Return whether a pattern of subjects, as plant.* or plant.>, holds one."""
+    wanted, words = pattern.split("."), subject.split(".")
+    if wanted[-1] == ">" and len(words) >= len(wanted):
+        wanted = wanted[:-1]
+        words = words[: len(wanted)]
+    return len(wanted) == len(words) and all(want in ("*", word) for want, word in zip(wanted, words, strict=True))
+
+
 class NatsLink:
     """A connection, and the thread that serves it.
 
@@ -60,6 +87,7 @@ class NatsLink:
         self._stop: asyncio.Event | None = None
         self._thread: threading.Thread | None = None
         self._client: Client | None = None
+        self._context: ssl.SSLContext | None = None
 
     @property
     def client(self) -> Client:
@@ -93,13 +121,14 @@ class NatsLink:
         except ImportError as cause:
             raise UsageError("nats: needs nats-py; pip install 'becalm[live]'") from cause
         asks = self._asks()
+        self._client = client = Client()
         started: concurrent.futures.Future[None] = concurrent.futures.Future()
         self._thread = threading.Thread(target=lambda: asyncio.run(self._serve(started)), name="nats", daemon=True)
         self._thread.start()
         started.result()
-        self._client = Client()
         try:
-            self.call(self._connected(self._client, asks))
+            self.call(self._connected(client, asks))
+            self._check_private(client)
         except BecalmError:
             self.close()
             raise
@@ -207,7 +236,7 @@ class NatsLink:
             allow_reconnect=False,
             max_reconnect_attempts=1,
             reconnect_time_wait=0,
-            connect_timeout=int(_ANSWER_S / 2),
+            connect_timeout=max(1, int(_ANSWER_S / 2)),
             ping_interval=_PING_S,
             name="becalm",
             **asks,
@@ -216,15 +245,31 @@ class NatsLink:
     def _asks(self) -> dict[str, Any]:
         """Return who enters, and how the way is kept private."""
         login, creds = self._remote.login(), self._remote.address.options.get("creds")
-        asks: dict[str, Any] = {"user": login.user, "password": login.password, "token": login.token}
+        told = {"user": login.user, "password": login.password, "token": login.token}
+        asks: dict[str, Any] = {name: self._guarded(secret) for name, secret in told.items() if secret is not None}
         if creds is not None:
             if importlib.util.find_spec("nkeys") is None:
                 raise UsageError("nats: creds= needs nkeys; pip install nkeys")
             asks["user_credentials"] = creds
-        context = self._remote.tls()
-        if context is not None:
-            asks |= {"tls": context, "tls_hostname": self._remote.host}
-        return {name: value for name, value in asks.items() if value is not None}
+        self._context = self._remote.tls()
+        if self._context is not None:
+            asks |= {"tls": self._context, "tls_hostname": self._remote.host}
+        return asks
+
+    def _guarded(self, secret: str) -> Callable[[], str]:
+        """Return what tells a secret to nats-py when it is about to send it."""
+
+        def told() -> str:
+            self._check_private(self.client)
+            return secret
+
+        return told
+
+    def _check_private(self, client: Client) -> None:
+        """Refuse a server that does not speak TLS where TLS is asked for: nats-py would go on in the clear."""
+        if self._context is not None and not client._server_info.get("tls_required"):
+            where = f"{self._remote.host}:{self._remote.port}"
+            raise InputError(f"{where} does not speak TLS; switch it on there, or leave tls, ca and cert away here.")
 
     def _last(self) -> BaseException | None:
         return self._refused[-1] if self._refused else None

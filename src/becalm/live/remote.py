@@ -132,7 +132,8 @@ class Remote:
 
     def away(self, why: object) -> AwayError:
         """Return the error that says that nobody is there now."""
-        return AwayError(f"{self.address.kind}: {self.host}:{self.port} cannot be reached now: {why}.")
+        said = str(why) or "it does not answer"  # of a TimeoutError, which has no words
+        return AwayError(f"{self.address.kind}: {self.host}:{self.port} cannot be reached now: {said}.")
 
     def failed(self, cause: BaseException, *, reached: bool) -> BecalmError:
         """Return what a failure to connect means: away, or never to be reached like this.

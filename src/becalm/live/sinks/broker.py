@@ -10,10 +10,12 @@ from typing import Protocol
 
 from becalm.errors import BecalmError
 from becalm.live.block import Head, Output
-from becalm.live.remote import Remote
+from becalm.live.messages.encoding import FORMATS
+from becalm.live.remote import OPTIONS, Remote
 from becalm.live.sinks.outbox import LARGEST, Letter, Outbox
 
 _STALL_S = 20.0
+_GATHER_S = 0.02
 
 Told = Callable[[int, BecalmError | None], None]
 """Hears the number of a message that was acknowledged, or why it was refused; on any thread."""
@@ -51,13 +53,19 @@ class BrokerSink(ABC):
     ----------
     remote : Remote
         The broker.
-    form : str
-        What messages are: "arrow" or "json".
+
+    Attributes
+    ----------
+    OPTIONS : tuple of str
+        What the addresses of all of them understand.
     """
 
-    def __init__(self, remote: Remote, form: str) -> None:
+    OPTIONS = ("format", "gather", *OPTIONS)
+
+    def __init__(self, remote: Remote) -> None:
         self._remote = remote
-        self._outbox = Outbox(form)
+        form = remote.address.chosen("format", FORMATS, FORMATS[0])
+        self._outbox = Outbox(form, remote.address.seconds("gather", _GATHER_S))
         self._line: Line | None = None
         self._reached = False
         self._acknowledged: set[int] = set()
@@ -92,7 +100,7 @@ class BrokerSink(ABC):
         OutputError
             If the broker takes no message as large as a single row.
         """
-        self._outbox.put(output, LARGEST if self._line is None else self._line.largest)
+        self._outbox.put(output, self._largest())
         self._send()
 
     def flush(self) -> None:
@@ -105,6 +113,7 @@ class BrokerSink(ABC):
         InputError
             If it refuses messages.
         """
+        self._outbox.seal(self._largest())
         left, since = len(self._outbox), time.monotonic()
         while left:
             self._send()
@@ -127,6 +136,10 @@ class BrokerSink(ABC):
         line, self._line = self._line, None
         if line is not None:
             line.close()
+
+    def _largest(self) -> int:
+        """Return how many bytes a message may have."""
+        return LARGEST if self._line is None else self._line.largest
 
     def _send(self) -> None:
         """Publish what may be under way."""

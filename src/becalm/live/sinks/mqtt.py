@@ -6,9 +6,8 @@ import uuid
 
 from becalm.errors import InputError
 from becalm.live.address import Address
-from becalm.live.encoding import FORMATS
 from becalm.live.mqtt_link import PORT, TLS_PORT, VERSIONS, MqttLink, Session, topic_of
-from becalm.live.remote import OPTIONS, Remote
+from becalm.live.remote import Remote
 from becalm.live.sinks.broker import BrokerSink, Line, Told
 from becalm.live.sinks.outbox import Letter
 
@@ -18,14 +17,15 @@ _WINDOW = 100  # messages ahead of their acknowledgements, where the broker take
 class MqttSink(BrokerSink):
     """Publishes rows: `mqtt://HOST:PORT/TOPIC?format=json`.
 
-    A message holds the rows of an output (or a part of a large one): `seq`, the number of its first row; `time`; and
+    A message holds rows of one or several outputs: `seq`, the number of its first row; `time`; and
     of each channel NAME, NAME_sigma and NAME_verdict. Where the broker was away, or becalm was killed, rows may come
     twice, by the same numbers and in order: who reads drops them by `seq`, as becalm's own source does.
     What happened to the stream is not published; the journal and the log have it.
 
-    Options: `format=arrow|json` (arrow); `version=5|3.1.1`; `client=NAME`, where the broker lets only known ones in;
-    `tls=1`, `ca=FILE`, `cert=FILE`, `key=FILE`; `password_file=FILE` (user and password, a line each), else
-    BECALM_MQTT_USER and BECALM_MQTT_PASSWORD of the environment.
+    Options: `format=arrow|json` (arrow); `gather=20ms`, for how long rows are gathered into a message;
+    `version=5|3.1.1`; `client=NAME`, where the broker lets only known ones in; `tls=1`, `ca=FILE`, `cert=FILE`,
+    `key=FILE`; `password_file=FILE` (user and password, a line each), else BECALM_MQTT_USER and BECALM_MQTT_PASSWORD
+    of the environment.
 
     Parameters
     ----------
@@ -39,8 +39,8 @@ class MqttSink(BrokerSink):
     """
 
     def __init__(self, address: Address) -> None:
-        address.refuse_unknown(("format", "version", "client", *OPTIONS))
-        super().__init__(Remote.parsed(address, PORT, TLS_PORT), address.chosen("format", FORMATS, FORMATS[0]))
+        address.refuse_unknown((*self.OPTIONS, "version", "client"))
+        super().__init__(Remote.parsed(address, PORT, TLS_PORT))
         self._topic = topic_of(self._remote)
         name = address.options.get("client") or f"becalm-{uuid.uuid4().hex[:16]}"
         self._session = Session(name, address.chosen("version", VERSIONS, VERSIONS[0]), kept_s=0.0, window=1)

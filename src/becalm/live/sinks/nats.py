@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 
 from becalm.errors import InputError, UsageError
 from becalm.live.address import Address
-from becalm.live.encoding import FORMATS
-from becalm.live.nats_link import PORT, NatsLink, stream_of
-from becalm.live.remote import OPTIONS, Remote
+from becalm.live.nats_link import PORT, NatsLink, check_subject, stream_of
+from becalm.live.remote import Remote
 from becalm.live.sinks.broker import BrokerSink, Line, Told
 from becalm.live.sinks.outbox import Letter
 
@@ -25,15 +24,15 @@ _ID = "Nats-Msg-Id"
 class NatsSink(BrokerSink):
     """Publishes rows: `nats://HOST:PORT/STREAM?subject=clean.pump`.
 
-    A message holds the rows of an output (or a part of a large one): `seq`, the number of its first row; `time`; and
+    A message holds rows of one or several outputs: `seq`, the number of its first row; `time`; and
     of each channel NAME, NAME_sigma and NAME_verdict. Its Nats-Msg-Id tells its first row and what it holds, so that
     the server drops one that it has. Where the server was killed, each row is in the stream once and in order. Where
     becalm was killed, rows since its last commit are sent again, perhaps in other messages: who reads drops them by
     `seq`, as becalm's own source does. What happened to the stream is not published; the journal and the log have it.
 
-    Options: `subject=`, which the stream must hold; `format=arrow|json` (arrow); `tls=1`, `ca=FILE`, `cert=FILE`,
-    `key=FILE`; `password_file=FILE` (user and password, a line each), `creds=FILE`, else BECALM_NATS_USER and
-    BECALM_NATS_PASSWORD, or BECALM_NATS_TOKEN, of the environment.
+    Options: `subject=`, which the stream must hold; `format=arrow|json` (arrow); `gather=20ms`, for how long rows are
+    gathered into a message; `tls=1`, `ca=FILE`, `cert=FILE`, `key=FILE`; `password_file=FILE` (user and password, a
+    line each), `creds=FILE`, else BECALM_NATS_USER and BECALM_NATS_PASSWORD, or BECALM_NATS_TOKEN, of the environment.
 
     Parameters
     ----------
@@ -47,8 +46,8 @@ class NatsSink(BrokerSink):
     """
 
     def __init__(self, address: Address) -> None:
-        address.refuse_unknown(("subject", "format", "creds", *OPTIONS))
-        super().__init__(Remote.parsed(address, PORT, PORT), address.chosen("format", FORMATS, FORMATS[0]))
+        address.refuse_unknown((*self.OPTIONS, "subject", "creds"))
+        super().__init__(Remote.parsed(address, PORT, PORT))
         self._stream = stream_of(self._remote)
         self._subject = address.options.get("subject", "")
         if not self._subject or set(self._subject) & set("*> \t"):
@@ -58,7 +57,7 @@ class NatsSink(BrokerSink):
         line = _NatsLine(self._remote, self._stream, self._subject, self._told)
         line.connect(reached=self._reached)
         try:
-            line.stream_info(self._stream, reached=self._reached)
+            check_subject(line.stream_info(self._stream, reached=self._reached), self._subject)
             if self._refusal is None:  # else an earlier message may be missing before the last
                 self._outbox.arrived(line.last_id())
         except BaseException:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import hashlib
+import time
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from becalm.errors import OutputError
 from becalm.live.block import Head, Output
-from becalm.live.encoding import Encoder
+from becalm.live.messages.encoding import Encoder
 
 LARGEST = 250_000
 """Bytes of the largest message that is made where a broker takes larger ones: brokers copy and queue them whole."""
@@ -43,10 +46,15 @@ class Outbox:
     ----------
     form : str
         "arrow" or "json".
+    gather_s : float
+        For how long outputs are gathered into one message: a message costs more than its rows.
     """
 
-    def __init__(self, form: str) -> None:
+    def __init__(self, form: str, gather_s: float) -> None:
         self._form = form
+        self._gather_s = gather_s
+        self._gathered: list[Output] = []
+        self._since_s = 0.0
         self._head: Head | None = None
         self._encoder = Encoder(form)
         self._waiting: deque[Letter] = deque()
@@ -55,20 +63,36 @@ class Outbox:
     def begin(self, head: Head) -> None:
         """Make ready for a stream, or for a new connection: what was sent and not acknowledged is sent again."""
         if self._head != head:
+            self.seal(LARGEST)
             self._head, self._encoder = head, Encoder.of(head, self._form)
         self._waiting.extendleft(letter for _, letter in reversed(self._flying))
         self._flying.clear()
 
     def put(self, output: Output, largest: int) -> None:
-        """Take rows, as messages of at most `largest` bytes.
+        """Take rows, and make messages of at most `largest` bytes of those that were gathered for long enough.
 
         Raises
         ------
         OutputError
             If a single row is larger.
         """
-        if self._head is not None and len(output):
-            self._waiting.extend(self._letters(self._head, output, min(largest, LARGEST)))
+        if not len(output):
+            return
+        last = self._gathered[-1] if self._gathered else None
+        if last is not None and last.first_row + len(last) != output.first_row:
+            self.seal(largest)
+        if not self._gathered:
+            self._since_s = time.monotonic()
+        self._gathered.append(output)
+        held = sum(out.signal.nbytes for out in self._gathered) * 3
+        if held >= LARGEST or time.monotonic() - self._since_s >= self._gather_s:
+            self.seal(largest)
+
+    def seal(self, largest: int) -> None:
+        """Make messages of all that was gathered; raises as `put` does."""
+        gathered, self._gathered = self._gathered, []
+        if self._head is not None and gathered:
+            self._waiting.extend(self._letters(self._head, _joined(gathered), min(largest, LARGEST)))
 
     def next(self) -> Letter | None:
         """Return the message that is to be sent next; None where none waits."""
@@ -112,6 +136,20 @@ class Outbox:
                 f"A row of {len(head.names)} channels takes {len(payload)} bytes, and the broker takes messages of "
                 f"{largest}; raise its limit, or clean fewer channels."
             )
+
+
+def _joined(outputs: list[Output]) -> Output:
+    """Return consecutive outputs as one."""
+    if len(outputs) == 1:
+        return outputs[0]
+    return replace(
+        outputs[0],
+        time_s=np.concatenate([output.time_s for output in outputs]),
+        values=np.concatenate([output.values for output in outputs]),
+        signal=np.concatenate([output.signal for output in outputs]),
+        sigma=np.concatenate([output.sigma for output in outputs]),
+        verdicts=np.concatenate([output.verdicts for output in outputs]),
+    )
 
 
 def _rows(output: Output, start: int, stop: int) -> Output:

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 from becalm.errors import InputError
 from becalm.live.address import Address
 from becalm.live.block import Block, Loss, LossKind
-from becalm.live.message_stream import MessageStream
-from becalm.live.nats_link import PORT, NatsLink, stream_of
+from becalm.live.messages.stream import MessageStream
+from becalm.live.nats_link import PORT, NatsLink, check_subject, stream_of
 from becalm.live.nats_pull import NatsPull
 from becalm.live.position import told_by
 from becalm.live.remote import OPTIONS, Remote
@@ -85,6 +85,8 @@ class NatsSource:
                 f"The stream {self._name} forgets messages once they are read (retention {info.config.retention}), and "
                 f"nothing could be read again after a kill; make it anew by --retention limits."
             )
+        if self._subject is not None:
+            check_subject(info, self._subject)
         self._created = str(info.created)
         first = self._first(told, info)
         self._last = first - 1
