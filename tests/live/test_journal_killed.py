@@ -19,6 +19,7 @@ from journals import EPOCH_S, HEAD, assert_rows, checkpoint_at, fill, journal_in
 KILLS = 20
 
 
+@pytest.mark.slow
 def test_a_journal_that_is_killed_again_and_again_has_each_row_once(tmp_path: Path) -> None:
     """What the process said to be kept is there; beside it at most the block that it was about to say."""
     rng, said = np.random.default_rng(7), 0
