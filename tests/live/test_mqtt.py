@@ -27,7 +27,7 @@ def broker(tmp_path: Path) -> Iterator[Broker]:
 
 
 def source_of(broker: Broker, options: str = "", topic: str = "plant/pump") -> MqttSource:
-    return MqttSource(Address.parsed(f"mqtt://127.0.0.1:{broker.port}/{topic}?columns=ax,ay{options}"))
+    return MqttSource(Address.parsed(f"mqtt://127.0.0.1:{broker.port}/{topic}?channels=ax,ay{options}"))
 
 
 def sink_of(broker: Broker, options: str = "gather=0s", topic: str = "plant/pump") -> MqttSink:

@@ -26,7 +26,7 @@ WORD = "correct horse"
 
 
 def source_of(port: int, options: str = "", host: str = "127.0.0.1") -> MqttSource:
-    return MqttSource(Address.parsed(f"mqtt://{host}:{port}/plant/pump?columns=ax,ay{options}"))
+    return MqttSource(Address.parsed(f"mqtt://{host}:{port}/plant/pump?channels=ax,ay{options}"))
 
 
 def sink_of(port: int, options: str = "", host: str = "127.0.0.1") -> MqttSink:

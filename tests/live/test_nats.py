@@ -27,7 +27,7 @@ def server(tmp_path: Path) -> Iterator[Broker]:
 
 
 def source_of(server: Broker, options: str = "") -> NatsSource:
-    text = f"nats://127.0.0.1:{server.port}/PUMP?subject=plant.pump&columns=ax,ay{options}"
+    text = f"nats://127.0.0.1:{server.port}/PUMP?subject=plant.pump&channels=ax,ay{options}"
     return NatsSource(Address.parsed(text))
 
 

@@ -6,6 +6,8 @@ import time
 from dataclasses import dataclass, field
 from enum import StrEnum
 
+import numpy as np
+
 from becalm.core.arrays import Codes, Floats
 
 
@@ -80,6 +82,11 @@ class Block:
     def __len__(self) -> int:
         """Return the number of rows."""
         return len(self.time_s)
+
+    @classmethod
+    def of_losses(cls, *losses: Loss) -> Block:
+        """Return a block of no rows, which tells what happened to the stream."""
+        return cls((), (), np.empty(0), np.empty((0, 0)), losses=losses)
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from becalm.core.arrays import Codes, Floats
+from becalm.errors import UsageError
+from becalm.files.roles import SIGMA
+from becalm.files.tables import VERDICT
 from becalm.live.block import Head, Output
+from becalm.live.message_columns import SEQ
 
+TIME = "time"
 FORMATS = ("arrow", "json")
 
 
@@ -33,17 +38,30 @@ class Encoder:
 
     @classmethod
     def of(cls, head: Head, form: str) -> Encoder:
-        """Return the one of a stream's outputs."""
+        """Return the one of a stream's outputs.
+
+        Raises
+        ------
+        UsageError
+            If two columns would have one name: a channel is called `time`, or one `a` and another `a_sigma`.
+        """
+        names = [SEQ, TIME, *(name + end for name in head.names for end in ("", SIGMA, VERDICT))]
+        twice = [name for number, name in enumerate(names) if name in names[:number]]
+        if twice:
+            raise UsageError(
+                f"Two columns of a message would be called {twice[0]!r}: each channel NAME has NAME, NAME{SIGMA} and"
+                f" NAME{VERDICT}, beside {SEQ} and {TIME}; give a channel another name at its source."
+            )
         pairs = dict(zip(head.names, head.units, strict=True))
-        return cls(form, pairs | {f"{name}_sigma": unit for name, unit in pairs.items()})
+        return cls(form, pairs | {name + SIGMA: unit for name, unit in pairs.items()})
 
     def output(self, output: Output, head: Head) -> bytes:
         """Return an output: seq, time, and of each channel NAME, NAME_sigma and NAME_verdict."""
-        columns: dict[str, NDArray[np.float64] | Codes] = {"time": output.time_s}
+        columns: dict[str, NDArray[np.float64] | Codes] = {TIME: output.time_s}
         for channel, name in enumerate(head.names):
             columns[name] = output.signal[:, channel]
-            columns[f"{name}_sigma"] = output.sigma[:, channel]
-            columns[f"{name}_verdict"] = output.verdicts[:, channel]
+            columns[name + SIGMA] = output.sigma[:, channel]
+            columns[name + VERDICT] = output.verdicts[:, channel]
         return self.message(columns, output.first_row)
 
     def message(self, columns: Mapping[str, Floats | Codes], seq: int | None = None) -> bytes:
@@ -63,7 +81,7 @@ class Encoder:
         arrays = {name: np.ascontiguousarray(column) for name, column in columns.items()}
         if seq is not None:
             rows = len(next(iter(arrays.values())))
-            arrays = {"seq": np.arange(seq, seq + rows, dtype=np.int64), **arrays}
+            arrays = {SEQ: np.arange(seq, seq + rows, dtype=np.int64), **arrays}
         schema, head = self._schema(arrays)
         batch = pa.RecordBatch.from_arrays([pa.array(column) for column in arrays.values()], schema=schema)
         return head + bytes(batch.serialize())
@@ -86,7 +104,7 @@ class Encoder:
 
     def _json(self, columns: Mapping[str, Floats | Codes], seq: int | None) -> bytes:
         """Return columns as lists; what is no finite number is null, as JSON has no word for it."""
-        held: dict[str, object] = {} if seq is None else {"seq": seq}
+        held: dict[str, object] = {} if seq is None else {SEQ: seq}
         if self.units:
             held["units"] = {name: self.units[name] for name in columns if self.units.get(name)}
         for name, column in columns.items():

@@ -10,6 +10,7 @@ import numpy as np
 from becalm.core.arrays import Floats
 from becalm.live.address import Address
 from becalm.live.block import Block, Loss
+from becalm.live.line_columns import LineOptions
 from becalm.live.messages import Batch, MessageReader
 from becalm.live.sequence import Sequence
 
@@ -17,8 +18,7 @@ from becalm.live.sequence import Sequence
 class MessageStream:
     """Takes the messages of a stream as they come and makes blocks of those that are ready.
 
-    Options of the address: `columns=` and `time=` (see `MessageReader`), `rate=HZ` where messages hold no stamps,
-    `reorder=N`, how many messages may wait for one that is behind.
+    Options of the address: those of lines but `format=` (`columns=`, `channels=`, `time=`, `rate=`).
 
     Rows without stamps have, with `rate=`, the time that their numbers tell from the first row's arrival on; where
     they have no numbers either, the last row of a message has its arrival's time. Without `rate=`, each message may
@@ -29,23 +29,25 @@ class MessageStream:
     address : Address
         With the options.
     reorder : int
-        What `reorder=` is where it is not said; 0 of a transport that keeps the order.
+        How many messages may wait for one that is behind; 0 of a transport that keeps the order, whose position then
+        tells all.
+
+    Attributes
+    ----------
+    rate_hz : float or None
+        Rows a second as the address says; None where it does not.
     """
 
-    OPTIONS = (*MessageReader.OPTIONS, "reorder")
+    OPTIONS = ("columns", "channels", "time", "rate")
 
     def __init__(self, address: Address, *, reorder: int = 0) -> None:
-        self._rate_hz = address.number("rate", 0.0)
-        self._reorder = int(address.number("reorder", reorder, greatest=1000))
-        self._reader = MessageReader(address)
-        self._sequence = Sequence(self._reorder, self._rate_hz)
+        options = LineOptions.of(address)
+        self.rate_hz = options.rate_hz
+        self._reorder = reorder
+        self._reader = MessageReader(options)
+        self._sequence = Sequence(self._reorder, self.rate_hz or 0.0)
         self._ready: list[Batch] = []
         self._arrived_s = 0.0
-
-    @property
-    def rate_hz(self) -> float | None:
-        """Rows a second as the address says; None where it does not."""
-        return self._rate_hz or None
 
     @property
     def state(self) -> dict[str, float | int | None]:
@@ -54,21 +56,25 @@ class MessageStream:
 
     def resume(self, state: Mapping[str, float | int | None]) -> None:
         """Go on after a state; {} begins."""
-        self._sequence = Sequence(self._reorder, self._rate_hz)
+        self._sequence = Sequence(self._reorder, self.rate_hz or 0.0)
         self._ready = []
         if state:
             self._sequence.resume(state)
 
     def take(self, payload: bytes, arrived_s: float) -> None:
         """Hear of a message that came at `arrived_s`, in seconds since 1970."""
-        self._arrived_s = time.monotonic()
-        batch = self._reader.read(payload, arrived_s)
-        if batch is None:
-            return
-        if batch.seq is None:
-            self._ready.append(batch)
-        else:
-            self._sequence.take(batch, self._arrived_s)
+        self.take_many([(payload, arrived_s)])
+
+    def take_many(self, messages: list[tuple[bytes, float]]) -> None:
+        """Hear of messages, each with its arrival in seconds since 1970: several at once cost less than one by one."""
+        now_s = time.monotonic()
+        if messages:
+            self._arrived_s = now_s - max(0.0, time.time() - messages[-1][1])
+        for batch in self._reader.read_many(messages):
+            if batch.seq is None:
+                self._ready.append(batch)
+            else:
+                self._sequence.take(batch, now_s)
 
     def wait_s(self) -> float:
         """Return how long `block` may be put off for the sake of messages that came ahead."""
@@ -107,5 +113,5 @@ class MessageStream:
     def _stamps(self, batch: Batch) -> Floats:
         if batch.time_s is not None:
             return batch.time_s
-        back = np.arange(1 - len(batch), 1) / (self._rate_hz or 1.0)
+        back = np.arange(1 - len(batch), 1) / (self.rate_hz or 1.0)
         return batch.arrived_s + back

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.live.address import Address
 from becalm.live.block import Loss, LossKind
+from becalm.live.line_columns import LineOptions
+from becalm.live.message_columns import EXACT_INTEGERS, RoleFinder, Told, UnreadableError
 
 if TYPE_CHECKING:
     from becalm.live.arrow_messages import ArrowMessages
@@ -18,14 +18,8 @@ if TYPE_CHECKING:
 MAXIMUM_BYTES = 16_000_000
 """A longer message is garbled: nobody batches so, and memory stays bounded."""
 
-EXACT_INTEGERS = 2**53
-"""Sequence numbers stay below: every language's float holds them."""
-
-_UNREADABLE = (ValueError, TypeError, KeyError, OverflowError, RecursionError, MemoryError, OSError, EOFError)
-
-
-class UnreadableError(ValueError):
-    """Why a message cannot be read; the reader counts it."""
+_ARROW = b"\xff\xff\xff\xff"
+_UNREADABLE = (ValueError, TypeError, LookupError, ArithmeticError, RuntimeError, MemoryError, OSError, EOFError)
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,39 +58,6 @@ class Batch:
         )
 
 
-@dataclass(frozen=True)
-class Told:
-    """What a message told, its channels in its own order."""
-
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    seq: int | None
-    time_s: Floats | None
-    values: Floats
-
-
-@dataclass(frozen=True)
-class Wanted:
-    """What the address says of messages: `columns` (of CSV all, of others those taken), which has stamps, the rate."""
-
-    columns: tuple[str, ...]
-    time: str
-    rate_hz: float
-
-    def channels(self, there: Iterable[str]) -> list[str]:
-        """Return the names of the channels among all names that are there.
-
-        Raises
-        ------
-        UnreadableError
-            If there are none.
-        """
-        names = [name for name in (self.columns or there) if name not in (self.time, "seq")]
-        if not names:
-            raise UnreadableError("which has no channels")
-        return names
-
-
 class MessageReader:
     """Reads messages of one stream; whatever cannot be read is counted and never raises.
 
@@ -104,22 +65,18 @@ class MessageReader:
     these is garbled. Their order may differ: channels are found by name.
 
     Arrow is an IPC stream of numeric columns, `unit` in a field's metadata its unit. JSON is an object of numbers (a
-    row) or of lists (columns), or a list of row objects; `units` may be an object in it. CSV needs `?columns=`.
-    Column `seq` numbers the rows: in JSON a single number, of the first row; elsewhere every row's own, one more
-    each. The time column has seconds, or is an Arrow timestamp.
+    row) or of lists (columns), or a list of row objects; `units` may be an object in it. CSV needs `columns`. What is
+    text and no time is passed over. Column `seq` numbers the rows: in JSON a single number, of the first row;
+    elsewhere every row's own, one more each. Stamps are read as those of lines are.
 
     Parameters
     ----------
-    address : Address
-        Its options `columns=`, `time=` and `rate=` are heard.
+    options : LineOptions
+        What was said of columns.
     """
 
-    OPTIONS = ("columns", "time", "rate")
-
-    def __init__(self, address: Address) -> None:
-        self._wanted = Wanted(
-            address.names("columns"), address.options.get("time", "time"), address.number("rate", 0.0)
-        )
+    def __init__(self, options: LineOptions) -> None:
+        self._finder = RoleFinder(options)
         self._arrow: ArrowMessages | None = None
         self._garbled = 0
         self._first = ""
@@ -138,12 +95,28 @@ class MessageReader:
             When it came, in seconds since 1970.
         """
         try:
-            told = self._told(payload)
-            return Batch(told.seq, told.time_s, self._values(told), arrived_s)
+            return self._batch(self._told(payload), arrived_s)
         except _UNREADABLE as cause:
             self._garbled += 1
             self._first = self._first or f"{_short(cause)}: {payload[:40]!r}{'...' if len(payload) > 40 else ''}"
             return None
+
+    def read_many(self, messages: list[tuple[bytes, float]]) -> list[Batch]:
+        """Return the rows of messages, each with its arrival, in their order; joined where that is faster.
+
+        Parameters
+        ----------
+        messages : list of (bytes, float)
+            Each message, and when it came, in seconds since 1970.
+        """
+        if len(messages) > 1 and self._shape and self._shape[1]:  # without stamps, each has its own arrival
+            payloads = [payload for payload, _ in messages]
+            if payloads[0].startswith(_ARROW) and sum(map(len, payloads)) <= MAXIMUM_BYTES:
+                try:
+                    return [self._batch(told, messages[-1][1]) for told in self._arrow_reader().read_many(payloads)]
+                except _UNREADABLE:
+                    pass  # one by one tells which
+        return [batch for batch in (self.read(*message) for message in messages) if batch is not None]
 
     def losses(self) -> tuple[Loss, ...]:
         """Return what could not be read since this was asked last."""
@@ -157,25 +130,25 @@ class MessageReader:
     def _told(self, payload: bytes) -> Told:
         if len(payload) > MAXIMUM_BYTES:
             raise UnreadableError(f"of {len(payload)} bytes (more than {MAXIMUM_BYTES})")
-        if payload[:4] == b"\xff\xff\xff\xff":
+        if payload.startswith(_ARROW):
             return self._arrow_reader().read(payload)
         from becalm.live import text_messages
 
         if payload[:64].lstrip()[:1] in (b"{", b"["):
-            return text_messages.from_json(payload, self._wanted)
-        return text_messages.from_csv(payload, self._wanted)
+            return text_messages.from_json(payload, self._finder)
+        return text_messages.from_csv(payload, self._finder)
 
     def _arrow_reader(self) -> ArrowMessages:
         from becalm.live.arrow_messages import ArrowMessages
 
         if self._arrow is None:
-            self._arrow = ArrowMessages(self._wanted)
+            self._arrow = ArrowMessages(self._finder)
         return self._arrow
 
-    def _values(self, told: Told) -> Floats:
-        """Return a message's readings in the stream's order of channels, once they are those of the stream."""
+    def _batch(self, told: Told, arrived_s: float) -> Batch:
+        """Return a message's rows in the stream's order of channels, once they are those of the stream."""
         _check(told)
-        if told.time_s is None and len(told.values) > 1 and not self._wanted.rate_hz:
+        if told.time_s is None and len(told.values) > 1 and not self._finder.options.rate_hz:
             raise UnreadableError("which has several rows and no stamps (where that is so, say ?rate=HZ)")
         shape = (told.seq is not None, told.time_s is not None)
         if self._shape is None:
@@ -183,10 +156,11 @@ class MessageReader:
         if shape != self._shape:
             raise UnreadableError("which differs from the first message in having stamps or sequence numbers")
         if told.names == self.names:
-            return told.values
+            return Batch(told.seq, told.time_s, told.values, arrived_s)
         if sorted(told.names) != sorted(self.names):
             raise UnreadableError(f"whose channels are {', '.join(told.names)[:80]}, not {', '.join(self.names)[:80]}")
-        return np.ascontiguousarray(told.values[:, [told.names.index(name) for name in self.names]])
+        values = np.ascontiguousarray(told.values[:, [told.names.index(name) for name in self.names]])
+        return Batch(told.seq, told.time_s, values, arrived_s)
 
 
 def _check(told: Told) -> None:
@@ -202,19 +176,3 @@ def _short(cause: BaseException) -> str:
     if isinstance(cause, UnreadableError):
         return str(cause)
     return f"which is broken ({' '.join(str(cause).split())[:80]})"
-
-
-def first_of(numbers: Floats) -> int:
-    """Return the first of the rows' sequence numbers, once each is one more than the one before.
-
-    Raises
-    ------
-    UnreadableError
-        If it is not.
-    """
-    if not len(numbers):
-        raise UnreadableError("which has no rows")
-    first = float(numbers[0])
-    if not (first.is_integer() and first < EXACT_INTEGERS and (np.diff(numbers) == 1).all()):
-        raise UnreadableError("whose seq does not number its rows one by one")
-    return int(first)

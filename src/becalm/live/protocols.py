@@ -30,6 +30,9 @@ class Source(Protocol):
     replays: bool
     """Whether it can go back to a position, so that a stream that was killed loses nothing."""
 
+    rate_hz: float | None
+    """Readings a second where the source itself knows, once it is open; blocks then may tell `elapsed`."""
+
     def open(self, position: str) -> None:
         """Reach the other end and go on after `position`; "" begins at the beginning, or now. May be called again.
 
@@ -67,7 +70,7 @@ class Source(Protocol):
 
 @runtime_checkable
 class Sink(Protocol):
-    """Takes what is told of a stream. All are called by one thread."""
+    """Takes what is told of a stream."""
 
     def open(self, head: Head) -> None:
         """Reach the other end; called before anything is written. AwayError if it cannot be reached now."""
@@ -78,7 +81,10 @@ class Sink(Protocol):
         ...
 
     def flush(self) -> None:
-        """Return once all that was written is with the other end, acknowledged where it acknowledges."""
+        """Return once all that was written is with the other end, acknowledged where it acknowledges.
+
+        The keeper's thread calls this, beside `write`.
+        """
         ...
 
     def close(self) -> None:

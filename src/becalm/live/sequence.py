@@ -28,7 +28,7 @@ class Sequence:
     A batch that is ahead waits until `reorder` others wait or 20 ms are over; then the rows before it are missing.
     A batch with numbers that were told before is repeated, or late where it had been missed (and then counted twice:
     missing, later late). One whose numbers go back while its stamps go on is of a sender that began anew. So is,
-    where stamps do not tell, the first of which nothing but numbers told before came for a second.
+    where stamps do not tell, one after which nothing but numbers told before came for a second.
 
     Parameters
     ----------
@@ -55,13 +55,23 @@ class Sequence:
     def state(self) -> dict[str, float | int | None]:
         """What a restart needs, as plain values for JSON; without what waits to be told."""
         newest = self._newest_s if np.isfinite(self._newest_s) else None
-        return {"next": self._next, "newest_s": newest, "began": self._began[0], "began_s": self._began[1]}
+        many, end, since_s = self._behind
+        return {
+            "next": self._next,
+            "newest_s": newest,
+            "began": self._began[0],
+            "began_s": self._began[1],
+            "behind": many,
+            "behind_to": end,
+            "behind_s": since_s,
+        }
 
     def resume(self, state: Mapping[str, float | int | None]) -> None:
         """Go on after a state."""
         self._next = None if state["next"] is None else int(state["next"])
         self._newest_s = -np.inf if state["newest_s"] is None else float(state["newest_s"])
         self._began = (int(state["began"] or 0), float(state["began_s"] or 0.0))
+        self._behind = (int(state["behind"] or 0), int(state["behind_to"] or 0), float(state["behind_s"] or 0.0))
 
     def take(self, batch: Batch, now_s: float) -> None:
         """Hear of a batch with numbers.
@@ -79,7 +89,7 @@ class Sequence:
             if seq == 0 and self._next is None:
                 self._release()  # nothing comes before it
             return
-        if seq < self._next and self._is_anew(batch, now_s):
+        if seq < self._next and self._is_anew(batch):
             self._begin(batch)
         elif seq + len(batch) <= self._next:
             self._count(batch, LossKind.LATE if self._was_missed(seq) else LossKind.REPEATED, len(batch))
@@ -178,17 +188,17 @@ class Sequence:
     def _count(self, batch: Batch, kind: LossKind, rows: int) -> None:
         self._counts[kind] = self._counts.get(kind, 0) + rows
 
-    def _is_anew(self, batch: Batch, now_s: float) -> bool:
-        """Return whether a batch that goes back is of a new run."""
+    def _is_anew(self, batch: Batch) -> bool:
+        """Return whether a batch that goes back is of a new run; by arrivals, which a replay tells again."""
         if batch.time_s is not None and batch.time_s[0] > self._newest_s:
             return True
         if _number(batch) + len(batch) > (self._next or 0):
             return False
         many, end, since_s = self._behind
         if not many or _number(batch) < end:
-            many, since_s = 0, now_s
+            many, since_s = 0, batch.arrived_s
         self._behind = (many + 1, _number(batch) + len(batch), since_s)
-        return many + 1 >= _BEHIND and now_s - since_s >= _BEHIND_S
+        return many + 1 >= _BEHIND and batch.arrived_s - since_s >= _BEHIND_S
 
     def _begin(self, batch: Batch) -> None:
         self.rest()  # of the run before

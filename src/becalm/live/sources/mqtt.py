@@ -45,7 +45,7 @@ class MqttSource:
 
     Options: `client=NAME`, by which the broker knows this session (made of the topic; two readers of one topic need
     two, or the broker drops either for the other: it is away again and again); `keep=7d`, how long the broker keeps
-    the session of one who is away; `version=5|3.1.1`; `window=10000`; `columns=`, `time=`, `rate=HZ`; `tls=1`,
+    the session of one who is away; `version=5|3.1.1`; `window=10000`; those of messages; `tls=1`,
     `ca=FILE`, `cert=FILE`, `key=FILE`; `password_file=FILE` (user and password, a line each), else BECALM_MQTT_USER
     and BECALM_MQTT_PASSWORD of the environment.
 
@@ -63,7 +63,7 @@ class MqttSource:
     replays = False
 
     def __init__(self, address: Address) -> None:
-        address.refuse_unknown(("client", "keep", "version", "window", "columns", "time", "rate", *OPTIONS))
+        address.refuse_unknown(("client", "keep", "version", "window", *MessageStream.OPTIONS, *OPTIONS))
         self._remote = Remote.parsed(address, PORT, TLS_PORT)
         self._topic = topic_of(self._remote)
         digest = hashlib.blake2b(self._topic.encode(), digest_size=6).hexdigest()

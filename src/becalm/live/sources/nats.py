@@ -32,7 +32,7 @@ class NatsSource:
     Messages are read as `MessageStream` tells.
 
     Options: `subject=`, where the stream has several (each is a stream of rows with numbers of its own);
-    `start=first|now`, where a new stream begins (first: with all that it holds); `columns=`, `time=`, `rate=HZ`;
+    `start=first|now`, where a new stream begins (first: with all that it holds); those of messages;
     `tls=1`, `ca=FILE`, `cert=FILE`, `key=FILE`; `password_file=FILE` (user and password, a line each),
     `creds=FILE`, else BECALM_NATS_USER and BECALM_NATS_PASSWORD, or BECALM_NATS_TOKEN, of the environment.
 
@@ -50,7 +50,7 @@ class NatsSource:
     replays = True
 
     def __init__(self, address: Address) -> None:
-        address.refuse_unknown(("subject", "start", "creds", "columns", "time", "rate", *OPTIONS))
+        address.refuse_unknown(("subject", "start", "creds", *MessageStream.OPTIONS, *OPTIONS))
         self._remote = Remote.parsed(address, PORT, PORT)
         self._name = stream_of(self._remote)
         self._subject = address.options.get("subject")

@@ -1,0 +1,261 @@
+"""The walk of a stream: read, learn if need be, filter, tell, keep; until it ends or someone stops it."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from math import nan
+
+from becalm.cleaning.recipe import Recipe
+from becalm.cleaning.stream import ChannelHealth
+from becalm.errors import UsageError
+from becalm.live.block import Block, Checkpoint, Loss, LossKind, Output
+from becalm.live.keeping import Batch, Keeping, Outlets
+from becalm.live.learning import Learner, resolution_of
+from becalm.live.protocols import Source
+from becalm.live.queueing import BlockQueue, Policy
+from becalm.live.reader import Reader
+from becalm.live.stream import Stream
+from becalm.live.watching.watch import Watch
+
+_POLL_S = 0.25
+_MOST_ROWS = 1 << 18  # that one commit holds
+_HEALTH_S = 1.0
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How a stream is run.
+
+    Attributes
+    ----------
+    commit_s : float
+        How often rows, filters and position are kept; with a *short* time a power cut costs less work done again.
+    queue_blocks : int
+        Blocks that may wait for the filters.
+    when_full : {"block", "drop-oldest"}
+        What becomes of a block that finds the queue full.
+    patience_s : float
+        How long a stop waits for a full disk or an absent server.
+    """
+
+    commit_s: float = 1.0
+    queue_blocks: int = 64
+    when_full: Policy = "block"
+    patience_s: float = 20.0
+
+
+@dataclass
+class Runner:
+    """Runs a stream.
+
+    Attributes
+    ----------
+    source : Source
+        Where blocks come from.
+    address : str
+        Its name, without secrets; a keeper that has another stream's rows is refused.
+    outlets : Outlets
+        Where rows go.
+    watch : Watch
+        Hears of all.
+    recipe : Recipe or None
+        What to do; None goes on as before, or learns.
+    learner : Learner
+        Learns where nobody says what to do.
+    learned : callable
+        Is given a recipe that was learned, to save it.
+    settings : Settings
+        How.
+    ready : callable
+        Returns once kernels may run; called beside the opening of the source.
+    """
+
+    source: Source
+    address: str
+    outlets: Outlets
+    watch: Watch
+    recipe: Recipe | None
+    learner: Learner
+    learned: Callable[[Recipe], None] = lambda _: None
+    settings: Settings = field(default_factory=Settings)
+    ready: Callable[[], object] = lambda: None
+
+    def __post_init__(self) -> None:
+        """Make what does not depend on the wires."""
+        self._stop, self._asked = threading.Event(), threading.Event()
+        self._new_recipe: Recipe | None = None
+        self._reader: Reader | None = None
+        self._queue = BlockQueue(self.settings.queue_blocks, self.settings.when_full)
+        self._outputs: list[Output] = []
+        self._losses: list[Loss] = []
+        self._position = ""
+        self._given_s = self._health_s = 0.0
+        self.rows = 0
+        """Rows told, over the whole life of the stream."""
+
+    def stop(self) -> None:
+        """Read no more; filter, tell and keep what was read, and end. May be called by a signal's handler."""
+        self._stop.set()
+
+    def retune(self, recipe: Recipe) -> None:
+        """Take another recipe for the same channels at the next block, without a jump."""
+        self._new_recipe = recipe
+        self._asked.set()
+
+    def run(self) -> None:
+        """Run until the source ends, or someone stops.
+
+        Raises
+        ------
+        BecalmError
+            If the source or a sink can never be reached, or something could not be kept; all else is kept.
+        """
+        last = None if self.outlets.keeper is None else self.outlets.keeper.last()
+        stream = None if last is None else self._resumed(last)
+        reader = self._reader = Reader(self.source, self._queue, self.watch, self._position)
+        reader.start()
+        keeping: Keeping | None = None
+        try:
+            held: list[Block] = []
+            if stream is None:
+                stream, held = self._begun()
+            if stream is not None:
+                keeping = self._open(stream)
+                self._walk(stream, keeping, held)
+        finally:
+            reader.stop()
+            try:
+                if keeping is not None:
+                    keeping.finish(self.settings.patience_s)
+            finally:
+                self._close(reader)
+
+    def _resumed(self, last: Checkpoint) -> Stream:
+        if last.source.partition("?")[0] != self.address.partition("?")[0]:
+            raise UsageError(
+                f"What is kept there is the stream {last.source}, not {self.address}; name another place for this one."
+            )
+        self.ready()
+        stream = Stream.resumed(last)
+        if self.recipe is not None and self.recipe != stream.recipe:
+            stream.retuned(self.recipe)
+        stream.opened()
+        self._position = last.position
+        if not self.source.replays:
+            says = "becalm was not running, and this source cannot be asked for what was sent meanwhile."
+            self._losses.append(Loss(LossKind.GAP, None, says))
+        return stream
+
+    def _begun(self) -> tuple[Stream | None, list[Block]]:
+        """Wait for the first rows; make a stream by the recipe, or by one learned from them."""
+        held: list[Block] = []
+        if self.recipe is None:
+            self.watch.state("learning")
+        while True:
+            block = self._next()
+            if block is not None:
+                held.append(block)
+            rate_hz = self.source.rate_hz
+            if self.recipe is not None and any(len(one) for one in held):
+                first = next(one for one in held if len(one))
+                self.ready()
+                resolution_s = 0.0 if first.elapsed is not None else resolution_of(first.time_s)
+                return Stream(self.recipe, 1 / (rate_hz or _rate_of(self.recipe)), resolution_s), held
+            ended = self._queue.ended
+            if self.recipe is None and ((ended and held) or self.learner.is_enough(held, rate_hz)):
+                learned = self.learner.learn(held, rate_hz)
+                self.learned(learned.recipe)
+                return Stream(learned.recipe, learned.step_s, learned.resolution_s), held
+            if ended:
+                return None, held
+
+    def _open(self, stream: Stream) -> Keeping:
+        head = stream.head
+        if self.outlets.keeper is not None:
+            self.outlets.keeper.open(head)
+        for outlet in self.outlets.others:
+            outlet.open(head)
+        self.watch.meter.begin(head.names, head.recipe)
+        self.watch.state("running")
+        self._given_s = time.monotonic()
+        return Keeping(self.outlets, self.source, self.watch, head)
+
+    def _walk(self, stream: Stream, keeping: Keeping, held: list[Block]) -> None:
+        for early in held:
+            self._take(early, stream, keeping)
+        while not self._queue.ended:
+            if self._asked.is_set():
+                self._asked.clear()
+                if self._new_recipe is not None:
+                    stream.retuned(self._new_recipe)
+            block = self._next()
+            if block is not None:
+                self._take(block, stream, keeping)
+            self._give(stream, keeping)
+            self._look_after(stream, keeping)
+        self.watch.state("stopping" if self._stop.is_set() else "ended")
+        if not self._stop.is_set():
+            self._tell(stream.finish())
+        self._give(stream, keeping, at_once=True)
+
+    def _next(self) -> Block | None:
+        if self._stop.is_set() and self._reader is not None:
+            self._reader.stop()
+        block = self._queue.get(_POLL_S)
+        self._losses += self.watch.turned(block is not None)
+        self.watch.meter.queued(*self._queue.depth)
+        return block
+
+    def _take(self, block: Block, stream: Stream, keeping: Keeping) -> None:
+        self._tell(stream.take(block))
+        self._position = block.position or self._position
+        if sum(len(output) for output in self._outputs) >= _MOST_ROWS:
+            self._give(stream, keeping, at_once=True)
+
+    def _tell(self, output: Output) -> None:
+        if self._losses:
+            output, self._losses = replace(output, losses=(*self._losses, *output.losses)), []
+        if not (len(output) or output.losses):
+            return
+        for outlet in self.outlets.others:
+            outlet.write(output)
+        self.rows = output.first_row + len(output)
+        self._outputs.append(output)
+        self.watch.told(output)
+
+    def _give(self, stream: Stream, keeping: Keeping, *, at_once: bool = False) -> None:
+        """Hand over what was told since the last time, if it is time."""
+        now = time.monotonic()
+        if not at_once and now - self._given_s < self.settings.commit_s:
+            return
+        self._given_s = now
+        if self._outputs:
+            outputs, self._outputs = self._outputs, []
+            keeping.give(Batch(outputs, stream.checkpoint(self._position, self.address)))
+        self._losses += keeping.losses()
+
+    def _look_after(self, stream: Stream, keeping: Keeping) -> None:
+        now = time.monotonic()
+        if now - self._health_s >= _HEALTH_S:
+            self._health_s = now
+            for channel in stream.health():
+                self.watch.meter.health(channel.name, nan if channel.nis is None else channel.nis, _alarms(channel))
+
+    def _close(self, reader: Reader) -> None:
+        reader.join()
+        for outlet in self.outlets.others:
+            outlet.close()
+        if self.outlets.keeper is not None:
+            self.outlets.keeper.close()
+
+
+def _alarms(channel: ChannelHealth) -> list[str]:
+    drift = channel.drift_since_row
+    return [*([] if drift is None else [f"drifts since row {drift}"]), *(["is dead"] if channel.dead else [])]
+
+
+def _rate_of(recipe: Recipe) -> float:
+    return recipe.rate_hz or recipe.tuned_on.rate_hz
