@@ -62,6 +62,7 @@ class NatsSource:
         self._reached = False
         self._created = ""
         self._last = 0
+        self._began: int | None = None  # the first message of a stream that has no position yet
         self._noticed: tuple[Loss, ...] = ()
 
     def open(self, position: str) -> None:
@@ -131,7 +132,9 @@ class NatsSource:
         """Return the first message to read, and notice where it is not the one after the last that was read."""
         begins, ends = max(1, info.state.first_seq), info.state.last_seq
         if not told:
-            return begins if self._start == "first" else ends + 1
+            if self._began is None:
+                self._began = begins if self._start == "first" else ends + 1
+            return max(self._began, begins)
         after = int(told["message"]) + 1
         if told.get("created") != self._created:
             says = f"The stream {self._name} was made anew since message {after - 1}; it is read from its beginning."
