@@ -55,6 +55,7 @@ bench: .venv/tested
 	$(BIN)/python benchmarks/switching_speed.py -o docs/switching-speed.md
 	$(BIN)/python benchmarks/resting.py -o docs/resting.md
 	$(BIN)/python benchmarks/fixed_lag.py -o docs/fixed-lag.md
+	$(BIN)/python benchmarks/live_sinks.py -o docs/live-sinks.md
 	$(BIN)/python docs/real_files.py -o docs/real-files.md
 	$(BIN)/python docs/formats.py -o docs/formats.md
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
 from becalm.core.arrays import Floats
+from becalm.errors import UsageError
 from becalm.live.block import Block, Checkpoint, Head, Output
 from becalm.live.protocols import EndOfStream
 
@@ -34,7 +35,8 @@ def drive(rows: int, channels: int = 2, seed: int = 0) -> Floats:
 def blocks_of(values: Floats, sizes: int | Sequence[int], first: int = 0, *, elapsed: bool = False) -> list[Block]:
     """Cut rows at 100 Hz into blocks; sizes repeat."""
     cycle = [sizes] if isinstance(sizes, int) else list(sizes)
-    names, blocks, at = tuple(("ax", "ay", "az", "gx")[: values.shape[1]]), [], first
+    names, at = tuple(("ax", "ay", "az", "gx")[: values.shape[1]]), first
+    blocks: list[Block] = []
     while at < len(values):
         stop = min(at + cycle[len(blocks) % len(cycle)], len(values))
         steps = np.ones(stop - at)
@@ -101,6 +103,8 @@ class MemoryKeeper:
         return self.checkpoint
 
     def open(self, head: Head) -> None:
+        if self.checkpoint is not None and self.checkpoint.recipe != head.recipe:
+            raise UsageError("A stream that goes on has the head that it had.")
         self.heads.append(head)
 
     def keep(self, outputs: list[Output], checkpoint: Checkpoint) -> None:

@@ -1,22 +1,20 @@
-"""postgres: against a real server that is killed, filled, locked and guarded."""
+"""postgres: against a real server that is killed and filled."""
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from becalm.errors import InputError, OutputError, UsageError
-from becalm.live.address import Address
-from becalm.live.block import Head, Loss, LossKind
+from becalm.live.block import Loss, LossKind
 from becalm.live.protocols import AwayError, Keeper, StorageFullError
 from becalm.live.sinks.postgres import PostgresSink
 from becalm.live.sinks.postgres_rows import BinaryRows
-from postgres_server import PASSWORD, USER, PostgresServer, postgres_server
-from servers import free_port
+from live_postgres import PostgresServer, postgres_server
+from postgres_keepers import closing, keeper_of, running_postgres
+from servers import need
 from streams import checkpoint_at, head_of, outputs_of
 
 HOSTILE = ('a"; drop table x; --', "b%s", "C d", "ü" * 20)
@@ -24,27 +22,14 @@ HOSTILE = ('a"; drop table x; --', "b%s", "C d", "ü" * 20)
 
 @pytest.fixture(scope="module")
 def server() -> Iterator[PostgresServer]:
-    with postgres_server() as running:
+    with running_postgres() as running:
         yield running
 
 
 @pytest.fixture(autouse=True)
-def _known_password(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("PGPASSWORD", PASSWORD)
-
-
-def keeper_of(server: PostgresServer, table: str, options: str = "", host: str = "127.0.0.1") -> PostgresSink:
-    """Return a keeper of one table; the caller closes it."""
-    return PostgresSink(Address.parsed(f"postgres://{USER}@{host}:{server.port}/postgres?table={table}{options}"))
-
-
-@pytest.fixture
-def keepers() -> Iterator[list[PostgresSink]]:
-    """Collect keepers, to close them all."""
-    made: list[PostgresSink] = []
-    yield made
-    for keeper in made:
-        keeper.close()
+def keepers(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[PostgresSink]]:
+    with closing(monkeypatch) as made:
+        yield made
 
 
 def bits(values: object) -> list[int]:
@@ -113,6 +98,7 @@ def test_hostile_names_are_only_names(server: PostgresServer, keepers: list[Post
 
 def test_a_killed_server_keeps_all_or_nothing(keepers: list[PostgresSink]) -> None:
     """Twenty times it is killed at some moment of a transaction; the stream goes on from what it says was last."""
+    need("initdb")
     random, channels = np.random.default_rng(8), 3
     with postgres_server() as server:
         keeper = keeper_of(server, "killed")
@@ -147,125 +133,6 @@ def test_a_killed_server_keeps_all_or_nothing(keepers: list[PostgresSink]) -> No
         assert bits([row[0] for row in server.asked("select c from killed order by row")]) == bits(signal)
 
 
-def test_no_server_is_away_and_not_for_ever(server: PostgresServer) -> None:
-    keeper = PostgresSink(Address.parsed(f"postgres://u@127.0.0.1:{free_port()}/postgres?table=t"))
-    with pytest.raises(AwayError, match="cannot be reached now"):
-        keeper.last()
-    keeper.close()
-
-
-@pytest.mark.parametrize("password", ["mistaken", None])
-def test_a_wrong_password_is_no_reason_to_wait(
-    server: PostgresServer, monkeypatch: pytest.MonkeyPatch, password: str | None
-) -> None:
-    monkeypatch.delenv("PGPASSWORD")
-    monkeypatch.setenv("PGPASSFILE", "/nowhere")
-    if password:
-        monkeypatch.setenv("PGPASSWORD", password)
-    with pytest.raises(InputError, match="password") as told:
-        keeper_of(server, "t").last()
-    assert not isinstance(told.value, AwayError)
-    assert "mistaken" not in str(told.value)
-
-
-def test_a_password_may_stand_in_a_file(
-    server: PostgresServer, monkeypatch: pytest.MonkeyPatch, keepers: list[PostgresSink], tmp_path: Path
-) -> None:
-    monkeypatch.setenv("PGPASSWORD", "wrong")
-    file = tmp_path / "password"
-    file.write_text(f"{PASSWORD}\n", encoding="utf-8")
-    keepers.append(keeper_of(server, "t", f"&password_file={file}"))
-    assert keepers[-1].last() is None
-    with pytest.raises(InputError, match="cannot be read"):
-        keeper_of(server, "t", f"&password_file={tmp_path}/none").last()
-    file.write_text(f"{USER}\n{PASSWORD}\n", encoding="utf-8")
-    address = f"postgres://127.0.0.1:{server.port}/postgres?table=u&password_file={file}"
-    keepers.append(PostgresSink(Address.parsed(address)))
-    assert keepers[-1].last() is None
-    file.write_text("", encoding="utf-8")
-    with pytest.raises(InputError, match="0 lines"):
-        keeper_of(server, "t", f"&password_file={file}").last()
-
-
-def test_a_missing_database_is_no_reason_to_wait(server: PostgresServer) -> None:
-    address = Address.parsed(f"postgres://{USER}@127.0.0.1:{server.port}/nothing?table=t")
-    with pytest.raises(InputError, match="does not exist"):
-        PostgresSink(address).last()
-
-
-@pytest.mark.parametrize(
-    ("address", "said"),
-    [
-        ("postgres://u:hidden@h/d?table=t", "holds a password"),
-        ("postgres://u@h/d", "a table"),
-        ("postgres://u@h?table=t", "a database"),
-        ("postgres:h/d?table=t", "write postgres://"),
-        ("postgres://h:port/d?table=t", "host and port"),
-        ("postgres://h/d?table=t&password=hidden", "no option 'password'"),
-        ("postgres://h/d?table=t&sslmode=strong", "sslmode=strong"),
-        (f"postgres://h/d?table={'t' * 60}", "63 bytes"),
-    ],
-)
-def test_addresses_that_cannot_be_meant_are_refused(address: str, said: str) -> None:
-    with pytest.raises(UsageError, match=said) as told:
-        PostgresSink(Address.parsed(address))
-    assert "hidden" not in str(told.value)
-
-
-def test_the_second_writer_is_refused(server: PostgresServer, keepers: list[PostgresSink]) -> None:
-    keepers += [keeper_of(server, "shared") for _ in range(2)]
-    keepers[0].open(head_of("a"))
-    with pytest.raises(UsageError, match="Another process writes"):
-        keepers[1].last()
-    keepers[0].keep(outputs_of([3]), checkpoint_at(3))
-    keepers[0].close()
-    keepers[0].close()
-    assert keepers[1].last() == checkpoint_at(3)
-    with pytest.raises(
-        AwayError, match="the connection before"
-    ):  # it may be its own, which the server did not miss yet
-        keepers[0].last()
-
-
-def test_other_channels_units_or_recipes_are_refused(server: PostgresServer, keepers: list[PostgresSink]) -> None:
-    keeper = keeper_of(server, "settled")
-    keepers.append(keeper)
-    keeper.open(head_of("a"))
-    keeper.open(head_of("a", recipe="version = 2\n"))  # nothing was kept with the first
-    keeper.keep(outputs_of([3]), checkpoint_at(3))
-    keeper.open(head_of("a", recipe="version = 2\n"))  # its own filters, tuned anew meanwhile
-    keeper.close()
-    keeper = keeper_of(server, "settled")
-    keepers.append(keeper)
-    with pytest.raises(UsageError, match="another recipe"):
-        keeper.open(head_of("a", recipe="version = 2\n"))
-    keeper.open(head_of("a"))
-    with pytest.raises(UsageError, match=r"other channels \(a \[m\]\)"):
-        keeper.open(head_of("b"))
-    with pytest.raises(UsageError, match="other channels"):
-        keeper.open(Head(("a",), ("mm",), 1000.0, "version = 1\n"))
-
-
-def test_a_table_of_someone_else_is_refused(server: PostgresServer, keepers: list[PostgresSink]) -> None:
-    server.do("create table theirs(a int)")
-    keepers.append(keeper_of(server, "theirs"))
-    with pytest.raises(UsageError, match="not made by becalm"):
-        keepers[-1].last()
-
-
-@pytest.mark.parametrize(
-    ("names", "said"),
-    [(("time",), "instants"), (tuple(f"c{i}" for i in range(301)), "301 channels"), (("n" * 56,), "63")],
-)
-def test_channels_that_postgres_cannot_hold_are_refused(
-    server: PostgresServer, keepers: list[PostgresSink], names: tuple[str, ...], said: str
-) -> None:
-    keepers.append(keeper_of(server, "refused"))
-    with pytest.raises(UsageError, match=said):
-        keepers[-1].open(head_of(*names))
-    assert keepers[-1].last() is None
-
-
 def test_three_hundred_channels_fit(server: PostgresServer, keepers: list[PostgresSink]) -> None:
     keepers.append(keeper_of(server, "wide"))
     keepers[-1].open(head_of(*(f"c{number}" for number in range(300))))
@@ -291,25 +158,6 @@ def test_a_full_disk_keeps_nothing_and_can_be_tried_again(server: PostgresServer
     keepers[-1].keep(more, checkpoint_at(7))
     assert server.asked('select count(*) from "full"') == [(7,)]
     assert keepers[-1].last() == checkpoint_at(7)
-
-
-def test_a_user_who_may_not_write_is_told(server: PostgresServer, monkeypatch: pytest.MonkeyPatch) -> None:
-    server.do("create role reader login password 'r'")
-    monkeypatch.setenv("PGPASSWORD", "r")
-    keeper = PostgresSink(Address.parsed(f"postgres://reader@:{server.port}/postgres?table=unwritable"))
-    assert keeper.last() is None
-    with pytest.raises(OutputError, match="GRANT"):
-        keeper.open(head_of("a"))
-    keeper.close()
-
-
-def test_rows_twice_are_refused(server: PostgresServer, keepers: list[PostgresSink]) -> None:
-    keepers.append(keeper_of(server, "twice"))
-    keepers[-1].open(head_of("a"))
-    keepers[-1].keep(outputs_of([3]), checkpoint_at(3))
-    with pytest.raises(OutputError, match="already"):
-        keepers[-1].keep(outputs_of([3], first_row=2), checkpoint_at(5))
-    assert keepers[-1].last() == checkpoint_at(3)
 
 
 @pytest.mark.parametrize("size", [0, 1, 9000, 20000])

@@ -13,7 +13,7 @@ import pytest
 from becalm.errors import InputError
 from becalm.live.address import Address
 from becalm.live.sinks.postgres import PostgresSink
-from postgres_server import PASSWORD, USER, PostgresServer, postgres_server
+from live_postgres import PASSWORD, USER, PostgresServer, postgres_server
 from servers import need
 from streams import checkpoint_at, head_of, outputs_of
 
@@ -29,6 +29,7 @@ def certificate(folder: Path, name: str) -> tuple[Path, Path]:
 
 @pytest.fixture(scope="module")
 def guarded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[PostgresServer, Path]]:
+    need("initdb")
     folder = tmp_path_factory.mktemp("tls")
     made, key = certificate(folder, "server")
     with postgres_server() as server:
@@ -39,7 +40,7 @@ def guarded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Postgres
             target.chmod(0o600)
             if os.geteuid() == 0:
                 shutil.chown(target, "postgres", "postgres")
-        server.start({"ssl": "on", "ssl_cert_file": made.name, "ssl_key_file": key.name})
+        server.start(ssl="on", ssl_cert_file=made.name, ssl_key_file=key.name)
         yield server, made
 
 
@@ -78,5 +79,6 @@ def test_another_servers_certificate_is_no_reason_to_wait(guarded: tuple[Postgre
 
 
 def test_a_server_without_tls_gets_no_rows_where_tls_is_asked() -> None:
+    need("initdb")
     with postgres_server() as server, pytest.raises(InputError, match="SSL"):
         keeper_of(server, "sslmode=require").last()

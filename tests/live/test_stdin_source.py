@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import os
+import sys
 import threading
 from collections.abc import Iterator
 from io import FileIO
+from pathlib import Path
 
 import pytest
 
-from becalm.errors import UsageError
+from becalm.errors import InputError, UsageError
 from becalm.live.address import Address
 from becalm.live.protocols import EndOfStream
 from becalm.live.sources.stdin import StdinSource
@@ -84,6 +86,18 @@ def test_a_line_that_never_ends_holds_nobody_up(pipe: tuple[StdinSource, FileIO]
         while thread.is_alive():
             source.read(0.01)
     thread.join()
+
+
+def test_what_cannot_be_read_is_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = os.open(tmp_path, os.O_RDONLY)
+    try:
+        with pytest.raises(InputError, match="cannot be read"):
+            StdinSource(Address.parsed("stdin:"), folder).read(0.0)
+    finally:
+        os.close(folder)
+    monkeypatch.setattr(sys, "__stdin__", None)
+    with pytest.raises(InputError, match="is closed"):
+        StdinSource(Address.parsed("stdin:")).open("")
 
 
 def test_an_address_makes_it() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import sys
 import threading
 from collections.abc import Iterator
 from io import FileIO
@@ -21,8 +22,8 @@ from becalm.core.arrays import Floats
 from becalm.errors import OutputError, UsageError
 from becalm.live.address import Address
 from becalm.live.block import Head, Output
-from becalm.live.line_columns import LineOptions
-from becalm.live.lines import Lines
+from becalm.live.lines.columns import LineOptions
+from becalm.live.lines.feeding import Lines
 from becalm.live.sinks.stdout import StdoutSink
 
 
@@ -134,6 +135,12 @@ def test_a_full_disk_is_a_sentence() -> None:
         sink.open(_head())
         with pytest.raises(OutputError, match="No space left"):
             sink.write(_output(np.zeros(1), np.zeros((1, 2)), np.zeros((1, 2))))
+
+
+def test_a_closed_output_is_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "__stdout__", None)
+    with pytest.raises(OutputError, match="is closed"):
+        StdoutSink(Address.parsed("stdout:")).open(_head())
 
 
 def test_an_output_that_does_not_wait_is_waited_for() -> None:

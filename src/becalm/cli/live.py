@@ -144,7 +144,10 @@ def _warming(recipe: Recipe | None) -> Callable[[], None]:
     """Load or compile kernels beside the opening of the source; return what waits for that."""
     if recipe is None:
         return lambda: None
-    thread = threading.Thread(target=warm_up, args=(recipe,), daemon=True)
+    from becalm.cleaning.warm_up import warm_up
+
+    step_s = 1 / (recipe.rate_hz or recipe.tuned_on.rate_hz)
+    thread = threading.Thread(target=warm_up, args=(recipe, step_s), daemon=True)
     thread.start()
     return thread.join
 

@@ -13,6 +13,7 @@ from typing import Annotated
 import typer
 
 from becalm.cli import options as o
+from becalm.cli.journal_command import journal
 from becalm.cli.live_command import live
 from becalm.cli.said import load, open_as, open_every, refuse_overwriting, said_of, tuned
 from becalm.cli.stopping import stop_cleanly
@@ -215,23 +216,6 @@ def recalibrate(file: o.Clean, output: o.Output, old: o.OldSensors, new: o.NewSe
 
 
 @app.command()
-def journal(  # noqa: PLR0913  (the contract's options)
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of becalm live --sink journal:DIR.")],
-    action: Annotated[str, typer.Argument(metavar="list|verify|export|prune", help="What to do.")] = "list",
-    output: o.Exported = None,
-    start: o.From = None,
-    stop: o.To = None,
-    older: o.Older = None,
-    as_json: o.Json = False,
-) -> None:
-    """Look at what a live stream has kept, check it, export it, remove what is old; the stream may go on meanwhile."""
-    from becalm.cli.journal import DAMAGED, Asking, run
-
-    if not run(folder, action, Asking(output, start, stop, older), as_json=as_json):
-        raise typer.Exit(DAMAGED)
-
-
-@app.command()
 def study(
     paper: Annotated[str, typer.Argument(metavar="car|imu|strain", help="Which paper.")],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the page.")] = Path("study"),
@@ -253,6 +237,7 @@ def demo(
 
 
 app.command()(live)
+app.command()(journal)
 
 
 @app.command()

@@ -87,18 +87,6 @@ NoiseGain = Annotated[
     str | None, typer.Option("--noise-gain", metavar="-20dB", help="Leave so much of white noise, in dB.")
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
-Exported = Annotated[
-    Path | None,
-    typer.Option("-o", "--output", metavar="OUT", help="Where export writes; format by file ending."),
-]
-From = Annotated[
-    str | None,
-    typer.Option("--from", metavar="TIME", help="Export from this stamp on: seconds, or a date as 2026-05-01T12:00."),
-]
-To = Annotated[str | None, typer.Option("--to", metavar="TIME", help="Export what is before this stamp.")]
-Older = Annotated[
-    str | None, typer.Option("--older", metavar="30d", help="Prune files with nothing younger; min, h or d.")
-]
 Looked = Annotated[str | None, typer.Option("--channels", metavar="a,b", help="Look at these channels only.")]
 _STILL = "START:STOP in seconds after the first row (0:30 is the first half minute), or 1min:2min; several with commas."
 Rest = Annotated[

@@ -159,7 +159,7 @@ class OpenSource:
     def seconds(self, first: int, count: int) -> Floats:
         """Return the times of `count` rows in seconds, (count,): as in the file, or since the first row."""
         if self._stamps is None:
-            return self.clock.start_s + self.clock.step_s * np.arange(first, first + count)
+            return self.clock.start_s + self.clock.step_s * np.arange(first, first + count, dtype=np.float64)
         return self._stamps.read(first, first + count)
 
     def recording(self) -> Recording:

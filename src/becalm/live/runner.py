@@ -11,7 +11,7 @@ from math import nan
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.stream import ChannelHealth
 from becalm.errors import UsageError
-from becalm.live.block import Block, Checkpoint, Loss, LossKind, Output
+from becalm.live.block import Block, Checkpoint, Head, Loss, LossKind, Output
 from becalm.live.keeping import Batch, Keeping, Outlets
 from becalm.live.learning import Learner, resolution_of
 from becalm.live.protocols import Source
@@ -88,6 +88,7 @@ class Runner:
         self._stop, self._asked = threading.Event(), threading.Event()
         self._new_recipe: Recipe | None = None
         self._reader: Reader | None = None
+        self._head: Head | None = None
         self._queue = BlockQueue(self.settings.queue_blocks, self.settings.when_full)
         self._outputs: list[Output] = []
         self._losses: list[Loss] = []
@@ -124,7 +125,10 @@ class Runner:
                 stream, held = self._begun()
             if stream is not None:
                 keeping = self._open(stream)
-                self._walk(stream, keeping, held)
+                try:
+                    self._walk(stream, keeping, held)
+                finally:
+                    self._give(stream, keeping, at_once=True)
         finally:
             reader.stop()
             try:
@@ -140,6 +144,7 @@ class Runner:
             )
         self.ready()
         stream = Stream.resumed(last)
+        self._head = stream.head  # that it had
         if self.recipe is not None and self.recipe != stream.recipe:
             stream.retuned(self.recipe)
         stream.opened()
@@ -152,8 +157,7 @@ class Runner:
     def _begun(self) -> tuple[Stream | None, list[Block]]:
         """Wait for the first rows; make a stream by the recipe, or by one learned from them."""
         held: list[Block] = []
-        if self.recipe is None:
-            self.watch.state("learning")
+        self.watch.state("learning" if self.recipe is None else "running")
         while True:
             block = self._next()
             if block is not None:
@@ -173,7 +177,7 @@ class Runner:
                 return None, held
 
     def _open(self, stream: Stream) -> Keeping:
-        head = stream.head
+        head = self._head or stream.head
         if self.outlets.keeper is not None:
             self.outlets.keeper.open(head)
         for outlet in self.outlets.others:
@@ -199,7 +203,6 @@ class Runner:
         self.watch.state("stopping" if self._stop.is_set() else "ended")
         if not self._stop.is_set():
             self._tell(stream.finish())
-        self._give(stream, keeping, at_once=True)
 
     def _next(self) -> Block | None:
         if self._stop.is_set() and self._reader is not None:
@@ -220,10 +223,10 @@ class Runner:
             output, self._losses = replace(output, losses=(*self._losses, *output.losses)), []
         if not (len(output) or output.losses):
             return
+        self.rows = output.first_row + len(output)
+        self._outputs.append(output)  # first: a sink that fails for good does not keep it from being kept
         for outlet in self.outlets.others:
             outlet.write(output)
-        self.rows = output.first_row + len(output)
-        self._outputs.append(output)
         self.watch.told(output)
 
     def _give(self, stream: Stream, keeping: Keeping, *, at_once: bool = False) -> None:

@@ -7,6 +7,7 @@ import io
 import json
 import os
 import select
+import sys
 
 import numpy as np
 import pyarrow as pa
@@ -55,8 +56,10 @@ class StdoutSink:
         Raises
         ------
         OutputError
-            If they cannot be written.
+            If they cannot be written, or standard output is closed: another file may have its number then.
         """
+        if self._descriptor == 1 and sys.__stdout__ is None:
+            raise OutputError("Standard output is closed; give it to a program or a file, or leave --sink stdout: out.")
         if self._line:
             return
         names = [_TIME, *(name + end for name in head.names for end in ("", SIGMA))]

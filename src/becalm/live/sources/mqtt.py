@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from becalm.live.address import Address
 from becalm.live.block import Block, Loss, LossKind
-from becalm.live.message_stream import MessageStream
+from becalm.live.messages.stream import MessageStream
 from becalm.live.mqtt_link import MqttLink
 from becalm.live.mqtt_session import PORT, TLS_PORT, VERSIONS, Session, topic_of
 from becalm.live.position import told_by
@@ -132,8 +132,7 @@ class MqttSource:
         if not taken and not self._noticed:
             link.check()
             return None
-        for message in taken:
-            self._stream.take(message.payload, message.came_s)
+        self._stream.take_many([(message.payload, message.came_s) for message in taken])
         block = self._stream.block(extra=self._noticed)
         self._noticed = ()
         self._settle(taken, new=block is not None and len(block) > 0)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from becalm.errors import InputError
 from becalm.live.address import Address
 from becalm.live.block import Block, Loss, LossKind
-from becalm.live.message_stream import MessageStream
+from becalm.live.messages.stream import MessageStream
 from becalm.live.nats_link import PORT, NatsLink, check_subject, stream_of
 from becalm.live.nats_pull import NatsPull
 from becalm.live.position import told_by
@@ -106,9 +106,9 @@ class NatsSource:
         if self._pull is None:
             raise self._remote.away("it is not open")
         taken = self._pull.take(0.0 if self._noticed else timeout_s, _AT_ONCE)
-        for message in taken:
-            self._stream.take(message.payload, message.stored_s)
-            self._last = message.number
+        if taken:
+            self._stream.take_many([(message.payload, message.stored_s) for message in taken])
+            self._last = taken[-1].number
         noticed, self._noticed = self._noticed, ()
         block = self._stream.block(extra=noticed)
         if block is None:

@@ -16,6 +16,7 @@ from becalm.files.opening import OpenSource, open_source
 from becalm.files.registry import BAG
 from becalm.live.address import Address
 from becalm.live.block import Block
+from becalm.live.position import told_by
 from becalm.live.protocols import EndOfStream
 
 _OPTIONS = ("speed", "rows", "group", "rate", "time", "channels", "stamps")
@@ -157,13 +158,10 @@ class ReplaySource:
         return left_s <= timeout_s
 
     def _row_after(self, position: str) -> int:
-        if not position:
+        told = told_by("replay", position, "row")
+        if not told:
             return 0
-        try:
-            told = dict(json.loads(position))
-            row = int(told.pop("row"))
-        except (ValueError, TypeError, KeyError) as cause:
-            raise InputError(f"{position[:60]!r} is no place in {self._path}; begin a new stream.") from cause
+        row = int(told.pop("row"))
         if told != self._print:
             raise InputError(
                 f"{self._path} is not the file that the stream stopped in: it changed since, or is another one."

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import os
 import select
+import sys
 import time
 
-from becalm.errors import UsageError
+from becalm.errors import InputError, UsageError
 from becalm.live.address import Address
 from becalm.live.block import Block
-from becalm.live.line_columns import LineOptions
-from becalm.live.lines import Lines
+from becalm.live.lines.columns import LineOptions
+from becalm.live.lines.feeding import Lines
 from becalm.live.protocols import EndOfStream
 from becalm.live.sources.lined import read_lines
 
@@ -52,7 +53,15 @@ class StdinSource:
         self._ended = False
 
     def open(self, position: str) -> None:
-        """Do nothing: the pipe is open."""
+        """See that there is a pipe.
+
+        Raises
+        ------
+        InputError
+            If standard input is closed: another file may have its number then.
+        """
+        if self._descriptor == 0 and sys.__stdin__ is None:
+            raise InputError("Standard input is closed; pipe lines of CSV or JSON into becalm live stdin:.")
 
     def read(self, timeout_s: float) -> Block | None:
         """Return the rows that came, or None where none did within `timeout_s`.
@@ -61,6 +70,8 @@ class StdinSource:
         ------
         EndOfStream
             If the pipe is closed, and all was read.
+        InputError
+            If standard input cannot be read: it is a folder, perhaps.
         UsageError
             If what was said of the lines does not fit them.
         """
@@ -71,6 +82,8 @@ class StdinSource:
             last = self._lines.finish(time.time())
             if last is not None:
                 return last
+        except OSError as cause:
+            raise InputError(f"Standard input cannot be read: {cause.strerror or cause}.") from cause
         raise EndOfStream
 
     def committed(self, position: str) -> None:

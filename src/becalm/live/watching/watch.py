@@ -37,7 +37,7 @@ class Watch:
         if state == self._state:
             return
         self._state = state
-        if state == "running":
+        if state in ("learning", "running"):
             self._systemd.ready()
         elif state in ("stopping", "ended"):
             self._systemd.stopping()

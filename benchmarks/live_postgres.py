@@ -1,4 +1,4 @@
-"""A real PostgreSQL on loopback that tests start, kill and start again."""
+"""A real PostgreSQL on loopback that tests and benchmarks start, kill and start again."""
 
 from __future__ import annotations
 
@@ -8,16 +8,21 @@ import signal
 import subprocess
 import tempfile
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from servers import free_port, need
+from live_programs import free_port, program_path
 
 USER, PASSWORD = "keeper", "a secret: 'quoted' \\ word"
 _PATIENCE_S = 30.0
-_SETTINGS = {"max_connections": "20", "shared_buffers": "32MB", "lc_messages": "C"}
+_SETTINGS = {
+    "max_connections": "20",
+    "shared_buffers": "32MB",
+    "lc_messages": "C",
+    "fsync": "off",  # what a killed process wrote stays with the system; only a power cut takes it
+}
 
 
 class PostgresServer:
@@ -32,7 +37,7 @@ class PostgresServer:
     def __init__(self, folder: Path) -> None:
         self.port = free_port()
         self.data, self.password_file = folder / "data", folder / "password"
-        self._log = folder / "log"
+        self._log, self._settings = folder / "log", dict(_SETTINGS)
         self._process: subprocess.Popen[bytes] | None = None
         self._bare: dict[str, Any] = {"user": "postgres", "group": "postgres"} if os.geteuid() == 0 else {}
         self.password_file.write_text(f"{PASSWORD}\n", encoding="utf-8")
@@ -40,7 +45,7 @@ class PostgresServer:
             for path in (folder, self.password_file):
                 shutil.chown(path, **self._bare)
         command = [
-            need("initdb"),
+            _program("initdb"),
             "-D",
             str(self.data),
             "-U",
@@ -60,13 +65,14 @@ class PostgresServer:
         )
         assert made.returncode == 0, made.stderr
 
-    def start(self, settings: Mapping[str, str] | None = None) -> None:
-        """Start it and wait until it answers on its port."""
-        said = {**_SETTINGS, "port": str(self.port), "unix_socket_directories": str(self.data), **(settings or {})}
+    def start(self, **settings: str) -> None:
+        """Start it, with settings that it keeps, and wait until it answers on its port."""
+        self._settings |= settings
+        said = {**self._settings, "port": str(self.port), "unix_socket_directories": str(self.data)}
         words = [word for name, value in said.items() for word in ("-c", f"{name}={value}")]
         with self._log.open("ab") as log:
             self._process = subprocess.Popen(
-                [need("postgres"), "-D", self.data, "-c", "listen_addresses=127.0.0.1", *words],
+                [_program("postgres"), "-D", self.data, "-c", "listen_addresses=127.0.0.1", *words],
                 stdout=log,
                 stderr=log,
                 cwd=self.data,
@@ -76,7 +82,7 @@ class PostgresServer:
         self._wait()
 
     def kill(self) -> None:
-        """Kill it and all its children at once, as a power cut would."""
+        """Kill it and all its children at once."""
         if self._process is not None:
             with suppress(ProcessLookupError):
                 os.killpg(self._process.pid, signal.SIGKILL)
@@ -123,16 +129,22 @@ class PostgresServer:
 
 
 @contextmanager
-def postgres_server() -> Iterator[PostgresServer]:
+def postgres_server(**settings: str) -> Iterator[PostgresServer]:
     """Run a server in a folder of its own, which pytest's own would not let another user reach."""
-    need("initdb")
     with tempfile.TemporaryDirectory(prefix="becalm-postgres-", ignore_cleanup_errors=True) as name:
         server = PostgresServer(Path(name))
         try:
-            server.start()
+            server.start(**settings)
             yield server
         finally:
             server.kill()
+
+
+def _program(name: str) -> str:
+    path = program_path(name)
+    if path is None:
+        raise SystemExit(f"{name} is not installed here; Debian has it: apt-get install postgresql")
+    return path
 
 
 __all__ = ["PASSWORD", "USER", "PostgresServer", "postgres_server"]

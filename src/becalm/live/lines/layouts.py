@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from becalm.files.text.cells import GONE, NUMBER, WORDS, kind_of, split
 from becalm.files.text.csv_header import find_header, unique_names
-from becalm.live.line_cells import number_of
-from becalm.live.line_columns import LineOptions, columns_of
-from becalm.live.line_rows import CsvLayout, JsonLayout, Layout, json_object
+from becalm.live.lines.cells import number_of
+from becalm.live.lines.columns import LineOptions, columns_of
+from becalm.live.lines.rows import CsvLayout, JsonLayout, Layout, json_object
 
 _SEPARATORS = (";", "\t", ",", "|", " ", "")  # in a draw the earlier one wins
 _REMARK = "#%/"
+_DIGIT = re.compile("[0-9]")
 
 
 def layout_of(above: Sequence[bytes], line: bytes, options: LineOptions) -> tuple[Layout, list[bytes]] | None:
@@ -45,7 +47,7 @@ def layout_of(above: Sequence[bytes], line: bytes, options: LineOptions) -> tupl
     if options.format != "csv" and (told := _json_layout(line, options)):
         return told, []
     row = _plain_text(line)
-    if options.format == "json" or row is None:
+    if options.format == "json" or row is None or not _DIGIT.search(row):
         return None
     texts = [text for text in map(_plain_text, above) if text is not None]
     found = list(_csv_rows(texts, row, options))
