@@ -15,6 +15,7 @@ from becalm.live.block import LossKind
 from becalm.live.protocols import AwayError
 from becalm.live.sinks import broker as broker_sink
 from becalm.live.sinks.mqtt import MqttSink
+from becalm.live.sources import mqtt as mqtt_source
 from becalm.live.sources.mqtt import MqttSource
 from brokered import HEAD, Heard, flushed, output
 from brokers import Broker, mosquitto, nats_as_mqtt
@@ -209,3 +210,20 @@ def test_a_broker_that_stands_still_is_away(broker: Broker, monkeypatch: pytest.
     heard.until(lambda: heard.numbers == [0, 1, 2])
     heard.source.close()
     sink.close()
+
+
+def test_a_full_queue_makes_the_broker_wait(broker: Broker, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(mqtt_source, "_QUEUED_BYTES", 2000)
+    heard, sink = Heard(source_of(broker)), sink_of(broker)
+    heard.source.open("")
+    sink.open(HEAD)
+    for row in range(0, 500, 5):
+        sink.write(output(row, 5))
+    sink.flush()
+    heard.source.close()  # however full the queue is
+    heard.source.open("")
+    heard.until(lambda: len(heard.numbers) >= 500)
+    heard.source.close()
+    sink.close()
+    assert heard.numbers == list(range(500))
+    assert heard.losses == []

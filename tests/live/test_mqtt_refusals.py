@@ -14,7 +14,8 @@ from becalm.errors import BecalmError, InputError, OutputError, UsageError
 from becalm.live import mqtt_link
 from becalm.live.address import Address
 from becalm.live.block import LossKind
-from becalm.live.mqtt_link import MqttLink, Session
+from becalm.live.mqtt_link import MqttLink
+from becalm.live.mqtt_session import Session
 from becalm.live.protocols import AwayError
 from becalm.live.remote import Remote
 from becalm.live.sinks.mqtt import MqttSink

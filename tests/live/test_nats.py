@@ -167,8 +167,10 @@ def test_a_stream_may_begin_now(server: Broker) -> None:
     sent(server, [message(0, 5)])
     heard = Heard(source_of(server, "&start=now"))
     heard.source.open("")
+    heard.source.close()
     sent(server, [b"other"], "plant.valve")
     sent(server, [message(5, 5)])
+    heard.source.open("")  # now was then
     heard.until(lambda: len(heard.numbers) >= 5)
     heard.source.close()
     assert heard.numbers == list(range(5, 10))

@@ -26,7 +26,7 @@ WORD = "correct horse"
 
 
 def source_of(port: int, options: str = "", host: str = "127.0.0.1", stream: str = "PUMP") -> NatsSource:
-    return NatsSource(Address.parsed(f"nats://{host}:{port}/{stream}?columns=ax,ay{options}"))
+    return NatsSource(Address.parsed(f"nats://{host}:{port}/{stream}?channels=ax,ay{options}"))
 
 
 def sink_of(port: int, options: str = "", host: str = "127.0.0.1", stream: str = "PUMP") -> NatsSink:

@@ -19,7 +19,7 @@ from pump import link_to, made
 
 
 def source_of(port: int, options: str = "") -> NatsSource:
-    return NatsSource(Address.parsed(f"nats://127.0.0.1:{port}/PUMP?columns=ax,ay{options}"))
+    return NatsSource(Address.parsed(f"nats://127.0.0.1:{port}/PUMP?channels=ax,ay{options}"))
 
 
 def sink_of(port: int) -> NatsSink:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import ssl
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from becalm.errors import BecalmError, InputError, UsageError
+from becalm.live.mqtt_session import VERSIONS, Session
 from becalm.live.remote import Login, Remote, variable
 
 if TYPE_CHECKING:
@@ -16,53 +16,11 @@ if TYPE_CHECKING:
     from paho.mqtt.properties import Properties
     from paho.mqtt.reasoncodes import ReasonCode
 
-VERSIONS = ("5", "3.1.1")
-PORT, TLS_PORT = 1883, 8883
 _ANSWER_S = 10.0
 _KEEPALIVE_S = 20
 _REFUSED_LOGIN = (134, 135)  # bad user or password, not authorised
 _REFUSED_VERSION = 132
 _TAKEN_OVER = 142
-
-
-@dataclass(frozen=True)
-class Session:
-    """How a client presents itself.
-
-    Attributes
-    ----------
-    client : str
-        Its id; a broker keeps a session by it.
-    version : str
-        Of the protocol: "5" or "3.1.1".
-    kept_s : float
-        How long the broker keeps the session of a client that is away; 0 keeps none.
-    window : int
-        How many messages the broker may send ahead of their acknowledgements; version 5 alone can tell it.
-    """
-
-    client: str
-    version: str
-    kept_s: float
-    window: int
-
-
-def topic_of(remote: Remote) -> str:
-    """Return the topic that an address names.
-
-    Raises
-    ------
-    UsageError
-        If it names none, or several.
-    """
-    topic = remote.path
-    if not topic or {"+", "#", "\0"} & set(topic):
-        wrong = f"names {topic!r}, which is many topics" if topic else "names no topic"
-        raise UsageError(
-            f"{remote.address} {wrong}; a stream has one, as each has sequence numbers of its own: "
-            f"{remote.address.kind}://{remote.host}/plant/pump/acceleration"
-        )
-    return topic
 
 
 class _ClosingSocket(ssl.SSLSocket):
@@ -104,6 +62,8 @@ class MqttLink:
         self._on_acknowledged = on_acknowledged
         self.changed = threading.Condition()
         """Told when the connection ends; those who wait for messages may share it."""
+        self.closing = False
+        """Whether it is being closed: then nobody may wait on its thread."""
         self._client: Client | None = None
         self._serving = False
         self._answered = False
@@ -147,7 +107,11 @@ class MqttLink:
         self._wait(lambda: self._answered, "it does not answer as an MQTT broker does")
 
     def subscribe(self, topic: str) -> None:
-        """Subscribe by QoS 1, and wait until it is granted; raises as `connect` does."""
+        """Subscribe by QoS 1; raises as `connect` does.
+
+        Where the broker remembers the session, messages come before its answer, perhaps more than there is room for:
+        it is not waited for then, and a refusal ends the connection.
+        """
         from paho.mqtt.client import MQTTv5
         from paho.mqtt.subscribeoptions import SubscribeOptions
 
@@ -157,7 +121,8 @@ class MqttLink:
             client.subscribe(topic, options=SubscribeOptions(qos=1, retainHandling=never))
         else:
             client.subscribe(topic, qos=1)
-        self._wait(lambda: self._subscribed, "it does not answer a subscription")
+        if not self.remembered:
+            self._wait(lambda: self._subscribed, "it does not answer a subscription")
 
     def publish(self, topic: str, payload: bytes) -> int:
         """Hand a message over to be sent by QoS 1, and return the number that its acknowledgement will have."""
@@ -182,6 +147,7 @@ class MqttLink:
     def close(self) -> None:
         """End the connection; harmless twice."""
         client, self._client = self._client, None
+        self.closing = True
         if client is None:
             return
         if self._serving:

@@ -6,7 +6,8 @@ import uuid
 
 from becalm.errors import InputError
 from becalm.live.address import Address
-from becalm.live.mqtt_link import PORT, TLS_PORT, VERSIONS, MqttLink, Session, topic_of
+from becalm.live.mqtt_link import MqttLink
+from becalm.live.mqtt_session import PORT, TLS_PORT, VERSIONS, Session, topic_of
 from becalm.live.remote import Remote
 from becalm.live.sinks.broker import BrokerSink, Line, Told
 from becalm.live.sinks.outbox import Letter

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, NamedTuple
 from becalm.live.address import Address
 from becalm.live.block import Block, Loss, LossKind
 from becalm.live.messages.stream import MessageStream
-from becalm.live.mqtt_link import PORT, TLS_PORT, VERSIONS, MqttLink, Session, topic_of
+from becalm.live.mqtt_link import MqttLink
+from becalm.live.mqtt_session import PORT, TLS_PORT, VERSIONS, Session, topic_of
 from becalm.live.position import told_by
 from becalm.live.remote import OPTIONS, Remote
 
@@ -131,8 +132,7 @@ class MqttSource:
         if not taken and not self._noticed:
             link.check()
             return None
-        for message in taken:
-            self._stream.take(message.payload, message.came_s)
+        self._stream.take_many([(message.payload, message.came_s) for message in taken])
         block = self._stream.block(extra=self._noticed)
         self._noticed = ()
         self._settle(taken, new=block is not None and len(block) > 0)
@@ -161,7 +161,7 @@ class MqttSource:
             return
         held = _Message(message.mid if message.qos else 0, bytes(message.payload), time.time(), time.monotonic())
         with link.changed:
-            while self._queued_bytes > _QUEUED_BYTES and self._link is link:
+            while self._queued_bytes > _QUEUED_BYTES and not link.closing:
                 link.changed.wait(0.1)
             self._queue.append(held)
             self._queued_bytes += len(held.payload)

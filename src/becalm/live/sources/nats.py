@@ -62,6 +62,7 @@ class NatsSource:
         self._reached = False
         self._created = ""
         self._last = 0
+        self._began: int | None = None  # the first message of a stream that has no position yet
         self._noticed: tuple[Loss, ...] = ()
 
     def open(self, position: str) -> None:
@@ -105,9 +106,9 @@ class NatsSource:
         if self._pull is None:
             raise self._remote.away("it is not open")
         taken = self._pull.take(0.0 if self._noticed else timeout_s, _AT_ONCE)
-        for message in taken:
-            self._stream.take(message.payload, message.stored_s)
-            self._last = message.number
+        if taken:
+            self._stream.take_many([(message.payload, message.stored_s) for message in taken])
+            self._last = taken[-1].number
         noticed, self._noticed = self._noticed, ()
         block = self._stream.block(extra=noticed)
         if block is None:
@@ -131,7 +132,9 @@ class NatsSource:
         """Return the first message to read, and notice where it is not the one after the last that was read."""
         begins, ends = max(1, info.state.first_seq), info.state.last_seq
         if not told:
-            return begins if self._start == "first" else ends + 1
+            if self._began is None:
+                self._began = begins if self._start == "first" else ends + 1
+            return max(self._began, begins)
         after = int(told["message"]) + 1
         if told.get("created") != self._created:
             says = f"The stream {self._name} was made anew since message {after - 1}; it is read from its beginning."
