@@ -165,7 +165,7 @@ def through_jetstream(folder: Path, kills: int) -> Found:
             broker.start()
 
         def is_done() -> bool:
-            return kept(folder / "kept").num_rows >= sender.rows
+            return bool(kept(folder / "kept").num_rows >= sender.rows)
 
         with sending(sender.run, sender.stop):
             killing = Killing(folder, words, kills, restart)

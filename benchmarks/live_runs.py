@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
 from becalm.cleaning.recipe_parts import GateRecipe, LimitsRecipe
-from becalm.live.encoding import Encoder
+from becalm.live.messages.encoding import Encoder
 
 Floats = NDArray[np.float64]
 

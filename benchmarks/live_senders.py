@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from becalm.live.encoding import Encoder
+from becalm.live.messages.encoding import Encoder
 
 Floats = NDArray[np.float64]
 

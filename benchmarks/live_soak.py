@@ -13,11 +13,11 @@ from __future__ import annotations
 import time
 
 import numpy as np
-from becalm.live.watching.memory import resident_bytes
 
 from becalm.cleaning.cleaner import Cleaner
 from becalm.live.block import Block
 from becalm.live.stream import Stream
+from becalm.live.watching.memory import resident_bytes
 from live_runs import names_of, readings, recipe_of
 from pages import page_parser, publish
 

@@ -199,6 +199,20 @@ def test_a_mistake_ends_in_a_sentence(name: str, run: Run, tmp_path: Path) -> No
     assert "Traceback" not in ran.stderr
 
 
+def test_another_recipe_takes_over_at_a_restart(run: Run, drive: Path, recipe: Path, tmp_path: Path) -> None:
+    text = drive.read_text(encoding="utf-8")
+    status = tmp_path / "s.json"
+    with begun(tmp_path, [f"replay:{drive}?speed=1&rows=5", "--recipe", recipe, "--status", status]) as process:
+        until(lambda: rows_in(status) > 0)
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(DEADLINE_S) == 0
+    quieter = recipe.with_name("quieter.toml")
+    quieter.write_text(recipe.read_text(encoding="utf-8").replace("tuning_spread = 0.", "tuning_spread = 1."))
+    ran = run("live", f"replay:{drive}", "--recipe", quieter)
+    assert ran.returncode == 0, ran.stderr
+    assert kept(tmp_path / "becalm-journal").num_rows == len(text.splitlines()) - 1
+
+
 def test_another_stream_in_the_same_journal_is_refused(run: Run, drive: Path, recipe: Path) -> None:
     assert run("live", f"replay:{drive}", "--recipe", recipe).returncode == 0
     other = drive.with_name("other.csv")

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.live.messages import Batch
-from becalm.live.sequence import Sequence
+from becalm.live.messages.reading import Batch
+from becalm.live.messages.sequence import Sequence
 
 
 def batch(seq: int, rows: int, began_s: float | None = 0.0, arrived_s: float = 0.0) -> Batch:

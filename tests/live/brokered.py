@@ -9,7 +9,7 @@ import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.live.block import Block, Head, Loss, LossKind, Output
-from becalm.live.encoding import Encoder
+from becalm.live.messages.encoding import Encoder
 from becalm.live.protocols import AwayError, Sink, Source
 from brokers import DEADLINE_S
 

@@ -12,7 +12,7 @@ import numpy as np
 from becalm.core.arrays import Codes, Floats
 from becalm.live.address import Address
 from becalm.live.block import Block, Loss
-from becalm.live.encoding import Encoder
+from becalm.live.messages.encoding import Encoder
 from becalm.live.sources.udp import UdpSource
 from servers import free_port
 

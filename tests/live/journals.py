@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 
+from becalm.core.arrays import Integers
 from becalm.live.address import Address
 from becalm.live.block import Checkpoint, Head, Loss, Output
 from becalm.live.journal.keeper import Journal
@@ -64,11 +65,11 @@ def table_of(folder: Path) -> pa.Table:
         return pa.concat_tables([table.replace_schema_metadata(None) for table in journal.tables()])
 
 
-def assert_rows(folder: Path, rows: int, start_s: float = EPOCH_S, lost: tuple[int, int] = (0, 0)) -> None:
+def assert_rows(folder: Path, rows: int, start_s: float = EPOCH_S, lost: Sequence[int] | Integers = ()) -> None:
     """Fail unless a journal holds each row once, in order and to the bit, but those that are lost."""
     table = table_of(folder)
     found = table["row"].to_numpy()
-    np.testing.assert_array_equal(found, np.delete(np.arange(rows), slice(*lost)))
+    np.testing.assert_array_equal(found, np.delete(np.arange(rows), np.asarray(lost, np.int64)))
     expected = rows_of(0, rows, start_s)
     parts = {"": expected.signal, "_raw": expected.values, "_sigma": expected.sigma}
     assert table["time_s"].to_numpy().tobytes() == expected.time_s[found].tobytes()

@@ -9,8 +9,8 @@ import pyarrow as pa
 
 from becalm.core.arrays import Codes, Floats
 from becalm.live.address import Address
-from becalm.live.line_columns import LineOptions
-from becalm.live.messages import Batch, MessageReader
+from becalm.live.lines.columns import LineOptions
+from becalm.live.messages.reading import Batch, MessageReader
 
 
 def reader(options: str = "") -> MessageReader:

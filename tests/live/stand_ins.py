@@ -11,6 +11,7 @@ import numpy as np
 
 from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
 from becalm.core.arrays import Floats
+from becalm.errors import UsageError
 from becalm.live.block import Block, Checkpoint, Head, Output
 from becalm.live.protocols import EndOfStream
 
@@ -102,6 +103,8 @@ class MemoryKeeper:
         return self.checkpoint
 
     def open(self, head: Head) -> None:
+        if self.checkpoint is not None and self.checkpoint.recipe != head.recipe:
+            raise UsageError("A stream that goes on has the head that it had.")
         self.heads.append(head)
 
     def keep(self, outputs: list[Output], checkpoint: Checkpoint) -> None:

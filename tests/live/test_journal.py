@@ -18,9 +18,10 @@ from becalm.core.verdict import Verdict
 from becalm.errors import UsageError
 from becalm.live.address import Address
 from becalm.live.block import Checkpoint, Head, Loss, LossKind, Output
+from becalm.live.journal.database import JournalError
 from becalm.live.journal.keeper import Journal
 from becalm.live.journal.packing import by_period, joined, packed, unpacked
-from becalm.live.journal.reading import JournalError, open_journal
+from becalm.live.journal.reading import open_journal
 from becalm.live.journal.records import BlockRow
 from becalm.live.protocols import Keeper
 from journals import EPOCH_S, HEAD, SOURCE, assert_rows, checkpoint_at, fill, journal_in, rows_of, table_of
@@ -60,7 +61,9 @@ def test_any_rows_come_out_to_the_bit(
     for size in sizes:
         parts: list[Any] = [data.draw(some.arrays(np.float64, (size, 2), elements=FLOATS)) for _ in range(3)]
         verdicts = data.draw(some.arrays(np.int8, (size, 2), elements=st.integers(0, max(Verdict))))
-        outputs.append(Output(row, EPOCH_S + np.arange(row, row + size) * 700.0, *parts, verdicts))
+        values, signal, sigma = parts
+        stamps = np.arange(row, row + size, dtype=np.float64) * 700.0 + EPOCH_S
+        outputs.append(Output(row, stamps, values, signal, sigma, verdicts))
         row += size
     half = len(outputs) // 2
     with journal_in(folder) as journal:
@@ -101,6 +104,19 @@ def test_a_stream_that_is_tuned_anew_goes_on_with_its_new_recipe(tmp_path: Path)
     with pytest.raises(UsageError, match="another recipe"), journal_in(tmp_path):
         pass
     assert_rows(tmp_path, 150)
+
+
+def test_units_may_be_told_later_and_a_head_without_rows_binds_nobody(tmp_path: Path) -> None:
+    with journal_in(tmp_path, head=replace(HEAD, recipe="recipe = 0\n")):
+        pass
+    with journal_in(tmp_path, head=replace(HEAD, units=("", ""))) as journal:
+        fill(journal, 1)
+    for units in (("m/s^2", ""), ("", "um/m"), ("", "")):
+        with journal_in(tmp_path, head=replace(HEAD, units=units)) as journal:
+            fill(journal, 1)
+    with open_journal(tmp_path) as reader:
+        assert reader.head() == HEAD
+    assert_rows(tmp_path, 400)
 
 
 def test_columns_of_one_name_are_refused(tmp_path: Path) -> None:

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from becalm.errors import UsageError
 from becalm.live.address import Address
 from becalm.live.block import Block, LossKind
-from becalm.live.line_columns import LineOptions
-from becalm.live.lines import LONGEST_LINE, Lines
+from becalm.live.lines.columns import LineOptions
+from becalm.live.lines.feeding import LONGEST_LINE, Lines
 
 _CAME_S = 1_700_000_000.0
 

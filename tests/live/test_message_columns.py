@@ -5,8 +5,8 @@ import pyarrow as pa
 import pytest
 
 from becalm.live.block import LossKind
-from becalm.live.encoding import Encoder
-from becalm.live.messages import MAXIMUM_BYTES
+from becalm.live.messages.encoding import Encoder
+from becalm.live.messages.reading import MAXIMUM_BYTES
 from message_makers import arrow, columns, good, reader
 
 

@@ -14,9 +14,9 @@ from becalm.core.arrays import Codes, Floats
 from becalm.errors import UsageError
 from becalm.live.address import Address
 from becalm.live.block import Head, Output
-from becalm.live.encoding import FORMATS, Encoder
-from becalm.live.message_stream import MessageStream
-from becalm.live.messages import Batch
+from becalm.live.messages.encoding import FORMATS, Encoder
+from becalm.live.messages.reading import Batch
+from becalm.live.messages.stream import MessageStream
 from message_makers import arrow, columns, good, reader
 
 

@@ -8,14 +8,15 @@ from hypothesis import strategies as st
 
 from becalm.errors import OutputError
 from becalm.live.address import Address
-from becalm.live.messages import MessageReader
+from becalm.live.lines.columns import LineOptions
+from becalm.live.messages.reading import MessageReader
 from becalm.live.sinks.outbox import Letter, Outbox
 from brokered import HEAD, output
 
 
 def numbers(letters: list[Letter]) -> list[int]:
     """Return the rows that messages hold."""
-    reader = MessageReader(Address.parsed("mqtt:?columns=ax,ay"))
+    reader = MessageReader(LineOptions.of(Address.parsed("mqtt:?channels=ax,ay")))
     batches = [reader.read(letter.payload, 0.0) for letter in letters]
     assert all(batch is not None and batch.seq == batch.values[0, 0] for batch in batches)
     return [int(number) for batch in batches if batch is not None for number in batch.values[:, 0]]

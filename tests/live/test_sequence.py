@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from batches import batch, told
 from becalm.core.arrays import Floats
 from becalm.live.block import Loss, LossKind
-from becalm.live.sequence import WAIT_S, Sequence
+from becalm.live.messages.sequence import WAIT_S, Sequence
 
 
 def rows_of(losses: tuple[Loss, ...], kind: LossKind) -> int:

@@ -22,8 +22,8 @@ from becalm.core.arrays import Floats
 from becalm.errors import OutputError, UsageError
 from becalm.live.address import Address
 from becalm.live.block import Head, Output
-from becalm.live.line_columns import LineOptions
-from becalm.live.lines import Lines
+from becalm.live.lines.columns import LineOptions
+from becalm.live.lines.feeding import Lines
 from becalm.live.sinks.stdout import StdoutSink
 
 

@@ -104,9 +104,7 @@ def _summary(journal: JournalReader) -> dict[str, Any]:
 def _verify(folder: Path, as_json: bool) -> bool:
     """Tell every fault; of rows that are known to be lost it is only said."""
     wrong = list(faults(folder))
-    with open_journal(folder) as journal:
-        holes = journal.holes()
-        rows = _rows(journal)
+    holes, rows = ([], None) if wrong else _kept(folder)
     if as_json:
         lost = [{"first_row": first, "end_row": end} for first, end in holes]
         summary = {"folder": str(folder), "whole": not wrong, "rows": rows, "wrong": wrong, "lost": lost}
@@ -115,8 +113,11 @@ def _verify(folder: Path, as_json: bool) -> bool:
         stderr.print(f"{told(hole).capitalize()} are known to be lost.")
     for sentence in wrong:
         stderr.print(sentence)
-    if wrong:
-        stderr.print(f"The journal in {folder} is not whole; the next start of its stream keeps what reads.")
+    if rows is None:
+        stderr.print(
+            f"The journal in {folder} is not whole. Its stream can be started again: of the database it keeps what"
+            " reads, and files stay as they are."
+        )
     else:
         stderr.print(f"The journal in {folder} is whole: {rows:,} rows are what was written.")
     return not wrong
@@ -189,5 +190,7 @@ def _stamp(stamp_s: float | None, dated: bool) -> str:
     return f"{datetime.fromtimestamp(stamp_s, UTC):%Y-%m-%d %H:%M:%S}" if dated else f"{stamp_s:.10g} s"
 
 
-def _rows(journal: JournalReader) -> int:
-    return sum(one.rows for one in journal.stretches() if not one.pruned)
+def _kept(folder: Path) -> tuple[list[tuple[int, int]], int]:
+    """Return which rows are known to be lost, and how many are there."""
+    with open_journal(folder) as journal:
+        return journal.holes(), sum(one.rows for one in journal.stretches() if not one.pruned)

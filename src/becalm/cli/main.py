@@ -13,7 +13,8 @@ from typing import Annotated
 import typer
 
 from becalm.cli import options as o
-from becalm.cli.live_commands import journal, live
+from becalm.cli.journal_command import journal
+from becalm.cli.live_command import live
 from becalm.cli.said import load, open_as, open_every, refuse_overwriting, said_of, tuned
 from becalm.cli.stopping import stop_cleanly
 from becalm.errors import BecalmError, UsageError

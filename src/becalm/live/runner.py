@@ -11,7 +11,7 @@ from math import nan
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.stream import ChannelHealth
 from becalm.errors import UsageError
-from becalm.live.block import Block, Checkpoint, Loss, LossKind, Output
+from becalm.live.block import Block, Checkpoint, Head, Loss, LossKind, Output
 from becalm.live.keeping import Batch, Keeping, Outlets
 from becalm.live.learning import Learner, resolution_of
 from becalm.live.protocols import Source
@@ -88,6 +88,7 @@ class Runner:
         self._stop, self._asked = threading.Event(), threading.Event()
         self._new_recipe: Recipe | None = None
         self._reader: Reader | None = None
+        self._head: Head | None = None
         self._queue = BlockQueue(self.settings.queue_blocks, self.settings.when_full)
         self._outputs: list[Output] = []
         self._losses: list[Loss] = []
@@ -143,6 +144,7 @@ class Runner:
             )
         self.ready()
         stream = Stream.resumed(last)
+        self._head = stream.head  # that it had
         if self.recipe is not None and self.recipe != stream.recipe:
             stream.retuned(self.recipe)
         stream.opened()
@@ -175,7 +177,7 @@ class Runner:
                 return None, held
 
     def _open(self, stream: Stream) -> Keeping:
-        head = stream.head
+        head = self._head or stream.head
         if self.outlets.keeper is not None:
             self.outlets.keeper.open(head)
         for outlet in self.outlets.others:

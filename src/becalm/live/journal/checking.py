@@ -30,9 +30,8 @@ def database_faults(connection: sqlite3.Connection) -> Iterator[str]:
         for (found,) in connection.execute("PRAGMA quick_check(5)"):
             if found != "ok":
                 yield " ".join(str(found).split())
-        for table in TABLES.values():
-            yield from _broken_seals(connection, table)
-        yield from _jumps(connection)
+        broken = [sentence for table in TABLES.values() for sentence in _broken_seals(connection, table)]
+        yield from broken or _jumps(connection)  # which needs rows that are what was written
     except (sqlite3.Error, BrokenSealError) as cause:
         yield str(cause)
     finally:
@@ -50,7 +49,10 @@ def faults(folder: Path) -> Iterator[str]:
     """
     mark = MarkFile(folder).read()  # first: the stream goes on
     with open_journal(folder) as journal:
-        yield from database_faults(journal.connection)
+        wrong = list(database_faults(journal.connection))
+        if wrong:  # then nothing is to be asked of it
+            yield from wrong
+            return
         checkpoint = journal.checkpoint()
         kept = 0 if checkpoint is None else checkpoint.rows
         if mark is not None and mark.checkpoint.rows > kept:

@@ -196,9 +196,18 @@ def unsealed(kind: type[Row], row: tuple[Any, ...]) -> Row:
 
 
 def rolled_blocks(connection: sqlite3.Connection) -> int:
-    """Return the number of the last block that has rolled into a file; blocks up to there count no more."""
+    """Return the number of the last block that has rolled into a file; blocks up to there count no more.
+
+    Raises
+    ------
+    BrokenSealError
+        If that is no number.
+    """
     found = connection.execute("SELECT last_block FROM rolls ORDER BY number DESC LIMIT 1").fetchone()
-    return 0 if found is None else int(found[0])
+    last = 0 if found is None else found[0]
+    if not isinstance(last, int):  # in a damaged row anything may stand
+        raise BrokenSealError("the last file is not recorded as it was written")
+    return last
 
 
 def _refuse_others(connection: sqlite3.Connection, path: Path) -> None:

@@ -108,25 +108,34 @@ class Journal:
             If the journal holds another stream: other channels, or another recipe; and as `last`.
         """
         column_names(head)
-        self._opened()
+        last, known = self._opened(), self._place.head
         row = HeadRow.of(1, head)
-        known = self._place.head
-        if known is None:
+        if known is not None and last is not None:
+            self._refuse_other(known.head(), head)
+            units = tuple(new or old for new, old in zip(head.units, known.head().units, strict=True))
+            row = HeadRow.of(known.number, replace(head, rate_hz=known.rate_hz, units=units))
+            if row != known:
+                row = row._replace(number=known.number + 1)
+        if row != known:  # a first one, one of which no rows came, or units that the source told later
             with transaction(self._database, self.folder):
                 put(self._database, row)
             self._place = replace(self._place, head=row)
-        elif (known.names, known.units) != (row.names, row.units):
-            raise UsageError(
-                f"The journal in {self.folder} holds {_channels(known.head())}; the stream has {_channels(head)}."
-                " Give it a folder of its own: --sink journal:OTHER."
-            )
-        elif known.recipe != head.recipe:
-            raise UsageError(
-                f"The journal in {self.folder} was begun with another recipe. Leave --recipe out to go on with that, or"
-                " give this stream a folder of its own: --sink journal:OTHER."
-            )
         if self._roller is None:
             self._roller = Roller(self.folder)
+
+    def _refuse_other(self, known: Head, head: Head) -> None:
+        """Refuse a stream that is not the one that is kept; of units one of the two may not be known."""
+        units = zip(known.units, head.units, strict=False)
+        if known.names != head.names or any(old and new and old != new for old, new in units):
+            raise UsageError(
+                f"The journal in {self.folder} holds {_channels(known)}; the stream has {_channels(head)}. Give it a"
+                " folder of its own: --sink journal:OTHER."
+            )
+        if known.recipe != head.recipe:
+            raise UsageError(
+                f"The journal in {self.folder} was written with another recipe. Leave --recipe out to go on with that,"
+                " or give this stream a folder of its own: --sink journal:OTHER."
+            )
 
     def keep(self, outputs: list[Output], checkpoint: Checkpoint) -> None:
         """Keep rows and checkpoint for good, both or neither.

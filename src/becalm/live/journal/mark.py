@@ -6,7 +6,6 @@ import json
 import os
 import sqlite3
 from contextlib import suppress
-from dataclasses import asdict
 from hashlib import sha256
 from pathlib import Path
 from typing import NamedTuple
@@ -60,9 +59,10 @@ class MarkFile:
 
     def write(self, mark: Mark) -> None:
         """Write where the stream stands; where that cannot be, the old mark or none will do."""
-        head = {name: value for name, value in asdict(mark.head).items() if name != "recipe"}
-        rest = {name: value for name, value in asdict(mark.checkpoint).items() if name != "snapshot"}
-        body = json.dumps({"head": head, "checkpoint": rest}).encode() + b"\n" + mark.checkpoint.snapshot
+        head, at = mark.head, mark.checkpoint
+        shared = {"names": head.names, "units": head.units, "rate_hz": head.rate_hz}
+        stands = {"rows": at.rows, "position": at.position, "recipe": at.recipe, "source": at.source}
+        body = json.dumps({"head": shared, "checkpoint": stands}).encode() + b"\n" + at.snapshot
         content = _MAGIC + sha256(body).digest() + body
         with suppress(OSError):
             handle = os.open(self.path, os.O_WRONLY | os.O_CREAT, 0o666)

@@ -45,7 +45,7 @@ def packed(output: Output) -> bytes:
     """Return rows as the bytes of an Arrow IPC stream; NaN and infinities keep their bits."""
     channels = output.values.shape[1]
     listed = [_listed(part, channels) for part in (output.values, output.signal, output.sigma, output.verdicts)]
-    batch = pa.record_batch([pa.array(output.time_s), *listed], names=["time_s", "raw", "signal", "sigma", "verdict"])
+    batch = pa.record_batch([_flat(output.time_s), *listed], names=["time_s", "raw", "signal", "sigma", "verdict"])
     stream = pa.BufferOutputStream()
     with pa.ipc.new_stream(stream, batch.schema, options=pa.ipc.IpcWriteOptions(**_OPTIONS)) as writer:
         writer.write_batch(batch)
@@ -90,7 +90,14 @@ def _part(output: Output, first: int, end: int) -> Output:
 
 
 def _listed(values: Floats | Codes, channels: int) -> pa.FixedSizeListArray:
-    return pa.FixedSizeListArray.from_arrays(pa.array(np.ascontiguousarray(values).reshape(-1)), channels)
+    return pa.FixedSizeListArray.from_arrays(_flat(values), channels)
+
+
+def _flat(values: Floats | Codes) -> pa.Array:
+    """Return numbers row by row, not copied; `pa.array` would load pandas for it, where that is installed."""
+    codes = values.dtype == np.int8
+    whole = np.ascontiguousarray(values, dtype=np.int8 if codes else np.float64)
+    return pa.Array.from_buffers(pa.int8() if codes else pa.float64(), whole.size, [None, pa.py_buffer(whole)])
 
 
 def _unlisted(column: Any) -> Any:

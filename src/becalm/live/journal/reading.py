@@ -23,8 +23,9 @@ from becalm.live.journal.records import BlockRow, HeadRow, HoleRow, LossRow, Rol
 from becalm.live.tables import ROW, TIME, output_table, table_schema
 
 _BATCH_ROWS = 1 << 16
-_SPANS = """SELECT period_s, dated, first_row, end_row, first_s, last_s, length(data) FROM blocks
-    WHERE number > ? AND end_row > first_row ORDER BY number"""
+_SPANS = """SELECT period_s, dated, CAST(first_row AS INTEGER), CAST(end_row AS INTEGER), CAST(first_s AS REAL),
+    CAST(last_s AS REAL), length(data) FROM blocks WHERE number > ? AND end_row > first_row ORDER BY number"""
+# of the types that they have, for a damaged row may hold anything
 
 
 class Stretch(NamedTuple):

@@ -70,7 +70,7 @@ def remains_of(connection: sqlite3.Connection) -> Remains:
     """Find all rows that read, and are what was written; of blocks only those that have not rolled."""
     try:
         rolled = rolled_blocks(connection)
-    except sqlite3.Error:
+    except (sqlite3.Error, BrokenSealError):
         rolled = 0
     numbers = [number for number in _numbers(connection, TABLES[BlockRow]) if number > rolled]
     blocks = [row._replace(data=None) for row in _read(connection, BlockRow, numbers)]

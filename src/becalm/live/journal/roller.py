@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import logging
-import sqlite3
 import time
 from collections import deque
 from contextlib import closing
 from pathlib import Path
 from threading import Event, Lock, Thread
 
-from becalm.errors import BecalmError
-from becalm.live.journal.database import NAME, BrokenSealError, connect_reading, rolled_blocks
+from becalm.live.journal.database import NAME, connect_reading, rolled_blocks
 from becalm.live.journal.recording import remove
 from becalm.live.journal.records import RollRow
 from becalm.live.journal.rolling import Rolled, Stopped, next_piece, roll
@@ -79,7 +77,7 @@ class Roller:
                 self._troubled = False
             except Stopped:
                 return
-            except (BecalmError, BrokenSealError, sqlite3.Error, OSError) as cause:
+            except Exception as cause:  # whatever it is, the stream goes on, and the next start looks into it
                 self._troubled = True
                 _log.warning("No row is lost, but %s did not roll into Parquet: %s", self._folder, cause)
             with self._lock:

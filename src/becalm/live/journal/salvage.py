@@ -133,7 +133,7 @@ def _finish(folder: Path) -> None:
     new, path, log = folder / _NEW, folder / NAME, folder / f"{NAME}-wal"
     if new.exists() and not path.exists():
         if log.exists():  # of the old one
-            log.rename(f"{_asides(folder)[-1]}-wal")
+            log.rename(_log_aside(folder))
         (folder / f"{NAME}-shm").unlink(missing_ok=True)
         new.rename(path)
         sync_folder(folder)
@@ -145,6 +145,13 @@ def _asides(folder: Path) -> list[Path]:
     """Return the damaged files that are kept aside, the last at the end."""
     found = [path for path in folder.glob(f"{NAME}.damaged-*") if path.suffix[9:].isdecimal()]
     return sorted(found, key=lambda path: int(path.suffix[9:]))
+
+
+def _log_aside(folder: Path) -> str:
+    """Return where the log of a damaged file goes, which is beside it, or alone where the file was gone."""
+    there = _asides(folder)
+    beside = f"{there[-1]}-wal" if there else ""
+    return beside if there and not Path(beside).exists() else f"{_aside(folder)}-wal"
 
 
 def _aside(folder: Path) -> Path:

@@ -10,7 +10,7 @@ from typing import Protocol
 
 from becalm.errors import BecalmError
 from becalm.live.block import Head, Output
-from becalm.live.encoding import FORMATS
+from becalm.live.messages.encoding import FORMATS
 from becalm.live.remote import OPTIONS, Remote
 from becalm.live.sinks.outbox import LARGEST, Letter, Outbox
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from becalm.errors import OutputError
 from becalm.live.block import Head, Output
-from becalm.live.encoding import Encoder
+from becalm.live.messages.encoding import Encoder
 
 LARGEST = 250_000
 """Bytes of the largest message that is made where a broker takes larger ones: brokers copy and queue them whole."""

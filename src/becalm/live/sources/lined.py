@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 
 from becalm.live.block import Block
-from becalm.live.lines import Lines
+from becalm.live.lines.feeding import Lines
 
 
 def read_lines(lines: Lines, more: Callable[[float], bytes | None], timeout_s: float) -> Block | None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from becalm.live.address import Address
 from becalm.live.block import Block, Loss, LossKind
-from becalm.live.message_stream import MessageStream
+from becalm.live.messages.stream import MessageStream
 from becalm.live.mqtt_link import PORT, TLS_PORT, VERSIONS, MqttLink, Session, topic_of
 from becalm.live.position import told_by
 from becalm.live.remote import OPTIONS, Remote

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from becalm.errors import InputError
 from becalm.live.address import Address
 from becalm.live.block import Block, Loss, LossKind
-from becalm.live.message_stream import MessageStream
+from becalm.live.messages.stream import MessageStream
 from becalm.live.nats_link import PORT, NatsLink, check_subject, stream_of
 from becalm.live.nats_pull import NatsPull
 from becalm.live.position import told_by

@@ -9,8 +9,8 @@ from typing import Any
 from becalm.errors import InputError, UsageError
 from becalm.live.address import Address
 from becalm.live.block import Block
-from becalm.live.line_columns import LineOptions
-from becalm.live.lines import Lines
+from becalm.live.lines.columns import LineOptions
+from becalm.live.lines.feeding import Lines
 from becalm.live.protocols import AwayError
 from becalm.live.sources.lined import read_lines
 

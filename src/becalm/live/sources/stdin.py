@@ -10,8 +10,8 @@ import time
 from becalm.errors import InputError, UsageError
 from becalm.live.address import Address
 from becalm.live.block import Block
-from becalm.live.line_columns import LineOptions
-from becalm.live.lines import Lines
+from becalm.live.lines.columns import LineOptions
+from becalm.live.lines.feeding import Lines
 from becalm.live.protocols import EndOfStream
 from becalm.live.sources.lined import read_lines
 

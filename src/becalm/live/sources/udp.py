@@ -16,7 +16,7 @@ from dataclasses import replace
 from becalm.errors import InputError, UsageError
 from becalm.live.address import Address
 from becalm.live.block import Block, Loss, LossKind
-from becalm.live.message_stream import MessageStream
+from becalm.live.messages.stream import MessageStream
 from becalm.live.position import told_by
 from becalm.live.protocols import AwayError, EndOfStream
 

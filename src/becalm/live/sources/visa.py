@@ -14,7 +14,7 @@ from becalm.files.text.csv_header import unique_names
 from becalm.files.units import parse_header
 from becalm.live.address import Address
 from becalm.live.block import Block, Loss, LossKind
-from becalm.live.line_cells import number_of
+from becalm.live.lines.cells import number_of
 from becalm.live.protocols import AwayError
 
 if TYPE_CHECKING:

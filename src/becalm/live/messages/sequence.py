@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from becalm.live.block import Loss, LossKind
-from becalm.live.messages import Batch
+from becalm.live.messages.reading import Batch
 
 WAIT_S = 0.02
 """How long a message that came ahead waits for the one before."""

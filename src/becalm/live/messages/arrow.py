@@ -9,8 +9,8 @@ import numpy as np
 import pyarrow as pa
 
 from becalm.core.arrays import Floats, Integers
-from becalm.live.line_cells import NumberStamps, StampReader
-from becalm.live.message_columns import RoleFinder, Told, UnreadableError, first_of, stamps_reader
+from becalm.live.lines.cells import NumberStamps, StampReader
+from becalm.live.messages.columns import RoleFinder, Told, UnreadableError, first_of, stamps_reader
 
 _END = b"\xff\xff\xff\xff\x00\x00\x00\x00"
 _SCHEMAS = 16  # a stream has one; memory stays bounded where a sender makes a new one each time

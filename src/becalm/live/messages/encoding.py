@@ -14,7 +14,7 @@ from becalm.errors import UsageError
 from becalm.files.roles import SIGMA
 from becalm.files.tables import VERDICT
 from becalm.live.block import Head, Output
-from becalm.live.message_columns import SEQ
+from becalm.live.messages.columns import SEQ
 
 TIME = "time"
 FORMATS = ("arrow", "json")

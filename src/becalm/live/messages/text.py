@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.live.line_cells import number_of
-from becalm.live.message_columns import SEQ, RoleFinder, Told, UnreadableError, first_of, stamps_of
+from becalm.live.lines.cells import number_of
+from becalm.live.messages.columns import SEQ, RoleFinder, Told, UnreadableError, first_of, stamps_of
 
 
 def from_json(payload: bytes, finder: RoleFinder) -> Told:

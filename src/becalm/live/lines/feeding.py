@@ -8,9 +8,9 @@ import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.live.block import Block, Loss, LossKind
-from becalm.live.line_columns import LineOptions
-from becalm.live.line_layouts import layout_of, may_be_names
-from becalm.live.line_rows import Bad, Layout, Taken, is_remark, take
+from becalm.live.lines.columns import LineOptions
+from becalm.live.lines.layouts import layout_of, may_be_names
+from becalm.live.lines.rows import Bad, Layout, Taken, is_remark, take
 
 LONGEST_LINE = 1 << 20
 """Bytes of a line; whatever is longer is garbage, and not held."""

@@ -9,11 +9,11 @@ import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.live.block import Loss, LossKind
-from becalm.live.line_columns import LineOptions
-from becalm.live.message_columns import EXACT_INTEGERS, RoleFinder, Told, UnreadableError
+from becalm.live.lines.columns import LineOptions
+from becalm.live.messages.columns import EXACT_INTEGERS, RoleFinder, Told, UnreadableError
 
 if TYPE_CHECKING:
-    from becalm.live.arrow_messages import ArrowMessages
+    from becalm.live.messages.arrow import ArrowMessages
 
 MAXIMUM_BYTES = 16_000_000
 """A longer message is garbled: nobody batches so, and memory stays bounded."""
@@ -132,14 +132,14 @@ class MessageReader:
             raise UnreadableError(f"of {len(payload)} bytes (more than {MAXIMUM_BYTES})")
         if payload.startswith(_ARROW):
             return self._arrow_reader().read(payload)
-        from becalm.live import text_messages
+        from becalm.live.messages import text
 
         if payload[:64].lstrip()[:1] in (b"{", b"["):
-            return text_messages.from_json(payload, self._finder)
-        return text_messages.from_csv(payload, self._finder)
+            return text.from_json(payload, self._finder)
+        return text.from_csv(payload, self._finder)
 
     def _arrow_reader(self) -> ArrowMessages:
-        from becalm.live.arrow_messages import ArrowMessages
+        from becalm.live.messages.arrow import ArrowMessages
 
         if self._arrow is None:
             self._arrow = ArrowMessages(self._finder)

@@ -11,8 +11,8 @@ from becalm.core.arrays import Floats
 from becalm.errors import UsageError
 from becalm.files.timing.time_column import is_time_name
 from becalm.files.units import parse_header
-from becalm.live.line_cells import Cell, StampReader, place_named, stamp_reader
-from becalm.live.line_columns import ARRIVAL, LineOptions
+from becalm.live.lines.cells import Cell, StampReader, place_named, stamp_reader
+from becalm.live.lines.columns import ARRIVAL, LineOptions
 
 SEQ = "seq"
 """The column of the rows' numbers."""

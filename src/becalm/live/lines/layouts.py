@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 from becalm.files.text.cells import GONE, NUMBER, WORDS, kind_of, split
 from becalm.files.text.csv_header import find_header, unique_names
-from becalm.live.line_cells import number_of
-from becalm.live.line_columns import LineOptions, columns_of
-from becalm.live.line_rows import CsvLayout, JsonLayout, Layout, json_object
+from becalm.live.lines.cells import number_of
+from becalm.live.lines.columns import LineOptions, columns_of
+from becalm.live.lines.rows import CsvLayout, JsonLayout, Layout, json_object
 
 _SEPARATORS = (";", "\t", ",", "|", " ", "")  # in a draw the earlier one wins
 _REMARK = "#%/"

@@ -11,8 +11,8 @@ import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.files.text.cells import split
-from becalm.live.line_cells import Cell, number_of, numbers_of
-from becalm.live.line_columns import Columns
+from becalm.live.lines.cells import Cell, number_of, numbers_of
+from becalm.live.lines.columns import Columns
 
 _NOT_PLAIN = (b'"', b"#", b"(")  # quotes, remarks, nan(1): read one by one
 _PIECE = 256  # lines that are read at once where all of them are well

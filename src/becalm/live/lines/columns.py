@@ -11,7 +11,7 @@ from becalm.files.text.cells import TIME, kind_of
 from becalm.files.timing.time_column import is_time_name
 from becalm.files.units import parse_header
 from becalm.live.address import Address
-from becalm.live.line_cells import Cell, StampReader, number_of, place_named, stamp_reader
+from becalm.live.lines.cells import Cell, StampReader, number_of, place_named, stamp_reader
 
 ARRIVAL = "arrival"
 _AUTO = "auto"

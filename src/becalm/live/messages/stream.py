@@ -10,9 +10,9 @@ import numpy as np
 from becalm.core.arrays import Floats
 from becalm.live.address import Address
 from becalm.live.block import Block, Loss
-from becalm.live.line_columns import LineOptions
-from becalm.live.messages import Batch, MessageReader
-from becalm.live.sequence import Sequence
+from becalm.live.lines.columns import LineOptions
+from becalm.live.messages.reading import Batch, MessageReader
+from becalm.live.messages.sequence import Sequence
 
 
 class MessageStream:
