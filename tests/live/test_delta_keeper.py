@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,32 +17,18 @@ import numpy as np
 import polars
 import pytest
 
-from becalm.errors import InputError, OutputError, UsageError
-from becalm.live.address import Address
-from becalm.live.block import Head, Loss, LossKind, Output
+from becalm.live.block import Loss, LossKind, Output
 from becalm.live.protocols import AwayError, Keeper, StorageFullError
-from becalm.live.sinks.delta import DeltaSink
 from becalm.live.sinks.delta_files import DeltaFiles
 from becalm.live.tables import output_table
+from delta_tables import checkpoint_files, close_all, keeper_of, last_of, opened, rows_of
 from streams import checkpoint_at, head_of, outputs_of
 
 
-def keeper_of(place: Path | str) -> DeltaSink:
-    """Return a keeper of a folder or URI."""
-    return DeltaSink(Address.parsed(f"delta:{place}"))
-
-
-def opened(place: Path | str, *names: str) -> DeltaSink:
-    """Return a keeper that is ready."""
-    keeper = keeper_of(place)
-    keeper.open(head_of(*(names or ("a",))))
-    return keeper
-
-
-def rows_of(place: Path | str) -> list[int]:
-    """Return the rows that a reader finds, in their order."""
-    table = deltalake.DeltaTable(str(place)).to_pyarrow_table()
-    return sorted(table["row"].to_pylist())
+@pytest.fixture(autouse=True)
+def _closed() -> Iterator[None]:
+    yield
+    close_all()
 
 
 @pytest.mark.parametrize("form", ["{}/deep/table", "file://{}/table"])
@@ -104,15 +90,15 @@ def test_a_crash_at_any_step_leaves_rows_and_checkpoint_of_one_moment(
         patched.setattr(deltalake.DeltaTable if step.startswith("create") else DeltaFiles, step, die)
         with pytest.raises(Dead):
             keeper.keep(outputs_of([5], first_row=10), checkpoint_at(15))
-    again = keeper_of(tmp_path)
-    last = again.last()
+    last, again = last_of(tmp_path), keeper_of(tmp_path)
     kept = 15 if step == "commit_lasts" else 10
     assert last == checkpoint_at(kept)
     assert rows_of(tmp_path) == list(range(kept))
     again.open(head_of("a"))
     again.keep(outputs_of([5], first_row=kept), checkpoint_at(kept + 5))
     assert rows_of(tmp_path) == list(range(kept + 5))
-    assert len(list((tmp_path / "_becalm").iterdir())) == 1  # what crashes left is removed
+    again.open(head_of("a"))
+    assert len(checkpoint_files(tmp_path)) == 1  # what crashes left is removed
 
 
 def test_killed_processes_leave_all_or_nothing(tmp_path: Path) -> None:
@@ -139,7 +125,7 @@ def test_killed_processes_leave_all_or_nothing(tmp_path: Path) -> None:
             assert process.stdout.readline() == b"ready\n"
             time.sleep(random.uniform(0.0, 0.15))
             process.send_signal(signal.SIGKILL)
-        last = keeper_of(table).last()
+        last = last_of(table)
         rows = 0 if last is None else last.rows
         assert last is None or last == checkpoint_at(rows)
         assert rows_of(table) == list(range(rows))
@@ -155,26 +141,12 @@ def test_a_torn_last_commit_is_set_aside(tmp_path: Path, cut: float, caplog: pyt
     torn.write_bytes(torn.read_bytes()[: int(cut * torn.stat().st_size)])
     for name, content in before.items():  # it is removed only when the commit is on the disk
         (tmp_path / "_becalm" / name).write_bytes(content)
-    again = keeper_of(tmp_path)
-    assert again.last() == checkpoint_at(10)
+    assert last_of(tmp_path) == checkpoint_at(10)
     assert "torn" in caplog.text
+    again = keeper_of(tmp_path)
     again.open(head_of("a"))
     again.keep(outputs_of([10], first_row=10), checkpoint_at(20))
     assert rows_of(tmp_path) == list(range(20))
-
-
-def checkpoint_files(place: Path) -> dict[str, bytes]:
-    """Return what is beside a table."""
-    return {path.name: path.read_bytes() for path in (place / "_becalm").iterdir()}
-
-
-def test_a_damaged_checkpoint_is_told(tmp_path: Path) -> None:
-    opened(tmp_path).keep(outputs_of([10]), checkpoint_at(10))
-    (name,) = checkpoint_files(tmp_path)
-    path = tmp_path / "_becalm" / name
-    path.write_bytes(path.read_bytes().replace(b"replay", b"replaY"))
-    with pytest.raises(InputError, match="damaged"):
-        keeper_of(tmp_path).last()
 
 
 @pytest.mark.parametrize("step", ["put_table", "put", "create_write_transaction"])
@@ -228,15 +200,6 @@ def test_a_log_that_cannot_be_read_after_a_commit_is_away(tmp_path: Path, monkey
     assert keeper.last() == checkpoint_at(10)
 
 
-def test_the_second_writer_fails(tmp_path: Path) -> None:
-    first, second = opened(tmp_path), opened(tmp_path)
-    first.keep(outputs_of([10]), checkpoint_at(10))
-    with pytest.raises(OutputError, match="another process"):
-        second.keep(outputs_of([7]), checkpoint_at(7))
-    first.keep(outputs_of([5], first_row=10), checkpoint_at(15))
-    assert rows_of(tmp_path) == list(range(15))
-
-
 def test_others_may_make_the_table_compact_meanwhile(tmp_path: Path) -> None:
     keeper = opened(tmp_path)
     rows = 0
@@ -245,7 +208,7 @@ def test_others_may_make_the_table_compact_meanwhile(tmp_path: Path) -> None:
         table = deltalake.DeltaTable(str(tmp_path))
         table.optimize.compact()
     table.vacuum(retention_hours=0, enforce_retention_duration=False, dry_run=False)
-    assert keeper_of(tmp_path).last() == checkpoint_at(18)
+    assert keeper.last() == checkpoint_at(18)
     keeper.keep(outputs_of([2], first_row=18), checkpoint_at(20))
     assert rows_of(tmp_path) == list(range(20))
 
@@ -259,33 +222,3 @@ def test_losses_are_in_the_history(tmp_path: Path) -> None:
     (newest,) = deltalake.DeltaTable(str(tmp_path)).history(1)
     for said in ('"row": 4', '"kind": "missing"', '"rows": 3', '"noticed_s": 5.0', "Three rows."):
         assert said in newest["becalm"]
-
-
-def test_other_channels_units_or_recipes_are_refused(tmp_path: Path) -> None:
-    keeper = opened(tmp_path)
-    keeper.open(head_of("a", recipe="version = 2\n"))  # nothing was kept with the first
-    keeper.keep(outputs_of([3]), checkpoint_at(3))
-    keeper.open(head_of("a", recipe="version = 2\n"))  # its own filters, tuned anew meanwhile
-    with pytest.raises(UsageError, match="another recipe"):
-        keeper_of(tmp_path).open(head_of("a", recipe="version = 2\n"))
-    for head in (head_of("b"), Head(("a",), ("mm",), 1.0, "version = 1\n"), head_of("a", "b")):
-        with pytest.raises(UsageError, match="other channels"):
-            keeper_of(tmp_path).open(head)
-
-
-def test_a_table_of_someone_else_is_refused(tmp_path: Path) -> None:
-    deltalake.write_deltalake(str(tmp_path), output_table(head_of("a"), outputs_of([3])).select(["row"]))
-    with pytest.raises(UsageError, match="not made by becalm"):
-        keeper_of(tmp_path).last()
-
-
-@pytest.mark.parametrize("address", ["delta:", "delta:somewhere?compact=1h"])
-def test_addresses_that_cannot_be_meant_are_refused(address: str) -> None:
-    with pytest.raises(UsageError):
-        DeltaSink(Address.parsed(address))
-
-
-def test_a_folder_that_is_a_file_is_told(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("no table", encoding="utf-8")
-    with pytest.raises(OutputError, match="cannot be written"):
-        opened(tmp_path / "file" / "table")

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import errno
 import logging
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 from threading import Event, Thread
@@ -39,7 +41,7 @@ def sink_of(folder: Path, options: str = "", head: Head | None = None) -> Parque
 
 def names_in(folder: Path) -> list[str]:
     """Return the files in a folder and below it."""
-    return sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
+    return sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.suffix == ".parquet")
 
 
 def read(folder: Path) -> pa.Table:
@@ -159,22 +161,40 @@ def many(rows: int, first_row: int) -> Output:
 
 
 def test_what_a_killed_process_left_is_put_aside(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    for turn in (1, 2):
-        killed = sink_of(tmp_path)
-        killed.write(many(1 << 20, 0))
-        killed.flush()
-        folder = tmp_path / "2023-11-14"
-        assert (folder / ".22.parquet.part").stat().st_size > 0
-        with caplog.at_level(logging.WARNING):
-            sink = sink_of(tmp_path)
-        assert "not whole" in caplog.text
-        left = [path.name for path in folder.iterdir()]
-        assert sorted(left) == [f".22.parquet.part-left-{number}" for number in range(1, turn + 1)]
-    with pytest.raises(OutputError):  # it is no longer its own, and says so instead of writing half a file
-        killed.close()
+    script = tmp_path / "writes.py"
+    script.write_text(
+        "import os, sys\n"
+        f"sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
+        "from streams import head_of, outputs_of\n"
+        "from becalm.live.address import Address\n"
+        "from becalm.live.sinks.parquet import ParquetSink\n"
+        "sink = ParquetSink(Address.parsed('parquet:' + sys.argv[1]))\n"
+        "sink.open(head_of('a', 'b'))\n"
+        f"sink.write(outputs_of([1 << 20], channels=2, begins_s={HOUR_S})[0])\n"
+        "sink.flush()\n"
+        "os._exit(7)\n",
+        encoding="utf-8",
+    )
+    folder = tmp_path / "kept"
+    assert subprocess.run([sys.executable, script, folder], check=False).returncode == 7
+    left = folder / "2023-11-14" / ".22.parquet.part"
+    assert left.stat().st_size > 0
+    left.with_name(f"{left.name}-left-1").touch()  # of a kill before
+    with caplog.at_level(logging.WARNING):
+        sink = sink_of(folder)
+    assert "not whole" in caplog.text
+    assert sorted(path.name for path in left.parent.iterdir()) == [f"{left.name}-left-{turn}" for turn in (1, 2)]
     sink.write(many(10, 0))
     sink.close()
-    assert read(tmp_path).num_rows == 10
+    assert read(folder).num_rows == 10
+
+
+def test_the_second_writer_is_refused(tmp_path: Path) -> None:
+    first = sink_of(tmp_path)
+    with pytest.raises(UsageError, match="Another process"):
+        sink_of(tmp_path)
+    first.close()
+    sink_of(tmp_path).close()
 
 
 def test_a_full_disk_loses_no_row_when_there_is_room_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

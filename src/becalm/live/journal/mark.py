@@ -10,7 +10,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import NamedTuple
 
-from becalm.errors import UsageError
+from becalm.live import locking
 from becalm.live.block import Checkpoint, Head
 from becalm.live.journal.database import writing
 
@@ -83,24 +83,9 @@ def locked(folder: Path) -> sqlite3.Connection:
     StorageFullError
         If the folder cannot be written.
     """
+    refusal = (
+        f"Another becalm writes the journal in {folder}. Stop it first, or give this stream a folder of its own:"
+        " --sink journal:OTHER."
+    )
     with writing(folder):
-        connection = sqlite3.connect(folder / "journal.lock", timeout=0, isolation_level=None, check_same_thread=False)
-    try:
-        with writing(folder):
-            _hold(connection, folder)
-    except BaseException:
-        connection.close()
-        raise
-    return connection
-
-
-def _hold(connection: sqlite3.Connection, folder: Path) -> None:
-    try:
-        connection.execute("BEGIN EXCLUSIVE")
-    except sqlite3.OperationalError as cause:
-        if cause.sqlite_errorcode != sqlite3.SQLITE_BUSY:
-            raise
-        raise UsageError(
-            f"Another becalm writes the journal in {folder}. Stop it first, or give this stream a folder of its own:"
-            " --sink journal:OTHER."
-        ) from cause
+        return locking.locked(folder / "journal.lock", refusal)

@@ -59,7 +59,7 @@ class DeltaSink:
         if not address.rest:
             raise UsageError("delta: needs a folder or a URI; write delta:DIR.")
         self._place, self._shown = address.rest, str(address)
-        self._remote = "://" in address.rest
+        self._files, self._remote = DeltaFiles(address.rest), "://" in address.rest
         self._table: Any = None
         self._head: Head | None = None
         self._checkpoint_file = ""
@@ -76,11 +76,11 @@ class DeltaSink:
         """
         self._checkpoint_file = ""
         with self._reading():
-            self._files = DeltaFiles(self._place)
             self._files.set_torn_commit_aside()
             if not library().DeltaTable.is_deltatable(self._place):
                 self._table = None
                 return None
+            self._files.lock(f"{self._shown} {_OTHER}")
             self._table = library().DeltaTable(self._place)
             if self._rows() is None:
                 if self._table.metadata().name != _APPLICATION:
@@ -102,9 +102,7 @@ class DeltaSink:
         again, self._head, self._schema = self._head is not None, head, _plain_schema(table_schema(head))
         if self._table is not None:
             self._refuse_other(head, None if again else last)  # in its own life it may have got another recipe
-            for name in self._files.beside():
-                if name != self._checkpoint_file:  # of a commit that never was
-                    self._files.remove(f"{BESIDE}/{name}")
+            self._forget_others()
             return
         with self._taking_back(()):
             said = "A stream that becalm live made clean; time_s in seconds."
@@ -112,6 +110,7 @@ class DeltaSink:
                 self._place, self._schema, name=_APPLICATION, description=said, configuration=_LOG_KEPT
             )
             self._files.commit_lasts(0)
+            self._files.lock(f"{self._shown} {_OTHER}")
 
     def keep(self, outputs: list[Output], checkpoint: Checkpoint) -> None:
         """Keep rows and checkpoint in one commit; when this returns they are on the disk, or with the store.
@@ -141,7 +140,15 @@ class DeltaSink:
 
     def close(self) -> None:
         """Let go of the table; harmless twice."""
+        self._files.unlock()
         self._table = None
+
+    def _forget_others(self) -> None:
+        """Remove checkpoints of commits that never were; later ones may be of another who is about to commit."""
+        current = self._checkpoint_file
+        for name in self._files.beside():
+            if name != current and name.partition("-")[0] <= current.partition("-")[0]:
+                self._files.remove(f"{BESIDE}/{name}")
 
     def _added(self, name: str, table: pa.Table) -> Any:
         size = self._files.put_table(name, table)

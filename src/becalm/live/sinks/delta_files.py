@@ -6,6 +6,7 @@ import io
 import json
 import logging
 import os
+import sqlite3
 from contextlib import suppress
 from functools import cached_property
 from importlib import import_module
@@ -18,6 +19,7 @@ from pyarrow import fs
 from becalm.errors import UsageError
 from becalm.files.parquet_writer import ParquetRows
 from becalm.files.whole import sync_folder
+from becalm.live.locking import locked
 
 BESIDE = "_becalm"
 """Where checkpoints are; readers and cleaners of Delta tables pass by names that begin with an underscore."""
@@ -38,6 +40,7 @@ class DeltaFiles:
     def __init__(self, place: str) -> None:
         self.folder = None if "://" in place else Path(place)
         self._place = place
+        self._lock: sqlite3.Connection | None = None
 
     def put_table(self, name: str, table: pa.Table) -> int:
         """Write a Parquet file that lasts, and return its size in bytes."""
@@ -66,7 +69,25 @@ class DeltaFiles:
     def beside(self) -> list[str]:
         """Return the names of what was put beside the table."""
         found = self._fs.get_file_info(fs.FileSelector(BESIDE, allow_not_found=True))
-        return [one.base_name for one in found]
+        return [one.base_name for one in found if one.base_name.endswith(".json")]
+
+    def lock(self, refusal: str) -> None:
+        """Keep other processes from a table in a folder; behind a URI the second one's commit fails.
+
+        Raises
+        ------
+        UsageError
+            If another one has it.
+        """
+        if self.folder is not None and self._lock is None:
+            (self.folder / BESIDE).mkdir(exist_ok=True)
+            self._lock = locked(self.folder / BESIDE / "lock", refusal)
+
+    def unlock(self) -> None:
+        """Let others write; harmless twice."""
+        if self._lock is not None:
+            self._lock.close()
+            self._lock = None
 
     def commit_lasts(self, version: int) -> None:
         """Make a commit last through a power cut: deltalake itself leaves it to the system when to write it."""

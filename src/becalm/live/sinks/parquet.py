@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import sqlite3
 from dataclasses import replace
 from datetime import UTC, datetime
 from itertools import count
@@ -14,11 +15,13 @@ import numpy as np
 from becalm.errors import UsageError
 from becalm.live.address import Address
 from becalm.live.block import Head, Output
+from becalm.live.locking import locked
 from becalm.live.sinks.parquet_part import PART, PartFile, told
 from becalm.live.tables import EPOCH_S, table_schema
 
 _HOUR_S = 3600.0
 _LATEST_S = 1e11  # the year 5138: what is later counts something else
+_LOCK = ".becalm.lock"
 _log = logging.getLogger(__name__)
 
 
@@ -27,7 +30,7 @@ class ParquetSink:
 
     N is the first row. A file has a temporary name until it is whole. What was not whole when a process was killed is
     lost here, and is kept aside as *.part-left-1 when the sink is opened again; the journal is what keeps. A name
-    that is taken becomes HH_02.parquet, and so on: nothing is written over. One process may write to a folder.
+    that is taken becomes HH_02.parquet, and so on: nothing is written over. One process writes to a folder.
 
     The columns are `row`, `time_s` and of each channel NAME, NAME_raw, NAME_sigma and NAME_verdict, in words; units
     are in the columns' metadata, the recipe in that of the file.
@@ -51,6 +54,7 @@ class ParquetSink:
         self._folder = Path(address.rest)
         self._asked = int(address.number("rows", 0, least=1)) if "rows" in address.options else None
         self._lock, self._taken = Lock(), list[Output]()
+        self._lock_file: sqlite3.Connection | None = None
         self._part: PartFile | None = None
         self._over: list[PartFile] = []  # to be made whole
 
@@ -60,13 +64,16 @@ class ParquetSink:
         Raises
         ------
         BecalmError
-            If the folder cannot be written to, or channels' names do not go together.
+            If the folder cannot be written to, another process does, or channels' names do not go together.
         """
         self.close()
         table_schema(head)
         self._head = head
         with told(self._folder):
             self._folder.mkdir(parents=True, exist_ok=True)
+            self._lock_file = locked(
+                self._folder / _LOCK, f"Another process writes to {self._folder}; name another folder."
+            )
             for left in sorted(self._folder.rglob(f".*{PART}")):
                 aside = _aside(left)
                 left.rename(aside)
@@ -112,6 +119,9 @@ class ParquetSink:
             self._over.append(self._part)
             self._part = None
         self.flush()
+        if self._lock_file is not None:
+            self._lock_file.close()
+            self._lock_file = None
 
     def _place(self) -> None:
         """Put each row into the file of its hour, in memory."""

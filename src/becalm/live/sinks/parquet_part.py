@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import io
 import os
+import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import count
@@ -124,3 +125,5 @@ def told(path: Path) -> Iterator[None]:
         if cause.errno in _FULL:
             raise StorageFullError(f"There is no room for {path} ({cause.strerror}); make room.") from cause
         raise OutputError(f"{path} cannot be written ({cause.strerror}); choose another folder.") from cause
+    except sqlite3.Error as cause:  # of the lock beside it
+        raise OutputError(f"{path} cannot be locked ({cause}); choose another folder.") from cause

@@ -172,5 +172,5 @@ def _columns(head: Head) -> list[tuple[str, str, str]]:
 
 
 def _plain(text: str) -> str:
-    """Return text without the one character that PostgreSQL's text cannot hold."""
-    return text.replace("\0", "\N{REPLACEMENT CHARACTER}")
+    """Return text without what PostgreSQL's text cannot hold: NUL, and halves of characters."""
+    return text.encode("utf-8", "replace").decode("utf-8").replace("\0", "\N{REPLACEMENT CHARACTER}")
