@@ -82,13 +82,10 @@ class Handover:
         share = (np.arange(self._told, self._told + len(after.signal)) + 1 - self._rows) / self._rows
         self._told += len(after.signal)
         w = np.concatenate([np.zeros(alone), np.clip(share, 0.0, 1.0)])[:, None]
-        later = [np.concatenate([old[:alone], new]) for old, new in zip(before, after, strict=True)]
-        with np.errstate(invalid="ignore"):  # nothing is known yet at the start: inf sigma, of which no share is taken
-            signal, sigma = ((1 - w) * old + w * new for old, new in zip(before[:2], later[:2], strict=True))
         return Streamed(
-            np.where(w == 0, before.signal, np.where(w == 1, later[0], signal)),
-            np.where(w == 0, before.sigma, np.where(w == 1, later[1], sigma)),
-            np.where(w == 0, before.verdicts, later[2]).astype(np.int8),
+            _mixed(w, before.signal, np.concatenate([before.signal[:alone], after.signal])),
+            _mixed(w, before.sigma, np.concatenate([before.sigma[:alone], after.sigma])),
+            np.where(w == 0, before.verdicts, np.concatenate([before.verdicts[:alone], after.verdicts])),
         )
 
     def snapshot(self, former: Recipe) -> bytes:
@@ -124,6 +121,12 @@ class Handover:
         handover = cls(former, later, rows)
         handover._told = told
         return handover, old
+
+
+def _mixed(w: Floats, old: Floats, new: Floats) -> Floats:
+    """Go from old to new; at the ends exactly, where the other may be NaN or inf."""
+    with np.errstate(invalid="ignore"):
+        return np.where(w == 0, old, np.where(w == 1, new, (1 - w) * old + w * new))
 
 
 def rows_to_forget(recipe: Recipe, step_s: float) -> int:

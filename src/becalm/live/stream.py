@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from typing import Self
 
 import numpy as np
@@ -11,9 +10,10 @@ from becalm.cleaning.handover import Handover, rows_to_forget
 from becalm.cleaning.pipeline import fitted
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.stream import ChannelHealth, StreamCleaner, Streamed
-from becalm.core.arrays import Booleans, Codes, Floats
+from becalm.core.arrays import Booleans, Codes, Floats, Integers
 from becalm.core.clock import GAP_STEPS
 from becalm.core.live_clock import FAR, LATE, REPEATED, RESET, TAKEN, UNTIMED, LiveClock
+from becalm.core.packing import packed, unpacked
 from becalm.errors import BecalmError, ModelError, RecipeError
 from becalm.live.block import Block, Checkpoint, Head, Loss, LossKind, Output
 
@@ -93,7 +93,7 @@ class Stream:
         """Tell what still waits for later rows; the stream goes on from there if more come after all."""
         told, done = self._cleaner.finish(), self._waiting.told
         self._waiting.told = self._waiting.count
-        return self._output(*self._waiting.rows(done), Streamed(*(part[done:] for part in told)), (), 0.0)
+        return self._output(*self._waiting.rows(done), _after(told, done), (), 0.0)
 
     def health(self) -> tuple[ChannelHealth, ...]:
         """Say how each channel is."""
@@ -116,7 +116,7 @@ class Stream:
     ) -> Output:
         if self._cleaner.lag_rows:
             stamps, values, again = self._waiting.through(stamps, values, len(told.signal))
-            told = Streamed(*(part[again:] for part in told))
+            told = _after(told, again)
         return self._output(stamps, values, told, losses, arrived_s)
 
     def _output(
@@ -127,21 +127,18 @@ class Stream:
 
     def checkpoint(self, position: str, source: str) -> Checkpoint:
         """Return where the stream stands, once all told so far is kept."""
-        cleaner, buffer = self._cleaner, io.BytesIO()
+        cleaner = self._cleaner
         between = isinstance(cleaner, Handover)
         blob = cleaner.snapshot(self._former) if isinstance(cleaner, Handover) else cleaner.snapshot()
-        np.savez(
-            buffer,
-            version=np.array(_VERSION),
-            step_s=np.array(self._step_s),
-            clock=self._clock.state,
-            handover=np.array(between),
-            cleaner=np.frombuffer(blob, np.uint8),
-            waiting_s=self._waiting.time_s,
-            waiting=self._waiting.values,
-            waiting_told=np.array(self._waiting.told),
-        )
-        return Checkpoint(self.rows, position, buffer.getvalue(), self.recipe.to_toml(), source)
+        moving: dict[str, Floats | Codes | Integers] = {
+            "step_s": np.array([self._step_s]),
+            "told": np.array([_VERSION, between, self._waiting.told], np.int64),
+            "clock": self._clock.state,
+            "cleaner": np.frombuffer(blob, np.int8),
+            "waiting_s": self._waiting.time_s,
+            "waiting": self._waiting.values,
+        }
+        return Checkpoint(self.rows, position, packed(moving), self.recipe.to_toml(), source)
 
     @classmethod
     def resumed(cls, checkpoint: Checkpoint) -> Self:
@@ -154,23 +151,21 @@ class Stream:
         """
         recipe = Recipe.from_toml(checkpoint.recipe, "The recipe of the stream")
         try:
-            with np.load(io.BytesIO(checkpoint.snapshot), allow_pickle=False) as stored:
-                arrays = {name: stored[name] for name in stored.files}
-            if int(arrays["version"]) != _VERSION:
-                raise ModelError(
-                    f"The stream's snapshot has version {arrays['version']}; this becalm reads {_VERSION}."
-                )
-            stream = cls(recipe, float(arrays["step_s"]))
+            arrays = unpacked(checkpoint.snapshot)
+            version, between, waiting_told = (int(number) for number in arrays["told"])
+            if version != _VERSION:
+                raise ModelError(f"The stream's snapshot has version {version}; this becalm reads {_VERSION}.")
+            stream = cls(recipe, float(arrays["step_s"][0]))
             stream._clock = LiveClock.resumed(arrays["clock"])
             blob = arrays["cleaner"].tobytes()
-            if arrays["handover"]:
+            if between:
                 stream._cleaner, stream._former = Handover.resume(blob, recipe)
             else:
                 stream._cleaner = StreamCleaner.resume(blob, recipe)
-            stream._waiting.restore(arrays["waiting_s"], arrays["waiting"], int(arrays["waiting_told"]))
+            stream._waiting.restore(arrays["waiting_s"], arrays["waiting"], waiting_told)
         except BecalmError:
             raise
-        except Exception as cause:  # damaged bytes make the reader fail in many ways
+        except (KeyError, IndexError, TypeError, ValueError) as cause:
             raise ModelError("The stream's snapshot is damaged; begin a new stream in another folder.") from cause
         stream.rows = checkpoint.rows
         return stream
@@ -219,6 +214,10 @@ class _Waiting:
         if values.shape != (len(time_s), self.values.shape[1]) or not 0 <= told <= len(time_s):
             raise ModelError("The stream's snapshot is damaged; begin a new stream in another folder.")
         self.time_s, self.values, self.told = time_s, values, told
+
+
+def _after(told: Streamed, rows: int) -> Streamed:
+    return Streamed(told.signal[rows:], told.sigma[rows:], told.verdicts[rows:])
 
 
 def _nothing(channels: int) -> tuple[Floats, Floats, Streamed]:
