@@ -120,6 +120,30 @@ def test_sectors_of_noise_or_nothing_are_found(seed: int, killed: Path, tmp_path
     goes_on(tmp_path)
 
 
+@pytest.mark.parametrize("log", [True, False])
+@pytest.mark.parametrize("harm", ["zeros", "noise", "a root"])
+def test_a_damaged_first_page_takes_no_rows_along(harm: str, log: bool, tmp_path: Path) -> None:
+    with journal_in(tmp_path) as journal:
+        fill(journal, 40, 1000)
+    if log:
+        with writing(tmp_path, "--rows", "1000") as process:
+            assert process.stdout is not None
+            while process.stdout.readline() != b"43000\n":
+                pass
+            process.kill()
+    path = tmp_path / DATABASE
+    content = bytearray(path.read_bytes())
+    if harm == "a root":
+        at = content.index(b"CREATE TABLE blocks") - 1
+        content[at] += 3
+    else:
+        content[:4096] = bytes(4096) if harm == "zeros" else np.random.default_rng(3).bytes(4096)
+    path.write_bytes(content)
+    mended = goes_on(tmp_path)
+    assert len(mended) == 1 or log  # which may have another first page
+    assert all(loss.says.startswith("No row is lost, but journal.sqlite was damaged") for loss in mended)
+
+
 def overwrite(path: Path) -> None:
     path.write_bytes(b"this was a journal\n" * 5000)
 
