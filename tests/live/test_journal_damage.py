@@ -168,6 +168,22 @@ def test_a_database_without_rows_or_mark_that_is_damaged_is_refused_in_a_sentenc
     assert (tmp_path / DATABASE).read_bytes() == b"noise" * 1000
 
 
+@pytest.mark.parametrize("seed", range(8))
+def test_without_a_mark_what_is_cut_is_refused_or_told_as_not_known(seed: int, killed: Path, tmp_path: Path) -> None:
+    (copied(killed, tmp_path) / MARK).unlink()
+    (tmp_path / LOG).unlink()
+    whole = (tmp_path / DATABASE).stat().st_size
+    with (tmp_path / DATABASE).open("r+b") as file:
+        file.truncate(whole * (seed + 1) // 9)
+    try:
+        said = goes_on(tmp_path)[-1].says
+    except JournalError as cause:
+        said = str(cause)
+    refused = "nothing tells where its stream stood" in said
+    assert refused or "is not known" in said
+    assert refused != bool(list(tmp_path.glob("*.damaged*")))
+
+
 def test_another_programs_database_is_refused(tmp_path: Path) -> None:
     with closing(sqlite3.connect(tmp_path / DATABASE)) as connection:
         connection.execute("CREATE TABLE cooking (recipe)")
