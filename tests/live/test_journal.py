@@ -18,6 +18,7 @@ from becalm.core.verdict import Verdict
 from becalm.errors import UsageError
 from becalm.live.address import Address
 from becalm.live.block import Checkpoint, Head, Loss, LossKind, Output
+from becalm.live.journal.checking import faults
 from becalm.live.journal.database import JournalError
 from becalm.live.journal.keeper import Journal
 from becalm.live.journal.packing import by_period, joined, packed, unpacked
@@ -252,6 +253,7 @@ def test_readers_go_on_while_it_is_written(tmp_path: Path) -> None:
         rows = [*next(tables)["row"].to_pylist()]
         fill(journal, 30)
         assert journal.settle(30)
+        assert list(faults(tmp_path)) == []
         fill(journal, 30)  # and the blocks that have rolled are removed
         for table in tables:
             rows += table["row"].to_pylist()

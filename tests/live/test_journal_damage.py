@@ -120,6 +120,30 @@ def test_sectors_of_noise_or_nothing_are_found(seed: int, killed: Path, tmp_path
     goes_on(tmp_path)
 
 
+@pytest.mark.parametrize("log", [True, False])
+@pytest.mark.parametrize("harm", ["zeros", "noise", "a root"])
+def test_a_damaged_first_page_takes_no_rows_along(harm: str, log: bool, tmp_path: Path) -> None:
+    with journal_in(tmp_path) as journal:
+        fill(journal, 40, 1000)
+    if log:
+        with writing(tmp_path, "--rows", "1000") as process:
+            assert process.stdout is not None
+            while process.stdout.readline() != b"43000\n":
+                pass
+            process.kill()
+    path = tmp_path / DATABASE
+    content = bytearray(path.read_bytes())
+    if harm == "a root":
+        at = content.index(b"CREATE TABLE blocks") - 1
+        content[at] += 3
+    else:
+        content[:4096] = bytes(4096) if harm == "zeros" else np.random.default_rng(3).bytes(4096)
+    path.write_bytes(content)
+    mended = goes_on(tmp_path)
+    assert len(mended) == 1 or log  # which may have another first page
+    assert all(loss.says.startswith("No row is lost, but journal.sqlite was damaged") for loss in mended)
+
+
 def overwrite(path: Path) -> None:
     path.write_bytes(b"this was a journal\n" * 5000)
 
@@ -142,6 +166,22 @@ def test_a_database_without_rows_or_mark_that_is_damaged_is_refused_in_a_sentenc
     with pytest.raises(JournalError, match=r"nothing tells where its stream stood.*--sink journal:OTHER"):
         journal.last()
     assert (tmp_path / DATABASE).read_bytes() == b"noise" * 1000
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_without_a_mark_what_is_cut_is_refused_or_told_as_not_known(seed: int, killed: Path, tmp_path: Path) -> None:
+    (copied(killed, tmp_path) / MARK).unlink()
+    (tmp_path / LOG).unlink()
+    whole = (tmp_path / DATABASE).stat().st_size
+    with (tmp_path / DATABASE).open("r+b") as file:
+        file.truncate(whole * (seed + 1) // 9)
+    try:
+        said = goes_on(tmp_path)[-1].says
+    except JournalError as cause:
+        said = str(cause)
+    refused = "nothing tells where its stream stood" in said
+    assert refused or "is not known" in said
+    assert refused != bool(list(tmp_path.glob("*.damaged*")))
 
 
 def test_another_programs_database_is_refused(tmp_path: Path) -> None:

@@ -15,9 +15,9 @@ from becalm.live.protocols import StorageFullError
 
 NAME = "journal.sqlite"
 VERSION = 1  # of the tables
+PAGE = 8192  # bytes
 
 _APPLICATION = 0x6265636C  # "becl"
-_PAGE = 8192
 _WAL_PAGES = 2048  # after which a commit moves them into the file: 16 MiB
 _WAIT_S = 30.0  # for another writer, who marks what it pruned
 
@@ -57,19 +57,24 @@ def connect(path: Path) -> sqlite3.Connection:
     """
     connection = sqlite3.connect(path, timeout=_WAIT_S, isolation_level=None, check_same_thread=False)
     try:
-        connection.execute(f"PRAGMA page_size = {_PAGE}")
+        connection.execute(f"PRAGMA page_size = {PAGE}")
         connection.execute("PRAGMA journal_mode = WAL")
         connection.execute("PRAGMA synchronous = FULL")
         connection.execute(f"PRAGMA wal_autocheckpoint = {_WAL_PAGES}")
-        connection.execute(f"PRAGMA journal_size_limit = {2 * _WAL_PAGES * _PAGE}")
+        connection.execute(f"PRAGMA journal_size_limit = {2 * _WAL_PAGES * PAGE}")
         if not connection.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]:
-            head = f"PRAGMA application_id = {_APPLICATION}; PRAGMA user_version = {VERSION};"
-            connection.executescript(f"BEGIN IMMEDIATE; {head} {_SCHEMA} COMMIT;")
+            create(connection)
         _refuse_others(connection, path)
     except BaseException:
         connection.close()
         raise
     return connection
+
+
+def create(connection: sqlite3.Connection) -> None:
+    """Make the tables of a journal in an empty database."""
+    head = f"PRAGMA application_id = {_APPLICATION}; PRAGMA user_version = {VERSION};"
+    connection.executescript(f"PRAGMA page_size = {PAGE}; BEGIN IMMEDIATE; {head} {_SCHEMA} COMMIT;")
 
 
 def connect_reading(path: Path) -> sqlite3.Connection:

@@ -16,10 +16,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from becalm.live.journal.checking import Span, uncovered
-from becalm.live.journal.database import BrokenSealError, rolled_blocks, unsealed
+from becalm.live.journal.database import NAME, BrokenSealError, rolled_blocks, unsealed
+from becalm.live.journal.first_page import is_sound, with_first_page
 from becalm.live.journal.mark import Mark
 from becalm.live.journal.records import TABLES, BlockRow, HeadRow, HoleRow, LossRow, RollRow
 from becalm.live.journal.rolling import END_ROW, FIRST_ROW
+
+HEADED = f"{NAME}.headed"
 
 Row = TypeVar("Row", bound=tuple[Any, ...])
 
@@ -57,9 +60,27 @@ class Plan:
 
 
 def connect_damaged(path: Path) -> sqlite3.Connection:
-    """Open a database that may be cut short, only to read, or an empty one where there is none."""
+    """Open a database that may be cut short, only to read, or an empty one where there is none.
+
+    Where its first page is damaged that is a copy with another one, HEADED, which is left.
+
+    Raises
+    ------
+    OSError
+        If there is no room for the copy.
+    """
     if not path.exists():
         return sqlite3.connect(":memory:", isolation_level=None)
+    connection = _reading(path)
+    if is_sound(connection):
+        return connection
+    connection.close()
+    copy = path.with_name(HEADED)
+    with_first_page(path, copy)
+    return _reading(copy)
+
+
+def _reading(path: Path) -> sqlite3.Connection:
     connection = sqlite3.connect(f"file:{quote(str(path.resolve()))}?mode=ro", uri=True, isolation_level=None)
     with suppress(sqlite3.Error):
         connection.execute("PRAGMA writable_schema = ON")  # reads a file that is shorter than its head says

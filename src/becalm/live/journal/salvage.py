@@ -12,9 +12,9 @@ from becalm.live.journal.checking import Span, database_faults, told
 from becalm.live.journal.database import NAME, JournalError, connect, connect_reading, put, transaction, writing
 from becalm.live.journal.mark import Mark
 from becalm.live.journal.records import LossRow
-from becalm.live.journal.remains import Plan, connect_damaged, moved, planned, remains_of
+from becalm.live.journal.remains import HEADED, Plan, connect_damaged, moved, planned, remains_of
 
-_NEW = f"{NAME}.salvaged"
+_PART, _NEW = f"{NAME}.part", f"{NAME}.salvaged"  # while it is written, and whole
 _TOGETHER = 64  # blocks that are copied in one transaction
 
 
@@ -83,7 +83,7 @@ def _lost_at_the_end(folder: Path, mark: Mark) -> tuple[Loss, ...]:
 def _salvage(folder: Path, mark: Mark | None, why: str) -> tuple[Loss, ...]:
     """Copy what is intact into a new database, and put that in the place of the old one."""
     old, aside = folder / NAME, _aside(folder)
-    with closing(connect_damaged(old)) as connection:
+    with writing(folder), closing(connect_damaged(old)) as connection:
         plan = planned(folder, remains_of(connection), mark)
         if plan is None:
             raise JournalError(
@@ -91,7 +91,7 @@ def _salvage(folder: Path, mark: Mark | None, why: str) -> tuple[Loss, ...]:
                 " they are. Give the stream another folder: --sink journal:OTHER."
             )
         losses = _losses(plan, mark, f"{NAME} was damaged ({why.rstrip('.')}), and is kept aside as {aside.name}")
-        with writing(folder), closing(connect(folder / _NEW)) as target:
+        with closing(connect(folder / _PART)) as target:
             with transaction(target, folder):
                 for row in (*plan.rows, *losses):
                     put(target, row)
@@ -100,6 +100,7 @@ def _salvage(folder: Path, mark: Mark | None, why: str) -> tuple[Loss, ...]:
                     for number, block in plan.blocks[first : first + _TOGETHER]:
                         put(target, block if number is None else moved(connection, number, block))
     with writing(folder):
+        (folder / _PART).rename(folder / _NEW)
         if old.exists():
             old.rename(aside)
         _finish(folder)
@@ -137,8 +138,9 @@ def _finish(folder: Path) -> None:
         (folder / f"{NAME}-shm").unlink(missing_ok=True)
         new.rename(path)
         sync_folder(folder)
-    for ending in ("", "-wal", "-shm"):
-        (folder / f"{_NEW}{ending}").unlink(missing_ok=True)
+    for name in (_NEW, _PART, HEADED):
+        for ending in ("", "-wal", "-shm"):
+            (folder / f"{name}{ending}").unlink(missing_ok=True)
 
 
 def _asides(folder: Path) -> list[Path]:
