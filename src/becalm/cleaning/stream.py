@@ -23,6 +23,7 @@ from becalm.core.arrays import Codes, Floats, input_of
 from becalm.core.kernel_stream_layout import Out, Rows
 from becalm.core.packing import packed, unpacked
 from becalm.core.rhythm import Rhythm
+from becalm.core.streams import new_block
 from becalm.core.told import Told
 from becalm.core.verdict import Verdict
 from becalm.errors import ModelError, RecipeError
@@ -121,12 +122,11 @@ class StreamCleaner:
         ModelError
             If the shapes do not fit each other or the recipe, or time goes backwards.
         """
-        values, elapsed, even = self._checked(values, elapsed)
-        out = Out(np.empty(values.shape), np.empty(values.shape), np.zeros(values.shape, np.int8))
+        values, elapsed = self._checked(values, elapsed)
+        rows, out = new_block(values, elapsed, self._step_s)
         if not len(values):
             return Streamed(*out)
-        self._write_timing(out.verdicts, elapsed, even)
-        rows = _laid_out(values, elapsed, even, self._step_s)
+        self._write_timing(out.verdicts, rows)
         for group in self._together:
             group.push(rows, out)
         for c, channel in self._apart.items():
@@ -215,8 +215,8 @@ class StreamCleaner:
             if self.lag_rows:
                 self._ready[c].add([Told(**_under(f"ready{c}.", arrays))])
 
-    def _checked(self, values: Floats, elapsed: Floats) -> tuple[Floats, Floats, bool]:
-        """Return what was pushed as kernels take it, and whether it came in even time."""
+    def _checked(self, values: Floats, elapsed: Floats) -> tuple[Floats, Floats]:
+        """Return what was pushed as kernels take it."""
         values, elapsed = input_of(_numbers("values", values)), input_of(_numbers("elapsed", elapsed))
         wanted = len(self._recipe.channel)
         if values.ndim != 2 or values.shape[1] != wanted or elapsed.shape != (len(values),):
@@ -226,19 +226,17 @@ class StreamCleaner:
             )
         if not self._rows and len(elapsed):
             elapsed = np.append(1.0, elapsed[1:])  # the first row comes when it is due
-        if (elapsed == 1.0).all():
-            return values, input_of(elapsed), True
         if not (elapsed >= 0.0).all():
-            raise ModelError(f"elapsed has {np.nanmin(elapsed):.6g} steps; time only goes on: give 0 or more.")
-        return values, input_of(np.minimum(elapsed, _LONGEST)), False
+            raise ModelError(f"elapsed has {elapsed[~(elapsed >= 0.0)][0]:.6g} steps; time only goes on: 0 or more.")
+        return values, np.minimum(elapsed, _LONGEST)
 
-    def _write_timing(self, verdicts: Codes, elapsed: Floats, even: bool) -> None:
+    def _write_timing(self, verdicts: Codes, rows: Rows) -> None:
         """Write what is wrong with the time of rows, for the channels that run together."""
         for rhythm, columns in self._rhythms:
-            if even and rhythm.undisturbed:
+            if rows.is_even and rhythm.undisturbed:
                 continue
             codes = np.zeros(len(verdicts), np.int8)
-            rhythm.write(codes, elapsed)
+            rhythm.write(codes, rows.elapsed)
             verdicts[:, columns] = codes[:, np.newaxis]
 
     def _answer(self, out: Out | None) -> Streamed:
@@ -261,14 +259,6 @@ def _numbers(name: str, given: object) -> Any:
     if isinstance(given, np.ndarray) and given.dtype.kind in "fiub":
         return given
     raise ModelError(f"{name} is no array of numbers; give float64, as np.asarray(rows, float) does.")
-
-
-def _laid_out(values: Floats, elapsed: Floats, even: bool, step_s: float) -> Rows:
-    """Name the length of the step before each row."""
-    if even:
-        return Rows(values, elapsed, np.zeros(len(elapsed), np.int64), np.ones(1), step_s)
-    lengths, step = np.unique(elapsed, return_inverse=True)
-    return Rows(values, elapsed, step.astype(np.int64), lengths, step_s)
 
 
 def _rhythms(recipe: Recipe, columns: list[int]) -> list[tuple[Rhythm, list[int]]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 import threading
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from functools import partial
 from pathlib import Path
 from types import FrameType
@@ -146,8 +146,11 @@ def _warming(recipe: Recipe | None) -> Callable[[], None]:
         return lambda: None
     from becalm.cleaning.warm_up import warm_up
 
-    step_s = 1 / (recipe.rate_hz or recipe.tuned_on.rate_hz)
-    thread = threading.Thread(target=warm_up, args=(recipe, step_s), daemon=True)
+    def warm() -> None:
+        with suppress(BecalmError):  # what makes no filter is told where one is made
+            warm_up(recipe, 1 / (recipe.rate_hz or recipe.tuned_on.rate_hz))
+
+    thread = threading.Thread(target=warm, daemon=True)
     thread.start()
     return thread.join
 

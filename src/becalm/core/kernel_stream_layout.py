@@ -77,6 +77,11 @@ class Rows(NamedTuple):
     lengths: Floats  # (u,)
     step_s: float
 
+    @property
+    def is_even(self) -> bool:
+        """Whether each row comes a step after the one before."""
+        return len(self.lengths) == 1 and bool(self.lengths[0] == 1.0)
+
 
 class Work(NamedTuple):
     """What passes hand on to each other, a row a channel."""

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.core import kernel_stream_layout as at
-from becalm.core.arrays import Floats, Integers, read_only
+from becalm.core.arrays import Floats, Integers, input_of, read_only
 from becalm.core.components import Component
 from becalm.core.gates import Gate, level_of
 from becalm.core.kernel_settling import COVARIANCE, GAIN, new_memory
@@ -101,10 +101,10 @@ class Streams:
         self.moving.marks[:, at.WATCH + DRIFT_SINCE] = -1
 
     def push(self, rows: Rows, out: Out) -> None:
-        """Take a block, and write what is told of it; `rows.lengths` are (1.0,) in even time."""
+        """Take a block, and write what is told of it; see `new_block`."""
         count, several = len(rows.elapsed), len(self._channels)
         channels = self._even
-        if len(rows.lengths) > 1 or rows.lengths[0] != 1.0:
+        if not rows.is_even:
             F, Q = self._over(rows.lengths)
             channels = channels._replace(F=F, Q=Q)
         work = Work(
@@ -230,6 +230,15 @@ class Streams:
         for c, row in enumerate(known):
             gathering = marks[c, at.KNOWN] == at.GATHERING
             self._known[c] = Information(row[: n * n].reshape(n, n), row[n * n :]) if gathering else None
+
+
+def new_block(values: Floats, elapsed: Floats, step_s: float) -> tuple[Rows, Out]:
+    """Lay a block out, values (B, m) and the steps before its rows (B,), and make room for what will be told of it."""
+    rows = Rows(input_of(values), input_of(elapsed), np.zeros(len(elapsed), np.int64), np.ones(1), step_s)
+    if not (elapsed == 1.0).all():
+        lengths, step = np.unique(elapsed, return_inverse=True)
+        rows = rows._replace(step=step.astype(np.int64), lengths=lengths)
+    return rows, Out(np.empty(values.shape), np.empty(values.shape), np.zeros(values.shape, np.int8))
 
 
 def _fixed(channel: StreamChannel) -> Floats:
