@@ -61,11 +61,16 @@ def until(true: Any) -> None:
         time.sleep(0.02)
 
 
-def rows_in(path: Path) -> int:
+def told_in(path: Path) -> dict[str, Any]:
     try:
-        return int(json.loads(path.read_text(encoding="utf-8"))["rows"])
+        told: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
-        return 0
+        return {}
+    return told
+
+
+def rows_in(path: Path) -> int:
+    return int(told_in(path).get("rows", 0))
 
 
 def test_a_file_replayed_gives_what_clean_gives(run: Run, drive: Path, recipe: Path, tmp_path: Path) -> None:
@@ -159,13 +164,19 @@ def test_a_closed_reader_ends_in_a_sentence(drive: Path, recipe: Path, tmp_path:
 @pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="no such signal here")
 def test_hanging_up_reads_the_recipe_again(drive: Path, recipe: Path, tmp_path: Path) -> None:
     status = tmp_path / "s.json"
-    words = [f"replay:{drive}?speed=1&rows=5", "--recipe", recipe, "--commit", "0.1s", "--status", status]
+    words = [f"replay:{drive}?speed=0.1&rows=1", "--recipe", recipe, "--commit", "0.1s", "--status", status]
     with begun(tmp_path, words) as process:
         until(lambda: rows_in(status) > 0)
         text = recipe.read_text(encoding="utf-8").replace("tuning_spread = 0.", "tuning_spread = 1.")
         assert "tuning_spread = 1." in text
         recipe.write_text(text, encoding="utf-8")
+        before = told_in(status)["recipe_sha256"]
         process.send_signal(signal.SIGHUP)
+        until(lambda: told_in(status).get("recipe_sha256") != before)
+        recipe.write_text("no recipe", encoding="utf-8")
+        process.send_signal(signal.SIGHUP)  # which is refused, and the stream goes on
+        recipe.write_text(text, encoding="utf-8")
+        process.send_signal(signal.SIGTERM)
         assert process.wait(DEADLINE_S) == 0
     with open_journal(tmp_path / "becalm-journal") as reader:
         checkpoint = reader.checkpoint()

@@ -212,6 +212,14 @@ def test_another_recipe_goes_on_without_a_jump() -> None:
     assert Recipe.from_toml(keeper.checkpoint.recipe) == recipe
 
 
+def test_a_recipe_that_cannot_be_is_refused_and_the_stream_goes_on() -> None:
+    keeper = MemoryKeeper()
+    runner = runner_of(ListSource(lambda row: blocks_of(VALUES, 50, row)), keeper, recipe_of())
+    runner.retune(lambda: recipe_of(["ax", "gz"]))
+    runner.run()
+    assert_same(keeper, run())
+
+
 def test_a_recipe_for_other_channels_is_refused() -> None:
     with pytest.raises(RecipeError, match="gz"):
         runner_of(ListSource(lambda row: blocks_of(VALUES, 50, row)), MemoryKeeper(), recipe_of(["ax", "gz"])).run()

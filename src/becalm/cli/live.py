@@ -166,7 +166,7 @@ def _hear_signals(runner: Runner, recipe: Path | None) -> None:
         if recipe is None:
             stop(number, frame)
         else:
-            runner.retune(Recipe.load(recipe))
+            runner.retune(partial(Recipe.load, recipe))
 
     for number in (signal.SIGINT, signal.SIGTERM):
         if signal.getsignal(number) is not signal.SIG_IGN:

@@ -10,7 +10,7 @@ from math import nan
 
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.stream import ChannelHealth
-from becalm.errors import UsageError
+from becalm.errors import BecalmError, UsageError
 from becalm.live.block import Block, Checkpoint, Head, Loss, LossKind, Output
 from becalm.live.keeping import Batch, Keeping, Outlets
 from becalm.live.learning import Learner, resolution_of
@@ -86,7 +86,7 @@ class Runner:
     def __post_init__(self) -> None:
         """Make what does not depend on the wires."""
         self._stop, self._asked = threading.Event(), threading.Event()
-        self._new_recipe: Recipe | None = None
+        self._new_recipe: Callable[[], Recipe]
         self._reader: Reader | None = None
         self._head: Head | None = None
         self._queue = BlockQueue(self.settings.queue_blocks, self.settings.when_full)
@@ -101,8 +101,11 @@ class Runner:
         """Read no more; filter, tell and keep what was read, and end. May be called by a signal's handler."""
         self._stop.set()
 
-    def retune(self, recipe: Recipe) -> None:
-        """Take another recipe for the same channels at the next block, without a jump."""
+    def retune(self, recipe: Callable[[], Recipe]) -> None:
+        """Take another recipe for the same channels at the next block, without a jump; one that cannot be is refused.
+
+        May be called by a signal's handler: the recipe is read later.
+        """
         self._new_recipe = recipe
         self._asked.set()
 
@@ -192,9 +195,7 @@ class Runner:
             self._take(early, stream, keeping)
         while not self._queue.ended:
             if self._asked.is_set():
-                self._asked.clear()
-                if self._new_recipe is not None:
-                    stream.retuned(self._new_recipe)
+                self._tune_anew(stream)
             block = self._next()
             if block is not None:
                 self._take(block, stream, keeping)
@@ -203,6 +204,16 @@ class Runner:
         self.watch.state("stopping" if self._stop.is_set() else "ended")
         if not self._stop.is_set():
             self._tell(stream.finish())
+
+    def _tune_anew(self, stream: Stream) -> None:
+        self._asked.clear()
+        try:
+            recipe = self._new_recipe()
+            stream.retuned(recipe)
+        except BecalmError as cause:
+            self.watch.refused(str(cause))
+        else:
+            self.watch.tuned(recipe.to_toml())
 
     def _next(self) -> Block | None:
         if self._stop.is_set() and self._reader is not None:

@@ -124,7 +124,11 @@ class Meter:
             self._names = tuple(names)
             self._verdicts = np.zeros((len(self._names), len(Verdict)), np.int64)
             self._first_codes = np.arange(len(self._names)) * len(Verdict)  # each channel's in one row of counts
-            self._recipe = hashlib.sha256(recipe.encode()).hexdigest() if recipe else ""
+        self.tuned(recipe)
+
+    def tuned(self, recipe: str) -> None:
+        """Say through which recipe (TOML) rows go from now on."""
+        self._recipe = hashlib.sha256(recipe.encode()).hexdigest() if recipe else ""
 
     def took(self, block: Block) -> None:
         """Count a block that came from the source."""

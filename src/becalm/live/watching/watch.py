@@ -46,6 +46,17 @@ class Watch:
             tell = self._log.warning if state in ("away", "full", "failed", "silent") else self._log.info
             tell(state, **({"says": says} if says else {}))
 
+    def tuned(self, recipe: str) -> None:
+        """Hear that rows go through another recipe (TOML) from now on."""
+        self.meter.tuned(recipe)
+        if self._log is not None:
+            self._log.info("tuned anew")
+
+    def refused(self, says: str) -> None:
+        """Hear of something that was asked of a running stream and cannot be; it goes on as it was."""
+        if self._log is not None:
+            self._log.error("refused", says=says)
+
     def turned(self, block_came: bool) -> tuple[Loss, ...]:
         """Hear that the main loop came round; return what its source's silence, or the end of it, is worth telling."""
         self.meter.turned()
