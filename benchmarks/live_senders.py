@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import threading
+import time
 from collections.abc import Sequence
 
 import numpy as np
@@ -96,17 +97,17 @@ class MqttSender(Sender):
         from paho.mqtt.client import Client
         from paho.mqtt.enums import CallbackAPIVersion
 
+        acknowledged: set[int] = set()
         client = Client(CallbackAPIVersion.VERSION2, client_id="sender", clean_session=False)
+        client.on_publish = lambda _client, _data, number, *_: acknowledged.add(number)
         client.reconnect_delay_set(1, 1)
         client.connect("127.0.0.1", self._port)
         client.loop_start()
         while not self._stop.is_set():
-            sent = client.publish("drive", self._message(), qos=1)
-            while not sent.is_published():
-                try:
-                    sent.wait_for_publish(_PATIENCE_S)
-                except (RuntimeError, ValueError):  # it is away; paho sends again what was not acknowledged
-                    self._stop.wait(_PAUSE_S)
+            number = client.publish("drive", self._message(), qos=1).mid  # paho sends it again until it is acknowledged
+            while number not in acknowledged:
+                time.sleep(_PAUSE_S / 10)
+            acknowledged.clear()
             self.rows += self._message_rows
             self._stop.wait(_PAUSE_S)
         client.disconnect()
