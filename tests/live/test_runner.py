@@ -105,6 +105,18 @@ def test_trouble_with_the_keeper_loses_nothing_and_doubles_nothing(trouble: Base
     assert_same(keeper, run())
 
 
+def test_a_keeper_that_is_away_at_the_start_is_waited_for() -> None:
+    keeper, left = MemoryKeeper(), [AwayError("not there yet"), AwayError("not there yet")]
+
+    def last() -> None:
+        if left:
+            raise left.pop()
+
+    keeper.last = last  # type: ignore[method-assign]
+    runner_of(ListSource(lambda row: blocks_of(VALUES, 50, row)), keeper, recipe_of()).run()
+    assert_same(keeper, run())
+
+
 def test_a_source_that_goes_away_is_opened_again_where_it_was() -> None:
     source, keeper = ListSource(lambda row: blocks_of(VALUES, 50, row)), MemoryKeeper()
     source.trouble = [AwayError("not there yet")]

@@ -6,7 +6,9 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from math import nan
+from typing import TypeVar
 
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.stream import ChannelHealth
@@ -14,15 +16,17 @@ from becalm.errors import BecalmError, UsageError
 from becalm.live.block import Block, Checkpoint, Head, Loss, LossKind, Output
 from becalm.live.keeping import Batch, Keeping, Outlets
 from becalm.live.learning import Learner, resolution_of
-from becalm.live.protocols import Source
+from becalm.live.protocols import AwayError, Source
 from becalm.live.queueing import BlockQueue, Policy
-from becalm.live.reader import Reader
+from becalm.live.reader import BackOff, Reader
 from becalm.live.stream import Stream
 from becalm.live.watching.watch import Watch
 
 _POLL_S = 0.25
 _MOST_ROWS = 1 << 18  # that one commit holds
 _HEALTH_S = 1.0
+
+Answer = TypeVar("Answer")
 
 
 @dataclass(frozen=True)
@@ -117,7 +121,7 @@ class Runner:
         BecalmError
             If the source or a sink can never be reached, or something could not be kept; all else is kept.
         """
-        last = None if self.outlets.keeper is None else self.outlets.keeper.last()
+        last = None if self.outlets.keeper is None else self._insist(self.outlets.keeper.last)
         stream = None if last is None else self._resumed(last)
         reader = self._reader = Reader(self.source, self._queue, self.watch, self._position)
         reader.start()
@@ -181,14 +185,36 @@ class Runner:
 
     def _open(self, stream: Stream) -> Keeping:
         head = self._head or stream.head
-        if self.outlets.keeper is not None:
-            self.outlets.keeper.open(head)
+        self._insist(partial(self._open_keeper, head))
         for outlet in self.outlets.others:
             outlet.open(head)
         self.watch.meter.begin(head.names, head.recipe)
         self.watch.state("running")
         self._given_s = time.monotonic()
         return Keeping(self.outlets, self.source, self.watch, head)
+
+    def _open_keeper(self, head: Head) -> None:
+        keeper = self.outlets.keeper
+        if keeper is None:
+            return
+        try:
+            keeper.open(head)
+        except AwayError:
+            keeper.close()
+            keeper.last()
+            keeper.open(head)
+
+    def _insist(self, do: Callable[[], Answer]) -> Answer:
+        """Do something at the start of a stream until its other end is there, or someone stops."""
+        back_off = BackOff()
+        while True:
+            try:
+                return do()
+            except AwayError as cause:
+                self.watch.state("away", str(cause))
+                if self._stop.is_set():
+                    raise
+            back_off.wait(self._stop)
 
     def _walk(self, stream: Stream, keeping: Keeping, held: list[Block]) -> None:
         for early in held:
