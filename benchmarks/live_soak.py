@@ -1,10 +1,10 @@
 """A soak at full speed: 1e8 samples through `becalm live`, from a file into a journal, held against the file's way.
 
 A recording of six channels at 10 kHz is replayed as fast as it goes through the filters of `live_runs.recipe_of`
-(motion of order 2, gate, limits) into a journal on disk. What the journal then holds is compared, row by row, with what `clean
---causal`'s way makes of the same readings in chunks: the signals must agree to 1e-12, every row be there once, every
-number be finite. Memory must stay flat: what the process holds is asked twice a second, and told for the first
-quarter and for what follows. *Filters alone* is the same without file and journal.
+(motion of order 2, gate, limits) into a journal on disk. What the journal then holds is compared, row by row, with
+what `clean --causal`'s way makes of the same readings in chunks: the signals must agree to 1e-12, every row be there
+once, every number be finite. Memory must stay flat: what the process holds is asked twice a second, and told for the
+first quarter and for what follows. *Filters alone* is the same without file and journal.
 
 Run: python benchmarks/live_soak.py [--samples 1e8] [-o docs/live-soak.md]
 """

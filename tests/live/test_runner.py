@@ -21,7 +21,8 @@ from becalm.live.keeping import Outlets
 from becalm.live.learning import Learner
 from becalm.live.outlet import Outlet
 from becalm.live.protocols import AwayError, StorageFullError
-from becalm.live.runner import Runner, Settings
+from becalm.live.runner import Runner
+from becalm.live.settings import Settings
 from becalm.live.watching.meter import Meter
 from becalm.live.watching.watch import Watch
 from stand_ins import ListSource, MemoryKeeper, MemorySink, blocks_of, drive, recipe_of

@@ -23,7 +23,8 @@ from becalm.live.outlet import Outlet
 from becalm.live.protocols import Keeper, Sink
 from becalm.live.queueing import Policy
 from becalm.live.registry import open_sink, open_source
-from becalm.live.runner import Runner, Settings
+from becalm.live.runner import Runner
+from becalm.live.settings import Settings
 from becalm.live.watching.logs import Log
 from becalm.live.watching.meter import Meter
 from becalm.live.watching.metrics import MetricsServer

@@ -17,8 +17,9 @@ from becalm.live.block import Block, Checkpoint, Head, Loss, LossKind, Output
 from becalm.live.keeping import Batch, Keeping, Outlets
 from becalm.live.learning import Learner, resolution_of
 from becalm.live.protocols import AwayError, Source
-from becalm.live.queueing import BlockQueue, Policy
+from becalm.live.queueing import BlockQueue
 from becalm.live.reader import BackOff, Reader
+from becalm.live.settings import Settings
 from becalm.live.stream import Stream
 from becalm.live.watching.watch import Watch
 
@@ -27,28 +28,6 @@ _MOST_ROWS = 1 << 18  # that one commit holds
 _HEALTH_S = 1.0
 
 Answer = TypeVar("Answer")
-
-
-@dataclass(frozen=True)
-class Settings:
-    """How a stream is run.
-
-    Attributes
-    ----------
-    commit_s : float
-        How often rows, filters and position are kept; with a *short* time a power cut costs less work done again.
-    queue_blocks : int
-        Blocks that may wait for the filters.
-    when_full : {"block", "drop-oldest"}
-        What becomes of a block that finds the queue full.
-    patience_s : float
-        How long a stop waits for a full disk or an absent server.
-    """
-
-    commit_s: float = 1.0
-    queue_blocks: int = 64
-    when_full: Policy = "block"
-    patience_s: float = 20.0
 
 
 @dataclass
