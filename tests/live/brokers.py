@@ -1,142 +1,36 @@
-"""Real brokers on loopback, each on a port and a store of its own, that tests start, kill and start again."""
+"""Brokers for tests: skipped where they are not installed."""
 
 from __future__ import annotations
 
-import signal
-import socket
-import subprocess
 import sys
-import time
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Self
+from typing import Any
 
-import pytest
+import live_brokers
+from live_brokers import DEADLINE_S, Broker, certified
+from servers import need
 
-from servers import free_port, need
-
-DEADLINE_S = 30.0
-
-
-class Broker:
-    """A server's process; used by `with`, which ends it."""
-
-    def __init__(self, command: list[str], port: int, folder: Path) -> None:
-        self.command = command
-        self.port = port
-        self.folder = folder
-        self._process: subprocess.Popen[bytes] | None = None
-
-    def start(self) -> None:
-        """Start it, and wait until it answers."""
-        with (self.folder / "broker.log").open("ab") as log:
-            self._process = subprocess.Popen(self.command, stdout=log, stderr=subprocess.STDOUT, cwd=self.folder)
-        end = time.monotonic() + DEADLINE_S
-        while time.monotonic() < end:
-            if self._process.poll() is not None:
-                break
-            try:
-                socket.create_connection(("127.0.0.1", self.port), 1.0).close()
-            except OSError:
-                time.sleep(0.02)
-            else:
-                return
-        pytest.fail(f"{self.command[0]} did not start: {(self.folder / 'broker.log').read_text()[-2000:]}")
-
-    def kill(self) -> None:
-        """Kill it as a power cut would: nothing is written any more."""
-        self._end(signal.SIGKILL)
-
-    def send(self, what: signal.Signals) -> None:
-        """Send its process a signal: SIGSTOP makes it stand still, SIGCONT go on."""
-        assert self._process is not None
-        self._process.send_signal(what)
-
-    def _end(self, how: signal.Signals) -> None:
-        if self._process is not None:
-            self._process.send_signal(how)
-            self._process.wait(DEADLINE_S)
-            self._process = None
-
-    def __enter__(self) -> Self:
-        self.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._end(signal.SIGTERM)
+__all__ = ["DEADLINE_S", "Broker", "certified", "mosquitto", "nats_as_mqtt", "nats_server"]
 
 
-def mosquitto(
-    folder: Path,
-    *,
-    passwords: dict[str, str] | None = None,
-    certificate: Path | None = None,
-    more: Sequence[str] = (),
-) -> Broker:
-    """Make a mosquitto whose settings are those of its package, but for the port, the store and who may enter.
-
-    Parameters
-    ----------
-    folder : Path
-        Where its settings and its store are.
-    passwords : dict of str to str, optional
-        Who may enter; everybody where not told.
-    certificate : Path, optional
-        A folder that `certified` filled: TLS alone is spoken.
-    more : sequence of str
-        Lines of its settings.
-    """
-    program = need("mosquitto")
-    port = free_port()
-    folder.mkdir(parents=True, exist_ok=True)
-    lines = ["persistence true", f"persistence_location {folder}/", f"listener {port} 127.0.0.1", *more]
-    if _is_root():
-        lines.insert(0, "user root")  # it gives up root else, and cannot write its store
-    if certificate is not None:
-        lines += [f"{what} {certificate / name}" for what, name in (("certfile", "cert.pem"), ("keyfile", "key.pem"))]
-    lines.append(f"allow_anonymous {'true' if passwords is None else 'false'}")
-    if passwords is not None:
-        file = folder / "passwords"
-        file.write_text("".join(f"{user}:{word}\n" for user, word in passwords.items()))
-        file.chmod(0o600)
-        subprocess.run([need("mosquitto_passwd"), "-U", str(file)], check=True)
-        lines.append(f"password_file {file}")
-    settings = folder / "mosquitto.conf"
-    settings.write_text("\n".join(lines) + "\n")
-    return Broker([program, "-c", str(settings)], port, folder)
+def mosquitto(folder: Path, **more: Any) -> Broker:
+    """Make a mosquitto, where one is installed."""
+    need("mosquitto")
+    return live_brokers.mosquitto(folder, **more)
 
 
 def nats_server(folder: Path, *more: str) -> Broker:
-    """Make a NATS server with JetStream in `folder`; `more` goes behind its command."""
-    beside = Path(sys.executable).with_name("nats-server")
-    program = str(beside) if beside.exists() else need("nats-server")
-    port = free_port()
-    folder.mkdir(parents=True, exist_ok=True)
-    command = [program, "-a", "127.0.0.1", "-p", str(port), "-js", "-sd", str(folder / "store"), *more]
-    return Broker(command, port, folder)
+    """Make a NATS server, where one is installed."""
+    _need_nats()
+    return live_brokers.nats_server(folder, *more)
 
 
 def nats_as_mqtt(folder: Path) -> Broker:
-    """Make a NATS server whose port speaks MQTT; what is published is in a store on disk."""
-    server = nats_server(folder)
-    settings = folder / "nats.conf"
-    settings.write_text(f'server_name: pump\nmqtt {{ listen: "127.0.0.1:{free_port()}" }}\n')
-    port = int(settings.read_text().rpartition(":")[2].split('"')[0])
-    return Broker([*server.command, "-c", str(settings)], port, folder)
+    """Make a NATS server that speaks MQTT, where one is installed."""
+    _need_nats()
+    return live_brokers.nats_as_mqtt(folder)
 
 
-def certified(folder: Path) -> Path:
-    """Fill a folder with cert.pem and key.pem, signed by themselves, for localhost and 127.0.0.1."""
-    folder.mkdir(parents=True, exist_ok=True)
-    key, cert = folder / "key.pem", folder / "cert.pem"
-    asked = ["-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2", "-subj", "/CN=localhost"]
-    names = ["-addext", "subjectAltName=DNS:localhost,IP:127.0.0.1"]
-    command = [need("openssl"), "req", *asked, *names, "-keyout", str(key), "-out", str(cert)]
-    subprocess.run(command, check=True, capture_output=True)
-    return folder
-
-
-def _is_root() -> bool:
-    import os
-
-    return os.geteuid() == 0
+def _need_nats() -> None:
+    if not Path(sys.executable).with_name("nats-server").exists():  # where pip puts it
+        need("nats-server")
