@@ -1,7 +1,8 @@
-"""Real brokers on loopback, each on a port and a store of its own, that tests start, kill and start again."""
+"""Real brokers on loopback that tests and benchmarks start, kill and start again on the same port and store."""
 
 from __future__ import annotations
 
+import os
 import signal
 import socket
 import subprocess
@@ -14,9 +15,6 @@ from typing import Self
 from live_programs import free_port, program_path
 
 DEADLINE_S = 30.0
-
-NATS = Path(sys.executable).with_name("nats-server")
-"""Where pip puts it."""
 
 
 class Broker:
@@ -42,7 +40,7 @@ class Broker:
                 time.sleep(0.02)
             else:
                 return
-        raise SystemExit(f"{self.command[0]} did not start: {(self.folder / 'broker.log').read_text()[-2000:]}")
+        raise RuntimeError(f"{self.command[0]} did not start: {(self.folder / 'broker.log').read_text()[-2000:]}")
 
     def kill(self) -> None:
         """Kill it as a power cut would: nothing is written any more."""
@@ -65,7 +63,7 @@ class Broker:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Stop it."""
+        """End it, as a person would."""
         self._end(signal.SIGTERM)
 
 
@@ -93,7 +91,7 @@ def mosquitto(
     port = free_port()
     folder.mkdir(parents=True, exist_ok=True)
     lines = ["persistence true", f"persistence_location {folder}/", f"listener {port} 127.0.0.1", *more]
-    if _is_root():
+    if os.geteuid() == 0:
         lines.insert(0, "user root")  # it gives up root else, and cannot write its store
     if certificate is not None:
         lines += [f"{what} {certificate / name}" for what, name in (("certfile", "cert.pem"), ("keyfile", "key.pem"))]
@@ -111,10 +109,9 @@ def mosquitto(
 
 def nats_server(folder: Path, *more: str) -> Broker:
     """Make a NATS server with JetStream in `folder`; `more` goes behind its command."""
-    program = str(NATS) if NATS.exists() else _program("nats-server")
     port = free_port()
     folder.mkdir(parents=True, exist_ok=True)
-    command = [program, "-a", "127.0.0.1", "-p", str(port), "-js", "-sd", str(folder / "store"), *more]
+    command = [_program("nats-server"), "-a", "127.0.0.1", "-p", str(port), "-js", "-sd", str(folder / "store"), *more]
     return Broker(command, port, folder)
 
 
@@ -138,15 +135,9 @@ def certified(folder: Path) -> Path:
     return folder
 
 
-def _is_root() -> bool:
-    import os
-
-    return os.geteuid() == 0
-
-
 def _program(name: str) -> str:
-    """Return the path of a program, which whoever starts a broker has made sure of."""
-    found = program_path(name)
+    beside = Path(sys.executable).with_name(name)  # where pip puts nats-server
+    found = str(beside) if beside.exists() else program_path(name)
     if found is None:
-        raise SystemExit(f"{name} is not installed here; Debian has it: apt-get install mosquitto openssl")
+        raise FileNotFoundError(f"{name} is not installed here")
     return found

@@ -1,44 +1,36 @@
-"""The brokers of the benchmarks, for tests that are skipped where a program is absent."""
+"""Brokers for tests: skipped where they are not installed."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import sys
 from pathlib import Path
+from typing import Any
 
 import live_brokers
-from live_brokers import DEADLINE_S, Broker
+from live_brokers import DEADLINE_S, Broker, certified
 from servers import need
 
 __all__ = ["DEADLINE_S", "Broker", "certified", "mosquitto", "nats_as_mqtt", "nats_server"]
 
 
-def mosquitto(
-    folder: Path,
-    *,
-    passwords: dict[str, str] | None = None,
-    certificate: Path | None = None,
-    more: Sequence[str] = (),
-) -> Broker:
-    """Make a mosquitto, as `live_brokers.mosquitto` does."""
+def mosquitto(folder: Path, **more: Any) -> Broker:
+    """Make a mosquitto, where one is installed."""
     need("mosquitto")
-    return live_brokers.mosquitto(folder, passwords=passwords, certificate=certificate, more=more)
+    return live_brokers.mosquitto(folder, **more)
 
 
 def nats_server(folder: Path, *more: str) -> Broker:
-    """Make a NATS server, as `live_brokers.nats_server` does."""
-    if not live_brokers.NATS.exists():
-        need("nats-server")
+    """Make a NATS server, where one is installed."""
+    _need_nats()
     return live_brokers.nats_server(folder, *more)
 
 
 def nats_as_mqtt(folder: Path) -> Broker:
-    """Make a NATS server that speaks MQTT, as `live_brokers.nats_as_mqtt` does."""
-    if not live_brokers.NATS.exists():
-        need("nats-server")
+    """Make a NATS server that speaks MQTT, where one is installed."""
+    _need_nats()
     return live_brokers.nats_as_mqtt(folder)
 
 
-def certified(folder: Path) -> Path:
-    """Fill a folder with a certificate, as `live_brokers.certified` does."""
-    need("openssl")
-    return live_brokers.certified(folder)
+def _need_nats() -> None:
+    if not Path(sys.executable).with_name("nats-server").exists():  # where pip puts it
+        need("nats-server")

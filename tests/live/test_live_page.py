@@ -10,6 +10,9 @@ from prometheus_client.metrics_core import Metric
 
 from becalm.cli import main
 from becalm.live.block import LossKind
+from becalm.live.messages.stream import MessageStream
+from becalm.live.sources.mqtt import MqttSource
+from becalm.live.sources.nats import NatsSource
 from becalm.live.watching.metrics import Counts
 from metered import metered, used
 
@@ -49,3 +52,15 @@ def test_it_names_all_metrics() -> None:
     meter.kept(1, 0.1)
     there = {named(metric) for metric in Counts(meter).collect()}
     assert set(re.findall(r"`(becalm_\w+)", PAGE)) == there
+
+
+def test_it_names_the_options_of_brokers() -> None:
+    told: dict[str, set[str]] = {}
+    kind = ""
+    for row in PAGE.partition("| options of |")[2].partition("\n\n")[0].splitlines():
+        cells = [cell.strip() for cell in row.split("|")]
+        kind = cells[1] or kind
+        told.setdefault(kind, set()).update(re.findall(r"`([a-z]\w*)(?==|`)", cells[2]))
+    assert told["`mqtt:`"] == set(MqttSource.OWN_OPTIONS)
+    assert told["`nats:`"] - {"now"} == set(NatsSource.OWN_OPTIONS)
+    assert told["`mqtt:`, `nats:`, `udp:`"] == set(MessageStream.OPTIONS)

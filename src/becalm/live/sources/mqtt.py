@@ -61,10 +61,11 @@ class MqttSource:
         If the address has no topic, a pattern of topics, or other options.
     """
 
+    OWN_OPTIONS = ("client", "keep", "version", "window")
     replays = False
 
     def __init__(self, address: Address) -> None:
-        address.refuse_unknown(("client", "keep", "version", "window", *MessageStream.OPTIONS, *OPTIONS))
+        address.refuse_unknown((*self.OWN_OPTIONS, *MessageStream.OPTIONS, *OPTIONS))
         self._remote = Remote.parsed(address, PORT, TLS_PORT)
         self._topic = topic_of(self._remote)
         digest = hashlib.blake2b(self._topic.encode(), digest_size=6).hexdigest()

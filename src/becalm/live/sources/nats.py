@@ -47,10 +47,11 @@ class NatsSource:
         If the address has no stream, or other options.
     """
 
+    OWN_OPTIONS = ("subject", "start")
     replays = True
 
     def __init__(self, address: Address) -> None:
-        address.refuse_unknown(("subject", "start", "creds", *MessageStream.OPTIONS, *OPTIONS))
+        address.refuse_unknown((*self.OWN_OPTIONS, "creds", *MessageStream.OPTIONS, *OPTIONS))
         self._remote = Remote.parsed(address, PORT, PORT)
         self._name = stream_of(self._remote)
         self._subject = address.options.get("subject")
