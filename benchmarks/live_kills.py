@@ -151,7 +151,6 @@ def into_postgres(folder: Path, kills: int) -> Found:
 def through_jetstream(folder: Path, kills: int) -> Found:
     """Kill becalm, or the NATS server, between a sender and a journal."""
     from live_brokers import nats_server
-
     from live_senders import JetStreamSender
 
     _, stamps, values = recording(folder, _ENOUGH_ROWS)
@@ -177,7 +176,6 @@ def through_jetstream(folder: Path, kills: int) -> Found:
 def through_mosquitto(folder: Path, kills: int) -> Found:
     """Kill mosquitto between a sender and a journal."""
     from live_brokers import mosquitto
-
     from live_senders import MqttSender
 
     _, stamps, values = recording(folder, _ENOUGH_ROWS)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from becalm.cleaning.stream import StreamCleaner, Streamed
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from becalm.cleaning.handover import Handover, rows_to_forget
 from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
+from becalm.cleaning.stream import StreamCleaner, Streamed
 from becalm.core.arrays import Floats
 from becalm.errors import ModelError, RecipeError
 

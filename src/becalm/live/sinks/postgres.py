@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
@@ -15,6 +16,8 @@ from becalm.live.sinks.postgres_tables import Tables
 
 if TYPE_CHECKING:
     import psycopg
+
+_LINGERS_S, _AGAIN_S = 3.0, 0.05
 
 
 class PostgresSink:
@@ -131,6 +134,13 @@ class PostgresSink:
                     copy.write(piece)
             copy.write(ENDS)
 
+    def _locked(self, connection: psycopg.Connection) -> bool:
+        """Take the lock; what was killed a moment ago may hold it a little longer."""
+        until = time.monotonic() + _LINGERS_S
+        while not (locked := self._tables.locked(connection)) and time.monotonic() < until:
+            time.sleep(_AGAIN_S)
+        return locked
+
     def _reached(self) -> psycopg.Connection:
         """Return the connection, which holds the lock."""
         if self._connection is not None:
@@ -139,7 +149,7 @@ class PostgresSink:
         self._tables = Tables(self._place.table)
         self._connection = connection
         try:
-            locked = self._tables.locked(connection)
+            locked = self._locked(connection)
         except driver().Error as cause:
             raise self._meant(connection, cause) from cause
         if not locked:
