@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from becalm.live.address import Address
-from becalm.live.nats_link import NatsLink
-from becalm.live.remote import Remote
+from becalm.live.brokers.nats_link import NatsLink
+from becalm.live.brokers.remote import Remote
 from brokers import Broker
 
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from becalm.errors import BecalmError
-from becalm.live import mqtt_link
 from becalm.live.address import Address
 from becalm.live.block import LossKind
+from becalm.live.brokers import mqtt_link
 from becalm.live.protocols import AwayError
 from becalm.live.sinks import broker as broker_sink
 from becalm.live.sinks.mqtt import MqttSink

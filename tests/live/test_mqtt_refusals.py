@@ -11,13 +11,13 @@ from pathlib import Path
 import pytest
 
 from becalm.errors import BecalmError, InputError, OutputError, UsageError
-from becalm.live import mqtt_link
 from becalm.live.address import Address
 from becalm.live.block import LossKind
-from becalm.live.mqtt_link import MqttLink
-from becalm.live.mqtt_session import Session
+from becalm.live.brokers import mqtt_link
+from becalm.live.brokers.mqtt_link import MqttLink
+from becalm.live.brokers.mqtt_session import Session
+from becalm.live.brokers.remote import Remote
 from becalm.live.protocols import AwayError
-from becalm.live.remote import Remote
 from becalm.live.sinks.mqtt import MqttSink
 from becalm.live.sources.mqtt import MqttSource
 from brokered import HEAD, Heard, message, output

@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 from becalm.errors import InputError, UsageError
-from becalm.live import nats_link, nats_pull
 from becalm.live.address import Address
+from becalm.live.brokers import nats_link, nats_pull
 from becalm.live.protocols import AwayError
 from becalm.live.sinks import broker as broker_sink
 from becalm.live.sinks.nats import NatsSink

@@ -9,7 +9,7 @@ import pytest
 
 from becalm.errors import InputError
 from becalm.live.address import Address
-from becalm.live.nats_link import holds
+from becalm.live.brokers.nats_link import holds
 from becalm.live.protocols import AwayError
 from becalm.live.sinks.nats import NatsSink
 from becalm.live.sources.nats import NatsSource

@@ -10,8 +10,8 @@ from typing import Protocol
 
 from becalm.errors import BecalmError
 from becalm.live.block import Head, Output
+from becalm.live.brokers.remote import OPTIONS, Remote
 from becalm.live.messages.encoding import FORMATS
-from becalm.live.remote import OPTIONS, Remote
 from becalm.live.sinks.outbox import LARGEST, Letter, Outbox
 
 _STALL_S = 20.0

@@ -6,9 +6,9 @@ import uuid
 
 from becalm.errors import InputError
 from becalm.live.address import Address
-from becalm.live.mqtt_link import MqttLink
-from becalm.live.mqtt_session import PORT, TLS_PORT, VERSIONS, Session, topic_of
-from becalm.live.remote import Remote
+from becalm.live.brokers.mqtt_link import MqttLink
+from becalm.live.brokers.mqtt_session import PORT, TLS_PORT, VERSIONS, Session, topic_of
+from becalm.live.brokers.remote import Remote
 from becalm.live.sinks.broker import BrokerSink, Line, Told
 from becalm.live.sinks.outbox import Letter
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 from becalm.errors import InputError, UsageError
 from becalm.live.address import Address
-from becalm.live.nats_link import PORT, NatsLink, check_subject, stream_of
-from becalm.live.remote import Remote
+from becalm.live.brokers.nats_link import PORT, NatsLink, check_subject, stream_of
+from becalm.live.brokers.remote import Remote
 from becalm.live.sinks.broker import BrokerSink, Line, Told
 from becalm.live.sinks.outbox import Letter
 

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from becalm.live.address import Address
 from becalm.live.block import Block, Loss, LossKind
+from becalm.live.brokers.mqtt_link import MqttLink
+from becalm.live.brokers.mqtt_session import PORT, TLS_PORT, VERSIONS, Session, topic_of
+from becalm.live.brokers.remote import OPTIONS, Remote
 from becalm.live.messages.stream import MessageStream
-from becalm.live.mqtt_link import MqttLink
-from becalm.live.mqtt_session import PORT, TLS_PORT, VERSIONS, Session, topic_of
 from becalm.live.position import told_by
-from becalm.live.remote import OPTIONS, Remote
 
 if TYPE_CHECKING:
     from paho.mqtt.client import MQTTMessage

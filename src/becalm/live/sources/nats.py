@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 from becalm.errors import InputError
 from becalm.live.address import Address
 from becalm.live.block import Block, Loss, LossKind
+from becalm.live.brokers.nats_link import PORT, NatsLink, check_subject, stream_of
+from becalm.live.brokers.nats_pull import NatsPull
+from becalm.live.brokers.remote import OPTIONS, Remote
 from becalm.live.messages.stream import MessageStream
-from becalm.live.nats_link import PORT, NatsLink, check_subject, stream_of
-from becalm.live.nats_pull import NatsPull
 from becalm.live.position import told_by
-from becalm.live.remote import OPTIONS, Remote
 
 if TYPE_CHECKING:
     from nats.js.api import StreamInfo

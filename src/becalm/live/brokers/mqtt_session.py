@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from becalm.errors import UsageError
-from becalm.live.remote import Remote
+from becalm.live.brokers.remote import Remote
 
 VERSIONS = ("5", "3.1.1")
 PORT, TLS_PORT = 1883, 8883

@@ -9,8 +9,8 @@ from collections import deque
 from typing import TYPE_CHECKING, NamedTuple
 
 from becalm.errors import InputError
-from becalm.live.nats_link import NatsLink
-from becalm.live.remote import Remote
+from becalm.live.brokers.nats_link import NatsLink
+from becalm.live.brokers.remote import Remote
 
 if TYPE_CHECKING:
     from nats.aio.msg import Msg

@@ -8,8 +8,8 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from becalm.errors import BecalmError, InputError, UsageError
-from becalm.live.mqtt_session import VERSIONS, Session
-from becalm.live.remote import Login, Remote, variable
+from becalm.live.brokers.mqtt_session import VERSIONS, Session
+from becalm.live.brokers.remote import Login, Remote, variable
 
 if TYPE_CHECKING:
     from paho.mqtt.client import Client, ConnectFlags, DisconnectFlags, MQTTMessage

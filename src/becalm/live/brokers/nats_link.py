@@ -11,7 +11,7 @@ from collections.abc import Callable, Coroutine
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from becalm.errors import BecalmError, InputError, UsageError
-from becalm.live.remote import Remote, variable
+from becalm.live.brokers.remote import Remote, variable
 
 if TYPE_CHECKING:
     import ssl
