@@ -24,7 +24,7 @@ from becalm.live.stream import Stream
 from becalm.live.watching.watch import Watch
 
 _POLL_S = 0.25
-_MOST_ROWS = 1 << 18  # that one commit holds
+_MOST_VALUES = 1 << 19  # that one commit holds
 _HEALTH_S = 1.0
 
 Answer = TypeVar("Answer")
@@ -231,7 +231,7 @@ class Runner:
     def _take(self, block: Block, stream: Stream, keeping: Keeping) -> None:
         self._tell(stream.take(block))
         self._position = block.position or self._position
-        if sum(len(output) for output in self._outputs) >= _MOST_ROWS:
+        if sum(output.values.size for output in self._outputs) >= _MOST_VALUES:
             self._give(stream, keeping, at_once=True)
 
     def _tell(self, output: Output) -> None:
