@@ -96,7 +96,7 @@ class Learner:
     channels: tuple[str, ...] = ()
 
     def is_enough(self, early: Early, rate_hz: float | None) -> bool:
-        """Whether blocks span so long, and hold enough rows; or have come so long that their stamps must stand still."""
+        """Whether blocks hold enough rows, and span so long; or have come so long that their stamps stand still."""
         if early.rows < FEWEST_ROWS:
             return False
         if early.steps is not None and rate_hz:
