@@ -7,15 +7,24 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from becalm.cleaning.cleaner import Cleaner
 from becalm.cleaning.faults import find_healthy
 from becalm.cleaning.pipeline import clean
 from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
 from becalm.cleaning.recipe_parts import GateRecipe, TimingRecipe
 from becalm.cleaning.stream import StreamCleaner, Streamed
+from becalm.cli.streaming import rows_of_chunks
 from becalm.core.arrays import Floats
 from becalm.core.recording import Recording
+from becalm.core.told import Told
 from becalm.files import ReadOptions
 from becalm.files.every_time import open_file
+from becalm.files.opening import OpenSource
+from becalm.live.address import Address
+from becalm.live.block import Output
+from becalm.live.protocols import EndOfStream
+from becalm.live.sources.replay import ReplaySource
+from becalm.live.stream import Stream
 from stream_recipes import assert_same_numbers, streamed
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"
@@ -90,3 +99,60 @@ def test_live_over_a_real_recording_is_the_file(name: str, rate_hz: float | None
             got = streamed(stream, recording.samples, time.elapsed_steps, range(100, len(recording.samples), 1000))
             verdicts = np.column_stack([cleaned.verdicts[one] for one in recording.names])
             assert_same_numbers(got, Streamed(cleaned.signal.samples, cleaned.sigma.samples, verdicts))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "rate_hz"), FILES.items(), ids=FILES)
+def test_a_real_recording_replayed_whole_is_the_file(name: str, rate_hz: float | None) -> None:
+    path = DATA / name
+    if not path.exists():
+        pytest.skip(f"the recordings are not beside the project ({name})")
+    with open_file(path, ReadOptions() if rate_hz is None else ReadOptions(rate_hz=rate_hz)) as opened:
+        for source in opened.sources:
+            recipe = recipe_for(source.stretches([(0, min(ROWS, source.rows))]))
+            options = {"rows": "5000", "group": source.group, "rate": "" if rate_hz is None else str(rate_hz)}
+            told = {option: value for option, value in options.items() if value}
+            got = replayed(ReplaySource(Address("replay", str(path), told)), recipe)
+            assert len(got.signal) == source.rows
+            assert_same_numbers(got, filed(source, recipe))
+
+
+def replayed(source: ReplaySource, recipe: Recipe) -> Streamed:
+    """Send all of a file through a stream."""
+    source.open("")
+    outputs: list[Output] = []
+    try:
+        assert source.step_s is not None
+        stream = Stream(recipe, source.step_s)
+        while (block := source.read(30.0)) is not None:
+            outputs.append(stream.take(block))
+    except EndOfStream:
+        pass
+    finally:
+        source.close()
+    return Streamed(
+        np.concatenate([one.signal for one in outputs]),
+        np.concatenate([one.sigma for one in outputs]),
+        np.concatenate([one.verdicts for one in outputs]),
+    )
+
+
+def filed(source: OpenSource, recipe: Recipe) -> Streamed:
+    """Send all of a file through the file's way, a chunk at a time."""
+    told: list[list[Told]] = []
+    with Cleaner(recipe, source.clock.step_s) as cleaner:
+        for chunk in source.chunks(rows_of_chunks(source, len(source.names))):
+            told += cleaner.push([chunk.channel(k) for k in range(len(source.names))], chunk.elapsed_steps)
+        told += cleaner.finish()
+    columns = [
+        Told(*(np.concatenate(parts, axis=-1) for parts in zip(*one, strict=True))) for one in zip(*told, strict=True)
+    ]
+    return Streamed(
+        np.column_stack([one.signal for one in columns]),
+        np.column_stack([one.sigma for one in columns]),
+        np.column_stack([one.verdicts for one in columns]),
+    )
+
+
+def _joined(chunks: tuple[Told, ...]) -> Told:
+    return Told(*(np.concatenate(parts, axis=-1) for parts in zip(*chunks, strict=True)))
