@@ -153,7 +153,7 @@ class Runner:
                 first = next(one for one in held if len(one))
                 self.ready()
                 resolution_s = 0.0 if first.elapsed is not None else resolution_of(first.time_s)
-                return Stream(self.recipe, 1 / (rate_hz or _rate_of(self.recipe)), resolution_s), held
+                return Stream(self.recipe, 1 / (rate_hz or self.recipe.nominal_rate_hz), resolution_s), held
             ended = self._queue.ended
             if self.recipe is None and ((ended and held) or self.learner.is_enough(held, rate_hz)):
                 learned = self.learner.learn(held, rate_hz)
@@ -205,7 +205,7 @@ class Runner:
             if block is not None:
                 self._take(block, stream, keeping)
             self._give(stream, keeping)
-            self._look_after(stream, keeping)
+            self._look_after(stream)
         self.watch.state("stopping" if self._stop.is_set() else "ended")
         if not self._stop.is_set():
             self._tell(stream.finish())
@@ -256,7 +256,7 @@ class Runner:
             keeping.give(Batch(outputs, stream.checkpoint(self._position, self.address)))
         self._losses += keeping.losses()
 
-    def _look_after(self, stream: Stream, keeping: Keeping) -> None:
+    def _look_after(self, stream: Stream) -> None:
         now = time.monotonic()
         if now - self._health_s >= _HEALTH_S:
             self._health_s = now
@@ -274,7 +274,3 @@ class Runner:
 def _alarms(channel: ChannelHealth) -> list[str]:
     drift = channel.drift_since_row
     return [*([] if drift is None else [f"drifts since row {drift}"]), *(["is dead"] if channel.dead else [])]
-
-
-def _rate_of(recipe: Recipe) -> float:
-    return recipe.rate_hz or recipe.tuned_on.rate_hz
