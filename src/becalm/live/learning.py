@@ -9,7 +9,7 @@ import numpy as np
 
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.tuning import Wishes, tune
-from becalm.core.arrays import Floats
+from becalm.core.arrays import Floats, Integers
 from becalm.core.clock import last_digit
 from becalm.core.recording import Recording
 from becalm.core.timebase import Timebase
@@ -55,14 +55,12 @@ class Learner:
         if rows < FEWEST_ROWS:
             return False
         if blocks[0].elapsed is not None and rate_hz:
-            return sum(float(block.elapsed.sum()) for block in blocks if block.elapsed is not None) >= self._steps(
-                rate_hz
+            return (
+                sum(float(block.elapsed.sum()) for block in blocks if block.elapsed is not None)
+                >= self.learn_s * rate_hz
             )
         first, last = next(b for b in blocks if len(b)), next(b for b in reversed(blocks) if len(b))
         return abs(float(last.time_s[-1] - first.time_s[0])) >= self.learn_s
-
-    def _steps(self, rate_hz: float) -> float:
-        return self.learn_s * rate_hz
 
     def learn(self, blocks: list[Block], rate_hz: float | None) -> Learned:
         """Tune a recipe on blocks.
@@ -93,7 +91,7 @@ def resolution_of(stamps_s: Floats) -> float:
     return last_digit(finite) if len(finite) >= _FEW_STAMPS else 0.0
 
 
-def _time(blocks: list[Block], rate_hz: float | None) -> tuple[Timebase, slice | Floats]:
+def _time(blocks: list[Block], rate_hz: float | None) -> tuple[Timebase, slice | Integers]:
     """Understand the time of blocks, and say which rows have one."""
     elapsed = [block.elapsed for block in blocks]
     if rate_hz is not None and all(steps is not None for steps in elapsed):
@@ -108,4 +106,4 @@ def _time(blocks: list[Block], rate_hz: float | None) -> tuple[Timebase, slice |
             kept = np.isfinite(stamps) & (stamps > np.concatenate([[-np.inf], highest[:-1]]))
         if np.count_nonzero(kept) < FEWEST_ROWS:
             raise
-        return Timebase.from_stamps(stamps[kept]), np.flatnonzero(kept)  # type: ignore[return-value]
+        return Timebase.from_stamps(stamps[kept]), np.flatnonzero(kept)
