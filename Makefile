@@ -55,6 +55,9 @@ bench: .venv/tested
 	$(BIN)/python benchmarks/switching_speed.py -o docs/switching-speed.md
 	$(BIN)/python benchmarks/resting.py -o docs/resting.md
 	$(BIN)/python benchmarks/fixed_lag.py -o docs/fixed-lag.md
+	$(BIN)/python benchmarks/live_speed.py -o docs/live-speed.md
+	$(BIN)/python benchmarks/live_soak.py -o docs/live-soak.md
+	$(BIN)/python benchmarks/live_kills.py -o docs/live-kills.md
 	$(BIN)/python benchmarks/journal_writing.py -o docs/journal-writing.md
 	$(BIN)/python benchmarks/live_sinks.py -o docs/live-sinks.md
 	$(BIN)/python docs/real_files.py -o docs/real-files.md

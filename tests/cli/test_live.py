@@ -242,3 +242,27 @@ def test_secrets_are_in_no_log(run: Run, drive: Path, recipe: Path, tmp_path: Pa
     assert ran.returncode == 0, ran.stderr
     for path in tmp_path.rglob("*"):
         assert path.is_dir() or b"rosebud" not in path.read_bytes(), path
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
+@pytest.mark.parametrize("stderr", ["2>/dev/full", "2>&-"])
+def test_a_stream_that_learns_needs_no_terminal(stderr: str, drive: Path, tmp_path: Path) -> None:
+    words = f"live stdin: --learn 1s --sink journal:kept --log log.jsonl < {drive} {stderr}"
+    subprocess.run(f"{sys.executable} -m becalm {words}", shell=True, cwd=tmp_path, check=False)
+    assert kept(tmp_path / "kept").num_rows == 400
+
+
+def test_a_closed_output_is_a_sentence(drive: Path, recipe: Path, tmp_path: Path) -> None:
+    words = f"live replay:{drive} --recipe {recipe} --sink stdout: >&-"
+    ran = subprocess.run(
+        f"{sys.executable} -m becalm {words}", shell=True, stderr=subprocess.PIPE, text=True, cwd=tmp_path, check=False
+    )
+    assert ran.returncode == 2
+    assert "Standard output is closed" in ran.stderr
+    assert "Traceback" not in ran.stderr
+
+
+def test_noise_alone_is_counted(recipe: Path, run: Run) -> None:
+    ran = run("live", "stdin:", "--recipe", recipe, input="nothing\nof use\n")
+    assert ran.returncode == 0
+    assert "kind=garbled events=1 rows=2" in ran.stderr

@@ -65,6 +65,13 @@ def test_a_row_that_shares_a_coarse_stamp_is_no_repeat() -> None:
     assert elapsed.sum() == pytest.approx(2999, rel=2e-3)
 
 
+def test_a_row_that_came_twice_is_a_repeat_however_coarse_stamps_are() -> None:
+    clock = LiveClock(0.01, 0.01)
+    told = clock.passed(np.array([0.0, 0.01, 0.01, 0.02]), np.array([False, False, True, False]))
+    assert told.codes.tolist() == [TAKEN, TAKEN, REPEATED, TAKEN]
+    assert told.elapsed.tolist() == [0.0, 1.0, 0.0, 1.0]
+
+
 def test_late_and_repeated_rows_are_told() -> None:
     _, codes = passed([0.0, 0.01, 0.02, 0.01, 0.02, 0.03, 0.03, np.nan, 0.04])
     assert codes == [TAKEN, TAKEN, TAKEN, LATE, REPEATED, TAKEN, REPEATED, UNTIMED, TAKEN]

@@ -192,6 +192,18 @@ def test_late_repeated_and_lost_rows_are_counted() -> None:
     assert counted["garbled"] == 3
 
 
+def test_rows_that_come_twice_are_left_out_wherever_blocks_are_cut() -> None:
+    whole = blocks_of(VALUES[:60], 60)[0]
+    times, order = whole.time_s, np.repeat(np.arange(60), np.where(np.arange(60) % 7 == 0, 2, 1))
+    for size in (1, 9, 100):
+        cuts = np.split(order, range(size, len(order), size))
+        given = [replace(whole, time_s=times[cut], values=VALUES[cut]) for cut in cuts]
+        keeper = MemoryKeeper()
+        runner_of(ListSource(lambda _, given=given: list(given)), keeper, recipe_of()).run()  # type: ignore[misc]
+        assert len(keeper.rows) == 60
+        assert sum(rows or 0 for kind, rows in keeper.losses if kind == "repeated") == 9
+
+
 def test_a_stop_keeps_what_was_read() -> None:
     keeper = MemoryKeeper()
     source = ListSource(lambda row: blocks_of(VALUES, 50, row), ends=False)

@@ -105,7 +105,7 @@ def run(source: str, sinks: list[str], asking: Asking, settings: Settings, watch
         _hear_signals(runner, asking.recipe)
         log.info("start", source=address, sinks=", ".join(str(Address.parsed(name)) for name in names))
         _walk(runner, log)
-    typer.echo(f"Told {runner.rows} rows of {address}.", err=True)
+    _say(f"Told {runner.rows} rows of {address}.")
 
 
 def _walk(runner: Runner, log: Log) -> None:
@@ -138,7 +138,13 @@ def _save(recipe: Recipe, *, path: Path, log: Log) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     write_text(path, recipe.to_toml())
     log.info("learned", recipe=str(path))
-    typer.echo(f"Learned a filter and wrote {path}.", err=True)
+    _say(f"Learned a filter and wrote {path}.")
+
+
+def _say(text: str) -> None:
+    """Tell a person, if anyone is there: a terminal that is gone stops no stream."""
+    with suppress(OSError):
+        typer.echo(text, err=True)
 
 
 def _warming(recipe: Recipe | None) -> Callable[[], None]:

@@ -252,7 +252,7 @@ def main() -> None:
     """Run the command line; a person's mistake ends in a sentence and an exit code."""
     stop_cleanly()
     code = _run()
-    for stream in (sys.stdout, sys.stderr):
+    for stream in filter(None, (sys.stdout, sys.stderr)):  # None: it was closed from the start
         try:
             stream.flush()
         except OSError:  # nobody listens any more

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from becalm.core.arrays import Codes, Floats
+from becalm.core.arrays import Booleans, Codes, Floats
 from becalm.core.compiling import compiled, compiled_part
 
 GRID, LAST, STARTED, STEP, SLACK, FARTHEST, PACE, HELD, HELD_LAST, OPENED, COARSE = range(11)
@@ -27,7 +27,7 @@ _LEAST_PACE, _GREATEST_PACE = 0.98, 1.02
 
 
 @compiled
-def walk_stamps(state: Floats, stamps: Floats, elapsed: Floats, codes: Codes) -> None:
+def walk_stamps(state: Floats, stamps: Floats, doubled: Booleans, elapsed: Floats, codes: Codes) -> None:
     """Fill in the steps before each row (0 of the first) and what becomes of it; row by row, so that no cut matters."""
     for k in range(len(stamps)):
         t = stamps[k]
@@ -42,7 +42,7 @@ def walk_stamps(state: Floats, stamps: Floats, elapsed: Floats, codes: Codes) ->
         elif passed < 0.0 or (passed > state[FARTHEST] and state[OPENED] == 0.0):
             codes[k] = hold_back(state, t, elapsed, k)
         else:
-            codes[k] = count_steps(state, t, elapsed, k)
+            codes[k] = count_steps(state, t, doubled[k], elapsed, k)
 
 
 @compiled_part
@@ -62,19 +62,19 @@ def hold_back(state: Floats, t: float, elapsed: Floats, k: int) -> int:
 
 
 @compiled_part
-def count_steps(state: Floats, t: float, elapsed: Floats, k: int) -> int:
+def count_steps(state: Floats, t: float, doubled: bool, elapsed: Floats, k: int) -> int:
     """Count the steps to a stamp that is not before the last: whole ones where it lies on the grid."""
     step = state[STEP]
     steps = (t - state[GRID]) / step
     off = steps - state[PACE]
     whole = np.floor(steps / state[PACE] + 0.5)
+    if t == state[LAST] and (doubled or state[COARSE] == 0.0):
+        return REPEATED
     if abs(off) <= state[SLACK]:
         elapsed[k] = 1.0
         state[GRID] += step * (state[PACE] + _PULL * off)
         state[PACE] = min(max(state[PACE] + _PULL_PACE * off, _LEAST_PACE), _GREATEST_PACE)
     elif t == state[LAST]:
-        if state[COARSE] == 0.0:
-            return REPEATED
         elapsed[k] = 1.0
     else:
         on_grid = whole >= 1.0 and abs(steps / state[PACE] - whole) <= state[SLACK] < _HALF

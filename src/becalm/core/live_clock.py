@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from becalm.core.arrays import Codes, Floats
+from becalm.core.arrays import Booleans, Codes, Floats
 from becalm.core.kernel_clock import (
     AGREEING,
     COARSE,
@@ -72,16 +72,18 @@ class LiveClock:
         self._state[COARSE] = float(digits < 2)
         self._state[FARTHEST] = max(_DAY_S, _MANY_STEPS * step_s)
 
-    def passed(self, stamps_s: Floats) -> Passed:
+    def passed(self, stamps_s: Floats, doubled: Booleans | None = None) -> Passed:
         """Take the stamps (B,) of the next rows, in seconds; the result is the same for any blocks.
+
+        `doubled` (B,) says which rows have the very readings of the row before, by default none.
 
         A stamp before the last is LATE, and one more than a day (or 1000 steps) after it FAR; eight such that ascend
         are believed, and the clock goes on from there (RESET): backwards as if one step had passed, forwards as far as
-        it says. The same stamp again is REPEATED, unless stamps are coarser than the step.
+        it says. The same stamp again is REPEATED; where stamps are as coarse as the step, only if the readings are too.
         """
         stamps = np.ascontiguousarray(stamps_s, dtype=np.float64)
         told = Passed(np.empty(len(stamps)), np.empty(len(stamps), np.int8))
-        walk_stamps(self._state, stamps, *told)
+        walk_stamps(self._state, stamps, np.zeros(len(stamps), np.bool_) if doubled is None else doubled, *told)
         return told
 
     def opened(self) -> None:

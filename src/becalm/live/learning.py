@@ -20,6 +20,8 @@ FEWEST_ROWS = 64
 """Under so many rows nothing is learned: neither the noise nor the rate."""
 
 _FEW_STAMPS = 20
+_DAY_S = 86400.0
+_STANDING_S = 10.0
 
 
 class Learned(NamedTuple):
@@ -28,6 +30,50 @@ class Learned(NamedTuple):
     recipe: Recipe
     step_s: float
     resolution_s: float
+
+
+class Early:
+    """Blocks that came before there were filters for them, and how long they span; each is looked at once.
+
+    Attributes
+    ----------
+    blocks : list of Block
+        All of them, in order.
+    rows : int
+        How many they hold.
+    steps : float or None
+        What they tell of elapsed steps; None where they do not.
+    span_s : float
+        Seconds between their stamps, without what goes back or leaps over a day.
+    came_for_s : float
+        Seconds between the arrivals of the first rows and the last.
+    """
+
+    def __init__(self) -> None:
+        self.blocks: list[Block] = []
+        self.rows = 0
+        self.steps: float | None = 0.0
+        self.span_s = self.came_for_s = 0.0
+        self._last_s = np.nan
+        self._began_s: float | None = None
+
+    def add(self, block: Block) -> None:
+        """Take the next."""
+        self.blocks.append(block)
+        if not len(block):
+            return
+        self.rows += len(block)
+        if self.steps is not None:
+            self.steps = None if block.elapsed is None else self.steps + float(block.elapsed.sum())
+        stamps = np.append(self._last_s, block.time_s)
+        stamps = stamps[np.isfinite(stamps)]
+        with np.errstate(over="ignore"):
+            passed = np.diff(stamps)
+        self.span_s += float(passed[(passed > 0) & (passed <= _DAY_S)].sum())
+        self._last_s = stamps[-1] if len(stamps) else np.nan
+        if self._began_s is None:
+            self._began_s = block.arrived_s
+        self.came_for_s = block.arrived_s - self._began_s
 
 
 @dataclass(frozen=True)
@@ -49,18 +95,13 @@ class Learner:
     lag_s: float | None = None
     channels: tuple[str, ...] = ()
 
-    def is_enough(self, blocks: list[Block], rate_hz: float | None) -> bool:
-        """Whether the blocks span so long, and hold enough rows."""
-        rows = sum(len(block) for block in blocks)
-        if rows < FEWEST_ROWS:
+    def is_enough(self, early: Early, rate_hz: float | None) -> bool:
+        """Whether blocks hold enough rows, and span so long; or have come so long that their stamps stand still."""
+        if early.rows < FEWEST_ROWS:
             return False
-        if blocks[0].elapsed is not None and rate_hz:
-            return (
-                sum(float(block.elapsed.sum()) for block in blocks if block.elapsed is not None)
-                >= self.learn_s * rate_hz
-            )
-        first, last = next(b for b in blocks if len(b)), next(b for b in reversed(blocks) if len(b))
-        return abs(float(last.time_s[-1] - first.time_s[0])) >= self.learn_s
+        if early.steps is not None and rate_hz:
+            return early.steps >= self.learn_s * rate_hz
+        return early.span_s >= self.learn_s or early.came_for_s >= 2 * self.learn_s + _STANDING_S
 
     def learn(self, blocks: list[Block], rate_hz: float | None) -> Learned:
         """Tune a recipe on blocks.

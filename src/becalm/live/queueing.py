@@ -7,6 +7,8 @@ from collections import deque
 from dataclasses import replace
 from typing import Literal
 
+import numpy as np
+
 from becalm.live.block import Block, Loss, LossKind
 
 Policy = Literal["block", "drop-oldest"]
@@ -28,6 +30,7 @@ class BlockQueue:
         self._blocks: deque[Block] = deque()
         self._change = threading.Condition()
         self._dropped = 0  # rows
+        self._passed = 0.0  # steps over which they went, where they tell
         self._losses: list[Loss] = []  # of blocks that were dropped
         self._ended = False
         self._failure: BaseException | None = None
@@ -40,6 +43,8 @@ class BlockQueue:
             if len(self._blocks) >= self._most and self._policy == "drop-oldest":
                 oldest = self._blocks.popleft()
                 self._dropped += len(oldest)
+                if oldest.elapsed is not None:
+                    self._passed += float(oldest.elapsed.sum())
                 self._losses += oldest.losses
             self._blocks.append(block)
             self._change.notify_all()
@@ -63,6 +68,9 @@ class BlockQueue:
                 lost = Loss(LossKind.DROPPED, self._dropped, says)
                 block = replace(block, losses=(*self._losses, lost, *block.losses))
                 self._dropped, self._losses = 0, []
+            if self._passed and block.elapsed is not None:
+                block = replace(block, elapsed=np.append(block.elapsed[0] + self._passed, block.elapsed[1:]))
+                self._passed = 0.0
             self._change.notify_all()
             return block
 

@@ -15,7 +15,7 @@ from becalm.cleaning.stream import ChannelHealth
 from becalm.errors import BecalmError, UsageError
 from becalm.live.block import Block, Checkpoint, Head, Loss, LossKind, Output
 from becalm.live.keeping import Batch, Keeping, Outlets
-from becalm.live.learning import Learner, resolution_of
+from becalm.live.learning import Early, Learner, resolution_of
 from becalm.live.protocols import AwayError, Source
 from becalm.live.queueing import BlockQueue
 from becalm.live.reader import BackOff, Reader
@@ -24,7 +24,7 @@ from becalm.live.stream import Stream
 from becalm.live.watching.watch import Watch
 
 _POLL_S = 0.25
-_MOST_ROWS = 1 << 18  # that one commit holds
+_MOST_VALUES = 1 << 19  # that one commit holds
 _HEALTH_S = 1.0
 
 Answer = TypeVar("Answer")
@@ -75,6 +75,7 @@ class Runner:
         self._queue = BlockQueue(self.settings.queue_blocks, self.settings.when_full)
         self._outputs: list[Output] = []
         self._losses: list[Loss] = []
+        self._before: list[Loss] = []  # of before the first row, which were said already
         self._position = ""
         self._given_s = self._health_s = 0.0
         self.rows = 0
@@ -142,25 +143,38 @@ class Runner:
 
     def _begun(self) -> tuple[Stream | None, list[Block]]:
         """Wait for the first rows; make a stream by the recipe, or by one learned from them."""
-        held: list[Block] = []
+        early, stream = Early(), None
         self.watch.state("learning" if self.recipe is None else "running")
+        try:
+            stream = self._first_stream(early)
+        finally:
+            if stream is None:  # which would have told them
+                self.watch.lost([*self._losses, *(loss for block in early.blocks for loss in block.losses)])
+        if stream is None:
+            self.watch.state("stopping" if self._stop.is_set() else "ended")
+        return stream, early.blocks
+
+    def _first_stream(self, early: Early) -> Stream | None:
         while True:
             block = self._next()
-            if block is not None:
-                held.append(block)
+            if block is not None and (len(block) or early.rows):
+                early.add(block)
+            elif block is not None:
+                self.watch.lost(block.losses)
+                self._before += block.losses
             rate_hz = self.source.rate_hz
-            if self.recipe is not None and any(len(one) for one in held):
-                first = next(one for one in held if len(one))
+            if self.recipe is not None and early.rows:
+                first = next(one for one in early.blocks if len(one))
                 self.ready()
                 resolution_s = 0.0 if first.elapsed is not None else resolution_of(first.time_s)
-                return Stream(self.recipe, 1 / (rate_hz or self.recipe.nominal_rate_hz), resolution_s), held
+                return Stream(self.recipe, 1 / (rate_hz or self.recipe.nominal_rate_hz), resolution_s)
             ended = self._queue.ended
-            if self.recipe is None and ((ended and held) or self.learner.is_enough(held, rate_hz)):
-                learned = self.learner.learn(held, rate_hz)
+            if self.recipe is None and ((ended and early.rows) or self.learner.is_enough(early, rate_hz)):
+                learned = self.learner.learn(early.blocks, rate_hz)
                 self.learned(learned.recipe)
-                return Stream(learned.recipe, learned.step_s, learned.resolution_s), held
+                return Stream(learned.recipe, learned.step_s, learned.resolution_s)
             if ended:
-                return None, held
+                return None
 
     def _open(self, stream: Stream) -> Keeping:
         head = self._head or stream.head
@@ -196,6 +210,8 @@ class Runner:
             back_off.wait(self._stop)
 
     def _walk(self, stream: Stream, keeping: Keeping, held: list[Block]) -> None:
+        if self._before:
+            self._pass_on(stream.take(Block.of_losses(*self._before)))
         for early in held:
             self._take(early, stream, keeping)
         while not self._queue.ended:
@@ -231,7 +247,7 @@ class Runner:
     def _take(self, block: Block, stream: Stream, keeping: Keeping) -> None:
         self._tell(stream.take(block))
         self._position = block.position or self._position
-        if sum(len(output) for output in self._outputs) >= _MOST_ROWS:
+        if sum(output.values.size for output in self._outputs) >= _MOST_VALUES:
             self._give(stream, keeping, at_once=True)
 
     def _tell(self, output: Output) -> None:
@@ -239,11 +255,14 @@ class Runner:
             output, self._losses = replace(output, losses=(*self._losses, *output.losses)), []
         if not (len(output) or output.losses):
             return
+        self._pass_on(output)
+        self.watch.told(output)
+
+    def _pass_on(self, output: Output) -> None:
         self.rows = output.first_row + len(output)
         self._outputs.append(output)  # first: a sink that fails for good does not keep it from being kept
         for outlet in self.outlets.others:
             outlet.write(output)
-        self.watch.told(output)
 
     def _give(self, stream: Stream, keeping: Keeping, *, at_once: bool = False) -> None:
         """Hand over what was told since the last time, if it is time."""

@@ -48,6 +48,7 @@ class Stream:
         self._former = recipe  # that gives way, in a handover
         self._waiting = _Waiting(len(recipe.channel))
         self._numbers: list[int] | None = None
+        self._before = np.empty(0)  # stamp and readings of the row that came last, whatever became of it
         self._step_s = step_s
 
     @property
@@ -78,7 +79,7 @@ class Stream:
         if block.elapsed is not None:
             elapsed = block.elapsed
         else:
-            elapsed, codes = self._clock.passed(stamps)
+            elapsed, codes = self._clock.passed(stamps, self._doubled(stamps, values))
             taken = (codes == TAKEN) | (codes == RESET)
             losses += _left_out(codes)
             if not taken.all():
@@ -98,6 +99,16 @@ class Stream:
     def health(self) -> tuple[ChannelHealth, ...]:
         """Say how each channel is."""
         return self._cleaner.health()
+
+    def _doubled(self, stamps: Floats, values: Floats) -> Booleans:
+        """Say which rows have the stamp and the readings of the row before."""
+        doubled = np.zeros(len(stamps), np.bool_)
+        before, self._before = self._before, np.array([stamps[-1], *values[-1]])
+        if len(before) and stamps[0] == before[0]:
+            doubled[0] = np.array_equal(values[0], before[1:], equal_nan=True)
+        for k in np.flatnonzero(stamps[1:] == stamps[:-1]) + 1:
+            doubled[k] = np.array_equal(values[k], values[k - 1], equal_nan=True)
+        return doubled
 
     def _chosen(self, block: Block) -> Floats:
         if self._numbers is None:
@@ -134,6 +145,7 @@ class Stream:
             "step_s": np.array([self._step_s]),
             "told": np.array([_VERSION, between, self._waiting.told], np.int64),
             "clock": self._clock.state,
+            "before": self._before,
             "cleaner": np.frombuffer(blob, np.int8),
             "waiting_s": self._waiting.time_s,
             "waiting": self._waiting.values,
@@ -157,6 +169,7 @@ class Stream:
                 raise ModelError(f"The stream's snapshot has version {version}; this becalm reads {_VERSION}.")
             stream = cls(recipe, float(arrays["step_s"][0]))
             stream._clock = LiveClock.resumed(arrays["clock"])
+            stream._before = arrays["before"]
             blob = arrays["cleaner"].tobytes()
             if between:
                 stream._cleaner, stream._former = Handover.resume(blob, recipe)

@@ -160,6 +160,11 @@ class Meter:
             else:
                 self._seconds.append((second, len(output)))
 
+    def lost(self, losses: Iterable[Loss]) -> None:
+        """Count what happened to a stream that has no rows yet."""
+        with self._lock:
+            self._count(losses)
+
     def kept(self, rows: int, took_s: float, position: str = "") -> None:
         """Count a commit: its rows, how long it took in seconds, and where a restart would go on."""
         with self._lock:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 
 from becalm.live.block import Loss, Output
 from becalm.live.watching.logs import Log
@@ -72,8 +73,16 @@ class Watch:
     def told(self, output: Output) -> None:
         """Hear of rows that sinks have got, and of what is told with them."""
         self.meter.told(output)
+        self._say(output.losses)
+
+    def lost(self, losses: Sequence[Loss]) -> None:
+        """Hear what happened to a stream that has no rows yet."""
+        self.meter.lost(losses)
+        self._say(losses)
+
+    def _say(self, losses: Sequence[Loss]) -> None:
         if self._log is not None:
-            for loss in output.losses:
+            for loss in losses:
                 self._log.loss(loss)
 
     def close(self) -> None:

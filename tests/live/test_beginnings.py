@@ -1,0 +1,81 @@
+"""What comes before a stream has filters: nothing of it is lost without a word, and learning ends."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from becalm.cleaning.recipe import Recipe
+from becalm.core.arrays import Floats
+from becalm.errors import InputError
+from becalm.live.block import Block, Loss, LossKind
+from becalm.live.keeping import Outlets
+from becalm.live.learning import Early, Learner
+from becalm.live.runner import Runner
+from becalm.live.watching.meter import Meter
+from becalm.live.watching.watch import Watch
+from stand_ins import ListSource, MemoryKeeper, blocks_of, drive, recipe_of
+
+VALUES = drive(600)
+
+
+def runner_of(source: ListSource, keeper: MemoryKeeper, recipe: Recipe | None = None) -> Runner:
+    watch = Watch(Meter())
+    return Runner(
+        source=source,
+        address="list:rows",
+        outlets=Outlets(keeper, ()),
+        watch=watch,
+        recipe=recipe,
+        learner=Learner(2.0),
+    )
+
+
+def test_what_is_lost_before_any_row_is_told_though_no_row_ever_comes() -> None:
+    lost = Loss(LossKind.GARBLED, 7, "Noise.")
+    for recipe in (recipe_of(), None):
+        runner = runner_of(ListSource(lambda _: [Block.of_losses(lost)]), MemoryKeeper(), recipe)
+        runner.run()
+        status = runner.watch.meter.status()
+        assert status["losses"]["garbled"]["rows"] == 7
+        assert status["state"] == "ended"
+
+
+def test_what_is_lost_before_the_first_row_is_kept_and_counted_once() -> None:
+    lost, keeper = Loss(LossKind.GARBLED, 7, "Noise."), MemoryKeeper()
+    source = ListSource(lambda row: [Block.of_losses(lost), *blocks_of(VALUES, 50, row)])
+    runner = runner_of(source, keeper, recipe_of())
+    runner.run()
+    assert keeper.losses == [("garbled", 7)]
+    assert runner.watch.meter.status()["losses"]["garbled"]["rows"] == 7
+    np.testing.assert_array_equal(keeper.rows, np.arange(600))
+
+
+def test_what_is_lost_among_too_few_rows_to_learn_from_is_told() -> None:
+    lost = Loss(LossKind.GARBLED, 7, "Noise.")
+    source = ListSource(lambda row: [replace(blocks_of(VALUES[:9], 9)[0], losses=(lost,))])
+    runner = runner_of(source, MemoryKeeper())
+    with pytest.raises(InputError, match="9 rows came"):
+        runner.run()
+    assert runner.watch.meter.status()["losses"]["garbled"]["rows"] == 7
+
+
+def early_of(stamps: list[Floats], arrivals: list[float]) -> Early:
+    early = Early()
+    for time_s, arrived_s in zip(stamps, arrivals, strict=True):
+        early.add(Block(("ax",), ("",), time_s, np.zeros((len(time_s), 1)), arrived_s=arrived_s))
+    return early
+
+
+def test_a_clock_that_leaps_ends_no_learning() -> None:
+    first, leap = np.arange(100) / 100, np.array([1e9, np.nan, 1e300, 1.0])
+    assert not Learner(2.0).is_enough(early_of([first, leap], [1.0, 1.01]), None)
+    assert Learner(2.0).is_enough(early_of([first, leap, first + 1, first + 2], [1.0, 1.01, 2.0, 3.0]), None)
+
+
+def test_learning_does_not_wait_forever_for_stamps_that_stand_still() -> None:
+    stuck = [np.full(50, 5.0)] * 3
+    assert not Learner(2.0).is_enough(early_of(stuck, [0.0, 1.0, 2.5]), None)
+    assert Learner(2.0).is_enough(early_of(stuck, [0.0, 1.0, 15.0]), None)
