@@ -155,7 +155,7 @@ def _warming(recipe: Recipe | None) -> Callable[[], None]:
 
     def warm() -> None:
         with suppress(BecalmError):  # what makes no filter is told where one is made
-            warm_up(recipe, 1 / (recipe.rate_hz or recipe.tuned_on.rate_hz))
+            warm_up(recipe, 1 / recipe.nominal_rate_hz)
 
     thread = threading.Thread(target=warm, daemon=True)
     thread.start()

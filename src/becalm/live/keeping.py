@@ -53,8 +53,6 @@ class Keeping:
         self._batches: queue.Queue[Batch | None] = queue.Queue(_BATCHES)
         self._giving_up = threading.Event()
         self._failure: BaseException | None = None
-        self.kept_rows = 0
-        """Rows that are kept, over the whole life of the stream."""
         self._losses: list[Loss] = []
         self._in_doubt = False  # whether the last batch was kept before the keeper went away
         self._thread = threading.Thread(target=self._run, name="keeper", daemon=True)
@@ -119,7 +117,6 @@ class Keeping:
             self._insist(outlet.flush, outlet.away)
         if self._outlets.keeper is not None:
             self._insist(partial(self._keep_once, batch), self._keeper_away)
-        self.kept_rows = batch.checkpoint.rows
         rows = sum(len(output) for output in batch.outputs)
         self._watch.meter.kept(rows, time.monotonic() - begun, batch.checkpoint.position)
         self._source.committed(batch.checkpoint.position)

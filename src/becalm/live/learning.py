@@ -9,7 +9,7 @@ import numpy as np
 
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.tuning import Wishes, tune
-from becalm.core.arrays import Floats
+from becalm.core.arrays import Floats, Integers
 from becalm.core.clock import last_digit
 from becalm.core.recording import Recording
 from becalm.core.timebase import Timebase
@@ -132,7 +132,7 @@ def resolution_of(stamps_s: Floats) -> float:
     return last_digit(finite) if len(finite) >= _FEW_STAMPS else 0.0
 
 
-def _time(blocks: list[Block], rate_hz: float | None) -> tuple[Timebase, slice | Floats]:
+def _time(blocks: list[Block], rate_hz: float | None) -> tuple[Timebase, slice | Integers]:
     """Understand the time of blocks, and say which rows have one."""
     elapsed = [block.elapsed for block in blocks]
     if rate_hz is not None and all(steps is not None for steps in elapsed):
@@ -147,4 +147,4 @@ def _time(blocks: list[Block], rate_hz: float | None) -> tuple[Timebase, slice |
             kept = np.isfinite(stamps) & (stamps > np.concatenate([[-np.inf], highest[:-1]]))
         if np.count_nonzero(kept) < FEWEST_ROWS:
             raise
-        return Timebase.from_stamps(stamps[kept]), np.flatnonzero(kept)  # type: ignore[return-value]
+        return Timebase.from_stamps(stamps[kept]), np.flatnonzero(kept)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Protocol, runtime_checkable
 
 from becalm.errors import BecalmError
-from becalm.live.block import Block, Checkpoint, Head, Loss, Output
+from becalm.live.block import Block, Checkpoint, Head, Output
 
 
 class EndOfStream(Exception):  # noqa: N818  (it is no error)
@@ -119,6 +119,3 @@ class Keeper(Protocol):
     def close(self) -> None:
         """Let go; harmless twice."""
         ...
-
-
-__all__ = ["AwayError", "Block", "EndOfStream", "Keeper", "Loss", "Sink", "Source", "StorageFullError"]

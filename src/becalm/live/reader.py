@@ -49,7 +49,7 @@ class Reader:
 
     def __init__(self, source: Source, queue: BlockQueue, watch: Watch, position: str) -> None:
         self._source, self._queue, self._watch, self._position = source, queue, watch, position
-        self._stop, self.opened = threading.Event(), threading.Event()
+        self._stop = threading.Event()
         self._away_since: float | None = None
         self._back_off = BackOff()
         self._thread = threading.Thread(target=self._run, name="reader", daemon=True)
@@ -81,20 +81,17 @@ class Reader:
             failure = cause
         finally:
             self._source.close()
-            self.opened.set()
             self._queue.end(failure)
 
     def _read_on(self) -> None:
-        self.opened.set()
         while not self._stop.is_set():
             block = self._source.read(_POLL_S)
             if block is None:
                 continue
             self._came_back()
             self._take(block)
-        until = (
-            time.monotonic() + _DRAIN_S
-        )  # what waits at the wire is lost otherwise, where it cannot be asked for again
+        # What waits at the wire is lost otherwise, where it cannot be asked for again.
+        until = time.monotonic() + _DRAIN_S
         while not self._source.replays and time.monotonic() < until and (block := self._source.read(0.0)) is not None:
             self._take(block)
 

@@ -167,7 +167,7 @@ class Runner:
                 first = next(one for one in early.blocks if len(one))
                 self.ready()
                 resolution_s = 0.0 if first.elapsed is not None else resolution_of(first.time_s)
-                return Stream(self.recipe, 1 / (rate_hz or _rate_of(self.recipe)), resolution_s)
+                return Stream(self.recipe, 1 / (rate_hz or self.recipe.nominal_rate_hz), resolution_s)
             ended = self._queue.ended
             if self.recipe is None and ((ended and early.rows) or self.learner.is_enough(early, rate_hz)):
                 learned = self.learner.learn(early.blocks, rate_hz)
@@ -221,7 +221,7 @@ class Runner:
             if block is not None:
                 self._take(block, stream, keeping)
             self._give(stream, keeping)
-            self._look_after(stream, keeping)
+            self._look_after(stream)
         self.watch.state("stopping" if self._stop.is_set() else "ended")
         if not self._stop.is_set():
             self._tell(stream.finish())
@@ -275,7 +275,7 @@ class Runner:
             keeping.give(Batch(outputs, stream.checkpoint(self._position, self.address)))
         self._losses += keeping.losses()
 
-    def _look_after(self, stream: Stream, keeping: Keeping) -> None:
+    def _look_after(self, stream: Stream) -> None:
         now = time.monotonic()
         if now - self._health_s >= _HEALTH_S:
             self._health_s = now
@@ -293,7 +293,3 @@ class Runner:
 def _alarms(channel: ChannelHealth) -> list[str]:
     drift = channel.drift_since_row
     return [*([] if drift is None else [f"drifts since row {drift}"]), *(["is dead"] if channel.dead else [])]
-
-
-def _rate_of(recipe: Recipe) -> float:
-    return recipe.rate_hz or recipe.tuned_on.rate_hz

@@ -92,7 +92,7 @@ class Sequence:
         if seq < self._next and self._is_anew(batch):
             self._begin(batch)
         elif seq + len(batch) <= self._next:
-            self._count(batch, LossKind.LATE if self._was_missed(seq) else LossKind.REPEATED, len(batch))
+            self._count(LossKind.LATE if self._was_missed(seq) else LossKind.REPEATED, len(batch))
         elif seq <= self._next:
             self._tell(batch)
         else:
@@ -141,7 +141,7 @@ class Sequence:
     def _hold(self, batch: Batch, now_s: float) -> None:
         seq = _number(batch)
         if any(held == seq and len(batch) <= len(other) for held, _, other in self._held):
-            self._count(batch, LossKind.REPEATED, len(batch))
+            self._count(LossKind.REPEATED, len(batch))
             return
         insort(self._held, (seq, now_s, batch), key=lambda held: held[0])
         while len(self._held) > self.reorder:
@@ -164,13 +164,13 @@ class Sequence:
             if _number(batch) + len(batch) > self._next:
                 self._tell(batch)
             else:
-                self._count(batch, LossKind.REPEATED, len(batch))
+                self._count(LossKind.REPEATED, len(batch))
 
     def _tell(self, batch: Batch) -> None:
         """Take the new rows of a batch that holds the next."""
         old = (self._next or 0) - _number(batch)
         if old:
-            self._count(batch, LossKind.REPEATED, old)
+            self._count(LossKind.REPEATED, old)
             batch = batch.after(old)
         seq = _number(batch)
         self._next = seq + len(batch)
@@ -185,7 +185,7 @@ class Sequence:
     def _was_missed(self, seq: int) -> bool:
         return any(first <= seq < end for first, end in self._missed)
 
-    def _count(self, batch: Batch, kind: LossKind, rows: int) -> None:
+    def _count(self, kind: LossKind, rows: int) -> None:
         self._counts[kind] = self._counts.get(kind, 0) + rows
 
     def _is_anew(self, batch: Batch) -> bool:
