@@ -79,3 +79,12 @@ def test_learning_does_not_wait_forever_for_stamps_that_stand_still() -> None:
     stuck = [np.full(50, 5.0)] * 3
     assert not Learner(2.0).is_enough(early_of(stuck, [0.0, 1.0, 2.5]), None)
     assert Learner(2.0).is_enough(early_of(stuck, [0.0, 1.0, 15.0]), None)
+
+
+@pytest.mark.parametrize("stamp_s", [1e300, 1e17])
+def test_a_first_stamp_beyond_all_counting_after_a_restart_is_a_gap_of_unknown_rows(stamp_s: float) -> None:
+    keeper = MemoryKeeper()
+    runner_of(ListSource(lambda _: blocks_of(VALUES, 50)), keeper, recipe_of()).run()
+    far = replace(blocks_of(VALUES[:1], 1)[0], time_s=np.array([stamp_s]))
+    runner_of(ListSource(lambda _: [far]), keeper, recipe_of()).run()
+    assert keeper.losses == [("gap", None)]

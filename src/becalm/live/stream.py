@@ -18,6 +18,7 @@ from becalm.errors import BecalmError, ModelError, RecipeError
 from becalm.live.block import Block, Checkpoint, Head, Loss, LossKind, Output
 
 _VERSION = 1
+_COUNTABLE = 2.0**52  # steps; a stamp that claims more tells nothing of rows
 _LEFT_OUT = {
     LATE: (LossKind.LATE, "came with stamps before that of a row already taken"),
     REPEATED: (LossKind.REPEATED, "came with the stamp of the row before"),
@@ -245,6 +246,10 @@ def _jumps(stamps: Floats, elapsed: Floats, reset: Booleans, explained: bool) ->
     ]
     gaps = np.flatnonzero((elapsed > GAP_STEPS) & ~reset & (not explained))
     return losses + [
-        Loss(LossKind.GAP, round(elapsed[k] - 1), f"{elapsed[k]:.6g} steps passed before {stamps[k]:.15g} s.")
+        Loss(
+            LossKind.GAP,
+            round(elapsed[k] - 1) if elapsed[k] < _COUNTABLE else None,
+            f"{elapsed[k]:.6g} steps passed before {stamps[k]:.15g} s.",
+        )
         for k in gaps
     ]
