@@ -15,6 +15,7 @@ from becalm.core.clock import GAP_STEPS
 from becalm.core.live_clock import FAR, LATE, REPEATED, RESET, TAKEN, UNTIMED, LiveClock
 from becalm.core.packing import packed, unpacked
 from becalm.errors import BecalmError, ModelError, RecipeError
+from becalm.files.units import parse_header
 from becalm.live.block import Block, Checkpoint, Head, Loss, LossKind, Output
 
 _VERSION = 1
@@ -102,12 +103,20 @@ class Stream:
 
     def _chosen(self, block: Block) -> Floats:
         if self._numbers is None:
-            units = block.units if any(block.units) else [self._unit_of(name) for name in block.names]
-            self.recipe = fitted(self.recipe, block.names, units)
-            self._numbers = [block.names.index(channel.name) for channel in self.recipe.channel]
+            names = [self._called(name) for name in block.names]
+            units = block.units if any(block.units) else [self._unit_of(name) for name in names]
+            self.recipe = fitted(self.recipe, names, units)
+            self._numbers = [names.index(channel.name) for channel in self.recipe.channel]
         if self._numbers == list(range(block.values.shape[1])):
             return block.values
         return np.ascontiguousarray(block.values[:, self._numbers])
+
+    def _called(self, name: str) -> str:
+        """Return what the recipe calls a channel: a file's "load (N)" may come as "load", in N, from a message."""
+        own = [channel.name for channel in self.recipe.channel]
+        bare = parse_header(name)[0]
+        alike = [one for one in own if parse_header(one)[0] == bare]
+        return alike[0] if name not in own and len(alike) == 1 else name
 
     def _unit_of(self, name: str) -> str:
         return next((channel.unit for channel in self.recipe.channel if channel.name == name), "")
