@@ -266,3 +266,18 @@ def test_noise_alone_is_counted(recipe: Path, run: Run) -> None:
     ran = run("live", "stdin:", "--recipe", recipe, input="nothing\nof use\n")
     assert ran.returncode == 0
     assert "kind=garbled events=1 rows=2" in ran.stderr
+
+
+def test_rows_are_counted_as_the_recipe_counts_them(drive: Path, run: Run) -> None:
+    rows = [line.split(",", 1)[1] for line in drive.read_text(encoding="utf-8").splitlines()]
+    text = "\n".join(rows) + "\n"
+    drive.with_name("rows.csv").write_text(text, encoding="utf-8")
+    assert run("tune", "rows.csv", "-o", "rows.toml", "--causal", "--rate", "100").returncode == 0
+    cleaned = run("clean", "rows.csv", "-o", "calm.csv", "--recipe", "rows.toml", "--causal")
+    assert cleaned.returncode == 0, cleaned.stderr
+    wanted = becalm.read(drive.with_name("calm.csv"), rate_hz=100.0).samples[:, 0]
+    for number, source in enumerate(["replay:rows.csv", "stdin:"]):
+        ran = run("live", source, "--recipe", "rows.toml", "--sink", f"journal:kept{number}", input=text)
+        assert ran.returncode == 0, ran.stderr
+        found = kept(drive.with_name(f"kept{number}"))
+        np.testing.assert_allclose(found[found.column_names[2]].to_numpy(), wanted, rtol=1e-9)

@@ -9,7 +9,7 @@ import pytest
 
 from becalm.cleaning.recipe import Recipe
 from becalm.core.arrays import Floats
-from becalm.errors import InputError
+from becalm.errors import BecalmError, InputError
 from becalm.live.block import Block, Loss, LossKind
 from becalm.live.keeping import Outlets
 from becalm.live.learning import Early, Learner
@@ -79,3 +79,27 @@ def test_learning_does_not_wait_forever_for_stamps_that_stand_still() -> None:
     stuck = [np.full(50, 5.0)] * 3
     assert not Learner(2.0).is_enough(early_of(stuck, [0.0, 1.0, 2.5]), None)
     assert Learner(2.0).is_enough(early_of(stuck, [0.0, 1.0, 15.0]), None)
+
+
+@pytest.mark.parametrize("stamp_s", [1e300, 1e17])
+def test_a_first_stamp_beyond_all_counting_after_a_restart_is_a_gap_of_unknown_rows(stamp_s: float) -> None:
+    keeper = MemoryKeeper()
+    runner_of(ListSource(lambda _: blocks_of(VALUES, 50)), keeper, recipe_of()).run()
+    far = replace(blocks_of(VALUES[:1], 1)[0], time_s=np.array([stamp_s]))
+    runner_of(ListSource(lambda _: [far]), keeper, recipe_of()).run()
+    assert keeper.losses == [("gap", None)]
+
+
+def named(names: tuple[str, ...], units: tuple[str, ...]) -> ListSource:
+    return ListSource(lambda row: [replace(one, names=names, units=units) for one in blocks_of(VALUES, 50, row)])
+
+
+def test_a_channel_named_with_its_unit_in_a_file_is_found_in_a_message() -> None:
+    recipe, keeper = recipe_of(("ax (g)", "ay (g)")), MemoryKeeper()
+    units = tuple(one.model_copy(update={"unit": "g"}) for one in recipe.channel)
+    recipe = recipe.model_copy(update={"channel": units})
+    runner_of(named(("ay", "ax"), ("g", "g")), keeper, recipe).run()
+    assert keeper.heads[0].names == ("ax (g)", "ay (g)")
+    np.testing.assert_array_equal(np.concatenate([one.values for one in keeper.outputs]), VALUES[:, ::-1])
+    with pytest.raises(BecalmError, match="km"):
+        runner_of(named(("ay", "ax"), ("g", "km")), MemoryKeeper(), recipe).run()

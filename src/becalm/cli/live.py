@@ -9,7 +9,8 @@ from contextlib import ExitStack, suppress
 from functools import partial
 from pathlib import Path
 from types import FrameType
-from typing import NamedTuple, cast, get_args
+from typing import Any, NamedTuple, cast, get_args
+from urllib.parse import urlencode
 
 import typer
 
@@ -33,6 +34,7 @@ from becalm.live.watching.watch import Watch
 
 DEFAULT_SINK = "journal:becalm-journal"
 POLICIES = get_args(Policy)
+_TIMED_BY_RECIPE = ("replay", "stdin", "serial")
 _LEARNED = "learned.recipe.toml"
 
 
@@ -78,6 +80,7 @@ def settings_of(queue_blocks: int, when_full: str, commit: str) -> Settings:
 def run(source: str, sinks: list[str], asking: Asking, settings: Settings, watching: Watching) -> None:
     """Run a stream."""
     recipe = None if asking.recipe is None else Recipe.load(asking.recipe)
+    source = _timed(source, recipe)
     address, made = str(Address.parsed(source)), open_source(source)
     names = sinks or [DEFAULT_SINK]
     keeper, others = _parted([open_sink(name) for name in names])
@@ -106,6 +109,18 @@ def run(source: str, sinks: list[str], asking: Asking, settings: Settings, watch
         log.info("start", source=address, sinks=", ".join(str(Address.parsed(name)) for name in names))
         _walk(runner, log)
     _say(f"Told {runner.rows} rows of {address}.")
+
+
+def _timed(source: str, recipe: Recipe | None) -> str:
+    """Return a source of a file, or of lines, with the time that its recipe was tuned by, unless a person says one."""
+    told = Address.parsed(source)
+    if recipe is None or told.kind not in _TIMED_BY_RECIPE or not {"rate", "time"}.isdisjoint(told.options):
+        return source
+    words: dict[str, Any] = {"rate": recipe.rate_hz} if recipe.rate_hz is not None else {"time": recipe.time}
+    if told.kind == "replay" and "stamps" not in told.options:
+        words["stamps"] = recipe.stamps
+    tail = urlencode({name: value for name, value in words.items() if value is not None})
+    return f"{source}{'&' if told.options else '?'}{tail}" if tail else source
 
 
 def _walk(runner: Runner, log: Log) -> None:

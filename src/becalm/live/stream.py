@@ -15,9 +15,11 @@ from becalm.core.clock import GAP_STEPS
 from becalm.core.live_clock import FAR, LATE, REPEATED, RESET, TAKEN, UNTIMED, LiveClock
 from becalm.core.packing import packed, unpacked
 from becalm.errors import BecalmError, ModelError, RecipeError
+from becalm.files.units import parse_header
 from becalm.live.block import Block, Checkpoint, Head, Loss, LossKind, Output
 
 _VERSION = 1
+_COUNTABLE = 2.0**52  # steps; a stamp that claims more tells nothing of rows
 _LEFT_OUT = {
     LATE: (LossKind.LATE, "came with stamps before that of a row already taken"),
     REPEATED: (LossKind.REPEATED, "came with the stamp of the row before"),
@@ -112,12 +114,20 @@ class Stream:
 
     def _chosen(self, block: Block) -> Floats:
         if self._numbers is None:
-            units = block.units if any(block.units) else [self._unit_of(name) for name in block.names]
-            self.recipe = fitted(self.recipe, block.names, units)
-            self._numbers = [block.names.index(channel.name) for channel in self.recipe.channel]
+            names = [self._called(name) for name in block.names]
+            units = block.units if any(block.units) else [self._unit_of(name) for name in names]
+            self.recipe = fitted(self.recipe, names, units)
+            self._numbers = [names.index(channel.name) for channel in self.recipe.channel]
         if self._numbers == list(range(block.values.shape[1])):
             return block.values
         return np.ascontiguousarray(block.values[:, self._numbers])
+
+    def _called(self, name: str) -> str:
+        """Return what the recipe calls a channel: a file's "load (N)" may come as "load", in N, from a message."""
+        own = [channel.name for channel in self.recipe.channel]
+        bare = parse_header(name)[0]
+        alike = [one for one in own if parse_header(one)[0] == bare]
+        return alike[0] if name not in own and len(alike) == 1 else name
 
     def _unit_of(self, name: str) -> str:
         return next((channel.unit for channel in self.recipe.channel if channel.name == name), "")
@@ -258,6 +268,10 @@ def _jumps(stamps: Floats, elapsed: Floats, reset: Booleans, explained: bool) ->
     ]
     gaps = np.flatnonzero((elapsed > GAP_STEPS) & ~reset & (not explained))
     return losses + [
-        Loss(LossKind.GAP, round(elapsed[k] - 1), f"{elapsed[k]:.6g} steps passed before {stamps[k]:.15g} s.")
+        Loss(
+            LossKind.GAP,
+            round(elapsed[k] - 1) if elapsed[k] < _COUNTABLE else None,
+            f"{elapsed[k]:.6g} steps passed before {stamps[k]:.15g} s.",
+        )
         for k in gaps
     ]
