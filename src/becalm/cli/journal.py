@@ -76,7 +76,8 @@ def _list(folder: Path, as_json: bool) -> bool:
         table.add_row(where, f"{one.rows:,}", *_stamps(one), rate, f"{one.size / 1e6:.1f}")
     _stdout.print(table)
     channels = ", ".join(
-        f"{one['name']} ({one['unit']})" if one["unit"] else one["name"] for one in summary["channels"]
+        one["name"] if not one["unit"] or one["unit"] in one["name"] else f"{one['name']} ({one['unit']})"
+        for one in summary["channels"]
     )
     _stdout.print(f"{summary['rows']:,} rows of {channels or 'no channels yet'} from {summary['source'] or 'nowhere'}")
     for kind, number in summary["losses"].items():

@@ -137,7 +137,9 @@ class Runner:
         stream.opened()
         self._position = last.position
         if not self.source.replays:
-            says = "becalm was not running, and this source cannot be asked for what was sent meanwhile."
+            says = (
+                "becalm was not running; what was sent meanwhile is lost, unless the sender keeps it and sends it yet."
+            )
             self._losses.append(Loss(LossKind.GAP, None, says))
         return stream
 
