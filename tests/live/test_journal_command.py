@@ -41,7 +41,7 @@ def test_list_tells_hours_rows_rate_losses_and_position(journal: Path, run: Run)
         "2023-11-14/23.parquet",
         "journal.sqlite",
     ]
-    assert "80,000 rows of ax (m/s^2), strain (um/m) (um/m) from replay:drive.csv" in ran.stdout
+    assert "80,000 rows of ax (m/s^2), strain (um/m) from replay:drive.csv" in ran.stdout
     assert "missing: 1 told; the last: 4 rows never came" in ran.stdout
     assert 'The source goes on after {"row": 80000}' in ran.stdout
     told = json.loads(run("journal", journal, "list", "--json").stdout)
