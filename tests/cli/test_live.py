@@ -165,7 +165,11 @@ def test_a_closed_reader_ends_in_a_sentence(drive: Path, recipe: Path, tmp_path:
 def test_hanging_up_reads_the_recipe_again(drive: Path, recipe: Path, tmp_path: Path) -> None:
     status = tmp_path / "s.json"
     words = [f"replay:{drive}?speed=0.1&rows=1", "--recipe", recipe, "--commit", "0.1s", "--status", status]
-    with begun(tmp_path, words) as process:
+
+    def hear() -> None:  # what nohup begins ignores it
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+    with begun(tmp_path, words, preexec_fn=hear) as process:
         until(lambda: rows_in(status) > 0)
         text = recipe.read_text(encoding="utf-8").replace("tuning_spread = 0.", "tuning_spread = 1.")
         assert "tuning_spread = 1." in text
