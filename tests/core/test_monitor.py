@@ -11,9 +11,9 @@ from scipy.stats import chi2, poisson
 from becalm.core.arrays import Floats
 from becalm.core.cusum import SLACK, cusum_delay, cusum_threshold
 from becalm.core.filtering import kalman_filter
-from becalm.core.kernel_watch import HOP
+from becalm.core.kernel_watch import HOP, WINDOW
 from becalm.core.model import Model
-from becalm.core.monitor import WINDOW, InnovationMonitor, find_alarms
+from becalm.core.monitor import InnovationMonitor, find_alarms
 from becalm.core.verdict import Verdict
 from becalm.errors import UsageError
 

@@ -68,6 +68,15 @@ def test_the_peers_run_and_agree(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_a_journal_gives_back_what_was_written(tmp_path: Path) -> None:
+    """Small and untimed; the benchmark itself compares every number, and fails where one differs."""
+    page = page_of(tmp_path, "journal_writing.py", "--seconds", "2", "--repeats", "1")
+    assert [row["block"] for row in rows_of(page)] == ["0.05 s", "1 s", "10 s"]
+    assert "Rolled into Parquet" in page
+    assert "Every number was read again as it was kept." in page
+
+
+@pytest.mark.slow
 def test_large_files_are_cleaned_as_small_recordings_are(tmp_path: Path) -> None:
     """Small and untimed; the benchmark itself compares rows and numbers, and fails where they differ."""
     page = page_of(tmp_path, "large_files.py", "--rows", "20000", "--repeats", "1")

@@ -103,7 +103,7 @@ class MotionChannel:
         opened = partial(self._opened_flow, split)
         if self._modes is not None:
             largest = largest_beside(self._modes.least_noise_variance)
-            return PartedFlow(opened, _reach_of_modes(self._modes), largest)
+            return PartedFlow(opened, reach_of_modes(self._modes), largest)
         part, variance = self._tuning.component, self._tuning.noise_variance
         return PartedFlow(opened, reach_of(part, variance), largest_beside(variance))
 
@@ -191,7 +191,7 @@ class UnchangedChannel:
 
     def __init__(self, recipe: ChannelRecipe, step_s: float, split: bool) -> None:
         self._recipe, self._step_s, self._split, self._counts = recipe, step_s, split, Counter[Verdict]()
-        self._sensor = SensorWatch(recipe.limits, step_s)
+        self._sensor = SensorWatch(recipe.limits, step_s, shown=False)
         self._seen = 0
         self._first: float | None = None
         self._varies = False
@@ -243,7 +243,8 @@ class UnchangedChannel:
         )
 
 
-def _reach_of_modes(modes: Switching) -> Reach:
+def reach_of_modes(modes: Switching) -> Reach:
+    """Return which gaps a bank may be carried across."""
     return least_reach([reach_of(mode.component, mode.noise_variance) for mode in modes.modes])
 
 

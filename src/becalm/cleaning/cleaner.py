@@ -50,7 +50,7 @@ class Cleaner:
             open_channel(channel, step_s, lag, split, look)
             for channel, look in zip(recipe.channel, seen_by, strict=True)
         ]
-        self._ready = [_Rows() for _ in self._channels]
+        self._ready = [ReadyRows() for _ in self._channels]
         self._sizes: deque[int] = deque()  # of pushes that were not answered yet
         self._pool = ThreadPoolExecutor(os.cpu_count())  # more would wait for each other at every small step
 
@@ -101,7 +101,7 @@ class Cleaner:
         self._pool.shutdown(cancel_futures=True)
 
 
-class _Rows:
+class ReadyRows:
     """Clean rows of a channel that were not asked for yet."""
 
     def __init__(self) -> None:
@@ -109,8 +109,15 @@ class _Rows:
         self._parts: deque[Told] = deque()
 
     def add(self, parts: list[Told]) -> None:
+        """Take what was told of the next rows."""
         self._parts.extend(parts)
         self.count += sum(len(part.signal) for part in parts)
+
+    def held(self) -> Told:
+        """Return all rows that are held; they stay."""
+        told = self.take(self.count)
+        self.add([told])
+        return told
 
     def take(self, count: int) -> Told:
         """Return the first `count` rows; a part of that length as it is."""

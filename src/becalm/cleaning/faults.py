@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -127,15 +128,19 @@ class SensorWatch:
         What the channel keeps to.
     step_s : float
         One step, in seconds.
+    shown : bool
+        Whether it will be shown innovations.
 
     Attributes
     ----------
     rows : int
         Rows so far.
+    monitor : InnovationMonitor
+        Of the innovations.
     """
 
-    def __init__(self, told: LimitsRecipe | None, step_s: float) -> None:
-        self._faults, self._monitor = Faults(limits_of(told)), InnovationMonitor(_alarms_of(told))
+    def __init__(self, told: LimitsRecipe | None, step_s: float, *, shown: bool = True) -> None:
+        self._faults, self.monitor, self._shown = Faults(limits_of(told)), InnovationMonitor(alarms_of(told)), shown
         self._verdicts: Codes = np.empty(0, np.int8)  # of rows that the filter still holds
         self._alarms: Codes = np.empty(0, np.int8)  # of rows whose innovations it has told before the rows themselves
         self._elapsed = np.empty(0)  # before rows without innovations yet
@@ -147,7 +152,8 @@ class SensorWatch:
             return z
         verdicts = self._faults.push(z, elapsed)
         self._verdicts = np.append(self._verdicts, verdicts)
-        self._elapsed = np.append(self._elapsed, elapsed)  # a copy: the caller may write into its own
+        if self._shown:
+            self._elapsed = np.append(self._elapsed, elapsed)  # a copy: the caller may write into its own
         self.rows += len(z)
         return np.where(_ENTERS[verdicts], z, np.nan) if verdicts.any() else z
 
@@ -158,12 +164,24 @@ class SensorWatch:
             piece = slice(start, start + _PIECE)
             normalised = innovations[piece] / innovation_sigma[piece]
             elapsed, self._elapsed = self._elapsed[: len(normalised)], self._elapsed[len(normalised) :]
-            alarms.append(self._monitor.push(normalised, elapsed))
+            alarms.append(self.monitor.push(normalised, elapsed))
         self._alarms = np.concatenate(alarms)
 
     def named(self, told: list[Told]) -> list[Told]:
         """Return what a filter tells of the next rows, with what else became of their readings."""
         return [part._replace(verdicts=self._beside(part.verdicts)) for part in told]
+
+    def saved(self) -> dict[str, Any]:
+        """Return what verdicts depend on, as arrays."""
+        waiting = {"watch_verdicts": self._verdicts, "watch_alarms": self._alarms, "watch_elapsed": self._elapsed}
+        return self._faults.saved() | self.monitor.saved() | waiting
+
+    def restore(self, arrays: Mapping[str, Any]) -> None:
+        """Take over what `saved` returned."""
+        self._faults.restore(arrays)
+        self.monitor.restore(arrays)
+        self._verdicts, self._alarms = arrays["watch_verdicts"], arrays["watch_alarms"]
+        self._elapsed = arrays["watch_elapsed"]
 
     def _beside(self, verdicts: Codes) -> Codes:
         rows = len(verdicts)
@@ -176,7 +194,7 @@ class SensorWatch:
     def found(self) -> dict[Verdict, Found]:
         """What is wrong with readings, with their time, or with innovations; what is missing is no fault."""
         found = {verdict: one for verdict, one in self._faults.found.items() if verdict != Verdict.MISSING}
-        return found | self._monitor.found
+        return found | self.monitor.found
 
     def faults(self) -> tuple[Fault, ...]:
         """Tell each fault, with when it came first."""
@@ -193,7 +211,7 @@ class SensorWatch:
 
     def _delay(self, verdict: Verdict) -> float:
         """Return how many readings a fault lasts until it is told."""
-        alarms = self._monitor.alarms
+        alarms = self.monitor.alarms
         if verdict in (Verdict.DRIFT, Verdict.DEAD):
             return alarms.drift_delay if verdict == Verdict.DRIFT else alarms.dead_delay
         return float(self._faults.stuck_delay or 0) if verdict == Verdict.STUCK else 0.0
@@ -208,14 +226,14 @@ class SensorWatch:
 
     def changes(self) -> list[str]:
         """Say from when on the noise was another."""
-        return said_of_change(self._monitor.history.change(), self._step_s)
+        return said_of_change(self.monitor.history.change(), self._step_s)
 
     def advice(self) -> tuple[str, ...]:
         """Say what to do about the faults that were found."""
         return (*(ADVICE[verdict] for verdict in sorted(self.found)), *self.changes())
 
 
-def _alarms_of(told: LimitsRecipe | None) -> Alarms:
+def alarms_of(told: LimitsRecipe | None) -> Alarms:
     """Return when a channel drifts or is dead; never where the recipe does not say."""
     drift = None if told is None else told.drift_threshold
     dead = None if told is None else told.dead_variance

@@ -178,6 +178,11 @@ class Recipe(Settings):
     tuned_on: Origin
     channel: Annotated[tuple[ChannelRecipe, ...], Field(min_length=1)]
 
+    @property
+    def nominal_rate_hz(self) -> float:
+        """Readings a second of a stream that does not know its own: what was said, else that of the recording."""
+        return self.rate_hz or self.tuned_on.rate_hz
+
     @field_validator("becalm_recipe")
     @classmethod
     def _as_written_now(cls, _: int) -> int:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from becalm.cleaning.recipe_parts import TimingRecipe
@@ -43,6 +45,14 @@ class Slopes:
         self._last, self._slope = float(signal[-1]), float(slopes[-1])
         return slopes
 
+    def saved(self) -> Floats:
+        """Return what moves."""
+        return np.array([self._last, self._slope])
+
+    def restore(self, moved: Floats) -> None:
+        """Take over what `saved` returned."""
+        self._last, self._slope = moved.tolist()
+
 
 class TimingNoise:
     """Widens sigma by what an uncertain time adds to the noise.
@@ -74,6 +84,15 @@ class TimingNoise:
         wider = np.sqrt(1.0 + np.maximum(more, 0.0) / self._variance)
         self.most = max(self.most, float(wider.max(initial=1.0)) - 1.0)
         return told._replace(sigma=wider * told.sigma)
+
+    def saved(self) -> dict[str, Floats]:
+        """Return what sigma depends on, as arrays."""
+        return {"timing_slopes": self._slopes.saved(), "timing_elapsed": np.concatenate([*self._elapsed, np.empty(0)])}
+
+    def restore(self, arrays: Mapping[str, Floats]) -> None:
+        """Take over what `saved` returned."""
+        self._slopes.restore(arrays["timing_slopes"])
+        self._elapsed = [arrays["timing_elapsed"]]
 
     def says(self) -> list[str]:
         """Say what it adds, in a sentence, where that is worth one."""

@@ -13,6 +13,8 @@ from typing import Annotated
 import typer
 
 from becalm.cli import options as o
+from becalm.cli.journal_command import journal
+from becalm.cli.live_command import live
 from becalm.cli.said import load, open_as, open_every, refuse_overwriting, said_of, tuned
 from becalm.cli.stopping import stop_cleanly
 from becalm.errors import BecalmError, UsageError
@@ -234,6 +236,10 @@ def demo(
     run(output)
 
 
+app.command()(live)
+app.command()(journal)
+
+
 @app.command()
 def warm() -> None:
     """Compile ahead what the first run would compile, once for all later ones."""
@@ -246,7 +252,7 @@ def main() -> None:
     """Run the command line; a person's mistake ends in a sentence and an exit code."""
     stop_cleanly()
     code = _run()
-    for stream in (sys.stdout, sys.stderr):
+    for stream in filter(None, (sys.stdout, sys.stderr)):  # None: it was closed from the start
         try:
             stream.flush()
         except OSError:  # nobody listens any more

@@ -15,6 +15,8 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
+import numba.core.ccallback  # these two tell Numba kinds of values when they are first imported, which else ...
+import numba.experimental.function_type  # ... is in the midst of a first call, while another thread may look them up
 from numba import njit
 from numba.core import config, serialize
 from numba.core.caching import CompileResultCacheImpl

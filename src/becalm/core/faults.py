@@ -1,29 +1,25 @@
 """What is wrong with readings themselves, told as they come: clipped, stuck, late, repeated, after a gap.
 
-No filter is asked, only the limits of the channel. Time is counted in whole parts of a step, so that sums are
-exact, and the verdicts those of the whole record wherever it is cut.
+No filter is asked, only the limits of the channel. Time since the first row is counted in whole parts of a step, so
+that sums are exact, and the verdicts those of the whole record wherever it is cut.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from becalm.core.arrays import Booleans, Codes, Floats, Integers, input_of
+from becalm.core.arrays import Codes, Floats, Integers, input_of
 from becalm.core.kernel_faults import Rule, find_faults
 from becalm.core.limits import Limits
+from becalm.core.rhythm import LONGEST, Rhythm
 from becalm.core.verdict import ADVICE, Verdict
 from becalm.errors import UsageError
 
-_TICKS = 1 << 20  # of a step, for what a row is off its time
 _TIME = 1 << 10  # of a step, for the time since the first row
 _ENDLESS = 1 << 53  # equal readings in a row: no record has so many
-_LONGEST = float(1 << 31)  # steps between two rows; beyond, time is not told
-_LATEST = 0.75  # of a step after it was due: a row that comes later is the next one, and the one due was lost
-_REFERENCES = (16, 32, 48)  # rows before, whose median is the even time
-_ON_TIME = 0.1  # steps off a whole one: there a row stands in a place of even time, if not its own
 
 
 class Found(NamedTuple):
@@ -61,7 +57,7 @@ class Faults:
         self._memory = np.array([np.nan, 0.0, np.inf, -np.inf])  # see `kernel_faults`
         self._rows = 0
         self._ticks = 0  # from the first row
-        self._offsets = np.zeros(max(_REFERENCES), dtype=np.int64)  # of the rows before, in ticks off even time
+        self._rhythm = Rhythm(limits)
 
     @property
     def stuck_delay(self) -> int | None:
@@ -94,36 +90,24 @@ class Faults:
             return codes
         even = bool((elapsed[0 if self._rows else 1 :] == 1.0).all())
         if not even:
-            elapsed = np.clip(np.nan_to_num(elapsed, nan=1.0), 0.0, _LONGEST)
+            elapsed = np.clip(np.nan_to_num(elapsed, nan=1.0), 0.0, LONGEST)
             elapsed[0] = elapsed[0] if self._rows else 1.0  # it came when it was due
-        if not even or self._offsets.any():
-            self._write_timing(codes, elapsed)
+        if not even or not self._rhythm.undisturbed:
+            self._rhythm.write(codes, elapsed)
         found = find_faults(input_of(z), input_of(elapsed), self._rule, self._memory, codes)
         ticks = np.full(1, _TIME) if even else np.rint(elapsed * _TIME).astype(np.int64)
         self._count(codes if found else codes[:0], np.broadcast_to(ticks, z.shape))
         return codes
 
-    def _write_timing(self, codes: Codes, elapsed: Floats) -> None:
-        """Tell what is wrong with the time of each row."""
-        if self.limits.even:
-            codes[self._is_late(elapsed)] = Verdict.LATE
-        codes[elapsed > self.limits.gap_steps] = Verdict.GAP
-        codes[elapsed == 0] = Verdict.REPEATED
+    def saved(self) -> dict[str, Any]:
+        """Return what verdicts depend on, as arrays; what was found so far is not among it."""
+        told = np.array([self._rows, self._ticks])
+        return {"faults_memory": self._memory, "faults_told": told, "faults_offsets": self._rhythm.offsets}
 
-    def _is_late(self, elapsed: Floats) -> Booleans:
-        """Tell which rows are off their even time by more than half a step, rows that were lost before left aside.
-
-        Even time goes on from where most of the rows before had it, so that a clock may run a little fast or slow.
-        """
-        due = np.where(elapsed > self.limits.gap_steps, np.ceil(elapsed - _LATEST), 1.0)
-        off = np.where(elapsed > 0, elapsed - due, 0.0)
-        moved = np.cumsum(np.rint(off * _TICKS).astype(np.int64))
-        offsets = np.append(self._offsets, self._offsets[-1] + moved)
-        ahead = len(self._offsets)
-        even = _middle([offsets[ahead - rows : len(offsets) - rows] for rows in _REFERENCES])
-        late = (offsets[ahead:] - even) / _TICKS
-        self._offsets = offsets[-ahead:].copy()
-        return np.asarray((np.abs(late) > 0.5) & (np.abs(late - np.round(late)) > _ON_TIME))
+    def restore(self, arrays: Mapping[str, Any]) -> None:
+        """Take over what `saved` returned."""
+        self._memory[:], self._rhythm.offsets[:] = arrays["faults_memory"], arrays["faults_offsets"]
+        self._rows, self._ticks = arrays["faults_told"].tolist()
 
     def _count(self, codes: Codes, ticks: Integers) -> None:
         """Remember how often each verdict was given, and where first; time begins with the first row of all."""
@@ -198,9 +182,3 @@ _WORDS = {
     Verdict.DRIFT: "at which a drift was seen",
     Verdict.REPEATED: "at the time of the row before",
 }
-
-
-def _middle(three: list[Integers]) -> Integers:
-    """Return the medians of three rows of numbers."""
-    least, most = np.minimum(three[0], three[1]), np.maximum(three[0], three[1])
-    return np.asarray(np.maximum(least, np.minimum(most, three[2])))

@@ -211,7 +211,11 @@ class FixedLag:
         """Return what moves, as arrays."""
         moves = {f"window_{field}": np.asarray(array) for field, array in self._window._asdict().items()}
         moves |= {"last_step": np.array(self._last_step)} | self._opening.snapshot()
-        return moves if self._memory is None else moves | {"memory": self._memory}
+        if self._memory is None:
+            return moves
+        memory = self._memory.copy()  # in which the last step is the first of any timeline, however rows were cut
+        rename_last_step(memory, self.model.states, self.model.channels, None if np.isnan(self._last_step) else 0)
+        return moves | {"memory": memory}
 
     def restore(self, arrays: Mapping[str, Floats]) -> None:
         """Take over what moves, of the right shapes and types only: kernels trust them.

@@ -149,6 +149,7 @@ class Flow:
             C = self._component.signal_output[0]
             signal = C @ belief.mean
             sigma = np.sqrt(np.maximum(np.einsum("i,ijk,j->k", C, belief.cov, C), 0.0))
+            sigma[np.isnan(signal)] = np.inf  # no state is known there, and of 0 inf nothing
         if level:
             signal += level  # in place: nobody else reads it
         parts = np.empty((0, len(signal)))

@@ -12,9 +12,9 @@ from becalm.core.sized import Sizes
 
 @compiled_part
 def advance(  # noqa: PLR0913  (a part of the loops, which keep these apart for the compiler)
-    sizes: Sizes, step: Step, number: int, z: Floats, row: int, state: State, watch: Watch, enough: float
+    sizes: Sizes, step: Step, number: float, z: Floats, row: int, state: State, watch: Watch, enough: float
 ) -> None:
-    """Take one row of readings (N, m) after a step; its number tells steps apart, -1 stands for none.
+    """Take one row of readings (N, m) after a step; its number, or length, tells steps apart; -1 stands for none.
 
     A gain is used again once `enough` has settled.
     """

@@ -22,7 +22,7 @@ _STRETCHED = 1.125  # the next check comes when the stretch has grown by this
 _UNCHANGED = 1e-13
 _STEADY = 1e-9  # of a variance
 _FORGOTTEN = 0.9  # what the last eighth of a stretch may leave of the spread before it
-_NO_STEP = -2.0
+NO_STEP = -2.0
 LOAD, SAVE = 0.0, 1.0
 
 
@@ -51,13 +51,13 @@ def new_memory(x: Floats, P: Floats, channels: int, rows: int = 1) -> Floats:
     memory = np.zeros((rows, counters + len(SIX) + 2 * m))
     memory[0, :n] = x
     memory[0, n : n + n * n] = np.ravel(P)
-    memory[0, counters : counters + len(SIX)] = 0.0, 0.0, FIRST_CHECK, _NO_STEP, 0.0, 0.0
+    memory[0, counters : counters + len(SIX)] = 0.0, 0.0, FIRST_CHECK, NO_STEP, 0.0, 0.0
     return memory
 
 
 def rename_last_step(memory: Floats, n: int, m: int, number: int | None) -> None:
     """Say which number the last step before a memory (M,) has from now on; None if it has none."""
-    memory[_counters_at(n, m) + LAST_STEP] = _NO_STEP if number is None else number
+    memory[_counters_at(n, m) + LAST_STEP] = NO_STEP if number is None else number
 
 
 def _counters_at(n: int, m: int) -> int:
@@ -165,7 +165,7 @@ def forgets(sizes: Sizes, step: Step, state: State, rows: float) -> bool:
 
 @compiled_part
 def notice(  # noqa: PLR0913
-    sizes: Sizes, step: Step, number: int, state: State, watch: Watch, rows: float
+    sizes: Sizes, step: Step, number: float, state: State, watch: Watch, rows: float
 ) -> None:
     """Notice, after some complete rows, that the gain has settled; rows = 0 stands for a row that is not complete.
 
@@ -175,7 +175,7 @@ def notice(  # noqa: PLR0913
     counters, complete = watch.counters, rows > 0.0
     if not complete or number != counters[LAST_STEP]:
         counters[SETTLED], counters[STEADY], counters[NEXT_CHECK], counters[AGREED] = 0.0, -1.0, FIRST_CHECK, 0.0
-        counters[LAST_STEP] = number if complete else _NO_STEP
+        counters[LAST_STEP] = number if complete else NO_STEP
         watch.D[0] = -1.0  # a check must not find what another stretch has left
     counters[STEADY] += max(rows, 1.0)
     if counters[STEADY] < counters[NEXT_CHECK]:

@@ -10,7 +10,7 @@ import math
 from typing import NamedTuple
 
 from becalm.core.arrays import Codes, Floats, Integers
-from becalm.core.compiling import compiled
+from becalm.core.compiling import compiled, compiled_part
 
 LARGEST = 6.0
 """Sigma: what one spike may say."""
@@ -20,6 +20,12 @@ PARTS = 1 << 16
 
 HOP = 16
 """Innovations that are summed together."""
+
+KEPT_HOPS = 32
+"""The last ones, whose power tells how large innovations are now."""
+
+WINDOW = 64
+"""Innovations whose variance is looked at together."""
 
 DRIFT = 9
 
@@ -34,6 +40,10 @@ POWER, NOW, OPENED, SUMS = range(4)
 and to that of the first innovation of the open hop."""
 
 
+Sides = tuple[int, int, int, int]
+"""The sums above and below, and the row after the last in which each was 0."""
+
+
 class Hops(NamedTuple):
     """What is told of each whole hop."""
 
@@ -43,6 +53,22 @@ class Hops(NamedTuple):
     steps: Floats  # (H,) from the first row of all to that of its first innovation
 
 
+@compiled_part
+def cumulate(sides: Sides, part: int, row: int, slack: int, threshold: int) -> tuple[Sides, int]:
+    """Add an innovation, in parts of a sigma, to the sums of either side: S = max(0, S + x - k) (Page 1954).
+
+    Returns them with the row in which a drift that is told now began, -1 for none; then its sum starts anew.
+    """
+    above, below, above_since, below_since = sides
+    above, below, since = max(above + part - slack, 0), max(below - part - slack, 0), -1
+    if above >= threshold or below >= threshold:
+        since = above_since if above >= threshold else below_since
+        above, below = above if above < threshold else 0, below if below < threshold else 0
+    above_since = row + 1 if above == 0 else above_since
+    below_since = row + 1 if below == 0 else below_since
+    return (above, below, above_since, below_since), since
+
+
 @compiled
 def watch(  # noqa: PLR0913  (a door for Python: what is read, what is remembered, what is written)
     normalised: Floats, elapsed: Floats, slack: int, threshold: int, memory: Integers, sums: Floats, hops: Hops,
@@ -50,11 +76,10 @@ def watch(  # noqa: PLR0913  (a door for Python: what is read, what is remembere
 ) -> int:  # fmt: skip
     """Watch innovations (B,) over their standard deviations, NaN where there is none; return how many hops ended.
 
-    S_i = max(0, S_{i-1} + x_i - k) on either side; where one reaches h, its row's code becomes DRIFT, and it starts
-    anew (Page 1954). `elapsed` are the steps before each row. `memory` and `sums` hold what was before, then after.
+    Where the sum of a side reaches the threshold, its row's code becomes DRIFT. `elapsed` are the steps before each
+    row. `memory` and `sums` hold what was before, then after.
     """
-    above, below = memory[ABOVE], memory[BELOW]
-    above_since, below_since = memory[ABOVE_SINCE], memory[BELOW_SINCE]
+    sides = memory[ABOVE], memory[BELOW], memory[ABOVE_SINCE], memory[BELOW_SINCE]
     count, total, squares, open_power = memory[COUNT], memory[TOTAL], memory[SQUARES], sums[POWER]
     before, now, opened, found = memory[ROWS], sums[NOW], sums[OPENED], 0
     for row in range(len(normalised)):
@@ -64,22 +89,17 @@ def watch(  # noqa: PLR0913  (a door for Python: what is read, what is remembere
             continue
         nu = min(max(nu, -LARGEST), LARGEST)
         part = round(nu * PARTS)
-        above, below = max(above + part - slack, 0), max(below - part - slack, 0)
-        if above >= threshold or below >= threshold:
-            since = above_since if above >= threshold else below_since
+        sides, since = cumulate(sides, part, before + row, slack, threshold)
+        if since >= 0:
             memory[DRIFT_SINCE] = since if memory[DRIFT_SINCE] < 0 else memory[DRIFT_SINCE]
             codes[row] = DRIFT
-            above, below = above if above < threshold else 0, below if below < threshold else 0
-        above_since = before + row + 1 if above == 0 else above_since
-        below_since = before + row + 1 if below == 0 else below_since
         opened = now if count == 0 else opened
         count, total, squares, open_power = count + 1, total + part, squares + part * part, open_power + nu * nu
         if count == HOP:
             hops.totals[found], hops.squares[found], hops.powers[found] = total, squares, open_power
             hops.steps[found] = opened
             count, total, squares, open_power, found = 0, 0, 0, 0.0, found + 1
-    memory[ABOVE], memory[BELOW] = above, below
-    memory[ABOVE_SINCE], memory[BELOW_SINCE] = above_since, below_since
+    memory[ABOVE], memory[BELOW], memory[ABOVE_SINCE], memory[BELOW_SINCE] = sides
     memory[COUNT], memory[TOTAL], memory[SQUARES] = count, total, squares
     sums[POWER], sums[NOW], sums[OPENED] = open_power, now, opened
     memory[ROWS] = before + len(normalised)

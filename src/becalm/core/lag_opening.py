@@ -18,7 +18,7 @@ from becalm.core.model import Model
 from becalm.core.starting import (
     Information,
     arrived,
-    carry,
+    carry_on,
     estimable,
     is_determined,
     is_narrow,
@@ -106,7 +106,8 @@ class LagOpening:
             unknown = np.full(p, np.nan), np.full(p, np.inf), np.zeros((n, n)), np.zeros(n)
             self._rows.append(Early(*unknown, F, Q))
             return None
-        before = carry(self._now, F, Q) if self._now is not None else self._prior or known_before(self._model)
+        before = self._prior or known_before(self._model)
+        before = before if self._now is None else carry_on(self._now, F, Q, self._model)
         now = self._now = learn(before, H, R, reading)
         if is_determined(now.Y) and (self._prior is None or is_narrow(now, system)):
             x, P = known_state(now)

@@ -5,6 +5,9 @@ Rows go one by one, as in a stream, so that a channel in stretches is the whole 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
 from becalm.core.arrays import Codes, Floats
@@ -15,6 +18,7 @@ from becalm.core.gates import Gate, Gatekeeper
 from becalm.core.kernel_settling import COVARIANCE, GAIN
 from becalm.core.possible import largest_beside, level_by
 from becalm.core.starting import first_reading
+from becalm.core.steps import Steps
 from becalm.core.timeline import elapsed_timeline
 from becalm.core.told import Told
 from becalm.core.verdict import judge as judge_readings
@@ -54,14 +58,15 @@ class LaggedFlow:
         split: bool = False,
         gate: Gate | None = None,
     ) -> None:
-        self._component, self._variance, self._judge = component, noise_variance, judge
+        self._variance, self._judge = noise_variance, judge
         disturbed = any(part.disturbance for part in component.parts)
         shares = [output for _, output in component.outputs()] if split else []
         output = np.vstack([component.signal_output if disturbed else component.output, *shares])
         self._split = split
         model = component.to_model(1.0, noise_variance)
-        keeper = None if gate is None else Gatekeeper(model, gate)
-        self._late = FixedLag(model, lag, output, COVARIANCE if disturbed else GAIN, keeper)
+        self._keeper = None if gate is None else Gatekeeper(model, gate)
+        self._steps = Steps(component)
+        self._late = FixedLag(model, lag, output, COVARIANCE if disturbed else GAIN, self._keeper)
         self._level: float | None = None if component.keeps_level else 0.0  # what all readings are told from
         self._verdicts: Codes = np.empty(0, np.int8)  # of rows that wait
         self.rows = 0
@@ -77,7 +82,7 @@ class LaggedFlow:
         if self._level is None and (row := first_reading(z[:, np.newaxis])) < len(z):
             self._level = level_by(float(z[row]), self._variance)
         readings = (z - self._level if self._level else z)[:, np.newaxis]
-        timeline = elapsed_timeline(self._component, self._variance, elapsed, goes_on=self.rows > 0)
+        timeline = elapsed_timeline(self._steps, self._variance, elapsed, goes_on=self.rows > 0)
         late = self._late.push(timeline, readings, innovations=self._judge is not None)
         verdicts = judged.verdicts if late.gated is None else late.gated.beside(judged.verdicts)
         self._verdicts = np.concatenate([self._verdicts, verdicts])
@@ -93,6 +98,22 @@ class LaggedFlow:
     def finish(self) -> list[Told]:
         """Say that no more rows will come; return the last ones, with what there is after them."""
         return [self._told(*self._late.rest())]
+
+    def saved(self) -> dict[str, Any]:
+        """Return what rows depend on, as arrays."""
+        level = np.nan if self._level is None else self._level
+        moves = {"flow_told": np.array([level, float(self.rows)]), "flow_verdicts": self._verdicts}
+        counters = {} if self._keeper is None else {"flow_gate": self._keeper.counters}
+        return self._late.snapshot() | moves | counters
+
+    def restore(self, arrays: Mapping[str, Any]) -> None:
+        """Take over what `saved` returned; raises a ModelError if it is not that of such a filter and lag."""
+        self._late.restore(arrays)
+        level, rows = arrays["flow_told"].tolist()
+        self._level, self.rows = None if np.isnan(level) else level, int(rows)
+        self._verdicts = arrays["flow_verdicts"]
+        if self._keeper is not None:
+            self._keeper.counters = arrays["flow_gate"]
 
     def _told(self, output: Floats, sigma: Floats) -> Told:
         output[: 1 + self._split] += self._level or 0.0  # the signal, and the motion, which is the first part

@@ -6,7 +6,8 @@ record wherever it is cut. One pass makes the sums of hops; what follows looks a
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import gammainccinv, gammaincinv
@@ -14,13 +15,10 @@ from scipy.special import gammainccinv, gammaincinv
 from becalm.core.arrays import Codes, Floats, Integers, input_of
 from becalm.core.cusum import SLACK, cusum_delay, cusum_threshold
 from becalm.core.faults import Found, require_steps
-from becalm.core.kernel_watch import COUNT, DRIFT_SINCE, HOP, MEMORY, NOW, PARTS, SUMS, Hops, watch
+from becalm.core.kernel_watch import COUNT, DRIFT_SINCE, HOP, KEPT_HOPS, MEMORY, NOW, PARTS, SUMS, WINDOW, Hops, watch
 from becalm.core.noise_change import NoiseHistory
 from becalm.core.verdict import Verdict
 from becalm.errors import UsageError
-
-WINDOW = 64
-"""Innovations whose variance is looked at together."""
 
 NEVER = 1e12
 """Of a cumulative sum, in sigma: none gets there."""
@@ -174,6 +172,8 @@ class InnovationMonitor:
         `Found` of `DRIFT` and `DEAD`; rows are counted as they came.
     history : NoiseHistory
         How large the innovations were, and when.
+    powers : (up to 32,) float array
+        Sums of squares of the last hops of 16 innovations, in sigma^2.
     louder, quieter : Excursion
         Where the noise was more, or less, than the filter expects. Quieter is no fault: machines rest.
     """
@@ -183,6 +183,7 @@ class InnovationMonitor:
         self.found: dict[Verdict, Found] = {}
         self.louder, self.quieter = Excursion(), Excursion()
         self.history = NoiseHistory()
+        self.powers = np.empty(0)
         self._watch = _Watch(alarms.drift_threshold)
         self._rows = 0
         self._hops = np.zeros((2, 0), dtype=np.int64)  # sums, and sums of squares, of the last hops
@@ -220,6 +221,7 @@ class InnovationMonitor:
         begun = float(self._watch.sums[NOW])
         hops = self._watch.push(normalised, elapsed, codes)
         self.history.push(hops.powers, hops.steps)
+        self.powers = np.append(self.powers, hops.powers)[-KEPT_HOPS:]
         sums = np.hstack([self._hops, hops[:2]])
         states, spreads = self._judge(_window_spreads(sums), len(hops.steps))
         self._hops = sums[:, -(WINDOW // HOP - 1) :].copy()
@@ -229,6 +231,23 @@ class InnovationMonitor:
             self._count(verdict, np.flatnonzero(codes == verdict), begun, elapsed)
         self._rows += len(codes)
         return codes
+
+    @property
+    def is_silent(self) -> bool:
+        """Whether the last window was that of a dead channel."""
+        return self._state == _SILENT
+
+    def saved(self) -> dict[str, Any]:
+        """Return what alarms depend on, as arrays; what was found so far is not among it."""
+        told = np.array([self._rows, self._state])
+        watched = {"monitor_memory": self._watch.memory, "monitor_sums": self._watch.sums}
+        return watched | {"monitor_hops": self._hops, "monitor_told": told, "monitor_powers": self.powers}
+
+    def restore(self, arrays: Mapping[str, Any]) -> None:
+        """Take over what `saved` returned."""
+        self._watch.memory[:], self._watch.sums[:] = arrays["monitor_memory"], arrays["monitor_sums"]
+        self._hops, self.powers = arrays["monitor_hops"], arrays["monitor_powers"]
+        self._rows, self._state = arrays["monitor_told"].tolist()
 
     def _count(self, verdict: Verdict, rows: Integers, begun: float, elapsed: Floats) -> None:
         if not len(rows):

@@ -68,7 +68,7 @@ class PartedFlow:
 
     def __init__(self, open_flow: Callable[[], PartialFlow], reach: Reach, largest: float = BEYOND_ANY_SENSOR) -> None:
         self._open_flow, self._largest = open_flow, largest
-        self._gaps = _Gaps(reach)
+        self._gaps = Gaps(reach)
         self._flow = open_flow()
         self._finished: list[_Part] = []
         self._rows = self._weight = 0  # of the part that is open
@@ -144,7 +144,7 @@ class PartedFlow:
         return told
 
 
-class _Gaps:
+class Gaps:
     """Finds the readings before which a gap is beyond reach.
 
     Times are summed row by row from each start, so that they are the same wherever rows are cut.
@@ -169,9 +169,17 @@ class _Gaps:
             else:
                 begin += _LOOK
 
+    def saved(self) -> Floats:
+        """Return what moves."""
+        return np.array([self._now, self._last, float(self._readings)])
+
+    def restore(self, moved: Floats) -> None:
+        """Take over what `saved` returned."""
+        self._now, self._last, self._readings = float(moved[0]), float(moved[1]), int(moved[2])
+
     def _bridges(self, arrived: Booleans, elapsed: Floats) -> bool:
         """Take all rows at once if nothing is missing in even time, as mostly; say whether they were taken."""
-        near = min(self._reach.longest, self._reach.spans * self._last) >= 1.0
+        near = min(self._reach.longest, self._reach.spans * self._last) >= 1.0 and self._now.is_integer()
         if not (near and self._readings >= self._reach.readings and arrived.all() and (elapsed == 1.0).all()):
             return False
         self._now += len(elapsed)

@@ -95,12 +95,17 @@ class Component:
         return bool(self.output[0, 0] == 1.0 and stays)
 
     @property
+    def goes_in_steps(self) -> bool:
+        """Whether a part is known at whole steps only."""
+        return any(part.recursion is not None for part in self.parts)
+
+    @property
     def known(self) -> Floats | None:
         """What is known of the states before any reading, as an inverse covariance (n, n); None where nothing is.
 
         Of a recursion, that it is stationary; it could not be told from a motion by its first readings.
         """
-        if all(part.recursion is None for part in self.parts):
+        if not self.goes_in_steps:
             return None
         Y = np.zeros_like(self.drift)
         for part, states in zip(self.parts, self._slices(), strict=True):

@@ -73,7 +73,7 @@ def open_record(timeline: Timeline, z: Floats, model: Model, prior: Information 
     for k in range(first, len(z)):
         if gathered:
             step = timeline.step_before(k)
-            now = carry(now, system.F[step], system.Q[step])
+            now = carry_on(now, system.F[step], system.Q[step], model)
         now = learn(now, system.H, system.R, z[k])
         gathered.append(now)
         if is_determined(now.Y) and (prior is None or is_narrow(now, system)):
@@ -127,6 +127,14 @@ def carry(now: Information, F: Floats, Q: Floats) -> Information:
     kept = np.linalg.inv(np.eye(len(root)) + L.T @ Q @ L)
     Y = L @ kept @ L.T
     return Information((Y + Y.T) / 2, L @ kept @ (vectors[:, live].T @ (b / scale) / root))
+
+
+def carry_on(now: Information, F: Floats, Q: Floats, model: Model) -> Information:
+    """Predict one step; after one so long that F has lost its inverse only what the model knows anyway is left."""
+    try:
+        return carry(now, F, Q)
+    except np.linalg.LinAlgError:  # what fades has become 0
+        return known_before(model)
 
 
 def learn(now: Information, H: Floats, R: Floats, reading: Floats) -> Information:
@@ -200,7 +208,12 @@ def regress(now: Information, F: Floats, Q: Floats) -> Regression:
     near Q where readings tell little, and needs no inverse of Q. Where they tell far more than the next state, as
     across a long gap, nothing would be left of it in float64; then F' Q^-1 F is put beside Y.
     """
-    back = np.linalg.inv(F)
+    try:
+        back = np.linalg.inv(F)
+    except np.linalg.LinAlgError:  # what fades has become 0: the next state says nothing of it
+        pull = F.T @ _pseudo_inverse(Q)
+        W = _pseudo_inverse(now.Y + pull @ F)
+        return Regression(W @ pull, W @ now.y, W)
     M, b = back.T @ now.Y @ back, back.T @ now.y
     if np.trace(M @ Q) > _FAR_MORE and is_determined(Q):
         pull = F.T @ _symmetric_inverse(Q)
@@ -214,6 +227,10 @@ def _symmetric_inverse(Y: Floats) -> Floats:
     scale = 1 / np.sqrt(np.diag(Y))
     P = np.linalg.inv(Y * np.outer(scale, scale)) * np.outer(scale, scale)
     return (P + P.T) / 2
+
+
+def _pseudo_inverse(Y: Floats) -> Floats:
+    return np.asarray(np.linalg.pinv(Y, hermitian=True), dtype=np.float64)
 
 
 def refuse_singular(system: System) -> None:

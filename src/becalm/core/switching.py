@@ -22,6 +22,7 @@ MOST_MODES = 8
 
 _WIDE = 1e6  # times the variance of a settled filter's slopes: what is known of them before the first readings
 _ASLEEP = 1e-6  # times the process noise of one step, which a state has that sleeps
+_MOST_BANKS = 16
 _TERMS = 16  # of a series whose argument is below 1/4
 
 
@@ -136,7 +137,20 @@ class Switching:
         return variances if len(variances) == self.states else np.full(self.states, mode.noise_variance)
 
     def bank(self, lengths: Floats) -> Bank:
-        """Lay the modes out for the kernels, for steps of several lengths (u,)."""
+        """Lay the modes out for the kernels, which only read, for steps of several lengths (u,)."""
+        key, known = lengths.tobytes(), self._banks
+        if key not in known:
+            if len(known) >= _MOST_BANKS:
+                known.clear()
+            known[key] = self._laid_out(lengths)
+        return known[key]
+
+    @cached_property
+    def _banks(self) -> dict[bytes, Bank]:
+        """What was laid out last, for lengths that come again."""
+        return {}
+
+    def _laid_out(self, lengths: Floats) -> Bank:
         F, Q = (
             np.stack(parts, axis=1) for parts in zip(*(self._over(mode, lengths) for mode in self.modes), strict=True)
         )

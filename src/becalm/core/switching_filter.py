@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
 from becalm.core.arrays import Codes, Floats, Integers
@@ -13,6 +16,7 @@ from becalm.core.starting import first_reading
 from becalm.core.switching import Switching
 from becalm.core.told import Told
 from becalm.core.verdict import Judged, Verdict, judge
+from becalm.errors import ModelError
 
 
 class SwitchingFilter:
@@ -41,6 +45,18 @@ class SwitchingFilter:
         """What share of the rows so far each mode was in force, as the filter believed at the time."""
         total = max(float(self._shares.sum()), 1.0)
         return {mode.name: float(share) / total for mode, share in zip(self.switching.modes, self._shares, strict=True)}
+
+    def saved(self) -> dict[str, Floats]:
+        """Return what rows depend on, as arrays."""
+        level = np.nan if self._level is None else self._level
+        return {"flow_beliefs": self._beliefs, "flow_told": np.array([level, float(self.rows)])}
+
+    def restore(self, arrays: Mapping[str, Floats]) -> None:
+        """Take over what `saved` returned; raises a ModelError if it is not that of such a bank."""
+        level, rows = arrays["flow_told"].tolist()
+        if arrays["flow_beliefs"].shape != self._beliefs.shape:
+            raise ModelError("The snapshot's beliefs are not those of its bank; pass what snapshot() returned.")
+        self._beliefs, self._level, self.rows = arrays["flow_beliefs"], None if np.isnan(level) else level, int(rows)
 
     def judged(self, z: Floats) -> Judged:
         """Let only possible readings (B,) through."""
@@ -112,6 +128,14 @@ class ByModes:
     def log_likelihood(self) -> float:
         """Of all readings so far but the first."""
         return self._filter.log_likelihood
+
+    def saved(self) -> dict[str, Any]:
+        """Return what rows depend on, as arrays, of one that tells rows at once or with a lag."""
+        return dict(self._filter.saved())
+
+    def restore(self, arrays: Mapping[str, Any]) -> None:
+        """Take over what `saved` returned; raises a ModelError if it is not that of such a bank."""
+        self._filter.restore(arrays)
 
 
 def with_spikes(verdicts: Codes, trace: SwitchingTrace) -> Codes:

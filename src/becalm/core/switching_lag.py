@@ -8,6 +8,7 @@ of a smoother, for any L. Of each row that waits, the beliefs are kept, and what
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -127,6 +128,17 @@ class LaggedSwitchingFlow(ByModes):
         room = self._filter.room(len(self._waiting))
         self._waiting.tell_all(bank, steps, room)
         return [self._filter.told(room, self._verdicts)]
+
+    def saved(self) -> dict[str, Any]:
+        """Return what rows depend on, as arrays."""
+        waiting = {"flow_elapsed": self._elapsed, "flow_verdicts": self._verdicts}
+        return super().saved() | self._waiting.snapshot() | waiting
+
+    def restore(self, arrays: Mapping[str, Any]) -> None:
+        """Take over what `saved` returned; raises a ModelError if it is not that of such a bank and lag."""
+        super().restore(arrays)
+        self._waiting.restore(arrays)
+        self._elapsed, self._verdicts = arrays["flow_elapsed"], arrays["flow_verdicts"]
 
     def _take(self, z: Floats, elapsed: Floats, verdicts: Codes) -> Told:
         elapsed, waited = np.concatenate([self._elapsed, elapsed]), len(self._waiting)

@@ -11,6 +11,7 @@ from becalm.core.components import Component
 from becalm.core.kernel_block import Record
 from becalm.core.kernel_steps import System
 from becalm.core.model import Model
+from becalm.core.steps import Steps
 
 
 class Timeline(NamedTuple):
@@ -43,14 +44,14 @@ def even_timeline(model: Model, count: int, *, goes_on: bool = False) -> Timelin
 
 
 def elapsed_timeline(
-    component: Component, noise_variance: float, elapsed: Floats, *, goes_on: bool = False
+    component: Component | Steps, noise_variance: float, elapsed: Floats, *, goes_on: bool = False
 ) -> Timeline:
     """Give every row the exact step over the time since the row before.
 
     Parameters
     ----------
-    component : Component
-        The signal's model, in the time unit of `elapsed`.
+    component : Component or Steps
+        The signal's model, in the time unit of `elapsed`, or what remembers its steps.
     noise_variance : float
         R, in unit^2.
     elapsed : (N,) float array

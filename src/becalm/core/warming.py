@@ -30,6 +30,7 @@ from becalm.core.kernel_faults import find_faults
 from becalm.core.kernel_gate import find_outliers
 from becalm.core.kernel_lag import run_late
 from becalm.core.kernel_online import live_kernels
+from becalm.core.kernel_stream import run_streams
 from becalm.core.kernel_switching import switch_forward
 from becalm.core.kernel_switching_online import live_bank_kernels
 from becalm.core.kernel_switching_return import switch_backward, switch_late
@@ -40,6 +41,7 @@ from becalm.core.model import Model
 from becalm.core.monitor import NEVER, Alarms, InnovationMonitor
 from becalm.core.online import Online
 from becalm.core.smoothing import kalman_smoother
+from becalm.core.streams import StreamChannel, Streams, new_block
 from becalm.core.switching import Mode, Switching
 from becalm.core.switching_flow import SwitchingFlow
 from becalm.core.switching_lag import LaggedSwitchingFlow
@@ -55,7 +57,7 @@ _OF_BANKS = tuple(
 OF_ALL = ("faults", "watch")
 """What every channel uses, of whatever order."""
 
-KERNELS = (*OF_ALL, "forward", "backward", "gate", "late", "live run", "live step", *_OF_BANKS)
+KERNELS = (*OF_ALL, "forward", "backward", "gate", "late", "live run", "live step", "stream", *_OF_BANKS)
 
 Use = tuple[object, Callable[[], object]]
 
@@ -153,6 +155,7 @@ def _uses_of_motion(order: int) -> dict[str, Use]:
         "late": (run_late, partial(fixed_lag_smoother, model, _READINGS, 1)),
         "live run": (live.run, partial(online.run, _READINGS)),
         "live step": (live.step, partial(online.step, 1.0)),
+        "stream": (run_streams, partial(_stream, order)),
     }
 
 
@@ -169,6 +172,11 @@ def _uses_of_bank(order: int, modes: int) -> dict[str, Use]:
     uses[f"{modes} modes run"] = live.run, partial(online.run, _READINGS)
     uses[f"{modes} modes step"] = live.step, partial(online.step, 1.0)
     return uses
+
+
+def _stream(order: int) -> None:
+    channel = StreamChannel(motion(order), 1.0, Limits(), Alarms(NEVER, 0.0, np.inf))
+    Streams([channel], [0]).push(*new_block(_READINGS[:, np.newaxis], np.ones(len(_READINGS)), 1.0))
 
 
 def _run(flow: SwitchingFlow | LaggedSwitchingFlow) -> None:

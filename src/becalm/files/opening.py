@@ -114,13 +114,15 @@ class OpenSource:
         """Samples per second, 1 over the step."""
         return self.clock.rate_hz
 
-    def chunks(self, rows: int | None = None) -> Iterator[Chunk]:
-        """Read the file from the first row to the last, as often as asked.
+    def chunks(self, rows: int | None = None, first: int = 0) -> Iterator[Chunk]:
+        """Read the file from its first row, or another, to the last, as often as asked.
 
         Parameters
         ----------
         rows : int, optional
             Of each chunk but the last; by default about a million, fewer where there are many columns.
+        first : int
+            The row to begin with, counted from 0.
 
         Raises
         ------
@@ -128,8 +130,8 @@ class OpenSource:
             If the file turns out to be damaged, or changes meanwhile.
         """
         size = rows or block_rows(self.schema)
-        row = 0
-        for table in rebatched(self._raw.blocks(self._raw.names, most_rows=size), size):
+        row = first
+        for table in rebatched(self._raw.blocks(self._raw.names, first, most_rows=size), size):
             yield Chunk(row, table, self.elapsed_steps(row, table.num_rows), self.names, self._raw.decimal)
             row += table.num_rows
         if self._raw.original is not None:
@@ -153,6 +155,12 @@ class OpenSource:
             before = first - 1
         last = None if before is None else float(self._stamps.read(before, before + 1)[0])
         return self.clock.elapsed(self._stamps.read(first, first + count), last)
+
+    def seconds(self, first: int, count: int) -> Floats:
+        """Return the times of `count` rows in seconds, (count,): as in the file, or since the first row."""
+        if self._stamps is None:
+            return self.clock.start_s + self.clock.step_s * np.arange(first, first + count, dtype=np.float64)
+        return self._stamps.read(first, first + count)
 
     def recording(self) -> Recording:
         """Read all of it at once."""

@@ -55,7 +55,7 @@ def replacing(path: Path) -> Iterator[IO[bytes]]:
                 file.close()
         with sentences(path):
             temporary.replace(target)
-            _sync_folder(target.parent)
+            sync_folder(target.parent)
 
 
 def refuse_folder(path: Path) -> None:
@@ -88,7 +88,7 @@ def sentences(path: Path) -> Iterator[None]:
         raise OutputError(f"{path} cannot be written: {' '.join(str(cause).split())[:200]}.") from cause
 
 
-def _sync_folder(folder: Path) -> None:
+def sync_folder(folder: Path) -> None:
     """Make the new name last through a power cut, where the system can."""
     if os.name != "posix":
         return

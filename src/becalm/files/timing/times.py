@@ -25,8 +25,8 @@ SECONDS = {"min": 60.0, "h": 3600.0}
 
 _DAY_COUNTS = ((2.5e4, 7.5e4), (6.9e5, 7.7e5))  # Excel, MATLAB: years 1968 to 2105, 1889 to 2108
 _TEN_SECONDS = 10.0 / 86_400.0
-_IMPLIED = {"millis": "ms", "micros": "us", "sec": "s", "secs": "s", "second": "s", "seconds": "s"}
-_EPOCHS = (("s", 9.4e8, 4.2e9), ("ms", 9.4e11, 4.2e12), ("us", 9.4e14, 4.2e15), ("ns", 9.4e17, 4.2e18))
+IMPLIED = {"millis": "ms", "micros": "us", "sec": "s", "secs": "s", "second": "s", "seconds": "s"}
+EPOCHS = (("s", 9.4e8, 4.2e9), ("ms", 9.4e11, 4.2e12), ("us", 9.4e14, 4.2e15), ("ns", 9.4e17, 4.2e18))
 
 
 class Stamps:
@@ -182,7 +182,7 @@ def _ticks(column: pa.ChunkedArray) -> tuple[Integers, Booleans]:
 
 def _numeric(raw: RawTable, name: str) -> tuple[Stamps, TimeLayout]:
     bare, unit = parse_header(name)
-    unit = raw.units.get(name, "") or unit or _IMPLIED.get(bare.lower(), "")
+    unit = raw.units.get(name, "") or unit or IMPLIED.get(bare.lower(), "")
     seen = Numbers(raw.count)
     exact = pa.types.is_integer(raw.type_of(name)) and not any(column.null_count for column in raw.column(name))
     notes: tuple[str, ...] = ()
@@ -237,7 +237,7 @@ def _epoch(seen: Numbers, unit: str) -> str:
     if not len(moved):
         return ""
     middle, step = float(np.median(seen.values)), abs(float(np.median(moved)))
-    for name, low, high in _EPOCHS:
+    for name, low, high in EPOCHS:
         if low <= middle <= high and unit in ("", name):
             return name if step <= 3600.0 * PER_SECOND[name] else ""
     return ""

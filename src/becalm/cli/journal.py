@@ -1,0 +1,197 @@
+"""A journal for a person: what it holds, whether it is whole, out of it into a file, and what is too old."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Callable
+from datetime import UTC, datetime
+from math import inf, isfinite
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from rich.console import Console
+from rich.table import Table
+
+from becalm.cli.talk import stderr
+from becalm.errors import UsageError
+from becalm.files.registry import format_to_write
+from becalm.files.writing import open_output
+from becalm.live.address import seconds_of
+from becalm.live.journal.checking import faults, told
+from becalm.live.journal.reading import JournalReader, Stretch, open_journal
+from becalm.live.journal.recording import prune
+from becalm.live.tables import table_schema
+
+DAMAGED = 3
+"""Exit code where a journal is not what was written."""
+
+_stdout = Console(highlight=False, soft_wrap=True, markup=False, width=1000)
+
+
+class Asking(NamedTuple):
+    """What was said beside the folder and what to do."""
+
+    output: Path | None
+    start: str | None
+    stop: str | None
+    older: str | None
+
+
+def run(folder: Path, action: str, asked: Asking, as_json: bool) -> bool:
+    """Do what is asked, and tell whether all was well.
+
+    Raises
+    ------
+    UsageError
+        If nobody can do that, or what it needs was not said.
+    JournalError
+        If the journal cannot be read.
+    """
+    actions: dict[str, Callable[[], bool]] = {
+        "list": lambda: _list(folder, as_json),
+        "verify": lambda: _verify(folder, as_json),
+        "export": lambda: _export(folder, asked),
+        "prune": lambda: _prune(folder, asked.older),
+    }
+    if action not in actions:
+        raise UsageError(f"becalm journal cannot {action}; it can {', '.join(actions)}.")
+    return actions[action]()
+
+
+def _list(folder: Path, as_json: bool) -> bool:
+    with open_journal(folder) as journal:
+        summary = _summary(journal)
+        stretches = journal.stretches()
+    if as_json:
+        hours = [{**one._asdict(), "rate_hz": one.rate_hz} for one in stretches]
+        print(json.dumps({**summary, "hours": hours}, indent=2))  # noqa: T201
+        return True
+    table = Table(box=None, pad_edge=False)
+    for heading in ("where", "rows", "from", "to", "rows/s", "MB"):
+        table.add_column(heading, justify="left" if heading == "where" else "right")
+    for one in stretches:
+        rate = "-" if one.rate_hz is None else f"{one.rate_hz:.6g}"
+        where = f"{one.where} (pruned)" if one.pruned else one.where
+        table.add_row(where, f"{one.rows:,}", *_stamps(one), rate, f"{one.size / 1e6:.1f}")
+    _stdout.print(table)
+    channels = ", ".join(
+        one["name"] if not one["unit"] or one["unit"] in one["name"] else f"{one['name']} ({one['unit']})"
+        for one in summary["channels"]
+    )
+    _stdout.print(f"{summary['rows']:,} rows of {channels or 'no channels yet'} from {summary['source'] or 'nowhere'}")
+    for kind, number in summary["losses"].items():
+        _stdout.print(f"{kind}: {number} told; the last: {summary['last_losses'][kind]}")
+    if summary["position"]:
+        _stdout.print(f"The source goes on after {summary['position']}")
+    return True
+
+
+def _summary(journal: JournalReader) -> dict[str, Any]:
+    head, checkpoint, losses = journal.head(), journal.checkpoint(), journal.losses()
+    return {
+        "folder": str(journal.folder),
+        "rows": 0 if checkpoint is None else checkpoint.rows,
+        "channels": []
+        if head is None
+        else [{"name": name, "unit": unit} for name, unit in zip(head.names, head.units, strict=True)],
+        "source": "" if checkpoint is None else checkpoint.source,
+        "position": "" if checkpoint is None else checkpoint.position,
+        "losses": dict(Counter(loss.kind for loss in losses)),
+        "last_losses": {loss.kind: loss.says for loss in losses},
+    }
+
+
+def _verify(folder: Path, as_json: bool) -> bool:
+    """Tell every fault; of rows that are known to be lost it is only said."""
+    wrong = list(faults(folder))
+    holes, rows = ([], None) if wrong else _kept(folder)
+    if as_json:
+        lost = [{"first_row": first, "end_row": end} for first, end in holes]
+        summary = {"folder": str(folder), "whole": not wrong, "rows": rows, "wrong": wrong, "lost": lost}
+        print(json.dumps(summary, indent=2))  # noqa: T201
+    for hole in holes:
+        stderr.print(f"{told(hole).capitalize()} are known to be lost.")
+    for sentence in wrong:
+        stderr.print(sentence)
+    if rows is None:
+        stderr.print(
+            f"The journal in {folder} is not whole. Its stream can be started again: of the database it keeps what"
+            " reads, and files stay as they are."
+        )
+    else:
+        stderr.print(f"The journal in {folder} is whole: {rows:,} rows are what was written.")
+    return not wrong
+
+
+def _export(folder: Path, asked: Asking) -> bool:
+    if asked.output is None:
+        raise UsageError("becalm journal DIR export needs -o OUT: where to write, as -o rows.parquet.")
+    format_to_write(asked.output)
+    from_s, to_s = moment_of("--from", asked.start, -inf), moment_of("--to", asked.stop, inf)
+    rows = 0
+    with open_journal(folder) as journal:
+        head = journal.head()
+        if head is None:
+            raise UsageError(f"The journal in {folder} holds no rows yet; there is nothing to export.")
+        schema = table_schema(head)
+        metadata = {key.decode(): value.decode() for key, value in (schema.metadata or {}).items()}
+        with open_output(asked.output, metadata) as output:
+            output.write(schema.empty_table())
+            for table in journal.tables(from_s=from_s, to_s=to_s):
+                output.write(table.replace_schema_metadata(schema.metadata))
+                rows += table.num_rows
+    stderr.print(f"Wrote {rows:,} rows to {asked.output}.")
+    return True
+
+
+def _prune(folder: Path, older: str | None) -> bool:
+    if older is None:
+        raise UsageError("becalm journal DIR prune needs --older AGE: which files to remove, as --older 30d.")
+    with open_journal(folder):  # or it would be made
+        pass
+    removed = prune(folder, seconds_of("--older", older))
+    rows = sum(roll.rows for roll in removed)
+    stderr.print(f"Removed {len(removed)} files with {rows:,} rows; rows that have not rolled yet stay.")
+    return True
+
+
+def moment_of(option: str, text: str | None, default: float) -> float:
+    """Read a stamp: seconds, or a date, which is UTC unless it says otherwise.
+
+    Raises
+    ------
+    UsageError
+        If it is neither.
+    """
+    if text is None:
+        return default
+    try:
+        seconds = float(text)
+    except ValueError:
+        try:
+            moment = datetime.fromisoformat(text)
+        except ValueError:
+            seconds = inf
+        else:
+            seconds = (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+    if not isfinite(seconds):
+        raise UsageError(f"{option} {text} is no time; write seconds as rows have them, or a date: 2026-05-01T12:00.")
+    return seconds
+
+
+def _stamps(one: Stretch) -> tuple[str, str]:
+    first_s, last_s = (_stamp(stamp_s, one.dated) for stamp_s in (one.first_s, one.last_s))
+    return first_s, last_s
+
+
+def _stamp(stamp_s: float | None, dated: bool) -> str:
+    if stamp_s is None:
+        return "-"
+    return f"{datetime.fromtimestamp(stamp_s, UTC):%Y-%m-%d %H:%M:%S}" if dated else f"{stamp_s:.10g} s"
+
+
+def _kept(folder: Path) -> tuple[list[tuple[int, int]], int]:
+    """Return which rows are known to be lost, and how many are there."""
+    with open_journal(folder) as journal:
+        return journal.holes(), sum(one.rows for one in journal.stretches() if not one.pruned)

@@ -1,0 +1,41 @@
+"""`becalm journal`: its options, each with its one help text."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from becalm.cli import options as o
+
+Folder = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of becalm live --sink journal:DIR.")]
+Action = Annotated[str, typer.Argument(metavar="list|verify|export|prune", help="What to do.")]
+Exported = Annotated[
+    Path | None,
+    typer.Option("-o", "--output", metavar="OUT", help="Where export writes; format by file ending."),
+]
+From = Annotated[
+    str | None,
+    typer.Option("--from", metavar="TIME", help="Export from this stamp on: seconds, or a date as 2026-05-01T12:00."),
+]
+To = Annotated[str | None, typer.Option("--to", metavar="TIME", help="Export what is before this stamp.")]
+Older = Annotated[
+    str | None, typer.Option("--older", metavar="30d", help="Prune files with nothing younger; min, h or d.")
+]
+
+
+def journal(  # noqa: PLR0913  (the contract's options)
+    folder: Folder,
+    action: Action = "list",
+    output: Exported = None,
+    start: From = None,
+    stop: To = None,
+    older: Older = None,
+    as_json: o.Json = False,
+) -> None:
+    """Look at what a live stream has kept, check it, export it, remove what is old; the stream may go on meanwhile."""
+    from becalm.cli.journal import DAMAGED, Asking, run
+
+    if not run(folder, action, Asking(output, start, stop, older), as_json=as_json):
+        raise typer.Exit(DAMAGED)

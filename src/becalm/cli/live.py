@@ -1,0 +1,197 @@
+"""A stream on the command line: what is asked is checked, then it runs until it ends or a signal stops it."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
+from functools import partial
+from pathlib import Path
+from types import FrameType
+from typing import Any, NamedTuple, cast, get_args
+from urllib.parse import urlencode
+
+import typer
+
+from becalm.cleaning.recipe import Recipe
+from becalm.cli.stopping import stop_cleanly
+from becalm.errors import BecalmError, UsageError
+from becalm.live.address import Address, seconds_of
+from becalm.live.keeping import Outlets
+from becalm.live.learning import Learner
+from becalm.live.outlet import Outlet
+from becalm.live.protocols import Keeper, Sink
+from becalm.live.queueing import Policy
+from becalm.live.registry import open_sink, open_source
+from becalm.live.runner import Runner
+from becalm.live.settings import Settings
+from becalm.live.watching.logs import Log
+from becalm.live.watching.meter import Meter
+from becalm.live.watching.metrics import MetricsServer
+from becalm.live.watching.status import StatusFile
+from becalm.live.watching.watch import Watch
+
+DEFAULT_SINK = "journal:becalm-journal"
+POLICIES = get_args(Policy)
+_TIMED_BY_RECIPE = ("replay", "stdin", "serial")
+_LEARNED = "learned.recipe.toml"
+
+
+class Watching(NamedTuple):
+    """How a stream is watched."""
+
+    status: Path | None
+    metrics: int | None
+    log: str
+    silent: str
+
+
+class StreamError(BecalmError):
+    """Something went wrong that nobody foresaw; what was kept before is whole."""
+
+    exit_code = 1
+
+
+class Asking(NamedTuple):
+    """What is asked of the filters."""
+
+    recipe: Path | None
+    learn: str
+    lag_s: float | None
+    channels: tuple[str, ...]
+
+
+def settings_of(queue_blocks: int, when_full: str, commit: str) -> Settings:
+    """Read how a stream is run.
+
+    Raises
+    ------
+    UsageError
+        If one of them is impossible.
+    """
+    if queue_blocks < 1:
+        raise UsageError(f"--queue {queue_blocks} lets no block wait; give 1 or more.")
+    if when_full not in POLICIES:
+        raise UsageError(f"--when-full {when_full} is none of {', '.join(POLICIES)}.")
+    return Settings(seconds_of("--commit", commit), queue_blocks, cast(Policy, when_full))
+
+
+def run(source: str, sinks: list[str], asking: Asking, settings: Settings, watching: Watching) -> None:
+    """Run a stream."""
+    recipe = None if asking.recipe is None else Recipe.load(asking.recipe)
+    source = _timed(source, recipe)
+    address, made = str(Address.parsed(source)), open_source(source)
+    names = sinks or [DEFAULT_SINK]
+    keeper, others = _parted([open_sink(name) for name in names])
+    learner = Learner(seconds_of("--learn", asking.learn), asking.lag_s, asking.channels)
+    meter = Meter(address)
+    with ExitStack() as opened:
+        log = opened.enter_context(Log(watching.log))
+        watch = Watch(meter, log, seconds_of("--silent", watching.silent))
+        opened.callback(watch.close)
+        if watching.metrics is not None:
+            opened.enter_context(MetricsServer(watching.metrics, meter))
+        if watching.status is not None:
+            opened.enter_context(StatusFile(watching.status, meter, log.warning))
+        runner = Runner(
+            source=made,
+            address=address,
+            outlets=Outlets(keeper, tuple(Outlet(sink) for sink in others)),
+            watch=watch,
+            recipe=recipe,
+            learner=learner,
+            learned=partial(_save, path=_learned_path(names), log=log),
+            settings=settings,
+            ready=_warming(recipe),
+        )
+        _hear_signals(runner, asking.recipe)
+        log.info("start", source=address, sinks=", ".join(str(Address.parsed(name)) for name in names))
+        _walk(runner, log)
+    _say(f"Told {runner.rows} rows of {address}.")
+
+
+def _timed(source: str, recipe: Recipe | None) -> str:
+    """Return a source of a file, or of lines, with the time that its recipe was tuned by, unless a person says one."""
+    told = Address.parsed(source)
+    if recipe is None or told.kind not in _TIMED_BY_RECIPE or not {"rate", "time"}.isdisjoint(told.options):
+        return source
+    words: dict[str, Any] = {"rate": recipe.rate_hz} if recipe.rate_hz is not None else {"time": recipe.time}
+    if told.kind == "replay" and "stamps" not in told.options:
+        words["stamps"] = recipe.stamps
+    tail = urlencode({name: value for name, value in words.items() if value is not None})
+    return f"{source}{'&' if told.options else '?'}{tail}" if tail else source
+
+
+def _walk(runner: Runner, log: Log) -> None:
+    """Run a stream; an error that nobody foresaw is told by a sentence, and by the log in full."""
+    try:
+        runner.run()
+    except BecalmError as cause:
+        runner.watch.state("failed", str(cause))
+        raise
+    except Exception as cause:
+        runner.watch.state("failed", type(cause).__name__)
+        raise StreamError(log.unexpected(cause)) from cause
+
+
+def _parted(sinks: list[Sink | Keeper]) -> tuple[Keeper | None, list[Sink]]:
+    keepers = [sink for sink in sinks if isinstance(sink, Keeper)]
+    if len(keepers) > 1:
+        raise UsageError("Only one sink can keep a stream; name one of journal:, postgres: and delta:.")
+    return (keepers[0] if keepers else None), [sink for sink in sinks if isinstance(sink, Sink)]
+
+
+def _learned_path(sinks: list[str]) -> Path:
+    journals = [Address.parsed(name).rest for name in sinks if name.startswith("journal:")]
+    return Path(journals[0] if journals else ".") / _LEARNED
+
+
+def _save(recipe: Recipe, *, path: Path, log: Log) -> None:
+    from becalm.files.plain import write_text
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_text(path, recipe.to_toml())
+    log.info("learned", recipe=str(path))
+    _say(f"Learned a filter and wrote {path}.")
+
+
+def _say(text: str) -> None:
+    """Tell a person, if anyone is there: a terminal that is gone stops no stream."""
+    with suppress(OSError):
+        typer.echo(text, err=True)
+
+
+def _warming(recipe: Recipe | None) -> Callable[[], None]:
+    """Load or compile kernels beside the opening of the source; return what waits for that."""
+    if recipe is None:
+        return lambda: None
+    from becalm.cleaning.warm_up import warm_up
+
+    def warm() -> None:
+        with suppress(BecalmError):  # what makes no filter is told where one is made
+            warm_up(recipe, 1 / recipe.nominal_rate_hz)
+
+    thread = threading.Thread(target=warm, daemon=True)
+    thread.start()
+    return thread.join
+
+
+def _hear_signals(runner: Runner, recipe: Path | None) -> None:
+    """Stop at a first signal, and finish the commit; end at once at a second; read the recipe again at SIGHUP."""
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        runner.stop()
+        stop_cleanly()
+
+    def reload(number: int, frame: FrameType | None) -> None:
+        if recipe is None:
+            stop(number, frame)
+        else:
+            runner.retune(partial(Recipe.load, recipe))
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, stop)
+    if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+        signal.signal(signal.SIGHUP, reload)

@@ -1,0 +1,1 @@
+"""A stream through a recipe, for weeks: sources, sinks, what runs between them, and the journal."""

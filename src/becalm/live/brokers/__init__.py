@@ -1,0 +1,1 @@
+"""MQTT and NATS: addresses, secrets and links, for sources and sinks alike."""

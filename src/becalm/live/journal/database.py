@@ -1,0 +1,225 @@
+"""The journal's SQLite file: how it is made, opened, written in transactions, and read beside a writer."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any, TypeVar
+from urllib.parse import quote
+
+from becalm.errors import InputError
+from becalm.live.journal.records import TABLES, seal
+from becalm.live.protocols import StorageFullError
+
+NAME = "journal.sqlite"
+VERSION = 1  # of the tables
+PAGE = 8192  # bytes
+
+_APPLICATION = 0x6265636C  # "becl"
+_WAL_PAGES = 2048  # after which a commit moves them into the file: 16 MiB
+_WAIT_S = 30.0  # for another writer, who marks what it pruned
+
+_SCHEMA = """
+CREATE TABLE heads (number INTEGER PRIMARY KEY, names TEXT, units TEXT, rate_hz REAL, recipe TEXT, seal BLOB);
+CREATE TABLE blocks (number INTEGER PRIMARY KEY, head INTEGER, first_row INTEGER, end_row INTEGER, first_s REAL,
+    last_s REAL, kept_s REAL, period_s INTEGER, dated INTEGER, position TEXT, source TEXT, snapshot BLOB, data BLOB,
+    seal BLOB);
+CREATE TABLE rolls (number INTEGER PRIMARY KEY, path TEXT, head INTEGER, last_block INTEGER, first_row INTEGER,
+    end_row INTEGER, rows INTEGER, first_s REAL, last_s REAL, dated INTEGER, rolled_s REAL, size INTEGER, sha256 TEXT,
+    pruned_s REAL, seal BLOB);
+CREATE TABLE losses (number INTEGER PRIMARY KEY, row INTEGER, kind TEXT, rows INTEGER, says TEXT, noticed_s REAL,
+    seal BLOB);
+CREATE TABLE holes (number INTEGER PRIMARY KEY, first_row INTEGER, end_row INTEGER, seal BLOB);
+"""
+
+Row = TypeVar("Row", bound=tuple[Any, ...])
+
+
+class JournalError(InputError):
+    """A journal cannot be read, or cannot go on."""
+
+
+class BrokenSealError(Exception):
+    """A row is not what was written."""
+
+
+def connect(path: Path) -> sqlite3.Connection:
+    """Open a journal's file to write, and make it where there is none; used by one thread at a time.
+
+    Raises
+    ------
+    sqlite3.Error
+        If that cannot be.
+    JournalError
+        If it is a database of something else, or of a newer becalm.
+    """
+    connection = sqlite3.connect(path, timeout=_WAIT_S, isolation_level=None, check_same_thread=False)
+    try:
+        connection.execute(f"PRAGMA page_size = {PAGE}")
+        connection.execute("PRAGMA journal_mode = WAL")
+        connection.execute("PRAGMA synchronous = FULL")
+        connection.execute(f"PRAGMA wal_autocheckpoint = {_WAL_PAGES}")
+        connection.execute(f"PRAGMA journal_size_limit = {2 * _WAL_PAGES * PAGE}")
+        if not connection.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]:
+            create(connection)
+        _refuse_others(connection, path)
+    except BaseException:
+        connection.close()
+        raise
+    return connection
+
+
+def create(connection: sqlite3.Connection) -> None:
+    """Make the tables of a journal in an empty database."""
+    head = f"PRAGMA application_id = {_APPLICATION}; PRAGMA user_version = {VERSION};"
+    connection.executescript(f"PRAGMA page_size = {PAGE}; BEGIN IMMEDIATE; {head} {_SCHEMA} COMMIT;")
+
+
+def connect_reading(path: Path) -> sqlite3.Connection:
+    """Open a journal's file only to read; a writer goes on meanwhile.
+
+    Raises
+    ------
+    sqlite3.Error
+        If that cannot be.
+    JournalError
+        If it is a database of something else, or of a newer becalm.
+    """
+    name = quote(str(path.resolve()))
+    connection = sqlite3.connect(
+        f"file:{name}?mode=ro", uri=True, timeout=_WAIT_S, isolation_level=None, check_same_thread=False
+    )
+    try:
+        _refuse_others(connection, path)
+    except BaseException:
+        connection.close()
+        raise
+    return connection
+
+
+@contextmanager
+def transaction(connection: sqlite3.Connection, folder: Path) -> Iterator[None]:
+    """Write all that is done within, or nothing.
+
+    Raises
+    ------
+    StorageFullError
+        If there is no room, or the disk will not write.
+    JournalError
+        If the file turns out to be damaged.
+    """
+    with writing(folder):
+        connection.execute("BEGIN IMMEDIATE")
+        try:
+            yield
+            connection.execute("COMMIT")
+        except BaseException:
+            with suppress(sqlite3.Error):
+                connection.execute("ROLLBACK")
+            raise
+
+
+@contextmanager
+def writing(folder: Path) -> Iterator[None]:
+    """Say in a sentence why a journal cannot be written.
+
+    Raises
+    ------
+    StorageFullError
+        If there is no room, or the disk will not write.
+    JournalError
+        If the file turns out to be damaged.
+    """
+    try:
+        yield
+    except (sqlite3.OperationalError, OSError) as cause:
+        raise StorageFullError(
+            f"The journal in {folder} cannot be written ({cause}); nothing was half-written. Make room or rights there."
+        ) from cause
+    except sqlite3.DatabaseError as cause:
+        raise JournalError(
+            f"{folder / NAME} is damaged ({cause}); start the stream again, and what reads of it is kept."
+        ) from cause
+
+
+@contextmanager
+def reading(folder: Path) -> Iterator[None]:
+    """Say in a sentence why a journal cannot be read.
+
+    Raises
+    ------
+    JournalError
+        In the place of what SQLite raises.
+    """
+    try:
+        yield
+    except (sqlite3.Error, BrokenSealError) as cause:
+        raise JournalError(
+            f"{folder / NAME} cannot be read ({cause}). `becalm journal {folder} verify` tells what is wrong; the next"
+            f" start of its stream keeps what reads."
+        ) from cause
+
+
+def put(connection: sqlite3.Connection, row: tuple[Any, ...]) -> None:
+    """Write a row into its table, in the place of one of that number."""
+    marks = ", ".join("?" * (len(row) + 1))
+    number = row[0]
+    if number is None:
+        (last,) = connection.execute(f"SELECT max(number) FROM {TABLES[type(row)]}").fetchone()
+        number = (last or 0) + 1
+    values = (number, *row[1:])
+    connection.execute(f"INSERT OR REPLACE INTO {TABLES[type(row)]} VALUES ({marks})", (*values, seal(values)))
+
+
+def get(connection: sqlite3.Connection, kind: type[Row], tail: str = "", values: Sequence[object] = ()) -> list[Row]:
+    """Return rows of a table in the order of their numbers, or as `tail` (WHERE, ORDER BY, LIMIT) says.
+
+    Raises
+    ------
+    BrokenSealError
+        If one is not what was written.
+    sqlite3.Error
+        If the file cannot be read.
+    """
+    found = connection.execute(f"SELECT * FROM {TABLES[kind]} {tail or 'ORDER BY number'}", values).fetchall()
+    return [unsealed(kind, row) for row in found]
+
+
+def unsealed(kind: type[Row], row: tuple[Any, ...]) -> Row:
+    """Return a row as it was written.
+
+    Raises
+    ------
+    BrokenSealError
+        If it is not what was written.
+    """
+    if seal(row[:-1]) != row[-1]:
+        raise BrokenSealError(f"row {row[0]} of {TABLES[kind]} is not what was written")
+    return kind(*row[:-1])
+
+
+def rolled_blocks(connection: sqlite3.Connection) -> int:
+    """Return the number of the last block that has rolled into a file; blocks up to there count no more.
+
+    Raises
+    ------
+    BrokenSealError
+        If that is no number.
+    """
+    found = connection.execute("SELECT last_block FROM rolls ORDER BY number DESC LIMIT 1").fetchone()
+    last = 0 if found is None else found[0]
+    if not isinstance(last, int):  # in a damaged row anything may stand
+        raise BrokenSealError("the last file is not recorded as it was written")
+    return last
+
+
+def _refuse_others(connection: sqlite3.Connection, path: Path) -> None:
+    (application,) = connection.execute("PRAGMA application_id").fetchone()
+    (version,) = connection.execute("PRAGMA user_version").fetchone()
+    (tables,) = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
+    if tables and application != _APPLICATION:
+        raise JournalError(f"{path} is a database of another program; give the journal another folder.")
+    if version > VERSION:
+        raise JournalError(f"{path} was written by a newer becalm; use that, or give the journal another folder.")

@@ -1,0 +1,104 @@
+"""Rows as a block holds them: Arrow IPC with lists of channels, so that nothing is copied on the way in or out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import pairwise
+from math import floor
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from becalm.core.arrays import Codes, Floats
+from becalm.live.block import Output
+from becalm.live.journal.records import BlockRow
+from becalm.live.tables import EPOCH_S
+
+_OPTIONS = {"compression": "lz4"}  # a settled sigma and verdicts shrink to nothing; readings stay as they are
+_PARTS = ("time_s", "values", "signal", "sigma", "verdicts")
+_LATEST_S = 1e11  # a stamp beyond is no time of ours
+
+
+def joined(outputs: Sequence[Output], first_row: int) -> Output | None:
+    """Put outputs below each other; None where they have no rows.
+
+    Raises
+    ------
+    ValueError
+        If they do not follow each other from `first_row` on.
+    """
+    row = first_row
+    for one in outputs:
+        if one.first_row != row:
+            raise ValueError(f"rows from {one.first_row} came, those from {row} on were next")
+        row += len(one)
+    full = [one for one in outputs if len(one)]
+    if len(full) <= 1:
+        return full[0] if full else None
+    parts: list[Any] = [np.concatenate([getattr(one, part) for one in full]) for part in _PARTS]
+    return Output(first_row, *parts)
+
+
+def packed(output: Output) -> bytes:
+    """Return rows as the bytes of an Arrow IPC stream; NaN and infinities keep their bits."""
+    channels = output.values.shape[1]
+    listed = [_listed(part, channels) for part in (output.values, output.signal, output.sigma, output.verdicts)]
+    batch = pa.record_batch([_flat(output.time_s), *listed], names=["time_s", "raw", "signal", "sigma", "verdict"])
+    stream = pa.BufferOutputStream()
+    with pa.ipc.new_stream(stream, batch.schema, options=pa.ipc.IpcWriteOptions(**_OPTIONS)) as writer:
+        writer.write_batch(batch)
+    return bytes(stream.getvalue())
+
+
+def unpacked(block: BlockRow) -> Output:
+    """Return the rows of a block that has some."""
+    with pa.ipc.open_stream(block.data) as reader:
+        batch = reader.read_next_batch()
+    raw, signal, sigma, verdicts = (_unlisted(batch.column(number)) for number in range(1, 5))
+    time_s: Floats = batch.column(0).to_numpy(zero_copy_only=False)
+    return Output(block.first_row, time_s, raw, signal, sigma, verdicts.astype(np.int8, copy=False))
+
+
+def by_period(output: Output, period_s: float, now_s: float) -> Iterator[tuple[int, bool, Output]]:
+    """Part rows by the hour they roll with: where that begins, whether stamps tell it, and the rows.
+
+    Stamps that are no dates, or go backwards over an hour, leave the rows together.
+    """
+    stamps = output.time_s
+    dated = bool(EPOCH_S <= stamps[0] < _LATEST_S and stamps[-1] < _LATEST_S)
+    start = _start(float(stamps[0]) if dated else now_s, period_s)
+    if not dated or start <= stamps[-1] < start + period_s:
+        yield start, dated, output
+        return
+    periods = np.floor_divide(stamps, period_s)
+    cuts = [0, *(np.flatnonzero(np.diff(periods)) + 1).tolist(), len(output)]
+    if not (np.diff(periods) >= 0).all():  # NaN too
+        cuts = [0, len(output)]
+    for first, end in pairwise(cuts):
+        yield _start(float(stamps[first]), period_s), True, _part(output, first, end)
+
+
+def _start(moment_s: float, period_s: float) -> int:
+    return int(floor(moment_s / period_s) * period_s)
+
+
+def _part(output: Output, first: int, end: int) -> Output:
+    cut = {part: getattr(output, part)[first:end] for part in _PARTS}
+    return replace(output, first_row=output.first_row + first, losses=(), **cut)
+
+
+def _listed(values: Floats | Codes, channels: int) -> pa.FixedSizeListArray:
+    return pa.FixedSizeListArray.from_arrays(_flat(values), channels)
+
+
+def _flat(values: Floats | Codes) -> pa.Array:
+    """Return numbers row by row, not copied; `pa.array` would load pandas for it, where that is installed."""
+    codes = values.dtype == np.int8
+    whole = np.ascontiguousarray(values, dtype=np.int8 if codes else np.float64)
+    return pa.Array.from_buffers(pa.int8() if codes else pa.float64(), whole.size, [None, pa.py_buffer(whole)])
+
+
+def _unlisted(column: Any) -> Any:
+    return column.values.to_numpy(zero_copy_only=False).reshape(len(column), column.type.list_size)

@@ -1,0 +1,207 @@
+"""What reads of a damaged journal, and how a new one is made of it."""
+
+from __future__ import annotations
+
+import hashlib
+import sqlite3
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar
+from urllib.parse import quote
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from becalm.live.journal.checking import Span, uncovered
+from becalm.live.journal.database import NAME, BrokenSealError, rolled_blocks, unsealed
+from becalm.live.journal.first_page import is_sound, with_first_page
+from becalm.live.journal.mark import Mark
+from becalm.live.journal.records import TABLES, BlockRow, HeadRow, HoleRow, LossRow, RollRow
+from becalm.live.journal.rolling import END_ROW, FIRST_ROW
+
+HEADED = f"{NAME}.headed"
+
+Row = TypeVar("Row", bound=tuple[Any, ...])
+
+
+class Remains(NamedTuple):
+    """What is intact in a damaged journal, in the order of numbers."""
+
+    heads: list[HeadRow]
+    rolls: list[RollRow]
+    blocks: list[BlockRow]  # without data
+    losses: list[LossRow]
+    holes: list[HoleRow]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a new database is to hold.
+
+    Attributes
+    ----------
+    rows : list of tuple
+        Of all tables but blocks.
+    blocks : list of (int or None, BlockRow)
+        The number of a block in the damaged database, and its new row, without data; None: the row is new.
+    gaps : list of (int, int)
+        Rows before the end that are lost, the end excluded, as found now.
+    end : int
+        The row after the last.
+    """
+
+    rows: list[tuple[Any, ...]]
+    blocks: list[tuple[int | None, BlockRow]]
+    gaps: list[Span]
+    end: int
+
+
+def connect_damaged(path: Path) -> sqlite3.Connection:
+    """Open a database that may be cut short, only to read, or an empty one where there is none.
+
+    Where its first page is damaged that is a copy with another one, HEADED, which is left.
+
+    Raises
+    ------
+    OSError
+        If there is no room for the copy.
+    """
+    if not path.exists():
+        return sqlite3.connect(":memory:", isolation_level=None)
+    connection = _reading(path)
+    if is_sound(connection):
+        return connection
+    connection.close()
+    copy = path.with_name(HEADED)
+    with_first_page(path, copy)
+    return _reading(copy)
+
+
+def _reading(path: Path) -> sqlite3.Connection:
+    connection = sqlite3.connect(f"file:{quote(str(path.resolve()))}?mode=ro", uri=True, isolation_level=None)
+    with suppress(sqlite3.Error):
+        connection.execute("PRAGMA writable_schema = ON")  # reads a file that is shorter than its head says
+    return connection
+
+
+def remains_of(connection: sqlite3.Connection) -> Remains:
+    """Find all rows that read, and are what was written; of blocks only those that have not rolled."""
+    try:
+        rolled = rolled_blocks(connection)
+    except (sqlite3.Error, BrokenSealError):
+        rolled = 0
+    numbers = [number for number in _numbers(connection, TABLES[BlockRow]) if number > rolled]
+    blocks = [row._replace(data=None) for row in _read(connection, BlockRow, numbers)]
+    return Remains(
+        _intact(connection, HeadRow),
+        _intact(connection, RollRow),
+        blocks,
+        _intact(connection, LossRow),
+        _intact(connection, HoleRow),
+    )
+
+
+def moved(source: sqlite3.Connection, old: int, new: BlockRow) -> BlockRow:
+    """Return the new row of a block, with its data."""
+    return new._replace(data=next(_read(source, BlockRow, [old])).data)
+
+
+def planned(folder: Path, remains: Remains, mark: Mark | None) -> Plan | None:
+    """Say of what a new database is made; None where nothing tells how its stream could go on."""
+    rolls = _every_roll(folder, remains)
+    end = rolls[-1].end_row if rolls else 0
+    heads = list(remains.heads)
+    if mark is not None and mark.head.recipe not in [head.recipe for head in heads]:
+        heads.append(HeadRow.of(max([0, *(head.number for head in heads)]) + 1, mark.head))
+    kept = _in_order(remains.blocks, end)
+    if not heads or not (kept or (mark is not None and mark.checkpoint.rows >= end)):
+        return None
+    known, last = {head.number for head in heads}, heads[-1].number
+    blocks: list[tuple[int | None, BlockRow]] = [
+        (block.number, block._replace(number=number, head=block.head if block.head in known else last))
+        for number, block in enumerate(kept, 1)
+    ]
+    if mark is not None and not kept:
+        stands = (mark.checkpoint.position, mark.checkpoint.source, mark.checkpoint.snapshot)
+        row = mark.checkpoint.rows
+        blocks = [(None, BlockRow(1, last, row, row, None, None, time.time(), 0, 0, *stands, None))]
+    end = blocks[-1][1].end_row
+    pieces: list[RollRow | BlockRow | HoleRow] = [*rolls, *kept, *remains.holes]
+    gaps = uncovered((0, end), [(piece.first_row, piece.end_row) for piece in pieces])
+    files = [roll._replace(number=number, last_block=0) for number, roll in enumerate(rolls, 1)]
+    holes = [HoleRow(None, *gap) for gap in gaps]
+    return Plan([*heads, *files, *remains.losses, *remains.holes, *holes], blocks, gaps, end)
+
+
+def _in_order(blocks: Sequence[BlockRow], end: int) -> list[BlockRow]:
+    """Return blocks after a row, each after the one before, up to the last that tells where the stream stood."""
+    kept: list[BlockRow] = []
+    for block in blocks:
+        if block.first_row >= end:
+            kept.append(block)
+            end = block.end_row
+    while kept and kept[-1].snapshot is None:
+        kept.pop()
+    return kept
+
+
+def _every_roll(folder: Path, remains: Remains) -> list[RollRow]:
+    """Return recorded files, and those that are there and were recorded once, in the order of rows."""
+    rolls = sorted(remains.rolls, key=lambda roll: roll.first_row)
+    spans = [(roll.first_row, roll.end_row) for roll in rolls]
+    blocks = [(block.first_row, block.end_row) for block in remains.blocks]
+    recorded = {roll.path for roll in rolls}
+    head = remains.heads[-1].number if remains.heads else 1
+    for path in sorted(folder.glob("*/*.parquet")):
+        name = path.relative_to(folder).as_posix()
+        found = None if name in recorded else _unrecorded(path, name, head)
+        if found is None:
+            continue
+        span = (found.first_row, found.end_row)
+        if uncovered(span, spans) == [span] and uncovered(span, blocks):  # else its blocks will roll again
+            rolls.append(found)
+            spans.append(span)
+    return sorted(rolls, key=lambda roll: roll.first_row)
+
+
+def _unrecorded(path: Path, name: str, head: int) -> RollRow | None:
+    """Return what would be recorded of a file; None of one that is not whole, or not of a journal."""
+    try:
+        with pq.ParquetFile(path) as file:
+            told = file.schema_arrow.metadata or {}
+            span = (int(told[FIRST_ROW]), int(told[END_ROW]))
+            times = file.read(["time_s"]).column(0)
+    except (OSError, KeyError, ValueError, pa.ArrowException):
+        return None
+    first_s, last_s = (times[0].as_py(), times[-1].as_py()) if len(times) else (None, None)
+    kept = (*span, len(times), first_s, last_s, int(not path.name.startswith("rows-")))
+    with path.open("rb") as content:
+        digest = hashlib.file_digest(content, "sha256").hexdigest()
+    return RollRow(0, name, head, 0, *kept, time.time(), path.stat().st_size, digest, None)
+
+
+def _intact(connection: sqlite3.Connection, kind: type[Row]) -> list[Row]:
+    return list(_read(connection, kind, _numbers(connection, TABLES[kind])))
+
+
+def _read(connection: sqlite3.Connection, kind: type[Row], numbers: Iterable[int]) -> Iterator[Row]:
+    """Return the rows of these numbers that are what was written."""
+    for number in numbers:
+        with suppress(sqlite3.Error, BrokenSealError):
+            row = connection.execute(f"SELECT * FROM {TABLES[kind]} WHERE number = ?", (number,)).fetchone()
+            if row is not None:
+                yield unsealed(kind, row)
+
+
+def _numbers(connection: sqlite3.Connection, table: str) -> list[int]:
+    """Return the numbers that a table may have: from both ends as far as it reads, and all between."""
+    found: list[int] = []
+    for order in ("ASC", "DESC"):
+        with suppress(sqlite3.Error):
+            for (number,) in connection.execute(f"SELECT number FROM {table} ORDER BY number {order}"):
+                found.append(number)
+            return sorted(found)  # all of it reads
+    return list(range(min(found), max(found) + 1)) if found else []

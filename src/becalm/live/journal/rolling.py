@@ -1,0 +1,177 @@
+"""Closed hours of a journal into Parquet files, in a thread of its own, beside the stream."""
+
+from __future__ import annotations
+
+import hashlib
+import sqlite3
+import time
+from collections.abc import Iterator
+from contextlib import closing
+from datetime import UTC, datetime
+from itertools import count
+from pathlib import Path
+from threading import Event
+from typing import NamedTuple
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from becalm.files.roles import SIGMA
+from becalm.files.tables import VERDICT
+from becalm.files.whole import replacing, sentences
+from becalm.live.block import Head, Output
+from becalm.live.journal.database import BrokenSealError, get
+from becalm.live.journal.packing import unpacked
+from becalm.live.journal.records import BlockRow, HeadRow, HoleRow, RollRow
+from becalm.live.tables import output_table, table_schema
+
+FIRST_ROW, END_ROW = b"becalm.first_row", b"becalm.end_row"
+"""In a file's metadata: which rows of the stream it holds."""
+
+MOST_BYTES = 1 << 30
+"""Of blocks in a file: hours with more are parted, so that neither the database nor a roll grows without bound."""
+
+_GROUP_ROWS, _GROUP_BYTES = 1 << 20, 16 << 20  # of blocks, that become a row group
+_SPAN = "SELECT first_row, end_row FROM blocks WHERE number = ?"
+
+
+class Stopped(Exception):  # noqa: N818  (it is no error)
+    """The stream ends while a file is written: the next start writes it anew."""
+
+
+class Piece(NamedTuple):
+    """Blocks, one after the other, that become one file."""
+
+    first_block: int
+    last_block: int
+    head: int
+    period_s: int
+    dated: bool
+    first_row: int
+    end_row: int
+    first_s: float | None
+    last_s: float | None
+
+
+class Rolled(NamedTuple):
+    """A file that was written, as it is to be recorded; its number is given then."""
+
+    row: RollRow
+    holes: tuple[HoleRow, ...]
+
+
+def next_piece(connection: sqlite3.Connection, after: int) -> Piece | None:
+    """Return the first blocks after one that can roll: an hour that is closed, or as much of it as a file may hold.
+
+    The last block of all never rolls: it tells where the stream stands.
+    """
+    found = connection.execute(
+        "SELECT number, head, period_s, dated, first_row, end_row, first_s, last_s, length(data) FROM blocks"
+        " WHERE number > ? ORDER BY number",
+        (after,),
+    )
+    with closing(found):
+        piece, size = None, 0
+        for number, head, period_s, dated, first_row, end_row, first_s, last_s, length in found:
+            filled = end_row > first_row
+            if piece is None:
+                if filled:
+                    piece = Piece(number, number, head, period_s, bool(dated), first_row, end_row, first_s, last_s)
+            elif size >= MOST_BYTES or (filled and (head, period_s, dated) != piece[2:5]):
+                return piece
+            elif filled:
+                piece = piece._replace(last_block=number, end_row=end_row, last_s=last_s)
+            else:
+                piece = piece._replace(last_block=number)
+            size += length or 0
+    return None
+
+
+def roll(connection: sqlite3.Connection, folder: Path, piece: Piece, stop: Event) -> Rolled:
+    """Write a piece as a Parquet file, which appears whole, and tell what is to be recorded of it.
+
+    Raises
+    ------
+    Stopped
+        If `stop` is set meanwhile; nothing is left behind.
+    OutputError
+        If it cannot be written; nothing is left behind.
+    """
+    head = _head(connection, piece.head)
+    path = _free_path(connection, folder, piece)
+    holes: list[HoleRow] = []
+    with sentences(path):
+        path.parent.mkdir(exist_ok=True)
+    told = {FIRST_ROW: str(piece.first_row).encode(), END_ROW: str(piece.end_row).encode()}
+    schema = table_schema(head)
+    schema = schema.with_metadata({**(schema.metadata or {}), **told})
+    repeating = [name for name in schema.names if name.endswith((SIGMA, VERDICT))]
+    with replacing(path) as file, sentences(path):
+        with pq.ParquetWriter(file, schema, use_dictionary=repeating, compression="zstd") as writer:
+            for outputs in _groups(connection, piece, holes, stop):
+                table = output_table(head, outputs).replace_schema_metadata(schema.metadata)
+                writer.write_table(table, row_group_size=_GROUP_ROWS)
+        size = file.seek(0, 2)
+        file.seek(0)
+        digest = hashlib.file_digest(file, "sha256").hexdigest()  # type: ignore[arg-type]  # a file it is
+    rows = piece.end_row - piece.first_row - sum(hole.end_row - hole.first_row for hole in holes)
+    name = path.relative_to(folder).as_posix()
+    spans = (piece.first_row, piece.end_row, rows, piece.first_s, piece.last_s, int(piece.dated))
+    row = RollRow(0, name, piece.head, piece.last_block, *spans, time.time(), size, digest, None)
+    return Rolled(row, tuple(holes))
+
+
+def _head(connection: sqlite3.Connection, number: int) -> Head:
+    return get(connection, HeadRow, "WHERE number = ?", (number,))[0].head()
+
+
+def _groups(connection: sqlite3.Connection, piece: Piece, holes: list[HoleRow], stop: Event) -> Iterator[list[Output]]:
+    """Read the rows of a piece, as many as make a row group; a damaged block leaves a hole."""
+    held: list[Output] = []
+    rows = size = 0
+    for number in range(piece.first_block, piece.last_block + 1):
+        if stop.is_set():
+            raise Stopped
+        span = connection.execute(_SPAN, (number,)).fetchone()
+        if span is None:
+            raise BrokenSealError(f"block {number} is gone")
+        first_row, end_row = span
+        if first_row == end_row:
+            continue
+        try:
+            (block,) = get(connection, BlockRow, "WHERE number = ?", (number,))
+        except (BrokenSealError, sqlite3.DatabaseError):
+            holes.append(HoleRow(None, first_row, end_row))
+            continue
+        held.append(unpacked(block))
+        rows += len(held[-1])
+        size += len(block.data or b"")
+        if rows >= _GROUP_ROWS or size >= _GROUP_BYTES:
+            yield held
+            held, rows, size = [], 0, 0
+    if held:
+        yield held
+
+
+def _free_path(connection: sqlite3.Connection, folder: Path, piece: Piece) -> Path:
+    """Return where a piece goes; a file there that is not recorded is of a roll that a crash cut short."""
+    start = datetime.fromtimestamp(piece.period_s, UTC)
+    if piece.dated:
+        stem = f"{start:%H}" if start.minute == start.second == 0 else f"{start:%H_%M_%S}"
+    else:
+        stem = f"rows-{piece.first_row:012d}"
+    taken = {path for (path,) in connection.execute("SELECT path FROM rolls")}
+    for turn in count(1):
+        path = folder / f"{start:%Y-%m-%d}" / f"{stem}{'' if turn == 1 else f'_{turn:02d}'}.parquet"
+        if path.relative_to(folder).as_posix() not in taken and (not path.exists() or _holds(path, piece)):
+            return path
+    raise AssertionError  # count never ends
+
+
+def _holds(path: Path, piece: Piece) -> bool:
+    """Whether a file holds the rows of a piece, from their first."""
+    try:
+        told = pq.read_schema(path).metadata or {}
+    except (OSError, pa.ArrowException):
+        return False
+    return told.get(FIRST_ROW) == str(piece.first_row).encode()

@@ -1,0 +1,1 @@
+"""Rows from lines of CSV or JSON, whatever else stands between them."""

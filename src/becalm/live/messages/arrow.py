@@ -1,0 +1,209 @@
+"""Messages as Arrow IPC streams: the schema is read once for all messages that begin with the same bytes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import pyarrow as pa
+
+from becalm.core.arrays import Floats, Integers
+from becalm.live.lines.cells import NumberStamps, StampReader
+from becalm.live.messages.columns import RoleFinder, Told, UnreadableError, first_of, stamps_reader
+
+_END = b"\xff\xff\xff\xff\x00\x00\x00\x00"
+_SCHEMAS = 16  # a stream has one; memory stays bounded where a sender makes a new one each time
+_SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+
+
+@dataclass
+class _Plan:
+    """How a schema's columns are taken: numbers as one matrix (stamps, sequence, channels), timestamps apart."""
+
+    schema: pa.Schema
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    columns: list[int]  # of the matrix: [seq,] [time,] channels
+    leading: int  # columns of the matrix before the channels
+    has_seq: bool
+    has_time: bool
+    moment: int  # the column of timestamps, -1 where there is none
+    tick_s: float
+    stamp: tuple[str, str]  # the column of stamps and its unit
+    stamps: NumberStamps | None = None  # how its numbers are read, as the first of them tells
+
+
+class ArrowMessages:
+    """Reads Arrow messages."""
+
+    def __init__(self, finder: RoleFinder) -> None:
+        self._finder = finder
+        self._plans: dict[bytes, _Plan] = {}
+
+    def read(self, payload: bytes) -> Told:
+        """Return what a message told.
+
+        Raises
+        ------
+        UnreadableError
+            If it does not fit. What Python's errors can say of broken bytes goes through.
+        """
+        try:
+            return self._read(payload)
+        except pa.ArrowException as cause:  # not all of Arrow's errors are Python's
+            raise UnreadableError(f"which is broken ({' '.join(str(cause).split())[:80]})") from cause
+
+    def _read(self, payload: bytes) -> Told:
+        size = 8 + int.from_bytes(payload[4:8], "little")
+        plan = self._plans.get(payload[:size]) or self._planned(payload[:size])
+        file = pa.BufferReader(payload)
+        file.seek(size)
+        parts = []
+        while (rest := payload[file.tell() : file.tell() + 8]) and rest != _END:
+            batch = pa.ipc.read_record_batch(pa.ipc.read_message(file), plan.schema)
+            batch.validate()  # else a broken message would be read beyond its end
+            parts.append(batch)
+        if not any(map(len, parts)):
+            raise UnreadableError("which has no rows")
+        told = [_matrix(part, plan) for part in parts]
+        matrix = told[0] if len(told) == 1 else np.concatenate(told)
+        seq = first_of(matrix[:, 0]) if plan.has_seq else None
+        return _told(matrix, [_moments(part, plan) for part in parts] if plan.moment >= 0 else [], seq, plan)
+
+    def read_many(self, payloads: list[bytes]) -> list[Told]:
+        """Return what messages told that begin with the same schema, joined where their rows follow each other.
+
+        They are read as one stream, a third of the work.
+
+        Raises
+        ------
+        UnreadableError
+            If one of them is not one whole record batch, or its rows are not numbered one by one, or as `read` does.
+        """
+        try:
+            return self._read_many(payloads)
+        except pa.ArrowException as cause:
+            raise UnreadableError("one of which is broken") from cause
+
+    def _read_many(self, payloads: list[bytes]) -> list[Told]:
+        first = payloads[0]
+        size = 8 + int.from_bytes(first[4:8], "little")
+        head = first[:size]
+        plan = self._plans.get(head) or self._planned(head)
+        bodies = [payload[size : -8 if payload.endswith(_END) else None] for payload in payloads]
+        stream = pa.py_buffer(b"".join([head, *bodies]))
+        batches = list(pa.ipc.open_stream(stream))
+        ends = np.cumsum([len(head), *map(len, bodies)]) + stream.address
+        begins = [batch.column(0).buffers()[1].address for batch in batches]
+        same = len(begins) == len(bodies) and all(payload.startswith(head) for payload in payloads)
+        if not same or not (ends[:-1] < begins).all() or not (begins < ends[1:]).all():
+            raise UnreadableError("one of which is not one whole record batch")
+        table = pa.Table.from_batches(batches)
+        table.validate()
+        whole = table.combine_chunks().to_batches()[0]
+        matrix = _matrix(whole, plan)
+        moments = _moments(whole, plan) if plan.moment >= 0 else None
+        cuts = _cuts(matrix[:, 0], np.cumsum([len(batch) for batch in batches])) if plan.has_seq else [0, len(matrix)]
+        return [
+            _told(
+                matrix[cut:end],
+                [] if moments is None else [moments[cut:end]],
+                int(matrix[cut, 0]) if plan.has_seq else None,
+                plan,
+            )
+            for cut, end in pairwise(cuts)
+        ]
+
+    def _planned(self, head: bytes) -> _Plan:
+        schema = pa.ipc.read_schema(pa.py_buffer(head))
+        roles = self._finder.roles(tuple(schema.names))
+        asked = self._finder.options.channels
+        channels = [one for one in roles.channels if asked or _is_number(schema.field(_index(schema, one[0])).type)]
+        if not channels:
+            raise UnreadableError("which has no channels")
+        stamp = -1 if roles.stamp is None else _index(schema, roles.stamp)
+        tick_s = None if stamp < 0 else _tick(schema.field(stamp).type)
+        leading = [] if roles.seq is None else [_index(schema, roles.seq)]
+        leading += [stamp] if stamp >= 0 and tick_s is None else []
+        columns = leading + [_index(schema, column) for column, _, _ in channels]
+        for field in map(schema.field, columns):
+            if not _is_number(field.type):
+                raise UnreadableError(f"whose column {field.name[:40]!r} has {field.type}, and not numbers")
+        plan = _Plan(
+            schema,
+            tuple(name for _, name, _ in channels),
+            tuple(_unit(schema.field(_index(schema, column))) or unit for column, _, unit in channels),
+            columns,
+            len(leading),
+            roles.seq is not None,
+            stamp >= 0 and tick_s is None,
+            -1 if tick_s is None else stamp,
+            tick_s or 1.0,
+            (roles.stamp or "", "" if stamp < 0 else _unit(schema.field(stamp))),
+        )
+        if len(self._plans) >= _SCHEMAS:
+            self._plans.clear()
+        self._plans[head] = plan
+        return plan
+
+
+def _index(schema: pa.Schema, name: str) -> int:
+    column = schema.get_field_index(name)
+    if column < 0:
+        raise UnreadableError(f"which has no column {name[:40]!r}, or two")
+    return int(column)
+
+
+def _is_number(kind: pa.DataType) -> bool:
+    return bool(pa.types.is_integer(kind) or pa.types.is_floating(kind))
+
+
+def _unit(field: pa.Field) -> str:
+    unit: bytes = (field.metadata or {}).get(b"unit", b"")
+    return unit.decode("utf-8", "replace")
+
+
+def _tick(kind: pa.DataType) -> float | None:
+    """Return the seconds of a tick of a timestamp or duration; None of other types."""
+    if pa.types.is_timestamp(kind) or pa.types.is_duration(kind):
+        return _SECONDS[kind.unit]
+    return None
+
+
+def _matrix(batch: pa.RecordBatch, plan: _Plan) -> Floats:
+    numbers = batch.select(plan.columns).to_tensor(null_to_nan=True, row_major=True).to_numpy()
+    return np.asarray(numbers, dtype=np.float64)
+
+
+def _moments(batch: pa.RecordBatch, plan: _Plan) -> Floats:
+    column = batch.column(plan.moment)
+    if column.null_count:
+        raise UnreadableError("which has a row without a stamp")
+    return np.asarray(column.view(pa.int64()).to_numpy(), dtype=np.float64) * plan.tick_s
+
+
+def _cuts(numbers: Floats, ends: Integers) -> list[int]:
+    """Return where numbers do not go on, which they may only do between messages."""
+    breaks = np.flatnonzero(np.diff(numbers) != 1) + 1
+    if not np.isin(breaks, ends).all():
+        raise UnreadableError("one of which does not number its rows one by one")
+    for cut in (0, *breaks):
+        first_of(numbers[cut : cut + 1])
+    return [0, *breaks.tolist(), len(numbers)]
+
+
+def _told(matrix: Floats, moments: list[Floats], seq: int | None, plan: _Plan) -> Told:
+    time_s = np.concatenate(moments) if moments else None
+    if plan.has_time:
+        time_s = _seconds(matrix[:, plan.leading - 1], plan)
+    return Told(plan.names, plan.units, seq, time_s, np.ascontiguousarray(matrix[:, plan.leading :]))
+
+
+def _seconds(numbers: Floats, plan: _Plan) -> Floats:
+    if plan.stamps is None:
+        reader: StampReader = stamps_reader(*plan.stamp, float(numbers[0]))
+        if not isinstance(reader, NumberStamps):
+            raise UnreadableError("which has a row without a stamp")
+        plan.stamps = reader
+    return numbers * (plan.stamps.factor / plan.stamps.per_second)

@@ -1,0 +1,113 @@
+"""Rows as a message: what sinks send, and what `messages` reads."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from becalm.core.arrays import Codes, Floats
+from becalm.errors import UsageError
+from becalm.files.roles import SIGMA
+from becalm.files.tables import VERDICT
+from becalm.live.block import Head, Output
+from becalm.live.messages.columns import SEQ
+
+TIME = "time"
+FORMATS = ("arrow", "json")
+
+
+@dataclass
+class Encoder:
+    """Makes messages of rows.
+
+    Parameters
+    ----------
+    form : str
+        "arrow" or "json".
+    units : dict of str to str
+        Units of columns.
+    """
+
+    form: str = "arrow"
+    units: Mapping[str, str] = field(default_factory=dict)
+    _last: tuple[tuple[tuple[str, str], ...], object, bytes] | None = field(default=None, repr=False)
+
+    @classmethod
+    def of(cls, head: Head, form: str) -> Encoder:
+        """Return the one of a stream's outputs.
+
+        Raises
+        ------
+        UsageError
+            If two columns would have one name: a channel is called `time`, or one `a` and another `a_sigma`.
+        """
+        names = [SEQ, TIME, *(name + end for name in head.names for end in ("", SIGMA, VERDICT))]
+        twice = [name for number, name in enumerate(names) if name in names[:number]]
+        if twice:
+            raise UsageError(
+                f"Two columns of a message would be called {twice[0]!r}: each channel NAME has NAME, NAME{SIGMA} and"
+                f" NAME{VERDICT}, beside {SEQ} and {TIME}; give a channel another name at its source."
+            )
+        pairs = dict(zip(head.names, head.units, strict=True))
+        return cls(form, pairs | {name + SIGMA: unit for name, unit in pairs.items()})
+
+    def output(self, output: Output, head: Head) -> bytes:
+        """Return an output: seq, time, and of each channel NAME, NAME_sigma and NAME_verdict."""
+        columns: dict[str, NDArray[np.float64] | Codes] = {TIME: output.time_s}
+        for channel, name in enumerate(head.names):
+            columns[name] = output.signal[:, channel]
+            columns[name + SIGMA] = output.sigma[:, channel]
+            columns[name + VERDICT] = output.verdicts[:, channel]
+        return self.message(columns, output.first_row)
+
+    def message(self, columns: Mapping[str, Floats | Codes], seq: int | None = None) -> bytes:
+        """Return rows as a message.
+
+        Parameters
+        ----------
+        columns : dict of str to (B,) arrays
+            In the order they are to have.
+        seq : int or None
+            The number of the first row; None of a stream without numbers.
+        """
+        if self.form == "json":
+            return self._json(columns, seq)
+        import pyarrow as pa
+
+        arrays = {name: np.ascontiguousarray(column) for name, column in columns.items()}
+        if seq is not None:
+            rows = len(next(iter(arrays.values())))
+            arrays = {SEQ: np.arange(seq, seq + rows, dtype=np.int64), **arrays}
+        schema, head = self._schema(arrays)
+        batch = pa.RecordBatch.from_arrays([pa.array(column) for column in arrays.values()], schema=schema)
+        return head + bytes(batch.serialize())
+
+    def _schema(self, arrays: Mapping[str, NDArray[np.generic]]) -> tuple[object, bytes]:
+        """Return the schema and its bytes, made once for all messages of the same columns."""
+        import pyarrow as pa
+
+        key = tuple((name, column.dtype.str) for name, column in arrays.items())
+        if self._last is None or self._last[0] != key:
+            fields = []
+            for name, column in arrays.items():
+                unit = self.units.get(name, "")
+                fields.append(
+                    pa.field(name, pa.from_numpy_dtype(column.dtype), metadata={"unit": unit} if unit else None)
+                )
+            schema = pa.schema(fields)
+            self._last = (key, schema, schema.serialize().to_pybytes())
+        return self._last[1], self._last[2]
+
+    def _json(self, columns: Mapping[str, Floats | Codes], seq: int | None) -> bytes:
+        """Return columns as lists; what is no finite number is null, as JSON has no word for it."""
+        held: dict[str, object] = {} if seq is None else {SEQ: seq}
+        if self.units:
+            held["units"] = {name: self.units[name] for name in columns if self.units.get(name)}
+        for name, column in columns.items():
+            whole = bool(np.isfinite(column).all())
+            held[name] = column.tolist() if whole else [x if np.isfinite(x) else None for x in column.tolist()]
+        return json.dumps(held, separators=(",", ":")).encode()

@@ -1,0 +1,116 @@
+"""The thread that reads: reaches the source, tries again where it went away, and fills the queue."""
+
+from __future__ import annotations
+
+import random
+import threading
+import time
+
+from becalm.live.block import Block, Loss, LossKind
+from becalm.live.protocols import AwayError, EndOfStream, Source
+from becalm.live.queueing import BlockQueue
+from becalm.live.watching.watch import Watch
+
+_FIRST_S, _LONGEST_S = 0.25, 30.0
+_POLL_S = 0.25
+_DRAIN_S = 1.0
+
+
+class BackOff:
+    """How long to wait before the next try: twice as long each time, up to half a minute, and not all at once."""
+
+    def __init__(self) -> None:
+        self._next_s = _FIRST_S
+
+    def wait(self, stop: threading.Event) -> None:
+        """Wait, unless someone stops."""
+        stop.wait(self._next_s * random.uniform(0.75, 1.25))
+        self._next_s = min(2 * self._next_s, _LONGEST_S)
+
+    def reset(self) -> None:
+        """Hear that it went well."""
+        self._next_s = _FIRST_S
+
+
+class Reader:
+    """Reads a source in a thread of its own.
+
+    Parameters
+    ----------
+    source : Source
+        Where blocks come from.
+    queue : BlockQueue
+        Where they go.
+    watch : Watch
+        Hears of each.
+    position : str
+        Where to go on; "" of a new stream.
+    """
+
+    def __init__(self, source: Source, queue: BlockQueue, watch: Watch, position: str) -> None:
+        self._source, self._queue, self._watch, self._position = source, queue, watch, position
+        self._stop = threading.Event()
+        self._away_since: float | None = None
+        self._back_off = BackOff()
+        self._thread = threading.Thread(target=self._run, name="reader", daemon=True)
+
+    def start(self) -> None:
+        """Begin."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Read no more than what is there; the queue ends."""
+        self._stop.set()
+
+    def join(self) -> None:
+        """Wait for the end."""
+        self._thread.join()
+
+    def _run(self) -> None:
+        failure: BaseException | None = None
+        try:
+            while not self._stop.is_set():
+                try:
+                    self._source.open(self._position)
+                    self._read_on()
+                except AwayError as cause:
+                    self._went_away(cause)
+        except EndOfStream:
+            pass
+        except BaseException as cause:  # the runner tells it, once all that was read is kept
+            failure = cause
+        finally:
+            self._source.close()
+            self._queue.end(failure)
+
+    def _read_on(self) -> None:
+        while not self._stop.is_set():
+            block = self._source.read(_POLL_S)
+            if block is None:
+                continue
+            self._came_back()
+            self._take(block)
+        # What waits at the wire is lost otherwise, where it cannot be asked for again.
+        until = time.monotonic() + _DRAIN_S
+        while not self._source.replays and time.monotonic() < until and (block := self._source.read(0.0)) is not None:
+            self._take(block)
+
+    def _take(self, block: Block) -> None:
+        self._position = block.position or self._position
+        self._watch.meter.took(block)
+        self._queue.put(block, self._stop)
+
+    def _went_away(self, cause: AwayError) -> None:
+        self._source.close()
+        if self._away_since is None:
+            self._away_since = time.time()
+            self._watch.state("away", str(cause))
+            self._queue.tell(Loss(LossKind.AWAY, None, str(cause)))
+        self._back_off.wait(self._stop)
+
+    def _came_back(self) -> None:
+        if self._away_since is not None:
+            away_s, self._away_since = time.time() - self._away_since, None
+            self._watch.state("running")
+            self._queue.tell(Loss(LossKind.AWAY, None, f"The source is back after {away_s:.1f} s."))
+        self._back_off.reset()

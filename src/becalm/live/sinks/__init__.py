@@ -1,0 +1,1 @@
+"""Where clean streams go, one transport a file."""

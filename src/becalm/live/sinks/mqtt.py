@@ -1,0 +1,73 @@
+"""Rows to an MQTT broker, by QoS 1: each message is kept here until the broker acknowledged it."""
+
+from __future__ import annotations
+
+import uuid
+
+from becalm.errors import InputError
+from becalm.live.address import Address
+from becalm.live.brokers.mqtt_link import MqttLink
+from becalm.live.brokers.mqtt_session import PORT, TLS_PORT, VERSIONS, Session, topic_of
+from becalm.live.brokers.remote import Remote
+from becalm.live.sinks.broker import BrokerSink, Line, Told
+from becalm.live.sinks.outbox import Letter
+
+_WINDOW = 100  # messages ahead of their acknowledgements, where the broker takes as many
+
+
+class MqttSink(BrokerSink):
+    """Publishes rows: `mqtt://HOST:PORT/TOPIC?format=json`.
+
+    A message holds rows of one or several outputs: `seq`, the number of its first row; `time`; and
+    of each channel NAME, NAME_sigma and NAME_verdict. Where the broker was away, or becalm was killed, rows may come
+    twice, by the same numbers and in order: who reads drops them by `seq`, as becalm's own source does.
+    What happened to the stream is not published; the journal and the log have it.
+
+    Options: `format=arrow|json` (arrow); `gather=20ms`, for how long rows are gathered into a message;
+    `version=5|3.1.1`; `client=NAME`, where the broker lets only known ones in; `tls=1`, `ca=FILE`, `cert=FILE`,
+    `key=FILE`; `password_file=FILE` (user and password, a line each), else BECALM_MQTT_USER and BECALM_MQTT_PASSWORD
+    of the environment.
+
+    Parameters
+    ----------
+    address : Address
+        As above.
+
+    Raises
+    ------
+    UsageError
+        If the address has no topic, or other options.
+    """
+
+    def __init__(self, address: Address) -> None:
+        address.refuse_unknown((*self.OPTIONS, "version", "client"))
+        super().__init__(Remote.parsed(address, PORT, TLS_PORT))
+        self._topic = topic_of(self._remote)
+        name = address.options.get("client") or f"becalm-{uuid.uuid4().hex[:16]}"
+        self._session = Session(name, address.chosen("version", VERSIONS, VERSIONS[0]), kept_s=0.0, window=1)
+
+    def _connect(self) -> Line:
+        line = _MqttLine(self._remote, self._session, self._told)
+        line.connect(reached=self._reached)
+        return line
+
+
+class _MqttLine(MqttLink):
+    """A connection that publishes to the address's topic."""
+
+    def __init__(self, remote: Remote, session: Session, told: Told) -> None:
+        super().__init__(remote, session, on_acknowledged=self._heard)
+        self._told = told
+        self._topic = topic_of(remote)
+
+    def connect(self, *, reached: bool) -> None:
+        super().connect(reached=reached)
+        self.window = min(self.window, _WINDOW)
+        self.largest -= len(self._topic.encode()) + 32
+
+    def post(self, letter: Letter) -> int:
+        return self.publish(self._topic, letter.payload)
+
+    def _heard(self, number: int, refusal: str) -> None:
+        error = InputError(f"The broker refuses messages of {self._topic}: {refusal}.") if refusal else None
+        self._told(number, error)

@@ -1,0 +1,188 @@
+"""Voltages from a National Instruments device, sampled by its own clock."""
+
+from __future__ import annotations
+
+import time
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from becalm.core.clock import FASTEST_HZ, SLOWEST_HZ
+from becalm.errors import UsageError
+from becalm.files.conversion import conversion
+from becalm.files.text.csv_header import unique_names
+from becalm.files.units import parse_header
+from becalm.live.address import Address
+from becalm.live.block import Block
+from becalm.live.protocols import AwayError
+
+if TYPE_CHECKING:
+    from types import ModuleType
+
+_OPTIONS = ("rate", "range", "wiring", "columns", "rows")
+_WIRINGS = {"default": "DEFAULT", "rse": "RSE", "nrse": "NRSE", "diff": "DIFF", "pseudo-diff": "PSEUDO_DIFF"}
+_BLOCK_S = 0.01
+_BUFFER_S = 10.0  # how long the device goes on while nobody reads
+_LEAST_BUFFER = 10_000
+_MOST_ROWS = 1 << 16
+_BAD_VALUE = -200077  # the driver's number for a rate or range that the device does not have
+
+
+class NiSource:
+    """Analogue inputs of a device that NI-DAQmx drives, sampled continuously at a rate that the hardware keeps.
+
+    No hardware was there when this was written: it follows the documentation of nidaqmx, and was tried against a
+    stand-in only, never with a device or the vendor's driver.
+
+    Rows are counted by the device's clock from the moment when it was started. A stream that reads too slowly by more
+    than ten seconds makes the driver stop; then, as when the device is unplugged, it is away, and is started anew.
+
+    Parameters
+    ----------
+    address : Address
+        `ni:Dev1/ai0:3?rate=1000&range=10&wiring=diff&columns=ax,bridge (mV)&rows=10`. `rate` must be told; `range` is
+        the greatest voltage, 10 by default; names may hold a unit of voltage, which readings are in then; `rows` is
+        how many rows a block has at least, by default those of 10 ms.
+
+    Attributes
+    ----------
+    rate_hz : float or None
+        Rows a second; once it is open, as the device keeps it.
+
+    Raises
+    ------
+    UsageError
+        If an option is not known or not possible, or the rate is missing.
+    """
+
+    replays = False
+
+    def __init__(self, address: Address) -> None:
+        address.refuse_unknown(_OPTIONS)
+        if not address.rest or "rate" not in address.options:
+            raise UsageError("ni: needs channels and a rate in hertz; write ni:Dev1/ai0:3?rate=1000.")
+        self._channels, self._told_names = address.rest, address.names("columns")
+        self._rate_hz = address.number("rate", 0.0, least=SLOWEST_HZ, greatest=FASTEST_HZ)
+        self._volts = address.number("range", 10.0, least=1e-3, greatest=1e4)
+        self._wiring = _WIRINGS[address.chosen("wiring", tuple(_WIRINGS), "default")]
+        self._block_rows = int(
+            address.number("rows", max(1, round(_BLOCK_S * self._rate_hz)), least=1, greatest=_MOST_ROWS)
+        )
+        self.rate_hz: float | None = self._rate_hz
+        self._names: tuple[str, ...] = ()
+        self._units: tuple[str, ...] = ()
+        self._factors = np.ones(0)  # from volts
+        self._task: Any = None
+        self._reader: Any = None
+        self._began_s, self._count = 0.0, 0
+
+    def open(self, position: str) -> None:
+        """Start the device.
+
+        Raises
+        ------
+        AwayError
+            If it cannot be reached now.
+        UsageError
+            If the driver is not installed, or the device cannot do what was asked.
+        """
+        self.close()
+        nidaqmx = _nidaqmx()
+        from nidaqmx import constants, errors
+        from nidaqmx.stream_readers import AnalogMultiChannelReader
+
+        try:
+            self._task = nidaqmx.Task()
+            self._task.ai_channels.add_ai_voltage_chan(
+                self._channels,
+                terminal_config=constants.TerminalConfiguration[self._wiring],
+                min_val=-self._volts,
+                max_val=self._volts,
+            )
+            buffer = max(_LEAST_BUFFER, round(_BUFFER_S * self._rate_hz))
+            self._task.timing.cfg_samp_clk_timing(
+                self._rate_hz, sample_mode=constants.AcquisitionType.CONTINUOUS, samps_per_chan=buffer
+            )
+            self.rate_hz = float(self._task.timing.samp_clk_rate)
+            self._name(list(self._task.channel_names))
+            self._reader = AnalogMultiChannelReader(self._task.in_stream)
+            self._task.start()
+        except (errors.DaqNotFoundError, errors.DaqNotSupportedError) as cause:
+            raise UsageError(
+                "ni: needs the vendor's driver, which is not installed here; get NI-DAQmx from ni.com."
+            ) from cause
+        except errors.Error as cause:
+            if getattr(cause, "error_code", None) == _BAD_VALUE:
+                raise UsageError(f"ni: {self._channels} cannot do that: {_first_line(cause)}") from cause
+            raise AwayError(f"The device of {self._channels} cannot be reached: {_first_line(cause)}") from cause
+        self._began_s, self._count = time.time(), 0
+
+    def read(self, timeout_s: float) -> Block | None:
+        """Return the rows that wait, or None where fewer than a block came within `timeout_s`.
+
+        Raises
+        ------
+        AwayError
+            If the device went away, or was read too slowly.
+        """
+        if self._task is None:
+            raise AwayError(f"The device of {self._channels} is closed.")
+        from nidaqmx import errors
+
+        try:
+            ready = self._wait(timeout_s)
+            if not ready:
+                return None
+            data = np.empty((len(self._names), ready))
+            self._reader.read_many_sample(data, ready, timeout=_BUFFER_S)
+        except errors.Error as cause:
+            raise AwayError(f"The device of {self._channels} stopped: {_first_line(cause)}") from cause
+        rate_hz = self.rate_hz or self._rate_hz
+        time_s = self._began_s + np.arange(self._count, self._count + ready) / rate_hz
+        self._count += ready
+        return Block(
+            self._names, self._units, time_s, np.ascontiguousarray(data.T) * self._factors, arrived_s=time.monotonic()
+        )
+
+    def committed(self, position: str) -> None:
+        """Do nothing: a device need not hear it."""
+
+    def close(self) -> None:
+        """Stop the device."""
+        task, self._task, self._reader = self._task, None, None
+        if task is not None:
+            with suppress(Exception):  # what is unplugged may fail in any way
+                task.close()
+
+    def _wait(self, timeout_s: float) -> int:
+        """Return how many rows can be read, 0 if they are fewer than a block after `timeout_s`."""
+        until = time.monotonic() + timeout_s
+        while (ready := int(self._task.in_stream.avail_samp_per_chan)) < self._block_rows:
+            left_s = until - time.monotonic()
+            if left_s <= 0:
+                return 0
+            time.sleep(min(left_s, max(1e-3, self._block_rows / self._rate_hz / 4)))
+        return min(ready, _MOST_ROWS)
+
+    def _name(self, channels: list[str]) -> None:
+        """Take the names that were told, or the device's own without its name: ai0."""
+        names = self._told_names or tuple(channel.rpartition("/")[2] for channel in channels)
+        if len(names) != len(channels):
+            raise UsageError(f"ni: {self._channels} are {len(channels)} channels, and columns= names {len(names)}.")
+        self._names = tuple(unique_names(names))
+        self._units = tuple(parse_header(name)[1] or "V" for name in names)
+        self._factors = np.array([conversion("V", unit).factor for unit in self._units])
+
+
+def _first_line(cause: Exception) -> str:
+    return str(cause).strip().partition("\n")[0]
+
+
+def _nidaqmx() -> ModuleType:
+    try:
+        import nidaqmx
+    except ImportError as cause:
+        raise UsageError("ni: needs nidaqmx; type: pip install 'becalm[live]'") from cause
+    module: ModuleType = nidaqmx
+    return module

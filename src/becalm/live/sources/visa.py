@@ -1,0 +1,190 @@
+"""A measuring instrument on GPIB, USB, LAN or a serial port, asked again and again, or listened to."""
+
+from __future__ import annotations
+
+import math
+import time
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from becalm.errors import UsageError
+from becalm.files.text.csv_header import unique_names
+from becalm.files.units import parse_header
+from becalm.live.address import Address
+from becalm.live.block import Block, Loss, LossKind
+from becalm.live.lines.cells import number_of
+from becalm.live.protocols import AwayError
+
+if TYPE_CHECKING:
+    from types import ModuleType
+
+_OPTIONS = ("query", "interval", "columns", "setup", "backend", "timeout", "end")
+_ENDS = {"lf": "\n", "cr": "\r", "crlf": "\r\n", "none": ""}
+_MOST_SILENCES = 3  # in a row; then it is away
+_NO_READING = 9.9e37  # SCPI's numbers for over range and not a number begin here
+
+
+class VisaSource:
+    """Numbers from an instrument that answers in text, as a voltmeter; each row is stamped when its answer came.
+
+    An answer is one row: one number, or several with commas. What does not come in time is counted as missing, and
+    what is no row of numbers as garbled; a number that SCPI writes for over range is a missing reading. Three silences
+    in a row, or an error of the bus, and the instrument is away.
+
+    Parameters
+    ----------
+    address : Address
+        `visa:GPIB0::7::INSTR?query=READ?&interval=100ms&columns=bridge (V)&setup=*RST&backend=@py&timeout=3s&end=lf`.
+        `query` is sent for each row, `READ?` by default; `query=` listens to an instrument that talks by itself.
+        `interval` is the time between two questions, by default none; `setup` is sent once at each opening;
+        `backend` is PyVISA's: @ivi is the vendor's library, @py is pyvisa-py, FILE@sim is pyvisa-sim.
+
+    Raises
+    ------
+    UsageError
+        If an option is not known or not possible.
+    """
+
+    replays = False
+    rate_hz: float | None = None
+
+    def __init__(self, address: Address) -> None:
+        address.refuse_unknown(_OPTIONS)
+        if not address.rest:
+            raise UsageError("visa: names no instrument; write visa:GPIB0::7::INSTR, or another VISA resource.")
+        self._resource, self._options = address.rest, address.options
+        self._query = address.options.get("query", "READ?")
+        self._interval_s = address.seconds("interval", 0.0)
+        if self._interval_s and not self._query:
+            raise UsageError("visa: listens where query= is empty, and an interval is for questions; say one of them.")
+        self._end = _ENDS[address.chosen("end", tuple(_ENDS), "lf")]
+        self._wait_s = address.seconds("timeout", 3.0)
+        names = address.names("columns")
+        self._names = tuple(unique_names(names))
+        self._manager: Any = None
+        self._instrument: Any = None
+        self._due_s = -math.inf  # time.monotonic() of the next question
+        self._silences = 0
+
+    def open(self, position: str) -> None:
+        """Reach the instrument, and set it up.
+
+        Raises
+        ------
+        AwayError
+            If it cannot be reached now.
+        UsageError
+            If there is no VISA library, or the instrument is none that answers in text.
+        """
+        self.close()
+        pyvisa = _pyvisa()
+        try:
+            self._manager = pyvisa.ResourceManager(self._options.get("backend", ""))
+        except (OSError, ValueError) as cause:
+            why = str(cause).partition(" 'Traceback")[0].strip()
+            raise UsageError(f"visa: has no library to talk with: {why}. Name one with backend=@py.") from cause
+        try:
+            self._instrument = self._manager.open_resource(self._resource)
+            if not isinstance(self._instrument, pyvisa.resources.MessageBasedResource):
+                raise UsageError(f"visa: {self._resource} is no instrument that answers in text.")
+            self._instrument.timeout = 1000 * self._wait_s
+            self._instrument.read_termination = self._instrument.write_termination = self._end or None
+            if setup := self._options.get("setup"):
+                self._instrument.write(setup)
+        except (pyvisa.errors.Error, OSError, ValueError) as cause:
+            raise AwayError(f"The instrument {self._resource} cannot be reached: {cause}.") from cause
+        self._silences, self._due_s = 0, -math.inf
+
+    def read(self, timeout_s: float) -> Block | None:
+        """Return the next row; None where the next question is due later than in `timeout_s`.
+
+        A question that was asked is waited for as long as the address says, whatever `timeout_s` is.
+
+        Raises
+        ------
+        AwayError
+            If the instrument went away.
+        """
+        left_s = self._due_s - time.monotonic()
+        if left_s > 0:
+            time.sleep(min(left_s, timeout_s))
+        if left_s > timeout_s:
+            return None
+        now_s = time.monotonic()
+        on_time = self._due_s + self._interval_s > now_s
+        self._due_s = (self._due_s if on_time else now_s) + self._interval_s  # what was missed is not made up for
+        answer = self._answer()
+        if answer is not None:
+            self._silences = 0
+            return self._row(answer)
+        if not self._query:
+            return None
+        self._silences += 1
+        if self._silences >= _MOST_SILENCES:
+            raise AwayError(f"The instrument {self._resource} did not answer {_MOST_SILENCES} times in a row.")
+        said = f"The instrument did not answer {self._query!r} within {self._wait_s:g} s."
+        return self._losses(Loss(LossKind.MISSING, 1, said))
+
+    def committed(self, position: str) -> None:
+        """Do nothing: an instrument need not hear it."""
+
+    def close(self) -> None:
+        """Let go of the instrument."""
+        held, self._instrument, self._manager = (self._instrument, self._manager), None, None
+        for one in held:
+            if one is not None:
+                with suppress(Exception):  # what is away may fail in any way
+                    one.close()
+
+    def _answer(self) -> str | None:
+        """Ask, and return what the instrument said; None where it said nothing."""
+        pyvisa = _pyvisa()
+        if self._instrument is None:
+            raise AwayError(f"The instrument {self._resource} is closed.")
+        try:
+            if self._query:
+                self._instrument.write(self._query)
+            answer: str = self._instrument.read()
+        except UnicodeDecodeError as cause:
+            return repr(cause.object)
+        except (pyvisa.errors.Error, OSError) as cause:
+            if getattr(cause, "error_code", None) != pyvisa.constants.StatusCode.error_timeout:
+                raise AwayError(f"The instrument {self._resource} went away: {cause}.") from cause
+            with suppress(Exception):  # that a late answer is not taken for the next; not every bus can
+                self._instrument.clear()
+            return None
+        return answer
+
+    def _row(self, answer: str) -> Block:
+        came_s = time.time()
+        read = [number_of(cell) for cell in answer.split(",")]
+        values = [math.nan if value is None or abs(value) >= _NO_READING else value for value in read]
+        names = self._names or tuple(unique_names(["value"] * len(read)))
+        if None in read or len(read) != len(names):
+            shown = repr(answer[:60])
+            said = f"The instrument answered {shown}, not {_needed(self._names)}."
+            return self._losses(Loss(LossKind.GARBLED, 1, said))
+        self._names = names
+        return Block(names, self._units, np.array([came_s]), np.array([values]), arrived_s=time.monotonic())
+
+    def _losses(self, *losses: Loss) -> Block:
+        width = len(self._names)
+        return Block(self._names, self._units, np.empty(0), np.empty((0, width)), losses=losses)
+
+    @property
+    def _units(self) -> tuple[str, ...]:
+        return tuple(parse_header(name)[1] for name in self._names)
+
+
+def _needed(names: tuple[str, ...]) -> str:
+    return "a number" if len(names) < 2 else f"{len(names)} numbers with commas"
+
+
+def _pyvisa() -> ModuleType:
+    try:
+        import pyvisa
+    except ImportError as cause:
+        raise UsageError("visa: needs PyVISA; type: pip install 'becalm[live]'") from cause
+    return pyvisa

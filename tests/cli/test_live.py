@@ -1,0 +1,287 @@
+"""`becalm live` as a person runs it: files, pipes, kills, signals, and mistakes that end in sentences."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+import becalm
+from becalm.cleaning.recipe import Recipe
+from becalm.live.journal.reading import open_journal
+
+DEADLINE_S = 120.0
+
+Run = Callable[..., subprocess.CompletedProcess[str]]
+
+
+@pytest.fixture
+def recipe(drive: Path) -> Path:
+    made = becalm.tune(becalm.read(drive), causal=True)
+    path = drive.with_name("r.toml")
+    path.write_text(made.to_toml(), encoding="utf-8")
+    return path
+
+
+def kept(folder: Path) -> pa.Table:
+    with open_journal(folder) as reader:
+        return pa.concat_tables([*reader.tables()], promote_options="default")
+
+
+@contextmanager
+def begun(folder: Path, words: Sequence[object], **more: Any) -> Iterator[subprocess.Popen[bytes]]:
+    """Start becalm live in a process of its own."""
+    command = [sys.executable, "-m", "becalm", "live", *map(str, words)]
+    process = subprocess.Popen(command, cwd=folder, stderr=subprocess.PIPE, **more)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+        for pipe in (process.stdin, process.stdout, process.stderr):
+            if pipe is not None:
+                pipe.close()
+
+
+def until(true: Any) -> None:
+    end = time.monotonic() + DEADLINE_S
+    while not true():
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+def told_in(path: Path) -> dict[str, Any]:
+    try:
+        told: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return told
+
+
+def rows_in(path: Path) -> int:
+    return int(told_in(path).get("rows", 0))
+
+
+def test_a_file_replayed_gives_what_clean_gives(run: Run, drive: Path, recipe: Path, tmp_path: Path) -> None:
+    ran = run("live", f"replay:{drive}", "--recipe", recipe, "--status", "s.json")
+    assert ran.returncode == 0, ran.stderr
+    clean = becalm.clean(becalm.read(drive), Recipe.load(recipe), causal=True)
+    table = kept(tmp_path / "becalm-journal")
+    for number, name in enumerate(clean.signal.names):
+        np.testing.assert_allclose(table[name], clean.signal.samples[:, number], rtol=1e-12, atol=1e-14)
+        np.testing.assert_allclose(table[f"{name}_sigma"], clean.sigma.samples[:, number], rtol=1e-12)
+    status = json.loads((tmp_path / "s.json").read_text(encoding="utf-8"))
+    assert (status["state"], status["rows"]) == ("ended", 400)
+
+
+def test_without_a_recipe_it_learns_saves_and_goes_on(run: Run, drive: Path, tmp_path: Path) -> None:
+    ran = run("live", f"replay:{drive}", "--sink", "journal:kept", "--learn", "2s")
+    assert ran.returncode == 0, ran.stderr
+    assert [one.name for one in Recipe.load(tmp_path / "kept" / "learned.recipe.toml").channel] == [
+        "ramp (m/s)",
+        "walk",
+    ]
+    assert kept(tmp_path / "kept").num_rows == 400
+    again = run("live", f"replay:{drive}", "--sink", "journal:kept")
+    assert again.returncode == 0, again.stderr
+    assert kept(tmp_path / "kept").num_rows == 400
+
+
+def test_killed_again_and_again_it_keeps_every_row_once(drive: Path, recipe: Path, tmp_path: Path, run: Run) -> None:
+    status = tmp_path / "s.json"
+    words = ["--recipe", recipe, "--commit", "0.05s", "--status", status]
+    for lives in range(3):
+        with begun(tmp_path, [f"replay:{drive}?speed=1&rows=10", *words, "--sink", "journal:kept"]) as process:
+            before = kept(tmp_path / "kept").num_rows if lives else 0
+            until(lambda before=before: (tmp_path / "kept").exists() and _rows_of(tmp_path / "kept") > before + 20)
+            process.kill()
+    assert run("live", f"replay:{drive}", *words, "--sink", "journal:kept").returncode == 0
+    assert run("live", f"replay:{drive}", *words, "--sink", "journal:whole").returncode == 0
+    assert kept(tmp_path / "kept").drop_columns([]).equals(kept(tmp_path / "whole"))
+
+
+def _rows_of(journal: Path) -> int:
+    try:
+        return int(kept(journal).num_rows)
+    except (becalm.errors.BecalmError, pa.ArrowInvalid):  # it has not begun
+        return 0
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_finishes_the_commit(number: signal.Signals, drive: Path, recipe: Path, tmp_path: Path) -> None:
+    status = tmp_path / "s.json"
+    words = [f"replay:{drive}?speed=1&rows=5", "--recipe", recipe, "--commit", "1h", "--status", status]
+
+    def hear() -> None:  # what runs in the background of a shell ignores it
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+    with begun(tmp_path, words, preexec_fn=hear) as process:
+        until(lambda: rows_in(status) > 0)
+        process.send_signal(number)
+        assert process.wait(DEADLINE_S) == 0
+    told = rows_in(status)
+    assert 0 < told < 400
+    assert kept(tmp_path / "becalm-journal").num_rows == told
+
+
+def test_a_pipe_goes_to_a_pipe(drive: Path, recipe: Path, run: Run) -> None:
+    text = drive.read_text(encoding="utf-8").replace("time_s,", "time,")
+    lines = text.splitlines(keepends=True)
+    broken = "".join([*lines[:50], "nothing of use\n1,2\n", *lines[50:]])
+    ran = run("live", "stdin:", "--recipe", recipe, "--sink", "stdout:", input=broken)
+    assert ran.returncode == 0, ran.stderr
+    told = ran.stdout.splitlines()
+    assert told[0].startswith("time,ramp")
+    assert len(told) == 401
+    assert "kind=garbled" in ran.stderr
+
+
+def test_a_closed_reader_ends_in_a_sentence(drive: Path, recipe: Path, tmp_path: Path) -> None:
+    words = [f"replay:{drive}?speed=1", "--recipe", recipe, "--sink", "stdout:", "--sink", "journal:kept"]
+    with begun(tmp_path, words, stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        process.stdout.readline()
+        process.stdout.close()
+        process.stdout = None
+        assert process.stderr is not None
+        said = process.stderr.read().decode()
+        assert process.wait(DEADLINE_S) != 0
+    assert "Traceback" not in said
+    assert kept(tmp_path / "kept").num_rows > 0
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="no such signal here")
+def test_hanging_up_reads_the_recipe_again(drive: Path, recipe: Path, tmp_path: Path) -> None:
+    status = tmp_path / "s.json"
+    words = [f"replay:{drive}?speed=0.1&rows=1", "--recipe", recipe, "--commit", "0.1s", "--status", status]
+
+    def hear() -> None:  # what nohup begins ignores it
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+    with begun(tmp_path, words, preexec_fn=hear) as process:
+        until(lambda: rows_in(status) > 0)
+        text = recipe.read_text(encoding="utf-8").replace("tuning_spread = 0.", "tuning_spread = 1.")
+        assert "tuning_spread = 1." in text
+        recipe.write_text(text, encoding="utf-8")
+        before = told_in(status)["recipe_sha256"]
+        process.send_signal(signal.SIGHUP)
+        until(lambda: told_in(status).get("recipe_sha256") != before)
+        recipe.write_text("no recipe", encoding="utf-8")
+        process.send_signal(signal.SIGHUP)  # which is refused, and the stream goes on
+        recipe.write_text(text, encoding="utf-8")
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(DEADLINE_S) == 0
+    with open_journal(tmp_path / "becalm-journal") as reader:
+        checkpoint = reader.checkpoint()
+    assert checkpoint is not None
+    assert Recipe.from_toml(checkpoint.recipe) == Recipe.load(recipe)
+
+
+MISTAKES: dict[str, tuple[list[str], str]] = {
+    "no kind": (["drive.csv"], "KIND:"),
+    "unknown kind": (["carrier:pigeon"], "no source"),
+    "unknown sink": (["stdin:", "--sink", "abacus:"], "no sink"),
+    "unknown option": (["stdin:?colour=red"], "colour"),
+    "two keepers": (["stdin:", "--sink", "journal:a", "--sink", "journal:b"], "Only one"),
+    "no such file": (["replay:nowhere.csv"], "nowhere.csv"),
+    "no such recipe": (["stdin:", "--recipe", "nowhere.toml"], "nowhere.toml"),
+    "no time": (["stdin:", "--learn", "soon"], "--learn soon"),
+    "no time to commit": (["stdin:", "--commit", "1"], "--commit 1"),
+    "no queue": (["stdin:", "--queue", "0"], "--queue 0"),
+    "no policy": (["stdin:", "--when-full", "panic"], "panic"),
+    "no folder for a status": (["stdin:", "--status", "nowhere/s.json"], "nowhere"),
+    "nothing came": (["stdin:"], "64 are needed"),
+}
+
+
+@pytest.mark.parametrize("name", MISTAKES)
+def test_a_mistake_ends_in_a_sentence(name: str, run: Run, tmp_path: Path) -> None:
+    words, says = MISTAKES[name]
+    ran = run("live", *words, input="time,ax\n0,1\n")
+    assert ran.returncode in (2, 3), ran.stderr
+    assert says in ran.stderr
+    assert "Traceback" not in ran.stderr
+
+
+def test_another_recipe_takes_over_at_a_restart(run: Run, drive: Path, recipe: Path, tmp_path: Path) -> None:
+    text = drive.read_text(encoding="utf-8")
+    status = tmp_path / "s.json"
+    with begun(tmp_path, [f"replay:{drive}?speed=1&rows=5", "--recipe", recipe, "--status", status]) as process:
+        until(lambda: rows_in(status) > 0)
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(DEADLINE_S) == 0
+    quieter = recipe.with_name("quieter.toml")
+    quieter.write_text(recipe.read_text(encoding="utf-8").replace("tuning_spread = 0.", "tuning_spread = 1."))
+    ran = run("live", f"replay:{drive}", "--recipe", quieter)
+    assert ran.returncode == 0, ran.stderr
+    assert kept(tmp_path / "becalm-journal").num_rows == len(text.splitlines()) - 1
+
+
+def test_another_stream_in_the_same_journal_is_refused(run: Run, drive: Path, recipe: Path) -> None:
+    assert run("live", f"replay:{drive}", "--recipe", recipe).returncode == 0
+    other = drive.with_name("other.csv")
+    other.write_bytes(drive.read_bytes())
+    ran = run("live", f"replay:{other}", "--recipe", recipe)
+    assert ran.returncode == 2
+    assert "another place" in ran.stderr
+
+
+def test_secrets_are_in_no_log(run: Run, drive: Path, recipe: Path, tmp_path: Path) -> None:
+    os.environ["BECALM_MQTT_PASSWORD"] = "rosebud"
+    try:
+        ran = run("live", f"replay:{drive}", "--recipe", recipe, "--log", "l.jsonl", "--status", "s.json")
+    finally:
+        del os.environ["BECALM_MQTT_PASSWORD"]
+    assert ran.returncode == 0, ran.stderr
+    for path in tmp_path.rglob("*"):
+        assert path.is_dir() or b"rosebud" not in path.read_bytes(), path
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
+@pytest.mark.parametrize("stderr", ["2>/dev/full", "2>&-"])
+def test_a_stream_that_learns_needs_no_terminal(stderr: str, drive: Path, tmp_path: Path) -> None:
+    words = f"live stdin: --learn 1s --sink journal:kept --log log.jsonl < {drive} {stderr}"
+    subprocess.run(f"{sys.executable} -m becalm {words}", shell=True, cwd=tmp_path, check=False)
+    assert kept(tmp_path / "kept").num_rows == 400
+
+
+def test_a_closed_output_is_a_sentence(drive: Path, recipe: Path, tmp_path: Path) -> None:
+    words = f"live replay:{drive} --recipe {recipe} --sink stdout: >&-"
+    ran = subprocess.run(
+        f"{sys.executable} -m becalm {words}", shell=True, stderr=subprocess.PIPE, text=True, cwd=tmp_path, check=False
+    )
+    assert ran.returncode == 2
+    assert "Standard output is closed" in ran.stderr
+    assert "Traceback" not in ran.stderr
+
+
+def test_noise_alone_is_counted(recipe: Path, run: Run) -> None:
+    ran = run("live", "stdin:", "--recipe", recipe, input="nothing\nof use\n")
+    assert ran.returncode == 0
+    assert "kind=garbled events=1 rows=2" in ran.stderr
+
+
+def test_rows_are_counted_as_the_recipe_counts_them(drive: Path, run: Run) -> None:
+    rows = [line.split(",", 1)[1] for line in drive.read_text(encoding="utf-8").splitlines()]
+    text = "\n".join(rows) + "\n"
+    drive.with_name("rows.csv").write_text(text, encoding="utf-8")
+    assert run("tune", "rows.csv", "-o", "rows.toml", "--causal", "--rate", "100").returncode == 0
+    cleaned = run("clean", "rows.csv", "-o", "calm.csv", "--recipe", "rows.toml", "--causal")
+    assert cleaned.returncode == 0, cleaned.stderr
+    wanted = becalm.read(drive.with_name("calm.csv"), rate_hz=100.0).samples[:, 0]
+    for number, source in enumerate(["replay:rows.csv", "stdin:"]):
+        ran = run("live", source, "--recipe", "rows.toml", "--sink", f"journal:kept{number}", input=text)
+        assert ran.returncode == 0, ran.stderr
+        found = kept(drive.with_name(f"kept{number}"))
+        np.testing.assert_allclose(found[found.column_names[2]].to_numpy(), wanted, rtol=1e-9)
