@@ -110,23 +110,28 @@ def test_the_second_writer_is_refused(server: PostgresServer, keepers: list[Post
         keepers[0].last()
 
 
-def test_other_channels_units_or_recipes_are_refused(server: PostgresServer, keepers: list[PostgresSink]) -> None:
+def test_other_channels_or_units_are_refused(server: PostgresServer, keepers: list[PostgresSink]) -> None:
     keeper = keeper_of(server, "settled")
     keepers.append(keeper)
-    keeper.open(head_of("a"))
-    keeper.open(head_of("a", recipe="version = 2\n"))  # nothing was kept with the first
+    keeper.open(head_of("b"))
+    keeper.open(head_of("a"))  # nothing was kept of the first
     keeper.keep(outputs_of([3]), checkpoint_at(3))
-    keeper.open(head_of("a", recipe="version = 2\n"))  # its own filters, tuned anew meanwhile
-    keeper.close()
-    keeper = keeper_of(server, "settled")
+    keeper.open(head_of("a", recipe="version = 2\n"))  # tuned anew meanwhile
+    for head in (head_of("b"), Head(("a",), ("mm",), 1000.0, ""), head_of("a", "b"), head_of()):
+        with pytest.raises(UsageError, match=r"other channels \(a \[m\]\)"):
+            keeper.open(head)
+
+
+def test_units_may_be_told_later(server: PostgresServer, keepers: list[PostgresSink]) -> None:
+    keeper = keeper_of(server, "later")
     keepers.append(keeper)
-    with pytest.raises(UsageError, match="another recipe"):
-        keeper.open(head_of("a", recipe="version = 2\n"))
-    keeper.open(head_of("a"))
-    with pytest.raises(UsageError, match=r"other channels \(a \[m\]\)"):
-        keeper.open(head_of("b"))
+    for rows, unit in enumerate(("", "", "m", "")):
+        keeper.open(Head(("a",), (unit,), 1000.0, ""))
+        keeper.keep(outputs_of([1], first_row=rows), checkpoint_at(rows + 1))
+    told = "select units[1], col_description('later'::regclass, 3) from later_checkpoint"
+    assert server.asked(told) == [("m", "m")]
     with pytest.raises(UsageError, match="other channels"):
-        keeper.open(Head(("a",), ("mm",), 1000.0, "version = 1\n"))
+        keeper.open(Head(("a",), ("mm",), 1000.0, ""))
 
 
 def test_a_table_of_someone_else_is_refused(server: PostgresServer, keepers: list[PostgresSink]) -> None:

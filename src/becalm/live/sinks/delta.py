@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 _APPLICATION = "becalm"
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EIO)
 _LOG_KEPT = {"delta.logRetentionDuration": "interval 7 days"}
+_CONFLICTS = ("oncurrent", "changed since last commit")  # as deltalake says that another one committed
 _OTHER = "is written to by another process too; stop it, or give another folder."
 _LOOKED_THROUGH = (16, 1024, None)  # commits; others may have made some since the last of ours
 
@@ -99,17 +100,20 @@ class DeltaSink:
             If the table cannot be made, or is of another stream.
         """
         last = self.last()
-        again, self._head, self._schema = self._head is not None, head, _plain_schema(table_schema(head))
-        if self._table is not None:
-            self._refuse_other(head, None if again else last)  # in its own life it may have got another recipe
+        self._head, self._schema = head, _plain_schema(table_schema(head))
+        if last is not None:
+            self._refuse_other(head)
             self._forget_others()
-            return
+        elif self._table is None or self._there() != self._schema:  # new, or one of which no row came
+            self._make()
+
+    def _make(self) -> None:
         with self._taking_back(()):
             said = "A stream that becalm live made clean; time_s in seconds."
             self._table = library().DeltaTable.create(
-                self._place, self._schema, name=_APPLICATION, description=said, configuration=_LOG_KEPT
+                self._place, self._schema, "overwrite", name=_APPLICATION, description=said, configuration=_LOG_KEPT
             )
-            self._files.commit_lasts(0)
+            self._files.commit_lasts(self._table.version())
             self._files.lock(f"{self._shown} {_OTHER}")
 
     def keep(self, outputs: list[Output], checkpoint: Checkpoint) -> None:
@@ -213,16 +217,17 @@ class DeltaSink:
         """Return what commits tell, the newest first; those of others tell nothing."""
         return (json.loads(commit.get(_APPLICATION, "{}")) for commit in self._table.history(limit))
 
-    def _refuse_other(self, head: Head, last: Checkpoint | None) -> None:
-        there = pa.schema(self._table.schema().to_arrow())
-        units = [(field.metadata or {}).get(b"unit") for field in there]
-        if there.names != self._schema.names or units != [(f.metadata or {}).get(b"unit") for f in self._schema]:
+    def _there(self) -> pa.Schema:
+        """Return the columns of the table."""
+        return pa.schema(self._table.schema().to_arrow())
+
+    def _refuse_other(self, head: Head) -> None:
+        """Refuse other channels; of units one of the two may not be known, and those of the table stay."""
+        there = self._there()
+        pairs = zip(map(_unit, there), map(_unit, self._schema), strict=False)
+        if there.names != self._schema.names or any(old and new and old != new for old, new in pairs):
             raise UsageError(f"The table {self._shown} has other channels or units; give another folder.")
-        if last is not None and last.recipe != head.recipe:
-            raise UsageError(
-                f"The table {self._shown} was written with another recipe; leave --recipe out to go on with it, or"
-                " give another folder."
-            )
+        self._schema = there
 
     @contextmanager
     def _reading(self) -> Iterator[None]:
@@ -248,7 +253,7 @@ class DeltaSink:
             raise self._meant(cause) from cause
 
     def _meant(self, cause: Exception) -> BecalmError:
-        if "concurrent" in str(cause).lower():
+        if any(words in str(cause) for words in _CONFLICTS):
             return OutputError(f"{self._shown} {_OTHER}")
         if getattr(cause, "errno", None) in _FULL or "os error 28" in str(cause):
             return StorageFullError(f"There is no room for {self._shown} ({_said(cause)}); make room.")
@@ -261,6 +266,11 @@ def _plain_schema(schema: pa.Schema) -> pa.Schema:
     """Return a schema of types that Delta has: words instead of dictionaries of words."""
     plain = [f.with_type(f.type.value_type) if pa.types.is_dictionary(f.type) else f for f in schema]
     return pa.schema(plain)
+
+
+def _unit(field: pa.Field) -> bytes:
+    unit: bytes = (field.metadata or {}).get(b"unit", b"")
+    return unit
 
 
 def _packed(checkpoint: Checkpoint) -> bytes:

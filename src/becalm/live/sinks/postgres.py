@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from contextlib import suppress
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from becalm.errors import UsageError
@@ -45,7 +46,6 @@ class PostgresSink:
         self._place = place_of(address)
         self._connection: psycopg.Connection | None = None
         self._had = False  # the lock: what holds it after a broken connection may be what is left of that
-        self._head: Head | None = None
 
     def last(self) -> Checkpoint | None:
         """Return the last checkpoint that was kept; None of a new stream.
@@ -81,17 +81,17 @@ class PostgresSink:
             If it never can, or the tables are of another stream, or another process writes to them.
         """
         psycopg = driver()
-        last, again = self.last(), self._head is not None  # in its own life a stream may have got another recipe
+        last = self.last()
         connection = self._reached()
         try:
             with connection.transaction():
-                if self._tables.exist(connection)[1]:
-                    self._refuse_other(head, self._tables.head(connection), None if again else last)
-                else:
+                if last is None:
                     self._tables.make(connection, head)
+                else:
+                    self._go_on(connection, head)
         except psycopg.Error as cause:
             raise self._meant(connection, cause) from cause
-        self._head, self._binary, self._copying = head, BinaryRows(len(head.names)), self._tables.copying(head)
+        self._binary, self._copying = BinaryRows(len(head.names)), self._tables.copying(head)
 
     def keep(self, outputs: list[Output], checkpoint: Checkpoint) -> None:
         """Keep rows and checkpoint in one transaction; when this returns the server has them on its disk.
@@ -161,18 +161,18 @@ class PostgresSink:
         self._had = True
         return connection
 
-    def _refuse_other(
-        self, head: Head, made_for: tuple[tuple[str, ...], tuple[str, ...]], last: Checkpoint | None
-    ) -> None:
-        where = f"The table {self._place.table!r} at {self._place.shown}"
-        if (head.names, head.units) != made_for:
-            there = ", ".join(f"{name} [{unit}]" for name, unit in zip(*made_for, strict=True))
-            raise UsageError(f"{where} is of other channels ({there}); give another with table=NAME.")
-        if last is not None and last.recipe != head.recipe:
+    def _go_on(self, connection: psycopg.Connection, head: Head) -> None:
+        """Refuse other channels; of units one of the two may not be known, and is told as soon as it is."""
+        names, known = self._tables.head(connection)
+        units = tuple(new or old for new, old in zip(head.units, known, strict=False))
+        if head.names != names or any(old and old != unit for old, unit in zip(known, units, strict=True)):
+            there = ", ".join(f"{name} [{unit}]" for name, unit in zip(names, known, strict=True))
             raise UsageError(
-                f"{where} was written with another recipe; leave --recipe out to go on with it, or give another table"
+                f"The table {self._place.table!r} at {self._place.shown} is of other channels ({there}); give another"
                 " with table=NAME."
             )
+        if units != known:
+            self._tables.tell_units(connection, replace(head, units=units))
 
     def _meant(self, connection: psycopg.Connection, cause: psycopg.Error) -> Exception:
         broken = connection.broken or connection.closed

@@ -69,7 +69,7 @@ class Tables:
         return (tuple(found[0]), tuple(found[1])) if found is not None else ((), ())
 
     def make(self, connection: psycopg.Connection, head: Head) -> None:
-        """Make the tables for a new stream, each column with its unit as comment.
+        """Make the tables for a new stream, in the place of those of one of which no row came.
 
         Raises
         ------
@@ -80,10 +80,9 @@ class Tables:
         made = self._sql.SQL(", ").join(
             self._sql.SQL("{} {}").format(self._sql.Identifier(name), self._sql.SQL(kind)) for name, kind, _ in columns
         )
+        if self.exist(connection)[1]:
+            connection.execute(self._of("DROP TABLE {rows}, {checkpoint}, {losses}"))
         connection.execute(self._of("CREATE TABLE {rows} ({columns})", columns=made))
-        for name, _, said in columns:
-            about = {"column": self._sql.Identifier(name), "said": self._sql.Literal(said)}
-            connection.execute(self._of("COMMENT ON COLUMN {rows}.{column} IS {said}", **about))
         connection.execute(
             self._of(
                 "CREATE TABLE {checkpoint} (one boolean PRIMARY KEY DEFAULT true CHECK (one), rows bigint NOT NULL,"
@@ -103,8 +102,18 @@ class Tables:
                 "INSERT INTO {checkpoint} (rows, position, recipe, source, channels, units, rate_hz)"
                 " VALUES (0, '', %s, '', %s, %s, %s)"
             ),
-            (_plain(head.recipe), list(head.names), [_plain(unit) for unit in head.units], head.rate_hz),
+            (_plain(head.recipe), list(head.names), [], head.rate_hz),
         )
+        self.tell_units(connection, head)
+
+    def tell_units(self, connection: psycopg.Connection, head: Head) -> None:
+        """Write units, as comments of the columns too."""
+        connection.execute(
+            self._with_values("UPDATE {checkpoint} SET units = %s"), ([_plain(unit) for unit in head.units],)
+        )
+        for name, _, said in _columns(head):
+            about = {"column": self._sql.Identifier(name), "said": self._sql.Literal(said)}
+            connection.execute(self._of("COMMENT ON COLUMN {rows}.{column} IS {said}", **about))
 
     def copying(self, head: Head) -> sql.Composed:
         """Return the COPY that takes what `BinaryRows` makes."""
