@@ -272,16 +272,34 @@ def test_noise_alone_is_counted(recipe: Path, run: Run) -> None:
     assert "kind=garbled events=1 rows=2" in ran.stderr
 
 
-def test_rows_are_counted_as_the_recipe_counts_them(drive: Path, run: Run) -> None:
+@pytest.fixture
+def unstamped(drive: Path, run: Run) -> Path:
+    """Return rows without stamps, beside the recipe (rows.toml) that counts them."""
+    path = drive.with_name("rows.csv")
     rows = [line.split(",", 1)[1] for line in drive.read_text(encoding="utf-8").splitlines()]
-    text = "\n".join(rows) + "\n"
-    drive.with_name("rows.csv").write_text(text, encoding="utf-8")
+    path.write_text("\n".join(rows) + "\n", encoding="utf-8")
     assert run("tune", "rows.csv", "-o", "rows.toml", "--causal", "--rate", "100").returncode == 0
+    return path
+
+
+def test_rows_are_counted_as_the_recipe_counts_them(unstamped: Path, run: Run) -> None:
     cleaned = run("clean", "rows.csv", "-o", "calm.csv", "--recipe", "rows.toml", "--causal")
     assert cleaned.returncode == 0, cleaned.stderr
-    wanted = becalm.read(drive.with_name("calm.csv"), rate_hz=100.0).samples[:, 0]
+    wanted = becalm.read(unstamped.with_name("calm.csv"), rate_hz=100.0).samples[:, 0]
     for number, source in enumerate(["replay:rows.csv", "stdin:"]):
-        ran = run("live", source, "--recipe", "rows.toml", "--sink", f"journal:kept{number}", input=text)
+        words = ["--recipe", "rows.toml", "--sink", f"journal:kept{number}"]
+        ran = run("live", source, *words, input=unstamped.read_text(encoding="utf-8"))
         assert ran.returncode == 0, ran.stderr
-        found = kept(drive.with_name(f"kept{number}"))
+        found = kept(unstamped.with_name(f"kept{number}"))
         np.testing.assert_allclose(found[found.column_names[2]].to_numpy(), wanted, rtol=1e-9)
+
+
+def test_rows_are_counted_on_by_the_recipe_that_the_stream_had(unstamped: Path, tmp_path: Path, run: Run) -> None:
+    status = tmp_path / "s.json"
+    with begun(tmp_path, ["replay:rows.csv?speed=1&rows=5", "--recipe", "rows.toml", "--status", status]) as process:
+        until(lambda: rows_in(status) > 0)
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(DEADLINE_S) == 0
+    assert run("live", "replay:rows.csv").returncode == 0
+    assert run("live", "replay:rows.csv", "--recipe", "rows.toml", "--sink", "journal:whole").returncode == 0
+    assert kept(tmp_path / "becalm-journal").equals(kept(tmp_path / "whole"))

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from becalm.cleaning.recipe import Recipe
 from becalm.core.arrays import Floats
 from becalm.errors import InputError, RecipeError, UsageError
+from becalm.live.beginning import Beginning
 from becalm.live.block import Block, Checkpoint, Loss, LossKind, Output
 from becalm.live.keeping import Outlets
 from becalm.live.learning import Learner
@@ -33,8 +34,8 @@ EVERY_BLOCK = Settings(commit_s=0.0, patience_s=0.5)
 
 def runner_of(source: ListSource, keeper: MemoryKeeper | None, recipe: Recipe | None = None, **more: Any) -> Runner:
     outlets = Outlets(keeper, tuple(Outlet(sink) for sink in more.pop("sinks", ())))
-    told: dict[str, Any] = {"settings": EVERY_BLOCK, "learner": Learner(2.0), **more}
-    return Runner(source=source, address="list:rows", outlets=outlets, watch=Watch(Meter()), recipe=recipe, **told)
+    told: dict[str, Any] = {"beginning": Beginning(recipe, Learner(2.0)), "settings": EVERY_BLOCK, **more}
+    return Runner(source=source, address="list:rows", outlets=outlets, watch=Watch(Meter()), **told)
 
 
 def run(values: Floats = VALUES, sizes: int | list[int] = 50, **more: Any) -> MemoryKeeper:
@@ -165,7 +166,11 @@ def test_a_kept_stream_takes_no_other_source() -> None:
 def test_without_a_recipe_it_learns_one_and_loses_no_row() -> None:
     learned: list[Recipe] = []
     keeper = MemoryKeeper()
-    runner_of(ListSource(lambda row: blocks_of(VALUES, 50, row)), keeper, learned=learned.append).run()
+    runner_of(
+        ListSource(lambda row: blocks_of(VALUES, 50, row)),
+        keeper,
+        beginning=Beginning(None, Learner(2.0), learned.append),
+    ).run()
     assert [channel.name for channel in learned[0].channel] == ["ax", "ay"]
     assert learned[0].mode == "causal"
     np.testing.assert_array_equal(keeper.rows, np.arange(600))

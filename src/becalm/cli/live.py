@@ -18,6 +18,7 @@ from becalm.cleaning.recipe import Recipe
 from becalm.cli.stopping import stop_cleanly
 from becalm.errors import BecalmError, UsageError
 from becalm.live.address import Address, seconds_of
+from becalm.live.beginning import Beginning
 from becalm.live.keeping import Outlets
 from becalm.live.learning import Learner
 from becalm.live.outlet import Outlet
@@ -80,8 +81,8 @@ def settings_of(queue_blocks: int, when_full: str, commit: str) -> Settings:
 def run(source: str, sinks: list[str], asking: Asking, settings: Settings, watching: Watching) -> None:
     """Run a stream."""
     recipe = None if asking.recipe is None else Recipe.load(asking.recipe)
-    source = _timed(source, recipe)
-    address, made = str(Address.parsed(source)), open_source(source)
+    timed = source if recipe is None else _timed(source, recipe)
+    address, made = str(Address.parsed(timed)), open_source(timed)
     names = sinks or [DEFAULT_SINK]
     keeper, others = _parted([open_sink(name) for name in names])
     learner = Learner(seconds_of("--learn", asking.learn), asking.lag_s, asking.channels)
@@ -99,11 +100,14 @@ def run(source: str, sinks: list[str], asking: Asking, settings: Settings, watch
             address=address,
             outlets=Outlets(keeper, tuple(Outlet(sink) for sink in others)),
             watch=watch,
-            recipe=recipe,
-            learner=learner,
-            learned=partial(_save, path=_learned_path(names), log=log),
+            beginning=Beginning(
+                recipe,
+                learner,
+                learned=partial(_save, path=_learned_path(names), log=log),
+                ready=_warming(recipe),
+                timed=None if recipe is not None else lambda had: open_source(_timed(source, had)),
+            ),
             settings=settings,
-            ready=_warming(recipe),
         )
         _hear_signals(runner, asking.recipe)
         log.info("start", source=address, sinks=", ".join(str(Address.parsed(name)) for name in names))
@@ -111,10 +115,10 @@ def run(source: str, sinks: list[str], asking: Asking, settings: Settings, watch
     _say(f"Told {runner.rows} rows of {address}.")
 
 
-def _timed(source: str, recipe: Recipe | None) -> str:
+def _timed(source: str, recipe: Recipe) -> str:
     """Return a source of a file, or of lines, with the time that its recipe was tuned by, unless a person says one."""
     told = Address.parsed(source)
-    if recipe is None or told.kind not in _TIMED_BY_RECIPE or not {"rate", "time"}.isdisjoint(told.options):
+    if told.kind not in _TIMED_BY_RECIPE or not {"rate", "time"}.isdisjoint(told.options):
         return source
     words: dict[str, Any] = {"rate": recipe.rate_hz} if recipe.rate_hz is not None else {"time": recipe.time}
     if told.kind == "replay" and "stamps" not in told.options:

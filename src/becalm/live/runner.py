@@ -1,4 +1,4 @@
-"""The walk of a stream: read, learn if need be, filter, tell, keep; until it ends or someone stops it."""
+"""The walk of a stream: read, filter, tell, keep; until it ends or someone stops it."""
 
 from __future__ import annotations
 
@@ -8,17 +8,16 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 from math import nan
-from typing import TypeVar
 
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.stream import ChannelHealth
-from becalm.errors import BecalmError, UsageError
+from becalm.errors import BecalmError
+from becalm.live.beginning import Beginning, Begun, insist, open_keeper
 from becalm.live.block import Block, Checkpoint, Head, Loss, LossKind, Output
 from becalm.live.keeping import Batch, Keeping, Outlets
-from becalm.live.learning import Early, Learner, resolution_of
-from becalm.live.protocols import AwayError, Source
+from becalm.live.protocols import Source
 from becalm.live.queueing import BlockQueue
-from becalm.live.reader import BackOff, Reader
+from becalm.live.reader import Reader
 from becalm.live.settings import Settings
 from becalm.live.stream import Stream
 from becalm.live.watching.watch import Watch
@@ -26,8 +25,6 @@ from becalm.live.watching.watch import Watch
 _POLL_S = 0.25
 _MOST_VALUES = 1 << 19  # that one commit holds
 _HEALTH_S = 1.0
-
-Answer = TypeVar("Answer")
 
 
 @dataclass
@@ -44,40 +41,30 @@ class Runner:
         Where rows go.
     watch : Watch
         Hears of all.
-    recipe : Recipe or None
-        What to do; None goes on as before, or learns.
-    learner : Learner
-        Learns where nobody says what to do.
-    learned : callable
-        Is given a recipe that was learned, to save it.
+    beginning : Beginning
+        Where filters come from.
     settings : Settings
         How.
-    ready : callable
-        Returns once kernels may run; called beside the opening of the source.
     """
 
     source: Source
     address: str
     outlets: Outlets
     watch: Watch
-    recipe: Recipe | None
-    learner: Learner
-    learned: Callable[[Recipe], None] = lambda _: None
+    beginning: Beginning
     settings: Settings = field(default_factory=Settings)
-    ready: Callable[[], object] = lambda: None
 
     def __post_init__(self) -> None:
         """Make what does not depend on the wires."""
         self._stop, self._asked = threading.Event(), threading.Event()
         self._new_recipe: Callable[[], Recipe]
         self._reader: Reader | None = None
-        self._head: Head | None = None
         self._queue = BlockQueue(self.settings.queue_blocks, self.settings.when_full)
         self._outputs: list[Output] = []
         self._losses: list[Loss] = []
-        self._before: list[Loss] = []  # of before the first row, which were said already
         self._position = ""
-        self._given_s = self._health_s = 0.0
+        self._given_s = 0.0  # time.monotonic() when rows were handed to the keeper last
+        self._health_s = 0.0  # and when the meter last heard how channels are
         self.rows = 0
         """Rows told, over the whole life of the stream."""
 
@@ -101,21 +88,21 @@ class Runner:
         BecalmError
             If the source or a sink can never be reached, or something could not be kept; all else is kept.
         """
-        last = None if self.outlets.keeper is None else self._insist(self.outlets.keeper.last)
-        stream = None if last is None else self._resumed(last)
+        keeper = self.outlets.keeper
+        last = None if keeper is None else insist(keeper.last, self.watch, self._stop)
+        begun = None if last is None else self._resumed(last)
         reader = self._reader = Reader(self.source, self._queue, self.watch, self._position)
         reader.start()
         keeping: Keeping | None = None
         try:
-            held: list[Block] = []
-            if stream is None:
-                stream, held = self._begun()
-            if stream is not None:
-                keeping = self._open(stream)
+            begun = begun or self._begun()
+            if begun is not None:
+                keeping = self._open(begun.head)
                 try:
-                    self._walk(stream, keeping, held)
+                    self._walk(begun, keeping)
                 finally:
-                    self._give(stream, keeping, at_once=True)
+                    self._give(begun.stream, keeping, at_once=True)
+            self.watch.state("stopping" if self._stop.is_set() else "ended")
         finally:
             reader.stop()
             try:
@@ -124,63 +111,30 @@ class Runner:
             finally:
                 self._close(reader)
 
-    def _resumed(self, last: Checkpoint) -> Stream:
-        if last.source.partition("?")[0] != self.address.partition("?")[0]:
-            raise UsageError(
-                f"What is kept there is the stream {last.source}, not {self.address}; name another place for this one."
-            )
-        self.ready()
-        stream = Stream.resumed(last)
-        self._head = stream.head  # that it had
-        if self.recipe is not None and self.recipe != stream.recipe:
-            stream.retuned(self.recipe)
-        stream.opened()
+    def _resumed(self, last: Checkpoint) -> Begun:
+        begun = self.beginning.resumed(last, self.address)
+        if self.beginning.timed is not None:
+            self.source = self.beginning.timed(begun.stream.recipe)
         self._position = last.position
         if not self.source.replays:
             says = (
                 "becalm was not running; what was sent meanwhile is lost, unless the sender keeps it and sends it yet."
             )
             self._losses.append(Loss(LossKind.GAP, None, says))
-        return stream
+        return begun
 
-    def _begun(self) -> tuple[Stream | None, list[Block]]:
-        """Wait for the first rows; make a stream by the recipe, or by one learned from them."""
-        early, stream = Early(), None
-        self.watch.state("learning" if self.recipe is None else "running")
+    def _begun(self) -> Begun | None:
+        begun = None
         try:
-            stream = self._first_stream(early)
+            begun = self.beginning.begun(self._next, self._queue, self.source, self.watch)
         finally:
-            if stream is None:  # which would have told them
-                self.watch.lost([*self._losses, *(loss for block in early.blocks for loss in block.losses)])
-        if stream is None:
-            self.watch.state("stopping" if self._stop.is_set() else "ended")
-        return stream, early.blocks
+            if begun is None:  # whose first rows would have told them
+                self.watch.lost(self._losses)
+        return begun
 
-    def _first_stream(self, early: Early) -> Stream | None:
-        while True:
-            block = self._next()
-            if block is not None and (len(block) or early.rows):
-                early.add(block)
-            elif block is not None:
-                self.watch.lost(block.losses)
-                self._before += block.losses
-            rate_hz = self.source.rate_hz
-            if self.recipe is not None and early.rows:
-                first = next(one for one in early.blocks if len(one))
-                self.ready()
-                resolution_s = 0.0 if first.elapsed is not None else resolution_of(first.time_s)
-                return Stream(self.recipe, 1 / (rate_hz or self.recipe.nominal_rate_hz), resolution_s)
-            ended = self._queue.ended
-            if self.recipe is None and ((ended and early.rows) or self.learner.is_enough(early, rate_hz)):
-                learned = self.learner.learn(early.blocks, rate_hz)
-                self.learned(learned.recipe)
-                return Stream(learned.recipe, learned.step_s, learned.resolution_s)
-            if ended:
-                return None
-
-    def _open(self, stream: Stream) -> Keeping:
-        head = self._head or stream.head
-        self._insist(partial(self._open_keeper, head))
+    def _open(self, head: Head) -> Keeping:
+        if self.outlets.keeper is not None:
+            insist(partial(open_keeper, self.outlets.keeper, head), self.watch, self._stop)
         for outlet in self.outlets.others:
             outlet.open(head)
         self.watch.meter.begin(head.names, head.recipe)
@@ -188,33 +142,11 @@ class Runner:
         self._given_s = time.monotonic()
         return Keeping(self.outlets, self.source, self.watch, head)
 
-    def _open_keeper(self, head: Head) -> None:
-        keeper = self.outlets.keeper
-        if keeper is None:
-            return
-        try:
-            keeper.open(head)
-        except AwayError:
-            keeper.close()
-            keeper.last()
-            keeper.open(head)
-
-    def _insist(self, do: Callable[[], Answer]) -> Answer:
-        """Do something at the start of a stream until its other end is there, or someone stops."""
-        back_off = BackOff()
-        while True:
-            try:
-                return do()
-            except AwayError as cause:
-                self.watch.state("away", str(cause))
-                if self._stop.is_set():
-                    raise
-            back_off.wait(self._stop)
-
-    def _walk(self, stream: Stream, keeping: Keeping, held: list[Block]) -> None:
-        if self._before:
-            self._pass_on(stream.take(Block.of_losses(*self._before)))
-        for early in held:
+    def _walk(self, begun: Begun, keeping: Keeping) -> None:
+        stream = begun.stream
+        if begun.before:
+            self._pass_on(stream.take(Block.of_losses(*begun.before)))
+        for early in begun.blocks:
             self._take(early, stream, keeping)
         while not self._queue.ended:
             if self._asked.is_set():
@@ -224,7 +156,6 @@ class Runner:
                 self._take(block, stream, keeping)
             self._give(stream, keeping)
             self._look_after(stream)
-        self.watch.state("stopping" if self._stop.is_set() else "ended")
         if not self._stop.is_set():
             self._tell(stream.finish())
 
