@@ -76,6 +76,18 @@ def test_a_damaged_database_is_told_by_every_command(journal: Path, run: Run, tm
     assert not (tmp_path / "out.csv").exists()
 
 
+@pytest.mark.parametrize("content", [b"", b"noise" * 5000])
+def test_verify_says_of_the_database_that_it_is_damaged(content: bytes, journal: Path, run: Run) -> None:
+    for path in journal.glob("journal.sqlite*"):
+        path.unlink()
+    (journal / "journal.sqlite").write_bytes(content)
+    ran = run("journal", journal, "verify", "--json")
+    assert ran.returncode == 3
+    (said,) = json.loads(ran.stdout)["wrong"]
+    assert said.startswith("journal.sqlite is damaged (")
+    assert "can be started again" in ran.stderr
+
+
 @pytest.mark.parametrize("ending", ["csv", "parquet"])
 def test_export_writes_the_rows_between_two_stamps(ending: str, journal: Path, run: Run, tmp_path: Path) -> None:
     path = tmp_path / f"out.{ending}"

@@ -7,7 +7,7 @@ import sqlite3
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from becalm.live.journal.database import NAME, BrokenSealError, rolled_blocks, unsealed
+from becalm.live.journal.database import NAME, BrokenSealError, JournalError, rolled_blocks, unsealed
 from becalm.live.journal.mark import MarkFile
 from becalm.live.journal.reading import open_journal
 from becalm.live.journal.records import TABLES, BlockRow, RollRow
@@ -48,16 +48,27 @@ def faults(folder: Path) -> Iterator[str]:
         If there is none.
     """
     mark = MarkFile(folder).read()  # first: the stream goes on
-    with open_journal(folder) as journal:
+    try:
+        opened = open_journal(folder)
+    except JournalError as cause:
+        if type(cause.__cause__) is not sqlite3.DatabaseError:  # as where there is none, or it may not be read
+            raise
+        yield _damaged(str(cause.__cause__))
+        return
+    with opened as journal:
         wrong = list(database_faults(journal.connection))
         if wrong:  # then nothing is to be asked of it
-            yield from wrong
+            yield from map(_damaged, wrong)
             return
         checkpoint = journal.checkpoint()
         kept = 0 if checkpoint is None else checkpoint.rows
         if mark is not None and mark.checkpoint.rows > kept:
             yield f"{told((kept, mark.checkpoint.rows)).capitalize()} were kept, and are gone from {NAME}."
         yield from file_faults(folder, journal.rolls())
+
+
+def _damaged(fault: str) -> str:
+    return f"{NAME} is damaged ({fault.rstrip('.')})."
 
 
 def file_faults(folder: Path, rolls: Iterable[RollRow]) -> Iterator[str]:
