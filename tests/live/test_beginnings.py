@@ -10,6 +10,7 @@ import pytest
 from becalm.cleaning.recipe import Recipe
 from becalm.core.arrays import Floats
 from becalm.errors import BecalmError, InputError
+from becalm.live.beginning import Beginning
 from becalm.live.block import Block, Loss, LossKind
 from becalm.live.keeping import Outlets
 from becalm.live.learning import Early, Learner
@@ -28,8 +29,7 @@ def runner_of(source: ListSource, keeper: MemoryKeeper, recipe: Recipe | None = 
         address="list:rows",
         outlets=Outlets(keeper, ()),
         watch=watch,
-        recipe=recipe,
-        learner=Learner(2.0),
+        beginning=Beginning(recipe, Learner(2.0)),
     )
 
 
@@ -60,6 +60,13 @@ def test_what_is_lost_among_too_few_rows_to_learn_from_is_told() -> None:
     with pytest.raises(InputError, match="9 rows came"):
         runner.run()
     assert runner.watch.meter.status()["losses"]["garbled"]["rows"] == 7
+
+
+def test_stamps_that_tell_no_rate_are_refused_by_what_a_source_may_be_told() -> None:
+    source = ListSource(lambda _: [replace(one, time_s=np.full(50, 5.0)) for one in blocks_of(VALUES, 50)])
+    with pytest.raises(InputError, match=r"\?time=.*\?rate=HZ") as refused:
+        runner_of(source, MemoryKeeper()).run()
+    assert "--" not in str(refused.value)
 
 
 def early_of(stamps: list[Floats], arrivals: list[float]) -> Early:

@@ -159,7 +159,7 @@ def test_impossible_wishes_are_refused(text: str, said: str) -> None:
 def test_what_a_file_needs_to_be_told_is_said_as_it_is_told_here(tmp_path: Path) -> None:
     file = tmp_path / "timeless.csv"
     file.write_text("a,b\n" + "".join(f"{k % 7}.5,{k % 5}.25\n" for k in range(20)), encoding="utf-8")
-    with pytest.raises(InputError, match=r"replay:FILE\?rate=HZ"):
+    with pytest.raises(InputError, match=r"or give \?rate=HZ to count rows"):
         _source(str(file)).open("")
 
 

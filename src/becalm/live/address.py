@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from urllib.parse import parse_qsl
 
-from becalm.errors import UsageError
+from becalm.errors import BecalmError, UsageError
 
 _TIMES = {"us": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
 _TIME = re.compile(r"(?P<number>\d+\.?\d*|\.\d+)\s*(?P<unit>us|ms|s|min|h|d)")
 _SECRET = re.compile(r"(?<=//)[^/@]*@")  # user and password of a URL
+_ADVICE = re.compile(
+    r"--(?P<name>rate|time|group|channels|stamps)( (?P<value>HZ|COLUMN|NAME|as-written|'[^']*'|\d[\w.+]*\b))?"
+)
 
 
 @dataclass(frozen=True)
@@ -110,3 +114,15 @@ def seconds_of(what: str, text: str) -> float:
     if written is None:
         raise UsageError(f"{what} {text} is no time; write a number and then {', '.join(_TIMES)}, as 20ms.")
     return float(written["number"]) * _TIMES[written["unit"]]
+
+
+@contextmanager
+def advising_addresses() -> Iterator[None]:
+    """Where an error advises options for a file, advise those of a source: ?rate=HZ for --rate HZ."""
+    try:
+        yield
+    except BecalmError as cause:
+        said = _ADVICE.sub(lambda found: f"?{found['name']}={found['value'] or ''}", str(cause))
+        if said == str(cause):
+            raise
+        raise type(cause)(said) from cause

@@ -14,6 +14,7 @@ from becalm.core.clock import last_digit
 from becalm.core.recording import Recording
 from becalm.core.timebase import Timebase
 from becalm.errors import InputError, TimeError
+from becalm.live.address import advising_addresses
 from becalm.live.block import Block
 
 FEWEST_ROWS = 64
@@ -118,11 +119,11 @@ class Learner:
                 f"{rows} rows came, and {FEWEST_ROWS} are needed to learn a filter from; give one with --recipe."
             )
         values = np.concatenate([block.values for block in full])
-        timebase, kept = _time(full, rate_hz)
-        recording = Recording(values[kept], names=full[0].names, units=full[0].units, timebase=timebase)
-        recipe = tune(
-            recording, causal=self.lag_s is None, channels=self.channels or None, wishes=Wishes(lag_s=self.lag_s)
-        )
+        with advising_addresses():
+            timebase, kept = _time(full, rate_hz)
+            recording = Recording(values[kept], names=full[0].names, units=full[0].units, timebase=timebase)
+            wishes = Wishes(lag_s=self.lag_s)
+            recipe = tune(recording, causal=self.lag_s is None, channels=self.channels or None, wishes=wishes)
         return Learned(recipe, timebase.step_s, timebase.resolution_s)
 
 

@@ -14,7 +14,7 @@ from becalm.errors import InputError, UsageError
 from becalm.files.asked import ReadOptions
 from becalm.files.opening import OpenSource, open_source
 from becalm.files.registry import BAG
-from becalm.live.address import Address
+from becalm.live.address import Address, advising_addresses
 from becalm.live.block import Block
 from becalm.live.position import told_by
 from becalm.live.protocols import EndOfStream
@@ -93,13 +93,8 @@ class ReplaySource:
         self.close()
         self._print = _fingerprint(self._path)
         first = self._row_after(position)
-        try:
-            file = open_source(self._path, self._options)
-        except (InputError, UsageError) as cause:
-            if "--" not in str(cause):
-                raise
-            raise type(cause)(f"{cause} (Of a stream, write replay:FILE?rate=HZ, and so on.)") from cause
-        self._file = file
+        with advising_addresses():
+            file = self._file = open_source(self._path, self._options)
         self.names, self.units = file.names, file.units
         self.rate_hz, self.step_s = file.rate_hz, file.clock.step_s
         self._block_rows = self._asked_rows or _fitting_rows(file.rate_hz, self._speed)
