@@ -22,10 +22,8 @@ def warm_up(recipe: Recipe, step_s: float) -> None:
 
     Raises
     ------
-    RecipeError
-        If a channel's numbers make no filter at this step.
     UsageError
-        If no later reading comes within the recipe's lag.
+        As `StreamCleaner`.
     """
     channels = tuple(channel.model_copy(update={"limits": None}) for channel in recipe.channel)
     lag_s = None if recipe.lag_s is None else step_s  # a kernel is the same for any lag

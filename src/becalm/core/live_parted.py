@@ -35,17 +35,7 @@ class LiveFlow(Protocol):
 
 
 class LiveParted:
-    """A filter of one channel of a stream.
-
-    Parameters
-    ----------
-    open_flow : callable
-        Opens what filters one part.
-    reach : Reach
-        Which gaps it bridges; with a *small* one the channel starts anew more often.
-    largest : float
-        Magnitude beyond which a value is no reading, as the flow itself takes it, in unit.
-    """
+    """A filter of one channel of a stream; parameters as of `PartedFlow`."""
 
     def __init__(self, open_flow: Callable[[], LiveFlow], reach: Reach, largest: float) -> None:
         self._open_flow, self._largest = open_flow, largest

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from becalm.errors import BecalmError, InputError, UsageError
 from becalm.live.brokers.mqtt_session import VERSIONS, Session
 from becalm.live.brokers.remote import Login, Remote, variable
+from becalm.live.extras import wanted
 
 if TYPE_CHECKING:
     from paho.mqtt.client import Client, ConnectFlags, DisconnectFlags, MQTTMessage
@@ -166,11 +167,10 @@ class MqttLink:
         return self._client
 
     def _made(self) -> Client:
-        try:
-            from paho.mqtt.client import Client, MQTTv5, MQTTv311
-            from paho.mqtt.enums import CallbackAPIVersion
-        except ImportError as cause:
-            raise UsageError(f"{self._remote.address.kind}: needs paho-mqtt; pip install 'becalm[live]'") from cause
+        wanted(f"{self._remote.address.kind}:", "paho.mqtt.client", "paho-mqtt")
+        from paho.mqtt.client import Client, MQTTv5, MQTTv311
+        from paho.mqtt.enums import CallbackAPIVersion
+
         modern = self._session.version == "5"
         client = Client(
             CallbackAPIVersion.VERSION2,

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from becalm.errors import BecalmError, InputError, UsageError
 from becalm.live.brokers.remote import Remote, variable
+from becalm.live.extras import wanted
 
 if TYPE_CHECKING:
     import ssl
@@ -116,10 +117,9 @@ class NatsLink:
         BecalmError
             If it refuses.
         """
-        try:
-            from nats.aio.client import Client
-        except ImportError as cause:
-            raise UsageError("nats: needs nats-py; pip install 'becalm[live]'") from cause
+        wanted("nats:", "nats", "nats-py")
+        from nats.aio.client import Client
+
         asks = self._asks()
         self._client = client = Client()
         started: concurrent.futures.Future[None] = concurrent.futures.Future()

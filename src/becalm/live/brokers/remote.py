@@ -36,7 +36,11 @@ class Login:
 
 @dataclass(frozen=True)
 class Remote:
-    """A broker: `KIND://HOST:PORT/PATH?tls=1&ca=FILE&cert=FILE&key=FILE&password_file=FILE`.
+    """A broker: `KIND://HOST:PORT/PATH`.
+
+    Options: `tls=1`, `ca=FILE`, `cert=FILE`, `key=FILE`, for privacy and a certificate of one's own;
+    `password_file=FILE` (user and password, a line each), else BECALM_KIND_USER and BECALM_KIND_PASSWORD of the
+    environment, as BECALM_MQTT_USER. NATS also has `creds=FILE` and BECALM_NATS_TOKEN.
 
     Attributes
     ----------

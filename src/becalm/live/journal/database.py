@@ -78,15 +78,7 @@ def create(connection: sqlite3.Connection) -> None:
 
 
 def connect_reading(path: Path) -> sqlite3.Connection:
-    """Open a journal's file only to read; a writer goes on meanwhile.
-
-    Raises
-    ------
-    sqlite3.Error
-        If that cannot be.
-    JournalError
-        If it is a database of something else, or of a newer becalm.
-    """
+    """Open a journal's file only to read, or raise as `connect`; a writer goes on meanwhile."""
     name = quote(str(path.resolve()))
     connection = sqlite3.connect(
         f"file:{name}?mode=ro", uri=True, timeout=_WAIT_S, isolation_level=None, check_same_thread=False

@@ -7,8 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from math import inf
 from pathlib import Path
-from types import TracebackType
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -17,6 +16,7 @@ import pyarrow.parquet as pq
 
 from becalm.files.tables import VERDICT, in_words
 from becalm.live.block import Checkpoint, Head
+from becalm.live.closing import Closing
 from becalm.live.journal.database import NAME, JournalError, connect_reading, get, reading, rolled_blocks
 from becalm.live.journal.packing import unpacked
 from becalm.live.journal.records import BlockRow, HeadRow, HoleRow, LossRow, RollRow
@@ -65,7 +65,7 @@ def open_journal(folder: str | os.PathLike[str]) -> JournalReader:
     return JournalReader(Path(folder))
 
 
-class JournalReader:
+class JournalReader(Closing):
     """Reads a journal; made by `open_journal`, closed by `with` or `close`."""
 
     def __init__(self, folder: Path) -> None:
@@ -75,16 +75,6 @@ class JournalReader:
             raise JournalError(f"{folder} holds no journal ({NAME}); give the DIR of becalm live --sink journal:DIR.")
         with reading(folder):
             self.connection = connect_reading(path)
-
-    def __enter__(self) -> Self:
-        """Return itself."""
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, cause: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Close it."""
-        self.close()
 
     def close(self) -> None:
         """Let go; harmless twice."""

@@ -49,6 +49,13 @@ class Line(Protocol):
 class BrokerSink(ABC):
     """Publishes rows, and holds each until the broker acknowledged it.
 
+    A message holds rows of one or several outputs: `seq`, the number of its first row; `time`; and of each channel
+    NAME, NAME_sigma and NAME_verdict. Who reads drops rows that come twice by `seq`, as becalm's own sources do.
+    What happened to the stream is not published; the journal and the log have it.
+
+    Options: `format=arrow|json` (arrow); `gather=20ms`, for how long rows are gathered into a message; those of
+    `Remote`.
+
     Parameters
     ----------
     remote : Remote
@@ -76,15 +83,7 @@ class BrokerSink(ABC):
         """Return a new connection."""
 
     def open(self, head: Head) -> None:
-        """Connect; what an earlier connection left without an acknowledgement is published again.
-
-        Raises
-        ------
-        AwayError
-            If the broker cannot be reached now.
-        BecalmError
-            If it refuses.
-        """
+        """Connect, or raise as `Sink.open`; what was left without an acknowledgement is published again."""
         self.close()
         self._outbox.begin(head)
         self._acknowledged = set()

@@ -121,10 +121,8 @@ class DeltaSink:
 
         Raises
         ------
-        StorageFullError
-            If there is no room; nothing is kept, and the same call may be made again.
-        AwayError
-            If a store behind a URI cannot be reached; `last` tells after opening again whether the rows were kept.
+        BecalmError
+            As `Keeper.keep`; only a store behind a URI can be away.
         OutputError
             If another process wrote to the table, or it cannot be written to.
         """

@@ -9,16 +9,15 @@ import os
 import sqlite3
 from contextlib import suppress
 from functools import cached_property
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
 from pyarrow import fs
 
-from becalm.errors import UsageError
 from becalm.files.parquet_writer import ParquetRows
 from becalm.files.whole import sync_folder
+from becalm.live.extras import wanted
 from becalm.live.locking import locked
 
 BESIDE = "_becalm"
@@ -136,10 +135,7 @@ def library(part: str = "") -> Any:
     UsageError
         If it is not installed.
     """
-    try:
-        return import_module(f"deltalake.{part}" if part else "deltalake")
-    except ImportError as cause:
-        raise UsageError("delta: needs deltalake; type: pip install 'becalm[delta]'") from cause
+    return wanted("delta:", f"deltalake.{part}" if part else "deltalake", "deltalake", "delta")
 
 
 class _PlainBytes:

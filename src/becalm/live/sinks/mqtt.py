@@ -18,15 +18,10 @@ _WINDOW = 100  # messages ahead of their acknowledgements, where the broker take
 class MqttSink(BrokerSink):
     """Publishes rows: `mqtt://HOST:PORT/TOPIC?format=json`.
 
-    A message holds rows of one or several outputs: `seq`, the number of its first row; `time`; and
-    of each channel NAME, NAME_sigma and NAME_verdict. Where the broker was away, or becalm was killed, rows may come
-    twice, by the same numbers and in order: who reads drops them by `seq`, as becalm's own source does.
-    What happened to the stream is not published; the journal and the log have it.
+    Messages are those of `BrokerSink`. Where the broker was away, or becalm was killed, rows may come twice, by the
+    same numbers and in order.
 
-    Options: `format=arrow|json` (arrow); `gather=20ms`, for how long rows are gathered into a message;
-    `version=5|3.1.1`; `client=NAME`, where the broker lets only known ones in; `tls=1`, `ca=FILE`, `cert=FILE`,
-    `key=FILE`; `password_file=FILE` (user and password, a line each), else BECALM_MQTT_USER and BECALM_MQTT_PASSWORD
-    of the environment.
+    Options: `version=5|3.1.1`; `client=NAME`, where the broker lets only known ones in; those of `BrokerSink`.
 
     Parameters
     ----------

@@ -24,15 +24,11 @@ _ID = "Nats-Msg-Id"
 class NatsSink(BrokerSink):
     """Publishes rows: `nats://HOST:PORT/STREAM?subject=clean.pump`.
 
-    A message holds rows of one or several outputs: `seq`, the number of its first row; `time`; and
-    of each channel NAME, NAME_sigma and NAME_verdict. Its Nats-Msg-Id tells its first row and what it holds, so that
-    the server drops one that it has. Where the server was killed, each row is in the stream once and in order. Where
-    becalm was killed, rows since its last commit are sent again, perhaps in other messages: who reads drops them by
-    `seq`, as becalm's own source does. What happened to the stream is not published; the journal and the log have it.
+    Messages are those of `BrokerSink`. A message's Nats-Msg-Id tells its first row and what it holds, so that the
+    server drops one that it has. Where the server was killed, each row is in the stream once and in order. Where
+    becalm was killed, rows since its last commit are sent again, perhaps in other messages.
 
-    Options: `subject=`, which the stream must hold; `format=arrow|json` (arrow); `gather=20ms`, for how long rows are
-    gathered into a message; `tls=1`, `ca=FILE`, `cert=FILE`, `key=FILE`; `password_file=FILE` (user and password, a
-    line each), `creds=FILE`, else BECALM_NATS_USER and BECALM_NATS_PASSWORD, or BECALM_NATS_TOKEN, of the environment.
+    Options: `subject=`, which the stream must hold; those of `BrokerSink`.
 
     Parameters
     ----------

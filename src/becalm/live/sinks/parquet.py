@@ -105,15 +105,7 @@ class ParquetSink:
             self._part.drain()
 
     def close(self) -> None:
-        """Make the last file whole; harmless twice.
-
-        Raises
-        ------
-        StorageFullError
-            If there is no room; it may be tried again.
-        OutputError
-            If files cannot be written at all.
-        """
+        """Make the last file whole, or raise as `flush`; harmless twice."""
         self._place()
         if self._part is not None:
             self._over.append(self._part)

@@ -82,15 +82,7 @@ class PartFile:
         self._packed.truncate()
 
     def finish(self) -> Path:
-        """Make the file whole, and give it its own name.
-
-        Raises
-        ------
-        StorageFullError
-            If there is no room; it may be tried again.
-        OutputError
-            If it cannot be written at all.
-        """
+        """Make the file whole, and give it its own name; or raise as `drain`, and it may be tried again."""
         if not self._ended:
             self._tabulate()
             self._rows.close()

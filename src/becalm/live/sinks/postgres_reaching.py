@@ -9,6 +9,7 @@ from urllib.parse import unquote, urlsplit
 
 from becalm.errors import BecalmError, InputError, OutputError, UsageError
 from becalm.live.address import Address
+from becalm.live.extras import wanted
 from becalm.live.protocols import AwayError, StorageFullError
 
 if TYPE_CHECKING:
@@ -143,11 +144,7 @@ def driver() -> Any:
     UsageError
         If it is not installed.
     """
-    try:
-        import psycopg
-    except ImportError as cause:
-        raise UsageError("postgres: needs psycopg; type: pip install 'becalm[postgres]'") from cause
-    return psycopg
+    return wanted("postgres:", "psycopg", extra="postgres")
 
 
 def meant(place: Place, cause: psycopg.Error, *, broken: bool) -> BecalmError:

@@ -46,9 +46,8 @@ class MqttSource:
 
     Options: `client=NAME`, by which the broker knows this session (made of the topic; two readers of one topic need
     two, or the broker drops either for the other: it is away again and again); `keep=7d`, how long the broker keeps
-    the session of one who is away; `version=5|3.1.1`; `window=10000`; those of messages; `tls=1`,
-    `ca=FILE`, `cert=FILE`, `key=FILE`; `password_file=FILE` (user and password, a line each), else BECALM_MQTT_USER
-    and BECALM_MQTT_PASSWORD of the environment.
+    the session of one who is away; `version=5|3.1.1`; `window=10000`; those of `MessageStream` and
+    `Remote`.
 
     Parameters
     ----------
@@ -88,15 +87,7 @@ class MqttSource:
         self._unacknowledged: deque[tuple[int, int]] = deque()  # (number, the block that has to be kept first)
 
     def open(self, position: str) -> None:
-        """Connect, and go on with the session; what is not acknowledged comes again.
-
-        Raises
-        ------
-        AwayError
-            If the broker cannot be reached now.
-        BecalmError
-            If it refuses.
-        """
+        """Connect, or raise as `Source.open`, and go on with the session; what is not acknowledged comes again."""
         self.close()
         told = told_by("mqtt", position, "blocks")
         if self._blocks is None:

@@ -32,9 +32,8 @@ class NatsSource:
     Messages are read as `MessageStream` tells.
 
     Options: `subject=`, where the stream has several (each is a stream of rows with numbers of its own);
-    `start=first|now`, where a new stream begins (first: with all that it holds); those of messages;
-    `tls=1`, `ca=FILE`, `cert=FILE`, `key=FILE`; `password_file=FILE` (user and password, a line each),
-    `creds=FILE`, else BECALM_NATS_USER and BECALM_NATS_PASSWORD, or BECALM_NATS_TOKEN, of the environment.
+    `start=first|now`, where a new stream begins (first: with all that it holds); those of `MessageStream` and
+    `Remote`.
 
     Parameters
     ----------
@@ -67,15 +66,7 @@ class NatsSource:
         self._noticed: tuple[Loss, ...] = ()
 
     def open(self, position: str) -> None:
-        """Connect, and go on with the message after `position`.
-
-        Raises
-        ------
-        AwayError
-            If the server cannot be reached now.
-        BecalmError
-            If it refuses, or has no such stream.
-        """
+        """Connect, or raise as `Source.open`, and go on with the message after `position`."""
         self.close()
         told = told_by("nats", position, "message")
         self._link = link = NatsLink(self._remote)

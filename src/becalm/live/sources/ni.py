@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -15,10 +15,8 @@ from becalm.files.text.csv_header import unique_names
 from becalm.files.units import parse_header
 from becalm.live.address import Address
 from becalm.live.block import Block
+from becalm.live.extras import wanted
 from becalm.live.protocols import AwayError
-
-if TYPE_CHECKING:
-    from types import ModuleType
 
 _OPTIONS = ("rate", "range", "wiring", "columns", "rows")
 _WIRINGS = {"default": "DEFAULT", "rse": "RSE", "nrse": "NRSE", "diff": "DIFF", "pseudo-diff": "PSEUDO_DIFF"}
@@ -88,7 +86,7 @@ class NiSource:
             If the driver is not installed, or the device cannot do what was asked.
         """
         self.close()
-        nidaqmx = _nidaqmx()
+        nidaqmx = wanted("ni:", "nidaqmx")
         from nidaqmx import constants, errors
         from nidaqmx.stream_readers import AnalogMultiChannelReader
 
@@ -177,12 +175,3 @@ class NiSource:
 
 def _first_line(cause: Exception) -> str:
     return str(cause).strip().partition("\n")[0]
-
-
-def _nidaqmx() -> ModuleType:
-    try:
-        import nidaqmx
-    except ImportError as cause:
-        raise UsageError("ni: needs nidaqmx; type: pip install 'becalm[live]'") from cause
-    module: ModuleType = nidaqmx
-    return module

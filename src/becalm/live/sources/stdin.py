@@ -10,47 +10,30 @@ import time
 from becalm.errors import InputError, UsageError
 from becalm.live.address import Address
 from becalm.live.block import Block
-from becalm.live.lines.columns import LineOptions
-from becalm.live.lines.feeding import Lines
 from becalm.live.protocols import EndOfStream
-from becalm.live.sources.lined import read_lines
+from becalm.live.sources.lined import LineSource
 
 _PIECE = 1 << 18
 
 
-class StdinSource:
-    """CSV or JSON lines from a pipe or a terminal; what came while nobody read is gone with a restart.
+class StdinSource(LineSource):
+    """Lines from a pipe or a terminal, as `LineSource` tells.
 
     Parameters
     ----------
     address : Address
-        `stdin:?format=csv&columns=time,ax,ay&time=COLUMN&rate=100&channels=ax`, all of which may be left out.
+        `stdin:`, and the options of lines.
     descriptor : int
         The file descriptor to read; standard input.
-
-    Attributes
-    ----------
-    rate_hz : float or None
-        Rows a second, where it was told.
-
-    Raises
-    ------
-    UsageError
-        If an option is not known or not possible.
     """
 
-    replays = False
-
     def __init__(self, address: Address, descriptor: int = 0) -> None:
-        address.refuse_unknown(LineOptions.NAMES)
+        super().__init__(address)
         if address.rest:
             raise UsageError(
                 f"stdin: takes no name, {address.rest!r} came; write stdin: alone, or replay:FILE for a file."
             )
-        options = LineOptions.of(address)
-        self.rate_hz = options.rate_hz
-        self._descriptor, self._lines = descriptor, Lines(options)
-        self._ended = False
+        self._descriptor, self._ended = descriptor, False
 
     def open(self, position: str) -> None:
         """See that there is a pipe.
@@ -77,7 +60,7 @@ class StdinSource:
         """
         try:
             if not self._ended:
-                return read_lines(self._lines, self._more, timeout_s)
+                return self._rows(timeout_s)
         except EndOfStream:
             last = self._lines.finish(time.time())
             if last is not None:
@@ -85,9 +68,6 @@ class StdinSource:
         except OSError as cause:
             raise InputError(f"Standard input cannot be read: {cause.strerror or cause}.") from cause
         raise EndOfStream
-
-    def committed(self, position: str) -> None:
-        """Do nothing: a pipe need not hear it."""
 
     def close(self) -> None:
         """Leave the pipe open: it is not ours."""

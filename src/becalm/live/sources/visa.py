@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -14,11 +14,9 @@ from becalm.files.text.csv_header import unique_names
 from becalm.files.units import parse_header
 from becalm.live.address import Address
 from becalm.live.block import Block, Loss, LossKind
+from becalm.live.extras import wanted
 from becalm.live.lines.cells import number_of
 from becalm.live.protocols import AwayError
-
-if TYPE_CHECKING:
-    from types import ModuleType
 
 _OPTIONS = ("query", "interval", "columns", "setup", "backend", "timeout", "end")
 _ENDS = {"lf": "\n", "cr": "\r", "crlf": "\r\n", "none": ""}
@@ -182,9 +180,5 @@ def _needed(names: tuple[str, ...]) -> str:
     return "a number" if len(names) < 2 else f"{len(names)} numbers with commas"
 
 
-def _pyvisa() -> ModuleType:
-    try:
-        import pyvisa
-    except ImportError as cause:
-        raise UsageError("visa: needs PyVISA; type: pip install 'becalm[live]'") from cause
-    return pyvisa
+def _pyvisa() -> Any:
+    return wanted("visa:", "pyvisa", "PyVISA")

@@ -10,12 +10,12 @@ import time
 from collections.abc import Callable, Mapping
 from logging.handlers import RotatingFileHandler
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
-from becalm.errors import UsageError
 from becalm.files.plain import refuse_unwritable
 from becalm.live.block import Loss, LossKind
+from becalm.live.closing import Closing
+from becalm.live.extras import wanted
 from becalm.live.watching.secrets import Scrubber
 
 FILE_BYTES, OLD_FILES = 10_000_000, 5
@@ -25,7 +25,7 @@ LOSSES_EVERY_S = 60.0
 """How often losses of one kind get a line; the first gets its own at once."""
 
 
-class Log:
+class Log(Closing):
     """The log of one stream, from which secrets are scrubbed; any thread may write to it.
 
     A log that cannot be written, on a full disk say, stops no stream: lines are lost until it can.
@@ -53,9 +53,10 @@ class Log:
         environment: Mapping[str, str] = os.environ,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
+        structlog = wanted("--log", "structlog")
         self._where = "stderr" if where == "-" else where
         self._handler = _handler(where)
-        self._lines = _lines(self._handler, Scrubber(environment), as_json=where != "-")
+        self._lines = _lines(structlog, self._handler, Scrubber(environment), as_json=where != "-")
         self._clock = clock
         self._lock = threading.Lock()
         self._pending: dict[LossKind, _Pending] = {}
@@ -98,16 +99,6 @@ class Log:
         """Tell what is still counted and let go of the file; harmless twice."""
         self._tell_all(float("inf"))
         self._handler.close()
-
-    def __enter__(self) -> Self:
-        """Return itself."""
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, cause: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Tell what is still counted and let go of the file."""
-        self.close()
 
     def _tell_all(self, now_s: float) -> None:
         with self._lock:
@@ -152,13 +143,8 @@ def _handler(where: str) -> logging.Handler:
     return _RotatingFile(where, maxBytes=FILE_BYTES, backupCount=OLD_FILES, encoding="utf-8", errors="backslashreplace")
 
 
-def _lines(handler: logging.Handler, scrub: Scrubber, *, as_json: bool) -> Any:
+def _lines(structlog: Any, handler: logging.Handler, scrub: Scrubber, *, as_json: bool) -> Any:
     """Return structlog's logger over a handler; nothing global is configured."""
-    try:
-        import structlog
-    except ImportError as cause:
-        handler.close()
-        raise UsageError("Logs are told by structlog, which is not here; type: pip install 'becalm[live]'") from cause
     lines = logging.Logger("becalm.live")  # of its own: what else logs in this process stays apart
     lines.addHandler(handler)
     order = ["timestamp", "level", "event"]

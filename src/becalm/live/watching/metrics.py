@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 from becalm.errors import UsageError
+from becalm.live.closing import Closing
+from becalm.live.extras import wanted
 from becalm.live.watching.meter import Meter, State
 
 if TYPE_CHECKING:
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
 LOOPBACK = "127.0.0.1"
 
 
-class MetricsServer:
+class MetricsServer(Closing):
     """Answers http://HOST:PORT/metrics from a thread of its own, with what the meter says at that moment.
 
     Parameters
@@ -34,17 +35,12 @@ class MetricsServer:
     """
 
     def __init__(self, port: int, meter: Meter, host: str = LOOPBACK) -> None:
-        try:
-            from prometheus_client import CollectorRegistry, ProcessCollector, start_http_server
-        except ImportError as cause:
-            raise UsageError(
-                "Metrics are told by prometheus-client, which is not here; type: pip install 'becalm[live]'"
-            ) from cause
-        registry = CollectorRegistry()
+        library = wanted("--metrics", "prometheus_client", "prometheus-client")
+        registry = library.CollectorRegistry()
         registry.register(Counts(meter))
-        ProcessCollector(registry=registry)  # memory, processor time, open files
+        library.ProcessCollector(registry=registry)  # memory, processor time, open files
         try:
-            self._server, self._thread = start_http_server(port, host, registry)
+            self._server, self._thread = library.start_http_server(port, host, registry)
         except (OSError, OverflowError) as cause:
             why = getattr(cause, "strerror", None) or cause
             raise UsageError(
@@ -57,16 +53,6 @@ class MetricsServer:
         self._server.shutdown()
         self._server.server_close()
         self._thread.join()
-
-    def __enter__(self) -> Self:
-        """Return itself."""
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, cause: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Stop answering."""
-        self.close()
 
 
 class Counts:

@@ -7,17 +7,16 @@ import threading
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 from becalm.files.plain import refuse_unwritable
+from becalm.live.closing import Closing
 from becalm.live.watching.meter import Meter
 from becalm.live.watching.secrets import Scrubber
 
 EVERY_S = 1.0
 
 
-class StatusFile:
+class StatusFile(Closing):
     """Writes `Meter.status` as JSON, every second from a thread of its own and once more at the end.
 
     Secrets are scrubbed from it as from a log. A status that cannot be written, on a full disk say, stops no stream:
@@ -54,16 +53,6 @@ class StatusFile:
             self._ended.set()
             self._thread.join()
             self._write()
-
-    def __enter__(self) -> Self:
-        """Return itself."""
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, cause: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Write the last one and stop."""
-        self.close()
 
     def _keep_writing(self) -> None:
         while not self._ended.wait(EVERY_S):
