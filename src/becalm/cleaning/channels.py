@@ -11,20 +11,14 @@ import numpy as np
 
 from becalm.cleaning.faults import SensorWatch
 from becalm.cleaning.figures import Figures, fixed_figures, mode_figures
+from becalm.cleaning.filtered import FilteredChannel
 from becalm.cleaning.judging import Decision, InnovationJudge, Judgement
-from becalm.cleaning.modes import modes_in_steps
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.report import ChannelReport
-from becalm.cleaning.slopes import TimingNoise
-from becalm.cleaning.steps import gate_of, in_steps
-from becalm.cleaning.uncertainty import Uncertainty
 from becalm.core.arrays import Floats
 from becalm.core.flow import Flow, Judge
 from becalm.core.lagged_flow import LaggedFlow
 from becalm.core.parted_flow import PartedFlow, PartialFlow
-from becalm.core.possible import largest_beside
-from becalm.core.reach import Reach, least_reach, reach_of
-from becalm.core.switching import Switching
 from becalm.core.switching_flow import SwitchingFlow
 from becalm.core.switching_lag import LaggedSwitchingFlow
 from becalm.core.told import Told
@@ -79,42 +73,24 @@ def open_channel(
     return MotionChannel(recipe, step_s, lag=lag, split=split, look=look)
 
 
-class MotionChannel:
+class MotionChannel(FilteredChannel):
     """A channel that is filtered."""
 
     def __init__(
         self, recipe: ChannelRecipe, step_s: float, *, lag: int | None, split: bool, look: Judge | None
     ) -> None:
-        assert recipe.motion is not None
-        self._recipe, self._tuning, self._step_s, self._lag = recipe, in_steps(recipe.motion, step_s), step_s, lag
+        super().__init__(recipe, step_s)
+        self._lag, self._also = lag, look
         self._judge = InnovationJudge(step_s, scores=recipe.switching is not None)
-        self._sensor = SensorWatch(recipe.limits, step_s)
-        self._counts = Counter[Verdict]()
-        self._uncertainty = Uncertainty(recipe.tuning_spread, recipe.calibration)
-        self._modes = None if recipe.switching is None else modes_in_steps(recipe.switching, self._tuning, step_s)
-        self._also = look
-        modes = self._modes  # the noise of a bank's reading is that of its calmest mode
-        noise_std = recipe.motion.noise_std if modes is None else float(np.sqrt(modes.modes[0].noise_variance))
-        self._noise_std, timing = noise_std, recipe.timing
-        self._timing = None if timing is None else TimingNoise(timing, noise_std, step_s)
-        self._flow = self._parted_flow(split)
-
-    def _parted_flow(self, split: bool) -> PartedFlow:
-        opened = partial(self._opened_flow, split)
-        if self._modes is not None:
-            largest = largest_beside(self._modes.least_noise_variance)
-            return PartedFlow(opened, reach_of_modes(self._modes), largest)
-        part, variance = self._tuning.component, self._tuning.noise_variance
-        return PartedFlow(opened, reach_of(part, variance), largest_beside(variance))
+        self._flow = PartedFlow(partial(self._opened_flow, split), *self._bridged())
 
     def _opened_flow(self, split: bool) -> PartialFlow:
-        recipe, lag, judge, modes = self._recipe, self._lag, self._look, self._modes
+        lag, judge, modes, gate = self._lag, self._look, self._modes, self._gate
         if modes is not None:
             if lag:
                 return LaggedSwitchingFlow(modes, lag=lag, judge=judge, split=split)
             return SwitchingFlow(modes, causal=lag == 0, judge=judge, split=split)
         part, variance = self._tuning.component, self._tuning.noise_variance
-        gate = None if recipe.gate is None else gate_of(recipe.gate, self._step_s)
         if lag:
             return LaggedFlow(part, variance, lag=lag, judge=judge, split=split, gate=gate)
         return Flow(part, variance, causal=lag == 0, judge=judge, split=split, gate=gate)
@@ -123,7 +99,7 @@ class MotionChannel:
         """Take readings (B,) and the steps before them; return what is clean, in order."""
         if self._timing is not None:
             self._timing.push(elapsed)
-        return self._counted(self._flow.push(self._sensor.push(z, elapsed), elapsed))
+        return self._counted(self._flow.push(self.sensor.push(z, elapsed), elapsed))
 
     def finish(self) -> list[Told]:
         """Return the rest."""
@@ -131,17 +107,9 @@ class MotionChannel:
 
     def _look(self, innovations: Floats, innovation_sigma: Floats) -> None:
         self._judge.add(innovations, innovation_sigma)
-        self._sensor.look(innovations, innovation_sigma)
+        self.sensor.look(innovations, innovation_sigma)
         if self._also is not None:
             self._also(innovations, innovation_sigma)
-
-    def _counted(self, told: list[Told]) -> list[Told]:
-        told = self._sensor.named(told)
-        for part in told:
-            self._counts.update(counted(part.verdicts))
-        if self._timing is not None:
-            told = [self._timing.widened(part) for part in told]
-        return self._uncertainty.widened(told)
 
     def report(self) -> ChannelReport:
         """Say what was found, once finished."""
@@ -171,10 +139,10 @@ class MotionChannel:
             modes=figures.modes,
             log_likelihood=self._flow.log_likelihood,
             settled_row=self._flow.settled_row,
-            verdicts=_named(self._counts),
-            advice=(*_advice(self._counts), *self._sensor.advice()),
-            faults=self._sensor.faults(),
-            says=_with_advice(says, self._counts, self._sensor.says()),
+            verdicts=_named(self.counts),
+            advice=(*_advice(self.counts), *self.sensor.advice()),
+            faults=self.sensor.faults(),
+            says=_with_advice(says, self.counts, self.sensor.says()),
         )
 
     def _figures(self) -> Figures:
@@ -241,11 +209,6 @@ class UnchangedChannel:
             faults=self._sensor.faults(),
             says=_with_advice(says, self._counts, self._sensor.says(), but=Verdict.MISSING),
         )
-
-
-def reach_of_modes(modes: Switching) -> Reach:
-    """Return which gaps a bank may be carried across."""
-    return least_reach([reach_of(mode.component, mode.noise_variance) for mode in modes.modes])
 
 
 def _fields(judgement: Judgement) -> dict[str, Any]:

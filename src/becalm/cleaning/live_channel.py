@@ -8,19 +8,13 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from becalm.cleaning.channels import reach_of_modes
 from becalm.cleaning.faults import SensorWatch
-from becalm.cleaning.modes import modes_in_steps
+from becalm.cleaning.filtered import FilteredChannel
 from becalm.cleaning.recipe import ChannelRecipe
-from becalm.cleaning.slopes import TimingNoise
-from becalm.cleaning.steps import gate_of, in_steps
-from becalm.cleaning.uncertainty import Uncertainty
 from becalm.core.arrays import Floats
 from becalm.core.kernel_watch import HOP
 from becalm.core.lagged_flow import LaggedFlow
 from becalm.core.live_parted import LiveFlow, LiveParted
-from becalm.core.possible import largest_beside
-from becalm.core.reach import reach_of
 from becalm.core.switching_flow import SwitchingFlow
 from becalm.core.switching_lag import LaggedSwitchingFlow
 from becalm.core.told import Told
@@ -52,49 +46,21 @@ class LiveChannel(Protocol):
         ...
 
 
-class LiveMotion:
-    """A channel that is filtered.
-
-    Parameters
-    ----------
-    recipe : ChannelRecipe
-        In seconds and units.
-    step_s : float
-        Step in seconds.
-    lag : int
-        Later rows that each row waits for; 0 filters.
-
-    Raises
-    ------
-    RecipeError
-        If its numbers make no filter at this step.
-    """
+class LiveMotion(FilteredChannel):
+    """A channel that is filtered; parameters as of `FilteredChannel`, and the later rows that each row waits for."""
 
     def __init__(self, recipe: ChannelRecipe, step_s: float, lag: int) -> None:
-        assert recipe.motion is not None, "what has no motion passes unchanged"
-        self._recipe, self._step_s, self._lag = recipe, step_s, lag
-        self._tuning = in_steps(recipe.motion, step_s)
-        self._modes = None if recipe.switching is None else modes_in_steps(recipe.switching, self._tuning, step_s)
-        self.sensor, self.counts = SensorWatch(recipe.limits, step_s), Counter[Verdict]()
-        self._uncertainty = Uncertainty(recipe.tuning_spread, recipe.calibration)
-        modes = self._modes
-        noise_std = recipe.motion.noise_std if modes is None else float(np.sqrt(modes.modes[0].noise_variance))
-        self._timing = None if recipe.timing is None else TimingNoise(recipe.timing, noise_std, step_s)
-        if modes is not None:
-            reach, least = reach_of_modes(modes), modes.least_noise_variance
-        else:
-            least = self._tuning.noise_variance
-            reach = reach_of(self._tuning.component, least)
-        self._flow = LiveParted(self._opened, reach, largest_beside(least))
+        super().__init__(recipe, step_s)
+        self._lag = lag
+        self._flow = LiveParted(self._opened, *self._bridged())
 
     def _opened(self) -> LiveFlow:
         if self._modes is not None and self._lag:
             return LaggedSwitchingFlow(self._modes, lag=self._lag, judge=self.sensor.look)
         if self._modes is not None:
             return SwitchingFlow(self._modes, causal=True, judge=self.sensor.look)
-        gate = None if self._recipe.gate is None else gate_of(self._recipe.gate, self._step_s)
         part, variance = self._tuning.component, self._tuning.noise_variance
-        return LaggedFlow(part, variance, lag=self._lag, judge=self.sensor.look, gate=gate)
+        return LaggedFlow(part, variance, lag=self._lag, judge=self.sensor.look, gate=self._gate)
 
     def push(self, z: Floats, elapsed: Floats) -> list[Told]:
         """Take readings (B,) and the steps before them; return what is clean, in order."""
@@ -109,12 +75,7 @@ class LiveMotion:
         return self._counted(self._flow.finish())
 
     def _counted(self, told: list[Told]) -> list[Told]:
-        told = self.sensor.named([part for part in told if len(part.signal)])
-        for part in told:
-            self.counts.update(counted(part.verdicts))
-        if self._timing is not None:
-            told = [self._timing.widened(part) for part in told]
-        return self._uncertainty.widened(told)
+        return super()._counted([part for part in told if len(part.signal)])
 
     def saved(self) -> dict[str, Any]:
         """Return what rows depend on, as arrays."""
@@ -131,7 +92,7 @@ class LiveMotion:
 
 
 class LiveUnchanged:
-    """A channel that is given back; parameters as of `LiveMotion`."""
+    """A channel that is given back; parameters as of `FilteredChannel`."""
 
     def __init__(self, recipe: ChannelRecipe, step_s: float) -> None:
         self.sensor, self.counts = SensorWatch(recipe.limits, step_s, shown=False), Counter[Verdict]()

@@ -117,7 +117,7 @@ class NatsLink:
         BecalmError
             If it refuses.
         """
-        wanted("nats:", "nats", "nats-py")
+        wanted("nats:", "nats.aio.client", "nats-py")
         from nats.aio.client import Client
 
         asks = self._asks()
