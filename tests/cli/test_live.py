@@ -7,11 +7,8 @@ import os
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -20,8 +17,7 @@ import pytest
 import becalm
 from becalm.cleaning.recipe import Recipe
 from becalm.live.journal.reading import open_journal
-
-DEADLINE_S = 120.0
+from live_processes import DEADLINE_S, begun, kept, rows_in, told_in, until
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
@@ -32,45 +28,6 @@ def recipe(drive: Path) -> Path:
     path = drive.with_name("r.toml")
     path.write_text(made.to_toml(), encoding="utf-8")
     return path
-
-
-def kept(folder: Path) -> pa.Table:
-    with open_journal(folder) as reader:
-        return pa.concat_tables([*reader.tables()], promote_options="default")
-
-
-@contextmanager
-def begun(folder: Path, words: Sequence[object], **more: Any) -> Iterator[subprocess.Popen[bytes]]:
-    """Start becalm live in a process of its own."""
-    command = [sys.executable, "-m", "becalm", "live", *map(str, words)]
-    process = subprocess.Popen(command, cwd=folder, stderr=subprocess.PIPE, **more)
-    try:
-        yield process
-    finally:
-        process.kill()
-        process.wait()
-        for pipe in (process.stdin, process.stdout, process.stderr):
-            if pipe is not None:
-                pipe.close()
-
-
-def until(true: Any) -> None:
-    end = time.monotonic() + DEADLINE_S
-    while not true():
-        assert time.monotonic() < end
-        time.sleep(0.02)
-
-
-def told_in(path: Path) -> dict[str, Any]:
-    try:
-        told: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return {}
-    return told
-
-
-def rows_in(path: Path) -> int:
-    return int(told_in(path).get("rows", 0))
 
 
 def test_a_file_replayed_gives_what_clean_gives(run: Run, drive: Path, recipe: Path, tmp_path: Path) -> None:
