@@ -17,7 +17,7 @@ from becalm.live.brokers.mqtt_session import Session
 from becalm.live.brokers.remote import Remote
 from becalm.live.protocols import AwayError
 from brokered import HEAD, Heard, among_garbage, output
-from brokers import certified, mosquitto
+from brokers import DEADLINE_S, certified, mosquitto
 from wires import MQTT, carried
 
 source_of, sink_of = MQTT.source, MQTT.sink
@@ -82,6 +82,8 @@ def test_one_who_never_answers_is_away(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_second_reader_of_the_same_name_is_told() -> None:
+    opened = threading.Event()
+
     def broker(door: socket.socket) -> None:
         wire, _ = door.accept()
         with wire:
@@ -89,6 +91,7 @@ def test_a_second_reader_of_the_same_name_is_told() -> None:
             wire.sendall(bytes.fromhex("20 03 00 00 00"))
             asked = wire.recv(1000)  # SUBSCRIBE; its number stands behind two bytes
             wire.sendall(bytes([0x90, 4, asked[2], asked[3], 0, 1]))
+            opened.wait(DEADLINE_S)
             wire.sendall(bytes.fromhex("e0 02 8e 00"))  # session taken over: mosquitto 2.0.11 does not say so
 
     with socket.socket() as door:
@@ -98,6 +101,7 @@ def test_a_second_reader_of_the_same_name_is_told() -> None:
         thread.start()
         source = source_of(int(door.getsockname()[1]))
         source.open("")
+        opened.set()
         with pytest.raises(UsageError, match="client=NAME"):
             Heard(source).until(lambda: False)
         source.close()
