@@ -35,6 +35,12 @@ def output(first: int, count: int) -> Output:
     return Output(first, told["time"], signal + 0.1, signal, np.full_like(signal, 0.5), np.zeros(signal.shape, np.int8))
 
 
+def among_garbage() -> list[bytes]:
+    """Return ten rows as two messages, and five between them that hold none."""
+    good = message(0, 5)
+    return [good, b"", b"\x00" * 50, good[: len(good) // 2], b'{"seq": 5}', b"[" * 5000, message(5, 5)]
+
+
 class Heard:
     """What a source told: all blocks, in order."""
 
@@ -62,6 +68,12 @@ class Heard:
     def count(self, kind: LossKind) -> int:
         """Return how many rows a kind of loss touched."""
         return sum(loss.rows or 0 for loss in self.losses if loss.kind is kind)
+
+    def assert_garbage_was_counted(self) -> None:
+        """Check what came of `among_garbage`."""
+        assert self.numbers == list(range(10))
+        assert self.count(LossKind.GARBLED) == 5
+        assert {loss.kind for loss in self.losses} == {LossKind.GARBLED}
 
     def until(self, ready: Callable[[], bool], *, commit: bool = True) -> None:
         """Read until something is so, opening again after the broker was away, as a runner does."""

@@ -1,9 +1,8 @@
-"""What tests of postgres: share: keepers of one server, closed at the end."""
+"""What tests of postgres: share: fixtures of a server, and of keepers that are closed at the end."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
 
 import pytest
 
@@ -13,7 +12,6 @@ from live_postgres import PASSWORD, USER, PostgresServer, postgres_server
 from servers import need
 
 
-@contextmanager
 def running_postgres() -> Iterator[PostgresServer]:
     """Run a server, where one is installed."""
     need("initdb")
@@ -21,8 +19,7 @@ def running_postgres() -> Iterator[PostgresServer]:
         yield running
 
 
-@contextmanager
-def closing(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[PostgresSink]]:
+def closed_keepers(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[PostgresSink]]:
     """Set the password, and collect keepers, to close them all."""
     monkeypatch.setenv("PGPASSWORD", PASSWORD)
     made: list[PostgresSink] = []

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import pyarrow as pa
 
 from becalm.live.block import Checkpoint, Head, Output
 
@@ -35,6 +36,17 @@ def outputs_of(sizes: Sequence[int], channels: int = 1, first_row: int = 0, begi
         )
         first_row += size
     return made
+
+
+def assert_same_bits(found: pa.Table, written: pa.Table) -> None:
+    """Check that two tables of rows hold the same columns, numbers to the bit."""
+    assert found.column_names == written.column_names
+    for name in written.column_names:
+        if name.endswith("_verdict"):
+            assert found[name].to_pylist() == written[name].to_pylist()
+        else:
+            ours, theirs = written[name].to_numpy(), found[name].to_numpy()
+            np.testing.assert_array_equal(ours.view(np.int64), theirs.view(np.int64))
 
 
 def checkpoint_at(rows: int, recipe: str = "version = 1\n") -> Checkpoint:

@@ -1,78 +1,26 @@
-"""MQTT where it must say no: who may enter, what is no broker, what is no message, what is no address."""
+"""MQTT where it must say no: whose certificate is trusted, what is no broker, what is no message."""
 
 from __future__ import annotations
 
 import socket
-import sys
 import threading
-from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
 import pytest
 
 from becalm.errors import BecalmError, InputError, OutputError, UsageError
 from becalm.live.address import Address
-from becalm.live.block import LossKind
 from becalm.live.brokers import mqtt_link
 from becalm.live.brokers.mqtt_link import MqttLink
 from becalm.live.brokers.mqtt_session import Session
 from becalm.live.brokers.remote import Remote
 from becalm.live.protocols import AwayError
-from becalm.live.sinks.mqtt import MqttSink
-from becalm.live.sources.mqtt import MqttSource
-from brokered import HEAD, Heard, message, output
-from brokers import Broker, certified, mosquitto
+from brokered import HEAD, Heard, among_garbage, output
+from brokers import DEADLINE_S, certified, mosquitto
+from wires import MQTT, carried
 
-WORD = "correct horse"
-
-
-def source_of(port: int, options: str = "", host: str = "127.0.0.1") -> MqttSource:
-    return MqttSource(Address.parsed(f"mqtt://{host}:{port}/plant/pump?channels=ax,ay{options}"))
-
-
-def sink_of(port: int, options: str = "", host: str = "127.0.0.1") -> MqttSink:
-    return MqttSink(Address.parsed(f"mqtt://{host}:{port}/plant/pump?gather=0s{options}"))
-
-
-@pytest.fixture
-def guarded(tmp_path: Path) -> Iterator[Broker]:
-    with mosquitto(tmp_path / "broker", passwords={"lab": WORD}) as running:
-        yield running
-
-
-@pytest.mark.parametrize("version", ["5", "3.1.1"])
-@pytest.mark.parametrize("word", ["battery staple", None])
-def test_a_wrong_password_is_told(
-    guarded: Broker, version: str, word: str | None, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    if word is not None:
-        monkeypatch.setenv("BECALM_MQTT_USER", "lab")
-        monkeypatch.setenv("BECALM_MQTT_PASSWORD", word)
-    with pytest.raises(InputError, match=r"refuses who comes.*BECALM_MQTT_PASSWORD") as told:
-        source_of(guarded.port, f"&version={version}").open("")
-    assert "staple" not in str(told.value)
-    with pytest.raises(InputError, match="refuses who comes"):
-        sink_of(guarded.port, f"&version={version}").open(HEAD)
-
-
-def test_the_right_password_comes_from_the_environment_or_a_file(
-    guarded: Broker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    file = tmp_path / "secret"
-    file.write_text(f"lab\n{WORD}\n")
-    heard = Heard(source_of(guarded.port, f"&password_file={file}"))
-    heard.source.open("")
-    monkeypatch.setenv("BECALM_MQTT_USER", "lab")
-    monkeypatch.setenv("BECALM_MQTT_PASSWORD", WORD)
-    sink = sink_of(guarded.port)
-    sink.open(HEAD)
-    sink.write(output(0, 3))
-    sink.flush()
-    heard.until(lambda: heard.numbers == [0, 1, 2])
-    heard.source.close()
-    sink.close()
-    remote = Remote.parsed(Address.parsed("mqtt://broker/topic"), 1883, 8883)
-    assert WORD not in repr(remote.login()) + repr(remote)
+source_of, sink_of = MQTT.source, MQTT.sink
 
 
 @pytest.mark.parametrize(("held", "says"), [("lab", "has 1 lines"), ("a\nb\nc\n", "has 3 lines"), (None, "be read")])
@@ -88,14 +36,7 @@ def test_tls_is_spoken_with_a_certificate_that_is_trusted(tmp_path: Path) -> Non
     papers = certified(tmp_path / "papers")
     with mosquitto(tmp_path / "broker", certificate=papers) as broker:
         ours = f"&ca={papers / 'cert.pem'}"
-        heard, sink = Heard(source_of(broker.port, ours, "localhost")), sink_of(broker.port, ours)
-        heard.source.open("")
-        sink.open(HEAD)
-        sink.write(output(0, 3))
-        sink.flush()
-        heard.until(lambda: heard.numbers == [0, 1, 2])
-        heard.source.close()
-        sink.close()
+        assert carried(source_of(broker.port, ours, "localhost"), sink_of(broker.port, ours)).numbers == [0, 1, 2]
         with pytest.raises(InputError, match=r"is not trusted.*ca=FILE"):
             source_of(broker.port, "&tls=1").open("")
         with pytest.raises(AwayError):
@@ -131,20 +72,6 @@ def test_an_unknown_host_is_a_slip_of_the_pen_only_at_first(tmp_path: Path, monk
                 source_of(broker.port, host="localhost").open("")
 
 
-def test_nobody_there_is_away() -> None:
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))  # and nobody listens
-        port = int(taken.getsockname()[1])
-        with pytest.raises(AwayError, match="cannot be reached now"):
-            source_of(port).open("")
-        sink = sink_of(port)
-        with pytest.raises(AwayError, match="cannot be reached now"):
-            sink.open(HEAD)
-        sink.write(output(0, 3))
-        with pytest.raises(AwayError):
-            sink.flush()
-
-
 def test_one_who_never_answers_is_away(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(mqtt_link, "_ANSWER_S", 0.2)
     with socket.socket() as silent:
@@ -155,6 +82,8 @@ def test_one_who_never_answers_is_away(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_second_reader_of_the_same_name_is_told() -> None:
+    opened = threading.Event()
+
     def broker(door: socket.socket) -> None:
         wire, _ = door.accept()
         with wire:
@@ -162,6 +91,7 @@ def test_a_second_reader_of_the_same_name_is_told() -> None:
             wire.sendall(bytes.fromhex("20 03 00 00 00"))
             asked = wire.recv(1000)  # SUBSCRIBE; its number stands behind two bytes
             wire.sendall(bytes([0x90, 4, asked[2], asked[3], 0, 1]))
+            opened.wait(DEADLINE_S)
             wire.sendall(bytes.fromhex("e0 02 8e 00"))  # session taken over: mosquitto 2.0.11 does not say so
 
     with socket.socket() as door:
@@ -171,6 +101,7 @@ def test_a_second_reader_of_the_same_name_is_told() -> None:
         thread.start()
         source = source_of(int(door.getsockname()[1]))
         source.open("")
+        opened.set()
         with pytest.raises(UsageError, match="client=NAME"):
             Heard(source).until(lambda: False)
         source.close()
@@ -179,32 +110,20 @@ def test_a_second_reader_of_the_same_name_is_told() -> None:
 
 def test_garbage_is_counted_and_rows_go_on(tmp_path: Path) -> None:
     with mosquitto(tmp_path / "broker") as broker:
-        heard = Heard(source_of(broker.port))
-        heard.source.open("")
         remote = Remote.parsed(Address.parsed(f"mqtt://127.0.0.1:{broker.port}/plant/pump"), 1883, 8883)
-        sender = MqttLink(remote, Session("sender", "5", 0.0, 1))
-        sender.connect(reached=False)
-        good = message(0, 5)
-        for payload in (good, b"", b"\x00" * 50, good[: len(good) // 2], b'{"seq": 5}', b"[" * 5000, message(5, 5)):
-            sender.publish("plant/pump", payload)
-        heard.until(lambda: len(heard.numbers) == 10)
-        heard.source.close()
-        sender.close()
-    assert heard.numbers == list(range(10))
-    assert heard.count(LossKind.GARBLED) == 5
-    assert {loss.kind for loss in heard.losses} == {LossKind.GARBLED}
+        heard, sender = Heard(source_of(broker.port)), MqttLink(remote, Session("sender", "5", 0.0, 1))
+        with closing(heard.source), closing(sender):
+            heard.source.open("")
+            sender.connect(reached=False)
+            for payload in among_garbage():
+                sender.publish("plant/pump", payload)
+            heard.until(lambda: len(heard.numbers) == 10)
+    heard.assert_garbage_was_counted()
 
 
 def test_a_large_output_is_sent_in_parts(tmp_path: Path) -> None:
     with mosquitto(tmp_path / "broker") as broker:
-        heard, sink = Heard(source_of(broker.port)), sink_of(broker.port)
-        heard.source.open("")
-        sink.open(HEAD)
-        sink.write(output(0, 50_000))
-        sink.flush()
-        heard.until(lambda: len(heard.numbers) >= 50_000)
-        heard.source.close()
-        sink.close()
+        heard = carried(source_of(broker.port), sink_of(broker.port), 50_000, at_once=50_000)
     assert heard.numbers == list(range(50_000))
     assert heard.losses == []
 
@@ -216,34 +135,6 @@ def test_a_row_that_no_message_holds_is_refused(tmp_path: Path) -> None:
         with pytest.raises(OutputError, match="A row of 2 channels takes"):
             sink.write(output(0, 3))
         sink.close()
-
-
-@pytest.mark.parametrize(
-    ("address", "says"),
-    [
-        ("mqtt:topic", "names no host"),
-        ("mqtt://broker", "names no topic"),
-        ("mqtt://broker/plant/+/x", "many topics"),
-        ("mqtt://broker/plant/#", "many topics"),
-        ("mqtt://broker:99999/topic", "no port from"),
-        ("mqtt://lab:horse@broker/topic", "BECALM_MQTT_PASSWORD"),
-        ("mqtt://broker/topic?qos=2", "no option 'qos'"),
-        ("mqtt://broker/topic?version=4", "none of 5, 3.1.1"),
-        ("mqtt://broker/topic?tls=maybe", "none of 0, 1"),
-    ],
-)
-def test_addresses_that_cannot_be_are_told(address: str, says: str) -> None:
-    for made in (MqttSource, MqttSink):
-        with pytest.raises(UsageError, match=says) as told:
-            made(Address.parsed(address))
-        assert "horse" not in str(told.value)
-
-
-def test_a_position_of_another_source_is_told() -> None:
-    with pytest.raises(InputError, match="no position of mqtt"):
-        source_of(1).open('{"row": 7}')
-    with pytest.raises(InputError, match="no position of mqtt"):
-        source_of(1).open("what?")
 
 
 @pytest.mark.parametrize(
@@ -259,9 +150,3 @@ def test_a_position_of_another_source_is_told() -> None:
 def test_hosts_ports_and_topics(address: str, host: str, port: int, path: str) -> None:
     remote = Remote.parsed(Address.parsed(address), 1883, 8883)
     assert (remote.host, remote.port, remote.path) == (host, port, path)
-
-
-def test_a_missing_library_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "paho.mqtt.client", None)
-    with pytest.raises(UsageError, match=r"pip install 'becalm\[live\]'"):
-        source_of(1).open("")

@@ -10,20 +10,14 @@ import pytest
 from becalm.errors import InputError
 from becalm.live.address import Address
 from becalm.live.brokers.nats_link import holds
-from becalm.live.protocols import AwayError
+from becalm.live.protocols import AwayError, Sink
 from becalm.live.sinks.nats import NatsSink
-from becalm.live.sources.nats import NatsSource
-from brokered import HEAD, Heard, output
+from brokered import HEAD, output
 from brokers import Broker, nats_server
-from pump import link_to, made
+from pump import link_to, made, purged
+from wires import NATS, both_open
 
-
-def source_of(port: int, options: str = "") -> NatsSource:
-    return NatsSource(Address.parsed(f"nats://127.0.0.1:{port}/PUMP?channels=ax,ay{options}"))
-
-
-def sink_of(port: int) -> NatsSink:
-    return NatsSink(Address.parsed(f"nats://127.0.0.1:{port}/PUMP?gather=0s&subject=plant.pump"))
+source_of, sink_of = NATS.source, NATS.sink
 
 
 @pytest.fixture
@@ -49,14 +43,21 @@ def test_a_stream_that_does_not_hold_the_subject_is_told(server: Broker, subject
         source_of(server.port, f"&subject={subject}").open("")
 
 
-def test_a_subject_that_nobody_stores_any_more_is_away(server: Broker) -> None:
+def bereft(server: Broker, *others: str) -> Sink:
+    """Return a sink with rows under way, whose stream was deleted; others took its subjects over."""
     made(server)
     sink = sink_of(server.port)
     sink.open(HEAD)
-    link = link_to(server)
-    link.call(link.stream_api.delete_stream("PUMP"))
-    link.close()
+    with link_to(server) as link:
+        link.call(link.stream_api.delete_stream("PUMP"))
+        for other in others:
+            link.call(link.stream_api.add_stream(name=other, subjects=["plant.*"]))
     sink.write(output(0, 3))
+    return sink
+
+
+def test_a_subject_that_nobody_stores_any_more_is_away(server: Broker) -> None:
+    sink = bereft(server)
     with pytest.raises(AwayError, match=r"nobody stores what is published to plant\.pump"):
         sink.flush()
     with pytest.raises(InputError, match="has no stream"):
@@ -82,14 +83,7 @@ def test_patterns_of_subjects(pattern: str, subject: str, held: bool) -> None:
 
 
 def test_a_subject_that_another_stream_took_over_is_told(server: Broker) -> None:
-    made(server)
-    sink = sink_of(server.port)
-    sink.open(HEAD)
-    link = link_to(server)
-    link.call(link.stream_api.delete_stream("PUMP"))
-    link.call(link.stream_api.add_stream(name="VALVE", subjects=["plant.*"]))
-    link.close()
-    sink.write(output(0, 3))
+    sink = bereft(server, "VALVE")
     with pytest.raises(InputError, match=r"refuses messages of plant\.pump in PUMP"):
         sink.flush()
     sink.close()
@@ -99,22 +93,17 @@ def test_a_full_stream_is_told_and_what_it_did_not_take_is_sent_later(server: Br
     from nats.js.api import DiscardPolicy
 
     made(server, max_msgs=2, discard=DiscardPolicy.NEW)
-    sink, heard = sink_of(server.port), Heard(source_of(server.port))
-    sink.open(HEAD)
-    for row in range(0, 20, 5):
-        sink.write(output(row, 5))
-    with pytest.raises(AwayError, match=r"does not store.*maximum messages"):
+    sink = sink_of(server.port)
+    with both_open(source_of(server.port), sink) as heard:
+        for row in range(0, 20, 5):
+            sink.write(output(row, 5))
+        with pytest.raises(AwayError, match=r"does not store.*maximum messages"):
+            sink.flush()
+        heard.until(lambda: len(heard.numbers) >= 10)
+        purged(server)
+        sink.open(HEAD)
         sink.flush()
-    heard.source.open("")
-    heard.until(lambda: len(heard.numbers) >= 10)
-    link = link_to(server)
-    link.call(link.stream_api.purge_stream("PUMP"))
-    link.close()
-    sink.open(HEAD)
-    sink.flush()
-    heard.until(lambda: len(heard.numbers) >= 20)
-    heard.source.close()
-    sink.close()
+        heard.until(lambda: len(heard.numbers) >= 20)
     assert heard.numbers == list(range(20))
 
 

@@ -154,18 +154,3 @@ def test_a_missing_driver_is_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setattr(nidaqmx, "Task", absent)
     with pytest.raises(UsageError, match="get NI-DAQmx from"):
         NiSource(Address.parsed("ni:Dev1/ai0?rate=1000")).open("")
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("Dev1/ai0", "needs channels and a rate"),
-        ("?rate=10", "needs channels and a rate"),
-        ("Dev1/ai0?rate=0", "rate=0"),
-        ("Dev1/ai0?rate=1&wiring=loose", "wiring=loose"),
-        ("Dev1/ai0?rate=1&speed=1", "no option 'speed'"),
-    ],
-)
-def test_impossible_wishes_are_refused(text: str, said: str) -> None:
-    with pytest.raises(UsageError, match=said):
-        NiSource(Address.parsed(f"ni:{text}"))

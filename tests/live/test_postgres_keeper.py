@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -13,23 +12,15 @@ from becalm.live.protocols import AwayError, Keeper, StorageFullError
 from becalm.live.sinks.postgres import PostgresSink
 from becalm.live.sinks.postgres_rows import BinaryRows
 from live_postgres import PostgresServer, postgres_server
-from postgres_keepers import closing, keeper_of, running_postgres
+from postgres_keepers import closed_keepers, keeper_of, running_postgres
 from servers import need
 from streams import checkpoint_at, head_of, outputs_of
 
 HOSTILE = ('a"; drop table x; --', "b%s", "C d", "ü" * 20)
 
 
-@pytest.fixture(scope="module")
-def server() -> Iterator[PostgresServer]:
-    with running_postgres() as running:
-        yield running
-
-
-@pytest.fixture(autouse=True)
-def keepers(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[PostgresSink]]:
-    with closing(monkeypatch) as made:
-        yield made
+server = pytest.fixture(scope="module")(running_postgres)
+keepers = pytest.fixture(autouse=True)(closed_keepers)
 
 
 def bits(values: object) -> list[int]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -13,21 +12,12 @@ from becalm.live.block import Head
 from becalm.live.protocols import AwayError
 from becalm.live.sinks.postgres import PostgresSink
 from live_postgres import PASSWORD, USER, PostgresServer
-from postgres_keepers import closing, keeper_of, running_postgres
+from postgres_keepers import closed_keepers, keeper_of, running_postgres
 from servers import free_port
 from streams import checkpoint_at, head_of, outputs_of
 
-
-@pytest.fixture(scope="module")
-def server() -> Iterator[PostgresServer]:
-    with running_postgres() as running:
-        yield running
-
-
-@pytest.fixture(autouse=True)
-def keepers(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[PostgresSink]]:
-    with closing(monkeypatch) as made:
-        yield made
+server = pytest.fixture(scope="module")(running_postgres)
+keepers = pytest.fixture(autouse=True)(closed_keepers)
 
 
 def test_no_server_is_away_and_not_for_ever() -> None:

@@ -12,9 +12,9 @@ import pytest
 
 from becalm.errors import UsageError
 from becalm.live.address import Address
-from becalm.live.block import Block
 from becalm.live.protocols import AwayError
 from becalm.live.sources.serial import SerialSource
+from instruments import next_block
 
 
 class Board:
@@ -57,25 +57,19 @@ def source(board: Board) -> Iterator[SerialSource]:
     one.close()
 
 
-def _block(source: SerialSource) -> Block:
-    block = source.read(30.0)
-    assert block is not None
-    return block
-
-
 def test_rows_come(board: Board, source: SerialSource) -> None:
     source.open("")
     assert source.read(0.0) is None
     board.says(b"time_ms,ax (g)\r\n10,1.5\r\n")
-    block = _block(source)
+    block = next_block(source)
     while not len(block):
-        block = _block(source)
+        block = next_block(source)
     assert (block.names, block.units) == (("ax (g)",), ("g",))
     assert block.time_s.tolist() == [0.01]
     board.says(b"20,")
     assert source.read(0.01) is None
     board.says(b"2.5\r\n")
-    assert _block(source).values.tolist() == [[2.5]]
+    assert next_block(source).values.tolist() == [[2.5]]
     source.committed("")
 
 
@@ -84,7 +78,7 @@ def test_a_half_line_at_the_opening_is_no_loss(board: Board, source: SerialSourc
     board.says(b"5,77\n1.0,2\n2.0,3\n")
     rows: list[list[float]] = []
     while len(rows) < 2:
-        block = _block(source)
+        block = next_block(source)
         rows += block.values.tolist()
         assert not block.losses
     assert rows == [[1.0, 2.0], [2.0, 3.0]]
@@ -93,7 +87,7 @@ def test_a_half_line_at_the_opening_is_no_loss(board: Board, source: SerialSourc
 def test_an_unplugged_port_is_away_and_comes_back(board: Board, source: SerialSource) -> None:
     source.open("")
     board.says(b"a,b\n1,2\n3,")
-    assert _block(source).values.tolist() == [[1.0, 2.0]]
+    assert next_block(source).values.tolist() == [[1.0, 2.0]]
     board.unplug()
     with pytest.raises(AwayError, match="ttyUSB0 went away"):
         source.read(30.0)
@@ -104,7 +98,7 @@ def test_an_unplugged_port_is_away_and_comes_back(board: Board, source: SerialSo
     board.plug_in()
     source.open("")
     board.says(b"4\n5,6\n")
-    block = _block(source)
+    block = next_block(source)
     assert block.values.tolist() == [[5.0, 6.0]]
     assert not block.losses
 
@@ -115,7 +109,7 @@ def test_noise_on_the_wire_is_counted(board: Board, source: SerialSource) -> Non
     rows: list[list[float]] = []
     lost = 0
     while len(rows) < 2:
-        block = _block(source)
+        block = next_block(source)
         rows += block.values.tolist()
         lost += sum(loss.rows or 0 for loss in block.losses)
     assert rows == [[1.0, 2.0], [3.0, 4.0]]
@@ -132,20 +126,6 @@ def test_a_port_that_another_has_is_away(board: Board, source: SerialSource) -> 
 def test_a_closed_port_is_away(source: SerialSource) -> None:
     with pytest.raises(AwayError, match="is closed"):
         source.read(0.0)
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("", "names no port"),
-        ("x?baud=fast", "baud=fast"),
-        ("x?parity=mark", "parity=mark"),
-        ("x?speed=9600", "no option 'speed'"),
-    ],
-)
-def test_impossible_wishes_are_refused(text: str, said: str) -> None:
-    with pytest.raises(UsageError, match=said):
-        SerialSource(Address.parsed(f"serial:{text}"))
 
 
 def test_a_url_that_is_none_is_refused() -> None:

@@ -11,9 +11,10 @@ import pytest
 
 from becalm.errors import UsageError
 from becalm.live.address import Address
-from becalm.live.block import Block, LossKind
+from becalm.live.block import LossKind
 from becalm.live.protocols import AwayError
 from becalm.live.sources.visa import VisaSource
+from instruments import next_block
 
 _BENCH = r"""
 spec: "1.1"
@@ -65,16 +66,10 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
     one.close()
 
 
-def _block(source: VisaSource) -> Block:
-    block = source.read(30.0)
-    assert block is not None
-    return block
-
-
 def test_each_question_is_a_row(bench: Bench) -> None:
     source = bench.source()
     before = time.time()
-    blocks = [_block(source) for _ in range(3)]
+    blocks = [next_block(source) for _ in range(3)]
     assert [block.values.tolist() for block in blocks] == [[[1.5e-6]]] * 3
     assert {block.names for block in blocks} == {("value",)}
     stamps = [float(block.time_s[0]) for block in blocks]
@@ -84,17 +79,17 @@ def test_each_question_is_a_row(bench: Bench) -> None:
 
 
 def test_several_numbers_with_names_and_units(bench: Bench) -> None:
-    block = _block(bench.source("&query=BOTH?&columns=bridge (V),supply_mV"))
+    block = next_block(bench.source("&query=BOTH?&columns=bridge (V),supply_mV"))
     assert (block.names, block.units) == (("bridge (V)", "supply_mV"), ("V", "mV"))
     assert block.values.tolist() == [[1.5e-6, -2.5e-6]]
 
 
 def test_several_numbers_without_names(bench: Bench) -> None:
-    assert _block(bench.source("&query=BOTH?")).names == ("value", "value_2")
+    assert next_block(bench.source("&query=BOTH?")).names == ("value", "value_2")
 
 
 def test_over_range_is_no_reading(bench: Bench) -> None:
-    np.testing.assert_array_equal(_block(bench.source("&query=OVER?")).values, [[1.0, np.nan]])
+    np.testing.assert_array_equal(next_block(bench.source("&query=OVER?")).values, [[1.0, np.nan]])
 
 
 @pytest.mark.parametrize(
@@ -106,7 +101,7 @@ def test_over_range_is_no_reading(bench: Bench) -> None:
     ],
 )
 def test_what_is_no_row_is_counted(bench: Bench, more: str, said: str) -> None:
-    block = _block(bench.source(more))
+    block = next_block(bench.source(more))
     assert len(block) == 0
     assert [(loss.kind, loss.rows) for loss in block.losses] == [(LossKind.GARBLED, 1)]
     assert said in block.losses[0].says
@@ -115,27 +110,27 @@ def test_what_is_no_row_is_counted(bench: Bench, more: str, said: str) -> None:
 def test_an_instrument_that_is_silent_is_counted_and_then_away(bench: Bench) -> None:
     source = bench.source("&query=WHAT?")
     for _ in range(2):
-        block = _block(source)
+        block = next_block(source)
         assert [(loss.kind, loss.rows) for loss in block.losses] == [(LossKind.MISSING, 1)]
     with pytest.raises(AwayError, match="did not answer 3 times"):
         source.read(30.0)
     source.open("")  # as a runner does; it begins to count anew
-    assert _block(source).losses
+    assert next_block(source).losses
 
 
 def test_an_instrument_that_talks_by_itself_is_listened_to(bench: Bench) -> None:
     source = bench.source("&query=&setup=VOLT 2.500")
-    block = _block(source)  # what it said to its set-up waits to be read
+    block = next_block(source)  # what it said to its set-up waits to be read
     assert "'OK'" in block.losses[0].says
     assert source.read(0.0) is None
 
 
 def test_questions_keep_their_interval(bench: Bench) -> None:
     source = bench.source("&query=VOLT?&interval=1h")
-    assert _block(source).values.tolist() == [[1.0]]
+    assert next_block(source).values.tolist() == [[1.0]]
     assert source.read(0.01) is None
     soon = bench.source("&interval=20ms")
-    stamps = [float(_block(soon).time_s[0]) for _ in range(4)]
+    stamps = [float(next_block(soon).time_s[0]) for _ in range(4)]
     assert stamps[3] - stamps[0] >= 0.055
 
 
@@ -160,18 +155,3 @@ def test_a_library_that_is_not_there_is_said(tmp_path: Path) -> None:
         with pytest.raises(UsageError, match="has no library to talk with") as caught:
             source.open("")
         assert "Traceback" not in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("", "names no instrument"),
-        ("X?interval=10", "interval 10 is no time"),
-        ("X?query=&interval=1s", "say one of them"),
-        ("X?end=dot", "end=dot"),
-        ("X?baud=9600", "no option 'baud'"),
-    ],
-)
-def test_impossible_wishes_are_refused(text: str, said: str) -> None:
-    with pytest.raises(UsageError, match=said):
-        VisaSource(Address.parsed(f"visa:{text}"))
