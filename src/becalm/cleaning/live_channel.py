@@ -89,9 +89,9 @@ class LiveMotion:
 
     def _opened(self) -> LiveFlow:
         if self._modes is not None and self._lag:
-            return LaggedSwitchingFlow(self._modes, lag=self._lag, judge=self.sensor.look)
+            return LaggedSwitchingFlow(self._modes, lag=self._lag, judge=self.sensor.look, tells_modes=True)
         if self._modes is not None:
-            return SwitchingFlow(self._modes, causal=True, judge=self.sensor.look)
+            return SwitchingFlow(self._modes, causal=True, judge=self.sensor.look, tells_modes=True)
         gate = None if self._recipe.gate is None else gate_of(self._recipe.gate, self._step_s)
         part, variance = self._tuning.component, self._tuning.noise_variance
         return LaggedFlow(part, variance, lag=self._lag, judge=self.sensor.look, gate=gate)

@@ -12,13 +12,14 @@ from typing import TypeVar
 
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.stream import ChannelHealth
-from becalm.errors import BecalmError, UsageError
+from becalm.errors import UsageError
 from becalm.live.block import Block, Checkpoint, Head, Loss, LossKind, Output
 from becalm.live.keeping import Batch, Keeping, Outlets
 from becalm.live.learning import Early, Learner, resolution_of
 from becalm.live.protocols import AwayError, Source
 from becalm.live.queueing import BlockQueue
 from becalm.live.reader import BackOff, Reader
+from becalm.live.retuning import Heard, Retuning
 from becalm.live.settings import Settings
 from becalm.live.stream import Stream
 from becalm.live.watching.watch import Watch
@@ -68,8 +69,7 @@ class Runner:
 
     def __post_init__(self) -> None:
         """Make what does not depend on the wires."""
-        self._stop, self._asked = threading.Event(), threading.Event()
-        self._new_recipe: Callable[[], Recipe]
+        self._stop, self._retuning = threading.Event(), Retuning()
         self._reader: Reader | None = None
         self._head: Head | None = None
         self._queue = BlockQueue(self.settings.queue_blocks, self.settings.when_full)
@@ -85,13 +85,12 @@ class Runner:
         """Read no more; filter, tell and keep what was read, and end. May be called by a signal's handler."""
         self._stop.set()
 
-    def retune(self, recipe: Callable[[], Recipe]) -> None:
+    def retune(self, recipe: Callable[[], Recipe], heard: Heard = lambda _: None) -> None:
         """Take another recipe for the same channels at the next block, without a jump; one that cannot be is refused.
 
-        May be called by a signal's handler: the recipe is read later.
+        May be called by a signal's handler: the recipe is read later. Of several asked for meanwhile the last is taken.
         """
-        self._new_recipe = recipe
-        self._asked.set()
+        self._retuning.ask(recipe, heard)
 
     def run(self) -> None:
         """Run until the source ends, or someone stops.
@@ -183,7 +182,7 @@ class Runner:
         self._insist(partial(self._open_keeper, head))
         for outlet in self.outlets.others:
             outlet.open(head)
-        self.watch.meter.begin(head.names, head.recipe)
+        self.watch.meter.begin(head.names, stream.recipe.to_toml())
         self.watch.state("running")
         self._given_s = time.monotonic()
         return Keeping(self.outlets, self.source, self.watch, head)
@@ -217,8 +216,7 @@ class Runner:
         for early in held:
             self._take(early, stream, keeping)
         while not self._queue.ended:
-            if self._asked.is_set():
-                self._tune_anew(stream)
+            self._retuning.take(stream, self.watch)
             block = self._next()
             if block is not None:
                 self._take(block, stream, keeping)
@@ -227,16 +225,6 @@ class Runner:
         self.watch.state("stopping" if self._stop.is_set() else "ended")
         if not self._stop.is_set():
             self._tell(stream.finish())
-
-    def _tune_anew(self, stream: Stream) -> None:
-        self._asked.clear()
-        try:
-            recipe = self._new_recipe()
-            stream.retuned(recipe)
-        except BecalmError as cause:
-            self.watch.refused(str(cause))
-        else:
-            self.watch.tuned(recipe.to_toml())
 
     def _next(self) -> Block | None:
         if self._stop.is_set() and self._reader is not None:
