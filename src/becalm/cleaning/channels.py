@@ -16,11 +16,7 @@ from becalm.cleaning.judging import Decision, InnovationJudge, Judgement
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.report import ChannelReport
 from becalm.core.arrays import Floats
-from becalm.core.flow import Flow, Judge
-from becalm.core.lagged_flow import LaggedFlow
-from becalm.core.parted_flow import PartedFlow, PartialFlow
-from becalm.core.switching_flow import SwitchingFlow
-from becalm.core.switching_lag import LaggedSwitchingFlow
+from becalm.core.flow import Judge
 from becalm.core.told import Told
 from becalm.core.verdict import ADVICE, Verdict, counted
 from becalm.noise.choose import FEWEST_READINGS
@@ -79,21 +75,10 @@ class MotionChannel(FilteredChannel):
     def __init__(
         self, recipe: ChannelRecipe, step_s: float, *, lag: int | None, split: bool, look: Judge | None
     ) -> None:
-        super().__init__(recipe, step_s)
-        self._lag, self._also = lag, look
+        super().__init__(recipe, step_s, lag)
+        self._also = look
         self._judge = InnovationJudge(step_s, scores=recipe.switching is not None)
-        self._flow = PartedFlow(partial(self._opened_flow, split), *self._bridged())
-
-    def _opened_flow(self, split: bool) -> PartialFlow:
-        lag, judge, modes, gate = self._lag, self._look, self._modes, self._gate
-        if modes is not None:
-            if lag:
-                return LaggedSwitchingFlow(modes, lag=lag, judge=judge, split=split)
-            return SwitchingFlow(modes, causal=lag == 0, judge=judge, split=split)
-        part, variance = self._tuning.component, self._tuning.noise_variance
-        if lag:
-            return LaggedFlow(part, variance, lag=lag, judge=judge, split=split, gate=gate)
-        return Flow(part, variance, causal=lag == 0, judge=judge, split=split, gate=gate)
+        self._flow = self._runs.opened(self._look, split=split)
 
     def push(self, z: Floats, elapsed: Floats) -> list[Told]:
         """Take readings (B,) and the steps before them; return what is clean, in order."""
@@ -113,7 +98,7 @@ class MotionChannel(FilteredChannel):
 
     def report(self) -> ChannelReport:
         """Say what was found, once finished."""
-        tuning, figures = self._tuning, self._figures()
+        tuning, figures = self._runs.tuning, self._figures()
         smooths = self._lag is None and figures.removes_noise
         found = self._judge.judgement(partial(excess_error, tuning) if smooths else None)
         says = f"{found.says} {_NOTHING_REMOVED}" if figures.removes_nothing else found.says
@@ -126,7 +111,7 @@ class MotionChannel(FilteredChannel):
             order=tuning.order,
             tones_hz=self._tones_hz(disturbance=False),
             removed_hz=self._tones_hz(disturbance=True),
-            noise_std=self._noise_std,
+            noise_std=self._runs.noise_std,
             coloured_std=None if tuning.coloured is None else float(np.sqrt(tuning.coloured.variance)),
             q_over_r=tuning.ratio,
             bandwidth_hz=figures.bandwidth_hz,
@@ -146,9 +131,9 @@ class MotionChannel(FilteredChannel):
         )
 
     def _figures(self) -> Figures:
-        if self._modes is not None:
-            return mode_figures(self._modes, self._flow.shares, self._step_s, self._lag)
-        return fixed_figures(self._tuning, self._step_s, self._lag)
+        if self._runs.modes is not None:
+            return mode_figures(self._runs.modes, self._flow.shares, self._step_s, self._lag)
+        return fixed_figures(self._runs.tuning, self._step_s, self._lag)
 
     def _tones_hz(self, *, disturbance: bool) -> tuple[float, ...]:
         return tuple(tone.frequency_hz for tone in self._recipe.tone if tone.disturbance == disturbance)

@@ -16,6 +16,7 @@ from becalm.cleaning.figures import fixed_figures
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.steps import in_steps
 from becalm.cleaning.stream import ChannelHealth, StreamCleaner, Streamed
+from becalm.cleaning.stream_modes import handed_over
 from becalm.core.arrays import Floats
 from becalm.core.packing import packed, unpacked
 from becalm.errors import ModelError, RecipeError
@@ -57,6 +58,11 @@ class Handover:
         return self.later.lag_rows
 
     @property
+    def has_begun(self) -> bool:
+        """Whether the later filter has a share in what is told."""
+        return self._told >= self._rows
+
+    @property
     def is_over(self) -> bool:
         """Whether only the later filter is told by now."""
         return self._told >= 2 * self._rows
@@ -86,6 +92,7 @@ class Handover:
             _mixed(w, before.signal, np.concatenate([before.signal[:alone], after.signal])),
             _mixed(w, before.sigma, np.concatenate([before.sigma[:alone], after.sigma])),
             np.where(w == 0, before.verdicts, np.concatenate([before.verdicts[:alone], after.verdicts])),
+            handed_over(w, before.modes, after.modes),
         )
 
     def snapshot(self, former: Recipe) -> bytes:

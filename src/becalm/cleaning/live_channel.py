@@ -50,24 +50,25 @@ class LiveMotion(FilteredChannel):
     """A channel that is filtered; parameters as of `FilteredChannel`, and the later rows that each row waits for."""
 
     def __init__(self, recipe: ChannelRecipe, step_s: float, lag: int) -> None:
-        super().__init__(recipe, step_s)
-        self._lag = lag
-        self._flow = LiveParted(self._opened, *self._bridged())
+        super().__init__(recipe, step_s, lag)
+        self._flow = LiveParted(self._opened, self._runs.reach, self._runs.largest)
 
     def _opened(self) -> LiveFlow:
-        if self._modes is not None and self._lag:
-            return LaggedSwitchingFlow(self._modes, lag=self._lag, judge=self.sensor.look)
-        if self._modes is not None:
-            return SwitchingFlow(self._modes, causal=True, judge=self.sensor.look)
-        part, variance = self._tuning.component, self._tuning.noise_variance
-        return LaggedFlow(part, variance, lag=self._lag, judge=self.sensor.look, gate=self._gate)
+        runs, lag, look = self._runs, self._runs.lag, self.sensor.look
+        if runs.modes is not None and lag:
+            return LaggedSwitchingFlow(runs.modes, lag=lag, judge=look, tells_modes=True)
+        if runs.modes is not None:
+            return SwitchingFlow(runs.modes, causal=True, judge=look, tells_modes=True)
+        return LaggedFlow(runs.tuning.component, runs.noise_variance, lag=lag or 0, judge=look, gate=runs.gate)
 
     def push(self, z: Floats, elapsed: Floats) -> list[Told]:
         """Take readings (B,) and the steps before them; return what is clean, in order."""
         if self._timing is not None:
             self._timing.push(elapsed)
         usable = self.sensor.push(z, elapsed)
-        steps = np.round(elapsed) if self._tuning.component.goes_in_steps else elapsed  # no stream ends by a late row
+        steps = (
+            np.round(elapsed) if self._runs.tuning.component.goes_in_steps else elapsed
+        )
         return self._counted(self._flow.push(usable, steps))
 
     def finish(self) -> list[Told]:

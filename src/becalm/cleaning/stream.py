@@ -18,6 +18,7 @@ from becalm.cleaning.faults import limits_of
 from becalm.cleaning.live_channel import mean_power, open_live
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.steps import lag_in_rows
+from becalm.cleaning.stream_modes import NO_MODES, modes_in, modes_of, with_modes
 from becalm.cleaning.together import open_together, runs_together
 from becalm.core.arrays import Codes, Floats, input_of
 from becalm.core.kernel_stream_layout import Out, Rows
@@ -39,6 +40,7 @@ class Streamed(NamedTuple):
     signal: Floats  # (R, m)
     sigma: Floats  # (R, m) inf where nothing is known yet, NaN where none can be told
     verdicts: Codes  # (R, m) values of `becalm.core.verdict.Verdict`
+    modes: Floats = NO_MODES  # (R, K) how probable each mode is of each channel that switches; (0, 0) where none does
 
 
 @dataclass(frozen=True)
@@ -101,6 +103,7 @@ class StreamCleaner:
         }
         self._ready = {c: ReadyRows() for c in self._apart}
         self._rhythms = _rhythms(recipe, joined)
+        self._modes = [modes_in(one) for one in recipe.channel]
 
     def push(self, values: Floats, elapsed: Floats) -> Streamed:
         """Take the next rows.
@@ -125,7 +128,7 @@ class StreamCleaner:
         values, elapsed = self._checked(values, elapsed)
         rows, out = new_block(values, elapsed, self._step_s)
         if not len(values):
-            return Streamed(*out)
+            return Streamed(*out, modes_of({}, self._modes))
         self._write_timing(out.verdicts, rows)
         for group in self._together:
             group.push(rows, out)
@@ -137,7 +140,7 @@ class StreamCleaner:
     def finish(self) -> Streamed:
         """Return the rows that wait, with what there is after them; nothing changes by it: more rows may follow."""
         if not self.lag_rows:
-            return Streamed(*(np.empty((0, len(self._recipe.channel)), kind) for kind in (float, float, np.int8)))
+            return self.push(np.empty((0, len(self._recipe.channel))), np.empty(0))
         other = type(self).resume(self.snapshot(), self._recipe)
         for c, channel in other._apart.items():
             other._ready[c].add(channel.finish())
@@ -213,7 +216,8 @@ class StreamCleaner:
         for c, channel in self._apart.items():
             channel.restore(_under(f"channel{c}.", arrays))
             if self.lag_rows:
-                self._ready[c].add([Told(**_under(f"ready{c}.", arrays))])
+                waiting = Told(**_under(f"ready{c}.", arrays))
+                self._ready[c].add([with_modes(waiting, self._modes[c])])
 
     def _checked(self, values: Floats, elapsed: Floats) -> tuple[Floats, Floats]:
         """Return what was pushed as kernels take it."""
@@ -246,12 +250,11 @@ class StreamCleaner:
         count = min(ready.count for ready in self._ready.values())
         told = {c: ready.take(count) for c, ready in self._ready.items()}
         if self.lag_rows or out is None:
-            columns = [told[c] for c in range(len(told))]
-            fields = [[getattr(one, name) for one in columns] for name in Streamed._fields]
-            return Streamed(*(np.ascontiguousarray(np.column_stack(field)) for field in fields))
+            fields = ([getattr(told[c], name) for c in range(len(told))] for name in Out._fields)
+            return Streamed(*map(np.ascontiguousarray, map(np.column_stack, fields)), modes_of(told, self._modes))
         for c, one in told.items():
             out.signal[:, c], out.sigma[:, c], out.verdicts[:, c] = one.signal, one.sigma, one.verdicts
-        return Streamed(*out)
+        return Streamed(*out, modes_of(told, self._modes))
 
 
 def _numbers(name: str, given: object) -> Any:

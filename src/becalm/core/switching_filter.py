@@ -30,10 +30,14 @@ class SwitchingFilter:
         Shown the innovations of each stretch, of the mixture of all modes.
     split : bool
         Whether to tell the share of each part of the component, and then the probability of each mode.
+    tells_modes : bool
+        Whether to tell the probabilities alone, where nothing is split.
     """
 
-    def __init__(self, switching: Switching, judge: Judge | None, *, split: bool) -> None:
-        self.switching, self._judge, self._split = switching, judge, split
+    def __init__(
+        self, switching: Switching, judge: Judge | None, *, split: bool = False, tells_modes: bool = False
+    ) -> None:
+        self.switching, self._judge, self._split, self._tells_modes = switching, judge, split, tells_modes
         self._beliefs = np.zeros(memory_length(switching.states, len(switching.modes)))
         self._level: float | None = None if switching.component.keeps_level else 0.0
         self._shares = np.zeros(len(switching.modes))
@@ -102,17 +106,25 @@ class SwitchingFilter:
             shares = np.array([output[0] @ trace.mean for _, output in self.switching.component.outputs()])
             shares[0] += level
             parts = np.vstack([shares, trace.probability])
+        elif self._tells_modes:
+            parts = trace.probability
         return Told(trace.signal + level if level else trace.signal, trace.sigma, parts, verdicts)
 
 
 class ByModes:
-    """What every flow through a bank tells of it; parameters as of `SwitchingFilter`."""
+    """What every flow through a bank tells of it.
+
+    Parameters
+    ----------
+    passes : SwitchingFilter
+        The forward pass.
+    """
 
     settled_row: int | None = None
     """None: a bank has no one gain that settles."""
 
-    def __init__(self, switching: Switching, judge: Judge | None, *, split: bool) -> None:
-        self._filter = SwitchingFilter(switching, judge, split=split)
+    def __init__(self, passes: SwitchingFilter) -> None:
+        self._filter = passes
 
     @property
     def switching(self) -> Switching:

@@ -20,7 +20,7 @@ from becalm.core.kernel_switching_return import switch_backward
 from becalm.core.kernel_switching_row import Bank, memory_length
 from becalm.core.steady import steady
 from becalm.core.switching import Switching, numbered_steps
-from becalm.core.switching_filter import ByModes, with_spikes
+from becalm.core.switching_filter import ByModes, SwitchingFilter, with_spikes
 from becalm.core.told import Rows, Told
 from becalm.errors import ModelError
 
@@ -51,11 +51,21 @@ class SwitchingFlow(ByModes):
         Shown the innovations of each stretch, of the mixture of all modes.
     split : bool
         Whether to tell the share of each part of the component, and then the probability of each mode.
+    tells_modes : bool
+        Whether to tell the probabilities alone, where nothing is split.
     """
 
-    def __init__(self, switching: Switching, *, causal: bool, judge: Judge | None = None, split: bool = False) -> None:
+    def __init__(
+        self,
+        switching: Switching,
+        *,
+        causal: bool,
+        judge: Judge | None = None,
+        split: bool = False,
+        tells_modes: bool = False,
+    ) -> None:
         self._causal = causal
-        super().__init__(switching, judge, split=split)
+        super().__init__(SwitchingFilter(switching, judge, split=split, tells_modes=tells_modes))
         self._numbers = memory_length(switching.states, len(switching.modes))
         self._nothing_later = np.zeros(outlook_length(switching.states, len(switching.modes)))
         self._group = _LEAST_GROUP if causal else _group_rows(switching)

@@ -19,7 +19,7 @@ from becalm.core.kernel_switching import SwitchingTrace, note_length
 from becalm.core.kernel_switching_return import switch_late
 from becalm.core.kernel_switching_row import Bank, BankSizes
 from becalm.core.switching import Switching, numbered_steps
-from becalm.core.switching_filter import ByModes, with_spikes
+from becalm.core.switching_filter import ByModes, SwitchingFilter, with_spikes
 from becalm.core.told import Told
 from becalm.errors import ModelError
 
@@ -101,6 +101,8 @@ class LaggedSwitchingFlow(ByModes):
         Shown the innovations of each stretch, of the mixture of all modes.
     split : bool
         Whether to tell the share of each part of the component, and then the probability of each mode.
+    tells_modes : bool
+        Whether to tell the probabilities alone, where nothing is split.
 
     Raises
     ------
@@ -108,8 +110,16 @@ class LaggedSwitchingFlow(ByModes):
         If the lag is no whole number.
     """
 
-    def __init__(self, switching: Switching, *, lag: int, judge: Judge | None = None, split: bool = False) -> None:
-        super().__init__(switching, judge, split=split)
+    def __init__(
+        self,
+        switching: Switching,
+        *,
+        lag: int,
+        judge: Judge | None = None,
+        split: bool = False,
+        tells_modes: bool = False,
+    ) -> None:
+        super().__init__(SwitchingFilter(switching, judge, split=split, tells_modes=tells_modes))
         self._waiting = WaitingRows(switching.sizes, checked_lag(lag))
         self._elapsed: Floats = np.empty(0)  # steps before the rows that wait
         self._verdicts: Codes = np.empty(0, np.int8)

@@ -109,6 +109,8 @@ class Output:
         What happened to the stream before or in these rows.
     arrived_s : float
         `time.monotonic()` when the last of the readings came.
+    modes : (B, K) float array
+        How probable each mode is, of all channels that switch one after the other; (0, 0) where none does.
     """
 
     first_row: int
@@ -119,6 +121,7 @@ class Output:
     verdicts: Codes
     losses: tuple[Loss, ...] = ()
     arrived_s: float = 0.0
+    modes: Floats = field(default_factory=lambda: np.empty((0, 0)))
 
     def __len__(self) -> int:
         """Return the number of rows."""

@@ -11,13 +11,13 @@ from math import nan
 
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.stream import ChannelHealth
-from becalm.errors import BecalmError
 from becalm.live.beginning import Beginning, Begun, insist, open_keeper
-from becalm.live.block import Block, Checkpoint, Head, Loss, LossKind, Output
+from becalm.live.block import Block, Checkpoint, Loss, LossKind, Output
 from becalm.live.keeping import Batch, Keeping, Outlets
 from becalm.live.protocols import Source
 from becalm.live.queueing import BlockQueue
 from becalm.live.reader import Reader
+from becalm.live.retuning import Heard, Retuning
 from becalm.live.settings import Settings
 from becalm.live.stream import Stream
 from becalm.live.watching.watch import Watch
@@ -56,8 +56,7 @@ class Runner:
 
     def __post_init__(self) -> None:
         """Make what does not depend on the wires."""
-        self._stop, self._asked = threading.Event(), threading.Event()
-        self._new_recipe: Callable[[], Recipe]
+        self._stop, self._retuning = threading.Event(), Retuning()
         self._reader: Reader | None = None
         self._queue = BlockQueue(self.settings.queue_blocks, self.settings.when_full)
         self._outputs: list[Output] = []
@@ -72,13 +71,12 @@ class Runner:
         """Read no more; filter, tell and keep what was read, and end. May be called by a signal's handler."""
         self._stop.set()
 
-    def retune(self, recipe: Callable[[], Recipe]) -> None:
+    def retune(self, recipe: Callable[[], Recipe], heard: Heard = lambda _: None) -> None:
         """Take another recipe for the same channels at the next block, without a jump; one that cannot be is refused.
 
-        May be called by a signal's handler: the recipe is read later.
+        May be called by a signal's handler: the recipe is read later. Of several asked for meanwhile the last is taken.
         """
-        self._new_recipe = recipe
-        self._asked.set()
+        self._retuning.ask(recipe, heard)
 
     def run(self) -> None:
         """Run until the source ends, or someone stops.
@@ -97,7 +95,7 @@ class Runner:
         try:
             begun = begun or self._begun()
             if begun is not None:
-                keeping = self._open(begun.head)
+                keeping = self._open(begun)
                 try:
                     self._walk(begun, keeping)
                 finally:
@@ -132,12 +130,13 @@ class Runner:
                 self.watch.lost(self._losses)
         return begun
 
-    def _open(self, head: Head) -> Keeping:
+    def _open(self, begun: Begun) -> Keeping:
+        head = begun.head
         if self.outlets.keeper is not None:
             insist(partial(open_keeper, self.outlets.keeper, head), self.watch, self._stop)
         for outlet in self.outlets.others:
             outlet.open(head)
-        self.watch.meter.begin(head.names, head.recipe)
+        self.watch.meter.begin(head.names, begun.stream.recipe.to_toml())
         self.watch.state("running")
         self._given_s = time.monotonic()
         return Keeping(self.outlets, self.source, self.watch, head)
@@ -149,8 +148,7 @@ class Runner:
         for early in begun.blocks:
             self._take(early, stream, keeping)
         while not self._queue.ended:
-            if self._asked.is_set():
-                self._tune_anew(stream)
+            self._retuning.take(stream, self.watch)
             block = self._next()
             if block is not None:
                 self._take(block, stream, keeping)
@@ -158,16 +156,6 @@ class Runner:
             self._look_after(stream)
         if not self._stop.is_set():
             self._tell(stream.finish())
-
-    def _tune_anew(self, stream: Stream) -> None:
-        self._asked.clear()
-        try:
-            recipe = self._new_recipe()
-            stream.retuned(recipe)
-        except BecalmError as cause:
-            self.watch.refused(str(cause))
-        else:
-            self.watch.tuned(recipe.to_toml())
 
     def _next(self) -> Block | None:
         if self._stop.is_set() and self._reader is not None:

@@ -60,6 +60,11 @@ class Stream:
         units = tuple(channel.unit for channel in self.recipe.channel)
         return Head(names, units, 1 / self._step_s, self.recipe.to_toml())
 
+    @property
+    def gives_way(self) -> bool:
+        """Whether the signal is on its way from one filter to another; a third one would make it jump."""
+        return isinstance(self._cleaner, Handover) and self._cleaner.has_begun
+
     def opened(self) -> None:
         """Hear that the source was opened anew."""
         self._clock.opened()
@@ -144,7 +149,7 @@ class Stream:
         self, stamps: Floats, values: Floats, told: Streamed, losses: tuple[Loss, ...], arrived_s: float
     ) -> Output:
         first, self.rows = self.rows, self.rows + len(told.signal)
-        return Output(first, stamps, values, told.signal, told.sigma, told.verdicts, losses, arrived_s)
+        return Output(first, stamps, values, *told[:3], losses, arrived_s, told.modes)
 
     def checkpoint(self, position: str, source: str) -> Checkpoint:
         """Return where the stream stands, once all told so far is kept."""
@@ -205,10 +210,13 @@ class Stream:
         recipe = fitted(recipe, names, units)
         if [one.name for one in recipe.channel] != list(names):
             raise RecipeError("The recipe has other channels than the stream, which keeps those it began with.")
-        former = self._cleaner.later if isinstance(self._cleaner, Handover) else self._cleaner
-        later = StreamCleaner(recipe, self._step_s)
-        self._cleaner = Handover(former, later, rows_to_forget(recipe, self._step_s))
-        self._former, self.recipe = self.recipe, recipe
+        later, rows = StreamCleaner(recipe, self._step_s), rows_to_forget(recipe, self._step_s)
+        if isinstance(self._cleaner, Handover) and not self._cleaner.has_begun:
+            self._cleaner = Handover(self._cleaner.former, later, rows)  # the one between was never told
+        else:
+            former = self._cleaner.later if isinstance(self._cleaner, Handover) else self._cleaner
+            self._cleaner, self._former = Handover(former, later, rows), self.recipe
+        self.recipe = recipe
 
 
 class _Waiting:
@@ -240,7 +248,7 @@ class _Waiting:
 
 
 def _after(told: Streamed, rows: int) -> Streamed:
-    return Streamed(told.signal[rows:], told.sigma[rows:], told.verdicts[rows:])
+    return Streamed(told.signal[rows:], told.sigma[rows:], told.verdicts[rows:], told.modes[rows:])
 
 
 def _nothing(channels: int) -> tuple[Floats, Floats, Streamed]:

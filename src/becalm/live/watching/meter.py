@@ -115,7 +115,9 @@ class Meter:
         self._losses = {kind: Losses() for kind in LossKind}
         self._all_used = np.eye(1, len(Verdict), Verdict.USED, np.int64)
         self._health: dict[str, tuple[float, tuple[str, ...]]] = {}
-        self._source, self._recipe = source, ""
+        self._source = source
+        self.recipe = ""
+        """Through which recipe (TOML) rows go; "" before the first."""
         self.begin((), "")
 
     def begin(self, names: Sequence[str], recipe: str) -> None:
@@ -128,7 +130,8 @@ class Meter:
 
     def tuned(self, recipe: str) -> None:
         """Say through which recipe (TOML) rows go from now on."""
-        self._recipe = hashlib.sha256(recipe.encode()).hexdigest() if recipe else ""
+        self.recipe = recipe
+        self._sha256 = hashlib.sha256(recipe.encode()).hexdigest() if recipe else ""
 
     def took(self, block: Block) -> None:
         """Count a block that came from the source."""
@@ -200,7 +203,7 @@ class Meter:
                 "started": _utc(self._started_s),
                 "loop_age_s": round(now_s - self._turned_s, 3),
                 "source": self._source,
-                "recipe_sha256": self._recipe,
+                "recipe_sha256": self._sha256,
                 "rows_taken": self._taken,
                 "rows": self._told,
                 "rows_per_s": round(self._rate(now_s), 3),

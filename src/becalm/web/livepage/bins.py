@@ -1,0 +1,206 @@
+"""Bins of a stream: least and greatest of so many rows, at several levels, aligned to absolute row numbers.
+
+Bin b of level l holds rows b * rows_each[l] ... (b + 1) * rows_each[l] - 1, however the rows came in blocks. One thread
+pushes rows, others read, and nobody waits: a reader copies, and then looks whether the writer has overtaken it.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from becalm.core.arrays import Floats
+from becalm.core.verdict import Verdict
+from becalm.live.block import Output
+
+LEVELS = 5
+COARSER = 8
+"""How many bins of a level make one of the next."""
+
+_BINS_PER_S = 150.0  # of level 0: about 1500 in the ten seconds that a page shows
+_MOST_KEPT, _LEAST_KEPT = 1 << 13, 1 << 11  # bins of a level: 55 s, 7 min, 58 min, 8 h, 2.6 days
+_MEMORY = 64 << 20  # bytes that all levels may take, where the fewest bins take no more
+_AT_ONCE = 1 << 8  # bins of level 0 that are written in one go
+_LARGEST = 1e30  # magnitude that a page can draw; what is beyond is no reading of a sensor
+_BITS = np.array([0 if verdict is Verdict.USED else 1 << verdict for verdict in Verdict], np.uint16)
+
+Bits = np.ndarray[Any, np.dtype[np.uint16]]
+
+
+class Span(NamedTuple):
+    """Some consecutive bins of a level; what no reading or no filter told is NaN."""
+
+    first: int
+    """The number of the first bin."""
+
+    time_s: Floats
+    """(n,) stamps of the first row of each."""
+
+    low: Floats
+    """(n, 2m) the least raw readings of the channels, then the least clean values."""
+
+    high: Floats
+    """(n, 3m + K) the greatest of these, the greatest sigma, and of each mode the greatest probability."""
+
+    verdicts: Bits
+    """(n, m) bit 1 << v where the verdict v came up; none for USED."""
+
+    def __len__(self) -> int:
+        """Return the number of bins."""
+        return len(self.time_s)
+
+
+class Bins:
+    """The bins of a stream, as many of each level as memory is for.
+
+    A bin takes 42 bytes a channel: six channels take 10 MB, and no number of channels up to 150 more than 64 MB.
+
+    Parameters
+    ----------
+    channels : int
+        m.
+    rate_hz : float
+        Rows a second, nominal.
+    modes : int
+        K: modes of all channels that switch.
+    """
+
+    def __init__(self, channels: int, rate_hz: float, modes: int = 0) -> None:
+        self._channels, self._modes = channels, modes
+        finest = max(1, round(rate_hz / _BINS_PER_S))
+        self.rows_each = tuple(finest * COARSER**level for level in range(LEVELS))
+        each = LEVELS * (channels * (5 * 8 + 2) + modes * 8 + 8)
+        self.kept = max(_LEAST_KEPT, min(_MOST_KEPT, _MEMORY // each))
+        """Bins of each level that can be read; those before have left."""
+        self._rings = [_Ring(self.kept, channels, modes) for _ in self.rows_each]
+        self._open: Span | None = None  # the bin whose last rows did not come yet
+
+    def push(self, output: Output) -> None:
+        """Take the rows after those before; a stream that goes on may begin with any."""
+        rows = self.rows_each[0] * _AT_ONCE
+        for begin in range(0, len(output), rows):
+            self._push(output, slice(begin, begin + rows))
+
+    def finish(self) -> None:
+        """Close the last bins, though rows are missing: no more will come."""
+        if self._open is not None:
+            self._rings[0].write(self._open)
+            self._open = None
+        for lower, upper in pairwise(self._rings):
+            self._coarsen(lower, upper, -(-lower.closed // COARSER))
+
+    def newest(self, level: int) -> int:
+        """Return the number of the bin after the last closed one."""
+        return self._rings[level].closed
+
+    def oldest(self, level: int) -> int:
+        """Return the number of the first bin that can still be read."""
+        ring = self._rings[level]
+        return max(ring.began, ring.closed - self.kept)
+
+    def read(self, level: int, first: int, stop: int) -> Span:
+        """Return the closed bins from `first` to before `stop`; those that have left, or never came, are left out."""
+        ring = self._rings[level]
+        stop = min(stop, ring.closed)
+        first = min(max(first, self.oldest(level)), stop)
+        span = ring.read(first, stop)
+        overtaken = max(0, min(ring.reached - self.kept - first, len(span)))
+        return _from(span, overtaken) if overtaken else span
+
+    def _push(self, output: Output, some: slice) -> None:
+        columns = self._columns(output, some)
+        row, each = output.first_row + (some.start or 0), self.rows_each[0]
+        codes = output.verdicts[some]
+        bits = _BITS[codes] if codes.any() else np.zeros(codes.shape, np.uint16)
+        low = columns[:, : 2 * self._channels]
+        span = _gathered(Span(row, output.time_s[some], low, columns, bits), each)
+        if self._open is not None and self._open.first == span.first:
+            span = _begun_by(self._open, span)
+        whole = (row + len(columns)) % each == 0
+        self._open = None if whole else _from(span, len(span) - 1)
+        self._rings[0].write(span if whole else _until(span, len(span) - 1))
+        for lower, upper in pairwise(self._rings):
+            if not self._coarsen(lower, upper, lower.closed // COARSER):
+                break
+
+    def _columns(self, output: Output, some: slice) -> Floats:
+        """Return raw, clean, sigma and probabilities side by side, without what cannot be drawn."""
+        fields = [output.values[some], output.signal[some], output.sigma[some]]
+        if self._modes:
+            known = output.modes.shape == (len(output), self._modes)
+            fields.append(output.modes[some] if known else np.full((len(fields[0]), self._modes), np.nan))
+        columns = np.concatenate(fields, axis=1)
+        columns += 0.0  # no -0: which of the two zeros is the least is told by their order
+        small = np.abs(columns) <= _LARGEST
+        if not small.all():
+            columns[~small] = np.nan
+        return columns
+
+    def _coarsen(self, lower: _Ring, upper: _Ring, closed: int) -> bool:
+        """Close the bins of a level up to number `closed`; say whether there was any."""
+        first = upper.closed * COARSER if upper.closed else lower.began
+        if closed * COARSER <= first:
+            return False
+        upper.write(_gathered(lower.read(first, min(closed * COARSER, lower.closed)), COARSER))
+        return True
+
+
+class _Ring:
+    """The last bins of one level."""
+
+    def __init__(self, kept: int, channels: int, modes: int) -> None:
+        self._kept = kept
+        self._time_s, self._verdicts = np.zeros(kept), np.zeros((kept, channels), np.uint16)
+        self._low, self._high = np.zeros((kept, 2 * channels)), np.zeros((kept, 3 * channels + modes))
+        self.began = 0  # the first bin of all
+        self.closed = self.reached = 0  # bins before it are whole; up to here they are being written
+
+    def write(self, span: Span) -> None:
+        """Take the bins after those before."""
+        if not len(span):
+            return
+        if self.closed == self.began:
+            self.began = self.closed = span.first
+        stop = self.reached = span.first + len(span)
+        at = np.arange(span.first, stop) % self._kept
+        self._time_s[at], self._low[at], self._high[at] = span.time_s, span.low, span.high
+        self._verdicts[at] = span.verdicts
+        self.closed = stop
+
+    def read(self, first: int, stop: int) -> Span:
+        """Copy some bins."""
+        at = np.arange(first, stop) % self._kept
+        return Span(first, self._time_s[at], self._low[at], self._high[at], self._verdicts[at])
+
+
+def _gathered(span: Span, each: int) -> Span:
+    """Return bins of so many rows (or bins) each; those at the ends may hold fewer."""
+    first, stop = span.first // each, span.first + len(span)
+    starts = np.arange(first * each, stop, each) - span.first
+    starts[0] = 0
+    return Span(
+        first,
+        span.time_s[starts],
+        np.fmin.reduceat(span.low, starts, axis=0),
+        np.fmax.reduceat(span.high, starts, axis=0),
+        np.bitwise_or.reduceat(span.verdicts, starts, axis=0),
+    )
+
+
+def _begun_by(begun: Span, span: Span) -> Span:
+    """Return bins of which the first had rows already."""
+    span.time_s[0] = begun.time_s[0]
+    span.low[0] = np.fmin(begun.low[0], span.low[0])
+    span.high[0] = np.fmax(begun.high[0], span.high[0])
+    span.verdicts[0] |= begun.verdicts[0]
+    return span
+
+
+def _from(span: Span, begin: int) -> Span:
+    return Span(span.first + begin, *(array[begin:] for array in span[1:]))
+
+
+def _until(span: Span, end: int) -> Span:
+    return Span(span.first, *(array[:end] for array in span[1:]))
