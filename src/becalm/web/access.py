@@ -1,0 +1,165 @@
+"""Who may see a page: its address, the names that it is asked for by, and the token."""
+
+from __future__ import annotations
+
+import hmac
+import ipaddress
+import os
+import re
+import secrets
+import socket
+import stat
+from pathlib import Path
+
+from becalm.errors import UsageError
+
+LOOPBACK = "127.0.0.1"
+_PORT_UNSAID = 80  # which browsers leave out
+_ANYWHERE = ("0.0.0.0", "::")
+_TOKEN = re.compile(r"[A-Za-z0-9_-]{22,256}")  # of 128 bits and more, and harmless in an address or a cookie
+
+
+class Access:
+    """Where a page is, and what a browser must bring to see it.
+
+    Parameters
+    ----------
+    host : str
+        Where it listens, as a person said it: a name or an address; "0.0.0.0" or "::" is every address of this machine.
+    port : int
+        Where it listens.
+    token : str
+        What the browser must bring.
+    """
+
+    def __init__(self, host: str, port: int, token: str) -> None:
+        self.host, self.port = host.lower(), port
+        self._token = token
+        self._tickets: set[str] = set()
+        self.cookie = f"becalm-{port}"
+        own = {self.host} | ({"localhost", LOOPBACK, "::1"} if self.loopback or self.anywhere else set())
+        self._names = {_written(name) for name in (own | {socket.gethostname().lower()} if self.anywhere else own)}
+
+    @property
+    def loopback(self) -> bool:
+        """Whether only this machine can reach it."""
+        try:
+            return self.host == "localhost" or ipaddress.ip_address(self.host).is_loopback
+        except ValueError:
+            return False
+
+    @property
+    def anywhere(self) -> bool:
+        """Whether it listens at every address of this machine."""
+        return self.host in _ANYWHERE
+
+    @property
+    def url(self) -> str:
+        """What to open, with the token."""
+        return f"{self._origin}/?token={self._token}"
+
+    @property
+    def warning(self) -> str | None:
+        """What a person must know who lets other machines in."""
+        if self.loopback:
+            return None
+        return (
+            f"The page is open to other machines at {self._origin}, without TLS: whoever listens to that network can"
+            " read the token and all data. Where others use the network, leave --host out, and reach this machine"
+            f" from the other by ssh -L {self.port}:{LOOPBACK}:{self.port} instead."
+        )
+
+    def ticket(self) -> str:
+        """Return an address that opens the page once: other users of a machine see what a browser is started with."""
+        ticket = secrets.token_urlsafe()
+        self._tickets.add(ticket)
+        return f"http://{LOOPBACK if self.anywhere else _written(self.host)}:{self.port}/?token={ticket}"
+
+    def admits(self, brought: str) -> bool:
+        """Whether this is the token; a ticket serves once."""
+        for ticket in self._tickets:
+            if _same(brought, ticket):
+                self._tickets.remove(ticket)
+                return True
+        return self.knows(brought)
+
+    def knows(self, brought: str) -> bool:
+        """Whether this is what the cookie holds."""
+        return _same(brought, self._token)
+
+    def set_cookie(self) -> str:
+        """Return the header that leaves the token with a browser, for no other site to use and no script to read."""
+        return f"{self.cookie}={self._token}; Path=/; HttpOnly; SameSite=Strict"
+
+    def ours(self, host: str) -> bool:
+        """Whether a page was asked for by a name of ours: a foreign one may have been made to lead here (rebinding).
+
+        Parameters
+        ----------
+        host : str
+            The header Host. Where we listen anywhere every address is ours, as no name could be bound to it.
+        """
+        name = host.lower().removesuffix(f":{self.port}")
+        if name == host.lower() and self.port != _PORT_UNSAID:
+            return False
+        return name in self._names or (self.anywhere and _is_address(name))
+
+    @staticmethod
+    def same_origin(origin: str, host: str) -> bool:
+        """Whether a request comes from the page that it asks."""
+        return origin.lower() == f"http://{host.lower()}"
+
+    @property
+    def _origin(self) -> str:
+        return f"http://{_written(socket.gethostname() if self.anywhere else self.host)}:{self.port}"
+
+
+def token_of(path: Path | None) -> str:
+    """Return a new token; or that of a file, which is made where it is not there, for its owner only.
+
+    Raises
+    ------
+    UsageError
+        If others may read the file, or it holds no token.
+    """
+    new = secrets.token_urlsafe(32)
+    if path is None:
+        return new
+    try:
+        with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="ascii") as file:
+            file.write(f"{new}\n")
+        return new
+    except FileExistsError:
+        return _kept(path)
+    except OSError as cause:
+        raise UsageError(f"{path} cannot be written ({cause.strerror}); name another with --token-file.") from cause
+
+
+def _kept(path: Path) -> str:
+    try:
+        with path.open("rb") as file:
+            found = os.fstat(file.fileno())
+            text = file.read(1000).decode("ascii", "replace").strip()
+    except OSError as cause:
+        raise UsageError(f"{path} cannot be read ({cause.strerror}); name another with --token-file.") from cause
+    if os.name == "posix" and stat.S_IMODE(found.st_mode) & 0o077:
+        raise UsageError(f"{path} can be read by others, so what it holds is no secret; type: rm {path}")
+    if not _TOKEN.fullmatch(text):
+        raise UsageError(f"{path} holds no token: 22 letters, digits, - and _ or more; remove it, and one is made.")
+    return text
+
+
+def _same(brought: str, wanted: str) -> bool:
+    return hmac.compare_digest(brought.encode("utf-8", "replace"), wanted.encode())
+
+
+def _written(name: str) -> str:
+    """Return a name as addresses have it."""
+    return f"[{name}]" if ":" in name else name
+
+
+def _is_address(written: str) -> bool:
+    try:
+        return bool(ipaddress.ip_address(written.removeprefix("[").removesuffix("]")))
+    except ValueError:
+        return False

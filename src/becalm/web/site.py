@@ -1,0 +1,110 @@
+"""A page as an application: itself, what it loads, its wire, and whatever else it brings."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable, Sequence
+from importlib.resources import files
+from typing import TYPE_CHECKING, NamedTuple
+
+from starlette.applications import Starlette
+from starlette.requests import ClientDisconnect, Request
+from starlette.responses import HTMLResponse, PlainTextResponse, Response
+from starlette.routing import BaseRoute, Route, WebSocketRoute
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from becalm.errors import BecalmError
+from becalm.report.vendor import uplot
+from becalm.web.access import Access
+from becalm.web.guard import Guard
+from becalm.web.uploads import RefusedError
+
+if TYPE_CHECKING:
+    from importlib.resources.abc import Traversable
+
+_KINDS = {"js": "text/javascript", "css": "text/css", "svg": "image/svg+xml"}
+
+
+class Page(NamedTuple):
+    """What a page is.
+
+    Attributes
+    ----------
+    html : str
+        The page itself.
+    wire : callable
+        The conversation: accepts a WebSocket, and speaks with it until it is closed.
+    routes : sequence of routes
+        What else is answered.
+    """
+
+    html: str
+    wire: Callable[[WebSocket], Awaitable[None]]
+    routes: Sequence[BaseRoute] = ()
+
+
+def html_of(name: str) -> str:
+    """Return the HTML of a page from its name in web/assets."""
+    return (files("becalm.web") / "assets" / name).read_text(encoding="utf-8")
+
+
+def site(page: Page, access: Access) -> Guard:
+    """Return the application of a page, behind its guard.
+
+    Raises
+    ------
+    BecalmError
+        If becalm runs from sources that were never installed.
+    """
+    table = assets()
+
+    async def whole(request: Request) -> Response:
+        return HTMLResponse(page.html)
+
+    async def asset(request: Request) -> Response:
+        name = request.path_params["name"]
+        if name not in table:
+            return PlainTextResponse("The page has no such part.", 404)
+        return Response(table[name], media_type=_KINDS[name.rpartition(".")[2]])
+
+    async def speak(websocket: WebSocket) -> None:
+        try:
+            await page.wire(websocket)
+        except WebSocketDisconnect:
+            return
+
+    routes = [Route("/", whole), Route("/assets/{name:path}", asset), WebSocketRoute("/wire", speak), *page.routes]
+    told = {BecalmError: _told, ClientDisconnect: _gone, Exception: _unforeseen}
+    return Guard(Starlette(routes=routes, exception_handlers=told), access)
+
+
+def assets() -> dict[str, bytes]:
+    """Return what pages load, by name: a table, so that no name leads out of it."""
+    javascript, css = uplot()
+    table = {"uPlot.iife.min.js": javascript.encode(), "uPlot.min.css": css.encode()}
+    for room in ("becalm.report", "becalm.web"):  # the report's figures are drawn on pages too
+        _gather(files(room) / "assets", "", table)
+    return table
+
+
+def _gather(folder: Traversable, before: str, table: dict[str, bytes]) -> None:
+    for entry in folder.iterdir():
+        if entry.is_dir():
+            _gather(entry, f"{before}{entry.name}/", table)
+        elif entry.name.rpartition(".")[2] in _KINDS:
+            table[before + entry.name] = entry.read_bytes()
+
+
+def _told(request: Request, cause: Exception) -> Response:
+    """Answer with what a person can mend."""
+    status = cause.status if isinstance(cause, RefusedError) else 400
+    return PlainTextResponse(str(cause), status, {"connection": "close"})
+
+
+def _gone(request: Request, cause: Exception) -> Response:
+    """Answer nobody: the page has hung up."""
+    return Response(status_code=400)
+
+
+def _unforeseen(request: Request, cause: Exception) -> Response:
+    """Answer in words; the guard tells whoever runs becalm."""
+    return PlainTextResponse("Something went wrong in becalm that nobody foresaw; its error output says what.", 500)
