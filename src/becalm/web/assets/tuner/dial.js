@@ -1,0 +1,83 @@
+// The dial between quicker and calmer: a density of the motion's noise, told as what it does.
+
+import { amount, find, tell } from "../dom.js";
+
+/** @typedef {{ process_noise_density: ArrayLike<number>, bandwidth_hz: ArrayLike<number>, lag_s: ArrayLike<number>, noise_left: ArrayLike<number> }} Positions */
+
+export class Dial {
+  /** @param {(density: number, final: boolean) => void} turned */
+  constructor(turned) {
+    this.input = find("dial", HTMLInputElement);
+    this.told = find("dial-says", HTMLElement);
+    this.turned = turned;
+    this.unit = "";
+    this.held = false;
+    /** @type {Positions | null} */
+    this.positions = null;
+    this.input.addEventListener("input", () => this.#turn(false));
+    this.input.addEventListener("change", () => this.#turn(true));
+  }
+
+  /**
+   * Lay other positions under the dial; none where a channel has no motion.
+   * @param {Positions | null} positions
+   * @param {string} unit
+   */
+  lay(positions, unit) {
+    this.positions = positions;
+    this.unit = unit;
+    this.input.disabled = !positions;
+    this.input.max = String(positions ? positions.process_noise_density.length - 1 : 1);
+    if (!positions) this.say({});
+  }
+
+  /** Show where a tuning is, unless the dial is held. @param {number | null} density */
+  point(density) {
+    if (this.held || !this.positions || !density) return;
+    const all = Array.from(this.positions.process_noise_density, Math.log);
+    const wanted = Math.log(density);
+    const after = all.findIndex((one) => one <= wanted); // from quick to calm they fall
+    const place = after > 0 ? after - 1 + (all[after - 1] - wanted) / (all[after - 1] - all[after]) : after === 0 ? 0 : all.length - 1;
+    this.input.value = String(place);
+    this.#sayHere();
+  }
+
+  /** Turn by some positions, as keys do. @param {number} by */
+  step(by) {
+    if (this.input.disabled) return;
+    this.input.value = String(Number(this.input.value) + by);
+    this.#turn(true);
+  }
+
+  /** @param {{ bandwidth_hz?: number | null, lag_s?: number | null, noise_left?: number | null, noise_gain_db?: number | null }} filter */
+  say(filter) {
+    const gain = filter.noise_gain_db;
+    const down = gain === null || gain === undefined ? "" : ` (${gain.toFixed(1).replace("-", "−")} dB)`;
+    const words = { bandwidth: amount(filter.bandwidth_hz, "Hz"), lag: filter.lag_s === 0 ? "none" : amount(filter.lag_s, "s"), "noise left": amount(filter.noise_left, this.unit) + down };
+    tell(this.told, Object.entries(words));
+    this.input.setAttribute("aria-valuetext", Object.entries(words).map(([term, value]) => `${term} ${value}`).join(", "));
+  }
+
+  /** @param {boolean} final */
+  #turn(final) {
+    if (!this.positions) return;
+    this.held = !final;
+    this.#sayHere();
+    this.turned(this.#at(this.positions.process_noise_density), final);
+  }
+
+  #sayHere() {
+    if (!this.positions) return;
+    const { bandwidth_hz, lag_s, noise_left } = this.positions;
+    this.say({ bandwidth_hz: this.#at(bandwidth_hz), lag_s: this.#at(lag_s), noise_left: this.#at(noise_left) });
+  }
+
+  /** Between positions, by even ratios. @param {ArrayLike<number>} values */
+  #at(values) {
+    const place = Math.max(0, Math.min(values.length - 1, Number(this.input.value)));
+    const before = Math.min(Math.floor(place), Math.max(0, values.length - 2));
+    const [low, high, share] = [values[before], values[before + 1] ?? values[before], place - before];
+    if (share === 0 || low === high) return low;
+    return low > 0 && high > 0 ? low ** (1 - share) * high ** share : low + share * (high - low);
+  }
+}
