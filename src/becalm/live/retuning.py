@@ -14,6 +14,9 @@ from becalm.live.watching.watch import Watch
 Heard = Callable[[str], object]
 """Is told why a recipe was refused; "" of one that was taken."""
 
+Retune = Callable[[Callable[[], Recipe], Heard], None]
+"""Asks for another recipe, as `Runner.retune`."""
+
 
 class _Asked(NamedTuple):
     recipe: Callable[[], Recipe]
