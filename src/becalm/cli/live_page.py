@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -17,6 +18,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from becalm.cli.live import PageAsked
+
+
+_SWITCH_S = 5e-4  # until a thread that computes lets another go on: a page's figures must not hold up the filters
 
 
 class Served(NamedTuple):
@@ -37,6 +41,7 @@ def serve(asked: PageAsked, meter: Meter, retune: Retune, warn: Callable[[str], 
     UsageError
         If the port cannot be had, or the token's file is none.
     """
+    sys.setswitchinterval(_SWITCH_S)
     page = LivePage(Feed(warn), meter, retune)
     token = token_of(asked.token_file)
     listener = listen(asked.host, asked.port, "--page")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any
 
 from becalm.cleaning.recipe import ChannelRecipe, Recipe
@@ -13,6 +14,7 @@ from becalm.live.retuning import Heard, Retune
 from becalm.web.tuner.dial import dial, told_of
 
 _DIAL_S = 600.0  # the calmest position is that of a record so long
+_FEWER = 4  # positions are told where each takes some hundredths of a second
 
 
 class Desk:
@@ -105,10 +107,23 @@ def facts(recipe: str, step_s: float) -> dict[str, Any]:
     for number, channel in enumerate(read.channel):
         filters.append(_filter(channel, step_s, lag))
         if has_dial(channel):
-            positions = dial(channel, step_s, lag, round(_DIAL_S / step_s))
-            told = {name: values.tolist() for name, values in positions.items()}
-            dials[str(number)] = {**told, "at": channel.process_noise_density, "noise_std": channel.noise_std}
+            any_density = channel.model_copy(update={"process_noise_density": 1.0, "tuning_spread": 0.0})
+            dials[str(number)] = {**_positions(any_density, step_s, lag), "at": channel.process_noise_density}
     return {"filters": filters, "dials": dials}
+
+
+@lru_cache(maxsize=64)
+def _positions(channel: ChannelRecipe, step_s: float, lag: int) -> dict[str, list[float | None]]:
+    """Return what a channel's filter is at each position of its dial, with what stands beside its motion."""
+    alone = dial(channel, step_s, lag, round(_DIAL_S / step_s))
+    if not channel.tone and channel.coloured_noise is None:
+        return {name: values.tolist() for name, values in alone.items()}
+    densities = alone["process_noise_density"][::_FEWER].tolist()
+    told = [
+        _filter(channel.model_copy(update={"process_noise_density": density}), step_s, lag) for density in densities
+    ]
+    figures = {name: [one.get(name) for one in told] for name in ("bandwidth_hz", "lag_s", "noise_left")}
+    return {"process_noise_density": densities, **figures}
 
 
 def _filter(channel: ChannelRecipe, step_s: float, lag: int) -> dict[str, Any]:

@@ -59,7 +59,7 @@ class LivePage:
         self._run = secrets.token_hex(8)
         self._recipe: tuple[str, bool] | None = None  # that `tuning` tells
         self._viewers = 0
-        self._clock: asyncio.Task[None] | None = None
+        self._clocks: list[asyncio.Task[None]] = []
 
     @property
     def routes(self) -> list[BaseRoute]:
@@ -72,16 +72,17 @@ class LivePage:
         """Speak with one page until it hangs up."""
         await websocket.accept()
         self._viewers += 1
-        if self._clock is None:
+        if not self._clocks:
             self._look()
-            self._clock = asyncio.create_task(self._keep_up())
+            self._clocks = [asyncio.create_task(each) for each in (self._keep_up(), self._describe())]
         try:
             await Viewer(self, websocket).converse()
         finally:
             self._viewers -= 1
-            if not self._viewers and self._clock is not None:  # nobody looks on: nothing need be kept up
-                self._clock.cancel()
-                self._clock = None
+            if not self._viewers:  # nobody looks on: nothing need be kept up
+                for clock in self._clocks:
+                    clock.cancel()
+                self._clocks = []
 
     def close(self) -> None:
         """Say the last to all who look on, and let them go; a page that does not listen is not waited for long."""
@@ -116,15 +117,10 @@ class LivePage:
         )
 
     async def _keep_up(self) -> None:
-        """Look how the stream fares, every second, and what its filters are once they are others."""
-        looked_s = time.monotonic()
+        """Look every second how the stream fares."""
         while True:
-            await asyncio.sleep(_LOOK_S)
-            if self._is_tuned_anew():
-                await self._tell_tuning()
-            if time.monotonic() - looked_s >= _HEALTH_S:
-                looked_s = time.monotonic()
-                self._look()
+            await asyncio.sleep(_HEALTH_S)
+            self._look()
 
     def _look(self) -> None:
         status = self._scrub.value(self._meter.status())
@@ -133,15 +129,19 @@ class LivePage:
     def _is_tuned_anew(self) -> bool:
         return bool(self._meter.recipe) and self._recipe != (self._meter.recipe, self.desk.can_undo)
 
-    async def _tell_tuning(self) -> None:
-        """Describe the filters beside the pages' conversations: it takes up to a second."""
-        shown = self.feed.shown
-        if shown is None:
-            return
+    async def _describe(self) -> None:
+        """Say what the filters are, once they are others: beside all else, for it takes up to some seconds."""
+        while True:
+            await asyncio.sleep(_LOOK_S)
+            shown = self.feed.shown
+            if shown is not None and self._is_tuned_anew():
+                await self._tell_tuning(1 / shown.head.rate_hz)
+
+    async def _tell_tuning(self, step_s: float) -> None:
         self._recipe = recipe, can_undo = self._meter.recipe, self.desk.can_undo
         found = {}
         with suppress(BecalmError):  # a recipe that runs, of which nothing can be said
-            found = await asyncio.to_thread(facts, recipe, 1 / shown.head.rate_hz)
+            found = await asyncio.to_thread(facts, recipe, step_s)
         told = text({"kind": "tuned", "recipe": recipe, "can_undo": can_undo, **found})
         self.tuning = News(self.tuning.number + 1, told)
 

@@ -5,10 +5,13 @@ import { amount, find, tell } from "../dom.js";
 /** @typedef {{ process_noise_density: ArrayLike<number>, bandwidth_hz: ArrayLike<number>, lag_s: ArrayLike<number>, noise_left: ArrayLike<number> }} Positions */
 
 export class Dial {
-  /** @param {(density: number, final: boolean) => void} turned */
-  constructor(turned) {
-    this.input = find("dial", HTMLInputElement);
-    this.told = find("dial-says", HTMLElement);
+  /**
+   * @param {(density: number, final: boolean) => void} turned
+   * @param {HTMLInputElement} input @param {HTMLElement} told what it does, in words
+   */
+  constructor(turned, input = find("dial", HTMLInputElement), told = find("dial-says", HTMLElement)) {
+    this.input = input;
+    this.told = told;
     this.turned = turned;
     this.unit = "";
     this.held = false;
