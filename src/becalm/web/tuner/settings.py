@@ -190,7 +190,13 @@ def components(recipe: ChannelRecipe) -> dict[str, str]:
     return named
 
 
-_FIELDS = {"coloured": "coloured_noise", "gate": "gate", "switching": "switching", "limits": "limits", "timing": "timing"}
+_FIELDS = {
+    "coloured": "coloured_noise",
+    "gate": "gate",
+    "switching": "switching",
+    "limits": "limits",
+    "timing": "timing",
+}
 
 
 def _has(recipe: ChannelRecipe, key: str) -> bool:
