@@ -61,15 +61,15 @@ class ChannelRows:
     def healthy(self, limits: LimitsRecipe | None) -> Healthy:
         """Return the readings that may enter a filter; what the sensor keeps to is looked at once."""
         plain = None if limits is None else limits.model_copy(update={"drift_threshold": None, "dead_variance": None})
-        if plain not in self._healthy:
+        found = self._healthy.get(plain)
+        if found is None:
             watch = SensorWatch(plain, self.step_s, shown=False)
             readings = watch.push(self.z, self.elapsed)
             nothing = np.empty(len(self.z))
             (told,) = watch.named([Told(nothing, nothing, nothing[np.newaxis], np.zeros(len(self.z), np.int8))])
-            if len(self._healthy) > 1:
-                self._healthy.clear()
-            self._healthy[plain] = Healthy(readings, told.verdicts, self._longest_gap(readings))
-        return self._healthy[plain]
+            found = Healthy(readings, told.verdicts, self._longest_gap(readings))
+            self._healthy = {**({} if len(self._healthy) > 1 else self._healthy), plain: found}
+        return found
 
     def possible(self, part: slice) -> Floats:
         """Return some readings to draw: without what no sensor gives, which would leave no room for the others."""
