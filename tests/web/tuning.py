@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -33,6 +33,10 @@ IDLE = "() => becalm.asking.asked === null && becalm.asking.waiting.size === 0"
 BUTTON = "button, input, select, summary, [tabindex='0']"
 NAMELESS = f"""() => [...document.querySelectorAll("{BUTTON}")].filter((one) => one.offsetParent && !(
   one.innerText.trim() || one.getAttribute("aria-label") || one.labels?.length)).map((one) => one.outerHTML)"""
+FOCUSED = """() => {
+  const one = document.activeElement;
+  return [one.getAttribute("aria-label") || one.innerText.trim(), getComputedStyle(one).outlineStyle];
+}"""
 PIXELS = """(role) => {
   const canvas = document.querySelector("#plot .canvas canvas");
   const { data, width } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
@@ -43,7 +47,8 @@ PIXELS = """(role) => {
   probe.remove();
   const found = { all: 0, sum: 0, top: canvas.height, left: width, right: -1 };
   for (let i = 0; i < data.length; i += 4) {
-    if (data[i + 3] === 0 || Math.abs(data[i] - r) + Math.abs(data[i + 1] - g) + Math.abs(data[i + 2] - b) > 12) continue;
+    if (data[i + 3] === 0) continue;
+    if (Math.abs(data[i] - r) + Math.abs(data[i + 1] - g) + Math.abs(data[i + 2] - b) > 12) continue;
     const [x, y] = [(i / 4) % width, Math.floor(i / 4 / width)];
     found.all += 1;
     found.sum = (found.sum * 31 + i) % 1000003;
@@ -79,12 +84,14 @@ class App:
     def base(self) -> str:
         return self.url.partition("/?")[0]
 
-    def restart(self) -> None:
-        """Kill it, as a machine does that loses its power, and start it again on the same port."""
-        port = int(self.base.rpartition(":")[2])
+    def kill(self) -> None:
+        """End it as a machine does that loses its power."""
         self._process.kill()
         self._ended()
-        self._start(port)
+
+    def start_again(self) -> None:
+        """Start it on the same port."""
+        self._start(int(self.base.rpartition(":")[2]))
 
     def stop(self) -> None:
         self._process.send_signal(signal.SIGINT)
@@ -116,9 +123,16 @@ class Visit(NamedTuple):
         self.page.goto(app.url)
         self.page.wait_for_function("() => window.becalm && document.body.dataset.state === 'open'")
 
+    def open_file(self, name: str) -> None:
+        """Open a file of the folder, as a person does."""
+        if not self.page.locator("#files").is_visible():
+            self.page.locator("#show-files").click()
+        self.page.locator("#folder button", has_text=name).click()
+        self.opened(name)
+
     def opened(self, name: str) -> None:
         """Wait until a file is there, with its picture."""
-        self.page.wait_for_function(f"() => becalm.desk.recording?.name === {name!r} && becalm.desk.state")
+        self.page.wait_for_function("(name) => becalm.desk.recording?.name === name && becalm.desk.state", arg=name)
         self.page.wait_for_function("() => becalm.desk.pictures > 0")
         self.idle()
 
@@ -160,14 +174,29 @@ class Visit(NamedTuple):
         assert box is not None
         return box["x"], box["y"], box["width"], box["height"]
 
+    def save(self, button: str, folder: Path) -> Path:
+        with self.page.expect_download() as held:
+            self.page.locator(f"#{button}").click()
+        path = folder / held.value.suggested_filename
+        held.value.save_as(path)
+        return path
+
+    def walk_to(self, name: str) -> None:
+        """Press Tab until what has that name has the focus, and shows it."""
+        for _ in range(80):
+            label, outline = self.page.evaluate(FOCUSED)
+            if label == name:
+                assert outline != "none", "what has the focus is seen"
+                return
+            self.page.keyboard.press("Tab")
+        raise AssertionError(f"Tab does not lead to {name}")
+
     def shoot(self, name: str) -> None:
         SCREENSHOTS.mkdir(parents=True, exist_ok=True)
         self.page.screenshot(path=SCREENSHOTS / f"{name}.png", full_page=True)
 
 
 def _json(value: dict[str, Any]) -> str:
-    import json
-
     return json.dumps(value, separators=(",", ":"), ensure_ascii=False)
 
 
@@ -203,11 +232,6 @@ def drive(path: Path) -> Path:
     values = np.column_stack([speed, tilt])
     write(path, Recording(values, names=["speed", "tilt"], units=["m/s", "deg"], rate_hz=RATE_HZ))
     return path
-
-
-def free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        return int(listener.getsockname()[1])
 
 
 def need_chromium() -> None:

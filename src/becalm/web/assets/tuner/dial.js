@@ -72,8 +72,8 @@ export class Dial {
 
   /** @param {Filter} filter */
   say({ bandwidth_hz, lag_s, noise_left }) {
-    const down = noise_left && this.noise ? ` (${(20 * Math.log10(noise_left / this.noise)).toFixed(1).replace("-", "−")} dB)` : "";
-    const words = { bandwidth: amount(bandwidth_hz, "Hz"), lag: lag_s === 0 ? "none" : amount(lag_s, "s"), "noise left": amount(noise_left, this.unit) + down };
+    const down = noise_left && this.noise ? -20 * Math.log10(noise_left / this.noise) : null;
+    const words = { bandwidth: amount(bandwidth_hz, "Hz"), lag: lag_s === 0 ? "none" : amount(lag_s, "s"), "noise left": amount(noise_left, this.unit), "noise down": amount(down, "dB") };
     tell(this.told, Object.entries(words));
     this.input.setAttribute("aria-valuetext", Object.entries(words).map(([term, value]) => `${term} ${value}`).join(", "));
   }
