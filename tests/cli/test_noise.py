@@ -16,8 +16,9 @@ import pyarrow as pa
 import pyarrow.parquet
 import pytest
 
-from becalm.cli import noise, options, portions
+from becalm.cli import noise, options
 from becalm.errors import UsageError
+from becalm.files import portions
 from becalm.files.opening import open_source
 
 Run = Callable[..., subprocess.CompletedProcess[str]]

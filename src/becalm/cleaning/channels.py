@@ -11,22 +11,15 @@ import numpy as np
 
 from becalm.cleaning.faults import SensorWatch
 from becalm.cleaning.figures import Figures, fixed_figures, mode_figures
+from becalm.cleaning.filters import Filter
 from becalm.cleaning.judging import Decision, InnovationJudge, Judgement
-from becalm.cleaning.modes import modes_in_steps
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.report import ChannelReport
 from becalm.cleaning.slopes import TimingNoise
-from becalm.cleaning.steps import gate_of, in_steps
 from becalm.cleaning.uncertainty import Uncertainty
 from becalm.core.arrays import Floats
-from becalm.core.flow import Flow, Judge
-from becalm.core.lagged_flow import LaggedFlow
-from becalm.core.parted_flow import PartedFlow, PartialFlow
-from becalm.core.possible import largest_beside
-from becalm.core.reach import Reach, least_reach, reach_of
+from becalm.core.flow import Judge
 from becalm.core.switching import Switching
-from becalm.core.switching_flow import SwitchingFlow
-from becalm.core.switching_lag import LaggedSwitchingFlow
 from becalm.core.told import Told
 from becalm.core.verdict import ADVICE, Verdict, counted
 from becalm.noise.choose import FEWEST_READINGS
@@ -86,38 +79,17 @@ class MotionChannel:
         self, recipe: ChannelRecipe, step_s: float, *, lag: int | None, split: bool, look: Judge | None
     ) -> None:
         assert recipe.motion is not None
-        self._recipe, self._tuning, self._step_s, self._lag = recipe, in_steps(recipe.motion, step_s), step_s, lag
+        self._recipe, self._step_s, self._lag = recipe, step_s, lag
+        runs = Filter(recipe, step_s, lag)
+        self._tuning, self._modes = runs.tuning, runs.modes
         self._judge = InnovationJudge(step_s, scores=recipe.switching is not None)
         self._sensor = SensorWatch(recipe.limits, step_s)
         self._counts = Counter[Verdict]()
         self._uncertainty = Uncertainty(recipe.tuning_spread, recipe.calibration)
-        self._modes = None if recipe.switching is None else modes_in_steps(recipe.switching, self._tuning, step_s)
         self._also = look
-        modes = self._modes  # the noise of a bank's reading is that of its calmest mode
-        noise_std = recipe.motion.noise_std if modes is None else float(np.sqrt(modes.modes[0].noise_variance))
-        self._noise_std, timing = noise_std, recipe.timing
-        self._timing = None if timing is None else TimingNoise(timing, noise_std, step_s)
-        self._flow = self._parted_flow(split)
-
-    def _parted_flow(self, split: bool) -> PartedFlow:
-        opened = partial(self._opened_flow, split)
-        if self._modes is not None:
-            largest = largest_beside(self._modes.least_noise_variance)
-            return PartedFlow(opened, reach_of_modes(self._modes), largest)
-        part, variance = self._tuning.component, self._tuning.noise_variance
-        return PartedFlow(opened, reach_of(part, variance), largest_beside(variance))
-
-    def _opened_flow(self, split: bool) -> PartialFlow:
-        recipe, lag, judge, modes = self._recipe, self._lag, self._look, self._modes
-        if modes is not None:
-            if lag:
-                return LaggedSwitchingFlow(modes, lag=lag, judge=judge, split=split)
-            return SwitchingFlow(modes, causal=lag == 0, judge=judge, split=split)
-        part, variance = self._tuning.component, self._tuning.noise_variance
-        gate = None if recipe.gate is None else gate_of(recipe.gate, self._step_s)
-        if lag:
-            return LaggedFlow(part, variance, lag=lag, judge=judge, split=split, gate=gate)
-        return Flow(part, variance, causal=lag == 0, judge=judge, split=split, gate=gate)
+        self._noise_std, timing = noise_std_of(recipe, runs.modes), recipe.timing
+        self._timing = None if timing is None else TimingNoise(timing, self._noise_std, step_s)
+        self._flow = runs.opened(self._look, split=split)
 
     def push(self, z: Floats, elapsed: Floats) -> list[Told]:
         """Take readings (B,) and the steps before them; return what is clean, in order."""
@@ -243,9 +215,10 @@ class UnchangedChannel:
         )
 
 
-def reach_of_modes(modes: Switching) -> Reach:
-    """Return which gaps a bank may be carried across."""
-    return least_reach([reach_of(mode.component, mode.noise_variance) for mode in modes.modes])
+def noise_std_of(recipe: ChannelRecipe, modes: Switching | None) -> float:
+    """Return the noise of a motion's reading, of a bank that of its calmest mode, in unit."""
+    assert recipe.noise_std is not None
+    return recipe.noise_std if modes is None else float(np.sqrt(modes.modes[0].noise_variance))
 
 
 def _fields(judgement: Judgement) -> dict[str, Any]:

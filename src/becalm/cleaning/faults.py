@@ -187,7 +187,7 @@ class SensorWatch:
         rows = len(verdicts)
         before, self._verdicts = self._verdicts[:rows], self._verdicts[rows:]
         alarms, self._alarms = self._alarms[:rows], self._alarms[rows:]
-        named = np.where(_FROM_FILTER[verdicts], verdicts, before) if verdicts.any() else before
+        named = beside_filter(verdicts, before)
         return np.where((named == Verdict.USED) & (alarms > 0), alarms, named) if alarms.any() else named
 
     @property
@@ -231,6 +231,11 @@ class SensorWatch:
     def advice(self) -> tuple[str, ...]:
         """Say what to do about the faults that were found."""
         return (*(ADVICE[verdict] for verdict in sorted(self.found)), *self.changes())
+
+
+def beside_filter(verdicts: Codes, before: Codes) -> Codes:
+    """Return what became of readings: what their filter says of them, (B,), and else what stood before it says."""
+    return np.where(_FROM_FILTER[verdicts], verdicts, before) if verdicts.any() else before
 
 
 def alarms_of(told: LimitsRecipe | None) -> Alarms:

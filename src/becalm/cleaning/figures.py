@@ -80,10 +80,15 @@ def response_of(channel: ChannelRecipe, report: ChannelReport, step_s: float, ca
         return None
     tuning = in_steps(channel.motion, step_s)
     if channel.switching is None:
-        return _response(tuning.component, tuning.noise_variance, step_s, causal=causal)
+        return fixed_response(tuning, step_s, causal)
     modes = {mode.name: mode for mode in modes_in_steps(channel.switching, tuning, step_s).modes}
     most = modes[max(report.modes, key=lambda name: report.modes[name].share)]
     return _response(most.component, most.noise_variance, step_s, causal=causal)
+
+
+def fixed_response(tuning: Tuning, step_s: float, causal: bool) -> Response | None:
+    """Describe a filter that does not switch; None of one that never settles."""
+    return _response(tuning.component, tuning.noise_variance, step_s, causal=causal)
 
 
 def _response(component: Component, noise_variance: float, step_s: float, *, causal: bool) -> Response | None:

@@ -8,8 +8,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from becalm.cleaning.channels import reach_of_modes
 from becalm.cleaning.faults import SensorWatch
+from becalm.cleaning.filters import reach_of_modes
 from becalm.cleaning.modes import modes_in_steps
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.slopes import TimingNoise

@@ -21,7 +21,7 @@ from becalm.core.arrays import Floats
 from becalm.core.recording import Recording
 from becalm.core.verdict import judge
 from becalm.errors import RecordingError, UsageError
-from becalm.noise.choose import Known
+from becalm.noise.choose import Choice, Known
 from becalm.noise.coloured import NoiseModel, fit_noise
 from becalm.noise.dial import Dial, turn
 from becalm.noise.far import Far, told_of_far, without_far
@@ -75,6 +75,21 @@ class Wishes(NamedTuple):
 NO_WISHES = Wishes()
 
 
+class Found(NamedTuple):
+    """What was found for one channel."""
+
+    channel: ChannelRecipe  # what was decided
+    choice: Choice  # what it was chosen among
+    believed: Evidence  # the readings that told it
+
+
+class Tuned(NamedTuple):
+    """A recipe, and what was found for each of its channels on the way."""
+
+    recipe: Recipe
+    found: tuple[Found, ...]
+
+
 def tune(
     recording: Recording,
     *,
@@ -106,6 +121,18 @@ def tune(
     UsageError
         If no filter has what the dial asks, or wishes do not go together.
     """
+    return explore(recording, causal=causal, channels=channels, wishes=wishes, progress=progress).recipe
+
+
+def explore(
+    recording: Recording,
+    *,
+    causal: bool = False,
+    channels: Sequence[str] | None = None,
+    wishes: Wishes = NO_WISHES,
+    progress: Progress | None = None,
+) -> Tuned:
+    """Do as `tune`, and tell what each filter was chosen among, too."""
     refuse_empty(recording)
     chosen = recording if channels is None else recording.select(listed(channels))
     refuse_empty(chosen)
@@ -119,9 +146,9 @@ def tune(
         pool.shutdown(wait=False, cancel_futures=True)  # who stops it need not wait for the others
     origin = Origin(rows=len(chosen), rate_hz=chosen.rate_hz, becalm=_version())
     mode: Mode = "causal" if causal else "smoothed" if wishes.lag_s is None else "lagged"
-    recipe = Recipe(mode=mode, lag_s=wishes.lag_s, tuned_on=origin, channel=found)
+    recipe = Recipe(mode=mode, lag_s=wishes.lag_s, tuned_on=origin, channel=tuple(one.channel for one in found))
     std_s = time_std_of(chosen.timebase) if wishes.time_std_s is None else wishes.time_std_s
-    return timed(recipe, chosen, std_s, at_rest=bool(wishes.still_s)) if std_s else recipe
+    return Tuned(timed(recipe, chosen, std_s, at_rest=bool(wishes.still_s)) if std_s else recipe, found)
 
 
 def _version() -> str:
@@ -131,13 +158,13 @@ def _version() -> str:
         return ""
 
 
-def _tune_channel(recording: Recording, causal: bool, wishes: Wishes, progress: Progress, name: str) -> ChannelRecipe:
-    found = _channel_recipe(recording, causal, wishes, name)
+def _tune_channel(recording: Recording, causal: bool, wishes: Wishes, progress: Progress, name: str) -> Found:
+    found = _found(recording, causal, wishes, name)
     progress(name)
     return found
 
 
-def _channel_recipe(recording: Recording, causal: bool, wishes: Wishes, name: str) -> ChannelRecipe:
+def _found(recording: Recording, causal: bool, wishes: Wishes, name: str) -> Found:
     time, unit = recording.timebase, recording.units[recording.names.index(name)]
     known = Known(
         _rest_noise(wishes.rest or recording, name, wishes.still_s) if wishes.still_s else None,
@@ -148,9 +175,10 @@ def _channel_recipe(recording: Recording, causal: bool, wishes: Wishes, name: st
     healthy, limits = find_healthy(recording.channel(name), elapsed, time.step_s)
     readings = without_far(healthy)
     choice, gated = choose_gated(readings, elapsed, gate, causal, known)
+    evidence = Evidence.of(readings, elapsed)
     if choice.tuning is None or choice.motion is None:
-        return ChannelRecipe(name=name, unit=unit, model=choice.kind, limits=limits)
-    found, evidence, spread = choice.tuning, Evidence.of(readings, elapsed), 0.0
+        return Found(ChannelRecipe(name=name, unit=unit, model=choice.kind, limits=limits), choice, evidence)
+    found, spread = choice.tuning, 0.0
     if wishes.dial is not None:
         found = turn(choice.motion, wishes.dial, time.step_s, causal)
     foretold = forecasts(found, readings, elapsed, gate if gated else None)
@@ -161,12 +189,13 @@ def _channel_recipe(recording: Recording, causal: bool, wishes: Wishes, name: st
             found, switched = _switched(found, taken, elapsed, causal, spikes, told_of_far(healthy, readings))
             if switched is not None:
                 more = {"switching": modes_in_seconds(switched, time.step_s), "limits": limits}
-                return in_seconds(name, unit, found, time.step_s).model_copy(update=more)
-        believed = Evidence.of(np.where(foretold.rejected, np.nan, readings), elapsed) if gated else evidence
-        spread = tuning_spread(found, believed, causal, noise_known=known.noise is not None)
+                switching = in_seconds(name, unit, found, time.step_s).model_copy(update=more)
+                return Found(switching, choice, evidence)
+        evidence = Evidence.of(np.where(foretold.rejected, np.nan, readings), elapsed) if gated else evidence
+        spread = tuning_spread(found, evidence, causal, noise_known=known.noise is not None)
     limits = with_alarms(limits, found, foretold.normalised, causal=causal, step_s=time.step_s)
     beside = {"gate": told if gated else None, "limits": limits}
-    return in_seconds(name, unit, found, time.step_s, spread).model_copy(update=beside)
+    return Found(in_seconds(name, unit, found, time.step_s, spread).model_copy(update=beside), choice, evidence)
 
 
 def _switched(  # noqa: PLR0913  (what a channel is, and what is known of it)

@@ -11,13 +11,13 @@ from rich.table import Table
 
 from becalm.cleaning.comparison import compare
 from becalm.cleaning.comparison_words import cells, headings
-from becalm.cli.portions import beginning, cut_short
 from becalm.cli.said import AS_WRITTEN, shown_name
 from becalm.cli.talk import stderr, tell_notes
 from becalm.cli.warm import ahead
 from becalm.files.asked import Asker, Fitting, ReadOptions
 from becalm.files.opening import open_source
 from becalm.files.plain import make_folder, refuse_unwritable, write_text
+from becalm.files.portions import beginning, cut_short
 
 if TYPE_CHECKING:
     from becalm.cleaning.comparison import ChannelComparison, Comparison

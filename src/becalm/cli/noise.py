@@ -10,9 +10,9 @@ from rich.console import Console
 from rich.table import Table
 
 from becalm.cleaning.noise_report import ChannelNoise, report_noise
-from becalm.cli.portions import beginning, cut_short, rest_within
 from becalm.cli.talk import progress, stderr, tell_notes
 from becalm.errors import UsageError
+from becalm.files.portions import beginning, cut_short, rest_within
 
 if TYPE_CHECKING:
     from becalm.cleaning.allan_figures import AllanNoise, Coefficient, Quoted

@@ -175,9 +175,9 @@ def tuned(source: OpenSource, causal: bool, asked: Asked, lag_s: float | None = 
     """Tune a recipe on a file, or on evenly spread stretches of a long one."""
     from becalm.cleaning.calibrating import calibrated
     from becalm.cleaning.tuning import Wishes, tune, tuned_as_filter
-    from becalm.cli.portions import beginning, rest_within, rows_to_tune_on
     from becalm.cli.talk import progress
     from becalm.cli.warm import ahead
+    from becalm.files.portions import beginning, rest_within, rows_to_tune_on
 
     sample = source.sample(rows_to_tune_on(source))
     ahead(sample, causal=tuned_as_filter(causal, lag_s, sample.timebase.step_s))

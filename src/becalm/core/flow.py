@@ -24,12 +24,11 @@ from becalm.core.kernel_settling import COVARIANCE, GAIN, rename_last_step
 from becalm.core.possible import largest_beside, level_by
 from becalm.core.smoothing import forward_pass, go_back, room_to_return
 from becalm.core.starting import first_reading
-from becalm.core.steady import steady
+from becalm.core.steady import rows_until
 from becalm.core.timeline import Timeline, elapsed_timeline
 from becalm.core.told import Belief, Rows, Told
 from becalm.core.verdict import Verdict
 from becalm.core.verdict import judge as judge_readings
-from becalm.errors import ModelError
 
 FORGOTTEN = 1e-13
 """Share by which what later rows say may still depend on rows that are not there yet."""
@@ -281,11 +280,4 @@ class Flow:
     @cached_property
     def _reach(self) -> int:
         """Rows after which a steady filter has forgotten where it came from, in whole blocks."""
-        try:
-            radius = float(np.abs(np.linalg.eigvals(steady(self._model).closed_loop)).max())
-        except ModelError:  # it never forgets
-            return _FAR
-        if not radius < 1.0:
-            return _FAR
-        rows = np.log(1 / FORGOTTEN) / -np.log(max(radius, 1e-300))
-        return BLOCK * (1 + int(min(rows, _FAR) // BLOCK))
+        return BLOCK * (1 + int(min(rows_until(FORGOTTEN, self._model), _FAR) // BLOCK))

@@ -46,6 +46,28 @@ def steady(model: Model, output: ArrayLike | None = None) -> SteadyFilter:
     return SteadyFilter(model, P, K, (np.eye(model.states) - K @ model.H) @ model.F, S, row)
 
 
+def rows_until(share: float, model: Model) -> float:
+    """Return after how many readings only a share is left of what a filter of one channel began with.
+
+    Parameters
+    ----------
+    share : float
+        Below 1; a *small* one is left later.
+    model : Model
+        One step a reading.
+
+    Returns
+    -------
+    float
+        inf of one that never forgets.
+    """
+    try:
+        radius = float(np.abs(np.linalg.eigvals(steady(model).closed_loop)).max())
+    except ModelError:  # it never forgets
+        return np.inf
+    return float(np.log(share) / np.log(max(radius, 1e-300))) if radius < 1.0 else np.inf
+
+
 def _solve_riccati(model: Model, R: float) -> Floats:
     eye = np.eye(model.states)
     A, G, P = model.F.T.copy(), model.H.T @ model.H / R, model.process_covariance.copy()

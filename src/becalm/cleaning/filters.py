@@ -1,0 +1,89 @@
+"""The filter of a channel as its recipe says: the same for a whole record, and for a part of it."""
+
+from __future__ import annotations
+
+from functools import cached_property, partial
+
+from becalm.cleaning.modes import modes_in_steps
+from becalm.cleaning.recipe import ChannelRecipe
+from becalm.cleaning.steps import gate_of, in_steps
+from becalm.core.flow import FORGOTTEN, Flow, Judge
+from becalm.core.lagged_flow import LaggedFlow
+from becalm.core.parted_flow import PartedFlow, PartialFlow
+from becalm.core.possible import largest_beside
+from becalm.core.reach import Reach, least_reach, reach_of
+from becalm.core.steady import rows_until
+from becalm.core.switching import Switching
+from becalm.core.switching_flow import SwitchingFlow
+from becalm.core.switching_lag import LaggedSwitchingFlow
+from becalm.noise.likelihood import Tuning
+
+
+class Filter:
+    """What a motion's recipe means in steps, to be opened as often as it is run.
+
+    Parameters
+    ----------
+    recipe : ChannelRecipe
+        Of a motion, in seconds and units.
+    step_s : float
+        Step in seconds.
+    lag : int or None
+        Later rows that each row waits for: 0 filters, None waits for all.
+
+    Attributes
+    ----------
+    tuning : Tuning
+        Its numbers in steps.
+    modes : Switching or None
+        Its modes, where it switches.
+    lag : int or None
+        As it came.
+    reach : Reach
+        Which gaps it is carried across.
+
+    Raises
+    ------
+    RecipeError
+        If its numbers make no filter at this step.
+    """
+
+    def __init__(self, recipe: ChannelRecipe, step_s: float, lag: int | None) -> None:
+        assert recipe.motion is not None, "a channel that passes unchanged has no filter"
+        self.tuning: Tuning = in_steps(recipe.motion, step_s)
+        self.modes = None if recipe.switching is None else modes_in_steps(recipe.switching, self.tuning, step_s)
+        self.lag = lag
+        self._gate = None if recipe.gate is None else gate_of(recipe.gate, step_s)
+        if self.modes is not None:
+            self.noise_variance, self.reach = self.modes.least_noise_variance, reach_of_modes(self.modes)
+        else:
+            self.noise_variance = self.tuning.noise_variance
+            self.reach = reach_of(self.tuning.component, self.noise_variance)
+
+    def opened(self, judge: Judge | None = None, *, split: bool = False) -> PartedFlow:
+        """Return it at the start of a record; a judge is shown its innovations, split tells its parts too."""
+        return PartedFlow(partial(self._part, judge, split), self.reach, largest_beside(self.noise_variance))
+
+    @cached_property
+    def forgotten_after(self) -> float:
+        """Readings after which it depends no more on where it began, or, of a smoother, on what comes then; or inf."""
+        if self.modes is None:
+            return rows_until(FORGOTTEN, self.tuning.component.to_model(1.0, self.noise_variance))
+        models = [one.component.to_model(1.0, one.noise_variance) for one in self.modes.modes]
+        return max(rows_until(FORGOTTEN, model) for model in models)
+
+    def _part(self, judge: Judge | None, split: bool) -> PartialFlow:
+        lag, modes = self.lag, self.modes
+        if modes is not None:
+            if lag:
+                return LaggedSwitchingFlow(modes, lag=lag, judge=judge, split=split)
+            return SwitchingFlow(modes, causal=lag == 0, judge=judge, split=split)
+        part, variance, gate = self.tuning.component, self.noise_variance, self._gate
+        if lag:
+            return LaggedFlow(part, variance, lag=lag, judge=judge, split=split, gate=gate)
+        return Flow(part, variance, causal=lag == 0, judge=judge, split=split, gate=gate)
+
+
+def reach_of_modes(modes: Switching) -> Reach:
+    """Return which gaps a bank may be carried across."""
+    return least_reach([reach_of(mode.component, mode.noise_variance) for mode in modes.modes])

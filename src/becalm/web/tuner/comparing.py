@@ -1,0 +1,55 @@
+"""A classic filter beside a channel's own, set so that it leaves as much noise."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from becalm.classic.matching import equal_noise
+from becalm.classic.register import CLASSICS
+from becalm.core.verdict import judge
+from becalm.errors import UsageError
+from becalm.report.envelope import Envelope
+from becalm.web.tuner.picture import View
+from becalm.web.tuner.rows import ChannelRows
+
+_SETTLED = 12.0  # over the cut-off: rows in which the slowest has settled
+_DIGITS = 3  # of a noise gain: a cut-off is looked for once for those that are alike
+_MIDDLE = 0.1  # cycles a row, of filters that have no noise gain to be equal in
+
+
+def classic_beside(rows: ChannelRows, view: View, name: str, noise_gain: float | None) -> Envelope:
+    """Run a classic filter over a view.
+
+    Parameters
+    ----------
+    rows : ChannelRows
+        The readings; what is impossible is missing.
+    view : View
+        Which of them.
+    name : str
+        Of the filter.
+    noise_gain : float or None
+        What becalm's own leaves of the power of white noise; None where that is not known.
+
+    Raises
+    ------
+    UsageError
+        If there is no such filter.
+    """
+    classic = CLASSICS.get(name)
+    if classic is None:
+        raise UsageError(f"There is no classic filter {name!r}; choose one that is offered.")
+    gain = None if noise_gain is None or not 0 < noise_gain < 1 else float(f"{noise_gain:.{_DIGITS}g}")
+    cutoff = _MIDDLE if gain is None or not classic.calms else _cutoff(name, gain)
+    margin = int(_SETTLED / cutoff) + 64
+    first, stop = max(0, view.first - margin), min(len(rows), view.stop + (0 if classic.causal else margin))
+    z = judge(np.ascontiguousarray(rows.z[first:stop])).readings
+    signal = classic.clean(z, cutoff)[view.first - first :][: view.stop - view.first]
+    return Envelope.of(np.ascontiguousarray(signal), view.width)
+
+
+@lru_cache(maxsize=256)
+def _cutoff(name: str, gain: float) -> float:
+    return equal_noise(CLASSICS[name], gain)

@@ -1,0 +1,218 @@
+"""What a person is working on: the settings of every channel, and how they were before."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import NamedTuple
+
+from becalm.classic.register import CAUSAL, ZERO_PHASE
+from becalm.cleaning.recipe import ChannelRecipe, Mode, Recipe
+from becalm.cleaning.steps import lag_in_rows
+from becalm.errors import RecipeError, UsageError
+from becalm.web.tuner.messages import Turned
+from becalm.web.tuner.opened import Opened
+from becalm.web.tuner.settings import GIVEN, Options, Setting, components
+
+_MOST_STEPS = 1000  # that can be taken back
+
+
+class Doing(NamedTuple):
+    """All that was set."""
+
+    mode: Mode
+    lag_s: float | None
+    settings: tuple[Setting, ...]
+
+
+class Desk:
+    """A recording and what is set of its filters.
+
+    Parameters
+    ----------
+    opened : Opened
+        The recording.
+    mode : str
+        As recipes have it.
+    """
+
+    def __init__(self, opened: Opened, mode: Mode = "smoothed") -> None:
+        self.opened = opened
+        first = Doing(mode, None, (Setting(),) * len(opened.recording.names))
+        self._steps, self._at, self._dragged = [first], 0, first
+
+    @property
+    def now(self) -> Doing:
+        """What is set now, or being dragged."""
+        return self._dragged
+
+    @property
+    def lag(self) -> int | None:
+        """Later rows that each row waits for: 0 filters, None waits for all."""
+        mode, lag_s, _ = self.now
+        if mode == "lagged" and lag_s is not None:
+            return lag_in_rows(lag_s, self.opened.step_s)
+        return None if mode == "smoothed" else 0
+
+    @property
+    def options(self) -> tuple[Options, ...]:
+        """What may be set of each channel in the mode that is on."""
+        return self.opened.options(self.opened.as_filter(self.now.mode, self.now.lag_s))
+
+    @property
+    def can_undo(self) -> bool:
+        """Whether something can be taken back."""
+        return self._at > 0
+
+    @property
+    def can_redo(self) -> bool:
+        """Whether something was taken back."""
+        return self._at + 1 < len(self._steps)
+
+    def turn(self, channel: int, turned: Turned, *, final: bool) -> None:
+        """Change the settings of a channel; what is not final is no step that can be taken back."""
+        options = self._options_of(channel)
+        setting = options.changed(self.now.settings[channel], turned)
+        settings = list(self.now.settings)
+        settings[channel] = setting
+        self._do(self.now._replace(settings=tuple(settings)), final=final)
+
+    def put_in_mode(self, mode: Mode, lag_s: float | None) -> None:
+        """Smooth, filter, or wait for a lag; may take a while, the first time."""
+        self.opened.options(self.opened.as_filter(mode, lag_s))
+        self._do(self.now._replace(mode=mode, lag_s=lag_s))
+
+    def undo(self) -> None:
+        """Take the last step back."""
+        self._at = max(self._at - 1, 0)
+        self._dragged = self._steps[self._at]
+
+    def redo(self) -> None:
+        """Do again what was taken back."""
+        self._at = min(self._at + 1, len(self._steps) - 1)
+        self._dragged = self._steps[self._at]
+
+    def restore(self, text: str) -> None:
+        """Do as a recipe says.
+
+        Raises
+        ------
+        RecipeError
+            If it is none, or not one of this recording.
+        """
+        recipe = Recipe.from_toml(text)
+        given = {channel.name: channel for channel in recipe.channel}
+        names = self.opened.recording.names
+        if strangers := [name for name in given if name not in names]:
+            raise RecipeError(f"The recipe cleans {strangers[0]!r}, which this recording does not have.")
+        options = self.opened.options(self.opened.as_filter(recipe.mode, recipe.lag_s))
+        for channel, option in given.items():
+            unit = self.opened.recording.units[names.index(channel)]
+            if option.unit != unit:
+                raise RecipeError(f"The recipe has {channel!r} in {option.unit!r}, this recording in {unit!r}.")
+        settings = tuple(
+            option.as_given(given[name]) if name in given else Setting(unchanged=True)
+            for name, option in zip(names, options, strict=True)
+        )
+        self._do(Doing(recipe.mode, recipe.lag_s, settings))
+
+    def channel(self, channel: int) -> ChannelRecipe:
+        """Return the recipe of a channel as it is now."""
+        return self._options_of(channel).recipe(self.now.settings[channel])
+
+    def recipe(self) -> Recipe:
+        """Return the recipe of all channels that are cleaned.
+
+        Raises
+        ------
+        UsageError
+            If none is.
+        """
+        mode, lag_s, settings = self.now
+        kept = tuple(
+            option.recipe(setting)
+            for option, setting in zip(self.options, settings, strict=True)
+            if not setting.unchanged
+        )
+        if not kept:
+            raise UsageError("No channel is left to clean; let one be cleaned before you save.")
+        origin = self.opened.origin(self.opened.as_filter(mode, lag_s))
+        return Recipe(mode=mode, lag_s=lag_s, tuned_on=origin, channel=kept)
+
+    def recording_told(self) -> dict[str, object]:
+        """Tell a page of the recording."""
+        opened, (mode, lag_s, settings) = self.opened, self.now
+        names = zip(opened.recording.names, opened.recording.units, self.options, settings, strict=True)
+        return {
+            "kind": "recording",
+            "file": opened.id,
+            "name": opened.path.name,
+            "group": opened.group,
+            "rows": len(opened.recording),
+            "rate_hz": opened.recording.rate_hz,
+            "start_s": opened.recording.timebase.start_s,
+            "lasts_s": opened.lasts_s,
+            "mode": mode,
+            "lag_s": lag_s,
+            "channels": [_told(name, unit, option, setting) for name, unit, option, setting in names],
+            "classics": classics_of(mode),
+            "remarks": opened.remarks,
+            "command": command(opened),
+        }
+
+    def state_told(self) -> dict[str, object]:
+        """Tell a page what is set."""
+        mode, lag_s, settings = self.now
+        try:
+            recipe = self.recipe().to_toml()
+        except UsageError:
+            recipe = ""
+        return {
+            "kind": "state",
+            "mode": mode,
+            "lag_s": lag_s,
+            "can_undo": self.can_undo,
+            "can_redo": self.can_redo,
+            "changed": self.now != self._steps[0],
+            "recipe": recipe,
+            "channels": [option.told(one) for option, one in zip(self.options, settings, strict=True)],
+            "classics": classics_of(mode),
+        }
+
+    def _options_of(self, channel: int) -> Options:
+        self.opened.rows(channel)  # refuses what is none
+        return self.options[channel]
+
+    def _do(self, doing: Doing, *, final: bool = True) -> None:
+        self._dragged = doing
+        if final and doing != self._steps[self._at]:
+            self._steps = [*self._steps[max(0, self._at + 1 - _MOST_STEPS) : self._at + 1], doing]
+            self._at = len(self._steps) - 1
+
+
+def classics_of(mode: Mode) -> list[str]:
+    """Return the classic filters that are fair beside a mode; beside one that waits for a lag, none is."""
+    if mode == "lagged":
+        return []
+    return [classic.name for classic in (CAUSAL if mode == "causal" else ZERO_PHASE)]
+
+
+def command(opened: Opened) -> str:
+    """Return what to type for the same, once the recipe is saved."""
+    file = Path(opened.path.name)
+    stem = file.name.removesuffix("".join(file.suffixes[-2:]) if file.suffix == ".gz" else file.suffix)
+    suffix = file.suffix if file.suffix in (".csv", ".parquet", ".mat", ".h5", ".npz", ".tdms", ".mf4") else ".csv"
+    words = ["becalm", "clean", file.name, "-o", f"{stem}-clean{suffix}", "--recipe", f"{stem}.recipe.toml"]
+    return shlex.join([*words, *(["--group", opened.group] if opened.several else [])])
+
+
+def _told(name: str, unit: str, options: Options, setting: Setting) -> dict[str, object]:
+    given = setting.given
+    also = [] if given is None else [{"key": GIVEN, "name": "as the recipe says", "evidence": "", "order": given.order}]
+    shown = components(options.channel) | ({} if given is None else components(given))
+    return {
+        "name": name,
+        "unit": unit,
+        "choices": [*options.choices, *also],
+        "components": [{"key": key, "name": text, "on": True} for key, text in shown.items()],
+    }

@@ -1,0 +1,142 @@
+"""The dial between quick and calm: what each of its positions is, and what the filter that is set is."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from becalm.cleaning.figures import fixed_response
+from becalm.cleaning.recipe import ChannelRecipe
+from becalm.cleaning.steps import in_steps
+from becalm.core.arrays import Floats
+from becalm.core.closed_forms import cutoff_to_ratio
+from becalm.core.response import decibels
+from becalm.core.steady import steady
+from becalm.errors import ModelError
+from becalm.noise.likelihood import Tuning
+
+POSITIONS = 81
+
+_FASTEST = 4.0  # radians a step: quicker cut-offs pass everything
+_SLOWEST = {1: 3e-6, 2: 3e-6, 3: 1e-5, 4: 3e-4, 5: 3e-4}  # slower ones float64 does not settle
+_CYCLES = 0.2  # of the record: slower cut-offs are a polynomial
+
+
+class Positions(NamedTuple):
+    """What each position is, quick to calm, in steps and with noise of 1."""
+
+    ratios: Floats  # (k,) q/r
+    bandwidth: Floats  # (k,) cycles a step; NaN where none is told
+    lag: Floats  # (k,) steps
+    left: Floats  # (k,) standard deviation of the noise that passes
+
+
+class Told(NamedTuple):
+    """What a filter is, in an engineer's words; None where that is not known."""
+
+    bandwidth_hz: float | None = None
+    lag_s: float | None = None
+    noise_std: float | None = None
+    noise_left: float | None = None
+    noise_gain_db: float | None = None
+    order: int | None = None
+    says: str = ""
+
+
+def dial(channel: ChannelRecipe, step_s: float, lag: int | None, rows: int) -> dict[str, Floats]:
+    """Return what each position of a channel's dial is; nothing of one that passes unchanged.
+
+    Parameters
+    ----------
+    channel : ChannelRecipe
+        As it is set; its order and noise count.
+    step_s : float
+        One step, in seconds.
+    lag : int or None
+        Later rows that each row waits for.
+    rows : int
+        Of the record.
+    """
+    if channel.motion is None:
+        return {}
+    order, noise_std = channel.motion.order, channel.motion.noise_std
+    slowest = float(np.clip(2 * np.pi * _CYCLES / rows, _SLOWEST[order], _FASTEST / 100))
+    found = _positions(order, lag, slowest)
+    return {
+        "process_noise_density": found.ratios * noise_std**2 / step_s ** (2 * order - 1),
+        "bandwidth_hz": found.bandwidth / step_s,
+        "lag_s": found.lag * step_s,
+        "noise_left": found.left * noise_std,
+    }
+
+
+@lru_cache(maxsize=64)
+def _positions(order: int, lag: int | None, slowest: float) -> Positions:
+    ratios = [cutoff_to_ratio(order, float(cutoff)) for cutoff in np.geomspace(_FASTEST, slowest, POSITIONS)]
+    told = np.array([_told_in_steps(Tuning(order, ratio, 1.0, 0), lag) for ratio in ratios])
+    return Positions(np.array(ratios), *told.T.copy())
+
+
+def _told_in_steps(tuning: Tuning, lag: int | None) -> tuple[float, float, float]:
+    """Return bandwidth, lag and noise left of a motion with noise of 1; NaN where they are not told."""
+    if lag:
+        gain = _gain_of_lagged(tuning, lag)
+        return np.nan, float(lag), np.nan if gain is None else float(np.sqrt(gain))
+    response = fixed_response(tuning, 1.0, lag == 0)
+    if response is None:
+        return np.nan, np.nan, np.nan
+    return response.bandwidth_hz, response.lag_s, float(np.sqrt(response.noise_gain))
+
+
+def told_of(channel: ChannelRecipe, step_s: float, lag: int | None) -> Told:
+    """Say what the filter of a channel is.
+
+    Parameters
+    ----------
+    channel : ChannelRecipe
+        As it is set.
+    step_s : float
+        One step, in seconds.
+    lag : int or None
+        Later rows that each row waits for.
+    """
+    if channel.motion is None:
+        return Told(says="passes unchanged")
+    order, noise_std = channel.motion.order, channel.motion.noise_std
+    if channel.switching is not None:
+        modes = ", ".join(mode.name for mode in channel.switching.mode)
+        return Told(noise_std=noise_std, order=order, says=f"a filter for each of its modes: {modes}")
+    tuning = in_steps(channel.motion, step_s)
+    if lag:
+        gain = _gain_of_lagged(tuning, lag)
+        if gain is None:
+            return Told(None, lag * step_s, noise_std, None, None, order, _UNSETTLED)
+        said = f"told {lag * step_s:.4g} s later, noise down {-decibels(gain):.1f} dB"
+        return Told(None, lag * step_s, noise_std, noise_std * float(np.sqrt(gain)), decibels(gain), order, said)
+    response = fixed_response(tuning, step_s, lag == 0)
+    if response is None:
+        return Told(noise_std=noise_std, order=order, says=_UNSETTLED)
+    return Told(
+        response.bandwidth_hz,
+        response.lag_s,
+        noise_std,
+        noise_std * float(np.sqrt(response.noise_gain)),
+        response.noise_gain_db,
+        order,
+        str(response),
+    )
+
+
+_UNSETTLED = "a filter that never forgets its start"
+
+
+def _gain_of_lagged(tuning: Tuning, lag: int) -> float | None:
+    """Return the noise gain of a filter that is told so many rows later; None of one that does not settle."""
+    component = tuning.component
+    try:
+        found = steady(component.to_model(1.0, tuning.noise_variance), component.signal_output[0])
+        return found.noise_gain(lag)
+    except ModelError:
+        return None

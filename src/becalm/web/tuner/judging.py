@@ -1,0 +1,105 @@
+"""A channel over the whole record: the report's verdict and figures, unless something else is asked meanwhile."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from becalm.cleaning.cleaner import Cleaner
+from becalm.cleaning.judging import Decision
+from becalm.cleaning.recipe import ChannelRecipe, Recipe
+from becalm.report.channel import Cleaned, Pictured, Pictures
+from becalm.report.gathering import Gathering
+from becalm.report.payload import payload
+from becalm.web.tuner.rows import ChannelRows
+
+_CHUNK = 1 << 18  # rows between two looks whether it is still wanted
+
+_TONES: dict[Decision, str] = {"fits": "fits", "constant": "fits", "fits except": "except", "does not fit": "not"}
+_NUMBERS = 4  # digits
+
+
+def judged(
+    rows: ChannelRows, recipe: Recipe, channel: ChannelRecipe, number: int, wanted: Callable[[], bool]
+) -> dict[str, Any] | None:
+    """Clean a channel, and draw what came of it.
+
+    Parameters
+    ----------
+    rows : ChannelRows
+        Its readings.
+    recipe : Recipe
+        Of the recording.
+    channel : ChannelRecipe
+        Of this channel.
+    number : int
+        Which it is, counted from 0.
+    wanted : callable
+        Whether it is still wanted.
+
+    Returns
+    -------
+    dict or None
+        What a page is told, "figures"; None where it is not wanted any more.
+    """
+    alone = recipe.model_copy(update={"channel": (channel,)})
+    gathering = Gathering(len(rows), rows.step_s, 1)
+    waiting: list[tuple[slice, int]] = []
+    with Cleaner(alone, rows.step_s, looks=[gathering.channels[0].look]) as cleaner:
+        for start in range(0, len(rows), _CHUNK):
+            if not wanted():
+                return None
+            part = slice(start, min(start + _CHUNK, len(rows)))
+            waiting.append((part, part.stop))
+            for told in cleaner.push([rows.z[part]], rows.elapsed[part]):
+                done, _ = waiting.pop(0)
+                gathering.add([rows.z[done]], rows.elapsed[done], told)
+        for told in cleaner.finish():
+            done, _ = waiting.pop(0)
+            gathering.add([rows.z[done]], rows.elapsed[done], told)
+        reports = cleaner.reports()
+    if not wanted():
+        return None
+    drawn = Pictures(Cleaned(alone, reports, gathering, rows.step_s)).channel(0)
+    return _told(drawn, number) if wanted() else None
+
+
+def _told(drawn: Pictured, number: int) -> dict[str, Any]:
+    lanes = [figure for figure in drawn.wide if figure.name.endswith("-verdicts")]
+    figures = [*drawn.narrow, *lanes]
+    return {
+        "kind": "figures",
+        "channel": number,
+        "verdict": drawn.report.verdict,
+        "tone": _TONES.get(drawn.report.verdict, ""),
+        "says": drawn.report.says,
+        "words": drawn.words,
+        "numbers": _numbers(drawn),
+        "payload": json.loads(payload(figures)),
+        "names": {figure.name.rpartition("-")[2]: figure.name for figure in figures},
+    }
+
+
+def _numbers(drawn: Pictured) -> list[list[str]]:
+    """Tell in numbers what was found; what is not known is left out."""
+    report = drawn.report
+    told = [
+        ("noise of a reading", report.noise_std, report.unit),
+        ("coloured noise", report.coloured_std, report.unit),
+        ("bandwidth", report.bandwidth_hz, "Hz"),
+        ("lag", report.lag_s, "s"),
+        ("told later by", report.delay_s, "s"),
+        ("errors independent after", report.independence_s, "s"),
+        ("still predictable", None if report.predictable_share is None else 100 * report.predictable_share, "%"),
+        ("NIS, 1 is right", report.nis_mean, ""),
+        ("sigma wider for the tuning by", None if not report.tuning_spread else 100 * report.tuning_spread, "%"),
+    ]
+    numbers = [
+        [term, f"{value:.{_NUMBERS}g} {unit}".strip()]
+        for term, value, unit in told
+        if value is not None and np.isfinite(value)
+    ]
+    return numbers + [[name, f"{count} readings"] for name, count in report.verdicts.items() if count]

@@ -1,0 +1,143 @@
+"""What a page may ask of the tuner: every word checked, and nothing else heard."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, model_validator
+
+from becalm.cleaning.recipe import Mode
+from becalm.errors import UsageError
+
+MOST_STRETCHES = 4000
+"""Stretches of a picture."""
+
+_LONGEST_NAME, _LONGEST_RECIPE = 500, 1_000_000
+
+Number = Annotated[int, Field(ge=0, le=1 << 53, strict=True)]
+Channel = Annotated[int, Field(ge=0, le=1 << 20, strict=True)]
+Name = Annotated[str, Field(max_length=_LONGEST_NAME, strict=True)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+
+
+class _Message(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    number: Number
+
+
+class Open(_Message):
+    """Open a file of the folder, or one that was uploaded; of a file with channels at several times, one of these."""
+
+    do: Literal["open"]
+    file: Name
+    group: Name | None = None
+
+
+class Look(_Message):
+    """Show a part of a channel in so many stretches at the most; null is the beginning, or the end."""
+
+    do: Literal["look"]
+    channel: Channel
+    from_s: Finite | None = None
+    to_s: Finite | None = None
+    width: Annotated[int, Field(ge=1, le=MOST_STRETCHES)]
+
+
+class Turned(BaseModel):
+    """What is changed of a channel's settings; what is left out stays."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    choice: Name | None = None
+    noise_std: Positive | None = None
+    process_noise_density: NotNegative | None = None
+    on: dict[Name, bool] | None = None
+    unchanged: bool | None = None
+    order: Annotated[int, Field(ge=1, le=5)] | None = None  # told by the choice; a page may say it back
+
+
+class Turn(_Message):
+    """Change the settings of a channel; one that is not final is being dragged."""
+
+    do: Literal["turn"]
+    channel: Channel
+    settings: Turned
+    final: bool = True
+
+
+class InMode(_Message):
+    """Smooth, filter, or wait for a lag."""
+
+    do: Literal["mode"]
+    mode: Mode
+    lag_s: Positive | None = None
+
+    @model_validator(mode="after")
+    def _lag_belongs_to_lagged(self) -> InMode:
+        if (self.mode == "lagged") != (self.lag_s is not None):
+            raise ValueError('lag_s and mode "lagged" belong together')
+        return self
+
+
+class Undo(_Message):
+    """Take the last change back."""
+
+    do: Literal["undo"]
+
+
+class Redo(_Message):
+    """Do again what was taken back."""
+
+    do: Literal["redo"]
+
+
+class Map(_Message):
+    """Tell how well every noise and density foretells readings."""
+
+    do: Literal["map"]
+    channel: Channel
+
+
+class Compare(_Message):
+    """Draw a classic filter beside a channel; null draws none."""
+
+    do: Literal["compare"]
+    channel: Channel
+    classic: Name | None = None
+
+
+class Restore(_Message):
+    """Do as a recipe says."""
+
+    do: Literal["restore"]
+    recipe: Annotated[str, Field(max_length=_LONGEST_RECIPE)]
+
+
+Message = Open | Look | Turn | InMode | Undo | Redo | Map | Compare | Restore
+
+_ANY: TypeAdapter[Message] = TypeAdapter(Annotated[Message, Field(discriminator="do")])
+
+
+def heard(text: str) -> Message:
+    """Read a message of a page.
+
+    Raises
+    ------
+    UsageError
+        If it is none; the sentence says what is wrong.
+    """
+    try:
+        return _ANY.validate_json(text)
+    except (ValidationError, RecursionError) as cause:
+        raise UsageError(f"The page asked for what this server does not know: {_wrong(cause)}. Reload it.") from cause
+
+
+def _wrong(cause: Exception) -> str:
+    if not isinstance(cause, ValidationError):
+        return "a message that is nested too deeply"
+    first = cause.errors(include_input=False, include_url=False, include_context=False)[0]
+    place = ".".join(str(part) for part in first["loc"])
+    return f"{place}: {first['msg']}" if place else str(first["msg"])

@@ -1,0 +1,163 @@
+"""A recording that a page works on: read, and tuned on, as the command line does."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from becalm.cleaning.calibrating import calibrated
+from becalm.cleaning.recipe import Origin
+from becalm.cleaning.tuning import Tuned, Wishes, explore, tuned_as_filter
+from becalm.core.arrays import Floats
+from becalm.core.recording import Recording
+from becalm.errors import InputError, UsageError
+from becalm.files.asked import ReadOptions
+from becalm.files.every_time import open_file
+from becalm.files.portions import rows_to_tune_on
+from becalm.web.tuner.rows import ChannelRows
+from becalm.web.tuner.settings import Options
+
+Progress = Callable[[str], None]
+
+MOST_SAMPLES = 1 << 28
+"""Samples that are held in memory: 2 GiB."""
+
+
+class Opened:
+    """One time of a file, in memory.
+
+    Parameters
+    ----------
+    id : str
+        What a page calls the file.
+    path : Path
+        Where it is.
+    group : str or None
+        Of a file with channels at several times, which of them; None takes the first.
+    progress : callable
+        Told what is being done, in a sentence.
+
+    Attributes
+    ----------
+    recording : Recording
+        All of it.
+    group : str
+        What the file calls it; "" where all channels share one time.
+    remarks : list of str
+        What a person must know.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, or is too large.
+    UsageError
+        If there is no such group.
+    """
+
+    def __init__(self, id: str, path: Path, group: str | None, progress: Progress) -> None:
+        self.id, self.path, self._progress = id, path, progress
+        progress(f"Reading {path.name} ...")
+        with open_file(path, ReadOptions(group=group)) as opened:
+            source = opened.sources[0]
+            if source.rows * len(source.names) > MOST_SAMPLES:
+                raise InputError(
+                    f"{path.name} holds {source.rows} rows of {len(source.names)} channels, more than is held at once"
+                    f" ({MOST_SAMPLES} samples); clean it with: becalm clean {path.name} -o OUT"
+                )
+            self.recording = source.recording()
+            most = rows_to_tune_on(source)
+            self._sample = self.recording if source.rows <= most else source.sample(most)
+            self.group, self._calibrations = source.group, source.calibrations
+            self._sha256 = source.sha256()
+            self.remarks = [*source.notes, *_others(opened.sources[1:], self.group)]
+            self.several = group is not None or len(opened.sources) > 1
+        self._explored: dict[bool, tuple[Tuned, tuple[Options, ...]]] = {}
+        self._times: Floats | None = None
+        self._rows: dict[int, ChannelRows] = {}
+
+    @property
+    def step_s(self) -> float:
+        """One step, in seconds."""
+        return self.recording.timebase.step_s
+
+    @property
+    def lasts_s(self) -> float:
+        """Time from the first row to the last, in seconds."""
+        return self.recording.timebase.duration_s
+
+    @property
+    def times_s(self) -> Callable[[], Floats] | None:
+        """What gives the time of each row since the first, (N,); None where they are even, and none is missing."""
+        time = self.recording.timebase
+        even = time.uniform and round(time.duration_s / time.step_s) == len(self.recording) - 1 and not len(time.gaps)
+        return None if even and not len(time.repeats) else self._told_times
+
+    def as_filter(self, mode: str, lag_s: float | None) -> bool:
+        """Whether a mode is tuned as a filter, or as a smoother; raises a UsageError if the lag is impossible."""
+        return tuned_as_filter(mode == "causal", lag_s, self.step_s)
+
+    def is_explored(self, as_filter: bool) -> bool:
+        """Whether it was tuned on already."""
+        return as_filter in self._explored
+
+    def options(self, as_filter: bool) -> tuple[Options, ...]:
+        """Return what may be set of each channel; the first time, which takes a while, all are tuned."""
+        return self._exploring(as_filter)[1]
+
+    def origin(self, as_filter: bool) -> Origin:
+        """Return where the numbers come from."""
+        return self._exploring(as_filter)[0].recipe.tuned_on.model_copy(update={"sha256": self._sha256})
+
+    def rows(self, channel: int) -> ChannelRows:
+        """Return the rows of a channel.
+
+        Raises
+        ------
+        UsageError
+            If there is no such channel.
+        """
+        if not channel < len(self.recording.names):
+            raise UsageError(f"There is no channel {channel + 1}; there are {len(self.recording.names)}.")
+        if channel not in self._rows:
+            limits = next(iter(self._explored.values()))[1][channel].channel.limits if self._explored else None
+            z = np.ascontiguousarray(self.recording.samples[:, channel])
+            self._rows[channel] = ChannelRows(z, self.recording.timebase.elapsed_steps, self.step_s, limits)
+        return self._rows[channel]
+
+    @property
+    def sample(self) -> Recording:
+        """What it was tuned on."""
+        return self._sample
+
+    def _told_times(self) -> Floats:
+        if self._times is None:
+            time = self.recording.timebase
+            self._times = np.cumsum(time.elapsed_steps) * time.step_s
+        return self._times
+
+    def _exploring(self, as_filter: bool) -> tuple[Tuned, tuple[Options, ...]]:
+        if as_filter not in self._explored:
+            count, done = len(self.recording.names), list[str]()
+            self._progress(f"Finding the noise of {count} channel{'s' * (count > 1)} ...")
+
+            def tell(name: str) -> None:
+                done.append(name)
+                self._progress(f"Found the filter of {name} ({len(done)} of {count}).")
+
+            tuned = explore(self._sample, causal=as_filter, wishes=Wishes(), progress=tell)
+            told = calibrated(tuned.recipe.channel, self._calibrations)
+            pairs = zip(tuned.found, told, strict=True)
+            self._explored[as_filter] = (
+                tuned,
+                tuple(Options(found, channel, self.step_s, as_filter) for found, channel in pairs),
+            )
+        return self._explored[as_filter]
+
+
+def _others(sources: tuple[object, ...], group: str) -> list[str]:
+    names = [str(getattr(source, "group", "")) for source in sources]
+    if not names:
+        return []
+    return [f"The file holds channels at several times; this is {group!r}, and others are {', '.join(names)}."]

@@ -1,0 +1,173 @@
+"""The rows of one channel, and a filter run over some of them only, with the numbers of a run over all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from becalm.cleaning.channels import noise_std_of
+from becalm.cleaning.faults import SensorWatch, beside_filter
+from becalm.cleaning.filters import Filter
+from becalm.cleaning.recipe import ChannelRecipe
+from becalm.cleaning.recipe_parts import LimitsRecipe
+from becalm.cleaning.slopes import TimingNoise
+from becalm.cleaning.uncertainty import Uncertainty
+from becalm.core.arrays import Codes, Floats
+from becalm.core.kernel_ahead import BLOCK
+from becalm.core.told import Told
+from becalm.core.verdict import Verdict
+
+_PUSHED = {True: 1 << 17, False: 1 << 20}
+"""Rows that a filter (True), or a smoother, which comes back over each push, is given at once."""
+
+_IMPOSSIBLE = np.isin(list(Verdict), (Verdict.NONFINITE, Verdict.OVERRANGE))
+
+_GATED = 1024  # rows more: what a gate has rejected in a row is looked at anew
+
+
+class Healthy(NamedTuple):
+    """What the sensor's watch lets through."""
+
+    readings: Floats  # (N,) NaN where none may enter a filter
+    verdicts: Codes  # (N,)
+    longest_gap: float  # between two of them, in steps
+
+
+class ChannelRows:
+    """The rows of one channel.
+
+    Parameters
+    ----------
+    z : (N,) float array
+        Readings, in unit; NaN where missing.
+    elapsed : (N,) float array
+        Steps since the row before.
+    step_s : float
+        One step, in seconds.
+    limits : LimitsRecipe or None
+        What the sensor was found to keep to.
+    """
+
+    def __init__(self, z: Floats, elapsed: Floats, step_s: float, limits: LimitsRecipe | None = None) -> None:
+        self.z, self.elapsed, self.step_s, self._limits = z, elapsed, step_s, limits
+        self._healthy: dict[LimitsRecipe | None, Healthy] = {}
+
+    def __len__(self) -> int:
+        """Return how many there are."""
+        return len(self.z)
+
+    def healthy(self, limits: LimitsRecipe | None) -> Healthy:
+        """Return the readings that may enter a filter; what the sensor keeps to is looked at once."""
+        plain = None if limits is None else limits.model_copy(update={"drift_threshold": None, "dead_variance": None})
+        if plain not in self._healthy:
+            watch = SensorWatch(plain, self.step_s, shown=False)
+            readings = watch.push(self.z, self.elapsed)
+            nothing = np.empty(len(self.z))
+            (told,) = watch.named([Told(nothing, nothing, nothing[np.newaxis], np.zeros(len(self.z), np.int8))])
+            if len(self._healthy) > 1:
+                self._healthy.clear()
+            self._healthy[plain] = Healthy(readings, told.verdicts, self._longest_gap(readings))
+        return self._healthy[plain]
+
+    def possible(self, part: slice) -> Floats:
+        """Return some readings to draw: without what no sensor gives, which would leave no room for the others."""
+        verdicts = self.healthy(self._limits).verdicts[part]
+        return np.where(_IMPOSSIBLE[verdicts], np.nan, self.z[part]) if verdicts.any() else self.z[part]
+
+    def _longest_gap(self, readings: Floats) -> float:
+        arrived = np.isfinite(readings)
+        if arrived.all():
+            return float(self.elapsed[1:].max(initial=0.0))
+        return float(np.diff(np.cumsum(self.elapsed)[arrived]).max(initial=0.0))
+
+
+class Run:
+    """A channel's filter over its rows, or over some of them.
+
+    Parameters
+    ----------
+    rows : ChannelRows
+        The readings.
+    recipe : ChannelRecipe
+        Of a motion.
+    lag : int or None
+        Later rows that each row waits for: 0 filters, None waits for all.
+
+    Raises
+    ------
+    RecipeError
+        If its numbers make no filter.
+    """
+
+    def __init__(self, rows: ChannelRows, recipe: ChannelRecipe, lag: int | None) -> None:
+        self._rows, self._recipe, self._lag = rows, recipe, lag
+        self.filter = Filter(recipe, rows.step_s, lag)
+        self.healthy = rows.healthy(recipe.limits)
+        kept = self.filter.forgotten_after + (0 if recipe.gate is None else _GATED)
+        self._margin = int(min(kept, len(rows))) + BLOCK
+
+    @property
+    def reach(self) -> int:
+        """How many rows before those that are wanted are filtered, at the least; the record's length where all are."""
+        return min(self._margin if self._bridges_all() else len(self._rows), len(self._rows))
+
+    def told(self, first: int, stop: int) -> Iterator[Told]:
+        """Give what is told of rows first to stop, in parts: the filter begins so much before them as it needs."""
+        recipe, rows = self._recipe, self._rows
+        begin, end = self._begun(first), self._ended(stop)
+        flow, uncertainty = self.filter.opened(), Uncertainty(recipe.tuning_spread, recipe.calibration)
+        timing = None
+        if recipe.timing is not None:
+            timing = TimingNoise(recipe.timing, noise_std_of(recipe, self.filter.modes), rows.step_s)
+        at, size = begin, _PUSHED[self._lag is not None]
+        for start in range(begin, end, size):
+            part = slice(start, min(start + size, end))
+            elapsed = rows.elapsed[part]
+            if timing is not None:
+                timing.push(elapsed)
+            told = flow.push(self.healthy.readings[part], elapsed)
+            for one in [*told, *(flow.finish() if part.stop == end else [])]:
+                wider = one if timing is None else timing.widened(one)
+                wanted = slice(max(first - at, 0), max(min(stop - at, len(one.signal)), 0))
+                at += len(one.signal)
+                if wanted.start < wanted.stop:
+                    before = self.healthy.verdicts[at - len(one.signal) :][wanted]
+                    yield from self._widened(uncertainty, wider.rows(wanted), before)
+
+    def _widened(self, uncertainty: Uncertainty, told: Told, before: Codes) -> list[Told]:
+        return uncertainty.widened([told._replace(verdicts=beside_filter(told.verdicts, before))])
+
+    def _begun(self, first: int) -> int:
+        """Return the row to begin with, at a whole block: since then so many readings, and so much time, went by."""
+        if not self._bridges_all():
+            return 0
+        rows = self._margin + self._margin // 4
+        while first > rows:
+            begin = (first - rows) // BLOCK * BLOCK
+            if self._is_long(slice(begin, first)):
+                return begin
+            rows *= 2
+        return 0
+
+    def _ended(self, stop: int) -> int:
+        """Return the row to end before."""
+        last = len(self._rows)
+        if self._lag is not None:
+            return min(stop + self._lag, last)
+        rows = self._margin + self._margin // 4
+        while stop + rows < last:
+            if self._is_long(slice(stop, stop + rows)):
+                return stop + rows
+            rows *= 2
+        return last
+
+    def _is_long(self, part: slice) -> bool:
+        readings = np.count_nonzero(np.isfinite(self.healthy.readings[part]))
+        return bool(readings >= self._margin and self._rows.elapsed[part].sum() >= self._margin)
+
+    def _bridges_all(self) -> bool:
+        """Whether the filter never starts anew within the record, wherever it begins."""
+        reach, gap = self.filter.reach, self.healthy.longest_gap
+        return bool(gap <= min(reach.longest, reach.spans * self._margin))

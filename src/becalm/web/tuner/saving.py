@@ -1,0 +1,130 @@
+"""What was set, saved: by the command line itself, so that its bytes are those that anyone gets from the recipe."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import re
+import sys
+import tempfile
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import NamedTuple
+
+from becalm.errors import OutputError
+from becalm.files.registry import ENDINGS
+
+_NOT_DESCRIBED = 4  # exit code: written, but a model does not describe its channel
+_BLOCK = 1 << 18
+
+
+class Job(NamedTuple):
+    """A file to clean, by which recipe."""
+
+    file: Path
+    recipe: str  # TOML
+    group: str | None = None
+
+
+class Made:
+    """A file that was made in a private folder, which goes away with it."""
+
+    def __init__(self, folder: tempfile.TemporaryDirectory[str], path: Path, name: str) -> None:
+        self._folder, self.path, self.name = folder, path, name
+        self.bytes = path.stat().st_size
+
+    async def blocks(self) -> AsyncIterator[bytes]:
+        """Give its bytes, and remove it, also where nobody takes all of them."""
+        try:
+            with self.path.open("rb") as stream:
+                while block := await asyncio.to_thread(stream.read, _BLOCK):
+                    yield block
+        finally:
+            self.close()
+
+    def close(self) -> None:
+        """Remove it."""
+        self._folder.cleanup()
+
+
+async def cleaned(job: Job, ending: str) -> Made:
+    """Clean a file as `becalm clean` does.
+
+    Parameters
+    ----------
+    job : Job
+        Which file, and how.
+    ending : str
+        Of the output's name, without its dot: its format.
+
+    Raises
+    ------
+    OutputError
+        If there is no such format, or it cannot be written.
+    """
+    if f".{ending}" not in ENDINGS:
+        raise OutputError(f"There is no format {ending!r} to save in; choose {', '.join(sorted(ENDINGS))}.")
+    return await _made(job, f"{stem_of(job.file)}-clean.{ending}", None)
+
+
+async def reported(job: Job) -> Made:
+    """Make the page of a file as `becalm clean --report` does.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be made.
+    """
+    return await _made(job, f"{stem_of(job.file)}-clean.h5", f"{stem_of(job.file)}-report.html")
+
+
+def stem_of(file: Path) -> str:
+    """Return the name of a file without what tells its format."""
+    return re.sub(r"(\.csv|\.txt)?\.[^.]*$", "", file.name) or "recording"
+
+
+async def _made(job: Job, output: str, page: str | None) -> Made:
+    folder = tempfile.TemporaryDirectory(prefix="becalm-", ignore_cleanup_errors=True)
+    try:
+        inside = Path(folder.name)
+        recipe = inside / "recipe.toml"
+        await asyncio.to_thread(recipe.write_text, job.recipe, encoding="utf-8")
+        words = ["clean", str(job.file.resolve()), "-o", str(inside / output), "--recipe", str(recipe)]
+        words += ["--report", str(inside / page)] if page is not None else []
+        words += ["--group", job.group] if job.group is not None else []
+        await _run(words)
+        name = output if page is None else page
+        return Made(folder, inside / name, name)
+    except BaseException:
+        folder.cleanup()
+        raise
+
+
+async def _run(words: list[str]) -> None:
+    """Run becalm; it is ended where nobody waits for it any more.
+
+    Raises
+    ------
+    OutputError
+        If it refuses; what it says is told.
+    """
+    process = await asyncio.create_subprocess_exec(
+        sys.executable,
+        "-m",
+        "becalm",
+        *words,
+        stdin=asyncio.subprocess.DEVNULL,
+        stdout=asyncio.subprocess.DEVNULL,
+        stderr=asyncio.subprocess.PIPE,
+        env={**os.environ, "COLUMNS": "10000", "NO_COLOR": "1"},
+    )
+    try:
+        _, said = await process.communicate()
+    except BaseException:
+        if process.returncode is None:
+            process.kill()
+            await process.wait()
+        raise
+    if process.returncode not in (0, _NOT_DESCRIBED):
+        text = said.decode("utf-8", "replace").strip()
+        raise OutputError(text or f"It could not be saved: becalm ended with {process.returncode}.")

@@ -1,0 +1,220 @@
+"""What a person set of a channel's filter, and the recipe that it makes of what was found."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any, NamedTuple
+
+from becalm.cleaning.recipe import ChannelRecipe
+from becalm.cleaning.steps import in_seconds
+from becalm.cleaning.tuning import Found
+from becalm.errors import UsageError
+from becalm.noise.tuning_spread import tuning_spread
+from becalm.web.tuner.evidence import beside_best, described
+from becalm.web.tuner.messages import Turned
+
+FOUND, GIVEN = "found", "given"
+"""Choices: what becalm chose, and what a recipe says that was given."""
+
+_ORDER = "order-"
+
+
+class Setting(NamedTuple):
+    """What was set of a channel; None is as it was tuned."""
+
+    choice: str = FOUND
+    noise_std: float | None = None
+    process_noise_density: float | None = None
+    off: frozenset[str] = frozenset()
+    unchanged: bool = False
+    given: ChannelRecipe | None = None
+
+
+class Options:
+    """What may be set of a channel.
+
+    Parameters
+    ----------
+    found : Found
+        What it was chosen among.
+    channel : ChannelRecipe
+        What was chosen, with all that was put into its recipe since.
+    step_s : float
+        One step, in seconds.
+    causal : bool
+        Whether it was tuned as a filter.
+    """
+
+    def __init__(self, found: Found, channel: ChannelRecipe, step_s: float, causal: bool) -> None:
+        self.channel, self._found, self._step_s, self._causal = channel, found, step_s, causal
+        self._rivals = {f"{_ORDER}{rival.order}": rival for rival in found.choice.rivals}
+        self._tuned: dict[str, ChannelRecipe] = {FOUND: channel}
+
+    @cached_property
+    def choices(self) -> list[dict[str, object]]:
+        """What models there are, each with its evidence."""
+        chosen = {"key": FOUND, "name": f"becalm's choice: {described(self.channel)}", "order": self.channel.order}
+        evidence = beside_best(self._found.choice.rivals)
+        return [
+            {**chosen, "evidence": "" if self._rivals else "nothing else was tried"},
+            *(
+                {"key": key, "name": f"order {rival.order}", "evidence": evidence[rival.order], "order": rival.order}
+                for key, rival in self._rivals.items()
+            ),
+        ]
+
+    def changed(self, setting: Setting, turned: Turned) -> Setting:
+        """Return a setting after a turn.
+
+        Raises
+        ------
+        UsageError
+            If there is no such choice or component, or the channel has no filter to set.
+        """
+        if turned.choice is not None and turned.choice != setting.choice:
+            self._refuse_unknown(turned.choice, setting)
+            setting = setting._replace(choice=turned.choice, noise_std=None, process_noise_density=None)
+        if turned.unchanged is not None:
+            setting = setting._replace(unchanged=turned.unchanged)
+        for key, on in (turned.on or {}).items():
+            setting = self._switched(setting, key, on)
+        return self._dialled(setting, turned)
+
+    def recipe(self, setting: Setting) -> ChannelRecipe:
+        """Return what a setting makes of the channel; nothing but its watch where it passes unchanged."""
+        base = self._base(setting)
+        if setting.unchanged:
+            return ChannelRecipe(name=base.name, unit=base.unit, model="untold", limits=base.limits)
+        recipe = _without(base, setting.off)
+        dialled = setting.noise_std is not None or setting.process_noise_density is not None
+        if not dialled or base.motion is None:
+            return recipe if recipe == base or setting.choice == GIVEN else _without_alarms(recipe)
+        noise_std = base.motion.noise_std if setting.noise_std is None else setting.noise_std
+        density = setting.process_noise_density
+        update: dict[str, object] = {
+            "noise_std": noise_std,
+            "process_noise_density": base.motion.process_noise_density if density is None else density,
+            "tuning_spread": 0.0,  # what a person asked for is no estimate
+            "switching": None,
+        }
+        if recipe.timing is not None:
+            included = min(recipe.timing.included_std, noise_std)
+            update["timing"] = recipe.timing.model_copy(update={"included_std": included})
+        return _without_alarms(recipe.model_copy(update=update))
+
+    def told(self, setting: Setting) -> dict[str, object]:
+        """Tell a page of a setting."""
+        recipe, keys = self.recipe(setting), components(self._base(setting))
+        on = {key: _has(recipe, key) for key in keys} | dict.fromkeys(
+            (key for key in components(self.channel) if key not in keys), False
+        )
+        return {
+            "choice": setting.choice,
+            "order": recipe.order,
+            "noise_std": recipe.noise_std,
+            "process_noise_density": recipe.process_noise_density,
+            "on": on,
+            "unchanged": setting.unchanged or recipe.model != "motion",
+        }
+
+    def as_given(self, given: ChannelRecipe) -> Setting:
+        """Return the setting that makes a channel's recipe, as simply as it can be said."""
+        for choice in (FOUND, *self._rivals):
+            base = self._base(Setting(choice))
+            off = frozenset(key for key in components(base) if not _has(given, key))
+            tries = [Setting(choice, off=off)]
+            if given.motion is not None:
+                dialled = given.motion.noise_std, given.motion.process_noise_density
+                tries.append(Setting(choice, *dialled, off=off - {"switching"}))
+            for setting in tries:
+                if self.recipe(setting) == given:
+                    return setting
+        return Setting(GIVEN, given=given)
+
+    def _base(self, setting: Setting) -> ChannelRecipe:
+        if setting.choice == GIVEN and setting.given is not None:
+            return setting.given
+        if setting.choice not in self._tuned:
+            rival = self._rivals.get(setting.choice)
+            if rival is None:  # the other mode's orders are not all tried in this one
+                return self.channel
+            spread = tuning_spread(rival, self._found.believed, self._causal)
+            alone = in_seconds(self.channel.name, self.channel.unit, rival, self._step_s, spread)
+            beside = {key: getattr(self.channel, key) for key in ("tone", "coloured_noise", "gate", "calibration")}
+            more = {"limits": self.channel.limits, "timing": self.channel.timing}
+            self._tuned[setting.choice] = _without_alarms(alone.model_copy(update=beside | more))
+        return self._tuned[setting.choice]
+
+    def _refuse_unknown(self, choice: str, setting: Setting) -> None:
+        if choice not in (FOUND, *self._rivals) and not (choice == GIVEN and setting.given is not None):
+            raise UsageError(f"There is no model {choice!r} of {self.channel.name!r}; choose one that is offered.")
+
+    def _switched(self, setting: Setting, key: str, on: bool) -> Setting:
+        if key not in components(self._base(setting)):
+            if key not in components(self.channel):
+                raise UsageError(f"{self.channel.name!r} has no component {key!r} to switch; reload the page.")
+            if not on:  # as of what switches, which one order alone does not
+                return setting
+            setting = setting._replace(choice=FOUND, noise_std=None, process_noise_density=None)
+        if key == "switching" and on:
+            setting = setting._replace(noise_std=None, process_noise_density=None)
+        return setting._replace(off=setting.off - {key} if on else setting.off | {key})
+
+    def _dialled(self, setting: Setting, turned: Turned) -> Setting:
+        if turned.noise_std is None and turned.process_noise_density is None:
+            return setting
+        told = self.recipe(setting._replace(unchanged=False))
+        if told.motion is None:
+            raise UsageError(f"{self.channel.name!r} passes unchanged: it has no filter to set.")
+        noise_std = told.motion.noise_std if turned.noise_std is None else turned.noise_std
+        density = turned.process_noise_density
+        density = told.motion.process_noise_density if density is None else density
+        if (noise_std, density) == (told.motion.noise_std, told.motion.process_noise_density):
+            return setting  # a page may say back what it was told
+        return setting._replace(noise_std=noise_std, process_noise_density=density)
+
+
+def components(recipe: ChannelRecipe) -> dict[str, str]:
+    """Return what of a channel's filter can be switched off, by its key: a name for people."""
+    named = {f"tone-{k}": f"tone at {tone.frequency_hz:.4g} Hz" for k, tone in enumerate(recipe.tone)}
+    if recipe.coloured_noise is not None:
+        named["coloured"] = "coloured noise"
+    if recipe.gate is not None:
+        named["gate"] = "gate: leaves spikes out"
+    if recipe.switching is not None:
+        named["switching"] = f"switches: {', '.join(mode.name for mode in recipe.switching.mode)}"
+    if recipe.limits is not None:
+        named["limits"] = "sensor limits: clipped and stuck readings"
+    if recipe.timing is not None:
+        named["timing"] = "uncertain time"
+    return named
+
+
+_FIELDS = {
+    "coloured": "coloured_noise",
+    "gate": "gate",
+    "switching": "switching",
+    "limits": "limits",
+    "timing": "timing",
+}
+
+
+def _has(recipe: ChannelRecipe, key: str) -> bool:
+    if key in _FIELDS:
+        return getattr(recipe, _FIELDS[key]) is not None
+    return key in components(recipe)
+
+
+def _without(recipe: ChannelRecipe, off: frozenset[str]) -> ChannelRecipe:
+    update: dict[str, Any] = {_FIELDS[key]: None for key in off if key in _FIELDS}
+    if any(key not in _FIELDS for key in off):
+        update["tone"] = tuple(tone for k, tone in enumerate(recipe.tone) if f"tone-{k}" not in off)
+    return recipe.model_copy(update=update) if update else recipe
+
+
+def _without_alarms(recipe: ChannelRecipe) -> ChannelRecipe:
+    """Return a recipe that tells no drift and no death: their thresholds are of the filter that was found."""
+    if recipe.limits is None:
+        return recipe
+    limits = recipe.limits.model_copy(update={"drift_threshold": None, "dead_variance": None})
+    return recipe.model_copy(update={"limits": limits})
