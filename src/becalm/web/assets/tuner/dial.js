@@ -2,7 +2,10 @@
 
 import { amount, find, tell } from "../dom.js";
 
-/** @typedef {{ process_noise_density: ArrayLike<number>, bandwidth_hz: ArrayLike<number>, lag_s: ArrayLike<number>, noise_left: ArrayLike<number> }} Positions */
+/**
+ * @typedef {{ process_noise_density: ArrayLike<number>, bandwidth_hz: ArrayLike<number>, lag_s: ArrayLike<number>, noise_left: ArrayLike<number> }} Positions
+ * @typedef {{ bandwidth_hz?: number | null, lag_s?: number | null, noise_left?: number | null, noise_std?: number | null }} Filter
+ */
 
 export class Dial {
   /**
@@ -15,6 +18,8 @@ export class Dial {
     this.turned = turned;
     this.unit = "";
     this.held = false;
+    this.beside = 0; // variance that tones and the like let through, which the positions know nothing of
+    this.noise = 0; // standard deviation of a reading
     /** @type {Positions | null} */
     this.positions = null;
     this.input.addEventListener("input", () => this.#turn(false));
@@ -31,7 +36,9 @@ export class Dial {
     this.unit = unit;
     this.input.disabled = !positions;
     this.input.max = String(positions ? positions.process_noise_density.length - 1 : 1);
-    if (!positions) this.say({});
+    if (positions) return;
+    this.beside = 0;
+    this.say({});
   }
 
   /** Show where a tuning is, unless the dial is held. @param {number | null} density */
@@ -52,11 +59,24 @@ export class Dial {
     this.#turn(true);
   }
 
-  /** @param {{ bandwidth_hz?: number | null, lag_s?: number | null, noise_left?: number | null, noise_gain_db?: number | null }} filter */
-  say(filter) {
-    const gain = filter.noise_gain_db;
-    const down = gain === null || gain === undefined ? "" : ` (${gain.toFixed(1).replace("-", "−")} dB)`;
-    const words = { bandwidth: amount(filter.bandwidth_hz, "Hz"), lag: filter.lag_s === 0 ? "none" : amount(filter.lag_s, "s"), "noise left": amount(filter.noise_left, this.unit) + down };
+  /**
+   * Say what the filter is that a picture shows; of the bandwidth, what the dial turns.
+   * @param {Filter} filter
+   */
+  tell(filter) {
+    if (this.held) return;
+    const { noise_left, noise_std } = filter;
+    this.noise = noise_std ?? 0;
+    if (this.positions) {
+      this.beside = Math.max(0, (noise_left ?? 0) ** 2 - this.#at(this.positions.noise_left) ** 2);
+      this.say({ ...filter, bandwidth_hz: this.#at(this.positions.bandwidth_hz) });
+    } else this.say(filter);
+  }
+
+  /** @param {Filter} filter */
+  say({ bandwidth_hz, lag_s, noise_left }) {
+    const down = noise_left && this.noise ? -20 * Math.log10(noise_left / this.noise) : null;
+    const words = { bandwidth: amount(bandwidth_hz, "Hz"), lag: lag_s === 0 ? "none" : amount(lag_s, "s"), "noise left": amount(noise_left, this.unit), "noise down": amount(down, "dB") };
     tell(this.told, Object.entries(words));
     this.input.setAttribute("aria-valuetext", Object.entries(words).map(([term, value]) => `${term} ${value}`).join(", "));
   }
@@ -72,7 +92,7 @@ export class Dial {
   #sayHere() {
     if (!this.positions) return;
     const { bandwidth_hz, lag_s, noise_left } = this.positions;
-    this.say({ bandwidth_hz: this.#at(bandwidth_hz), lag_s: this.#at(lag_s), noise_left: this.#at(noise_left) });
+    this.say({ bandwidth_hz: this.#at(bandwidth_hz), lag_s: this.#at(lag_s), noise_left: Math.hypot(this.#at(noise_left), Math.sqrt(this.beside)) });
   }
 
   /** Between positions, by even ratios. @param {ArrayLike<number>} values */

@@ -1,13 +1,12 @@
 // What the whole record says about a filter: a verdict in words, numbers, and figures.
 
-import { find, make, say, tell } from "../dom.js";
+import { find, make, tell } from "../dom.js";
 import { decode, draw } from "../figures.js";
 
 /**
  * @typedef {object} Judged
  * @property {string} tone
  * @property {string} says
- * @property {string} words
  * @property {[string, string][]} numbers
  * @property {import("../figures.js").Payload} payload
  */
@@ -21,25 +20,28 @@ export class Verdict {
     this.figures = find("figures", HTMLElement);
     /** @type {uPlot[]} */
     this.plots = [];
+    this.tone = this.says = "";
   }
 
-  /** Say that it is not known yet; figures of before stay, faint. */
-  wait() {
-    this.place.className = "verdict";
-    this.place.textContent = "Judging the whole record …";
-    this.figures.classList.add("stale");
+  /** Say whether it is known yet; figures of before stay meanwhile, faint. @param {boolean} waiting */
+  wait(waiting) {
+    this.figures.classList.toggle("stale", waiting);
+    this.place.className = `verdict ${waiting ? "" : this.tone}`;
+    const [first, ...more] = waiting ? ["Judging the whole record …"] : this.says.split(/(?<=\.) /);
+    this.place.replaceChildren(make(waiting ? "span" : "strong", {}, first), " ", more.join(" "));
   }
 
   /** @param {Judged} judged */
-  show({ tone, says, words, numbers, payload }) {
-    this.place.className = `verdict ${tone}`;
-    this.place.textContent = [SIGNS[tone], says].filter(Boolean).join(" ");
-    say(find("words", HTMLElement), words);
+  show({ tone, says, numbers, payload }) {
+    this.tone = tone;
+    this.says = [SIGNS[tone], says].filter(Boolean).join(" ");
+    this.wait(false);
     tell(find("numbers", HTMLElement), numbers);
     this.clear();
     const arrays = payload.arrays.map(decode);
     const map = find("map", HTMLElement);
     for (const figure of payload.figures) {
+      if (figure.layers.some(({ kind }) => kind === "lane")) continue; // the strip under the signal has them
       const place = frameOf(figure.title, `${figure.title}, ${figure.y.label} over ${figure.x.label}`);
       map.before(place);
       this.plots.push(draw(figure, arrays, place));
@@ -52,7 +54,6 @@ export class Verdict {
       u.destroy();
       place?.remove();
     }
-    this.figures.classList.remove("stale");
   }
 }
 

@@ -29,9 +29,11 @@ const desk = {
   /** @type {File | null} */ brought: null,
   /** @type {string | null} */ restoring: null,
   /** @type {Map<number, import("./dial.js").Positions>} */ dials: new Map(),
-  /** @type {Map<number, import("./judged.js").Judged>} */ judged: new Map(),
+  /** @type {Map<number, import("./judged.js").Judged & { of: string | null }>} */ judged: new Map(),
   channel: 0,
-  mapped: "",
+  mapped: "", // of what the map was asked
+  /** @type {import("./dial.js").Filter} */ filter: {}, // that is drawn
+  pictures: 0, // that were drawn
 };
 const words = { link: find("link", HTMLElement), trouble: find("trouble", HTMLElement), working: find("working", HTMLElement) };
 
@@ -40,7 +42,6 @@ function turn(settings, final = true) {
   const question = { do: "turn", channel: desk.channel, settings, final };
   if (final) {
     say(words.trouble, "");
-    verdict.wait();
     asking.tell(question);
   } else asking.ask(question);
 }
@@ -50,7 +51,7 @@ const asking = new Asking(send);
 const plot = new SignalPlot(find("plot", HTMLElement), ({ from, to }) => look(from, to));
 const dial = new Dial((process_noise_density, final) => turn({ process_noise_density }, final));
 const map = new CostMap(turn);
-const choices = new Choices((settings) => turn(settings), (mode, lag_s) => { verdict.wait(); send({ do: "mode", mode, lag_s }); });
+const choices = new Choices((settings) => turn(settings), (mode, lag_s) => send({ do: "mode", mode, lag_s }));
 const verdict = new Verdict();
 const files = new Files(open, bring);
 const classic = find("classic", HTMLSelectElement);
@@ -113,7 +114,7 @@ function hear(message) {
   } else if (message.kind === "recording") opened(message);
   else if (message.kind === "state") settled(message);
   else if (message.kind === "figures") {
-    desk.judged.set(message.channel, message);
+    desk.judged.set(message.channel, { ...message, of: settingOf(message.channel) });
     if (message.channel === desk.channel) verdict.show(message);
   }
 }
@@ -185,12 +186,9 @@ function choose(channel, focus = false, stay = true) {
   dial.lay(desk.dials.get(channel) ?? null, chosen.unit);
   map.clear();
   desk.mapped = "";
+  verdict.clear();
   const judged = desk.judged.get(channel);
   if (judged) verdict.show(judged);
-  else {
-    verdict.clear();
-    verdict.wait();
-  }
   settle();
   if (seen) plot.look(from, to);
   else plot.whole();
@@ -217,7 +215,14 @@ function settle() {
   if (state.classics) offer(state.classics);
   choices.point(settings);
   dial.point(settings.process_noise_density);
+  verdict.wait(desk.judged.get(desk.channel)?.of !== settingOf(desk.channel));
   askMap(settings);
+}
+
+/** What figures are of. @param {number} channel */
+function settingOf(channel) {
+  const { state } = desk;
+  return state && JSON.stringify([state.mode, state.lag_s, state.channels[channel]]);
 }
 
 /** Ask for the map where another model makes another one. @param {Settings} settings */
@@ -233,19 +238,24 @@ function askMap({ choice, on, noise_std, process_noise_density }) {
 /** @param {import("../frames.js").Frame} frame */
 function draw(frame) {
   const { header, arrays } = frame;
-  if (header.kind === "dial") desk.dials.set(header.channel, /** @type {any} */ (arrays));
+  if (header.kind === "dial" && arrays.process_noise_density?.length) desk.dials.set(header.channel, /** @type {any} */ (arrays));
+  else if (header.kind === "dial") desk.dials.delete(header.channel); // it passes unchanged
   if (header.kind === "picture") asking.heard(header.answers);
   if (header.channel !== desk.channel || !desk.recording) return;
   const { unit } = desk.recording.channels[desk.channel];
   if (header.kind === "dial") {
     dial.lay(desk.dials.get(header.channel) ?? null, unit);
     dial.point(desk.state?.channels[desk.channel].process_noise_density ?? null);
+    dial.tell(desk.filter);
   } else if (header.kind === "map") map.show(header, arrays.cost, unit);
   else if (header.kind === "picture") {
     plot.drawn = () => { if (plot.u) drawLanes(find("lanes", HTMLCanvasElement), plot.u, arrays.verdicts); };
     plot.show(frame);
-    dial.say(header.filter);
-    find("plot-says", HTMLElement).textContent = [header.filter.says, header.rows_each > 1 ? `Each stretch is ${header.rows_each} rows, drawn from the least to the greatest.` : ""].filter(Boolean).join(" ");
+    desk.pictures += 1;
+    desk.filter = header.filter;
+    dial.tell(header.filter);
+    const each = header.rows_each > 1 ? `Each stretch is ${header.rows_each.toLocaleString("en")} rows, drawn from the least to the greatest.` : "";
+    find("plot-says", HTMLElement).textContent = `Drawn: ${header.filter.says}. ${each}`;
   }
 }
 
@@ -283,4 +293,4 @@ onTheme(() => {
   map.redraw();
   verdict.plots.forEach((u) => u.redraw(false, true));
 });
-Object.assign(window, { becalm: { plot, dial, map, desk } }); // for whoever looks at the page by a script, as its tests do
+Object.assign(window, { becalm: { plot, dial, map, desk, asking } }); // for whoever looks at the page by a script, as its tests do

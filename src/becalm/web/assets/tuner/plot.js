@@ -10,7 +10,6 @@ import { gapped } from "../frames.js";
  * @typedef {import("../frames.js").Frame} Frame
  */
 
-const HEIGHT = 400;
 const FEW = 150; // values beside each other that are drawn as points too
 const NEAREST = 3; // rows that a view has at least
 const COLUMNS = ["raw_low", "raw_high", "band_low", "band_high", "clean_low", "clean_high", "classic_low", "classic_high"];
@@ -118,7 +117,7 @@ export class SignalPlot {
     const band_fill = (/** @type {number} */ low, /** @type {uPlot.Band["fill"]} */ fill) => /** @type {uPlot.Band} */ ({ series: [low + 1, low], fill });
     return {
       width: this.canvas.clientWidth,
-      height: HEIGHT,
+      height: this.canvas.clientHeight,
       legend: { show: false },
       scales: { x: { time: false, auto: false }, y: roomy },
       axes: [axisOf({ label: "time since the first row (s)" }, { size: 34 }), axisOf({ label }, { size: roomFor(72) })],
@@ -145,9 +144,9 @@ export class SignalPlot {
   }
 
   #resize() {
-    const width = this.canvas.clientWidth;
-    if (!this.u || !width || this.u.width === width) return;
-    this.u.setSize({ width, height: HEIGHT });
+    const [width, height] = [this.canvas.clientWidth, this.canvas.clientHeight];
+    if (!this.u || !width || (this.u.width === width && this.u.height === height)) return;
+    this.u.setSize({ width, height });
     this.looked(this.view);
   }
 
