@@ -52,6 +52,13 @@ def app(folder: Path) -> Iterator[App]:
         yield running
 
 
+@pytest.fixture(scope="module")
+def untouched(folder: Path) -> Iterator[App]:
+    """Serve files of which none is opened."""
+    with tuner(folder) as running:
+        yield running
+
+
 @pytest.fixture
 def look(browser: Browser) -> Iterator[Look]:
     """Look at a tuner through a new window; whatever goes wrong there fails the test."""
@@ -254,6 +261,7 @@ def test_what_was_done_outlives_a_reload_and_a_new_start(folder: Path, look: Loo
         page.wait_for_function("() => document.body.dataset.state === 'disconnected'")
         assert "trying again" in page.locator("#link").inner_text()
         assert page.locator("#dial").is_disabled()
+        assert page.locator("#undo").is_disabled()
         visit.shoot("tuner-disconnected-1400-light")
         app.start_again()
         page.wait_for_function("() => document.body.dataset.state === 'open'")
@@ -310,13 +318,14 @@ def test_from_opening_to_saving_by_keyboard_alone(app: App, look: Look, tmp_path
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("width", [1400, 400])
-def test_nothing_overflows_in_any_window(width: int, scheme: str, app: App, look: Look) -> None:
-    visit = look(app, "", viewport={"width": width, "height": 900}, color_scheme=scheme)
+def test_nothing_overflows_in_any_window(width: int, scheme: str, app: App, untouched: App, look: Look) -> None:
+    how = {"viewport": {"width": width, "height": 900}, "color_scheme": scheme}
+    empty = look(untouched, "", **how)
+    empty.page.locator("#folder button").first.wait_for()
+    empty.shoot(f"tuner-empty-{width}-{scheme}")
+    assert empty.page.evaluate("() => document.documentElement.scrollWidth") <= width
+    visit = look(app, **how)
     page = visit.page
-    page.keyboard.press("o")
-    visit.shoot(f"tuner-empty-{width}-{scheme}")
-    assert page.evaluate("() => document.documentElement.scrollWidth") <= width
-    visit.open_file(app, "drive.parquet")
     visit.judged()
     visit.shoot(f"tuner-{width}-{scheme}")
     assert page.evaluate("() => document.documentElement.scrollWidth") <= width

@@ -99,7 +99,7 @@ function tied({ up, tries, again_s }) {
   if (up) desk.restoring = desk.state?.recipe ?? null;
   const hint = tries > 3 ? " If it was started anew, open the address that it printed." : "";
   const kept = desk.recording ? " What you did is kept here." : "";
-  say(words.link, up ? "" : `becalm does not answer; trying again in ${amount(again_s, "s")}.${kept}${hint}`);
+  say(words.link, up ? "" : `becalm does not answer; trying again in ${Math.ceil(again_s)} s.${kept}${hint}`);
   if (!up) say(words.working, "");
 }
 
