@@ -4,11 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
-import shutil
-import signal
-import subprocess
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,18 +12,18 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import pytest
 
+from app_runs import CHROMIUM, App
 from becalm.core.recording import Recording
 from becalm.files.writing import write
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page, Route
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
-QUIET = ["--no-sandbox", "--disable-gpu", "--disable-background-networking", "--disable-component-update"]
 SCREENSHOTS = Path(__file__).parents[2] / "build" / "screenshots"
 PATIENCE_MS = 60_000
 ROWS, RATE_HZ = 12_000, 100.0
 
+OWN_DOING = "Multiple readback operations"  # what Chromium says where pixels are counted
 IDLE = "() => becalm.asking.asked === null && becalm.asking.waiting.size === 0"
 BUTTON = "button, input, select, summary, [tabindex='0']"
 NAMELESS = f"""() => [...document.querySelectorAll("{BUTTON}")].filter((one) => one.offsetParent && !(
@@ -59,59 +54,6 @@ PIXELS = """(role) => {
 }"""
 
 
-class App:
-    """`becalm app` in a process of its own."""
-
-    def __init__(self, folder: Path, *words: str, port: int = 0) -> None:
-        self.folder, self.words, self.token_file = folder, words, folder.parent / "token"
-        self._start(port)
-
-    def _start(self, port: int) -> None:
-        command = [sys.executable, "-m", "becalm", "app", *self.words, "--folder", str(self.folder), "--no-browser"]
-        command += ["--port", str(port), "--token-file", str(self.token_file)]
-        environment = {**os.environ, "COLUMNS": "1000", "NO_COLOR": "1"}
-        self._process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment)
-        assert self._process.stderr is not None
-        said = ""
-        for line in self._process.stderr:
-            said += line
-            if found := re.search(r"http://\S+", line):
-                self.url = found[0]
-                return
-        raise AssertionError(f"no address was printed: {said}")
-
-    @property
-    def base(self) -> str:
-        return self.url.partition("/?")[0]
-
-    def kill(self) -> None:
-        """End it as a machine does that loses its power."""
-        self._process.kill()
-        self._ended()
-
-    def start_again(self) -> None:
-        """Start it on the same port."""
-        self._start(int(self.base.rpartition(":")[2]))
-
-    def stop(self) -> None:
-        self._process.send_signal(signal.SIGINT)
-        self._ended()
-
-    def _ended(self) -> None:
-        self._process.wait(60)
-        assert self._process.stderr is not None
-        self._process.stderr.close()
-
-
-@contextmanager
-def tuner(folder: Path, *words: str) -> Iterator[App]:
-    app = App(folder, *words)
-    try:
-        yield app
-    finally:
-        app.stop()
-
-
 class Visit(NamedTuple):
     """A browser's window on the tuner, and what went wrong there."""
 
@@ -123,8 +65,12 @@ class Visit(NamedTuple):
         self.page.goto(app.url)
         self.page.wait_for_function("() => window.becalm && document.body.dataset.state === 'open'")
 
-    def open_file(self, name: str) -> None:
-        """Open a file of the folder, as a person does."""
+    def open_file(self, app: App, name: str) -> None:
+        """Open a file of the folder, as a person does; one that is open comes by itself."""
+        if app.shows == name:
+            self.opened(name)
+            return
+        app.shows = name
         if not self.page.locator("#files").is_visible():
             self.page.locator("#show-files").click()
         self.page.locator("#folder button", has_text=name).click()
@@ -133,7 +79,7 @@ class Visit(NamedTuple):
     def opened(self, name: str) -> None:
         """Wait until a file is there, with its picture."""
         self.page.wait_for_function("(name) => becalm.desk.recording?.name === name && becalm.desk.state", arg=name)
-        self.page.wait_for_function("() => becalm.desk.pictures > 0")
+        self.page.wait_for_function("() => becalm.desk.pictures > 0 && becalm.dial.positions")
         self.idle()
 
     def idle(self) -> None:
@@ -211,9 +157,13 @@ def visiting(browser: Browser, base: str, **more: Any) -> Iterator[Visit]:
         foreign.append(route.request.url)
         route.abort()
 
+    def note(kind: str, text: str) -> None:
+        if kind in ("error", "warning") and OWN_DOING not in text:
+            wrong.append(text)
+
     context.route(lambda url: not url.startswith((base, "blob:", "data:")), refuse)
     page.on("pageerror", lambda error: wrong.append(str(error)))
-    page.on("console", lambda said: wrong.append(said.text) if said.type in ("error", "warning") else None)
+    page.on("console", lambda said: note(said.type, said.text))
     try:
         yield Visit(page, wrong, foreign)
     finally:

@@ -30,7 +30,7 @@ export function drawLanes(canvas, u, verdicts) {
     pen.fillText(name, left - 8 * ratio, (row + 0.5) * ROW * ratio);
     pen.fillStyle = colour("grid")();
     pen.fillRect(left, (row + 0.5) * ROW * ratio, width, 1);
-    pen.fillStyle = colour(other(bit))();
+    pen.fillStyle = colour(name === "missing" ? "faint" : other(bit))();
     for (const [from, to] of runs) {
       const [begin, end] = [placeOf(u, from), placeOf(u, to)];
       if (end < left || begin > left + width) continue;

@@ -31,11 +31,12 @@ const desk = {
   /** @type {Map<number, import("./dial.js").Positions>} */ dials: new Map(),
   /** @type {Map<number, import("./judged.js").Judged & { of: string | null }>} */ judged: new Map(),
   channel: 0,
+  saving: false,
   mapped: "", // of what the map was asked
   /** @type {import("./dial.js").Filter} */ filter: {}, // that is drawn
   pictures: 0, // that were drawn
 };
-const words = { link: find("link", HTMLElement), trouble: find("trouble", HTMLElement), working: find("working", HTMLElement) };
+const words = { link: find("link", HTMLElement), trouble: find("trouble", HTMLElement), working: find("working", HTMLElement), remarks: find("remarks", HTMLElement) };
 
 /** @param {import("./choices.js").Settings | Partial<Settings>} settings @param {boolean} [final] */
 function turn(settings, final = true) {
@@ -98,7 +99,7 @@ function tied({ up, tries, again_s }) {
   if (up) desk.restoring = desk.state?.recipe ?? null;
   const hint = tries > 3 ? " If it was started anew, open the address that it printed." : "";
   const kept = desk.recording ? " What you did is kept here." : "";
-  say(words.link, up ? "" : `becalm does not answer; trying again in ${amount(again_s, "s")}.${kept}${hint}`);
+  say(words.link, up ? "" : `becalm does not answer; trying again in ${Math.ceil(again_s)} s.${kept}${hint}`);
   if (!up) say(words.working, "");
 }
 
@@ -138,7 +139,8 @@ function opened(recording) {
   desk.dials.clear();
   desk.judged.clear();
   say(words.working, "");
-  say(words.trouble, recording.remarks.join(" "));
+  say(words.trouble, "");
+  say(words.remarks, recording.remarks.join(" "));
   document.title = `${recording.name} - becalm`;
   find("facts", HTMLElement).textContent = `${recording.name}: ${recording.rows.toLocaleString("en")} rows at ${amount(recording.rate_hz, "Hz")}, ${amount(recording.lasts_s, "s")}`;
   find("command", HTMLElement).textContent = recording.command;
@@ -200,6 +202,7 @@ function settled(state) {
   const { restoring } = desk;
   desk.restoring = null;
   desk.state = state;
+  if (!desk.saving) say(words.working, "");
   if (restoring && restoring !== state.recipe) send({ do: "restore", recipe: restoring });
   else settle();
 }
@@ -261,7 +264,9 @@ function draw(frame) {
 
 /** @param {string} what */
 function saving(what) {
-  if (desk.state) during("Saving …", () => save(`/save/${what}`));
+  if (!desk.state || desk.saving) return;
+  desk.saving = true;
+  during("Saving …", () => save(`/save/${what}`)).finally(() => { desk.saving = false; });
 }
 
 /** @type {Record<string, () => void>} */
@@ -285,7 +290,7 @@ hearKeys({
   ArrowLeft: () => plot.pan(-0.2), ArrowRight: () => plot.pan(0.2),
   "+": ACTIONS.nearer, "=": ACTIONS.nearer, "-": ACTIONS.farther, 0: ACTIONS.whole,
   "[": () => dial.step(-1), "]": () => dial.step(1),
-  z: ACTIONS.undo, "Shift+z": ACTIONS.redo, o: () => files.show(true), s: ACTIONS["save-recipe"],
+  z: ACTIONS.undo, "Shift+z": ACTIONS.redo, o: () => files.show(true), Escape: () => files.show(!desk.recording), s: ACTIONS["save-recipe"],
 }, (channel) => choose(channel));
 readColours();
 onTheme(() => {
