@@ -138,12 +138,12 @@ class LivePage:
                 await self._tell_tuning(1 / shown.head.rate_hz)
 
     async def _tell_tuning(self, step_s: float) -> None:
-        self._recipe = recipe, can_undo = self._meter.recipe, self.desk.can_undo
+        recipe, can_undo = self._meter.recipe, self.desk.can_undo
         found = {}
         with suppress(BecalmError):  # a recipe that runs, of which nothing can be said
             found = await asyncio.to_thread(facts, recipe, step_s)
         told = text({"kind": "tuned", "recipe": recipe, "can_undo": can_undo, **found})
-        self.tuning = News(self.tuning.number + 1, told)
+        self.tuning, self._recipe = News(self.tuning.number + 1, told), (recipe, can_undo)
 
     async def _save(self, request: Request) -> Response:
         from starlette.responses import PlainTextResponse

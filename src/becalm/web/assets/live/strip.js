@@ -134,7 +134,7 @@ export class Strip {
     this.dial.input.hidden = this.ends.hidden = !dial;
     if (dial) this.dial.point(dial.at);
     if (!filter) return;
-    if (dial) this.dial.say(filter);
+    if (dial) this.dial.tell(filter);
     else tell(this.figures, [["filter", filter.says]]);
   }
 }
