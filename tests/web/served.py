@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import socket
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import NamedTuple
 
@@ -27,6 +28,14 @@ PATIENCE_S = 30.0
 TOKEN = "a-token-that-is-long-enough-for-all"
 LIMIT_BYTES = 3_000_000
 HTML = "<!doctype html><title>A page of a test</title>"
+
+
+def until(happened: Callable[[], bool]) -> None:
+    """Wait for what must come, with patience."""
+    deadline = time.monotonic() + PATIENCE_S
+    while not happened():
+        assert time.monotonic() < deadline, "it has not come"
+        time.sleep(0.01)
 
 
 class Stub:
@@ -100,6 +109,7 @@ class Served(NamedTuple):
             additional_headers=headers,
             sock=socket.create_connection((LOOPBACK, self.access.port)),
             open_timeout=PATIENCE_S,
+            max_size=None,
             proxy=None,
         )
 

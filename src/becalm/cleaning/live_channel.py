@@ -66,9 +66,7 @@ class LiveMotion(FilteredChannel):
         if self._timing is not None:
             self._timing.push(elapsed)
         usable = self.sensor.push(z, elapsed)
-        steps = (
-            np.round(elapsed) if self._runs.tuning.component.goes_in_steps else elapsed
-        )
+        steps = np.round(elapsed) if self._runs.tuning.component.goes_in_steps else elapsed
         return self._counted(self._flow.push(usable, steps))
 
     def finish(self) -> list[Told]:

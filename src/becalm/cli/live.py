@@ -25,6 +25,7 @@ from becalm.live.outlet import Outlet
 from becalm.live.protocols import Keeper, Sink
 from becalm.live.queueing import Policy
 from becalm.live.registry import open_sink, open_source
+from becalm.live.retuning import Retune
 from becalm.live.runner import Runner
 from becalm.live.settings import Settings
 from becalm.live.watching.logs import Log
@@ -39,6 +40,14 @@ _TIMED_BY_RECIPE = ("replay", "stdin", "serial")
 _LEARNED = "learned.recipe.toml"
 
 
+class PageAsked(NamedTuple):
+    """Where the live page shall be."""
+
+    port: int
+    host: str
+    token_file: Path | None
+
+
 class Watching(NamedTuple):
     """How a stream is watched."""
 
@@ -46,6 +55,7 @@ class Watching(NamedTuple):
     metrics: int | None
     log: str
     silent: str
+    page: PageAsked | None = None
 
 
 class StreamError(BecalmError):
@@ -95,6 +105,8 @@ def run(source: str, sinks: list[str], asking: Asking, settings: Settings, watch
             opened.enter_context(MetricsServer(watching.metrics, meter))
         if watching.status is not None:
             opened.enter_context(StatusFile(watching.status, meter, log.warning))
+        if watching.page is not None:
+            others.append(_page(watching.page, meter, lambda *asked: runner.retune(*asked), log, opened))
         runner = Runner(
             source=made,
             address=address,
@@ -113,6 +125,19 @@ def run(source: str, sinks: list[str], asking: Asking, settings: Settings, watch
         log.info("start", source=address, sinks=", ".join(str(Address.parsed(name)) for name in names))
         _walk(runner, log)
     _say(f"Told {runner.rows} rows of {address}.")
+
+
+def _page(asked: PageAsked, meter: Meter, retune: Retune, log: Log, opened: ExitStack) -> Sink:
+    """Serve the live page; return the sink that it shows rows of."""
+    from becalm.web.extra import need_app
+
+    need_app()
+    from becalm.cli.live_page import serve
+
+    served = serve(asked, meter, retune, log.warning, opened)
+    for line in served.says:
+        _say(line)
+    return served.feed
 
 
 def _timed(source: str, recipe: Recipe) -> str:

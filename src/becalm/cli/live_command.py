@@ -45,6 +45,16 @@ Status = Annotated[
 Metrics = Annotated[
     int | None, typer.Option("--metrics", metavar="PORT", help="Tell Prometheus the same, on this machine's port.")
 ]
+PagePort = Annotated[
+    int | None, typer.Option("--page", metavar="PORT", help="Show the stream on a page of this machine; 0: any port.")
+]
+PageHost = Annotated[
+    str, typer.Option("--page-host", metavar="HOST", help="Show it to other machines as well, without TLS.")
+]
+PageToken = Annotated[
+    Path | None,
+    typer.Option("--token-file", metavar="FILE", help="Keep the page's token here, so that it outlives a restart."),
+]
 LogTo = Annotated[
     str, typer.Option("--log", metavar="FILE", help="Where to log; - writes to the error output.", show_default=False)
 ]
@@ -63,11 +73,16 @@ def live(  # noqa: PLR0913  (the contract's options)
     silent: Silent = "10s",
     status: Status = None,
     metrics: Metrics = None,
+    page: PagePort = None,
+    page_host: PageHost = "127.0.0.1",
+    token_file: PageToken = None,
     log: LogTo = "-",
 ) -> None:
     """Filter a stream while it comes, for weeks; what was kept outlives a power cut."""
-    from becalm.cli.live import Asking, Watching, run, settings_of
+    from becalm.cli.live import Asking, PageAsked, Watching, run, settings_of
 
     named = () if channels is None else o.split_names(channels)
     asking = Asking(recipe, learn, o.lag_of(lag), named)
-    run(source, sink or [], asking, settings_of(queue, when_full, commit), Watching(status, metrics, log, silent))
+    shown = None if page is None else PageAsked(page, page_host, token_file)
+    watching = Watching(status, metrics, log, silent, shown)
+    run(source, sink or [], asking, settings_of(queue, when_full, commit), watching)

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import threading
 from collections import deque
 from collections.abc import Callable
+from concurrent.futures import Future
 from typing import NamedTuple
 
 from becalm.cleaning.recipe import Recipe
 from becalm.errors import BecalmError
-from becalm.live.stream import Stream
+from becalm.live.stream import Prepared, Stream
 from becalm.live.watching.watch import Watch
 
 Heard = Callable[[str], object]
 """Is told why a recipe was refused; "" of one that was taken."""
+
+Retune = Callable[[Callable[[], Recipe], Heard], None]
+"""Asks for another recipe, as `Runner.retune`."""
 
 
 class _Asked(NamedTuple):
@@ -21,26 +26,44 @@ class _Asked(NamedTuple):
 
 
 class Retuning:
-    """What was asked for last; what was asked before it and not taken yet is forgotten."""
+    """What was asked for last; what was asked before it and not begun yet is forgotten.
+
+    Filters are made in a thread of their own, so that no row waits for them.
+    """
 
     def __init__(self) -> None:
         self._asked: deque[_Asked] = deque(maxlen=1)  # so that a signal amid taking loses nothing
+        self._making: Future[Prepared] | None = None
+        self._heard: Heard = lambda _: None
 
     def ask(self, recipe: Callable[[], Recipe], heard: Heard) -> None:
-        """Ask for a recipe, which is read when it is taken."""
+        """Ask for a recipe, which is read later."""
         self._asked.append(_Asked(recipe, heard))
 
     def take(self, stream: Stream, watch: Watch) -> None:
-        """Let a stream take what was asked for, unless it is just going from one filter to another: then later."""
-        if not self._asked or stream.gives_way:
-            return
-        asked = self._asked.popleft()
-        try:
-            recipe = asked.recipe()
-            stream.retuned(recipe)
-        except BecalmError as cause:
-            watch.refused(str(cause))
-            asked.heard(str(cause))
-        else:
-            watch.tuned(recipe.to_toml())
-            asked.heard("")
+        """Let a stream take filters that are made, unless it is just going from some to others: then later."""
+        if self._making is None:
+            if self._asked:
+                self._begin(stream)
+        elif self._making.done() and not stream.gives_way:
+            making, self._making = self._making, None
+            try:
+                stream.take_over(made := making.result())
+            except BecalmError as cause:
+                watch.refused(str(cause))
+                self._heard(str(cause))
+            else:
+                watch.tuned(made.toml)
+                self._heard("")
+
+    def _begin(self, stream: Stream) -> None:
+        recipe, self._heard = self._asked.popleft()
+        making = self._making = Future[Prepared]()
+
+        def make() -> None:
+            try:
+                making.set_result(stream.prepared(recipe()))
+            except Exception as cause:  # the stream's thread says it
+                making.set_exception(cause)
+
+        threading.Thread(target=make, name="retuning", daemon=True).start()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from becalm.core.packing import packed, unpacked
 from becalm.errors import BecalmError, ModelError, RecipeError
 from becalm.files.units import parse_header
 from becalm.live.block import Block, Checkpoint, Head, Loss, LossKind, Output
+from becalm.live.waiting import Waiting
 
 _VERSION = 1
 _COUNTABLE = 2.0**52  # steps; a stamp that claims more tells nothing of rows
@@ -26,6 +27,15 @@ _LEFT_OUT = {
     FAR: (LossKind.CLOCK, "came with stamps more than a day ahead"),
     UNTIMED: (LossKind.GARBLED, "came without a stamp that is a number"),
 }
+
+
+class Prepared(NamedTuple):
+    """Filters that may take over."""
+
+    recipe: Recipe
+    toml: str
+    later: StreamCleaner
+    rows: int  # until they have forgotten their start
 
 
 class Stream:
@@ -48,7 +58,7 @@ class Stream:
         self._clock = LiveClock(step_s, resolution_s)
         self._cleaner: StreamCleaner | Handover = StreamCleaner(recipe, step_s)
         self._former = recipe  # that gives way, in a handover
-        self._waiting = _Waiting(len(recipe.channel))
+        self._waiting = Waiting(len(recipe.channel))
         self._numbers: list[int] | None = None
         self._before = np.empty(0)  # stamp and readings of the row that came last, whatever became of it
         self._step_s = step_s
@@ -206,45 +216,39 @@ class Stream:
         RecipeError
             If it has other channels, or another lag.
         """
+        self.take_over(self.prepared(recipe))
+
+    def prepared(self, recipe: Recipe) -> Prepared:
+        """Make the filters of another recipe, which takes some tenths of a second; any thread may.
+
+        Raises
+        ------
+        RecipeError
+            If it has other channels.
+        """
         names, units = zip(*((one.name, one.unit) for one in self.recipe.channel), strict=True)
         recipe = fitted(recipe, names, units)
         if [one.name for one in recipe.channel] != list(names):
             raise RecipeError("The recipe has other channels than the stream, which keeps those it began with.")
-        later, rows = StreamCleaner(recipe, self._step_s), rows_to_forget(recipe, self._step_s)
+        cleaner = StreamCleaner(recipe, self._step_s)
+        return Prepared(recipe, recipe.to_toml(), cleaner, rows_to_forget(recipe, self._step_s))
+
+    def take_over(self, prepared: Prepared) -> None:
+        """Let filters that are made take over from the next row on.
+
+        Raises
+        ------
+        RecipeError
+            If they have another lag.
+        """
         if isinstance(self._cleaner, Handover) and not self._cleaner.has_begun:
-            self._cleaner = Handover(self._cleaner.former, later, rows)  # the one between was never told
+            self._cleaner = Handover(
+                self._cleaner.former, prepared.later, prepared.rows
+            )  # what is between told nothing
         else:
             former = self._cleaner.later if isinstance(self._cleaner, Handover) else self._cleaner
-            self._cleaner, self._former = Handover(former, later, rows), self.recipe
-        self.recipe = recipe
-
-
-class _Waiting:
-    """Rows that were read and not told yet, of a filter with a lag; some may have been told when the stream ended."""
-
-    def __init__(self, width: int) -> None:
-        self.time_s, self.values = np.empty(0), np.empty((0, width))
-        self.told = 0  # of the first ones, at an end that was none
-
-    @property
-    def count(self) -> int:
-        return len(self.time_s)
-
-    def rows(self, first: int) -> tuple[Floats, Floats]:
-        return self.time_s[first:], self.values[first:]
-
-    def through(self, time_s: Floats, values: Floats, ready: int) -> tuple[Floats, Floats, int]:
-        """Add rows at the end and take `ready` from the front; return those not told yet, and how many were."""
-        time_s, values = np.concatenate([self.time_s, time_s]), np.concatenate([self.values, values])
-        self.time_s, self.values = time_s[ready:].copy(), values[ready:].copy()
-        again = min(self.told, ready)
-        self.told -= again
-        return time_s[again:ready], values[again:ready], again
-
-    def restore(self, time_s: Floats, values: Floats, told: int) -> None:
-        if values.shape != (len(time_s), self.values.shape[1]) or not 0 <= told <= len(time_s):
-            raise ModelError("The stream's snapshot is damaged; begin a new stream in another folder.")
-        self.time_s, self.values, self.told = time_s, values, told
+            self._cleaner, self._former = Handover(former, prepared.later, prepared.rows), self.recipe
+        self.recipe = prepared.recipe
 
 
 def _after(told: Streamed, rows: int) -> Streamed:

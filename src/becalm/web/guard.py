@@ -55,6 +55,8 @@ class Guard:
 
         if (why := self._foreign(asked)) is not None:
             await _answer(asked, secured, 403, why)
+        elif asked.header(b"content-length") is not None and asked.header(b"transfer-encoding") is not None:
+            await _answer(asked, secured, 400, "Where this request ends is said in two ways.")  # to smuggle another in
         elif asked.is_login:
             await self._log_in(asked, secured)
         elif not any(map(self._access.knows, asked.cookies(self._access.cookie))):

@@ -34,7 +34,7 @@ def heard(frame: Mapping[str, Any]) -> dict[str, Any]:
     try:
         message = json.loads(said, parse_constant=_no_number, parse_float=_number)
     except (ValueError, RecursionError) as cause:  # also of integers with thousands of digits
-        raise UsageError(f"A page sent what is no JSON ({_shortened(str(cause))}); reload it.") from cause
+        raise UsageError(f"A page sent what is no JSON ({str(cause)[:80]}); reload it.") from cause
     if not isinstance(message, dict):
         raise UsageError("A page sent JSON that is no object; reload it.")
     return message
@@ -46,8 +46,4 @@ def _number(text: str) -> float:
 
 
 def _no_number(text: str) -> NoReturn:
-    raise ValueError(f"{_shortened(text)} is no finite number")
-
-
-def _shortened(text: str) -> str:
-    return text if len(text) <= 80 else f"{text[:80]}..."
+    raise ValueError(f"{text[:20]}{'...' if len(text) > 20 else ''} is no finite number")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import socket
 import threading
 from types import TracebackType
@@ -16,9 +17,14 @@ if TYPE_CHECKING:
     from starlette.types import ASGIApp
 
 MOST_SAID_BYTES = 1 << 20  # in a message of a page
+_PORTS = 1 << 16
 _HEADERS_BYTES = 1 << 14
 _ENDING_S = 1  # for answers on their way when the server ends
 _PATIENCE_S = 4.0  # for its thread to end, which may be computing
+
+
+class TakenError(UsageError):
+    """Another program listens there."""
 
 
 def listen(host: str, port: int, option: str = "--port") -> socket.socket:
@@ -36,17 +42,23 @@ def listen(host: str, port: int, option: str = "--port") -> socket.socket:
     Raises
     ------
     UsageError
-        If it cannot be had.
+        If it cannot be had; a TakenError where another program has it.
     """
+    wanted = f"No page can be served at {host}, port {port}"
+    way_out = f"name another with {option}, or 0 for any free one."
+    if not 0 <= port < _PORTS:
+        raise UsageError(f"{wanted}: ports end at {_PORTS - 1}; {way_out}")
     try:
         family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
         both = family == socket.AF_INET6 and host == "::" and socket.has_dualstack_ipv6()
         return socket.create_server(address[:2], family=family, dualstack_ipv6=both)
-    except (OSError, OverflowError, UnicodeError) as cause:
-        why = getattr(cause, "strerror", None) or cause
-        raise UsageError(
-            f"No page can be served at {host}, port {port} ({why}); name another with {option}, or 0 for any free one."
-        ) from cause
+    except OSError as cause:
+        if cause.errno == errno.EADDRINUSE:
+            raise TakenError(f"{wanted}: another program is there; {way_out}") from cause
+        why = str(cause.strerror).partition(" (while")[0]
+        raise UsageError(f"{wanted} ({why}); name this machine with --host, and a port with {option}.") from cause
+    except UnicodeError as cause:
+        raise UsageError(f"{host!r} is no name of a machine; name this one with --host.") from cause
 
 
 class Server:

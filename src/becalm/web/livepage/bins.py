@@ -51,6 +51,11 @@ class Span(NamedTuple):
         """Return the number of bins."""
         return len(self.time_s)
 
+    def part(self, begin: int, end: int) -> Span:
+        """Return some of the bins."""
+        some = slice(begin, end)
+        return Span(self.first + begin, self.time_s[some], self.low[some], self.high[some], self.verdicts[some])
+
 
 class Bins:
     """The bins of a stream, as many of each level as memory is for.
@@ -107,7 +112,7 @@ class Bins:
         first = min(max(first, self.oldest(level)), stop)
         span = ring.read(first, stop)
         overtaken = max(0, min(ring.reached - self.kept - first, len(span)))
-        return _from(span, overtaken) if overtaken else span
+        return span.part(overtaken, len(span)) if overtaken else span
 
     def _push(self, output: Output, some: slice) -> None:
         columns = self._columns(output, some)
@@ -119,8 +124,8 @@ class Bins:
         if self._open is not None and self._open.first == span.first:
             span = _begun_by(self._open, span)
         whole = (row + len(columns)) % each == 0
-        self._open = None if whole else _from(span, len(span) - 1)
-        self._rings[0].write(span if whole else _until(span, len(span) - 1))
+        self._open = None if whole else span.part(len(span) - 1, len(span))
+        self._rings[0].write(span if whole else span.part(0, len(span) - 1))
         for lower, upper in pairwise(self._rings):
             if not self._coarsen(lower, upper, lower.closed // COARSER):
                 break
@@ -196,11 +201,3 @@ def _begun_by(begun: Span, span: Span) -> Span:
     span.high[0] = np.fmax(begun.high[0], span.high[0])
     span.verdicts[0] |= begun.verdicts[0]
     return span
-
-
-def _from(span: Span, begin: int) -> Span:
-    return Span(span.first + begin, *(array[begin:] for array in span[1:]))
-
-
-def _until(span: Span, end: int) -> Span:
-    return Span(span.first, *(array[:end] for array in span[1:]))

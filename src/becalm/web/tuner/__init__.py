@@ -1,1 +1,103 @@
-"""The tuner."""
+"""The tuner: a recording and its filter on a page, with a dial between quick and calm."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from urllib.parse import quote
+
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response, StreamingResponse
+from starlette.routing import Route
+from starlette.types import Receive, Scope, Send
+from starlette.websockets import WebSocket
+
+from becalm.web.tuner.conversation import Conversation
+from becalm.web.tuner.saving import Job, Made, cleaned, reported, stem_of
+from becalm.web.tuner.sharing import Shared
+
+__all__ = ["Tuner"]
+
+
+class Tuner:
+    """The server's side of the tuner's page.
+
+    Parameters
+    ----------
+    folder : Path
+        Whose files may be opened.
+    file : Path or None
+        What is opened first, wherever it is.
+    upload_limit : int
+        Bytes of a file that a page may bring.
+
+    Attributes
+    ----------
+    routes : list of Route
+        What is answered beside the page itself: uploads and downloads.
+
+    Raises
+    ------
+    UsageError
+        If there is no such folder.
+    """
+
+    def __init__(self, folder: Path, file: Path | None, upload_limit: int) -> None:
+        self._shared = Shared(folder, file, upload_limit)
+        self.routes = [
+            Route("/files/{name:path}", self._bring, methods=["PUT"]),
+            Route("/save/recipe", self._save_recipe),
+            Route("/save/clean", self._save_clean),
+            Route("/save/report", self._save_report),
+        ]
+
+    async def wire(self, websocket: WebSocket) -> None:
+        """Speak with a page until it is closed."""
+        page = Conversation(self._shared, websocket)
+        self._shared.pages.add(page)
+        try:
+            await page.run()
+        finally:
+            self._shared.pages.discard(page)
+
+    def close(self) -> None:
+        """End what computes, and remove what was brought."""
+        self._shared.close()
+
+    async def _bring(self, request: Request) -> Response:
+        path = await self._shared.uploads.take(request, request.path_params["name"])
+        return JSONResponse({"file": self._shared.folder.bring(path)})
+
+    async def _save_recipe(self, request: Request) -> Response:
+        desk = self._shared.open_desk
+        name = f"{stem_of(desk.opened.path)}.recipe.toml"
+        return Response(desk.recipe().to_toml(), media_type="application/toml", headers=_as_file(name))
+
+    async def _save_clean(self, request: Request) -> Response:
+        return _Download(await cleaned(self._job(), request.query_params.get("format", "csv").removeprefix(".")))
+
+    async def _save_report(self, request: Request) -> Response:
+        return _Download(await reported(self._job()))
+
+    def _job(self) -> Job:
+        desk = self._shared.open_desk
+        return Job(desk.opened.path, desk.recipe().to_toml(), desk.opened.group if desk.opened.several else None)
+
+
+class _Download(StreamingResponse):
+    """A file that was made, which goes once it was sent, or nobody wants it."""
+
+    def __init__(self, made: Made) -> None:
+        headers = {**_as_file(made.name), "content-length": str(made.bytes)}
+        super().__init__(made.blocks(), media_type="application/octet-stream", headers=headers)
+        self._made = made
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Send it."""
+        try:
+            await super().__call__(scope, receive, send)
+        finally:
+            self._made.close()
+
+
+def _as_file(name: str) -> dict[str, str]:
+    return {"content-disposition": f"attachment; filename*=UTF-8''{quote(name)}"}

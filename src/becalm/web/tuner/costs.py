@@ -84,8 +84,8 @@ def cost_map(rows: ChannelRows, channel: ChannelRecipe) -> CostMap:
     cost = np.where(used > 0, cost, np.inf)
     best = np.unravel_index(int(np.argmin(cost)), cost.shape)
     return CostMap(
-        channel.motion.noise_std * 10.0**decades,
-        density * 10.0**powers,
+        np.asarray(channel.motion.noise_std * 10.0**decades),
+        np.asarray(density * 10.0**powers),
         cost - cost.min(),
         (int(best[0]), int(best[1])),
         (channel.motion.noise_std, channel.motion.process_noise_density),
@@ -101,7 +101,7 @@ class _Passes:
             tuning,
             ratio=1.0,
             noise_variance=1.0,
-            lines=tuple(replace(line, density=line.density / r) for line in tuning.lines),
+            lines=tuple(line._replace(density=line.density / r) for line in tuning.lines),
             coloured=None if noise is None else noise._replace(variance=noise.variance / r),
         )
         component = unit.component

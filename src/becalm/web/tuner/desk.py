@@ -69,6 +69,15 @@ class Desk:
         """Whether something was taken back."""
         return self._at + 1 < len(self._steps)
 
+    @property
+    def classics(self) -> list[str]:
+        """Classic filters that are fair beside the mode that is on."""
+        return classics_of(self.now.mode)
+
+    def begin(self) -> None:
+        """Find the filters; takes a while."""
+        self.opened.options(self.opened.as_filter(self.now.mode, self.now.lag_s))
+
     def turn(self, channel: int, turned: Turned, *, final: bool) -> None:
         """Change the settings of a channel; what is not final is no step that can be taken back."""
         options = self._options_of(channel)
@@ -128,16 +137,19 @@ class Desk:
         UsageError
             If none is.
         """
-        mode, lag_s, settings = self.now
-        kept = tuple(
-            option.recipe(setting)
-            for option, setting in zip(self.options, settings, strict=True)
-            if not setting.unchanged
-        )
+        recipe = self.recipe_of_all()
+        told = zip(recipe.channel, self.now.settings, strict=True)
+        kept = tuple(channel for channel, setting in told if not setting.unchanged)
         if not kept:
             raise UsageError("No channel is left to clean; let one be cleaned before you save.")
+        return recipe.model_copy(update={"channel": kept})
+
+    def recipe_of_all(self) -> Recipe:
+        """Return the recipe of all channels, also of those that pass unchanged."""
+        mode, lag_s, settings = self.now
+        told = tuple(option.recipe(setting) for option, setting in zip(self.options, settings, strict=True))
         origin = self.opened.origin(self.opened.as_filter(mode, lag_s))
-        return Recipe(mode=mode, lag_s=lag_s, tuned_on=origin, channel=kept)
+        return Recipe(mode=mode, lag_s=lag_s, tuned_on=origin, channel=told)
 
     def recording_told(self) -> dict[str, object]:
         """Tell a page of the recording."""
@@ -155,7 +167,7 @@ class Desk:
             "mode": mode,
             "lag_s": lag_s,
             "channels": [_told(name, unit, option, setting) for name, unit, option, setting in names],
-            "classics": classics_of(mode),
+            "classics": self.classics,
             "remarks": opened.remarks,
             "command": command(opened),
         }
@@ -176,7 +188,7 @@ class Desk:
             "changed": self.now != self._steps[0],
             "recipe": recipe,
             "channels": [option.told(one) for option, one in zip(self.options, settings, strict=True)],
-            "classics": classics_of(mode),
+            "classics": self.classics,
         }
 
     def _options_of(self, channel: int) -> Options:

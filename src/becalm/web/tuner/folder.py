@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import os
-import shutil
 import stat
-import tempfile
-import unicodedata
 from pathlib import Path
 from typing import NamedTuple
 
@@ -42,8 +39,6 @@ READ_ENDINGS = (
 """Of names of recordings; the content decides what a file is."""
 
 _MOST_LISTED = 2000
-_LONGEST_NAME = 255  # bytes, of a name in most file systems
-_FORBIDDEN = frozenset('/\\:*?"<>|')
 
 
 class Known(NamedTuple):
@@ -73,7 +68,7 @@ class Known(NamedTuple):
 
 
 class Folder:
-    """A folder that was chosen, and a private one for what is brought.
+    """A folder that was chosen, and what pages brought.
 
     Parameters
     ----------
@@ -87,7 +82,7 @@ class Folder:
         if not folder.is_dir():
             raise UsageError(f"{folder} is no folder; name one with --folder.")
         self.folder, self._file = folder, file
-        self._brought: Path | None = None
+        self._brought: list[Path] = []
 
     @property
     def name(self) -> str:
@@ -100,10 +95,9 @@ class Folder:
         return None if self._file is None else _id("given", self._file.name)
 
     def known(self) -> list[Known]:
-        """List what may be opened now, in the order of names: what is in the folder, what was brought, what was named."""
+        """List what may be opened now: what was named at the start, what was brought, what is in the folder."""
         found = [] if self._file is None else [_known("given", self._file, leaving=True)]
-        if self._brought is not None:
-            found += [_known("brought", path) for path in sorted(self._brought.iterdir())]
+        found += [_known(f"brought/{path.parent.name}", path) for path in self._brought]
         named = None if self._file is None else self._file.resolve()
         for path in self._listed():
             if path.resolve() != named:
@@ -123,29 +117,10 @@ class Folder:
                 return one.path
         raise InputError("That file is not there any more; choose another one, or drop it here.")
 
-    def place_for(self, name: str) -> Path:
-        """Return where a file that is brought is to be written, under its own name.
-
-        Raises
-        ------
-        UsageError
-            If the name is none for a file.
-        """
-        if not is_plain(name):
-            raise UsageError("That is no plain name of a file; rename it, and drop it again.")
-        if self._brought is None:
-            self._brought = Path(tempfile.mkdtemp(prefix="becalm-"))  # readable by its owner only
-        return self._brought / name
-
-    def id_of_brought(self, name: str) -> str:
-        """Return what a page calls a file that was brought."""
-        return _id("brought", name)
-
-    def close(self) -> None:
-        """Remove what was brought."""
-        if self._brought is not None:
-            shutil.rmtree(self._brought, ignore_errors=True)
-            self._brought = None
+    def bring(self, path: Path) -> str:
+        """Take in a file that a page sent; return what the page calls it."""
+        self._brought.append(path)
+        return _id(f"brought/{path.parent.name}", path.name)
 
     def _listed(self) -> list[Path]:
         try:
@@ -153,13 +128,6 @@ class Folder:
         except OSError:
             return []
         return inside[:_MOST_LISTED]
-
-
-def is_plain(name: str) -> bool:
-    """Whether a name is that of a file, and leads nowhere else."""
-    if not name or name.startswith(".") or name != name.strip() or len(name.encode("utf-8", "replace")) > _LONGEST_NAME:
-        return False
-    return not any(sign in _FORBIDDEN or unicodedata.category(sign) in ("Cc", "Cs") for sign in name)
 
 
 def _looks_readable(path: Path) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, model_validator
@@ -121,23 +122,21 @@ Message = Open | Look | Turn | InMode | Undo | Redo | Map | Compare | Restore
 _ANY: TypeAdapter[Message] = TypeAdapter(Annotated[Message, Field(discriminator="do")])
 
 
-def heard(text: str) -> Message:
-    """Read a message of a page.
+def understood(said: Mapping[str, object]) -> Message:
+    """Check what a page said.
 
     Raises
     ------
     UsageError
-        If it is none; the sentence says what is wrong.
+        If it is no message of a page; the sentence says what is wrong.
     """
     try:
-        return _ANY.validate_json(text)
-    except (ValidationError, RecursionError) as cause:
-        raise UsageError(f"The page asked for what this server does not know: {_wrong(cause)}. Reload it.") from cause
+        return _ANY.validate_python(said)
+    except ValidationError as cause:
+        raise UsageError(f"The page asked for what this server does not know ({_wrong(cause)}); reload it.") from cause
 
 
-def _wrong(cause: Exception) -> str:
-    if not isinstance(cause, ValidationError):
-        return "a message that is nested too deeply"
+def _wrong(cause: ValidationError) -> str:
     first = cause.errors(include_input=False, include_url=False, include_context=False)[0]
     place = ".".join(str(part) for part in first["loc"])
     return f"{place}: {first['msg']}" if place else str(first["msg"])

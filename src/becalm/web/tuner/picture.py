@@ -85,8 +85,7 @@ def raw_of(rows: ChannelRows, times_s: Callable[[], Floats] | None, view: View) 
     for start in range(view.first, view.stop, PIECE):
         z = rows.possible(slice(start, min(start + PIECE, view.stop)))
         readings.add(*stretches.next(len(z)), z, z)
-    told = starts * rows.step_s if times_s is None else times_s()[starts]
-    return Raw(told, readings)
+    return Raw(np.asarray(starts * rows.step_s) if times_s is None else times_s()[starts], readings)
 
 
 def clean_of(rows: ChannelRows, recipe: ChannelRecipe, lag: int | None, view: View, pool: Executor) -> Clean:
@@ -156,7 +155,7 @@ def _unchanged(rows: ChannelRows, recipe: ChannelRecipe, view: View) -> Clean:
 def _joined(parts: list[Clean]) -> Clean:
     if len(parts) == 1:
         return parts[0]
-    signal, band = (_end_to_end([part[place] for part in parts]) for place in (0, 1))
+    signal, band = _end_to_end([part.signal for part in parts]), _end_to_end([part.band for part in parts])
     return Clean(signal, band, np.concatenate([part.verdicts for part in parts]))
 
 

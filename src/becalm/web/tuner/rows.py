@@ -60,15 +60,15 @@ class ChannelRows:
     def healthy(self, limits: LimitsRecipe | None) -> Healthy:
         """Return the readings that may enter a filter; what the sensor keeps to is looked at once."""
         plain = None if limits is None else limits.model_copy(update={"drift_threshold": None, "dead_variance": None})
-        if plain not in self._healthy:
+        found = self._healthy.get(plain)
+        if found is None:
             watch = SensorWatch(plain, self.step_s, shown=False)
             readings = watch.push(self.z, self.elapsed)
             nothing = np.empty(len(self.z))
             (told,) = watch.named([Told(nothing, nothing, nothing[np.newaxis], np.zeros(len(self.z), np.int8))])
-            if len(self._healthy) > 1:
-                self._healthy.clear()
-            self._healthy[plain] = Healthy(readings, told.verdicts, self._longest_gap(readings))
-        return self._healthy[plain]
+            found = Healthy(readings, told.verdicts, self._longest_gap(readings))
+            self._healthy = {**({} if len(self._healthy) > 1 else self._healthy), plain: found}
+        return found
 
     def possible(self, part: slice) -> Floats:
         """Return some readings to draw: without what no sensor gives, which would leave no room for the others."""
@@ -139,12 +139,12 @@ class Run:
         return uncertainty.widened([told._replace(verdicts=beside_filter(told.verdicts, before))])
 
     def _begun(self, first: int) -> int:
-        """Return the row to begin with, at a whole block: since then so many readings, and so much time, went by."""
+        """Return the row to begin with: since then so many readings, and so much time, went by."""
         if not self._bridges_all():
             return 0
         rows = self._margin + self._margin // 4
         while first > rows:
-            begin = (first - rows) // BLOCK * BLOCK
+            begin = (first - rows) // self.filter.aligned * self.filter.aligned
             if self._is_long(slice(begin, first)):
                 return begin
             rows *= 2

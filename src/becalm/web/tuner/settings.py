@@ -71,7 +71,7 @@ class Options:
         UsageError
             If there is no such choice or component, or the channel has no filter to set.
         """
-        if turned.choice is not None and turned.choice != setting.choice:
+        if turned.choice is not None:  # also the same again: with the numbers that were tuned
             self._refuse_unknown(turned.choice, setting)
             setting = setting._replace(choice=turned.choice, noise_std=None, process_noise_density=None)
         if turned.unchanged is not None:
@@ -190,13 +190,7 @@ def components(recipe: ChannelRecipe) -> dict[str, str]:
     return named
 
 
-_FIELDS = {
-    "coloured": "coloured_noise",
-    "gate": "gate",
-    "switching": "switching",
-    "limits": "limits",
-    "timing": "timing",
-}
+_FIELDS = {"coloured": "coloured_noise"} | {key: key for key in ("gate", "switching", "limits", "timing")}
 
 
 def _has(recipe: ChannelRecipe, key: str) -> bool:

@@ -1,0 +1,52 @@
+"""The live page beside a stream: served from a thread, its address told to whoever began the stream."""
+
+from __future__ import annotations
+
+import sys
+from contextlib import ExitStack
+from typing import TYPE_CHECKING, NamedTuple
+
+from becalm.live.retuning import Retune
+from becalm.live.watching.meter import Meter
+from becalm.web.access import Access, token_of
+from becalm.web.livepage.feed import Feed
+from becalm.web.livepage.page import LivePage
+from becalm.web.serving import Server, listen
+from becalm.web.site import Page, html_of, site
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from becalm.cli.live import PageAsked
+
+
+_SWITCH_S = 5e-4  # until a thread that computes lets another go on: a page's figures must not hold up the filters
+
+
+class Served(NamedTuple):
+    """A page that is there."""
+
+    feed: Feed
+    """The sink that it shows rows of."""
+
+    says: tuple[str, ...]
+    """For whoever began the stream, and for no log: the address holds the token."""
+
+
+def serve(asked: PageAsked, meter: Meter, retune: Retune, warn: Callable[[str], object], opened: ExitStack) -> Served:
+    """Serve the live page until all is closed.
+
+    Raises
+    ------
+    UsageError
+        If the port cannot be had, or the token's file is none.
+    """
+    sys.setswitchinterval(_SWITCH_S)
+    page = LivePage(Feed(warn), meter, retune)
+    token = token_of(asked.token_file)
+    listener = listen(asked.host, asked.port, "--page")
+    access = Access(asked.host, listener.getsockname()[1], token)
+    opened.enter_context(Server(listener, site(Page(html_of("live.html"), page.wire, page.routes), access)))
+    opened.callback(page.close)
+    warning = () if access.warning is None else (access.warning,)
+    return Served(page.feed, (f"The stream is shown at {access.url}", *warning))

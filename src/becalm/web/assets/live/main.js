@@ -1,0 +1,295 @@
+// The live page: what becalm tells of a stream, as it comes.
+
+import { onTheme, readColours } from "../colours.js";
+import { amount, find, say, tell } from "../dom.js";
+import { hearKeys } from "../tuner/keys.js";
+import { connect } from "../wire.js";
+import { anchorOf, clock, drawAxis, ticksOf, timeOf } from "./axis.js";
+import { HELD, Store } from "./store.js";
+import { GUTTER, Strip } from "./strip.js";
+import { View } from "./view.js";
+
+const MOST_ASKED = 4000; // bins at once
+const SAID_MS = 250; // between numbers, so that they can be read
+const OVER = ["ended", "failed", "stopping"];
+
+const links = { link: find("link", HTMLElement), trouble: find("trouble", HTMLElement), working: find("working", HTMLElement) };
+const buttons = { pause: find("pause", HTMLButtonElement), now: find("now", HTMLButtonElement), undo: find("undo", HTMLButtonElement) };
+const axis = find("axis", HTMLCanvasElement);
+
+/** @type {any} */
+let welcome = null;
+/** @type {View} */
+let view;
+/** @type {Strip[]} */
+let strips = [];
+/** @type {Store} what comes */
+let live;
+/** @type {Store | null} what is looked at while the view stands still */
+let held = null;
+let level = -1; // that is followed
+/** @type {number | null} the bin that comes next */
+let next = null;
+let state = "";
+let chosen = 0; // the channel whose dial keys turn
+let asked = ""; // of the past, and not answered yet, or answered with less
+let saidMs = 0;
+const counts = { frames: 0, updates: 0, drawn: 0, bins: 0, gaps: 0 };
+let fresh = false; // bins came since the last frame
+
+const send = connect({
+  text: (message) => heard[message.kind]?.(message),
+  frame: take,
+  link: ({ up, again_s }) => {
+    document.body.dataset.state = up ? "live" : "disconnected";
+    const over = OVER.includes(state) ? "The stream has ended, and becalm with it" : "becalm does not answer";
+    say(links.link, up ? "" : `${over}; what came before stays here. Trying again in ${again_s} s.`);
+  },
+});
+
+/** @type {Record<string, (message: any) => void>} */
+const heard = {
+  welcome: begin,
+  health: fare,
+  tuned: tune,
+  taken: () => say(links.trouble, ""),
+  trouble: ({ says }) => say(links.trouble, says),
+};
+
+/** Hear what the stream is. @param {any} message */
+function begin(message) {
+  const again = welcome?.run === message.run;
+  const before = welcome;
+  welcome = message;
+  say(links.working, "");
+  if (!again) {
+    if (before) say(links.trouble, "becalm was started again; what it showed before is no longer here.");
+    view = new View(message);
+    let place = 0;
+    strips = message.names.map((/** @type {string} */ name, /** @type {number} */ c) => {
+      const modes = (message.modes[c] ?? []).map((/** @type {string} */ mode) => /** @type {[string, number]} */ ([mode, place++]));
+      return new Strip(c, name, message.units[c], modes, (density) => send({ do: "turn", channel: c, process_noise_density: density }));
+    });
+    const list = find("strips", HTMLElement);
+    list.style.setProperty("--strips", String(strips.length));
+    list.replaceChildren(...strips.map((strip) => strip.element));
+    strips.forEach(hearStrip);
+    Object.assign(globalThis, { becalmLive: { view, strips, counts, store: shown } });
+    held = null;
+    level = -1;
+  }
+  find("stream", HTMLElement).hidden = find("actions", HTMLElement).hidden = false;
+  follow(again);
+}
+
+/** Ask for what comes, of the level in view. @param {boolean} [goesOn] from where it was left */
+function follow(goesOn = false) {
+  if (!goesOn || level !== view.level) {
+    level = view.level;
+    live = new Store(strips.length, modesOf());
+    next = null;
+  }
+  const each = welcome.rows_each[level];
+  const from = next ?? Math.max(0, Math.floor(view.newest / each) - Math.ceil(view.rows / each) - 2);
+  send({ do: "from", level, bin: from });
+}
+
+const modesOf = () => strips.reduce((count, { modes }) => count + modes.length, 0);
+/** What is looked at. */
+const shown = () => held ?? live;
+
+/** @param {import("../frames.js").Frame} frame */
+function take(frame) {
+  const { header } = frame;
+  const each = welcome.rows_each[header.level];
+  if (header.answers !== undefined && header.answers !== null) {
+    if (held && header.level === view.level) {
+      held.put(frame);
+      for (const { tape } of strips) tape.forget();
+      lookBack();
+    }
+    return;
+  }
+  if (header.level !== level) return; // of a level that is no longer followed
+  if (next !== null && header.first !== next) counts.gaps += header.first - next;
+  next = header.first + header.count;
+  live.put(frame);
+  counts.updates += 1;
+  counts.bins += header.count;
+  fresh = true;
+  view.heard((header.first + header.count) * each, performance.now());
+}
+
+/** Ask for the bins in view that are not here. */
+function lookBack() {
+  if (!held) return;
+  const each = welcome.rows_each[view.level];
+  const [begin, stop] = [Math.max(0, Math.floor((view.right - view.rows) / each) - 1), Math.min(Math.floor(view.newest / each), Math.ceil(view.right / each) + 1)];
+  const first = held.missing(begin, stop);
+  if (first === null) return;
+  const wanted = `${view.level} ${first} ${stop}`;
+  if (wanted === asked) return; // they have left, or never were
+  if (send({ do: "past", level: view.level, first, count: Math.min(MOST_ASKED, HELD, stop - first) }) !== null) asked = wanted;
+}
+
+/** What is in view has changed by somebody's hand. @param {() => void} change */
+function change(change) {
+  if (!welcome) return;
+  const [before, paused] = [view.level, view.paused];
+  change();
+  if (view.paused) {
+    if (!paused && view.level === level) held = new Store(strips.length, modesOf(), live);
+    else if (!held || before !== view.level) held = new Store(strips.length, modesOf());
+    lookBack();
+  } else {
+    held = null;
+    if (view.level !== level) follow();
+  }
+  saidMs = 0;
+  for (const strip of strips) strip.scale = null;
+  buttons.pause.textContent = view.paused ? "Go on" : "Pause";
+  buttons.now.disabled = !view.paused;
+}
+
+const toggle = () => change(() => view.pause(!view.paused));
+/** @param {number} by @param {number} [share] */
+const zoom = (by, share) => change(() => view.zoom(by, share));
+/** @param {number} windows */
+const pan = (windows) => change(() => view.pan(windows));
+
+/** Hear the hand on a strip. @param {Strip} strip */
+function hearStrip(strip) {
+  const { canvas } = strip;
+  /** @type {number | null} */
+  let from = null;
+  let turned = 0;
+  const width = () => canvas.clientWidth - GUTTER;
+  canvas.addEventListener("focus", () => (chosen = strip.number));
+  canvas.addEventListener("pointerdown", (event) => {
+    from = event.clientX;
+    canvas.setPointerCapture(event.pointerId);
+  });
+  canvas.addEventListener("pointerup", () => (from = null));
+  canvas.addEventListener("pointercancel", () => (from = null));
+  canvas.addEventListener("pointermove", (event) => {
+    for (const each of strips) each.pointed = event.offsetX > GUTTER ? event.offsetX : null;
+    saidMs = 0;
+    if (from === null || Math.abs(event.clientX - from) < 3) return;
+    pan((from - event.clientX) / width());
+    from = event.clientX;
+  });
+  canvas.addEventListener("pointerleave", () => {
+    for (const each of strips) each.pointed = null;
+  });
+  canvas.addEventListener("wheel", (event) => {
+    event.preventDefault();
+    if (Math.abs(event.deltaX) > Math.abs(event.deltaY)) return pan(event.deltaX / width());
+    turned += event.deltaY;
+    if (Math.abs(turned) < 60) return undefined;
+    zoom(Math.sign(turned), Math.max(0, Math.min(1, (event.offsetX - GUTTER) / width())));
+    turned = 0;
+    return undefined;
+  }, { passive: false });
+}
+
+/** Hear how the stream fares. @param {any} health */
+function fare(health) {
+  state = health.state;
+  const source = health.source.replace(/^(\w+:)\S*\//, "$1"); // of a path its last name
+  const says = health.says ? `: ${health.says}` : "";
+  find("facts", HTMLElement).textContent = `${source} · ${amount(welcome?.rate_hz, "Hz")} · ${state}${says}`;
+  if (!welcome)
+    say(links.working, state === "learning" ? `becalm learns filters for this stream; ${health.rows_taken.toLocaleString("en")} rows came so far.` : `Waiting for the first rows (${state}${says}).`);
+  else say(links.working, { away: `The source is away${says}. becalm tries again.`, silent: `Nothing comes${says}`, full: `Storage is full${says}`, ended: "The stream has ended.", stopping: "The stream was stopped.", failed: `The stream failed${says}` }[state] ?? "");
+  for (const strip of strips) {
+    const channel = health.channels[welcome.names[strip.number]];
+    if (channel) strip.fare(channel);
+  }
+  saidMs = 0;
+  const losses = Object.entries(health.losses).filter(([, { events }]) => events);
+  const ms = health.latency_ms;
+  tell(find("health", HTMLElement), [
+    ["rows", health.rows.toLocaleString("en")],
+    ["rows a second", amount(health.rows_per_s, "")],
+    ["latency, p50 / p99", `${amount(ms.p50 / 1e3, "s")} / ${amount(ms.p99 / 1e3, "s")}`],
+    ["blocks that wait", String(health.queue.blocks)],
+    ["kept", health.commits.last_age_s === null ? "not yet" : `${amount(health.commits.last_age_s, "s")} ago`],
+    ["losses", losses.length ? losses.map(([kind, { events, rows }]) => `${kind} ${events}${rows ? ` (${rows} rows)` : ""}`).join(", ") : "none"],
+  ]);
+}
+
+/** Hear what the filters are. @param {any} message */
+function tune({ filters, dials, can_undo }) {
+  buttons.undo.disabled = !can_undo;
+  for (const strip of strips) strip.tune(filters?.[strip.number], dials?.[strip.number]);
+}
+
+/** Draw what is in view. @param {number} now ms */
+function frame(now) {
+  requestAnimationFrame(frame);
+  if (!welcome || !live) return;
+  const passed_s = Math.min(1, (now - drawnMs) / 1000);
+  drawnMs = now;
+  view.move(passed_s, performance.now());
+  const store = shown();
+  const each = welcome.rows_each[view.paused ? view.level : level];
+  for (const strip of strips) strip.fit();
+  const [wide, tall] = [axis.clientWidth, axis.clientHeight].map((one) => Math.round(one * devicePixelRatio));
+  if (axis.width !== wide || axis.height !== tall) Object.assign(axis, { width: wide, height: tall });
+  const width = axis.width - Math.round(GUTTER * devicePixelRatio);
+  const perRow = width / view.rows;
+  const anchor = anchorOf(store, each, view.right, view.rate);
+  const ticks = ticksOf(anchor, view.right - view.rows, view.right, width);
+  const scene = { store, each, perRow, right: view.right, first: 0, newest: view.paused ? Infinity : next ?? 0, ticks };
+  const speaks = now - saidMs > SAID_MS;
+  for (const strip of strips) {
+    if (speaks || !strip.scale) strip.rescale(scene);
+    strip.draw(scene);
+  }
+  drawAxis(axis, ticks, axis.width - width);
+  counts.frames += 1;
+  if (fresh) counts.drawn += 1;
+  fresh = false;
+  if (speaks) speak(now, anchor, each, perRow);
+}
+
+/** Say the numbers at the right edge, or where somebody points. @param {number} now @param {import("./axis.js").Anchor | null} anchor @param {number} each @param {number} perRow */
+function speak(now, anchor, each, perRow) {
+  saidMs = now;
+  const pointed = strips[0]?.pointed;
+  const left = view.right - view.rows;
+  const row = pointed === null || pointed === undefined ? view.right - each : left + ((pointed - GUTTER) * devicePixelRatio) / perRow;
+  for (const strip of strips) strip.say(shown(), Math.floor(row / each));
+  const window_s = view.window_s;
+  find("window", HTMLOutputElement).value = window_s < 120 ? `${window_s} s` : window_s < 7200 ? `${window_s / 60} min` : `${window_s / 3600} h`;
+  const at = anchor ? clock(timeOf(anchor, row), Math.min(1, each / view.rate)) : "";
+  find("when", HTMLElement).textContent = `${view.paused ? "standing still, at" : "now"} ${at}`;
+}
+
+let drawnMs = performance.now();
+buttons.pause.addEventListener("click", toggle);
+buttons.now.addEventListener("click", () => change(() => view.pause(false)));
+buttons.undo.addEventListener("click", () => send({ do: "undo" }));
+find("nearer", HTMLButtonElement).addEventListener("click", () => zoom(-1));
+find("farther", HTMLButtonElement).addEventListener("click", () => zoom(1));
+hearKeys(
+  {
+    n: () => change(() => view.pause(false)),
+    ArrowLeft: () => pan(-0.25),
+    ArrowRight: () => pan(0.25),
+    "+": () => zoom(-1),
+    "-": () => zoom(1),
+    z: () => send({ do: "undo" }),
+    "[": () => strips[chosen]?.dial.step(-1),
+    "]": () => strips[chosen]?.dial.step(1),
+  },
+  (number) => strips[number]?.canvas.focus(),
+);
+addEventListener("keydown", (event) => {
+  if (event.key !== " " || /** @type {Element} */ (event.target).closest?.("button, a, input, summary")) return; // theirs
+  toggle();
+  event.preventDefault();
+});
+readColours();
+onTheme(() => strips.forEach(({ tape }) => tape.forget()));
+requestAnimationFrame(frame);

@@ -1,0 +1,66 @@
+// Bins of one level in rings of typed arrays: the newest of each place are held.
+
+/** @typedef {"raw_low" | "raw_high" | "clean_low" | "clean_high" | "sigma"} Field */
+
+/** @type {Field[]} */
+const FIELDS = ["raw_low", "raw_high", "clean_low", "clean_high", "sigma"];
+export const HELD = 8192;
+
+export class Store {
+  /** @param {number} channels @param {number} modes of all channels @param {Store} [like] is copied */
+  constructor(channels, modes, like) {
+    this.channels = channels;
+    this.modes = modes;
+    /** The number of the bin in each place; -1 where there is none. @type {Float64Array} */
+    this.number = like ? like.number.slice() : new Float64Array(HELD).fill(-1);
+    /** @type {Float64Array} */
+    this.t = like ? like.t.slice() : new Float64Array(HELD);
+    /** @type {Record<Field, Float64Array>} */
+    this.values = /** @type {any} */ ({});
+    for (const name of FIELDS) this.values[name] = like ? like.values[name].slice() : new Float64Array(HELD * channels);
+    /** @type {Uint16Array} */
+    this.verdicts = like ? like.verdicts.slice() : new Uint16Array(HELD * channels);
+    /** @type {Float32Array} */
+    this.probability = like ? like.probability.slice() : new Float32Array(HELD * modes);
+  }
+
+  /** Whether a bin is here. @param {number} bin */
+  has(bin) {
+    return bin >= 0 && this.number[bin % HELD] === bin;
+  }
+
+  /** Take the bins of a frame. @param {import("../frames.js").Frame} frame */
+  put({ header, arrays }) {
+    const m = this.channels;
+    for (let k = 0; k < header.count; k += 1) {
+      const place = (header.first + k) % HELD;
+      this.number[place] = header.first + k;
+      this.t[place] = arrays.t[k];
+      for (const name of FIELDS) {
+        const [from, to] = [arrays[name], this.values[name]];
+        for (let c = 0; c < m; c += 1) to[place * m + c] = from[k * m + c] + (name === "sigma" ? 0 : header.offset[c]);
+      }
+      for (let c = 0; c < m; c += 1) this.verdicts[place * m + c] = arrays.verdicts[k * m + c];
+      if (arrays.probability)
+        for (let j = 0; j < this.modes; j += 1) this.probability[place * this.modes + j] = arrays.probability[k * this.modes + j];
+    }
+  }
+
+  /** The first bin of some that is not here, or null. @param {number} first @param {number} stop */
+  missing(first, stop) {
+    for (let bin = first; bin < stop; bin += 1) if (!this.has(bin)) return bin;
+    return null;
+  }
+
+  /** The least and greatest of a channel in some bins; null where nothing is. @param {number} channel @param {number} first @param {number} stop */
+  range(channel, first, stop) {
+    let [low, high] = [Infinity, -Infinity];
+    for (let bin = Math.max(0, first); bin < stop; bin += 1) {
+      if (!this.has(bin)) continue;
+      const at = (bin % HELD) * this.channels + channel;
+      for (const name of /** @type {Field[]} */ (["raw_low", "clean_low"])) if (this.values[name][at] < low) low = this.values[name][at];
+      for (const name of /** @type {Field[]} */ (["raw_high", "clean_high"])) if (this.values[name][at] > high) high = this.values[name][at];
+    }
+    return low <= high ? { low, high } : null;
+  }
+}

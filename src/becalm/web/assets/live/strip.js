@@ -1,0 +1,141 @@
+// A channel: its tape, its figures, its dial.
+
+import { colour, other } from "../colours.js";
+import { make, tell } from "../dom.js";
+import { even } from "../numbers.js";
+import { Dial } from "../tuner/dial.js";
+import { VERDICTS } from "../tuner/lanes.js";
+import { HELD } from "./store.js";
+import { Tape } from "./tape.js";
+
+export const GUTTER = 54; // CSS pixels left of a tape, for numbers
+
+/** @typedef {import("./store.js").Store} Store */
+/** @typedef {{ store: Store, each: number, perRow: number, right: number, first: number, newest: number, ticks: [number, string][] }} Scene */
+
+export class Strip {
+  /**
+   * @param {number} number @param {string} name @param {string} unit
+   * @param {[string, number][]} modes their names, and the places of their probabilities
+   * @param {(density: number) => void} turned
+   */
+  constructor(number, name, unit, modes, turned) {
+    this.number = number;
+    this.unit = unit;
+    this.name = unit && name.endsWith(` (${unit})`) ? name.slice(0, -unit.length - 3) : name;
+    this.modes = modes;
+    this.canvas = make("canvas", { tabindex: 0, role: "img", "aria-keyshortcuts": String(number + 1) });
+    this.pen = /** @type {CanvasRenderingContext2D} */ (this.canvas.getContext("2d"));
+    this.tape = new Tape(number, modes.map(([, place]) => place));
+    this.value = make("output", { "aria-live": "off" });
+    this.figures = make("dl");
+    this.met = make("p", { class: "met" });
+    const range = make("input", { type: "range", min: 0, step: "any", "aria-label": `${this.name}: between quicker and calmer`, disabled: true });
+    this.dial = new Dial((density, final) => final && turned(density), range, this.figures);
+    this.ends = make("div", { class: "ends" }, make("span", {}, "quicker"), make("span", {}, "calmer"));
+    const title = make("h2", { id: `name-${number}` }, this.name);
+    const beside = make("div", {}, make("header", {}, title, this.value), this.figures, range, this.ends, this.met);
+    this.element = make("section", { class: "strip", "aria-labelledby": title.id }, this.canvas, beside);
+    /** @type {{ low: number, high: number } | null} */
+    this.scale = null;
+    /** CSS pixels from the left, where somebody points. @type {number | null} */
+    this.pointed = null;
+  }
+
+  /** Fit the canvas to its place; whether anything changed. */
+  fit() {
+    const [width, height] = [this.canvas.clientWidth, this.canvas.clientHeight].map((one) => Math.max(1, Math.round(one * devicePixelRatio)));
+    if (this.canvas.width !== width || this.canvas.height !== height) Object.assign(this.canvas, { width, height });
+  }
+
+  /** Choose what is low and high of what is in view: widened at once, narrowed where much is empty. @param {Scene} scene */
+  rescale({ store, each, perRow, right, newest }) {
+    const rows = (this.canvas.width - GUTTER * devicePixelRatio) / perRow;
+    const found = store.range(this.number, Math.floor((right - rows) / each), Math.min(newest, Math.ceil(right / each)));
+    if (!found) return;
+    const size = Math.max(found.high - found.low, 1e-9 * Math.max(Math.abs(found.low), Math.abs(found.high)), 1e-12);
+    const mine = this.scale;
+    if (mine && found.low >= mine.low && found.high <= mine.high && size > 0.45 * (mine.high - mine.low)) return;
+    this.scale = { low: found.low - 0.15 * size, high: found.high + 0.15 * size };
+  }
+
+  /** @param {Scene} scene */
+  draw({ store, each, perRow, right, newest, ticks }) {
+    const { pen, canvas } = this;
+    const left = Math.round(GUTTER * devicePixelRatio);
+    const box = { left, width: canvas.width - left, height: canvas.height };
+    pen.clearRect(0, 0, canvas.width, canvas.height);
+    if (!this.scale || box.width < 1) return;
+    pen.fillStyle = colour("grid")();
+    for (const [x] of ticks) pen.fillRect(left + Math.round(x), 0, 1, canvas.height);
+    this.#values(left);
+    this.tape.show(pen, box, { store, each, perRow, ...this.scale }, Math.floor(right * perRow), newest);
+    if (this.pointed === null) return;
+    pen.fillStyle = colour("faint")();
+    pen.fillRect(Math.round(this.pointed * devicePixelRatio), 0, 1, canvas.height);
+  }
+
+  /** Lines and numbers at even values. @param {number} left */
+  #values(left) {
+    const { low, high } = /** @type {{ low: number, high: number }} */ (this.scale);
+    const { pen, canvas } = this;
+    const plain = canvas.height - (this.modes.length ? 18 : 9) * devicePixelRatio; // as the tape has it
+    const rough = ((high - low) * 34 * devicePixelRatio) / plain;
+    const power = 10 ** Math.floor(Math.log10(rough));
+    const step = power * ([1, 2, 5, 10].find((times) => times * power >= rough) ?? 10);
+    pen.font = `${12 * devicePixelRatio}px system-ui, sans-serif`;
+    pen.textAlign = "right";
+    pen.textBaseline = "middle";
+    for (let k = Math.ceil(low / step); k * step <= high; k += 1) {
+      const y = plain * (1 - (k * step - low) / (high - low));
+      pen.fillStyle = colour("grid")();
+      pen.fillRect(left, Math.round(y), canvas.width - left, 1);
+      pen.fillStyle = colour("faint")();
+      if (y > 7 * devicePixelRatio && y < canvas.height - 7 * devicePixelRatio)
+        pen.fillText(even(k * step, step).replace("-", "−"), left - 6 * devicePixelRatio, y);
+    }
+  }
+
+  /** Say what is at a bin. @param {Store} store @param {number} bin */
+  say(store, bin) {
+    if (!store.has(bin)) return;
+    const at = (bin % HELD) * store.channels + this.number;
+    const [clean, sigma] = [(store.values.clean_low[at] + store.values.clean_high[at]) / 2, 2 * store.values.sigma[at]];
+    const places = sigma > 0 ? Math.max(0, Math.min(9, 1 - Math.floor(Math.log10(sigma)))) : 4;
+    const words = Number.isFinite(clean) ? clean.toFixed(places).replace("-", "−") : "–";
+    const spread = Number.isFinite(sigma) ? ` ± ${sigma.toFixed(places)}` : "";
+    this.value.replaceChildren(words, make("small", { title: "twice the standard uncertainty" }, `${spread} ${this.unit}`));
+    const shares = this.modes.map(([name, place]) => `${name} ${Math.round(100 * store.probability[(bin % HELD) * store.modes + place])} %`);
+    this.canvas.setAttribute("aria-label", [`${this.name}: ${words}${spread} ${this.unit}`, ...shares].join(", "));
+    for (const [k, place] of this.met.querySelectorAll("[data-mode]").entries()) place.textContent = shares[k];
+  }
+
+  /** Say how the channel fares. @param {{ verdicts: Record<string, number>, nis: number | null, alarms: string[] }} health */
+  fare({ verdicts, nis, alarms }) {
+    /** @param {string} role @param {string} words @param {boolean} [mode] */
+    const swatch = (role, words, mode = false) => {
+      const mark = make("i");
+      mark.style.setProperty("--mark", `var(--${role})`);
+      return make("span", {}, mark, make("span", mode ? { "data-mode": true } : {}, words));
+    };
+    const met = VERDICTS.map((name, bit) => ({ name, bit, count: verdicts[name] ?? 0 })).filter(({ bit, count }) => bit && count);
+    const told = [
+      ...this.modes.map(([name], k) => swatch(other(k), name, true)),
+      ...alarms.map((words) => make("span", { class: "bad" }, words)),
+      make("span", { title: "normalised innovation squared; 1 is right" }, `NIS ${nis === null ? "–" : nis.toFixed(2)}`),
+      ...met.map(({ name, bit, count }) => swatch(other(bit), `${count.toLocaleString("en")} ${name}`)),
+    ];
+    this.met.replaceChildren(...told);
+  }
+
+  /** Say what the filter is, and lay its dial. @param {any} filter @param {any} dial */
+  tune(filter, dial) {
+    this.dial.lay(dial ?? null, this.unit);
+    this.dial.input.hidden = this.ends.hidden = !dial;
+    if (dial) this.dial.point(dial.at);
+    if (!filter) return;
+    if (dial) this.dial.tell(filter);
+    else tell(this.figures, [["filter", filter.says]]);
+  }
+}
+

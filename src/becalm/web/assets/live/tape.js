@@ -1,0 +1,177 @@
+// A strip of paper that is drawn on once and then only moved: a ring of columns, of which each frame shows a window.
+
+import { colour, other, translucent } from "../colours.js";
+import { HELD } from "./store.js";
+
+/** @typedef {import("./store.js").Store} Store */
+/**
+ * @typedef {object} Look what decides every pixel; where it changes all is drawn anew
+ * @property {Store} store
+ * @property {number} each rows of a bin
+ * @property {number} perRow device pixels
+ * @property {number} low
+ * @property {number} high
+ */
+
+const LANE = 9; // CSS pixels of the lanes of modes and verdicts
+const NARROW = 1.6; // device pixels of a bin: wider ones are joined by lines
+
+export class Tape {
+  /** @param {number} channel @param {number[]} modes the places of its modes' probabilities */
+  constructor(channel, modes) {
+    this.channel = channel;
+    this.modes = modes;
+    this.paper = document.createElement("canvas");
+    this.pen = /** @type {CanvasRenderingContext2D} */ (this.paper.getContext("2d"));
+    /** @type {Look | null} */
+    this.look = null;
+    this.first = this.stop = 0; // bins that are drawn
+  }
+
+  /** Draw all anew at the next frame. */
+  forget() {
+    this.look = null;
+  }
+
+  /**
+   * Show the columns up to `right` (absolute device pixels) on a canvas, having drawn what is new.
+   * @param {CanvasRenderingContext2D} onto @param {{ left: number, width: number, height: number }} box device pixels
+   * @param {Look} look @param {number} right @param {number} newest bin after the last that may be drawn
+   */
+  show(onto, box, look, right, newest) {
+    const span = look.each * look.perRow; // of a bin
+    const [first, stop] = [Math.max(0, Math.floor((right - box.width) / span) - 1), Math.min(newest, Math.ceil(right / span) + 1)];
+    if (!this.#fits(look, box) || first < this.first || first > this.stop) {
+      this.#begin(look, box, first);
+    }
+    for (; this.stop < stop; this.stop += 1) this.#draw(this.stop, span);
+    this.first = Math.max(this.first, Math.ceil(this.stop - this.paper.width / span));
+    const from = mod(right - box.width, this.paper.width);
+    const whole = Math.min(box.width, this.paper.width - from);
+    onto.drawImage(this.paper, from, 0, whole, box.height, box.left, 0, whole, box.height);
+    if (whole < box.width) onto.drawImage(this.paper, 0, 0, box.width - whole, box.height, box.left + whole, 0, box.width - whole, box.height);
+  }
+
+  /** @param {Look} look @param {{ width: number, height: number }} box */
+  #fits(look, box) {
+    const mine = this.look;
+    return (
+      mine && this.paper.height === box.height && this.paper.width === roomFor(box.width, look) && mine.store === look.store &&
+      mine.each === look.each && mine.perRow === look.perRow && mine.low === look.low && mine.high === look.high
+    );
+  }
+
+  /** @param {Look} look @param {{ width: number, height: number }} box @param {number} first */
+  #begin(look, box, first) {
+    const width = roomFor(box.width, look);
+    if (this.paper.width !== width || this.paper.height !== box.height) Object.assign(this.paper, { width, height: box.height });
+    else this.pen.clearRect(0, 0, width, box.height);
+    this.look = { ...look };
+    this.first = this.stop = first;
+  }
+
+  /** Draw a bin, and what joins it to the one before. @param {number} bin @param {number} span */
+  #draw(bin, span) {
+    const { store } = /** @type {Look} */ (this.look);
+    const begin = Math.floor(bin * span);
+    const width = Math.max(1, Math.floor((bin + 1) * span) - begin);
+    this.#clear(begin, width);
+    if (!store.has(bin)) return;
+    const [now, before] = [bin % HELD, store.has(bin - 1) ? (bin - 1) % HELD : -1];
+    const x = mod(begin, this.paper.width);
+    this.#band(now, x, width);
+    for (const [kind, role] of /** @type {["raw" | "clean", string][]} */ ([["raw", "readings"], ["clean", "clean"]])) {
+      this.pen.fillStyle = this.pen.strokeStyle = colour(role)();
+      if (span > NARROW) this.#line(kind, now, before, x, span);
+      else this.#column(kind, now, before, x, width);
+    }
+    this.#lanes(now, x, width);
+  }
+
+  /** @param {number} begin @param {number} width */
+  #clear(begin, width) {
+    const x = mod(begin, this.paper.width);
+    this.pen.clearRect(x, 0, width, this.paper.height);
+    if (x + width > this.paper.width) this.pen.clearRect(0, 0, x + width - this.paper.width, this.paper.height);
+  }
+
+  /** @param {number} value */
+  #y(value) {
+    const { low, high } = /** @type {Look} */ (this.look);
+    return this.#plain() * (1 - (value - low) / (high - low));
+  }
+
+  /** How high the part without lanes is. */
+  #plain() {
+    return this.paper.height - LANE * devicePixelRatio * (this.modes.length ? 2 : 1);
+  }
+
+  /** Two standard deviations about what is clean. @param {number} now @param {number} x @param {number} width */
+  #band(now, x, width) {
+    const { values, channels } = /** @type {Look} */ (this.look).store;
+    const at = now * channels + this.channel;
+    const top = this.#y(values.clean_high[at] + 2 * values.sigma[at]);
+    const height = this.#y(values.clean_low[at] - 2 * values.sigma[at]) - top;
+    if (!Number.isFinite(height)) return;
+    this.pen.fillStyle = translucent("clean")();
+    this.pen.fillRect(x, top, width, Math.max(1, height));
+  }
+
+  /** From least to greatest, and on to those of the bin before. @param {"raw" | "clean"} kind @param {number} now @param {number} before @param {number} x @param {number} width */
+  #column(kind, now, before, x, width) {
+    const { values, channels } = /** @type {Look} */ (this.look).store;
+    const at = now * channels + this.channel;
+    let [low, high] = [values[`${kind}_low`][at], values[`${kind}_high`][at]];
+    if (!(low <= high)) return;
+    if (before >= 0) {
+      const [below, above] = [values[`${kind}_low`][before * channels + this.channel], values[`${kind}_high`][before * channels + this.channel]];
+      if (above < low) low = above;
+      if (below > high) high = below;
+    }
+    const top = this.#y(high);
+    const thick = (kind === "clean" ? 2 : 1) * devicePixelRatio;
+    const height = Math.max(thick, this.#y(low) - top);
+    this.pen.fillRect(x, top - (height === thick ? thick / 2 : 0), width, height);
+  }
+
+  /** @param {"raw" | "clean"} kind @param {number} now @param {number} before @param {number} x @param {number} span */
+  #line(kind, now, before, x, span) {
+    const { values, channels } = /** @type {Look} */ (this.look).store;
+    const [lows, highs, at] = [values[`${kind}_low`], values[`${kind}_high`], now * channels + this.channel];
+    const [low, high] = [this.#y(lows[at]), this.#y(highs[at])];
+    const was = before >= 0 ? this.#y((lows[before * channels + this.channel] + highs[before * channels + this.channel]) / 2) : NaN;
+    this.pen.lineWidth = (kind === "clean" ? 2 : 1) * devicePixelRatio;
+    for (const shift of x - span < 0 ? [0, this.paper.width] : x + span > this.paper.width ? [0, -this.paper.width] : [0]) {
+      this.pen.beginPath();
+      if (Number.isFinite(was)) {
+        this.pen.moveTo(x + shift - span / 2, was);
+        this.pen.lineTo(x + shift + span / 2, (low + high) / 2);
+      }
+      this.pen.moveTo(x + shift + span / 2, low + 0.5);
+      this.pen.lineTo(x + shift + span / 2, high - 0.5);
+      this.pen.stroke();
+    }
+  }
+
+  /** The mode that is most probable, and verdicts. @param {number} now @param {number} x @param {number} width */
+  #lanes(now, x, width) {
+    const { store } = /** @type {Look} */ (this.look);
+    const [lane, bits] = [LANE * devicePixelRatio, store.verdicts[now * store.channels + this.channel]];
+    for (const [k, place] of this.modes.entries()) {
+      const share = store.probability[now * store.modes + place];
+      if (!(share > 0.5)) continue;
+      this.pen.globalAlpha = share;
+      this.pen.fillStyle = colour(other(k))();
+      this.pen.fillRect(x, this.paper.height - 2 * lane, width, lane - devicePixelRatio);
+      this.pen.globalAlpha = 1;
+    }
+    if (!bits) return;
+    this.pen.fillStyle = colour(other(31 - Math.clz32(bits)))();
+    this.pen.fillRect(x, this.paper.height - lane, Math.max(width, 2 * devicePixelRatio), lane);
+  }
+}
+
+/** @param {number} a @param {number} b */
+const mod = (a, b) => ((a % b) + b) % b;
+/** Room for what is in view, and bins that stick out on either side. @param {number} width @param {Look} look */
+const roomFor = (width, look) => width + 4 * Math.ceil(look.each * look.perRow) + 8;

@@ -1,0 +1,152 @@
+"""The live page: what all who look on share, kept up by one clock in the server's thread."""
+
+from __future__ import annotations
+
+import asyncio
+import secrets
+import time
+from contextlib import suppress
+from importlib.metadata import version
+from typing import TYPE_CHECKING, NamedTuple
+
+from becalm.errors import BecalmError
+from becalm.live.retuning import Retune
+from becalm.live.watching.meter import Meter
+from becalm.live.watching.secrets import Scrubber
+from becalm.web.frames import text
+from becalm.web.livepage.conversation import Viewer
+from becalm.web.livepage.desk import Desk, facts
+from becalm.web.livepage.feed import Feed
+from becalm.web.livepage.pictures import Pictures
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
+    from starlette.responses import Response
+    from starlette.routing import BaseRoute
+    from starlette.websockets import WebSocket
+
+_HEALTH_S, _LOOK_S = 1.0, 0.1
+_GOODBYE_S = 2.0  # for the last bins to be told when a stream ends
+
+
+class News(NamedTuple):
+    """What everyone is told when it changes."""
+
+    number: int
+    told: str
+
+
+class LivePage:
+    """Shows a stream to all who look on.
+
+    Parameters
+    ----------
+    feed : Feed
+        The sink that rows come by.
+    meter : Meter
+        Counts of the stream.
+    retune : callable
+        Asks for another recipe, as `Runner.retune`.
+    """
+
+    def __init__(self, feed: Feed, meter: Meter, retune: Retune) -> None:
+        self.feed = feed
+        self.desk = Desk(lambda: meter.recipe, retune)
+        self.pictures: Pictures | None = None
+        self.health, self.tuning = News(0, ""), News(-1, "")
+        self.ending = False
+        self._meter, self._scrub = meter, Scrubber()
+        self._run = secrets.token_hex(8)
+        self._recipe: tuple[str, bool] | None = None  # that `tuning` tells
+        self._viewers = 0
+        self._clocks: list[asyncio.Task[None]] = []
+
+    @property
+    def routes(self) -> list[BaseRoute]:
+        """What the page answers beside its wire."""
+        from starlette.routing import Route
+
+        return [Route("/save/recipe", self._save)]
+
+    async def wire(self, websocket: WebSocket) -> None:
+        """Speak with one page until it hangs up."""
+        await websocket.accept()
+        self._viewers += 1
+        if not self._clocks:
+            self._look()
+            self._clocks = [asyncio.create_task(each) for each in (self._keep_up(), self._describe())]
+        try:
+            await Viewer(self, websocket).converse()
+        finally:
+            self._viewers -= 1
+            if not self._viewers:  # nobody looks on: nothing need be kept up
+                for clock in self._clocks:
+                    clock.cancel()
+                self._clocks = []
+
+    def close(self) -> None:
+        """Say the last to all who look on, and let them go; a page that does not listen is not waited for long."""
+        self._look()
+        self.ending = True
+        until = time.monotonic() + _GOODBYE_S
+        while self._viewers and time.monotonic() < until:
+            time.sleep(0.01)
+
+    def welcome(self) -> str | None:
+        """Say what a page shows; None before the stream has begun."""
+        shown = self.feed.shown
+        if shown is None:
+            return None
+        if self.pictures is None:
+            self.pictures = Pictures(shown.bins, len(shown.head.names))
+        levels = range(len(shown.bins.rows_each))
+        return text(
+            {
+                "kind": "welcome",
+                "version": version("becalm"),
+                "run": self._run,
+                "names": shown.head.names,
+                "units": shown.head.units,
+                "rate_hz": shown.head.rate_hz,
+                "rows_each": shown.bins.rows_each,
+                "kept": [shown.bins.kept for _ in levels],
+                "oldest": [shown.bins.oldest(level) for level in levels],
+                "newest": [shown.bins.newest(level) for level in levels],
+                "modes": shown.modes,
+            }
+        )
+
+    async def _keep_up(self) -> None:
+        """Look every second how the stream fares."""
+        while True:
+            await asyncio.sleep(_HEALTH_S)
+            self._look()
+
+    def _look(self) -> None:
+        status = self._scrub.value(self._meter.status())
+        self.health = News(self.health.number + 1, text({"kind": "health", **status}))
+
+    def _is_tuned_anew(self) -> bool:
+        return bool(self._meter.recipe) and self._recipe != (self._meter.recipe, self.desk.can_undo)
+
+    async def _describe(self) -> None:
+        """Say what the filters are, once they are others: beside all else, for it takes up to some seconds."""
+        while True:
+            await asyncio.sleep(_LOOK_S)
+            shown = self.feed.shown
+            if shown is not None and self._is_tuned_anew():
+                await self._tell_tuning(1 / shown.head.rate_hz)
+
+    async def _tell_tuning(self, step_s: float) -> None:
+        recipe, can_undo = self._meter.recipe, self.desk.can_undo
+        found = {}
+        with suppress(BecalmError):  # a recipe that runs, of which nothing can be said
+            found = await asyncio.to_thread(facts, recipe, step_s)
+        told = text({"kind": "tuned", "recipe": recipe, "can_undo": can_undo, **found})
+        self.tuning, self._recipe = News(self.tuning.number + 1, told), (recipe, can_undo)
+
+    async def _save(self, request: Request) -> Response:
+        from starlette.responses import PlainTextResponse
+
+        headers = {"content-disposition": 'attachment; filename="live.recipe.toml"'}
+        return PlainTextResponse(self._meter.recipe, headers=headers)

@@ -1,0 +1,161 @@
+"""What a page looks at, painted in a thread: a picture, its dial, a classic filter beside it."""
+
+from __future__ import annotations
+
+import time
+from collections import OrderedDict
+from concurrent.futures import Executor
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from becalm.cleaning.recipe import ChannelRecipe
+from becalm.report.envelope import Envelope
+from becalm.web.frames import frame, relative
+from becalm.web.tuner.comparing import classic_beside
+from becalm.web.tuner.costs import cost_map
+from becalm.web.tuner.dial import dial, told_of
+from becalm.web.tuner.opened import Opened
+from becalm.web.tuner.picture import Clean, Raw, View, clean_of, raw_of, view_of
+
+_MOST_RAW = 8  # views whose readings are kept
+_DECIBEL = 10.0
+
+
+class Wanted(NamedTuple):
+    """What a page looks at."""
+
+    opened: Opened
+    channel: int
+    recipe: ChannelRecipe
+    lag: int | None
+    span_s: tuple[float, float]
+    width: int
+    answers: int
+    classic: str | None = None
+
+    @property
+    def dial_key(self) -> tuple[object, ...]:
+        """What a dial depends on."""
+        return self.channel, self.recipe.order, self.recipe.noise_std, self.lag, self.recipe.model
+
+    @property
+    def judged_key(self) -> tuple[object, ...]:
+        """What the verdict on the whole record depends on."""
+        return self.channel, self.recipe, self.lag
+
+
+class Painted(NamedTuple):
+    """A picture, and what else is drawn into it."""
+
+    header: dict[str, Any]
+    view: View
+    raw: Raw
+    clean: Clean
+
+    def framed(self, classic: Envelope | None = None) -> bytes:
+        """Return it as a frame, with a classic filter beside it."""
+        drawn = {"raw": self.raw.readings, "clean": self.clean.signal, "band": self.clean.band}
+        drawn |= {} if classic is None else {"classic": classic}
+        arrays: dict[str, Any] = {"t": self.raw.times_s}
+        for name, of in drawn.items():
+            arrays |= {f"{name}_low": relative(of.low), f"{name}_high": relative(of.high)}
+        return frame(self.header, arrays | {"verdicts": self.clean.verdicts})
+
+
+class Painter:
+    """Paints what pages look at.
+
+    Parameters
+    ----------
+    pool : Executor
+        Two threads, in which the halves of a long view run side by side.
+    """
+
+    def __init__(self, pool: Executor) -> None:
+        self._pool = pool
+        self._raw: OrderedDict[tuple[int, int, View], Raw] = OrderedDict()
+
+    def picture(self, wanted: Wanted) -> Painted:
+        """Paint a picture.
+
+        Raises
+        ------
+        BecalmError
+            If the recipe's numbers make no filter.
+        """
+        begun = time.perf_counter()
+        opened, recipe = wanted.opened, wanted.recipe
+        rows = opened.rows(wanted.channel)
+        view = view_of(rows, opened.times_s, wanted.span_s, wanted.width)
+        raw = self._raw_of(wanted, view)
+        clean = clean_of(rows, recipe, wanted.lag, view, self._pool)
+        told = told_of(recipe, rows.step_s, wanted.lag)
+        header = {
+            "kind": "picture",
+            "answers": wanted.answers,
+            "channel": wanted.channel,
+            "from_s": float(raw.times_s[0]),
+            "to_s": self._second_of(wanted, view.stop - 1),
+            "rows_each": view.rows_each,
+            "whole": view.stop - view.first == len(rows),
+            "filter": told._asdict(),
+            "took_ms": 1e3 * (time.perf_counter() - begun),
+            "classic": None,
+        }
+        return Painted(header, view, raw, clean)
+
+    def classic(self, wanted: Wanted, painted: Painted) -> bytes:
+        """Paint a classic filter into a picture, as calm as the channel's own.
+
+        Raises
+        ------
+        UsageError
+            If there is no such filter.
+        """
+        assert wanted.classic is not None, "a picture without one is painted already"
+        gain_db = painted.header["filter"]["noise_gain_db"]
+        gain = None if gain_db is None else 10.0 ** (gain_db / _DECIBEL)
+        found = classic_beside(wanted.opened.rows(wanted.channel), painted.view, wanted.classic, gain)
+        return painted._replace(header={**painted.header, "classic": wanted.classic}).framed(found)
+
+    def _raw_of(self, wanted: Wanted, view: View) -> Raw:
+        key = (id(wanted.opened), wanted.channel, view)
+        if key not in self._raw:
+            self._raw[key] = raw_of(wanted.opened.rows(wanted.channel), wanted.opened.times_s, view)
+            while len(self._raw) > _MOST_RAW:
+                self._raw.popitem(last=False)
+        return self._raw[key]
+
+    @staticmethod
+    def _second_of(wanted: Wanted, row: int) -> float:
+        times = wanted.opened.times_s
+        return row * wanted.opened.step_s if times is None else float(times()[row])
+
+
+def dial_frame(wanted: Wanted) -> bytes:
+    """Tell what each position of a channel's dial is."""
+    opened = wanted.opened
+    arrays = dial(wanted.recipe, opened.step_s, wanted.lag, len(opened.recording))
+    return frame({"kind": "dial", "channel": wanted.channel, "order": wanted.recipe.order}, arrays)
+
+
+def map_frame(wanted: Wanted) -> bytes:
+    """Tell how well every noise and density foretells readings.
+
+    Raises
+    ------
+    UsageError
+        If the channel has no motion to tell it of.
+    """
+    found = cost_map(wanted.opened.rows(wanted.channel), wanted.recipe)
+    header = {
+        "kind": "map",
+        "answers": wanted.answers,
+        "channel": wanted.channel,
+        "noise_std": found.noise_std.tolist(),
+        "process_noise_density": found.process_noise_density.tolist(),
+        "best": list(found.best),
+        "here": list(found.here),
+    }
+    return frame(header, {"cost": found.cost.astype(np.float32)})

@@ -1,0 +1,126 @@
+"""What all pages of a tuner have in common: the folder, what is open, and the threads that compute."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from concurrent.futures import ThreadPoolExecutor
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from becalm.errors import UsageError
+from becalm.files.registry import ENDINGS
+from becalm.web.tuner.conversation import Conversation
+from becalm.web.tuner.desk import Desk
+from becalm.web.tuner.folder import READ_ENDINGS, Folder
+from becalm.web.tuner.opened import Opened
+from becalm.web.uploads import Uploads
+
+_HALVES, _WORKERS = 2, 6
+
+
+class Shared:
+    """What pages have in common.
+
+    Parameters
+    ----------
+    folder : Path
+        Whose files may be opened.
+    file : Path or None
+        What is opened first.
+    upload_limit : int
+        Bytes of a file that a page may bring.
+    """
+
+    def __init__(self, folder: Path, file: Path | None, upload_limit: int) -> None:
+        self.folder = Folder(folder, file)
+        self.uploads = Uploads(upload_limit)
+        self.halves = ThreadPoolExecutor(_HALVES, thread_name_prefix="becalm-half")
+        self.workers = ThreadPoolExecutor(_WORKERS, thread_name_prefix="becalm-tuner")
+        self.pages: set[Conversation] = set()
+        self.desk: Desk | None = None
+        self._written = 0.0  # when the file that is open was
+        self._opening = asyncio.Lock()
+
+    @property
+    def first(self) -> str | None:
+        """The file that is opened first, as pages call it."""
+        return self.folder.first
+
+    def welcome(self) -> dict[str, Any]:
+        """Tell a page where it is."""
+        return {
+            "kind": "welcome",
+            "version": _version(),
+            "folder": self.folder.name,
+            "files": [one.as_dict() for one in self.folder.known()],
+            "upload_limit": self.uploads.limit_bytes,
+            "file": self.folder.first if self.desk is None else self.desk.opened.id,
+            "formats": list(READ_ENDINGS),
+            "saves": list(ENDINGS),
+        }
+
+    def is_open(self, file: str, group: str | None) -> bool:
+        """Whether a file is the one that is open, as it was then."""
+        if self.desk is None or self.desk.opened.id != file or group not in (None, self.desk.opened.group):
+            return False
+        return self.folder.path_of(file).stat().st_mtime == self._written
+
+    async def open(self, file: str, group: str | None) -> None:
+        """Open a file in the place of what is open; what is open stays where it cannot be read.
+
+        Raises
+        ------
+        BecalmError
+            If it cannot be read.
+        """
+        async with self._opening:
+            if self.is_open(file, group):
+                return  # another page asked for it as well
+            path, loop = self.folder.path_of(file), asyncio.get_running_loop()
+            written = path.stat().st_mtime
+
+            def tell(says: str) -> None:
+                asyncio.run_coroutine_threadsafe(self._working(says), loop)
+
+            def begin() -> Desk:
+                desk = Desk(Opened(file, path, group, tell))
+                desk.begin()
+                return desk
+
+            self.desk = await loop.run_in_executor(self.workers, begin)
+            self._written = written
+
+    async def tell_all(self, what: Callable[[Conversation], Awaitable[None]]) -> None:
+        """Tell every page something."""
+        await asyncio.gather(*(what(page) for page in tuple(self.pages)), return_exceptions=True)
+
+    @property
+    def open_desk(self) -> Desk:
+        """What is worked on.
+
+        Raises
+        ------
+        UsageError
+            If nothing is open.
+        """
+        if self.desk is None:
+            raise UsageError("Nothing is open yet; open a file on the page first.")
+        return self.desk
+
+    def close(self) -> None:
+        """End the threads, and remove what was brought."""
+        for pool in (self.workers, self.halves):
+            pool.shutdown(wait=False, cancel_futures=True)
+        self.uploads.close()
+
+    async def _working(self, says: str) -> None:
+        await self.tell_all(lambda page: page.working(says))
+
+
+def _version() -> str:
+    try:
+        return version("becalm")
+    except PackageNotFoundError:  # on the path, but not installed
+        return ""

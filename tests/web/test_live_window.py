@@ -1,0 +1,277 @@
+"""The live page in a browser: it draws what comes, stands still, looks back, turns the dial, and comes back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from app_runs import CHROMIUM, QUIET
+from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
+from becalm.cleaning.recipe_modes import ModeRecipe, SwitchingRecipe
+from becalm.cleaning.recipe_parts import GateRecipe
+from becalm.core.recording import Recording
+from becalm.files.writing import write
+from live_page_runs import LiveApp, shown_live
+from tuning import NAMELESS, Visit, need_chromium, visiting
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
+
+pytestmark = pytest.mark.slow
+
+RATE_HZ, SECONDS = 1000.0, 600
+SPIKE_ROWS = slice(2500, None, 5000)
+PIXELS = """([number, role]) => {
+  // pixels of a strip in the colour of a role: how many, and how high the highest is
+  const canvas = document.querySelectorAll("#strips canvas")[number];
+  const { data, width, height } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+  const probe = document.createElement("i");
+  probe.style.color = getComputedStyle(document.documentElement).getPropertyValue(`--${role}`);
+  document.body.append(probe);
+  const [r, g, b] = getComputedStyle(probe).color.match(/\\d+/g).map(Number);
+  probe.remove();
+  const found = { all: 0, top: 1, sum: 0 };
+  for (let i = 0; i < data.length; i += 4) {
+    if (data[i + 3] < 200) continue;
+    if (Math.abs(data[i] - r) + Math.abs(data[i + 1] - g) + Math.abs(data[i + 2] - b) > 12) continue;
+    found.all += 1;
+    found.top = Math.min(found.top, Math.floor(i / 4 / width) / height);
+    found.sum = (found.sum * 31 + i) % 1000003;
+  }
+  return found;
+}"""
+
+Look = Callable[..., Visit]
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    need_chromium()
+    driver = pytest.importorskip("playwright.sync_api", reason="a browser looks at the page: pip install playwright")
+    with driver.sync_playwright() as playwright:
+        chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=QUIET)
+        yield chromium
+        chromium.close()
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Write ten minutes of a motion with spikes, of a speed that rests between its motions, and a recipe for them."""
+    folder = tmp_path_factory.mktemp("live")
+    rng, rows = np.random.default_rng(4), int(RATE_HZ * SECONDS)
+    t = np.arange(rows) / RATE_HZ
+    force = 20 + 3 * np.sin(2 * np.pi * 0.4 * t) + rng.normal(0, 0.4, rows)
+    force[SPIKE_ROWS] += 15.0
+    speed = np.where(t % 4 > 2, np.sin(2 * np.pi * 2 * t), 0.0) + rng.normal(0, 0.05, rows)
+    values = np.column_stack([force, speed])
+    write(folder / "rig.parquet", Recording(values, names=["force", "speed"], units=["N", "m/s"], rate_hz=RATE_HZ))
+    still = ModeRecipe(name="still", order=1, process_noise_density=1e-6, noise_std=0.05, lasts_s=2.0)
+    moving = ModeRecipe(name="moving", order=2, process_noise_density=3e3, noise_std=0.05, lasts_s=2.0)
+    numbers: dict[str, Any] = {"model": "motion", "order": 2, "process_noise_density": 40.0}
+    switching = SwitchingRecipe(kind="resting", mode=(still, moving))
+    channels = (
+        ChannelRecipe(name="force", unit="N", noise_std=0.4, gate=GateRecipe(), **numbers),
+        ChannelRecipe(name="speed", unit="m/s", noise_std=0.05, switching=switching, **numbers),
+    )
+    recipe = Recipe(mode="causal", tuned_on=Origin(rate_hz=RATE_HZ), channel=channels)
+    (folder / "rig.toml").write_text(recipe.to_toml(), encoding="utf-8")
+    return folder
+
+
+def rig(folder: Path, *words: str) -> tuple[Path, str, *tuple[str, ...]]:
+    source = f"replay:{folder / 'rig.parquet'}?speed=1"
+    return folder, source, *(words or ("--recipe", str(folder / "rig.toml"), "--sink", "journal:journal"))
+
+
+@pytest.fixture(scope="module")
+def live(folder: Path) -> Iterator[LiveApp]:
+    with shown_live(*rig(folder)) as running:
+        yield running
+
+
+@pytest.fixture
+def look(browser: Browser) -> Iterator[Look]:
+    """Look on through a new window; whatever goes wrong there fails the test."""
+    with ExitStack() as stack:
+        visits = []
+
+        def at(app: LiveApp, *, begun: bool = True, **more: Any) -> Visit:
+            visit = stack.enter_context(visiting(browser, app.base, **more))
+            visits.append(visit)
+            visit.page.goto(app.url)
+            if begun:
+                visit.page.wait_for_function("() => window.becalmLive?.counts.bins > 300")
+            return visit
+
+        yield at
+        for visit in visits:
+            assert visit.wrong == []
+            assert visit.foreign == []
+
+
+def pixels(visit: Visit, number: int, role: str) -> dict[str, float]:
+    found: dict[str, float] = visit.page.evaluate(PIXELS, [number, role])
+    return found
+
+
+def test_what_comes_is_drawn_and_told(live: LiveApp, look: Look) -> None:
+    visit = look(live)
+    page = visit.page
+    page.wait_for_function("() => becalmLive.counts.frames > 60 && document.querySelector('#health dd')")
+    for number in (0, 1):
+        for role in ("readings", "clean"):
+            assert pixels(visit, number, role)["all"] > 100
+    assert page.evaluate("() => becalmLive.counts.gaps") == 0
+    assert "running" in page.locator("#facts").inner_text()
+    force, speed = page.locator("section.strip").all()
+    page.wait_for_function("() => document.querySelector('.met').innerText.includes('spike')")
+    assert "±" in force.locator("output").inner_text()
+    page.wait_for_function("() => !document.querySelector('.strip input').disabled")
+    assert "bandwidth" in force.locator("dl").inner_text()
+    assert "still" in speed.locator("dl").inner_text(), "what switches has no dial, but modes"
+    label = speed.locator("canvas").get_attribute("aria-label")
+    assert label is not None
+    assert label.startswith("speed: ")
+    assert "moving" in label
+    assert page.evaluate(NAMELESS) == []
+    visit.shoot("live-1400-light")
+
+
+def test_it_scrolls_and_stands_still_and_looks_back(live: LiveApp, look: Look) -> None:
+    visit = look(live)
+    page = visit.page
+    before = page.evaluate("() => becalmLive.view.right")
+    page.wait_for_function("(before) => becalmLive.view.right > before + 500", arg=before)
+    page.keyboard.press("Space")
+    visit_settled(visit)
+    stood, newest = page.evaluate("() => [becalmLive.view.right, becalmLive.view.newest]")
+    picture = pixels(visit, 0, "clean")
+    page.wait_for_function("(newest) => becalmLive.view.newest > newest + 500", arg=newest)
+    assert page.evaluate("() => becalmLive.view.right") == stood
+    assert pixels(visit, 0, "clean") == picture
+    assert "standing still" in page.locator("#when").inner_text()
+    page.wait_for_function("() => becalmLive.view.newest > 6000")
+    page.keyboard.press("n")
+    page.wait_for_function("() => !becalmLive.view.paused && becalmLive.view.newest - becalmLive.view.right < 1000")
+    page.keyboard.press("ArrowLeft")
+    page.wait_for_function(
+        "(newest) => becalmLive.view.paused && becalmLive.view.right < becalmLive.view.newest - 2000", arg=0
+    )
+    page.keyboard.press("+")
+    page.keyboard.press("+")
+    page.wait_for_function("() => pixelsOf() > 100".replace("pixelsOf()", f"({PIXELS})([0, 'clean']).all"))
+    box = page.locator("#strips canvas").first.bounding_box()
+    assert box is not None
+    at = page.evaluate("() => becalmLive.view.right")
+    page.mouse.move(box["x"] + 300, box["y"] + 30)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 500, box["y"] + 30, steps=4)
+    page.mouse.up()
+    dragged = page.evaluate("() => becalmLive.view.right")
+    assert dragged < at
+    window = page.evaluate("() => becalmLive.view.window_s")
+    page.mouse.wheel(0, 120)
+    page.wait_for_function("(window) => becalmLive.view.window_s > window", arg=window)
+    visit.shoot("live-paused")
+    page.locator("#now").click()
+    page.wait_for_function("() => !becalmLive.view.paused")
+    assert page.locator("#now").is_disabled()
+
+
+def test_a_spike_of_one_row_is_seen_from_afar(live: LiveApp, look: Look) -> None:
+    visit = look(live)
+    for _ in range(3):
+        visit.page.keyboard.press("-")
+    visit.page.wait_for_function("() => becalmLive.view.level === 1 && becalmLive.counts.bins > 400")
+    visit.page.wait_for_function("() => becalmLive.strips[0].scale?.high > 30")
+    visit_settled(visit)
+    assert pixels(visit, 0, "readings")["top"] < 0.3, "15 N above the force"
+    assert pixels(visit, 0, "clean")["top"] > 0.4, "which the gate leaves out"
+
+
+def test_a_dial_is_turned_by_keys_and_undone(live: LiveApp, look: Look) -> None:
+    visit = look(live)
+    page = visit.page
+    page.wait_for_function("() => !document.querySelector('.strip input').disabled")
+    density = recipe_now(visit).channel[0].process_noise_density
+    words = page.locator("section.strip dl").first.inner_text()
+    page.keyboard.press("1")
+    assert page.evaluate("() => document.activeElement === document.querySelector('#strips canvas')")
+    for _ in range(5):
+        page.keyboard.press("]")
+    page.wait_for_function("() => !document.querySelector('#undo').disabled")
+    calmer = recipe_now(visit).channel[0].process_noise_density
+    assert density is not None
+    assert calmer is not None
+    assert calmer < density
+    assert page.locator("section.strip dl").first.inner_text() != words
+    other = look(live)
+    other.page.wait_for_function("() => !document.querySelector('#undo').disabled")
+    while not page.locator("#undo").is_disabled():
+        page.keyboard.press("z")
+        page.wait_for_timeout(500)
+    assert recipe_now(visit).channel[0].process_noise_density == density
+    other.page.wait_for_function("() => document.querySelector('#undo').disabled")
+
+
+def test_it_comes_back_after_becalm_was_killed(folder: Path, look: Look, tmp_path: Path) -> None:
+    with shown_live(tmp_path, *rig(folder)[1:]) as app:
+        visit = look(app)
+        page = visit.page
+        page.wait_for_function("() => becalmLive.view.newest > 3000")
+        app.kill()
+        page.wait_for_function("() => document.body.dataset.state === 'disconnected'")
+        assert "does not answer" in page.locator("#link").inner_text()
+        visit.shoot("live-disconnected")
+        assert pixels(visit, 0, "clean")["all"] > 100, "what came before stays"
+        app.start_again()
+        page.wait_for_function("() => document.body.dataset.state === 'live'")
+        page.wait_for_function("() => document.querySelector('#trouble').innerText.includes('started again')")
+        page.wait_for_function("() => becalmLive.counts.bins > 300 && becalmLive.view.newest > 3000")
+        assert pixels(visit, 0, "clean")["all"] > 100
+        visit.wrong[:] = [one for one in visit.wrong if "ERR_CONNECTION_REFUSED" not in one]  # Chromium's own words
+
+
+def test_an_end_is_said_and_what_came_stays(folder: Path, look: Look, tmp_path: Path) -> None:
+    short = tmp_path / "short.parquet"
+    rng = np.random.default_rng(3)
+    values = np.column_stack([20 + rng.normal(0, 0.4, 5000), rng.normal(0, 0.05, 5000)])
+    write(short, Recording(values, names=["force", "speed"], units=["N", "m/s"], rate_hz=RATE_HZ))
+    with shown_live(tmp_path, f"replay:{short}?speed=1", *rig(folder)[2:]) as app:
+        visit = look(app)
+        visit.page.wait_for_function("() => document.querySelector('#link').innerText.includes('has ended')")
+        assert visit.page.evaluate("() => becalmLive.view.newest") >= 5000
+        visit_settled(visit)
+        assert pixels(visit, 0, "clean")["all"] > 100
+        visit.shoot("live-ended")
+        visit.wrong[:] = [one for one in visit.wrong if "ERR_CONNECTION_REFUSED" not in one]
+
+
+def test_learning_is_said(folder: Path, look: Look, tmp_path: Path) -> None:
+    with shown_live(tmp_path, rig(folder)[1], "--learn", "20s") as app:
+        visit = look(app, begun=False)
+        visit.page.wait_for_function("() => document.querySelector('#working').innerText.includes('learns filters')")
+        visit.shoot("live-learning")
+    assert (tmp_path / "token").read_text().strip() not in (tmp_path / "live.log").read_text()
+
+
+@pytest.mark.parametrize(("width", "theme"), [(400, "light"), (400, "dark"), (1400, "dark")])
+def test_nothing_overflows(live: LiveApp, look: Look, width: int, theme: str) -> None:
+    visit = look(live, viewport={"width": width, "height": 900}, color_scheme=theme, reduced_motion="reduce")
+    visit.page.wait_for_function("() => !document.querySelector('.strip input').disabled")
+    assert visit.page.evaluate("() => document.documentElement.scrollWidth") <= width
+    assert pixels(visit, 0, "clean")["all"] > 50
+    visit.shoot(f"live-{width}-{theme}")
+
+
+def recipe_now(visit: Visit) -> Recipe:
+    return Recipe.from_toml(visit.page.evaluate("() => fetch('/save/recipe').then((answer) => answer.text())"))
+
+
+def visit_settled(visit: Visit) -> None:
+    visit.page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")

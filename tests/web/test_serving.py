@@ -1,0 +1,270 @@
+"""Attacks on the server itself: idle and slow connections, nonsense, messages that are none; and its end."""
+
+from __future__ import annotations
+
+import json
+import socket
+import threading
+from collections.abc import Iterator
+from contextlib import ExitStack
+
+import pytest
+from websockets.exceptions import ConnectionClosedError
+from websockets.sync.client import ClientConnection
+
+from becalm.errors import UsageError
+from becalm.web import sockets
+from becalm.web.access import LOOPBACK, Access
+from becalm.web.serving import MOST_SAID_BYTES, Server, TakenError, listen
+from becalm.web.site import Page, site
+from served import HTML, TOKEN, Served, served, until
+
+
+@pytest.fixture
+def page() -> Iterator[Served]:
+    with served() as one:
+        yield one
+
+
+def link(page: Served) -> socket.socket:
+    return socket.create_connection((LOOPBACK, page.access.port), 30)
+
+
+def still_served(page: Served) -> bool:
+    with page.client() as browser:
+        return browser.get("/").text == HTML
+
+
+def hung_up(open_link: socket.socket) -> bool:
+    """Wait until the server hangs up; False if it answers instead."""
+    try:
+        return open_link.recv(1) == b""
+    except ConnectionResetError:
+        return True
+
+
+def test_two_hundred_idle_sockets_hold_up_nobody(page: Served) -> None:
+    with ExitStack() as idle:
+        for _ in range(200):
+            idle.enter_context(link(page))
+        assert still_served(page)
+        with page.wire() as wire:
+            assert json.loads(wire.recv()) == {"kind": "welcome"}
+            for number in range(200):  # and who asks without the token is left at once
+                one = idle.enter_context(link(page))
+                one.sendall(b"GET / HTTP/1.1\r\nHost: 127.0.0.1:%d\r\n\r\n" % page.access.port)
+                if number % 50 == 0:
+                    assert still_served(page)
+            wire.send('{"do": "look"}')
+            assert json.loads(wire.recv())["kind"] == "heard"
+
+
+def test_of_too_many_sockets_the_one_that_waited_longest_goes(page: Served) -> None:
+    with ExitStack() as idle:
+        first = idle.enter_context(link(page))
+        for _ in range(sockets.MOST_SOCKETS + 20):
+            idle.enter_context(link(page))
+        assert hung_up(first)
+        assert still_served(page)
+
+
+@pytest.mark.parametrize("begun", [b"", b"G", b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nX: "])
+def test_who_never_ends_a_request_is_left(page: Served, monkeypatch: pytest.MonkeyPatch, begun: bytes) -> None:
+    monkeypatch.setattr(sockets, "REQUEST_S", 0.3)
+    with link(page) as slow:
+        slow.sendall(begun)
+        assert hung_up(slow)
+
+
+def test_who_sends_headers_byte_by_byte_is_left(page: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every byte restarts no clock."""
+    monkeypatch.setattr(sockets, "REQUEST_S", 0.5)
+    left = threading.Event()
+    with link(page) as slow:
+
+        def listen_for_the_end() -> None:
+            if hung_up(slow):
+                left.set()
+
+        ear = threading.Thread(target=listen_for_the_end)
+        ear.start()
+        for _ in range(300):
+            try:
+                slow.sendall(b"X")
+            except OSError:
+                break
+            if left.wait(0.1):
+                break
+        ear.join()
+    assert left.is_set()
+
+
+def test_who_is_slow_with_a_second_request_is_left_too(page: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = b"GET /nowhere HTTP/1.1\r\nHost: 127.0.0.1:%d\r\nCookie: %b\r\n\r\n"
+    monkeypatch.setattr(sockets, "REQUEST_S", 0.3)
+    with link(page) as slow:
+        slow.sendall(asked % (page.access.port, page.cookie.encode()))
+        assert slow.recv(65536).startswith(b"HTTP/1.1 404")
+        slow.sendall(b"GET / HT")
+        while slow.recv(65536):  # what is left of the first answer
+            pass
+
+
+def test_a_wire_is_left_open_although_nothing_is_said(page: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sockets, "REQUEST_S", 0.1)
+    with page.wire() as wire:
+        wire.recv()
+        with pytest.raises(TimeoutError):
+            wire.recv(timeout=0.5)
+        wire.send('{"do": "look"}')
+        assert json.loads(wire.recv())["kind"] == "heard"
+
+
+HOST = b"Host: 127.0.0.1:{port}\r\n"
+KNOWN = HOST + b"Cookie: {cookie}\r\n"
+SMUGGLED = b"GET /fail HTTP/1.1\r\n" + KNOWN + b"\r\n"
+PUT = b"PUT /files/a HTTP/1.1\r\n" + KNOWN
+NONSENSE = [
+    b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03" + bytes(200),  # TLS
+    b"\x00" * 1000,
+    b"GET\r\n\r\n",
+    b"GET http://evil.example/ HTTP/1.1\r\nHost: evil.example\r\n\r\n",
+    b"CONNECT evil.example:443 HTTP/1.1\r\nHost: evil.example:443\r\n\r\n",
+    b"GET / HTTP/1.1\r\n\r\n",
+    b"GET / HTTP/1.1\r\n" + KNOWN + b"Host : x\r\n\r\n",
+    b"GET / HTTP/1.1\r\n" + KNOWN + b"X: " + b"a" * 400_000 + b"\r\n\r\n",
+    b"GET / HTTP/1.1\r\n" + KNOWN + b"X: a\x00b\r\n\r\n",
+    b"GET /\xff\xfe HTTP/1.1\r\n" + KNOWN + b"\r\n",
+    PUT + b"Content-Length: -1\r\n\r\n",
+    PUT + b"Content-Length: 1e3\r\n\r\n",
+    PUT + b"Content-Length: 1\r\nContent-Length: 90\r\n\r\nx" + SMUGGLED,
+    PUT + b"Content-Length: 5\r\nTransfer-Encoding: chunked\r\n\r\n0\r\n\r\n" + SMUGGLED,
+    PUT + b"Transfer-Encoding: xchunked\r\n\r\n0\r\n\r\n" + SMUGGLED,
+    PUT + b"Transfer-Encoding: chunked\r\n\r\nzz\r\n\r\n" + SMUGGLED,
+    b"GET / HTTP/1.1\r\n" + HOST + b"\r\n" + SMUGGLED,  # behind one that is refused
+    b"GET /wire HTTP/1.1\r\n" + KNOWN + b"Connection: Upgrade\r\nUpgrade: websocket\r\n\r\n",
+    b"GET /wire HTTP/1.1\r\n" + HOST + b"Connection: Upgrade\r\nUpgrade: h2c\r\n\r\n" + SMUGGLED,
+    b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n",
+]
+
+
+@pytest.mark.parametrize("sent", NONSENSE, ids=range(len(NONSENSE)))
+def test_nonsense_is_refused_once_and_reaches_no_page(
+    page: Served, sent: bytes, caplog: pytest.LogCaptureFixture
+) -> None:
+    answer = page.raw(
+        sent.replace(b"{port}", str(page.access.port).encode()).replace(b"{cookie}", page.cookie.encode())
+    )
+    assert answer.startswith((b"HTTP/1.1 4", b"HTTP/1.1 5"))
+    assert answer.count(b"HTTP/1.1 ") == 1
+    until(lambda: list(page.page.uploads.folder.iterdir()) == [])
+    assert [record for record in caplog.records if record.name == "becalm.web"] == []  # as /fail would tell
+    assert still_served(page)
+
+
+def test_what_is_smuggled_would_fail_if_it_were_answered(page: Served, caplog: pytest.LogCaptureFixture) -> None:
+    sent = SMUGGLED.replace(b"{port}", str(page.access.port).encode()).replace(b"{cookie}", page.cookie.encode())
+    assert page.raw(sent[:-2] + b"Connection: close\r\n\r\n").startswith(b"HTTP/1.1 500")
+    assert [record.name for record in caplog.records if record.name == "becalm.web"] == ["becalm.web"]
+
+
+def heard_of(wire: ClientConnection) -> dict[str, object]:
+    told = json.loads(wire.recv())
+    assert isinstance(told, dict)
+    return told
+
+
+def test_messages_that_are_none_are_told_so_and_the_wire_stays_open(page: Served) -> None:
+    with page.wire() as wire:
+        wire.recv()
+        for sent in ("", "{", "[]", "null", '{"q": NaN}', '{"q": 1e999}', "[" * 100_000, b"\x00\x01", b"{}"):
+            wire.send(sent)
+            assert heard_of(wire)["kind"] == "trouble"
+        wire.send('{"do": "look", "q": 1.5}')
+        assert heard_of(wire)["said"] == {"do": "look", "q": 1.5}
+
+
+def test_a_message_without_end_is_cut_off(page: Served) -> None:
+    with page.wire() as wire:
+        wire.recv()
+        wire.send('{"a": "' + "x" * (MOST_SAID_BYTES - 9) + '"}')  # as much as may be said
+        assert heard_of(wire)["kind"] == "heard"
+        wire.send("x" * (2 << 20))
+        with pytest.raises(ConnectionClosedError) as ended:
+            wire.recv()
+    assert ended.value.rcvd is not None
+    assert ended.value.rcvd.code == 1009
+    until(lambda: page.page.viewers == 0)
+    assert still_served(page)
+
+
+def test_text_that_is_none_ends_its_wire_only(page: Served) -> None:
+    with page.wire() as wire:
+        wire.recv()
+        wire.send(b"\xff\xfe", text=True)
+        with pytest.raises(ConnectionClosedError):
+            wire.recv()
+    assert still_served(page)
+
+
+def test_a_server_that_ends_says_so_and_gives_its_port_back() -> None:
+    with ExitStack() as opened:
+        with served() as page:
+            wire = opened.enter_context(page.wire())
+            wire.recv()
+            idle = opened.enter_context(link(page))
+        with pytest.raises(ConnectionClosedError) as ended:
+            wire.recv()
+        assert ended.value.rcvd is not None
+        assert ended.value.rcvd.code == 1012  # the service restarts: a page comes back by itself
+        assert hung_up(idle)
+    listen(LOOPBACK, page.access.port).close()
+
+
+def test_a_server_may_be_closed_before_it_began_and_twice() -> None:
+    listener = listen(LOOPBACK, 0)
+    port = listener.getsockname()[1]
+
+    async def silent(_: object) -> None:
+        """Say nothing."""
+
+    server = Server(listener, site(Page(HTML, silent), Access(LOOPBACK, port, TOKEN)))
+    server.close()
+    server.close()
+    listen(LOOPBACK, port).close()
+
+
+def test_a_port_that_is_taken_is_told() -> None:
+    with listen(LOOPBACK, 0) as first, pytest.raises(TakenError, match=r"another program is there; name .* --port"):
+        listen(LOOPBACK, first.getsockname()[1])
+
+
+@pytest.mark.parametrize(
+    ("host", "port", "says"),
+    [
+        (LOOPBACK, 65536, "ports end at 65535"),
+        (LOOPBACK, -1, "ports end at 65535"),
+        ("192.0.2.1", 0, "--host"),  # an address of nobody
+        ("..a", 0, "no name of a machine"),
+    ],
+)
+def test_a_place_that_cannot_be_is_told(host: str, port: int, says: str) -> None:
+    with pytest.raises(UsageError, match=says):
+        listen(host, port)
+
+
+def test_the_other_loopback_serves_as_well() -> None:
+    try:
+        listener = listen("::1", 0)
+    except UsageError:
+        pytest.skip("this machine has no IPv6")
+    port = listener.getsockname()[1]
+
+    async def silent(_: object) -> None:
+        """Say nothing."""
+
+    with Server(listener, site(Page(HTML, silent), Access("::1", port, TOKEN))):
+        asked = b"GET / HTTP/1.1\r\nHost: [::1]:%d\r\nCookie: becalm-%d=%b\r\nConnection: close\r\n\r\n"
+        with socket.create_connection(("::1", port), 30) as one:
+            one.sendall(asked % (port, port, TOKEN.encode()))
+            assert one.recv(20).startswith(b"HTTP/1.1 200")
