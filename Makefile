@@ -26,6 +26,7 @@ lint: .venv/tested
 
 types: .venv/tested
 	$(BIN)/mypy
+	$(BIN)/python check_javascript.py
 
 arrows: .venv/tested
 	$(BIN)/lint-imports

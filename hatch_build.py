@@ -13,13 +13,27 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from textwrap import shorten
-from typing import Any
+from typing import Any, NamedTuple
 
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
-VERSION = "1.6.32"
-TARBALL = f"uplot-{VERSION}.tgz"
-INTEGRITY = "sha512-KIMVnG68zvu5XXUbC4LQEPnhwOxBuLyW1AHtpm6IKTXImkbLgkMy+jabjLgSLMasNuGGzQm/ep3tOkyTxpiQIw=="
+
+class Package(NamedTuple):
+    """A package of npm, pinned."""
+
+    name: str
+    version: str
+    integrity: str
+
+    @property
+    def tarball(self) -> str:
+        """What npm calls its file."""
+        return f"{self.name}-{self.version}.tgz"
+
+
+UPLOT = Package(
+    "uplot", "1.6.32", "sha512-KIMVnG68zvu5XXUbC4LQEPnhwOxBuLyW1AHtpm6IKTXImkbLgkMy+jabjLgSLMasNuGGzQm/ep3tOkyTxpiQIw=="
+)
 MEMBERS = {  # where the tarball has each file
     "uPlot.iife.min.js": "package/dist/uPlot.iife.min.js",
     "uPlot.min.css": "package/dist/uPlot.min.css",
@@ -37,7 +51,7 @@ Npm = Callable[..., "subprocess.CompletedProcess[Any]"]
 
 
 class FetchError(Exception):
-    """uPlot cannot be had; the message says what was tried and what to do."""
+    """A package cannot be had; the message says what was tried and what to do."""
 
 
 class UPlotHook(BuildHookInterface[Any]):
@@ -72,7 +86,7 @@ def provide(root: Path) -> None:
     """
     if is_there(root):
         return
-    packed, folder = io.BytesIO(tarball()), root / FOLDER
+    packed, folder = io.BytesIO(tarball(UPLOT)), root / FOLDER
     folder.mkdir(parents=True, exist_ok=True)
     with tarfile.open(fileobj=packed) as members, tempfile.TemporaryDirectory(dir=folder) as unready:
         for name, member in MEMBERS.items():
@@ -89,17 +103,23 @@ def is_there(root: Path) -> bool:
     return all(path.is_file() and hashlib.sha256(path.read_bytes()).hexdigest() == paths[path] for path in paths)
 
 
-def tarball() -> bytes:
-    """Return the pinned tarball, from the first npm that has it."""
+def tarball(package: Package) -> bytes:
+    """Return the pinned tarball, from the first npm that has it.
+
+    Raises
+    ------
+    FetchError
+        If no npm gave it, or one gave another.
+    """
     tried = []
     for name, npm in npms():
         with tempfile.TemporaryDirectory() as folder:
-            said = pack(npm, Path(folder))
-            if (Path(folder) / TARBALL).is_file():
-                return checked((Path(folder) / TARBALL).read_bytes(), name)
+            said = pack(npm, package, Path(folder))
+            if (Path(folder) / package.tarball).is_file():
+                return checked((Path(folder) / package.tarball).read_bytes(), package, name)
         tried.append(f"{name} did not give it ({said})")
     raise FetchError(
-        f"uPlot {VERSION}, which draws its reports, could not be fetched: "
+        f"{package.name} {package.version} could not be fetched: "
         f"{'; '.join(tried) or f'there is no npm on PATH, and {NODE} is not installed'}. Install again "
         + ("once npm reaches its registry." if tried else f"after installing npm, or 'pip install {NODE}'.")
     )
@@ -116,9 +136,10 @@ def npms() -> Iterator[tuple[str, Npm]]:
     yield f"npm of {NODE}", partial(npm, return_completed_process=True)
 
 
-def pack(npm: Npm, folder: Path) -> str:
+def pack(npm: Npm, package: Package, folder: Path) -> str:
     """Let npm put the tarball into a folder, cache and all, running none of its scripts; return what it said."""
-    words = ["pack", f"uplot@{VERSION}", "--ignore-scripts", "--no-update-notifier", "--loglevel=error"]
+    wanted = f"{package.name}@{package.version}"
+    words = ["pack", wanted, "--ignore-scripts", "--no-update-notifier", "--loglevel=error"]
     where = ["--cache", str(folder / "cache"), "--logs-max=0"]  # a person's own cache and logs stay as they are
     try:
         ran = npm([*words, *where], cwd=folder, stdin=subprocess.DEVNULL, capture_output=True, text=True)
@@ -128,12 +149,13 @@ def pack(npm: Npm, folder: Path) -> str:
     return shorten(reason, 300, placeholder=" ...") or f"exit code {ran.returncode}"
 
 
-def checked(content: bytes, source: str) -> bytes:
+def checked(content: bytes, package: Package, source: str) -> bytes:
     """Return a tarball that is the pinned one, or refuse."""
     came = "sha512-" + base64.b64encode(hashlib.sha512(content).digest()).decode()
-    if came != INTEGRITY:
+    if came != package.integrity:
         raise FetchError(
-            f"{TARBALL} from {source} is not the one that becalm was tested with: {came} came, {INTEGRITY} was needed; "
-            "nothing of it was kept. 'npm config get registry' says who gave it; install again from another."
+            f"{package.tarball} from {source} is not the one that becalm was tested with: {came} came, "
+            f"{package.integrity} was needed; nothing of it was kept. "
+            "'npm config get registry' says who gave it; install again from another."
         )
     return content

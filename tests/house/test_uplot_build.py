@@ -53,7 +53,8 @@ class Machine:
     def __init__(self, folder: Path) -> None:
         self.root, self.given, self.log = folder / "project", folder / "given.tgz", folder / "log"
         self.npm = folder / "bin" / "npm"
-        text = NPM.format(python=sys.executable, log=str(self.log), tarball=hatch_build.TARBALL, given=str(self.given))
+        tarball = hatch_build.UPLOT.tarball
+        text = NPM.format(python=sys.executable, log=str(self.log), tarball=tarball, given=str(self.given))
         executable(self.npm, text)
 
     def asked(self) -> list[str]:
@@ -72,7 +73,8 @@ def machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Machine:
     there = Machine(tmp_path)
     there.given.write_bytes(packed(CONTENTS))
     digest = hashlib.sha512(there.given.read_bytes()).digest()
-    monkeypatch.setattr(hatch_build, "INTEGRITY", "sha512-" + base64.b64encode(digest).decode())
+    pinned = hatch_build.UPLOT._replace(integrity="sha512-" + base64.b64encode(digest).decode())
+    monkeypatch.setattr(hatch_build, "UPLOT", pinned)
     pins = {name: hashlib.sha256(content).hexdigest() for name, content in CONTENTS.items()}
     monkeypatch.setattr(hatch_build, "SHA256", pins)
     monkeypatch.setenv("PATH", str(there.npm.parent))
@@ -85,7 +87,7 @@ def test_what_is_there_is_not_fetched_again(machine: Machine) -> None:
     hatch_build.provide(machine.root)
     assert machine.kept() == CONTENTS
     assert len(machine.asked()) == 1
-    assert machine.asked()[0].startswith(f"pack uplot@{hatch_build.VERSION} --ignore-scripts ")
+    assert machine.asked()[0].startswith(f"pack uplot@{hatch_build.UPLOT.version} --ignore-scripts ")
 
 
 def test_a_file_of_other_content_is_fetched_anew(machine: Machine) -> None:

@@ -88,7 +88,7 @@ def test_roles_have_their_colours_and_others_differ() -> None:
 def test_a_page_has_the_colours_of_print() -> None:
     style, script = (
         (resources.files("becalm.report") / "assets" / name).read_text(encoding="utf-8")
-        for name in ("page.css", "page.js")
+        for name in ("figures.css", "colours.js")
     )
     light = style.partition("@media")[0]
     wanted = {str(role): colour for role, colour in COLOURS.items()}

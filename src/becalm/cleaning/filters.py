@@ -8,6 +8,7 @@ from becalm.cleaning.modes import modes_in_steps
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.steps import gate_of, in_steps
 from becalm.core.flow import FORGOTTEN, Flow, Judge
+from becalm.core.kernel_ahead import BLOCK
 from becalm.core.lagged_flow import LaggedFlow
 from becalm.core.parted_flow import PartedFlow, PartialFlow
 from becalm.core.possible import largest_beside
@@ -15,7 +16,7 @@ from becalm.core.reach import Reach, least_reach, reach_of
 from becalm.core.steady import rows_until
 from becalm.core.switching import Switching
 from becalm.core.switching_flow import SwitchingFlow
-from becalm.core.switching_lag import LaggedSwitchingFlow
+from becalm.core.switching_lag import LaggedSwitchingFlow, rows_between
 from becalm.noise.likelihood import Tuning
 
 
@@ -63,6 +64,11 @@ class Filter:
     def opened(self, judge: Judge | None = None, *, split: bool = False) -> PartedFlow:
         """Return it at the start of a record; a judge is shown its innovations, split tells its parts too."""
         return PartedFlow(partial(self._part, judge, split), self.reach, largest_beside(self.noise_variance))
+
+    @property
+    def aligned(self) -> int:
+        """Rows at whose multiples a run over a part of a record has to begin."""
+        return rows_between(self.lag) if self.lag and self.modes is not None else BLOCK
 
     @cached_property
     def forgotten_after(self) -> float:

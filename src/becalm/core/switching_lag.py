@@ -27,6 +27,11 @@ _WAYS_BACK = 4  # in the time of one lag
 PIECE = 4096  # rows whose beliefs are kept at once
 
 
+def rows_between(lag: int) -> int:
+    """Return how many rows come between two ways back; a run over a part is the same where it begins at a multiple."""
+    return max(1, (lag + 1) // _WAYS_BACK)
+
+
 class WaitingRows:
     """The rows of a bank that were filtered and wait for those after them.
 
@@ -40,7 +45,7 @@ class WaitingRows:
 
     def __init__(self, sizes: BankSizes, lag: int) -> None:
         self._sizes, self.lag = sizes, lag
-        self.every = max(1, (lag + 1) // _WAYS_BACK)
+        self.every = rows_between(lag)
         self.width = note_length(len(sizes.states), len(sizes.modes))  # numbers that are kept of a row, K
         self._notes = np.empty((0, self.width))
         self._turn = self.every  # rows from the first that waits to the next from which the way back is gone

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import gzip
 import platform
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -125,8 +126,8 @@ def page_of(
         payload=payload([figure for section in sections for figure, _, _ in section.figures]),
         uplot_css=style,
         uplot_js=script,
-        css=_asset("page.css"),
-        js=_asset("numbers.js") + _asset("page.js"),
+        css=_asset("figures.css") + _asset("page.css"),
+        js="".join(_module(name) for name in ("colours.js", "numbers.js", "axes.js", "figures.js", "page.js")),
     )
 
 
@@ -138,6 +139,11 @@ def _pictured(reports: Sequence[ChannelReport]) -> list[int]:
 
 def _asset(name: str) -> str:
     return (files("becalm.report") / "assets" / name).read_text(encoding="utf-8")
+
+
+def _module(name: str) -> str:
+    """Return a module to stand in one script after those that it imports: a page on a disk can import none."""
+    return re.sub(r'^import .* from "\./.*";\n', "", _asset(name), flags=re.MULTILINE)
 
 
 def _lead(reports: Sequence[ChannelReport]) -> str:

@@ -1,16 +1,22 @@
 // How numbers are told, and where the axes of figures have them.
-"use strict";
 
-/** Write a number in five digits; very large and very small ones with a power of ten. */
-function short(value) {
+/**
+ * Write a number in five digits; very large and very small ones with a power of ten.
+ * @param {number} value
+ */
+export function short(value) {
   const far = value !== 0 && (Math.abs(value) >= 1e12 || Math.abs(value) < 1e-3);
   if (far) return value.toExponential(4).replace(/\.?0*e\+?/, "e");
   return String(Number(value.toPrecision(Math.abs(value) >= 1e4 ? 12 : 5))); // what is large may differ by little
 }
 
-/** A number beside others that lie a step apart, with the digits that tell it from them. */
-function even(value, step) {
-  const power = (number) => Math.floor(Math.log10(number) + 1e-9);
+/**
+ * A number beside others that lie a step apart, with the digits that tell it from them.
+ * @param {number} value
+ * @param {number} step
+ */
+export function even(value, step) {
+  const power = (/** @type {number} */ number) => Math.floor(Math.log10(number) + 1e-9);
   if (Math.abs(value) < 1e-6 * step) return "0";
   const far = Math.abs(value) >= 1e15 || (Math.abs(value) < 1 && step < 1e-4);
   const digits = Math.max(0, power(Math.abs(value)) - power(step) + 1);
@@ -18,15 +24,25 @@ function even(value, step) {
   return told.replace(/(\.\d*?)0+(?=e|$)/, "$1").replace(/\.(?=e|$)/, "").replace("e+", "e");
 }
 
-/** Where a logarithmic axis has its numbers: at most seven powers of ten; of less than two decades more than these. */
-function logarithmic(u, axis, low, high) {
+/**
+ * Where a logarithmic axis has its numbers: at most seven powers of ten; of less than two decades more than these.
+ * @param {unknown} u
+ * @param {number} axis
+ * @param {number} low
+ * @param {number} high
+ */
+export function logarithmic(u, axis, low, high) {
   if (high < 100 * low) return within(low, high);
   const [first, last] = [Math.ceil(Math.log10(low) - 1e-9), Math.floor(Math.log10(high) + 1e-9)];
   const stride = Math.max(1, Math.ceil((last - first + 1) / 7));
   return Array.from({ length: Math.floor((last - first) / stride) + 1 }, (_, i) => 10 ** (first + i * stride));
 }
 
-/** Once, twice and five times the powers of ten; where these are too few, even steps. */
+/**
+ * Once, twice and five times the powers of ten; where these are too few, even steps.
+ * @param {number} low
+ * @param {number} high
+ */
 function within(low, high) {
   const first = Math.floor(Math.log10(low));
   const found = [0, 1, 2].flatMap((i) => [1, 2, 5].map((times) => times * 10 ** (first + i)));
@@ -34,7 +50,7 @@ function within(low, high) {
   if (inside.length > 1) return inside;
   const rough = (high - low) / 4;
   const power = 10 ** Math.floor(Math.log10(rough));
-  const step = power * [1, 2, 5, 10].find((times) => times * power >= rough);
+  const step = power * ([1, 2, 5].find((times) => times * power >= rough) ?? 10);
   const begin = Math.ceil(low / step);
   return Array.from({ length: Math.floor(high / step) - begin + 1 }, (_, i) => (begin + i) * step);
 }

@@ -140,12 +140,12 @@ class Run:
         return uncertainty.widened([told._replace(verdicts=beside_filter(told.verdicts, before))])
 
     def _begun(self, first: int) -> int:
-        """Return the row to begin with, at a whole block: since then so many readings, and so much time, went by."""
+        """Return the row to begin with: since then so many readings, and so much time, went by."""
         if not self._bridges_all():
             return 0
         rows = self._margin + self._margin // 4
         while first > rows:
-            begin = (first - rows) // BLOCK * BLOCK
+            begin = (first - rows) // self.filter.aligned * self.filter.aligned
             if self._is_long(slice(begin, first)):
                 return begin
             rows *= 2

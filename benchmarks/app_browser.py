@@ -1,0 +1,84 @@
+"""The browser's part of how quick the tuner is: from the dial's turn to the canvas that shows it, in Chromium."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from statistics import median
+
+import numpy as np
+
+import becalm
+from app_runs import CHROMIUM, QUIET, tuner
+
+RATE_HZ = 1000.0
+TURN = """async (count) => {
+  const dial = document.getElementById("dial"), took = [];
+  for (let i = 0; i < count; i += 1) {
+    const before = becalm.desk.pictures;
+    dial.value = String(20 + (i % 20));
+    const begun = performance.now();
+    dial.dispatchEvent(new Event("input"));
+    await new Promise((done) => {
+      const look = () => (becalm.desk.pictures > before ? done() : requestAnimationFrame(look));
+      requestAnimationFrame(look);
+    });
+    took.push(performance.now() - begun);
+  }
+  dial.dispatchEvent(new Event("change"));
+  return took;
+}"""
+IDLE = "() => becalm.asking.asked === null && becalm.asking.waiting.size === 0"
+JUDGED = "() => document.querySelector('#verdict strong')"
+
+
+def drawn_ms(rows: int, repeats: int) -> dict[str, list[float]]:
+    """Measure how long turns take until they are drawn, in milliseconds.
+
+    Parameters
+    ----------
+    rows : int
+        Of the record, at 1 kHz.
+    repeats : int
+        Turns of the dial in each view.
+
+    Returns
+    -------
+    dict of str to list of float
+        By what is looked at; the wait for the screen's next frame is in all of them.
+    """
+    from playwright.sync_api import sync_playwright
+
+    rng = np.random.default_rng(3)
+    z = np.cumsum(rng.normal(0, 2e-3, rows)) + rng.normal(0, 0.3, rows)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name) / "files"
+        folder.mkdir()
+        becalm.write(folder / "long.npz", becalm.Recording(z, names=["a"], units=["V"], rate_hz=RATE_HZ))
+        with tuner(folder, str(folder / "long.npz")) as app, sync_playwright() as playwright:
+            chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=QUIET)
+            page = chromium.new_page(viewport={"width": 1400, "height": 900})
+            page.set_default_timeout(300_000)
+            page.goto(app.url)
+            page.wait_for_function("() => window.becalm?.desk.pictures > 0 && becalm.dial.positions")
+            found = {}
+            for view, look in (("whole", "becalm.plot.whole()"), ("1 s", "becalm.plot.look(50, 51)")):
+                page.wait_for_function(JUDGED)  # what is judged beside it is not what a hand at the dial waits for
+                page.evaluate(f"() => {{ {look}; }}")
+                page.wait_for_function(IDLE)
+                found[view] = list(page.evaluate(TURN, repeats))
+                page.wait_for_function(IDLE)
+            chromium.close()
+            return found
+
+
+def lines(rows: int, repeats: int) -> list[str]:
+    """Return the rows of a table: what is looked at, the median, and the slowest of twenty."""
+    table = ["| looked at | median, ms | 95 of 100 within, ms |", "|---|---|---|"]
+    for view, took in drawn_ms(rows, repeats).items():
+        table.append(f"| {view} | {median(took):.0f} | {np.quantile(took, 0.95):.0f} |")
+    return table
+
+
+if __name__ == "__main__":
+    print("\n".join(lines(10_000_000, 40)))

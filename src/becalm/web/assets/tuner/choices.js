@@ -1,0 +1,68 @@
+// What a filter is made of: the model with its evidence, its parts, what each estimate knows.
+
+import { find, make } from "../dom.js";
+
+/**
+ * @typedef {{ key: string, name: string, evidence: string, order: number | null }} Choice
+ * @typedef {{ key: string, name: string, on: boolean }} Part
+ * @typedef {{ name: string, unit: string, choices: Choice[], components: Part[] }} Channel
+ * @typedef {{ choice: string, order: number | null, noise_std: number | null, process_noise_density: number | null,
+ *   on: Record<string, boolean>, unchanged: boolean }} Settings
+ */
+
+export class Choices {
+  /**
+   * @param {(settings: Partial<Settings>) => void} turned
+   * @param {(mode: string, lag_s: number | null) => void} moded
+   */
+  constructor(turned, moded) {
+    this.turned = turned;
+    this.models = find("choice-list", HTMLElement);
+    this.parts = find("part-list", HTMLElement);
+    this.cleaned = find("cleaned", HTMLInputElement);
+    this.cleaned.addEventListener("change", () => turned({ unchanged: !this.cleaned.checked }));
+    this.mode = find("mode", HTMLSelectElement);
+    this.lag = find("lag", HTMLInputElement);
+    this.lagAsked = find("lag-asked", HTMLElement);
+    this.likely = 1; // seconds of a lag that nobody said yet
+    const told = () => moded(this.mode.value, this.mode.value === "lagged" ? Number(this.lag.value) : null);
+    this.mode.addEventListener("change", () => {
+      if (this.mode.value === "lagged" && !(Number(this.lag.value) > 0)) this.lag.value = String(Number(this.likely.toPrecision(2)));
+      told();
+    });
+    this.lag.addEventListener("change", () => { if (Number(this.lag.value) > 0) told(); });
+  }
+
+  /** Lay out what a channel may be. @param {Channel} channel */
+  open({ choices, components }) {
+    this.models.replaceChildren(...choices.map(({ key, name, evidence }) => {
+      const input = make("input", { type: "radio", name: "choice", value: key });
+      input.addEventListener("change", () => this.turned({ choice: key }));
+      return make("label", { class: "choice" }, input, make("span", {}, name, " ", make("small", {}, evidence)));
+    }));
+    this.parts.replaceChildren(...components.map(({ key, name }) => {
+      const input = make("input", { type: "checkbox", role: "switch", value: key });
+      input.addEventListener("change", () => this.turned({ on: this.#on() }));
+      return make("label", { class: "choice" }, input, make("span", {}, name));
+    }));
+    this.cleaned.disabled = !choices.some(({ order }) => order); // what is constant, or hardly there, has no filter
+  }
+
+  /** Show what is in force. @param {Settings} settings */
+  point({ choice, on, unchanged }) {
+    this.cleaned.checked = !unchanged;
+    for (const input of this.models.querySelectorAll("input")) input.checked = input.value === choice;
+    for (const input of this.parts.querySelectorAll("input")) input.checked = on[input.value] ?? false;
+  }
+
+  /** @param {string} mode @param {number | null} lag_s */
+  pointMode(mode, lag_s) {
+    this.mode.value = mode;
+    this.lagAsked.hidden = mode !== "lagged";
+    if (lag_s) this.lag.value = String(lag_s);
+  }
+
+  #on() {
+    return Object.fromEntries([...this.parts.querySelectorAll("input")].map(({ value, checked }) => [value, checked]));
+  }
+}

@@ -1,0 +1,103 @@
+// The dial between quicker and calmer: a density of the motion's noise, told as what it does.
+
+import { amount, find, tell } from "../dom.js";
+
+/**
+ * @typedef {{ process_noise_density: ArrayLike<number>, bandwidth_hz: ArrayLike<number>, lag_s: ArrayLike<number>, noise_left: ArrayLike<number> }} Positions
+ * @typedef {{ bandwidth_hz?: number | null, lag_s?: number | null, noise_left?: number | null, noise_std?: number | null }} Filter
+ */
+
+export class Dial {
+  /** @param {(density: number, final: boolean) => void} turned */
+  constructor(turned) {
+    this.input = find("dial", HTMLInputElement);
+    this.told = find("dial-says", HTMLElement);
+    this.turned = turned;
+    this.unit = "";
+    this.held = false;
+    this.beside = 0; // variance that tones and the like let through, which the positions know nothing of
+    this.noise = 0; // standard deviation of a reading
+    /** @type {Positions | null} */
+    this.positions = null;
+    this.input.addEventListener("input", () => this.#turn(false));
+    this.input.addEventListener("change", () => this.#turn(true));
+  }
+
+  /**
+   * Lay other positions under the dial; none where a channel has no motion.
+   * @param {Positions | null} positions
+   * @param {string} unit
+   */
+  lay(positions, unit) {
+    this.positions = positions;
+    this.unit = unit;
+    this.input.disabled = !positions;
+    this.input.max = String(positions ? positions.process_noise_density.length - 1 : 1);
+    if (positions) return;
+    this.beside = 0;
+    this.say({});
+  }
+
+  /** Show where a tuning is, unless the dial is held. @param {number | null} density */
+  point(density) {
+    if (this.held || !this.positions || !density) return;
+    const all = Array.from(this.positions.process_noise_density, Math.log);
+    const wanted = Math.log(density);
+    const after = all.findIndex((one) => one <= wanted); // from quick to calm they fall
+    const place = after > 0 ? after - 1 + (all[after - 1] - wanted) / (all[after - 1] - all[after]) : after === 0 ? 0 : all.length - 1;
+    this.input.value = String(place);
+    this.#sayHere();
+  }
+
+  /** Turn by some positions, as keys do. @param {number} by */
+  step(by) {
+    if (this.input.disabled) return;
+    this.input.value = String(Number(this.input.value) + by);
+    this.#turn(true);
+  }
+
+  /**
+   * Say what the filter is that a picture shows; of the bandwidth, what the dial turns.
+   * @param {Filter} filter
+   */
+  tell(filter) {
+    if (this.held) return;
+    const { noise_left, noise_std } = filter;
+    this.noise = noise_std ?? 0;
+    if (this.positions) {
+      this.beside = Math.max(0, (noise_left ?? 0) ** 2 - this.#at(this.positions.noise_left) ** 2);
+      this.say({ ...filter, bandwidth_hz: this.#at(this.positions.bandwidth_hz) });
+    } else this.say(filter);
+  }
+
+  /** @param {Filter} filter */
+  say({ bandwidth_hz, lag_s, noise_left }) {
+    const down = noise_left && this.noise ? -20 * Math.log10(noise_left / this.noise) : null;
+    const words = { bandwidth: amount(bandwidth_hz, "Hz"), lag: lag_s === 0 ? "none" : amount(lag_s, "s"), "noise left": amount(noise_left, this.unit), "noise down": amount(down, "dB") };
+    tell(this.told, Object.entries(words));
+    this.input.setAttribute("aria-valuetext", Object.entries(words).map(([term, value]) => `${term} ${value}`).join(", "));
+  }
+
+  /** @param {boolean} final */
+  #turn(final) {
+    if (!this.positions) return;
+    this.held = !final;
+    this.#sayHere();
+    this.turned(this.#at(this.positions.process_noise_density), final);
+  }
+
+  #sayHere() {
+    if (!this.positions) return;
+    const { bandwidth_hz, lag_s, noise_left } = this.positions;
+    this.say({ bandwidth_hz: this.#at(bandwidth_hz), lag_s: this.#at(lag_s), noise_left: Math.hypot(this.#at(noise_left), Math.sqrt(this.beside)) });
+  }
+
+  /** Between positions, by even ratios. @param {ArrayLike<number>} values */
+  #at(values) {
+    const place = Math.max(0, Math.min(values.length - 1, Number(this.input.value)));
+    const before = Math.min(Math.floor(place), Math.max(0, values.length - 2));
+    const [low, high, share] = [values[before], values[before + 1] ?? values[before], place - before];
+    if (share === 0 || low === high) return low;
+    return low > 0 && high > 0 ? low ** (1 - share) * high ** share : low + share * (high - low);
+  }
+}

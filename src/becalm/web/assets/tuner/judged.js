@@ -1,0 +1,65 @@
+// What the whole record says about a filter: a verdict in words, numbers, and figures.
+
+import { find, make, tell } from "../dom.js";
+import { decode, draw } from "../figures.js";
+
+/**
+ * @typedef {object} Judged
+ * @property {string} tone
+ * @property {string} says
+ * @property {[string, string][]} numbers
+ * @property {import("../figures.js").Payload} payload
+ */
+
+/** @type {Record<string, string>} */
+const SIGNS = { fits: "✓", except: "!", not: "✗" };
+
+export class Verdict {
+  constructor() {
+    this.place = find("verdict", HTMLElement);
+    this.figures = find("figures", HTMLElement);
+    /** @type {uPlot[]} */
+    this.plots = [];
+    this.tone = this.says = "";
+  }
+
+  /** Say whether it is known yet; figures of before stay meanwhile, faint. @param {boolean} waiting */
+  wait(waiting) {
+    this.figures.classList.toggle("stale", waiting);
+    this.place.className = `verdict ${waiting ? "" : this.tone}`;
+    const [first, ...more] = waiting ? ["Judging the whole record …"] : this.says.split(/(?<=\.) /);
+    this.place.replaceChildren(make(waiting ? "span" : "strong", {}, first), " ", more.join(" "));
+  }
+
+  /** @param {Judged} judged */
+  show({ tone, says, numbers, payload }) {
+    this.tone = tone;
+    this.says = [SIGNS[tone], says].filter(Boolean).join(" ");
+    this.wait(false);
+    tell(find("numbers", HTMLElement), numbers);
+    this.clear();
+    const arrays = payload.arrays.map(decode);
+    const map = find("map", HTMLElement);
+    for (const figure of payload.figures) {
+      if (figure.layers.some(({ kind }) => kind === "lane")) continue; // the strip under the signal has them
+      const place = frameOf(figure.title, `${figure.title}, ${figure.y.label} over ${figure.x.label}`);
+      map.before(place);
+      this.plots.push(draw(figure, arrays, place));
+    }
+  }
+
+  clear() {
+    for (const u of this.plots.splice(0)) {
+      const place = u.root.closest("figure");
+      u.destroy();
+      place?.remove();
+    }
+  }
+}
+
+/** A figure's frame, as `draw` wants it. @param {string} title @param {string} label */
+function frameOf(title, label) {
+  const reset = make("button", { type: "button", class: "reset", hidden: true }, "Whole");
+  const header = make("header", {}, make("h3", {}, title), make("div", { class: "legend" }), reset);
+  return make("figure", {}, header, make("div", { class: "canvas", role: "img", "aria-label": label }));
+}

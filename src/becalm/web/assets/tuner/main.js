@@ -1,0 +1,291 @@
+// The tuner: what becalm says is shown, and what a person does is asked of it.
+
+import { onTheme, readColours } from "../colours.js";
+import { amount, find, make, say } from "../dom.js";
+import { connect } from "../wire.js";
+import { Asking } from "./asking.js";
+import { Choices } from "./choices.js";
+import { Dial } from "./dial.js";
+import { Files, save, upload } from "./files.js";
+import { Verdict } from "./judged.js";
+import { hearKeys } from "./keys.js";
+import { drawLanes } from "./lanes.js";
+import { CostMap } from "./map.js";
+import { SignalPlot } from "./plot.js";
+import { Tabs } from "./tabs.js";
+
+/**
+ * @typedef {import("./choices.js").Channel} Channel
+ * @typedef {import("./choices.js").Settings} Settings
+ * @typedef {{ file: string, name: string, rows: number, rate_hz: number, lasts_s: number, mode: string, lag_s: number | null,
+ *   channels: Channel[], classics: string[], remarks: string[], command: string }} Recording
+ * @typedef {{ mode: string, lag_s: number | null, can_undo: boolean, can_redo: boolean, recipe: string, channels: Settings[],
+ *   classics?: string[] }} State
+ */
+
+/** What is open; what of it becalm forgets with a new start is given back from here. */
+const desk = {
+  /** @type {Recording | null} */ recording: null,
+  /** @type {State | null} */ state: null,
+  /** @type {File | null} */ brought: null,
+  /** @type {string | null} */ restoring: null,
+  /** @type {Map<number, import("./dial.js").Positions>} */ dials: new Map(),
+  /** @type {Map<number, import("./judged.js").Judged & { of: string | null }>} */ judged: new Map(),
+  channel: 0,
+  saving: false,
+  mapped: "", // of what the map was asked
+  /** @type {import("./dial.js").Filter} */ filter: {}, // that is drawn
+  pictures: 0, // that were drawn
+};
+const words = { link: find("link", HTMLElement), trouble: find("trouble", HTMLElement), working: find("working", HTMLElement), remarks: find("remarks", HTMLElement) };
+
+/** @param {import("./choices.js").Settings | Partial<Settings>} settings @param {boolean} [final] */
+function turn(settings, final = true) {
+  const question = { do: "turn", channel: desk.channel, settings, final };
+  if (final) {
+    say(words.trouble, "");
+    asking.tell(question);
+  } else asking.ask(question);
+}
+
+const send = connect({ text: hear, frame: draw, link: tied });
+const asking = new Asking(send);
+const plot = new SignalPlot(find("plot", HTMLElement), ({ from, to }) => look(from, to));
+const dial = new Dial((process_noise_density, final) => turn({ process_noise_density }, final));
+const map = new CostMap(turn);
+const choices = new Choices((settings) => turn(settings), (mode, lag_s) => send({ do: "mode", mode, lag_s }));
+const verdict = new Verdict();
+const tabs = new Tabs((channel, focus) => choose(channel, focus));
+const files = new Files(open, bring);
+const classic = find("classic", HTMLSelectElement);
+
+/** @param {number} from @param {number} to */
+function look(from, to) {
+  const whole = plot.isWhole;
+  asking.ask({ do: "look", channel: desk.channel, from_s: whole ? null : from, to_s: whole ? null : to, width: plot.width });
+}
+
+/** @param {string} file */
+function open(file) {
+  desk.brought = null;
+  send({ do: "open", file });
+}
+
+/** Send a file that was dropped or chosen, and open it. @param {File} file */
+async function bring(file) {
+  await during(`Sending ${file.name} …`, async () => {
+    const id = await upload(file);
+    desk.brought = file;
+    send({ do: "open", file: id });
+  });
+}
+
+/** Say what is going on while it is, and what went wrong. @param {string} says @param {() => Promise<unknown>} does */
+async function during(says, does) {
+  say(words.trouble, "");
+  say(words.working, says);
+  try {
+    await does();
+    say(words.working, "");
+  } catch (error) {
+    say(words.working, "");
+    say(words.trouble, error instanceof TypeError ? "becalm does not answer; is it still running?" : /** @type {Error} */ (error).message);
+  }
+}
+
+/** @param {import("../wire.js").Link} link */
+function tied({ up, tries, again_s }) {
+  document.body.dataset.state = up ? "open" : "disconnected";
+  for (const one of document.querySelectorAll("fieldset")) one.disabled = !up;
+  asking.forget();
+  if (up) desk.restoring = desk.state?.recipe ?? null;
+  const hint = tries > 3 ? " If it was started anew, open the address that it printed." : "";
+  const kept = desk.recording ? " What you did is kept here." : "";
+  say(words.link, up ? "" : `becalm does not answer; trying again in ${Math.ceil(again_s)} s.${kept}${hint}`);
+  if (!up) say(words.working, "");
+}
+
+/** @param {any} message */
+function hear(message) {
+  if (message.kind === "welcome") welcomed(message);
+  else if (message.kind === "working") say(words.working, message.says);
+  else if (message.kind === "trouble") {
+    say(words.working, "");
+    say(words.trouble, message.says);
+    asking.heard(message.answers);
+    settle();
+  } else if (message.kind === "recording") opened(message);
+  else if (message.kind === "state") settled(message);
+  else if (message.kind === "figures") {
+    desk.judged.set(message.channel, { ...message, of: settingOf(message.channel) });
+    if (message.channel === desk.channel) verdict.show(message);
+  }
+}
+
+/** @param {any} welcome */
+function welcomed(welcome) {
+  say(words.working, "");
+  files.list(welcome);
+  const open = desk.recording?.file;
+  if (!open) files.show(!welcome.file);
+  else if (welcome.file === open) return;
+  else if (desk.brought && !welcome.files.some((/** @type {{ id: string }} */ one) => one.id === open)) bring(desk.brought);
+  else send({ do: "open", file: open });
+}
+
+/** @param {Recording} recording */
+function opened(recording) {
+  const again = desk.recording?.file === recording.file;
+  desk.recording = recording;
+  if (!again) desk.state = null;
+  desk.dials.clear();
+  desk.judged.clear();
+  say(words.working, "");
+  say(words.trouble, "");
+  say(words.remarks, recording.remarks.join(" "));
+  document.title = `${recording.name} - becalm`;
+  find("facts", HTMLElement).textContent = `${recording.name}: ${recording.rows.toLocaleString("en")} rows at ${amount(recording.rate_hz, "Hz")}, ${amount(recording.lasts_s, "s")}`;
+  find("command", HTMLElement).textContent = recording.command;
+  find("desk", HTMLElement).hidden = false;
+  find("actions", HTMLElement).hidden = false;
+  files.show(false);
+  choices.likely = 10 / recording.rate_hz;
+  choices.pointMode(recording.mode, recording.lag_s);
+  offer(recording.classics);
+  tabs.open(recording.channels.map(({ name }) => name));
+  choose(again ? desk.channel : 0, false, again);
+}
+
+/** Offer classic filters to compare with. @param {string[]} names */
+function offer(names) {
+  const now = classic.value;
+  classic.replaceChildren(make("option", { value: "" }, names.length ? "no classic filter" : "no classic filter waits"), ...names.map((name) => make("option", { value: name }, name)));
+  classic.value = names.includes(now) ? now : "";
+}
+
+/** Look at a channel. @param {number} channel @param {boolean} [focus] @param {boolean} [stay] where the last one was seen */
+function choose(channel, focus = false, stay = true) {
+  const { recording } = desk;
+  const chosen = recording?.channels[channel];
+  if (!recording || !chosen) return;
+  desk.channel = channel;
+  tabs.point(channel, focus);
+  find("plot-title", HTMLElement).textContent = chosen.name;
+  const { from, to } = plot.view;
+  const seen = stay && !plot.isWhole;
+  plot.open(chosen, recording);
+  choices.open(chosen);
+  dial.lay(desk.dials.get(channel) ?? null, chosen.unit);
+  map.clear();
+  desk.mapped = "";
+  verdict.clear();
+  const judged = desk.judged.get(channel);
+  if (judged) verdict.show(judged);
+  settle();
+  if (seen) plot.look(from, to);
+  else plot.whole();
+  if (classic.value) send({ do: "compare", channel, classic: classic.value });
+}
+
+/** What is set has come; after a new start of becalm it is not yet what was set before. @param {State} state */
+function settled(state) {
+  const { restoring } = desk;
+  desk.restoring = null;
+  desk.state = state;
+  if (!desk.saving) say(words.working, "");
+  if (restoring && restoring !== state.recipe) send({ do: "restore", recipe: restoring });
+  else settle();
+}
+
+/** Show what is set. */
+function settle() {
+  const { state } = desk;
+  const settings = state?.channels[desk.channel];
+  if (!state || !settings) return;
+  find("undo", HTMLButtonElement).disabled = !state.can_undo;
+  find("redo", HTMLButtonElement).disabled = !state.can_redo;
+  choices.pointMode(state.mode, state.lag_s);
+  if (state.classics) offer(state.classics);
+  choices.point(settings);
+  dial.point(settings.process_noise_density);
+  verdict.wait(desk.judged.get(desk.channel)?.of !== settingOf(desk.channel));
+  askMap(settings);
+}
+
+/** What figures are of. @param {number} channel */
+function settingOf(channel) {
+  const { state } = desk;
+  return state && JSON.stringify([state.mode, state.lag_s, state.channels[channel]]);
+}
+
+/** Ask for the map where another model makes another one. @param {Settings} settings */
+function askMap({ choice, on, noise_std, process_noise_density }) {
+  const wanted = JSON.stringify([desk.channel, choice, on]);
+  if (noise_std && process_noise_density) map.point({ noise_std, process_noise_density });
+  find("map", HTMLElement).hidden = !noise_std;
+  if (wanted === desk.mapped || !noise_std) return;
+  desk.mapped = wanted;
+  send({ do: "map", channel: desk.channel });
+}
+
+/** @param {import("../frames.js").Frame} frame */
+function draw(frame) {
+  const { header, arrays } = frame;
+  if (header.kind === "dial" && arrays.process_noise_density?.length) desk.dials.set(header.channel, /** @type {any} */ (arrays));
+  else if (header.kind === "dial") desk.dials.delete(header.channel); // it passes unchanged
+  if (header.kind === "picture") asking.heard(header.answers);
+  if (header.channel !== desk.channel || !desk.recording) return;
+  const { unit } = desk.recording.channels[desk.channel];
+  if (header.kind === "dial") {
+    dial.lay(desk.dials.get(header.channel) ?? null, unit);
+    dial.point(desk.state?.channels[desk.channel].process_noise_density ?? null);
+    dial.tell(desk.filter);
+  } else if (header.kind === "map") map.show(header, arrays.cost, unit);
+  else if (header.kind === "picture") {
+    plot.drawn = () => { if (plot.u) drawLanes(find("lanes", HTMLCanvasElement), plot.u, arrays.verdicts); };
+    plot.show(frame);
+    desk.pictures += 1;
+    desk.filter = header.filter;
+    dial.tell(header.filter);
+    const each = header.rows_each > 1 ? `Each stretch is ${header.rows_each.toLocaleString("en")} rows, drawn from the least to the greatest.` : "";
+    find("plot-says", HTMLElement).textContent = `Drawn: ${header.filter.says}. ${each}`;
+  }
+}
+
+/** @param {string} what */
+function saving(what) {
+  if (!desk.state || desk.saving) return;
+  desk.saving = true;
+  during("Saving …", () => save(`/save/${what}`)).finally(() => { desk.saving = false; });
+}
+
+/** @type {Record<string, () => void>} */
+const ACTIONS = {
+  undo: () => send({ do: "undo" }),
+  redo: () => send({ do: "redo" }),
+  "save-recipe": () => saving("recipe"),
+  "save-clean": () => saving(`clean?format=${find("format", HTMLSelectElement).value}`),
+  "save-report": () => saving("report"),
+  nearer: () => plot.zoom(0.5),
+  farther: () => plot.zoom(2),
+  whole: () => plot.whole(),
+  tuned: () => turn({ choice: desk.state?.channels[desk.channel].choice }),
+  copy: () => navigator.clipboard.writeText(desk.recording?.command ?? ""),
+};
+for (const [id, action] of Object.entries(ACTIONS)) find(id, HTMLButtonElement).addEventListener("click", action);
+find("format", HTMLSelectElement).append(...["csv", "parquet", "mat", "h5"].map((format) => make("option", {}, format)));
+find("copy", HTMLElement).hidden = !navigator.clipboard;
+classic.addEventListener("change", () => send({ do: "compare", channel: desk.channel, classic: classic.value || null }));
+hearKeys({
+  ArrowLeft: () => plot.pan(-0.2), ArrowRight: () => plot.pan(0.2),
+  "+": ACTIONS.nearer, "=": ACTIONS.nearer, "-": ACTIONS.farther, 0: ACTIONS.whole,
+  "[": () => dial.step(-1), "]": () => dial.step(1),
+  z: ACTIONS.undo, "Shift+z": ACTIONS.redo, o: () => files.show(true), Escape: () => files.show(!desk.recording), s: ACTIONS["save-recipe"],
+}, (channel) => choose(channel));
+readColours();
+onTheme(() => {
+  plot.u?.redraw(false, true);
+  map.redraw();
+  verdict.plots.forEach((u) => u.redraw(false, true));
+});
+Object.assign(window, { becalm: { plot, dial, map, desk, asking } }); // for whoever looks at the page by a script, as its tests do

@@ -1,0 +1,54 @@
+// The wire to becalm: JSON goes up, JSON and frames come down; what breaks is tied again.
+
+import { decode } from "./frames.js";
+
+/**
+ * @typedef {{ up: boolean, tries: number, again_s: number }} Link whether the wire holds; else how often it was tried in
+ * vain, and when next
+ * @typedef {object} Ears
+ * @property {(message: any) => void} text
+ * @property {(frame: import("./frames.js").Frame) => void} frame
+ * @property {(link: Link) => void} link
+ */
+
+const FIRST_S = 0.5;
+const LONGEST_S = 8;
+
+/**
+ * Tie the wire of this page, and keep it tied.
+ * @param {Ears} ears
+ * @returns {(message: object) => number | null} sends a message and returns its number; null while nobody hears
+ */
+export function connect(ears) {
+  /** @type {WebSocket} */
+  let socket;
+  let number = 0;
+  let tries = 0;
+
+  function tie() {
+    socket = new WebSocket(`${location.origin.replace(/^http/, "ws")}/wire`);
+    socket.binaryType = "arraybuffer";
+    socket.addEventListener("open", () => {
+      tries = 0;
+      ears.link({ up: true, tries, again_s: 0 });
+    });
+    socket.addEventListener("message", ({ data }) => {
+      if (typeof data === "string") ears.text(JSON.parse(data));
+      else ears.frame(decode(data));
+    });
+    socket.addEventListener("close", () => {
+      const again_s = Math.min(LONGEST_S, FIRST_S * 2 ** tries);
+      tries += 1;
+      ears.link({ up: false, tries, again_s });
+      setTimeout(tie, 1000 * again_s);
+    });
+  }
+
+  tie();
+  return (message) => {
+    if (socket.readyState !== WebSocket.OPEN) return null;
+    number += 1;
+    socket.send(JSON.stringify({ ...message, number }));
+    return number;
+  };
+}
