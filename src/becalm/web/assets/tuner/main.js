@@ -35,7 +35,7 @@ const desk = {
   saving: false,
   mapped: "", // of what the map was asked
   /** @type {import("./dial.js").Filter} */ filter: {}, // that is drawn
-  pictures: 0, // that were drawn
+  pictures: 0, // that have come
 };
 const words = { link: find("link", HTMLElement), trouble: find("trouble", HTMLElement), working: find("working", HTMLElement), remarks: find("remarks", HTMLElement) };
 
@@ -251,8 +251,8 @@ function draw(frame) {
   } else if (header.kind === "map") map.show(header, arrays.cost, unit);
   else if (header.kind === "picture") {
     plot.drawn = () => { if (plot.u) drawLanes(find("lanes", HTMLCanvasElement), plot.u, arrays.verdicts); };
-    plot.show(frame);
     desk.pictures += 1;
+    plot.show(frame);
     desk.filter = header.filter;
     dial.tell(header.filter);
     const each = header.rows_each > 1 ? `Each stretch is ${header.rows_each.toLocaleString("en")} rows, drawn from the least to the greatest.` : "";
