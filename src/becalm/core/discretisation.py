@@ -43,6 +43,8 @@ def discretise(A: Floats, W: Floats, steps_s: Floats) -> tuple[Floats, Floats]:
     """
     if not np.linalg.matrix_power(A, len(A)).any():
         return _integrate_polynomial(A, W, steps_s)
+    if _turns(A, W):
+        return _integrate_turn(A, W, steps_s)
     return _integrate_van_loan(A, W, steps_s)
 
 
@@ -100,6 +102,24 @@ def _integrate_polynomial(A: Floats, W: Floats, steps_s: Floats) -> tuple[Floats
         for k in range(n):
             Q += terms[j] @ W @ terms[k].T * T ** (j + k + 1) / (j + k + 1)
     return F, Q
+
+
+def _turns(A: Floats, W: Floats) -> bool:
+    """Whether a state fades, or a pair of them turns and fades, in noise that knows no direction: a tone."""
+    if len(A) == 1:
+        return True
+    pair = len(A) == 2 and A[0, 0] == A[1, 1] and A[0, 1] == -A[1, 0]
+    return bool(pair and W[0, 0] == W[1, 1] and W[0, 1] == W[1, 0] == 0.0)
+
+
+def _integrate_turn(A: Floats, W: Floats, steps_s: Floats) -> tuple[Floats, Floats]:
+    """F = e^(a T) times a rotation, so that Q = W (e^(2 a T) - 1) / 2 a: no exponential of a matrix is needed."""
+    a, T = float(A[0, 0]), steps_s[:, np.newaxis, np.newaxis]
+    F = np.exp(a * T) * np.eye(len(A))
+    if len(A) == 2:
+        angle = A[0, 1] * T
+        F = np.exp(a * T) * (np.cos(angle) * np.eye(2) + np.sin(angle) * np.array([[0.0, 1.0], [-1.0, 0.0]]))
+    return F, W * (T if a == 0.0 else np.expm1(2 * a * T) / (2 * a))
 
 
 def _integrate_van_loan(A: Floats, W: Floats, steps_s: Floats) -> tuple[Floats, Floats]:
