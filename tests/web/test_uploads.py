@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import socket
+import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -48,6 +49,16 @@ def test_a_file_is_kept_as_it_was_sent_for_its_owner_only(page: Served) -> None:
     folder = page.page.uploads.folder
     page.page.uploads.close()
     assert not folder.exists()
+
+
+def test_without_a_file_there_is_no_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    uploads = Uploads(LIMIT_BYTES)
+    uploads.close()
+    assert list(tmp_path.iterdir()) == []
+    assert uploads.folder.parent == tmp_path
+    uploads.close()
+    assert list(tmp_path.iterdir()) == []
 
 
 HARMFUL = [

@@ -8,6 +8,7 @@ import shutil
 import tempfile
 import unicodedata
 from collections.abc import AsyncIterator
+from functools import cached_property
 from pathlib import Path
 
 from starlette.concurrency import run_in_threadpool
@@ -38,7 +39,11 @@ class Uploads:
 
     def __init__(self, limit_bytes: int) -> None:
         self.limit_bytes = limit_bytes
-        self.folder = Path(tempfile.mkdtemp(prefix="becalm-"))  # which only its owner may enter
+
+    @cached_property
+    def folder(self) -> Path:
+        """Where they are, made with the first: only its owner may enter."""
+        return Path(tempfile.mkdtemp(prefix="becalm-"))
 
     async def take(self, request: Request, name: str) -> Path:
         """Keep the body of a request as a file of that name, in a folder of its own.
@@ -69,7 +74,8 @@ class Uploads:
 
     def close(self) -> None:
         """Remove all of them; harmless twice."""
-        shutil.rmtree(self.folder, ignore_errors=True)
+        if "folder" in self.__dict__:  # it was made
+            shutil.rmtree(self.folder, ignore_errors=True)
 
     async def _write(self, path: Path, stream: AsyncIterator[bytes]) -> None:
         size, waiting = 0, bytearray()
