@@ -25,7 +25,6 @@ TURN = """async (count) => {
     took.push(performance.now() - begun);
     await new Promise(requestAnimationFrame);
   }
-  dial.dispatchEvent(new Event("change"));
   return took;
 }"""
 IDLE = "() => becalm.asking.asked === null && becalm.asking.waiting.size === 0"
