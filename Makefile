@@ -61,6 +61,7 @@ bench: .venv/tested
 	$(BIN)/python benchmarks/live_kills.py -o docs/live-kills.md
 	$(BIN)/python benchmarks/journal_writing.py -o docs/journal-writing.md
 	$(BIN)/python benchmarks/live_sinks.py -o docs/live-sinks.md
+	$(BIN)/python benchmarks/app_speed.py -o docs/app-speed.md
 	$(BIN)/python docs/real_files.py -o docs/real-files.md
 	$(BIN)/python docs/formats.py -o docs/formats.md
 
