@@ -42,8 +42,10 @@ const send = connect({
   frame: take,
   link: ({ up, again_s }) => {
     document.body.dataset.state = up ? "live" : "disconnected";
-    const over = OVER.includes(state) ? "The stream has ended, and becalm with it" : "becalm does not answer";
-    say(links.link, up ? "" : `${over}; what came before stays here. Trying again in ${again_s} s.`);
+    const over = OVER.includes(state);
+    const says = over ? "The stream has ended, and becalm with it" : "becalm does not answer";
+    if (!up && over) say(links.working, "");
+    say(links.link, up ? "" : `${says}; what came before stays here. Trying again in ${again_s} s.`);
   },
 });
 
