@@ -101,17 +101,26 @@ def test_a_file_is_opened_judged_and_saved(app: App, folder: Path, look: Look, t
     assert visit.save("save-report", tmp_path).read_text(encoding="utf-8").startswith("<!doctype html>")
 
 
-def test_a_file_that_is_dropped_is_opened(app: App, look: Look, tmp_path: Path) -> None:
-    visit = look(app, "")
-    text = (drive(tmp_path / "dropped.csv")).read_text(encoding="utf-8")
-    transfer = visit.page.evaluate_handle(
-        "(text) => { const held = new DataTransfer(); held.items.add(new File([text], 'dropped.csv')); return held; }",
-        text,
-    )
-    visit.page.dispatch_event("body", "drop", {"dataTransfer": transfer})
-    app.shows = "dropped.csv"
-    visit.opened("dropped.csv")
-    assert "12,000 rows" in visit.page.locator("#facts").inner_text()
+def test_a_file_that_is_dropped_is_opened_and_brought_again(look: Look, tmp_path: Path) -> None:
+    dropped = drive(tmp_path / "dropped.csv")
+    (tmp_path / "empty").mkdir()
+    with tuner(tmp_path / "empty") as app:
+        visit = look(app, "")
+        page = visit.page
+        assert "Drop a file" in page.locator("#files-says").inner_text()
+        visit.drop(dropped)
+        visit.opened("dropped.csv")
+        assert "12,000 rows" in page.locator("#facts").inner_text()
+        before = visit.settings()
+        page.keyboard.press("[")
+        after = visit.changed(before)
+        app.kill()
+        page.wait_for_function("() => document.body.dataset.state === 'disconnected'")
+        app.start_again()
+        page.wait_for_function("() => document.body.dataset.state === 'open'")
+        page.wait_for_function("() => becalm.desk.state?.can_undo && becalm.desk.restoring === null")
+        assert visit.changed(before) == after
+        visit.forgive_silence()
 
 
 def test_a_file_that_cannot_be_read_is_told_in_a_sentence(app: App, look: Look) -> None:
@@ -122,8 +131,10 @@ def test_a_file_that_cannot_be_read_is_told_in_a_sentence(app: App, look: Look) 
     trouble.wait_for()
     assert "broken.csv" in trouble.inner_text()
     visit.shoot("tuner-trouble-1400-light")
-    visit.open_file(app, "drive.parquet")
-    assert not trouble.is_visible()
+    visit.page.locator("#folder button", has_text="drive.parquet").click()
+    trouble.wait_for(state="hidden")
+    app.shows = "drive.parquet"
+    visit.opened("drive.parquet")
 
 
 def test_zooming_and_moving(app: App, look: Look) -> None:
@@ -271,7 +282,7 @@ def test_what_was_done_outlives_a_reload_and_a_new_start(folder: Path, look: Loo
         assert not page.locator("#link").is_visible()
         assert visit.settings()["process_noise_density"] != before["process_noise_density"]
         assert after["choice"] == visit.settings()["choice"]
-        visit.wrong[:] = [said for said in visit.wrong if "WebSocket connection" not in said]  # while nobody was there
+        visit.forgive_silence()
 
 
 def test_a_spike_of_one_reading_is_seen_from_far_and_near(tmp_path: Path, look: Look) -> None:

@@ -13,6 +13,7 @@ import httpx
 import numpy as np
 from numpy.typing import NDArray
 from websockets.sync.client import ClientConnection, connect
+from websockets.typing import Origin
 
 from becalm.core.recording import Recording
 from becalm.files.writing import write
@@ -96,7 +97,7 @@ class Served(NamedTuple):
         """Open a page."""
         with connect(
             f"ws://{LOOPBACK}:{self.access.port}/wire",
-            origin=self.base,  # type: ignore[arg-type]  # a str by another name
+            origin=Origin(self.base),
             additional_headers=[("Cookie", f"{self.access.cookie}={TOKEN}")],
             sock=socket.create_connection((LOOPBACK, self.access.port)),
             open_timeout=PATIENCE_S,

@@ -28,6 +28,11 @@ IDLE = "() => becalm.asking.asked === null && becalm.asking.waiting.size === 0"
 BUTTON = "button, input, select, summary, [tabindex='0']"
 NAMELESS = f"""() => [...document.querySelectorAll("{BUTTON}")].filter((one) => one.offsetParent && !(
   one.innerText.trim() || one.getAttribute("aria-label") || one.labels?.length)).map((one) => one.outerHTML)"""
+HELD = """([name, text]) => {
+  const held = new DataTransfer();
+  held.items.add(new File([text], name));
+  return held;
+}"""
 FOCUSED = """() => {
   const one = document.activeElement;
   return [one.getAttribute("aria-label") || one.innerText.trim(), getComputedStyle(one).outlineStyle];
@@ -126,6 +131,15 @@ class Visit(NamedTuple):
         path = folder / held.value.suggested_filename
         held.value.save_as(path)
         return path
+
+    def drop(self, path: Path) -> None:
+        """Drop a file on the page."""
+        text = path.read_text(encoding="utf-8")
+        self.page.dispatch_event("body", "drop", {"dataTransfer": self.page.evaluate_handle(HELD, [path.name, text])})
+
+    def forgive_silence(self) -> None:
+        """Forget what was said of the wire while nobody was at its other end."""
+        self.wrong[:] = [said for said in self.wrong if "WebSocket connection" not in said]
 
     def walk_to(self, name: str) -> None:
         """Press Tab until what has that name has the focus, and shows it."""

@@ -13,6 +13,7 @@ from typing import Annotated
 import typer
 
 from becalm.cli import options as o
+from becalm.cli.app_command import open_app
 from becalm.cli.journal_command import journal
 from becalm.cli.live_command import live
 from becalm.cli.said import load, open_as, open_every, refuse_overwriting, said_of, tuned
@@ -236,6 +237,7 @@ def demo(
     run(output)
 
 
+app.command("app")(open_app)
 app.command()(live)
 app.command()(journal)
 

@@ -98,10 +98,8 @@ class Folder:
         """List what may be opened now: what was named at the start, what was brought, what is in the folder."""
         found = [] if self._file is None else [_known("given", self._file, leaving=True)]
         found += [_known(f"brought/{path.parent.name}", path) for path in self._brought]
-        named = None if self._file is None else self._file.resolve()
-        for path in self._listed():
-            if path.resolve() != named:
-                found.append(_known("folder", path))
+        named = None if self._file is None else os.path.realpath(self._file)
+        found += [_known("folder", path) for path in self._listed() if os.path.realpath(path) != named]
         return [one for one in found if one is not None]
 
     def path_of(self, file: str) -> Path:
@@ -139,10 +137,10 @@ def _looks_readable(path: Path) -> bool:
 def _known(room: str, path: Path, *, leaving: bool = False) -> Known | None:
     """Tell of a file; None of a link that leads out of its folder, a pipe, a device, or what cannot be looked at."""
     try:
-        if not leaving and path.resolve().parent != path.parent.resolve():
+        if not leaving and Path(os.path.realpath(path)).parent != Path(os.path.realpath(path.parent)):
             return None
         told = path.stat()
-    except (OSError, RuntimeError):
+    except OSError:
         return None
     if stat.S_ISREG(told.st_mode) or (stat.S_ISDIR(told.st_mode) and (path / BAG).is_file()):
         return Known(_id(room, path.name), path, told.st_size, told.st_mtime)

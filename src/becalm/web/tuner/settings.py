@@ -16,7 +16,7 @@ from becalm.web.tuner.messages import Turned
 FOUND, GIVEN = "found", "given"
 """Choices: what becalm chose, and what a recipe says that was given."""
 
-_ORDER = "order-"
+_ORDER, _TONE = "order-", "tone-"
 
 
 class Setting(NamedTuple):
@@ -104,10 +104,11 @@ class Options:
 
     def told(self, setting: Setting) -> dict[str, object]:
         """Tell a page of a setting."""
-        recipe, keys = self.recipe(setting), components(self._base(setting))
-        on = {key: _has(recipe, key) for key in keys} | dict.fromkeys(
-            (key for key in components(self.channel) if key not in keys), False
-        )
+        recipe, base = self.recipe(setting), self._base(setting)
+        on = dict.fromkeys(components(self.channel), False)
+        on |= {key: key not in setting.off for key in components(base)}
+        if "switching" in on and recipe.switching is None:
+            on["switching"] = False
         return {
             "choice": setting.choice,
             "order": recipe.order,
@@ -121,7 +122,7 @@ class Options:
         """Return the setting that makes a channel's recipe, as simply as it can be said."""
         for choice in (FOUND, *self._rivals):
             base = self._base(Setting(choice))
-            off = frozenset(key for key in components(base) if not _has(given, key))
+            off = frozenset(key for key in components(base) if not _has(given, key, base))
             tries = [Setting(choice, off=off)]
             if given.motion is not None:
                 dialled = given.motion.noise_std, given.motion.process_noise_density
@@ -176,7 +177,7 @@ class Options:
 
 def components(recipe: ChannelRecipe) -> dict[str, str]:
     """Return what of a channel's filter can be switched off, by its key: a name for people."""
-    named = {f"tone-{k}": f"tone at {tone.frequency_hz:.4g} Hz" for k, tone in enumerate(recipe.tone)}
+    named = {f"{_TONE}{k}": f"tone at {tone.frequency_hz:.4g} Hz" for k, tone in enumerate(recipe.tone)}
     if recipe.coloured_noise is not None:
         named["coloured"] = "coloured noise"
     if recipe.gate is not None:
@@ -193,16 +194,17 @@ def components(recipe: ChannelRecipe) -> dict[str, str]:
 _FIELDS = {"coloured": "coloured_noise"} | {key: key for key in ("gate", "switching", "limits", "timing")}
 
 
-def _has(recipe: ChannelRecipe, key: str) -> bool:
+def _has(recipe: ChannelRecipe, key: str, base: ChannelRecipe) -> bool:
+    """Whether a recipe has the component that another one calls by a key."""
     if key in _FIELDS:
         return getattr(recipe, _FIELDS[key]) is not None
-    return key in components(recipe)
+    return base.tone[int(key.removeprefix(_TONE))] in recipe.tone
 
 
 def _without(recipe: ChannelRecipe, off: frozenset[str]) -> ChannelRecipe:
     update: dict[str, Any] = {_FIELDS[key]: None for key in off if key in _FIELDS}
     if any(key not in _FIELDS for key in off):
-        update["tone"] = tuple(tone for k, tone in enumerate(recipe.tone) if f"tone-{k}" not in off)
+        update["tone"] = tuple(tone for k, tone in enumerate(recipe.tone) if f"{_TONE}{k}" not in off)
     return recipe.model_copy(update=update) if update else recipe
 
 

@@ -12,6 +12,7 @@ import { hearKeys } from "./keys.js";
 import { drawLanes } from "./lanes.js";
 import { CostMap } from "./map.js";
 import { SignalPlot } from "./plot.js";
+import { Tabs } from "./tabs.js";
 
 /**
  * @typedef {import("./choices.js").Channel} Channel
@@ -54,6 +55,7 @@ const dial = new Dial((process_noise_density, final) => turn({ process_noise_den
 const map = new CostMap(turn);
 const choices = new Choices((settings) => turn(settings), (mode, lag_s) => send({ do: "mode", mode, lag_s }));
 const verdict = new Verdict();
+const tabs = new Tabs((channel, focus) => choose(channel, focus));
 const files = new Files(open, bring);
 const classic = find("classic", HTMLSelectElement);
 
@@ -150,14 +152,7 @@ function opened(recording) {
   choices.likely = 10 / recording.rate_hz;
   choices.pointMode(recording.mode, recording.lag_s);
   offer(recording.classics);
-  find("channels", HTMLElement).replaceChildren(...recording.channels.map(({ name }, i) => {
-    const tab = make("button", { type: "button", role: "tab", id: `tab-${i}`, "aria-controls": "signal" }, name);
-    tab.addEventListener("click", () => choose(i));
-    tab.addEventListener("keydown", ({ key }) => {
-      if (key === "ArrowRight" || key === "ArrowLeft") choose(desk.channel + (key === "ArrowRight" ? 1 : -1), true);
-    });
-    return tab;
-  }));
+  tabs.open(recording.channels.map(({ name }) => name));
   choose(again ? desk.channel : 0, false, again);
 }
 
@@ -174,12 +169,7 @@ function choose(channel, focus = false, stay = true) {
   const chosen = recording?.channels[channel];
   if (!recording || !chosen) return;
   desk.channel = channel;
-  for (const [i, tab] of [...find("channels", HTMLElement).children].entries()) {
-    tab.setAttribute("aria-selected", String(i === channel));
-    tab.setAttribute("tabindex", i === channel ? "0" : "-1");
-    if (i === channel && focus) /** @type {HTMLElement} */ (tab).focus();
-  }
-  find("signal", HTMLElement).setAttribute("aria-labelledby", `tab-${channel}`);
+  tabs.point(channel, focus);
   find("plot-title", HTMLElement).textContent = chosen.name;
   const { from, to } = plot.view;
   const seen = stay && !plot.isWhole;

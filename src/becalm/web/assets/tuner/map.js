@@ -78,8 +78,8 @@ export class CostMap {
     const { grid, cost, unit } = this.map;
     const [i, j] = [nearest(grid.noise_std, noise_std), nearest(grid.process_noise_density, process_noise_density)];
     const worse = cost[i * grid.process_noise_density.length + j];
-    const told = worse < 0.0005 ? "as well as at best" : `${amount(worse, "nats")} worse than at best`;
-    this.told.textContent = `Here (ring): noise ${amount(noise_std, unit)}, density ${amount(process_noise_density, "")}; each reading is foretold ${told} (cross).`;
+    const told = worse < 0.001 ? "as well as at best" : `${amount(worse, "nats")} worse than at best`;
+    this.told.textContent = `Here (ring): noise ${amount(noise_std, unit)}, density ${amount(process_noise_density, "")}; each reading is foretold ${told} (cross). The stronger the colour, the better.`;
     this.canvas.setAttribute("aria-label", `Cost of every noise and density; arrow keys tune. ${this.told.textContent}`);
   }
 

@@ -50,7 +50,8 @@ export class SignalPlot {
     this.u?.destroy();
     this.names.replaceChildren();
     this.canvas.setAttribute("aria-label", `${name} over time. Left and right move along, plus and minus zoom, 0 shows the whole.`);
-    this.u = new uPlot(this.#options(unit ? `${name} (${unit})` : name), [[], ...COLUMNS.map(() => [])], this.canvas);
+    const label = unit && !name.endsWith(`(${unit})`) ? `${name} (${unit})` : name;
+    this.u = new uPlot(this.#options(label), [[], ...COLUMNS.map(() => [])], this.canvas);
     const told = legend(this.u, [
       { name: "readings", role: "readings", columns: [1, 2] },
       { name: "±2 sigma", role: "clean-band", columns: [3, 4] },

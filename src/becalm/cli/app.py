@@ -1,0 +1,128 @@
+"""The app: a page to tune on, served from here until a signal ends it."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import socket
+import sys
+import threading
+import webbrowser
+from pathlib import Path
+from types import FrameType
+from typing import NamedTuple
+
+from becalm.cli.stopping import stop_cleanly
+from becalm.cli.talk import stderr
+from becalm.errors import InputError, UsageError
+from becalm.web.extra import need_app
+
+DEFAULT_PORT = 8765
+_SIZE = re.compile(r"(?P<number>\d+\.?\d*|\.\d+)\s*(?P<unit>kb|mb|gb|tb)", re.IGNORECASE)
+_BYTES = {"kb": 1e3, "mb": 1e6, "gb": 1e9, "tb": 1e12}
+_SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+
+
+class Place(NamedTuple):
+    """Whose files may be opened, and which is opened first."""
+
+    folder: Path
+    file: Path | None
+
+
+class Where(NamedTuple):
+    """Where the page is served, and who keeps its token; without a port the usual one, or any if that is taken."""
+
+    host: str
+    port: int | None
+    token_file: Path | None
+
+
+def place_of(file: Path | None, folder: Path | None) -> Place:
+    """Read which files a person wants to work on.
+
+    Raises
+    ------
+    InputError
+        If the file or the folder is not there.
+    """
+    if file is not None and not file.exists():
+        raise InputError(f"{file} is not there; name a recording, or leave it out and choose one on the page.")
+    chosen = folder or (Path() if file is None else file.parent)
+    if not chosen.is_dir():
+        raise InputError(f"{chosen} is no folder; name one with --folder.")
+    return Place(chosen, file)
+
+
+def bytes_of(text: str) -> int:
+    """Read how large a file may be.
+
+    Raises
+    ------
+    UsageError
+        If it is no positive number with its unit.
+    """
+    written = _SIZE.fullmatch(text.strip())
+    limit = int(float(written["number"]) * _BYTES[written["unit"].lower()]) if written else 0
+    if limit < 1:
+        raise UsageError(f"--upload-limit {text} is no size; write a number and then kB, MB or GB, as 2GB.")
+    return limit
+
+
+def run(place: Place, where: Where, limit_bytes: int, *, browser: bool) -> None:
+    """Serve the page until a signal comes; a second one ends at once."""
+    need_app()
+    from becalm.web.access import Access, token_of
+    from becalm.web.serving import Server
+    from becalm.web.site import Page, html_of, site
+    from becalm.web.tuner import Tuner
+
+    token = token_of(where.token_file)
+    with _listening(where) as listener:
+        access = Access(where.host, listener.getsockname()[1], token)
+        tuner = Tuner(place.folder, place.file, limit_bytes)
+        stopped = _hear_signals()
+        try:
+            with Server(listener, site(Page(html_of("tuner.html"), tuner.wire, tuner.routes), access)):
+                stderr.print(f"Open {access.url}\nCtrl-C ends it.")
+                if access.warning is not None:
+                    stderr.print(access.warning)
+                if browser:
+                    _show(access.ticket())
+                while not stopped.wait(1):  # where signals do not interrupt a wait, they are heard between two
+                    pass
+        finally:
+            tuner.close()
+
+
+def _listening(where: Where) -> socket.socket:
+    from becalm.web.serving import TakenError, listen
+
+    if where.port is not None:
+        return listen(where.host, where.port)
+    try:
+        return listen(where.host, DEFAULT_PORT)
+    except TakenError:  # as by another becalm
+        return listen(where.host, 0)
+
+
+def _hear_signals() -> threading.Event:
+    """Return what a first signal sets; a second one ends at once."""
+    stopped = threading.Event()
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        stopped.set()
+        stop_cleanly()
+
+    for number in _SIGNALS:
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, stop)
+    return stopped
+
+
+def _show(address: str) -> None:
+    """Open the page in a browser with a window; one in the terminal would take that from becalm."""
+    windows = sys.platform in ("darwin", "win32") or any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")))
+    if windows:
+        threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()

@@ -1,0 +1,287 @@
+"""What is set, and what a recipe makes of it: choices, components, dials, undone and done again."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from becalm.cleaning.recipe import ChannelRecipe
+from becalm.cleaning.recipe_parts import TimingRecipe
+from becalm.cleaning.steps import in_steps
+from becalm.cleaning.tuning import Found, explore, tune
+from becalm.core.likelihood import log_likelihood
+from becalm.errors import RecipeError, UsageError
+from becalm.noise.choose import Choice
+from becalm.noise.likelihood import Evidence, Tuning
+from becalm.web.tuner.costs import cost_map
+from becalm.web.tuner.desk import Desk
+from becalm.web.tuner.dial import POSITIONS, dial, told_of
+from becalm.web.tuner.evidence import beside_best, described
+from becalm.web.tuner.messages import Turned
+from becalm.web.tuner.opened import Opened
+from becalm.web.tuner.rows import ChannelRows
+from becalm.web.tuner.settings import FOUND, GIVEN, Options, Setting, components
+from tuner_records import COLOURED, GATE, LIMITS, RATE_HZ, SWITCHING, TONES, even, motion, walk
+from tuner_served import drive_in
+
+ALARMED = LIMITS.model_copy(update={"drift_threshold": 20.0})
+RICH = motion(
+    order=2,
+    process_noise_density=3.0,
+    tuning_spread=0.05,
+    tone=TONES,
+    coloured_noise=COLOURED,
+    gate=GATE,
+    limits=ALARMED,
+    timing=TimingRecipe(std_s=1e-4, included_std=0.1),
+)
+RIVALS = (Tuning(1, 1e-3, 0.3, 5000, loss=-1.0), Tuning(2, 1e-6, 0.25, 5000, loss=-1.1))
+
+
+@pytest.fixture
+def options() -> Options:
+    evidence = Evidence.of(walk(), np.ones(30_000))
+    return Options(Found(RICH, Choice("motion", RIVALS[1], RIVALS[1], RIVALS), evidence), RICH, 1 / RATE_HZ, False)
+
+
+@pytest.fixture(scope="module")
+def opened(tmp_path_factory: pytest.TempPathFactory) -> Opened:
+    return Opened("id", drive_in(tmp_path_factory.mktemp("desk")), None, lambda _: None)
+
+
+@pytest.fixture
+def desk(opened: Opened) -> Desk:
+    return Desk(opened)
+
+
+def test_nothing_set_is_what_was_found(options: Options) -> None:
+    assert options.recipe(Setting()) == RICH
+    told = options.told(Setting())
+    assert (told["choice"], told["order"], told["unchanged"]) == (FOUND, 2, False)
+    assert told["on"] == dict.fromkeys(("tone-0", "tone-1", "coloured", "gate", "limits", "timing"), True)
+
+
+@pytest.mark.parametrize(
+    ("key", "field", "left"),
+    [
+        ("tone-0", "tone", TONES[1:]),
+        ("tone-1", "tone", TONES[:1]),
+        ("coloured", "coloured_noise", None),
+        ("gate", "gate", None),
+        ("limits", "limits", None),
+        ("timing", "timing", None),
+    ],
+)
+def test_a_component_is_switched_off_and_on(options: Options, key: str, field: str, left: object) -> None:
+    off = options.changed(Setting(), Turned(on={key: False}))
+    assert getattr(options.recipe(off), field) == left
+    told = options.told(off)["on"]
+    assert isinstance(told, dict)
+    assert [one for one, on in told.items() if not on] == [key]
+    assert options.changed(off, Turned(on={key: True})) == Setting()
+
+
+def test_a_dial_set_by_hand_has_no_spread_and_no_alarms(options: Options) -> None:
+    set_ = options.changed(Setting(), Turned(process_noise_density=7.0))
+    recipe = options.recipe(set_)
+    assert (recipe.process_noise_density, recipe.noise_std, recipe.tuning_spread) == (7.0, 0.5, 0.0)
+    assert recipe.limits is not None
+    assert recipe.limits.drift_threshold is None
+    assert recipe.limits.low == LIMITS.low
+    assert recipe.tone == TONES
+    quieter = options.recipe(options.changed(set_, Turned(noise_std=0.01)))
+    assert (quieter.process_noise_density, quieter.noise_std) == (7.0, 0.01)
+    assert quieter.timing is not None
+    assert quieter.timing.included_std == 0.01
+    assert options.changed(set_, Turned(choice=FOUND)) == Setting()
+
+
+def test_another_order_has_the_numbers_that_were_tuned_for_it(options: Options) -> None:
+    recipe = options.recipe(options.changed(Setting(), Turned(choice="order-1")))
+    assert recipe.order == 1
+    assert recipe.noise_std == pytest.approx(np.sqrt(0.3))
+    assert recipe.process_noise_density == pytest.approx(0.3e-3 * RATE_HZ)
+    assert recipe.tone == TONES
+    with pytest.raises(UsageError, match="no model 'order-7'"):
+        options.changed(Setting(), Turned(choice="order-7"))
+    with pytest.raises(UsageError, match="no component 'gates'"):
+        options.changed(Setting(), Turned(on={"gates": False}))
+
+
+def test_turning_the_dial_of_what_switches_makes_it_one_filter() -> None:
+    switching = motion(process_noise_density=0.3, switching=SWITCHING)
+    found = Found(switching, Choice("motion", rivals=RIVALS), Evidence.of(walk(), np.ones(30_000)))
+    options = Options(found, switching, 1 / RATE_HZ, False)
+    turned = options.changed(Setting(), Turned(noise_std=0.4))
+    assert options.recipe(turned).switching is None
+    assert options.told(turned)["on"] == {"switching": False}
+    again = options.changed(turned, Turned(on={"switching": True}))
+    assert options.recipe(again) == switching
+    fixed = options.changed(Setting(), Turned(choice="order-2"))
+    assert options.told(fixed)["on"] == {"switching": False}
+    assert options.recipe(options.changed(fixed, Turned(on={"switching": True}))) == switching
+
+
+def test_what_passes_unchanged_has_no_dial() -> None:
+    constant = ChannelRecipe(name="ax", model="constant")
+    options = Options(Found(constant, Choice("constant"), Evidence.of(walk(), np.ones(30_000))), constant, 1e-3, False)
+    assert options.told(Setting())["unchanged"]
+    with pytest.raises(UsageError, match="passes unchanged"):
+        options.changed(Setting(), Turned(noise_std=1.0))
+    assert dial(constant, 1e-3, None, 1000) == {}
+
+
+@pytest.mark.parametrize(
+    "setting",
+    [
+        Setting(),
+        Setting(off=frozenset({"tone-0", "gate"})),
+        Setting("order-1"),
+        Setting("order-1", 0.2, 0.7, frozenset({"limits"})),
+        Setting(FOUND, 0.2, 0.7),
+    ],
+)
+def test_a_recipe_is_read_back_as_what_was_set(options: Options, setting: Setting) -> None:
+    assert options.as_given(options.recipe(setting)) == setting
+
+
+def test_a_recipe_of_another_hand_is_kept_as_it_is(options: Options) -> None:
+    strange = RICH.model_copy(update={"order": 5, "process_noise_density": 1e12, "tuning_spread": 0.3})
+    setting = options.as_given(strange)
+    assert setting.choice == GIVEN
+    assert options.recipe(setting) == strange
+    calmer = options.recipe(options.changed(setting, Turned(process_noise_density=1e6)))
+    assert (calmer.order, calmer.process_noise_density) == (5, 1e6)
+
+
+def test_components_have_names_for_people() -> None:
+    assert components(RICH)["tone-0"] == "tone at 50 Hz"
+    assert components(motion(process_noise_density=1.0)) == {}
+
+
+def test_evidence_is_told_in_words() -> None:
+    assert beside_best(RIVALS) == {
+        1: "tells a reading left out 5.1 % worse",
+        2: "tells a reading left out as well as any",
+    }
+    filters = (Tuning(1, 1.0, 1.0, 1000, -1500.0), Tuning(2, 1.0, 1.0, 1000, -1400.0), Tuning(3, 1.0, 1.0, 0, -np.inf))
+    assert beside_best(filters) == {
+        1: "foretells the next reading 11 % worse",
+        2: "foretells the next reading as well as any",
+        3: "foretells the next reading far worse",
+    }
+    assert described(RICH) == "order 2 with a tone at 50 Hz, a tone at 120 Hz, coloured noise"
+
+
+def test_steps_are_taken_back_and_done_again(desk: Desk) -> None:
+    recipes = [desk.recipe()]
+    for density in (1.0, 2.0):
+        desk.turn(0, Turned(process_noise_density=density), final=True)
+        recipes.append(desk.recipe())
+    desk.turn(0, Turned(process_noise_density=9.0), final=False)
+    assert desk.recipe().channel[0].process_noise_density == 9.0
+    desk.undo()  # what was dragged goes with the step before it
+    assert desk.recipe() == recipes[1]
+    desk.undo()
+    desk.undo()
+    assert desk.recipe() == recipes[0]
+    assert not desk.can_undo
+    desk.redo()
+    assert desk.recipe() == recipes[1]
+    desk.turn(1, Turned(on={}, noise_std=3.0), final=True)
+    assert not desk.can_redo
+    desk.turn(1, Turned(noise_std=3.0), final=True)  # says nothing new
+    desk.undo()
+    assert desk.recipe() == recipes[1]
+
+
+def test_what_was_found_is_what_tune_finds(desk: Desk) -> None:
+    found = tune(desk.opened.recording)
+    assert desk.recipe().channel == found.channel
+    assert explore(desk.opened.recording).recipe == found
+    desk.put_in_mode("causal", None)
+    assert desk.recipe().channel == tune(desk.opened.recording, causal=True).channel
+    assert desk.recipe().mode == "causal"
+
+
+def test_a_channel_that_is_left_as_it_is_is_not_in_the_recipe(desk: Desk) -> None:
+    desk.turn(0, Turned(unchanged=True), final=True)
+    assert [channel.name for channel in desk.recipe().channel] == ["load"]
+    text = desk.recipe().to_toml()
+    desk.turn(1, Turned(unchanged=True), final=True)
+    with pytest.raises(UsageError, match="No channel is left"):
+        desk.recipe()
+    assert desk.state_told()["recipe"] == ""
+    desk.restore(text)
+    assert desk.recipe().to_toml() == text
+    for _ in range(3):
+        desk.undo()
+    assert len(desk.recipe().channel) == 2
+
+
+def test_a_recipe_of_another_recording_is_refused(desk: Desk) -> None:
+    recipe = desk.recipe()
+    renamed = recipe.channel[0].model_copy(update={"name": "ay"})
+    with pytest.raises(RecipeError, match="does not have"):
+        desk.restore(recipe.model_copy(update={"channel": (renamed,)}).to_toml())
+    other = recipe.channel[0].model_copy(update={"unit": "V"})
+    with pytest.raises(RecipeError, match="in 'V'"):
+        desk.restore(recipe.model_copy(update={"channel": (other,)}).to_toml())
+    assert desk.recipe() == recipe
+
+
+@pytest.mark.parametrize("lag", [None, 0, 20])
+@pytest.mark.parametrize("order", [1, 2, 3, 4, 5])
+def test_a_dial_goes_from_quick_to_calm(order: int, lag: int | None) -> None:
+    channel = motion(order=order, process_noise_density=1.0)
+    found = dial(channel, 1 / RATE_HZ, lag, 1_000_000)
+    assert {len(values) for values in found.values()} == {POSITIONS}
+    known = np.isfinite(found["noise_left"])
+    assert known.sum() > 60
+    assert (np.diff(found["noise_left"][known]) < 1e-9).all()
+    assert (found["noise_left"][known] <= 0.5 * (1 + 1e-9)).all()
+    middle = POSITIONS // 2
+    set_ = channel.model_copy(update={"process_noise_density": float(found["process_noise_density"][middle])})
+    told = told_of(set_, 1 / RATE_HZ, lag)
+    assert told.noise_left == pytest.approx(found["noise_left"][middle], rel=1e-6)
+    if not lag:
+        assert told.bandwidth_hz == pytest.approx(found["bandwidth_hz"][middle], rel=1e-6)
+    assert told.lag_s == pytest.approx(found["lag_s"][middle], rel=1e-6, abs=1e-12)
+
+
+@pytest.mark.parametrize("tones", [(), TONES])
+def test_a_map_is_what_the_likelihood_says(tones: tuple[object, ...]) -> None:
+    rng = np.random.default_rng(11)
+    z = np.cumsum(rng.normal(size=15_000)) * 0.05 + rng.normal(size=15_000)
+    rows = ChannelRows(z, even(z).timebase.elapsed_steps, 1 / RATE_HZ)
+    channel = motion(process_noise_density=RATE_HZ * 0.05**2 * 30, noise_std=0.5, tone=tones)
+    found = cost_map(rows, channel)
+    assert found.cost.min() == 0.0 == found.cost[found.best]
+    if not tones:
+        assert found.noise_std[found.best[0]] == pytest.approx(1.0, rel=0.15)
+        assert found.process_noise_density[found.best[1]] == pytest.approx(RATE_HZ * 0.05**2, rel=0.6)
+    here = (
+        int(np.argmin(np.abs(found.noise_std - 0.5))),
+        int(np.argmin(np.abs(np.log(found.process_noise_density / found.here[1])))),
+    )
+
+    def cost(place: tuple[int, int]) -> float:
+        noise, density = float(found.noise_std[place[0]]), float(found.process_noise_density[place[1]])
+        scale = (noise / 0.5) ** 2
+        beside = tuple(
+            tone.model_copy(update={"process_noise_density": tone.process_noise_density * scale})
+            for tone in channel.tone
+        )
+        set_ = channel.model_copy(update={"noise_std": noise, "process_noise_density": density, "tone": beside})
+        assert set_.motion is not None
+        tuning = in_steps(set_.motion, 1 / RATE_HZ)
+        return -log_likelihood(tuning.component.to_model(1.0, tuning.noise_variance), z) / len(z)
+
+    elsewhere = here[0] + 7, here[1] - 9
+    assert found.cost[here] - found.cost[elsewhere] == pytest.approx(cost(here) - cost(elsewhere), rel=2e-2)
+
+
+def test_a_map_needs_a_motion() -> None:
+    rows = ChannelRows(walk(), np.ones(30_000), 1e-3)
+    with pytest.raises(UsageError, match="passes unchanged"):
+        cost_map(rows, ChannelRecipe(name="ax", model="constant"))

@@ -1,0 +1,107 @@
+"""Which files a page may open: those of its folder, and no way leads out of it."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from becalm.errors import InputError, UsageError
+from becalm.web.tuner.folder import Folder
+from tuner_served import drive_in, served
+
+
+def names(folder: Folder) -> list[str]:
+    return [str(one.as_dict()["name"]) for one in folder.known()]
+
+
+@pytest.fixture
+def chosen(tmp_path: Path) -> Path:
+    """A folder with recordings, and beside it what nobody may see."""
+    folder = tmp_path / "folder"
+    (folder / "inside").mkdir(parents=True)
+    (tmp_path / "secret.csv").write_text("secret")
+    for name in ("b.csv", "a.MF4", ".hidden.csv", "notes.md", "x.recipe.toml", "inside/c.csv"):
+        (folder / name).write_text("1")
+    (folder / "leads-out.csv").symlink_to(tmp_path / "secret.csv")
+    (folder / "round.csv").symlink_to(folder / "round.csv")
+    (folder / "other-name.csv").symlink_to(folder / "b.csv")
+    os.mkfifo(folder / "pipe.csv")
+    (folder / "bag").mkdir()
+    (folder / "bag" / "metadata.yaml").write_text("1")
+    return folder
+
+
+def test_a_folder_lists_recordings_only(chosen: Path) -> None:
+    assert names(Folder(chosen, None)) == ["a.MF4", "b.csv", "bag", "other-name.csv"]
+
+
+@pytest.mark.parametrize(
+    "asked",
+    [
+        "folder/leads-out.csv",
+        "folder/../secret.csv",
+        "folder/inside/c.csv",
+        "folder/.hidden.csv",
+        "folder/pipe.csv",
+        "folder/",
+        "folder/.",
+        "../secret.csv",
+        "given/b.csv",
+        "brought/b.csv",
+        "b.csv",
+        "folder/b.csv\0",
+        "folder//etc/passwd",
+    ],
+)
+def test_no_name_leads_out(chosen: Path, asked: str) -> None:
+    with pytest.raises(InputError, match="not there any more"):
+        Folder(chosen, None).path_of(asked)
+
+
+def test_a_link_that_is_changed_meanwhile_leads_nowhere(chosen: Path, tmp_path: Path) -> None:
+    folder = Folder(chosen, None)
+    assert folder.path_of("folder/b.csv") == chosen / "b.csv"
+    (chosen / "b.csv").unlink()
+    (chosen / "b.csv").symlink_to(tmp_path / "secret.csv")
+    with pytest.raises(InputError):
+        folder.path_of("folder/b.csv")
+
+
+def test_the_file_that_was_named_comes_first_wherever_it_is(chosen: Path, tmp_path: Path) -> None:
+    folder = Folder(chosen, tmp_path / "secret.csv")
+    assert names(folder)[0] == "secret.csv"
+    assert folder.first is not None
+    assert folder.path_of(folder.first) == tmp_path / "secret.csv"
+    inside = Folder(chosen, chosen / "b.csv")
+    assert names(inside).count("b.csv") == 1
+
+
+def test_what_is_brought_is_kept_apart(chosen: Path, tmp_path: Path) -> None:
+    folder = Folder(chosen, None)
+    for room in ("one", "two"):
+        (tmp_path / room).mkdir()
+        (tmp_path / room / "b.csv").write_text(room)
+    first, second = (folder.bring(tmp_path / room / "b.csv") for room in ("one", "two"))
+    assert folder.path_of(first).read_text() == "one"
+    assert folder.path_of(second).read_text() == "two"
+    assert folder.path_of("folder/b.csv").read_text() == "1"
+
+
+def test_no_folder_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="is no folder"):
+        Folder(tmp_path / "nowhere", None)
+
+
+@pytest.mark.parametrize("name", ["..%2fout.csv", "%2e%2e/out.csv", "a%2fb.csv", "%00.csv", "a%5cb.csv", "x" * 300])
+def test_what_is_brought_under_a_name_that_leads_elsewhere_is_refused(tmp_path: Path, name: str) -> None:
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    content = drive_in(tmp_path).read_bytes()
+    before = sorted(tmp_path.rglob("*"))
+    with served(folder) as tuner, tuner.client() as client:
+        assert client.put(f"/files/{name}", content=content).status_code in (400, 404, 405)
+        assert tuner.tuner._shared.folder.known() == []
+        assert list(tuner.tuner._shared.uploads.folder.rglob("*")) == []
+    assert sorted(tmp_path.rglob("*")) == before
