@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
+import nptdms as tdms
 import numpy as np
 import pytest
 
 import becalm
 from becalm.cleaning.recipe import Recipe
 from becalm.core.verdict import Verdict
+from becalm.web.tuner import conversation
 from tuner_served import ROWS, Served, Talk, drive_in, served
 
 
@@ -258,3 +260,36 @@ def test_the_file_that_was_named_is_opened_by_itself(tmp_path: Path) -> None:
         assert page.hear().told["file"] == "given/drive.csv"
         assert page.until("recording").told["name"] == "drive.csv"
         page.until("picture")
+
+
+def test_what_nobody_foresaw_is_told_and_the_wire_stays_open(page: Talk, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*_: object) -> bytes:
+        raise ZeroDivisionError("as it was told to")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(conversation, "map_frame", broken)
+        page.ask("map", channel=0)
+        assert "nobody foresaw" in page.until("trouble").told["says"]
+    assert page.picture(page.ask("look", channel=0, width=10)).arrays["t"].size == 10
+
+
+def test_a_file_with_channels_at_several_times_is_opened_by_group(tmp_path: Path) -> None:
+    with tdms.TdmsWriter(tmp_path / "log.tdms") as file:
+        for group, rows, step_s in (("fast", 900, 0.01), ("slow", 300, 0.5)):
+            readings = np.random.default_rng(rows).normal(size=rows)
+            file.write_segment(
+                [tdms.ChannelObject(group, "ax", readings, {"wf_increment": step_s, "wf_samples": rows})]
+            )
+    with served(tmp_path) as tuner, tuner.talk() as page:
+        first = page.opened("folder/log.tdms")
+        assert (first["group"], first["rows"]) == ("fast", 900)
+        assert any("slow" in remark for remark in first["remarks"])
+        assert first["command"].endswith("--group fast")
+        page.ask("open", file="folder/log.tdms", group="slow")
+        second = page.until("recording").told
+        assert (second["group"], second["rows"], second["rate_hz"]) == ("slow", 300, 2.0)
+        page.ask("open", file="folder/log.tdms", group="none")
+        assert "none" in page.until("trouble").told["says"]
+        with tuner.client() as client:
+            page.until("picture")
+            assert client.get("/save/clean?format=csv").text.count("\n") == 301

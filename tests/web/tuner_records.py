@@ -31,7 +31,7 @@ class Case(NamedTuple):
 
 
 def motion(**more: Any) -> ChannelRecipe:
-    return ChannelRecipe(**({"name": "ax", "model": "motion", "order": 1, "noise_std": 0.5} | more))
+    return ChannelRecipe.model_validate({"name": "ax", "model": "motion", "order": 1, "noise_std": 0.5} | more)
 
 
 def recipe_of(channel: ChannelRecipe, mode: str = "smoothed", lag_s: float | None = None) -> Recipe:

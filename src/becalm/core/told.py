@@ -25,7 +25,8 @@ class Rows(NamedTuple):
     @classmethod
     def joined(cls, parts: Sequence[Rows]) -> Rows:
         """Return rows one after the other."""
-        return parts[0] if len(parts) == 1 else cls(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
+        some = [part for part in parts if len(part.z)] or parts[:1]
+        return some[0] if len(some) == 1 else cls(*(np.concatenate(arrays) for arrays in zip(*some, strict=True)))
 
     @classmethod
     def nothing(cls) -> Rows:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import math
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable, Coroutine, Mapping
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
@@ -22,6 +23,10 @@ if TYPE_CHECKING:
     from becalm.web.tuner.sharing import Shared
 
 _WIDTH = 2000  # stretches, until a page says how many it has room for
+
+_UNFORESEEN = "Something went wrong in becalm that nobody foresaw; its error output says what."
+
+_log = logging.getLogger(__name__)
 
 T = TypeVar("T")
 
@@ -91,7 +96,7 @@ class Conversation:
         """Tell the page what is being done."""
         await self._tell({"kind": "working", "says": says})
 
-    async def _hear(self, frame: Any) -> None:
+    async def _hear(self, frame: Mapping[str, Any]) -> None:
         number: int | None = None
         try:
             said = heard(frame)
@@ -102,12 +107,18 @@ class Conversation:
             return
         await self._guarded(self._do(message), message.number)
 
-    async def _guarded(self, doing: Any, number: int | None) -> None:
+    async def _guarded(self, doing: Awaitable[None], number: int | None) -> None:
         """Do something, and tell the page in a sentence where it cannot be done."""
         try:
             await doing
+        except WebSocketDisconnect:
+            raise
         except BecalmError as cause:
             await self._trouble(str(cause), number)
+        except Exception:  # the page goes on, and whoever runs becalm is told
+            if not self._gone:
+                _log.exception("What a page asked for failed.")
+                await self._trouble(_UNFORESEEN, number)
 
     async def _do(self, message: messages.Message) -> None:
         match message:
@@ -241,8 +252,8 @@ class Conversation:
     async def _in_thread(self, work: Callable[[], T]) -> T:
         return await asyncio.get_running_loop().run_in_executor(self._shared.workers, work)
 
-    def _start(self, doing: Any) -> None:
-        task: asyncio.Task[None] = asyncio.ensure_future(doing)
+    def _start(self, doing: Coroutine[Any, Any, None]) -> None:
+        task: asyncio.Task[None] = asyncio.create_task(doing)
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 

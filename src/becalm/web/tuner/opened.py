@@ -11,7 +11,6 @@ from becalm.cleaning.calibrating import calibrated
 from becalm.cleaning.recipe import Origin
 from becalm.cleaning.tuning import Tuned, Wishes, explore, tuned_as_filter
 from becalm.core.arrays import Floats
-from becalm.core.recording import Recording
 from becalm.errors import InputError, UsageError
 from becalm.files.asked import ReadOptions
 from becalm.files.every_time import open_file
@@ -98,10 +97,6 @@ class Opened:
         """Whether a mode is tuned as a filter, or as a smoother; raises a UsageError if the lag is impossible."""
         return tuned_as_filter(mode == "causal", lag_s, self.step_s)
 
-    def is_explored(self, as_filter: bool) -> bool:
-        """Whether it was tuned on already."""
-        return as_filter in self._explored
-
     def options(self, as_filter: bool) -> tuple[Options, ...]:
         """Return what may be set of each channel; the first time, which takes a while, all are tuned."""
         return self._exploring(as_filter)[1]
@@ -125,11 +120,6 @@ class Opened:
             z = np.ascontiguousarray(self.recording.samples[:, channel])
             self._rows[channel] = ChannelRows(z, self.recording.timebase.elapsed_steps, self.step_s, limits)
         return self._rows[channel]
-
-    @property
-    def sample(self) -> Recording:
-        """What it was tuned on."""
-        return self._sample
 
     def _told_times(self) -> Floats:
         if self._times is None:

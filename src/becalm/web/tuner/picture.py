@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.core.arrays import Floats
 from becalm.core.told import Told
-from becalm.metrics.running import PIECE
 from becalm.report.envelope import Envelope, Kinds, Stretches
 from becalm.report.gathering import WIDTH
 from becalm.web.tuner.rows import ChannelRows, Run
 
 _LONG = 1 << 19
 """Rows from which on two run side by side."""
+
+_PIECE = 1 << 16  # rows that are looked at while they are in the cache
 
 _WORTH = 4  # times what each has to run before its rows
 
@@ -82,8 +83,8 @@ def raw_of(rows: ChannelRows, times_s: Callable[[], Floats] | None, view: View) 
     stretches = Stretches(view.stop - view.first, view.width)
     readings = Envelope(stretches.count)
     starts = view.first + np.arange(stretches.count) * stretches.rows_each
-    for start in range(view.first, view.stop, PIECE):
-        z = rows.possible(slice(start, min(start + PIECE, view.stop)))
+    for start in range(view.first, view.stop, _PIECE):
+        z = rows.possible(slice(start, min(start + _PIECE, view.stop)))
         readings.add(*stretches.next(len(z)), z, z)
     return Raw(np.asarray(starts * rows.step_s) if times_s is None else times_s()[starts], readings)
 
@@ -118,8 +119,8 @@ class _Enclosing:
 
     def add(self, told: Told) -> None:
         """Take the next rows."""
-        for start in range(0, len(told.signal), PIECE):
-            part = told.rows(slice(start, start + PIECE))
+        for start in range(0, len(told.signal), _PIECE):
+            part = told.rows(slice(start, start + _PIECE))
             touched, begins = self._stretches.next(len(part.signal))
             self._enclose(part, touched, begins)
             self.kinds.add(touched, begins, part.verdicts)

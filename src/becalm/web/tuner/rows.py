@@ -19,8 +19,10 @@ from becalm.core.kernel_ahead import BLOCK
 from becalm.core.told import Told
 from becalm.core.verdict import Verdict
 
-_PUSHED = {True: 1 << 17, False: 1 << 20}
-"""Rows that a filter (True), or a smoother, which comes back over each push, is given at once."""
+_PUSHED = 1 << 19
+"""Rows that a filter is given at once; a smoother, which comes back to the end of each push, more where it goes far."""
+
+_FAR = 16  # times what it comes back over
 
 _IMPOSSIBLE = np.isin(list(Verdict), (Verdict.NONFINITE, Verdict.OVERRANGE))
 
@@ -121,7 +123,7 @@ class Run:
         timing = None
         if recipe.timing is not None:
             timing = TimingNoise(recipe.timing, noise_std_of(recipe, self.filter.modes), rows.step_s)
-        at, size = begin, _PUSHED[self._lag is not None]
+        at, size = begin, max(_PUSHED, _FAR * self._margin // BLOCK * BLOCK)
         for start in range(begin, end, size):
             part = slice(start, min(start + size, end))
             elapsed = rows.elapsed[part]

@@ -9,7 +9,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from becalm.errors import UsageError
+from becalm.errors import InputError, UsageError
 from becalm.files.registry import ENDINGS
 from becalm.web.tuner.conversation import Conversation
 from becalm.web.tuner.desk import Desk
@@ -62,10 +62,13 @@ class Shared:
         }
 
     def is_open(self, file: str, group: str | None) -> bool:
-        """Whether a file is the one that is open, as it was then."""
+        """Whether a file is the one that is open, as it was then; also where it is not there any more."""
         if self.desk is None or self.desk.opened.id != file or group not in (None, self.desk.opened.group):
             return False
-        return self.folder.path_of(file).stat().st_mtime == self._written
+        try:
+            return self.folder.path_of(file).stat().st_mtime == self._written
+        except (InputError, OSError):  # it is gone, but was read
+            return True
 
     async def open(self, file: str, group: str | None) -> None:
         """Open a file in the place of what is open; what is open stays where it cannot be read.
