@@ -327,6 +327,27 @@ def test_from_opening_to_saving_by_keyboard_alone(app: App, look: Look, tmp_path
     page.keyboard.press("z")
 
 
+def test_one_of_the_times_of_a_file_is_chosen(tmp_path: Path, look: Look) -> None:
+    tdms = pytest.importorskip("nptdms", reason="a file with several times is a TDMS file: pip install becalm[formats]")
+    (tmp_path / "logs").mkdir()
+    with tdms.TdmsWriter(tmp_path / "logs" / "log.tdms") as file:
+        for group, rows, step_s in (("fast", 900, 0.01), ("slow", 300, 0.5)):
+            z = np.cumsum(np.random.default_rng(rows).normal(size=rows))
+            channel = tdms.ChannelObject(group, "ax", z, {"wf_increment": step_s, "wf_samples": rows})
+            file.write_segment([channel])
+    with tuner(tmp_path / "logs") as app:
+        visit = look(app, "log.tdms")
+        select = visit.page.locator("#group")
+        assert select.input_value() == "fast"
+        select.select_option("slow")
+        visit.page.wait_for_function("() => becalm.desk.recording.group === 'slow'")
+        assert "300 rows at 2 Hz" in visit.page.locator("#facts").inner_text()
+        assert visit.page.locator("#command").inner_text().endswith("--group slow")
+        visit.page.reload()
+        visit.opened("log.tdms")
+        assert select.input_value() == "slow"
+
+
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("width", [1400, 400])
 def test_nothing_overflows_in_any_window(width: int, scheme: str, app: App, untouched: App, look: Look) -> None:

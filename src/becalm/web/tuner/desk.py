@@ -160,6 +160,7 @@ class Desk:
             "file": opened.id,
             "name": opened.path.name,
             "group": opened.group,
+            "groups": opened.groups,
             "rows": len(opened.recording),
             "rate_hz": opened.recording.rate_hz,
             "start_s": opened.recording.timebase.start_s,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +12,8 @@ from becalm.cleaning.recipe import Origin
 from becalm.cleaning.tuning import Tuned, Wishes, explore, tuned_as_filter
 from becalm.core.arrays import Floats
 from becalm.errors import InputError, UsageError
-from becalm.files.asked import ReadOptions
 from becalm.files.every_time import open_file
+from becalm.files.opening import OpenSource
 from becalm.files.portions import rows_to_tune_on
 from becalm.web.tuner.rows import ChannelRows
 from becalm.web.tuner.settings import Options
@@ -44,6 +44,8 @@ class Opened:
         All of it.
     group : str
         What the file calls it; "" where all channels share one time.
+    groups : list of str
+        What the file calls all of its times.
     remarks : list of str
         What a person must know.
 
@@ -58,8 +60,9 @@ class Opened:
     def __init__(self, id: str, path: Path, group: str | None, progress: Progress) -> None:
         self.id, self.path, self._progress = id, path, progress
         progress(f"Reading {path.name} ...")
-        with open_file(path, ReadOptions(group=group)) as opened:
-            source = opened.sources[0]
+        with open_file(path) as opened:
+            source = _chosen(opened.sources, group)
+            self.groups = [one.group for one in opened.sources]
             if source.rows * len(source.names) > MOST_SAMPLES:
                 raise InputError(
                     f"{path.name} holds {source.rows} rows of {len(source.names)} channels, more than is held at once"
@@ -70,8 +73,8 @@ class Opened:
             self._sample = self.recording if source.rows <= most else source.sample(most)
             self.group, self._calibrations = source.group, source.calibrations
             self._sha256 = source.sha256()
-            self.remarks = [*source.notes, *_others(opened.sources[1:], self.group)]
-            self.several = group is not None or len(opened.sources) > 1
+            self.remarks = list(source.notes)
+            self.several = len(opened.sources) > 1
         self._explored: dict[bool, tuple[Tuned, tuple[Options, ...]]] = {}
         self._times: Floats | None = None
         self._rows: dict[int, ChannelRows] = {}
@@ -146,8 +149,8 @@ class Opened:
         return self._explored[as_filter]
 
 
-def _others(sources: tuple[object, ...], group: str) -> list[str]:
-    names = [str(getattr(source, "group", "")) for source in sources]
-    if not names:
-        return []
-    return [f"The file holds channels at several times; this is {group!r}, and others are {', '.join(names)}."]
+def _chosen(sources: Sequence[OpenSource], group: str | None) -> OpenSource:
+    found = [source for source in sources if group in (None, source.group)]
+    if not found:
+        raise UsageError(f"The file has no channels at the time {group!r}; choose another one.")
+    return found[0]

@@ -17,7 +17,7 @@ import { Tabs } from "./tabs.js";
 /**
  * @typedef {import("./choices.js").Channel} Channel
  * @typedef {import("./choices.js").Settings} Settings
- * @typedef {{ file: string, name: string, rows: number, rate_hz: number, lasts_s: number, mode: string, lag_s: number | null,
+ * @typedef {{ file: string, group: string, groups: string[], name: string, rows: number, rate_hz: number, lasts_s: number, mode: string, lag_s: number | null,
  *   channels: Channel[], classics: string[], remarks: string[], command: string }} Recording
  * @typedef {{ mode: string, lag_s: number | null, can_undo: boolean, can_redo: boolean, recipe: string, channels: Settings[],
  *   classics?: string[] }} State
@@ -56,8 +56,8 @@ const map = new CostMap(turn);
 const choices = new Choices((settings) => turn(settings), (mode, lag_s) => send({ do: "mode", mode, lag_s }));
 const verdict = new Verdict();
 const tabs = new Tabs((channel, focus) => choose(channel, focus));
-const files = new Files(open, bring);
-const classic = find("classic", HTMLSelectElement);
+const files = new Files(open, (file) => bring(file));
+const [classic, group, format] = ["classic", "group", "format"].map((id) => find(id, HTMLSelectElement));
 
 /** @param {number} from @param {number} to */
 function look(from, to) {
@@ -71,12 +71,12 @@ function open(file) {
   send({ do: "open", file });
 }
 
-/** Send a file that was dropped or chosen, and open it. @param {File} file */
-async function bring(file) {
+/** Send a file that was dropped or chosen, and open it. @param {File} file @param {string} [group] */
+async function bring(file, group) {
   await during(`Sending ${file.name} …`, async () => {
     const id = await upload(file);
     desk.brought = file;
-    send({ do: "open", file: id });
+    send({ do: "open", file: id, group });
   });
 }
 
@@ -126,16 +126,17 @@ function hear(message) {
 function welcomed(welcome) {
   say(words.working, "");
   files.list(welcome);
+  fill(format, welcome.saves.map((/** @type {string} */ ending) => ending.slice(1)), format.value);
   const open = desk.recording?.file;
   if (!open) files.show(!welcome.file);
-  else if (welcome.file === open) return;
-  else if (desk.brought && !welcome.files.some((/** @type {{ id: string }} */ one) => one.id === open)) bring(desk.brought);
-  else send({ do: "open", file: open });
+  else if (welcome.file === open && desk.recording?.groups.length === 1) return;
+  else if (desk.brought && !welcome.files.some((/** @type {{ id: string }} */ one) => one.id === open)) bring(desk.brought, desk.recording?.group);
+  else send({ do: "open", file: open, group: desk.recording?.group });
 }
 
 /** @param {Recording} recording */
 function opened(recording) {
-  const again = desk.recording?.file === recording.file;
+  const again = desk.recording?.file === recording.file && desk.recording.group === recording.group;
   desk.recording = recording;
   if (!again) desk.state = null;
   desk.dials.clear();
@@ -149,6 +150,8 @@ function opened(recording) {
   find("desk", HTMLElement).hidden = false;
   find("actions", HTMLElement).hidden = false;
   files.show(false);
+  fill(group, recording.groups, recording.group);
+  group.hidden = recording.groups.length < 2;
   choices.likely = 10 / recording.rate_hz;
   choices.pointMode(recording.mode, recording.lag_s);
   offer(recording.classics);
@@ -156,11 +159,16 @@ function opened(recording) {
   choose(again ? desk.channel : 0, false, again);
 }
 
+/** Offer what may be chosen. @param {HTMLSelectElement} place @param {string[]} names @param {string} chosen */
+function fill(place, names, chosen) {
+  place.replaceChildren(...names.map((name) => make("option", { value: name }, name)));
+  place.value = names.includes(chosen) ? chosen : names[0];
+}
+
 /** Offer classic filters to compare with. @param {string[]} names */
 function offer(names) {
-  const now = classic.value;
-  classic.replaceChildren(make("option", { value: "" }, names.length ? "no classic filter" : "no classic filter waits"), ...names.map((name) => make("option", { value: name }, name)));
-  classic.value = names.includes(now) ? now : "";
+  fill(classic, ["", ...names], classic.value);
+  classic.options[0].text = names.length ? "no classic filter" : "no classic filter waits";
 }
 
 /** Look at a channel. @param {number} channel @param {boolean} [focus] @param {boolean} [stay] where the last one was seen */
@@ -264,7 +272,7 @@ const ACTIONS = {
   undo: () => send({ do: "undo" }),
   redo: () => send({ do: "redo" }),
   "save-recipe": () => saving("recipe"),
-  "save-clean": () => saving(`clean?format=${find("format", HTMLSelectElement).value}`),
+  "save-clean": () => saving(`clean?format=${format.value}`),
   "save-report": () => saving("report"),
   nearer: () => plot.zoom(0.5),
   farther: () => plot.zoom(2),
@@ -273,8 +281,8 @@ const ACTIONS = {
   copy: () => navigator.clipboard.writeText(desk.recording?.command ?? ""),
 };
 for (const [id, action] of Object.entries(ACTIONS)) find(id, HTMLButtonElement).addEventListener("click", action);
-find("format", HTMLSelectElement).append(...["csv", "parquet", "mat", "h5"].map((format) => make("option", {}, format)));
 find("copy", HTMLElement).hidden = !navigator.clipboard;
+group.addEventListener("change", () => send({ do: "open", file: desk.recording?.file, group: group.value }));
 classic.addEventListener("change", () => send({ do: "compare", channel: desk.channel, classic: classic.value || null }));
 hearKeys({
   ArrowLeft: () => plot.pan(-0.2), ArrowRight: () => plot.pan(0.2),
