@@ -57,6 +57,7 @@ bench: .venv/tested
 	$(BIN)/python benchmarks/resting.py -o docs/resting.md
 	$(BIN)/python benchmarks/fixed_lag.py -o docs/fixed-lag.md
 	$(BIN)/python benchmarks/live_speed.py -o docs/live-speed.md
+	$(BIN)/python benchmarks/app_live.py -o docs/app-live.md
 	$(BIN)/python benchmarks/live_soak.py -o docs/live-soak.md
 	$(BIN)/python benchmarks/live_kills.py -o docs/live-kills.md
 	$(BIN)/python benchmarks/journal_writing.py -o docs/journal-writing.md

@@ -23,19 +23,25 @@ class LiveApp:
         As on the command line.
     words : str
         More of it.
+    served : bool
+        Whether there is a page at all.
     """
 
-    def __init__(self, folder: Path, source: str, *words: str) -> None:
+    def __init__(self, folder: Path, source: str, *words: str, served: bool = True) -> None:
         self.folder, self.source, self.words = folder, source, words
-        self._start(0)
+        self.url = ""
+        self._start(0 if served else None)
 
-    def _start(self, port: int) -> None:
-        command = [sys.executable, "-m", "becalm", "live", self.source, *self.words, "--page", str(port)]
-        command += ["--token-file", str(self.folder / "token"), "--log", str(self.folder / "live.log")]
-        command += ["--status", str(self.folder / "status.json")]
+    def _start(self, port: int | None) -> None:
+        command = [sys.executable, "-m", "becalm", "live", self.source, *self.words]
+        command += ["--log", str(self.folder / "live.log"), "--status", str(self.folder / "status.json")]
+        if port is not None:
+            command += ["--page", str(port), "--token-file", str(self.folder / "token")]
         environment = {**os.environ, "COLUMNS": "1000", "NO_COLOR": "1"}
         self.process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment, cwd=self.folder)
         assert self.process.stderr is not None
+        if port is None:
+            return
         said = ""
         for line in self.process.stderr:
             said += line
@@ -71,9 +77,9 @@ class LiveApp:
 
 
 @contextmanager
-def shown_live(folder: Path, source: str, *words: str) -> Iterator[LiveApp]:
+def shown_live(folder: Path, source: str, *words: str, served: bool = True) -> Iterator[LiveApp]:
     """Show a stream until the block ends."""
-    app = LiveApp(folder, source, *words)
+    app = LiveApp(folder, source, *words, served=served)
     try:
         yield app
     finally:

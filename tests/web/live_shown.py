@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import socket
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -13,8 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
+from websockets.typing import Origin
 
-from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
+from becalm.cleaning import recipe as recipes
+from becalm.cleaning.recipe import ChannelRecipe, Recipe
 from becalm.cleaning.recipe_modes import ModeRecipe, SwitchingRecipe
 from becalm.live.block import Head, Output
 from becalm.live.retuning import Heard
@@ -43,7 +46,7 @@ def recipe_of(density: float = 1.0) -> Recipe:
         ChannelRecipe(name=NAMES[0], unit="m", **numbers),
         ChannelRecipe(name=NAMES[1], unit="deg", switching=switching, **numbers),
     )
-    return Recipe(mode="causal", tuned_on=Origin(rate_hz=RATE_HZ), channel=channels)
+    return Recipe(mode="causal", tuned_on=recipes.Origin(rate_hz=RATE_HZ), channel=channels)
 
 
 def output_of(first: int, rows: int) -> Output:
@@ -99,13 +102,14 @@ class Shown:
         self.rows += rows
 
     @contextmanager
-    def wire(self, **more: Any) -> Iterator[Wire]:
+    def wire(self, link: socket.socket | None = None) -> Iterator[Wire]:
         """Look on."""
         base = f"http://{LOOPBACK}:{self.access.port}"
         cookie = [("Cookie", f"{self.access.cookie}={TOKEN}")]
         url = f"ws://{LOOPBACK}:{self.access.port}/wire"
-        with connect(url, origin=base, additional_headers=cookie, proxy=None, **more) as link:  # type: ignore[arg-type]
-            yield Wire(link)
+        told = Origin(base)
+        with connect(url, sock=link, origin=told, additional_headers=cookie, proxy=None, max_queue=1) as connected:
+            yield Wire(connected)
 
 
 @dataclass
@@ -150,7 +154,7 @@ class Wire:
 
     def bins(self, until: int) -> list[tuple[int, int, int]]:
         """Return first, count and gap of frames until a bin has come; what they hold is checked."""
-        found = []
+        found: list[tuple[int, int, int]] = []
         while not found or found[-1][0] + found[-1][1] < until:
             header, arrays = self.hear("bins")
             check(header, arrays)

@@ -34,8 +34,16 @@ def output_of(rows: int, first_row: int = 0, seed: int = 0) -> Output:
 
 
 def part_of(output: Output, begin: int, end: int) -> Output:
-    fields = (output.time_s, output.values, output.signal, output.sigma, output.verdicts)
-    return Output(output.first_row + begin, *(field[begin:end] for field in fields), modes=output.modes[begin:end])
+    some = slice(begin, end)
+    return Output(
+        output.first_row + begin,
+        output.time_s[some],
+        output.values[some],
+        output.signal[some],
+        output.sigma[some],
+        output.verdicts[some],
+        modes=output.modes[some],
+    )
 
 
 def pushed(output: Output, cuts: list[int], *, ended: bool = False) -> Bins:

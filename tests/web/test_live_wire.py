@@ -93,7 +93,7 @@ def test_a_page_that_does_not_listen_holds_up_nobody(live: Shown) -> None:
     deaf_socket = socket.socket()
     deaf_socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
     deaf_socket.connect((LOOPBACK, live.access.port))
-    with live.wire(sock=deaf_socket, max_queue=1, ping_interval=None) as deaf, live.wire() as quick:
+    with live.wire(deaf_socket) as deaf, live.wire() as quick:
         deaf.follow()
         quick.follow()
         told = 0

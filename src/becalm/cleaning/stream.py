@@ -251,7 +251,8 @@ class StreamCleaner:
         told = {c: ready.take(count) for c, ready in self._ready.items()}
         if self.lag_rows or out is None:
             fields = ([getattr(told[c], name) for c in range(len(told))] for name in Out._fields)
-            return Streamed(*map(np.ascontiguousarray, map(np.column_stack, fields)), modes_of(told, self._modes))
+            joined = Out(*map(np.ascontiguousarray, map(np.column_stack, fields)))
+            return Streamed(*joined, modes_of(told, self._modes))
         for c, one in told.items():
             out.signal[:, c], out.sigma[:, c], out.verdicts[:, c] = one.signal, one.sigma, one.verdicts
         return Streamed(*out, modes_of(told, self._modes))

@@ -49,7 +49,8 @@ PagePort = Annotated[
     int | None, typer.Option("--page", metavar="PORT", help="Show the stream on a page of this machine; 0: any port.")
 ]
 PageHost = Annotated[
-    str, typer.Option("--page-host", metavar="HOST", help="Show it to other machines as well, without TLS.")
+    str,
+    typer.Option("--page-host", metavar="HOST", help="Who may look on: this machine only, unless another is named."),
 ]
 PageToken = Annotated[
     Path | None,

@@ -35,7 +35,7 @@ export function ticksOf(anchor, left, right, width) {
   const step = STEPS_S.find((one) => one >= rough) ?? Math.ceil(rough / 86400) * 86400;
   /** @type {[number, string][]} */
   const ticks = [];
-  for (let k = Math.ceil(begin / step); k * step <= end && ticks.length < 60; k += 1)
+  for (let k = Math.ceil(Math.max(begin, timeOf(anchor, 0)) / step - 1e-9); k * step <= end && ticks.length < 60; k += 1)
     ticks.push([((k * step - begin) / (end - begin)) * width, clock(k * step, step)]);
   return ticks;
 }

@@ -34,7 +34,7 @@ let state = "";
 let chosen = 0; // the channel whose dial keys turn
 let asked = ""; // of the past, and not answered yet, or answered with less
 let saidMs = 0;
-const counts = { frames: 0, updates: 0, drawn: 0, bins: 0, gaps: 0 };
+const counts = { bytes: 0, frames: 0, updates: 0, drawn: 0, bins: 0, gaps: 0 };
 let fresh = false; // bins came since the last frame
 
 const send = connect({
@@ -42,8 +42,10 @@ const send = connect({
   frame: take,
   link: ({ up, again_s }) => {
     document.body.dataset.state = up ? "live" : "disconnected";
-    const over = OVER.includes(state) ? "The stream has ended, and becalm with it" : "becalm does not answer";
-    say(links.link, up ? "" : `${over}; what came before stays here. Trying again in ${again_s} s.`);
+    const over = OVER.includes(state);
+    const says = over ? "The stream has ended, and becalm with it" : "becalm does not answer";
+    if (!up && over) say(links.working, "");
+    say(links.link, up ? "" : `${says}; what came before stays here. Trying again in ${again_s} s.`);
   },
 });
 
@@ -113,6 +115,7 @@ function take(frame) {
   if (header.level !== level) return; // of a level that is no longer followed
   if (next !== null && header.first !== next) counts.gaps += header.first - next;
   next = header.first + header.count;
+  counts.bytes += frame.arrays.t.buffer.byteLength;
   live.put(frame);
   counts.updates += 1;
   counts.bins += header.count;

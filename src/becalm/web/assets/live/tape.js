@@ -70,29 +70,26 @@ export class Tape {
     this.first = this.stop = first;
   }
 
-  /** Draw a bin, and what joins it to the one before. @param {number} bin @param {number} span */
+  /** Draw a bin, and what joins it to the one before; bins may share a column. @param {number} bin @param {number} span */
   #draw(bin, span) {
     const { store } = /** @type {Look} */ (this.look);
     const begin = Math.floor(bin * span);
-    const width = Math.max(1, Math.floor((bin + 1) * span) - begin);
-    this.#clear(begin, width);
+    const end = Math.max(begin + 1, Math.floor((bin + 1) * span));
+    const shared = bin > this.first && Math.floor((bin - 1) * span) === begin ? 1 : 0;
+    const x = mod(begin, this.paper.width);
+    const places = x + end - begin > this.paper.width ? [x, x - this.paper.width] : [x]; // at the seam of the ring
+    for (const place of places) this.pen.clearRect(place + shared, 0, end - begin - shared, this.paper.height);
     if (!store.has(bin)) return;
     const [now, before] = [bin % HELD, store.has(bin - 1) ? (bin - 1) % HELD : -1];
-    const x = mod(begin, this.paper.width);
-    this.#band(now, x, width);
-    for (const [kind, role] of /** @type {["raw" | "clean", string][]} */ ([["raw", "readings"], ["clean", "clean"]])) {
-      this.pen.fillStyle = this.pen.strokeStyle = colour(role)();
-      if (span > NARROW) this.#line(kind, now, before, x, span);
-      else this.#column(kind, now, before, x, width);
+    for (const place of places) {
+      this.#band(now, place + shared, end - begin - shared);
+      for (const [kind, role] of /** @type {["raw" | "clean", string][]} */ ([["raw", "readings"], ["clean", "clean"]])) {
+        this.pen.fillStyle = this.pen.strokeStyle = colour(role)();
+        if (span > NARROW) this.#line(kind, now, before, place, span);
+        else this.#column(kind, now, before, place, end - begin);
+      }
+      this.#lanes(now, place, end - begin);
     }
-    this.#lanes(now, x, width);
-  }
-
-  /** @param {number} begin @param {number} width */
-  #clear(begin, width) {
-    const x = mod(begin, this.paper.width);
-    this.pen.clearRect(x, 0, width, this.paper.height);
-    if (x + width > this.paper.width) this.pen.clearRect(0, 0, x + width - this.paper.width, this.paper.height);
   }
 
   /** @param {number} value */
@@ -112,7 +109,7 @@ export class Tape {
     const at = now * channels + this.channel;
     const top = this.#y(values.clean_high[at] + 2 * values.sigma[at]);
     const height = this.#y(values.clean_low[at] - 2 * values.sigma[at]) - top;
-    if (!Number.isFinite(height)) return;
+    if (!width || !Number.isFinite(height)) return;
     this.pen.fillStyle = translucent("clean")();
     this.pen.fillRect(x, top, width, Math.max(1, height));
   }
