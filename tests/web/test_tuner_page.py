@@ -205,12 +205,12 @@ def test_a_click_on_the_map_tunes(app: App, look: Look) -> None:
 
 
 def test_from_opening_to_saving_by_keyboard_alone(app: App, look: Look, tmp_path: Path) -> None:
-    visit = look(app, "", reduced_motion="reduce")
+    visit = look(app, reduced_motion="reduce")
     page = visit.page
     page.keyboard.press("o")
     visit.walk_to("drive.parquet")
     page.keyboard.press("Enter")
-    app.shows = "drive.parquet"
+    page.locator("#files").wait_for(state="hidden")
     visit.opened("drive.parquet")
     before = visit.settings()
     visit.walk_to("Between quicker and calmer")
