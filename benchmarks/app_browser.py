@@ -28,7 +28,7 @@ TURN = """async (count) => {
   return took;
 }"""
 IDLE = "() => becalm.asking.asked === null && becalm.asking.waiting.size === 0"
-JUDGED = "() => document.querySelector('#verdict strong')"
+JUDGED = "() => /^[✓!✗]/.test(document.querySelector('#verdict').textContent)"
 
 
 def drawn_ms(rows: int, repeats: int) -> dict[str, list[float]]:

@@ -1,40 +1,28 @@
-"""The tuner's page in a browser: opened, zoomed, turned, judged, saved, and back after becalm was started anew."""
+"""The tuner's page in a browser: opened, zoomed, turned, judged and saved, by hand and by keyboard, in any window."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import numpy as np
 import pytest
 
-from app_runs import CHROMIUM, QUIET, App, tuner
+from app_runs import App, tuner
 from becalm.cleaning.recipe import Recipe
-from becalm.core.recording import Recording
 from becalm.files.reading import read
-from becalm.files.writing import write
-from tuning import NAMELESS, Visit, drive, need_chromium, visiting
+from tuning import NAMELESS, Look, chromium, drive, looking
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
-SPIKE_ROW, SPIKED_ROWS = 1_234_567, 2_000_000
-
 pytestmark = pytest.mark.slow
-
-Look = Callable[..., Visit]
 
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
-    need_chromium()
-    driver = pytest.importorskip("playwright.sync_api", reason="a browser looks at the page: pip install playwright")
-    with driver.sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=QUIET)
-        yield chromium
-        chromium.close()
+    with chromium() as found:
+        yield found
 
 
 @pytest.fixture(scope="module")
@@ -61,22 +49,8 @@ def untouched(folder: Path) -> Iterator[App]:
 
 @pytest.fixture
 def look(browser: Browser) -> Iterator[Look]:
-    """Look at a tuner through a new window; whatever goes wrong there fails the test."""
-    with ExitStack() as stack:
-        visits = []
-
-        def at(app: App, name: str = "drive.parquet", **more: Any) -> Visit:
-            visit = stack.enter_context(visiting(browser, app.base, **more))
-            visits.append(visit)
-            visit.open(app)
-            if name:
-                visit.open_file(app, name)
-            return visit
-
+    with looking(browser) as at:
         yield at
-        for visit in visits:
-            assert visit.wrong == []
-            assert visit.foreign == []
 
 
 def test_a_file_is_opened_judged_and_saved(app: App, folder: Path, look: Look, tmp_path: Path) -> None:
@@ -99,28 +73,6 @@ def test_a_file_is_opened_judged_and_saved(app: App, folder: Path, look: Look, t
     clean = read(visit.save("save-clean", tmp_path))
     assert len(clean) == len(read(folder / "drive.parquet"))
     assert visit.save("save-report", tmp_path).read_text(encoding="utf-8").startswith("<!doctype html>")
-
-
-def test_a_file_that_is_dropped_is_opened_and_brought_again(look: Look, tmp_path: Path) -> None:
-    dropped = drive(tmp_path / "dropped.csv")
-    (tmp_path / "empty").mkdir()
-    with tuner(tmp_path / "empty") as app:
-        visit = look(app, "")
-        page = visit.page
-        assert "Drop a file" in page.locator("#files-says").inner_text()
-        visit.drop(dropped)
-        visit.opened("dropped.csv")
-        assert "12,000 rows" in page.locator("#facts").inner_text()
-        before = visit.settings()
-        page.keyboard.press("[")
-        after = visit.changed(before)
-        app.kill()
-        page.wait_for_function("() => document.body.dataset.state === 'disconnected'")
-        app.start_again()
-        page.wait_for_function("() => document.body.dataset.state === 'open'")
-        page.wait_for_function("() => becalm.desk.state?.can_undo && becalm.desk.restoring === null")
-        assert visit.changed(before) == after
-        visit.forgive_silence()
 
 
 def test_a_file_that_cannot_be_read_is_told_in_a_sentence(app: App, look: Look) -> None:
@@ -174,6 +126,7 @@ def test_zooming_and_moving(app: App, look: Look) -> None:
 def test_the_dial_turns_the_filter_and_can_be_taken_back(app: App, look: Look) -> None:
     visit = look(app)
     page, before = visit.page, visit.settings()
+    visit.judged()
     drawn, told = visit.pixels("clean"), page.locator("#dial-says").inner_text()
     dial = page.locator("#dial")
     box = dial.bounding_box()
@@ -251,68 +204,13 @@ def test_a_click_on_the_map_tunes(app: App, look: Look) -> None:
     assert visit.settings() == before
 
 
-def test_what_was_done_outlives_a_reload_and_a_new_start(folder: Path, look: Look) -> None:
-    with tuner(folder, str(folder / "drive.parquet")) as app:
-        visit = look(app, "")
-        page = visit.page
-        visit.opened("drive.parquet")
-        before = visit.settings()
-        page.keyboard.press("[")
-        page.keyboard.press("[")
-        after = visit.changed(before)
-        page.reload()
-        visit.opened("drive.parquet")
-        page.wait_for_function("() => becalm.desk.state.can_undo")
-        recipe = page.evaluate("() => becalm.desk.state.recipe")
-        page.evaluate("() => { window.same = true; }")
-        page.keyboard.press("2")
-        page.keyboard.press("+")
-        seen = visit.view()
-        app.kill()
-        page.wait_for_function("() => document.body.dataset.state === 'disconnected'")
-        assert "trying again" in page.locator("#link").inner_text()
-        assert page.locator("#dial").is_disabled()
-        assert page.locator("#undo").is_disabled()
-        visit.shoot("tuner-disconnected-1400-light")
-        app.start_again()
-        page.wait_for_function("() => document.body.dataset.state === 'open'")
-        page.wait_for_function("(old) => becalm.desk.state?.recipe === old && becalm.desk.state.can_undo", arg=recipe)
-        assert page.evaluate("() => window.same && becalm.desk.channel") == 1
-        assert visit.view() == pytest.approx(seen)
-        assert not page.locator("#link").is_visible()
-        assert visit.settings()["process_noise_density"] != before["process_noise_density"]
-        assert after["choice"] == visit.settings()["choice"]
-        visit.forgive_silence()
-
-
-def test_a_spike_of_one_reading_is_seen_from_far_and_near(tmp_path: Path, look: Look) -> None:
-    rng = np.random.default_rng(6)
-    z = np.cumsum(rng.normal(0, 2e-3, SPIKED_ROWS)) + rng.normal(0, 0.3, SPIKED_ROWS)
-    z[SPIKE_ROW] = z.max() + np.ptp(z)
-    (tmp_path / "long").mkdir()
-    write(tmp_path / "long" / "spiked.npz", Recording(z, names=["a"], units=["V"], rate_hz=1000.0))
-    with tuner(tmp_path / "long") as app:
-        visit = look(app, "spiked.npz")
-        left, width = visit.page.evaluate("() => [becalm.plot.u.bbox.left, becalm.plot.u.bbox.width]")
-        for spread in (SPIKED_ROWS / 1000, 20.0, 0.2):
-            low, high = visit.view()
-            assert high - low == pytest.approx(spread, rel=0.05)
-            found = visit.pixels("readings")
-            place = left + width * (SPIKE_ROW / 1000 - low) / (high - low)
-            assert found["left"] - 3 <= place <= found["right"] + 3, spread
-            assert found["right"] - found["left"] <= 8, spread
-            visit.page.evaluate(f"() => becalm.plot.look({SPIKE_ROW / 1000} - 1, {SPIKE_ROW / 1000} + 1)")
-            step = {SPIKED_ROWS / 1000: 10.0, 20.0: 0.1}.get(spread, 0.1)
-            visit.page.evaluate(f"() => becalm.plot.look({SPIKE_ROW / 1000 - step}, {SPIKE_ROW / 1000 + step})")
-
-
 def test_from_opening_to_saving_by_keyboard_alone(app: App, look: Look, tmp_path: Path) -> None:
-    visit = look(app, "", reduced_motion="reduce")
+    visit = look(app, reduced_motion="reduce")
     page = visit.page
     page.keyboard.press("o")
     visit.walk_to("drive.parquet")
     page.keyboard.press("Enter")
-    app.shows = "drive.parquet"
+    page.locator("#files").wait_for(state="hidden")
     visit.opened("drive.parquet")
     before = visit.settings()
     visit.walk_to("Between quicker and calmer")
@@ -325,27 +223,6 @@ def test_from_opening_to_saving_by_keyboard_alone(app: App, look: Look, tmp_path
     recipe = Recipe.from_toml((tmp_path / "kept.toml").read_text(encoding="utf-8"))
     assert recipe.channel[0].process_noise_density == visit.settings()["process_noise_density"]
     page.keyboard.press("z")
-
-
-def test_one_of_the_times_of_a_file_is_chosen(tmp_path: Path, look: Look) -> None:
-    tdms = pytest.importorskip("nptdms", reason="a file with several times is a TDMS file: pip install becalm[formats]")
-    (tmp_path / "logs").mkdir()
-    with tdms.TdmsWriter(tmp_path / "logs" / "log.tdms") as file:
-        for group, rows, step_s in (("fast", 900, 0.01), ("slow", 300, 0.5)):
-            z = np.cumsum(np.random.default_rng(rows).normal(size=rows))
-            channel = tdms.ChannelObject(group, "ax", z, {"wf_increment": step_s, "wf_samples": rows})
-            file.write_segment([channel])
-    with tuner(tmp_path / "logs") as app:
-        visit = look(app, "log.tdms")
-        select = visit.page.locator("#group")
-        assert select.input_value() == "fast"
-        select.select_option("slow")
-        visit.page.wait_for_function("() => becalm.desk.recording.group === 'slow'")
-        assert "300 rows at 2 Hz" in visit.page.locator("#facts").inner_text()
-        assert visit.page.locator("#command").inner_text().endswith("--group slow")
-        visit.page.reload()
-        visit.opened("log.tdms")
-        assert select.input_value() == "slow"
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])

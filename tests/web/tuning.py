@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pytest
 
-from app_runs import CHROMIUM, App
+from app_runs import CHROMIUM, QUIET, App
 from becalm.core.recording import Recording
 from becalm.files.writing import write
 
@@ -156,6 +156,9 @@ class Visit(NamedTuple):
         self.page.screenshot(path=SCREENSHOTS / f"{name}.png", full_page=True)
 
 
+Look = Callable[..., Visit]
+
+
 def _json(value: dict[str, Any]) -> str:
     return json.dumps(value, separators=(",", ":"), ensure_ascii=False)
 
@@ -184,6 +187,40 @@ def visiting(browser: Browser, base: str, **more: Any) -> Iterator[Visit]:
         context.close()
 
 
+@contextmanager
+def chromium() -> Iterator[Browser]:
+    """Start a browser; without one the test is skipped on a person's machine, and fails in CI."""
+    if CHROMIUM is None and os.environ.get("CI"):
+        pytest.fail("CI needs a browser: install Debian's chromium")
+    if CHROMIUM is None:
+        pytest.skip("a browser looks at the page: install Debian's chromium")
+    driver = pytest.importorskip("playwright.sync_api", reason="a browser looks at the page: pip install playwright")
+    with driver.sync_playwright() as playwright:
+        started = playwright.chromium.launch(executable_path=CHROMIUM, args=QUIET)
+        yield started
+        started.close()
+
+
+@contextmanager
+def looking(browser: Browser) -> Iterator[Look]:
+    """Look at tuners through new windows; whatever goes wrong in one fails the test."""
+    with ExitStack() as stack:
+        visits = []
+
+        def at(app: App, name: str = "drive.parquet", **more: Any) -> Visit:
+            visit = stack.enter_context(visiting(browser, app.base, **more))
+            visits.append(visit)
+            visit.open(app)
+            if name:
+                visit.open_file(app, name)
+            return visit
+
+        yield at
+        for visit in visits:
+            assert visit.wrong == []
+            assert visit.foreign == []
+
+
 def drive(path: Path) -> Path:
     """Write two channels: a motion with a tone and a few spikes, and a slower one with a gap."""
     rng = np.random.default_rng(9)
@@ -196,11 +233,3 @@ def drive(path: Path) -> Path:
     values = np.column_stack([speed, tilt])
     write(path, Recording(values, names=["speed", "tilt"], units=["m/s", "deg"], rate_hz=RATE_HZ))
     return path
-
-
-def need_chromium() -> None:
-    """Skip on a machine without the browser, fail in CI."""
-    if CHROMIUM is None and os.environ.get("CI"):
-        pytest.fail("CI needs a browser: install Debian's chromium")
-    if CHROMIUM is None:
-        pytest.skip("a browser looks at the page: install Debian's chromium")

@@ -1,6 +1,6 @@
 // What the whole record says about a filter: a verdict in words, numbers, and figures.
 
-import { find, make, tell } from "../dom.js";
+import { find, make, say, tell } from "../dom.js";
 import { decode, draw } from "../figures.js";
 
 /**
@@ -28,7 +28,8 @@ export class Verdict {
     this.figures.classList.toggle("stale", waiting);
     this.place.className = `verdict ${waiting ? "" : this.tone}`;
     const [first, ...more] = waiting ? ["Judging the whole record …"] : this.says.split(/(?<=\.) /);
-    this.place.replaceChildren(make(waiting ? "span" : "strong", {}, first), " ", more.join(" "));
+    this.place.textContent = first;
+    say(find("advice", HTMLElement), more.join(" "));
   }
 
   /** @param {Judged} judged */

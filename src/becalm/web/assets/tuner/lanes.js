@@ -14,12 +14,14 @@ const ROW = 18;
  */
 export function drawLanes(canvas, u, verdicts) {
   const found = VERDICTS.map((name, bit) => ({ name, bit })).filter(({ bit }) => bit && some(verdicts, 1 << bit));
-  canvas.hidden = !found.length;
-  if (!found.length) return;
+  const rows = Math.max(found.length, Number(canvas.dataset.rows ?? 0)); // the room stays, so that nothing jumps
+  canvas.dataset.rows = String(rows);
+  canvas.hidden = !rows;
   const ratio = devicePixelRatio;
   const { left, width } = u.bbox;
   canvas.width = u.width * ratio;
-  canvas.height = ROW * found.length * ratio;
+  canvas.height = ROW * rows * ratio;
+  canvas.style.height = `${ROW * rows}px`;
   const pen = /** @type {CanvasRenderingContext2D} */ (canvas.getContext("2d"));
   pen.font = `${12 * ratio}px system-ui, sans-serif`;
   pen.textAlign = "right";
@@ -39,7 +41,7 @@ export function drawLanes(canvas, u, verdicts) {
     }
     return `${name} in ${runs.length} ${runs.length > 1 ? "places" : "place"}`;
   });
-  canvas.setAttribute("aria-label", `Verdicts in view: ${told.join(", ")}.`);
+  canvas.setAttribute("aria-label", `Verdicts in view: ${told.join(", ") || "none but used"}.`);
 }
 
 /** @param {ArrayLike<number>} verdicts @param {number} mask */

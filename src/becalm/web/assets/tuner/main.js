@@ -37,6 +37,7 @@ const desk = {
   /** @type {import("./dial.js").Filter} */ filter: {}, // that is drawn
   pictures: 0, // that have come
 };
+const lanes = find("lanes", HTMLCanvasElement);
 const words = { link: find("link", HTMLElement), trouble: find("trouble", HTMLElement), working: find("working", HTMLElement), remarks: find("remarks", HTMLElement) };
 
 /** @param {import("./choices.js").Settings | Partial<Settings>} settings @param {boolean} [final] */
@@ -182,6 +183,7 @@ function choose(channel, focus = false, stay = true) {
   const { from, to } = plot.view;
   const seen = stay && !plot.isWhole;
   plot.open(chosen, recording);
+  delete lanes.dataset.rows;
   choices.open(chosen);
   dial.lay(desk.dials.get(channel) ?? null, chosen.unit);
   map.clear();
@@ -250,7 +252,7 @@ function draw(frame) {
     dial.tell(desk.filter);
   } else if (header.kind === "map") map.show(header, arrays.cost, unit);
   else if (header.kind === "picture") {
-    plot.drawn = () => { if (plot.u) drawLanes(find("lanes", HTMLCanvasElement), plot.u, arrays.verdicts); };
+    plot.drawn = () => { if (plot.u) drawLanes(lanes, plot.u, arrays.verdicts); };
     desk.pictures += 1;
     plot.show(frame);
     desk.filter = header.filter;

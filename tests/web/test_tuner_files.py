@@ -1,0 +1,135 @@
+"""Files on the tuner's page: long ones, dropped ones, those of several times, and what is back after a new start."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from app_runs import tuner
+from becalm.core.recording import Recording
+from becalm.files.writing import write
+from tuning import Look, chromium, drive, looking
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
+
+SPIKE_ROW, SPIKED_ROWS = 1_234_567, 2_000_000
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with chromium() as found:
+        yield found
+
+
+@pytest.fixture
+def look(browser: Browser) -> Iterator[Look]:
+    with looking(browser) as at:
+        yield at
+
+
+def test_a_file_that_is_dropped_is_opened_and_brought_again(look: Look, tmp_path: Path) -> None:
+    dropped = drive(tmp_path / "dropped.csv")
+    (tmp_path / "empty").mkdir()
+    with tuner(tmp_path / "empty") as app:
+        visit = look(app, "")
+        page = visit.page
+        assert "Drop a file" in page.locator("#files-says").inner_text()
+        visit.drop(dropped)
+        visit.opened("dropped.csv")
+        assert "12,000 rows" in page.locator("#facts").inner_text()
+        before = visit.settings()
+        page.keyboard.press("[")
+        after = visit.changed(before)
+        app.kill()
+        page.wait_for_function("() => document.body.dataset.state === 'disconnected'")
+        app.start_again()
+        page.wait_for_function("() => document.body.dataset.state === 'open'")
+        page.wait_for_function("() => becalm.desk.state?.can_undo && becalm.desk.restoring === null")
+        assert visit.changed(before) == after
+        visit.forgive_silence()
+
+
+def test_what_was_done_outlives_a_reload_and_a_new_start(tmp_path: Path, look: Look) -> None:
+    folder = tmp_path / "drives"
+    folder.mkdir()
+    drive(folder / "drive.parquet")
+    with tuner(folder, str(folder / "drive.parquet")) as app:
+        visit = look(app, "")
+        page = visit.page
+        visit.opened("drive.parquet")
+        before = visit.settings()
+        page.keyboard.press("[")
+        page.keyboard.press("[")
+        after = visit.changed(before)
+        page.reload()
+        visit.opened("drive.parquet")
+        page.wait_for_function("() => becalm.desk.state.can_undo")
+        recipe = page.evaluate("() => becalm.desk.state.recipe")
+        page.evaluate("() => { window.same = true; }")
+        page.keyboard.press("2")
+        page.keyboard.press("+")
+        seen = visit.view()
+        app.kill()
+        page.wait_for_function("() => document.body.dataset.state === 'disconnected'")
+        assert "trying again" in page.locator("#link").inner_text()
+        assert page.locator("#dial").is_disabled()
+        assert page.locator("#undo").is_disabled()
+        visit.shoot("tuner-disconnected-1400-light")
+        app.start_again()
+        page.wait_for_function("() => document.body.dataset.state === 'open'")
+        page.wait_for_function("(old) => becalm.desk.state?.recipe === old && becalm.desk.state.can_undo", arg=recipe)
+        assert page.evaluate("() => window.same && becalm.desk.channel") == 1
+        assert visit.view() == pytest.approx(seen)
+        assert not page.locator("#link").is_visible()
+        assert visit.settings()["process_noise_density"] != before["process_noise_density"]
+        assert after["choice"] == visit.settings()["choice"]
+        visit.forgive_silence()
+
+
+def test_a_spike_of_one_reading_is_seen_from_far_and_near(tmp_path: Path, look: Look) -> None:
+    rng = np.random.default_rng(6)
+    z = np.cumsum(rng.normal(0, 2e-3, SPIKED_ROWS)) + rng.normal(0, 0.3, SPIKED_ROWS)
+    z[SPIKE_ROW] = z.max() + np.ptp(z)
+    (tmp_path / "long").mkdir()
+    write(tmp_path / "long" / "spiked.npz", Recording(z, names=["a"], units=["V"], rate_hz=1000.0))
+    with tuner(tmp_path / "long") as app:
+        visit = look(app, "spiked.npz")
+        left, width = visit.page.evaluate("() => [becalm.plot.u.bbox.left, becalm.plot.u.bbox.width]")
+        for spread in (SPIKED_ROWS / 1000, 20.0, 0.2):
+            low, high = visit.view()
+            assert high - low == pytest.approx(spread, rel=0.05)
+            found = visit.pixels("readings")
+            place = left + width * (SPIKE_ROW / 1000 - low) / (high - low)
+            assert found["left"] - 3 <= place <= found["right"] + 3, spread
+            assert found["right"] - found["left"] <= 8, spread
+            visit.page.evaluate(f"() => becalm.plot.look({SPIKE_ROW / 1000} - 1, {SPIKE_ROW / 1000} + 1)")
+            step = {SPIKED_ROWS / 1000: 10.0, 20.0: 0.1}.get(spread, 0.1)
+            visit.page.evaluate(f"() => becalm.plot.look({SPIKE_ROW / 1000 - step}, {SPIKE_ROW / 1000 + step})")
+
+
+def test_one_of_the_times_of_a_file_is_chosen(tmp_path: Path, look: Look) -> None:
+    tdms = pytest.importorskip("nptdms", reason="a file with several times is a TDMS file: pip install becalm[formats]")
+    (tmp_path / "logs").mkdir()
+    with tdms.TdmsWriter(tmp_path / "logs" / "log.tdms") as file:
+        for group, rows, step_s in (("fast", 900, 0.01), ("slow", 300, 0.5)):
+            z = np.cumsum(np.random.default_rng(rows).normal(size=rows))
+            channel = tdms.ChannelObject(group, "ax", z, {"wf_increment": step_s, "wf_samples": rows})
+            file.write_segment([channel])
+    with tuner(tmp_path / "logs") as app:
+        visit = look(app, "log.tdms")
+        select = visit.page.locator("#group")
+        assert select.input_value() == "fast"
+        select.select_option("slow")
+        visit.page.wait_for_function("() => becalm.desk.recording.group === 'slow'")
+        assert "300 rows at 2 Hz" in visit.page.locator("#facts").inner_text()
+        assert visit.page.locator("#command").inner_text().endswith("--group slow")
+        visit.page.reload()
+        visit.opened("log.tdms")
+        assert select.input_value() == "slow"
