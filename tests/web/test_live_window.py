@@ -213,7 +213,7 @@ def test_it_comes_back_after_becalm_was_killed(folder: Path, look: Look, tmp_pat
         assert pixels(visit, 0, "clean")["all"] > 100, "what came before stays"
         app.start_again()
         page.wait_for_function("() => document.body.dataset.state === 'live'")
-        page.wait_for_function("() => document.querySelector('#trouble').innerText.includes('started again')")
+        page.wait_for_function("() => document.querySelector('#link').innerText.includes('started again')")
         page.wait_for_function("() => becalmLive.counts.bins > 300 && becalmLive.view.newest > 3000")
         assert pixels(visit, 0, "clean")["all"] > 100
         visit.wrong[:] = [one for one in visit.wrong if "ERR_CONNECTION_REFUSED" not in one]  # Chromium's own words
