@@ -16,6 +16,7 @@ from becalm.cleaning.recipe_modes import ModeRecipe, SwitchingRecipe
 from becalm.cleaning.recipe_parts import GateRecipe
 from becalm.core.recording import Recording
 from becalm.files.writing import write
+from live_looks import COLUMNS, PIXELS, pixels, recipe_now, settle
 from live_page_runs import LiveApp, shown_live
 from tuning import NAMELESS, Visit, need_chromium, visiting
 
@@ -26,42 +27,6 @@ pytestmark = pytest.mark.slow
 
 RATE_HZ, SECONDS = 1000.0, 600
 SPIKE_ROWS = slice(2500, None, 5000)
-PIXELS = """([number, role]) => {
-  // pixels of a strip in the colour of a role: how many, and how high the highest is
-  const canvas = document.querySelectorAll("#strips canvas")[number];
-  const { data, width, height } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
-  const probe = document.createElement("i");
-  probe.style.color = getComputedStyle(document.documentElement).getPropertyValue(`--${role}`);
-  document.body.append(probe);
-  const [r, g, b] = getComputedStyle(probe).color.match(/\\d+/g).map(Number);
-  probe.remove();
-  const found = { all: 0, top: 1, sum: 0 };
-  for (let i = 0; i < data.length; i += 4) {
-    if (data[i + 3] < 200) continue;
-    if (Math.abs(data[i] - r) + Math.abs(data[i + 1] - g) + Math.abs(data[i + 2] - b) > 12) continue;
-    found.all += 1;
-    found.top = Math.min(found.top, Math.floor(i / 4 / width) / height);
-    found.sum = (found.sum * 31 + i) % 1000003;
-  }
-  return found;
-}"""
-COLUMNS = """() => {
-  // how many groups of columns have a reading's colour far above the force, at 29 N and more
-  const { canvas, scale } = becalmLive.strips[0];
-  const above = Math.floor((canvas.height - 9) * (1 - (29 - scale.low) / (scale.high - scale.low)));
-  const { data, width } = canvas.getContext("2d").getImageData(0, 0, canvas.width, above);
-  const probe = document.createElement("i");
-  probe.style.color = getComputedStyle(document.documentElement).getPropertyValue("--readings");
-  document.body.append(probe);
-  const [r, g, b] = getComputedStyle(probe).color.match(/\\d+/g).map(Number);
-  probe.remove();
-  const columns = new Set();
-  for (let i = 0; i < data.length; i += 4)
-    if (data[i + 3] && Math.abs(data[i] - r) + Math.abs(data[i + 1] - g) + Math.abs(data[i + 2] - b) < 12)
-      columns.add((i / 4) % width);
-  return [...columns].filter((x) => !columns.has(x - 1)).length;
-}"""
-
 Look = Callable[..., Visit]
 
 
@@ -130,11 +95,6 @@ def look(browser: Browser) -> Iterator[Look]:
             assert visit.foreign == []
 
 
-def pixels(visit: Visit, number: int, role: str) -> dict[str, float]:
-    found: dict[str, float] = visit.page.evaluate(PIXELS, [number, role])
-    return found
-
-
 def test_what_comes_is_drawn_and_told(live: LiveApp, look: Look) -> None:
     visit = look(live)
     page = visit.page
@@ -164,7 +124,7 @@ def test_it_scrolls_and_stands_still_and_looks_back(live: LiveApp, look: Look) -
     before = page.evaluate("() => becalmLive.view.right")
     page.wait_for_function("(before) => becalmLive.view.right > before + 500", arg=before)
     page.keyboard.press("Space")
-    visit_settled(visit)
+    settle(visit)
     stood, newest = page.evaluate("() => [becalmLive.view.right, becalmLive.view.newest]")
     picture = pixels(visit, 0, "clean")
     page.wait_for_function("(newest) => becalmLive.view.newest > newest + 500", arg=newest)
@@ -175,12 +135,10 @@ def test_it_scrolls_and_stands_still_and_looks_back(live: LiveApp, look: Look) -
     page.keyboard.press("n")
     page.wait_for_function("() => !becalmLive.view.paused && becalmLive.view.newest - becalmLive.view.right < 1000")
     page.keyboard.press("ArrowLeft")
-    page.wait_for_function(
-        "(newest) => becalmLive.view.paused && becalmLive.view.right < becalmLive.view.newest - 2000", arg=0
-    )
+    page.wait_for_function("() => becalmLive.view.paused && becalmLive.view.right < becalmLive.view.newest - 2000")
     page.keyboard.press("+")
     page.keyboard.press("+")
-    page.wait_for_function("() => pixelsOf() > 100".replace("pixelsOf()", f"({PIXELS})([0, 'clean']).all"))
+    page.wait_for_function(f"() => ({PIXELS})([0, 'clean']).all > 100")
     box = page.locator("#strips canvas").first.bounding_box()
     assert box is not None
     at = page.evaluate("() => becalmLive.view.right")
@@ -210,7 +168,7 @@ def test_each_spike_of_one_row_is_seen_from_afar(live: LiveApp, look: Look, wide
         page.keyboard.press("-")
     page.wait_for_function("() => becalmLive.store().has(Math.floor(12500 / [7, 56, 448][becalmLive.view.level]))")
     page.wait_for_function("() => becalmLive.strips[0].scale?.high > 30")
-    visit_settled(visit)
+    settle(visit)
     right, rows = page.evaluate("() => [becalmLive.view.right, becalmLive.view.rows]")
     spikes = [row for row in range(2500, int(right) - 30, 5000) if row > right - rows + 30]
     assert len(spikes) >= 1
@@ -255,7 +213,7 @@ def test_it_comes_back_after_becalm_was_killed(folder: Path, look: Look, tmp_pat
         assert pixels(visit, 0, "clean")["all"] > 100, "what came before stays"
         app.start_again()
         page.wait_for_function("() => document.body.dataset.state === 'live'")
-        page.wait_for_function("() => document.querySelector('#trouble').innerText.includes('started again')")
+        page.wait_for_function("() => document.querySelector('#link').innerText.includes('started again')")
         page.wait_for_function("() => becalmLive.counts.bins > 300 && becalmLive.view.newest > 3000")
         assert pixels(visit, 0, "clean")["all"] > 100
         visit.wrong[:] = [one for one in visit.wrong if "ERR_CONNECTION_REFUSED" not in one]  # Chromium's own words
@@ -270,7 +228,7 @@ def test_an_end_is_said_and_what_came_stays(folder: Path, look: Look, tmp_path: 
         visit = look(app)
         visit.page.wait_for_function("() => document.querySelector('#link').innerText.includes('has ended')")
         assert visit.page.evaluate("() => becalmLive.view.newest") >= 5000
-        visit_settled(visit)
+        settle(visit)
         assert pixels(visit, 0, "clean")["all"] > 100
         visit.shoot("live-ended")
         visit.wrong[:] = [one for one in visit.wrong if "ERR_CONNECTION_REFUSED" not in one]
@@ -291,11 +249,3 @@ def test_nothing_overflows(live: LiveApp, look: Look, width: int, theme: str) ->
     assert visit.page.evaluate("() => document.documentElement.scrollWidth") <= width
     assert pixels(visit, 0, "clean")["all"] > 50
     visit.shoot(f"live-{width}-{theme}")
-
-
-def recipe_now(visit: Visit) -> Recipe:
-    return Recipe.from_toml(visit.page.evaluate("() => fetch('/save/recipe').then((answer) => answer.text())"))
-
-
-def visit_settled(visit: Visit) -> None:
-    visit.page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")

@@ -65,7 +65,7 @@ function begin(message) {
   welcome = message;
   say(links.working, "");
   if (!again) {
-    if (before) say(links.trouble, "becalm was started again; what it showed before is no longer here.");
+    if (before) say(links.link, "becalm was started again; what it showed before is no longer here.");
     view = new View(message);
     let place = 0;
     strips = message.names.map((/** @type {string} */ name, /** @type {number} */ c) => {
@@ -200,8 +200,8 @@ function fare(health) {
   state = health.state;
   const source = health.source.replace(/^(\w+:)\S*\//, "$1"); // of a path its last name
   const says = health.says ? `: ${health.says}` : "";
-  find("facts", HTMLElement).textContent = `${source} · ${amount(welcome?.rate_hz, "Hz")} · ${state}${says}`;
-  if (!welcome)
+  find("facts", HTMLElement).textContent = [source, ...(welcome ? [amount(welcome.rate_hz, "Hz")] : []), state + says].join(" · ");
+  if (!welcome || state === "learning")
     say(links.working, state === "learning" ? `becalm learns filters for this stream; ${health.rows_taken.toLocaleString("en")} rows came so far.` : `Waiting for the first rows (${state}${says}).`);
   else say(links.working, { away: `The source is away${says}. becalm tries again.`, silent: `Nothing comes${says}`, full: `Storage is full${says}`, ended: "The stream has ended.", stopping: "The stream was stopped.", failed: `The stream failed${says}` }[state] ?? "");
   for (const strip of strips) {
