@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from app_runs import CHROMIUM, QUIET
 from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
 from becalm.cleaning.recipe_modes import ModeRecipe, SwitchingRecipe
 from becalm.cleaning.recipe_parts import GateRecipe
@@ -18,7 +17,7 @@ from becalm.core.recording import Recording
 from becalm.files.writing import write
 from live_looks import COLUMNS, PIXELS, pixels, recipe_now, settle
 from live_page_runs import LiveApp, shown_live
-from tuning import NAMELESS, Visit, need_chromium, visiting
+from tuning import NAMELESS, Visit, chromium, visiting
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -32,12 +31,8 @@ Look = Callable[..., Visit]
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
-    need_chromium()
-    driver = pytest.importorskip("playwright.sync_api", reason="a browser looks at the page: pip install playwright")
-    with driver.sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=QUIET)
-        yield chromium
-        chromium.close()
+    with chromium() as found:
+        yield found
 
 
 @pytest.fixture(scope="module")
