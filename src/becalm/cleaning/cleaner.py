@@ -116,7 +116,8 @@ class ReadyRows:
     def held(self) -> Told:
         """Return all rows that are held; they stay."""
         told = self.take(self.count)
-        self.add([told])
+        if len(told.signal):
+            self.add([told])
         return told
 
     def take(self, count: int) -> Told:

@@ -217,7 +217,7 @@ class StreamCleaner:
             channel.restore(_under(f"channel{c}.", arrays))
             if self.lag_rows:
                 waiting = Told(**_under(f"ready{c}.", arrays))
-                self._ready[c].add([with_modes(waiting, self._modes[c])])
+                self._ready[c].add(with_modes(waiting, self._modes[c]))
 
     def _checked(self, values: Floats, elapsed: Floats) -> tuple[Floats, Floats]:
         """Return what was pushed as kernels take it."""

@@ -19,9 +19,10 @@ def modes_in(channel: ChannelRecipe) -> int:
     return 0 if channel.switching is None or channel.motion is None else len(channel.switching.mode)
 
 
-def with_modes(told: Told, modes: int) -> Told:
-    """Return rows with so many modes; of those that an older becalm kept none is known."""
-    return told if len(told.parts) == modes else told._replace(parts=np.full((modes, len(told.signal)), np.nan))
+def with_modes(told: Told, modes: int) -> list[Told]:
+    """Return rows that wait with so many modes, if any wait; of those that an older becalm kept none is known."""
+    unknown = np.full((modes, len(told.signal)), np.nan)
+    return [told if len(told.parts) == modes else told._replace(parts=unknown)] if len(told.signal) else []
 
 
 def modes_of(told: Mapping[int, Told], modes: Sequence[int]) -> Floats:
