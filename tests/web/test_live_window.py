@@ -90,7 +90,7 @@ def look(browser: Browser) -> Iterator[Look]:
             assert visit.foreign == []
 
 
-def test_what_comes_is_drawn_and_told(live: LiveApp, look: Look) -> None:
+def test_what_comes_is_drawn_and_told(live: LiveApp, look: Look, tmp_path: Path) -> None:
     visit = look(live)
     page = visit.page
     page.wait_for_function("() => becalmLive.counts.frames > 60 && document.querySelector('#health dd')")
@@ -110,6 +110,8 @@ def test_what_comes_is_drawn_and_told(live: LiveApp, look: Look) -> None:
     assert label.startswith("speed: ")
     assert "moving" in label
     assert page.evaluate(NAMELESS) == []
+    saved = visit.save("save", tmp_path)
+    assert (saved.name, Recipe.from_toml(saved.read_text())) == ("live.recipe.toml", recipe_now(visit))
     visit.shoot("live-1400-light")
 
 

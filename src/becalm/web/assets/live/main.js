@@ -1,7 +1,7 @@
 // The live page: what becalm tells of a stream, as it comes.
 
 import { onTheme, readColours } from "../colours.js";
-import { amount, find, say, tell } from "../dom.js";
+import { amount, find, make, say, tell } from "../dom.js";
 import { hearKeys } from "../tuner/keys.js";
 import { connect } from "../wire.js";
 import { anchorOf, clock, drawAxis, ticksOf, timeOf } from "./axis.js";
@@ -275,6 +275,7 @@ buttons.now.addEventListener("click", () => change(() => view.pause(false)));
 buttons.undo.addEventListener("click", () => send({ do: "undo" }));
 find("nearer", HTMLButtonElement).addEventListener("click", () => zoom(-1));
 find("farther", HTMLButtonElement).addEventListener("click", () => zoom(1));
+find("save", HTMLButtonElement).addEventListener("click", () => make("a", { href: "/save/recipe", download: true }).click());
 hearKeys(
   {
     n: () => change(() => view.pause(false)),
