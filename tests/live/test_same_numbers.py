@@ -36,7 +36,7 @@ def of_file(recipe: Recipe, values: Floats, elapsed: Floats, step_s: float = 1 /
     with Cleaner(causal, step_s) as cleaner:
         columns = [np.ascontiguousarray(column) for column in values.T]
         (told,) = [*cleaner.push(columns, elapsed), *cleaner.finish()]
-    fields = [[getattr(channel, name) for channel in told] for name in Streamed._fields]
+    fields = [[getattr(channel, name) for channel in told] for name in ("signal", "sigma", "verdicts")]
     return Streamed(*(np.column_stack(field) for field in fields))
 
 
