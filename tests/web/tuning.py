@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -116,6 +117,13 @@ class Visit(NamedTuple):
         self.idle()
         found: dict[str, int] = self.page.evaluate(PIXELS, role)
         return found
+
+    def draws(self, role: str, wanted: dict[str, int]) -> bool:
+        """Whether a picture comes that is as wanted; of what was taken back it comes after the settings."""
+        deadline = time.monotonic() + PATIENCE_MS / 1000
+        while self.pixels(role) != wanted and time.monotonic() < deadline:
+            self.page.wait_for_timeout(50)
+        return self.pixels(role) == wanted
 
     def over(self) -> tuple[float, float, float, float]:
         """Where the plot's frame is: left, top, width, height."""
