@@ -221,8 +221,8 @@ class Conversation:
         if self._asked.is_set():
             return
         if self._dialled != wanted.dial_key:
-            self._dialled = wanted.dial_key  # before it is told: a page that begins anew meanwhile is told again
             await self._send(await self._in_thread(lambda: dial_frame(wanted)))
+            self._dialled = wanted.dial_key
         if wanted.classic is not None and not self._asked.is_set():
             await self._send(await self._in_thread(lambda: self._painter.classic(wanted, painted)))
         if not (self._dragging or self._asked.is_set() or self._judged == wanted.judged_key):
@@ -235,12 +235,10 @@ class Conversation:
             rows = wanted.opened.rows(wanted.channel)
             return judged(rows, recipe, wanted.recipe, wanted.channel, self._is_quiet)
 
-        self._judged = wanted.judged_key  # before, as of the dial
         figures = await self._in_thread(judge)
         if figures is not None:
+            self._judged = wanted.judged_key
             await self._tell(figures)
-        elif self._judged == wanted.judged_key:
-            self._judged = ()
 
     def _is_quiet(self) -> bool:
         return not (self._asked.is_set() or self._gone)
