@@ -15,7 +15,10 @@ import pyarrow as pa
 import pytest
 
 import becalm
+import becalm.cli.live
 from becalm.cleaning.recipe import Recipe
+from becalm.cli.live import Asking, Watching
+from becalm.errors import UsageError
 from becalm.live.journal.reading import open_journal
 from live_processes import DEADLINE_S, begun, kept, rows_in, told_in, until
 
@@ -260,3 +263,31 @@ def test_rows_are_counted_on_by_the_recipe_that_the_stream_had(unstamped: Path, 
     assert run("live", "replay:rows.csv").returncode == 0
     assert run("live", "replay:rows.csv", "--recipe", "rows.toml", "--sink", "journal:whole").returncode == 0
     assert kept(tmp_path / "becalm-journal").equals(kept(tmp_path / "whole"))
+
+
+@pytest.mark.parametrize(
+    ("source", "sinks", "opened"),
+    [
+        ("udp:9000", ["journal:kept"], "udp:9000?gather=0.050000s"),
+        ("udp:9000?rate=100", [], "udp:9000?rate=100&gather=0.050000s"),
+        ("udp:9000?gather=0ms", ["journal:kept"], "udp:9000?gather=0ms"),
+        ("udp:9000", ["journal:kept", "stdout:"], "udp:9000"),
+        ("stdin:", ["journal:kept"], "stdin:"),
+    ],
+)
+def test_datagrams_gather_where_only_a_commit_waits(
+    source: str, sinks: list[str], opened: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[str] = []
+
+    def refused(name: str) -> None:
+        asked.append(name)
+        raise UsageError("Enough.")
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(becalm.cli.live, "open_source", refused)
+    settings = becalm.cli.live.settings_of(10, "block", "1s")
+    asking, watching = Asking(None, "2s", None, ()), Watching(None, None, "-", "10s")
+    with pytest.raises(UsageError, match="Enough"):
+        becalm.cli.live.run(source, sinks, asking, settings, watching)
+    assert asked == [opened]

@@ -22,7 +22,7 @@ from becalm.live.beginning import Beginning
 from becalm.live.keeping import Outlets
 from becalm.live.learning import Learner
 from becalm.live.outlet import Outlet
-from becalm.live.protocols import Keeper, Sink
+from becalm.live.protocols import Keeper, Sink, Source
 from becalm.live.queueing import Policy
 from becalm.live.registry import open_sink, open_source
 from becalm.live.retuning import Retune
@@ -37,6 +37,7 @@ from becalm.live.watching.watch import Watch
 DEFAULT_SINK = "journal:becalm-journal"
 POLICIES = get_args(Policy)
 _TIMED_BY_RECIPE = ("replay", "stdin", "serial")
+_GATHER_S, _GATHER_SHARE = 0.05, 0.05  # how long datagrams may gather, also as a share of what a commit waits for
 _LEARNED = "learned.recipe.toml"
 
 
@@ -92,9 +93,10 @@ def run(source: str, sinks: list[str], asking: Asking, settings: Settings, watch
     """Run a stream."""
     recipe = None if asking.recipe is None else Recipe.load(asking.recipe)
     timed = source if recipe is None else _timed(source, recipe)
-    address, made = str(Address.parsed(timed)), open_source(timed)
-    names = sinks or [DEFAULT_SINK]
+    address, names = str(Address.parsed(timed)), sinks or [DEFAULT_SINK]
     keeper, others = _parted([open_sink(name) for name in names])
+    gather_s = 0.0 if others or watching.page else min(_GATHER_S, _GATHER_SHARE * settings.commit_s)
+    made = _opened(timed, gather_s)
     learner = Learner(seconds_of("--learn", asking.learn), asking.lag_s, asking.channels)
     meter = Meter(address)
     with ExitStack() as opened:
@@ -117,7 +119,7 @@ def run(source: str, sinks: list[str], asking: Asking, settings: Settings, watch
                 learner,
                 learned=partial(_save, path=_learned_path(names), log=log),
                 ready=_warming(recipe),
-                timed=None if recipe is not None else lambda had: open_source(_timed(source, had)),
+                timed=None if recipe is not None else lambda had: _opened(_timed(source, had), gather_s),
             ),
             settings=settings,
         )
@@ -150,6 +152,14 @@ def _timed(source: str, recipe: Recipe) -> str:
         words["stamps"] = recipe.stamps
     tail = urlencode({name: value for name, value in words.items() if value is not None})
     return f"{source}{'&' if told.options else '?'}{tail}" if tail else source
+
+
+def _opened(source: str, gather_s: float) -> Source:
+    """Open a source; datagrams gather, unless a person says otherwise, where nobody waits but a commit."""
+    told = Address.parsed(source)
+    if gather_s and told.kind == "udp" and "gather" not in told.options:
+        source = f"{source}{'&' if told.options else '?'}gather={gather_s:.6f}s"
+    return open_source(source)
 
 
 def _walk(runner: Runner, log: Log) -> None:

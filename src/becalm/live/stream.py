@@ -58,6 +58,7 @@ class Stream:
         self._clock = LiveClock(step_s, resolution_s)
         self._cleaner: StreamCleaner | Handover = StreamCleaner(recipe, step_s)
         self._former = recipe  # that gives way, in a handover
+        self._written = recipe, ""  # the recipe as it was written last
         self._waiting = Waiting(len(recipe.channel))
         self._numbers: list[int] | None = None
         self._before = np.empty(0)  # stamp and readings of the row that came last, whatever became of it
@@ -68,7 +69,7 @@ class Stream:
         """What every row shares."""
         names = tuple(channel.name for channel in self.recipe.channel)
         units = tuple(channel.unit for channel in self.recipe.channel)
-        return Head(names, units, 1 / self._step_s, self.recipe.to_toml())
+        return Head(names, units, 1 / self._step_s, self._toml())
 
     @property
     def gives_way(self) -> bool:
@@ -175,7 +176,13 @@ class Stream:
             "waiting_s": self._waiting.time_s,
             "waiting": self._waiting.values,
         }
-        return Checkpoint(self.rows, position, packed(moving), self.recipe.to_toml(), source)
+        return Checkpoint(self.rows, position, packed(moving), self._toml(), source)
+
+    def _toml(self) -> str:
+        """Write the recipe, once for all commits: each would take a millisecond a channel."""
+        if not self._written[1] or self._written[0] is not self.recipe:
+            self._written = self.recipe, self.recipe.to_toml()
+        return self._written[1]
 
     @classmethod
     def resumed(cls, checkpoint: Checkpoint) -> Self:
@@ -248,7 +255,7 @@ class Stream:
         else:
             former = self._cleaner.later if isinstance(self._cleaner, Handover) else self._cleaner
             self._cleaner, self._former = Handover(former, prepared.later, prepared.rows), self.recipe
-        self.recipe = prepared.recipe
+        self.recipe, self._written = prepared.recipe, (prepared.recipe, prepared.toml)
 
 
 def _after(told: Streamed, rows: int) -> Streamed:
