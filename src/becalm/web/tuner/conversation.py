@@ -6,6 +6,7 @@ import asyncio
 import logging
 import math
 from collections.abc import Awaitable, Callable, Coroutine, Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
@@ -31,6 +32,14 @@ _log = logging.getLogger(__name__)
 T = TypeVar("T")
 
 
+@dataclass
+class _Shown:
+    """What a page was shown beside pictures since it was told from the beginning."""
+
+    dial: tuple[object, ...] = ()
+    figures: tuple[object, ...] = ()
+
+
 class Conversation:
     """One page.
 
@@ -49,8 +58,7 @@ class Conversation:
         self._classics: dict[int, str] = {}
         self._answers, self._dragging, self._gone = 0, False, False
         self._asked = asyncio.Event()
-        self._dialled: tuple[object, ...] = ()
-        self._judged: tuple[object, ...] = ()
+        self._shown = _Shown()
         self._sending = asyncio.Lock()
         self._tasks: set[asyncio.Task[None]] = set()
 
@@ -81,7 +89,7 @@ class Conversation:
         """Tell the page what is open, and what is set, from the beginning."""
         desk = self._desk
         self._look = Look(number=0, do="look", channel=0, width=self._look.width)
-        self._dialled = self._judged = ()
+        self._shown = _Shown()
         self._classics.clear()
         await self._tell(await self._in_thread(desk.recording_told))
         await self.told_state()
@@ -215,20 +223,20 @@ class Conversation:
             await self._guarded(self._show_newest(), self._answers)
 
     async def _show_newest(self) -> None:
-        wanted = self._wanted(self._answers, self._look.channel)
+        wanted, shown = self._wanted(self._answers, self._look.channel), self._shown
         painted = await self._in_thread(lambda: self._painter.picture(wanted))
         await self._send(painted.framed())
         if self._asked.is_set():
             return
-        if self._dialled != wanted.dial_key:
+        if shown.dial != wanted.dial_key:
             await self._send(await self._in_thread(lambda: dial_frame(wanted)))
-            self._dialled = wanted.dial_key
+            shown.dial = wanted.dial_key
         if wanted.classic is not None and not self._asked.is_set():
             await self._send(await self._in_thread(lambda: self._painter.classic(wanted, painted)))
-        if not (self._dragging or self._asked.is_set() or self._judged == wanted.judged_key):
-            await self._judge(wanted)
+        if not (self._dragging or self._asked.is_set() or shown.figures == wanted.judged_key):
+            await self._judge(wanted, shown)
 
-    async def _judge(self, wanted: Wanted) -> None:
+    async def _judge(self, wanted: Wanted, shown: _Shown) -> None:
         recipe = self._desk.recipe_of_all()
 
         def judge() -> dict[str, Any] | None:
@@ -237,8 +245,8 @@ class Conversation:
 
         figures = await self._in_thread(judge)
         if figures is not None:
-            self._judged = wanted.judged_key
             await self._tell(figures)
+            shown.figures = wanted.judged_key
 
     def _is_quiet(self) -> bool:
         return not (self._asked.is_set() or self._gone)
