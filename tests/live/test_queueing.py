@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import threading
+from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from becalm.live.block import Block, Loss, LossKind
@@ -89,3 +91,26 @@ def test_a_failure_is_raised_once_all_is_taken() -> None:
     queue.get(1)
     with pytest.raises(ValueError, match="broken"):
         _ = queue.ended
+
+
+@pytest.mark.parametrize("clocked", [True, False])
+def test_blocks_that_wait_are_joined_until_there_are_enough(clocked: bool) -> None:
+    queue, loss = BlockQueue(10, "block"), Loss(LossKind.AWAY, None, "Gone.")
+    cut = blocks_of(drive(16), 2, elapsed=clocked)
+    blocks = [replace(block, position=f"{k}", arrived_s=float(k)) for k, block in enumerate(cut)]
+    blocks[5] = replace(blocks[5], losses=(loss,))
+    blocks[7] = replace(blocks[7], elapsed=None if clocked else np.ones(2))
+    for block in blocks:
+        queue.put(block, STOP)
+    queue.end()
+    got = []
+    while not queue.ended:
+        got.append(queue.get(1, 5))
+    assert [rows(block) for block in got] == [[0, 1, 2, 3, 4, 5], [6, 7, 8, 9], [10, 11, 12, 13], [14, 15]]
+    told = [(block.position, block.arrived_s, block.losses) for block in got if block is not None]
+    assert told == [("2", 0.0, ()), ("4", 3.0, ()), ("6", 5.0, (loss,)), ("7", 7.0, ())]
+    whole = np.concatenate([block.values for block in got if block is not None])
+    np.testing.assert_array_equal(whole, np.concatenate([block.values for block in blocks]))
+    assert [None if block is None or block.elapsed is None else len(block.elapsed) for block in got] == (
+        [6, 4, 4, None] if clocked else [None, None, None, 2]
+    )

@@ -255,9 +255,22 @@ def test_a_recipe_for_other_channels_is_refused() -> None:
         runner_of(ListSource(lambda row: blocks_of(VALUES, 50, row)), MemoryKeeper(), recipe_of(["ax", "gz"])).run()
 
 
-def test_a_failing_reader_is_told_once_all_is_kept() -> None:
+@pytest.mark.parametrize("learned", [False, True])
+def test_a_failing_reader_is_told_once_all_is_kept(learned: bool) -> None:
     keeper = MemoryKeeper()
-    source = ListSource(lambda row: blocks_of(VALUES, 50, row))
+    with pytest.raises(InputError, match="wire broke"):
+        runner_of(_breaking(VALUES, 50), keeper, None if learned else recipe_of()).run()
+    np.testing.assert_array_equal(keeper.rows, np.arange(600))
+
+
+def test_a_failing_reader_is_told_where_too_little_came_to_learn_from() -> None:
+    with pytest.raises(InputError, match="wire broke"):
+        runner_of(_breaking(VALUES[:3], 3), MemoryKeeper(), None).run()
+
+
+def _breaking(values: Floats, size: int) -> ListSource:
+    """Return a source that fails once all is read."""
+    source = ListSource(lambda row: blocks_of(values, size, row))
     made = source.read
 
     def read(timeout_s: float) -> Block | None:
@@ -266,9 +279,7 @@ def test_a_failing_reader_is_told_once_all_is_kept() -> None:
         return made(timeout_s)
 
     source.read = read  # type: ignore[method-assign]
-    with pytest.raises(InputError, match="wire broke"):
-        runner_of(source, keeper, recipe_of()).run()
-    np.testing.assert_array_equal(keeper.rows, np.arange(600))
+    return source
 
 
 def _until(true: Callable[[], bool]) -> None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import NamedTuple, TypeVar
 
 from becalm.cleaning.recipe import Recipe
-from becalm.errors import UsageError
+from becalm.errors import BecalmError, UsageError
 from becalm.live.block import Block, Checkpoint, Head, Loss
 from becalm.live.learning import Early, Learner, resolution_of
 from becalm.live.protocols import AwayError, Keeper, Source
@@ -110,8 +110,8 @@ class Beginning:
         """
         early, stream, before = Early(), None, list[Loss]()
         watch.state("learning" if self.recipe is None else "running")
+        ended = False
         try:
-            ended = False
             while stream is None and not ended:
                 block = following()
                 if block is not None and (len(block) or early.rows):
@@ -119,12 +119,19 @@ class Beginning:
                 elif block is not None:
                     watch.lost(block.losses)
                     before += block.losses
-                ended = queue.ended
+                ended = queue.closed
                 stream = self._stream_of(early, source.rate_hz, ended=ended)
+        except BecalmError:
+            if ended:  # a reader that failed is why there is too little
+                queue.raise_failure()
+            raise
         finally:
             if stream is None:  # which would have told them
                 watch.lost([loss for one in early.blocks for loss in one.losses])
-        return None if stream is None else Begun(stream, stream.head, early.blocks, before)
+        if stream is None:
+            queue.raise_failure()
+            return None
+        return Begun(stream, stream.head, early.blocks, before)
 
     def _stream_of(self, early: Early, rate_hz: float | None, *, ended: bool) -> Stream | None:
         """Make a stream of what came; None where that is not enough yet."""

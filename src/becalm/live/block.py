@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 import numpy as np
@@ -67,7 +67,7 @@ class Block:
     losses : tuple of Loss
         What happened to the stream before or in this block. A block may have no rows and tell only this.
     arrived_s : float
-        `time.monotonic()` when the last of it came.
+        `time.monotonic()` when the last of it came; of blocks that were joined, of the first.
     """
 
     names: tuple[str, ...]
@@ -82,6 +82,24 @@ class Block:
     def __len__(self) -> int:
         """Return the number of rows."""
         return len(self.time_s)
+
+    def goes_on_in(self, after: Block) -> bool:
+        """Whether a later block may be joined to this one: the same channels and clock, and nothing lost between."""
+        alike = self.names == after.names and self.units == after.units
+        return alike and not after.losses and (self.elapsed is None) == (after.elapsed is None)
+
+    @classmethod
+    def joined(cls, blocks: list[Block]) -> Block:
+        """Put blocks below each other, each of which goes on in the next."""
+        first, last = blocks[0], blocks[-1]
+        elapsed = [block.elapsed for block in blocks if block.elapsed is not None]
+        return replace(
+            first,
+            time_s=np.concatenate([block.time_s for block in blocks]),
+            values=np.concatenate([block.values for block in blocks]),
+            position=last.position or first.position,
+            elapsed=np.concatenate(elapsed) if elapsed else None,
+        )
 
     @classmethod
     def of_losses(cls, *losses: Loss) -> Block:

@@ -55,8 +55,16 @@ class BlockQueue:
             self._blocks.append(Block.of_losses(loss))
             self._change.notify_all()
 
-    def get(self, timeout_s: float) -> Block | None:
-        """Return the next block, or None where none comes in time; what was dropped before it is told with it."""
+    def get(self, timeout_s: float, rows: int = 0) -> Block | None:
+        """Return the next block, or None where none comes in time; what was dropped before it is told with it.
+
+        Parameters
+        ----------
+        timeout_s : float
+            How long to wait.
+        rows : int
+            Blocks that wait behind it come with it, joined, until there are so many rows: whoever is late catches up.
+        """
         with self._change:
             if not (self._blocks or self._ended):
                 self._change.wait(timeout_s)
@@ -71,8 +79,12 @@ class BlockQueue:
             if self._passed and block.elapsed is not None:
                 block = replace(block, elapsed=np.append(block.elapsed[0] + self._passed, block.elapsed[1:]))
                 self._passed = 0.0
+            joined, count = [block], len(block)
+            while self._blocks and count < rows and block.goes_on_in(self._blocks[0]):
+                joined.append(self._blocks.popleft())
+                count += len(joined[-1])
             self._change.notify_all()
-            return block
+            return block if len(joined) == 1 else Block.joined(joined)
 
     def end(self, failure: BaseException | None = None) -> None:
         """Hear that no more will come, and why if that is wrong."""
@@ -81,14 +93,23 @@ class BlockQueue:
             self._change.notify_all()
 
     @property
+    def closed(self) -> bool:
+        """Whether no more will come, for whatever reason, and all that was read is taken."""
+        with self._change:
+            return self._ended and not self._blocks
+
+    @property
     def ended(self) -> bool:
         """Whether no more will come; a failure is raised once all that was read is taken."""
-        with self._change:
-            if not self._ended or self._blocks:
-                return False
-            if self._failure is not None:
-                raise self._failure
-            return True
+        closed = self.closed
+        if closed:
+            self.raise_failure()
+        return closed
+
+    def raise_failure(self) -> None:
+        """Raise why no more comes, if that is wrong."""
+        if self._failure is not None:
+            raise self._failure
 
     @property
     def depth(self) -> tuple[int, int]:

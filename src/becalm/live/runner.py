@@ -23,6 +23,7 @@ from becalm.live.stream import Stream
 from becalm.live.watching.watch import Watch
 
 _POLL_S = 0.25
+_AT_ONCE = 1024  # rows, of blocks that wait
 _MOST_VALUES = 1 << 19  # that one commit holds
 _HEALTH_S = 1.0
 
@@ -160,7 +161,7 @@ class Runner:
     def _next(self) -> Block | None:
         if self._stop.is_set() and self._reader is not None:
             self._reader.stop()
-        block = self._queue.get(_POLL_S)
+        block = self._queue.get(_POLL_S, _AT_ONCE)
         self._losses += self.watch.turned(block is not None)
         self.watch.meter.queued(*self._queue.depth)
         return block
