@@ -105,3 +105,17 @@ def test_what_is_brought_under_a_name_that_leads_elsewhere_is_refused(tmp_path: 
         assert tuner.tuner._shared.folder.known() == []
         assert list(tuner.tuner._shared.uploads.folder.rglob("*")) == []
     assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_files_that_came_meanwhile_are_told_and_refused_by_name(tmp_path: Path) -> None:
+    with served(tmp_path) as tuner, tuner.talk() as page:
+        assert page.hear().told["files"] == []
+        (tmp_path / "broken.csv").write_bytes(b"\x00\x01 nothing")
+        page.ask("files")
+        files = page.until("files").told["files"]
+        assert [one["name"] for one in files] == ["broken.csv"]
+        number = page.ask("open", file=files[0]["id"])
+        trouble = page.until("trouble").told
+        assert trouble["answers"] == number
+        assert trouble["says"].startswith("broken.csv")
+        assert str(tmp_path) not in trouble["says"]

@@ -58,6 +58,7 @@ def test_opening_tells_all_that_a_page_needs(tmp_path: Path) -> None:
         assert figures["tone"] in ("fits", "except", "not")
         assert {"whiteness", "nis", "step", "spectrum"} <= set(figures["names"])
         assert {figure["name"] for figure in figures["payload"]["figures"]} == set(figures["names"].values())
+        assert all(figures["captions"][figures["names"][key]].endswith(".") for key in ("whiteness", "nis", "spectrum"))
         dial = next(heard for heard in page.heard if heard.kind == "dial").arrays
         assert (np.diff(dial["noise_left"]) < 0).all()
         assert (np.diff(dial["process_noise_density"]) < 0).all()

@@ -132,6 +132,8 @@ class Conversation:
         match message:
             case messages.Open():
                 await self._open(message.file, message.group)
+            case messages.ListFiles():
+                await self._tell({"kind": "files", **self._shared.files()})
             case messages.Look():
                 self._desk.opened.rows(message.channel)
                 self._look = message

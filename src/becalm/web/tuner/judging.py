@@ -79,6 +79,7 @@ def _told(drawn: Pictured, number: int) -> dict[str, Any]:
         "words": drawn.words,
         "numbers": _numbers(drawn),
         "payload": json.loads(payload(figures)),
+        "captions": {figure.name: figure.says for figure in figures},
         "names": {figure.name.rpartition("-")[2]: figure.name for figure in figures},
     }
 

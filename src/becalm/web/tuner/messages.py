@@ -37,6 +37,12 @@ class Open(_Message):
     group: Name | None = None
 
 
+class ListFiles(_Message):
+    """Tell which files may be opened now."""
+
+    do: Literal["files"]
+
+
 class Look(_Message):
     """Show a part of a channel in so many stretches at the most; null is the beginning, or the end."""
 
@@ -117,7 +123,7 @@ class Restore(_Message):
     recipe: Annotated[str, Field(max_length=_LONGEST_RECIPE)]
 
 
-Message = Open | Look | Turn | InMode | Undo | Redo | Map | Compare | Restore
+Message = Open | ListFiles | Look | Turn | InMode | Undo | Redo | Map | Compare | Restore
 
 _ANY: TypeAdapter[Message] = TypeAdapter(Annotated[Message, Field(discriminator="do")])
 

@@ -9,7 +9,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from becalm.errors import InputError, UsageError
+from becalm.errors import BecalmError, InputError, UsageError
 from becalm.files.registry import ENDINGS
 from becalm.web.tuner.conversation import Conversation
 from becalm.web.tuner.desk import Desk
@@ -53,12 +53,18 @@ class Shared:
         return {
             "kind": "welcome",
             "version": _version(),
+            **self.files(),
+            "file": self.folder.first if self.desk is None else self.desk.opened.id,
+            "saves": list(ENDINGS),
+        }
+
+    def files(self) -> dict[str, Any]:
+        """Tell a page what it may open now."""
+        return {
             "folder": self.folder.name,
             "files": [one.as_dict() for one in self.folder.known()],
             "upload_limit": self.uploads.limit_bytes,
-            "file": self.folder.first if self.desk is None else self.desk.opened.id,
             "formats": list(READ_ENDINGS),
-            "saves": list(ENDINGS),
         }
 
     def is_open(self, file: str, group: str | None) -> bool:
@@ -88,8 +94,11 @@ class Shared:
                 asyncio.run_coroutine_threadsafe(self._working(says), loop)
 
             def begin() -> Desk:
-                desk = Desk(Opened(file, path, group, tell))
-                desk.begin()
+                try:
+                    desk = Desk(Opened(file, path, group, tell))
+                    desk.begin()
+                except BecalmError as cause:  # a page knows files by name
+                    raise type(cause)(str(cause).replace(str(path), path.name)) from cause
                 return desk
 
             self.desk = await loop.run_in_executor(self.workers, begin)

@@ -8,9 +8,12 @@ export class Files {
   /**
    * @param {(file: string) => void} opened told the id of what is to be opened
    * @param {(file: File) => void} brought told what a person dropped or chose
+   * @param {() => void} wanted called where the list is looked at: it may be old
    */
-  constructor(opened, brought) {
+  constructor(opened, brought, wanted) {
     this.opened = opened;
+    this.wanted = wanted;
+    this.told = ""; // which files are listed
     this.place = find("files", HTMLElement);
     this.button = find("show-files", HTMLButtonElement);
     this.chosen = find("chosen", HTMLInputElement);
@@ -36,6 +39,7 @@ export class Files {
 
   /** @param {boolean} on */
   show(on) {
+    if (on && this.place.hidden) this.wanted();
     this.place.hidden = !on;
     this.button.setAttribute("aria-expanded", String(on));
     const first = /** @type {HTMLElement | null} */ (this.place.querySelector("li button"));
@@ -48,6 +52,9 @@ export class Files {
       ? `Choose one of ${folder}, or drop a file anywhere on this page (up to ${amount(upload_limit, "B")}).`
       : `Drop a file anywhere on this page, or choose one; ${folder} has none that becalm reads.`;
     this.chosen.accept = formats.join(",");
+    const told = JSON.stringify(files);
+    if (told === this.told) return; // whoever stands on a name stays there
+    this.told = told;
     find("folder", HTMLElement).replaceChildren(...files.map(({ id, name, bytes }) => {
       const button = make("button", { type: "button", class: "plain" }, name);
       button.addEventListener("click", () => this.opened(id));

@@ -9,6 +9,7 @@ import { decode, draw } from "../figures.js";
  * @property {string} says
  * @property {[string, string][]} numbers
  * @property {import("../figures.js").Payload} payload
+ * @property {Record<string, string>} captions by the figure's name
  */
 
 /** @type {Record<string, string>} */
@@ -33,7 +34,7 @@ export class Verdict {
   }
 
   /** @param {Judged} judged */
-  show({ tone, says, numbers, payload }) {
+  show({ tone, says, numbers, payload, captions }) {
     this.tone = tone;
     this.says = [SIGNS[tone], says].filter(Boolean).join(" ");
     this.wait(false);
@@ -43,7 +44,7 @@ export class Verdict {
     const map = find("map", HTMLElement);
     for (const figure of payload.figures) {
       if (figure.layers.some(({ kind }) => kind === "lane")) continue; // the strip under the signal has them
-      const place = frameOf(figure.title, `${figure.title}, ${figure.y.label} over ${figure.x.label}`);
+      const place = frameOf(figure.title, `${figure.title}, ${figure.y.label} over ${figure.x.label}`, captions[figure.name]);
       map.before(place);
       this.plots.push(draw(figure, arrays, place));
     }
@@ -58,9 +59,10 @@ export class Verdict {
   }
 }
 
-/** A figure's frame, as `draw` wants it. @param {string} title @param {string} label */
-function frameOf(title, label) {
+/** A figure's frame, as `draw` wants it. @param {string} title @param {string} label @param {string} caption */
+function frameOf(title, label, caption) {
   const reset = make("button", { type: "button", class: "reset", hidden: true }, "Whole");
   const header = make("header", {}, make("h3", {}, title), make("div", { class: "legend" }), reset);
-  return make("figure", {}, header, make("div", { class: "canvas", role: "img", "aria-label": label }));
+  const canvas = make("div", { class: "canvas", role: "img", "aria-label": label });
+  return make("figure", {}, header, canvas, make("figcaption", {}, caption));
 }

@@ -57,7 +57,7 @@ const map = new CostMap(turn);
 const choices = new Choices((settings) => turn(settings), (mode, lag_s) => send({ do: "mode", mode, lag_s }));
 const verdict = new Verdict();
 const tabs = new Tabs((channel, focus) => choose(channel, focus));
-const files = new Files(open, (file) => bring(file));
+const files = new Files(open, (file) => bring(file), () => send({ do: "files" }));
 const [classic, group, format] = ["classic", "group", "format"].map((id) => find(id, HTMLSelectElement));
 
 /** @param {number} from @param {number} to */
@@ -109,6 +109,7 @@ function tied({ up, tries, again_s }) {
 /** @param {any} message */
 function hear(message) {
   if (message.kind === "welcome") welcomed(message);
+  else if (message.kind === "files") files.list(message);
   else if (message.kind === "working") say(words.working, message.says);
   else if (message.kind === "trouble") {
     say(words.working, "");
