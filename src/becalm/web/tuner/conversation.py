@@ -215,7 +215,8 @@ class Conversation:
         )
         recipe = desk.channel(channel)
         classic = self._classics.get(channel)
-        return Wanted(desk.opened, channel, recipe, desk.lag, span_s, look.width, answers, classic)
+        lag, hurried = desk.lag, self._dragging
+        return Wanted(desk.opened, channel, recipe, lag, span_s, look.width, answers, classic, hurried)
 
     async def _show(self) -> None:
         """Paint whatever is asked for, and then, while nothing is, what takes longer."""
@@ -235,6 +236,8 @@ class Conversation:
             shown.dial = wanted.dial_key
         if wanted.classic is not None and not self._asked.is_set():
             await self._send(await self._in_thread(lambda: self._painter.classic(wanted, painted)))
+        if not self._asked.is_set():
+            await self._in_thread(lambda: self._painter.remember(wanted, painted))
         if not (self._dragging or self._asked.is_set() or shown.figures == wanted.judged_key):
             await self._judge(wanted, shown)
 

@@ -10,13 +10,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from becalm.cleaning.recipe import ChannelRecipe
+from becalm.core.verdict import Verdict
 from becalm.report.envelope import Envelope
 from becalm.web.frames import frame, relative
 from becalm.web.tuner.comparing import classic_beside
 from becalm.web.tuner.costs import cost_map
 from becalm.web.tuner.dial import dial, told_of
 from becalm.web.tuner.opened import Opened
-from becalm.web.tuner.picture import Clean, Raw, View, clean_of, raw_of, view_of
+from becalm.web.tuner.picture import LONG, Clean, Raw, View, clean_of, raw_of, view_of
+from becalm.web.tuner.rows import ChannelRows
 
 _MOST_RAW = 8  # views whose readings are kept
 _DECIBEL = 10.0
@@ -33,6 +35,7 @@ class Wanted(NamedTuple):
     width: int
     answers: int
     classic: str | None = None
+    hurried: bool = False
 
     @property
     def dial_key(self) -> tuple[object, ...]:
@@ -74,10 +77,14 @@ class Painter:
 
     def __init__(self, pool: Executor) -> None:
         self._pool = pool
-        self._raw: OrderedDict[tuple[int, int, View], Raw] = OrderedDict()
+        self._of: Opened | None = None  # whose these are
+        self._raw: OrderedDict[tuple[int, View], Raw] = OrderedDict()
+        self._gated: dict[int, ChannelRows] = {}  # of one channel, without what its gate left out
 
     def picture(self, wanted: Wanted) -> Painted:
-        """Paint a picture.
+        """Paint a picture; a hurried one leaves out the spikes that the gate left out of the whole record before.
+
+        It then is that of the gate, unless the gate would judge otherwise now, and is there sooner.
 
         Raises
         ------
@@ -86,10 +93,19 @@ class Painter:
         """
         begun = time.perf_counter()
         opened, recipe = wanted.opened, wanted.recipe
+        if opened is not self._of:
+            self._of = opened
+            self._raw.clear()
+            self._gated.clear()
         rows = opened.rows(wanted.channel)
         view = view_of(rows, opened.times_s, wanted.span_s, wanted.width)
         raw = self._raw_of(wanted, view)
-        clean = clean_of(rows, recipe, wanted.lag, view, self._pool)
+        hurried = wanted.hurried and recipe.gate is not None and wanted.channel in self._gated
+        if hurried:
+            ungated = recipe.model_copy(update={"gate": None})
+            clean = clean_of(self._gated[wanted.channel], ungated, wanted.lag, view, self._pool)
+        else:
+            clean = clean_of(rows, recipe, wanted.lag, view, self._pool)
         told = told_of(recipe, rows.step_s, wanted.lag)
         header = {
             "kind": "picture",
@@ -102,8 +118,20 @@ class Painter:
             "filter": told._asdict(),
             "took_ms": 1e3 * (time.perf_counter() - begun),
             "classic": None,
+            "hurried": hurried,
         }
         return Painted(header, view, raw, clean)
+
+    def remember(self, wanted: Wanted, painted: Painted) -> None:
+        """Make ready for pictures in a hurry, where a gate makes those of the whole record slow."""
+        rows = wanted.opened.rows(wanted.channel)
+        view, gate = painted.view, wanted.recipe.gate
+        if gate is None or wanted.hurried or view.stop - view.first < max(len(rows), LONG):
+            return
+        if (painted.clean.verdicts & (1 << Verdict.STEP)).any():  # behind which the gate begins anew
+            self._gated.clear()
+            return
+        self._gated = {wanted.channel: rows.without(painted.clean.spikes, wanted.recipe.limits)}
 
     def classic(self, wanted: Wanted, painted: Painted) -> bytes:
         """Paint a classic filter into a picture, as calm as the channel's own.
@@ -120,7 +148,7 @@ class Painter:
         return painted._replace(header={**painted.header, "classic": wanted.classic}).framed(found)
 
     def _raw_of(self, wanted: Wanted, view: View) -> Raw:
-        key = (id(wanted.opened), wanted.channel, view)
+        key = wanted.channel, view
         if key not in self._raw:
             self._raw[key] = raw_of(wanted.opened.rows(wanted.channel), wanted.opened.times_s, view)
             while len(self._raw) > _MOST_RAW:

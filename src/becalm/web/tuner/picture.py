@@ -10,13 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from becalm.cleaning.recipe import ChannelRecipe
-from becalm.core.arrays import Floats
+from becalm.core.arrays import Floats, Integers
 from becalm.core.told import Told
+from becalm.core.verdict import Verdict
 from becalm.report.envelope import Envelope, Kinds, Stretches
 from becalm.report.gathering import WIDTH
 from becalm.web.tuner.rows import ChannelRows, Run
 
-_LONG = 1 << 19
+LONG = 1 << 19
 """Rows from which on two run side by side."""
 
 _PIECE = 1 << 16  # rows that are looked at while they are in the cache
@@ -50,6 +51,7 @@ class Clean(NamedTuple):
     signal: Envelope
     band: Envelope
     verdicts: NDArray[np.uint16]  # (k,) a bit for each
+    spikes: Integers  # (n,) rows that its gate left out
 
 
 def view_of(rows: ChannelRows, times_s: Callable[[], Floats] | None, span_s: tuple[float, float], width: int) -> View:
@@ -102,7 +104,7 @@ def clean_of(rows: ChannelRows, recipe: ChannelRecipe, lag: int | None, view: Vi
     run, each = Run(rows, recipe, lag), view.rows_each
     halves = [view]
     count = view.stop - view.first
-    if count >= _LONG and _WORTH * run.reach <= count:
+    if count >= LONG and _WORTH * run.reach <= count:
         middle = view.first + count // 2 // each * each
         halves = [view._replace(stop=middle), view._replace(first=middle)]
     return _joined(list(pool.map(lambda half: _enclosed(run, half, each), halves)))
@@ -116,6 +118,11 @@ class _Enclosing:
         self._stretches = Stretches(rows, -(-rows // each))
         self.signal, self.band = Envelope(self._stretches.count), Envelope(self._stretches.count)
         self.kinds = Kinds(self._stretches.count)
+        self._row, self._spikes = view.first, [np.empty(0, np.int64)]
+
+    def clean(self) -> Clean:
+        """Return what all rows were."""
+        return Clean(self.signal, self.band, self.kinds.met, np.concatenate(self._spikes))
 
     def add(self, told: Told) -> None:
         """Take the next rows."""
@@ -124,6 +131,9 @@ class _Enclosing:
             touched, begins = self._stretches.next(len(part.signal))
             self._enclose(part, touched, begins)
             self.kinds.add(touched, begins, part.verdicts)
+            if part.verdicts.any():
+                self._spikes.append(self._row + np.flatnonzero(part.verdicts == Verdict.SPIKE))
+            self._row += len(part.signal)
 
     def _enclose(self, told: Told, touched: slice, begins: NDArray[np.intp]) -> None:
         low, high = np.fmin.reduceat(told.signal, begins), np.fmax.reduceat(told.signal, begins)
@@ -141,7 +151,7 @@ def _enclosed(run: Run, view: View, each: int) -> Clean:
     enclosing = _Enclosing(view, each)
     for told in run.told(view.first, view.stop):
         enclosing.add(told)
-    return Clean(enclosing.signal, enclosing.band, enclosing.kinds.met)
+    return enclosing.clean()
 
 
 def _unchanged(rows: ChannelRows, recipe: ChannelRecipe, view: View) -> Clean:
@@ -150,14 +160,15 @@ def _unchanged(rows: ChannelRows, recipe: ChannelRecipe, view: View) -> Clean:
     part = slice(view.first, view.stop)
     unknown = np.full(view.stop - view.first, np.nan)
     enclosing.add(Told(healthy.readings[part], unknown, unknown[np.newaxis], healthy.verdicts[part]))
-    return Clean(enclosing.signal, enclosing.band, enclosing.kinds.met)
+    return enclosing.clean()
 
 
 def _joined(parts: list[Clean]) -> Clean:
     if len(parts) == 1:
         return parts[0]
     signal, band = _end_to_end([part.signal for part in parts]), _end_to_end([part.band for part in parts])
-    return Clean(signal, band, np.concatenate([part.verdicts for part in parts]))
+    verdicts, spikes = ([getattr(part, name) for part in parts] for name in ("verdicts", "spikes"))
+    return Clean(signal, band, np.concatenate(verdicts), np.concatenate(spikes))
 
 
 def _end_to_end(parts: list[Envelope]) -> Envelope:

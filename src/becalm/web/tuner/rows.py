@@ -13,7 +13,7 @@ from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.recipe_parts import LimitsRecipe
 from becalm.cleaning.slopes import TimingNoise
 from becalm.cleaning.uncertainty import Uncertainty
-from becalm.core.arrays import Codes, Floats
+from becalm.core.arrays import Codes, Floats, Integers
 from becalm.core.kernel_ahead import BLOCK
 from becalm.core.told import Told
 from becalm.core.verdict import Verdict
@@ -61,7 +61,7 @@ class ChannelRows:
 
     def healthy(self, limits: LimitsRecipe | None) -> Healthy:
         """Return the readings that may enter a filter; what the sensor keeps to is looked at once."""
-        plain = None if limits is None else limits.model_copy(update={"drift_threshold": None, "dead_variance": None})
+        plain = _plain(limits)
         found = self._healthy.get(plain)
         if found is None:
             watch = SensorWatch(plain, self.step_s, shown=False)
@@ -71,6 +71,14 @@ class ChannelRows:
             found = Healthy(readings, told.verdicts, self._longest_gap(readings))
             self._healthy = {**({} if len(self._healthy) > 1 else self._healthy), plain: found}
         return found
+
+    def without(self, spikes: Integers, limits: LimitsRecipe | None) -> ChannelRows:
+        """Return the rows as if these readings were missing, as they are to a filter whose gate leaves them out."""
+        healthy, other = self.healthy(limits), ChannelRows(self.z, self.elapsed, self.step_s, self._limits)
+        readings, verdicts = healthy.readings.copy(), healthy.verdicts.copy()
+        readings[spikes], verdicts[spikes] = np.nan, Verdict.SPIKE
+        other._healthy = {_plain(limits): Healthy(readings, verdicts, self._longest_gap(readings))}
+        return other
 
     def possible(self, part: slice) -> Floats:
         """Return some readings to draw: without what no sensor gives, which would leave no room for the others."""
@@ -82,6 +90,11 @@ class ChannelRows:
         if arrived.all():
             return float(self.elapsed[1:].max(initial=0.0))
         return float(np.diff(np.cumsum(self.elapsed)[arrived]).max(initial=0.0))
+
+
+def _plain(limits: LimitsRecipe | None) -> LimitsRecipe | None:
+    """Return what of the limits is told of readings alone."""
+    return None if limits is None else limits.model_copy(update={"drift_threshold": None, "dead_variance": None})
 
 
 class Run:

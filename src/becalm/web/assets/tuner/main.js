@@ -259,7 +259,8 @@ function draw(frame) {
     desk.filter = header.filter;
     dial.tell(header.filter);
     const each = header.rows_each > 1 ? `Each stretch is ${header.rows_each.toLocaleString("en")} rows, drawn from the least to the greatest.` : "";
-    find("plot-says", HTMLElement).textContent = `Drawn: ${header.filter.says}. ${each}`;
+    const hurried = header.hurried ? "While you drag, the spikes of before are left out." : "";
+    find("plot-says", HTMLElement).textContent = [`Drawn: ${header.filter.says}.`, each, hurried].join(" ");
   }
 }
 
