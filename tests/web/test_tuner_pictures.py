@@ -82,7 +82,7 @@ def test_a_part_has_the_numbers_of_the_whole(name: str, part: str) -> None:
 
 @pytest.mark.parametrize("name", ["order 2", "gaps, causal", "uneven", "gated", "tones", "limits", "switching, causal"])
 def test_halves_side_by_side_are_one_picture(name: str, pool: Executor, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(picture, "_LONG", 1000)
+    monkeypatch.setattr(picture, "LONG", 1000)
     case, whole = CASES[name], cleaned(name)
     view = View(3, ROWS - 5, 777)
     found = clean_of(rows_of(case.recording), case.recipe.channel[0], lag_of(case.recipe), view, pool)

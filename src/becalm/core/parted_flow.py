@@ -157,10 +157,13 @@ class Gaps:
 
     def starts(self, arrived: Booleans, elapsed: Floats) -> Iterator[int]:
         """Give the rows, of the next (B,), that start anew."""
+        unusual = np.append(np.flatnonzero(~arrived | (elapsed != 1.0)), len(arrived))
         begin = 0
         while begin < len(arrived):
-            if self._bridges(arrived[begin:], elapsed[begin:]):
-                return
+            usual = int(unusual[np.searchsorted(unusual, begin)])
+            if (usual == len(arrived) or usual - begin > _LOOK) and self._bridges(usual - begin):
+                begin = usual
+                continue
             rows = slice(begin, begin + _LOOK)
             found = self._first_start(arrived[rows], elapsed[rows])
             if found is not None:
@@ -177,13 +180,13 @@ class Gaps:
         """Take over what `saved` returned."""
         self._now, self._last, self._readings = float(moved[0]), float(moved[1]), int(moved[2])
 
-    def _bridges(self, arrived: Booleans, elapsed: Floats) -> bool:
-        """Take all rows at once if nothing is missing in even time, as mostly; say whether they were taken."""
+    def _bridges(self, rows: int) -> bool:
+        """Take rows of which none is missing in even time at once, as mostly; say whether they were taken."""
         near = min(self._reach.longest, self._reach.spans * self._last) >= 1.0 and self._now.is_integer()
-        if not (near and self._readings >= self._reach.readings and arrived.all() and (elapsed == 1.0).all()):
+        if not (near and self._readings >= self._reach.readings):
             return False
-        self._now += len(elapsed)
-        self._last, self._readings = self._now, self._readings + len(arrived)
+        self._now += rows
+        self._last, self._readings = self._now, self._readings + rows
         return True
 
     def _first_start(self, arrived: Booleans, elapsed: Floats) -> int | None:

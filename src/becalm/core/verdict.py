@@ -68,6 +68,9 @@ def judge(z: Floats, largest: float = BEYOND_ANY_SENSOR) -> Judged:
     if not len(z) or -largest <= z.min() <= z.max() <= largest:  # NaN makes both NaN
         counts[Verdict.USED] = len(z)
         return Judged(z, counts, np.zeros(len(z), np.int8))
+    if -largest <= np.fmin.reduce(z) <= np.fmax.reduce(z) <= largest:  # nothing but NaN is wrong
+        verdicts = np.isnan(z).astype(np.int8)  # which is MISSING
+        return Judged(z, counts | counted(verdicts), verdicts)
     verdicts = np.select(
         [np.isnan(z), np.isinf(z), np.abs(z) > largest],
         [Verdict.MISSING, Verdict.NONFINITE, Verdict.OVERRANGE],
