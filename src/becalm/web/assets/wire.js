@@ -3,8 +3,8 @@
 import { decode } from "./frames.js";
 
 /**
- * @typedef {{ up: boolean, tries: number, again_s: number }} Link whether the wire holds; else how often it was tried in
- * vain, and when next
+ * @typedef {{ up: boolean, tries: number, again_s: number, reason: string }} Link whether the wire holds; else how often it
+ * was tried in vain, when next, and why it was refused, if it was
  * @typedef {object} Ears
  * @property {(message: any) => void} text
  * @property {(frame: import("./frames.js").Frame) => void} frame
@@ -29,17 +29,17 @@ export function connect(ears) {
     socket = new WebSocket(`${location.origin.replace(/^http/, "ws")}/wire`);
     socket.binaryType = "arraybuffer";
     socket.addEventListener("open", () => {
-      tries = 0;
-      ears.link({ up: true, tries, again_s: 0 });
+      ears.link({ up: true, tries, again_s: 0, reason: "" });
     });
     socket.addEventListener("message", ({ data }) => {
+      tries = 0; // a door that is shut at once is not open
       if (typeof data === "string") ears.text(JSON.parse(data));
       else ears.frame(decode(data));
     });
-    socket.addEventListener("close", () => {
+    socket.addEventListener("close", ({ reason }) => {
       const again_s = Math.min(LONGEST_S, FIRST_S * 2 ** tries);
       tries += 1;
-      ears.link({ up: false, tries, again_s });
+      ears.link({ up: false, tries, again_s, reason });
       setTimeout(tie, 1000 * again_s);
     });
   }

@@ -6,6 +6,7 @@ import asyncio
 import logging
 import math
 from collections.abc import Awaitable, Callable, Coroutine, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -30,6 +31,9 @@ _UNFORESEEN = "Something went wrong in becalm that nobody foresaw; its error out
 _log = logging.getLogger(__name__)
 
 T = TypeVar("T")
+
+Telling = Callable[["Conversation"], Coroutine[Any, Any, None]]
+"""Tells a page something."""
 
 
 @dataclass
@@ -61,6 +65,7 @@ class Conversation:
         self._shown = _Shown()
         self._sending = asyncio.Lock()
         self._tasks: set[asyncio.Task[None]] = set()
+        self._mapping: asyncio.Task[None] | None = None
 
     async def run(self) -> None:
         """Speak with the page until it is closed."""
@@ -95,13 +100,23 @@ class Conversation:
         await self.told_state()
 
     async def told_state(self, but: Conversation | None = None) -> None:
-        """Tell the page what is set, and show it, but to the one that has asked for its picture already."""
+        """Tell the page what is set, and show it; `but` is the page whose picture is already on its way."""
         if but is not self:
             self._ask(self._answers)
         await self._tell(await self._in_thread(self._desk.state_told))
 
+    def tell(self, what: Telling) -> None:
+        """Tell the page something beside all else: another one does not wait until this one hears."""
+
+        async def telling() -> None:
+            with suppress(WebSocketDisconnect):
+                await self._guarded(what(self), None)
+
+        if not self._gone:
+            self._start(telling())
+
     async def working(self, says: str) -> None:
-        """Tell the page what is being done."""
+        """Tell the page what is being done; "" of nothing any more."""
         await self._tell({"kind": "working", "says": says})
 
     async def _hear(self, frame: Mapping[str, Any]) -> None:
@@ -141,7 +156,9 @@ class Conversation:
             case messages.Turn():
                 await self._turn(message)
             case messages.Map():
-                self._start(self._guarded(self._map(message), message.number))
+                if self._mapping is not None:
+                    self._mapping.cancel()
+                self._mapping = self._start(self._guarded(self._map(message), message.number))
             case messages.Compare():
                 self._compare(message)
             case _:
@@ -153,7 +170,7 @@ class Conversation:
             return
         self._asked.clear()
         await self._shared.open(file, group)
-        await self._shared.tell_all(Conversation.told_anew)
+        await self._shared.tell_all(Conversation.told_anew, self)
 
     async def _turn(self, message: messages.Turn) -> None:
         desk = self._desk
@@ -169,24 +186,29 @@ class Conversation:
         self._look = self._look.model_copy(update={"channel": message.channel})
         self._ask(message.number)
         if message.final:
-            await self._shared.tell_all(lambda page: page.told_state(but=self))
+            await self._shared.tell_all(lambda page: page.told_state(but=self), self)
 
     async def _change(self, message: messages.Message) -> None:
         desk = self._desk
-        match message:
-            case messages.InMode():
-                await self._in_thread(lambda: desk.put_in_mode(message.mode, message.lag_s))
-                self._classics.clear()
-            case messages.Undo():
-                desk.undo()
-            case messages.Redo():
-                desk.redo()
-            case messages.Restore():
-                await self._in_thread(lambda: desk.restore(message.recipe))
+        before = desk.options
+        try:
+            match message:
+                case messages.InMode():
+                    await self._in_thread(lambda: desk.put_in_mode(message.mode, message.lag_s))
+                    self._classics.clear()
+                case messages.Undo():
+                    desk.undo()
+                case messages.Redo():
+                    desk.redo()
+                case messages.Restore():
+                    await self._in_thread(lambda: desk.restore(message.recipe))
+        except BaseException:
+            await self._shared.working("")
+            raise
         self._dragging = False
         self._answers = message.number
-        told = Conversation.told_anew if isinstance(message, messages.Restore) else Conversation.told_state
-        await self._shared.tell_all(told)
+        anew = isinstance(message, messages.Restore) or desk.options is not before  # of the other mode
+        await self._shared.tell_all(Conversation.told_anew if anew else Conversation.told_state, self)
 
     async def _map(self, message: messages.Map) -> None:
         wanted = await self._in_thread(lambda: self._wanted(message.number, message.channel))
@@ -215,6 +237,8 @@ class Conversation:
         )
         recipe = desk.channel(channel)
         classic = self._classics.get(channel)
+        if classic not in desk.classics:  # it was of another mode
+            classic = None
         lag, hurried = desk.lag, self._dragging
         return Wanted(desk.opened, channel, recipe, lag, span_s, look.width, answers, classic, hurried)
 
@@ -265,10 +289,11 @@ class Conversation:
     async def _in_thread(self, work: Callable[[], T]) -> T:
         return await asyncio.get_running_loop().run_in_executor(self._shared.workers, work)
 
-    def _start(self, doing: Coroutine[Any, Any, None]) -> None:
+    def _start(self, doing: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
         task: asyncio.Task[None] = asyncio.create_task(doing)
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
+        return task
 
     async def _trouble(self, says: str, answers: int | None) -> None:
         await self._tell({"kind": "trouble", "says": says, "answers": answers})

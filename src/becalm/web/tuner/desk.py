@@ -57,7 +57,7 @@ class Desk:
     @property
     def options(self) -> tuple[Options, ...]:
         """What may be set of each channel in the mode that is on."""
-        return self.opened.options(self.opened.as_filter(self.now.mode, self.now.lag_s))
+        return self._options_in(self.now)
 
     @property
     def can_undo(self) -> bool:
@@ -137,8 +137,9 @@ class Desk:
         UsageError
             If none is.
         """
-        recipe = self.recipe_of_all()
-        told = zip(recipe.channel, self.now.settings, strict=True)
+        now = self.now
+        recipe = self._recipe_of(now)
+        told = zip(recipe.channel, now.settings, strict=True)
         kept = tuple(channel for channel, setting in told if not setting.unchanged)
         if not kept:
             raise UsageError("No channel is left to clean; let one be cleaned before you save.")
@@ -146,15 +147,13 @@ class Desk:
 
     def recipe_of_all(self) -> Recipe:
         """Return the recipe of all channels, also of those that pass unchanged."""
-        mode, lag_s, settings = self.now
-        told = tuple(option.recipe(setting) for option, setting in zip(self.options, settings, strict=True))
-        origin = self.opened.origin(self.opened.as_filter(mode, lag_s))
-        return Recipe(mode=mode, lag_s=lag_s, tuned_on=origin, channel=told)
+        return self._recipe_of(self.now)
 
     def recording_told(self) -> dict[str, object]:
         """Tell a page of the recording."""
-        opened, (mode, lag_s, settings) = self.opened, self.now
-        names = zip(opened.recording.names, opened.recording.units, self.options, settings, strict=True)
+        opened, now = self.opened, self.now
+        mode, lag_s, settings = now
+        names = zip(opened.recording.names, opened.recording.units, self._options_in(now), settings, strict=True)
         return {
             "kind": "recording",
             "file": opened.id,
@@ -175,7 +174,8 @@ class Desk:
 
     def state_told(self) -> dict[str, object]:
         """Tell a page what is set."""
-        mode, lag_s, settings = self.now
+        now = self.now
+        mode, lag_s, settings = now
         try:
             recipe = self.recipe().to_toml()
         except UsageError:
@@ -188,9 +188,18 @@ class Desk:
             "can_redo": self.can_redo,
             "changed": self.now != self._steps[0],
             "recipe": recipe,
-            "channels": [option.told(one) for option, one in zip(self.options, settings, strict=True)],
+            "channels": [option.told(one) for option, one in zip(self._options_in(now), settings, strict=True)],
             "classics": self.classics,
         }
+
+    def _recipe_of(self, now: Doing) -> Recipe:
+        mode, lag_s, settings = now
+        told = tuple(option.recipe(setting) for option, setting in zip(self._options_in(now), settings, strict=True))
+        origin = self.opened.origin(self.opened.as_filter(mode, lag_s))
+        return Recipe(mode=mode, lag_s=lag_s, tuned_on=origin, channel=told)
+
+    def _options_in(self, now: Doing) -> tuple[Options, ...]:
+        return self.opened.options(self.opened.as_filter(now.mode, now.lag_s))
 
     def _options_of(self, channel: int) -> Options:
         self.opened.rows(channel)  # refuses what is none

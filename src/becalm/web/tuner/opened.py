@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -76,6 +77,7 @@ class Opened:
             self.remarks = list(source.notes)
             self.several = len(opened.sources) > 1
         self._explored: dict[bool, tuple[Tuned, tuple[Options, ...]]] = {}
+        self._exploration = threading.Lock()  # of which two pages may have need at once
         self._times: Floats | None = None
         self._rows: dict[int, ChannelRows] = {}
 
@@ -131,22 +133,23 @@ class Opened:
         return self._times
 
     def _exploring(self, as_filter: bool) -> tuple[Tuned, tuple[Options, ...]]:
-        if as_filter not in self._explored:
-            count, done = len(self.recording.names), list[str]()
-            self._progress(f"Finding the noise of {count} channel{'s' * (count > 1)} ...")
+        with self._exploration:
+            if as_filter not in self._explored:
+                self._explored[as_filter] = self._explore(as_filter)
+            return self._explored[as_filter]
 
-            def tell(name: str) -> None:
-                done.append(name)
-                self._progress(f"Found the filter of {name} ({len(done)} of {count}).")
+    def _explore(self, as_filter: bool) -> tuple[Tuned, tuple[Options, ...]]:
+        count, done = len(self.recording.names), list[str]()
+        self._progress(f"Finding the noise of {count} channel{'s' * (count > 1)} ...")
 
-            tuned = explore(self._sample, causal=as_filter, wishes=Wishes(), progress=tell)
-            told = calibrated(tuned.recipe.channel, self._calibrations)
-            pairs = zip(tuned.found, told, strict=True)
-            self._explored[as_filter] = (
-                tuned,
-                tuple(Options(found, channel, self.step_s, as_filter) for found, channel in pairs),
-            )
-        return self._explored[as_filter]
+        def tell(name: str) -> None:
+            done.append(name)
+            self._progress(f"Found the filter of {name} ({len(done)} of {count}).")
+
+        tuned = explore(self._sample, causal=as_filter, wishes=Wishes(), progress=tell)
+        told = calibrated(tuned.recipe.channel, self._calibrations)
+        pairs = zip(tuned.found, told, strict=True)
+        return tuned, tuple(Options(found, channel, self.step_s, as_filter) for found, channel in pairs)
 
 
 def _chosen(sources: Sequence[OpenSource], group: str | None) -> OpenSource:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable
+import secrets
 from concurrent.futures import ThreadPoolExecutor
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -11,7 +11,7 @@ from typing import Any
 
 from becalm.errors import BecalmError, InputError, UsageError
 from becalm.files.registry import ENDINGS
-from becalm.web.tuner.conversation import Conversation
+from becalm.web.tuner.conversation import Conversation, Telling
 from becalm.web.tuner.desk import Desk
 from becalm.web.tuner.folder import READ_ENDINGS, Folder
 from becalm.web.tuner.opened import Opened
@@ -42,6 +42,8 @@ class Shared:
         self.desk: Desk | None = None
         self._written = 0.0  # when the file that is open was
         self._opening = asyncio.Lock()
+        self._openings: set[asyncio.Task[None]] = set()
+        self._run = secrets.token_hex(8)
 
     @property
     def first(self) -> str | None:
@@ -53,6 +55,7 @@ class Shared:
         return {
             "kind": "welcome",
             "version": _version(),
+            "run": self._run,
             **self.files(),
             "file": self.folder.first if self.desk is None else self.desk.opened.id,
             "saves": list(ENDINGS),
@@ -68,7 +71,7 @@ class Shared:
         }
 
     def is_open(self, file: str, group: str | None) -> bool:
-        """Whether a file is the one that is open, as it was then; also where it is not there any more."""
+        """Whether a file is the one that is open, unchanged since it was read, or deleted since."""
         if self.desk is None or self.desk.opened.id != file or group not in (None, self.desk.opened.group):
             return False
         try:
@@ -84,6 +87,12 @@ class Shared:
         BecalmError
             If it cannot be read.
         """
+        opening = asyncio.create_task(self._open(file, group))
+        self._openings.add(opening)  # which goes on where the page that asked is reloaded: it will ask again
+        opening.add_done_callback(self._openings.discard)
+        await asyncio.shield(opening)
+
+    async def _open(self, file: str, group: str | None) -> None:
         async with self._opening:
             if self.is_open(file, group):
                 return  # another page asked for it as well
@@ -91,7 +100,7 @@ class Shared:
             written = path.stat().st_mtime
 
             def tell(says: str) -> None:
-                asyncio.run_coroutine_threadsafe(self._working(says), loop)
+                asyncio.run_coroutine_threadsafe(self.working(says), loop)
 
             def begin() -> Desk:
                 try:
@@ -101,12 +110,20 @@ class Shared:
                     raise type(cause)(str(cause).replace(str(path), path.name)) from cause
                 return desk
 
-            self.desk = await loop.run_in_executor(self.workers, begin)
+            try:
+                self.desk = await loop.run_in_executor(self.workers, begin)
+            except BaseException:
+                await self.working("")
+                raise
             self._written = written
 
-    async def tell_all(self, what: Callable[[Conversation], Awaitable[None]]) -> None:
-        """Tell every page something."""
-        await asyncio.gather(*(what(page) for page in tuple(self.pages)), return_exceptions=True)
+    async def tell_all(self, what: Telling, asker: Conversation | None) -> None:
+        """Tell every page something; only the one that asked for it is waited for."""
+        for page in tuple(self.pages):
+            if page is not asker:
+                page.tell(what)
+        if asker is not None:
+            await what(asker)
 
     @property
     def open_desk(self) -> Desk:
@@ -127,8 +144,9 @@ class Shared:
             pool.shutdown(wait=False, cancel_futures=True)
         self.uploads.close()
 
-    async def _working(self, says: str) -> None:
-        await self.tell_all(lambda page: page.working(says))
+    async def working(self, says: str) -> None:
+        """Tell every page what is being done; "" of nothing any more."""
+        await self.tell_all(lambda page: page.working(says), None)
 
 
 def _version() -> str:

@@ -40,12 +40,12 @@ let fresh = false; // bins came since the last frame
 const send = connect({
   text: (message) => heard[message.kind]?.(message),
   frame: take,
-  link: ({ up, again_s }) => {
+  link: ({ up, again_s, reason }) => {
     document.body.dataset.state = up ? "live" : "disconnected";
     const over = OVER.includes(state);
-    const says = over ? "The stream has ended, and becalm with it" : "becalm does not answer";
+    const says = over ? "The stream has ended, and becalm with it;" : reason || "becalm does not answer;";
     if (!up && over) say(links.working, "");
-    say(links.link, up ? "" : `${says}; what came before stays here. Trying again in ${again_s} s.`);
+    say(links.link, up ? "" : `${says} what came before stays here. Trying again in ${again_s} s.`);
   },
 });
 
@@ -79,9 +79,12 @@ function begin(message) {
     Object.assign(globalThis, { becalmLive: { view, strips, counts, store: shown } });
     held = null;
     level = -1;
+    showButtons();
   }
+  asked = ""; // what was asked of the past is not answered any more
   find("stream", HTMLElement).hidden = find("actions", HTMLElement).hidden = false;
   follow(again);
+  lookBack();
 }
 
 /** Ask for what comes, of the level in view. @param {boolean} [goesOn] from where it was left */
@@ -150,6 +153,10 @@ function change(change) {
   }
   saidMs = 0;
   for (const strip of strips) strip.scale = null;
+  showButtons();
+}
+
+function showButtons() {
   buttons.pause.textContent = view.paused ? "Go on" : "Pause";
   buttons.now.disabled = !view.paused;
 }
@@ -210,11 +217,12 @@ function fare(health) {
   }
   saidMs = 0;
   const losses = Object.entries(health.losses).filter(([, { events }]) => events);
-  const ms = health.latency_ms;
+  const latency = (/** @type {number | null} */ ms) => amount(ms === null ? null : ms / 1e3, "s");
+  const { p50, p99 } = health.latency_ms;
   tell(find("health", HTMLElement), [
     ["rows", health.rows.toLocaleString("en")],
     ["rows a second", amount(health.rows_per_s, "")],
-    ["latency, p50 / p99", `${amount(ms.p50 / 1e3, "s")} / ${amount(ms.p99 / 1e3, "s")}`],
+    ["latency, p50 / p99", `${latency(p50)} / ${latency(p99)}`],
     ["blocks that wait", String(health.queue.blocks)],
     ["kept", health.commits.last_age_s === null ? "not yet" : `${amount(health.commits.last_age_s, "s")} ago`],
     ["losses", losses.length ? losses.map(([kind, { events, rows }]) => `${kind} ${events}${rows ? ` (${rows} rows)` : ""}`).join(", ") : "none"],

@@ -38,8 +38,8 @@ export class Verdict {
     this.tone = tone;
     this.says = [SIGNS[tone], says].filter(Boolean).join(" ");
     this.wait(false);
-    tell(find("numbers", HTMLElement), numbers);
     this.clear();
+    tell(find("numbers", HTMLElement), numbers);
     const arrays = payload.arrays.map(decode);
     const map = find("map", HTMLElement);
     for (const figure of payload.figures) {
@@ -51,6 +51,7 @@ export class Verdict {
   }
 
   clear() {
+    tell(find("numbers", HTMLElement), []);
     for (const u of this.plots.splice(0)) {
       const place = u.root.closest("figure");
       u.destroy();

@@ -34,6 +34,8 @@ const desk = {
   channel: 0,
   saving: false,
   mapped: "", // of what the map was asked
+  /** @type {number | null} */ mapAsked: null, // by which message
+  run: "", // of becalm
   /** @type {import("./dial.js").Filter} */ filter: {}, // that is drawn
   pictures: 0, // that have come
 };
@@ -95,14 +97,13 @@ async function during(says, does) {
 }
 
 /** @param {import("../wire.js").Link} link */
-function tied({ up, tries, again_s }) {
+function tied({ up, tries, again_s, reason }) {
   document.body.dataset.state = up ? "open" : "disconnected";
   for (const one of document.querySelectorAll("fieldset")) one.disabled = !up;
   asking.forget();
-  if (up) desk.restoring = desk.state?.recipe ?? null;
   const hint = tries > 3 ? " If it was started anew, open the address that it printed." : "";
   const kept = desk.recording ? " What you did is kept here." : "";
-  say(words.link, up ? "" : `becalm does not answer; trying again in ${Math.ceil(again_s)} s.${kept}${hint}`);
+  say(words.link, up ? "" : `${reason || "becalm does not answer."} Trying again in ${Math.ceil(again_s)} s.${kept}${hint}`);
   if (!up) say(words.working, "");
 }
 
@@ -130,7 +131,11 @@ function welcomed(welcome) {
   files.list(welcome);
   fill(format, welcome.saves.map((/** @type {string} */ ending) => ending.slice(1)), format.value);
   const open = desk.recording?.file;
+  const [here, again] = [welcome.run === desk.run, Boolean(desk.run)];
+  desk.run = welcome.run;
+  desk.restoring = again && !here ? desk.state?.recipe ?? null : null;
   if (!open) files.show(!welcome.file);
+  else if (here) return; // only the wire broke: what is open is told
   else if (welcome.file === open && desk.recording?.groups.length === 1) return;
   else if (desk.brought && !welcome.files.some((/** @type {{ id: string }} */ one) => one.id === open)) bring(desk.brought, desk.recording?.group);
   else send({ do: "open", file: open, group: desk.recording?.group });
@@ -231,12 +236,12 @@ function settingOf(channel) {
 
 /** Ask for the map where another model makes another one. @param {Settings} settings */
 function askMap({ choice, on, noise_std, process_noise_density }) {
-  const wanted = JSON.stringify([desk.channel, choice, on]);
+  const wanted = JSON.stringify([desk.state?.mode, desk.state?.lag_s, desk.channel, choice, on]);
   if (noise_std && process_noise_density) map.point({ noise_std, process_noise_density });
   find("map", HTMLElement).hidden = !noise_std;
   if (wanted === desk.mapped || !noise_std) return;
   desk.mapped = wanted;
-  send({ do: "map", channel: desk.channel });
+  desk.mapAsked = send({ do: "map", channel: desk.channel });
 }
 
 /** @param {import("../frames.js").Frame} frame */
@@ -251,7 +256,9 @@ function draw(frame) {
     dial.lay(desk.dials.get(header.channel) ?? null, unit);
     dial.point(desk.state?.channels[desk.channel].process_noise_density ?? null);
     dial.tell(desk.filter);
-  } else if (header.kind === "map") map.show(header, arrays.cost, unit);
+  } else if (header.kind === "map") {
+    if (header.answers === desk.mapAsked) map.show(header, arrays.cost, unit);
+  }
   else if (header.kind === "picture") {
     plot.drawn = () => { if (plot.u) drawLanes(lanes, plot.u, arrays.verdicts); };
     desk.pictures += 1;
