@@ -114,7 +114,10 @@ def test_files_that_came_meanwhile_are_told_and_refused_by_name(tmp_path: Path) 
         page.ask("files")
         files = page.until("files").told["files"]
         assert [one["name"] for one in files] == ["broken.csv"]
-        number = page.ask("open", file=files[0]["id"])
+        with tuner.talk() as other:
+            number = page.ask("open", file=files[0]["id"])
+            assert other.until("working").told["says"] == "Reading broken.csv ..."
+            assert other.until("working").told["says"] == "", "it does not wait for what will not come"
         trouble = page.until("trouble").told
         assert trouble["answers"] == number
         assert trouble["says"].startswith("broken.csv")

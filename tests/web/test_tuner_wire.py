@@ -12,7 +12,7 @@ import pytest
 import becalm
 from becalm.cleaning.recipe import Recipe
 from becalm.core.verdict import Verdict
-from becalm.web.tuner import conversation
+from becalm.web.tuner import showing
 from tuner_served import ROWS, Served, Talk, drive_in, served
 
 
@@ -184,6 +184,8 @@ def test_a_classic_filter_is_drawn_beside(page: Talk) -> None:
 def test_a_mode_is_tuned_for_itself_and_undone(page: Talk) -> None:
     smoothed = page.picture(page.ask("look", channel=1, width=300)).told["filter"]
     number = page.ask("mode", mode="causal")
+    recording = page.until("recording").told  # models, their evidence and parts are others
+    assert recording["mode"] == "causal"
     state = page.until("state").told
     assert state["mode"] == "causal"
     assert "Butterworth 2" in state["classics"]
@@ -213,8 +215,13 @@ def test_a_recipe_brings_back_what_was_done(page: Talk) -> None:
     assert state["channels"][1]["choice"] == "found"
     changed = recipe.replace("noise_std = ", "noise_std = 1", 1).replace("gate]", "gate]\nagree = 7", 1)
     assert changed != recipe
-    page.ask("undo")
-    page.until("state")
+    page.ask("restore", recipe=changed)
+    state = page.until("state").told
+    assert state["channels"][0]["choice"] == "given"
+    assert Recipe.from_toml(state["recipe"]).channel == Recipe.from_toml(changed).channel
+    for _ in range(2):
+        page.ask("undo")
+        page.until("state")
 
 
 def test_another_page_is_told(page: Talk, tuner: Served) -> None:
@@ -268,7 +275,7 @@ def test_what_nobody_foresaw_is_told_and_the_wire_stays_open(page: Talk, monkeyp
         raise ZeroDivisionError("as it was told to")
 
     with monkeypatch.context() as patch:
-        patch.setattr(conversation, "map_frame", broken)
+        patch.setattr(showing, "map_frame", broken)
         page.ask("map", channel=0)
         assert "nobody foresaw" in page.until("trouble").told["says"]
     assert page.picture(page.ask("look", channel=0, width=10)).arrays["t"].size == 10

@@ -133,10 +133,11 @@ class Opened:
         return self._times
 
     def _exploring(self, as_filter: bool) -> tuple[Tuned, tuple[Options, ...]]:
-        with self._exploration:
-            if as_filter not in self._explored:
-                self._explored[as_filter] = self._explore(as_filter)
-            return self._explored[as_filter]
+        if as_filter not in self._explored:
+            with self._exploration:
+                if as_filter not in self._explored:
+                    self._explored[as_filter] = self._explore(as_filter)
+        return self._explored[as_filter]
 
     def _explore(self, as_filter: bool) -> tuple[Tuned, tuple[Options, ...]]:
         count, done = len(self.recording.names), list[str]()

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import secrets
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from becalm.errors import BecalmError, InputError, UsageError
 from becalm.files.registry import ENDINGS
@@ -18,6 +19,8 @@ from becalm.web.tuner.opened import Opened
 from becalm.web.uploads import Uploads
 
 _HALVES, _WORKERS = 2, 6
+
+T = TypeVar("T")
 
 
 class Shared:
@@ -125,6 +128,10 @@ class Shared:
         if asker is not None:
             await what(asker)
 
+    async def in_thread(self, work: Callable[[], T]) -> T:
+        """Do some work in a thread."""
+        return await asyncio.get_running_loop().run_in_executor(self.workers, work)
+
     @property
     def open_desk(self) -> Desk:
         """What is worked on.
@@ -135,7 +142,7 @@ class Shared:
             If nothing is open.
         """
         if self.desk is None:
-            raise UsageError("Nothing is open yet; open a file on the page first.")
+            raise UsageError("Nothing is open yet; choose a file, or drop one here.")
         return self.desk
 
     def close(self) -> None:
