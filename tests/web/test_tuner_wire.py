@@ -213,7 +213,7 @@ def test_a_recipe_brings_back_what_was_done(page: Talk) -> None:
     assert state["channels"][0]["choice"] == "order-3"
     assert not state["channels"][0]["on"]["tone-0"]
     assert state["channels"][1]["choice"] == "found"
-    changed = recipe.replace("noise_std = ", "noise_std = 1", 1).replace("gate]", "gate]\nagree = 7", 1)
+    changed = recipe.replace("noise_std = ", "noise_std = 1", 1).replace("agree = 5", "agree = 7", 1)
     assert changed != recipe
     page.ask("restore", recipe=changed)
     state = page.until("state").told
