@@ -56,9 +56,9 @@ def test_opening_tells_all_that_a_page_needs(tmp_path: Path) -> None:
         assert recording["command"] == "becalm clean drive.csv -o drive-clean.csv --recipe drive.recipe.toml"
         figures = page.heard[-1].told
         assert figures["tone"] in ("fits", "except", "not")
-        assert {"whiteness", "nis", "step", "spectrum"} <= set(figures["names"])
-        assert {figure["name"] for figure in figures["payload"]["figures"]} == set(figures["names"].values())
-        assert all(figures["captions"][figures["names"][key]].endswith(".") for key in ("whiteness", "nis", "spectrum"))
+        drawn = {figure["name"]: figures["captions"][figure["name"]] for figure in figures["payload"]["figures"]}
+        assert {f"1-ax-{name}" for name in ("whiteness", "nis", "step", "spectrum")} <= set(drawn)
+        assert all(drawn[f"1-ax-{name}"].endswith(".") for name in ("whiteness", "nis", "spectrum"))
         dial = next(heard for heard in page.heard if heard.kind == "dial").arrays
         assert (np.diff(dial["noise_left"]) < 0).all()
         assert (np.diff(dial["process_noise_density"]) < 0).all()

@@ -162,7 +162,6 @@ class Desk:
             "groups": opened.groups,
             "rows": len(opened.recording),
             "rate_hz": opened.recording.rate_hz,
-            "start_s": opened.recording.timebase.start_s,
             "lasts_s": opened.lasts_s,
             "mode": mode,
             "lag_s": lag_s,

@@ -47,18 +47,18 @@ def judged(
     """
     alone = recipe.model_copy(update={"channel": (channel,)})
     gathering = Gathering(len(rows), rows.step_s, 1)
-    waiting: list[tuple[slice, int]] = []
+    waiting: list[slice] = []
     with Cleaner(alone, rows.step_s, looks=[gathering.channels[0].look]) as cleaner:
         for start in range(0, len(rows), _CHUNK):
             if not wanted():
                 return None
             part = slice(start, min(start + _CHUNK, len(rows)))
-            waiting.append((part, part.stop))
+            waiting.append(part)
             for told in cleaner.push([rows.z[part]], rows.elapsed[part]):
-                done, _ = waiting.pop(0)
+                done = waiting.pop(0)
                 gathering.add([rows.z[done]], rows.elapsed[done], told)
         for told in cleaner.finish():
-            done, _ = waiting.pop(0)
+            done = waiting.pop(0)
             gathering.add([rows.z[done]], rows.elapsed[done], told)
         reports = cleaner.reports()
     if not wanted():
@@ -73,14 +73,11 @@ def _told(drawn: Pictured, number: int) -> dict[str, Any]:
     return {
         "kind": "figures",
         "channel": number,
-        "verdict": drawn.report.verdict,
         "tone": _TONES.get(drawn.report.verdict, ""),
         "says": drawn.report.says,
-        "words": drawn.words,
         "numbers": _numbers(drawn),
         "payload": json.loads(payload(figures)),
         "captions": {figure.name: figure.says for figure in figures},
-        "names": {figure.name.rpartition("-")[2]: figure.name for figure in figures},
     }
 
 

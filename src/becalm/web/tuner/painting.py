@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections import OrderedDict
 from concurrent.futures import Executor
 from typing import Any, NamedTuple
@@ -91,7 +90,6 @@ class Painter:
         BecalmError
             If the recipe's numbers make no filter.
         """
-        begun = time.perf_counter()
         opened, recipe = wanted.opened, wanted.recipe
         if opened is not self._of:
             self._of = opened
@@ -114,9 +112,7 @@ class Painter:
             "from_s": float(raw.times_s[0]),
             "to_s": self._second_of(wanted, view.stop - 1),
             "rows_each": view.rows_each,
-            "whole": view.stop - view.first == len(rows),
             "filter": told._asdict(),
-            "took_ms": 1e3 * (time.perf_counter() - begun),
             "classic": None,
             "hurried": hurried,
         }
