@@ -122,3 +122,9 @@ def test_files_that_came_meanwhile_are_told_and_refused_by_name(tmp_path: Path) 
         assert trouble["answers"] == number
         assert trouble["says"].startswith("broken.csv")
         assert str(tmp_path) not in trouble["says"]
+
+
+def test_nothing_is_open_at_first(tmp_path: Path) -> None:
+    with served(tmp_path) as tuner, tuner.talk() as page:
+        page.ask("look", channel=0, width=10)
+        assert "Nothing is open" in page.until("trouble").told["says"]
