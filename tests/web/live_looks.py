@@ -51,6 +51,13 @@ def pixels(visit: Visit, number: int, role: str) -> dict[str, float]:
     return found
 
 
+def drawn(visit: Visit, number: int, role: str, least: int = 100) -> None:
+    """Wait until so much of a colour is there: a busy screen draws later."""
+    visit.page.wait_for_function(
+        f"([number, role, least]) => ({PIXELS})([number, role]).all > least", arg=[number, role, least]
+    )
+
+
 def recipe_now(visit: Visit) -> Recipe:
     return Recipe.from_toml(visit.page.evaluate("() => fetch('/save/recipe').then((answer) => answer.text())"))
 

@@ -15,7 +15,7 @@ from becalm.cleaning.recipe_modes import ModeRecipe, SwitchingRecipe
 from becalm.cleaning.recipe_parts import GateRecipe
 from becalm.core.recording import Recording
 from becalm.files.writing import write
-from live_looks import COLUMNS, PIXELS, pixels, recipe_now, settle
+from live_looks import COLUMNS, PIXELS, drawn, pixels, recipe_now, settle
 from live_page_runs import LiveApp, shown_live
 from tuning import NAMELESS, Visit, chromium, visiting
 
@@ -96,7 +96,7 @@ def test_what_comes_is_drawn_and_told(live: LiveApp, look: Look, tmp_path: Path)
     page.wait_for_function("() => becalmLive.counts.frames > 60 && document.querySelector('#health dd')")
     for number in (0, 1):
         for role in ("readings", "clean"):
-            assert pixels(visit, number, role)["all"] > 100
+            drawn(visit, number, role)
     assert page.evaluate("() => becalmLive.counts.gaps") == 0
     assert "running" in page.locator("#facts").inner_text()
     force, speed = page.locator("section.strip").all()
@@ -212,7 +212,7 @@ def test_it_comes_back_after_becalm_was_killed(folder: Path, look: Look, tmp_pat
         page.wait_for_function("() => document.body.dataset.state === 'live'")
         page.wait_for_function("() => document.querySelector('#link').innerText.includes('started again')")
         page.wait_for_function("() => becalmLive.counts.bins > 300 && becalmLive.view.newest > 3000")
-        assert pixels(visit, 0, "clean")["all"] > 100
+        drawn(visit, 0, "clean")
         visit.wrong[:] = [one for one in visit.wrong if "ERR_CONNECTION_REFUSED" not in one]  # Chromium's own words
 
 
@@ -226,7 +226,7 @@ def test_an_end_is_said_and_what_came_stays(folder: Path, look: Look, tmp_path: 
         visit.page.wait_for_function("() => document.querySelector('#link').innerText.includes('has ended')")
         assert visit.page.evaluate("() => becalmLive.view.newest") >= 5000
         settle(visit)
-        assert pixels(visit, 0, "clean")["all"] > 100
+        drawn(visit, 0, "clean")
         visit.shoot("live-ended")
         visit.wrong[:] = [one for one in visit.wrong if "ERR_CONNECTION_REFUSED" not in one]
 
@@ -244,5 +244,5 @@ def test_nothing_overflows(live: LiveApp, look: Look, width: int, theme: str) ->
     visit = look(live, viewport={"width": width, "height": 900}, color_scheme=theme, reduced_motion="reduce")
     visit.page.wait_for_function("() => !document.querySelector('.strip input').disabled")
     assert visit.page.evaluate("() => document.documentElement.scrollWidth") <= width
-    assert pixels(visit, 0, "clean")["all"] > 50
+    drawn(visit, 0, "clean", 50)
     visit.shoot(f"live-{width}-{theme}")
