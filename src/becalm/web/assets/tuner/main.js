@@ -103,7 +103,7 @@ function tied({ up, tries, again_s, reason }) {
   asking.forget();
   const hint = tries > 3 ? " If it was started anew, open the address that it printed." : "";
   const kept = desk.recording ? " What you did is kept here." : "";
-  say(words.link, up ? "" : `${reason || "becalm does not answer."} Trying again in ${Math.ceil(again_s)} s.${kept}${hint}`);
+  say(words.link, up ? "" : `${reason ? `${reason} Trying` : "becalm does not answer; trying"} again in ${Math.ceil(again_s)} s.${kept}${hint}`);
   if (!up) say(words.working, "");
 }
 
