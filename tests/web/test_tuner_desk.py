@@ -285,3 +285,15 @@ def test_a_map_needs_a_motion() -> None:
     rows = ChannelRows(walk(), np.ones(30_000), 1e-3)
     with pytest.raises(UsageError, match="passes unchanged"):
         cost_map(rows, ChannelRecipe(name="ax", model="constant"))
+
+
+def test_a_lag_that_no_page_can_wait_for_is_refused(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    rows = len(desk.opened.recording)
+    monkeypatch.setattr("becalm.web.tuner.desk._MOST_WAITED", 30 * rows)
+    desk.put_in_mode("lagged", 30 * desk.opened.step_s)
+    with pytest.raises(UsageError, match=r"give at most 0\.06 s.*becalm clean FILE -o OUT --lag 0\.062s"):
+        desk.put_in_mode("lagged", 31 * desk.opened.step_s)
+    longer = desk.recipe().to_toml().replace("lag_s = 0.06", "lag_s = 0.5")
+    with pytest.raises(UsageError, match="too long to be drawn"):
+        desk.restore(longer)
+    assert desk.now.lag_s == pytest.approx(0.06)

@@ -15,6 +15,7 @@ from becalm.web.tuner.opened import Opened
 from becalm.web.tuner.settings import GIVEN, Options, Setting, components
 
 _MOST_STEPS = 1000  # that can be taken back
+_MOST_WAITED = 10_000_000_000  # rows, times those that each waits for: some ten seconds of a picture
 
 
 class Doing(NamedTuple):
@@ -87,7 +88,14 @@ class Desk:
         self._do(self.now._replace(settings=tuple(settings)), final=final)
 
     def put_in_mode(self, mode: Mode, lag_s: float | None) -> None:
-        """Smooth, filter, or wait for a lag; may take a while, the first time."""
+        """Smooth, filter, or wait for a lag; may take a while, the first time.
+
+        Raises
+        ------
+        UsageError
+            If no reading comes within the lag, or so many that a picture would take minutes.
+        """
+        self._refuse_endless(mode, lag_s)
         self.opened.options(self.opened.as_filter(mode, lag_s))
         self._do(self.now._replace(mode=mode, lag_s=lag_s))
 
@@ -110,6 +118,7 @@ class Desk:
             If it is none, or not one of this recording.
         """
         recipe = Recipe.from_toml(text)
+        self._refuse_endless(recipe.mode, recipe.lag_s)
         given = {channel.name: channel for channel in recipe.channel}
         names = self.opened.recording.names
         if strangers := [name for name in given if name not in names]:
@@ -190,6 +199,17 @@ class Desk:
             "channels": [option.told(one) for option, one in zip(self._options_in(now), settings, strict=True)],
             "classics": self.classics,
         }
+
+    def _refuse_endless(self, mode: Mode, lag_s: float | None) -> None:
+        if mode != "lagged" or lag_s is None:
+            return
+        step_s, rows = self.opened.step_s, len(self.opened.recording)
+        if lag_in_rows(lag_s, step_s) * rows > _MOST_WAITED:
+            most_s = max(_MOST_WAITED // rows, 1) * step_s
+            raise UsageError(
+                f"A lag of {lag_s:g} s is too long to be drawn here, for {rows} rows; give at most {most_s:.3g} s, or"
+                f" type becalm clean FILE -o OUT --lag {lag_s:g}s."
+            )
 
     def _recipe_of(self, now: Doing) -> Recipe:
         mode, lag_s, settings = now
