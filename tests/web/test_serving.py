@@ -17,6 +17,7 @@ from becalm.web import sockets
 from becalm.web.access import LOOPBACK, Access
 from becalm.web.serving import MOST_SAID_BYTES, Server, TakenError, listen
 from becalm.web.site import Page, site
+from becalm.web.sockets import HurriedWebSocket
 from served import HTML, TOKEN, Served, served, until
 
 
@@ -67,6 +68,27 @@ def test_of_too_many_sockets_the_one_that_waited_longest_goes(page: Served, monk
             idle.enter_context(link(page))
         assert hung_up(first)
         assert still_served(page)
+
+
+def test_wires_that_never_open_give_their_place_to_others(page: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sockets, "REQUEST_S", 1e6)  # none goes for being late
+    monkeypatch.setattr(HurriedWebSocket, "handle_connect", lambda *_: None)  # nor for what it asked
+    with ExitStack() as idle:
+        first = idle.enter_context(link(page))
+        first.sendall(b"GET /wire HTTP/1.1\r\n" + UPGRADE + b"Host: x\r\n\r\n")
+        for _ in range(sockets.MOST_SOCKETS + 20):
+            one = idle.enter_context(link(page))
+            one.sendall(b"GET /wire HTTP/1.1\r\n" + UPGRADE + b"Host: x\r\n\r\n")
+        assert hung_up(first)
+        assert still_served(page)
+
+
+def test_a_wire_that_never_opens_is_left(page: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sockets, "REQUEST_S", 0.3)
+    monkeypatch.setattr(HurriedWebSocket, "handle_connect", lambda *_: None)
+    with link(page) as slow:
+        slow.sendall(b"GET /wire HTTP/1.1\r\n" + UPGRADE + b"Host: x\r\n\r\n")
+        assert hung_up(slow)
 
 
 @pytest.mark.parametrize("begun", [b"", b"G", b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nX: "])
@@ -125,7 +147,17 @@ HOST = b"Host: 127.0.0.1:{port}\r\n"
 KNOWN = HOST + b"Cookie: {cookie}\r\n"
 SMUGGLED = b"GET /fail HTTP/1.1\r\n" + KNOWN + b"\r\n"
 PUT = b"PUT /files/a HTTP/1.1\r\n" + KNOWN
+UPGRADE = b"Connection: Upgrade\r\nUpgrade: websocket\r\n"
+NO_WIRE = [  # what HTTP allows, and WebSocket does not
+    b"GET /wire HTTP/1.1\r\n" + HOST + UPGRADE + b"Content-Length: 1\r\n\r\n",
+    b"GET /wire HTTP/1.1\r\n" + HOST + UPGRADE + b"Transfer-Encoding: chunked\r\n\r\n",
+    b"GET /wire HTTP/1.1\r\n" + HOST + UPGRADE + b"X: y\r\n" * 129 + b"\r\n",
+    b"GET /wire HTTP/1.1\r\n" + HOST + UPGRADE + b"X: " + b"y" * 9000 + b"\r\n\r\n",
+    b"GET /" + b"y" * 9000 + b" HTTP/1.1\r\n" + HOST + UPGRADE + b"\r\n",
+    b"POST /wire HTTP/1.1\r\n" + HOST + UPGRADE + b"Content-Length: 1\r\n\r\n",
+]
 NONSENSE = [
+    *NO_WIRE,
     b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03" + bytes(200),  # TLS
     b"\x00" * 1000,
     b"GET\r\n\r\n",

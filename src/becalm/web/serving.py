@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Self
 import uvicorn
 
 from becalm.errors import UsageError
-from becalm.web.sockets import HurriedProtocol
+from becalm.web.sockets import HurriedProtocol, HurriedWebSocket
 
 if TYPE_CHECKING:
     from starlette.types import ASGIApp
@@ -78,7 +78,7 @@ class Server:
             app,
             loop="asyncio",
             http=HurriedProtocol,
-            ws="websockets-sansio",
+            ws=HurriedWebSocket,
             lifespan="off",
             interface="asgi3",
             log_config=None,
