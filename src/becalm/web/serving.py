@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from starlette.types import ASGIApp
 
 MOST_SAID_BYTES = 1 << 20  # in a message of a page
+PING_S = 20.0  # how often a page must show that it is there, and how long it may take to
 _PORTS = 1 << 16
 _HEADERS_BYTES = 1 << 14
 _ENDING_S = 1  # for answers on their way when the server ends
@@ -90,6 +91,8 @@ class Server:
             timeout_graceful_shutdown=_ENDING_S,
             h11_max_incomplete_event_size=_HEADERS_BYTES,
             ws_max_size=MOST_SAID_BYTES,
+            ws_ping_interval=PING_S,
+            ws_ping_timeout=PING_S,
             ws_per_message_deflate=False,  # numbers hardly shrink
         )
         self._server = uvicorn.Server(config)

@@ -90,6 +90,11 @@ class HurriedWebSocket(WebSocketsSansIOProtocol):
         self._cancel()
         super().start_keepalive()
 
+    def keepalive_timeout(self) -> None:
+        """Let a page go that answers no ping; what it has not taken yet is not waited for."""
+        super().keepalive_timeout()
+        self.transport.abort()
+
     def connection_lost(self, exc: Exception | None) -> None:
         """Wait no more."""
         self._cancel()
