@@ -46,7 +46,11 @@ class Stub:
 
     def __init__(self) -> None:
         self.uploads = Uploads(LIMIT_BYTES)
-        self.routes = [Route("/files/{name}", self.put, methods=["PUT"]), Route("/fail", self.fail)]
+        self.routes = [
+            Route("/files/{name}", self.put, methods=["PUT"]),
+            Route("/fail", self.fail),
+            Route("/tell", self.tell),
+        ]
         self.viewers = 0
 
     async def wire(self, websocket: WebSocket) -> None:
@@ -79,6 +83,10 @@ class Stub:
     async def fail(self, request: Request) -> Response:
         await asyncio.sleep(0)
         raise RuntimeError("as it was told to")
+
+    async def tell(self, request: Request) -> Response:
+        await asyncio.sleep(0)
+        raise BecalmError("caf\udce9.csv is not there.")
 
 
 class Served(NamedTuple):

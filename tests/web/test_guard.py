@@ -214,6 +214,12 @@ def test_viewers_are_counted_and_the_next_is_told_why(page: Served) -> None:
         assert json.loads(next_one.recv()) == {"kind": "welcome"}
 
 
+def test_a_mistake_is_told_although_it_is_no_unicode(page: Served) -> None:
+    with page.client() as browser:
+        answer = browser.get("/tell")
+    assert (answer.status_code, answer.text) == (400, "caf?.csv is not there.")
+
+
 def test_what_fails_in_becalm_is_told_to_whoever_runs_it_and_the_page_goes_on(
     page: Served, caplog: pytest.LogCaptureFixture
 ) -> None:
