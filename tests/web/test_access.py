@@ -24,6 +24,7 @@ HERE = socket.gethostname()
         ("127.0.0.1", 8765, "localhost:8765", True),
         ("127.0.0.1", 8765, "LOCALHOST:8765", True),
         ("127.0.0.1", 8765, "[::1]:8765", True),
+        ("localhost", 8765, "localhost:8765", True),
         ("127.0.0.2", 8765, "127.0.0.2:8765", True),
         ("127.0.0.1", 8765, "127.0.0.1", False),
         ("127.0.0.1", 8765, "127.0.0.1:8766", False),
@@ -67,7 +68,12 @@ def test_only_the_page_itself_has_its_origin(origin: str, same: bool) -> None:
 
 @pytest.mark.parametrize(
     ("host", "url"),
-    [("127.0.0.1", "http://127.0.0.1:9/"), ("::1", "http://[::1]:9/"), ("0.0.0.0", f"http://{HERE}:9/")],
+    [
+        ("127.0.0.1", "http://127.0.0.1:9/"),
+        ("LocalHost", "http://127.0.0.1:9/"),
+        ("::1", "http://[::1]:9/"),
+        ("0.0.0.0", f"http://{HERE}:9/"),
+    ],
 )
 def test_the_address_holds_the_token(host: str, url: str) -> None:
     assert Access(host, 9, TOKEN).url == f"{url}?token={TOKEN}"
@@ -151,6 +157,16 @@ def test_a_file_that_keeps_no_secret_is_refused(tmp_path: Path, text: str, mode:
     path.write_text(text, encoding="utf-8")
     path.chmod(mode)
     with pytest.raises(UsageError, match=says):
+        token_of(path)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="owners of files")
+def test_a_file_of_another_user_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "token"
+    token_of(path)
+    owner = path.stat().st_uid
+    monkeypatch.setattr(os, "geteuid", lambda: owner + 1)
+    with pytest.raises(UsageError, match="belongs to another user"):
         token_of(path)
 
 

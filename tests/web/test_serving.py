@@ -6,6 +6,7 @@ import json
 import socket
 from collections.abc import Iterator
 from contextlib import ExitStack
+from typing import Any
 
 import pytest
 from websockets.exceptions import ConnectionClosedError
@@ -160,6 +161,17 @@ def test_a_port_that_is_taken_is_told() -> None:
 def test_a_place_that_cannot_be_is_told(host: str, port: int, says: str) -> None:
     with pytest.raises(UsageError, match=says):
         listen(host, port)
+
+
+def test_localhost_is_one_address_although_it_has_two(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = socket.getaddrinfo
+
+    def both(host: str, *rest: Any, **options: Any) -> Any:
+        return found("::1" if host == "localhost" else host, *rest, **options)
+
+    monkeypatch.setattr(socket, "getaddrinfo", both)
+    with listen("localhost", 0) as listener:
+        assert listener.getsockname()[0] == LOOPBACK
 
 
 def test_the_other_loopback_serves_as_well() -> None:

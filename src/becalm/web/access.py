@@ -26,6 +26,11 @@ _STOLEN = (
 _TOKEN = re.compile(r"[A-Za-z0-9_-]{22,256}")  # of 128 bits and more, and harmless in an address or a cookie
 
 
+def address_of(host: str) -> str:
+    """Return where to listen: "localhost" may be two addresses, and who took the other one would be sent our token."""
+    return LOOPBACK if host.lower() == "localhost" else host.lower()
+
+
 class StolenError(BecalmError):
     """An address that opens the page once was used twice."""
 
@@ -44,7 +49,7 @@ class Access:
     """
 
     def __init__(self, host: str, port: int, token: str) -> None:
-        self.host, self.port = host.lower(), port
+        self.host, self.port = address_of(host), port
         self._token = token
         self._tickets: dict[str, float] = {}  # and when each was made
         self._spent: dict[str, float] = {}
@@ -56,7 +61,7 @@ class Access:
     def loopback(self) -> bool:
         """Whether only this machine can reach it."""
         try:
-            return self.host == "localhost" or ipaddress.ip_address(self.host).is_loopback
+            return ipaddress.ip_address(self.host).is_loopback
         except ValueError:
             return False
 
@@ -167,6 +172,8 @@ def _kept(path: Path) -> str:
         raise UsageError(f"{path} cannot be read ({cause.strerror}); name another with --token-file.") from cause
     if os.name == "posix" and stat.S_IMODE(found.st_mode) & 0o077:
         raise UsageError(f"{path} can be read by others, so what it holds is no secret; type: rm {path}")
+    if os.name == "posix" and found.st_uid != os.geteuid():
+        raise UsageError(f"{path} belongs to another user, who knows what it holds; name another with --token-file.")
     if not _TOKEN.fullmatch(text):
         raise UsageError(f"{path} holds no token: 22 letters, digits, - and _ or more; remove it, and one is made.")
     return text

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Self
 import uvicorn
 
 from becalm.errors import UsageError
+from becalm.web.access import address_of
 from becalm.web.sockets import HurriedProtocol, HurriedWebSocket
 
 if TYPE_CHECKING:
@@ -50,7 +51,8 @@ def listen(host: str, port: int, option: str = "--port") -> socket.socket:
     if not 0 <= port < _PORTS:
         raise UsageError(f"{wanted}: ports end at {_PORTS - 1}; {way_out}")
     try:
-        family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
+        found = socket.getaddrinfo(address_of(host), port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
+        family, _, _, _, address = found[0]
         both = family == socket.AF_INET6 and host == "::" and socket.has_dualstack_ipv6()
         return socket.create_server(address[:2], family=family, dualstack_ipv6=both)
     except OSError as cause:
