@@ -72,6 +72,14 @@ def test_nonsense_is_refused_once_and_reaches_no_page(
     assert still_served(page)
 
 
+def test_the_cookies_of_many_pages_are_no_hindrance(page: Served) -> None:
+    cookies = f"{page.cookie}; other={'x' * 50_000}"
+    with page.stranger() as browser:
+        assert browser.get("/", headers={"cookie": cookies}).text == HTML
+    with page.wire(cookie=cookies) as wire:
+        assert heard_of(wire) == {"kind": "welcome"}
+
+
 def test_what_is_smuggled_would_fail_if_it_were_answered(page: Served, caplog: pytest.LogCaptureFixture) -> None:
     sent = filled(page, SMUGGLED)
     assert page.raw(sent[:-2] + b"Connection: close\r\n\r\n").startswith(b"HTTP/1.1 500")

@@ -15,6 +15,7 @@ from pathlib import Path
 from becalm.errors import BecalmError, UsageError
 
 LOOPBACK = "127.0.0.1"
+COOKIE = "becalm-"  # and the port
 _PORT_UNSAID = 80  # which browsers leave out
 _ANYWHERE = ("0.0.0.0", "::")
 _TICKET_S = 30.0  # for a browser to start
@@ -53,7 +54,7 @@ class Access:
         self._token = token
         self._tickets: dict[str, float] = {}  # and when each was made
         self._spent: dict[str, float] = {}
-        self.cookie = f"becalm-{port}"
+        self.cookie = f"{COOKIE}{port}"
         own = {self.host} | ({"localhost", LOOPBACK, "::1"} if self.loopback or self.anywhere else set())
         self._names = {_written(name) for name in (own | {socket.gethostname().lower()} if self.anywhere else own)}
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 MOST_SAID_BYTES = 1 << 20  # in a message of a page
 PING_S = 20.0  # how often a page must show that it is there, and how long it may take to
 _PORTS = 1 << 16
-_HEADERS_BYTES = 1 << 14
+_HEADERS_BYTES = 1 << 16  # browsers send the cookies of all ports
 _ENDING_S = 1  # for answers on their way when the server ends
 _PATIENCE_S = 4.0  # for its thread to end, which may be computing
 

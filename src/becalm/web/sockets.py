@@ -9,6 +9,8 @@ import h11
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
+from becalm.web.access import COOKIE
+
 REQUEST_S = 10.0  # from a connection, or a request's first byte, to the end of its headers; and to a wire that is open
 MOST_SOCKETS = 200  # of 256 open files, the least that systems allow a process
 
@@ -35,6 +37,11 @@ class HurriedProtocol(H11Protocol):
         """Take what came; it may end a request's headers, or begin the next ones."""
         super().data_received(data)
         self._look()
+
+    def handle_websocket_upgrade(self, event: h11.Request) -> None:
+        """Hand over to a wire, without the cookies of other pages: it takes a few kilobytes of headers only."""
+        self.headers = [(name, _own(value) if name == b"cookie" else value) for name, value in self.headers]
+        super().handle_websocket_upgrade(event)
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Wait no more."""
@@ -104,3 +111,7 @@ class HurriedWebSocket(WebSocketsSansIOProtocol):
         if self._deadline is not None:
             self._deadline.cancel()
             self._deadline = None
+
+
+def _own(cookies: bytes) -> bytes:
+    return b";".join(each for each in cookies.split(b";") if each.strip().startswith(COOKIE.encode()))
