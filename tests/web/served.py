@@ -28,6 +28,9 @@ PATIENCE_S = 30.0
 TOKEN = "a-token-that-is-long-enough-for-all"
 LIMIT_BYTES = 3_000_000
 HTML = "<!doctype html><title>A page of a test</title>"
+HOST = b"Host: 127.0.0.1:{port}\r\n"
+KNOWN = HOST + b"Cookie: {cookie}\r\n"
+UPGRADE = b"Connection: Upgrade\r\nUpgrade: websocket\r\n"
 
 
 def until(happened: Callable[[], bool]) -> None:
@@ -43,7 +46,11 @@ class Stub:
 
     def __init__(self) -> None:
         self.uploads = Uploads(LIMIT_BYTES)
-        self.routes = [Route("/files/{name}", self.put, methods=["PUT"]), Route("/fail", self.fail)]
+        self.routes = [
+            Route("/files/{name}", self.put, methods=["PUT"]),
+            Route("/fail", self.fail),
+            Route("/tell", self.tell),
+        ]
         self.viewers = 0
 
     async def wire(self, websocket: WebSocket) -> None:
@@ -76,6 +83,10 @@ class Stub:
     async def fail(self, request: Request) -> Response:
         await asyncio.sleep(0)
         raise RuntimeError("as it was told to")
+
+    async def tell(self, request: Request) -> Response:
+        await asyncio.sleep(0)
+        raise BecalmError("caf\udce9.csv is not there.")
 
 
 class Served(NamedTuple):
@@ -137,3 +148,27 @@ def served(host: str = LOOPBACK) -> Iterator[Served]:
             yield Served(page, access)
     finally:
         page.uploads.close()
+
+
+def link(page: Served) -> socket.socket:
+    """Return a connection that has said nothing yet."""
+    return socket.create_connection((LOOPBACK, page.access.port), 30)
+
+
+def filled(page: Served, request: bytes) -> bytes:
+    """Return a request with the page's port and cookie."""
+    return request.replace(b"{port}", str(page.access.port).encode()).replace(b"{cookie}", page.cookie.encode())
+
+
+def still_served(page: Served) -> bool:
+    """Whether the page answers others."""
+    with page.client() as browser:
+        return browser.get("/").text == HTML
+
+
+def hung_up(open_link: socket.socket) -> bool:
+    """Wait until the server hangs up; False if it answers instead."""
+    try:
+        return open_link.recv(1) == b""
+    except ConnectionResetError:
+        return True

@@ -10,7 +10,8 @@ from urllib.parse import urlsplit
 import pytest
 
 from becalm.errors import UsageError
-from becalm.web.access import Access, token_of
+from becalm.web import access as door
+from becalm.web.access import Access, StolenError, token_of
 
 TOKEN = "a-token-that-is-long-enough-for-all"
 HERE = socket.gethostname()
@@ -23,6 +24,7 @@ HERE = socket.gethostname()
         ("127.0.0.1", 8765, "localhost:8765", True),
         ("127.0.0.1", 8765, "LOCALHOST:8765", True),
         ("127.0.0.1", 8765, "[::1]:8765", True),
+        ("localhost", 8765, "localhost:8765", True),
         ("127.0.0.2", 8765, "127.0.0.2:8765", True),
         ("127.0.0.1", 8765, "127.0.0.1", False),
         ("127.0.0.1", 8765, "127.0.0.1:8766", False),
@@ -66,7 +68,12 @@ def test_only_the_page_itself_has_its_origin(origin: str, same: bool) -> None:
 
 @pytest.mark.parametrize(
     ("host", "url"),
-    [("127.0.0.1", "http://127.0.0.1:9/"), ("::1", "http://[::1]:9/"), ("0.0.0.0", f"http://{HERE}:9/")],
+    [
+        ("127.0.0.1", "http://127.0.0.1:9/"),
+        ("LocalHost", "http://127.0.0.1:9/"),
+        ("::1", "http://[::1]:9/"),
+        ("0.0.0.0", f"http://{HERE}:9/"),
+    ],
 )
 def test_the_address_holds_the_token(host: str, url: str) -> None:
     assert Access(host, 9, TOKEN).url == f"{url}?token={TOKEN}"
@@ -79,14 +86,17 @@ def test_other_machines_are_let_in_with_a_warning(host: str, warned: bool) -> No
     assert not warned or "without TLS" in str(warning)
 
 
-def test_a_ticket_opens_once_and_the_token_always() -> None:
+def ticket_of(access: Access) -> str:
+    return urlsplit(access.ticket()).query.removeprefix("token=")
+
+
+def test_a_ticket_opens_the_page_and_so_does_the_token() -> None:
     access = Access("0.0.0.0", 9, TOKEN)
-    address = urlsplit(access.ticket())
-    ticket = address.query.removeprefix("token=")
-    assert address.netloc == "127.0.0.1:9"
+    assert urlsplit(access.ticket()).netloc == "127.0.0.1:9"
+    ticket = ticket_of(access)
     assert ticket != TOKEN
     assert not access.knows(ticket)  # it is no cookie
-    assert [access.admits(ticket), access.admits(ticket)] == [True, False]
+    assert access.admits(ticket)
     assert [access.admits(TOKEN), access.admits(TOKEN), access.admits(TOKEN[:-1]), access.admits("")] == [
         True,
         True,
@@ -94,6 +104,32 @@ def test_a_ticket_opens_once_and_the_token_always() -> None:
         False,
     ]
     assert not access.admits("ü" * 40)
+
+
+def test_a_ticket_that_comes_twice_ends_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    access = Access("127.0.0.1", 9, TOKEN)
+    ticket, unused = ticket_of(access), ticket_of(access)
+    assert access.admits(ticket)
+    monkeypatch.setattr(door, "_TICKET_S", 0.0)  # the browser was late, and somebody else was not
+    with pytest.raises(StolenError, match="used twice"):
+        access.admits(ticket)
+    assert [access.admits(unused), access.admits(TOKEN), access.knows(TOKEN)] == [False, False, False]
+
+
+def test_a_ticket_that_was_late_opens_nothing_and_ends_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    access = Access("127.0.0.1", 9, TOKEN)
+    ticket = ticket_of(access)
+    monkeypatch.setattr(door, "_TICKET_S", 0.0)
+    assert [access.admits(ticket), access.admits(ticket), access.admits(TOKEN)] == [False, False, True]
+
+
+def test_a_ticket_that_comes_again_much_later_ends_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It stays in the list of processes for as long as the browser runs."""
+    access = Access("127.0.0.1", 9, TOKEN)
+    ticket = ticket_of(access)
+    assert access.admits(ticket)
+    monkeypatch.setattr(door, "_WATCHED_S", 0.0)
+    assert [access.admits(ticket), access.admits(TOKEN)] == [False, True]
 
 
 def test_a_token_file_is_made_for_its_owner_only_and_kept(tmp_path: Path) -> None:
@@ -121,6 +157,16 @@ def test_a_file_that_keeps_no_secret_is_refused(tmp_path: Path, text: str, mode:
     path.write_text(text, encoding="utf-8")
     path.chmod(mode)
     with pytest.raises(UsageError, match=says):
+        token_of(path)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="owners of files")
+def test_a_file_of_another_user_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "token"
+    token_of(path)
+    owner = path.stat().st_uid
+    monkeypatch.setattr(os, "geteuid", lambda: owner + 1)
+    with pytest.raises(UsageError, match="belongs to another user"):
         token_of(path)
 
 

@@ -102,9 +102,9 @@ def test_a_browser_is_opened_with_an_address_that_serves_once(tmp_path: Path) ->
         ticket = opened.read_text(encoding="utf-8").strip()
         assert ticket.partition("?")[0] == address.partition("?")[0]
         assert ticket != address
-        assert [page_at(ticket), page_at(ticket)] == [200, 403]
+        assert [page_at(ticket), page_at(ticket), page_at(address)] == [200, 403, 403]
         process.terminate()
-        rest_of(process)
+        assert "was used twice" in rest_of(process)[2]
     opened.unlink()
     with started(tmp_path, "--port", "0", "--no-browser", BROWSER=str(browser)) as (process, address):
         assert page_at(address) == 200

@@ -7,10 +7,10 @@ from collections.abc import Iterator
 from contextlib import ExitStack
 
 import pytest
-from websockets.exceptions import ConnectionClosedError, InvalidStatus
+from websockets.exceptions import ConnectionClosed, ConnectionClosedError, InvalidStatus
 
 from becalm.web.guard import MOST_VIEWERS
-from served import HTML, TOKEN, Served, served, until
+from served import HTML, PATIENCE_S, TOKEN, Served, served, until
 
 SECURITY = {
     "content-security-policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; "
@@ -38,6 +38,21 @@ def test_the_printed_address_lets_a_browser_in(page: Served) -> None:
         assert (second.status_code, second.text) == (200, HTML)
         assert browser.get("/assets/uPlot.min.css").headers["content-type"] == "text/css; charset=utf-8"
         assert browser.head("/").status_code == 200
+
+
+def test_a_stolen_ticket_ends_all_that_goes_on(caplog: pytest.LogCaptureFixture) -> None:
+    with served() as page, page.stranger() as thief, page.stranger() as browser, page.wire() as wire:
+        wire.recv()
+        address, printed = page.access.ticket(), page.access.url
+        assert thief.get(address).status_code == 303
+        assert thief.get("/").status_code == 200
+        answer = browser.get(address)
+        assert (answer.status_code, "used twice" in answer.text) == (403, True)
+        with pytest.raises(ConnectionClosed):
+            wire.recv(timeout=PATIENCE_S)
+        assert [thief.get("/").status_code, browser.get(printed).status_code] == [403, 403]
+        until(lambda: page.page.viewers == 0)
+    assert [record.getMessage() for record in caplog.records if record.name == "becalm.web"] == [answer.text]
 
 
 @pytest.mark.parametrize("path", ["/", "/?token=wrong", "/assets/uPlot.min.css", "/fail", "/nowhere", "/wire"])
@@ -197,6 +212,12 @@ def test_viewers_are_counted_and_the_next_is_told_why(page: Served) -> None:
     until(lambda: page.page.viewers == 0)
     with page.wire() as next_one:
         assert json.loads(next_one.recv()) == {"kind": "welcome"}
+
+
+def test_a_mistake_is_told_although_it_is_no_unicode(page: Served) -> None:
+    with page.client() as browser:
+        answer = browser.get("/tell")
+    assert (answer.status_code, answer.text) == (400, "caf?.csv is not there.")
 
 
 def test_what_fails_in_becalm_is_told_to_whoever_runs_it_and_the_page_goes_on(

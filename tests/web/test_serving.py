@@ -1,24 +1,23 @@
-"""Attacks on the server itself: idle and slow connections, nonsense, messages that are none; and its end."""
+"""Attacks on the server itself: nonsense, messages that are none; and its end."""
 
 from __future__ import annotations
 
 import json
 import socket
 import struct
-import threading
 from collections.abc import Iterator
 from contextlib import ExitStack
+from typing import Any
 
 import pytest
 from websockets.exceptions import ConnectionClosedError
 from websockets.sync.client import ClientConnection
 
 from becalm.errors import UsageError
-from becalm.web import sockets
 from becalm.web.access import LOOPBACK, Access
 from becalm.web.serving import MOST_SAID_BYTES, Server, TakenError, listen
 from becalm.web.site import Page, site
-from served import HTML, TOKEN, Served, served, until
+from served import HOST, HTML, KNOWN, TOKEN, UPGRADE, Served, filled, hung_up, link, served, still_served, until
 
 
 @pytest.fixture
@@ -27,106 +26,18 @@ def page() -> Iterator[Served]:
         yield one
 
 
-def link(page: Served) -> socket.socket:
-    return socket.create_connection((LOOPBACK, page.access.port), 30)
-
-
-def still_served(page: Served) -> bool:
-    with page.client() as browser:
-        return browser.get("/").text == HTML
-
-
-def hung_up(open_link: socket.socket) -> bool:
-    """Wait until the server hangs up; False if it answers instead."""
-    try:
-        return open_link.recv(1) == b""
-    except ConnectionResetError:
-        return True
-
-
-def test_two_hundred_idle_sockets_hold_up_nobody(page: Served) -> None:
-    with ExitStack() as idle:
-        for _ in range(200):
-            idle.enter_context(link(page))
-        assert still_served(page)
-        with page.wire() as wire:
-            assert json.loads(wire.recv()) == {"kind": "welcome"}
-            for number in range(200):  # and who asks without the token is left at once
-                one = idle.enter_context(link(page))
-                one.sendall(b"GET / HTTP/1.1\r\nHost: 127.0.0.1:%d\r\n\r\n" % page.access.port)
-                if number % 50 == 0:
-                    assert still_served(page)
-            wire.send('{"do": "look"}')
-            assert json.loads(wire.recv())["kind"] == "heard"
-
-
-def test_of_too_many_sockets_the_one_that_waited_longest_goes(page: Served, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sockets, "REQUEST_S", 1e6)  # none goes for being late
-    with ExitStack() as idle:
-        first = idle.enter_context(link(page))
-        for _ in range(sockets.MOST_SOCKETS + 20):
-            idle.enter_context(link(page))
-        assert hung_up(first)
-        assert still_served(page)
-
-
-@pytest.mark.parametrize("begun", [b"", b"G", b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nX: "])
-def test_who_never_ends_a_request_is_left(page: Served, monkeypatch: pytest.MonkeyPatch, begun: bytes) -> None:
-    monkeypatch.setattr(sockets, "REQUEST_S", 0.3)
-    with link(page) as slow:
-        slow.sendall(begun)
-        assert hung_up(slow)
-
-
-def test_who_sends_headers_byte_by_byte_is_left(page: Served, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every byte restarts no clock."""
-    monkeypatch.setattr(sockets, "REQUEST_S", 0.5)
-    left = threading.Event()
-    with link(page) as slow:
-
-        def listen_for_the_end() -> None:
-            if hung_up(slow):
-                left.set()
-
-        ear = threading.Thread(target=listen_for_the_end)
-        ear.start()
-        for _ in range(300):
-            try:
-                slow.sendall(b"X")
-            except OSError:
-                break
-            if left.wait(0.1):
-                break
-        ear.join()
-    assert left.is_set()
-
-
-def test_who_is_slow_with_a_second_request_is_left_too(page: Served, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked = b"GET /nowhere HTTP/1.1\r\nHost: 127.0.0.1:%d\r\nCookie: %b\r\n\r\n"
-    monkeypatch.setattr(sockets, "REQUEST_S", 0.3)
-    with link(page) as slow:
-        slow.sendall(asked % (page.access.port, page.cookie.encode()))
-        assert slow.recv(65536).startswith(b"HTTP/1.1 404")
-        slow.sendall(b"GET / HT")
-        while slow.recv(65536):  # what is left of the first answer
-            pass
-
-
-def test_a_wire_is_left_open_although_nothing_is_said(page: Served, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sockets, "REQUEST_S", 0.1)
-    with page.wire() as wire:
-        wire.recv()
-        with pytest.raises(TimeoutError):
-            wire.recv(timeout=0.5)
-        wire.send('{"do": "look"}')
-        assert json.loads(wire.recv())["kind"] == "heard"
-
-
-HOST = b"Host: 127.0.0.1:{port}\r\n"
-KNOWN = HOST + b"Cookie: {cookie}\r\n"
 SMUGGLED = b"GET /fail HTTP/1.1\r\n" + KNOWN + b"\r\n"
 PUT = b"PUT /files/a HTTP/1.1\r\n" + KNOWN
+NO_WIRE = [  # what HTTP allows, and WebSocket does not
+    b"GET /wire HTTP/1.1\r\n" + HOST + UPGRADE + b"Content-Length: 1\r\n\r\n",
+    b"GET /wire HTTP/1.1\r\n" + HOST + UPGRADE + b"Transfer-Encoding: chunked\r\n\r\n",
+    b"GET /wire HTTP/1.1\r\n" + HOST + UPGRADE + b"X: y\r\n" * 129 + b"\r\n",
+    b"GET /wire HTTP/1.1\r\n" + HOST + UPGRADE + b"X: " + b"y" * 9000 + b"\r\n\r\n",
+    b"GET /" + b"y" * 9000 + b" HTTP/1.1\r\n" + HOST + UPGRADE + b"\r\n",
+    b"POST /wire HTTP/1.1\r\n" + HOST + UPGRADE + b"Content-Length: 1\r\n\r\n",
+]
 NONSENSE = [
+    *NO_WIRE,
     b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03" + bytes(200),  # TLS
     b"\x00" * 1000,
     b"GET\r\n\r\n",
@@ -154,9 +65,7 @@ NONSENSE = [
 def test_nonsense_is_refused_once_and_reaches_no_page(
     page: Served, sent: bytes, caplog: pytest.LogCaptureFixture
 ) -> None:
-    answer = page.raw(
-        sent.replace(b"{port}", str(page.access.port).encode()).replace(b"{cookie}", page.cookie.encode())
-    )
+    answer = page.raw(filled(page, sent))
     assert answer.startswith((b"HTTP/1.1 4", b"HTTP/1.1 5"))
     assert answer.count(b"HTTP/1.1 ") == 1
     until(lambda: list(page.page.uploads.folder.iterdir()) == [])
@@ -164,8 +73,16 @@ def test_nonsense_is_refused_once_and_reaches_no_page(
     assert still_served(page)
 
 
+def test_the_cookies_of_many_pages_are_no_hindrance(page: Served) -> None:
+    cookies = f"{page.cookie}; other={'x' * 50_000}"
+    with page.stranger() as browser:
+        assert browser.get("/", headers={"cookie": cookies}).text == HTML
+    with page.wire(cookie=cookies) as wire:
+        assert heard_of(wire) == {"kind": "welcome"}
+
+
 def test_what_is_smuggled_would_fail_if_it_were_answered(page: Served, caplog: pytest.LogCaptureFixture) -> None:
-    sent = SMUGGLED.replace(b"{port}", str(page.access.port).encode()).replace(b"{cookie}", page.cookie.encode())
+    sent = filled(page, SMUGGLED)
     assert page.raw(sent[:-2] + b"Connection: close\r\n\r\n").startswith(b"HTTP/1.1 500")
     assert [record.name for record in caplog.records if record.name == "becalm.web"] == ["becalm.web"]
 
@@ -253,6 +170,17 @@ def test_a_port_that_is_taken_is_told() -> None:
 def test_a_place_that_cannot_be_is_told(host: str, port: int, says: str) -> None:
     with pytest.raises(UsageError, match=says):
         listen(host, port)
+
+
+def test_localhost_is_one_address_although_it_has_two(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = socket.getaddrinfo
+
+    def both(host: str, *rest: Any, **options: Any) -> Any:
+        return found("::1" if host == "localhost" else host, *rest, **options)
+
+    monkeypatch.setattr(socket, "getaddrinfo", both)
+    with listen("localhost", 0) as listener:
+        assert listener.getsockname()[0] == LOOPBACK
 
 
 def test_the_other_loopback_serves_as_well() -> None:

@@ -9,14 +9,31 @@ import re
 import secrets
 import socket
 import stat
+import time
 from pathlib import Path
 
-from becalm.errors import UsageError
+from becalm.errors import BecalmError, UsageError
 
 LOOPBACK = "127.0.0.1"
+COOKIE = "becalm-"  # and the port
 _PORT_UNSAID = 80  # which browsers leave out
 _ANYWHERE = ("0.0.0.0", "::")
+_TICKET_S = 30.0  # for a browser to start
+_WATCHED_S = 600.0  # no browser is later than that: a ticket that comes again has been stolen before, not now
+_STOLEN = (
+    "The address that becalm gave the browser was used twice: somebody else on this machine may have opened the page."
+    " Nobody is let in any more; end becalm, remove the file of --token-file if it has one, and start it again."
+)
 _TOKEN = re.compile(r"[A-Za-z0-9_-]{22,256}")  # of 128 bits and more, and harmless in an address or a cookie
+
+
+def address_of(host: str) -> str:
+    """Return where to listen: "localhost" may be two addresses, and who took the other one would be sent our token."""
+    return LOOPBACK if host.lower() == "localhost" else host.lower()
+
+
+class StolenError(BecalmError):
+    """An address that opens the page once was used twice."""
 
 
 class Access:
@@ -33,10 +50,11 @@ class Access:
     """
 
     def __init__(self, host: str, port: int, token: str) -> None:
-        self.host, self.port = host.lower(), port
+        self.host, self.port = address_of(host), port
         self._token = token
-        self._tickets: set[str] = set()
-        self.cookie = f"becalm-{port}"
+        self._tickets: dict[str, float] = {}  # and when each was made
+        self._spent: dict[str, float] = {}
+        self.cookie = f"{COOKIE}{port}"
         own = {self.host} | ({"localhost", LOOPBACK, "::1"} if self.loopback or self.anywhere else set())
         self._names = {_written(name) for name in (own | {socket.gethostname().lower()} if self.anywhere else own)}
 
@@ -44,7 +62,7 @@ class Access:
     def loopback(self) -> bool:
         """Whether only this machine can reach it."""
         try:
-            return self.host == "localhost" or ipaddress.ip_address(self.host).is_loopback
+            return ipaddress.ip_address(self.host).is_loopback
         except ValueError:
             return False
 
@@ -70,16 +88,27 @@ class Access:
         )
 
     def ticket(self) -> str:
-        """Return an address that opens the page once: other users of a machine see what a browser is started with."""
+        """Return an address that opens the page once, and soon: other users see what a browser is started with."""
         ticket = secrets.token_urlsafe()
-        self._tickets.add(ticket)
+        self._tickets[ticket] = time.monotonic()
         return f"http://{LOOPBACK if self.anywhere else _written(self.host)}:{self.port}/?token={ticket}"
 
     def admits(self, brought: str) -> bool:
-        """Whether this is the token; a ticket serves once."""
-        for ticket in self._tickets:
-            if _same(brought, ticket):
-                self._tickets.remove(ticket)
+        """Whether this is the token, or a ticket that serves now.
+
+        Raises
+        ------
+        StolenError
+            If a ticket came before: one of the two was not the browser, and from now on nobody is known.
+        """
+        now = time.monotonic()
+        if any(_same(brought, ticket) and now - made < _WATCHED_S for ticket, made in self._spent.items()):
+            self._token = secrets.token_urlsafe(32)  # that nobody is told
+            self._tickets.clear()
+            raise StolenError(_STOLEN)
+        for ticket, made in list(self._tickets.items()):
+            if _same(brought, ticket) and now - made < _TICKET_S:
+                self._spent[ticket] = self._tickets.pop(ticket)
                 return True
         return self.knows(brought)
 
@@ -144,6 +173,8 @@ def _kept(path: Path) -> str:
         raise UsageError(f"{path} cannot be read ({cause.strerror}); name another with --token-file.") from cause
     if os.name == "posix" and stat.S_IMODE(found.st_mode) & 0o077:
         raise UsageError(f"{path} can be read by others, so what it holds is no secret; type: rm {path}")
+    if os.name == "posix" and found.st_uid != os.geteuid():
+        raise UsageError(f"{path} belongs to another user, who knows what it holds; name another with --token-file.")
     if not _TOKEN.fullmatch(text):
         raise UsageError(f"{path} holds no token: 22 letters, digits, - and _ or more; remove it, and one is made.")
     return text

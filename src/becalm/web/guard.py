@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 from contextlib import suppress
 from typing import TYPE_CHECKING
 from urllib.parse import parse_qs
 
-from becalm.web.access import Access
+from becalm.web.access import Access, StolenError
 
 if TYPE_CHECKING:
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -42,6 +43,7 @@ class Guard:
     def __init__(self, app: ASGIApp, access: Access) -> None:
         self._app, self._access = app, access
         self._viewers = 0
+        self._answering: set[asyncio.Task[object]] = set()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer, refuse or pass on what came; nothing is raised."""
@@ -79,12 +81,23 @@ class Guard:
 
     async def _log_in(self, asked: _Asked, send: Send) -> None:
         """Leave the token with a browser that brings it, and take it out of its address line."""
-        if not self._access.admits(asked.token):
-            why = "The token in this address is not that of the page; open the address that becalm printed last."
+        why = "The token in this address is not that of the page; open the address that becalm printed last."
+        try:
+            admitted = self._access.admits(asked.token)
+        except StolenError as cause:
+            admitted, why = False, str(cause)
+            self._end_all(why)
+        if not admitted:
             await _answer(asked, send, 403, why)
             return
         headers = [(b"location", b"/"), (b"set-cookie", self._access.set_cookie().encode("ascii"))]
         await _answer(asked, send, 303, "", headers)
+
+    def _end_all(self, why: str) -> None:
+        """Leave who was let in before, and tell whoever runs becalm."""
+        for task in self._answering:
+            task.cancel()
+        _log.warning(why)
 
     async def _pass_on(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] == "websocket" and self._viewers >= MOST_VIEWERS:
@@ -94,6 +107,9 @@ class Guard:
             return
         is_viewer = scope["type"] == "websocket"
         self._viewers += is_viewer
+        task = asyncio.current_task()
+        assert task is not None
+        self._answering.add(task)
         try:
             await self._app(scope, receive, send)
         except Exception as cause:  # the page goes on for others, and whoever runs it is told
@@ -102,6 +118,7 @@ class Guard:
                 with suppress(Exception):  # it may be gone, or closed
                     await send({"type": "websocket.close", "code": _BROKEN, "reason": "Something went wrong."})
         finally:
+            self._answering.discard(task)
             self._viewers -= is_viewer
 
 

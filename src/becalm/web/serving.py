@@ -11,14 +11,16 @@ from typing import TYPE_CHECKING, Self
 import uvicorn
 
 from becalm.errors import UsageError
-from becalm.web.sockets import HurriedProtocol
+from becalm.web.access import address_of
+from becalm.web.sockets import HurriedProtocol, HurriedWebSocket
 
 if TYPE_CHECKING:
     from starlette.types import ASGIApp
 
 MOST_SAID_BYTES = 1 << 20  # in a message of a page
+PING_S = 20.0  # how often a page must show that it is there, and how long it may take to
 _PORTS = 1 << 16
-_HEADERS_BYTES = 1 << 14
+_HEADERS_BYTES = 1 << 16  # browsers send the cookies of all ports
 _ENDING_S = 1  # for answers on their way when the server ends
 _PATIENCE_S = 4.0  # for its thread to end, which may be computing
 
@@ -49,7 +51,8 @@ def listen(host: str, port: int, option: str = "--port") -> socket.socket:
     if not 0 <= port < _PORTS:
         raise UsageError(f"{wanted}: ports end at {_PORTS - 1}; {way_out}")
     try:
-        family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
+        found = socket.getaddrinfo(address_of(host), port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
+        family, _, _, _, address = found[0]
         both = family == socket.AF_INET6 and host == "::" and socket.has_dualstack_ipv6()
         return socket.create_server(address[:2], family=family, dualstack_ipv6=both)
     except OSError as cause:
@@ -78,7 +81,7 @@ class Server:
             app,
             loop="asyncio",
             http=HurriedProtocol,
-            ws="websockets-sansio",
+            ws=HurriedWebSocket,
             lifespan="off",
             interface="asgi3",
             log_config=None,
@@ -90,6 +93,8 @@ class Server:
             timeout_graceful_shutdown=_ENDING_S,
             h11_max_incomplete_event_size=_HEADERS_BYTES,
             ws_max_size=MOST_SAID_BYTES,
+            ws_ping_interval=PING_S,
+            ws_ping_timeout=PING_S,
             ws_per_message_deflate=False,  # numbers hardly shrink
         )
         self._server = uvicorn.Server(config)

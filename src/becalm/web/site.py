@@ -97,7 +97,8 @@ def _gather(folder: Traversable, before: str, table: dict[str, bytes]) -> None:
 def _told(request: Request, cause: Exception) -> Response:
     """Answer with what a person can mend."""
     status = cause.status if isinstance(cause, RefusedError) else 400
-    return PlainTextResponse(str(cause), status, {"connection": "close"})
+    says = str(cause).encode("utf-8", "replace")  # names of files may be no Unicode
+    return PlainTextResponse(says, status, {"connection": "close"})
 
 
 def _gone(request: Request, cause: Exception) -> Response:
