@@ -88,6 +88,17 @@ def test_what_cannot_be_saved_is_said_in_a_sentence(tmp_path: Path) -> None:
         assert "Traceback" not in answer.text
 
 
+@pytest.mark.parametrize("module", ["becalm", "typer", "csv"])
+def test_nothing_in_the_folder_is_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: str) -> None:
+    drive_in(tmp_path)
+    (tmp_path / f"{module}.py").write_text("raise SystemExit('run from the folder')")
+    monkeypatch.chdir(tmp_path)
+    with served(tmp_path) as tuner, tuner.client() as client:
+        opened(tuner)
+        saved = client.get("/save/clean?format=csv")
+    assert saved.text.startswith("time_s,ax,ax_sigma")
+
+
 def test_a_file_is_brought_opened_and_saved(tmp_path: Path) -> None:
     folder, elsewhere = tmp_path / "folder", tmp_path / "elsewhere"
     folder.mkdir()

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-import os
 import re
-import sys
 import tempfile
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import NamedTuple
 
+from becalm.core.itself import MODULE, environment
 from becalm.errors import OutputError
 from becalm.files.registry import ENDINGS
 
@@ -92,7 +91,7 @@ async def _made(job: Job, output: str, page: str | None) -> Made:
         words = ["clean", str(job.file.resolve()), "-o", str(inside / output), "--recipe", str(recipe)]
         words += ["--report", str(inside / page)] if page is not None else []
         words += ["--group", job.group] if job.group is not None else []
-        await _run(words)
+        await _run(words, inside)
         name = output if page is None else page
         return Made(folder, inside / name, name)
     except BaseException:
@@ -100,8 +99,8 @@ async def _made(job: Job, output: str, page: str | None) -> Made:
         raise
 
 
-async def _run(words: list[str]) -> None:
-    """Run becalm; it is ended where nobody waits for it any more.
+async def _run(words: list[str], inside: Path) -> None:
+    """Run becalm in a private folder; it is ended where nobody waits for it any more.
 
     Raises
     ------
@@ -109,14 +108,14 @@ async def _run(words: list[str]) -> None:
         If it refuses; what it says is told.
     """
     process = await asyncio.create_subprocess_exec(
-        sys.executable,
-        "-m",
+        *MODULE,
         "becalm",
         *words,
+        cwd=inside,
         stdin=asyncio.subprocess.DEVNULL,
         stdout=asyncio.subprocess.DEVNULL,
         stderr=asyncio.subprocess.PIPE,
-        env={**os.environ, "COLUMNS": "10000", "NO_COLOR": "1"},
+        env={**environment(), "COLUMNS": "10000", "NO_COLOR": "1"},
     )
     try:
         _, said = await process.communicate()
