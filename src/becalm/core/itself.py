@@ -9,7 +9,7 @@ from pathlib import Path
 MODULE = (sys.executable, "-P", "-m")
 """What runs a module: -P, for nothing in the folder where becalm was started is a part of it."""
 
-_SOURCES = Path(__file__).resolve().parents[2]
+_SOURCES = Path(__file__).parents[2]
 
 
 def environment() -> dict[str, str]:

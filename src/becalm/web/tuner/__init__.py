@@ -49,7 +49,7 @@ class Tuner:
 
     def __init__(self, folder: Path, file: Path | None, upload_limit: int) -> None:
         self._shared = Shared(folder, file, upload_limit)
-        self._saving = asyncio.Semaphore(1)  # each save is a process with all cores' work
+        self._saving = asyncio.Semaphore(1)  # each save is a process of its own
         self.routes = [
             Route("/files/{name:path}", self._bring, methods=["PUT"]),
             Route("/save/recipe", self._save_recipe),
