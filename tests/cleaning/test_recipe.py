@@ -152,6 +152,19 @@ def test_a_wrong_value_is_refused_by_name(old: str, new: str, says: str) -> None
     assert message.endswith("Make one with: becalm tune FILE -o R.toml")
 
 
+@pytest.mark.parametrize(
+    ("part", "says"),
+    [
+        ("[[channel.tone]]\nfrequency_hz = 7.0\nbandwidth_hz = 1.0\nprocess_noise_density = 1.0\n" * 33, "at most 32"),
+        (f"[channel.coloured_noise]\nrate_hz = 50.0\nstd = 1.0\ncoefficients = {[0.001] * 65}\n", "at most 64"),
+    ],
+    ids=["tones", "coefficients"],
+)
+def test_more_states_than_fit_into_memory_are_refused(part: str, says: str) -> None:
+    with pytest.raises(RecipeError, match=f"should have {says} items"):
+        Recipe.from_toml(f"{GOOD}{part}")
+
+
 def test_no_channel_is_refused() -> None:
     with pytest.raises(RecipeError, match="channel: Tuple should have at least 1 item"):
         Recipe.from_toml(GOOD.split("[[channel]]")[0].replace("[tuned_on]", "channel = []\n[tuned_on]"))

@@ -41,6 +41,47 @@ def test_links_that_lead_out_of_the_file_are_not_followed(tmp_path: Path) -> Non
     assert [note.split(" ", 1)[0] for note in table.notes] == ["'out'", "'raw'", "'virtual'"]
 
 
+def test_mat_files_lead_nowhere_either(tmp_path: Path) -> None:
+    (tmp_path / "secret").write_bytes("secret".encode("utf-16-le") + VALUES.tobytes())
+    with h5py.File(tmp_path / "other.h5", "w") as file:
+        file.create_group("secret").attrs["MATLAB_class"] = np.bytes_("secret")
+
+    def out(group: h5py.Group, name: str, shape: tuple[int, int], kind: str) -> h5py.Dataset:
+        form = {"char": "u2", "double": "f8", "cell": h5py.ref_dtype}[kind]
+        begin = 0 if kind == "char" else 12
+        there = [(str(tmp_path / "secret"), begin, shape[0] * shape[1] * np.dtype(form).itemsize)]
+        dataset = group.create_dataset(name, shape, form, external=there)
+        dataset.attrs["MATLAB_class"] = np.bytes_(kind)
+        return dataset
+
+    with h5py.File(tmp_path / "a.mat", "w", userblock_size=512) as file:
+        file["x"] = VALUES.T
+        file["x"].attrs["MATLAB_class"] = np.bytes_("double")
+        kept = file.create_group("#refs#")
+        letters = [out(kept, f"text{n}", (6, 1), "char").ref for n in range(3)]
+        numbers = [out(kept, f"number{n}", (1, 1), "double").ref for n in range(3)]
+        for name, held in (("x_names", letters), ("numbers", numbers)):
+            file[name] = np.array([held], h5py.ref_dtype).T
+            file[name].attrs["MATLAB_class"] = np.bytes_("cell")
+        out(file, "text", (6, 1), "char")
+        out(file, "cells", (6, 1), "cell")
+        fields = file.create_group("fields")
+        fields["a"] = np.array([[file["x"].ref] * 2], h5py.ref_dtype).T
+        out(fields, "b", (1, 1), "cell")
+        fields["c"] = h5py.ExternalLink("other.h5", "/secret")
+        file["out"] = h5py.ExternalLink("other.h5", "/secret")
+        file["soft"] = h5py.SoftLink("/out")
+    data = bytearray((tmp_path / "a.mat").read_bytes())
+    data[:128] = b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM"
+    (tmp_path / "a.mat").write_bytes(data)
+    (table,) = read_tables(tmp_path / "a.mat")
+    assert not [name for name in table.names if "x" not in name and "fields" not in name]
+    told = [note.split("'")[1] for note in table.notes if "another file" in note]
+    elements = [f"{name}{{{n}}}" for name in ("numbers", "x_names") for n in (1, 2, 3)]
+    assert sorted(told) == sorted(["cells", "fields/b", "fields/c", "out", "text", *elements])
+    assert "secret" not in " ".join(table.names)
+
+
 def test_a_filter_that_is_not_here_is_told(tmp_path: Path) -> None:
     with h5py.File(tmp_path / "a.h5", "w") as file:
         settings = h5py.h5p.create(h5py.h5p.DATASET_CREATE)

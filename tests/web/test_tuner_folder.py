@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from pathlib import Path
 
 import pytest
@@ -53,11 +54,33 @@ def test_a_folder_lists_recordings_only(chosen: Path) -> None:
         "b.csv",
         "folder/b.csv\0",
         "folder//etc/passwd",
+        "folder/\0.csv",
+        "folder/\ud800.csv",
+        "folder/inside/../b.csv",
+        "folder/./b.csv",
     ],
 )
 def test_no_name_leads_out(chosen: Path, asked: str) -> None:
     with pytest.raises(InputError, match="not there any more"):
         Folder(chosen, None).path_of(asked)
+
+
+def test_one_file_is_found_without_a_look_at_the_others(chosen: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = Folder(chosen, None)
+
+    def listed(_: Path) -> None:
+        raise AssertionError("the whole folder was listed")
+
+    monkeypatch.setattr(Path, "iterdir", listed)
+    assert folder.path_of("folder/b.csv") == chosen / "b.csv"
+    assert folder.path_of("folder/bag") == chosen / "bag"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere names of files are texts")
+def test_a_name_that_is_no_text_is_found(chosen: Path) -> None:
+    odd = chosen / os.fsdecode(b"\xff.csv")
+    odd.write_text("1")
+    assert Folder(chosen, None).path_of("folder/\ufffd.csv") == odd
 
 
 def test_a_link_that_is_changed_meanwhile_leads_nowhere(chosen: Path, tmp_path: Path) -> None:

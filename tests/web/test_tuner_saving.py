@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import socket
 import subprocess
 import sys
 import tempfile
@@ -13,9 +15,12 @@ import pytest
 from becalm.cleaning.recipe import Recipe
 from becalm.files.opening import open_source
 from becalm.files.portions import rows_to_tune_on
-from becalm.web.tuner.saving import stem_of
-from served import PATIENCE_S
-from tuner_served import Served, drive_in, served
+from becalm.files.writing import write
+from becalm.web.access import LOOPBACK
+from becalm.web.tuner import saving
+from becalm.web.tuner.naming import command, stem_of
+from served import PATIENCE_S, TOKEN, until
+from tuner_served import Served, drive, drive_in, served
 
 
 def becalm(folder: Path, *words: str) -> None:
@@ -88,6 +93,17 @@ def test_what_cannot_be_saved_is_said_in_a_sentence(tmp_path: Path) -> None:
         assert "Traceback" not in answer.text
 
 
+@pytest.mark.parametrize("module", ["becalm", "typer", "csv"])
+def test_nothing_in_the_folder_is_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: str) -> None:
+    drive_in(tmp_path)
+    (tmp_path / f"{module}.py").write_text("raise SystemExit('run from the folder')")
+    monkeypatch.chdir(tmp_path)
+    with served(tmp_path) as tuner, tuner.client() as client:
+        opened(tuner)
+        saved = client.get("/save/clean?format=csv")
+    assert saved.text.startswith("time_s,ax,ax_sigma")
+
+
 def test_a_file_is_brought_opened_and_saved(tmp_path: Path) -> None:
     folder, elsewhere = tmp_path / "folder", tmp_path / "elsewhere"
     folder.mkdir()
@@ -109,9 +125,114 @@ def test_as_much_is_tuned_on_as_the_command_line_does(tmp_path: Path) -> None:
         assert rows_to_tune_on(source) >= source.rows
 
 
+def test_what_changed_since_it_was_opened_is_not_saved(tmp_path: Path) -> None:
+    path = drive_in(tmp_path)
+    with served(tmp_path) as tuner, tuner.client() as client:
+        opened(tuner)
+        written = path.stat().st_mtime
+        write(path, drive(seed=2))
+        os.utime(path, (written + 1, written + 1))
+        for what in ("clean", "report"):
+            answer = client.get(f"/save/{what}")
+            assert answer.status_code == 400
+            assert answer.text == "drive.csv changed since it was opened; open it again."
+        with tuner.talk() as page:
+            page.opened("folder/drive.csv")
+            until(lambda: client.get("/save/clean").status_code == 200)  # it is told first of what was open before
+
+
+NEVER_ENDS = (
+    "import os, time; open('pid.new', 'w').write(str(os.getpid())); os.rename('pid.new', 'pid'); time.sleep(600)"
+)
+
+
+def test_saves_go_one_after_another_and_end_when_nobody_waits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    private = tmp_path / "private"
+    private.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(private))
+    monkeypatch.setattr(saving, "MODULE", (sys.executable, "-P", "-c", NEVER_ENDS))
+    drive_in(tmp_path)
+
+    def ask(tuner: Served) -> socket.socket:
+        link = socket.create_connection((LOOPBACK, tuner.access.port), PATIENCE_S)
+        asked = f"GET /save/clean HTTP/1.1\r\nHost: {LOOPBACK}:{tuner.access.port}\r\n"
+        link.sendall(f"{asked}Cookie: {tuner.access.cookie}={TOKEN}\r\n\r\n".encode())
+        return link
+
+    def is_gone(process: int) -> bool:
+        try:
+            os.kill(process, 0)
+        except ProcessLookupError:
+            return True
+        return False
+
+    with served(tmp_path) as tuner, tuner.client() as client:
+        opened(tuner)
+        processes = []
+        with ask(tuner) as first:
+            until(lambda: len([*private.glob("*/pid")]) == 1)
+            with ask(tuner) as second:
+                assert client.get("/save/recipe").status_code == 200  # which is answered after the second came
+                assert len([*private.glob("*/recipe.toml")]) == 1
+                processes.append(int(next(private.glob("*/pid")).read_text()))
+                first.close()
+                until(lambda: is_gone(processes[0]))
+                until(lambda: len([*private.glob("*/pid")]) == 1)
+                processes.append(int(next(private.glob("*/pid")).read_text()))
+                second.close()
+        until(lambda: is_gone(processes[1]) and not any(private.glob("*/recipe.toml")))
+    assert processes[0] != processes[1]
+
+
+def test_what_is_told_of_a_save_names_no_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    refuses = "import sys; sys.exit(f'{sys.argv[3]} and {sys.argv[5]} are none')"
+    monkeypatch.setattr(saving, "MODULE", (sys.executable, "-P", "-c", refuses))
+    drive_in(tmp_path)
+    with served(tmp_path) as tuner, tuner.client() as client:
+        opened(tuner)
+        assert client.get("/save/clean").text == "drive.csv and drive-clean.csv are none"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere names of files are texts")
+def test_a_name_that_is_no_text_is_saved_as_it_is(tmp_path: Path) -> None:
+    name = os.fsdecode(b"m\xfcll.csv")
+    drive_in(tmp_path, name)
+    with served(tmp_path) as tuner, tuner.client() as client:
+        with tuner.talk() as page:
+            page.opened("folder/m\ufffdll.csv")
+        for what, called in (("recipe", "m%FCll.recipe.toml"), ("clean", "m%FCll-clean.csv")):
+            answer = client.get(f"/save/{what}")
+            assert answer.status_code == 200, answer.text
+            assert answer.headers["content-disposition"].endswith(called)
+
+
 @pytest.mark.parametrize(
     ("name", "stem"),
-    [("drive.csv", "drive"), ("a.b.mf4", "a.b"), ("drive.csv.gz", "drive"), ("plain", "plain"), (".csv", "recording")],
+    [
+        ("drive.csv", "drive"),
+        ("a.b.mf4", "a.b"),
+        ("drive.csv.gz", "drive"),
+        ("log.tsv.gz", "log"),
+        ("plain", "plain"),
+        (".csv", "recording"),
+    ],
 )
 def test_names_are_kept_without_their_format(name: str, stem: str) -> None:
     assert stem_of(Path(name)) == stem
+
+
+@pytest.mark.parametrize(
+    ("name", "group", "typed"),
+    [
+        ("a b.csv", None, "becalm clean 'a b.csv' -o 'a b-clean.csv' --recipe 'a b.recipe.toml'"),
+        ("log.tsv.gz", None, "becalm clean log.tsv.gz -o log-clean.csv --recipe log.recipe.toml"),
+        ("-x.csv", None, "becalm clean ./-x.csv -o ./-x-clean.csv --recipe ./-x.recipe.toml"),
+        ("a.tdms", "slow", "becalm clean a.tdms -o a-clean.tdms --recipe a.recipe.toml --group slow"),
+        ("a\x1b[2J.csv", None, ""),
+        ("a\n.csv", None, ""),
+        ("\udcff.csv", None, ""),
+        ("a.tdms", "slow\x03", ""),
+    ],
+)
+def test_what_to_type_is_safe_to_type(name: str, group: str | None, typed: str) -> None:
+    assert command(Path(name), group) == typed

@@ -12,6 +12,7 @@ from urllib.parse import quote
 
 import pytest
 
+from becalm.web import uploads
 from becalm.web.uploads import RefusedError, Uploads, checked_name
 from served import LIMIT_BYTES, Served, served, until
 
@@ -175,6 +176,41 @@ def test_a_page_that_dies_half_way_leaves_nothing(page: Served, length: bytes) -
         link.sendall(begun(page) + length + b"\r\n" + b"10000\r\n%b\r\n" % bytes(0x10000))
         until(lambda: len(kept(page)) == 1)  # it has begun
     until(lambda: list(page.page.uploads.folder.iterdir()) == [])
+    assert still_served(page)
+
+
+def test_all_files_together_have_a_limit(page: Served) -> None:
+    with page.client() as browser:
+        for _ in range(2):
+            assert browser.put("/files/a.csv", content=bytes(LIMIT_BYTES - 1)).status_code == 200
+        told = browser.put("/files/b.csv", content=b"123")
+        unsaid = browser.put("/files/b.csv", content=iter([b"12", b"3"]))
+        assert browser.put("/files/c.csv", content=b"12").status_code == 200  # nothing of what was refused counts
+    for answer in (told, unsaid):
+        assert answer.status_code == 413
+        assert "b.csv does not fit: all that is dropped here may be 6 MB together" in answer.text
+    assert sorted(path.name for path in kept(page)) == ["a.csv", "a.csv", "c.csv"]
+
+
+def test_a_file_that_stops_coming_is_let_go(page: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(uploads, "PATIENCE_S", 0.2)
+    answer = page.raw(begun(page) + b"Content-Length: 3\r\n\r\n12")
+    assert answer.split(b" ")[1] == b"408"
+    assert b"Nothing of drive.csv came for 0.2 s" in answer
+    assert list(page.page.uploads.folder.iterdir()) == []
+
+
+@pytest.mark.parametrize("refuses", [(tempfile, "mkdtemp"), (Path, "mkdir")])
+def test_a_disk_without_room_for_a_folder_is_told(
+    page: Served, monkeypatch: pytest.MonkeyPatch, refuses: tuple[object, str]
+) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with page.client() as browser, monkeypatch.context() as patch:
+        patch.setattr(*refuses, full)
+        answer = browser.put("/files/a.csv", content=b"x")
+    assert (answer.status_code, "No space left on device" in answer.text) == (507, True)
     assert still_served(page)
 
 

@@ -93,7 +93,7 @@ class ChannelRecipe(Settings):
     coloured_noise: ColouredNoiseRecipe | None = None
     calibration: CalibrationRecipe | None = None
     timing: TimingRecipe | None = None
-    tone: tuple[ToneRecipe, ...] = ()
+    tone: Annotated[tuple[ToneRecipe, ...], Field(max_length=32)] = ()  # each two states more
     gate: GateRecipe | None = None
     switching: SwitchingRecipe | None = None
     limits: LimitsRecipe | None = None

@@ -58,7 +58,7 @@ class ColouredNoiseRecipe(Settings):
     """
 
     rate_hz: Positive
-    coefficients: Annotated[tuple[float, ...], Field(min_length=1)]
+    coefficients: Annotated[tuple[float, ...], Field(min_length=1, max_length=64)]  # each a state more
     std: Positive
 
 

@@ -14,7 +14,6 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -25,6 +24,7 @@ from becalm.core.faults import Faults
 from becalm.core.filtering import kalman_filter, sizes_of
 from becalm.core.fixed_lag import fixed_lag_smoother
 from becalm.core.gates import LEAST_THRESHOLD, Gate, Gatekeeper
+from becalm.core.itself import MODULE, environment
 from becalm.core.kernel_backward import backward
 from becalm.core.kernel_faults import find_faults
 from becalm.core.kernel_gate import find_outliers
@@ -62,7 +62,6 @@ KERNELS = (*OF_ALL, "forward", "backward", "gate", "late", "live run", "live ste
 Use = tuple[object, Callable[[], object]]
 
 _READINGS = np.linspace(0.0, 1.0, 100)
-_SOURCES = Path(__file__).parents[2]
 
 
 class Warmed(NamedTuple):
@@ -105,7 +104,7 @@ def warm(names: Sequence[str] = KERNELS, orders: Sequence[int] = EVERY_ORDER) ->
         if any(codes):
             raise UsageError(
                 f"Compiling ahead ended with exit code {max(codes, key=abs)}; kernels are compiled when they are first"
-                f" used. To see why: {sys.executable} -P -m {__name__} 1 {KERNELS[0]}"
+                f" used. To see why: {' '.join(MODULE)} {__name__} 1 {KERNELS[0]}"
             )
     finally:
         for process in running:
@@ -114,14 +113,13 @@ def warm(names: Sequence[str] = KERNELS, orders: Sequence[int] = EVERY_ORDER) ->
 
 
 def _start(order: int, names: Sequence[str]) -> subprocess.Popen[str]:
-    """Compile for one order in a process of its own, which finds becalm where this one did."""
-    places = [str(_SOURCES), os.environ.get("PYTHONPATH", "")]
+    """Compile for one order in a process of its own."""
     return subprocess.Popen(
-        [sys.executable, "-P", "-m", __name__, str(order), *names],
+        [*MODULE, __name__, str(order), *names],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
-        env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, places))},
+        env=environment(),
         text=True,
     )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import secrets
 import shutil
@@ -16,6 +17,10 @@ from starlette.requests import Request
 
 from becalm.errors import BecalmError
 
+PATIENCE_S = 60.0
+"""How long each part of a file is waited for."""
+
+_OVER_ALL = 2  # times the limit of one file
 _LONGEST_NAME = 255  # bytes, of most file systems
 _MEBIBYTE = 1 << 20
 
@@ -34,11 +39,12 @@ class Uploads:
     Parameters
     ----------
     limit_bytes : int
-        How large a file may be.
+        How large a file may be; all of them may be twice as large together.
     """
 
     def __init__(self, limit_bytes: int) -> None:
         self.limit_bytes = limit_bytes
+        self._bytes = 0  # of all of them, also of those that are on their way
 
     @cached_property
     def folder(self) -> Path:
@@ -51,25 +57,25 @@ class Uploads:
         Raises
         ------
         RefusedError
-            If the name is no plain file name, the file is too large, or there is no room for it.
+            If the name is no plain file name, the file is too large, there is no room for it, or it does not come.
         ClientDisconnect
             If the page is gone before all of it was here.
 
         Whatever is raised, nothing of the file is left.
         """
         checked_name(name)
-        said = request.headers.get("content-length", "0")
-        if int(said) > self.limit_bytes:
-            raise self._too_large(name)
-        folder = self.folder / secrets.token_hex(8)
-        folder.mkdir(mode=0o700)
+        self._check_fits(name, int(request.headers.get("content-length", "0")), 0)
+        folder: Path | None = None
         try:
+            folder = self._new_folder()
             await self._write(folder / name, request.stream())
         except BaseException as cause:
-            shutil.rmtree(folder, ignore_errors=True)
+            if folder is not None:
+                shutil.rmtree(folder, ignore_errors=True)
             if not isinstance(cause, OSError):
                 raise
-            raise RefusedError(f"{name} cannot be kept ({cause.strerror}); make room in {self.folder}.", 507) from cause
+            says = f"{name} cannot be kept ({cause.strerror}); make room where temporary files are, or set TMPDIR."
+            raise RefusedError(says, 507) from cause
         return folder / name
 
     def close(self) -> None:
@@ -77,22 +83,45 @@ class Uploads:
         if "folder" in self.__dict__:  # it was made
             shutil.rmtree(self.folder, ignore_errors=True)
 
+    def _new_folder(self) -> Path:
+        folder = self.folder / secrets.token_hex(8)
+        folder.mkdir(mode=0o700)
+        return folder
+
     async def _write(self, path: Path, stream: AsyncIterator[bytes]) -> None:
         size, waiting = 0, bytearray()
-        with path.open("xb") as file:
-            async for part in stream:
-                size += len(part)
-                if size > self.limit_bytes:
-                    raise self._too_large(path.name)
-                waiting += part
-                if len(waiting) >= _MEBIBYTE:  # the wire of other pages does not wait for the disk
-                    await run_in_threadpool(file.write, bytes(waiting))
-                    waiting.clear()
-            file.write(waiting)
+        try:
+            with path.open("xb") as file:
+                while (part := await _soon(stream, path.name)) is not None:
+                    self._check_fits(path.name, len(part), size)
+                    size += len(part)
+                    self._bytes += len(part)
+                    waiting += part
+                    if len(waiting) >= _MEBIBYTE:  # the wire of other pages does not wait for the disk
+                        await run_in_threadpool(file.write, bytes(waiting))
+                        waiting.clear()
+                file.write(waiting)
+        except BaseException:
+            self._bytes -= size
+            raise
 
-    def _too_large(self, name: str) -> RefusedError:
-        most = f"{self.limit_bytes / 1e6:.6g} MB"
-        return RefusedError(f"{name} is larger than {most}; type: becalm app {name}, or raise --upload-limit.", 413)
+    def _check_fits(self, name: str, more: int, size: int) -> None:
+        """Raise a RefusedError if so many more bytes of a file of which some are here are too many."""
+        if size + more > self.limit_bytes:
+            most = f"{self.limit_bytes / 1e6:.6g} MB"
+            raise RefusedError(f"{name} is larger than {most}; type: becalm app {name}, or raise --upload-limit.", 413)
+        if self._bytes + more > (over_all := _OVER_ALL * self.limit_bytes):
+            says = f"{name} does not fit: all that is dropped here may be {over_all / 1e6:.6g} MB together"
+            raise RefusedError(f"{says}; end becalm and type: becalm app {name}, or raise --upload-limit.", 413)
+
+
+async def _soon(stream: AsyncIterator[bytes], name: str) -> bytes | None:
+    """Return the next part of a file, None at its end."""
+    try:
+        async with asyncio.timeout(PATIENCE_S):
+            return await anext(stream, None)
+    except TimeoutError as cause:
+        raise RefusedError(f"Nothing of {name} came for {PATIENCE_S:g} s; drop it once more.", 408) from cause
 
 
 def checked_name(name: str) -> str:

@@ -123,12 +123,16 @@ class Tree:
             self.found.numbers[(*path, name)] = float(values.ravel()[0])
 
     def take_dataset(self, dataset: Any, path: Path) -> None:
-        """Keep a dataset, or each field of one; what cannot be read, or leads out of the file, is noted."""
+        """Keep a dataset; what cannot be read, or leads out of the file, is noted."""
         if dataset.shape is None:
             return
-        if why := self._why_not(dataset):
+        if why := self.why_not(dataset):
             self.note(path, why)
-            return
+        else:
+            self.keep_dataset(dataset, path)
+
+    def keep_dataset(self, dataset: Any, path: Path) -> None:
+        """Keep what may be read: a dataset, or each field of one."""
         rows = self._opened.whole_rows(dataset)
         shape = (rows, *dataset.shape[1:]) if dataset.shape else ()
         if shape != dataset.shape:
@@ -198,8 +202,8 @@ class Tree:
         """Return an array with its axes in the order that is meant."""
         return leaf
 
-    def _why_not(self, dataset: Any) -> str:
-        """Say why a dataset is not read, "" if it is."""
+    def why_not(self, dataset: Any) -> str:
+        """Say why a dataset is not read, "" if it is; whoever reads one asks this before."""
         if dataset.external:
             return f"its values are in another file, {dataset.external[0][0]!r}"
         if dataset.is_virtual:

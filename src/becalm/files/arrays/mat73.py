@@ -58,7 +58,8 @@ class _MatlabTree(Tree):
         """Pass over what MATLAB keeps for itself, and what only it can open."""
         if name.startswith("#"):
             return
-        thing = group.get(name, getclass=True, getlink=False)
+        inside = isinstance(group.get(name, getlink=True), self.h5py.HardLink)  # others may lead out of the file
+        thing = group.get(name, getclass=True) if inside else None
         if thing is self.h5py.Group and (kind := _kind(group[name])) not in ("", "struct"):
             self.note(path, f"it is a MATLAB {kind}, which only MATLAB opens{SAVE_AS}")
         elif thing is self.h5py.Group and "MATLAB_sparse" in group[name].attrs:
@@ -66,7 +67,7 @@ class _MatlabTree(Tree):
         else:
             super().look(group, name, path)
 
-    def take_dataset(self, dataset: Any, path: Where) -> None:
+    def keep_dataset(self, dataset: Any, path: Where) -> None:
         """Keep an array as MATLAB has it: its axes are the other way round in the file."""
         kind = _kind(dataset)
         if "MATLAB_empty" in dataset.attrs or not dataset.shape:
@@ -78,7 +79,7 @@ class _MatlabTree(Tree):
         elif kind and kind not in _NUMBERS and kind != "logical":
             self.note(path, f"it is a MATLAB {kind}, which only MATLAB opens{SAVE_AS}")
         else:
-            super().take_dataset(dataset, path)
+            super().keep_dataset(dataset, path)
             leaf = self.found.leaves[-1] if self.found.leaves else None
             if kind == "logical" and leaf is not None and leaf.path == path and leaf.type.kind == "u":
                 self.found.leaves[-1] = leaf._replace(
@@ -101,11 +102,12 @@ class _MatlabTree(Tree):
         self._left -= dataset.size
         things = [self.h5py.h5r.dereference(ref, dataset.id) for ref in dataset[()].T.ravel(order="F")]
         held = [self.h5py.Dataset(thing) if isinstance(thing, self.h5py.h5d.DatasetID) else None for thing in things]
-        if all(one is not None and _kind(one) == "char" for one in held):
+        readable = all(one is not None and not self.why_not(one) for one in held)
+        if readable and all(_kind(one) == "char" for one in held):
             if not struct:
                 self.found.add(Leaf.of(path, np.array([self._one_text(one) for one in held], object)))
                 return
-        elif len(held) > 1 and (not struct or _are_records(dataset.parent)) and all(map(_is_number, held)):
+        elif readable and len(held) > 1 and all(map(_is_number, held)) and (not struct or self._in_records(dataset)):
             self.found.add(Leaf.of(path, np.array([one[()].item() for one in held if one is not None])))
             return
         for number, (thing, one) in enumerate(zip(things[:MOST_ELEMENTS], held, strict=False), start=1):
@@ -114,6 +116,15 @@ class _MatlabTree(Tree):
                 self.take_dataset(one, where)
             elif isinstance(thing, self.h5py.h5g.GroupID):
                 self.walk(self.h5py.Group(thing), where)
+
+    def _in_records(self, field: Any) -> bool:
+        """Tell whether the first of the structs that this is a field of has single numbers and texts only."""
+        group, firsts = field.parent, []
+        for name in group:
+            if not isinstance(group.get(name, getlink=True), self.h5py.HardLink) or self.why_not(group[name]):
+                return False
+            firsts.append(group.file[group[name][()].ravel()[0]])
+        return all(_kind(one) == "char" or getattr(one, "size", 0) == 1 for one in firsts)
 
     def _one_text(self, dataset: Any) -> str:
         if "MATLAB_empty" in dataset.attrs or dataset.size > _MOST_REFERENCES:
@@ -128,12 +139,6 @@ class _MatlabTree(Tree):
 
 def _is_number(dataset: Any) -> bool:
     return dataset is not None and dataset.size == 1 and _kind(dataset) in _NUMBERS
-
-
-def _are_records(group: Any) -> bool:
-    """Tell whether the first of an array of structs has single numbers and texts only."""
-    firsts = [group.file[field[()].ravel()[0]] for field in group.values()]
-    return all(_kind(one) == "char" or getattr(one, "size", 0) == 1 for one in firsts)
 
 
 def _cell(path: Where, number: int) -> Where:

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import asyncio
+import os
+from collections.abc import Awaitable, Callable, Coroutine
 from pathlib import Path
 from urllib.parse import quote
 
-from starlette.requests import Request
+from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response, StreamingResponse
 from starlette.routing import Route
 from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket
 
+from becalm.errors import InputError
 from becalm.web.tuner.conversation import Conversation
-from becalm.web.tuner.saving import Job, Made, cleaned, reported, stem_of
+from becalm.web.tuner.naming import stem_of
+from becalm.web.tuner.opened import Opened
+from becalm.web.tuner.saving import Job, Made, cleaned, reported
 from becalm.web.tuner.sharing import Shared
 
 __all__ = ["Tuner"]
@@ -43,6 +49,7 @@ class Tuner:
 
     def __init__(self, folder: Path, file: Path | None, upload_limit: int) -> None:
         self._shared = Shared(folder, file, upload_limit)
+        self._saving = asyncio.Semaphore(1)  # each save is a process of its own
         self.routes = [
             Route("/files/{name:path}", self._bring, methods=["PUT"]),
             Route("/save/recipe", self._save_recipe),
@@ -73,14 +80,52 @@ class Tuner:
         return Response(desk.recipe().to_toml(), media_type="application/toml", headers=_as_file(name))
 
     async def _save_clean(self, request: Request) -> Response:
-        return _Download(await cleaned(self._job(), request.query_params.get("format", "csv").removeprefix(".")))
+        ending = request.query_params.get("format", "csv").removeprefix(".")
+        return _Download(await _while_there(request, self._saved(lambda job: cleaned(job, ending))))
 
     async def _save_report(self, request: Request) -> Response:
-        return _Download(await reported(self._job()))
+        return _Download(await _while_there(request, self._saved(reported)))
 
-    def _job(self) -> Job:
+    async def _saved(self, make: Callable[[Job], Awaitable[Made]]) -> Made:
+        """Save what is set now, of what was opened, once those who asked before have theirs."""
         desk = self._shared.open_desk
-        return Job(desk.opened.path, desk.recipe().to_toml(), desk.opened.group if desk.opened.several else None)
+        opened, recipe = desk.opened, desk.recipe().to_toml()
+        async with self._saving:
+            made = await make(Job(self._unchanged(opened), recipe, opened.group if opened.several else None))
+        try:
+            self._unchanged(opened)  # nor did it change while it was read again
+        except InputError:
+            made.close()
+            raise
+        return made
+
+    def _unchanged(self, opened: Opened) -> Path:
+        """Return where a file is that is still what was opened."""
+        try:
+            path = self._shared.folder.path_of(opened.id)
+        except InputError as cause:
+            raise InputError(f"{opened.path.name} is not there any more; open another file.") from cause
+        opened.check_unchanged(path)
+        return path
+
+
+async def _while_there(request: Request, work: Coroutine[None, None, Made]) -> Made:
+    """Wait for work, which ends where nobody waits for it any more."""
+    job, gone = asyncio.ensure_future(work), asyncio.ensure_future(_gone(request))
+    try:
+        await asyncio.wait((job, gone), return_when=asyncio.FIRST_COMPLETED)
+        if job.done():
+            return job.result()
+        raise ClientDisconnect
+    finally:
+        job.cancel()
+        gone.cancel()
+        await asyncio.gather(job, gone, return_exceptions=True)
+
+
+async def _gone(request: Request) -> None:
+    while (await request.receive())["type"] != "http.disconnect":
+        pass
 
 
 class _Download(StreamingResponse):
@@ -100,4 +145,4 @@ class _Download(StreamingResponse):
 
 
 def _as_file(name: str) -> dict[str, str]:
-    return {"content-disposition": f"attachment; filename*=UTF-8''{quote(name)}"}
+    return {"content-disposition": f"attachment; filename*=UTF-8''{quote(os.fsencode(name))}"}

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
-from pathlib import Path
 from typing import NamedTuple
 
 from becalm.classic.register import CAUSAL, ZERO_PHASE
@@ -11,6 +9,7 @@ from becalm.cleaning.recipe import ChannelRecipe, Mode, Recipe
 from becalm.cleaning.steps import lag_in_rows
 from becalm.errors import RecipeError, UsageError
 from becalm.web.tuner.messages import Turned
+from becalm.web.tuner.naming import command
 from becalm.web.tuner.opened import Opened
 from becalm.web.tuner.settings import GIVEN, Options, Setting, components
 
@@ -177,7 +176,7 @@ class Desk:
             "channels": [_told(name, unit, option, setting) for name, unit, option, setting in names],
             "classics": self.classics,
             "remarks": opened.remarks,
-            "command": command(opened),
+            "command": command(opened.path, opened.group if opened.several else None),
         }
 
     def state_told(self) -> dict[str, object]:
@@ -236,15 +235,6 @@ def classics_of(mode: Mode) -> list[str]:
     if mode == "lagged":
         return []
     return [classic.name for classic in (CAUSAL if mode == "causal" else ZERO_PHASE)]
-
-
-def command(opened: Opened) -> str:
-    """Return what to type for the same, once the recipe is saved."""
-    file = Path(opened.path.name)
-    stem = file.name.removesuffix("".join(file.suffixes[-2:]) if file.suffix == ".gz" else file.suffix)
-    suffix = file.suffix if file.suffix in (".csv", ".parquet", ".mat", ".h5", ".npz", ".tdms", ".mf4") else ".csv"
-    words = ["becalm", "clean", file.name, "-o", f"{stem}-clean{suffix}", "--recipe", f"{stem}.recipe.toml"]
-    return shlex.join([*words, *(["--group", opened.group] if opened.several else [])])
 
 
 def _told(name: str, unit: str, options: Options, setting: Setting) -> dict[str, object]:

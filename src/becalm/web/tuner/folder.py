@@ -96,11 +96,7 @@ class Folder:
 
     def known(self) -> list[Known]:
         """List what may be opened now: what was named at the start, what was brought, what is in the folder."""
-        found = [] if self._file is None else [_known("given", self._file, leaving=True)]
-        found += [_known(f"brought/{path.parent.name}", path) for path in self._brought]
-        named = None if self._file is None else os.path.realpath(self._file)
-        found += [_known("folder", path) for path in self._listed() if os.path.realpath(path) != named]
-        return [one for one in found if one is not None]
+        return [*self._elsewhere(), *self._in_folder()]
 
     def path_of(self, file: str) -> Path:
         """Return where a file is that a page may open.
@@ -110,7 +106,8 @@ class Folder:
         InputError
             If it is none of these, or no longer there.
         """
-        for one in self.known():
+        room, _, name = file.partition("/")
+        for one in self._in_folder(name) if room == "folder" else self._elsewhere():
             if one.id == file:
                 return one.path
         raise InputError("That file is not there any more; choose another one, or drop it here.")
@@ -119,6 +116,25 @@ class Folder:
         """Take in a file that a page sent; return what the page calls it."""
         self._brought.append(path)
         return _id(f"brought/{path.parent.name}", path.name)
+
+    def _elsewhere(self) -> list[Known]:
+        found = [] if self._file is None else [_known("given", self._file, leaving=True)]
+        found += [_known(f"brought/{path.parent.name}", path) for path in self._brought]
+        return [one for one in found if one is not None]
+
+    def _in_folder(self, name: str | None = None) -> list[Known]:
+        """List what the folder holds, or only what may be of one name."""
+        given = None if self._file is None else os.path.realpath(self._file)
+        paths = self._listed() if name is None else self._named(name)
+        found = [_known("folder", path) for path in paths if os.path.realpath(path) != given]
+        return [one for one in found if one is not None]
+
+    def _named(self, name: str) -> list[Path]:
+        """Return what a page may mean by a name, without a look at the others."""
+        if "\ufffd" in name:  # it stands for what is no text
+            return self._listed()
+        path = self.folder / name
+        return [path] if path.name == name and _looks_readable(path) and path.exists() else []
 
     def _listed(self) -> list[Path]:
         try:

@@ -61,6 +61,7 @@ class Opened:
     def __init__(self, id: str, path: Path, group: str | None, progress: Progress) -> None:
         self.id, self.path, self._progress = id, path, progress
         progress(f"Reading {path.name} ...")
+        self._stamps = _stamps(path)
         with open_file(path) as opened:
             source = _chosen(opened.sources, group)
             self.groups = [one.group for one in opened.sources]
@@ -97,6 +98,11 @@ class Opened:
         time = self.recording.timebase
         even = time.uniform and round(time.duration_s / time.step_s) == len(self.recording) - 1 and not len(time.gaps)
         return None if even and not len(time.repeats) else self._told_times
+
+    def check_unchanged(self, path: Path) -> None:
+        """Raise an InputError if a file is no longer what was read."""
+        if not self._stamps or _stamps(path) != self._stamps:
+            raise InputError(f"{self.path.name} changed since it was opened; open it again.")
 
     def as_filter(self, mode: str, lag_s: float | None) -> bool:
         """Whether a mode is tuned as a filter, or as a smoother; raises a UsageError if the lag is impossible."""
@@ -151,6 +157,15 @@ class Opened:
         told = calibrated(tuned.recipe.channel, self._calibrations)
         pairs = zip(tuned.found, told, strict=True)
         return tuned, tuple(Options(found, channel, self.step_s, as_filter) for found, channel in pairs)
+
+
+def _stamps(path: Path) -> list[tuple[int, ...]]:
+    """Tell a file, or a folder with all in it, from what it becomes; nothing of what cannot be looked at."""
+    try:
+        told = [one.stat() for one in (path, *(sorted(path.iterdir()) if path.is_dir() else ()))]
+    except OSError:
+        return []
+    return [(one.st_dev, one.st_ino, one.st_size, one.st_mtime_ns) for one in told]
 
 
 def _chosen(sources: Sequence[OpenSource], group: str | None) -> OpenSource:

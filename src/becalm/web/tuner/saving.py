@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import asyncio
 import os
-import re
-import sys
 import tempfile
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import NamedTuple
 
+from becalm.core.itself import MODULE, environment
 from becalm.errors import OutputError
 from becalm.files.registry import ENDINGS
+from becalm.web.tuner.naming import stem_of
 
 _NOT_DESCRIBED = 4  # exit code: written, but a model does not describe its channel
 _BLOCK = 1 << 18
@@ -78,21 +78,20 @@ async def reported(job: Job) -> Made:
     return await _made(job, f"{stem_of(job.file)}-clean.h5", f"{stem_of(job.file)}-report.html")
 
 
-def stem_of(file: Path) -> str:
-    """Return the name of a file without what tells its format."""
-    return re.sub(r"(\.csv|\.txt)?\.[^.]*$", "", file.name) or "recording"
-
-
 async def _made(job: Job, output: str, page: str | None) -> Made:
     folder = tempfile.TemporaryDirectory(prefix="becalm-", ignore_cleanup_errors=True)
     try:
-        inside = Path(folder.name)
+        inside, file = Path(folder.name).resolve(), job.file.resolve()
         recipe = inside / "recipe.toml"
         await asyncio.to_thread(recipe.write_text, job.recipe, encoding="utf-8")
-        words = ["clean", str(job.file.resolve()), "-o", str(inside / output), "--recipe", str(recipe)]
+        words = ["clean", str(file), "-o", str(inside / output), "--recipe", str(recipe)]
         words += ["--report", str(inside / page)] if page is not None else []
         words += ["--group", job.group] if job.group is not None else []
-        await _run(words)
+        try:
+            await _run(words, inside)
+        except OutputError as cause:  # a page knows files by name
+            named = str(cause).replace(str(file), job.file.name).replace(f"{inside}{os.sep}", "")
+            raise OutputError(named.replace(str(inside), "the folder for temporary files")) from cause
         name = output if page is None else page
         return Made(folder, inside / name, name)
     except BaseException:
@@ -100,8 +99,8 @@ async def _made(job: Job, output: str, page: str | None) -> Made:
         raise
 
 
-async def _run(words: list[str]) -> None:
-    """Run becalm; it is ended where nobody waits for it any more.
+async def _run(words: list[str], inside: Path) -> None:
+    """Run becalm in a private folder; it is ended where nobody waits for it any more.
 
     Raises
     ------
@@ -109,14 +108,14 @@ async def _run(words: list[str]) -> None:
         If it refuses; what it says is told.
     """
     process = await asyncio.create_subprocess_exec(
-        sys.executable,
-        "-m",
+        *MODULE,
         "becalm",
         *words,
+        cwd=inside,
         stdin=asyncio.subprocess.DEVNULL,
         stdout=asyncio.subprocess.DEVNULL,
         stderr=asyncio.subprocess.PIPE,
-        env={**os.environ, "COLUMNS": "10000", "NO_COLOR": "1"},
+        env={**environment(), "COLUMNS": "10000", "NO_COLOR": "1"},
     )
     try:
         _, said = await process.communicate()
