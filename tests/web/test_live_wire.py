@@ -178,12 +178,12 @@ def test_a_turn_that_is_refused_is_told_to_who_made_it(live: Shown) -> None:
 def test_turns_that_wait_are_not_lost_by_later_ones(live: Shown) -> None:
     live.begin()
     with live.wire() as wire:
-        wire.say(do="turn", channel=0, process_noise_density=2.5)
+        first = wire.say(do="turn", channel=0, process_noise_density=2.5)
         wire.say(do="turn", channel=0, noise_std=0.125)
         until(lambda: len(live.asked.waiting) == 2)
-        live.asked.waiting.pop(0)
         both = live.asked.take().channel[0]
         assert (both.process_noise_density, both.noise_std) == (2.5, 0.125)
+        wire.hear("passed over", answers=first)
 
 
 def test_no_secret_is_told(live: Shown, monkeypatch: pytest.MonkeyPatch) -> None:
