@@ -19,14 +19,14 @@ _NOTHING = "Nothing was turned since becalm began; there is nothing to undo."
 _FEWER = 4  # positions are told where each takes some hundredths of a second
 
 
-Path = list[Recipe]
+Trail = list[Recipe]
 """What rows went through before each turn that can be taken back, and last what they go through now."""
 
 
 class _Step:
     """What somebody asked, until it is taken or refused."""
 
-    def __init__(self, take: Callable[[Path], object], turns: int) -> None:
+    def __init__(self, take: Callable[[Trail], object], turns: int) -> None:
         self.take, self.turns, self.settled = take, turns, False
 
 
@@ -45,7 +45,7 @@ class Desk:
         self._now, self._retune = now, retune
         self._lock = threading.Lock()  # the thread that filters takes it too: nothing is read or made under it
         self._asked: tuple[_Step, ...] = ()  # and not settled yet
-        self._before: Path = []
+        self._before: Trail = []
 
     @property
     def can_undo(self) -> bool:
@@ -63,7 +63,7 @@ class Desk:
         told = {"process_noise_density": density, "noise_std": noise_std}
         update = {name: value for name, value in told.items() if value is not None}
         _turned(self._running(), channel, update)  # whoever asks what cannot be hears of it at once
-        self._ask(_Step(lambda path: path.append(_turned(path[-1], channel, update)), +1), heard)
+        self._ask(_Step(lambda trail: trail.append(_turned(trail[-1], channel, update)), +1), heard)
 
     def undo(self, heard: Heard) -> None:
         """Take the last turn back, also one that is asked for and not taken yet.
@@ -92,19 +92,19 @@ class Desk:
         """
         with self._lock:
             asked = self._asked = (*self._asked, step)
-        path: Path = []
+        trail: Trail = []
 
         def recipe() -> Recipe:  # one at a time: what rows go through stays until this is taken, or refused
-            path[:] = [*self._before, self._running()]
+            trail[:] = [*self._before, self._running()]
             for each in asked:
                 if not each.settled:
-                    each.take(path)
-            return path[-1]
+                    each.take(trail)
+            return trail[-1]
 
         def told(why: str | None) -> None:
             with self._lock:
                 if why == "":
-                    self._before = path[:-1][-_REMEMBERED:]
+                    self._before = trail[:-1][-_REMEMBERED:]
                 if why is not None:
                     for each in asked:
                         each.settled = True
@@ -125,10 +125,10 @@ def _turned(recipe: Recipe, channel: int, update: dict[str, float]) -> Recipe:
     return recipe.model_copy(update={"channel": tuple(channels)})
 
 
-def _undone(path: Path) -> None:
-    if len(path) < 2:  # the turn that it was asked for has been refused
+def _undone(trail: Trail) -> None:
+    if len(trail) < 2:  # the turn that it was asked for has been refused
         raise UsageError(_NOTHING)
-    del path[-1]
+    del trail[-1]
 
 
 def has_dial(channel: ChannelRecipe) -> bool:
