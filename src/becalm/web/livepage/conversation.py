@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from becalm.errors import BecalmError
 from becalm.web.frames import text
-from becalm.web.hearing import heard
+from becalm.web.hearing import heard, number_of
 from becalm.web.livepage.messages import MOST_BINS, From, Message, Past, Turn, understood
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ class Viewer:
             number = None
             try:
                 said = heard(frame)
-                number = said.get("number")
+                number = number_of(said)
                 self._do(understood(said))
             except BecalmError as cause:
                 self._trouble(str(cause), number)
@@ -97,8 +97,8 @@ class Viewer:
             kind = "passed over" if why is None else "taken"
             self._answers.append(lambda: text({"kind": kind, "answers": number}))
 
-    def _trouble(self, says: str, answers: object) -> None:
-        said = text({"kind": "trouble", "says": says, "answers": answers if isinstance(answers, int) else None})
+    def _trouble(self, says: str, answers: int | None) -> None:
+        said = text({"kind": "trouble", "says": says, "answers": answers})
         self._answers.append(lambda: said)
 
     def _past(self, message: Past) -> str | bytes:
