@@ -216,6 +216,22 @@ def test_it_comes_back_after_becalm_was_killed(folder: Path, look: Look, tmp_pat
         visit.wrong[:] = [one for one in visit.wrong if "ERR_CONNECTION_REFUSED" not in one]  # Chromium's own words
 
 
+def test_a_key_that_is_held_is_one_turn(live: LiveApp, look: Look) -> None:
+    visit = look(live)
+    page = visit.page
+    page.wait_for_function("() => !document.querySelector('.strip input').disabled")
+    density = recipe_now(visit).channel[0].process_noise_density
+    page.keyboard.press("1")
+    for _ in range(4):
+        page.keyboard.down("]")
+    page.keyboard.up("]")
+    page.wait_for_function("() => !document.querySelector('#undo').disabled")
+    assert recipe_now(visit).channel[0].process_noise_density != density
+    page.keyboard.press("z")
+    page.wait_for_function("() => document.querySelector('#undo').disabled")
+    assert recipe_now(visit).channel[0].process_noise_density == density
+
+
 def test_a_recipe_that_cannot_be_saved_is_said(live: LiveApp, look: Look) -> None:
     visit = look(live)
     visit.page.route("**/save/recipe", lambda route: route.fulfill(status=400, body="This cannot be."))
