@@ -55,7 +55,7 @@ class Fed:
 
 
 def test_a_recipe_is_taken_and_told() -> None:
-    fed, heard = Fed(), list[str]()
+    fed, heard = Fed(), list[str | None]()
     fed.told(500)
     fed.retuning.ask(lambda: SECOND, heard.append)
     fed.until(lambda: heard == [""])
@@ -64,7 +64,7 @@ def test_a_recipe_is_taken_and_told() -> None:
 
 
 def test_no_turn_makes_the_signal_jump_however_soon_the_next_comes() -> None:
-    fed, plain, heard = Fed(), Fed(), list[str]()
+    fed, plain, heard = Fed(), Fed(), list[str | None]()
     parts, expected = [fed.told(1000)], [plain.told(1000)]
     for turn, recipe in enumerate([SECOND, THIRD, SECOND, FIRST, THIRD]):
         fed.retuning.ask(lambda recipe=recipe: recipe, heard.append)  # type: ignore[misc]
@@ -96,7 +96,7 @@ def test_a_filter_that_was_never_told_gives_way_without_a_trace() -> None:
 
 
 def test_what_is_asked_while_one_filter_gives_way_waits() -> None:
-    fed, heard = Fed(), list[str]()
+    fed, heard = Fed(), list[str | None]()
     fed.told(500)
     fed.stream.retuned(SECOND)
     while not fed.stream.gives_way:
@@ -117,8 +117,34 @@ def test_what_is_asked_while_one_filter_gives_way_waits() -> None:
     ids=["channels", "lag"],
 )
 def test_what_cannot_be_is_refused_in_words(recipe: Recipe, says: str) -> None:
-    fed, heard = Fed(), list[str]()
+    fed, heard = Fed(), list[str | None]()
     fed.retuning.ask(lambda: recipe, heard.append)
     fed.until(lambda: bool(heard))
-    assert says in heard[0]
+    assert says in str(heard[0])
     assert fed.stream.recipe == FIRST
+
+
+def test_of_several_the_newest_is_taken_and_the_older_are_told() -> None:
+    fed, heard = Fed(), list[tuple[str, str | None]]()
+    fed.told(500)
+    for name, recipe in (("one", SECOND), ("two", FIRST), ("three", THIRD)):
+        fed.retuning.ask(lambda recipe=recipe: recipe, lambda says, name=name: heard.append((name, says)))  # type: ignore[misc]
+    assert heard == [], "a signal's handler may ask, and tells nobody anything"
+    fed.until(lambda: len(heard) == 3)
+    assert heard == [("one", None), ("two", None), ("three", "")]
+    assert fed.stream.recipe == THIRD
+
+
+def test_what_nobody_foresaw_is_refused_in_words_and_the_stream_goes_on() -> None:
+    def broken() -> Recipe:
+        raise ZeroDivisionError("by nothing")
+
+    fed, heard = Fed(), list[str | None]()
+    fed.told(500)
+    fed.retuning.ask(broken, heard.append)
+    fed.until(lambda: bool(heard))
+    assert heard == ["The recipe could not be taken (ZeroDivisionError: by nothing)."]
+    fed.told(500)
+    assert fed.stream.recipe == FIRST
+    fed.retuning.ask(lambda: SECOND, heard.append)
+    fed.until(lambda: heard[1:] == [""])

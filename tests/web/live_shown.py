@@ -59,18 +59,29 @@ def output_of(first: int, rows: int) -> Output:
 
 @dataclass
 class Asked:
-    """A runner that takes a recipe when it is told to."""
+    """A runner that makes and takes a recipe when it is told to: the newest, and those who asked before hear so."""
 
     meter: Meter
     waiting: list[tuple[Callable[[], Recipe], Heard]] = field(default_factory=list)
+    making: tuple[Recipe, Heard] | None = None
 
     def retune(self, recipe: Callable[[], Recipe], heard: Heard) -> None:
         self.waiting.append((recipe, heard))
 
+    def begin(self) -> None:
+        """Make what was asked for last."""
+        *older, (recipe, heard) = self.waiting
+        self.waiting.clear()
+        for _, told in older:
+            told(None)
+        self.making = recipe(), heard
+
     def take(self, why: str = "") -> Recipe:
-        """Take what was asked for first, or refuse it."""
-        made, heard = self.waiting.pop(0)
-        recipe = made()
+        """Take what is made, or make what was asked for last and take it; or refuse it."""
+        if self.making is None:
+            self.begin()
+        assert self.making is not None
+        (recipe, heard), self.making = self.making, None
         if not why:
             self.meter.tuned(recipe.to_toml())
         heard(why)

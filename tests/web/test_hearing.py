@@ -7,7 +7,9 @@ from typing import Any
 import pytest
 
 from becalm.errors import UsageError
-from becalm.web.hearing import heard
+from becalm.web.hearing import heard, number_of
+from becalm.web.livepage import messages as of_live_pages
+from becalm.web.tuner import messages as of_the_tuner
 
 
 @pytest.mark.parametrize(
@@ -44,3 +46,26 @@ def test_a_message_is_read() -> None:
         "from_s": -1500.0,
         "to_s": None,
     }
+
+
+@pytest.mark.parametrize(("number", "read"), [(7, 7), (True, None), (7.0, None), ("7", None), (None, None)])
+def test_a_number_is_one(number: object, read: int | None) -> None:
+    assert number_of({"number": number}) == read
+    assert number_of({}) is None
+
+
+@pytest.mark.parametrize("room", [of_live_pages, of_the_tuner])
+@pytest.mark.parametrize(
+    ("said", "wrong"),
+    [
+        ({"do": "sudo", "number": 1}, "Input tag 'sudo' found"),
+        ({"do": "undo"}, "undo.number: Field required"),
+        ({"do": "undo", "number": True}, "undo.number: Input should be a valid integer"),
+        ({"do": "undo", "number": 1, "more": 2}, "undo.more: Extra inputs are not permitted"),
+    ],
+)
+def test_both_pages_hear_in_the_same_words_what_is_wrong(room: Any, said: dict[str, Any], wrong: str) -> None:
+    with pytest.raises(UsageError) as refused:
+        room.understood(said)
+    assert str(refused.value).startswith(f"A page asked for what becalm does not know ({wrong}")
+    assert str(refused.value).endswith("); reload it.")

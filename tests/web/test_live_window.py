@@ -216,6 +216,30 @@ def test_it_comes_back_after_becalm_was_killed(folder: Path, look: Look, tmp_pat
         visit.wrong[:] = [one for one in visit.wrong if "ERR_CONNECTION_REFUSED" not in one]  # Chromium's own words
 
 
+def test_a_key_that_is_held_is_one_turn(live: LiveApp, look: Look) -> None:
+    visit = look(live)
+    page = visit.page
+    page.wait_for_function("() => !document.querySelector('.strip input').disabled")
+    density = recipe_now(visit).channel[0].process_noise_density
+    page.keyboard.press("1")
+    for _ in range(4):
+        page.keyboard.down("]")
+    page.keyboard.up("]")
+    page.wait_for_function("() => !document.querySelector('#undo').disabled")
+    assert recipe_now(visit).channel[0].process_noise_density != density
+    page.keyboard.press("z")
+    page.wait_for_function("() => document.querySelector('#undo').disabled")
+    assert recipe_now(visit).channel[0].process_noise_density == density
+
+
+def test_a_recipe_that_cannot_be_saved_is_said(live: LiveApp, look: Look) -> None:
+    visit = look(live)
+    visit.page.route("**/save/recipe", lambda route: route.fulfill(status=400, body="This cannot be."))
+    visit.page.locator("#save").click()
+    visit.page.wait_for_function("() => document.querySelector('#trouble').innerText === 'This cannot be.'")
+    visit.wrong[:] = [one for one in visit.wrong if "400" not in one]  # Chromium's own words
+
+
 def test_an_end_is_said_and_what_came_stays(folder: Path, look: Look, tmp_path: Path) -> None:
     short = tmp_path / "short.parquet"
     rng = np.random.default_rng(3)
@@ -235,6 +259,9 @@ def test_learning_is_said(folder: Path, look: Look, tmp_path: Path) -> None:
     with shown_live(tmp_path, rig(folder)[1], "--learn", "20s") as app:
         visit = look(app, begun=False)
         visit.page.wait_for_function("() => document.querySelector('#working').innerText.includes('learns filters')")
+        visit.page.wait_for_function("() => document.querySelector('#facts').innerText.includes('rows so far')")
+        said = visit.page.locator("#working").inner_text()
+        assert said == "becalm learns filters for this stream.", "no count, which would be read aloud each second"
         visit.shoot("live-learning")
     assert (tmp_path / "token").read_text().strip() not in (tmp_path / "live.log").read_text()
 

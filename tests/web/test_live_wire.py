@@ -14,6 +14,7 @@ import pytest
 from becalm.cleaning.recipe import Recipe
 from becalm.live.block import Head, Output
 from becalm.web.access import LOOPBACK
+from becalm.web.livepage import page
 from becalm.web.livepage.feed import Feed
 from live_shown import EACH, NAMES, PATIENCE_S, TOKEN, Shown, output_of, recipe_of, shown
 from served import until
@@ -178,12 +179,12 @@ def test_a_turn_that_is_refused_is_told_to_who_made_it(live: Shown) -> None:
 def test_turns_that_wait_are_not_lost_by_later_ones(live: Shown) -> None:
     live.begin()
     with live.wire() as wire:
-        wire.say(do="turn", channel=0, process_noise_density=2.5)
+        first = wire.say(do="turn", channel=0, process_noise_density=2.5)
         wire.say(do="turn", channel=0, noise_std=0.125)
         until(lambda: len(live.asked.waiting) == 2)
-        live.asked.waiting.pop(0)
         both = live.asked.take().channel[0]
         assert (both.process_noise_density, both.noise_std) == (2.5, 0.125)
+        wire.hear("passed over", answers=first)
 
 
 def test_no_secret_is_told(live: Shown, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -213,6 +214,29 @@ def test_an_end_is_told_with_the_last_rows(live: Shown) -> None:
         assert (last["first"], last["count"]) == (10, 1)
         assert arrays["raw_high"][0] + last["offset"][0] == 102
         assert [header["state"] for header, _ in rest if header["kind"] == "health"][-1] == "ended"
+
+
+def test_what_fails_once_is_logged_and_health_goes_on(
+    live: Shown, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def broken(*_: object) -> dict[str, Any]:
+        raise ZeroDivisionError("by nothing")
+
+    live.begin()
+    with live.wire() as wire:
+        wire.hear("tuned", can_undo=False)
+        with monkeypatch.context() as patched:
+            patched.setattr(page, "facts", broken)
+            live.meter.tuned(recipe_of(3.0).to_toml())
+            assert "dials" not in wire.hear("tuned")[0], "what is known is told all the same"
+        with monkeypatch.context() as patched:
+            patched.setattr(live.meter, "status", broken)
+            until(lambda: "could not be kept up" in caplog.text)
+        live.meter.state("silent")
+        wire.hear("health", state="silent")
+        live.meter.tuned(recipe_of(4.0).to_toml())
+        assert wire.hear("tuned")[0]["dials"]["0"]["at"] == 4.0
+    assert caplog.text.count("by nothing") >= 2
 
 
 def test_the_recipe_of_now_is_saved(live: Shown) -> None:

@@ -18,6 +18,11 @@ if TYPE_CHECKING:
 
 pytestmark = pytest.mark.slow
 
+CANCEL = """() => {  // as a browser does, which tells of no pointerup then
+  addEventListener("pointerup", (event) => event.stopImmediatePropagation(), { capture: true, once: true });
+  document.querySelector("#map .u-over").dispatchEvent(new PointerEvent("pointercancel"));
+}"""
+
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
@@ -177,6 +182,36 @@ def test_another_model_other_parts_and_another_mode(app: App, look: Look) -> Non
     assert visit.pixels("other-0")["all"] > 20
     page.locator("#mode").select_option("smoothed")
     page.wait_for_function("() => becalm.desk.state.mode === 'smoothed'")
+
+
+def test_a_key_that_is_held_is_one_turn(app: App, look: Look) -> None:
+    visit = look(app)
+    page, before = visit.page, visit.settings()
+    page.evaluate("() => { document.querySelector('#dialled').disabled = true; }")
+    page.keyboard.press("]")
+    assert not page.evaluate("() => becalm.dial.held")
+    page.evaluate("() => { document.querySelector('#dialled').disabled = false; }")
+    for _ in range(4):
+        page.keyboard.down("]")
+    assert page.evaluate("() => becalm.dial.held")
+    page.keyboard.up("]")
+    calmer = visit.changed(before)
+    page.keyboard.press("z")
+    assert visit.changed(calmer) == before
+
+
+def test_a_touch_that_is_cancelled_tunes(app: App, look: Look) -> None:
+    visit = look(app)
+    visit.judged()
+    page, before = visit.page, visit.settings()
+    page.locator("#map .u-over").scroll_into_view_if_needed()
+    page.locator("#map .u-over").hover(position={"x": 40, "y": 40})
+    page.mouse.down()
+    page.evaluate(CANCEL)
+    after = visit.changed(before)
+    page.mouse.up()
+    page.keyboard.press("z")
+    assert visit.changed(after) == before
 
 
 def test_a_click_on_the_map_tunes(app: App, look: Look) -> None:

@@ -13,8 +13,8 @@ from becalm.errors import BecalmError
 from becalm.live.stream import Prepared, Stream
 from becalm.live.watching.watch import Watch
 
-Heard = Callable[[str], object]
-"""Is told why a recipe was refused; "" of one that was taken."""
+Heard = Callable[[str | None], object]
+"""Is told why a recipe was refused; "" of one that was taken, None of one that a newer one came before."""
 
 Retune = Callable[[Callable[[], Recipe], Heard], None]
 """Asks for another recipe, as `Runner.retune`."""
@@ -26,13 +26,13 @@ class _Asked(NamedTuple):
 
 
 class Retuning:
-    """What was asked for last; what was asked before it and not begun yet is forgotten.
+    """What was asked for last; what was asked before it and not begun yet is passed over.
 
     Filters are made in a thread of their own, so that no row waits for them.
     """
 
     def __init__(self) -> None:
-        self._asked: deque[_Asked] = deque(maxlen=1)  # so that a signal amid taking loses nothing
+        self._asked: deque[_Asked] = deque()  # so that a signal amid taking loses nothing
         self._making: Future[Prepared] | None = None
         self._heard: Heard = lambda _: None
 
@@ -50,14 +50,21 @@ class Retuning:
             try:
                 stream.take_over(made := making.result())
             except BecalmError as cause:
-                watch.refused(str(cause))
-                self._heard(str(cause))
+                self._refuse(str(cause), watch)
+            except Exception as cause:  # nobody foresaw it: a stream of weeks shall not end by what was only asked
+                self._refuse(f"The recipe could not be taken ({type(cause).__name__}: {cause}).", watch)
             else:
                 watch.tuned(made.toml)
                 self._heard("")
 
+    def _refuse(self, says: str, watch: Watch) -> None:
+        watch.refused(says)
+        self._heard(says)
+
     def _begin(self, stream: Stream) -> None:
-        recipe, self._heard = self._asked.popleft()
+        *older, (recipe, self._heard) = (self._asked.popleft() for _ in range(len(self._asked)))
+        for one in older:
+            one.heard(None)
         making = self._making = Future[Prepared]()
 
         def make() -> None:

@@ -75,7 +75,8 @@ class Runner:
     def retune(self, recipe: Callable[[], Recipe], heard: Heard = lambda _: None) -> None:
         """Take another recipe for the same channels at the next block, without a jump; one that cannot be is refused.
 
-        May be called by a signal's handler: the recipe is read later. Of several asked for meanwhile the last is taken.
+        May be called by a signal's handler: the recipe is read later. Of several asked for meanwhile the last is taken,
+        and the others hear so.
         """
         self._retuning.ask(recipe, heard)
 

@@ -5,9 +5,24 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from typing import Any, NoReturn
+from typing import Annotated, Any, NoReturn, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from becalm.errors import UsageError
+
+Number = Annotated[int, Field(ge=0, le=1 << 53, strict=True)]
+"""Which browsers hold exactly."""
+
+T = TypeVar("T")
+
+
+class Numbered(BaseModel):
+    """A message of a page; answers to it tell its number."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    number: Number
 
 
 def heard(frame: Mapping[str, Any]) -> dict[str, Any]:
@@ -38,6 +53,35 @@ def heard(frame: Mapping[str, Any]) -> dict[str, Any]:
     if not isinstance(message, dict):
         raise UsageError("A page sent JSON that is no object; reload it.")
     return message
+
+
+def number_of(said: Mapping[str, Any]) -> int | None:
+    """Return a message's number, also of one that is not understood; None where it has none."""
+    number = said.get("number")
+    return number if type(number) is int else None  # true is an int too
+
+
+def understood(messages: TypeAdapter[T], said: Mapping[str, Any]) -> T:
+    """Check a message.
+
+    Parameters
+    ----------
+    messages : TypeAdapter
+        Those that are understood.
+    said : mapping
+        As `heard` returns it.
+
+    Raises
+    ------
+    UsageError
+        If it is none of them; the sentence says what is wrong.
+    """
+    try:
+        return messages.validate_python(said)
+    except ValidationError as cause:
+        first = cause.errors(include_input=False, include_url=False, include_context=False)[0]
+        wrong = ": ".join(filter(None, (".".join(map(str, first["loc"])), first["msg"])))
+        raise UsageError(f"A page asked for what becalm does not know ({wrong}); reload it.") from cause
 
 
 def _number(text: str) -> float:

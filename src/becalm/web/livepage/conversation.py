@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from becalm.errors import BecalmError
 from becalm.web.frames import text
-from becalm.web.hearing import heard
+from becalm.web.hearing import heard, number_of
 from becalm.web.livepage.messages import MOST_BINS, From, Message, Past, Turn, understood
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ class Viewer:
             number = None
             try:
                 said = heard(frame)
-                number = said.get("number")
+                number = number_of(said)
                 self._do(understood(said))
             except BecalmError as cause:
                 self._trouble(str(cause), number)
@@ -79,7 +79,7 @@ class Viewer:
     def _tune(self, message: Message) -> None:
         loop, number = asyncio.get_running_loop(), message.number
 
-        def told(why: str) -> None:  # by the thread that filters
+        def told(why: str | None) -> None:  # by the thread that filters
             try:
                 loop.call_soon_threadsafe(self._tuned, why, number)
             except RuntimeError:  # the server has ended meanwhile
@@ -90,14 +90,15 @@ class Viewer:
         else:
             self._page.desk.undo(told)
 
-    def _tuned(self, why: str, number: int) -> None:
+    def _tuned(self, why: str | None, number: int) -> None:
         if why:
             self._trouble(why, number)
         else:
-            self._answers.append(lambda: text({"kind": "taken", "answers": number}))
+            kind = "passed over" if why is None else "taken"
+            self._answers.append(lambda: text({"kind": kind, "answers": number}))
 
-    def _trouble(self, says: str, answers: object) -> None:
-        said = text({"kind": "trouble", "says": says, "answers": answers if isinstance(answers, int) else None})
+    def _trouble(self, says: str, answers: int | None) -> None:
+        said = text({"kind": "trouble", "says": says, "answers": answers})
         self._answers.append(lambda: said)
 
     def _past(self, message: Past) -> str | bytes:

@@ -14,7 +14,20 @@ from becalm.live.retuning import Heard, Retune
 from becalm.web.tuner.dial import dial, told_of
 
 _DIAL_S = 600.0  # the calmest position is that of a record so long
+_REMEMBERED = 1000  # turns
+_NOTHING = "Nothing was turned since becalm began; there is nothing to undo."
 _FEWER = 4  # positions are told where each takes some hundredths of a second
+
+
+Trail = list[Recipe]
+"""What rows went through before each turn that can be taken back, and last what they go through now."""
+
+
+class _Step:
+    """What somebody asked, until it is taken or refused."""
+
+    def __init__(self, take: Callable[[Trail], object], turns: int) -> None:
+        self.take, self.turns, self.settled = take, turns, False
 
 
 class Desk:
@@ -23,16 +36,16 @@ class Desk:
     Parameters
     ----------
     now : callable
-        Returns the recipe (TOML) that rows go through.
+        Returns the recipe (TOML) that rows go through; "" before the first.
     retune : callable
         Asks for another one.
     """
 
     def __init__(self, now: Callable[[], str], retune: Retune) -> None:
         self._now, self._retune = now, retune
-        self._lock = threading.Lock()
-        self._asked: Recipe | None = None  # and not taken yet
-        self._before: list[str] = []  # each turn
+        self._lock = threading.Lock()  # the thread that filters takes it too: nothing is read or made under it
+        self._asked: tuple[_Step, ...] = ()  # and not settled yet
+        self._before: Trail = []
 
     @property
     def can_undo(self) -> bool:
@@ -45,21 +58,15 @@ class Desk:
         Raises
         ------
         UsageError
-            If the channel has no dial.
+            If the channel has no dial, or the stream has not begun.
         """
-        with self._lock:
-            base = self._asked or Recipe.from_toml(self._now())
-            channels = list(base.channel)
-            if channel >= len(channels) or not has_dial(channels[channel]):
-                raise UsageError(f"Channel {channel} has no dial: it passes unchanged, or switches between modes.")
-            told = {"process_noise_density": density, "noise_std": noise_std}
-            update = {name: value for name, value in told.items() if value is not None}
-            channels[channel] = channels[channel].model_copy(update={**update, "tuning_spread": 0.0})
-            before = self._now()
-            self._ask(base.model_copy(update={"channel": tuple(channels)}), lambda: self._before.append(before), heard)
+        told = {"process_noise_density": density, "noise_std": noise_std}
+        update = {name: value for name, value in told.items() if value is not None}
+        _turned(self._running(), channel, update)  # whoever asks what cannot be hears of it at once
+        self._ask(_Step(lambda trail: trail.append(_turned(trail[-1], channel, update)), +1), heard)
 
     def undo(self, heard: Heard) -> None:
-        """Take the last turn back.
+        """Take the last turn back, also one that is asked for and not taken yet.
 
         Raises
         ------
@@ -67,25 +74,61 @@ class Desk:
             If there is none.
         """
         with self._lock:
-            if self._asked is not None:  # a turn that no row has gone through yet
-                self._ask(Recipe.from_toml(self._now()), lambda: None, heard)
-            elif self._before:
-                self._ask(Recipe.from_toml(self._before[-1]), lambda: self._before.pop(), heard)
-            else:
-                raise UsageError("Nothing was turned since becalm began; there is nothing to undo.")
+            turns = len(self._before) + sum(step.turns for step in self._asked)
+        if turns < 1:
+            raise UsageError(_NOTHING)
+        self._ask(_Step(_undone, -1), heard)
 
-    def _ask(self, recipe: Recipe, then: Callable[[], object], heard: Heard) -> None:
-        self._asked = recipe
+    def _running(self) -> Recipe:
+        toml = self._now()
+        if not toml:
+            raise UsageError("The stream has not begun yet.")
+        return Recipe.from_toml(toml)
 
-        def told(why: str) -> None:
+    def _ask(self, step: _Step, heard: Heard) -> None:
+        """Ask for what a step makes of the recipe that rows go through when it is made.
+
+        With it comes what was asked before it and is not settled then: whatever is passed over for it is not lost.
+        """
+        with self._lock:
+            asked = self._asked = (*self._asked, step)
+        trail: Trail = []
+
+        def recipe() -> Recipe:  # one at a time: what rows go through stays until this is taken, or refused
+            trail[:] = [*self._before, self._running()]
+            for each in asked:
+                if not each.settled:
+                    each.take(trail)
+            return trail[-1]
+
+        def told(why: str | None) -> None:
             with self._lock:
-                if self._asked is recipe:
-                    self._asked = None
-                if not why:
-                    then()
+                if why == "":
+                    self._before = trail[:-1][-_REMEMBERED:]
+                if why is not None:
+                    for each in asked:
+                        each.settled = True
+                self._asked = tuple(each for each in self._asked if each is not step and not each.settled)
             heard(why)
 
-        self._retune(lambda: recipe, told)
+        self._retune(recipe, told)
+
+
+def _turned(recipe: Recipe, channel: int, update: dict[str, float]) -> Recipe:
+    channels = list(recipe.channel)
+    if channel >= len(channels):
+        raise UsageError(f"There is no channel {channel + 1}; the stream has {len(channels)}. Reload the page.")
+    if not has_dial(channels[channel]):
+        why = "it passes unchanged" if channels[channel].switching is None else "it switches between modes"
+        raise UsageError(f"Channel {channels[channel].name} has no dial: {why}.")
+    channels[channel] = channels[channel].model_copy(update={**update, "tuning_spread": 0.0})
+    return recipe.model_copy(update={"channel": tuple(channels)})
+
+
+def _undone(trail: Trail) -> None:
+    if len(trail) < 2:  # the turn that it was asked for has been refused
+        raise UsageError(_NOTHING)
+    del trail[-1]
 
 
 def has_dial(channel: ChannelRecipe) -> bool:

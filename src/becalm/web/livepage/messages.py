@@ -5,25 +5,19 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import Field, TypeAdapter
 
-from becalm.errors import UsageError
+from becalm.web import hearing
+from becalm.web.hearing import Number, Numbered
 from becalm.web.livepage.bins import LEVELS
 
 MOST_BINS = 1 << 12
 """Of one answer."""
 
-Number = Annotated[int, Field(ge=0, le=1 << 53)]
 Level = Annotated[int, Field(ge=0, lt=LEVELS)]
 
 
-class _Message(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
-
-    number: Number
-
-
-class From(_Message):
+class From(Numbered):
     """Send bins of a level from one on, as they close; null begins with those that close next."""
 
     do: Literal["from"]
@@ -31,7 +25,7 @@ class From(_Message):
     bin: Number | None = None
 
 
-class Past(_Message):
+class Past(Numbered):
     """Send some bins that are closed already."""
 
     do: Literal["past"]
@@ -40,7 +34,7 @@ class Past(_Message):
     count: Annotated[int, Field(ge=1, le=MOST_BINS)]
 
 
-class Turn(_Message):
+class Turn(Numbered):
     """Take another tuning for a channel; what is left out stays."""
 
     do: Literal["turn"]
@@ -49,7 +43,7 @@ class Turn(_Message):
     noise_std: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
 
 
-class Undo(_Message):
+class Undo(Numbered):
     """Take the last turn back, whoever made it."""
 
     do: Literal["undo"]
@@ -61,16 +55,5 @@ _ANY: TypeAdapter[Message] = TypeAdapter(Annotated[Message, Field(discriminator=
 
 
 def understood(said: Mapping[str, Any]) -> Message:
-    """Read a message of a page.
-
-    Raises
-    ------
-    UsageError
-        If it is none; the sentence says what is wrong.
-    """
-    try:
-        return _ANY.validate_python(said)
-    except ValidationError as cause:
-        first = cause.errors(include_input=False, include_url=False, include_context=False)[0]
-        place = ".".join(str(part) for part in first["loc"])
-        raise UsageError(f"A page asked for what no live page does ({place}: {first['msg']}); reload it.") from cause
+    """Check what a page said, as `hearing.understood` does."""
+    return hearing.understood(_ANY, said)

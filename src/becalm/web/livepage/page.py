@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import secrets
 import time
-from contextlib import suppress
+from collections.abc import Awaitable, Callable
 from importlib.metadata import version
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
 
 _HEALTH_S, _LOOK_S = 1.0, 0.1
 _GOODBYE_S = 2.0  # for the last bins to be told when a stream ends
+
+_log = logging.getLogger(__name__)
 
 
 class News(NamedTuple):
@@ -55,6 +58,7 @@ class LivePage:
         self.pictures: Pictures | None = None
         self.health, self.tuning = News(0, ""), News(-1, "")
         self.ending = False
+        self._closing, self._look_again_s = False, 0.0
         self._meter, self._scrub = meter, Scrubber()
         self._run = secrets.token_hex(8)
         self._recipe: tuple[str, bool] | None = None  # that `tuning` tells
@@ -72,10 +76,10 @@ class LivePage:
         """Speak with one page until it hangs up."""
         await websocket.accept()
         self._viewers += 1
-        if not self._clocks:
-            self._look()
-            self._clocks = [asyncio.create_task(each) for each in (self._keep_up(), self._describe())]
         try:
+            if not self._clocks:
+                self._look()
+                self._clocks = [asyncio.create_task(_again_and_again(each)) for each in (self._keep_up, self._describe)]
             await Viewer(self, websocket).converse()
         finally:
             self._viewers -= 1
@@ -86,8 +90,7 @@ class LivePage:
 
     def close(self) -> None:
         """Say the last to all who look on, and let them go; a page that does not listen is not waited for long."""
-        self._look()
-        self.ending = True
+        self._closing = True
         until = time.monotonic() + _GOODBYE_S
         while self._viewers and time.monotonic() < until:
             time.sleep(0.01)
@@ -117,36 +120,45 @@ class LivePage:
         )
 
     async def _keep_up(self) -> None:
-        """Look every second how the stream fares."""
-        while True:
-            await asyncio.sleep(_HEALTH_S)
+        """Look every second how the stream fares, and once more when it has ended."""
+        if self._closing or time.monotonic() >= self._look_again_s:
+            self.ending = self._closing
             self._look()
 
     def _look(self) -> None:
+        self._look_again_s = time.monotonic() + _HEALTH_S
         status = self._scrub.value(self._meter.status())
         self.health = News(self.health.number + 1, text({"kind": "health", **status}))
 
-    def _is_tuned_anew(self) -> bool:
-        return bool(self._meter.recipe) and self._recipe != (self._meter.recipe, self.desk.can_undo)
-
     async def _describe(self) -> None:
         """Say what the filters are, once they are others: beside all else, for it takes up to some seconds."""
-        while True:
-            await asyncio.sleep(_LOOK_S)
-            shown = self.feed.shown
-            if shown is not None and self._is_tuned_anew():
-                await self._tell_tuning(1 / shown.head.rate_hz)
-
-    async def _tell_tuning(self, step_s: float) -> None:
-        recipe, can_undo = self._meter.recipe, self.desk.can_undo
+        shown, now = self.feed.shown, (self._meter.recipe, self.desk.can_undo)
+        if shown is None or not self._meter.recipe or self._recipe == now:
+            return
+        recipe, can_undo = now
         found = {}
-        with suppress(BecalmError):  # a recipe that runs, of which nothing can be said
-            found = await asyncio.to_thread(facts, recipe, step_s)
+        try:
+            found = await asyncio.to_thread(facts, recipe, 1 / shown.head.rate_hz)
+        except BecalmError:  # a recipe that runs, of which nothing can be said
+            pass
+        except Exception:
+            _log.exception("What the filters of a live page are could not be said.")
+        self._recipe = now
         told = text({"kind": "tuned", "recipe": recipe, "can_undo": can_undo, **found})
-        self.tuning, self._recipe = News(self.tuning.number + 1, told), (recipe, can_undo)
+        self.tuning = News(self.tuning.number + 1, told)
 
     async def _save(self, request: Request) -> Response:
         from starlette.responses import PlainTextResponse
 
         headers = {"content-disposition": 'attachment; filename="live.recipe.toml"'}
         return PlainTextResponse(self._meter.recipe, headers=headers)
+
+
+async def _again_and_again(do: Callable[[], Awaitable[None]]) -> None:
+    """Do something for ever; where it fails whoever runs becalm is told, and the page goes on."""
+    while True:
+        await asyncio.sleep(_LOOK_S)
+        try:
+            await do()
+        except Exception:
+            _log.exception("What the live page tells could not be kept up.")

@@ -27,7 +27,7 @@ class Pictures:
 
     def __init__(self, bins: Bins, channels: int) -> None:
         self._bins, self._channels = bins, channels
-        self._held: OrderedDict[tuple[int, int, int], tuple[Span, bytes]] = OrderedDict()
+        self._held: OrderedDict[tuple[int, int, int], tuple[int, bytes]] = OrderedDict()
 
     def following(self, level: int, first: int, most: int) -> tuple[int, bytes] | None:
         """Return the bins from `first` on and the number of the bin after them; None where none has closed.
@@ -40,11 +40,11 @@ class Pictures:
         key = (level, first, stop)
         if key not in self._held:
             span = self._bins.read(level, first, stop)
-            self._held[key] = span, self._frame(level, span, {"gap": span.first - first})
+            told = self._frame(level, span, {"gap": span.first - first})
+            self._held[key] = span.first + len(span), told  # not the span: it is several times as large
             while len(self._held) > _HELD:
                 self._held.popitem(last=False)
-        span, told = self._held[key]
-        return span.first + len(span), told
+        return self._held[key]
 
     def past(self, level: int, first: int, count: int, answers: int) -> bytes:
         """Return some bins that are closed, as far as they are held still."""

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, model_validator
 
 from becalm.cleaning.recipe import Mode
-from becalm.errors import UsageError
+from becalm.web import hearing
+from becalm.web.hearing import Numbered
 
 MOST_STRETCHES = 4000
 """Stretches of a picture."""
 
 _LONGEST_NAME, _LONGEST_RECIPE = 500, 1_000_000
 
-Number = Annotated[int, Field(ge=0, le=1 << 53, strict=True)]
 Channel = Annotated[int, Field(ge=0, le=1 << 20, strict=True)]
 Name = Annotated[str, Field(max_length=_LONGEST_NAME, strict=True)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -23,13 +23,7 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 
-class _Message(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
-
-    number: Number
-
-
-class Open(_Message):
+class Open(Numbered):
     """Open a file of the folder, or one that was uploaded; of a file with channels at several times, one of these."""
 
     do: Literal["open"]
@@ -37,13 +31,13 @@ class Open(_Message):
     group: Name | None = None
 
 
-class ListFiles(_Message):
+class ListFiles(Numbered):
     """Tell which files may be opened now."""
 
     do: Literal["files"]
 
 
-class Look(_Message):
+class Look(Numbered):
     """Show a part of a channel in so many stretches at the most; null is the beginning, or the end."""
 
     do: Literal["look"]
@@ -66,7 +60,7 @@ class Turned(BaseModel):
     order: Annotated[int, Field(ge=1, le=5)] | None = None  # told by the choice; a page may say it back
 
 
-class Turn(_Message):
+class Turn(Numbered):
     """Change the settings of a channel; one that is not final is being dragged."""
 
     do: Literal["turn"]
@@ -75,7 +69,7 @@ class Turn(_Message):
     final: bool = True
 
 
-class InMode(_Message):
+class InMode(Numbered):
     """Smooth, filter, or wait for a lag."""
 
     do: Literal["mode"]
@@ -89,26 +83,26 @@ class InMode(_Message):
         return self
 
 
-class Undo(_Message):
+class Undo(Numbered):
     """Take the last change back."""
 
     do: Literal["undo"]
 
 
-class Redo(_Message):
+class Redo(Numbered):
     """Do again what was taken back."""
 
     do: Literal["redo"]
 
 
-class Map(_Message):
+class Map(Numbered):
     """Tell how well every noise and density foretells readings."""
 
     do: Literal["map"]
     channel: Channel
 
 
-class Compare(_Message):
+class Compare(Numbered):
     """Draw a classic filter beside a channel; null draws none."""
 
     do: Literal["compare"]
@@ -116,7 +110,7 @@ class Compare(_Message):
     classic: Name | None = None
 
 
-class Restore(_Message):
+class Restore(Numbered):
     """Do as a recipe says."""
 
     do: Literal["restore"]
@@ -128,21 +122,6 @@ Message = Open | ListFiles | Look | Turn | InMode | Undo | Redo | Map | Compare 
 _ANY: TypeAdapter[Message] = TypeAdapter(Annotated[Message, Field(discriminator="do")])
 
 
-def understood(said: Mapping[str, object]) -> Message:
-    """Check what a page said.
-
-    Raises
-    ------
-    UsageError
-        If it is no message of a page; the sentence says what is wrong.
-    """
-    try:
-        return _ANY.validate_python(said)
-    except ValidationError as cause:
-        raise UsageError(f"The page asked for what this server does not know ({_wrong(cause)}); reload it.") from cause
-
-
-def _wrong(cause: ValidationError) -> str:
-    first = cause.errors(include_input=False, include_url=False, include_context=False)[0]
-    place = ".".join(str(part) for part in first["loc"])
-    return f"{place}: {first['msg']}" if place else str(first["msg"])
+def understood(said: Mapping[str, Any]) -> Message:
+    """Check what a page said, as `hearing.understood` does."""
+    return hearing.understood(_ANY, said)

@@ -1,7 +1,8 @@
 // The live page: what becalm tells of a stream, as it comes.
 
 import { onTheme, readColours } from "../colours.js";
-import { amount, find, make, say, tell } from "../dom.js";
+import { amount, find, say, tell } from "../dom.js";
+import { save } from "../tuner/files.js";
 import { hearKeys } from "../tuner/keys.js";
 import { connect } from "../wire.js";
 import { anchorOf, clock, drawAxis, ticksOf, timeOf } from "./axis.js";
@@ -207,9 +208,11 @@ function fare(health) {
   state = health.state;
   const source = health.source.replace(/^(\w+:)\S*\//, "$1"); // of a path its last name
   const says = health.says ? `: ${health.says}` : "";
-  find("facts", HTMLElement).textContent = [source, ...(welcome ? [amount(welcome.rate_hz, "Hz")] : []), state + says].join(" · ");
-  if (!welcome || state === "learning")
-    say(links.working, state === "learning" ? `becalm learns filters for this stream; ${health.rows_taken.toLocaleString("en")} rows came so far.` : `Waiting for the first rows (${state}${says}).`);
+  const learns = state === "learning"; // how far is told where nobody reads it aloud each second
+  const known = learns ? [`${health.rows_taken.toLocaleString("en")} rows so far`] : welcome ? [amount(welcome.rate_hz, "Hz")] : [];
+  find("facts", HTMLElement).textContent = [source, ...known, state + says].join(" · ");
+  if (!welcome || learns)
+    say(links.working, learns ? "becalm learns filters for this stream." : `Waiting for the first rows (${state}${says}).`);
   else say(links.working, { away: `The source is away${says}. becalm tries again.`, silent: `Nothing comes${says}`, full: `Storage is full${says}`, ended: "The stream has ended.", stopping: "The stream was stopped.", failed: `The stream failed${says}` }[state] ?? "");
   for (const strip of strips) {
     const channel = health.channels[welcome.names[strip.number]];
@@ -283,7 +286,14 @@ buttons.now.addEventListener("click", () => change(() => view.pause(false)));
 buttons.undo.addEventListener("click", () => send({ do: "undo" }));
 find("nearer", HTMLButtonElement).addEventListener("click", () => zoom(-1));
 find("farther", HTMLButtonElement).addEventListener("click", () => zoom(1));
-find("save", HTMLButtonElement).addEventListener("click", () => make("a", { href: "/save/recipe", download: true }).click());
+find("save", HTMLButtonElement).addEventListener("click", async () => {
+  try {
+    await save("/save/recipe");
+    say(links.trouble, "");
+  } catch (error) {
+    say(links.trouble, error instanceof TypeError ? "becalm does not answer; is it still running?" : /** @type {Error} */ (error).message);
+  }
+});
 hearKeys(
   {
     n: () => change(() => view.pause(false)),

@@ -22,8 +22,18 @@ export class Dial {
     this.noise = 0; // standard deviation of a reading
     /** @type {Positions | null} */
     this.positions = null;
+    let repeats = false; // a key is held: each repeat of it is a change
+    this.release = (/** @type {Event} */ event) => {
+      if (event instanceof KeyboardEvent && event.repeat) return;
+      repeats = false;
+      if (this.held) this.#turn(true);
+    };
+    this.input.addEventListener("keydown", ({ repeat }) => {
+      repeats = repeat;
+      if (repeat) this.#hold();
+    });
     this.input.addEventListener("input", () => this.#turn(false));
-    this.input.addEventListener("change", () => this.#turn(true));
+    this.input.addEventListener("change", () => this.#turn(!repeats));
   }
 
   /**
@@ -52,11 +62,17 @@ export class Dial {
     this.#sayHere();
   }
 
-  /** Turn by some positions, as keys do. @param {number} by */
+  /** Turn by some positions, as keys do: dragged while one is held. @param {number} by */
   step(by) {
-    if (this.input.disabled) return;
+    if (this.input.matches(":disabled")) return;
     this.input.value = String(Number(this.input.value) + by);
-    this.#turn(true);
+    this.#turn(false);
+    this.#hold();
+  }
+
+  /** Turn in earnest once the key is let go, before another one does anything. */
+  #hold() {
+    for (const event of ["keydown", "keyup", "blur"]) addEventListener(event, this.release, { once: true, capture: true });
   }
 
   /**

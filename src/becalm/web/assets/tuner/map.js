@@ -26,7 +26,7 @@ export class CostMap {
     /** @type {uPlot | null} */
     this.u = null;
     this.canvas.addEventListener("keydown", (event) => this.#walk(event));
-    this.canvas.addEventListener("keyup", (event) => { if (event.key.startsWith("Arrow") && this.here) this.turned(this.here, true); });
+    this.canvas.addEventListener("keyup", (event) => { if (event.key.startsWith("Arrow")) this.#release(); });
     new ResizeObserver(() => this.u?.setSize({ width: this.canvas.clientWidth, height: this.canvas.clientHeight })).observe(this.canvas);
   }
 
@@ -147,6 +147,12 @@ export class CostMap {
     });
     over.addEventListener("pointermove", (event) => { if (over.hasPointerCapture(event.pointerId)) turn(event, false); });
     over.addEventListener("pointerup", (event) => turn(event, true));
+    over.addEventListener("pointercancel", () => this.#release());
+  }
+
+  /** What was dragged stays where it is. */
+  #release() {
+    if (this.here) this.turned(this.here, true);
   }
 
   /** @param {KeyboardEvent} event */
