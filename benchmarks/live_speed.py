@@ -1,14 +1,14 @@
 """What a live stream costs, and how late it tells: over UDP on loopback, through filters, into the journal.
 
-A sender in a process of its own sends Arrow messages at even times; `becalm live` filters each channel (motion of
-order 2, gate, limits) and keeps rows, filters and position once a second in a journal on disk. *CPU* is the processor
-time of becalm's process, all its threads, in percent of one core while the stream runs; *lost* counts rows by sequence
-numbers, and rows sent that were never told. Latency is from the arrival of a message's last byte to the moment when
-its rows were with every sink but the journal (a pipe, where `stdout:` is named); of rows that were read together, the
-last message counts. Datagrams are left in the kernel's buffer for `gather`, and then all are read: 50 ms unless it is
-said, where only the journal takes rows, which it does once a second; else each is read at once. *Stolen* is the share
-of the processors that the machine's owner took meanwhile: a case is run again, up to `--tries` times, while that is
-over 2 %, and the quietest run is told.
+A sender in a process of its own sends Arrow messages at even times; `becalm live` filters each channel (motion of order
+2, gate, limits) and keeps rows, filters and position once a second in a journal on disk. *CPU* is the processor time of
+becalm's process, all its threads, in percent of one core while the stream runs; *lost* counts rows by sequence numbers,
+and rows sent that were never told. Latency is from the arrival of a message's last byte to the moment when its rows
+were with every sink but the journal (a pipe, where `stdout:` is named); of rows that were read together, the last
+message counts, of blocks that waited and were joined the first. Datagrams are left in the kernel's buffer for `gather`,
+and then all are read: 50 ms unless it is said, where only the journal takes rows, which it does once a second; else
+each is read at once. *Stolen* is the share of the processors that the machine's owner took meanwhile: a case is run
+again, up to `--tries` times, while that is over 2 %, and the quietest run is told.
 
 Run: python benchmarks/live_speed.py [--tries 3] [--seconds 12] [-o docs/live-speed.md]
 """
