@@ -11,6 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+UNFORESEEN = "Something went wrong in becalm that nobody foresaw; its error output says what."
+"""What a page is told where becalm has a fault."""
+
 _ALIGNED = 8  # bytes: a page lays typed arrays over a frame, which need that
 _LENGTH = struct.Struct("<I")
 _TYPES = {"f4": "<f4", "f8": "<f8", "u2": "<u2", "i1": "<i1"}

@@ -15,6 +15,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from becalm.errors import BecalmError
 from becalm.report.vendor import uplot
 from becalm.web.access import Access
+from becalm.web.frames import UNFORESEEN
 from becalm.web.guard import Guard
 from becalm.web.uploads import RefusedError
 
@@ -108,4 +109,4 @@ def _gone(request: Request, cause: Exception) -> Response:
 
 def _unforeseen(request: Request, cause: Exception) -> Response:
     """Answer in words; the guard tells whoever runs becalm."""
-    return PlainTextResponse("Something went wrong in becalm that nobody foresaw; its error output says what.", 500)
+    return PlainTextResponse(UNFORESEEN, 500)

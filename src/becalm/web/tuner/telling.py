@@ -10,9 +10,7 @@ from typing import Any
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from becalm.errors import BecalmError
-from becalm.web.frames import text
-
-_UNFORESEEN = "Something went wrong in becalm that nobody foresaw; its error output says what."
+from becalm.web.frames import UNFORESEEN, text
 
 _log = logging.getLogger(__name__)
 
@@ -60,4 +58,4 @@ class Wire:
         except Exception:  # the page goes on, and whoever runs becalm is told
             if not self.gone:
                 _log.exception("What a page asked for failed.")
-                await self.trouble(_UNFORESEEN, number)
+                await self.trouble(UNFORESEEN, number)
