@@ -10,7 +10,7 @@ import pytest
 
 from becalm.errors import InputError, UsageError
 from becalm.web.tuner.folder import Folder
-from tuner_served import drive_in, served
+from tuner_served import ROWS, drive_in, served
 
 
 def names(folder: Folder) -> list[str]:
@@ -145,6 +145,16 @@ def test_files_that_came_meanwhile_are_told_and_refused_by_name(tmp_path: Path) 
         assert trouble["answers"] == number
         assert trouble["says"].startswith("broken.csv")
         assert str(tmp_path) not in trouble["says"]
+
+
+def test_what_was_opened_and_is_another_file_now_is_opened_anew(tmp_path: Path) -> None:
+    file = drive_in(tmp_path)
+    with served(tmp_path) as tuner, tuner.talk() as page:
+        assert page.opened("folder/drive.csv")["rows"] == ROWS
+        written = file.stat().st_mtime_ns
+        file.write_text("".join(file.read_text().splitlines(keepends=True)[: ROWS // 2 + 1]))
+        os.utime(file, ns=(written, written))
+        assert page.opened("folder/drive.csv")["rows"] == ROWS // 2
 
 
 def test_nothing_is_open_at_first(tmp_path: Path) -> None:

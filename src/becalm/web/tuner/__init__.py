@@ -105,7 +105,8 @@ class Tuner:
             path = self._shared.folder.path_of(opened.id)
         except InputError as cause:
             raise InputError(f"{opened.path.name} is not there any more; open another file.") from cause
-        opened.check_unchanged(path)
+        if not opened.is_unchanged(path):
+            raise InputError(f"{path.name} changed since it was opened; open it again.")
         return path
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from becalm.errors import BecalmError
-from becalm.web.hearing import heard
+from becalm.web.hearing import heard, number_of
 from becalm.web.tuner import messages
 from becalm.web.tuner.messages import understood
 from becalm.web.tuner.showing import Showing
@@ -95,7 +95,7 @@ class Conversation:
         number: int | None = None
         try:
             said = heard(frame)
-            number = said["number"] if type(said.get("number")) is int else None
+            number = number_of(said)
             message = understood(said)
         except BecalmError as cause:
             await self._wire.trouble(str(cause), number)

@@ -220,7 +220,7 @@ class Desk:
         return self.opened.options(self.opened.as_filter(now.mode, now.lag_s))
 
     def _options_of(self, channel: int) -> Options:
-        self.opened.rows(channel)  # refuses what is none
+        self.opened.check_channel(channel)
         return self.options[channel]
 
     def _do(self, doing: Doing, *, final: bool = True) -> None:

@@ -99,10 +99,9 @@ class Opened:
         even = time.uniform and round(time.duration_s / time.step_s) == len(self.recording) - 1 and not len(time.gaps)
         return None if even and not len(time.repeats) else self._told_times
 
-    def check_unchanged(self, path: Path) -> None:
-        """Raise an InputError if a file is no longer what was read."""
-        if not self._stamps or _stamps(path) != self._stamps:
-            raise InputError(f"{self.path.name} changed since it was opened; open it again.")
+    def is_unchanged(self, path: Path) -> bool:
+        """Whether a file is still what was read."""
+        return bool(self._stamps) and _stamps(path) == self._stamps
 
     def as_filter(self, mode: str, lag_s: float | None) -> bool:
         """Whether a mode is tuned as a filter, or as a smoother; raises a UsageError if the lag is impossible."""
@@ -116,16 +115,14 @@ class Opened:
         """Return where the numbers come from."""
         return self._exploring(as_filter)[0].recipe.tuned_on.model_copy(update={"sha256": self._sha256})
 
-    def rows(self, channel: int) -> ChannelRows:
-        """Return the rows of a channel.
-
-        Raises
-        ------
-        UsageError
-            If there is no such channel.
-        """
+    def check_channel(self, channel: int) -> None:
+        """Raise a UsageError if there is no such channel."""
         if not channel < len(self.recording.names):
             raise UsageError(f"There is no channel {channel + 1}; there are {len(self.recording.names)}.")
+
+    def rows(self, channel: int) -> ChannelRows:
+        """Return the rows of a channel, a copy the first time; raises a UsageError if there is no such channel."""
+        self.check_channel(channel)
         if channel not in self._rows:
             limits = next(iter(self._explored.values()))[1][channel].channel.limits if self._explored else None
             z = np.ascontiguousarray(self.recording.samples[:, channel])

@@ -43,7 +43,6 @@ class Shared:
         self.workers = ThreadPoolExecutor(_WORKERS, thread_name_prefix="becalm-tuner")
         self.pages: set[Conversation] = set()
         self.desk: Desk | None = None
-        self._written = 0.0  # when the file that is open was
         self._opening = asyncio.Lock()
         self._openings: set[asyncio.Task[None]] = set()
         self._run = secrets.token_hex(8)
@@ -78,9 +77,10 @@ class Shared:
         if self.desk is None or self.desk.opened.id != file or group not in (None, self.desk.opened.group):
             return False
         try:
-            return self.folder.path_of(file).stat().st_mtime == self._written
-        except (InputError, OSError):  # it is gone, but was read
+            path = self.folder.path_of(file)
+        except InputError:  # it is gone, but was read
             return True
+        return self.desk.opened.is_unchanged(path)
 
     async def open(self, file: str, group: str | None) -> None:
         """Open a file in the place of what is open; what is open stays where it cannot be read.
@@ -100,7 +100,6 @@ class Shared:
             if self.is_open(file, group):
                 return  # another page asked for it as well
             path, loop = self.folder.path_of(file), asyncio.get_running_loop()
-            written = path.stat().st_mtime
 
             def tell(says: str) -> None:
                 asyncio.run_coroutine_threadsafe(self.working(says), loop)
@@ -118,7 +117,6 @@ class Shared:
             except BaseException:
                 await self.working("")
                 raise
-            self._written = written
 
     async def tell_all(self, what: Telling, asker: Conversation | None) -> None:
         """Tell every page something; only the one that asked for it is waited for."""

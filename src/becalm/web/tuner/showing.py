@@ -78,7 +78,7 @@ class Showing:
 
     def look(self, look: Look) -> None:
         """Look at a part of a channel."""
-        self._shared.open_desk.opened.rows(look.channel)  # refuses what is none
+        self._shared.open_desk.opened.check_channel(look.channel)
         self._look = look
         self.ask(look.number)
 
@@ -96,7 +96,7 @@ class Showing:
             If it is none to compare with.
         """
         desk = self._shared.open_desk
-        desk.opened.rows(message.channel)
+        desk.opened.check_channel(message.channel)
         if message.classic is None:
             self._classics.pop(message.channel, None)
         elif message.classic in desk.classics:
