@@ -32,6 +32,7 @@ from becalm.web.site import Page, site
 PATIENCE_S = 30.0
 TOKEN = "a-token-that-is-long-enough-for-all"
 RATE_HZ = 1500.0
+SENT_BYTES = 1 << 16  # and not taken yet, of each page
 EACH = 10  # rows of a bin of level 0 at this rate
 NAMES = ("ax", "tilt")
 
@@ -190,6 +191,7 @@ def check(header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
 def shown() -> Iterator[Shown]:
     """Serve a live page."""
     listener = listen(LOOPBACK, 0)
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SENT_BYTES)  # else the kernel holds megabytes, or does not
     access = Access(LOOPBACK, listener.getsockname()[1], TOKEN)
     meter = Meter("replay:drive.csv")
     asked = Asked(meter)
