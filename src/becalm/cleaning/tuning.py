@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from importlib.metadata import PackageNotFoundError, version
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +17,7 @@ from becalm.cleaning.recipe_parts import GateRecipe
 from becalm.cleaning.steps import gate_of, in_seconds, lag_in_rows
 from becalm.cleaning.timing import time_std_of, timed
 from becalm.core.arrays import Floats
+from becalm.core.itself import version
 from becalm.core.recording import Recording
 from becalm.core.verdict import judge
 from becalm.errors import RecordingError, UsageError
@@ -144,18 +144,11 @@ def explore(
         found = tuple(pool.map(one, chosen.names))
     finally:
         pool.shutdown(wait=False, cancel_futures=True)  # who stops it need not wait for the others
-    origin = Origin(rows=len(chosen), rate_hz=chosen.rate_hz, becalm=_version())
+    origin = Origin(rows=len(chosen), rate_hz=chosen.rate_hz, becalm=version())
     mode: Mode = "causal" if causal else "smoothed" if wishes.lag_s is None else "lagged"
     recipe = Recipe(mode=mode, lag_s=wishes.lag_s, tuned_on=origin, channel=tuple(one.channel for one in found))
     std_s = time_std_of(chosen.timebase) if wishes.time_std_s is None else wishes.time_std_s
     return Tuned(timed(recipe, chosen, std_s, at_rest=bool(wishes.still_s)) if std_s else recipe, found)
-
-
-def _version() -> str:
-    try:
-        return version("becalm")
-    except PackageNotFoundError:  # on the path, but not installed
-        return ""
 
 
 def _tune_channel(recording: Recording, causal: bool, wishes: Wishes, progress: Progress, name: str) -> Found:

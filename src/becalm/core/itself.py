@@ -1,15 +1,26 @@
-"""How becalm starts another process of itself."""
+"""Which becalm this is, and how it starts another process of itself."""
 
 from __future__ import annotations
 
 import os
 import sys
+from functools import cache
+from importlib import metadata
 from pathlib import Path
 
 MODULE = (sys.executable, "-P", "-m")
 """What runs a module: -P, for nothing in the folder where becalm was started is a part of it."""
 
 _SOURCES = Path(__file__).parents[2]
+
+
+@cache
+def version() -> str:
+    """Return becalm's version, "" where it is on the path and not installed."""
+    try:
+        return metadata.version("becalm")
+    except metadata.PackageNotFoundError:
+        return ""
 
 
 def environment() -> dict[str, str]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from importlib import import_module
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import ModuleType
 from typing import IO, Any
@@ -13,6 +12,7 @@ from xml.sax.saxutils import escape, quoteattr
 
 import pyarrow as pa
 
+from becalm.core.itself import version
 from becalm.errors import OutputError
 from becalm.files.arrays.array_labels import OF_TABLE
 from becalm.files.column_arrays import refuse_strange_types, told_of
@@ -105,13 +105,10 @@ class Mf4Rows:
 
 
 def _comment(told: Mapping[str, str]) -> str:
-    own = ""
-    with suppress(PackageNotFoundError):  # on the path, but not installed
-        own = version("becalm")
     entries = "".join(f"<e name={quoteattr(key)}>{escape(text)}</e>" for key, text in told.items())
     return (
         "<FHcomment><TX>Written by becalm</TX><tool_id>becalm</tool_id><tool_vendor>becalm</tool_vendor>"
-        f"<tool_version>{own}</tool_version><common_properties>{entries}</common_properties></FHcomment>"
+        f"<tool_version>{version()}</tool_version><common_properties>{entries}</common_properties></FHcomment>"
     )
 
 

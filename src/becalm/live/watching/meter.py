@@ -10,13 +10,12 @@ from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from functools import cache
-from importlib import metadata
 from typing import Any, Literal
 
 import numpy as np
 
 from becalm.core.arrays import Floats, Integers
+from becalm.core.itself import version
 from becalm.core.verdict import Verdict
 from becalm.live.block import Block, Loss, LossKind, Output
 from becalm.live.watching.memory import resident_bytes
@@ -195,7 +194,7 @@ class Meter:
         with self._lock:
             last = self._latencies.ring[: min(self._latencies.count, LATENCIES)].copy()
             told: dict[str, Any] = {
-                "version": _version(),
+                "version": version(),
                 "written": _utc(time.time()),
                 "state": self._state,
                 "says": self._says,
@@ -267,8 +266,3 @@ def _milli(seconds: float | None) -> float | None:
 
 def _utc(seconds: float) -> str:
     return datetime.fromtimestamp(seconds, UTC).isoformat(timespec="milliseconds")
-
-
-@cache
-def _version() -> str:
-    return metadata.version("becalm")
