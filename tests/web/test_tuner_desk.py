@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from becalm.cleaning.dial_positions import POSITIONS, dial, told_of
+from becalm.cleaning.excerpt import ChannelRows
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.recipe_parts import TimingRecipe
 from becalm.cleaning.steps import in_steps
@@ -15,11 +17,9 @@ from becalm.noise.choose import Choice
 from becalm.noise.likelihood import Evidence, Tuning
 from becalm.web.tuner.costs import cost_map
 from becalm.web.tuner.desk import Desk
-from becalm.web.tuner.dial import POSITIONS, dial, told_of
 from becalm.web.tuner.evidence import beside_best, described
 from becalm.web.tuner.messages import Turned
 from becalm.web.tuner.opened import Opened
-from becalm.web.tuner.rows import ChannelRows
 from becalm.web.tuner.settings import FOUND, GIVEN, Options, Setting, components
 from tuner_records import COLOURED, GATE, LIMITS, RATE_HZ, SWITCHING, TONES, even, motion, walk
 from tuner_served import drive_in

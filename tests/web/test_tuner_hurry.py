@@ -5,18 +5,20 @@ from __future__ import annotations
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from math import inf
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from becalm.cleaning.excerpt import ChannelRows
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.core.arrays import Floats
 from becalm.web.tuner import painting
 from becalm.web.tuner.painting import Painted, Painter, Wanted
-from becalm.web.tuner.rows import ChannelRows
 from tuner_records import GATE, RATE_HZ, motion, walk, with_gaps, with_spikes
+from tuner_served import drive_in, served
 
 GATED = motion(process_noise_density=0.3, gate=GATE)
 PLACES = [500, 9_000, 9_001, 15_000, 15_300, 29_980]
@@ -75,6 +77,18 @@ def test_the_dial_turns_a_hurried_picture(painter: Painter) -> None:
     hurried, exact = (painter.picture(wanted(of, calmer, hurried=hurry)) for hurry in (True, False))
     np.testing.assert_array_equal(hurried.clean.spikes, PLACES)
     assert_alike(hurried, exact)
+
+
+def test_a_turn_is_shown_in_a_hurry_before_the_gate_judges_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(painting, "LONG", 1000)
+    drive_in(tmp_path)
+    with served(tmp_path) as tuner, tuner.talk() as page:
+        page.opened("folder/drive.csv")
+        page.until("figures")
+        number = page.ask("turn", channel=0, settings={"process_noise_density": 3.0})
+        assert [page.picture(number).told["hurried"] for _ in range(2)] == [True, False]
 
 
 @pytest.mark.parametrize("why", ["nothing is remembered", "no gate", "another file", "a part only", "a step"])

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import becalm
+from becalm.cleaning.excerpt import ChannelRows, Run
 from becalm.cleaning.pipeline import Cleaned
 from becalm.cleaning.recipe import ChannelRecipe, Recipe
 from becalm.cleaning.steps import lag_in_rows
@@ -19,7 +20,6 @@ from becalm.core.told import Told
 from becalm.core.verdict import Verdict
 from becalm.web.tuner import picture
 from becalm.web.tuner.picture import Clean, View, clean_of, raw_of, view_of
-from becalm.web.tuner.rows import ChannelRows, Run
 from tuner_records import GATE, ROWS, Case, cases, even, motion, walk
 
 CASES = cases()

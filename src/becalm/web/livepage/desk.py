@@ -7,11 +7,11 @@ from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
+from becalm.cleaning.dial_positions import dial, told_of
 from becalm.cleaning.recipe import ChannelRecipe, Recipe
 from becalm.cleaning.steps import lag_in_rows
 from becalm.errors import BecalmError, UsageError
 from becalm.live.retuning import Heard, Retune
-from becalm.web.tuner.dial import dial, told_of
 
 _DIAL_S = 600.0  # the calmest position is that of a record so long
 _REMEMBERED = 1000  # turns

@@ -8,11 +8,11 @@ import numpy as np
 
 from becalm.classic.matching import equal_noise
 from becalm.classic.register import CLASSICS
+from becalm.cleaning.excerpt import ChannelRows
 from becalm.core.verdict import judge
 from becalm.errors import UsageError
 from becalm.report.envelope import Envelope
 from becalm.web.tuner.picture import View
-from becalm.web.tuner.rows import ChannelRows
 
 _SETTLED = 12.0  # over the cut-off: rows in which the slowest has settled
 _DIGITS = 3  # of a noise gain: a cut-off is looked for once for those that are alike

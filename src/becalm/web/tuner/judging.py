@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from becalm.cleaning.cleaner import Cleaner
+from becalm.cleaning.excerpt import ChannelRows
 from becalm.cleaning.judging import Decision
 from becalm.cleaning.recipe import ChannelRecipe, Recipe
 from becalm.report.channel import Cleaned, Pictured, Pictures
 from becalm.report.gathering import Gathering
 from becalm.report.payload import payload
-from becalm.web.tuner.rows import ChannelRows
 
 _CHUNK = 1 << 18  # rows between two looks whether it is still wanted
 

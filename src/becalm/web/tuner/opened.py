@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from becalm.cleaning.calibrating import calibrated
+from becalm.cleaning.excerpt import ChannelRows
 from becalm.cleaning.recipe import Origin
 from becalm.cleaning.tuning import Tuned, Wishes, explore, tuned_as_filter
 from becalm.core.arrays import Floats
@@ -16,13 +17,12 @@ from becalm.errors import InputError, UsageError
 from becalm.files.every_time import open_file
 from becalm.files.opening import OpenSource
 from becalm.files.portions import rows_to_tune_on
-from becalm.web.tuner.rows import ChannelRows
 from becalm.web.tuner.settings import Options
 
 Progress = Callable[[str], None]
 
 MOST_SAMPLES = 1 << 28
-"""Samples that are held in memory: 2 GiB."""
+"""Samples whose readings are held, 2 GiB; of each channel that is looked at two copies more."""
 
 
 class Opened:

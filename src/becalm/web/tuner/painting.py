@@ -8,16 +8,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from becalm.cleaning.dial_positions import dial, told_of
+from becalm.cleaning.excerpt import ChannelRows
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.core.verdict import Verdict
 from becalm.report.envelope import Envelope
 from becalm.web.frames import frame, relative
 from becalm.web.tuner.comparing import classic_beside
 from becalm.web.tuner.costs import cost_map
-from becalm.web.tuner.dial import dial, told_of
 from becalm.web.tuner.opened import Opened
 from becalm.web.tuner.picture import LONG, Clean, Raw, View, clean_of, raw_of, view_of
-from becalm.web.tuner.rows import ChannelRows
 
 _MOST_RAW = 8  # views whose readings are kept
 _DECIBEL = 10.0
@@ -98,7 +98,7 @@ class Painter:
         rows = opened.rows(wanted.channel)
         view = view_of(rows, opened.times_s, wanted.span_s, wanted.width)
         raw = self._raw_of(wanted, view)
-        hurried = wanted.hurried and recipe.gate is not None and wanted.channel in self._gated
+        hurried = wanted.hurried and self._knows_spikes(wanted)
         if hurried:
             ungated = recipe.model_copy(update={"gate": None})
             clean = clean_of(self._gated[wanted.channel], ungated, wanted.lag, view, self._pool)
@@ -117,6 +117,12 @@ class Painter:
             "hurried": hurried,
         }
         return Painted(header, view, raw, clean)
+
+    def hurries(self, wanted: Wanted) -> bool:
+        """Whether a picture is worth painting in a hurry first, for it takes long and can be."""
+        rows = wanted.opened.rows(wanted.channel)
+        view = view_of(rows, wanted.opened.times_s, wanted.span_s, wanted.width)
+        return self._knows_spikes(wanted) and view.stop - view.first >= LONG
 
     def remember(self, wanted: Wanted, painted: Painted) -> None:
         """Make ready for pictures in a hurry, where a gate makes those of the whole record slow."""
@@ -142,6 +148,9 @@ class Painter:
         gain = None if gain_db is None else 10.0 ** (gain_db / _DECIBEL)
         found = classic_beside(wanted.opened.rows(wanted.channel), painted.view, wanted.classic, gain)
         return painted._replace(header={**painted.header, "classic": wanted.classic}).framed(found)
+
+    def _knows_spikes(self, wanted: Wanted) -> bool:
+        return wanted.opened is self._of and wanted.recipe.gate is not None and wanted.channel in self._gated
 
     def _raw_of(self, wanted: Wanted, view: View) -> Raw:
         key = wanted.channel, view

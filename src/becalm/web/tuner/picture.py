@@ -9,13 +9,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from becalm.cleaning.excerpt import ChannelRows, Run
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.core.arrays import Floats, Integers
 from becalm.core.told import Told
 from becalm.core.verdict import Verdict
 from becalm.report.envelope import Envelope, Kinds, Stretches
 from becalm.report.gathering import WIDTH
-from becalm.web.tuner.rows import ChannelRows, Run
 
 LONG = 1 << 19
 """Rows from which on two run side by side."""

@@ -1,4 +1,4 @@
-"""What a page sees: the newest picture that it asked for, and beside it what takes longer, while nothing is asked."""
+"""What a page sees: the newest picture that it asked for, in a hurry first, and beside it what takes longer."""
 
 from __future__ import annotations
 
@@ -126,6 +126,10 @@ class Showing:
     async def _show_newest(self) -> None:
         in_thread, painter = self._shared.in_thread, self._painter
         wanted, shown = self._wanted(self.answers, self._look.channel), self._shown
+        if not wanted.hurried and await in_thread(lambda: painter.hurries(wanted)):
+            await self._wire.send(await in_thread(lambda: painter.picture(wanted._replace(hurried=True)).framed()))
+            if self._asked.is_set():
+                return
         painted = await in_thread(lambda: painter.picture(wanted))
         await self._wire.send(painted.framed())
         if self._asked.is_set():

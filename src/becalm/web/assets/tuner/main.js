@@ -154,6 +154,7 @@ function opened(recording) {
   document.title = `${recording.name} - becalm`;
   find("facts", HTMLElement).textContent = `${recording.name}: ${recording.rows.toLocaleString("en")} rows at ${amount(recording.rate_hz, "Hz")}, ${amount(recording.lasts_s, "s")}`;
   find("command", HTMLElement).textContent = recording.command;
+  find("typed", HTMLElement).hidden = !recording.command; // of a name that cannot be typed
   find("desk", HTMLElement).hidden = false;
   find("actions", HTMLElement).hidden = false;
   files.show(false);
@@ -266,7 +267,7 @@ function draw(frame) {
     desk.filter = header.filter;
     dial.tell(header.filter);
     const each = header.rows_each > 1 ? `Each stretch is ${header.rows_each.toLocaleString("en")} rows, drawn from the least to the greatest.` : "";
-    const hurried = header.hurried ? "While you drag, the spikes of before are left out." : "";
+    const hurried = header.hurried ? "The spikes of before are left out until the gate has judged anew." : "";
     find("plot-says", HTMLElement).textContent = [`Drawn: ${header.filter.says}.`, each, hurried].join(" ");
   }
 }
