@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from becalm.cleaning.recipe import Recipe
+from served import until
 
 if TYPE_CHECKING:
     from tuning import Visit
@@ -60,6 +61,13 @@ def drawn(visit: Visit, number: int, role: str, least: int = 100) -> None:
 
 def recipe_now(visit: Visit) -> Recipe:
     return Recipe.from_toml(visit.page.evaluate("() => fetch('/save/recipe').then((answer) => answer.text())"))
+
+
+def tune_by_key(visit: Visit, key: str) -> None:
+    """Press a key, and wait until rows go through another recipe."""
+    before = recipe_now(visit)
+    visit.page.keyboard.press(key)
+    until(lambda: recipe_now(visit) != before)
 
 
 def settle(visit: Visit) -> None:

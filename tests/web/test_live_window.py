@@ -15,7 +15,7 @@ from becalm.cleaning.recipe_modes import ModeRecipe, SwitchingRecipe
 from becalm.cleaning.recipe_parts import GateRecipe
 from becalm.core.recording import Recording
 from becalm.files.writing import write
-from live_looks import COLUMNS, PIXELS, drawn, pixels, recipe_now, settle
+from live_looks import COLUMNS, PIXELS, drawn, pixels, recipe_now, settle, tune_by_key
 from live_page_runs import LiveApp, shown_live
 from tuning import NAMELESS, Visit, chromium, visiting
 
@@ -182,7 +182,7 @@ def test_a_dial_is_turned_by_keys_and_undone(live: LiveApp, look: Look) -> None:
     page.keyboard.press("1")
     assert page.evaluate("() => document.activeElement === document.querySelector('#strips canvas')")
     for _ in range(5):
-        page.keyboard.press("]")
+        tune_by_key(visit, "]")
     page.wait_for_function("() => !document.querySelector('#undo').disabled")
     calmer = recipe_now(visit).channel[0].process_noise_density
     assert density is not None
@@ -191,10 +191,11 @@ def test_a_dial_is_turned_by_keys_and_undone(live: LiveApp, look: Look) -> None:
     assert page.locator("section.strip dl").first.inner_text() != words
     other = look(live)
     other.page.wait_for_function("() => !document.querySelector('#undo').disabled")
-    while not page.locator("#undo").is_disabled():
-        page.keyboard.press("z")
-        page.wait_for_timeout(500)
+    for _ in range(5):
+        assert recipe_now(visit).channel[0].process_noise_density != density
+        tune_by_key(visit, "z")
     assert recipe_now(visit).channel[0].process_noise_density == density
+    page.wait_for_function("() => document.querySelector('#undo').disabled")
     other.page.wait_for_function("() => document.querySelector('#undo').disabled")
 
 
@@ -230,6 +231,24 @@ def test_a_key_that_is_held_is_one_turn(live: LiveApp, look: Look) -> None:
     page.keyboard.press("z")
     page.wait_for_function("() => document.querySelector('#undo').disabled")
     assert recipe_now(visit).channel[0].process_noise_density == density
+
+
+def test_a_dial_is_moved_by_no_news_of_before_its_last_turn(live: LiveApp, look: Look) -> None:
+    page = look(live).page
+    page.wait_for_function("() => !document.querySelector('.strip input').disabled")
+    here, waiting, refused = page.evaluate("""() => {
+      const strip = becalmLive.strips[0];
+      const [filter, dial] = strip.told;
+      const places = [strip.dial.input.value];
+      strip.asked = 7;
+      strip.tune(filter, { ...dial, at: dial.at / 8 });
+      strip.answered(6, true);
+      places.push(strip.dial.input.value);
+      strip.answered(7, false);
+      return [...places, strip.dial.input.value];
+    }""")
+    assert waiting == here
+    assert float(refused) > float(here)
 
 
 def test_a_recipe_that_cannot_be_saved_is_said(live: LiveApp, look: Look) -> None:

@@ -7,9 +7,9 @@ import logging
 import secrets
 import time
 from collections.abc import Awaitable, Callable
-from importlib.metadata import version
 from typing import TYPE_CHECKING, NamedTuple
 
+from becalm.core.itself import version
 from becalm.errors import BecalmError
 from becalm.live.retuning import Retune
 from becalm.live.watching.meter import Meter
@@ -106,7 +106,7 @@ class LivePage:
         return text(
             {
                 "kind": "welcome",
-                "version": version("becalm"),
+                "version": version(),
                 "run": self._run,
                 "names": shown.head.names,
                 "units": shown.head.units,
@@ -143,6 +143,8 @@ class LivePage:
             pass
         except Exception:
             _log.exception("What the filters of a live page are could not be said.")
+        if self._meter.recipe != recipe:  # it was turned on meanwhile; what it is now is told next
+            return
         self._recipe = now
         told = text({"kind": "tuned", "recipe": recipe, "can_undo": can_undo, **found})
         self.tuning = News(self.tuning.number + 1, told)

@@ -43,6 +43,7 @@ const send = connect({
   frame: take,
   link: ({ up, again_s, reason }) => {
     document.body.dataset.state = up ? "live" : "disconnected";
+    for (const strip of strips) strip.asked = null; // nobody will answer
     const over = OVER.includes(state);
     const says = over ? "The stream has ended, and becalm with it;" : reason || "becalm does not answer;";
     if (!up && over) say(links.working, "");
@@ -55,9 +56,16 @@ const heard = {
   welcome: begin,
   health: fare,
   tuned: tune,
-  taken: () => say(links.trouble, ""),
-  trouble: ({ says }) => say(links.trouble, says),
+  taken: ({ answers }) => answered(answers, ""),
+  "passed over": ({ answers }) => answered(answers, ""),
+  trouble: ({ says, answers }) => answered(answers, says),
 };
+
+/** @param {number | null} number @param {string} says what is wrong */
+function answered(number, says) {
+  say(links.trouble, says);
+  for (const strip of strips) strip.answered(number, !says);
+}
 
 /** Hear what the stream is. @param {any} message */
 function begin(message) {

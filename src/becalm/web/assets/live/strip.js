@@ -17,7 +17,7 @@ export class Strip {
   /**
    * @param {number} number @param {string} name @param {string} unit
    * @param {[string, number][]} modes their names, and the places of their probabilities
-   * @param {(density: number) => void} turned
+   * @param {(density: number) => number | null} turned asks for it; returns the number of the question
    */
   constructor(number, name, unit, modes, turned) {
     this.number = number;
@@ -31,7 +31,12 @@ export class Strip {
     this.figures = make("dl");
     this.met = make("p", { class: "met" });
     const range = make("input", { type: "range", min: 0, step: "any", "aria-label": `${this.name}: between quicker and calmer`, disabled: true });
-    this.dial = new Dial((density, final) => final && turned(density), range, this.figures);
+    /** The last turn, until it is answered: what is told meanwhile was before it. @type {number | null} */
+    this.asked = null;
+    /** @type {[any, any]} */
+    this.told = [null, null];
+    const turn = (/** @type {number} */ density, /** @type {boolean} */ final) => { if (final) this.asked = turned(density); };
+    this.dial = new Dial(turn, range, this.figures);
     this.ends = make("div", { class: "ends" }, make("span", {}, "quicker"), make("span", {}, "calmer"));
     const title = make("h2", { id: `name-${number}` }, this.name);
     const beside = make("div", {}, make("header", {}, title, this.value), this.figures, range, this.ends, this.met);
@@ -128,8 +133,17 @@ export class Strip {
     this.met.replaceChildren(...told);
   }
 
+  /** A question is answered. @param {number | null} number @param {boolean} taken else all is as it was */
+  answered(number, taken) {
+    if (this.asked === null || number === null || number < this.asked) return;
+    this.asked = null;
+    if (!taken) this.tune(...this.told);
+  }
+
   /** Say what the filter is, and lay its dial. @param {any} filter @param {any} dial */
   tune(filter, dial) {
+    this.told = [filter, dial];
+    if (this.asked !== null) return;
     this.dial.lay(dial ?? null, this.unit);
     this.dial.input.hidden = this.ends.hidden = !dial;
     if (dial) this.dial.point(dial.at);
