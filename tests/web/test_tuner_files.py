@@ -56,6 +56,14 @@ def test_a_file_that_is_dropped_is_opened_and_brought_again(look: Look, tmp_path
         visit.forgive_silence()
 
 
+def test_why_a_page_is_refused_is_told(tmp_path: Path, look: Look) -> None:
+    with tuner(tmp_path) as app:
+        page = look(app, "").page
+        page.route_web_socket("**/wire", lambda wire: wire.close(code=1013, reason="Too many look on."))
+        page.reload()
+        page.locator("#link", has_text="Too many look on. Trying again in").wait_for()
+
+
 def test_what_was_done_outlives_a_reload_and_a_new_start(tmp_path: Path, look: Look) -> None:
     folder = tmp_path / "drives"
     folder.mkdir()

@@ -13,8 +13,6 @@ from pathlib import Path
 import pytest
 
 from becalm.cleaning.recipe import Recipe
-from becalm.files.opening import open_source
-from becalm.files.portions import rows_to_tune_on
 from becalm.files.writing import write
 from becalm.web.access import LOOPBACK
 from becalm.web.tuner import saving
@@ -118,11 +116,6 @@ def test_a_file_is_brought_opened_and_saved(tmp_path: Path) -> None:
         assert saved.headers["content-disposition"].endswith("my%20drive-clean.csv")
         assert saved.text.startswith("time_s,ax,ax_sigma")
     assert list(folder.iterdir()) == []
-
-
-def test_as_much_is_tuned_on_as_the_command_line_does(tmp_path: Path) -> None:
-    with open_source(drive_in(tmp_path)) as source:
-        assert rows_to_tune_on(source) >= source.rows
 
 
 def test_what_changed_since_it_was_opened_is_not_saved(tmp_path: Path) -> None:

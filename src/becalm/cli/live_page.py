@@ -41,6 +41,7 @@ def serve(asked: PageAsked, meter: Meter, retune: Retune, warn: Callable[[str], 
     UsageError
         If the port cannot be had, or the token's file is none.
     """
+    opened.callback(sys.setswitchinterval, sys.getswitchinterval())
     sys.setswitchinterval(_SWITCH_S)
     page = LivePage(Feed(warn), meter, retune)
     token = token_of(asked.token_file)

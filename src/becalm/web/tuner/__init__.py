@@ -59,12 +59,7 @@ class Tuner:
 
     async def wire(self, websocket: WebSocket) -> None:
         """Speak with a page until it is closed."""
-        page = Conversation(self._shared, websocket)
-        self._shared.pages.add(page)
-        try:
-            await page.run()
-        finally:
-            self._shared.pages.discard(page)
+        await Conversation(self._shared, websocket).run()
 
     def close(self) -> None:
         """End what computes, and remove what was brought."""

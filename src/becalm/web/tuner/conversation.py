@@ -44,7 +44,8 @@ class Conversation:
     async def run(self) -> None:
         """Speak with the page until it is closed."""
         await self._websocket.accept()
-        await self._wire.tell(self._shared.welcome())
+        await self._wire.tell(await self._shared.in_thread(self._shared.welcome))
+        self._shared.pages.add(self)
         self._start(self._showing.run())
         try:
             if self._shared.desk is not None:
@@ -60,6 +61,7 @@ class Conversation:
             return
         finally:
             self._wire.gone = True
+            self._shared.pages.discard(self)
             for task in self._tasks:
                 task.cancel()
             await asyncio.gather(*self._tasks, return_exceptions=True)

@@ -57,7 +57,6 @@ class Turned(BaseModel):
     process_noise_density: NotNegative | None = None
     on: dict[Name, bool] | None = None
     unchanged: bool | None = None
-    order: Annotated[int, Field(ge=1, le=5)] | None = None  # told by the choice; a page may say it back
 
 
 class Turn(Numbered):

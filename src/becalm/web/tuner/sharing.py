@@ -6,10 +6,10 @@ import asyncio
 import secrets
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, TypeVar
 
+from becalm.core.itself import version
 from becalm.errors import BecalmError, InputError, UsageError
 from becalm.files.registry import ENDINGS
 from becalm.web.tuner.conversation import Conversation, Telling
@@ -56,7 +56,7 @@ class Shared:
         """Tell a page where it is."""
         return {
             "kind": "welcome",
-            "version": _version(),
+            "version": version(),
             "run": self._run,
             **self.files(),
             "file": self.folder.first if self.desk is None else self.desk.opened.id,
@@ -152,10 +152,3 @@ class Shared:
     async def working(self, says: str) -> None:
         """Tell every page what is being done; "" of nothing any more."""
         await self.tell_all(lambda page: page.working(says), None)
-
-
-def _version() -> str:
-    try:
-        return version("becalm")
-    except PackageNotFoundError:  # on the path, but not installed
-        return ""

@@ -1,0 +1,101 @@
+"""What pages have in common: nobody waits for another, and what is overtaken is not told."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from becalm.web.frames import frame
+from becalm.web.tuner import sharing, showing
+from becalm.web.tuner.conversation import Conversation
+from becalm.web.tuner.painting import Wanted
+from becalm.web.tuner.sharing import Shared
+from served import PATIENCE_S
+from tuner_served import drive_in, served
+
+
+class Ear:
+    """A page that hears, or is told something without end."""
+
+    def __init__(self, *, deaf: bool = False) -> None:
+        self.heard: list[str] = []
+        self.deaf = deaf
+
+    async def send_text(self, text: str) -> None:
+        if self.deaf:
+            await asyncio.Event().wait()
+        self.heard.append(text)
+
+
+def test_nobody_waits_for_a_page_that_does_not_listen(tmp_path: Path) -> None:
+    async def tell() -> list[int]:
+        shared = Shared(tmp_path, None, 1)
+        ears = [Ear(deaf=True), Ear(), Ear()]
+        pages: list[Any] = [Conversation(shared, ear) for ear in ears]  # type: ignore[arg-type]
+        shared.pages.update(pages)
+        try:
+            await asyncio.wait_for(shared.tell_all(lambda page: page.working("..."), pages[1]), PATIENCE_S)
+            while not ears[2].heard:
+                await asyncio.sleep(0)
+            return [len(ear.heard) for ear in ears]
+        finally:
+            shared.close()
+
+    assert asyncio.run(tell()) == [0, 1, 1]
+
+
+def test_an_opening_goes_on_when_the_page_that_asked_is_reloaded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun, go_on = threading.Event(), threading.Event()
+
+    def read(*_: object) -> object:
+        begun.set()
+        assert go_on.wait(PATIENCE_S)
+        return SimpleNamespace(begin=lambda: None)
+
+    monkeypatch.setattr(sharing, "Opened", read)
+    monkeypatch.setattr(sharing, "Desk", lambda opened: opened)
+    drive_in(tmp_path)
+
+    async def reload() -> object:
+        shared = Shared(tmp_path, None, 1)
+        try:
+            asked = asyncio.create_task(shared.open("folder/drive.csv", None))
+            await asyncio.to_thread(begun.wait, PATIENCE_S)
+            asked.cancel()
+            await asyncio.gather(asked, return_exceptions=True)
+            go_on.set()
+            await asyncio.wait_for(asyncio.gather(*shared._openings), PATIENCE_S)
+            return shared.desk
+        finally:
+            shared.close()
+
+    assert asyncio.run(reload()) is not None
+
+
+def test_of_two_maps_only_the_newer_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    drawing, go_on = threading.Event(), threading.Event()
+
+    def draw(wanted: Wanted) -> bytes:
+        if not drawing.is_set():
+            drawing.set()
+            assert go_on.wait(PATIENCE_S)
+        return frame({"kind": "map", "answers": wanted.answers}, {})
+
+    drive_in(tmp_path)
+    with served(tmp_path) as tuner, tuner.talk() as page:
+        page.opened("folder/drive.csv")
+        monkeypatch.setattr(showing, "map_frame", draw)
+        page.ask("map", channel=0)
+        assert drawing.wait(PATIENCE_S)
+        newer = page.ask("map", channel=0)
+        assert page.until("map").told["answers"] == newer
+        go_on.set()
+        last = page.ask("map", channel=0)
+        assert page.until("map").told["answers"] == last
