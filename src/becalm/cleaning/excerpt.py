@@ -86,10 +86,20 @@ class ChannelRows:
         return np.where(_IMPOSSIBLE[verdicts], np.nan, self.z[part]) if verdicts.any() else self.z[part]
 
     def _longest_gap(self, readings: Floats) -> float:
-        arrived = np.isfinite(readings)
-        if arrived.all():
-            return float(self.elapsed[1:].max(initial=0.0))
-        return float(np.diff(np.cumsum(self.elapsed)[arrived]).max(initial=0.0))
+        longest = float(self.elapsed[1:].max(initial=0.0))
+        missing = np.flatnonzero(~np.isfinite(readings))
+        begun = np.flatnonzero(np.diff(missing, prepend=-1) > 1)  # of each run of them; one at the start is no gap
+        if not len(begun):
+            return longest
+        first, last = missing[begun], missing[np.append(begun[1:] - 1, -1)]
+        between = last < len(readings) - 1
+        bounds = np.column_stack([first[between], last[between] + 1]).ravel()
+        return longest if not len(bounds) else max(longest, float(self._between(bounds).max()))
+
+    def _between(self, bounds: Integers) -> Floats:
+        """Return the steps that went by in each pair of rows, from before the first up to the second."""
+        sums = np.add.reduceat(self.elapsed, bounds)[::2]
+        return sums + self.elapsed[bounds[1::2]]
 
 
 def _plain(limits: LimitsRecipe | None) -> LimitsRecipe | None:

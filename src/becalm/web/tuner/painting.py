@@ -11,6 +11,8 @@ import numpy as np
 from becalm.cleaning.dial_positions import dial, told_of
 from becalm.cleaning.excerpt import ChannelRows
 from becalm.cleaning.recipe import ChannelRecipe
+from becalm.cleaning.recipe_parts import LimitsRecipe
+from becalm.core.arrays import Integers
 from becalm.core.verdict import Verdict
 from becalm.report.envelope import Envelope
 from becalm.web.frames import frame, relative
@@ -65,6 +67,14 @@ class Painted(NamedTuple):
         return frame(self.header, arrays | {"verdicts": self.clean.verdicts})
 
 
+class _Gated(NamedTuple):
+    """The rows of a channel, without what its gate left out."""
+
+    spikes: Integers
+    limits: LimitsRecipe | None
+    rows: ChannelRows
+
+
 class Painter:
     """Paints what pages look at.
 
@@ -78,7 +88,7 @@ class Painter:
         self._pool = pool
         self._of: Opened | None = None  # whose these are
         self._raw: OrderedDict[tuple[int, View], Raw] = OrderedDict()
-        self._gated: dict[int, ChannelRows] = {}  # of one channel, without what its gate left out
+        self._gated: dict[int, _Gated] = {}  # of one channel
 
     def picture(self, wanted: Wanted) -> Painted:
         """Paint a picture; a hurried one leaves out the spikes that the gate left out of the whole record before.
@@ -101,7 +111,7 @@ class Painter:
         hurried = wanted.hurried and self._knows_spikes(wanted)
         if hurried:
             ungated = recipe.model_copy(update={"gate": None})
-            clean = clean_of(self._gated[wanted.channel], ungated, wanted.lag, view, self._pool)
+            clean = clean_of(self._gated[wanted.channel].rows, ungated, wanted.lag, view, self._pool)
         else:
             clean = clean_of(rows, recipe, wanted.lag, view, self._pool)
         told = told_of(recipe, rows.step_s, wanted.lag)
@@ -133,7 +143,9 @@ class Painter:
         if (painted.clean.verdicts & (1 << Verdict.STEP)).any():  # behind which the gate begins anew
             self._gated.clear()
             return
-        self._gated = {wanted.channel: rows.without(painted.clean.spikes, wanted.recipe.limits)}
+        spikes, limits, before = painted.clean.spikes, wanted.recipe.limits, self._gated.get(wanted.channel)
+        if before is None or before.limits != limits or not np.array_equal(before.spikes, spikes):
+            self._gated = {wanted.channel: _Gated(spikes, limits, rows.without(spikes, limits))}
 
     def classic(self, wanted: Wanted, painted: Painted) -> bytes:
         """Paint a classic filter into a picture, as calm as the channel's own.
