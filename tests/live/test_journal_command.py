@@ -121,6 +121,11 @@ def test_prune_removes_what_is_old(journal: Path, run: Run) -> None:
     assert "2023-11-14/22.parquet (pruned)" in run("journal", journal).stdout
 
 
+def test_words_the_wrong_way_round_are_told_the_right_way(run: Run) -> None:
+    ran = run("journal", "list", "j")
+    assert (ran.returncode, ran.stderr) == (2, "becalm: The folder comes first: becalm journal j list\n")
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [

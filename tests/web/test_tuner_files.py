@@ -12,10 +12,11 @@ import pytest
 from app_runs import tuner
 from becalm.core.recording import Recording
 from becalm.files.writing import write
+from served import until
 from tuning import Look, chromium, drive, looking
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser
+    from playwright.sync_api import Browser, WebSocketRoute
 
 SPIKE_ROW, SPIKED_ROWS = 1_234_567, 2_000_000
 
@@ -62,6 +63,41 @@ def test_why_a_page_is_refused_is_told(tmp_path: Path, look: Look) -> None:
         page.route_web_socket("**/wire", lambda wire: wire.close(code=1013, reason="Too many look on."))
         page.reload()
         page.locator("#link", has_text="Too many look on. Trying again in").wait_for()
+
+
+def test_a_dial_is_not_turned_back_by_what_was_told_before(tmp_path: Path, look: Look) -> None:
+    drive(tmp_path / "drive.parquet")
+    held: list[str] = []
+    tell = held.append
+
+    def hold_states(wire: WebSocketRoute) -> None:
+        nonlocal tell
+        tell = wire.send
+        becalm = wire.connect_to_server()
+        becalm.on_message(lambda told: (held.append if '"kind":"state"' in str(told) else wire.send)(told))
+
+    def came(states: int) -> bool:
+        page.wait_for_timeout(10)  # while it hears
+        return len(held) >= states
+
+    with tuner(tmp_path) as app:
+        visit = look(app)
+        page, dial = visit.page, visit.page.locator("#dial")
+        page.route_web_socket("**/wire", hold_states)
+        page.reload()
+        until(lambda: came(1))
+        tell(held.pop())
+        visit.opened("drive.parquet")
+        page.keyboard.press("]")
+        page.keyboard.press("]")
+        turned = dial.input_value()
+        until(lambda: came(2))
+        tell(held[0])
+        page.wait_for_function("() => becalm.desk.state.can_undo")
+        assert dial.input_value() == turned
+        tell(held[1])
+        page.wait_for_function("() => becalm.desk.turned === null")
+        assert float(dial.input_value()) == pytest.approx(float(turned), abs=1e-3)
 
 
 def test_what_was_done_outlives_a_reload_and_a_new_start(tmp_path: Path, look: Look) -> None:

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from becalm.cleaning.recipe import Recipe
+from becalm.files import registry
 from becalm.files.writing import write
 from becalm.web.access import LOOPBACK
 from becalm.web.tuner import saving
@@ -132,6 +133,24 @@ def test_what_changed_since_it_was_opened_is_not_saved(tmp_path: Path) -> None:
         with tuner.talk() as page:
             page.opened("folder/drive.csv")
             until(lambda: client.get("/save/clean").status_code == 200)  # it is told first of what was open before
+
+
+def test_a_report_needs_no_library_of_other_formats(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    blocked = tmp_path / "blocked"
+    blocked.mkdir()
+    for name in registry._WRITTEN_BY.values():
+        (blocked / f"{name}.py").write_text("raise ModuleNotFoundError(name=__name__)")
+    monkeypatch.setattr(registry, "find_spec", lambda name: None)
+    drive_in(tmp_path)
+    with served(tmp_path) as tuner, tuner.client() as client:
+        opened(tuner)
+        monkeypatch.setenv("PYTHONPATH", f"{blocked}{os.pathsep}{os.environ.get('PYTHONPATH', '')}")
+        assert client.get("/save/report").status_code == 200
+        told = client.get("/save/clean?format=h5").text
+        assert told == "becalm: HDF5 is written by h5py. Type: pip install 'becalm[formats]'"
+        with tuner.talk() as page:
+            saves = page.hear().told["saves"]
+    assert set(saves) == {".csv", ".txt", ".csv.gz", ".txt.gz", ".mat", ".npz", ".parquet", ".pq"}
 
 
 NEVER_ENDS = (

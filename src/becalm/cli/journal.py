@@ -54,6 +54,8 @@ def run(folder: Path, action: str, asked: Asking, as_json: bool) -> bool:
         "export": lambda: _export(folder, asked),
         "prune": lambda: _prune(folder, asked.older),
     }
+    if action not in actions and str(folder) in actions:
+        raise UsageError(f"The folder comes first: becalm journal {action} {folder}")
     if action not in actions:
         raise UsageError(f"becalm journal cannot {action}; it can {', '.join(actions)}.")
     return actions[action]()

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections import deque
-from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from becalm.cli.talk import stderr
-from becalm.errors import OutputError, UsageError
+from becalm.errors import OutputError
 
 if TYPE_CHECKING:
     from becalm.core.recording import Recording
@@ -17,19 +15,10 @@ _WAY_OUT = "Set NUMBA_CACHE_DIR to a folder that can be written, and repeat."
 
 
 def ahead(recording: Recording, *, causal: bool) -> None:
-    """Compile side by side what tuning would compile one after the other, if it was never done."""
-    from becalm.core.compiling import compile_quickly, kernel_folder, require_compiler
-    from becalm.core.warming import OF_ALL, is_cold, warm
-    from becalm.noise.choose import orders_run
+    """Compile what tuning needs, if it was never done; say so on stderr."""
+    from becalm.cleaning.ahead import compile_ahead
 
-    require_compiler()
-    compile_quickly()
-    names = ("forward", *(() if causal else ("backward",)), *OF_ALL)
-    orders = orders_run(recording.timebase.elapsed_steps, causal)
-    if kernel_folder() is not None and is_cold(names, orders):
-        stderr.print("Compiling the filters for this machine, which is done once.")
-        with suppress(UsageError):  # then they are compiled when they are used
-            deque(warm(names, orders), maxlen=0)
+    compile_ahead(recording, causal=causal, tell=stderr.print)
 
 
 def run() -> None:

@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 
@@ -42,6 +43,8 @@ ENDINGS: dict[str, str] = {
 """What the ending of an output's name asks for."""
 
 _SEVERAL_TIMES = frozenset({HDF5, MAT, MF4, NPZ, TDMS})
+
+_WRITTEN_BY = {HDF5: "h5py", MF4: "asammdf", TDMS: "nptdms"}  # all else becalm writes by itself
 
 BAG = "metadata.yaml"
 """What a folder holds that ROS 2 recorded into; no other folder is read."""
@@ -123,6 +126,11 @@ def _foreign_tables(module: str, path: Path) -> tuple[RawTable, ...]:
 
 def _foreigner(head: bytes) -> Foreigner | None:
     return next((one for one in FOREIGNERS if one.is_it(head)), None)
+
+
+def endings_here() -> list[str]:
+    """Return the endings of formats that can be written by what is installed here."""
+    return [ending for ending, form in ENDINGS.items() if form not in _WRITTEN_BY or find_spec(_WRITTEN_BY[form])]
 
 
 def holds_times(form: str) -> bool:

@@ -40,6 +40,7 @@ class Conversation:
         self._showing = Showing(shared, self._wire)
         self._tasks: set[asyncio.Task[None]] = set()
         self._mapping: asyncio.Task[None] | None = None
+        self._turned = 0  # by which message last
 
     async def run(self) -> None:
         """Speak with the page until it is closed."""
@@ -77,7 +78,8 @@ class Conversation:
         """Tell the page what is set, and show it; `but` is the page whose picture is already on its way."""
         if but is not self:
             self._showing.ask()
-        await self._wire.tell(await self._shared.in_thread(self._shared.open_desk.state_told))
+        turned = self._turned
+        await self._wire.tell({**await self._shared.in_thread(self._shared.open_desk.state_told), "turned": turned})
 
     def tell(self, what: Telling) -> None:
         """Tell the page something beside all else: another one does not wait until this one hears."""
@@ -141,6 +143,7 @@ class Conversation:
             turn()
         else:
             await self._shared.in_thread(turn)  # a model of another order may have to be looked at first
+        self._turned = message.number
         self._showing.dragging = not message.final
         self._showing.turned(message.channel, message.number)
         if message.final:

@@ -75,7 +75,7 @@ async def reported(job: Job) -> Made:
     OutputError
         If it cannot be made.
     """
-    return await _made(job, f"{stem_of(job.file)}-clean.h5", f"{stem_of(job.file)}-report.html")
+    return await _made(job, f"{stem_of(job.file)}-clean.npz", f"{stem_of(job.file)}-report.html")
 
 
 async def _made(job: Job, output: str, page: str | None) -> Made:

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 from becalm.core.itself import version
 from becalm.errors import BecalmError, InputError, UsageError
-from becalm.files.registry import ENDINGS
+from becalm.files.registry import endings_here
 from becalm.web.tuner.conversation import Conversation, Telling
 from becalm.web.tuner.desk import Desk
 from becalm.web.tuner.folder import READ_ENDINGS, Folder
@@ -60,7 +60,7 @@ class Shared:
             "run": self._run,
             **self.files(),
             "file": self.folder.first if self.desk is None else self.desk.opened.id,
-            "saves": list(ENDINGS),
+            "saves": endings_here(),
         }
 
     def files(self) -> dict[str, Any]:

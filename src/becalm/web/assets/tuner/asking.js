@@ -18,10 +18,10 @@ export class Asking {
     this.#next();
   }
 
-  /** Ask at once what must not be lost. @param {Question} question */
+  /** Ask at once what must not be lost. @param {Question} question @returns {number | null} which message it is */
   tell(question) {
     this.waiting.delete(question.do);
-    this.send(question);
+    return this.send(question);
   }
 
   /** An answer has come. @param {number | null} number */

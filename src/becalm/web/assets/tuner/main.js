@@ -19,7 +19,7 @@ import { Tabs } from "./tabs.js";
  * @typedef {import("./choices.js").Settings} Settings
  * @typedef {{ file: string, group: string, groups: string[], name: string, rows: number, rate_hz: number, lasts_s: number, mode: string, lag_s: number | null,
  *   channels: Channel[], classics: string[], remarks: string[], command: string }} Recording
- * @typedef {{ mode: string, lag_s: number | null, can_undo: boolean, can_redo: boolean, recipe: string, channels: Settings[],
+ * @typedef {{ mode: string, lag_s: number | null, can_undo: boolean, can_redo: boolean, recipe: string, turned: number, channels: Settings[],
  *   classics?: string[] }} State
  */
 
@@ -33,6 +33,7 @@ const desk = {
   /** @type {Map<number, import("./judged.js").Judged & { of: string | null }>} */ judged: new Map(),
   channel: 0,
   saving: false,
+  /** @type {number | null} */ turned: null, // by which message, until it is answered: what is told meanwhile was before it
   mapped: "", // of what the map was asked
   /** @type {number | null} */ mapAsked: null, // by which message
   run: "", // of becalm
@@ -47,7 +48,7 @@ function turn(settings, final = true) {
   const question = { do: "turn", channel: desk.channel, settings, final };
   if (final) {
     say(words.trouble, "");
-    asking.tell(question);
+    desk.turned = asking.tell(question);
   } else asking.ask(question);
 }
 
@@ -101,6 +102,7 @@ function tied({ up, tries, again_s, reason }) {
   document.body.dataset.state = up ? "open" : "disconnected";
   for (const one of document.querySelectorAll("fieldset")) one.disabled = !up;
   asking.forget();
+  desk.turned = null;
   const hint = tries > 3 ? " If it was started anew, open the address that it printed." : "";
   const kept = desk.recording ? " What you did is kept here." : "";
   say(words.link, up ? "" : `${reason ? `${reason} Trying` : "becalm does not answer; trying"} again in ${Math.ceil(again_s)} s.${kept}${hint}`);
@@ -116,6 +118,7 @@ function hear(message) {
     say(words.working, "");
     say(words.trouble, message.says);
     asking.heard(message.answers);
+    turned(message.answers ?? 0);
     settle();
   } else if (message.kind === "recording") opened(message);
   else if (message.kind === "state") settled(message);
@@ -209,9 +212,15 @@ function settled(state) {
   const { restoring } = desk;
   desk.restoring = null;
   desk.state = state;
+  turned(state.turned);
   if (!desk.saving) say(words.working, "");
   if (restoring && restoring !== state.recipe) send({ do: "restore", recipe: restoring });
   else settle();
+}
+
+/** A turn is answered. @param {number} number */
+function turned(number) {
+  if (desk.turned !== null && number >= desk.turned) desk.turned = null;
 }
 
 /** Show what is set. */
@@ -224,7 +233,7 @@ function settle() {
   choices.pointMode(state.mode, state.lag_s);
   if (state.classics) offer(state.classics);
   choices.point(settings);
-  dial.point(settings.process_noise_density);
+  if (desk.turned === null) dial.point(settings.process_noise_density);
   verdict.wait(desk.judged.get(desk.channel)?.of !== settingOf(desk.channel));
   askMap(settings);
 }
