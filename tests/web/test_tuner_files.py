@@ -67,7 +67,7 @@ def test_why_a_page_is_refused_is_told(tmp_path: Path, look: Look) -> None:
 
 def test_a_dial_is_not_turned_back_by_what_was_told_before(tmp_path: Path, look: Look) -> None:
     drive(tmp_path / "drive.parquet")
-    held: list[str] = []
+    held: list[str | bytes] = []
     tell = held.append
 
     def hold_states(wire: WebSocketRoute) -> None:
