@@ -12,6 +12,8 @@ import pyarrow.csv
 import pyarrow.parquet
 import pytest
 
+from becalm.core.itself import version
+
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
 
@@ -187,3 +189,9 @@ def test_a_file_whose_time_jitters_is_shown(run: Run, tmp_path: Path) -> None:
     ran = run("inspect", "in.csv")
     assert ran.returncode == 0, ran.stderr
     assert "jitter s" in ran.stdout
+
+
+def test_the_version_is_told(run: Run) -> None:
+    ran = run("--version")
+    assert (ran.returncode, ran.stdout, ran.stderr) == (0, f"becalm {version()}\n", "")
+    assert version()

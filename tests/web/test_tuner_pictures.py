@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import becalm
+from becalm.cleaning.dial_positions import density_unit
 from becalm.cleaning.excerpt import ChannelRows, Run
 from becalm.cleaning.pipeline import Cleaned
 from becalm.cleaning.recipe import ChannelRecipe, Recipe
@@ -179,3 +180,11 @@ def test_a_part_begins_no_earlier_than_it_must() -> None:
     rows = rows_of(even(walk()))
     assert Run(rows, motion(process_noise_density=300.0), None).reach < 2000
     assert Run(rows, motion(process_noise_density=0.0), None).reach == ROWS
+
+
+@pytest.mark.parametrize(
+    ("unit", "order", "density"),
+    [("m/s^2", 1, "(m/s^2)^2/s"), ("N", 2, "N^2/s^3"), ("s^2", 3, "(s^2)^2/s^5"), ("", 1, "1/s")],
+)
+def test_a_density_has_the_unit_of_its_order(unit: str, order: int, density: str) -> None:
+    assert density_unit(unit, order) == density

@@ -170,6 +170,7 @@ def test_the_map_is_least_at_its_best_and_marks_what_is_set(page: Talk) -> None:
     assert cost[tuple(found.told["best"])] == 0.0 == cost.min()
     assert found.told["noise_std"][found.told["best"][0]] == pytest.approx(1.0, rel=0.3)
     assert found.told["here"][0] == pytest.approx(1.0, rel=0.1)
+    assert found.told["density_unit"] == "1/s"
 
 
 def test_a_classic_filter_is_drawn_beside(page: Talk) -> None:

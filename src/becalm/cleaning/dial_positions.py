@@ -45,6 +45,12 @@ class Told(NamedTuple):
     says: str = ""
 
 
+def density_unit(unit: str, order: int) -> str:
+    """Return the unit of the noise that drives a motion: unit^2/s^(2 order - 1); `unit` is of the readings."""
+    squared = f"({unit})^2" if "/" in unit or "^" in unit else f"{unit}^2" if unit else "1"
+    return f"{squared}/s^{2 * order - 1}".removesuffix("^1")
+
+
 def dial(channel: ChannelRecipe, step_s: float, lag: int | None, rows: int) -> dict[str, Floats]:
     """Return what each position of a channel's dial is; nothing of one that passes unchanged.
 

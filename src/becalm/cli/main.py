@@ -18,6 +18,7 @@ from becalm.cli.journal_command import journal
 from becalm.cli.live_command import live
 from becalm.cli.said import load, open_as, open_every, refuse_overwriting, said_of, tuned
 from becalm.cli.stopping import stop_cleanly
+from becalm.core.itself import version
 from becalm.errors import BecalmError, UsageError
 
 NOT_DESCRIBED = 4
@@ -29,6 +30,21 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
+
+
+def _tell_version(wanted: bool) -> None:
+    if wanted:
+        print(f"becalm {version()}".rstrip())  # noqa: T201
+        raise typer.Exit
+
+
+@app.callback()
+def becalm(
+    _: Annotated[
+        bool, typer.Option("--version", help="Show which becalm this is.", callback=_tell_version, is_eager=True)
+    ] = False,
+) -> None:
+    """Hear what goes before a command."""
 
 
 @app.command()

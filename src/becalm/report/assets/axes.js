@@ -1,7 +1,7 @@
 // The axes of figures: their numbers, their room, their heights.
 
 import { colour } from "./colours.js";
-import { even, logarithmic, short } from "./numbers.js";
+import { decade, even, logarithmic } from "./numbers.js";
 
 const FONT = "12px system-ui, sans-serif";
 
@@ -14,7 +14,7 @@ export function axisOf(axis, more) {
   const lines = { stroke: colour("grid"), width: 1 };
   /** @type {uPlot.Axis} */
   const told = axis.log
-    ? { values: (u, splits) => splits.map(short), splits: logarithmic, filter: (u, splits) => splits }
+    ? { values: (u, splits) => splits.map(decade), splits: logarithmic, filter: (u, splits) => splits }
     : { values: (u, splits, i, space, step) => splits.map((value) => even(value, step)) };
   return { label: axis.label, labelFont: FONT, labelSize: 18, font: FONT, stroke: colour("ink"), grid: lines, ticks: lines, ...told, ...more };
 }

@@ -11,6 +11,14 @@ export function short(value) {
 }
 
 /**
+ * Write a power of ten, as logarithmic axes have them: large ones as such.
+ * @param {number} value
+ */
+export function decade(value) {
+  return value >= 1e5 ? value.toExponential(4).replace(/\.?0*e\+/, "e") : short(value);
+}
+
+/**
  * A number beside others that lie a step apart, with the digits that tell it from them.
  * @param {number} value
  * @param {number} step

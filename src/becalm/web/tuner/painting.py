@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from becalm.cleaning.dial_positions import dial, told_of
+from becalm.cleaning.dial_positions import density_unit, dial, told_of
 from becalm.cleaning.excerpt import ChannelRows
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.recipe_parts import LimitsRecipe
@@ -202,5 +202,6 @@ def map_frame(wanted: Wanted) -> bytes:
         "process_noise_density": found.process_noise_density.tolist(),
         "best": list(found.best),
         "here": list(found.here),
+        "density_unit": density_unit(wanted.opened.recording.units[wanted.channel], wanted.recipe.order or 1),
     }
     return frame(header, {"cost": found.cost.astype(np.float32)})

@@ -6,7 +6,8 @@ import { amount, find } from "../dom.js";
 import { clipped } from "../figures.js";
 
 /**
- * @typedef {{ noise_std: number[], process_noise_density: number[], best: [number, number], here: [number, number] }} Grid
+ * @typedef {{ noise_std: number[], process_noise_density: number[], best: [number, number], here: [number, number],
+ *   density_unit: string }} Grid
  * @typedef {{ noise_std: number, process_noise_density: number }} Tuning
  */
 
@@ -49,7 +50,7 @@ export class CostMap {
       scales: { x: { time: false, distr: 3, range: low }, y: { distr: 3, range: high } },
       axes: [
         axisOf({ label: unit ? `noise of a reading (${unit})` : "noise of a reading", log: true }, { size: 34, grid: { show: false } }),
-        axisOf({ label: "process noise density", log: true }, { size: roomFor(52), grid: { show: false } }),
+        axisOf({ label: `process noise density (${grid.density_unit})`, log: true }, { size: roomFor(52), grid: { show: false } }),
       ],
       series: [{}, { stroke: "transparent", points: { show: false } }],
       cursor: { drag: { x: false, y: false }, points: { show: false } },
@@ -79,7 +80,7 @@ export class CostMap {
     const [i, j] = [nearest(grid.noise_std, noise_std), nearest(grid.process_noise_density, process_noise_density)];
     const worse = cost[i * grid.process_noise_density.length + j];
     const told = worse < 0.001 ? "as well as at best" : `${amount(worse, "nats")} worse than at best`;
-    this.told.textContent = `Here (ring): noise ${amount(noise_std, unit)}, density ${amount(process_noise_density, "")}; each reading is foretold ${told} (cross). The stronger the colour, the better.`;
+    this.told.textContent = `Here (ring): noise ${amount(noise_std, unit)}, density ${amount(process_noise_density, grid.density_unit)}; each reading is foretold ${told} (cross). The stronger the colour, the better.`;
     this.canvas.setAttribute("aria-label", `Cost of every noise and density; arrow keys tune. ${this.told.textContent}`);
   }
 
