@@ -105,10 +105,11 @@ def test_what_comes_is_drawn_and_told(live: LiveApp, look: Look, tmp_path: Path)
     page.wait_for_function("() => !document.querySelector('.strip input').disabled")
     assert "bandwidth" in force.locator("dl").inner_text()
     assert "still" in speed.locator("dl").inner_text(), "what switches has no dial, but modes"
-    label = speed.locator("canvas").get_attribute("aria-label")
-    assert label is not None
-    assert label.startswith("speed: ")
-    assert "moving" in label
+    canvas = speed.locator("canvas")
+    assert canvas.get_attribute("aria-label") == "speed", "not what changes four times a second"
+    value, met = (canvas.get_attribute("aria-describedby") or "").split()
+    assert "±" in page.locator(f"#{value}").inner_text()
+    assert "moving" in page.locator(f"#{met}").inner_text()
     assert page.evaluate(NAMELESS) == []
     saved = visit.save("save", tmp_path)
     assert (saved.name, Recipe.from_toml(saved.read_text())) == ("live.recipe.toml", recipe_now(visit))

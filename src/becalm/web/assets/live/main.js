@@ -262,7 +262,7 @@ function frame(now) {
   const perRow = width / view.rows;
   const anchor = anchorOf(store, each, view.right, view.rate);
   const ticks = ticksOf(anchor, view.right - view.rows, view.right, width);
-  const scene = { store, each, perRow, right: view.right, first: 0, newest: view.paused ? Infinity : next ?? 0, ticks };
+  const scene = { store, each, perRow, right: view.right, newest: view.paused ? Infinity : next ?? 0, ticks };
   const speaks = now - saidMs > SAID_MS;
   for (const strip of strips) {
     if (speaks || !strip.scale) strip.rescale(scene);
