@@ -260,6 +260,19 @@ def test_from_opening_to_saving_by_keyboard_alone(app: App, look: Look, tmp_path
     page.keyboard.press("z")
 
 
+def test_what_is_the_same_is_not_read_aloud_again(app: App, look: Look) -> None:
+    visit = look(app)
+    visit.judged()
+    visit.page.evaluate("""() => {
+      Object.assign(window, { written: 0, before: becalm.desk.state });
+      const observer = new MutationObserver(() => { written += 1; });
+      for (const id of ["verdict", "map-says"]) observer.observe(document.getElementById(id), { childList: true });
+      document.getElementById("mode").dispatchEvent(new Event("change"));
+    }""")
+    visit.page.wait_for_function("() => becalm.desk.state !== before")
+    assert visit.page.evaluate("() => written") == 0
+
+
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("width", [1400, 400])
 def test_nothing_overflows_in_any_window(width: int, scheme: str, app: App, untouched: App, look: Look) -> None:
