@@ -247,6 +247,7 @@ def test_from_opening_to_saving_by_keyboard_alone(app: App, look: Look, tmp_path
     page.keyboard.press("Enter")
     page.locator("#files").wait_for(state="hidden")
     visit.opened("drive.parquet")
+    assert page.evaluate("() => document.activeElement.id") == "show-files", "not lost with the list"
     before = visit.settings()
     visit.walk_to("Between quicker and calmer")
     page.keyboard.press("[")

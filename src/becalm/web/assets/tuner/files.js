@@ -40,6 +40,7 @@ export class Files {
   /** @param {boolean} on */
   show(on) {
     if (on && this.place.hidden) this.wanted();
+    if (!on && this.place.contains(document.activeElement)) this.button.focus({ preventScroll: true }); // what goes keeps no focus
     this.place.hidden = !on;
     this.button.setAttribute("aria-expanded", String(on));
     const first = /** @type {HTMLElement | null} */ (this.place.querySelector("li button"));
