@@ -40,11 +40,6 @@ class Tuner:
     ----------
     routes : list of Route
         What is answered beside the page itself: uploads and downloads.
-
-    Raises
-    ------
-    UsageError
-        If there is no such folder.
     """
 
     def __init__(self, folder: Path, file: Path | None, upload_limit: int) -> None:

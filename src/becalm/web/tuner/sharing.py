@@ -59,7 +59,7 @@ class Shared:
             "version": version(),
             "run": self._run,
             **self.files(),
-            "file": self.folder.first if self.desk is None else self.desk.opened.id,
+            "file": self.first if self.desk is None else self.desk.opened.id,
             "saves": endings_here(),
         }
 
