@@ -71,7 +71,13 @@ def bytes_of(text: str) -> int:
 
 
 def run(place: Place, where: Where, limit_bytes: int, *, browser: bool) -> None:
-    """Serve the page until a signal comes; a second one ends at once."""
+    """Serve the page until a signal comes; a second one ends at once.
+
+    Raises
+    ------
+    UsageError
+        If a library that serves pages is not here, the port cannot be had, or the token's file is none.
+    """
     need_app()
     from becalm.web.access import Access, token_of
     from becalm.web.serving import Server
