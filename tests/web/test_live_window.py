@@ -207,7 +207,8 @@ def test_it_comes_back_after_becalm_was_killed(folder: Path, look: Look, tmp_pat
         page.wait_for_function("() => becalmLive.view.newest > 3000")
         app.kill()
         page.wait_for_function("() => document.body.dataset.state === 'disconnected'")
-        assert "does not answer" in page.locator("#link").inner_text()
+        page.locator("#link", has_text="open the address that it printed").wait_for()
+        assert "does not answer;" in page.locator("#link").inner_text()
         visit.shoot("live-disconnected")
         assert pixels(visit, 0, "clean")["all"] > 100, "what came before stays"
         app.start_again()

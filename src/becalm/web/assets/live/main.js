@@ -41,13 +41,13 @@ let fresh = false; // bins came since the last frame
 const send = connect({
   text: (message) => heard[message.kind]?.(message),
   frame: take,
-  link: ({ up, again_s, reason }) => {
+  link: ({ up, again_s, reason, hint }) => {
     document.body.dataset.state = up ? "live" : "disconnected";
     for (const strip of strips) strip.asked = null; // nobody will answer
     const over = OVER.includes(state);
     const says = over ? "The stream has ended, and becalm with it;" : reason || "becalm does not answer;";
     if (!up && over) say(links.working, "");
-    say(links.link, up ? "" : `${says} what came before stays here. Trying again in ${again_s} s.`);
+    say(links.link, up ? "" : `${says} what came before stays here. Trying again in ${Math.ceil(again_s)} s.${hint}`);
   },
 });
 

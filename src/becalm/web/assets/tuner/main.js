@@ -98,12 +98,11 @@ async function during(says, does) {
 }
 
 /** @param {import("../wire.js").Link} link */
-function tied({ up, tries, again_s, reason }) {
+function tied({ up, again_s, reason, hint }) {
   document.body.dataset.state = up ? "open" : "disconnected";
   for (const one of document.querySelectorAll("fieldset")) one.disabled = !up;
   asking.forget();
   desk.turned = null;
-  const hint = tries > 3 ? " If it was started anew, open the address that it printed." : "";
   const kept = desk.recording ? " What you did is kept here." : "";
   say(words.link, up ? "" : `${reason ? `${reason} Trying` : "becalm does not answer; trying"} again in ${Math.ceil(again_s)} s.${kept}${hint}`);
   if (!up) say(words.working, "");
