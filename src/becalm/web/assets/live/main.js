@@ -2,7 +2,7 @@
 
 import { onTheme, readColours } from "../colours.js";
 import { amount, find, say, tell } from "../dom.js";
-import { save } from "../tuner/files.js";
+import { save, whyNot } from "../tuner/files.js";
 import { hearKeys } from "../tuner/keys.js";
 import { connect } from "../wire.js";
 import { anchorOf, clock, drawAxis, ticksOf, timeOf } from "./axis.js";
@@ -299,7 +299,7 @@ find("save", HTMLButtonElement).addEventListener("click", async () => {
     await save("/save/recipe");
     say(links.trouble, "");
   } catch (error) {
-    say(links.trouble, error instanceof TypeError ? "becalm does not answer; is it still running?" : /** @type {Error} */ (error).message);
+    say(links.trouble, whyNot(error));
   }
 });
 hearKeys(

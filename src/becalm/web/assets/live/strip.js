@@ -85,7 +85,7 @@ export class Strip {
   #values(left) {
     const { low, high } = /** @type {{ low: number, high: number }} */ (this.scale);
     const { pen, canvas } = this;
-    const plain = canvas.height - (this.modes.length ? 18 : 9) * devicePixelRatio; // as the tape has it
+    const plain = this.tape.plain(canvas.height);
     const rough = ((high - low) * 34 * devicePixelRatio) / plain;
     const power = 10 ** Math.floor(Math.log10(rough));
     const step = power * ([1, 2, 5, 10].find((times) => times * power >= rough) ?? 10);

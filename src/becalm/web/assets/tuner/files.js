@@ -64,6 +64,9 @@ export class Files {
   }
 }
 
+/** Say why a request came to nothing. @param {unknown} error */
+export const whyNot = (error) => (error instanceof TypeError ? "becalm does not answer; is it still running?" : /** @type {Error} */ (error).message);
+
 /** Send a file to becalm; returns its id. @param {File} file */
 export async function upload(file) {
   const answer = await fetch(`/files/${encodeURIComponent(file.name)}`, { method: "PUT", body: file });

@@ -6,7 +6,7 @@ import { connect } from "../wire.js";
 import { Asking } from "./asking.js";
 import { Choices } from "./choices.js";
 import { Dial } from "./dial.js";
-import { Files, save, upload } from "./files.js";
+import { Files, save, upload, whyNot } from "./files.js";
 import { Verdict } from "./judged.js";
 import { hearKeys } from "./keys.js";
 import { drawLanes } from "./lanes.js";
@@ -93,7 +93,7 @@ async function during(says, does) {
     say(words.working, "");
   } catch (error) {
     say(words.working, "");
-    say(words.trouble, error instanceof TypeError ? "becalm does not answer; is it still running?" : /** @type {Error} */ (error).message);
+    say(words.trouble, whyNot(error));
   }
 }
 
