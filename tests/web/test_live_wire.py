@@ -247,7 +247,7 @@ def test_the_recipe_of_now_is_saved(live: Shown) -> None:
     with httpx.Client(base_url=base, trust_env=False, timeout=PATIENCE_S) as browser:
         assert browser.get("/save/recipe").status_code == 403
         answer = browser.get("/save/recipe", headers={"cookie": f"{live.access.cookie}={TOKEN}"})
-    assert answer.headers["content-disposition"] == 'attachment; filename="live.recipe.toml"'
+    assert answer.headers["content-disposition"] == "attachment; filename*=UTF-8''live.recipe.toml"
     assert Recipe.from_toml(answer.text) == recipe_of()
 
 

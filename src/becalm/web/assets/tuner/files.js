@@ -79,9 +79,8 @@ export async function save(address) {
   const answer = await fetch(address);
   if (!answer.ok) throw new Error(await answer.text());
   const said = answer.headers.get("content-disposition") ?? "";
-  const [, encoded] = /filename\*=utf-8''([^;]+)/i.exec(said) ?? [];
-  const [, plain] = /filename="([^"]*)"/.exec(said) ?? [];
-  const link = make("a", { href: URL.createObjectURL(await answer.blob()), download: encoded ? decodeURIComponent(encoded) : plain ?? "becalm" });
+  const [, name] = /filename\*=utf-8''([^;]+)/i.exec(said) ?? [];
+  const link = make("a", { href: URL.createObjectURL(await answer.blob()), download: decodeURIComponent(name ?? "becalm") });
   link.click();
   setTimeout(() => URL.revokeObjectURL(link.href), 60_000);
   return link.download;
