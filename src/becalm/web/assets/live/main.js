@@ -133,6 +133,7 @@ function take(frame) {
   counts.bins += header.count;
   fresh = true;
   view.heard((header.first + header.count) * each, performance.now());
+  lookBack(); // where the view stands still, its last bins may have closed only now
 }
 
 /** Ask for the bins in view that are not here. */
