@@ -172,3 +172,17 @@ def test_a_size_is_read(text: str, size: int) -> None:
 def test_what_is_no_size_is_refused(text: str) -> None:
     with pytest.raises(UsageError, match="--upload-limit"):
         bytes_of(text)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals between processes")
+def test_a_second_signal_ends_what_the_first_cannot() -> None:
+    code = """
+import os, signal, threading
+from becalm.cli.app import _hear_signals
+stopped = _hear_signals()
+stopped._cond.acquire()  # as whoever waits for it does, for a moment
+threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT)).start()
+os.kill(os.getpid(), signal.SIGINT)
+"""
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=PATIENCE_S, check=False)
+    assert ran.returncode == 128 + signal.SIGINT

@@ -118,8 +118,8 @@ def _hear_signals() -> threading.Event:
     stopped = threading.Event()
 
     def stop(number: int, frame: FrameType | None) -> None:
+        stop_cleanly()  # first: what waits for an event may just hold its lock, and then this waits for ever
         stopped.set()
-        stop_cleanly()
 
     for number in _SIGNALS:
         if signal.getsignal(number) is not signal.SIG_IGN:

@@ -220,8 +220,8 @@ def _hear_signals(runner: Runner, recipe: Path | None) -> None:
     """Stop at a first signal, and finish the commit; end at once at a second; read the recipe again at SIGHUP."""
 
     def stop(number: int, frame: FrameType | None) -> None:
+        stop_cleanly()  # first: what waits for an event may just hold its lock, and then this waits for ever
         runner.stop()
-        stop_cleanly()
 
     def reload(number: int, frame: FrameType | None) -> None:
         if recipe is None:
