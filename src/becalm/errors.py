@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+NOT_DESCRIBED = 4
+"""Exit code where all was written, but a model does not describe its channel: a finding, and no error."""
+
 
 class BecalmError(Exception):
     """Anything a person can mend; the message says what came, what was needed and what to type."""

@@ -19,6 +19,13 @@ ASSETS = ROOT / "src" / "becalm" / "web" / "assets"
 PAGES = sorted(ASSETS.glob("*.html"))
 
 
+def luminance(colour: str) -> float:
+    """Return how light a colour is, 0 to 1, as the Web Content Accessibility Guidelines 2.2 define it."""
+    parts = [int(colour[at : at + 2], 16) / 255 for at in (1, 3, 5)]
+    linear = [part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in parts]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+
 def packed(content: bytes) -> bytes:
     with io.BytesIO() as whole:
         with tarfile.open(fileobj=whole, mode="w:gz") as members:
@@ -74,3 +81,13 @@ def test_nothing_of_ours_names_an_address() -> None:
 def test_a_page_calls_verdicts_as_becalm_does() -> None:
     (told,) = re.findall(r"VERDICTS = \[(.*)\];", (ASSETS / "tuner" / "lanes.js").read_text(encoding="utf-8"))
     assert re.findall(r'"(\w+)"', told) == [verdict.name.lower() for verdict in Verdict]
+
+
+@pytest.mark.parametrize("scheme", [0, 1], ids=["light", "dark"])
+def test_words_stand_out_from_what_is_behind_them(scheme: int) -> None:
+    css = assets()["figures.css"].decode()
+    colours = dict(re.findall(r"--([\w-]+): (#\w{6});", re.findall(r":root \{(.*?)\}", css, re.DOTALL)[scheme]))
+    for behind in ("paper", "raised"):
+        for words in ("ink", "faint", "clean", "good", "fair", "bad"):
+            low, high = sorted(luminance(colours[one]) for one in (behind, words))
+            assert (high + 0.05) / (low + 0.05) >= 4.5, f"{words} on {behind}"

@@ -150,6 +150,7 @@ def test_a_button_of_the_legend_hides_its_line(driven: Path, open_page: Open) ->
     button.click()
     settle(opened.page)
     assert button.get_attribute("aria-pressed") == "false"
+    assert button.evaluate("(one) => getComputedStyle(one).opacity") == "1", "its name can be read still"
     assert opened.pixels(figure, "readings")["all"] < 0.05 * before
     button.click()
     settle(opened.page)

@@ -172,3 +172,18 @@ def test_a_size_is_read(text: str, size: int) -> None:
 def test_what_is_no_size_is_refused(text: str) -> None:
     with pytest.raises(UsageError, match="--upload-limit"):
         bytes_of(text)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals between processes")
+def test_a_signal_is_heard_amid_a_wait_for_it() -> None:
+    code = """
+import os, signal
+from becalm.cli.app import _hear_signals
+stopped = _hear_signals()
+with stopped._cond:  # as whoever waits for it has it, for a moment
+    os.kill(os.getpid(), signal.SIGINT)
+assert stopped.wait(60)
+os.kill(os.getpid(), signal.SIGINT)
+"""
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=PATIENCE_S, check=False)
+    assert ran.returncode == 128 + signal.SIGINT, "a second one ends at once"

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from becalm.web.frames import Relative, frame, relative, text, unframed
 
-KINDS = {"f4": np.float32, "f8": np.float64, "u2": np.uint16, "i1": np.int8}
+KINDS = {"f4": np.float32, "f8": np.float64, "u2": np.uint16}
 anything = st.sampled_from(sorted(KINDS)).flatmap(lambda kind: hnp.arrays(KINDS[kind], st.integers(0, 20)))
 
 
@@ -31,7 +31,7 @@ def test_arrays_of_every_kind_come_back(arrays: dict[str, NDArray[Any]], says: s
 
 @given(st.text(max_size=30), st.integers(0, 9), st.integers(0, 9))
 def test_every_array_lies_on_eight_bytes(says: str, first: int, second: int) -> None:
-    data = frame({"says": says}, {"a": np.ones(first, np.int8), "b": np.ones(second, np.float64)})
+    data = frame({"says": says}, {"a": np.ones(first, np.uint16), "b": np.ones(second, np.float64)})
     (length,) = struct.unpack_from("<I", data)
     told = json.loads(data[4 : 4 + length])["arrays"]
     assert (4 + length) % 8 == 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import socket
 from collections.abc import Iterator
@@ -13,10 +14,11 @@ import pytest
 
 from becalm.cleaning.recipe import Recipe
 from becalm.live.block import Head, Output
+from becalm.live.watching.meter import Meter
 from becalm.web.access import LOOPBACK
 from becalm.web.livepage import page
 from becalm.web.livepage.feed import Feed
-from live_shown import EACH, NAMES, PATIENCE_S, TOKEN, Shown, output_of, recipe_of, shown
+from live_shown import EACH, NAMES, PATIENCE_S, TOKEN, Asked, Shown, output_of, recipe_of, shown
 from served import until
 
 
@@ -245,7 +247,7 @@ def test_the_recipe_of_now_is_saved(live: Shown) -> None:
     with httpx.Client(base_url=base, trust_env=False, timeout=PATIENCE_S) as browser:
         assert browser.get("/save/recipe").status_code == 403
         answer = browser.get("/save/recipe", headers={"cookie": f"{live.access.cookie}={TOKEN}"})
-    assert answer.headers["content-disposition"] == 'attachment; filename="live.recipe.toml"'
+    assert answer.headers["content-disposition"] == "attachment; filename*=UTF-8''live.recipe.toml"
     assert Recipe.from_toml(answer.text) == recipe_of()
 
 
@@ -263,3 +265,28 @@ def test_a_feed_that_fails_says_so_once_and_the_stream_goes_on() -> None:
     feed.close()
     feed.close()
     assert feed.ended
+
+
+def test_who_is_let_in_no_more_is_told_no_more() -> None:
+    class Watching:
+        """A page that only looks on."""
+
+        async def accept(self) -> None: ...
+
+        async def receive(self) -> None:
+            await asyncio.Event().wait()
+
+        async def send_text(self, said: str) -> None: ...
+
+    async def end() -> set[str]:
+        meter = Meter("replay:drive.csv")
+        watched = page.LivePage(Feed(print), meter, Asked(meter).retune)
+        watching = asyncio.create_task(watched.wire(Watching()))  # type: ignore[arg-type]
+        while len(asyncio.all_tasks()) < 6:  # itself, hearing and telling, and two clocks
+            await asyncio.sleep(0)
+        watching.cancel()
+        await asyncio.gather(watching, return_exceptions=True)
+        await asyncio.sleep(0)
+        return {task.get_name() for task in asyncio.all_tasks() if task is not asyncio.current_task()}
+
+    assert asyncio.run(end()) == set()

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from becalm.errors import InputError, UsageError
+from becalm.errors import InputError
 from becalm.web.tuner.folder import Folder
 from tuner_served import ROWS, drive_in, served
 
@@ -110,11 +110,6 @@ def test_what_is_brought_is_kept_apart(chosen: Path, tmp_path: Path) -> None:
     assert folder.path_of(first).read_text() == "one"
     assert folder.path_of(second).read_text() == "two"
     assert folder.path_of("folder/b.csv").read_text() == "1"
-
-
-def test_no_folder_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="is no folder"):
-        Folder(tmp_path / "nowhere", None)
 
 
 @pytest.mark.parametrize("name", ["..%2fout.csv", "%2e%2e/out.csv", "a%2fb.csv", "%00.csv", "a%5cb.csv", "x" * 300])

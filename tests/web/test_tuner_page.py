@@ -247,6 +247,7 @@ def test_from_opening_to_saving_by_keyboard_alone(app: App, look: Look, tmp_path
     page.keyboard.press("Enter")
     page.locator("#files").wait_for(state="hidden")
     visit.opened("drive.parquet")
+    assert page.evaluate("() => document.activeElement.id") == "show-files", "not lost with the list"
     before = visit.settings()
     visit.walk_to("Between quicker and calmer")
     page.keyboard.press("[")
@@ -258,6 +259,19 @@ def test_from_opening_to_saving_by_keyboard_alone(app: App, look: Look, tmp_path
     recipe = Recipe.from_toml((tmp_path / "kept.toml").read_text(encoding="utf-8"))
     assert recipe.channel[0].process_noise_density == visit.settings()["process_noise_density"]
     page.keyboard.press("z")
+
+
+def test_what_is_the_same_is_not_read_aloud_again(app: App, look: Look) -> None:
+    visit = look(app)
+    visit.judged()
+    visit.page.evaluate("""() => {
+      Object.assign(window, { written: 0, before: becalm.desk.state });
+      const observer = new MutationObserver(() => { written += 1; });
+      for (const id of ["verdict", "map-says"]) observer.observe(document.getElementById(id), { childList: true });
+      document.getElementById("mode").dispatchEvent(new Event("change"));
+    }""")
+    visit.page.wait_for_function("() => becalm.desk.state !== before")
+    assert visit.page.evaluate("() => written") == 0
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import threading
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from starlette.websockets import WebSocketDisconnect
 
+from becalm.errors import InputError
 from becalm.web.frames import frame
 from becalm.web.tuner import sharing, showing
 from becalm.web.tuner.conversation import Conversation
@@ -30,6 +33,34 @@ class Ear:
         if self.deaf:
             await asyncio.Event().wait()
         self.heard.append(text)
+
+
+class Leaving(Ear):
+    """A page that goes after it was welcomed, which is noticed where it is told something first."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.gone = asyncio.Event()
+
+    async def accept(self) -> None: ...
+
+    async def send_text(self, text: str) -> None:
+        if self.heard:
+            self.gone.set()
+            raise WebSocketDisconnect
+        await super().send_text(text)
+
+    async def receive(self) -> dict[str, str]:
+        await self.gone.wait()
+        await asyncio.sleep(0)  # later than who told it
+        return {"type": "websocket.disconnect"}
+
+
+def complaints() -> list[str]:
+    """Return what asyncio says of tasks that failed, and that nobody looked at."""
+    said: list[str] = []
+    asyncio.get_running_loop().set_exception_handler(lambda _, context: said.append(context["message"]))
+    return said
 
 
 def test_nobody_waits_for_a_page_that_does_not_listen(tmp_path: Path) -> None:
@@ -77,6 +108,50 @@ def test_an_opening_goes_on_when_the_page_that_asked_is_reloaded(
             shared.close()
 
     assert asyncio.run(reload()) is not None
+
+
+def test_a_page_that_goes_is_no_failure(tmp_path: Path) -> None:
+    async def leave() -> list[str]:
+        said, shared, leaving = complaints(), Shared(tmp_path, tmp_path / "nowhere.csv", 1), Leaving()
+        try:
+            await asyncio.wait_for(Conversation(shared, leaving).run(), PATIENCE_S)  # type: ignore[arg-type]
+        finally:
+            shared.close()
+        gc.collect()
+        return said
+
+    assert asyncio.run(leave()) == []
+
+
+def test_an_opening_that_fails_when_its_page_is_gone_is_no_failure(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun, go_on = threading.Event(), threading.Event()
+
+    def read(*_: object) -> object:
+        begun.set()
+        assert go_on.wait(PATIENCE_S)
+        raise InputError("drive.csv is broken.")
+
+    monkeypatch.setattr(sharing, "Opened", read)
+    drive_in(tmp_path)
+
+    async def reload() -> list[str]:
+        said, shared = complaints(), Shared(tmp_path, None, 1)
+        try:
+            asked = asyncio.create_task(shared.open("folder/drive.csv", None))
+            await asyncio.to_thread(begun.wait, PATIENCE_S)
+            asked.cancel()
+            await asyncio.gather(asked, return_exceptions=True)
+            go_on.set()
+            while shared._openings:
+                await asyncio.sleep(0)
+        finally:
+            shared.close()
+        gc.collect()
+        return said
+
+    assert asyncio.run(reload()) == []
 
 
 def test_of_two_maps_only_the_newer_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

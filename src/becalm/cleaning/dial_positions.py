@@ -18,6 +18,7 @@ from becalm.errors import ModelError
 from becalm.noise.likelihood import Tuning
 
 POSITIONS = 81
+"""Of a dial, at even ratios of the cut-off."""
 
 _FASTEST = 4.0  # radians a step: quicker cut-offs pass everything
 _SLOWEST = {1: 3e-6, 2: 3e-6, 3: 1e-5, 4: 3e-4, 5: 3e-4}  # slower ones float64 does not settle
@@ -64,6 +65,12 @@ def dial(channel: ChannelRecipe, step_s: float, lag: int | None, rows: int) -> d
         Later rows that each row waits for.
     rows : int
         Of the record.
+
+    Returns
+    -------
+    dict of str to (POSITIONS,) float array
+        process_noise_density in unit^2/s^(2 order - 1), bandwidth_hz, lag_s, and noise_left, the standard deviation of
+        the noise that passes, in unit; NaN where one is not told.
     """
     if channel.motion is None:
         return {}

@@ -13,7 +13,7 @@ from pathlib import Path
 from types import FrameType
 from typing import NamedTuple
 
-from becalm.cli.stopping import stop_cleanly
+from becalm.cli.stopping import beside, stop_cleanly
 from becalm.cli.talk import stderr
 from becalm.errors import InputError, UsageError
 from becalm.web.extra import need_app
@@ -71,7 +71,13 @@ def bytes_of(text: str) -> int:
 
 
 def run(place: Place, where: Where, limit_bytes: int, *, browser: bool) -> None:
-    """Serve the page until a signal comes; a second one ends at once."""
+    """Serve the page until a signal comes; a second one ends at once.
+
+    Raises
+    ------
+    UsageError
+        If a library that serves pages is not here, the port cannot be had, or the token's file is none.
+    """
     need_app()
     from becalm.web.access import Access, token_of
     from becalm.web.serving import Server
@@ -110,10 +116,11 @@ def _listening(where: Where) -> socket.socket:
 def _hear_signals() -> threading.Event:
     """Return what a first signal sets; a second one ends at once."""
     stopped = threading.Event()
+    end = beside(stopped.set)
 
     def stop(number: int, frame: FrameType | None) -> None:
-        stopped.set()
         stop_cleanly()
+        end()
 
     for number in _SIGNALS:
         if signal.getsignal(number) is not signal.SIG_IGN:

@@ -15,7 +15,7 @@ from urllib.parse import urlencode
 import typer
 
 from becalm.cleaning.recipe import Recipe
-from becalm.cli.stopping import stop_cleanly
+from becalm.cli.stopping import beside, stop_cleanly
 from becalm.errors import BecalmError, UsageError
 from becalm.live.address import Address, seconds_of
 from becalm.live.beginning import Beginning
@@ -218,16 +218,17 @@ def _warming(recipe: Recipe | None) -> Callable[[], None]:
 
 def _hear_signals(runner: Runner, recipe: Path | None) -> None:
     """Stop at a first signal, and finish the commit; end at once at a second; read the recipe again at SIGHUP."""
+    end = beside(runner.stop)
+    retune = end if recipe is None else beside(partial(runner.retune, partial(Recipe.load, recipe)))
 
     def stop(number: int, frame: FrameType | None) -> None:
-        runner.stop()
         stop_cleanly()
+        end()
 
     def reload(number: int, frame: FrameType | None) -> None:
         if recipe is None:
-            stop(number, frame)
-        else:
-            runner.retune(partial(Recipe.load, recipe))
+            stop_cleanly()
+        retune()
 
     for number in (signal.SIGINT, signal.SIGTERM):
         if signal.getsignal(number) is not signal.SIG_IGN:

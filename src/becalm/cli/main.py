@@ -19,9 +19,7 @@ from becalm.cli.live_command import live
 from becalm.cli.said import load, open_as, open_every, refuse_overwriting, said_of, tuned
 from becalm.cli.stopping import stop_cleanly
 from becalm.core.itself import version
-from becalm.errors import BecalmError, UsageError
-
-NOT_DESCRIBED = 4
+from becalm.errors import NOT_DESCRIBED, BecalmError, UsageError
 
 app = typer.Typer(
     help="Make noisy sensor signals calm: a recording goes in, the signal comes out with its uncertainty.",

@@ -5,7 +5,11 @@ from __future__ import annotations
 import os
 import signal
 import sys
+import threading
+from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
+from queue import SimpleQueue
 from types import FrameType
 
 _SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
@@ -19,6 +23,19 @@ def stop_cleanly() -> None:
     for number in _SIGNALS:
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _stop)
+
+
+def beside(act: Callable[[], None]) -> Callable[[], None]:
+    """Return what has a thread act, for a handler of signals: it may have interrupted whoever holds a lock."""
+    asked: SimpleQueue[None] = SimpleQueue()  # whose put waits for nothing
+
+    def listen() -> None:
+        while True:
+            asked.get()
+            act()
+
+    threading.Thread(target=listen, daemon=True).start()
+    return partial(asked.put, None)
 
 
 def _stop(number: int, _: FrameType | None) -> None:

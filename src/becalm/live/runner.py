@@ -69,13 +69,13 @@ class Runner:
         """Rows told, over the whole life of the stream."""
 
     def stop(self) -> None:
-        """Read no more; filter, tell and keep what was read, and end. May be called by a signal's handler."""
+        """Read no more; filter, tell and keep what was read, and end."""
         self._stop.set()
 
     def retune(self, recipe: Callable[[], Recipe], heard: Heard = lambda _: None) -> None:
         """Take another recipe for the same channels at the next block, without a jump; one that cannot be is refused.
 
-        May be called by a signal's handler: the recipe is read later. Of several asked for meanwhile the last is taken,
+        The recipe is read later. Of several asked for meanwhile the last is taken,
         and the others hear so.
         """
         self._retuning.ask(recipe, heard)

@@ -16,10 +16,10 @@ UNFORESEEN = "Something went wrong in becalm that nobody foresaw; its error outp
 
 _ALIGNED = 8  # bytes: a page lays typed arrays over a frame, which need that
 _LENGTH = struct.Struct("<I")
-_TYPES = {"f4": "<f4", "f8": "<f8", "u2": "<u2", "i1": "<i1"}
+_TYPES = {"f4": "<f4", "f8": "<f8", "u2": "<u2"}
 _WIDEST = 1e38  # of what float32 still holds, with room for a difference
 
-Values = NDArray[np.float32] | NDArray[np.float64] | NDArray[np.uint16] | NDArray[np.int8]
+Values = NDArray[np.float32] | NDArray[np.float64] | NDArray[np.uint16]
 
 
 class Relative(NamedTuple):
@@ -68,7 +68,7 @@ def frame(header: Mapping[str, Any], arrays: Mapping[str, Values | Relative]) ->
     header : mapping
         What stands in the header beside "arrays"; what is not finite becomes null.
     arrays : mapping of str to array or Relative
-        float32, float64, uint16 or int8, of any shape, told row by row.
+        float32, float64 or uint16, of any shape, told row by row.
 
     Raises
     ------

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Awaitable, Callable, Sequence
 from importlib.resources import files
 from typing import TYPE_CHECKING, NamedTuple
+from urllib.parse import quote
 
 from starlette.applications import Starlette
 from starlette.requests import ClientDisconnect, Request
@@ -76,6 +78,11 @@ def site(page: Page, access: Access) -> Guard:
     routes = [Route("/", whole), Route("/assets/{name:path}", asset), WebSocketRoute("/wire", speak), *page.routes]
     told = {BecalmError: _told, ClientDisconnect: _gone, Exception: _unforeseen}
     return Guard(Starlette(routes=routes, exception_handlers=told), access)
+
+
+def as_file(name: str) -> dict[str, str]:
+    """Return the header by which a browser keeps an answer under a file name, also one that is no Unicode."""
+    return {"content-disposition": f"attachment; filename*=UTF-8''{quote(os.fsencode(name))}"}
 
 
 def assets() -> dict[str, bytes]:

@@ -29,9 +29,14 @@ export function make(tag, attributes = {}, ...children) {
   return element;
 }
 
+/** Write a text, unless it is there already: what is read aloud is read once. @param {HTMLElement} place @param {string} text */
+export function write(place, text) {
+  if (place.textContent !== text) place.textContent = text;
+}
+
 /** Say something in an element, which is hidden while there is nothing to say. @param {HTMLElement} place @param {string} text */
 export function say(place, text) {
-  if (place.textContent !== text) place.textContent = text;
+  write(place, text);
   place.hidden = !text;
 }
 

@@ -1,10 +1,10 @@
 // Binary frames: the length of a JSON header, the header, and arrays behind it.
 
-/** @typedef {{ type: "f4" | "f8" | "u2" | "i1", at: number, count: number, offset?: number | null }} Place */
-/** @typedef {Float32Array | Float64Array | Uint16Array | Int8Array} Values */
+/** @typedef {{ type: "f4" | "f8" | "u2", at: number, count: number, offset?: number | null }} Place */
+/** @typedef {Float32Array | Float64Array | Uint16Array} Values */
 /** @typedef {{ header: any, arrays: Record<string, Values> }} Frame */
 
-const KINDS = { f4: Float32Array, f8: Float64Array, u2: Uint16Array, i1: Int8Array };
+const KINDS = { f4: Float32Array, f8: Float64Array, u2: Uint16Array };
 
 /**
  * Lay arrays over a frame; only what has an offset is copied.

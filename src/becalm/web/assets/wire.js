@@ -3,8 +3,8 @@
 import { decode } from "./frames.js";
 
 /**
- * @typedef {{ up: boolean, tries: number, again_s: number, reason: string }} Link whether the wire holds; else how often it
- * was tried in vain, when next, and why it was refused, if it was
+ * @typedef {{ up: boolean, again_s: number, reason: string, hint: string }} Link whether the wire holds; else when it is
+ * tried again, why it was refused, if it was, and what may help where it was tried often
  * @typedef {object} Ears
  * @property {(message: any) => void} text
  * @property {(frame: import("./frames.js").Frame) => void} frame
@@ -13,6 +13,8 @@ import { decode } from "./frames.js";
 
 const FIRST_S = 0.5;
 const LONGEST_S = 8;
+const OFTEN = 4;
+const HINT = " If it was started anew, open the address that it printed."; // where another token is
 
 /**
  * Tie the wire of this page, and keep it tied.
@@ -29,7 +31,7 @@ export function connect(ears) {
     socket = new WebSocket(`${location.origin.replace(/^http/, "ws")}/wire`);
     socket.binaryType = "arraybuffer";
     socket.addEventListener("open", () => {
-      ears.link({ up: true, tries, again_s: 0, reason: "" });
+      ears.link({ up: true, again_s: 0, reason: "", hint: "" });
     });
     socket.addEventListener("message", ({ data }) => {
       tries = 0; // a door that is shut at once is not open
@@ -39,7 +41,7 @@ export function connect(ears) {
     socket.addEventListener("close", ({ reason }) => {
       const again_s = Math.min(LONGEST_S, FIRST_S * 2 ** tries);
       tries += 1;
-      ears.link({ up: false, tries, again_s, reason });
+      ears.link({ up: false, again_s, reason, hint: tries < OFTEN ? "" : HINT });
       setTimeout(tie, 1000 * again_s);
     });
   }

@@ -44,10 +44,12 @@ class Viewer:
     async def converse(self) -> None:
         """Speak until the page hangs up, or the stream has ended and all of it is told."""
         tasks = [asyncio.create_task(each) for each in (self._hear_all(), self._tell_all())]
-        done, waiting = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-        for task in waiting:
-            task.cancel()
-        await asyncio.gather(*waiting, return_exceptions=True)
+        try:
+            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        finally:  # also where this one is cancelled, for the page may see no more
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
         for task in done:
             task.result()
 

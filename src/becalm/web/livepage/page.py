@@ -150,10 +150,11 @@ class LivePage:
         self.tuning = News(self.tuning.number + 1, told)
 
     async def _save(self, request: Request) -> Response:
-        from starlette.responses import PlainTextResponse
+        from starlette.responses import Response
 
-        headers = {"content-disposition": 'attachment; filename="live.recipe.toml"'}
-        return PlainTextResponse(self._meter.recipe, headers=headers)
+        from becalm.web.site import as_file
+
+        return Response(self._meter.recipe, media_type="application/toml", headers=as_file("live.recipe.toml"))
 
 
 async def _again_and_again(do: Callable[[], Awaitable[None]]) -> None:

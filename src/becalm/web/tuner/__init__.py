@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-import os
 from collections.abc import Awaitable, Callable, Coroutine
 from pathlib import Path
-from urllib.parse import quote
 
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response, StreamingResponse
@@ -15,6 +13,7 @@ from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket
 
 from becalm.errors import InputError
+from becalm.web.site import as_file
 from becalm.web.tuner.conversation import Conversation
 from becalm.web.tuner.naming import stem_of
 from becalm.web.tuner.opened import Opened
@@ -40,11 +39,6 @@ class Tuner:
     ----------
     routes : list of Route
         What is answered beside the page itself: uploads and downloads.
-
-    Raises
-    ------
-    UsageError
-        If there is no such folder.
     """
 
     def __init__(self, folder: Path, file: Path | None, upload_limit: int) -> None:
@@ -72,7 +66,7 @@ class Tuner:
     async def _save_recipe(self, request: Request) -> Response:
         desk = self._shared.open_desk
         name = f"{stem_of(desk.opened.path)}.recipe.toml"
-        return Response(desk.recipe().to_toml(), media_type="application/toml", headers=_as_file(name))
+        return Response(desk.recipe().to_toml(), media_type="application/toml", headers=as_file(name))
 
     async def _save_clean(self, request: Request) -> Response:
         ending = request.query_params.get("format", "csv").removeprefix(".")
@@ -128,7 +122,7 @@ class _Download(StreamingResponse):
     """A file that was made, which goes once it was sent, or nobody wants it."""
 
     def __init__(self, made: Made) -> None:
-        headers = {**_as_file(made.name), "content-length": str(made.bytes)}
+        headers = {**as_file(made.name), "content-length": str(made.bytes)}
         super().__init__(made.blocks(), media_type="application/octet-stream", headers=headers)
         self._made = made
 
@@ -138,7 +132,3 @@ class _Download(StreamingResponse):
             await super().__call__(scope, receive, send)
         finally:
             self._made.close()
-
-
-def _as_file(name: str) -> dict[str, str]:
-    return {"content-disposition": f"attachment; filename*=UTF-8''{quote(os.fsencode(name))}"}

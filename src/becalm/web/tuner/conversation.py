@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Coroutine, Mapping
-from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
@@ -83,13 +82,8 @@ class Conversation:
 
     def tell(self, what: Telling) -> None:
         """Tell the page something beside all else: another one does not wait until this one hears."""
-
-        async def telling() -> None:
-            with suppress(WebSocketDisconnect):
-                await self._wire.guarded(what(self), None)
-
         if not self._wire.gone:
-            self._start(telling())
+            self._start(self._wire.guarded(what(self), None))
 
     async def working(self, says: str) -> None:
         """Tell the page what is being done; "" of nothing any more."""

@@ -24,10 +24,10 @@ class CostMap(NamedTuple):
     """A map about the setting of a channel."""
 
     noise_std: Floats  # (k,) in unit
-    process_noise_density: Floats  # (l,)
+    process_noise_density: Floats  # (l,) in unit^2/s^(2 order - 1)
     cost: Floats  # (k, l) in nats a reading, 0 at the best
-    best: tuple[int, int]
-    here: tuple[float, float]
+    best: tuple[int, int]  # where that is: of the noises, of the densities
+    here: tuple[float, float]  # the noise and the density that are set
 
 
 def cost_map(rows: ChannelRows, channel: ChannelRecipe) -> CostMap:
@@ -38,12 +38,12 @@ def cost_map(rows: ChannelRows, channel: ChannelRecipe) -> CostMap:
     rows : ChannelRows
         The channel's readings, of which 20 000 in whole stretches are looked at.
     channel : ChannelRecipe
-        As it is set: the map is about its motion.
+        As it is set: the map is about its motion, whatever modes stand beside it.
 
     Raises
     ------
     UsageError
-        If it passes unchanged, switches, or too few readings are there.
+        If it passes unchanged, or too few readings come in a row.
     """
     if channel.motion is None:
         raise UsageError(f"{channel.name!r} passes unchanged; there is no noise and density to choose.")

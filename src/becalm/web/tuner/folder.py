@@ -7,7 +7,7 @@ import stat
 from pathlib import Path
 from typing import NamedTuple
 
-from becalm.errors import InputError, UsageError
+from becalm.errors import InputError
 from becalm.files.registry import BAG
 
 READ_ENDINGS = (
@@ -79,8 +79,6 @@ class Folder:
     """
 
     def __init__(self, folder: Path, file: Path | None) -> None:
-        if not folder.is_dir():
-            raise UsageError(f"{folder} is no folder; name one with --folder.")
         self.folder, self._file = folder, file
         self._brought: list[Path] = []
 

@@ -19,7 +19,7 @@ from becalm.report.payload import payload
 _CHUNK = 1 << 18  # rows between two looks whether it is still wanted
 
 _TONES: dict[Decision, str] = {"fits": "fits", "constant": "fits", "fits except": "except", "does not fit": "not"}
-_NUMBERS = 4  # digits
+_DIGITS = 4
 
 
 def judged(
@@ -96,7 +96,7 @@ def _numbers(drawn: Pictured) -> list[list[str]]:
         ("sigma wider for the tuning by", None if not report.tuning_spread else 100 * report.tuning_spread, "%"),
     ]
     numbers = [
-        [term, f"{value:.{_NUMBERS}g} {unit}".strip()]
+        [term, f"{value:.{_DIGITS}g} {unit}".strip()]
         for term, value, unit in told
         if value is not None and np.isfinite(value)
     ]

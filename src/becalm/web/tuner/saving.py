@@ -10,11 +10,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 from becalm.core.itself import MODULE, environment
-from becalm.errors import OutputError
+from becalm.errors import NOT_DESCRIBED, OutputError
 from becalm.files.registry import ENDINGS
 from becalm.web.tuner.naming import stem_of
 
-_NOT_DESCRIBED = 4  # exit code: written, but a model does not describe its channel
 _BLOCK = 1 << 18
 
 
@@ -124,6 +123,6 @@ async def _run(words: list[str], inside: Path) -> None:
             process.kill()
             await process.wait()
         raise
-    if process.returncode not in (0, _NOT_DESCRIBED):
+    if process.returncode not in (0, NOT_DESCRIBED):
         text = said.decode("utf-8", "replace").strip()
         raise OutputError(text or f"It could not be saved: becalm ended with {process.returncode}.")

@@ -59,7 +59,7 @@ class Shared:
             "version": version(),
             "run": self._run,
             **self.files(),
-            "file": self.folder.first if self.desk is None else self.desk.opened.id,
+            "file": self.first if self.desk is None else self.desk.opened.id,
             "saves": endings_here(),
         }
 
@@ -92,8 +92,13 @@ class Shared:
         """
         opening = asyncio.create_task(self._open(file, group))
         self._openings.add(opening)  # which goes on where the page that asked is reloaded: it will ask again
-        opening.add_done_callback(self._openings.discard)
+        opening.add_done_callback(self._opened)
         await asyncio.shield(opening)
+
+    def _opened(self, opening: asyncio.Task[None]) -> None:
+        self._openings.discard(opening)
+        if not opening.cancelled():
+            opening.exception()  # whoever asks again is told; asyncio need not complain that nobody looked
 
     async def _open(self, file: str, group: str | None) -> None:
         async with self._opening:

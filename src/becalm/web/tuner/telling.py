@@ -44,15 +44,18 @@ class Wire:
             await self._websocket.send_bytes(data)
 
     async def trouble(self, says: str, answers: int | None) -> None:
-        """Say what could not be done, and which message asked for it."""
-        await self.tell({"kind": "trouble", "says": says, "answers": answers})
+        """Say what could not be done, and which message asked for it, unless the page is gone."""
+        try:
+            await self.tell({"kind": "trouble", "says": says, "answers": answers})
+        except WebSocketDisconnect:
+            self.gone = True
 
     async def guarded(self, doing: Awaitable[None], number: int | None) -> None:
         """Do something, and tell the page in a sentence where it cannot be done."""
         try:
             await doing
-        except WebSocketDisconnect:
-            raise
+        except WebSocketDisconnect:  # whoever hears the page is told so too, and ends the conversation
+            self.gone = True
         except BecalmError as cause:
             await self.trouble(str(cause), number)
         except Exception:  # the page goes on, and whoever runs becalm is told

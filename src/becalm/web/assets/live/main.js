@@ -2,7 +2,7 @@
 
 import { onTheme, readColours } from "../colours.js";
 import { amount, find, say, tell } from "../dom.js";
-import { save } from "../tuner/files.js";
+import { save, whyNot } from "../tuner/files.js";
 import { hearKeys } from "../tuner/keys.js";
 import { connect } from "../wire.js";
 import { anchorOf, clock, drawAxis, ticksOf, timeOf } from "./axis.js";
@@ -41,13 +41,13 @@ let fresh = false; // bins came since the last frame
 const send = connect({
   text: (message) => heard[message.kind]?.(message),
   frame: take,
-  link: ({ up, again_s, reason }) => {
+  link: ({ up, again_s, reason, hint }) => {
     document.body.dataset.state = up ? "live" : "disconnected";
     for (const strip of strips) strip.asked = null; // nobody will answer
     const over = OVER.includes(state);
     const says = over ? "The stream has ended, and becalm with it;" : reason || "becalm does not answer;";
     if (!up && over) say(links.working, "");
-    say(links.link, up ? "" : `${says} what came before stays here. Trying again in ${again_s} s.`);
+    say(links.link, up ? "" : `${says} what came before stays here. Trying again in ${Math.ceil(again_s)} s.${hint}`);
   },
 });
 
@@ -133,6 +133,7 @@ function take(frame) {
   counts.bins += header.count;
   fresh = true;
   view.heard((header.first + header.count) * each, performance.now());
+  lookBack(); // where the view stands still, its last bins may have closed only now
 }
 
 /** Ask for the bins in view that are not here. */
@@ -262,7 +263,7 @@ function frame(now) {
   const perRow = width / view.rows;
   const anchor = anchorOf(store, each, view.right, view.rate);
   const ticks = ticksOf(anchor, view.right - view.rows, view.right, width);
-  const scene = { store, each, perRow, right: view.right, first: 0, newest: view.paused ? Infinity : next ?? 0, ticks };
+  const scene = { store, each, perRow, right: view.right, newest: view.paused ? Infinity : next ?? 0, ticks };
   const speaks = now - saidMs > SAID_MS;
   for (const strip of strips) {
     if (speaks || !strip.scale) strip.rescale(scene);
@@ -299,7 +300,7 @@ find("save", HTMLButtonElement).addEventListener("click", async () => {
     await save("/save/recipe");
     say(links.trouble, "");
   } catch (error) {
-    say(links.trouble, error instanceof TypeError ? "becalm does not answer; is it still running?" : /** @type {Error} */ (error).message);
+    say(links.trouble, whyNot(error));
   }
 });
 hearKeys(

@@ -11,7 +11,7 @@ import { Tape } from "./tape.js";
 export const GUTTER = 54; // CSS pixels left of a tape, for numbers
 
 /** @typedef {import("./store.js").Store} Store */
-/** @typedef {{ store: Store, each: number, perRow: number, right: number, first: number, newest: number, ticks: [number, string][] }} Scene */
+/** @typedef {{ store: Store, each: number, perRow: number, right: number, newest: number, ticks: [number, string][] }} Scene */
 
 export class Strip {
   /**
@@ -24,12 +24,13 @@ export class Strip {
     this.unit = unit;
     this.name = unit && name.endsWith(` (${unit})`) ? name.slice(0, -unit.length - 3) : name;
     this.modes = modes;
-    this.canvas = make("canvas", { tabindex: 0, role: "img", "aria-keyshortcuts": String(number + 1) });
+    const [value, met] = [`value-${number}`, `met-${number}`]; // a label that changes would be read aloud without end
+    this.canvas = make("canvas", { tabindex: 0, role: "img", "aria-label": this.name, "aria-describedby": `${value} ${met}`, "aria-keyshortcuts": String(number + 1) });
     this.pen = /** @type {CanvasRenderingContext2D} */ (this.canvas.getContext("2d"));
     this.tape = new Tape(number, modes.map(([, place]) => place));
-    this.value = make("output", { "aria-live": "off" });
+    this.value = make("output", { id: value, "aria-live": "off" });
     this.figures = make("dl");
-    this.met = make("p", { class: "met" });
+    this.met = make("p", { id: met, class: "met" });
     const range = make("input", { type: "range", min: 0, step: "any", "aria-label": `${this.name}: between quicker and calmer`, disabled: true });
     /** The last turn, until it is answered: what is told meanwhile was before it. @type {number | null} */
     this.asked = null;
@@ -47,7 +48,7 @@ export class Strip {
     this.pointed = null;
   }
 
-  /** Fit the canvas to its place; whether anything changed. */
+  /** Fit the canvas to its place. */
   fit() {
     const [width, height] = [this.canvas.clientWidth, this.canvas.clientHeight].map((one) => Math.max(1, Math.round(one * devicePixelRatio)));
     if (this.canvas.width !== width || this.canvas.height !== height) Object.assign(this.canvas, { width, height });
@@ -84,7 +85,7 @@ export class Strip {
   #values(left) {
     const { low, high } = /** @type {{ low: number, high: number }} */ (this.scale);
     const { pen, canvas } = this;
-    const plain = canvas.height - (this.modes.length ? 18 : 9) * devicePixelRatio; // as the tape has it
+    const plain = this.tape.plain(canvas.height);
     const rough = ((high - low) * 34 * devicePixelRatio) / plain;
     const power = 10 ** Math.floor(Math.log10(rough));
     const step = power * ([1, 2, 5, 10].find((times) => times * power >= rough) ?? 10);
@@ -111,7 +112,6 @@ export class Strip {
     const spread = Number.isFinite(sigma) ? ` ± ${sigma.toFixed(places)}` : "";
     this.value.replaceChildren(words, make("small", { title: "twice the standard uncertainty" }, `${spread} ${this.unit}`));
     const shares = this.modes.map(([name, place]) => `${name} ${Math.round(100 * store.probability[(bin % HELD) * store.modes + place])} %`);
-    this.canvas.setAttribute("aria-label", [`${this.name}: ${words}${spread} ${this.unit}`, ...shares].join(", "));
     for (const [k, place] of this.met.querySelectorAll("[data-mode]").entries()) place.textContent = shares[k];
   }
 

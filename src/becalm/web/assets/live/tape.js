@@ -95,12 +95,12 @@ export class Tape {
   /** @param {number} value */
   #y(value) {
     const { low, high } = /** @type {Look} */ (this.look);
-    return this.#plain() * (1 - (value - low) / (high - low));
+    return this.plain(this.paper.height) * (1 - (value - low) / (high - low));
   }
 
-  /** How high the part without lanes is. */
-  #plain() {
-    return this.paper.height - LANE * devicePixelRatio * (this.modes.length ? 2 : 1);
+  /** How much of a height has no lanes. @param {number} height device pixels */
+  plain(height) {
+    return height - LANE * devicePixelRatio * (this.modes.length ? 2 : 1);
   }
 
   /** Two standard deviations about what is clean. @param {number} now @param {number} x @param {number} width */

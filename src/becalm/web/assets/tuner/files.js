@@ -40,6 +40,7 @@ export class Files {
   /** @param {boolean} on */
   show(on) {
     if (on && this.place.hidden) this.wanted();
+    if (!on && this.place.contains(document.activeElement)) this.button.focus({ preventScroll: true }); // what goes keeps no focus
     this.place.hidden = !on;
     this.button.setAttribute("aria-expanded", String(on));
     const first = /** @type {HTMLElement | null} */ (this.place.querySelector("li button"));
@@ -63,6 +64,9 @@ export class Files {
   }
 }
 
+/** Say why a request came to nothing. @param {unknown} error */
+export const whyNot = (error) => (error instanceof TypeError ? "becalm does not answer; is it still running?" : /** @type {Error} */ (error).message);
+
 /** Send a file to becalm; returns its id. @param {File} file */
 export async function upload(file) {
   const answer = await fetch(`/files/${encodeURIComponent(file.name)}`, { method: "PUT", body: file });
@@ -75,9 +79,8 @@ export async function save(address) {
   const answer = await fetch(address);
   if (!answer.ok) throw new Error(await answer.text());
   const said = answer.headers.get("content-disposition") ?? "";
-  const [, encoded] = /filename\*=utf-8''([^;]+)/i.exec(said) ?? [];
-  const [, plain] = /filename="([^"]*)"/.exec(said) ?? [];
-  const link = make("a", { href: URL.createObjectURL(await answer.blob()), download: encoded ? decodeURIComponent(encoded) : plain ?? "becalm" });
+  const [, name] = /filename\*=utf-8''([^;]+)/i.exec(said) ?? [];
+  const link = make("a", { href: URL.createObjectURL(await answer.blob()), download: decodeURIComponent(name ?? "becalm") });
   link.click();
   setTimeout(() => URL.revokeObjectURL(link.href), 60_000);
   return link.download;

@@ -1,6 +1,6 @@
 // What the whole record says about a filter: a verdict in words, numbers, and figures.
 
-import { find, make, say, tell } from "../dom.js";
+import { find, make, say, tell, write } from "../dom.js";
 import { decode, draw } from "../figures.js";
 
 /**
@@ -29,7 +29,7 @@ export class Verdict {
     this.figures.classList.toggle("stale", waiting);
     this.place.className = `verdict ${waiting ? "" : this.tone}`;
     const [first, ...more] = waiting ? ["Judging the whole record …"] : this.says.split(/(?<=\.) /);
-    this.place.textContent = first;
+    write(this.place, first);
     say(find("advice", HTMLElement), more.join(" "));
   }
 

@@ -6,7 +6,7 @@ import { connect } from "../wire.js";
 import { Asking } from "./asking.js";
 import { Choices } from "./choices.js";
 import { Dial } from "./dial.js";
-import { Files, save, upload } from "./files.js";
+import { Files, save, upload, whyNot } from "./files.js";
 import { Verdict } from "./judged.js";
 import { hearKeys } from "./keys.js";
 import { drawLanes } from "./lanes.js";
@@ -93,17 +93,16 @@ async function during(says, does) {
     say(words.working, "");
   } catch (error) {
     say(words.working, "");
-    say(words.trouble, error instanceof TypeError ? "becalm does not answer; is it still running?" : /** @type {Error} */ (error).message);
+    say(words.trouble, whyNot(error));
   }
 }
 
 /** @param {import("../wire.js").Link} link */
-function tied({ up, tries, again_s, reason }) {
+function tied({ up, again_s, reason, hint }) {
   document.body.dataset.state = up ? "open" : "disconnected";
   for (const one of document.querySelectorAll("fieldset")) one.disabled = !up;
   asking.forget();
   desk.turned = null;
-  const hint = tries > 3 ? " If it was started anew, open the address that it printed." : "";
   const kept = desk.recording ? " What you did is kept here." : "";
   say(words.link, up ? "" : `${reason ? `${reason} Trying` : "becalm does not answer; trying"} again in ${Math.ceil(again_s)} s.${kept}${hint}`);
   if (!up) say(words.working, "");

@@ -2,7 +2,7 @@
 
 import { axisOf, roomFor } from "../axes.js";
 import { colour } from "../colours.js";
-import { amount, find } from "../dom.js";
+import { amount, find, write } from "../dom.js";
 import { clipped } from "../figures.js";
 
 /**
@@ -80,7 +80,7 @@ export class CostMap {
     const [i, j] = [nearest(grid.noise_std, noise_std), nearest(grid.process_noise_density, process_noise_density)];
     const worse = cost[i * grid.process_noise_density.length + j];
     const told = worse < 0.001 ? "as well as at best" : `${amount(worse, "nats")} worse than at best`;
-    this.told.textContent = `Here (ring): noise ${amount(noise_std, unit)}, density ${amount(process_noise_density, grid.density_unit)}; each reading is foretold ${told} (cross). The stronger the colour, the better.`;
+    write(this.told, `Here (ring): noise ${amount(noise_std, unit)}, density ${amount(process_noise_density, grid.density_unit)}; each reading is foretold ${told} (cross). The stronger the colour, the better.`);
     this.canvas.setAttribute("aria-label", `Cost of every noise and density; arrow keys tune. ${this.told.textContent}`);
   }
 
