@@ -29,8 +29,7 @@ let live;
 /** @type {Store | null} what is looked at while the view stands still */
 let held = null;
 let level = -1; // that is followed
-/** @type {number | null} the bin that comes next */
-let next = null;
+let next = 0; // the bin that comes next
 let state = "";
 let chosen = 0; // the channel whose dial keys turn
 let asked = ""; // of the past, and not answered yet, or answered with less
@@ -101,11 +100,10 @@ function follow(goesOn = false) {
   if (!goesOn || level !== view.level) {
     level = view.level;
     live = new Store(strips.length, modesOf());
-    next = null;
+    const each = welcome.rows_each[level];
+    next = Math.max(0, Math.floor(view.newest / each) - Math.ceil(view.rows / each) - 2);
   }
-  const each = welcome.rows_each[level];
-  const from = next ?? Math.max(0, Math.floor(view.newest / each) - Math.ceil(view.rows / each) - 2);
-  send({ do: "from", level, bin: from });
+  send({ do: "from", level, bin: next });
 }
 
 const modesOf = () => strips.reduce((count, { modes }) => count + modes.length, 0);
@@ -124,8 +122,8 @@ function take(frame) {
     }
     return;
   }
-  if (header.level !== level) return; // of a level that is no longer followed
-  if (next !== null && header.first !== next) counts.gaps += header.first - next;
+  if (header.level !== level || header.first - header.gap !== next) return; // of what was followed before
+  if (live.has(next - 1)) counts.gaps += header.gap;
   next = header.first + header.count;
   counts.bytes += frame.arrays.t.buffer.byteLength;
   live.put(frame);
@@ -262,7 +260,7 @@ function frame(now) {
   const perRow = width / view.rows;
   const anchor = anchorOf(store, each, view.right, view.rate);
   const ticks = ticksOf(anchor, view.right - view.rows, view.right, width);
-  const scene = { store, each, perRow, right: view.right, first: 0, newest: view.paused ? Infinity : next ?? 0, ticks };
+  const scene = { store, each, perRow, right: view.right, first: 0, newest: view.paused ? Infinity : next, ticks };
   const speaks = now - saidMs > SAID_MS;
   for (const strip of strips) {
     if (speaks || !strip.scale) strip.rescale(scene);
