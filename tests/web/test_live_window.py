@@ -20,7 +20,7 @@ from live_page_runs import LiveApp, shown_live
 from tuning import NAMELESS, Visit, chromium, visiting
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser, WebSocketRoute
+    from playwright.sync_api import Browser
 
 pytestmark = pytest.mark.slow
 
@@ -171,43 +171,6 @@ def test_each_spike_of_one_row_is_seen_from_afar(live: LiveApp, look: Look, wide
     assert len(spikes) >= 1
     page.wait_for_function(f"(count) => ({COLUMNS})() === count", arg=len(spikes))  # once what was asked is drawn
     assert pixels(visit, 0, "clean")["top"] > 0.4, "the gate leaves them out"
-
-
-UPDATES = "() => becalmLive.counts.updates"
-HOLES = """() => {
-  const { view, counts, store } = becalmLive;
-  const each = view.rowsEach[view.level];
-  const begin = Math.ceil(Math.max(view.right - view.rows, 0) / each);
-  const bins = Array.from({ length: Math.floor(view.right / each) - begin }, (_, k) => begin + k);
-  return [bins.filter((bin) => !store().has(bin)).length, counts.gaps];
-}"""
-
-
-def test_no_bin_is_missing_where_less_and_more_time_is_asked_for_at_once(live: LiveApp, browser: Browser) -> None:
-    """Bins of what was followed before are on their way still."""
-    late: list[str | bytes] = []
-    with visiting(browser, live.base) as visit:
-        page, slow = visit.page, False
-
-        def pass_on(wire: WebSocketRoute) -> None:
-            server = wire.connect_to_server()
-            server.on_message(lambda told: late.append(told) if slow else wire.send(told))
-            ways.append(wire)
-
-        ways: list[WebSocketRoute] = []
-        page.route_web_socket("**/wire", pass_on)
-        page.goto(live.url)
-        page.wait_for_function("() => window.becalmLive?.counts.bins > 300")
-        slow = True
-        while sum(isinstance(told, bytes) for told in late) < 5:
-            page.wait_for_timeout(20)
-        page.evaluate("() => { for (const key of '-+') dispatchEvent(new KeyboardEvent('keydown', { key })); }")
-        for told in late:
-            ways[0].send(told)
-        slow = False
-        page.wait_for_function("(before) => becalmLive.counts.updates > before + 3", arg=page.evaluate(UPDATES))
-        assert page.evaluate(HOLES) == [0, 0]
-        assert visit.wrong == []
 
 
 def test_a_dial_is_turned_by_keys_and_undone(live: LiveApp, look: Look) -> None:

@@ -5,7 +5,7 @@ import { amount, find, say, tell } from "../dom.js";
 import { save } from "../tuner/files.js";
 import { hearKeys } from "../tuner/keys.js";
 import { connect } from "../wire.js";
-import { anchorOf, clock, drawAxis, ticksOf, timeOf } from "./axis.js";
+import { clock, drawAxis, ticksOf, timeOf } from "./axis.js";
 import { HELD, Store } from "./store.js";
 import { GUTTER, Strip } from "./strip.js";
 import { View } from "./view.js";
@@ -258,8 +258,7 @@ function frame(now) {
   if (axis.width !== wide || axis.height !== tall) Object.assign(axis, { width: wide, height: tall });
   const width = axis.width - Math.round(GUTTER * devicePixelRatio);
   const perRow = width / view.rows;
-  const anchor = anchorOf(store, each, view.right, view.rate);
-  const ticks = ticksOf(anchor, view.right - view.rows, view.right, width);
+  const ticks = ticksOf(store, each, view.rate, view.right - view.rows, view.right, width);
   const scene = { store, each, perRow, right: view.right, first: 0, newest: view.paused ? Infinity : next, ticks };
   const speaks = now - saidMs > SAID_MS;
   for (const strip of strips) {
@@ -270,11 +269,11 @@ function frame(now) {
   counts.frames += 1;
   if (fresh) counts.drawn += 1;
   fresh = false;
-  if (speaks) speak(now, anchor, each, perRow);
+  if (speaks) speak(now, each, perRow);
 }
 
-/** Say the numbers at the right edge, or where somebody points. @param {number} now @param {import("./axis.js").Anchor | null} anchor @param {number} each @param {number} perRow */
-function speak(now, anchor, each, perRow) {
+/** Say the numbers at the right edge, or where somebody points. @param {number} now @param {number} each @param {number} perRow */
+function speak(now, each, perRow) {
   saidMs = now;
   const pointed = strips[0]?.pointed;
   const left = view.right - view.rows;
@@ -282,7 +281,8 @@ function speak(now, anchor, each, perRow) {
   for (const strip of strips) strip.say(shown(), Math.floor(row / each));
   const window_s = view.window_s;
   find("window", HTMLOutputElement).value = window_s < 120 ? `${window_s} s` : window_s < 7200 ? `${window_s / 60} min` : `${window_s / 3600} h`;
-  const at = anchor ? clock(timeOf(anchor, row), Math.min(1, each / view.rate)) : "";
+  const t = timeOf(shown(), each, row, view.rate);
+  const at = t === null ? "" : clock(t, Math.min(1, each / view.rate));
   find("when", HTMLElement).textContent = `${view.paused ? "standing still, at" : "now"} ${at}`;
 }
 

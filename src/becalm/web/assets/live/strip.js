@@ -103,7 +103,10 @@ export class Strip {
 
   /** Say what is at a bin. @param {Store} store @param {number} bin */
   say(store, bin) {
-    if (!store.has(bin)) return;
+    if (!store.has(bin)) {
+      if (this.pointed !== null) this.value.textContent = "–";
+      return;
+    }
     const at = (bin % HELD) * store.channels + this.number;
     const [clean, sigma] = [(store.values.clean_low[at] + store.values.clean_high[at]) / 2, 2 * store.values.sigma[at]];
     const places = sigma > 0 ? Math.max(0, Math.min(9, 1 - Math.floor(Math.log10(sigma)))) : 4;

@@ -1,0 +1,115 @@
+"""The live page where luck is bad: it says what is true of late bins, leaps of time, silence, and odd figures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
+from becalm.core.recording import Recording
+from becalm.files.writing import write
+from live_page_runs import LiveApp, shown_live
+from tuning import Visit, chromium, visiting
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, WebSocketRoute
+
+pytestmark = pytest.mark.slow
+
+RATE_HZ = 1000.0
+UPDATES = "() => becalmLive.counts.updates"
+HOLES = """() => {
+  const { view, counts, store } = becalmLive;
+  const each = view.rowsEach[view.level];
+  const begin = Math.ceil(Math.max(view.right - view.rows, 0) / each);
+  const bins = Array.from({ length: Math.floor(view.right / each) - begin }, (_, k) => begin + k);
+  return [bins.filter((bin) => !store().has(bin)).length, counts.gaps];
+}"""
+
+Look = Callable[[LiveApp], Visit]
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with chromium() as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def live(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LiveApp]:
+    """Show five minutes of noise."""
+    folder = tmp_path_factory.mktemp("luck")
+    noise = np.random.default_rng(4).normal(0, 0.4, (300_000, 1))
+    write(folder / "rig.parquet", Recording(noise, names=["force"], units=["N"], rate_hz=RATE_HZ))
+    channel = ChannelRecipe(name="force", unit="N", model="motion", order=2, process_noise_density=40.0, noise_std=0.4)
+    recipe = Recipe(mode="causal", tuned_on=Origin(rate_hz=RATE_HZ), channel=(channel,))
+    (folder / "rig.toml").write_text(recipe.to_toml(), encoding="utf-8")
+    source, recipe_file = f"replay:{folder / 'rig.parquet'}?speed=1", str(folder / "rig.toml")
+    with shown_live(folder, source, "--recipe", recipe_file, "--sink", "journal:journal") as running:
+        yield running
+
+
+@pytest.fixture
+def look(browser: Browser) -> Iterator[Look]:
+    """Look on through a new window; whatever goes wrong there fails the test."""
+    with ExitStack() as stack:
+        visits = []
+
+        def at(app: LiveApp) -> Visit:
+            visits.append(visit := stack.enter_context(visiting(browser, app.base)))
+            visit.page.goto(app.url)
+            visit.page.wait_for_function("() => window.becalmLive?.counts.bins > 300")
+            return visit
+
+        yield at
+        for visit in visits:
+            assert visit.wrong == []
+
+
+def test_no_bin_is_missing_where_less_and_more_time_is_asked_for_at_once(live: LiveApp, browser: Browser) -> None:
+    """Bins of what was followed before are on their way still."""
+    late: list[str | bytes] = []
+    with visiting(browser, live.base) as visit:
+        page, slow = visit.page, False
+
+        def pass_on(wire: WebSocketRoute) -> None:
+            server = wire.connect_to_server()
+            server.on_message(lambda told: late.append(told) if slow else wire.send(told))
+            ways.append(wire)
+
+        ways: list[WebSocketRoute] = []
+        page.route_web_socket("**/wire", pass_on)
+        page.goto(live.url)
+        page.wait_for_function("() => window.becalmLive?.counts.bins > 300")
+        slow = True
+        while sum(isinstance(told, bytes) for told in late) < 5:
+            page.wait_for_timeout(20)
+        page.evaluate("() => { for (const key of '-+') dispatchEvent(new KeyboardEvent('keydown', { key })); }")
+        for told in late:
+            ways[0].send(told)
+        slow = False
+        page.wait_for_function("(before) => becalmLive.counts.updates > before + 3", arg=page.evaluate(UPDATES))
+        assert page.evaluate(HOLES) == [0, 0]
+        assert visit.wrong == []
+
+
+def test_times_are_those_of_stamps_where_time_leaps(live: LiveApp, look: Look) -> None:
+    ticks, before, at, after = look(live).page.evaluate("""async () => {
+      const { Store } = await import("/assets/live/store.js");
+      const { ticksOf, timeOf } = await import("/assets/live/axis.js");
+      const store = new Store(0, 0);
+      for (let bin = 50; bin < 800; bin += 1) {
+        store.number[bin] = bin;
+        store.t[bin] = bin / 100 + (bin < 400 ? 0 : 60);
+      }
+      const ticks = ticksOf(store, 1, 100, 0, 800, 950 * devicePixelRatio);
+      return [ticks, ...[20, 390, 410].map((row) => timeOf(store, 1, row, 100))];
+    }""")
+    assert [words for _, words in ticks] == ["1 s", "2 s", "3 s", "64 s", "65 s", "66 s", "67 s"]
+    assert [x for x, _ in ticks] == pytest.approx([950 * seconds / 8 for seconds in range(1, 8)])
+    assert (before, at, after) == (None, 3.9, 64.1)
