@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -113,3 +113,59 @@ def test_times_are_those_of_stamps_where_time_leaps(live: LiveApp, look: Look) -
     assert [words for _, words in ticks] == ["1 s", "2 s", "3 s", "64 s", "65 s", "66 s", "67 s"]
     assert [x for x, _ in ticks] == pytest.approx([950 * seconds / 8 for seconds in range(1, 8)])
     assert (before, at, after) == (None, 3.9, 64.1)
+
+
+def test_a_silence_of_becalm_is_said(live: LiveApp, look: Look) -> None:
+    page = look(live).page
+    live.process.send_signal(signal.SIGSTOP)
+    try:
+        page.wait_for_function("() => document.querySelector('#link').innerText.includes('has said nothing')")
+        assert page.evaluate("() => document.body.dataset.state") == "disconnected"
+        page.wait_for_function("() => document.querySelector('#when').innerText.startsWith('until')")
+    finally:
+        live.process.send_signal(signal.SIGCONT)
+    page.wait_for_function("() => document.body.dataset.state === 'live' && link.hidden")
+    page.wait_for_function("() => document.querySelector('#when').innerText.startsWith('now')")
+
+
+def test_a_turn_that_nobody_hears_is_none(live: LiveApp, browser: Browser) -> None:
+    with visiting(browser, live.base) as visit:
+        page = visit.page
+        wires: list[WebSocketRoute] = []
+
+        def pass_on(wire: WebSocketRoute) -> None:
+            wires.append(wire)
+            wire.connect_to_server()
+
+        page.route_web_socket("**/wire", pass_on)
+        page.goto(live.url)
+        page.wait_for_function("() => window.becalmLive && !document.querySelector('.strip input').disabled")
+        words = page.locator("section.strip dl").inner_text()
+        page.evaluate("() => { WebSocket.prototype.send = () => {}; }")
+        page.keyboard.press("1")
+        page.keyboard.press("]")
+        assert page.locator("section.strip dl").inner_text() != words
+        wires[0].close()
+        page.wait_for_function("() => document.body.dataset.state === 'disconnected'")
+        assert page.locator("section.strip dl").inner_text() == words
+        page.keyboard.press("]")
+        assert page.locator("section.strip dl").inner_text() == words
+
+
+def test_why_a_stream_failed_stays(live: LiveApp, browser: Browser) -> None:
+    with visiting(browser, live.base) as visit:
+        page = visit.page
+
+        def fail(wire: WebSocketRoute) -> None:
+            def pass_on(told: str | bytes) -> None:
+                if isinstance(told, str) and '"running"' in told:
+                    wire.send(told.replace('"running"', '"failed"').replace('"says":""', '"says":"It burns."', 1))
+                    wire.close()
+
+            wire.connect_to_server().on_message(pass_on)
+
+        page.route_web_socket("**/wire", fail)
+        page.goto(live.url)
+        page.wait_for_function("() => document.body.dataset.state === 'disconnected'")
+        assert page.locator("#working").inner_text() == "The stream failed: It burns."
+        assert "has ended" in page.locator("#link").inner_text()

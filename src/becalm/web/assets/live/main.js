@@ -12,7 +12,9 @@ import { View } from "./view.js";
 
 const MOST_ASKED = 4000; // bins at once
 const SAID_MS = 250; // between numbers, so that they can be read
-const OVER = ["ended", "failed", "stopping"];
+const QUIET_S = 5; // becalm says each second how the stream fares
+/** @type {Record<string, string>} */
+const OVER = { ended: "The stream has ended, and becalm with it;", stopping: "becalm was stopped;", failed: "becalm has ended;" };
 
 const links = { link: find("link", HTMLElement), trouble: find("trouble", HTMLElement), working: find("working", HTMLElement) };
 const buttons = { pause: find("pause", HTMLButtonElement), now: find("now", HTMLButtonElement), undo: find("undo", HTMLButtonElement) };
@@ -36,19 +38,45 @@ let asked = ""; // of the past, and not answered yet, or answered with less
 let saidMs = 0;
 const counts = { bytes: 0, frames: 0, updates: 0, drawn: 0, bins: 0, gaps: 0 };
 let fresh = false; // bins came since the last frame
+let holds = false; // the wire
+let quiet_s = 0; // since something came
 
 const send = connect({
-  text: (message) => heard[message.kind]?.(message),
-  frame: take,
+  text: (message) => {
+    listen();
+    heard[message.kind]?.(message);
+  },
+  frame: (frame) => {
+    listen();
+    take(frame);
+  },
   link: ({ up, again_s, reason }) => {
-    document.body.dataset.state = up ? "live" : "disconnected";
-    for (const strip of strips) strip.asked = null; // nobody will answer
-    const over = OVER.includes(state);
-    const says = over ? "The stream has ended, and becalm with it;" : reason || "becalm does not answer;";
-    if (!up && over) say(links.working, "");
-    say(links.link, up ? "" : `${says} what came before stays here. Trying again in ${again_s} s.`);
+    holds = up;
+    quiet_s = 0;
+    for (const strip of strips) strip.forsake(); // nobody will answer
+    if (up) say(links.trouble, "");
+    else if (state in OVER && state !== "failed") say(links.working, "");
+    tied(up ? "" : `${OVER[state] ?? (reason || "becalm does not answer;")} what came before stays here. Trying again in ${again_s} s.`);
   },
 });
+
+/** Say whether becalm answers. @param {string} says why it does not; nothing where it does */
+function tied(says) {
+  document.body.dataset.state = says ? "disconnected" : "live";
+  say(links.link, says);
+}
+
+/** Hear that becalm is there. */
+function listen() {
+  if (quiet_s >= QUIET_S) tied("");
+  quiet_s = 0;
+}
+
+/** A wire may hold while nobody speaks any more: becalm hangs, or a cable is out. */
+setInterval(() => {
+  quiet_s += 1;
+  if (holds && quiet_s >= QUIET_S) tied(`becalm has said nothing for more than ${QUIET_S - 1} s; what came before stays here.`);
+}, 1000);
 
 /** @type {Record<string, (message: any) => void>} */
 const heard = {
@@ -213,13 +241,13 @@ function hearStrip(strip) {
 function fare(health) {
   state = health.state;
   const source = health.source.replace(/^(\w+:)\S*\//, "$1"); // of a path its last name
-  const says = health.says ? `: ${health.says}` : "";
+  const says = state === "silent" ? ` since ${clock(Date.parse(health.since) / 1000, 1)}` : health.says ? `: ${health.says}` : "";
   const learns = state === "learning"; // how far is told where nobody reads it aloud each second
   const known = learns ? [`${health.rows_taken.toLocaleString("en")} rows so far`] : welcome ? [amount(welcome.rate_hz, "Hz")] : [];
   find("facts", HTMLElement).textContent = [source, ...known, state + says].join(" · ");
-  if (!welcome || learns)
+  if (learns || (!welcome && !(state in OVER)))
     say(links.working, learns ? "becalm learns filters for this stream." : `Waiting for the first rows (${state}${says}).`);
-  else say(links.working, { away: `The source is away${says}. becalm tries again.`, silent: `Nothing comes${says}`, full: `Storage is full${says}`, ended: "The stream has ended.", stopping: "The stream was stopped.", failed: `The stream failed${says}` }[state] ?? "");
+  else say(links.working, { away: `The source is away${says}. becalm tries again.`, silent: `The source is silent${says}.`, full: `Storage is full${says}`, ended: "The stream has ended.", stopping: "The stream was stopped.", failed: `The stream failed${says}` }[state] ?? "");
   for (const strip of strips) {
     const channel = health.channels[welcome.names[strip.number]];
     if (channel) strip.fare(channel);
@@ -272,9 +300,9 @@ function frame(now) {
   if (speaks) speak(now, each, perRow);
 }
 
-/** Say the numbers at the right edge, or where somebody points. @param {number} now @param {number} each @param {number} perRow */
-function speak(now, each, perRow) {
-  saidMs = now;
+/** Say the numbers at the right edge, or where somebody points. @param {number} nowMs @param {number} each @param {number} perRow */
+function speak(nowMs, each, perRow) {
+  saidMs = nowMs;
   const pointed = strips[0]?.pointed;
   const left = view.right - view.rows;
   const row = pointed === null || pointed === undefined ? view.right - each : left + ((pointed - GUTTER) * devicePixelRatio) / perRow;
@@ -283,7 +311,8 @@ function speak(now, each, perRow) {
   find("window", HTMLOutputElement).value = window_s < 120 ? `${window_s} s` : window_s < 7200 ? `${window_s / 60} min` : `${window_s / 3600} h`;
   const t = timeOf(shown(), each, row, view.rate);
   const at = t === null ? "" : clock(t, Math.min(1, each / view.rate));
-  find("when", HTMLElement).textContent = `${view.paused ? "standing still, at" : "now"} ${at}`;
+  const now = document.body.dataset.state === "live" ? "now" : "until";
+  find("when", HTMLElement).textContent = `${view.paused ? "standing still, at" : now} ${at}`;
 }
 
 let drawnMs = performance.now();

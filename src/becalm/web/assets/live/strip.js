@@ -35,7 +35,11 @@ export class Strip {
     this.asked = null;
     /** @type {[any, any]} */
     this.told = [null, null];
-    const turn = (/** @type {number} */ density, /** @type {boolean} */ final) => { if (final) this.asked = turned(density); };
+    const turn = (/** @type {number} */ density, /** @type {boolean} */ final) => {
+      if (!final) return;
+      this.asked = turned(density);
+      if (this.asked === null) this.forsake();
+    };
     this.dial = new Dial(turn, range, this.figures);
     this.ends = make("div", { class: "ends" }, make("span", {}, "quicker"), make("span", {}, "calmer"));
     const title = make("h2", { id: `name-${number}` }, this.name);
@@ -136,11 +140,17 @@ export class Strip {
     this.met.replaceChildren(...told);
   }
 
+  /** Nobody heard, or will answer, the last turn: all is as it was told. */
+  forsake() {
+    this.asked = null;
+    this.tune(...this.told);
+  }
+
   /** A question is answered. @param {number | null} number @param {boolean} taken else all is as it was */
   answered(number, taken) {
     if (this.asked === null || number === null || number < this.asked) return;
-    this.asked = null;
-    if (!taken) this.tune(...this.told);
+    if (taken) this.asked = null;
+    else this.forsake();
   }
 
   /** Say what the filter is, and lay its dial. @param {any} filter @param {any} dial */
