@@ -89,6 +89,22 @@ def test_what_has_left_is_told_as_a_gap(live: Shown) -> None:
         assert not any(gap for _, _, gap in found[1:])
 
 
+def test_a_page_that_asks_without_end_is_heard_as_answers_come(live: Shown) -> None:
+    live.begin()
+    with live.wire() as wire, live.wire() as other:
+        other.follow()
+        for _ in range(100):
+            wire.say(do="turn", channel=0, process_noise_density=2.0)
+        until(lambda: len(live.asked.waiting) == 16)
+        live.push(1000)
+        assert other.bins(1000 // EACH)[-1][2] == 0
+        wire.hear("health")
+        wire.hear("health")
+        assert len(live.asked.waiting) == 16
+        live.asked.take()
+        wire.hear("taken")
+
+
 def test_a_page_that_does_not_listen_holds_up_nobody(live: Shown) -> None:
     live.begin()
     deaf_socket = socket.socket()

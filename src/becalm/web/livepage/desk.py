@@ -83,7 +83,7 @@ class Desk:
         toml = self._now()
         if not toml:
             raise UsageError("The stream has not begun yet.")
-        return Recipe.from_toml(toml)
+        return _read(toml)
 
     def _ask(self, step: _Step, heard: Heard) -> None:
         """Ask for what a step makes of the recipe that rows go through when it is made.
@@ -112,6 +112,12 @@ class Desk:
             heard(why)
 
         self._retune(recipe, told)
+
+
+@lru_cache(maxsize=4)
+def _read(toml: str) -> Recipe:
+    """Read a recipe, which takes up to tens of milliseconds, once for many questions."""
+    return Recipe.from_toml(toml)
 
 
 def _turned(recipe: Recipe, channel: int, update: dict[str, float]) -> Recipe:
@@ -144,7 +150,7 @@ def facts(recipe: str, step_s: float) -> dict[str, Any]:
     dict
         "filters", one a channel, and "dials" by the channel's number.
     """
-    read = Recipe.from_toml(recipe)
+    read = _read(recipe)
     lag = 0 if read.lag_s is None else lag_in_rows(read.lag_s, step_s)
     dials, filters = {}, []
     for number, channel in enumerate(read.channel):
