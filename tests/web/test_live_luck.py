@@ -169,3 +169,54 @@ def test_why_a_stream_failed_stays(live: LiveApp, browser: Browser) -> None:
         page.wait_for_function("() => document.body.dataset.state === 'disconnected'")
         assert page.locator("#working").inner_text() == "The stream failed: It burns."
         assert "has ended" in page.locator("#link").inner_text()
+
+
+@pytest.mark.parametrize(
+    ("value", "spread", "words"),
+    [
+        (20.2345, 0.21, "20.23 ± 0.21"),
+        (-101325.0, 0.06, "−101325.000 ± 0.060"),
+        (7.0, 250.0, "7 ± 250"),
+        (-1.234e-12, 2.1e-13, "−1.23e−12 ± 2.1e−13"),
+        (1.2345e25, 3e20, "1.234500e25 ± 3.0e20"),
+        (0.0, 1e-13, "0 ± 1.0e−13"),
+        (1.5, float("nan"), "1.5000"),
+        (3e-9, float("nan"), "3.0000e−9"),
+        (float("nan"), 0.2, "– ± 0.20"),
+    ],
+)
+def test_figures_are_told_in_digits_that_mean_something(
+    live: LiveApp, look: Look, value: float, spread: float, words: str
+) -> None:
+    about = """async ([value, spread]) => {
+      const { about } = await import("/assets/live/strip.js");
+      return about(value, spread).join("");
+    }"""
+    assert look(live).page.evaluate(about, [value, spread]) == words
+
+
+def test_no_digit_of_an_axis_is_cut_off(live: LiveApp, look: Look) -> None:
+    page = look(live).page
+    left = page.evaluate("""() => {
+      const [strip] = becalmLive.strips;
+      strip.scale = { low: 101324.97, high: 101325.03 };
+      strip.draw({ store: becalmLive.store(), each: 7, perRow: 0.1, right: 7e4, newest: 0, ticks: [] });
+      const { data } = strip.pen.getImageData(0, 0, Math.floor(devicePixelRatio), strip.canvas.height);
+      return data.some((one) => one > 0);
+    }""")
+    assert not left
+
+
+def test_a_constant_is_drawn_within_its_uncertainty(live: LiveApp, look: Look) -> None:
+    low, high = look(live).page.evaluate("""async () => {
+      const { Store } = await import("/assets/live/store.js");
+      const [strip] = becalmLive.strips;
+      const store = new Store(1, 0);
+      store.number[0] = 0;
+      for (const values of Object.values(store.values)) values[0] = 7;
+      store.values.sigma[0] = 0.25;
+      strip.scale = null;
+      strip.rescale({ store, each: 1, perRow: 1, right: 1, newest: 1 });
+      return [strip.scale.low, strip.scale.high];
+    }""")
+    assert (low, high) == (6.35, 7.65)

@@ -311,7 +311,7 @@ function speak(nowMs, each, perRow) {
   find("window", HTMLOutputElement).value = window_s < 120 ? `${window_s} s` : window_s < 7200 ? `${window_s / 60} min` : `${window_s / 3600} h`;
   const t = timeOf(shown(), each, row, view.rate);
   const at = t === null ? "" : clock(t, Math.min(1, each / view.rate));
-  const now = document.body.dataset.state === "live" ? "now" : "until";
+  const now = document.body.dataset.state === "live" && state === "running" ? "now" : "until";
   find("when", HTMLElement).textContent = `${view.paused ? "standing still, at" : now} ${at}`;
 }
 
