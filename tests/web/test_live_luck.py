@@ -13,6 +13,7 @@ import pytest
 from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
 from becalm.core.recording import Recording
 from becalm.files.writing import write
+from live_looks import drawn, settle
 from live_page_runs import LiveApp, shown_live
 from tuning import Visit, chromium, visiting
 
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 pytestmark = pytest.mark.slow
 
 RATE_HZ = 1000.0
+NEWEST = "Math.floor(becalmLive.view.newest / becalmLive.view.rowsEach[becalmLive.view.level]) - 1"
 UPDATES = "() => becalmLive.counts.updates"
 HOLES = """() => {
   const { view, counts, store } = becalmLive;
@@ -150,6 +152,37 @@ def test_a_turn_that_nobody_hears_is_none(live: LiveApp, browser: Browser) -> No
         assert page.locator("section.strip dl").inner_text() == words
         page.keyboard.press("]")
         assert page.locator("section.strip dl").inner_text() == words
+
+
+def test_what_came_stays_however_it_is_looked_at(live: LiveApp, browser: Browser) -> None:
+    with visiting(browser, live.base) as visit:
+        page, gone = visit.page, False
+        wires: list[WebSocketRoute] = []
+
+        def pass_on(wire: WebSocketRoute) -> None:
+            if gone:
+                wire.close()
+            else:
+                wires.append(wire)
+                wire.connect_to_server()
+
+        page.route_web_socket("**/wire", pass_on)
+        page.goto(live.url)
+        page.wait_for_function("() => window.becalmLive?.counts.bins > 300")
+        gone = True
+        wires[0].close()
+        page.wait_for_function("() => document.body.dataset.state === 'disconnected'")
+        for keys in ("--", " ++", "n"):
+            for key in keys:
+                page.keyboard.press(key)
+            settle(visit)
+            drawn(visit, 0, "clean", 20)
+        page.keyboard.press("-")
+        page.keyboard.press("-")
+        gone = False
+        page.wait_for_function("() => document.body.dataset.state === 'live' && becalmLive.view.level === 1")
+        page.wait_for_function(f"() => !becalmLive.view.paused && becalmLive.store().has({NEWEST})")
+        assert page.evaluate(HOLES)[0] == 0
 
 
 def test_why_a_stream_failed_stays(live: LiveApp, browser: Browser) -> None:

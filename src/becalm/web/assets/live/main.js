@@ -39,6 +39,7 @@ let saidMs = 0;
 const counts = { bytes: 0, frames: 0, updates: 0, drawn: 0, bins: 0, gaps: 0 };
 let fresh = false; // bins came since the last frame
 let holds = false; // the wire
+let begun = false; // becalm has told of the stream, and answers what is asked of it
 let quiet_s = 0; // since something came
 
 const send = connect({
@@ -52,6 +53,7 @@ const send = connect({
   },
   link: ({ up, again_s, reason }) => {
     holds = up;
+    begun = false;
     quiet_s = 0;
     for (const strip of strips) strip.forsake(); // nobody will answer
     if (up) say(links.trouble, "");
@@ -99,6 +101,7 @@ function begin(message) {
   const again = welcome?.run === message.run;
   const before = welcome;
   welcome = message;
+  begun = true;
   say(links.working, "");
   if (!again) {
     if (before) say(links.link, "becalm was started again; what it showed before is no longer here.");
@@ -118,6 +121,9 @@ function begin(message) {
     showButtons();
   }
   asked = ""; // what was asked of the past is not answered any more
+  const was = view.level;
+  view.fit();
+  if (held && view.level !== was) held = new Store(strips.length, modesOf());
   find("stream", HTMLElement).hidden = find("actions", HTMLElement).hidden = false;
   follow(again);
   lookBack();
@@ -178,6 +184,7 @@ function change(change) {
   if (!welcome) return;
   const [before, paused] = [view.level, view.paused];
   change();
+  if (!begun) view.level = view.paused ? before : level; // others would come from nobody
   if (view.paused) {
     if (!paused && view.level === level) held = new Store(strips.length, modesOf(), live);
     else if (!held || before !== view.level) held = new Store(strips.length, modesOf());
