@@ -256,11 +256,13 @@ def test_what_fails_once_is_logged_and_health_goes_on(
 
 
 def test_the_recipe_of_now_is_saved(live: Shown) -> None:
-    live.begin()
-    base = f"http://{LOOPBACK}:{live.access.port}"
+    base, cookie = f"http://{LOOPBACK}:{live.access.port}", {"cookie": f"{live.access.cookie}={TOKEN}"}
     with httpx.Client(base_url=base, trust_env=False, timeout=PATIENCE_S) as browser:
         assert browser.get("/save/recipe").status_code == 403
-        answer = browser.get("/save/recipe", headers={"cookie": f"{live.access.cookie}={TOKEN}"})
+        early = browser.get("/save/recipe", headers=cookie)
+        live.begin()
+        answer = browser.get("/save/recipe", headers=cookie)
+    assert (early.status_code, early.text) == (400, "The stream has not begun yet.")
     assert answer.headers["content-disposition"] == 'attachment; filename="live.recipe.toml"'
     assert Recipe.from_toml(answer.text) == recipe_of()
 

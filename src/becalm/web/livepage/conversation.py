@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from becalm.errors import BecalmError
 from becalm.web.frames import text
 from becalm.web.hearing import heard, number_of
+from becalm.web.livepage.desk import NOT_BEGUN
 from becalm.web.livepage.messages import MOST_BINS, From, Message, Past, Turn, understood
 
 if TYPE_CHECKING:
@@ -110,7 +111,7 @@ class Viewer:
     def _past(self, message: Past) -> str | bytes:
         pictures = self._page.pictures
         if pictures is None:
-            return text({"kind": "trouble", "says": "The stream has not begun yet.", "answers": message.number})
+            return text({"kind": "trouble", "says": NOT_BEGUN, "answers": message.number})
         return pictures.past(message.level, message.first, message.count, message.number)
 
     async def _tell_all(self) -> None:

@@ -10,13 +10,13 @@ from collections.abc import Awaitable, Callable
 from typing import TYPE_CHECKING, NamedTuple
 
 from becalm.core.itself import version
-from becalm.errors import BecalmError
+from becalm.errors import BecalmError, UsageError
 from becalm.live.retuning import Retune
 from becalm.live.watching.meter import Meter
 from becalm.live.watching.secrets import Scrubber
 from becalm.web.frames import text
 from becalm.web.livepage.conversation import Viewer
-from becalm.web.livepage.desk import Desk, facts
+from becalm.web.livepage.desk import NOT_BEGUN, Desk, facts
 from becalm.web.livepage.feed import Feed
 from becalm.web.livepage.pictures import Pictures
 
@@ -152,6 +152,8 @@ class LivePage:
     async def _save(self, request: Request) -> Response:
         from starlette.responses import PlainTextResponse
 
+        if not self._meter.recipe:
+            raise UsageError(NOT_BEGUN)
         headers = {"content-disposition": 'attachment; filename="live.recipe.toml"'}
         return PlainTextResponse(self._meter.recipe, headers=headers)
 
