@@ -69,3 +69,10 @@ def test_both_pages_hear_in_the_same_words_what_is_wrong(room: Any, said: dict[s
         room.understood(said)
     assert str(refused.value).startswith(f"A page asked for what becalm does not know ({wrong}")
     assert str(refused.value).endswith("); reload it.")
+
+
+@pytest.mark.parametrize("said", [{"do": "undo", "number": 1, "k" * 100_000: 2}, {"do": "k" * 100_000, "number": 1}])
+def test_what_is_wrong_is_not_repeated_in_full(said: dict[str, Any]) -> None:
+    with pytest.raises(UsageError) as refused:
+        of_live_pages.understood(said)
+    assert len(str(refused.value)) < 500

@@ -165,3 +165,10 @@ def test_a_turn_before_the_stream_began_is_refused() -> None:
     turned.meter.tuned("")
     with pytest.raises(UsageError, match=r"^The stream has not begun yet\.$"):
         turned.turn(2.0)
+
+
+def test_a_turn_to_nothing_is_refused_and_cannot_be_taken_back() -> None:
+    turned = Turned()
+    with pytest.raises(UsageError, match=r"did not say to what"):
+        turned.desk.turn(0, None, None, turned.heard.append)
+    assert not turned.asked.waiting

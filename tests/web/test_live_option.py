@@ -61,3 +61,16 @@ def test_other_machines_are_let_in_with_a_warning(words: list[str], tmp_path: Pa
     ran = live(tmp_path, *words, "--page", "0", "--page-host", "0.0.0.0")
     assert ran.returncode == 0
     assert "without TLS" in ran.stderr
+    assert "leave --page-host out" in ran.stderr
+
+
+def test_an_address_of_another_machine_is_refused(words: list[str], tmp_path: Path) -> None:
+    ran = live(tmp_path, *words, "--page", "0", "--page-host", "192.0.2.1")
+    assert ran.returncode == 2
+    assert "name this machine with --page-host, and a port with --page." in ran.stderr
+
+
+def test_what_is_said_of_no_page_is_refused(words: list[str], tmp_path: Path) -> None:
+    ran = live(tmp_path, *words)
+    assert ran.returncode == 2
+    assert "give --page PORT too" in ran.stderr

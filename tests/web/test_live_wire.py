@@ -2,23 +2,17 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 import socket
 from collections.abc import Iterator
 from typing import Any
 
 import httpx
-import numpy as np
 import pytest
 
 from becalm.cleaning.recipe import Recipe
-from becalm.live.block import Head, Output
-from becalm.live.watching.meter import Meter
 from becalm.web.access import LOOPBACK
-from becalm.web.livepage import page
-from becalm.web.livepage.feed import Feed
-from live_shown import EACH, NAMES, PATIENCE_S, TOKEN, Asked, Shown, output_of, recipe_of, shown
+from live_shown import EACH, NAMES, PATIENCE_S, TOKEN, Shown, recipe_of, shown
 from served import until
 
 
@@ -89,6 +83,22 @@ def test_what_has_left_is_told_as_a_gap(live: Shown) -> None:
         assert found[0] == (left, 4096, left)
         assert left > 0
         assert not any(gap for _, _, gap in found[1:])
+
+
+def test_a_page_that_asks_without_end_is_heard_as_answers_come(live: Shown) -> None:
+    live.begin()
+    with live.wire() as wire, live.wire() as other:
+        other.follow()
+        for _ in range(100):
+            wire.say(do="turn", channel=0, process_noise_density=2.0)
+        until(lambda: len(live.asked.waiting) == 16)
+        live.push(1000)
+        assert other.bins(1000 // EACH)[-1][2] == 0
+        wire.hear("health")
+        wire.hear("health")
+        assert len(live.asked.waiting) == 16
+        live.asked.take()
+        wire.hear("taken")
 
 
 def test_a_page_that_does_not_listen_holds_up_nobody(live: Shown) -> None:
@@ -218,75 +228,13 @@ def test_an_end_is_told_with_the_last_rows(live: Shown) -> None:
         assert [header["state"] for header, _ in rest if header["kind"] == "health"][-1] == "ended"
 
 
-def test_what_fails_once_is_logged_and_health_goes_on(
-    live: Shown, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    def broken(*_: object) -> dict[str, Any]:
-        raise ZeroDivisionError("by nothing")
-
-    live.begin()
-    with live.wire() as wire:
-        wire.hear("tuned", can_undo=False)
-        with monkeypatch.context() as patched:
-            patched.setattr(page, "facts", broken)
-            live.meter.tuned(recipe_of(3.0).to_toml())
-            assert "dials" not in wire.hear("tuned")[0], "what is known is told all the same"
-        with monkeypatch.context() as patched:
-            patched.setattr(live.meter, "status", broken)
-            until(lambda: "could not be kept up" in caplog.text)
-        live.meter.state("silent")
-        wire.hear("health", state="silent")
-        live.meter.tuned(recipe_of(4.0).to_toml())
-        assert wire.hear("tuned")[0]["dials"]["0"]["at"] == 4.0
-    assert caplog.text.count("by nothing") >= 2
-
-
 def test_the_recipe_of_now_is_saved(live: Shown) -> None:
-    live.begin()
-    base = f"http://{LOOPBACK}:{live.access.port}"
+    base, cookie = f"http://{LOOPBACK}:{live.access.port}", {"cookie": f"{live.access.cookie}={TOKEN}"}
     with httpx.Client(base_url=base, trust_env=False, timeout=PATIENCE_S) as browser:
         assert browser.get("/save/recipe").status_code == 403
-        answer = browser.get("/save/recipe", headers={"cookie": f"{live.access.cookie}={TOKEN}"})
+        early = browser.get("/save/recipe", headers=cookie)
+        live.begin()
+        answer = browser.get("/save/recipe", headers=cookie)
+    assert (early.status_code, early.text) == (400, "The stream has not begun yet.")
     assert answer.headers["content-disposition"] == "attachment; filename*=UTF-8''live.recipe.toml"
     assert Recipe.from_toml(answer.text) == recipe_of()
-
-
-def test_a_feed_that_fails_says_so_once_and_the_stream_goes_on() -> None:
-    said: list[str] = []
-    feed = Feed(said.append)
-    feed.write(output_of(0, 10))  # before it was opened
-    feed.open(Head(NAMES, ("m", "deg"), 1500.0, recipe_of().to_toml()))
-    wrong = np.zeros((10, 3))
-    for _ in range(2):
-        feed.write(Output(0, np.arange(10.0), wrong, wrong, wrong[:5], np.zeros((10, 3), np.int8)))
-    assert len(said) == 1
-    assert "the stream goes on" in said[0]
-    feed.flush()
-    feed.close()
-    feed.close()
-    assert feed.ended
-
-
-def test_who_is_let_in_no_more_is_told_no_more() -> None:
-    class Watching:
-        """A page that only looks on."""
-
-        async def accept(self) -> None: ...
-
-        async def receive(self) -> None:
-            await asyncio.Event().wait()
-
-        async def send_text(self, said: str) -> None: ...
-
-    async def end() -> set[str]:
-        meter = Meter("replay:drive.csv")
-        watched = page.LivePage(Feed(print), meter, Asked(meter).retune)
-        watching = asyncio.create_task(watched.wire(Watching()))  # type: ignore[arg-type]
-        while len(asyncio.all_tasks()) < 6:  # itself, hearing and telling, and two clocks
-            await asyncio.sleep(0)
-        watching.cancel()
-        await asyncio.gather(watching, return_exceptions=True)
-        await asyncio.sleep(0)
-        return {task.get_name() for task in asyncio.all_tasks() if task is not asyncio.current_task()}
-
-    assert asyncio.run(end()) == set()

@@ -8,6 +8,9 @@ from typing import Annotated
 import typer
 
 from becalm.cli import options as o
+from becalm.errors import UsageError
+
+THIS_MACHINE = "127.0.0.1"
 
 LiveSource = Annotated[
     str,
@@ -75,7 +78,7 @@ def live(  # noqa: PLR0913  (the contract's options)
     status: Status = None,
     metrics: Metrics = None,
     page: PagePort = None,
-    page_host: PageHost = "127.0.0.1",
+    page_host: PageHost = THIS_MACHINE,
     token_file: PageToken = None,
     log: LogTo = "-",
 ) -> None:
@@ -85,5 +88,7 @@ def live(  # noqa: PLR0913  (the contract's options)
     named = () if channels is None else o.split_names(channels)
     asking = Asking(recipe, learn, o.lag_of(lag), named)
     shown = None if page is None else PageAsked(page, page_host, token_file)
+    if shown is None and (token_file is not None or page_host != THIS_MACHINE):
+        raise UsageError("--page-host and --token-file are of a page, and none is asked for; give --page PORT too.")
     watching = Watching(status, metrics, log, silent, shown)
     run(source, sink or [], asking, settings_of(queue, when_full, commit), watching)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from becalm.live.retuning import Retune
 from becalm.live.watching.meter import Meter
-from becalm.web.access import Access, token_of
+from becalm.web.access import Access, Options, token_of
 from becalm.web.livepage.feed import Feed
 from becalm.web.livepage.page import LivePage
 from becalm.web.serving import Server, listen
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from becalm.cli.live import PageAsked
 
 
+_OPTIONS = Options("--page-host", "--page")
 _SWITCH_S = 5e-4  # until a thread that computes lets another go on: a page's figures must not hold up the filters
 
 
@@ -45,8 +46,8 @@ def serve(asked: PageAsked, meter: Meter, retune: Retune, warn: Callable[[str], 
     sys.setswitchinterval(_SWITCH_S)
     page = LivePage(Feed(warn), meter, retune)
     token = token_of(asked.token_file)
-    listener = listen(asked.host, asked.port, "--page")
-    access = Access(asked.host, listener.getsockname()[1], token)
+    listener = listen(asked.host, asked.port, _OPTIONS)
+    access = Access(asked.host, listener.getsockname()[1], token, _OPTIONS)
     opened.enter_context(Server(listener, site(Page(html_of("live.html"), page.wire, page.routes), access)))
     opened.callback(page.close)
     warning = () if access.warning is None else (access.warning,)

@@ -11,6 +11,7 @@ import socket
 import stat
 import time
 from pathlib import Path
+from typing import NamedTuple
 
 from becalm.errors import BecalmError, UsageError
 
@@ -25,6 +26,17 @@ _STOLEN = (
     " Nobody is let in any more; end becalm, remove the file of --token-file if it has one, and start it again."
 )
 _TOKEN = re.compile(r"[A-Za-z0-9_-]{22,256}")  # of 128 bits and more, and harmless in an address or a cookie
+
+
+class Options(NamedTuple):
+    """What a person types to say where a page is."""
+
+    host: str
+    port: str
+
+
+OPTIONS = Options("--host", "--port")
+"""Of a command that is there for its page."""
 
 
 def address_of(host: str) -> str:
@@ -47,9 +59,12 @@ class Access:
         Where it listens.
     token : str
         What the browser must bring.
+    options : Options
+        Where a person said the first two.
     """
 
-    def __init__(self, host: str, port: int, token: str) -> None:
+    def __init__(self, host: str, port: int, token: str, options: Options = OPTIONS) -> None:
+        self._options = options
         self.host, self.port = address_of(host), port
         self._token = token
         self._tickets: dict[str, float] = {}  # and when each was made
@@ -83,8 +98,8 @@ class Access:
             return None
         return (
             f"The page is open to other machines at {self._origin}, without TLS: whoever listens to that network can"
-            " read the token and all data. Where others use the network, leave --host out, and reach this machine"
-            f" from the other by ssh -L {self.port}:{LOOPBACK}:{self.port} instead."
+            f" read the token and all data. Where others use the network, leave {self._options.host} out, and reach"
+            f" this machine from the other by ssh -L {self.port}:{LOOPBACK}:{self.port} instead."
         )
 
     def ticket(self) -> str:

@@ -14,6 +14,8 @@ from becalm.errors import UsageError
 Number = Annotated[int, Field(ge=0, le=1 << 53, strict=True)]
 """Which browsers hold exactly."""
 
+_LONGEST = 200  # characters of what came that an answer repeats
+
 T = TypeVar("T")
 
 
@@ -80,7 +82,8 @@ def understood(messages: TypeAdapter[T], said: Mapping[str, Any]) -> T:
         return messages.validate_python(said)
     except ValidationError as cause:
         first = cause.errors(include_input=False, include_url=False, include_context=False)[0]
-        wrong = ": ".join(filter(None, (".".join(map(str, first["loc"])), first["msg"])))
+        names = (str(one)[:_LONGEST] for one in first["loc"])
+        wrong = ": ".join(filter(None, (".".join(names), first["msg"][:_LONGEST])))
         raise UsageError(f"A page asked for what becalm does not know ({wrong}); reload it.") from cause
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Self
 import uvicorn
 
 from becalm.errors import UsageError
-from becalm.web.access import address_of
+from becalm.web.access import OPTIONS, Options, address_of
 from becalm.web.sockets import HurriedProtocol, HurriedWebSocket
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ class TakenError(UsageError):
     """Another program listens there."""
 
 
-def listen(host: str, port: int, option: str = "--port") -> socket.socket:
+def listen(host: str, port: int, options: Options = OPTIONS) -> socket.socket:
     """Take a port.
 
     Parameters
@@ -38,8 +38,8 @@ def listen(host: str, port: int, option: str = "--port") -> socket.socket:
         A name or an address of this machine; "0.0.0.0" or "::" for all.
     port : int
         0 takes any that is free.
-    option : str
-        Where a person says the port.
+    options : Options
+        Where a person says both.
 
     Raises
     ------
@@ -47,7 +47,7 @@ def listen(host: str, port: int, option: str = "--port") -> socket.socket:
         If it cannot be had; a TakenError where another program has it.
     """
     wanted = f"No page can be served at {host}, port {port}"
-    way_out = f"name another with {option}, or 0 for any free one."
+    way_out = f"name another with {options.port}, or 0 for any free one."
     if not 0 <= port < _PORTS:
         raise UsageError(f"{wanted}: ports end at {_PORTS - 1}; {way_out}")
     try:
@@ -59,9 +59,11 @@ def listen(host: str, port: int, option: str = "--port") -> socket.socket:
         if cause.errno == errno.EADDRINUSE:
             raise TakenError(f"{wanted}: another program is there; {way_out}") from cause
         why = str(cause.strerror).partition(" (while")[0]
-        raise UsageError(f"{wanted} ({why}); name this machine with --host, and a port with {option}.") from cause
+        raise UsageError(
+            f"{wanted} ({why}); name this machine with {options.host}, and a port with {options.port}."
+        ) from cause
     except UnicodeError as cause:
-        raise UsageError(f"{host!r} is no name of a machine; name this one with --host.") from cause
+        raise UsageError(f"{host!r} is no name of a machine; name this one with {options.host}.") from cause
 
 
 class Server:

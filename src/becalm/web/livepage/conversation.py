@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from becalm.errors import BecalmError
 from becalm.web.frames import text
 from becalm.web.hearing import heard, number_of
+from becalm.web.livepage.desk import NOT_BEGUN
 from becalm.web.livepage.messages import MOST_BINS, From, Message, Past, Turn, understood
 
 if TYPE_CHECKING:
@@ -18,7 +19,8 @@ if TYPE_CHECKING:
     from becalm.web.livepage.page import LivePage
 
 UPDATES_PER_S = 30
-_MOST_ANSWERS = 16  # that wait, before no more is heard
+_MOST_ANSWERS = 16  # that wait, or are waited for, before no more is heard
+_MOST_HEARD = 8  # between two updates: a hand says less, and others look on too
 _NORMAL = 1000  # how a WebSocket is told that all was said
 
 
@@ -36,6 +38,8 @@ class Viewer:
     def __init__(self, page: LivePage, websocket: WebSocket) -> None:
         self._page, self._websocket = page, websocket
         self._answers: deque[Callable[[], str | bytes]] = deque()
+        self._tunings = 0  # that filters have not taken yet
+        self._heard = 0  # since the last update
         self._level = 0
         self._next: int | None = None  # bin to send; None until the page says which
         self._welcomed = False
@@ -58,7 +62,8 @@ class Viewer:
             frame = await self._websocket.receive()
             if frame["type"] == "websocket.disconnect":
                 return
-            while len(self._answers) >= _MOST_ANSWERS:
+            self._heard += 1
+            while self._heard > _MOST_HEARD or len(self._answers) + self._tunings >= _MOST_ANSWERS:
                 await asyncio.sleep(1 / UPDATES_PER_S)
             number = None
             try:
@@ -91,8 +96,10 @@ class Viewer:
             self._page.desk.turn(message.channel, message.process_noise_density, message.noise_std, told)
         else:
             self._page.desk.undo(told)
+        self._tunings += 1
 
     def _tuned(self, why: str | None, number: int) -> None:
+        self._tunings -= 1
         if why:
             self._trouble(why, number)
         else:
@@ -106,13 +113,14 @@ class Viewer:
     def _past(self, message: Past) -> str | bytes:
         pictures = self._page.pictures
         if pictures is None:
-            return text({"kind": "trouble", "says": "The stream has not begun yet.", "answers": message.number})
+            return text({"kind": "trouble", "says": NOT_BEGUN, "answers": message.number})
         return pictures.past(message.level, message.first, message.count, message.number)
 
     async def _tell_all(self) -> None:
         """Say what is new, 30 times a second of absolute time; what is said slowly is said less often, and whole."""
         loop = asyncio.get_running_loop()
         while True:
+            self._heard = 0
             ending = self._page.ending  # before what is new: it is the last then
             for each in self._news():
                 await self._say(each)

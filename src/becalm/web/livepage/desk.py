@@ -15,7 +15,9 @@ from becalm.live.retuning import Heard, Retune
 
 _DIAL_S = 600.0  # the calmest position is that of a record so long
 _REMEMBERED = 1000  # turns
+NOT_BEGUN = "The stream has not begun yet."
 _NOTHING = "Nothing was turned since becalm began; there is nothing to undo."
+_NO_TURN = "A page turned a dial and did not say to what; reload it."
 _FEWER = 4  # positions are told where each takes some hundredths of a second
 
 
@@ -62,6 +64,8 @@ class Desk:
         """
         told = {"process_noise_density": density, "noise_std": noise_std}
         update = {name: value for name, value in told.items() if value is not None}
+        if not update:
+            raise UsageError(_NO_TURN)
         _turned(self._running(), channel, update)  # whoever asks what cannot be hears of it at once
         self._ask(_Step(lambda trail: trail.append(_turned(trail[-1], channel, update)), +1), heard)
 
@@ -82,8 +86,8 @@ class Desk:
     def _running(self) -> Recipe:
         toml = self._now()
         if not toml:
-            raise UsageError("The stream has not begun yet.")
-        return Recipe.from_toml(toml)
+            raise UsageError(NOT_BEGUN)
+        return _read(toml)
 
     def _ask(self, step: _Step, heard: Heard) -> None:
         """Ask for what a step makes of the recipe that rows go through when it is made.
@@ -112,6 +116,12 @@ class Desk:
             heard(why)
 
         self._retune(recipe, told)
+
+
+@lru_cache(maxsize=4)
+def _read(toml: str) -> Recipe:
+    """Read a recipe, which takes up to tens of milliseconds, once for many questions."""
+    return Recipe.from_toml(toml)
 
 
 def _turned(recipe: Recipe, channel: int, update: dict[str, float]) -> Recipe:
@@ -144,7 +154,7 @@ def facts(recipe: str, step_s: float) -> dict[str, Any]:
     dict
         "filters", one a channel, and "dials" by the channel's number.
     """
-    read = Recipe.from_toml(recipe)
+    read = _read(recipe)
     lag = 0 if read.lag_s is None else lag_in_rows(read.lag_s, step_s)
     dials, filters = {}, []
     for number, channel in enumerate(read.channel):

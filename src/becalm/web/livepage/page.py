@@ -10,13 +10,13 @@ from collections.abc import Awaitable, Callable
 from typing import TYPE_CHECKING, NamedTuple
 
 from becalm.core.itself import version
-from becalm.errors import BecalmError
+from becalm.errors import BecalmError, UsageError
 from becalm.live.retuning import Retune
 from becalm.live.watching.meter import Meter
 from becalm.live.watching.secrets import Scrubber
 from becalm.web.frames import text
 from becalm.web.livepage.conversation import Viewer
-from becalm.web.livepage.desk import Desk, facts
+from becalm.web.livepage.desk import NOT_BEGUN, Desk, facts
 from becalm.web.livepage.feed import Feed
 from becalm.web.livepage.pictures import Pictures
 
@@ -154,6 +154,8 @@ class LivePage:
 
         from becalm.web.site import as_file
 
+        if not self._meter.recipe:
+            raise UsageError(NOT_BEGUN)
         return Response(self._meter.recipe, media_type="application/toml", headers=as_file("live.recipe.toml"))
 
 

@@ -7,36 +7,43 @@ const STEPS_S = [1e-3, 2e-3, 5e-3, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10,
 const APART = 95; // CSS pixels, at least
 const EPOCH_S = 1e8; // stamps beyond are seconds since 1970
 
-/** @typedef {{ row: number, t: number, rate: number }} Anchor a row whose stamp is known */
+const LATE = 1.5; // times what a bin lasts, until the next begins: then nothing came between them
+
+/** @typedef {import("./store.js").Store} Store */
 
 /**
- * The stamp of the last bin before a row that is held.
- * @param {import("./store.js").Store} store @param {number} each @param {number} row @param {number} rate
- * @returns {Anchor | null}
+ * The stamp of a row, by that of the last bin before it that is held; null where there is none near.
+ * @param {Store} store @param {number} each @param {number} row @param {number} rate
  */
-export function anchorOf(store, each, row, rate) {
+export function timeOf(store, each, row, rate) {
   for (let bin = Math.floor(row / each), left = 200; left > 0 && bin >= 0; bin -= 1, left -= 1)
-    if (store.has(bin)) return { row: bin * each, t: store.t[bin % HELD], rate };
+    if (store.has(bin)) return store.t[bin % HELD] + (row - bin * each) / rate;
   return null;
 }
 
-/** The stamp of a row. @param {Anchor} anchor @param {number} row */
-export const timeOf = (anchor, row) => anchor.t + (row - anchor.row) / anchor.rate;
-
 /**
- * Even times in view, as device pixels from the left and words.
- * @param {Anchor | null} anchor @param {number} left row @param {number} right row @param {number} width device pixels
+ * Even times in view, as device pixels from the left and words: by the stamps of bins, for time may leap between them.
+ * @param {Store} store @param {number} each @param {number} rate
+ * @param {number} left row @param {number} right row @param {number} width device pixels
  * @returns {[number, string][]}
  */
-export function ticksOf(anchor, left, right, width) {
-  if (!anchor) return [];
-  const [begin, end] = [timeOf(anchor, left), timeOf(anchor, right)];
-  const rough = ((end - begin) * APART * devicePixelRatio) / width;
+export function ticksOf(store, each, rate, left, right, width) {
+  const apart = APART * devicePixelRatio;
+  const rough = ((right - left) / rate) * (apart / width);
   const step = STEPS_S.find((one) => one >= rough) ?? Math.ceil(rough / 86400) * 86400;
+  const lasts = each / rate;
   /** @type {[number, string][]} */
   const ticks = [];
-  for (let k = Math.ceil(Math.max(begin, timeOf(anchor, 0)) / step - 1e-9); k * step <= end && ticks.length < 60; k += 1)
-    ticks.push([((k * step - begin) / (end - begin)) * width, clock(k * step, step)]);
+  for (let bin = Math.max(0, Math.floor(left / each)); bin * each < right; bin += 1) {
+    if (!store.has(bin)) continue;
+    const begin = store.t[bin % HELD];
+    const passed = store.has(bin + 1) ? store.t[(bin + 1) % HELD] - begin : lasts;
+    const end = begin + (passed > 0 && passed < LATE * lasts ? passed : lasts);
+    for (let k = Math.ceil(begin / step - 1e-9); k * step < end - 1e-9 * step && ticks.length < 60; k += 1) {
+      const x = (((bin + (k * step - begin) / (end - begin)) * each - left) / (right - left)) * width;
+      if (x >= -0.5 && x <= width && !(x - (ticks.at(-1)?.[0] ?? -apart) < 0.7 * apart)) ticks.push([x, clock(k * step, step)]);
+    }
+  }
   return ticks;
 }
 

@@ -5,14 +5,16 @@ import { amount, find, say, tell } from "../dom.js";
 import { save, whyNot } from "../tuner/files.js";
 import { hearKeys } from "../tuner/keys.js";
 import { connect } from "../wire.js";
-import { anchorOf, clock, drawAxis, ticksOf, timeOf } from "./axis.js";
+import { clock, drawAxis, ticksOf, timeOf } from "./axis.js";
 import { HELD, Store } from "./store.js";
 import { GUTTER, Strip } from "./strip.js";
 import { View } from "./view.js";
 
 const MOST_ASKED = 4000; // bins at once
 const SAID_MS = 250; // between numbers, so that they can be read
-const OVER = ["ended", "failed", "stopping"];
+const QUIET_S = 5; // becalm says each second how the stream fares
+/** @type {Record<string, string>} */
+const OVER = { ended: "The stream has ended, and becalm with it;", stopping: "becalm was stopped;", failed: "becalm has ended;" };
 
 const links = { link: find("link", HTMLElement), trouble: find("trouble", HTMLElement), working: find("working", HTMLElement) };
 const buttons = { pause: find("pause", HTMLButtonElement), now: find("now", HTMLButtonElement), undo: find("undo", HTMLButtonElement) };
@@ -29,27 +31,54 @@ let live;
 /** @type {Store | null} what is looked at while the view stands still */
 let held = null;
 let level = -1; // that is followed
-/** @type {number | null} the bin that comes next */
-let next = null;
+let next = 0; // the bin that comes next
 let state = "";
 let chosen = 0; // the channel whose dial keys turn
 let asked = ""; // of the past, and not answered yet, or answered with less
 let saidMs = 0;
 const counts = { bytes: 0, frames: 0, updates: 0, drawn: 0, bins: 0, gaps: 0 };
 let fresh = false; // bins came since the last frame
+let holds = false; // the wire
+let begun = false; // becalm has told of the stream, and answers what is asked of it
+let quiet_s = 0; // since something came
 
 const send = connect({
-  text: (message) => heard[message.kind]?.(message),
-  frame: take,
+  text: (message) => {
+    listen();
+    heard[message.kind]?.(message);
+  },
+  frame: (frame) => {
+    listen();
+    take(frame);
+  },
   link: ({ up, again_s, reason, hint }) => {
-    document.body.dataset.state = up ? "live" : "disconnected";
-    for (const strip of strips) strip.asked = null; // nobody will answer
-    const over = OVER.includes(state);
-    const says = over ? "The stream has ended, and becalm with it;" : reason || "becalm does not answer;";
-    if (!up && over) say(links.working, "");
-    say(links.link, up ? "" : `${says} what came before stays here. Trying again in ${Math.ceil(again_s)} s.${hint}`);
+    holds = up;
+    begun = false;
+    quiet_s = 0;
+    for (const strip of strips) strip.forsake(); // nobody will answer
+    if (up) say(links.trouble, "");
+    else if (state in OVER && state !== "failed") say(links.working, "");
+    tied(up ? "" : `${OVER[state] ?? (reason || "becalm does not answer;")} what came before stays here. Trying again in ${Math.ceil(again_s)} s.${hint}`);
   },
 });
+
+/** Say whether becalm answers. @param {string} says why it does not; nothing where it does */
+function tied(says) {
+  document.body.dataset.state = says ? "disconnected" : "live";
+  say(links.link, says);
+}
+
+/** Hear that becalm is there. */
+function listen() {
+  if (quiet_s >= QUIET_S) tied("");
+  quiet_s = 0;
+}
+
+/** A wire may hold while nobody speaks any more: becalm hangs, or a cable is out. */
+setInterval(() => {
+  quiet_s += 1;
+  if (holds && quiet_s >= QUIET_S) tied(`becalm has said nothing for more than ${QUIET_S - 1} s; what came before stays here.`);
+}, 1000);
 
 /** @type {Record<string, (message: any) => void>} */
 const heard = {
@@ -72,6 +101,7 @@ function begin(message) {
   const again = welcome?.run === message.run;
   const before = welcome;
   welcome = message;
+  begun = true;
   say(links.working, "");
   if (!again) {
     if (before) say(links.link, "becalm was started again; what it showed before is no longer here.");
@@ -91,6 +121,9 @@ function begin(message) {
     showButtons();
   }
   asked = ""; // what was asked of the past is not answered any more
+  const was = view.level;
+  view.fit();
+  if (held && view.level !== was) held = new Store(strips.length, modesOf());
   find("stream", HTMLElement).hidden = find("actions", HTMLElement).hidden = false;
   follow(again);
   lookBack();
@@ -101,11 +134,10 @@ function follow(goesOn = false) {
   if (!goesOn || level !== view.level) {
     level = view.level;
     live = new Store(strips.length, modesOf());
-    next = null;
+    const each = welcome.rows_each[level];
+    next = Math.max(0, Math.floor(view.newest / each) - Math.ceil(view.rows / each) - 2);
   }
-  const each = welcome.rows_each[level];
-  const from = next ?? Math.max(0, Math.floor(view.newest / each) - Math.ceil(view.rows / each) - 2);
-  send({ do: "from", level, bin: from });
+  send({ do: "from", level, bin: next });
 }
 
 const modesOf = () => strips.reduce((count, { modes }) => count + modes.length, 0);
@@ -124,8 +156,8 @@ function take(frame) {
     }
     return;
   }
-  if (header.level !== level) return; // of a level that is no longer followed
-  if (next !== null && header.first !== next) counts.gaps += header.first - next;
+  if (header.level !== level || header.first - header.gap !== next) return; // of what was followed before
+  if (live.has(next - 1)) counts.gaps += header.gap;
   next = header.first + header.count;
   counts.bytes += frame.arrays.t.buffer.byteLength;
   live.put(frame);
@@ -153,6 +185,7 @@ function change(change) {
   if (!welcome) return;
   const [before, paused] = [view.level, view.paused];
   change();
+  if (!begun) view.level = view.paused ? before : level; // others would come from nobody
   if (view.paused) {
     if (!paused && view.level === level) held = new Store(strips.length, modesOf(), live);
     else if (!held || before !== view.level) held = new Store(strips.length, modesOf());
@@ -216,13 +249,13 @@ function hearStrip(strip) {
 function fare(health) {
   state = health.state;
   const source = health.source.replace(/^(\w+:)\S*\//, "$1"); // of a path its last name
-  const says = health.says ? `: ${health.says}` : "";
+  const says = state === "silent" ? ` since ${clock(Date.parse(health.since) / 1000, 1)}` : health.says ? `: ${health.says}` : "";
   const learns = state === "learning"; // how far is told where nobody reads it aloud each second
   const known = learns ? [`${health.rows_taken.toLocaleString("en")} rows so far`] : welcome ? [amount(welcome.rate_hz, "Hz")] : [];
   find("facts", HTMLElement).textContent = [source, ...known, state + says].join(" · ");
-  if (!welcome || learns)
+  if (learns || (!welcome && !(state in OVER)))
     say(links.working, learns ? "becalm learns filters for this stream." : `Waiting for the first rows (${state}${says}).`);
-  else say(links.working, { away: `The source is away${says}. becalm tries again.`, silent: `Nothing comes${says}`, full: `Storage is full${says}`, ended: "The stream has ended.", stopping: "The stream was stopped.", failed: `The stream failed${says}` }[state] ?? "");
+  else say(links.working, { away: `The source is away${says}. becalm tries again.`, silent: `The source is silent${says}.`, full: `Storage is full${says}`, ended: "The stream has ended.", stopping: "The stream was stopped.", failed: `The stream failed${says}` }[state] ?? "");
   for (const strip of strips) {
     const channel = health.channels[welcome.names[strip.number]];
     if (channel) strip.fare(channel);
@@ -261,9 +294,8 @@ function frame(now) {
   if (axis.width !== wide || axis.height !== tall) Object.assign(axis, { width: wide, height: tall });
   const width = axis.width - Math.round(GUTTER * devicePixelRatio);
   const perRow = width / view.rows;
-  const anchor = anchorOf(store, each, view.right, view.rate);
-  const ticks = ticksOf(anchor, view.right - view.rows, view.right, width);
-  const scene = { store, each, perRow, right: view.right, newest: view.paused ? Infinity : next ?? 0, ticks };
+  const ticks = ticksOf(store, each, view.rate, view.right - view.rows, view.right, width);
+  const scene = { store, each, perRow, right: view.right, newest: view.paused ? Infinity : next, ticks };
   const speaks = now - saidMs > SAID_MS;
   for (const strip of strips) {
     if (speaks || !strip.scale) strip.rescale(scene);
@@ -273,20 +305,22 @@ function frame(now) {
   counts.frames += 1;
   if (fresh) counts.drawn += 1;
   fresh = false;
-  if (speaks) speak(now, anchor, each, perRow);
+  if (speaks) speak(now, each, perRow);
 }
 
-/** Say the numbers at the right edge, or where somebody points. @param {number} now @param {import("./axis.js").Anchor | null} anchor @param {number} each @param {number} perRow */
-function speak(now, anchor, each, perRow) {
-  saidMs = now;
+/** Say the numbers at the right edge, or where somebody points. @param {number} nowMs @param {number} each @param {number} perRow */
+function speak(nowMs, each, perRow) {
+  saidMs = nowMs;
   const pointed = strips[0]?.pointed;
   const left = view.right - view.rows;
   const row = pointed === null || pointed === undefined ? view.right - each : left + ((pointed - GUTTER) * devicePixelRatio) / perRow;
   for (const strip of strips) strip.say(shown(), Math.floor(row / each));
   const window_s = view.window_s;
   find("window", HTMLOutputElement).value = window_s < 120 ? `${window_s} s` : window_s < 7200 ? `${window_s / 60} min` : `${window_s / 3600} h`;
-  const at = anchor ? clock(timeOf(anchor, row), Math.min(1, each / view.rate)) : "";
-  find("when", HTMLElement).textContent = `${view.paused ? "standing still, at" : "now"} ${at}`;
+  const t = timeOf(shown(), each, row, view.rate);
+  const at = t === null ? "" : clock(t, Math.min(1, each / view.rate));
+  const now = document.body.dataset.state === "live" && state === "running" ? "now" : "until";
+  find("when", HTMLElement).textContent = `${view.paused ? "standing still, at" : now} ${at}`;
 }
 
 let drawnMs = performance.now();

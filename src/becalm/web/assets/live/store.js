@@ -52,15 +52,16 @@ export class Store {
     return null;
   }
 
-  /** The least and greatest of a channel in some bins; null where nothing is. @param {number} channel @param {number} first @param {number} stop */
+  /** The least and greatest of a channel in some bins, and the least sigma; null where nothing is. @param {number} channel @param {number} first @param {number} stop */
   range(channel, first, stop) {
-    let [low, high] = [Infinity, -Infinity];
+    let [low, high, sigma] = [Infinity, -Infinity, Infinity];
     for (let bin = Math.max(0, first); bin < stop; bin += 1) {
       if (!this.has(bin)) continue;
       const at = (bin % HELD) * this.channels + channel;
       for (const name of /** @type {Field[]} */ (["raw_low", "clean_low"])) if (this.values[name][at] < low) low = this.values[name][at];
       for (const name of /** @type {Field[]} */ (["raw_high", "clean_high"])) if (this.values[name][at] > high) high = this.values[name][at];
+      if (this.values.sigma[at] < sigma) sigma = this.values.sigma[at];
     }
-    return low <= high ? { low, high } : null;
+    return low <= high ? { low, high, sigma: sigma < Infinity ? sigma : 0 } : null;
   }
 }

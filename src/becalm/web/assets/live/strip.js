@@ -10,6 +10,22 @@ import { Tape } from "./tape.js";
 
 export const GUTTER = 54; // CSS pixels left of a tape, for numbers
 
+/**
+ * A number in the digits that its uncertainty leaves, and the uncertainty in two.
+ * @param {number} value @param {number} spread
+ */
+export function about(value, spread) {
+  const [size, fine] = [Math.abs(value), spread > 0 && Number.isFinite(spread)];
+  const places = fine ? 1 - Math.floor(Math.log10(spread)) : size >= 1e-3 ? 4 : 4 - Math.floor(Math.log10(size || 1));
+  const far = places > 9 || Math.max(size, fine ? spread : 0) >= 1e12;
+  const told = (/** @type {number} */ one) => {
+    const digits = far ? Math.floor(Math.log10(Math.abs(one) || 1)) + places : places;
+    const words = far && one ? one.toExponential(Math.max(0, Math.min(20, digits))).replace("e+", "e") : one.toFixed(far ? 0 : Math.max(0, places));
+    return words.replaceAll("-", "−");
+  };
+  return [Number.isFinite(value) ? told(value) : "–", Number.isFinite(spread) ? ` ± ${told(spread)}` : ""];
+}
+
 /** @typedef {import("./store.js").Store} Store */
 /** @typedef {{ store: Store, each: number, perRow: number, right: number, newest: number, ticks: [number, string][] }} Scene */
 
@@ -36,10 +52,14 @@ export class Strip {
     this.asked = null;
     /** @type {[any, any]} */
     this.told = [null, null];
-    const turn = (/** @type {number} */ density, /** @type {boolean} */ final) => { if (final) this.asked = turned(density); };
+    const turn = (/** @type {number} */ density, /** @type {boolean} */ final) => {
+      if (!final) return;
+      this.asked = turned(density);
+      if (this.asked === null) this.forsake();
+    };
     this.dial = new Dial(turn, range, this.figures);
     this.ends = make("div", { class: "ends" }, make("span", {}, "quicker"), make("span", {}, "calmer"));
-    const title = make("h2", { id: `name-${number}` }, this.name);
+    const title = make("h2", { id: `name-${number}`, title: this.name }, this.name);
     const beside = make("div", {}, make("header", {}, title, this.value), this.figures, range, this.ends, this.met);
     this.element = make("section", { class: "strip", "aria-labelledby": title.id }, this.canvas, beside);
     /** @type {{ low: number, high: number } | null} */
@@ -59,10 +79,11 @@ export class Strip {
     const rows = (this.canvas.width - GUTTER * devicePixelRatio) / perRow;
     const found = store.range(this.number, Math.floor((right - rows) / each), Math.min(newest, Math.ceil(right / each)));
     if (!found) return;
-    const size = Math.max(found.high - found.low, 1e-9 * Math.max(Math.abs(found.low), Math.abs(found.high)), 1e-12);
+    const size = Math.max(found.high - found.low, 4 * found.sigma, 1e-9 * Math.max(Math.abs(found.low), Math.abs(found.high))) || 1;
     const mine = this.scale;
     if (mine && found.low >= mine.low && found.high <= mine.high && size > 0.45 * (mine.high - mine.low)) return;
-    this.scale = { low: found.low - 0.15 * size, high: found.high + 0.15 * size };
+    const [middle, half] = [(found.low + found.high) / 2, 0.65 * size];
+    this.scale = { low: middle - half, high: middle + half };
   }
 
   /** @param {Scene} scene */
@@ -98,18 +119,19 @@ export class Strip {
       pen.fillRect(left, Math.round(y), canvas.width - left, 1);
       pen.fillStyle = colour("faint")();
       if (y > 7 * devicePixelRatio && y < canvas.height - 7 * devicePixelRatio)
-        pen.fillText(even(k * step, step).replace("-", "−"), left - 6 * devicePixelRatio, y);
+        pen.fillText(even(k * step, step).replaceAll("-", "−"), left - 6 * devicePixelRatio, y, left - 8 * devicePixelRatio); // narrowed, not cut
     }
   }
 
   /** Say what is at a bin. @param {Store} store @param {number} bin */
   say(store, bin) {
-    if (!store.has(bin)) return;
+    if (!store.has(bin)) {
+      if (this.pointed !== null) this.value.textContent = "–";
+      return;
+    }
     const at = (bin % HELD) * store.channels + this.number;
     const [clean, sigma] = [(store.values.clean_low[at] + store.values.clean_high[at]) / 2, 2 * store.values.sigma[at]];
-    const places = sigma > 0 ? Math.max(0, Math.min(9, 1 - Math.floor(Math.log10(sigma)))) : 4;
-    const words = Number.isFinite(clean) ? clean.toFixed(places).replace("-", "−") : "–";
-    const spread = Number.isFinite(sigma) ? ` ± ${sigma.toFixed(places)}` : "";
+    const [words, spread] = about(clean, sigma);
     this.value.replaceChildren(words, make("small", { title: "twice the standard uncertainty" }, `${spread} ${this.unit}`));
     const shares = this.modes.map(([name, place]) => `${name} ${Math.round(100 * store.probability[(bin % HELD) * store.modes + place])} %`);
     for (const [k, place] of this.met.querySelectorAll("[data-mode]").entries()) place.textContent = shares[k];
@@ -133,11 +155,17 @@ export class Strip {
     this.met.replaceChildren(...told);
   }
 
+  /** Nobody heard, or will answer, the last turn: all is as it was told. */
+  forsake() {
+    this.asked = null;
+    this.tune(...this.told);
+  }
+
   /** A question is answered. @param {number | null} number @param {boolean} taken else all is as it was */
   answered(number, taken) {
     if (this.asked === null || number === null || number < this.asked) return;
-    this.asked = null;
-    if (!taken) this.tune(...this.told);
+    if (taken) this.asked = null;
+    else this.forsake();
   }
 
   /** Say what the filter is, and lay its dial. @param {any} filter @param {any} dial */

@@ -32,6 +32,11 @@ export class View {
     return Math.max(1, this.window_s * this.rate);
   }
 
+  /** Choose the level anew. */
+  fit() {
+    this.level = this.#fitting();
+  }
+
   /** Hear that rows up to one are there. @param {number} row @param {number} now ms */
   heard(row, now) {
     const [passed_s, rows] = [(now - this.came) / 1000, row - this.newest];
@@ -54,14 +59,14 @@ export class View {
   pause(paused) {
     this.paused = paused;
     if (!paused) this.right = this.newest;
-    this.level = this.#fitting();
+    this.fit();
   }
 
   /** Look back (less than 0) or forth by so many windows; it stands still then. @param {number} windows */
   pan(windows) {
     this.paused = true;
     this.right = this.#within(this.right + windows * this.rows);
-    this.level = this.#fitting();
+    this.fit();
   }
 
   /** Show more time (1) or less (-1), about a share of the view. @param {number} by @param {number} [share] */
@@ -69,7 +74,7 @@ export class View {
     const before = this.rows;
     this.place = Math.max(0, Math.min(WINDOWS_S.length - 1, this.place + by));
     if (this.paused) this.right = this.#within(this.right - (1 - share) * (before - this.rows));
-    this.level = this.#fitting();
+    this.fit();
   }
 
   /** A right edge that leaves something in view. @param {number} right */
