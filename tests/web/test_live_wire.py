@@ -12,6 +12,7 @@ import pytest
 
 from becalm.cleaning.recipe import Recipe
 from becalm.web.access import LOOPBACK
+from becalm.web.livepage import page
 from live_shown import EACH, NAMES, PATIENCE_S, TOKEN, Shown, recipe_of, shown
 from served import until
 
@@ -226,6 +227,29 @@ def test_an_end_is_told_with_the_last_rows(live: Shown) -> None:
         assert (last["first"], last["count"]) == (10, 1)
         assert arrays["raw_high"][0] + last["offset"][0] == 102
         assert [header["state"] for header, _ in rest if header["kind"] == "health"][-1] == "ended"
+
+
+def test_what_fails_once_is_logged_and_health_goes_on(
+    live: Shown, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def broken(*_: object) -> dict[str, Any]:
+        raise ZeroDivisionError("by nothing")
+
+    live.begin()
+    with live.wire() as wire:
+        wire.hear("tuned", can_undo=False)
+        with monkeypatch.context() as patched:
+            patched.setattr(page, "facts", broken)
+            live.meter.tuned(recipe_of(3.0).to_toml())
+            assert "dials" not in wire.hear("tuned")[0], "what is known is told all the same"
+        with monkeypatch.context() as patched:
+            patched.setattr(live.meter, "status", broken)
+            until(lambda: "could not be kept up" in caplog.text)
+        live.meter.state("silent")
+        wire.hear("health", state="silent")
+        live.meter.tuned(recipe_of(4.0).to_toml())
+        assert wire.hear("tuned")[0]["dials"]["0"]["at"] == 4.0
+    assert caplog.text.count("by nothing") >= 2
 
 
 def test_the_recipe_of_now_is_saved(live: Shown) -> None:
