@@ -59,7 +59,7 @@ class Showing:
         while True:
             await self._asked.wait()
             self._asked.clear()
-            await self._wire.guarded(self._show_newest(), self.answers)
+            await self._wire.guarded(self._show_newest, self.answers)
 
     def begin(self) -> None:
         """Show the page all of what is open now, as if nothing had been shown."""
