@@ -32,6 +32,7 @@ const desk = {
   /** @type {Map<number, import("./dial.js").Positions>} */ dials: new Map(),
   /** @type {Map<number, import("./judged.js").Judged & { of: string | null }>} */ judged: new Map(),
   channel: 0,
+  opening: false, // a file that somebody chose on this page
   saving: false,
   /** @type {number | null} */ turned: null, // by which message, until it is answered: what is told meanwhile was before it
   mapped: "", // of what the map was asked
@@ -72,6 +73,7 @@ function look(from, to) {
 /** @param {string} file */
 function open(file) {
   desk.brought = null;
+  desk.opening = true;
   send({ do: "open", file });
 }
 
@@ -80,6 +82,7 @@ async function bring(file, group) {
   await during(`Sending ${file.name} …`, async () => {
     const id = await upload(file);
     desk.brought = file;
+    desk.opening = true;
     send({ do: "open", file: id, group });
   });
 }
@@ -116,7 +119,10 @@ function hear(message) {
   else if (message.kind === "working") say(words.working, message.says);
   else if (message.kind === "trouble") {
     say(words.working, "");
-    say(words.trouble, message.says);
+    if (message.answers !== null && message.answers === desk.mapAsked) map.refuse(message.says); // nobody asked for it
+    else say(words.trouble, message.says);
+    desk.opening = false;
+    choices.forgetLag();
     asking.heard(message.answers);
     turned(message.answers ?? 0);
     settle();
@@ -160,11 +166,13 @@ function opened(recording) {
   find("typed", HTMLElement).hidden = !recording.command; // of a name that cannot be typed
   find("desk", HTMLElement).hidden = false;
   find("actions", HTMLElement).hidden = false;
-  files.show(false);
+  if (desk.opening || !again) files.show(false);
+  desk.opening = false;
   fill(group, recording.groups, recording.group);
   group.hidden = recording.groups.length < 2;
   choices.likely = 10 / recording.rate_hz;
   choices.pointMode(recording.mode, recording.lag_s);
+  if (!again) choices.forgetLag();
   offer(recording.classics);
   tabs.open(recording.channels.map(({ name }) => name));
   choose(again ? desk.channel : 0, false, again);
