@@ -140,3 +140,14 @@ def test_a_page_that_is_closed_while_it_is_answered_leaves_nothing_in_the_termin
         go_on.set()
         until(lambda: len(tuner.tuner._shared.pages) == 1)
     assert caplog.text == ""
+
+
+def test_figures_tell_of_which_setting_they_are_though_another_one_makes_the_same_filter(tmp_path: Path) -> None:
+    drive_in(tmp_path)
+    with served(tmp_path) as tuner, tuner.talk() as page:
+        page.opened("folder/drive.csv")
+        for lag_s in (0.1, 0.1004):  # as many rows
+            page.ask("mode", mode="lagged", lag_s=lag_s)
+            figures = page.until("figures", lambda heard, lag_s=lag_s: heard.told["of"][1] == lag_s).told
+            state = next(heard.told for heard in reversed(page.heard) if heard.kind == "state")
+            assert figures["of"] == ["lagged", lag_s, state["channels"][0]]

@@ -129,7 +129,7 @@ function hear(message) {
   } else if (message.kind === "recording") opened(message);
   else if (message.kind === "state") settled(message);
   else if (message.kind === "figures") {
-    desk.judged.set(message.channel, { ...message, of: settingOf(message.channel) });
+    desk.judged.set(message.channel, { ...message, of: JSON.stringify(message.of) });
     if (message.channel === desk.channel) verdict.show(message);
   }
 }
