@@ -54,6 +54,7 @@ def test_a_map_of_too_few_readings_is_no_trouble(app: App, look: Look) -> None:
     page = look(app, "short.csv").page
     page.wait_for_function("() => document.querySelector('#map-says').innerText.startsWith('Too few readings')")
     assert page.locator("#trouble").is_hidden()
+    page.wait_for_function("() => document.querySelector('#verdict').innerText.startsWith('✓')")
 
 
 def test_large_numbers_are_looked_at_from_near(app: App, look: Look) -> None:
@@ -78,6 +79,12 @@ def test_a_lag_is_proposed_for_each_file(app: App, look: Look) -> None:
     page.locator("#lag").fill("-1")
     page.locator("#lag").blur()
     assert page.locator("#lag").input_value() == "1000"
+    assert page.locator("#trouble").is_hidden()
+    for lag, says in (("1", "0 readings"), ("200", "")):
+        page.locator("#lag").fill(lag)
+        page.locator("#lag").blur()
+        page.wait_for_function("(says) => document.querySelector('#trouble').innerText.includes(says)", arg=says)
+    page.wait_for_function("() => becalm.desk.state.lag_s === 200")
     assert page.locator("#trouble").is_hidden()
 
 

@@ -58,11 +58,17 @@ const asking = new Asking(send);
 const plot = new SignalPlot(find("plot", HTMLElement), ({ from, to }) => look(from, to));
 const dial = new Dial((process_noise_density, final) => turn({ process_noise_density }, final));
 const map = new CostMap(turn);
-const choices = new Choices((settings) => turn(settings), (mode, lag_s) => send({ do: "mode", mode, lag_s }));
+const choices = new Choices((settings) => turn(settings), (mode, lag_s) => want({ do: "mode", mode, lag_s }));
 const verdict = new Verdict();
 const tabs = new Tabs((channel, focus) => choose(channel, focus));
 const files = new Files(open, (file) => bring(file), () => send({ do: "files" }));
 const [classic, group, format] = ["classic", "group", "format"].map((id) => find(id, HTMLSelectElement));
+
+/** Ask for what a person wants; what went wrong before is over then. @param {object} message */
+function want(message) {
+  say(words.trouble, "");
+  send(message);
+}
 
 /** @param {number} from @param {number} to */
 function look(from, to) {
@@ -74,7 +80,7 @@ function look(from, to) {
 function open(file) {
   desk.brought = null;
   desk.opening = true;
-  send({ do: "open", file });
+  want({ do: "open", file });
 }
 
 /** Send a file that was dropped or chosen, and open it. @param {File} file @param {string} [group] */
@@ -298,8 +304,8 @@ function saving(what) {
 
 /** @type {Record<string, () => void>} */
 const ACTIONS = {
-  undo: () => send({ do: "undo" }),
-  redo: () => send({ do: "redo" }),
+  undo: () => want({ do: "undo" }),
+  redo: () => want({ do: "redo" }),
   "save-recipe": () => saving("recipe"),
   "save-clean": () => saving(`clean?format=${format.value}`),
   "save-report": () => saving("report"),
@@ -311,8 +317,8 @@ const ACTIONS = {
 };
 for (const [id, action] of Object.entries(ACTIONS)) find(id, HTMLButtonElement).addEventListener("click", action);
 find("copy", HTMLElement).hidden = !navigator.clipboard;
-group.addEventListener("change", () => send({ do: "open", file: desk.recording?.file, group: group.value }));
-classic.addEventListener("change", () => send({ do: "compare", channel: desk.channel, classic: classic.value || null }));
+group.addEventListener("change", () => want({ do: "open", file: desk.recording?.file, group: group.value }));
+classic.addEventListener("change", () => want({ do: "compare", channel: desk.channel, classic: classic.value || null }));
 hearKeys({
   ArrowLeft: () => plot.pan(-0.2), ArrowRight: () => plot.pan(0.2),
   "+": ACTIONS.nearer, "=": ACTIONS.nearer, "-": ACTIONS.farther, 0: ACTIONS.whole,
