@@ -148,6 +148,7 @@ def test_figures_tell_of_which_setting_they_are_though_another_one_makes_the_sam
         page.opened("folder/drive.csv")
         for lag_s in (0.1, 0.1004):  # as many rows
             page.ask("mode", mode="lagged", lag_s=lag_s)
-            figures = page.until("figures", lambda heard, lag_s=lag_s: heard.told["of"][1] == lag_s).told
+            while (figures := page.until("figures").told)["of"][1] != lag_s:
+                pass
             state = next(heard.told for heard in reversed(page.heard) if heard.kind == "state")
             assert figures["of"] == ["lagged", lag_s, state["channels"][0]]
