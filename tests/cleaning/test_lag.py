@@ -96,6 +96,8 @@ def test_a_lag_counts_the_readings_that_come_within_it() -> None:
     for lag_s in (0.005, 0.0, -1.0, float("nan"), 1e9):
         with pytest.raises(UsageError, match="let the filter be causal, or smooth"):
             lag_in_rows(lag_s, 0.01)
+    with pytest.raises(UsageError, match=r"is 1e\+302 readings"):
+        lag_in_rows(1e300, 0.01)
 
 
 def test_a_causal_filter_has_no_lag_to_wait(recording: Recording, recipe: Recipe) -> None:

@@ -78,6 +78,14 @@ def test_levels_that_jump_are_followed_at_once() -> None:
     assert error(filtered(switched, z), truth) < 0.25
 
 
+@pytest.mark.parametrize("causal", [False, True])
+@pytest.mark.parametrize("hold", [150, 1500])
+def test_levels_without_noise_are_followed_as_they_are(hold: int, causal: bool) -> None:
+    z = (np.arange(3000) // hold % 2).astype(float)
+    cleaned = becalm.clean(becalm.Recording(z[:, np.newaxis], rate_hz=100.0), causal=causal)
+    np.testing.assert_allclose(cleaned.signal.samples[:, 0], z, atol=1e-2)
+
+
 def test_a_smoother_of_levels_errs_less_than_the_fixed_one() -> None:
     truth = levels(3)
     z = truth + noise(4)

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from becalm.cleaning.recipe import Recipe
+from becalm.errors import OutputError
 from becalm.files import registry
 from becalm.files.writing import write
 from becalm.web.access import LOOPBACK
@@ -194,6 +195,33 @@ def test_saves_go_one_after_another_and_end_when_nobody_waits(tmp_path: Path, mo
                 second.close()
         until(lambda: is_gone(processes[1]) and not any(private.glob("*/recipe.toml")))
     assert processes[0] != processes[1]
+
+
+def test_a_save_without_a_place_for_it_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    drive_in(tmp_path)
+    with served(tmp_path) as tuner, tuner.client() as client:
+        opened(tuner)
+        monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "nowhere"))
+        answer = client.get("/save/report")
+    assert answer.status_code == 400
+    assert answer.text.startswith("drive-report.html cannot be made (No such file or directory); make room")
+    assert caplog.text == ""
+
+
+def test_why_a_file_that_changed_while_it_was_saved_is_not_saved(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def change(*_: object) -> None:
+        (tmp_path / "drive.csv").write_text("time,x\n0,0\n1,1\n")
+        raise OutputError("The recipe names 'ax', which is not a column.")
+
+    monkeypatch.setattr(saving, "_run", change)
+    drive_in(tmp_path)
+    with served(tmp_path) as tuner, tuner.client() as client:
+        opened(tuner)
+        assert client.get("/save/clean").text == "drive.csv changed since it was opened; open it again."
 
 
 def test_what_is_told_of_a_save_names_no_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

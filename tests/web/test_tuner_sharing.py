@@ -16,9 +16,11 @@ from becalm.errors import InputError
 from becalm.web.frames import frame
 from becalm.web.tuner import sharing, showing
 from becalm.web.tuner.conversation import Conversation
+from becalm.web.tuner.desk import Desk
+from becalm.web.tuner.messages import Map
 from becalm.web.tuner.painting import Wanted
 from becalm.web.tuner.sharing import Shared
-from served import PATIENCE_S
+from served import PATIENCE_S, until
 from tuner_served import drive_in, served
 
 
@@ -174,3 +176,54 @@ def test_of_two_maps_only_the_newer_is_told(tmp_path: Path, monkeypatch: pytest.
         go_on.set()
         last = page.ask("map", channel=0)
         assert page.until("map").told["answers"] == last
+
+
+def test_a_map_that_is_overtaken_before_it_is_begun_leaves_nothing(tmp_path: Path) -> None:
+    async def ask() -> list[str]:
+        shared, ear = Shared(tmp_path, None, 1), Ear()
+        page = Conversation(shared, ear)  # type: ignore[arg-type]
+        try:
+            for number in (1, 2):
+                await page._do(Map(number=number, do="map", channel=0))
+            while not ear.heard:
+                await asyncio.sleep(0.01)
+            return ear.heard
+        finally:
+            shared.close()
+
+    (said,) = asyncio.run(ask())
+    assert "Nothing is open yet" in said
+
+
+def test_a_page_that_is_closed_while_it_is_answered_leaves_nothing_in_the_terminal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    begun, go_on = threading.Event(), threading.Event()
+
+    def put_in_mode(*_: object) -> None:
+        begun.set()
+        assert go_on.wait(PATIENCE_S)
+
+    monkeypatch.setattr(Desk, "put_in_mode", put_in_mode)
+    drive_in(tmp_path)
+    with served(tmp_path) as tuner, tuner.talk() as other:
+        with tuner.talk() as page:
+            page.opened("folder/drive.csv")
+            page.ask("mode", mode="causal")
+            assert begun.wait(PATIENCE_S)
+        other.picture(other.ask("turn", channel=0, settings={"noise_std": 0.5}))  # of which the closed one is told too
+        go_on.set()
+        until(lambda: len(tuner.tuner._shared.pages) == 1)
+    assert caplog.text == ""
+
+
+def test_figures_tell_of_which_setting_they_are_though_another_one_makes_the_same_filter(tmp_path: Path) -> None:
+    drive_in(tmp_path)
+    with served(tmp_path) as tuner, tuner.talk() as page:
+        page.opened("folder/drive.csv")
+        for lag_s in (0.1, 0.1004):  # as many rows
+            page.ask("mode", mode="lagged", lag_s=lag_s)
+            while (figures := page.until("figures").told)["of"][1] != lag_s:
+                pass
+            state = next(heard.told for heard in reversed(page.heard) if heard.kind == "state")
+            assert figures["of"] == ["lagged", lag_s, state["channels"][0]]

@@ -95,7 +95,7 @@ def lag_in_rows(lag_s: float, step_s: float) -> int:
     rows = np.floor(lag_s / step_s + _WHOLE)
     if not 1 <= rows <= LONGEST_LAG:
         raise UsageError(
-            f"lag_s = {lag_s:.6g} is {rows:.0f} readings at {1 / step_s:.6g} Hz; give {step_s:.6g} to"
+            f"lag_s = {lag_s:.6g} is {rows:.6g} readings at {1 / step_s:.6g} Hz; give {step_s:.6g} to"
             f" {LONGEST_LAG * step_s:.6g} s, or let the filter be causal, or smooth."
         )
     return int(rows)

@@ -42,6 +42,8 @@ _RANGES = ((1e-12, 1e-3), (1e-8, 1e0), (1e-3, 1e2), (1e1, 1e6))  # of them
 _WILD = 1e-9  # share of readings that are wild among levels, where the record shows none: a jump is far likelier
 _FARTHER = 4.0  # times the variance of wild readings, which that of a leap is
 _AT_ONCE = 0.7  # steps that an abrupt mode lasts
+_FINEST = 1e-7  # of what most readings span, the noise of a bank: of less a jump leaves nothing but rounding
+_LOST = 1e-13  # of what all of them span, so
 _BLOCK = 50  # readings, of which the variance of bends is taken
 
 
@@ -127,7 +129,7 @@ def noisy(tuning: Tuning) -> Bank:
 
 def spiky(tuning: Tuning, evidence: Evidence) -> Bank:
     """Return banks of a fixed filter, tuned anew, with wild readings; where they agree, it was a jump."""
-    r, spread = max(middle_variance(evidence.z[:, 0]), evidence.smallest_variance), float(np.ptp(evidence.z)) ** 2
+    r, spread = max(middle_variance(evidence.z[:, 0]), _least(evidence)), float(np.ptp(evidence.z)) ** 2
 
     def make(noise: float, ratio: float, share: float, wild: float) -> Switching:
         own = sum(tuning.companions, motion(tuning.order, ratio * noise))
@@ -138,7 +140,7 @@ def spiky(tuning: Tuning, evidence: Evidence) -> Bank:
     fastest = (1e-12, 1e6)
     return Bank(
         [
-            Number(r, r * 1e-4, r * 1e4, 1.0, _SOME),
+            _about(r, 1e4, evidence),
             Number(tuning.ratio, *fastest, gain=_SOME),
             Number(0.03, 3e-3, 0.4),
             Number(max(outstanding_variance(evidence.z[:, 0], r), 100 * r), 9 * r, max(spread, 100 * r)),
@@ -149,8 +151,20 @@ def spiky(tuning: Tuning, evidence: Evidence) -> Bank:
 
 def _variance(evidence: Evidence) -> Number:
     """Return the variance of noise at rest as a number to search."""
-    r = max(quiet_variance(evidence.z[:, 0]), evidence.smallest_variance)
-    return Number(r, r * 1e-2, r * 1e2, 1.0, _SOME)
+    r = max(quiet_variance(evidence.z[:, 0]), _least(evidence))
+    return _about(r, 1e2, evidence)
+
+
+def _about(r: float, times: float, evidence: Evidence) -> Number:
+    """Return a variance of noise to search about r."""
+    return Number(r, max(r / times, _least(evidence)), r * times, 1.0, _SOME)
+
+
+def _least(evidence: Evidence) -> float:
+    """Return the least variance of noise: levels without any are infinitely likely, and lost where they jump."""
+    low, high = np.quantile(evidence.z[:, 0], (0.05, 0.95))
+    finest = max(_FINEST * float(high - low), _LOST * float(np.ptp(evidence.z)))
+    return max(evidence.smallest_variance, finest**2)
 
 
 def searched(bank: Bank, pieces: Sequence[Piece]) -> tuple[Switching, float]:

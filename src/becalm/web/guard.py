@@ -53,7 +53,12 @@ class Guard:
             if message["type"] in ("http.response.start", "websocket.http.response.start"):
                 others = [pair for pair in message.get("headers", ()) if pair[0].lower() not in _SECURITY]
                 message = {**message, "headers": [*others, *_SECURITY.items()]}
-            await send(message)
+            try:
+                await send(message)
+            except RuntimeError as cause:  # of uvicorn, where the WebSocket is closed already; ASGI has an OSError
+                if message["type"] != "websocket.send":
+                    raise
+                raise ConnectionError("The page is gone.") from cause
 
         if (why := self._foreign(asked)) is not None:
             await _answer(asked, secured, 403, why)

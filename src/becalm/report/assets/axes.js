@@ -3,6 +3,7 @@
 import { colour } from "./colours.js";
 import { decade, even, logarithmic } from "./numbers.js";
 
+const FINEST = 2 ** -46; // of a height: nearer, ticks of an axis would fall on one number
 const FONT = "12px system-ui, sans-serif";
 
 /**
@@ -39,7 +40,9 @@ export function roomOf(u, axis) {
  */
 export const roomy = {
   range: (u, least, most) => {
-    const room = 0.05 * (most - least) || 0.05 * Math.abs(most) || 1;
-    return least === null ? [0, 1] : [least - room, most + room];
+    if (least === null) return [0, 1];
+    const finest = FINEST * Math.max(Math.abs(least), Math.abs(most));
+    const room = Math.max(0.05 * (most - least) || 0.05 * Math.abs(most), finest) || 1;
+    return [least - room, most + room];
   },
 };

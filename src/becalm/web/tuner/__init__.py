@@ -12,7 +12,7 @@ from starlette.routing import Route
 from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket
 
-from becalm.errors import InputError
+from becalm.errors import InputError, OutputError
 from becalm.web.site import as_file
 from becalm.web.tuner.conversation import Conversation
 from becalm.web.tuner.naming import stem_of
@@ -80,7 +80,11 @@ class Tuner:
         desk = self._shared.open_desk
         opened, recipe = desk.opened, desk.recipe().to_toml()
         async with self._saving:
-            made = await make(Job(self._unchanged(opened), recipe, opened.group if opened.several else None))
+            try:
+                made = await make(Job(self._unchanged(opened), recipe, opened.group if opened.several else None))
+            except OutputError:
+                self._unchanged(opened)  # or that is why
+                raise
         try:
             self._unchanged(opened)  # nor did it change while it was read again
         except InputError:

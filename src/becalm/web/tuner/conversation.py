@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Coroutine, Mapping
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
@@ -46,12 +47,12 @@ class Conversation:
         await self._websocket.accept()
         await self._wire.tell(await self._shared.in_thread(self._shared.welcome))
         self._shared.pages.add(self)
-        self._start(self._showing.run())
+        self._start(self._showing.run)
         try:
             if self._shared.desk is not None:
                 await self.told_anew()
-            elif self._shared.first is not None:
-                self._start(self._wire.guarded(self._open(self._shared.first, None), None))
+            elif (first := self._shared.first) is not None:
+                self._start(lambda: self._wire.guarded(lambda: self._open(first, None), None))
             while True:
                 frame = await self._websocket.receive()
                 if frame["type"] == "websocket.disconnect":
@@ -83,7 +84,7 @@ class Conversation:
     def tell(self, what: Telling) -> None:
         """Tell the page something beside all else: another one does not wait until this one hears."""
         if not self._wire.gone:
-            self._start(self._wire.guarded(what(self), None))
+            self._start(lambda: self._wire.guarded(lambda: what(self), None))
 
     async def working(self, says: str) -> None:
         """Tell the page what is being done; "" of nothing any more."""
@@ -98,7 +99,7 @@ class Conversation:
         except BecalmError as cause:
             await self._wire.trouble(str(cause), number)
             return
-        await self._wire.guarded(self._do(message), message.number)
+        await self._wire.guarded(lambda: self._do(message), message.number)
 
     async def _do(self, message: messages.Message) -> None:
         match message:
@@ -113,7 +114,9 @@ class Conversation:
             case messages.Map():
                 if self._mapping is not None:
                     self._mapping.cancel()
-                self._mapping = self._start(self._wire.guarded(self._showing.map(message), message.number))
+                self._mapping = self._start(
+                    lambda: self._wire.guarded(lambda: self._showing.map(message), message.number)
+                )
             case messages.Compare():
                 self._showing.compare(message)
             case _:
@@ -164,8 +167,14 @@ class Conversation:
         anew = isinstance(message, messages.Restore) or desk.options is not before  # of the other mode
         await self._shared.tell_all(Conversation.told_anew if anew else Conversation.told_state, self)
 
-    def _start(self, doing: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
-        task: asyncio.Task[None] = asyncio.create_task(doing)
+    def _start(self, doing: Callable[[], Coroutine[Any, Any, None]]) -> asyncio.Task[None]:
+        """Do something beside all else, until the page is gone."""
+
+        async def quietly() -> None:
+            with suppress(WebSocketDisconnect):
+                await doing()
+
+        task = asyncio.create_task(quietly())
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
         return task

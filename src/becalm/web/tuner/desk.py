@@ -137,6 +137,11 @@ class Desk:
         """Return the recipe of a channel as it is now."""
         return self._options_of(channel).recipe(self.now.settings[channel])
 
+    def setting_told(self, channel: int) -> list[object]:
+        """Tell a page what is set of a channel, as `state_told` does: the mode, its lag, the settings."""
+        mode, lag_s, settings = self.now
+        return [mode, lag_s, self._options_of(channel).told(settings[channel])]
+
     def recipe(self) -> Recipe:
         """Return the recipe of all channels that are cleaned.
 

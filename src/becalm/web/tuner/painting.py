@@ -37,6 +37,7 @@ class Wanted(NamedTuple):
     answers: int
     classic: str | None = None
     hurried: bool = False
+    setting: list[object] | None = None  # as pages are told of it
 
     @property
     def dial_key(self) -> tuple[object, ...]:
@@ -45,8 +46,8 @@ class Wanted(NamedTuple):
 
     @property
     def judged_key(self) -> tuple[object, ...]:
-        """What the verdict on the whole record depends on."""
-        return self.channel, self.recipe, self.lag
+        """What the verdict on the whole record depends on, or how a page knows that it has come."""
+        return self.channel, self.recipe, self.lag, self.setting
 
 
 class Painted(NamedTuple):

@@ -78,7 +78,17 @@ async def reported(job: Job) -> Made:
 
 
 async def _made(job: Job, output: str, page: str | None) -> Made:
-    folder = tempfile.TemporaryDirectory(prefix="becalm-", ignore_cleanup_errors=True)
+    try:
+        folder = tempfile.TemporaryDirectory(prefix="becalm-", ignore_cleanup_errors=True)
+        return await _made_in(folder, job, output, page)
+    except OSError as cause:
+        says = (
+            f"{page or output} cannot be made ({cause.strerror}); make room where temporary files are, or set TMPDIR."
+        )
+        raise OutputError(says) from cause
+
+
+async def _made_in(folder: tempfile.TemporaryDirectory[str], job: Job, output: str, page: str | None) -> Made:
     try:
         inside, file = Path(folder.name).resolve(), job.file.resolve()
         recipe = inside / "recipe.toml"

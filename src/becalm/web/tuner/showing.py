@@ -59,7 +59,7 @@ class Showing:
         while True:
             await self._asked.wait()
             self._asked.clear()
-            await self._wire.guarded(self._show_newest(), self.answers)
+            await self._wire.guarded(self._show_newest, self.answers)
 
     def begin(self) -> None:
         """Show the page all of what is open now, as if nothing had been shown."""
@@ -121,7 +121,8 @@ class Showing:
         if classic not in desk.classics:  # it was of another mode
             classic = None
         recipe, lag = desk.channel(channel), desk.lag
-        return Wanted(desk.opened, channel, recipe, lag, span_s, look.width, answers, classic, self.dragging)
+        how = (recipe, lag, span_s, look.width, answers, classic, self.dragging)
+        return Wanted(desk.opened, channel, *how, setting=desk.setting_told(channel))
 
     async def _show_newest(self) -> None:
         in_thread, painter = self._shared.in_thread, self._painter
@@ -153,7 +154,7 @@ class Showing:
 
         figures = await self._shared.in_thread(judge)
         if figures is not None:
-            await self._wire.tell(figures)
+            await self._wire.tell({**figures, "of": wanted.setting})
             shown.figures = wanted.judged_key
 
     def _is_quiet(self) -> bool:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Awaitable
-from typing import Any
+from collections.abc import Awaitable, Callable
+from typing import Any, TypeVar
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
@@ -13,6 +13,8 @@ from becalm.errors import BecalmError
 from becalm.web.frames import UNFORESEEN, text
 
 _log = logging.getLogger(__name__)
+
+Said = TypeVar("Said", str, bytes)
 
 
 class Wire:
@@ -26,7 +28,7 @@ class Wire:
     Attributes
     ----------
     gone : bool
-        Whether the page was closed.
+        Whether the page was closed, as whoever speaks to it then hears by a WebSocketDisconnect.
     """
 
     def __init__(self, websocket: WebSocket) -> None:
@@ -35,30 +37,35 @@ class Wire:
 
     async def tell(self, message: dict[str, Any]) -> None:
         """Send a message."""
-        async with self._sending:
-            await self._websocket.send_text(text(message))
+        await self._say(self._websocket.send_text, text(message))
 
     async def send(self, data: bytes) -> None:
         """Send a frame."""
-        async with self._sending:
-            await self._websocket.send_bytes(data)
+        await self._say(self._websocket.send_bytes, data)
 
     async def trouble(self, says: str, answers: int | None) -> None:
-        """Say what could not be done, and which message asked for it, unless the page is gone."""
-        try:
-            await self.tell({"kind": "trouble", "says": says, "answers": answers})
-        except WebSocketDisconnect:
-            self.gone = True
+        """Say what could not be done, and which message asked for it."""
+        await self.tell({"kind": "trouble", "says": says, "answers": answers})
 
-    async def guarded(self, doing: Awaitable[None], number: int | None) -> None:
+    async def guarded(self, doing: Callable[[], Awaitable[None]], number: int | None) -> None:
         """Do something, and tell the page in a sentence where it cannot be done."""
         try:
-            await doing
-        except WebSocketDisconnect:  # whoever hears the page is told so too, and ends the conversation
-            self.gone = True
+            await doing()
+        except WebSocketDisconnect:
+            raise
         except BecalmError as cause:
             await self.trouble(str(cause), number)
         except Exception:  # the page goes on, and whoever runs becalm is told
             if not self.gone:
                 _log.exception("What a page asked for failed.")
                 await self.trouble(UNFORESEEN, number)
+
+    async def _say(self, send: Callable[[Said], Awaitable[None]], said: Said) -> None:
+        async with self._sending:
+            if self.gone:
+                raise WebSocketDisconnect
+            try:
+                await send(said)
+            except WebSocketDisconnect:
+                self.gone = True
+                raise

@@ -30,7 +30,11 @@ export class Choices {
       if (this.mode.value === "lagged" && !(Number(this.lag.value) > 0)) this.lag.value = String(Number(this.likely.toPrecision(2)));
       told();
     });
-    this.lag.addEventListener("change", () => { if (Number(this.lag.value) > 0) told(); });
+    this.inForce = ""; // which lag
+    this.lag.addEventListener("change", () => {
+      if (Number(this.lag.value) > 0) told();
+      else this.lag.value = this.inForce;
+    });
   }
 
   /** Lay out what a channel may be. @param {Channel} channel */
@@ -59,7 +63,12 @@ export class Choices {
   pointMode(mode, lag_s) {
     this.mode.value = mode;
     this.lagAsked.hidden = mode !== "lagged";
-    if (lag_s) this.lag.value = String(lag_s);
+    if (lag_s) this.lag.value = this.inForce = String(lag_s);
+  }
+
+  /** Propose a lag anew: the one that was said may be none here. */
+  forgetLag() {
+    if (this.lagAsked.hidden) this.lag.value = "";
   }
 
   #on() {

@@ -32,6 +32,7 @@ const desk = {
   /** @type {Map<number, import("./dial.js").Positions>} */ dials: new Map(),
   /** @type {Map<number, import("./judged.js").Judged & { of: string | null }>} */ judged: new Map(),
   channel: 0,
+  opening: false, // a file that somebody chose on this page
   saving: false,
   /** @type {number | null} */ turned: null, // by which message, until it is answered: what is told meanwhile was before it
   mapped: "", // of what the map was asked
@@ -57,11 +58,17 @@ const asking = new Asking(send);
 const plot = new SignalPlot(find("plot", HTMLElement), ({ from, to }) => look(from, to));
 const dial = new Dial((process_noise_density, final) => turn({ process_noise_density }, final));
 const map = new CostMap(turn);
-const choices = new Choices((settings) => turn(settings), (mode, lag_s) => send({ do: "mode", mode, lag_s }));
+const choices = new Choices((settings) => turn(settings), (mode, lag_s) => want({ do: "mode", mode, lag_s }));
 const verdict = new Verdict();
 const tabs = new Tabs((channel, focus) => choose(channel, focus));
 const files = new Files(open, (file) => bring(file), () => send({ do: "files" }));
 const [classic, group, format] = ["classic", "group", "format"].map((id) => find(id, HTMLSelectElement));
+
+/** Ask for what a person wants; what went wrong before is over then. @param {object} message */
+function want(message) {
+  say(words.trouble, "");
+  send(message);
+}
 
 /** @param {number} from @param {number} to */
 function look(from, to) {
@@ -72,7 +79,8 @@ function look(from, to) {
 /** @param {string} file */
 function open(file) {
   desk.brought = null;
-  send({ do: "open", file });
+  desk.opening = true;
+  want({ do: "open", file });
 }
 
 /** Send a file that was dropped or chosen, and open it. @param {File} file @param {string} [group] */
@@ -80,6 +88,7 @@ async function bring(file, group) {
   await during(`Sending ${file.name} …`, async () => {
     const id = await upload(file);
     desk.brought = file;
+    desk.opening = true;
     send({ do: "open", file: id, group });
   });
 }
@@ -115,14 +124,17 @@ function hear(message) {
   else if (message.kind === "working") say(words.working, message.says);
   else if (message.kind === "trouble") {
     say(words.working, "");
-    say(words.trouble, message.says);
+    if (message.answers !== null && message.answers === desk.mapAsked) map.refuse(message.says); // nobody asked for it
+    else say(words.trouble, message.says);
+    desk.opening = false;
+    choices.forgetLag();
     asking.heard(message.answers);
     turned(message.answers ?? 0);
     settle();
   } else if (message.kind === "recording") opened(message);
   else if (message.kind === "state") settled(message);
   else if (message.kind === "figures") {
-    desk.judged.set(message.channel, { ...message, of: settingOf(message.channel) });
+    desk.judged.set(message.channel, { ...message, of: JSON.stringify(message.of) });
     if (message.channel === desk.channel) verdict.show(message);
   }
 }
@@ -159,11 +171,13 @@ function opened(recording) {
   find("typed", HTMLElement).hidden = !recording.command; // of a name that cannot be typed
   find("desk", HTMLElement).hidden = false;
   find("actions", HTMLElement).hidden = false;
-  files.show(false);
+  if (desk.opening || !again) files.show(false);
+  desk.opening = false;
   fill(group, recording.groups, recording.group);
   group.hidden = recording.groups.length < 2;
   choices.likely = 10 / recording.rate_hz;
   choices.pointMode(recording.mode, recording.lag_s);
+  if (!again) choices.forgetLag();
   offer(recording.classics);
   tabs.open(recording.channels.map(({ name }) => name));
   choose(again ? desk.channel : 0, false, again);
@@ -289,8 +303,8 @@ function saving(what) {
 
 /** @type {Record<string, () => void>} */
 const ACTIONS = {
-  undo: () => send({ do: "undo" }),
-  redo: () => send({ do: "redo" }),
+  undo: () => want({ do: "undo" }),
+  redo: () => want({ do: "redo" }),
   "save-recipe": () => saving("recipe"),
   "save-clean": () => saving(`clean?format=${format.value}`),
   "save-report": () => saving("report"),
@@ -302,8 +316,8 @@ const ACTIONS = {
 };
 for (const [id, action] of Object.entries(ACTIONS)) find(id, HTMLButtonElement).addEventListener("click", action);
 find("copy", HTMLElement).hidden = !navigator.clipboard;
-group.addEventListener("change", () => send({ do: "open", file: desk.recording?.file, group: group.value }));
-classic.addEventListener("change", () => send({ do: "compare", channel: desk.channel, classic: classic.value || null }));
+group.addEventListener("change", () => want({ do: "open", file: desk.recording?.file, group: group.value }));
+classic.addEventListener("change", () => want({ do: "compare", channel: desk.channel, classic: classic.value || null }));
 hearKeys({
   ArrowLeft: () => plot.pan(-0.2), ArrowRight: () => plot.pan(0.2),
   "+": ACTIONS.nearer, "=": ACTIONS.nearer, "-": ACTIONS.farther, 0: ACTIONS.whole,

@@ -37,6 +37,12 @@ export class CostMap {
     this.told.textContent = "";
   }
 
+  /** Say why there is none. @param {string} why */
+  refuse(why) {
+    this.clear();
+    this.told.textContent = why;
+  }
+
   /** @param {Grid} grid @param {ArrayLike<number>} cost row by row @param {string} unit */
   show(grid, cost, unit) {
     this.clear();
