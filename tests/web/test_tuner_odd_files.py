@@ -50,6 +50,25 @@ def kept(path: Path, values: Floats, rate_hz: float) -> None:
     write(path, Recording(values[:, np.newaxis], names=["load"], units=["N"], rate_hz=rate_hz))
 
 
+def test_a_file_without_times_is_opened_at_a_rate(look: Look, tmp_path: Path) -> None:
+    (tmp_path / "timeless.csv").write_text("load\n" + "0.5\n0.25\n" * 200, encoding="utf-8")
+    with tuner(tmp_path, str(tmp_path / "timeless.csv")) as alone:
+        visit = look(alone, "")
+        page = visit.page
+        page.locator("#trouble", has_text="the rate (Hz) below").wait_for()
+        page.locator("#rate").fill("50")
+        page.locator("#folder button", has_text="timeless.csv").click()
+        page.locator("#facts", has_text="400 rows at 50 Hz").wait_for()
+        assert page.locator("#files").is_hidden()
+        alone.kill()
+        page.wait_for_function("() => document.body.dataset.state === 'disconnected'")
+        alone.start_again()
+        page.locator("#trouble", has_text="the rate (Hz) below").wait_for(state="hidden")
+        page.wait_for_function("() => document.body.dataset.state === 'open' && becalm.desk.restoring === null")
+        assert page.locator("#facts").inner_text().startswith("timeless.csv: 400 rows at 50 Hz")
+        visit.forgive_silence()
+
+
 def test_a_map_of_too_few_readings_is_no_trouble(app: App, look: Look) -> None:
     page = look(app, "short.csv").page
     page.wait_for_function("() => document.querySelector('#map-says').innerText.startsWith('Too few readings')")

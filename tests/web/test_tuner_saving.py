@@ -15,6 +15,7 @@ import pytest
 from becalm.cleaning.recipe import Recipe
 from becalm.errors import OutputError
 from becalm.files import registry
+from becalm.files.asked import ReadOptions
 from becalm.files.writing import write
 from becalm.web.access import LOOPBACK
 from becalm.web.tuner import saving
@@ -74,6 +75,27 @@ def test_an_untouched_recipe_is_that_of_becalm_tune(tmp_path: Path) -> None:
         saved = client.get("/save/recipe").text
     becalm(tmp_path, "tune", "drive.csv", "-o", "R.toml")
     assert saved == (tmp_path / "R.toml").read_text()
+
+
+@pytest.mark.parametrize("said", ["on the page", "at the command line"])
+def test_a_file_without_times_has_the_rate_that_is_said(said: str, tmp_path: Path) -> None:
+    file = tmp_path / "timeless.csv"
+    file.write_text("ax\n" + "".join(f"{0.5 + value:.4f}\n" for value in drive().samples[:800, 0]), encoding="utf-8")
+    first = (file, ReadOptions(rate_hz=250.0)) if said == "at the command line" else (None, ReadOptions())
+    with served(tmp_path, *first) as tuner, tuner.client() as client:
+        with tuner.talk() as page:
+            if said == "on the page":
+                page.ask("open", file="folder/timeless.csv")
+                assert "the rate (Hz) below to count rows" in page.until("trouble").told["says"]
+                page.ask("open", file="folder/timeless.csv", rate_hz=250)
+            recording = page.until("recording").told
+            assert (recording["rate_hz"], recording["rate_said_hz"]) == (250.0, 250.0)
+            page.until("picture")
+        saved, clean = client.get("/save/recipe").text, client.get("/save/clean").content
+    becalm(tmp_path, "tune", "timeless.csv", "--rate", "250", "-o", "R.toml")
+    assert saved == (tmp_path / "R.toml").read_text()
+    becalm(tmp_path, "clean", "timeless.csv", "--recipe", "R.toml", "-o", "clean.csv")
+    assert clean == (tmp_path / "clean.csv").read_bytes()
 
 
 def test_what_cannot_be_saved_is_said_in_a_sentence(tmp_path: Path) -> None:

@@ -16,12 +16,14 @@ from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin
 
 from becalm.core.recording import Recording
+from becalm.files.asked import ReadOptions
 from becalm.files.writing import write
 from becalm.web.access import LOOPBACK, Access
 from becalm.web.frames import unframed
 from becalm.web.serving import Server, listen
 from becalm.web.site import Page, site
 from becalm.web.tuner import Tuner
+from becalm.web.tuner.opened import AS_IT_IS
 from served import HTML, LIMIT_BYTES, PATIENCE_S, TOKEN
 
 ROWS, RATE_HZ = 6000, 500.0
@@ -108,11 +110,11 @@ class Served(NamedTuple):
 
 
 @contextmanager
-def served(folder: Path, file: Path | None = None) -> Iterator[Served]:
+def served(folder: Path, file: Path | None = None, options: ReadOptions = AS_IT_IS) -> Iterator[Served]:
     """Serve the tuner."""
     listener = listen(LOOPBACK, 0)
     access = Access(LOOPBACK, listener.getsockname()[1], TOKEN)
-    tuner = Tuner(folder, file, LIMIT_BYTES)
+    tuner = Tuner(folder, file, LIMIT_BYTES, options)
     try:
         with Server(listener, site(Page(HTML, tuner.wire, tuner.routes), access)):
             yield Served(tuner, access, folder)

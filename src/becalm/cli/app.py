@@ -16,6 +16,7 @@ from typing import NamedTuple
 from becalm.cli.stopping import beside, stop_cleanly
 from becalm.cli.talk import stderr
 from becalm.errors import InputError, UsageError
+from becalm.files.asked import ReadOptions
 from becalm.web.extra import need_app
 
 DEFAULT_PORT = 8765
@@ -25,10 +26,11 @@ _SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP
 
 
 class Place(NamedTuple):
-    """Whose files may be opened, and which is opened first."""
+    """Whose files may be opened, which is opened first, and what was said of its time."""
 
     folder: Path
     file: Path | None
+    options: ReadOptions
 
 
 class Where(NamedTuple):
@@ -39,20 +41,24 @@ class Where(NamedTuple):
     token_file: Path | None
 
 
-def place_of(file: Path | None, folder: Path | None) -> Place:
+def place_of(file: Path | None, folder: Path | None, options: ReadOptions) -> Place:
     """Read which files a person wants to work on.
 
     Raises
     ------
     InputError
         If the file or the folder is not there.
+    UsageError
+        If the time of no file was told.
     """
+    if file is None and options != ReadOptions():
+        raise UsageError("--rate and --time are of a file; name it, or give its rate on the page.")
     if file is not None and not file.exists():
         raise InputError(f"{file} is not there; name a recording, or leave it out and choose one on the page.")
     chosen = folder or (Path() if file is None else file.parent)
     if not chosen.is_dir():
         raise InputError(f"{chosen} is no folder; name one with --folder.")
-    return Place(chosen, file)
+    return Place(chosen, file, options)
 
 
 def bytes_of(text: str) -> int:
@@ -87,7 +93,7 @@ def run(place: Place, where: Where, limit_bytes: int, *, browser: bool) -> None:
     token = token_of(where.token_file)
     with _listening(where) as listener:
         access = Access(where.host, listener.getsockname()[1], token)
-        tuner = Tuner(place.folder, place.file, limit_bytes)
+        tuner = Tuner(place.folder, place.file, limit_bytes, place.options)
         stopped = _hear_signals()
         try:
             with Server(listener, site(Page(html_of("tuner.html"), tuner.wire, tuner.routes), access)):

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from becalm.cli import options as o
+
 Opened = Annotated[Path | None, typer.Argument(metavar="FILE", help="Recording to begin with.")]
 Folder = Annotated[
     Path | None,
@@ -32,6 +34,8 @@ NoBrowser = Annotated[bool, typer.Option("--no-browser", help="Print the page's 
 
 def open_app(  # noqa: PLR0913  (the contract's options)
     file: Opened = None,
+    rate: o.Rate = None,
+    time: o.Time = None,
     folder: Folder = None,
     port: Port = None,
     host: Host = "127.0.0.1",
@@ -41,5 +45,11 @@ def open_app(  # noqa: PLR0913  (the contract's options)
 ) -> None:
     """Open a page: see raw and clean, turn one dial between noise and lag, save the recipe."""
     from becalm.cli.app import Where, bytes_of, place_of, run
+    from becalm.files.asked import ReadOptions
 
-    run(place_of(file, folder), Where(host, port, token_file), bytes_of(upload_limit), browser=not no_browser)
+    run(
+        place_of(file, folder, ReadOptions(time, rate)),
+        Where(host, port, token_file),
+        bytes_of(upload_limit),
+        browser=not no_browser,
+    )

@@ -13,10 +13,11 @@ from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket
 
 from becalm.errors import InputError, OutputError
+from becalm.files.asked import ReadOptions
 from becalm.web.site import as_file
 from becalm.web.tuner.conversation import Conversation
 from becalm.web.tuner.naming import stem_of
-from becalm.web.tuner.opened import Opened
+from becalm.web.tuner.opened import AS_IT_IS, Opened
 from becalm.web.tuner.saving import Job, Made, cleaned, reported
 from becalm.web.tuner.sharing import Shared
 
@@ -34,6 +35,8 @@ class Tuner:
         What is opened first, wherever it is.
     upload_limit : int
         Bytes of a file that a page may bring.
+    options : ReadOptions
+        What was said of the time of the file that is opened first.
 
     Attributes
     ----------
@@ -41,8 +44,8 @@ class Tuner:
         What is answered beside the page itself: uploads and downloads.
     """
 
-    def __init__(self, folder: Path, file: Path | None, upload_limit: int) -> None:
-        self._shared = Shared(folder, file, upload_limit)
+    def __init__(self, folder: Path, file: Path | None, upload_limit: int, options: ReadOptions = AS_IT_IS) -> None:
+        self._shared = Shared(folder, file, upload_limit, options)
         self._saving = asyncio.Semaphore(1)  # each save is a process of its own
         self.routes = [
             Route("/files/{name:path}", self._bring, methods=["PUT"]),

@@ -52,7 +52,7 @@ class Conversation:
             if self._shared.desk is not None:
                 await self.told_anew()
             elif (first := self._shared.first) is not None:
-                self._start(lambda: self._wire.guarded(lambda: self._open(first, None), None))
+                self._start(lambda: self._wire.guarded(lambda: self._open(first, None, None), None))
             while True:
                 frame = await self._websocket.receive()
                 if frame["type"] == "websocket.disconnect":
@@ -104,7 +104,7 @@ class Conversation:
     async def _do(self, message: messages.Message) -> None:
         match message:
             case messages.Open():
-                await self._open(message.file, message.group)
+                await self._open(message.file, message.group, message.rate_hz)
             case messages.ListFiles():
                 await self._wire.tell({"kind": "files", **await self._shared.in_thread(self._shared.files)})
             case messages.Look():
@@ -122,12 +122,12 @@ class Conversation:
             case _:
                 await self._change(message)
 
-    async def _open(self, file: str, group: str | None) -> None:
-        if self._shared.is_open(file, group):
+    async def _open(self, file: str, group: str | None, rate_hz: float | None) -> None:
+        if self._shared.is_open(file, group, rate_hz):
             await self.told_anew()
             return
         self._showing.wait()
-        await self._shared.open(file, group)
+        await self._shared.open(file, group, rate_hz)
         await self._shared.tell_all(Conversation.told_anew, self)
 
     async def _turn(self, message: messages.Turn) -> None:

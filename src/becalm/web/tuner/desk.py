@@ -175,6 +175,7 @@ class Desk:
             "groups": opened.groups,
             "rows": len(opened.recording),
             "rate_hz": opened.recording.rate_hz,
+            "rate_said_hz": opened.said.rate_hz,
             "lasts_s": opened.lasts_s,
             "mode": mode,
             "lag_s": lag_s,
@@ -219,7 +220,8 @@ class Desk:
         mode, lag_s, settings = now
         told = tuple(option.recipe(setting) for option, setting in zip(self._options_in(now), settings, strict=True))
         origin = self.opened.origin(self.opened.as_filter(mode, lag_s))
-        return Recipe(mode=mode, lag_s=lag_s, tuned_on=origin, channel=told)
+        said = self.opened.said
+        return Recipe(mode=mode, lag_s=lag_s, time=said.time, rate_hz=said.rate_hz, tuned_on=origin, channel=told)
 
     def _options_in(self, now: Doing) -> tuple[Options, ...]:
         return self.opened.options(self.opened.as_filter(now.mode, now.lag_s))

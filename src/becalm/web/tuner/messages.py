@@ -24,11 +24,15 @@ NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 
 class Open(Numbered):
-    """Open a file of the folder, or one that was uploaded; of a file with channels at several times, one of these."""
+    """Open a file of the folder, or one that was uploaded; of a file with channels at several times, one of these.
+
+    With a rate, rows are counted at it, whatever times the file tells.
+    """
 
     do: Literal["open"]
     file: Name
     group: Name | None = None
+    rate_hz: Positive | None = None
 
 
 class ListFiles(Numbered):

@@ -15,12 +15,16 @@ from becalm.cleaning.recipe import Origin
 from becalm.cleaning.tuning import Tuned, Wishes, explore, tuned_as_filter
 from becalm.core.arrays import Floats
 from becalm.errors import InputError, UsageError
+from becalm.files.asked import ReadOptions
 from becalm.files.every_time import open_file
 from becalm.files.opening import OpenSource
 from becalm.files.portions import rows_to_tune_on
 from becalm.web.tuner.settings import Options
 
 Progress = Callable[[str], None]
+
+AS_IT_IS = ReadOptions()
+"""Of a file that tells its times."""
 
 MOST_SAMPLES = 1 << 28
 """Samples whose readings are held, 2 GiB; of each channel that is looked at two copies more."""
@@ -39,6 +43,8 @@ class Opened:
         Of a file with channels at several times, which of them; None takes the first.
     progress : callable
         Told what is being done, in a sentence.
+    said : ReadOptions
+        What a person said of its time.
 
     Attributes
     ----------
@@ -56,14 +62,16 @@ class Opened:
     InputError
         If it cannot be read, or is too large.
     UsageError
-        If there is no such group.
+        If there is no such group, or the options do not fit the file.
     """
 
-    def __init__(self, id: str, path: Path, group: str | None, progress: Progress) -> None:
-        self.id, self.path, self._progress = id, path, progress
+    def __init__(
+        self, id: str, path: Path, group: str | None, progress: Progress, said: ReadOptions = AS_IT_IS
+    ) -> None:
+        self.id, self.path, self._progress, self.said = id, path, progress, said
         progress(f"Reading {path.name} ...")
         self._stamps = _stamps(path)
-        with open_file(path) as opened:
+        with open_file(path, said) as opened:
             source = _chosen(opened.sources, group)
             self.groups = [one.group for one in opened.sources]
             if source.rows * len(source.names) > MOST_SAMPLES:

@@ -11,11 +11,12 @@ from typing import Any, TypeVar
 
 from becalm.core.itself import version
 from becalm.errors import BecalmError, InputError, UsageError
+from becalm.files.asked import ReadOptions
 from becalm.files.registry import endings_here
 from becalm.web.tuner.conversation import Conversation, Telling
 from becalm.web.tuner.desk import Desk
 from becalm.web.tuner.folder import READ_ENDINGS, Folder
-from becalm.web.tuner.opened import Opened
+from becalm.web.tuner.opened import AS_IT_IS, Opened
 from becalm.web.uploads import Uploads
 
 _HALVES, _WORKERS = 2, 6
@@ -34,9 +35,12 @@ class Shared:
         What is opened first.
     upload_limit : int
         Bytes of a file that a page may bring.
+    options : ReadOptions
+        What was said of the time of the file that is opened first.
     """
 
-    def __init__(self, folder: Path, file: Path | None, upload_limit: int) -> None:
+    def __init__(self, folder: Path, file: Path | None, upload_limit: int, options: ReadOptions = AS_IT_IS) -> None:
+        self._options = options
         self.folder = Folder(folder, file)
         self.uploads = Uploads(upload_limit)
         self.halves = ThreadPoolExecutor(_HALVES, thread_name_prefix="becalm-half")
@@ -72,9 +76,11 @@ class Shared:
             "formats": list(READ_ENDINGS),
         }
 
-    def is_open(self, file: str, group: str | None) -> bool:
+    def is_open(self, file: str, group: str | None, rate_hz: float | None) -> bool:
         """Whether a file is the one that is open, unchanged since it was read, or deleted since."""
         if self.desk is None or self.desk.opened.id != file or group not in (None, self.desk.opened.group):
+            return False
+        if rate_hz not in (None, self.desk.opened.said.rate_hz):
             return False
         try:
             path = self.folder.path_of(file)
@@ -82,7 +88,7 @@ class Shared:
             return True
         return self.desk.opened.is_unchanged(path)
 
-    async def open(self, file: str, group: str | None) -> None:
+    async def open(self, file: str, group: str | None, rate_hz: float | None = None) -> None:
         """Open a file in the place of what is open; what is open stays where it cannot be read.
 
         Raises
@@ -90,7 +96,7 @@ class Shared:
         BecalmError
             If it cannot be read.
         """
-        opening = asyncio.create_task(self._open(file, group))
+        opening = asyncio.create_task(self._open(file, group, rate_hz))
         self._openings.add(opening)  # which goes on where the page that asked is reloaded: it will ask again
         opening.add_done_callback(self._opened)
         await asyncio.shield(opening)
@@ -100,10 +106,13 @@ class Shared:
         if not opening.cancelled():
             opening.exception()  # whoever asks again is told; asyncio need not complain that nobody looked
 
-    async def _open(self, file: str, group: str | None) -> None:
+    async def _open(self, file: str, group: str | None, rate_hz: float | None) -> None:
         async with self._opening:
-            if self.is_open(file, group):
+            if self.is_open(file, group, rate_hz):
                 return  # another page asked for it as well
+            options = self._options if file == self.first else AS_IT_IS
+            if rate_hz is not None:
+                options = ReadOptions(rate_hz=rate_hz)
             path, loop = self.folder.path_of(file), asyncio.get_running_loop()
 
             def tell(says: str) -> None:
@@ -111,10 +120,11 @@ class Shared:
 
             def begin() -> Desk:
                 try:
-                    desk = Desk(Opened(file, path, group, tell))
+                    desk = Desk(Opened(file, path, group, tell, options))
                     desk.begin()
-                except BecalmError as cause:  # a page knows files by name
-                    raise type(cause)(str(cause).replace(str(path), path.name)) from cause
+                except BecalmError as cause:  # a page knows files by name, and has a field for their rate
+                    said = str(cause).replace(str(path), path.name).replace("--rate HZ", "the rate (Hz) below")
+                    raise type(cause)(said) from cause
                 return desk
 
             try:

@@ -17,6 +17,7 @@ export class Files {
     this.place = find("files", HTMLElement);
     this.button = find("show-files", HTMLButtonElement);
     this.chosen = find("chosen", HTMLInputElement);
+    this.rate = find("rate", HTMLInputElement);
     this.button.addEventListener("click", () => this.show(this.place.hidden));
     this.chosen.addEventListener("change", () => {
       const [file] = this.chosen.files ?? [];
@@ -35,6 +36,11 @@ export class Files {
       const [file] = event.dataTransfer?.files ?? [];
       if (file) brought(file);
     });
+  }
+
+  /** Readings a second, of a file that does not tell its times. @returns {number | null} */
+  get rate_hz() {
+    return Number(this.rate.value) || null;
   }
 
   /** @param {boolean} on */

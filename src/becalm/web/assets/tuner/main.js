@@ -17,7 +17,7 @@ import { Tabs } from "./tabs.js";
 /**
  * @typedef {import("./choices.js").Channel} Channel
  * @typedef {import("./choices.js").Settings} Settings
- * @typedef {{ file: string, group: string, groups: string[], name: string, rows: number, rate_hz: number, lasts_s: number, mode: string, lag_s: number | null,
+ * @typedef {{ file: string, group: string, groups: string[], name: string, rows: number, rate_hz: number, rate_said_hz: number | null, lasts_s: number, mode: string, lag_s: number | null,
  *   channels: Channel[], classics: string[], remarks: string[], command: string }} Recording
  * @typedef {{ mode: string, lag_s: number | null, can_undo: boolean, can_redo: boolean, recipe: string, turned: number, channels: Settings[],
  *   classics?: string[] }} State
@@ -80,16 +80,16 @@ function look(from, to) {
 function open(file) {
   desk.brought = null;
   desk.opening = true;
-  want({ do: "open", file });
+  want({ do: "open", file, rate_hz: files.rate_hz });
 }
 
-/** Send a file that was dropped or chosen, and open it. @param {File} file @param {string} [group] */
-async function bring(file, group) {
+/** Send a file that was dropped or chosen, and open it. @param {File} file @param {string} [group] @param {number | null} [rate_hz] */
+async function bring(file, group, rate_hz = files.rate_hz) {
   await during(`Sending ${file.name} …`, async () => {
     const id = await upload(file);
     desk.brought = file;
     desk.opening = true;
-    send({ do: "open", file: id, group });
+    send({ do: "open", file: id, group, rate_hz });
   });
 }
 
@@ -126,6 +126,7 @@ function hear(message) {
     say(words.working, "");
     if (message.answers !== null && message.answers === desk.mapAsked) map.refuse(message.says); // nobody asked for it
     else say(words.trouble, message.says);
+    if (!desk.recording) files.show(true); // to choose another one, or give a rate
     desk.opening = false;
     choices.forgetLag();
     asking.heard(message.answers);
@@ -150,9 +151,9 @@ function welcomed(welcome) {
   desk.restoring = again && !here ? desk.state?.recipe ?? null : null;
   if (!open) files.show(!welcome.file);
   else if (here) return; // only the wire broke: what is open is told
-  else if (welcome.file === open && desk.recording?.groups.length === 1) return;
-  else if (desk.brought && !welcome.files.some((/** @type {{ id: string }} */ one) => one.id === open)) bring(desk.brought, desk.recording?.group);
-  else send({ do: "open", file: open, group: desk.recording?.group });
+  else if (welcome.file === open && desk.recording?.groups.length === 1 && !desk.recording.rate_said_hz) return;
+  else if (desk.brought && !welcome.files.some((/** @type {{ id: string }} */ one) => one.id === open)) bring(desk.brought, desk.recording?.group, desk.recording?.rate_said_hz);
+  else send({ do: "open", file: open, group: desk.recording?.group, rate_hz: desk.recording?.rate_said_hz });
 }
 
 /** @param {Recording} recording */
@@ -165,6 +166,7 @@ function opened(recording) {
   say(words.working, "");
   say(words.trouble, "");
   say(words.remarks, recording.remarks.join(" "));
+  files.rate.value = "";
   document.title = `${recording.name} - becalm`;
   find("facts", HTMLElement).textContent = `${recording.name}: ${recording.rows.toLocaleString("en")} rows at ${amount(recording.rate_hz, "Hz")}, ${amount(recording.lasts_s, "s")}`;
   find("command", HTMLElement).textContent = recording.command;
@@ -316,7 +318,7 @@ const ACTIONS = {
 };
 for (const [id, action] of Object.entries(ACTIONS)) find(id, HTMLButtonElement).addEventListener("click", action);
 find("copy", HTMLElement).hidden = !navigator.clipboard;
-group.addEventListener("change", () => want({ do: "open", file: desk.recording?.file, group: group.value }));
+group.addEventListener("change", () => want({ do: "open", file: desk.recording?.file, group: group.value, rate_hz: desk.recording?.rate_said_hz }));
 classic.addEventListener("change", () => want({ do: "compare", channel: desk.channel, classic: classic.value || null }));
 hearKeys({
   ArrowLeft: () => plot.pan(-0.2), ArrowRight: () => plot.pan(0.2),
