@@ -65,6 +65,22 @@ def test_why_a_page_is_refused_is_told(tmp_path: Path, look: Look) -> None:
         page.locator("#link", has_text="Too many look on. Trying again in").wait_for()
 
 
+def test_a_list_of_files_that_was_asked_for_stays_where_another_page_opens_one(tmp_path: Path, look: Look) -> None:
+    drive(tmp_path / "first.parquet")
+    drive(tmp_path / "second.parquet")
+    with tuner(tmp_path) as app:
+        one, other = look(app, "first.parquet"), look(app, "first.parquet")
+        one.page.keyboard.press("o")
+        listed = one.page.locator("#folder button", has_text="first.parquet")
+        listed.wait_for()
+        other.open_file(app, "second.parquet")
+        one.opened("second.parquet")
+        assert listed.is_visible()
+        listed.click()
+        one.opened("first.parquet")
+        assert not listed.is_visible()
+
+
 def test_a_dial_is_not_turned_back_by_what_was_told_before(tmp_path: Path, look: Look) -> None:
     drive(tmp_path / "drive.parquet")
     held: list[str | bytes] = []

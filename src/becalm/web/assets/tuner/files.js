@@ -14,11 +14,12 @@ export class Files {
     this.opened = opened;
     this.wanted = wanted;
     this.told = ""; // which files are listed
+    this.held = false; // a person has opened it
     this.place = find("files", HTMLElement);
     this.button = find("show-files", HTMLButtonElement);
     this.chosen = find("chosen", HTMLInputElement);
     this.rate = find("rate", HTMLInputElement);
-    this.button.addEventListener("click", () => this.show(this.place.hidden));
+    this.button.addEventListener("click", () => this.show(this.place.hidden, true));
     this.chosen.addEventListener("change", () => {
       const [file] = this.chosen.files ?? [];
       this.chosen.value = "";
@@ -43,8 +44,14 @@ export class Files {
     return Number(this.rate.value) || null;
   }
 
-  /** @param {boolean} on */
-  show(on) {
+  /** Open or close unless a person has opened it: theirs stays until they choose. @param {boolean} on */
+  suggest(on) {
+    if (!this.held) this.show(on);
+  }
+
+  /** @param {boolean} on @param {boolean} [held] until a person closes it, or chooses */
+  show(on, held = false) {
+    this.held = on && held;
     if (on && this.place.hidden) this.wanted();
     if (!on && this.place.contains(document.activeElement)) this.button.focus({ preventScroll: true }); // what goes keeps no focus
     this.place.hidden = !on;

@@ -126,7 +126,7 @@ function hear(message) {
     say(words.working, "");
     if (message.answers !== null && message.answers === desk.mapAsked) map.refuse(message.says); // nobody asked for it
     else say(words.trouble, message.says);
-    if (!desk.recording) files.show(true); // to choose another one, or give a rate
+    if (!desk.recording) files.suggest(true); // to choose another one, or give a rate
     desk.opening = false;
     choices.forgetLag();
     asking.heard(message.answers);
@@ -149,7 +149,7 @@ function welcomed(welcome) {
   const [here, again] = [welcome.run === desk.run, Boolean(desk.run)];
   desk.run = welcome.run;
   desk.restoring = again && !here ? desk.state?.recipe ?? null : null;
-  if (!open) files.show(!welcome.file);
+  if (!open) files.suggest(!welcome.file);
   else if (here) return; // only the wire broke: what is open is told
   else if (welcome.file === open && desk.recording?.groups.length === 1 && !desk.recording.rate_said_hz) return;
   else if (desk.brought && !welcome.files.some((/** @type {{ id: string }} */ one) => one.id === open)) bring(desk.brought, desk.recording?.group, desk.recording?.rate_said_hz);
@@ -173,7 +173,8 @@ function opened(recording) {
   find("typed", HTMLElement).hidden = !recording.command; // of a name that cannot be typed
   find("desk", HTMLElement).hidden = false;
   find("actions", HTMLElement).hidden = false;
-  if (desk.opening || !again) files.show(false);
+  if (desk.opening) files.show(false);
+  else if (!again) files.suggest(false);
   desk.opening = false;
   fill(group, recording.groups, recording.group);
   group.hidden = recording.groups.length < 2;
@@ -324,7 +325,7 @@ hearKeys({
   ArrowLeft: () => plot.pan(-0.2), ArrowRight: () => plot.pan(0.2),
   "+": ACTIONS.nearer, "=": ACTIONS.nearer, "-": ACTIONS.farther, 0: ACTIONS.whole,
   "[": () => dial.step(-1), "]": () => dial.step(1),
-  z: ACTIONS.undo, "Shift+z": ACTIONS.redo, o: () => files.show(true), Escape: () => files.show(!desk.recording), s: ACTIONS["save-recipe"],
+  z: ACTIONS.undo, "Shift+z": ACTIONS.redo, o: () => files.show(true, true), Escape: () => files.show(!desk.recording), s: ACTIONS["save-recipe"],
 }, (channel) => choose(channel));
 readColours();
 onTheme(() => {
