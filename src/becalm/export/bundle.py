@@ -1,0 +1,205 @@
+"""All that is written for a recipe, as texts by their paths: filters, vectors, what runs them, and how to read them."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from becalm.cleaning.recipe import ChannelRecipe, Recipe
+from becalm.core.arrays import Floats
+from becalm.core.itself import version
+from becalm.errors import RecipeError, UsageError
+from becalm.export.design import Design, design_of
+from becalm.export.facts import facts_of
+from becalm.export.kind import Kind
+from becalm.export.kinds import kind_of
+from becalm.export.naming import comment, identifier, identifiers
+from becalm.export.number_type import Precision
+from becalm.export.templates import render
+from becalm.export.vector_text import vector_texts
+from becalm.export.vectors import Vector, golden_vectors
+from becalm.export.written import Written, words_of
+
+_HIGHEST_UHZ = (1 << 62) - 1
+
+
+class Asked(NamedTuple):
+    """What a person asks for.
+
+    Attributes
+    ----------
+    precision : {"float32", "float64", "q31"}
+        What filters compute in.
+    gain : {"auto", "settled", "full"}
+        Whether a covariance is carried; "auto" carries one where the recipe needs it.
+    channels : tuple of str or None
+        Which of the recipe; None for all that are filtered.
+    span : (float, float) or None
+        Least and greatest reading, in unit; None takes the rails of the recipe, where it has some.
+    recorded : mapping of str to (N,) float array
+        Readings of a real recording, by channel, in unit.
+    """
+
+    precision: Precision = "float32"
+    gain: str = "auto"
+    channels: tuple[str, ...] | None = None
+    span: tuple[float, float] | None = None
+    recorded: Mapping[str, Floats] = {}  # noqa: RUF012  (never changed)
+
+
+class Exported(NamedTuple):
+    """One channel that was written."""
+
+    name: str
+    prefix: str
+    design: Design
+    kind: Kind
+    written: Written
+    vectors: list[Vector]
+
+
+class Bundle(NamedTuple):
+    """All that is written.
+
+    Attributes
+    ----------
+    stem : str
+        What files and names begin with.
+    files : dict of str to str
+        Texts by their paths.
+    channels : list of Exported
+        In the order of the recipe.
+    notes : list of str
+        What a person should know.
+    """
+
+    stem: str
+    files: dict[str, str]
+    channels: list[Exported]
+    notes: list[str]
+
+
+def bundle_of(recipe: Recipe, name: str, asked: Asked) -> Bundle:
+    """Write a recipe's filters as C.
+
+    Parameters
+    ----------
+    recipe : Recipe
+        What was decided for each channel.
+    name : str
+        What a person calls it; file names follow from it.
+    asked : Asked
+        What a person asks for.
+
+    Raises
+    ------
+    RecipeError
+        If its numbers make no filter, or one that this precision cannot hold.
+    UsageError
+        If a channel is not in the recipe.
+    """
+    step_s, stem = 1 / recipe.nominal_rate_hz, identifier(name, "filters")
+    chosen, notes = _chosen(recipe, asked, step_s)
+    prefixes = identifiers((f"{stem}_{channel.name}" for channel, _ in chosen), stem)
+    channels = [
+        _exported(recipe, channel, design, prefix, asked)
+        for (channel, design), prefix in zip(chosen, prefixes, strict=True)
+    ]
+    return Bundle(stem, _files(recipe, name, stem, asked, channels, notes), channels, notes)
+
+
+def _chosen(recipe: Recipe, asked: Asked, step_s: float) -> tuple[list[tuple[ChannelRecipe, Design]], list[str]]:
+    """Return the channels to write, and what is to be said of the recipe."""
+    names = [channel.name for channel in recipe.channel]
+    if missing := [name for name in asked.channels or () if name not in names]:
+        raise UsageError(f"The recipe has no channel {missing[0]!r}; it has {', '.join(names)}.")
+    notes, found = [], []
+    if recipe.mode != "causal":
+        notes.append(
+            f"The recipe is {recipe.mode}, and a controller has only the past: written is the causal filter, as in"
+            " becalm live. For one that was tuned to be causal: becalm tune FILE --causal."
+        )
+    for channel in recipe.channel:
+        if asked.channels is not None and channel.name not in asked.channels:
+            continue
+        design = design_of(channel, step_s)
+        if design is None:
+            notes.append(f"{channel.name} passes unchanged, and is left out.")
+        else:
+            found.append((channel, design))
+    if not found:
+        raise RecipeError("No channel of the recipe is filtered, so that there is nothing to export.")
+    return found, notes
+
+
+def _exported(recipe: Recipe, channel: ChannelRecipe, design: Design, prefix: str, asked: Asked) -> Exported:
+    kind = kind_of(design, asked.precision, asked.gain)
+    span = asked.span or (design.limits.rails if np.isfinite(design.limits.rails).all() else None)
+    written = kind.write(design, prefix, span)
+    opened = partial(kind.reference, channel, design, written)
+
+    def rounded(readings: Floats) -> Floats:
+        return kind.in_unit(kind.raw(readings, written), written)
+
+    vectors = golden_vectors(design, rounded, opened, asked.recorded.get(channel.name))
+    return Exported(channel.name, prefix, design, kind, written, vectors)
+
+
+def _files(  # noqa: PLR0913
+    recipe: Recipe, name: str, stem: str, asked: Asked, channels: Sequence[Exported], notes: Sequence[str]
+) -> dict[str, str]:
+    context = _context(recipe, name, stem, asked, channels, notes)
+    vectors = render("vectors.h.jinja", context)
+    context["vectors_hash"] = hashlib.sha256(vectors.encode()).hexdigest()
+    made = {
+        "becalm.h": "becalm.h.jinja",
+        f"{stem}.h": "header.h.jinja",
+        f"{stem}.c": "source.c.jinja",
+        "main.c": "main.c.jinja",
+        "Makefile": "Makefile.jinja",
+        "README.md": "README.md.jinja",
+    }
+    return {f"{stem}_vectors.h": vectors} | {path: render(template, context) for path, template in made.items()}
+
+
+def _context(  # noqa: PLR0913
+    recipe: Recipe, name: str, stem: str, asked: Asked, channels: Sequence[Exported], notes: Sequence[str]
+) -> dict[str, Any]:
+    rate_hz = recipe.nominal_rate_hz
+    return {
+        "title": comment(name),
+        "recipe_name": comment(name),
+        "stem": stem,
+        "guard": stem.upper(),
+        "version": version(),
+        "recipe_hash": hashlib.sha256(recipe.to_toml().encode()).hexdigest(),
+        "rate_hz": f"{rate_hz:.9g}",
+        "step_s": f"{1 / rate_hz:.9g}",
+        "rate_uhz": f"{min(round(rate_hz * 1e6), _HIGHEST_UHZ)}ULL" if rate_hz * 1e6 > 4e9 else f"{round(rate_hz * 1e6)}UL",
+        "precision": asked.precision,
+        "notes": [comment(note) for note in notes],
+        "reals": channels[0].kind.words,
+        "most_power": channels[0].kind.most_power,
+        "channels": [_channel(one, recipe) for one in channels],
+    }
+
+
+def _channel(one: Exported, recipe: Recipe) -> dict[str, Any]:
+    (told,) = (channel for channel in recipe.channel if channel.name == one.name)
+    return {
+        **words_of(one.design, one.prefix, one.kind.number),
+        "title": comment(f"{one.name}, {one.design.unit}" if one.design.unit else one.name),
+        "facts": [comment(fact) for fact in facts_of(told, one.design, one.written)],
+        "header": one.written.header,
+        "source": one.written.source,
+        "state_bytes": one.written.state_bytes,
+        "table_bytes": one.written.table_bytes,
+        "cost": one.written.cost,
+        "bits": one.kind.bits,
+        "told": one.kind.told,
+        "vectors": vector_texts(one.vectors, one.kind, one.written),
+    }

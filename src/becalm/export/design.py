@@ -1,0 +1,170 @@
+"""A channel's filter as numbers that another language needs: gains found beforehand, nothing left to decide.
+
+In steps and in the channel's unit; covariances in parts of R, the variance of a reading's noise. The filter carries the
+*predicted* state, so that a settled row is y = C p + k nu and p = F p + F K nu, with nu = z - H p.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from becalm.cleaning.faults import limits_of
+from becalm.cleaning.filters import Filter
+from becalm.cleaning.recipe import ChannelRecipe
+from becalm.core.arrays import Floats
+from becalm.core.gains import Opening, open_at
+from becalm.core.gates import Gate
+from becalm.core.limits import Limits
+from becalm.core.model import Model
+from becalm.core.possible import largest_beside
+from becalm.core.response import Response, describe
+from becalm.core.steady import rows_until, steady
+from becalm.core.steady_filter import SteadyFilter
+from becalm.core.switching import Switching
+from becalm.errors import ModelError
+
+_COUNTABLE = (1 << 32) - 1
+_UNMOVED = 1e-8  # of a state: its square is what is left of a covariance, and less than float64 holds beside it
+_MOST_COASTED = (1 << 16) - 2  # rows, which two bytes count
+
+
+@dataclass(frozen=True)
+class Design:
+    """The filter of one channel.
+
+    Attributes
+    ----------
+    name, unit : str
+        As in the recipe.
+    step_s : float
+        One step, in seconds.
+    model : Model
+        Of one channel, one step a reading.
+    output : (n,) float array
+        C, what of the state is signal: H without disturbances.
+    limits : Limits
+        What readings keep to.
+    gate : Gate or None
+        What leaves spikes out.
+    modes : Switching or None
+        The bank, where the recipe switches; `model` is then that of its richest mode.
+    longest_gap : int
+        Steps across which a filter with a covariance is carried; the largest number for any.
+    """
+
+    name: str
+    unit: str
+    step_s: float
+    model: Model
+    output: Floats
+    limits: Limits
+    gate: Gate | None
+    modes: Switching | None
+    longest_gap: int
+
+    @property
+    def states(self) -> int:
+        """Number of states, n."""
+        return self.model.states
+
+    @property
+    def noise_variance(self) -> float:
+        """R, in unit^2; of a bank the least of its modes."""
+        return self.modes.least_noise_variance if self.modes else float(self.model.R[0, 0])
+
+    @property
+    def noise_std(self) -> float:
+        """Standard deviation of a reading's noise, in unit."""
+        return float(np.sqrt(self.noise_variance))
+
+    @property
+    def largest(self) -> float:
+        """Magnitude beyond which a value is no reading, in unit."""
+        return min(self.limits.largest, largest_beside(self.noise_variance))
+
+    @cached_property
+    def opening(self) -> Opening:
+        """How the first readings tell the state."""
+        return open_at(self.model)
+
+    @cached_property
+    def steady(self) -> SteadyFilter | None:
+        """The filter once its gain has settled; None of one that never forgets its start."""
+        try:
+            found = steady(self.model, self.output)
+        except ModelError:
+            return None
+        forgets = bool(abs(found.poles[0]) < 1 - 1e-13) and found.model.states == self.states
+        return found if forgets else None
+
+    @cached_property
+    def response(self) -> Response | None:
+        """The settled filter in an engineer's words; None of one that never settles, or of a bank."""
+        if self.steady is None or self.modes is not None:
+            return None
+        return describe(self.model, self.step_s, causal=True, output=self.output)
+
+    @property
+    def settled_std(self) -> float:
+        """Standard deviation of the settled signal's error where the model holds, in unit; inf where there is none."""
+        return float(np.sqrt(self.steady.error_variance())) if self.steady else np.inf
+
+    @cached_property
+    def settled_rows(self) -> int:
+        """Complete rows after which a gain is what it will be to the last digit; the largest number for never."""
+        rows = rows_until(_UNMOVED, self.model) if self.steady else np.inf
+        return int(min(np.ceil(1.1 * rows) + 32, _COUNTABLE)) if np.isfinite(rows) else _COUNTABLE
+
+    @cached_property
+    def coasts(self) -> int:
+        """Rows without a reading after which what is predicted is worth less than one reading; 1 at the least.
+
+        A settled gain is that of an undisturbed row; beyond so many rows it is better to begin anew.
+        """
+        if self.steady is None:
+            return _MOST_COASTED
+        P, F, H = self.steady.predicted_cov, self.model.F, self.model.H
+        Q, R = self.model.process_covariance, float(self.model.R[0, 0])
+        worth, rows = max(R, 2 * float((H @ P @ H.T)[0, 0])), 0
+        P_plus = P - self.steady.gain @ (H @ P)
+        while rows < _MOST_COASTED:
+            P_plus = F @ P_plus @ F.T + Q
+            if float((H @ P_plus @ H.T)[0, 0]) > worth:
+                break
+            rows += 1
+        return max(rows, 1)
+
+
+def design_of(recipe: ChannelRecipe, step_s: float) -> Design | None:
+    """Return the filter of a channel; None of one that passes unchanged.
+
+    Parameters
+    ----------
+    recipe : ChannelRecipe
+        In seconds and units.
+    step_s : float
+        One step, in seconds.
+
+    Raises
+    ------
+    RecipeError
+        If its numbers make no filter at this step.
+    """
+    if recipe.motion is None:
+        return None
+    runs = Filter(recipe, step_s, 0)
+    component = runs.modes.component if runs.modes else runs.tuning.component
+    return Design(
+        recipe.name,
+        recipe.unit,
+        step_s,
+        component.to_model(1.0, runs.noise_variance),
+        component.signal_output[0],
+        limits_of(recipe.limits),
+        runs.gate,
+        runs.modes,
+        int(min(runs.reach.longest, _COUNTABLE)),
+    )

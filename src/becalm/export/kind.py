@@ -1,0 +1,127 @@
+"""What a kind of exported filter is: how it is written, what it is held against, and what it may be off by."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from becalm.cleaning.recipe import ChannelRecipe
+from becalm.core.arrays import Floats
+from becalm.export.design import Design
+from becalm.export.number_type import NumberType
+from becalm.export.vectors import Reference, Vector
+from becalm.export.written import Written
+
+Span = tuple[float, float]
+
+Raw = NDArray[np.generic]
+"""Numbers of whatever type C takes."""
+
+_SAME, _NEAR = 1e-12, 1e-5  # of the largest signal
+_DECIBELS_120 = 1e-12
+
+
+class Kind(Protocol):
+    """How a channel is written, and held against becalm."""
+
+    @property
+    def number(self) -> NumberType:
+        """What it computes in."""
+        ...
+
+    @property
+    def words(self) -> str:
+        """What readings are in a file, in words."""
+        ...
+
+    @property
+    def bits(self) -> str:
+        """Type of C that has as many bits as a reading."""
+        ...
+
+    @property
+    def told(self) -> str:
+        """Type of C that holds an expected signal."""
+        ...
+
+    @property
+    def most_power(self) -> str:
+        """What the power of the difference may be, in parts of that of the signal; a literal of C."""
+        ...
+
+    def write(self, design: Design, prefix: str, span: Span | None) -> Written:
+        """Write a filter; `span` is the least and the greatest reading, in unit."""
+        ...
+
+    def reference(self, recipe: ChannelRecipe, design: Design, written: Written) -> Reference:
+        """Return what it is held against, at the start."""
+        ...
+
+    def raw(self, readings: Floats, written: Written) -> Raw:
+        """Return readings (N,) in unit, NaN where missing, as numbers that C is given."""
+        ...
+
+    def in_unit(self, raw: Raw, written: Written) -> Floats:
+        """Return numbers (N,) that C was given, or told, in unit; NaN for a missing reading."""
+        ...
+
+    def counts(self, signal: Floats, written: Written) -> Floats:
+        """Return a signal (N,), in unit, in what C tells it in, not rounded."""
+        ...
+
+    def most_error(self, vector: Vector, written: Written) -> float:
+        """Return what a signal may be off by, in what C tells it in."""
+        ...
+
+
+@dataclass(frozen=True)
+class Floating:
+    """What filters in floating point have in common.
+
+    Attributes
+    ----------
+    number : NumberType
+        What they compute in.
+    """
+
+    number: NumberType
+
+    @property
+    def words(self) -> str:
+        """What readings are in a file, in words."""
+        return f"{self.number.name}s"
+
+    @property
+    def bits(self) -> str:
+        """Type of C that has as many bits as a reading."""
+        return "uint64_t" if self.number.is_double else "uint32_t"
+
+    @property
+    def told(self) -> str:
+        """Type of C that holds an expected signal."""
+        return "double"
+
+    @property
+    def most_power(self) -> str:
+        """What the power of the difference may be, in parts of that of the signal."""
+        return f"{_SAME**2 if self.number.is_double else _DECIBELS_120:.0e}"
+
+    def raw(self, readings: Floats, written: Written) -> Raw:
+        """Return readings (N,) as numbers that C is given."""
+        with np.errstate(over="ignore"):
+            return readings.astype(self.number.dtype)
+
+    def in_unit(self, raw: Raw, written: Written) -> Floats:
+        """Return numbers (N,) that C was given, or told, in unit."""
+        return raw.astype(np.float64)
+
+    def counts(self, signal: Floats, written: Written) -> Floats:
+        """Return a signal (N,) in what C tells it in: its unit."""
+        return signal
+
+    def most_error(self, vector: Vector, written: Written) -> float:
+        """Return what a signal may be off by, in what C tells it in."""
+        return (_SAME if self.number.is_double else _NEAR) * float(np.abs(vector.signal).max())

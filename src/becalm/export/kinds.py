@@ -1,0 +1,63 @@
+"""Which kind of filter a channel is written as."""
+
+from __future__ import annotations
+
+from typing import get_args
+
+from becalm.errors import RecipeError, UsageError
+from becalm.export.bank_kind import Bank
+from becalm.export.design import Design
+from becalm.export.fixed_kind import Fixed
+from becalm.export.full_kind import Full
+from becalm.export.kind import Kind
+from becalm.export.number_type import DOUBLE, FLOAT, Precision
+from becalm.export.settled_kind import Settled
+
+GAINS = ("auto", "settled", "full")
+
+
+def kind_of(design: Design, precision: Precision, gain: str) -> Kind:
+    """Choose how a channel is written.
+
+    Parameters
+    ----------
+    design : Design
+        Its filter.
+    precision : {"float32", "float64", "q31"}
+        What it computes in.
+    gain : {"auto", "settled", "full"}
+        Whether a covariance is carried; "auto" carries one where the recipe needs it.
+
+    Raises
+    ------
+    RecipeError
+        If the recipe needs what this precision, or this gain, cannot do.
+    UsageError
+        If there is no such precision, or gain.
+    """
+    if precision not in get_args(Precision):
+        raise UsageError(f"There is no precision {precision!r}; write float32, float64 or q31.")
+    if gain not in GAINS:
+        raise UsageError(f"There is no gain {gain!r}; write auto, settled or full.")
+    needs = _needs(design)
+    if precision == "q31":
+        if needs or gain == "full":
+            raise RecipeError(f"{design.name} {needs or 'is to carry'} a covariance, and q31 has none; use float32.")
+        return Fixed()
+    number = DOUBLE if precision == "float64" else FLOAT
+    if design.modes is not None:
+        return Bank(number)
+    if gain == "settled" and design.gate is not None:
+        raise RecipeError(
+            f"{design.name} {needs} a covariance; leave --gain settled out, or take [channel.gate] out of the recipe."
+        )
+    return Full(number) if needs or gain == "full" else Settled(number)
+
+
+def _needs(design: Design) -> str:
+    """Say why a channel needs a covariance; nothing where it needs none."""
+    if design.modes is not None:
+        return "switches between modes, which needs"
+    if design.gate is not None:
+        return "has a gate, which needs"
+    return "" if design.steady is not None else "never settles, which needs"

@@ -1,0 +1,40 @@
+"""Names of C for what people call a recording and its channels."""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from collections.abc import Iterable
+
+_KEYWORDS = frozenset(
+    "auto break case char const continue default do double else enum extern float for goto if inline int long register"
+    " restrict return short signed sizeof static struct switch typedef union unsigned void volatile while bool true"
+    " false asm main becalm".split()
+)
+_LONGEST = 40
+
+
+def identifier(text: str, otherwise: str) -> str:
+    """Return a name that C takes, as near to a person's as can be; accents are left out, the rest becomes `_`."""
+    plain = unicodedata.normalize("NFKD", text.replace("µ", "u")).encode("ascii", "ignore").decode()
+    name = re.sub(r"[^A-Za-z0-9]+", "_", plain).strip("_").lower()[:_LONGEST].rstrip("_")
+    if not name:
+        return otherwise
+    return f"_{name}".replace("_", f"{otherwise}_", 1) if name[0].isdigit() or name in _KEYWORDS else name
+
+
+def identifiers(texts: Iterable[str], otherwise: str) -> list[str]:
+    """Return different names for all of them."""
+    taken: list[str] = []
+    for number, text in enumerate(texts):
+        wanted = name = identifier(text, f"{otherwise}_{number + 1}")
+        again = 2
+        while name in taken:
+            name, again = f"{wanted}_{again}", again + 1
+        taken.append(name)
+    return taken
+
+
+def comment(text: str) -> str:
+    """Return text that may stand in a comment of C: it can end none, and a trigraph is none."""
+    return " ".join(text.replace("*/", "* /").replace("/*", "/ *").replace("??", "? ?").split())

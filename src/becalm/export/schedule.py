@@ -1,0 +1,124 @@
+"""The gains of a filter from its first rows until they stay: each row's own, or, of a slow filter, some rows alike."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from becalm.core.arrays import Floats, Integers
+from becalm.core.gains import Leap, gain_before, gains_after, leap_of
+from becalm.errors import RecipeError
+from becalm.export.design import Design
+
+MOST_NUMBERS = 1024
+"""Gains that a table may hold, in numbers; with fewer it is thinned sooner."""
+
+_EXACT = 32  # rows, whatever comes then
+_ALIKE = 32  # the gain of row k stays for k / 32 rows
+_NEAR = 2e-3  # of the spread of a state: so near its end a thinned gain has settled
+_MOST_ROWS = 1 << 40
+
+
+class Schedule(NamedTuple):
+    """Which gain belongs to which row after the opening.
+
+    Attributes
+    ----------
+    K : (r, n) float array
+        Gains, in order.
+    counts : (r,) int array
+        For how many rows each of them is used; what comes after all is settled.
+    settled : (n,) float array
+        The gain that stays.
+    exact : bool
+        Whether each row has its own, so that the filter is the full one from its first reading on.
+    """
+
+    K: Floats
+    counts: Integers
+    settled: Floats
+    exact: bool
+
+    @property
+    def rows(self) -> int:
+        """Rows until the gain has settled."""
+        return int(self.counts.sum())
+
+
+def schedule_of(design: Design, near: float, most_numbers: int = MOST_NUMBERS) -> Schedule:
+    """Return the gains of a filter that settles.
+
+    Parameters
+    ----------
+    design : Design
+        The filter.
+    near : float
+        Of a state's spread: a gain so near its end has settled; a *small* one makes a longer table.
+    most_numbers : int
+        How many gains a table may hold; beyond, rows share theirs, to three in a hundred of each other.
+
+    Raises
+    ------
+    RecipeError
+        If the filter never settles.
+    """
+    if design.steady is None:
+        raise RecipeError(
+            f"The filter of {design.name} never settles, since its process_noise_density is 0: its gain falls for ever."
+            " Export it with --gain full, or give it a process_noise_density."
+        )
+    settled = design.steady.gain[:, 0]
+    found = gains_after(design.opening, design.model, max(most_numbers // design.states, _EXACT))
+    spread = _spread(design)
+    off = (np.abs(found.K - settled) / (spread + np.abs(settled))).max(axis=1)
+    far = np.flatnonzero(off > near)
+    rows = int(far[-1]) + 1 if len(far) else 0
+    if rows < len(found.K) or found.settled:
+        return Schedule(found.K[:rows], np.ones(rows, np.int64), settled, True)
+    return _thinned(design, found.K[:_EXACT], settled, spread)
+
+
+def _thinned(design: Design, first: Floats, settled: Floats, spread: Floats) -> Schedule:
+    """Return gains that stay for a while, each that of the middle of its rows."""
+    K, counts, row = list(first), [1] * len(first), len(first)
+    one = leap_of(design.model)
+    P, leaps = _after(design, row), [one]
+    while row < _MOST_ROWS:
+        count = max(row // _ALIKE, 1)
+        half = _leap(leaps, P, count // 2)
+        gain = gain_before(half, design.model)
+        if (np.abs(gain - settled) <= _NEAR * (spread + np.abs(settled))).all():
+            break
+        K.append(gain)
+        counts.append(count)
+        P, row = _leap(leaps, P, count), row + count
+    return Schedule(np.array(K), np.array(counts), settled, False)
+
+
+def _after(design: Design, rows: int) -> Floats:
+    """Return the covariance before the reading of row `rows` after the opening."""
+    F, Q = design.model.F, design.model.process_covariance
+    P, leap = F @ design.opening.P @ F.T + Q, leap_of(design.model)
+    for _ in range(rows):
+        P = leap.over(P)
+    return P
+
+
+def _leap(leaps: list[Leap], P: Floats, steps: int) -> Floats:
+    """Return the covariance so many steps later."""
+    bit = 0
+    while steps >> bit:
+        if bit == len(leaps):
+            leaps.append(leaps[-1].twice())
+        if steps >> bit & 1:
+            P = leaps[bit].over(P)
+        bit += 1
+    return P
+
+
+def _spread(design: Design) -> Floats:
+    """Return what a gain is measured by: the spread of each state over that of an innovation."""
+    assert design.steady is not None
+    variances = np.maximum(np.diag(design.steady.predicted_cov), 0.0)
+    return np.sqrt(variances / design.steady.innovation_variance)

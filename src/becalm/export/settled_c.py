@@ -1,0 +1,107 @@
+"""A filter with a settled gain as C: gains from a table until it has settled, no division and no covariance."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from becalm.core.arrays import Floats
+from becalm.export.design import Design
+from becalm.export.expressions import cost_of, product_sum
+from becalm.export.number_type import NumberType
+from becalm.export.schedule import Schedule, schedule_of
+from becalm.export.templates import render
+from becalm.export.word_length import WordLength, prove
+from becalm.export.written import Written, look_of
+
+_NEAR = {"float64": 1e-13, "float32": 1e-8}
+_MOST_NUMBERS = {"float64": 8192, "float32": 1024}
+
+
+def written_settled(design: Design, prefix: str, number: NumberType, span: float | None) -> Written:
+    """Write a filter with a settled gain.
+
+    Parameters
+    ----------
+    design : Design
+        The filter.
+    prefix : str
+        What its names in C begin with.
+    number : NumberType
+        What it computes in.
+    span : float or None
+        How far readings lie from each other at the most, in unit.
+
+    Raises
+    ------
+    RecipeError
+        If it never settles, or its word is too short.
+    """
+    return with_gains(design, schedule_in(design, number), prefix, number, prove(design, number, span))
+
+
+def schedule_in(design: Design, number: NumberType) -> Schedule:
+    """Return the gains of a filter, as near to the end and as many as its numbers are worth."""
+    return schedule_of(design, _NEAR[number.precision], _MOST_NUMBERS[number.precision])
+
+
+def with_gains(design: Design, schedule: Schedule, prefix: str, number: NumberType, word: WordLength) -> Written:
+    """Write a filter whose gains, and whose word length, are known."""
+    n, F = design.states, design.model.F
+    p, x = [f"p{i}" for i in range(n)], [f"x{i}" for i in range(n)]
+    K = np.vstack([schedule.K, schedule.settled])
+    gains = np.column_stack([K @ F.T, K @ design.output])
+    largest = min(design.largest, number.greatest, word.range if word.quantum else np.inf)
+    context = {
+        **look_of(design, prefix, number, largest),
+        "o": len(design.opening.weights),
+        "opening": _literals(design.opening.weights, number),
+        "gains": _literals(gains, number),
+        "table": len(gains) > 1,
+        "exact": schedule.exact,
+        "counts": _in_lines([f"{count}u" for count in schedule.counts.tolist()]),
+        "coasts": design.coasts,
+        "quantum": word.quantum and number.literal(word.quantum),
+        "per_quantum": word.quantum and number.literal(1 / word.quantum),
+        "farthest": word.quantum and number.literal(word.quantum * 2.0**30),
+        "read_of_p": product_sum(design.model.H[0], p, number),
+        "signal_of_p": product_sum(design.output, p, number),
+        "signal_of_x": product_sum(design.output, x, number),
+        "ahead_of_p": [product_sum(row, p, number) for row in F],
+        "ahead_of_x": [product_sum(row, x, number) for row in F],
+    }
+    source = render("settled.c.jinja", context)
+    return Written(
+        header=render("settled.h.jinja", context),
+        source=source,
+        cost=cost_of(_settled_row(source)),
+        state_bytes=_bytes(design, schedule, number),
+        table_bytes=(gains.size + design.opening.weights.size) * number.bytes + 4 * (not schedule.exact) * len(K),
+        word=word,
+        largest=largest,
+        exact=schedule.exact,
+    )
+
+
+def _settled_row(source: str) -> list[str]:
+    """Return the lines that a settled row runs through."""
+    lines = source.splitlines()
+    first = next(i for i, line in enumerate(lines) if line.lstrip().startswith("const") and " nu = " in line)
+    return lines[first : next(i for i in range(first, len(lines)) if "}" in lines[i] or "if (" in lines[i])]
+
+
+def _literals(rows: Floats, number: NumberType) -> list[list[str]]:
+    return [[number.literal(value) for value in row] for row in rows.tolist()]
+
+
+def _in_lines(words: Sequence[str], most: int = 12) -> list[list[str]]:
+    return [list(words[i : i + most]) for i in range(0, len(words), most)]
+
+
+def _bytes(design: Design, schedule: Schedule, number: NumberType) -> int:
+    """Return the size of the state, as a compiler lays it out."""
+    size = (design.states + 1) * number.bytes + 4 + 4 * (not schedule.exact)
+    if design.limits.stuck_readings:
+        size = -(-size // number.bytes) * number.bytes + 3 * number.bytes + 4
+    return -(-size // number.bytes) * number.bytes

@@ -1,0 +1,23 @@
+"""A settled gain after a table of gains, in floating point."""
+
+from __future__ import annotations
+
+from becalm.cleaning.recipe import ChannelRecipe
+from becalm.export.design import Design
+from becalm.export.kind import Floating, Span
+from becalm.export.settled_c import schedule_in, written_settled
+from becalm.export.settled_reference import SettledReference
+from becalm.export.vectors import Reference
+from becalm.export.written import Written
+
+
+class Settled(Floating):
+    """A settled gain after a table of gains."""
+
+    def write(self, design: Design, prefix: str, span: Span | None) -> Written:
+        """Write a filter."""
+        return written_settled(design, prefix, self.number, None if span is None else span[1] - span[0])
+
+    def reference(self, recipe: ChannelRecipe, design: Design, written: Written) -> Reference:
+        """Return what it is held against, at the start."""
+        return SettledReference(design, schedule_in(design, self.number), written.largest)

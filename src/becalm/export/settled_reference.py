@@ -1,0 +1,109 @@
+"""The specification of an exported filter with a settled gain: what its C does with each reading, in plain Python.
+
+It is `becalm.Online` wherever no reading is missing. Where one is, it predicts and keeps its gain, since it carries no
+covariance; after so many that the prediction is worth less than a reading it holds still, and the next reading begins
+anew.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from becalm.core.arrays import Codes, Floats
+from becalm.core.kernel_faults import Rule, find_faults
+from becalm.core.verdict import Verdict
+from becalm.export.design import Design
+from becalm.export.schedule import Schedule
+
+STARTING = 32
+"""Beside the values of `Verdict`: too few readings came for the state to be known; they are passed on."""
+
+
+class SettledReference:
+    """One channel.
+
+    Parameters
+    ----------
+    design : Design
+        Its filter.
+    schedule : Schedule
+        Its gains.
+    largest : float
+        Magnitude beyond which a value is no reading, in unit.
+
+    Attributes
+    ----------
+    p : (n,) float array
+        The state predicted for the next row, less the level.
+    level : float
+        What readings are told from, in unit.
+    row : int
+        Usable readings so far, until the gain has settled.
+    missed : int
+        Rows without a usable one, one after the other.
+    """
+
+    def __init__(self, design: Design, schedule: Schedule, largest: float) -> None:
+        self._design, self._opening = design, design.opening.weights
+        self._gains, self._until = [*schedule.K, schedule.settled], np.cumsum(schedule.counts)
+        limits = design.limits
+        self._rule = Rule(limits.low, limits.high, largest, limits.stuck_readings or 0)
+        self._memory = np.array([np.nan, 0.0, np.inf, -np.inf])
+        self.p, self.level, self.row, self.missed = np.zeros(design.states), 0.0, 0, 0
+
+    def run(self, readings: Floats) -> tuple[Floats, Codes]:
+        """Take readings (B,); return the signal and what became of each."""
+        codes = np.zeros(len(readings), np.int8)
+        find_faults(readings, np.ones(len(readings)), self._rule, self._memory, codes)
+        told = [self._step(reading, code) for reading, code in zip(readings.tolist(), codes.tolist(), strict=True)]
+        signal, became = zip(*told, strict=True) if told else ((), ())
+        return np.array(signal, np.float64), np.array(became, np.int8)
+
+    def gap(self, rows: int) -> None:
+        """Go on for some rows without a reading."""
+        for _ in range(min(rows, self._design.coasts)):
+            self.coast()
+
+    def _step(self, reading: float, code: int) -> tuple[float, int]:
+        if code != Verdict.USED:
+            return self.coast(), code
+        if self.missed >= self._design.coasts:
+            self.row = 0
+        self.missed = 0
+        if self.row < len(self._opening):
+            return self._open(reading)
+        return self._take(reading), Verdict.USED
+
+    def coast(self) -> float:
+        """Go on for a row without a reading; return what was predicted for it."""
+        if self.row < len(self._opening):
+            self.row, self.p = 0, np.zeros_like(self.p)
+            return self.level
+        signal = self.level + float(self._design.output @ self.p)
+        if self.missed < self._design.coasts:
+            self.p = self._design.model.F @ self.p
+            self.missed += 1
+        return signal
+
+    def _open(self, reading: float) -> tuple[float, int]:
+        """Gather one of the readings that tell the state."""
+        F, C = self._design.model.F, self._design.output
+        if self.row == 0:
+            self.level, self.p = reading, np.zeros_like(self.p)
+        self.p = self.p + self._opening[self.row] * (reading - self.level)
+        self.row += 1
+        if self.row < len(self._opening):
+            return reading, STARTING
+        signal = self.level + float(C @ self.p)
+        self.p = F @ self.p
+        return signal, Verdict.USED
+
+    def _take(self, reading: float) -> float:
+        """Equations (1), (3) and (6), from the predicted state."""
+        F, H, C = self._design.model.F, self._design.model.H[0], self._design.output
+        at = self.row - len(self._opening)
+        K = self._gains[int(np.searchsorted(self._until, at, side="right"))]
+        nu = reading - self.level - float(H @ self.p)
+        x = self.p + K * nu
+        self.p, self.row = F @ x, self.row + 1
+        return self.level + float(C @ x)

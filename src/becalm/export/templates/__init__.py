@@ -1,0 +1,30 @@
+"""The texts that are filled in: C, its Makefile, its README."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+_TEMPLATES = Environment(
+    loader=PackageLoader(__name__, "."),
+    undefined=StrictUndefined,
+    trim_blocks=True,
+    lstrip_blocks=True,
+    keep_trailing_newline=True,
+    autoescape=False,  # noqa: S701  (C, and no page)
+)
+
+
+def _grouped(expression: str) -> str:
+    """Put a sum into parentheses."""
+    return f"({expression})" if " " in expression or expression.startswith("-") else expression
+
+
+_TEMPLATES.filters["grouped"] = _grouped
+
+
+def render(name: str, context: Mapping[str, Any]) -> str:
+    """Fill a template in."""
+    return _TEMPLATES.get_template(name).render(context)

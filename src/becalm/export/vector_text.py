@@ -1,0 +1,43 @@
+"""Golden vectors as C writes them: readings by their bits, signals in hexadecimal."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from becalm.export.kind import Kind, Raw
+from becalm.export.number_type import DOUBLE
+from becalm.export.vectors import Vector
+from becalm.export.written import Written
+
+_ON_A_LINE = 6
+
+
+def vector_texts(vectors: Sequence[Vector], kind: Kind, written: Written) -> list[dict[str, Any]]:
+    """Return what the templates write of vectors."""
+    return [_text(vector, kind, written) for vector in vectors]
+
+
+def _text(vector: Vector, kind: Kind, written: Written) -> dict[str, Any]:
+    gaps = zip(vector.gap_rows.tolist(), vector.gap_lengths.tolist(), strict=True)
+    return {
+        "name": vector.name,
+        "rows": len(vector.readings),
+        "readings": _lines(_bits(kind.raw(vector.readings, written))),
+        "signal": _lines([DOUBLE.literal(value) for value in kind.counts(vector.signal, written).tolist()]),
+        "codes": _lines([f"{code}u" for code in vector.codes.tolist()], 24),
+        "gaps": [f"{{ {row}u, {length}u }}" for row, length in gaps] or ["{ 0u, 0u }"],
+        "most": f"{kind.most_error(vector, written):.3g}",
+    }
+
+
+def _bits(raw: Raw) -> list[str]:
+    wide = raw.itemsize == 8
+    whole = raw.view(np.uint64 if wide else np.uint32)
+    return [f"0x{bits:0{16 if wide else 8}x}{'ULL' if wide else 'u'}" for bits in whole.tolist()]
+
+
+def _lines(words: list[str], most: int = _ON_A_LINE) -> list[list[str]]:
+    return [words[i : i + most] for i in range(0, len(words), most)]

@@ -1,0 +1,138 @@
+"""Golden vectors: readings that try a filter, and what becalm makes of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from becalm.core.arrays import Codes, Floats, Integers
+from becalm.export.design import Design
+
+_SEED = 20261124
+_LONGEST_TRIED = 400  # rows that are left out at once
+
+
+class Reference(Protocol):
+    """What an exported filter is held against."""
+
+    def run(self, readings: Floats) -> tuple[Floats, Codes]:
+        """Take readings (B,); return the signal and what became of each."""
+        ...
+
+    def gap(self, rows: int) -> None:
+        """Go on for some rows without a reading."""
+        ...
+
+
+class Vector(NamedTuple):
+    """Readings, and what becalm makes of them.
+
+    Attributes
+    ----------
+    name : str
+        What it tries.
+    readings : (N,) float array
+        In unit; NaN where none comes.
+    gap_rows, gap_lengths : (g,) int arrays
+        Before which rows how many others are left out at once.
+    signal : (N,) float array
+        What is expected, in unit.
+    codes : (N,) int8 array
+        What is expected to become of each reading.
+    """
+
+    name: str
+    readings: Floats
+    gap_rows: Integers
+    gap_lengths: Integers
+    signal: Floats
+    codes: Codes
+
+
+def expected(name: str, readings: Floats, gaps: dict[int, int], reference: Reference) -> Vector:
+    """Run readings through a reference, with gaps before some rows."""
+    cuts, told = [0, *sorted(gaps), len(readings)], []
+    for first, stop in zip(cuts[:-1], cuts[1:], strict=True):
+        if first in gaps:
+            reference.gap(gaps[first])
+        told.append(reference.run(readings[first:stop]))
+    signal, codes = (np.concatenate(parts) for parts in zip(*told, strict=True))
+    rows = np.array(sorted(gaps), np.int64)
+    return Vector(name, readings, rows, np.array([gaps[row] for row in rows.tolist()], np.int64), signal, codes)
+
+
+def golden_vectors(
+    design: Design, rounded: Callable[[Floats], Floats], opened: Callable[[], Reference], recorded: Floats | None
+) -> list[Vector]:
+    """Return the vectors of a channel.
+
+    Parameters
+    ----------
+    design : Design
+        Its filter.
+    rounded : callable
+        Rounds readings (N,) to what the exported filter can be given.
+    opened : callable
+        Returns its reference, at the start.
+    recorded : (N,) float array or None
+        Readings of a real recording, if there are some.
+    """
+    made = [(name, readings, {}) for name, readings in _calm(design).items()]
+    rng, centre, size = np.random.default_rng(_SEED), _centre(design), _size(design)
+    noisy = centre + 0.3 * size * np.sin(np.arange(900) / 40) + rng.normal(0, min(design.noise_std, size / 8), 900)
+    made += [("noise", noisy, {}), ("nan", _holed(noisy, np.nan, design), {}), ("inf", _infinite(noisy), {})]
+    made += [("clip", _clipped(noisy, design), {}), ("gap", noisy, _gaps(design))]
+    made += [] if recorded is None else [("recording", recorded, {})]
+    return [expected(name, rounded(readings), gaps, opened()) for name, readings, gaps in made]
+
+
+def _calm(design: Design) -> dict[str, Floats]:
+    """Return readings without noise."""
+    centre, size, k = _centre(design), _size(design), np.arange(500)
+    return {
+        "impulse": centre + size * (k == 100),
+        "step": centre + size * (k >= 100),
+        "ramp": centre + size * np.clip((k - 100) / 300, 0, 1),
+        "sine": centre + size * np.sin(2 * np.pi * k / 50),
+    }
+
+
+def _centre(design: Design) -> float:
+    low, high = design.limits.rails
+    if np.isfinite(low) and np.isfinite(high):
+        return (low + high) / 2
+    return low + 100 * design.noise_std if np.isfinite(low) else high - 100 * design.noise_std if np.isfinite(high) else 0.0
+
+
+def _size(design: Design) -> float:
+    low, high = design.limits.rails
+    return float(min(40 * design.noise_std, 0.4 * (high - low)))
+
+
+def _holed(readings: Floats, hole: float, design: Design) -> Floats:
+    """Leave readings out: the first ones, single ones, some in a row, and as many as a filter coasts across."""
+    holed, coasted = readings.copy(), min(design.coasts, _LONGEST_TRIED)
+    for first, count in ((0, 3), (20, 1), (22, 1), (300, 7), (400, coasted + 3)):
+        holed[first : first + count] = hole
+    return holed
+
+
+def _infinite(readings: Floats) -> Floats:
+    infinite = readings.copy()
+    infinite[[0, 150, 151, 600]] = np.inf, -np.inf, np.inf, -np.inf
+    infinite[[300, 301]] = 1e305, -1e305
+    return infinite
+
+
+def _clipped(readings: Floats, design: Design) -> Floats:
+    """Drive readings against the rails, or, where there are none, beyond all that is possible."""
+    clipped, (low, high) = readings.copy(), design.limits.rails
+    clipped[200:210] = high if np.isfinite(high) else 10 * design.largest
+    clipped[500:503] = low if np.isfinite(low) else -10 * design.largest
+    return clipped
+
+
+def _gaps(design: Design) -> dict[int, int]:
+    return {100: 1, 300: 5, 500: 60, 700: 3}

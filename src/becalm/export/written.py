@@ -1,0 +1,93 @@
+"""What every filter in C has, whatever its mathematics: names with their units, and a look at each reading."""
+
+from __future__ import annotations
+
+import re
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from becalm.export.design import Design
+from becalm.export.expressions import Cost
+from becalm.export.naming import comment, identifier
+from becalm.export.number_type import NumberType
+from becalm.export.templates import render
+from becalm.export.word_length import WordLength
+
+_SPELT = (("/", " per "), ("%", " percent "), ("°", " deg "), ("^", ""), ("²", "2"), ("³", "3"), ("√", " sqrt "))
+
+
+class Written(NamedTuple):
+    """One channel in C.
+
+    Attributes
+    ----------
+    header, source : str
+        The type of its state, and its functions.
+    cost : Cost
+        Of a settled row.
+    state_bytes, table_bytes : int
+        Of its state in memory, and of its gains in program memory.
+    word : WordLength or None
+        What its word length costs; None where a covariance is carried.
+    largest : float
+        Magnitude beyond which a value is no reading, in unit.
+    exact : bool
+        Whether it is the filter of becalm from its first reading on, as long as none is missing.
+    """
+
+    header: str
+    source: str
+    cost: Cost
+    state_bytes: int
+    table_bytes: int
+    word: WordLength | None
+    largest: float
+    exact: bool
+
+
+def words_of(design: Design, prefix: str, number: NumberType) -> dict[str, Any]:
+    """Return the names that templates use."""
+    unit = unit_name(design.unit)
+    context = {
+        "p": prefix,
+        "n": design.states,
+        "real": number.name,
+        "zero": f"0.0{number.suffix}",
+        "one": f"1.0{number.suffix}",
+        "unit_words": comment(design.unit) or "in the unit of readings",
+        "reading": f"reading_{unit}" if unit else "reading",
+        "signal": f"signal_{unit}" if unit else "signal",
+        "states": "the level and what moves it" if design.states > 1 else "the level",
+    }
+    return context | {"block": render("block.c.jinja", context)}
+
+
+def look_of(design: Design, prefix: str, number: NumberType, largest: float) -> dict[str, Any]:
+    """Return what templates need to look at a reading, and the function that does."""
+    limits = design.limits
+    rails = []
+    if np.isfinite(limits.low):
+        rails.append(f"(z <= {_signed(number, number.below(limits.low))})")
+    if np.isfinite(limits.high):
+        rails.append(f"(z >= {_signed(number, number.above(limits.high))})")
+    context = {
+        **words_of(design, prefix, number),
+        "largest": number.literal(number.below(largest)),
+        "stuck": min(limits.stuck_readings or 0, (1 << 32) - 1),
+        "rails": " || ".join(rails),
+    }
+    return context | {"look": render("look.c.jinja", context)}
+
+
+def unit_name(unit: str) -> str:
+    """Return a unit as a part of a name in C, as `m_per_s2`."""
+    for sign, spelt in _SPELT:
+        unit = unit.replace(sign, spelt)
+    name = identifier(unit, "")
+    return re.sub(r"_+", "_", name).strip("_")
+
+
+def _signed(number: NumberType, value: float) -> str:
+    literal = number.literal(value)
+    return f"({literal})" if literal.startswith("-") else literal
