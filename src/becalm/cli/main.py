@@ -7,6 +7,7 @@ import json
 import os
 import sys
 from contextlib import suppress
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -14,6 +15,7 @@ import typer
 
 from becalm.cli import options as o
 from becalm.cli.app_command import open_app
+from becalm.cli.export_command import export
 from becalm.cli.journal_command import journal
 from becalm.cli.live_command import live
 from becalm.cli.said import load, open_as, open_every, refuse_overwriting, said_of, tuned
@@ -130,8 +132,6 @@ def tune(  # noqa: PLR0913  (the contract's options)
     as_json: o.Json = False,
 ) -> None:
     """Find the filter of each channel and write it as a recipe; say what a delay would buy."""
-    from dataclasses import asdict
-
     from becalm.cleaning.delays import delays
     from becalm.cleaning.pipeline import joined
     from becalm.cli.talk import tell_delays, tell_notes
@@ -252,8 +252,8 @@ def demo(
 
 
 app.command("app")(open_app)
-app.command()(live)
-app.command()(journal)
+for command in (live, journal, export):
+    app.command()(command)
 
 
 @app.command()

@@ -91,7 +91,8 @@ def gains_after(opening: Opening, model: Model, most: int) -> Gains:
     """
     n = model.states
     live = new_live(model, np.zeros(n), opening.P, fresh=False)
-    step, found = live_kernels(size(n), _ONE).step, []
+    step = live_kernels(size(n), _ONE).step
+    found: list[Floats] = []
     while len(found) < most and not has_settled(live, n):
         step(live, 0.0)
         found.append(gain_in(live, n))

@@ -15,7 +15,7 @@ from becalm.core.itself import version
 from becalm.errors import RecipeError, UsageError
 from becalm.export.design import Design, design_of
 from becalm.export.facts import facts_of
-from becalm.export.kind import Kind
+from becalm.export.kind import Kind, Span
 from becalm.export.kinds import kind_of
 from becalm.export.naming import comment, identifier, identifiers
 from becalm.export.number_type import Precision
@@ -38,8 +38,8 @@ class Asked(NamedTuple):
         Whether a covariance is carried; "auto" carries one where the recipe needs it.
     channels : tuple of str or None
         Which of the recipe; None for all that are filtered.
-    span : (float, float) or None
-        Least and greatest reading, in unit; None takes the rails of the recipe, where it has some.
+    spans : mapping of str to (float, float)
+        Least and greatest reading, in unit, by channel; of others the rails of the recipe are taken, where it has some.
     recorded : mapping of str to (N,) float array
         Readings of a real recording, by channel, in unit.
     """
@@ -47,8 +47,8 @@ class Asked(NamedTuple):
     precision: Precision = "float32"
     gain: str = "auto"
     channels: tuple[str, ...] | None = None
-    span: tuple[float, float] | None = None
-    recorded: Mapping[str, Floats] = {}  # noqa: RUF012  (never changed)
+    spans: Mapping[str, Span] = {}
+    recorded: Mapping[str, Floats] = {}
 
 
 class Exported(NamedTuple):
@@ -102,20 +102,26 @@ def bundle_of(recipe: Recipe, name: str, asked: Asked) -> Bundle:
     UsageError
         If a channel is not in the recipe.
     """
-    step_s, stem = 1 / recipe.nominal_rate_hz, identifier(name, "filters")
-    chosen, notes = _chosen(recipe, asked, step_s)
-    prefixes = identifiers((f"{stem}_{channel.name}" for channel, _ in chosen), stem)
+    stem, (found, notes) = identifier(name, "filters"), chosen(recipe, asked.channels)
+    prefixes = identifiers((f"{stem}_{channel.name}" for channel, _ in found), stem)
     channels = [
-        _exported(recipe, channel, design, prefix, asked)
-        for (channel, design), prefix in zip(chosen, prefixes, strict=True)
+        _exported(channel, design, prefix, asked) for (channel, design), prefix in zip(found, prefixes, strict=True)
     ]
     return Bundle(stem, _files(recipe, name, stem, asked, channels, notes), channels, notes)
 
 
-def _chosen(recipe: Recipe, asked: Asked, step_s: float) -> tuple[list[tuple[ChannelRecipe, Design]], list[str]]:
-    """Return the channels to write, and what is to be said of the recipe."""
-    names = [channel.name for channel in recipe.channel]
-    if missing := [name for name in asked.channels or () if name not in names]:
+def chosen(recipe: Recipe, channels: Sequence[str] | None) -> tuple[list[tuple[ChannelRecipe, Design]], list[str]]:
+    """Return the channels to write with their filters, and what is to be said of the recipe.
+
+    Raises
+    ------
+    RecipeError
+        If none is filtered, or the numbers of one make no filter.
+    UsageError
+        If one is not in the recipe.
+    """
+    names, step_s = [channel.name for channel in recipe.channel], 1 / recipe.nominal_rate_hz
+    if missing := [name for name in channels or () if name not in names]:
         raise UsageError(f"The recipe has no channel {missing[0]!r}; it has {', '.join(names)}.")
     notes, found = [], []
     if recipe.mode != "causal":
@@ -124,7 +130,7 @@ def _chosen(recipe: Recipe, asked: Asked, step_s: float) -> tuple[list[tuple[Cha
             " becalm live. For one that was tuned to be causal: becalm tune FILE --causal."
         )
     for channel in recipe.channel:
-        if asked.channels is not None and channel.name not in asked.channels:
+        if channels is not None and channel.name not in channels:
             continue
         design = design_of(channel, step_s)
         if design is None:
@@ -136,9 +142,10 @@ def _chosen(recipe: Recipe, asked: Asked, step_s: float) -> tuple[list[tuple[Cha
     return found, notes
 
 
-def _exported(recipe: Recipe, channel: ChannelRecipe, design: Design, prefix: str, asked: Asked) -> Exported:
+def _exported(channel: ChannelRecipe, design: Design, prefix: str, asked: Asked) -> Exported:
     kind = kind_of(design, asked.precision, asked.gain)
-    span = asked.span or (design.limits.rails if np.isfinite(design.limits.rails).all() else None)
+    low, high = design.limits.rails
+    span = asked.spans.get(channel.name, (low, high) if np.isfinite(high - low) else None)
     written = kind.write(design, prefix, span)
     opened = partial(kind.reference, channel, design, written)
 
@@ -179,7 +186,9 @@ def _context(  # noqa: PLR0913
         "recipe_hash": hashlib.sha256(recipe.to_toml().encode()).hexdigest(),
         "rate_hz": f"{rate_hz:.9g}",
         "step_s": f"{1 / rate_hz:.9g}",
-        "rate_uhz": f"{min(round(rate_hz * 1e6), _HIGHEST_UHZ)}ULL" if rate_hz * 1e6 > 4e9 else f"{round(rate_hz * 1e6)}UL",
+        "rate_uhz": f"{min(round(rate_hz * 1e6), _HIGHEST_UHZ)}ULL"
+        if rate_hz * 1e6 > 4e9
+        else f"{round(rate_hz * 1e6)}UL",
         "precision": asked.precision,
         "notes": [comment(note) for note in notes],
         "reals": channels[0].kind.words,

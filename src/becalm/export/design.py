@@ -31,7 +31,7 @@ _UNMOVED = 1e-8  # of a state: its square is what is left of a covariance, and l
 _MOST_COASTED = (1 << 16) - 2  # rows, which two bytes count
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Design:
     """The filter of one channel.
 

@@ -52,6 +52,11 @@ class Kind(Protocol):
         """What the power of the difference may be, in parts of that of the signal; a literal of C."""
         ...
 
+    @property
+    def bridges(self) -> bool:
+        """Whether it goes on after missing readings as becalm does, with a covariance."""
+        ...
+
     def write(self, design: Design, prefix: str, span: Span | None) -> Written:
         """Write a filter; `span` is the least and the greatest reading, in unit."""
         ...
@@ -88,6 +93,11 @@ class Floating:
     """
 
     number: NumberType
+
+    @property
+    def bridges(self) -> bool:
+        """Whether it goes on after missing readings as becalm does, with a covariance."""
+        return True
 
     @property
     def words(self) -> str:

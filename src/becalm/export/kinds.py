@@ -11,6 +11,7 @@ from becalm.export.fixed_kind import Fixed
 from becalm.export.full_kind import Full
 from becalm.export.kind import Kind
 from becalm.export.number_type import DOUBLE, FLOAT, Precision
+from becalm.export.settled_c import schedule_in
 from becalm.export.settled_kind import Settled
 
 GAINS = ("auto", "settled", "full")
@@ -26,7 +27,8 @@ def kind_of(design: Design, precision: Precision, gain: str) -> Kind:
     precision : {"float32", "float64", "q31"}
         What it computes in.
     gain : {"auto", "settled", "full"}
-        Whether a covariance is carried; "auto" carries one where the recipe needs it.
+        Whether a covariance is carried; "auto" carries one where the recipe needs it, and in float64 where a table
+        of gains that is exact from the first reading on would be too long.
 
     Raises
     ------
@@ -51,7 +53,9 @@ def kind_of(design: Design, precision: Precision, gain: str) -> Kind:
         raise RecipeError(
             f"{design.name} {needs} a covariance; leave --gain settled out, or take [channel.gate] out of the recipe."
         )
-    return Full(number) if needs or gain == "full" else Settled(number)
+    if needs or gain == "full" or (gain == "auto" and number.is_double and not schedule_in(design, number).exact):
+        return Full(number)
+    return Settled(number)
 
 
 def _needs(design: Design) -> str:

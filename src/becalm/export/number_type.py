@@ -30,7 +30,7 @@ class NumberType(NamedTuple):
     name: str
     suffix: str
     bits: int
-    dtype: type[np.floating]  # type: ignore[type-arg]
+    dtype: type[np.float32 | np.float64]
     greatest: float
 
     @property

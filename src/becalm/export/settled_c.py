@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 
@@ -41,6 +42,7 @@ def written_settled(design: Design, prefix: str, number: NumberType, span: float
     return with_gains(design, schedule_in(design, number), prefix, number, prove(design, number, span))
 
 
+@lru_cache(maxsize=256)
 def schedule_in(design: Design, number: NumberType) -> Schedule:
     """Return the gains of a filter, as near to the end and as many as its numbers are worth."""
     return schedule_of(design, _NEAR[number.precision], _MOST_NUMBERS[number.precision])
@@ -58,6 +60,7 @@ def with_gains(design: Design, schedule: Schedule, prefix: str, number: NumberTy
         "o": len(design.opening.weights),
         "opening": _literals(design.opening.weights, number),
         "gains": _literals(gains, number),
+        "settled": [number.literal(value) for value in gains[-1].tolist()],
         "table": len(gains) > 1,
         "exact": schedule.exact,
         "counts": _in_lines([f"{count}u" for count in schedule.counts.tolist()]),
@@ -81,14 +84,15 @@ def with_gains(design: Design, schedule: Schedule, prefix: str, number: NumberTy
         word=word,
         largest=largest,
         exact=schedule.exact,
+        start_rows=len(design.opening.weights) + schedule.rows,
     )
 
 
 def _settled_row(source: str) -> list[str]:
     """Return the lines that a settled row runs through."""
     lines = source.splitlines()
-    first = next(i for i, line in enumerate(lines) if line.lstrip().startswith("const") and " nu = " in line)
-    return lines[first : next(i for i in range(first, len(lines)) if "}" in lines[i] or "if (" in lines[i])]
+    first = max(i for i, line in enumerate(lines) if line.lstrip().startswith("const") and " nu = " in line)
+    return lines[first : next(i for i in range(first, len(lines)) if "} else {" in lines[i])]
 
 
 def _literals(rows: Floats, number: NumberType) -> list[list[str]]:

@@ -14,6 +14,11 @@ from becalm.export.written import Written
 class Settled(Floating):
     """A settled gain after a table of gains."""
 
+    @property
+    def bridges(self) -> bool:
+        """Whether it goes on after missing readings as becalm does: it keeps its gain."""
+        return False
+
     def write(self, design: Design, prefix: str, span: Span | None) -> Written:
         """Write a filter."""
         return written_settled(design, prefix, self.number, None if span is None else span[1] - span[0])

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from itertools import pairwise
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -54,7 +55,7 @@ class Vector(NamedTuple):
 def expected(name: str, readings: Floats, gaps: dict[int, int], reference: Reference) -> Vector:
     """Run readings through a reference, with gaps before some rows."""
     cuts, told = [0, *sorted(gaps), len(readings)], []
-    for first, stop in zip(cuts[:-1], cuts[1:], strict=True):
+    for first, stop in pairwise(cuts):
         if first in gaps:
             reference.gap(gaps[first])
         told.append(reference.run(readings[first:stop]))
@@ -79,7 +80,7 @@ def golden_vectors(
     recorded : (N,) float array or None
         Readings of a real recording, if there are some.
     """
-    made = [(name, readings, {}) for name, readings in _calm(design).items()]
+    made: list[tuple[str, Floats, dict[int, int]]] = [(name, readings, {}) for name, readings in _calm(design).items()]
     rng, centre, size = np.random.default_rng(_SEED), _centre(design), _size(design)
     noisy = centre + 0.3 * size * np.sin(np.arange(900) / 40) + rng.normal(0, min(design.noise_std, size / 8), 900)
     made += [("noise", noisy, {}), ("nan", _holed(noisy, np.nan, design), {}), ("inf", _infinite(noisy), {})]
@@ -101,9 +102,10 @@ def _calm(design: Design) -> dict[str, Floats]:
 
 def _centre(design: Design) -> float:
     low, high = design.limits.rails
-    if np.isfinite(low) and np.isfinite(high):
-        return (low + high) / 2
-    return low + 100 * design.noise_std if np.isfinite(low) else high - 100 * design.noise_std if np.isfinite(high) else 0.0
+    inside = 100 * design.noise_std
+    if np.isfinite(low):
+        return (low + high) / 2 if np.isfinite(high) else low + inside
+    return high - inside if np.isfinite(high) else 0.0
 
 
 def _size(design: Design) -> float:

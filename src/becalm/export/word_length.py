@@ -1,10 +1,9 @@
 """Whether a word is long enough for a settled filter: what rounding leaves, computed before anything runs.
 
-A state that moves by less than half of its last digit does not move: it *stalls*. A level of gain K stands still while
-|K nu| < ulp / 2, which is an error of ulp / (2 K). Above it a slope goes on growing where the level stands, until it
-moves it: the slope itself stalls at a digit of what is less than half of the level's, and so on for each order.
-Rounding besides is noise that enters at every step and leaves through the closed loop. Both are held against a tenth of
-the filter's own uncertainty.
+A level that should move by less than half of its last digit does not move: it *stalls*. With a gain K it stands still
+while |K nu| < ulp / 2, an error of ulp / (2 K). A slope beside it then grows until the level moves at last, and beyond:
+the filter swings as far to both sides. Under a reading's noise it does neither; rounding then is noise as well, which
+enters at every step and leaves through the closed loop. Both are held against a tenth of the filter's uncertainty.
 """
 
 from __future__ import annotations
@@ -22,7 +21,8 @@ from becalm.export.number_type import NumberType
 MOST_ERROR = 0.1
 """Of the signal's standard deviation: what a word length may cost."""
 
-_QUANTUM = 0.5  # of a reading's noise: as far as a state goes from a level that moves, about
+_QUANTA = tuple(2.0**k for k in range(6, -2, -1))  # of a reading's noise: a large one moves the level seldom
+_UNSEEN, _STANDS = 1e-6, 1e-2  # of a reading's noise, and of the signal's: what is allowed where it can be had
 _COUNTED = 1 << 23  # quanta that a level of float may count, and readings may lie off
 _DOUBLINGS = 60
 
@@ -33,7 +33,7 @@ class WordLength(NamedTuple):
     Attributes
     ----------
     stall : float
-        Greatest error at which a filter of a constant stands still, in unit.
+        Greatest error at which a filter of a constant stands still, or about which it swings, in unit.
     noise : float
         Standard deviation of what rounding adds, in unit.
     share : float
@@ -69,21 +69,43 @@ def prove(design: Design, number: NumberType, span: float | None) -> WordLength:
         If the error exceeds a tenth of the signal's standard deviation whatever is done.
     """
     assert design.steady is not None, "a filter that never settles carries a covariance"
-    if number.is_double:
-        return _cost(design, number, None, span or min(design.largest, number.greatest))
-    if span is not None and (fixed := _cost(design, number, None, span)).share <= MOST_ERROR / 4:
-        return fixed
-    quantum = 2.0 ** np.floor(np.log2(_QUANTUM * design.noise_std))
-    if span is not None and span > quantum * _COUNTED:
-        quantum = 2.0 ** np.ceil(np.log2(span / _COUNTED))
-    found = _cost(design, number, float(quantum), float(quantum) * _COUNTED)
+    if span is None and number.is_double:
+        return _cost(design, number, None, _widest(design, number))
+    if span is not None:
+        fixed = _cost(design, number, None, span)
+        if _is_unseen(design, fixed) or (number.is_double and fixed.share <= MOST_ERROR):
+            return fixed
+    found = _moving(design, number, span or 0.0)
     if not found.share <= MOST_ERROR:
         raise RecipeError(
             f"{design.name}: {number.name} would cost {found.share:.2g} of the signal's standard deviation of"
             f" {design.settled_std:.3g} {design.unit} ({_why(found, design.unit)}), and a tenth is the most; use"
-            " --precision float64, or a larger process_noise_density."
+            f" {'' if number.is_double else '--precision float64, or '}a larger process_noise_density."
         )
     return found
+
+
+def _moving(design: Design, number: NumberType, span: float) -> WordLength:
+    """Return what a word length costs where the level moves, by a quantum as large as may be."""
+    noise, least = 2.0 ** np.floor(np.log2(design.noise_std)), span / _COUNTED
+    least = 2.0 ** np.ceil(np.log2(least)) if least > 0 else 0.0
+    for quanta in _QUANTA:
+        quantum = max(float(quanta * noise), least)
+        found = _cost(design, number, quantum, quantum * _COUNTED)
+        if _is_unseen(design, found):
+            break
+    return found
+
+
+def _is_unseen(design: Design, found: WordLength) -> bool:
+    """Whether a word length costs next to nothing."""
+    return found.noise <= _UNSEEN * design.noise_std and found.stall <= _STANDS * design.settled_std
+
+
+def _widest(design: Design, number: NumberType) -> float:
+    """Return how far readings may lie apart where the level stays at the first of them."""
+    one = _cost(design, number, None, 1.0)
+    return min(design.largest, number.greatest, MOST_ERROR / one.share)
 
 
 def _why(found: WordLength, unit: str) -> str:
@@ -99,7 +121,7 @@ def _cost(design: Design, number: NumberType, quantum: float | None, span: float
 
 
 def stall_of(design: Design, number: NumberType, farthest: float) -> float:
-    """Return the error at which a filter of a constant stands still, in unit.
+    """Return the error at which a filter of a constant stands still, or about which it swings, in unit.
 
     Parameters
     ----------
@@ -111,20 +133,8 @@ def stall_of(design: Design, number: NumberType, farthest: float) -> float:
         Magnitude of its first state, in unit.
     """
     assert design.steady is not None
-    ahead = np.abs(design.model.F @ design.steady.gain)[:, 0]
-    digit, stalls = ulp(number, farthest), []
-    for gain in ahead[: motion_order(design)]:
-        stalls.append(digit / (2 * gain) if gain > 0 else np.inf)
-        digit = ulp(number, digit / 2)
-    return float(min(stalls))
-
-
-def motion_order(design: Design) -> int:
-    """Return how many of the first states are a motion: the rest of them fades, or turns, by itself."""
-    F, order = design.model.F, 1
-    while order < len(F) and F[order, order] == 1.0 and F[order - 1, order] == 1.0:
-        order += 1
-    return order
+    gain = abs(float((design.model.F @ design.steady.gain)[0, 0]))
+    return ulp(number, farthest) / (2 * gain) if gain > 0 else np.inf
 
 
 def ulp(number: NumberType, magnitude: float) -> float:
@@ -143,11 +153,11 @@ def noise_of(steady: SteadyFilter, number: NumberType, farthest: float) -> float
     terms = 1 + np.count_nonzero(steady.model.F, axis=1)
     injected = terms * (2.0 ** (1 - number.bits) * reach) ** 2 / 12
     scaled = np.divide(injected, scale**2, out=np.zeros_like(injected), where=scale > 0)
-    through = _gathered(loop.A, np.diag(scaled))
+    through = gathered(loop.A, np.diag(scaled))
     return float(np.sqrt((steady.row @ through @ steady.row.T)[0, 0]))
 
 
-def _gathered(A: Floats, B: Floats) -> Floats:
+def gathered(A: Floats, B: Floats) -> Floats:
     """Return the sum of A^k B A'^k over all k, by doubling."""
     total = B
     for _ in range(_DOUBLINGS):

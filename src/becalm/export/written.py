@@ -34,6 +34,12 @@ class Written(NamedTuple):
         Magnitude beyond which a value is no reading, in unit.
     exact : bool
         Whether it is the filter of becalm from its first reading on, as long as none is missing.
+    start_rows : int
+        Rows until its gain has settled.
+    scale : (float, float) or None
+        Offset and step of a count, in unit; None where readings are no counts.
+    start_error : float
+        What rounding leaves of becalm's own first rows, in unit; 0 where it is nothing beside a signal.
     """
 
     header: str
@@ -44,6 +50,9 @@ class Written(NamedTuple):
     word: WordLength | None
     largest: float
     exact: bool
+    start_rows: int = 0
+    scale: tuple[float, float] | None = None
+    start_error: float = 0.0
 
 
 def words_of(design: Design, prefix: str, number: NumberType) -> dict[str, Any]:

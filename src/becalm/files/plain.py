@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 import secrets
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from becalm.errors import OutputError
@@ -92,3 +92,27 @@ def refuse_unwritable(*paths: str | os.PathLike[str]) -> None:
         probe = target.parent / f".becalm.{secrets.token_hex(4)}.probe"
         with in_waiting(probe), sentences(target):
             probe.touch(exist_ok=False)
+
+
+def write_folder(folder: Path, texts: Mapping[str, str]) -> None:
+    """Write texts as UTF-8 into a folder, by their paths in it; all are there, or, of a new folder, none.
+
+    Parameters
+    ----------
+    folder : Path
+        Where to; files of these names in it are replaced, others stay.
+    texts : mapping of str to str
+        By their paths, with `/` between folders.
+
+    Raises
+    ------
+    OutputError
+        If one cannot be written.
+    """
+    make_folder(folder)
+    paths = {folder / path: text for path, text in texts.items()}
+    for parent in {path.parent for path in paths}:
+        make_folder(parent)
+    with ExitStack() as waiting:
+        for path, text in paths.items():
+            waiting.enter_context(text_in_waiting(path, text))

@@ -1,0 +1,156 @@
+"""What is exported as C beside becalm itself: on real recordings, and on ten million readings.
+
+Every channel of every recording is tuned as a causal filter (on its first 20 000 rows), exported with nothing said, as
+float64, float32 and q31 (its range that of its readings), compiled by `cc -O2`, and run over the whole record, row
+by row, beside becalm's own stream. *float64* is the greatest difference, in parts of the greatest signal; *float32* and
+*q31* are the power of the signal over that of the difference. Where a filter that keeps its gain meets missing
+readings, or a table of gains was thinned while it starts, it is held against its own specification in Python, which is
+becalm's stream everywhere else. A channel that is not exported is named with the reason.
+
+Run: python benchmarks/export_records.py [-o docs/export-records.md] [NAME ...]; needs `pip install 'becalm[formats]'`.
+The recordings lie in ../shared/data; with names, only files whose path holds one of them are taken.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+import becalm
+from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
+from becalm.core.arrays import Floats
+from becalm.errors import BecalmError
+from becalm.export.bundle import Asked, bundle_of
+from becalm.export.compiling_c import build
+from becalm.export.number_type import Precision
+from becalm.export.verifying import Compared, compare, unpacked
+from pages import page_parser, publish
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "docs"))
+from real_recordings import DATA, files, parts
+
+_TUNED_ON = 20_000
+_LONG = 10_000_000
+_PRECISIONS: tuple[Precision, ...] = ("float64", "float32", "q31")
+
+
+class Row(NamedTuple):
+    """What was found of one record."""
+
+    record: str
+    channels: int
+    rows: int
+    found: dict[str, list[Compared]]
+    refused: Counter[str]
+
+
+def tuned(recording: becalm.Recording) -> list[ChannelRecipe]:
+    """Tune every channel of a recording; those that cannot be are left out."""
+    first = slice(0, _TUNED_ON)
+    part = becalm.Recording(
+        recording.samples[first], names=recording.names, units=recording.units, times_s=recording.times_s[first]
+    )
+    return list(becalm.tune(part, causal=True).channel)
+
+
+def compared(channel: ChannelRecipe, rate_hz: float, readings: Floats, precision: Precision) -> Compared:
+    """Export one channel, compile it, and run a record through it."""
+    recipe = Recipe(mode="causal", tuned_on=Origin(rate_hz=rate_hz), channel=(channel,))
+    seen = readings[np.isfinite(readings)]
+    spans = {channel.name: (float(seen.min()), float(seen.max()))} if precision == "q31" and np.ptp(seen) > 0 else {}
+    with tempfile.TemporaryDirectory() as place:
+        bundle = bundle_of(recipe, "record", Asked(precision=precision, spans=spans))
+        program = build(unpacked(bundle, Path(place)), bundle.stem, "cc", ("-O2",))
+        return compare(program, bundle.channels[0], channel, "record", readings)
+
+
+def row_of(title: str, recording: becalm.Recording, channels: Sequence[ChannelRecipe]) -> Row:
+    """Export and compare all channels of one recording."""
+    found: dict[str, list[Compared]] = {precision: [] for precision in _PRECISIONS}
+    refused: Counter[str] = Counter()
+    rate_hz = recording.timebase.rate_hz
+    for channel in channels:
+        if channel.motion is None:
+            refused["passes unchanged"] += 1
+            continue
+        readings = np.ascontiguousarray(recording.samples[:, recording.names.index(channel.name)])
+        for precision in _PRECISIONS:
+            try:
+                found[precision].append(compared(channel, rate_hz, readings, precision))
+            except BecalmError as why:
+                refused[f"{precision}: {_short(str(why), channel.name)}"] += 1
+    return Row(title, len(channels), len(recording), found, refused)
+
+
+def _short(why: str, name: str) -> str:
+    return why.replace(name, "it").split(";")[0].split(" (")[0]
+
+
+def records(names: Sequence[str]) -> Iterator[Row]:
+    """Compare every channel of every recording."""
+    for path in files():
+        if names and not any(name in str(path) for name in names):
+            continue
+        for part in parts(path):
+            if part.recording is not None:
+                title = f"{path.relative_to(DATA)}{': ' if part.title else ''}{part.title}"
+                began = time.perf_counter()
+                row = row_of(title, part.recording, tuned(part.recording))
+                print(f"{title}: {time.perf_counter() - began:.0f} s", file=sys.stderr)
+                yield row
+
+
+def long_record(rows: int) -> Row:
+    """Compare on a long record: a motion of order 2 that moves, in noise."""
+    rng, rate_hz = np.random.default_rng(9), 1000.0
+    walk = np.cumsum(np.cumsum(rng.normal(0, 1e-4, rows)) * 0.01)
+    readings = 20 * np.sin(np.arange(rows) / 3000) + np.clip(walk, -60, 60) + rng.normal(0, 0.5, rows)
+    channel = ChannelRecipe(
+        name="long", unit="m/s^2", model="motion", order=2, process_noise_density=20.0, noise_std=0.5
+    )
+    recording = becalm.Recording(readings, names=["long"], units=["m/s^2"], rate_hz=rate_hz)
+    return row_of(f"{rows:,} readings, order 2", recording, [channel])
+
+
+def table(rows: Sequence[Row]) -> str:
+    """Return the page's tables."""
+    lines = [
+        "| record | rows | channels | exported | float64, greatest difference | float32, least | q31, least |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for row in rows:
+        exported = f"{len(row.found['float64'])}, {len(row.found['float32'])}, {len(row.found['q31'])}"
+        error = max((one.error for one in row.found["float64"]), default=None)
+        cells = [_db(row.found[name]) for name in ("float32", "q31")]
+        shown = "" if error is None else f"{error:.1e}"
+        lines.append(f"| {row.record} | {row.rows} | {row.channels} | {exported} | {shown} | {' | '.join(cells)} |")
+    lines += ["", "*Exported* are channels as float64, float32, q31. Not exported were:", ""]
+    reasons: Counter[str] = sum((row.refused for row in rows), Counter())
+    lines += [f"- {count}: {why}" for why, count in reasons.most_common()] or ["- none"]
+    return "\n".join(lines) + "\n"
+
+
+def _db(found: Sequence[Compared]) -> str:
+    least = min((one.snr_db for one in found), default=None)
+    return "" if least is None else "no difference" if np.isinf(least) else f"{least:.0f} dB"
+
+
+def main() -> None:
+    """Print the tables, and write them to a page."""
+    parser = page_parser(__doc__)
+    parser.add_argument("names", nargs="*", help="files whose path holds one of these")
+    parser.add_argument("--long", type=int, default=_LONG, help="readings of the long record; 0 leaves it out")
+    asked = parser.parse_args()
+    rows = [*([long_record(asked.long)] if asked.long else []), *records(asked.names)]
+    publish("What is exported, beside becalm", __doc__, table(rows), asked.output)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,179 @@
+"""A recipe's filters elsewhere: C in a folder, or one file for other programs."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
+
+import numpy as np
+import typer
+
+from becalm.cleaning.recipe import Recipe
+from becalm.cli.options import split_names
+from becalm.cli.said import is_same, open_as, said_of
+from becalm.cli.talk import stderr
+from becalm.core.arrays import Floats
+from becalm.errors import UsageError
+from becalm.export.bundle import Asked, Bundle, bundle_of
+from becalm.export.kind import Span
+from becalm.files.plain import refuse_unwritable, write_folder, write_text
+
+if TYPE_CHECKING:
+    from becalm.export.number_type import Precision
+
+_FORMS = ("json", "sos", "scipy")
+_SHOWN = 2000  # rows of a recording that go into a golden vector
+
+
+class Wanted(NamedTuple):
+    """What a person asks of an export to C."""
+
+    precision: str | None
+    gain: str | None
+    channels: str | None
+    ranges: list[str] | None
+    recording: Path | None
+    verify: bool
+
+
+def run(recipe: Path, output: Path, to: str, wanted: Wanted, *, as_json: bool) -> None:
+    """Write a recipe's filters.
+
+    Raises
+    ------
+    UsageError
+        If it is asked for what cannot be.
+    BecalmError
+        If the recipe cannot be read, a filter cannot be written so, or C does not do what becalm does.
+    """
+    if is_same(recipe, output):
+        raise UsageError(f"{output} is the recipe itself; name another output with -o.")
+    found = Recipe.load(recipe)
+    if to == "c":
+        told = _to_c(found, recipe, output, wanted)
+    elif to in _FORMS:
+        told = _to_form(found, to, output, wanted)
+    else:
+        raise UsageError(f"There is no export to {to!r}; write --to c, sos, json or scipy.")
+    if as_json:
+        print(json.dumps({"recipe": str(recipe), "output": str(output), **told}, indent=2))  # noqa: T201
+
+
+def _to_form(recipe: Recipe, to: str, output: Path, wanted: Wanted) -> dict[str, Any]:
+    from becalm.export.forms import written_as
+
+    if any(value for name, value in wanted._asdict().items() if name != "channels"):
+        raise UsageError(f"Only --channels goes with --to {to}; the others are of --to c.")
+    refuse_unwritable(output)
+    channels = None if wanted.channels is None else split_names(wanted.channels)
+    text, notes = written_as(recipe, to, channels)
+    write_text(output, text)
+    for note in notes:
+        stderr.print(note)
+    typer.echo(f"Wrote {output}.", err=True)
+    return {"to": to, "notes": notes}
+
+
+def _to_c(recipe: Recipe, path: Path, output: Path, wanted: Wanted) -> dict[str, Any]:
+    recorded = {} if wanted.recording is None else _recorded(recipe, wanted.recording, wanted.channels)
+    bundle = bundle_of(recipe, path.stem.removesuffix(".recipe"), _asked(recipe, wanted, recorded))
+    files, told = dict(bundle.files), _summary(bundle)
+    if wanted.verify:
+        from becalm.export.certificate import certificate
+        from becalm.export.verifying import verify
+
+        with stderr.status("compiling and comparing"):
+            verified = verify(bundle, recipe, recorded)
+        files["certificate.md"] = certificate(bundle, verified)
+        told["compared"] = [one._asdict() for one in verified.compared]
+    write_folder(output, files)
+    _say(bundle, told)
+    typer.echo(f"Wrote {output}. Try it with: make -C {output} check", err=True)
+    return told
+
+
+def _asked(recipe: Recipe, wanted: Wanted, recorded: dict[str, Floats]) -> Asked:
+    channels = None if wanted.channels is None else split_names(wanted.channels)
+    spans = spans_of(wanted.ranges or [], [channel.name for channel in recipe.channel])
+    shown = {name: readings[:_SHOWN] for name, readings in recorded.items()}
+    return Asked(cast("Precision", wanted.precision or "float32"), wanted.gain or "auto", channels, spans, shown)
+
+
+def spans_of(texts: list[str], names: list[str]) -> dict[str, Span]:
+    """Read how far readings reach: `NAME=LOW:HIGH`, or LOW:HIGH for every channel.
+
+    Raises
+    ------
+    UsageError
+        If one cannot be read, or is of no channel.
+    """
+    spans: dict[str, Span] = {}
+    for text in texts:
+        name, _, reach = text.rpartition("=")
+        low, _, high = reach.partition(":")
+        try:
+            span = float(low), float(high)
+        except ValueError:
+            span = np.nan, np.nan
+        if not -np.inf < span[0] < span[1] < np.inf:
+            raise UsageError(f"--range {text} is no range; write NAME=LOW:HIGH in the channel's unit, as ax=-20:20.")
+        if name and name not in names:
+            raise UsageError(f"--range {text}: the recipe has no channel {name!r}; it has {', '.join(names)}.")
+        spans |= dict.fromkeys([name] if name else names, span)
+    return spans
+
+
+def _recorded(recipe: Recipe, file: Path, channels: str | None) -> dict[str, Floats]:
+    """Read the channels of a recording, in the recipe's units."""
+    from becalm.cli.options import When
+
+    said = said_of(channels, When(None, None, None, None), None, None).or_as(recipe)
+    with open_as(file, said) as source:
+        found = source.recording()
+        step_s = found.timebase.step_s
+        if abs(step_s * recipe.nominal_rate_hz - 1) > 1e-2:
+            stderr.print(
+                f"{file} has {1 / step_s:.6g} Hz, and the recipe {recipe.nominal_rate_hz:.6g} Hz: its readings are"
+                " taken as they come, one a step."
+            )
+        return {name: np.ascontiguousarray(found.samples[:, at]) for at, name in enumerate(found.names)}
+
+
+def _summary(bundle: Bundle) -> dict[str, Any]:
+    return {
+        "to": "c",
+        "notes": bundle.notes,
+        "channels": [
+            {
+                "name": one.name,
+                "functions": f"{one.prefix}_*",
+                "state_bytes": one.written.state_bytes,
+                "table_bytes": one.written.table_bytes,
+                "settled_row": str(one.written.cost),
+                "word": None if one.written.word is None else one.written.word._asdict(),
+            }
+            for one in bundle.channels
+        ],
+    }
+
+
+def _say(bundle: Bundle, told: dict[str, Any]) -> None:
+    for note in bundle.notes:
+        stderr.print(note)
+    for one in bundle.channels:
+        word, unit = one.written.word, one.design.unit
+        stderr.print(
+            f"{one.name}: {one.prefix}_*, state {one.written.state_bytes} bytes, tables"
+            f" {one.written.table_bytes} bytes, {one.written.cost} a settled row."
+        )
+        if word is not None:
+            stderr.print(
+                f"  It stalls {word.stall:.2g} {unit} off at the most, and rounding adds {word.noise:.2g} {unit}:"
+                f" {word.share:.2g} of sigma; proved for readings {word.range:.6g} {unit} apart."
+            )
+    for one in told.get("compared", []):
+        stderr.print(
+            f"  {one['channel']}, {one['record']}: {one['rows']} rows, {one['error']:.2g} of the greatest signal off at"
+            f" the most, {one['snr_db']:.0f} dB."
+        )

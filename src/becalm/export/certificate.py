@@ -1,0 +1,39 @@
+"""The certificate of an export: what was compiled and run, and what came out."""
+
+from __future__ import annotations
+
+from hashlib import sha256
+
+import numpy as np
+
+from becalm.export.bundle import Bundle
+from becalm.export.compiling_c import version_of
+from becalm.export.verifying import Verified
+
+
+def certificate(bundle: Bundle, verified: Verified) -> str:
+    """Return what was run and what came out, as a page."""
+    names = list(dict.fromkeys(one.build.compiler for one in verified.runs))
+    vectors = sum(len(one.vectors) for one in bundle.channels)
+    lines = [f"# Certificate of {bundle.stem}", ""]
+    lines += [f"What was run when these files were made, and what came out. {vectors} golden vectors.", ""]
+    lines += [f"- {name}: {version_of(name)}" for name in names]
+    lines += ["", "| compiler | flags | golden vectors |", "|---|---|---|"]
+    lines += [
+        f"| {one.build.compiler} | `{' '.join(one.build.flags)}` | {'all passed' if one.passed else 'FAILED'} |"
+        for one in verified.runs
+    ]
+    lines += ["", "| channel | record | rows | beside | greatest difference | signal over difference |"]
+    lines += ["|---|---|---|---|---|---|"]
+    lines += [
+        f"| {one.channel} | {one.record} | {one.rows} | {one.beside} | {one.error:.2g} of the greatest signal |"
+        f" {'no difference' if np.isinf(one.snr_db) else f'{one.snr_db:.1f} dB'} |"
+        for one in verified.compared
+    ]
+    return "\n".join([*lines, "", *_files(bundle)]) + "\n"
+
+
+def _files(bundle: Bundle) -> list[str]:
+    return ["| file | SHA-256 |", "|---|---|"] + [
+        f"| {path} | `{sha256(text.encode()).hexdigest()}` |" for path, text in sorted(bundle.files.items())
+    ]

@@ -1,0 +1,103 @@
+"""C compiled and run, by whatever compilers this machine has."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from becalm.errors import BecalmError, UsageError
+
+STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Werror")
+"""Under which the filters compile without a word."""
+
+OPTIMISED = (("-O0",), ("-O2",), ("-O3",), ("-O3", "-ffast-math"))
+SANITIZED = ("-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+
+_LONGEST_S = 600.0
+
+
+class CompileError(BecalmError):
+    """What was exported does not compile, or does not do what becalm does: a fault of becalm's."""
+
+    exit_code = 1
+
+
+class Build(NamedTuple):
+    """A program that runs the filters of a bundle.
+
+    Attributes
+    ----------
+    compiler : str
+        Its name.
+    flags : tuple of str
+        Beside the strict ones.
+    program : Path
+        What was built.
+    """
+
+    compiler: str
+    flags: tuple[str, ...]
+    program: Path
+
+
+def compilers() -> list[str]:
+    """Return the C compilers that are here.
+
+    Raises
+    ------
+    UsageError
+        If there is none.
+    """
+    found = [name for name in ("gcc", "clang") if shutil.which(name)] or ["cc"] * bool(shutil.which("cc"))
+    if not found:
+        raise UsageError("There is no C compiler here: none of gcc, clang and cc is found; install one.")
+    return found
+
+
+def version_of(compiler: str) -> str:
+    """Return what a compiler calls itself."""
+    return _ran([compiler, "--version"], "the compiler's version").stdout.splitlines()[0]
+
+
+def build(folder: Path, stem: str, compiler: str, flags: Sequence[str]) -> Build:
+    """Compile the filters of a bundle, strictly, and what runs them.
+
+    Parameters
+    ----------
+    folder : Path
+        Where the bundle is.
+    stem : str
+        What its files begin with.
+    compiler : str
+        Its name.
+    flags : sequence of str
+        Beside the strict ones.
+
+    Raises
+    ------
+    CompileError
+        If it does not compile without a warning.
+    """
+    mark = f"{compiler}{''.join(flags)}".replace("=", "").replace(",", "")
+    objects = [folder / f"{mark}-{name}.o" for name in (stem, "main")]
+    for name, extra, made in ((stem, STRICT, objects[0]), ("main", STRICT[:1], objects[1])):
+        _ran([compiler, *extra, *flags, "-c", str(folder / f"{name}.c"), "-o", str(made)], f"{name}.c")
+    program = folder / f"{mark}-check"
+    _ran([compiler, *flags, *map(str, objects), "-o", str(program)], "the program")
+    return Build(compiler, tuple(flags), program)
+
+
+def run(build: Build, *words: str) -> subprocess.CompletedProcess[str]:
+    """Run a program; what it returns is looked at by the caller."""
+    return subprocess.run([str(build.program), *words], capture_output=True, text=True, check=False, timeout=_LONGEST_S)
+
+
+def _ran(words: Sequence[str], what: str) -> subprocess.CompletedProcess[str]:
+    ran = subprocess.run(list(words), capture_output=True, text=True, check=False, timeout=_LONGEST_S)
+    if ran.returncode != 0:
+        said = " ".join((ran.stderr or ran.stdout).split())[:600]
+        raise CompileError(f"{words[0]} does not make {what} of what becalm exported: {said}")
+    return ran

@@ -1,0 +1,112 @@
+"""Settled filters for other programs: second-order sections, plain numbers, a module for SciPy."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from typing import Any, cast
+
+import numpy as np
+
+from becalm.cleaning.recipe import Recipe
+from becalm.core.arrays import Floats
+from becalm.core.itself import version
+from becalm.errors import RecipeError
+from becalm.export.bundle import chosen
+from becalm.export.design import Design
+from becalm.export.templates import render
+
+
+def written_as(recipe: Recipe, form: str, channels: Sequence[str] | None) -> tuple[str, list[str]]:
+    """Write the settled filters of a recipe for another program.
+
+    Parameters
+    ----------
+    recipe : Recipe
+        What was decided for each channel.
+    form : {"json", "sos", "scipy"}
+        Numbers with their names; sections alone; a module that filters.
+    channels : sequence of str or None
+        Which; None for all that are filtered.
+
+    Returns
+    -------
+    (str, list of str)
+        The text, and what a person should know.
+
+    Raises
+    ------
+    RecipeError
+        If a filter never settles, or switches: it is no fixed filter then.
+    UsageError
+        If a channel is not in the recipe.
+    """
+    found, notes = chosen(recipe, channels)
+    told = {design.name: _numbers(design) for _, design in found}
+    notes = [*notes, *(_left_out(design) for _, design in found if design.gate is not None)]
+    about = {
+        "becalm": version(),
+        "recipe_sha256": hashlib.sha256(recipe.to_toml().encode()).hexdigest(),
+        "rate_hz": recipe.nominal_rate_hz,
+    }
+    if form == "sos":
+        return _as_json({name: numbers["sos"] for name, numbers in told.items()}), notes
+    if form == "json":
+        return _as_json({**about, "channels": told}), notes
+    return render("scipy.py.jinja", {**about, "sos": {name: numbers["sos"] for name, numbers in told.items()}}), notes
+
+
+def sections_of(design: Design) -> Floats:
+    """Return a settled filter as second-order sections of `scipy.signal`, (s, 6): its gain is in the first of them.
+
+    Notes
+    -----
+    y[k] = C A x[k-1] + C K z[k] and x[k] = A x[k-1] + K z[k]: poles are the eigenvalues of A, zeros those of
+    A - K C A / (C K), both found in states of equal uncertainty, where slow filters keep their digits.
+
+    Raises
+    ------
+    RecipeError
+        If the filter switches, or never settles.
+    """
+    from scipy.signal import zpk2sos
+
+    if design.modes is not None or design.steady is None:
+        why = "switches" if design.modes is not None else "never settles"
+        raise RecipeError(f"The filter of {design.name} {why}, so that it is no fixed filter; export it with --to c.")
+    loop, row = design.steady.loop, design.steady.row
+    direct = float((row @ loop.K)[0, 0])
+    zeros = np.linalg.eigvals(loop.A - loop.K @ (row @ loop.A) / direct).astype(np.complex128)
+    poles: Any = design.steady.poles  # complex ones, of which SciPy's stubs do not know
+    sections: Floats = np.asarray(zpk2sos(cast(Any, zeros), poles, direct), dtype=np.float64)
+    return sections
+
+
+def _left_out(design: Design) -> str:
+    return f"{design.name} has a gate, which no fixed filter can hold: spikes pass. With --to c it is there."
+
+
+def _numbers(design: Design) -> dict[str, Any]:
+    sections = sections_of(design)
+    assert design.steady is not None
+    assert design.response is not None
+    model, response = design.model, design.response
+    return {
+        "unit": design.unit,
+        "F": model.F.tolist(),
+        "Q": model.process_covariance.tolist(),
+        "H": model.H.tolist(),
+        "R": model.R.tolist(),
+        "C": [design.output.tolist()],
+        "K": design.steady.gain.tolist(),
+        "sigma": design.settled_std,
+        "bandwidth_hz": response.bandwidth_hz,
+        "lag_s": None if np.isnan(response.lag_s) else response.lag_s,
+        "noise_gain_db": response.noise_gain_db,
+        "sos": sections.tolist(),
+    }
+
+
+def _as_json(content: dict[str, Any]) -> str:
+    return json.dumps(content, indent=1, allow_nan=False) + "\n"

@@ -1,0 +1,191 @@
+"""Whether exported C does what becalm does: compiled, run, compared; and the certificate that says so."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
+from becalm.cleaning.stream import StreamCleaner
+from becalm.core.arrays import Floats
+from becalm.core.verdict import Verdict
+from becalm.export.bundle import Bundle, Exported
+from becalm.export.compiling_c import OPTIMISED, SANITIZED, Build, CompileError, build, compilers, run
+from becalm.export.kind import Raw
+
+_LONG = 1_000_000  # readings drawn from the model itself
+_SEED = 7
+_LOST = (Verdict.MISSING, Verdict.NONFINITE, Verdict.OVERRANGE, Verdict.CLIPPED, Verdict.STUCK)
+
+
+class Run(NamedTuple):
+    """The golden vectors, run by one build."""
+
+    build: Build
+    says: str
+    passed: bool
+
+
+class Compared(NamedTuple):
+    """A record of one channel through C and through becalm.
+
+    Attributes
+    ----------
+    channel, record : str
+        Which.
+    rows : int
+        How many readings.
+    beside : str
+        What it was held against: becalm's stream, or the specification of a filter that carries no covariance.
+    error : float
+        The greatest difference, in parts of the greatest signal.
+    snr_db : float
+        Power of the signal over that of the difference; inf where there is none.
+    """
+
+    channel: str
+    record: str
+    rows: int
+    beside: str
+    error: float
+    snr_db: float
+
+
+class Verified(NamedTuple):
+    """What was run."""
+
+    runs: list[Run]
+    compared: list[Compared]
+
+
+def verify(bundle: Bundle, recipe: Recipe, recorded: Mapping[str, Floats]) -> Verified:
+    """Compile a bundle in every way that this machine can, run it, and compare it with becalm.
+
+    Parameters
+    ----------
+    bundle : Bundle
+        What was written.
+    recipe : Recipe
+        What it was written from.
+    recorded : mapping of str to (N,) float array
+        Whole records, by channel, in unit.
+
+    Raises
+    ------
+    UsageError
+        If there is no compiler.
+    CompileError
+        If it does not compile, a vector fails, or it differs from becalm by more than it promises.
+    """
+    with tempfile.TemporaryDirectory(prefix="becalm-export-") as place:
+        folder = unpacked(bundle, Path(place))
+        runs = [_run(folder, bundle, name, flags) for name in compilers() for flags in (*OPTIMISED, SANITIZED)]
+        if failed := [one for one in runs if not one.passed]:
+            raise CompileError(
+                f"Built by {failed[0].build.compiler} {' '.join(failed[0].build.flags)}, golden vectors fail:"
+                f" {failed[0].says}"
+            )
+        quick = next(one.build for one in runs if one.build.flags == ("-O2",))
+        return Verified(runs, list(_compared(quick, bundle, recipe, recorded)))
+
+
+def unpacked(bundle: Bundle, folder: Path) -> Path:
+    """Write the texts of a bundle into a folder of one's own; return it."""
+    for path, text in bundle.files.items():
+        (folder / path).parent.mkdir(parents=True, exist_ok=True)
+        (folder / path).write_text(text, encoding="utf-8")
+    return folder
+
+
+def _run(folder: Path, bundle: Bundle, compiler: str, flags: tuple[str, ...]) -> Run:
+    made = build(folder, bundle.stem, compiler, flags)
+    ran = run(made)
+    failed = [line for line in ran.stdout.splitlines() if "FAILED" in line]
+    return Run(made, " ".join([*failed[:3], ran.stderr[:300]]).strip(), ran.returncode == 0)
+
+
+def _compared(made: Build, bundle: Bundle, recipe: Recipe, recorded: Mapping[str, Floats]) -> Iterator[Compared]:
+    for one in bundle.channels:
+        (channel,) = (channel for channel in recipe.channel if channel.name == one.name)
+        yield compare(made, one, channel, "drawn from its own model", drawn(one, _LONG))
+        if one.name in recorded:
+            yield compare(made, one, channel, "the recording", recorded[one.name])
+
+
+def drawn(one: Exported, rows: int) -> Floats:
+    """Return readings (N,) of a signal that a channel's model makes, within its rails."""
+    rng, model = np.random.default_rng(_SEED), one.design.model
+    low, high = one.design.limits.rails
+    centre = (low + high) / 2 if np.isfinite(low + high) else 0.0
+    values, vectors = np.linalg.eigh(model.process_covariance)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    noise, x, signal = rng.normal(size=(rows, model.states)) @ root.T, np.zeros(model.states), np.empty(rows)
+    for k in range(rows):
+        x = model.F @ x + noise[k]
+        signal[k] = (model.H @ x)[0]
+    half = min((high - low) / 4, 1e4 * one.design.noise_std)
+    if (far := np.abs(signal).max()) > half:  # a motion has no bounds: reflect it at those of the sensor
+        signal = half * (2 / np.pi) * np.arcsin(np.sin(signal * (np.pi / 2) / half)) if far > half else signal
+    return centre + signal + rng.normal(0, one.design.noise_std, rows)
+
+
+def compare(made: Build, one: Exported, channel: ChannelRecipe, record: str, readings: Floats) -> Compared:
+    """Run a record of one channel through C and through becalm's own stream.
+
+    Parameters
+    ----------
+    made : Build
+        What runs it.
+    one : Exported
+        The channel.
+    channel : ChannelRecipe
+        Its recipe.
+    record : str
+        What the record is called.
+    readings : (N,) float array
+        In unit, a step apart; NaN where missing.
+    """
+    raw = one.kind.raw(readings, one.written)
+    told = one.kind.in_unit(streamed(made, one, raw), one.written)
+    given = one.kind.in_unit(raw, one.written)
+    want, beside = _wanted(one, channel, given)
+    known = np.isfinite(want)
+    off, power = np.abs(told - want)[known], float(np.square(want[known]).sum())
+    wrong = float(np.square(off).sum())
+    snr_db = float(10 * np.log10(power / wrong)) if wrong > 0 < power else np.inf
+    greatest = float(np.abs(want[known]).max(initial=0.0))
+    return Compared(one.name, record, len(given), beside, float(off.max(initial=0.0)) / (greatest or 1.0), snr_db)
+
+
+def _wanted(one: Exported, channel: ChannelRecipe, given: Floats) -> tuple[Floats, str]:
+    """Return what becalm makes of readings (N,), and which becalm: its stream, or a specification.
+
+    A filter without a covariance that meets missing readings, or whose start was thinned, is held against its own.
+    """
+    step_s = one.design.step_s
+    alone = Recipe(mode="causal", tuned_on=Origin(rate_hz=1 / step_s), channel=(channel,))
+    found = StreamCleaner(alone, step_s).push(given[:, np.newaxis], np.ones(len(given)))
+    if one.kind.bridges or (one.written.exact and not np.isin(found.verdicts, _LOST).any()):
+        return found.signal[:, 0], "becalm's stream"
+    return one.kind.reference(channel, one.design, one.written).run(given)[0], "its specification"
+
+
+def streamed(made: Build, one: Exported, raw: Raw) -> Raw:
+    """Run numbers (N,) through a channel in C; return what it tells.
+
+    Raises
+    ------
+    CompileError
+        If it ends otherwise than well.
+    """
+    with tempfile.TemporaryDirectory(prefix="becalm-stream-") as place:
+        source, out, codes = (Path(place) / name for name in ("in", "out", "codes"))
+        source.write_bytes(raw.tobytes())
+        ran = run(made, one.prefix, str(source), str(out), str(codes))
+        if ran.returncode != 0:
+            raise CompileError(f"{one.name}: the program ended with {ran.returncode}. {ran.stderr[:300]}")
+        return np.frombuffer(out.read_bytes(), raw.dtype)
