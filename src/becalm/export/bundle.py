@@ -17,6 +17,7 @@ from becalm.export.design import Design, design_of
 from becalm.export.facts import facts_of
 from becalm.export.kind import Kind, Span
 from becalm.export.kinds import kind_of
+from becalm.export.layouts import layouts
 from becalm.export.naming import comment, identifier, identifiers
 from becalm.export.number_type import Precision
 from becalm.export.templates import render
@@ -170,7 +171,8 @@ def _files(  # noqa: PLR0913
         "Makefile": "Makefile.jinja",
         "README.md": "README.md.jinja",
     }
-    return {f"{stem}_vectors.h": vectors} | {path: render(template, context) for path, template in made.items()}
+    texts = {f"{stem}_vectors.h": vectors} | {path: render(template, context) for path, template in made.items()}
+    return texts | layouts(context)
 
 
 def _context(  # noqa: PLR0913

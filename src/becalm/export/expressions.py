@@ -36,9 +36,9 @@ def product_sum(row: Floats | Sequence[float], names: Sequence[str], number: Num
         size = number.rounded(abs(float(factor)))
         if size == 0.0:
             continue
-        term = name if size == 1.0 else f"{number.literal(size)} * {name}"
+        term = name if size == 1.0 else f"({number.literal(size)} * {name})"
         if text:
             text += f" {'-' if factor < 0 else '+'} {term}"
         else:
-            text = f"-({term})" if factor < 0 else term
+            text = f"-{term}" if factor < 0 else term
     return text or f"0.0{number.suffix}"

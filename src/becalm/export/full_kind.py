@@ -2,8 +2,22 @@
 
 from __future__ import annotations
 
-from becalm.export.kind import Floating
+from becalm.cleaning.recipe import ChannelRecipe
+from becalm.export.design import Design
+from becalm.export.full_c import written_full
+from becalm.export.full_reference import FullReference
+from becalm.export.kind import Floating, Span
+from becalm.export.vectors import Reference
+from becalm.export.written import Written
 
 
 class Full(Floating):
-    """To be."""
+    """A covariance that is carried: for gates, for filters that never settle, and for readings that go missing."""
+
+    def write(self, design: Design, prefix: str, span: Span | None) -> Written:
+        """Write a filter."""
+        return written_full(design, prefix, self.number, None if span is None else span[1] - span[0])
+
+    def reference(self, recipe: ChannelRecipe, design: Design, written: Written) -> Reference:
+        """Return what it is held against, at the start."""
+        return FullReference(recipe, design, written.largest)

@@ -83,7 +83,7 @@ def golden_vectors(
     made: list[tuple[str, Floats, dict[int, int]]] = [(name, readings, {}) for name, readings in _calm(design).items()]
     rng, centre, size = np.random.default_rng(_SEED), _centre(design), _size(design)
     noisy = centre + 0.3 * size * np.sin(np.arange(900) / 40) + rng.normal(0, min(design.noise_std, size / 8), 900)
-    made += [("noise", noisy, {}), ("nan", _holed(noisy, np.nan, design), {}), ("inf", _infinite(noisy), {})]
+    made += [("noise", noisy, {}), ("nan", _holed(noisy, np.nan, design), {}), ("inf", _infinite(noisy, design), {})]
     made += [("clip", _clipped(noisy, design), {}), ("gap", noisy, _gaps(design))]
     made += [] if recorded is None else [("recording", recorded, {})]
     return [expected(name, rounded(readings), gaps, opened()) for name, readings, gaps in made]
@@ -121,10 +121,10 @@ def _holed(readings: Floats, hole: float, design: Design) -> Floats:
     return holed
 
 
-def _infinite(readings: Floats) -> Floats:
+def _infinite(readings: Floats, design: Design) -> Floats:
     infinite = readings.copy()
     infinite[[0, 150, 151, 600]] = np.inf, -np.inf, np.inf, -np.inf
-    infinite[[300, 301]] = 1e305, -1e305
+    infinite[[300, 301, 310, 311]] = 1e305, -1e305, 10 * design.largest, -10 * design.largest
     return infinite
 
 
@@ -137,4 +137,4 @@ def _clipped(readings: Floats, design: Design) -> Floats:
 
 
 def _gaps(design: Design) -> dict[int, int]:
-    return {100: 1, 300: 5, 500: 60, 700: 3}
+    return {100: 1, 300: 5, 500: 60, 700: 3, 800: design.coasts + 3}

@@ -1,0 +1,233 @@
+"""A filter with a settled gain in fixed point as C: integers of 64 bits, and products of 32 by 32 bits."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from becalm.core.arrays import Floats
+from becalm.export.design import Design
+from becalm.export.expressions import Cost
+from becalm.export.fixed_word import Point, fit
+from becalm.export.number_type import DOUBLE, NumberType
+from becalm.export.schedule import Schedule, schedule_of
+from becalm.export.templates import render
+from becalm.export.written import Written, unit_name, words_of
+
+GREATEST = (1 << 31) - 1
+"""Of a reading's counts, and of the signal's, where the converter, or the filter, is saturated."""
+
+_NEAR = 1e-9  # a gain has 31 bits
+_MOST_NUMBERS = 1024
+_FARTHEST = 92  # a shift: beyond, nothing is left of 62 bits
+_ON_A_LINE = 12
+
+
+class Scale(NamedTuple):
+    """What counts are: reading = offset + lsb * counts, in unit. Where 0 is in reach, a count stands for it exactly."""
+
+    offset: float
+    lsb: float
+
+    def in_unit(self, counts: int) -> float:
+        """Return so many counts in unit."""
+        return self.offset + self.lsb * counts
+
+    def counts(self, values: Floats) -> Floats:
+        """Return values (N,), in unit, in counts, not rounded; as many as there are at the most."""
+        with np.errstate(over="ignore"):
+            return np.clip((values - self.offset) / self.lsb, -float(GREATEST), float(GREATEST))
+
+
+class Rails(NamedTuple):
+    """From which counts on readings are clipped, and the least and greatest of those that are none."""
+
+    low: int
+    high: int
+    least: int
+    most: int
+
+
+def scale_of(low: float, high: float) -> Scale:
+    """Return the scale of readings from low to high, in unit."""
+    lsb = (high - low) / 2.0**32
+    return Scale(float(np.rint((high + low) / 2 / lsb)) * lsb, lsb)
+
+
+def rails_of(design: Design, scale: Scale) -> Rails:
+    """Return the limits of a channel in counts, saturated ones at the least."""
+    limits, largest = design.limits, design.largest
+    return Rails(
+        _at_most(limits.low, scale),
+        -_at_most(-limits.high, Scale(-scale.offset, scale.lsb)),
+        -_at_most(largest, Scale(-scale.offset, scale.lsb)),
+        _at_most(largest, scale),
+    )
+
+
+def _at_most(value: float, scale: Scale) -> int:
+    """Return the greatest counts that stand for a value or less, or those of the end that it lies beyond."""
+    near = round(float(scale.counts(np.array([value]))[0]))
+    while near < GREATEST and scale.in_unit(near + 1) <= value:
+        near += 1
+    while near > -GREATEST and scale.in_unit(near) > value:
+        near -= 1
+    return near
+
+
+def schedule_in(design: Design) -> Schedule:
+    """Return the gains of a filter, as near to the end and as many as 31 bits are worth."""
+    return schedule_of(design, _NEAR, _MOST_NUMBERS)
+
+
+def written_fixed(design: Design, prefix: str, number: NumberType, span: tuple[float, float]) -> Written:
+    """Write a filter in fixed point.
+
+    Parameters
+    ----------
+    design : Design
+        The filter.
+    prefix : str
+        What its names in C begin with.
+    number : NumberType
+        Of a reading.
+    span : (float, float)
+        Least and greatest reading, in unit.
+
+    Raises
+    ------
+    RecipeError
+        If it never settles, or readings reach too far for its digits.
+    """
+    schedule, scale = schedule_in(design), scale_of(*span)
+    point, word = fit(design, schedule, scale.lsb)
+    limits, n = rails_of(design, scale), design.states
+    context = {
+        **words_of(design, prefix, number),
+        **_numbers(design, schedule, point),
+        **_looked_at(design, scale, limits),
+        "offset": DOUBLE.commented(scale.offset),
+        "lsb": DOUBLE.commented(scale.lsb),
+        "counted": "_".join([prefix, "{}", unit_name(design.unit)]).rstrip("_").upper(),
+        "coasts": design.coasts,
+        "exact": schedule.exact,
+    }
+    source = render("fixed.c.jinja", context)
+    gains = len(schedule.K) + 1
+    return Written(
+        header=render("fixed.h.jinja", context),
+        source=source,
+        cost=_cost(source),
+        state_bytes=_bytes(design, schedule),
+        table_bytes=5 * (gains * (n + 1) + design.opening.weights.size) + 4 * (not schedule.exact) * (gains - 1),
+        word=word,
+        largest=min(design.largest, max(abs(scale.in_unit(-GREATEST)), abs(scale.in_unit(GREATEST)))),
+        exact=schedule.exact,
+        start_rows=len(design.opening.weights) + schedule.rows,
+        scale=(scale.offset, scale.lsb),
+    )
+
+
+def _looked_at(design: Design, scale: Scale, rails: Rails) -> dict[str, Any]:
+    """Return what templates need to look at a reading."""
+    zero = round(float(scale.counts(np.zeros(1))[0]))
+    return {
+        "low": rails.low,
+        "high": rails.high,
+        "least": rails.least,
+        "most": rails.most,
+        "possible": rails.least == -GREATEST and rails.most == GREATEST,
+        "nothing": zero,
+        "rests": scale.in_unit(zero) == 0.0,
+        "stuck": min(design.limits.stuck_readings or 0, (1 << 32) - 1),
+    }
+
+
+def _numbers(design: Design, schedule: Schedule, point: Point) -> dict[str, Any]:
+    """Return the coefficients of the filter, and the sums that they make."""
+    F, H, C, n = design.model.F, design.model.H[0], design.output, design.states
+    f, nu, told = np.array(point.states), point.innovation, point.signal
+    p, x = [f"p{i}" for i in range(n)], [f"x{i}" for i in range(n)]
+    K = np.vstack([schedule.K, schedule.settled])
+    gains = np.column_stack([K @ F.T * 2.0 ** (f - nu), K @ C * 2.0 ** (told - nu)])
+    onward = F * 2.0 ** (f[:, np.newaxis] - f)
+    return {
+        "o": len(design.opening.weights),
+        "x": x,
+        "a": [f"a{i}" for i in range(n)],
+        "opening": _table(design.opening.weights * 2.0 ** (f - nu)),
+        "gains": _table(gains),
+        "rows": len(K),
+        "counts": _in_lines(f"{count}u" for count in schedule.counts.tolist()),
+        "digits": point.states,
+        "innovation_digits": nu,
+        "signal_digits": told,
+        "of_reading": 1 << nu,
+        "of_level": f"INT64_C({1 << point.states[0]})",
+        "read_of_p": terms(-H * 2.0 ** (nu - f), p),
+        "signal_of_p": terms(C * 2.0 ** (told - f), p),
+        "signal_of_x": terms(C * 2.0 ** (told - f), x),
+        "ahead_of_p": [terms(row, p) for row in onward],
+        "ahead_of_x": [terms(row, x) for row in onward],
+    }
+
+
+def factor_of(value: float) -> tuple[int, int]:
+    """Return m, of 31 bits, and s with m / 2^s next to a value; 0 where nothing would be left of 62 bits."""
+    fraction, exponent = np.frexp(value)
+    mantissa, shift = round(float(fraction) * 2.0**31), 31 - int(exponent)
+    if abs(mantissa) > GREATEST:
+        mantissa, shift = mantissa // 2, shift - 1
+    return (mantissa, shift) if mantissa and shift <= _FARTHEST else (0, 31)
+
+
+def terms(row: Floats | Sequence[float], names: Sequence[str]) -> list[str]:
+    """Write row[j] * names[j] in integers; what is not exact in 31 bits gets as many again."""
+    written = []
+    for value, name in zip(row, names, strict=True):
+        left = float(value)
+        for _ in range(2):
+            mantissa, shift = factor_of(left)
+            if mantissa:
+                written.append(_term(mantissa, shift, name))
+            left -= mantissa / 2.0**shift
+    return written or ["INT64_C(0)"]
+
+
+def _term(mantissa: int, shift: int, name: str) -> str:
+    if abs(mantissa) != 1 << 30 or shift < 30:
+        return f"becalm_times({name}, {mantissa}, {shift}u)"
+    sign = "-" if mantissa < 0 else ""
+    return f"{sign}{name}" if shift == 30 else f"{sign}becalm_rounded({name}, {shift - 30}u)"
+
+
+def _table(rows: Floats) -> dict[str, list[list[str]]]:
+    """Return m and s of coefficients (r, k), row by row."""
+    factors = [[factor_of(value) for value in row] for row in rows.tolist()]
+    return {
+        "mantissas": [[str(mantissa) for mantissa, _ in row] for row in factors],
+        "shifts": [[f"{shift}u" for _, shift in row] for row in factors],
+    }
+
+
+def _in_lines(words: Iterable[str]) -> list[list[str]]:
+    told = list(words)
+    return [told[i : i + _ON_A_LINE] for i in range(0, len(told), _ON_A_LINE)]
+
+
+def _cost(source: str) -> Cost:
+    """Count the operations of a settled row: a product is two of 32 by 32 bits, which are added and rounded."""
+    lines = source.splitlines()
+    first = next(i for i, line in enumerate(lines) if line.lstrip().startswith("int64_t nu = "))
+    row = "\n".join(lines[first : next(i for i in range(first, len(lines)) if "s->p[0] = " in lines[i])])
+    products, sums, rounded = (len(re.findall(rf"becalm_{name}\(", row)) for name in ("times", "sum", "rounded"))
+    return Cost(2 * products, 2 * products + sums + rounded + 1)  # the last rounds the signal
+
+
+def _bytes(design: Design, schedule: Schedule) -> int:
+    """Return the size of the state, as a compiler lays it out that aligns 64 bits to them."""
+    size = 8 * design.states + 8 + 4 * (not schedule.exact) + 16 * bool(design.limits.stuck_readings)
+    return -(-size // 8) * 8

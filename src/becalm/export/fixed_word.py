@@ -1,0 +1,236 @@
+"""Where the point stands in each state of a filter in fixed point, and what that costs, computed before anything runs.
+
+A reading is a count of 31 bits, a state an integer of 61 whose last digit is 2^-f counts. f is as large as the range of
+the state leaves: what the settled filter makes of the worst readings (the sum of |h| over its impulse response), and,
+as far as the digits go, of the worst readings while it starts, or coasts; a filter that leaves it then begins anew.
+Rounding stalls a state, and is noise at every step, as in `word_length`; readings and signal are rounded to counts.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from becalm.core.arrays import Floats
+from becalm.core.steady_filter import SteadyFilter
+from becalm.errors import RecipeError
+from becalm.export.design import Design
+from becalm.export.schedule import Schedule
+from becalm.export.word_length import MOST_ERROR, WordLength, gathered
+
+STATE_BITS = 61
+"""Of a state besides its sign; sums of terms have one more, and two of them fit into 64 bits."""
+
+_COUNT_BITS = 31
+_INNOVATION_DIGITS = 28  # more would only be digits of a reading's noise
+_QUIET = 0.02  # of a count: beside the rounding of what is told nobody finds it
+_PROMISED = 3e-4  # of a reading's noise: signals of a dozen noises are told to 90 dB
+_APART = 128.0  # noises, by which readings may differ at the least while a filter starts
+_STARTED = 512  # rows of a start that are looked at
+_MARGIN = 1.01  # for what is not looked at
+_GRID = 512  # rows of an impulse response that are looked at one by one, and in each octave after them
+_OCTAVES = 60
+
+
+class Point(NamedTuple):
+    """Where the point stands: how many binary digits come after it, in counts.
+
+    Attributes
+    ----------
+    states : tuple of int
+        Of each state, f.
+    innovation, signal : int
+        Of nu, and of the sum that becomes the signal.
+    apart : float
+        By how much of half the range readings may differ while the filter starts, or coasts, before it begins anew.
+    """
+
+    states: tuple[int, ...]
+    innovation: int
+    signal: int
+    apart: float
+
+
+class Reach(NamedTuple):
+    """How far states (n,) go, in parts of the greatest reading."""
+
+    settled: Floats
+    starting: Floats
+
+
+def fit(design: Design, schedule: Schedule, lsb: float) -> tuple[Point, WordLength]:
+    """Find where the point of each state stands, and what that costs.
+
+    Parameters
+    ----------
+    design : Design
+        A filter that settles.
+    schedule : Schedule
+        Its gains.
+    lsb : float
+        One count, in unit.
+
+    Raises
+    ------
+    RecipeError
+        If readings, or states, have too few digits beside the noise.
+    """
+    unit, span = design.unit, lsb * 2.0 ** (_COUNT_BITS + 1)
+    if lsb > design.noise_std:
+        raise RecipeError(
+            f"{design.name}: one count of q31 is {lsb:.3g} {unit} where readings span {span:.3g} {unit}, more"
+            f" than their noise of {design.noise_std:.3g} {unit}; give a narrower --range, or --precision float32."
+        )
+    reach, least = reach_of(design, schedule), min(_APART * lsb_noise(design, lsb) / 2.0**_COUNT_BITS, 1.0)
+    apart = 1.0
+    point = _point(design, schedule, reach, apart)
+    while apart > least and _states_cost(design, point) > _QUIET:
+        apart = max(apart / 2, least)
+        point = _point(design, schedule, reach, apart)
+    word = _word(design, point, lsb)
+    _refuse(design, point, word, lsb)
+    return point, word
+
+
+def lsb_noise(design: Design, lsb: float) -> float:
+    """Return the standard deviation of a reading's noise, in counts."""
+    return design.noise_std / lsb
+
+
+def _refuse(design: Design, point: Point, word: WordLength, lsb: float) -> None:
+    unit, beside = design.unit, _states_cost(design, point)
+    quiet = word.share <= MOST_ERROR and beside <= _PROMISED * lsb_noise(design, lsb)
+    if quiet and min(point.innovation, point.signal) > 0:
+        return
+    raise RecipeError(
+        f"{design.name}: q31 would cost {word.share:.2g} of the signal's standard deviation of {design.settled_std:.3g}"
+        f" {unit} where readings span {word.range:.3g} {unit}, and a tenth is the most (it stalls {word.stall:.2g}"
+        f" {unit} off, rounding adds {word.noise:.2g} {unit}; its states are {beside * lsb:.2g} {unit} of that, and"
+        f" {_PROMISED * design.noise_std:.2g} {unit} is the most); give a narrower --range, a larger"
+        " process_noise_density, or --precision float64."
+    )
+
+
+def _word(design: Design, point: Point, lsb: float) -> WordLength:
+    """Return what a point costs, in unit."""
+    assert design.steady is not None
+    stall = stall_of(design, point)
+    rounded = (1 + design.steady.noise_gain()) / 12  # the signal, and readings
+    noise = float(np.sqrt(noise_of(design.steady, point) ** 2 + rounded))
+    share = max(stall, noise) * lsb / design.settled_std
+    return WordLength(stall * lsb, noise * lsb, share, lsb * 2.0 ** (_COUNT_BITS + 1), lsb)
+
+
+def _states_cost(design: Design, point: Point) -> float:
+    assert design.steady is not None
+    return max(stall_of(design, point), noise_of(design.steady, point))
+
+
+def stall_of(design: Design, point: Point) -> float:
+    """Return the error at which a filter of a constant stands still, or about which it swings, in counts.
+
+    A state of a motion does not move while |F K nu| is below half its last digit, and where a slope stands still that
+    is not 0, the level stands where K nu makes up for it. No innovation is seen below half a digit of its own.
+    """
+    assert design.steady is not None
+    F, n = design.model.F, 1
+    while n < design.states and F[n, n] == 1.0 and F[n - 1, n] == 1.0:
+        n += 1
+    halves, gains = 0.5 ** (np.array(point.states[:n]) + 1.0), np.abs(F @ design.steady.gain)[:n, 0]
+    stalls = np.divide(halves, gains, out=np.full(n, np.inf), where=gains > 0)
+    return max(float(stalls.max()), 0.5 ** (point.innovation + 1))
+
+
+def noise_of(steady: SteadyFilter, point: Point) -> float:
+    """Return the standard deviation of what rounding in the states adds to a settled signal, in counts.
+
+    Each term of a sum is rounded to the last digit of what it is added to, evenly.
+    """
+    F, H, C, K = steady.model.F, steady.model.H, steady.output, steady.gain
+    D = np.sqrt(np.maximum(np.diag(steady.predicted_cov), 0.0))
+    D = np.where(D > 0, D, 1.0)
+    digit = 0.5 ** np.array(point.states, np.float64)
+    terms = 1 + np.count_nonzero(F - np.diag(np.diag(F) == 1.0), axis=1)
+    seen = np.count_nonzero(H) * 4.0**-point.innovation / 12
+    enters = F @ K / D[:, np.newaxis]
+    injected = np.diag(terms * (digit / D) ** 2 / 12) + seen * (enters @ enters.T)
+    through = gathered(steady.loop.M, injected)
+    row = (C - (C @ K) @ H) * D
+    told = (np.count_nonzero(C) + 1) * 4.0**-point.signal / 12 + seen * float((C @ K)[0, 0]) ** 2
+    return float(np.sqrt((row @ through @ row.T)[0, 0] + told))
+
+
+def _point(design: Design, schedule: Schedule, reach: Reach, apart: float) -> Point:
+    """Give each state the digits that its reach, and that of the sums it is made by, leaves."""
+    F, H, C = design.model.F, np.abs(design.model.H[0]), np.abs(design.output)
+    K = np.vstack([schedule.K, schedule.settled])
+    level = np.eye(design.states)[0]
+    started = np.minimum(np.maximum(reach.starting, level), level + apart * reach.starting)
+    states = np.maximum(reach.settled, started)
+    nu = 1.0 + float(H @ states)
+    entering = np.maximum(np.abs(F @ schedule.settled), apart * np.abs(K @ F.T).max(axis=0)) * nu
+    sums = (np.abs(F) @ states + entering) / 2
+    told = float(C @ states) + float(np.abs(K @ design.output).max()) * nu
+    digits = [_digits(size) for size in np.maximum(sums, states).tolist()]
+    for i in reversed(range(design.states - 1)):  # what is added as it is, is only ever rounded
+        digits[i] = min([digits[i], *(digits[j] for j in range(i + 1, design.states) if F[i, j] == 1.0)])
+    seen = [each for each, used in zip(digits, H + C, strict=True) if used]
+    return Point(
+        tuple(digits),
+        min(_digits(nu), _INNOVATION_DIGITS, *seen),
+        min(_digits(told), _INNOVATION_DIGITS, *seen),
+        apart,
+    )
+
+
+def _digits(size: float) -> int:
+    """Return how many digits come after the point of what is so many times the greatest reading."""
+    return STATE_BITS - _COUNT_BITS - int(np.ceil(np.log2(_MARGIN * max(size, 1e-9))))
+
+
+def reach_of(design: Design, schedule: Schedule) -> Reach:
+    """Return how far the worst readings drive the states."""
+    assert design.steady is not None
+    columns, weights, D = _responses(design.steady)
+    settled = D * (np.abs(columns) @ weights)
+    starting, leap = np.maximum(_started(design, schedule), settled), design.steady.loop.F
+    coasts = design.coasts
+    for length in sorted({min(1 << bit, coasts) for bit in range(17)}):
+        far = np.linalg.matrix_power(leap, length)
+        starting = np.maximum(starting, D * (np.abs(far @ columns) @ weights))
+    return Reach(settled, starting)
+
+
+def _responses(steady: SteadyFilter) -> tuple[Floats, Floats, Floats]:
+    """Return the response (n, k) of states to an impulse, (k,) for how many rows each stands, and (n,) their spreads.
+
+    Every row for a while, then as many in each octave; of what turns as it fades as much is met as passed by, about.
+    The states are those of equal spread.
+    """
+    loop = steady.loop
+    D = np.sqrt(np.maximum(np.diag(steady.predicted_cov), 0.0))
+    grid, power = loop.F @ loop.K, loop.M
+    while grid.shape[1] < _GRID:
+        grid, power = np.hstack([grid, power @ grid]), power @ power
+    columns, weights, every = [grid], [np.ones(_GRID)], 1.0
+    for _ in range(_OCTAVES):
+        following = power @ grid
+        columns.append(following)
+        weights.append(np.full(_GRID, every))
+        if np.abs(following).sum() * every <= 1e-9 * np.abs(grid).sum():
+            break
+        grid, power, every = np.hstack([grid[:, ::2], following[:, ::2]]), power @ power, every * 2
+    return np.hstack(columns), np.concatenate(weights), np.where(D > 0, D, 1.0)
+
+
+def _started(design: Design, schedule: Schedule) -> Floats:
+    """Return how far the states (n,) go in the first rows, where readings lie as far from the first as can be."""
+    F, H, weights = design.model.F, design.model.H, design.opening.weights
+    opened = np.abs(weights[1:]).sum(axis=0)
+    columns = F @ weights.T
+    most: Floats = np.maximum(2 * opened, np.abs(columns).sum(axis=1))
+    for K in np.repeat(schedule.K, np.minimum(schedule.counts, _STARTED), axis=0)[:_STARTED]:
+        columns = np.hstack([F @ (columns - np.outer(K, H @ columns)), (F @ K)[:, np.newaxis]])
+        most = np.maximum(most, np.abs(columns).sum(axis=1))
+    return most

@@ -1,0 +1,262 @@
+"""A filter with its full covariance as C: gains as they follow from what came, constants once they have settled."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from becalm.core.arrays import Floats
+from becalm.core.gates import level_of
+from becalm.core.kernel_gate import WIDE
+from becalm.core.possible import largest_level
+from becalm.export.design import Design
+from becalm.export.expressions import Cost
+from becalm.export.number_type import DOUBLE, NumberType
+from becalm.export.templates import render
+from becalm.export.word_length import WordLength, noise_of, stall_of
+from becalm.export.written import Written, look_of
+
+_ON_A_LINE = 4
+_NEVER = (1 << 32) - 1
+_MOST_SINGLE = 1 << 14  # rows of a gap while rejects wait
+_DEAD_PIVOT = 1e-15
+_HIGHEST_IN_FLOAT = 3  # order of motion
+_STALLED, _ADDED = 1e-5, 3e-7  # of a reading's noise: what a state of float may stall off, and what it may add
+_QUANTUM = 0.5  # of a reading's noise: by so much the level moves
+_COUNTED = 1 << 23  # quanta that a level of float may count
+_GREATEST = {"float32": 3e38, "float64": 1e300}
+_ROUNDED_ULPS = {"float32": 1 << 24, "float64": 1 << 6}  # of a square of double: what rounding leaves of an innovation
+
+
+def written_full(design: Design, prefix: str, number: NumberType, span: float | None) -> Written:
+    """Write a filter that carries its covariance.
+
+    Parameters
+    ----------
+    design : Design
+        The filter.
+    prefix : str
+        What its names in C begin with.
+    number : NumberType
+        What readings are, and states where that costs nothing. The covariance is in double whatever they are, as
+        factors: in float it would lose all digits of a gain of order 5 before it settles.
+    span : float or None
+        How far readings lie from each other at the most, in unit.
+
+    """
+    inner, word = _inner(design, number, span)
+    quantum = word.quantum if word else None
+    largest = min(design.largest, number.greatest, word.range if word and quantum else np.inf)
+    held = largest_level(design.noise_variance)
+    context = {
+        **look_of(design, prefix, number, largest),
+        **_level(quantum, inner),
+        **_model(design),
+        **_of_state(design, inner),
+        **_ends(design),
+        "num": inner.name,
+        "nought": inner.literal(0.0),
+        "inward": "" if inner == number else "(double)",
+        "outward": "" if inner == number else "(float)",
+        "double": inner.is_double,
+        "most": inner.literal(inner.greatest),
+        "largest_level": inner.literal(held) if inner.is_double and held < largest else None,
+        "most_d": DOUBLE.literal(inner.greatest),
+        "greatest": number.literal(_GREATEST[number.precision]),
+        "greatest_d": DOUBLE.literal(_GREATEST[number.precision]),
+        **_gate(design, inner),
+    }
+    context["covariance_c"] = render("covariance.c.jinja", context)
+    context["gate_c"] = render("gate.c.jinja", context) if design.gate else ""
+    return Written(
+        header=render("full.h.jinja", context),
+        source=render("full.c.jinja", context),
+        cost=_cost(design),
+        state_bytes=_bytes(design, number, inner),
+        table_bytes=_table_bytes(design, inner),
+        word=word,
+        largest=largest,
+        exact=True,
+        start_rows=len(design.opening.weights) + design.settled_rows if settles(design) else 0,
+    )
+
+
+def factors_of(P: Floats) -> tuple[Floats, Floats]:
+    """Return U (n, n), an upper triangle with a diagonal of 1, and D (n,) of a covariance U diag(D) U'."""
+    M, n = np.array(P, dtype=np.longdouble), len(P)
+    U, D, least = np.eye(n), np.zeros(n), _DEAD_PIVOT * np.diag(P)
+    for j in range(n - 1, -1, -1):
+        if M[j, j] > least[j]:
+            u = M[:j, j] / M[j, j]
+            D[j], U[:j, j] = M[j, j], u
+            M[:j, :j] -= M[j, j] * np.outer(u, u)
+    return U, D
+
+
+def settles(design: Design) -> bool:
+    """Whether its gain is taken for settled after some rows."""
+    return design.steady is not None and design.settled_rows < _NEVER
+
+
+def _packed(P: Floats) -> Floats:
+    """Return the factors of a covariance as C holds them: the upper triangle column by column, D on its diagonal."""
+    U, D = factors_of(P)
+    held = U + np.diag(D - 1.0)
+    return np.concatenate([held[: j + 1, j] for j in range(len(P))])
+
+
+def _settled_cov(design: Design) -> Floats:
+    """Return the covariance after a reading, once settled, in parts of R, by (7)."""
+    assert design.steady is not None
+    P, K, R = design.steady.predicted_cov, design.steady.gain, design.noise_variance
+    A = np.eye(design.states) - K @ design.model.H
+    return np.asarray(A @ (P / R) @ A.T + K @ K.T, dtype=np.float64)
+
+
+def _inner(design: Design, number: NumberType, span: float | None) -> tuple[NumberType, WordLength | None]:
+    """Return what states are, and what their word costs: float only where it costs next to nothing beside a reading.
+
+    Rounding of a slow filter, or of a motion whose order is high, would add up beyond a millionth of the signal.
+    """
+    if number.is_double or design.steady is None or not settles(design) or _motion_order(design) > _HIGHEST_IN_FLOAT:
+        return DOUBLE, None
+    quantum = 2.0 ** np.floor(np.log2(_QUANTUM * design.noise_std))
+    if span is not None and span > quantum * _COUNTED:
+        quantum = 2.0 ** np.ceil(np.log2(span / _COUNTED))
+    stall, noise = stall_of(design, number, quantum), noise_of(design.steady, number, quantum)
+    first = 2.0**-number.bits * float(np.sqrt(np.diag(design.opening.P).max()))  # a digit of what is hardly known
+    if not (max(stall, first) <= _STALLED * design.noise_std and noise <= _ADDED * design.noise_std):
+        return DOUBLE, None
+    share = max(stall, noise) / design.settled_std
+    return number, WordLength(stall, noise, share, float(quantum) * _COUNTED, float(quantum))
+
+
+def _motion_order(design: Design) -> int:
+    """Return how many of the first states are a motion: the rest of them fades, or turns, by itself."""
+    F, order = design.model.F, 1
+    while order < len(F) and F[order, order] == 1.0 and F[order - 1, order] == 1.0:
+        order += 1
+    return order
+
+
+def _level(quantum: float | None, number: NumberType) -> dict[str, Any]:
+    if quantum is None:
+        return {"quantum": None}
+    return {
+        "quantum": number.literal(quantum),
+        "per_quantum": number.literal(1 / quantum),
+        "farthest": number.literal(quantum * 2.0**30),
+    }
+
+
+def _model(design: Design) -> dict[str, Any]:
+    """Return the constants of the covariance, in double."""
+    n, model, R = design.states, design.model, design.noise_variance
+    G, Q = factors_of(model.process_covariance / R)
+    drives = Q > 0
+    return {
+        "packed": n * (n + 1) // 2,
+        "noises": int(drives.sum()),
+        "F": _table(model.F, DOUBLE),
+        "G": _table(G[:, drives], DOUBLE),
+        "Q": _table(Q[drives], DOUBLE),
+        "H": _table(model.H[0], DOUBLE),
+        "C": _table(design.output, DOUBLE),
+        "variance": DOUBLE.literal(R),
+        "longest": design.longest_gap if design.longest_gap < _NEVER else None,
+        "opened": _table(_packed(design.opening.P / R), DOUBLE),
+    }
+
+
+def _of_state(design: Design, number: NumberType) -> dict[str, Any]:
+    """Return the constants of the state, as its numbers are."""
+    return {
+        "o": len(design.opening.weights),
+        "opening": _table(design.opening.weights, number),
+        "F_real": _table(design.model.F, number),
+        "H_real": _table(design.model.H[0], number),
+        "C_real": _table(design.output, number),
+        "gain": _table(design.steady.gain, number) if design.steady is not None else None,
+    }
+
+
+def _ends(design: Design) -> dict[str, Any]:
+    """Return what stays once the gain has settled."""
+    if design.steady is None or not settles(design):
+        return {"settled": False}
+    return {
+        "settled": True,
+        "settled_rows": design.settled_rows,
+        "covariance": _table(_packed(_settled_cov(design)), DOUBLE),
+        "settled_S": DOUBLE.literal(design.steady.innovation_variance / design.noise_variance),
+    }
+
+
+def _gate(design: Design, number: NumberType) -> dict[str, Any]:
+    """Return the constants of a gate."""
+    gate, model, R = design.gate, design.model, design.noise_variance
+    if gate is None:
+        return {"gate": False}
+    level, H = level_of(model), model.H
+    return {
+        "gate": True,
+        "threshold2": DOUBLE.literal(gate.threshold**2),
+        "agree": gate.agree,
+        "at_most": gate.at_most,
+        "least_since": min(gate.at_most, (1 << 31) - 1),
+        "level": level if level >= 0 else None,
+        "level_variance": DOUBLE.literal(R / float(H[0, level]) ** 2) if level >= 0 else None,
+        "wide": DOUBLE.literal(WIDE),
+        "per_noise": DOUBLE.literal(1 / design.noise_std),
+        "per_variance": DOUBLE.literal(1 / R),
+        "moves": _table((H @ model.F - H)[0], DOUBLE),
+        "moves_noise": DOUBLE.literal(float((H @ model.process_covariance @ H.T)[0, 0]) / R),
+        "rounded_ulps": _ROUNDED_ULPS[number.precision],
+        "most_single": _MOST_SINGLE,
+    }
+
+
+def _table(values: Floats, number: NumberType) -> dict[str, Any]:
+    """Return numbers as lines of literals, and how many there are."""
+    words = [number.literal(value) for value in np.ravel(values).tolist()]
+    return {"count": len(words), "lines": [words[i : i + _ON_A_LINE] for i in range(0, len(words), _ON_A_LINE)]}
+
+
+def _cost(design: Design) -> Cost:
+    """Count the operations of a row: of a settled one, or of a full one where none settles.
+
+    Each loop counts with all of its turns. The covariance is in double.
+    """
+    n, noises = design.states, int((factors_of(design.model.process_covariance)[1] > 0).sum())
+    state = Cost(n * n + 3 * n, n * n + 3 * n + 2)
+    gate = Cost(3, 0) if design.gate else Cost(0, 0)
+    if settles(design):
+        return Cost(state.multiplications + gate.multiplications, state.additions)
+    width, pairs = n + noises, n * (n - 1) // 2
+    ahead = Cost(n * pairs + 2 * width * n + 3 * width * pairs, n * pairs + width * n + 2 * width * pairs, pairs)
+    learn = Cost(pairs + 3 * n + 2 * pairs, pairs + n + 2 * pairs, 3 * n)
+    seen = Cost(pairs + 2 * n, pairs + n + 1) if design.gate else Cost(0, 0)
+    parts = (state, gate, ahead, learn, seen)
+    return Cost(
+        sum(part.multiplications for part in parts),
+        sum(part.additions for part in parts),
+        sum(part.divisions for part in parts),
+    )
+
+
+def _bytes(design: Design, number: NumberType, inner: NumberType) -> int:
+    """Return the size of the state, as a compiler lays it out."""
+    n, stuck, gated = design.states, bool(design.limits.stuck_readings), design.gate is not None
+    size = 8 * (n * (n + 1) // 2) + 16 * gated + inner.bytes * (n + 1) + 3 * number.bytes * stuck
+    size += 4 * stuck + 8 + 14 * gated + 2
+    return -(-size // 8) * 8
+
+
+def _table_bytes(design: Design, number: NumberType) -> int:
+    n, o = design.states, len(design.opening.weights)
+    noises = int((factors_of(design.model.process_covariance)[1] > 0).sum())
+    packed = n * (n + 1) // 2
+    doubles = n * n + (n + 1) * noises + 2 * n + packed * (1 + settles(design)) + n * (design.gate is not None)
+    reals = o * n + (0 if number.is_double else n * n + 2 * n) + n * settles(design)
+    return 8 * doubles + number.bytes * reals

@@ -1,0 +1,48 @@
+"""What else lies in a bundle: an emulated Cortex-M to run it on, a library for Arduino, a block as in CMSIS-DSP."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from becalm.export.templates import render
+
+_ALIKE = {
+    "cortex_m/startup.c": "cortex_m/startup.c.jinja",
+    "cortex_m/link.ld": "cortex_m/link.ld.jinja",
+    "cortex_m/counting.c": "cortex_m/counting.c.jinja",
+    "examples/cmsis_block.c": "cmsis_block.c.jinja",
+}
+
+
+def layouts(context: Mapping[str, Any]) -> dict[str, str]:
+    """Return the texts of all layouts by their paths within a bundle.
+
+    Parameters
+    ----------
+    context : mapping
+        What the bundle's own templates are filled in with, `vectors_hash` among it.
+    """
+    library = library_name(context["stem"])
+    within = {**context, "library": library, "library_version": _library_version(context["version"])}
+    root, stem = f"arduino/{library}", context["stem"]
+    arduino = {
+        f"{root}/library.properties": "arduino/library.properties.jinja",
+        f"{root}/keywords.txt": "arduino/keywords.txt.jinja",
+        f"{root}/src/becalm.h": "becalm.h.jinja",
+        f"{root}/src/{stem}.h": "header.h.jinja",
+        f"{root}/src/{stem}.c": "source.c.jinja",
+        f"{root}/examples/{library}Live/{library}Live.ino": "arduino/live.ino.jinja",
+    }
+    return {path: render(template, within) for path, template in (_ALIKE | arduino).items()}
+
+
+def library_name(stem: str) -> str:
+    """Return what the library for Arduino is called: `test_bench` becomes `TestBench`."""
+    return "".join(part.capitalize() for part in stem.split("_"))
+
+
+def _library_version(version: str) -> str:
+    """Return the three numbers that Arduino takes as a version, 0.0.0 where becalm has none."""
+    numbers = [*version.split("+")[0].split("."), "0", "0", "0"][:3]
+    return ".".join(number if number.isdigit() else "0" for number in numbers)

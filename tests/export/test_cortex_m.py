@@ -1,0 +1,138 @@
+"""What is exported, on emulated Cortex-Ms: the golden vectors, and the instructions a sample takes."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from becalm.cleaning.recipe import ChannelRecipe
+from becalm.cleaning.recipe_modes import ModeRecipe, SwitchingRecipe
+from becalm.cleaning.recipe_parts import GateRecipe, LimitsRecipe, ToneRecipe
+from becalm.export.verifying import unpacked
+from exported import bundle, channel, need
+
+pytestmark = pytest.mark.slow
+
+CPUS = ("m0", "m3", "m4")
+TONE = ToneRecipe(frequency_hz=5.0, bandwidth_hz=0.01, process_noise_density=0.1)
+LIMITS = LimitsRecipe(low=-300.0, high=300.0, stuck_readings=7)
+SLOPE, LEVEL = channel("ax", 2, 0.05), channel("ay", 1, 1e-3, limits=LIMITS)
+CHANNELS = (SLOPE, LEVEL, channel("az", 3, 0.02, tone=(TONE,)))
+SPANS = {told.name: (-500.0, 500.0) for told in CHANNELS}
+STILL = ModeRecipe(name="still", order=1, process_noise_density=0.01, noise_std=1.0, lasts_s=4.0)
+MOVING = ModeRecipe(name="moving", order=2, process_noise_density=3e3, noise_std=1.1, lasts_s=1.0, wild_share=0.02)
+MODES = SwitchingRecipe(kind="resting", wild_std=20.0, rejects=True, mode=(STILL, MOVING))
+KINDS: dict[str, tuple[tuple[ChannelRecipe, ...], dict[str, Any]]] = {
+    "float32": (CHANNELS, {}),
+    "float64": (CHANNELS, {"precision": "float64"}),
+    "q31": (CHANNELS, {"precision": "q31", "spans": SPANS}),
+    "covariance": (CHANNELS, {"gain": "full"}),
+    "gate": ((channel("ax", 2, 0.05, gate=GateRecipe()),), {}),
+    "modes": ((channel("ax", 2, 0.05, switching=MODES),), {}),
+}
+
+
+@pytest.fixture(scope="module", params=KINDS)
+def folder(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Write filters of one kind."""
+    channels, asked = KINDS[request.param]
+    return unpacked(bundle(*channels, **asked), tmp_path_factory.mktemp(str(request.param)))
+
+
+@pytest.fixture
+def single(tmp_path: Path) -> Path:
+    """Write one channel in float32, to be changed."""
+    return unpacked(bundle(SLOPE), tmp_path)
+
+
+def make(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    """Run make where an ARM compiler and QEMU are here."""
+    for program in ("make", "arm-none-eabi-gcc", "qemu-system-arm"):
+        need(program)
+    command = ["make", "--no-print-directory", "-C", str(folder), *words]
+    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
+
+
+def counted(folder: Path, cpu: str) -> dict[str, float]:
+    """Return the instructions a sample of each channel takes."""
+    ran = make(folder, f"cortex-{cpu}-count")
+    assert ran.returncode == 0, ran.stdout + ran.stderr
+    return {name: float(many) for name, many in re.findall(r"^(\w+): ([\d.]+) instructions a sample", ran.stdout, re.M)}
+
+
+@pytest.mark.parametrize("cpu", CPUS)
+def test_golden_vectors_pass_on_a_cortex_m(folder: Path, cpu: str) -> None:
+    ran = make(folder, f"cortex-{cpu}")
+    assert ran.returncode == 0, ran.stdout + ran.stderr
+    assert ran.stdout.rstrip().endswith("All vectors passed.")
+    assert len(re.findall(r"^drive_\w+ \w+ +passed:", ran.stdout, re.M)) == (folder / "main.c").read_text().count(
+        "failed += "
+    )
+
+
+def test_a_wrong_number_fails_on_a_cortex_m(single: Path) -> None:
+    source = single / "drive.c"
+    text = source.read_text()
+    wrong = text.replace("const float nu = (z - s->level)", "const float nu = 1.001f * (z - s->level)")
+    assert wrong != text
+    source.write_text(wrong)
+    ran = make(single, "cortex-m")
+    assert ran.returncode != 0
+    assert "FAILED" in ran.stdout
+    assert "vectors failed" in ran.stdout
+
+
+def test_a_fault_ends_the_emulation_and_fails(single: Path) -> None:
+    (single / "main.c").write_text(
+        "#include <stdint.h>\nint main(void) { *(volatile uint32_t *)0xA0000000u = 1u; return 0; }\n"
+    )
+    ran = make(single, "cortex-m0")
+    assert ran.returncode != 0
+    assert "The processor has faulted." in ran.stdout
+
+
+@pytest.mark.parametrize("cpu", CPUS)
+def test_no_library_is_needed_but_memset_memcpy_and_arithmetic(folder: Path, cpu: str) -> None:
+    need("arm-none-eabi-nm")
+    made = make(folder, f"build/cortex_{cpu}/drive.o")
+    assert made.returncode == 0, made.stderr
+    listed = subprocess.run(
+        ["arm-none-eabi-nm", "-u", str(folder / f"build/cortex_{cpu}/drive.o")],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    needed = set(listed.stdout.split()) - {"U", "memset", "memcpy"}
+    assert not {name for name in needed if not name.startswith("__aeabi_")}
+
+
+@pytest.mark.parametrize("cpu", CPUS)
+def test_every_channel_is_counted(folder: Path, cpu: str) -> None:
+    found = counted(folder, cpu)
+    assert list(found) == re.findall(r"^void (\w+)_init\(", (folder / "drive.h").read_text(), re.M)
+    assert all(10 < many < 100_000 for many in found.values())
+
+
+@pytest.mark.parametrize("cpu", ["m0", "m4"])
+def test_seven_instructions_more_are_counted_as_seven(single: Path, cpu: str) -> None:
+    before = counted(single, cpu)["drive_ax"]
+    source = single / "drive.c"
+    head, block, rest = source.read_text().partition("_step_block(")
+    loop = "row++) {\n"
+    assert loop in rest
+    rest = rest.replace(
+        loop, loop + '        __asm__ volatile("nop\\n\\tnop\\n\\tnop\\n\\tnop\\n\\tnop\\n\\tnop\\n\\tnop");\n', 1
+    )
+    source.write_text(head + block + rest)
+    assert counted(single, cpu)["drive_ax"] == pytest.approx(before + 7, abs=0.11)
+
+
+def test_without_counted_time_nothing_is_counted(single: Path) -> None:
+    ran = make(single, "cortex-m4-count", "QEMU_COUNTING=")
+    assert ran.returncode != 0
+    assert "was counted wrongly" in ran.stdout
+    assert "instructions a sample" not in ran.stdout
