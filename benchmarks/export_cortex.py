@@ -25,7 +25,7 @@ from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
 from becalm.cleaning.recipe_parts import LimitsRecipe, ToneRecipe
 from becalm.export.bundle import Asked, bundle_of
 from becalm.export.number_type import Precision
-from becalm.export.verifying import unpacked
+from becalm.export.proof.verifying import unpacked
 from pages import page_parser, publish
 
 RATE_HZ = 100.0

@@ -28,9 +28,9 @@ from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
 from becalm.core.arrays import Floats
 from becalm.errors import BecalmError
 from becalm.export.bundle import Asked, bundle_of
-from becalm.export.compiling_c import build
 from becalm.export.number_type import Precision
-from becalm.export.verifying import Compared, compare, unpacked
+from becalm.export.proof.compiling import build
+from becalm.export.proof.verifying import Compared, compare, unpacked
 from pages import page_parser, publish
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "docs"))

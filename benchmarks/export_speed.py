@@ -22,9 +22,9 @@ from becalm.cleaning.recipe_modes import ModeRecipe, SwitchingRecipe
 from becalm.cleaning.recipe_parts import GateRecipe, LimitsRecipe, ToneRecipe
 from becalm.errors import BecalmError
 from becalm.export.bundle import Asked, Bundle, bundle_of
-from becalm.export.compiling_c import build, compilers, run
 from becalm.export.number_type import Precision
-from becalm.export.verifying import unpacked
+from becalm.export.proof.compiling import build, compilers, run
+from becalm.export.proof.verifying import unpacked
 from pages import page_parser, publish
 
 _RATE_HZ = 100.0

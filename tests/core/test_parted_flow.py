@@ -16,7 +16,7 @@ from becalm.core.components import gauss_markov, motion, oscillator
 from becalm.core.flow import Flow, Judge
 from becalm.core.gates import Gate
 from becalm.core.lagged_flow import LaggedFlow
-from becalm.core.parted_flow import PartedFlow, PartialFlow
+from becalm.core.parted_flow import Gaps, PartedFlow, PartialFlow
 from becalm.core.reach import Reach, least_reach, longest_step, reach_of
 from becalm.core.switching_flow import SwitchingFlow
 from becalm.core.switching_lag import LaggedSwitchingFlow
@@ -180,3 +180,12 @@ def test_what_does_not_grow_bridges_everything() -> None:
 
 def test_a_bank_bridges_what_all_modes_do() -> None:
     assert least_reach([Reach(9.0, 3.0, 2), Reach(8.0, 4.0, 3)]) == Reach(8.0, 3.0, 3)
+
+
+def test_a_gap_that_ends_a_push_is_one_for_the_next() -> None:
+    """Rows without a reading, and then a usual one that comes alone: wherever rows are cut, it starts anew."""
+    reach, arrived = Reach(1024.0, 638.9, 3), np.array([True] * 6 + [False] * 3000 + [True])
+    whole, parts = Gaps(reach), Gaps(reach)
+    assert list(whole.starts(arrived, np.ones(len(arrived)))) == [3006]
+    assert list(parts.starts(arrived[:-1], np.ones(3006))) == []
+    assert list(parts.starts(arrived[-1:], np.ones(1))) == [0]

@@ -18,10 +18,10 @@ from becalm.cleaning.recipe_parts import LimitsRecipe
 from becalm.cleaning.steps import in_seconds
 from becalm.cleaning.stream import StreamCleaner
 from becalm.core.arrays import Codes, Floats
-from becalm.export.bank_kind import Bank
-from becalm.export.compiling_c import STRICT
+from becalm.export.bank.kind import Bank
 from becalm.export.design import design_of
 from becalm.export.number_type import NumberType
+from becalm.export.proof.compiling import STRICT
 from becalm.export.templates import render
 from becalm.export.written import Written
 from becalm.noise.banks import jumping, noisy, resting, spiky

@@ -13,8 +13,8 @@ from becalm.cleaning.recipe_parts import ColouredNoiseRecipe, GateRecipe, Limits
 from becalm.core.arrays import Codes, Floats
 from becalm.core.autoregressive import from_partial_autocorrelations
 from becalm.export.design import design_of
-from becalm.export.full_kind import Full
-from becalm.export.full_reference import FullReference
+from becalm.export.full.kind import Full
+from becalm.export.full.reference import FullReference
 from becalm.export.number_type import DOUBLE, FLOAT, NumberType
 from becalm.export.templates import render
 from becalm.export.written import Written

@@ -15,8 +15,8 @@ from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
 from becalm.cleaning.stream import StreamCleaner
 from becalm.core.arrays import Codes, Floats
 from becalm.export.bundle import Asked, Bundle, Exported, bundle_of
-from becalm.export.compiling_c import Build, build, run
-from becalm.export.verifying import unpacked
+from becalm.export.proof.compiling import Build, build, run
+from becalm.export.proof.verifying import unpacked
 
 
 def need(program: str) -> None:

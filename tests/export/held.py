@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.export.bundle import Bundle
-from becalm.export.compiling_c import STRICT
-from becalm.export.verifying import unpacked
+from becalm.export.proof.compiling import STRICT
+from becalm.export.proof.verifying import unpacked
 from exported import bundle, need
 
 UNDEFINED = ("-O1", "-fsanitize=undefined", "-fno-sanitize-recover=all")

@@ -12,7 +12,7 @@ import pytest
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.recipe_modes import ModeRecipe, SwitchingRecipe
 from becalm.cleaning.recipe_parts import GateRecipe, LimitsRecipe, ToneRecipe
-from becalm.export.verifying import unpacked
+from becalm.export.proof.verifying import unpacked
 from exported import bundle, channel, need
 
 pytestmark = pytest.mark.slow

@@ -15,14 +15,14 @@ from becalm.cleaning.recipe_parts import LimitsRecipe, ToneRecipe
 from becalm.core.verdict import Verdict
 from becalm.errors import RecipeError
 from becalm.export.bundle import Bundle
-from becalm.export.compiling_c import OPTIMISED, SANITIZED, run
-from becalm.export.fixed_c import GREATEST, factor_of, rails_of, scale_of, schedule_in
-from becalm.export.fixed_word import fit
+from becalm.export.fixed.text import GREATEST, factor_of, rails_of, scale_of, schedule_in
+from becalm.export.fixed.word_length import fit
 from becalm.export.number_type import DOUBLE
-from becalm.export.settled_c import with_gains
-from becalm.export.settled_reference import STARTING
-from becalm.export.verifying import unpacked
-from becalm.export.word_length import WordLength
+from becalm.export.proof.compiling import OPTIMISED, SANITIZED, run
+from becalm.export.proof.verifying import unpacked
+from becalm.export.settled.reference import STARTING
+from becalm.export.settled.text import with_gains
+from becalm.export.settled.word_length import WordLength
 from exported import built, bundle, channel, live, need, snr_db, through, wandering
 from held import SPAN, UNDEFINED, Held, fixed
 

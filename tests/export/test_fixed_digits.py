@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.errors import RecipeError
-from becalm.export.fixed_c import GREATEST, factor_of, scale_of, schedule_in
-from becalm.export.fixed_kind import FixedReference
-from becalm.export.fixed_word import fit, noise_of, reach_of, stall_of
+from becalm.export.fixed.kind import FixedReference
+from becalm.export.fixed.text import GREATEST, factor_of, scale_of, schedule_in
+from becalm.export.fixed.word_length import fit, noise_of, reach_of, stall_of
 from exported import bundle, channel
 from held import SPAN, UNDEFINED, Held, fixed, library
 

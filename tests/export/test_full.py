@@ -14,13 +14,13 @@ from becalm.cleaning.recipe_parts import ColouredNoiseRecipe
 from becalm.cleaning.stream import StreamCleaner
 from becalm.core.autoregressive import from_partial_autocorrelations
 from becalm.core.verdict import Verdict
-from becalm.export.compiling_c import OPTIMISED, SANITIZED, run
 from becalm.export.design import design_of
-from becalm.export.full_c import factors_of
-from becalm.export.full_kind import Full
-from becalm.export.full_reference import FullReference
+from becalm.export.full.kind import Full
+from becalm.export.full.reference import FullReference
+from becalm.export.full.text import factors_of
 from becalm.export.number_type import DOUBLE, FLOAT
-from becalm.export.settled_reference import STARTING
+from becalm.export.proof.compiling import OPTIMISED, SANITIZED, run
+from becalm.export.settled.reference import STARTING
 from carried import BOTH, CHANNELS, GATE, HARD, NUMBERS, STEP_S, USUAL, Program, rough
 from exported import built, bundle, channel, need, recipe_of, snr_db
 

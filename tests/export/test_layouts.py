@@ -12,9 +12,9 @@ import pytest
 from becalm.cleaning.recipe_parts import LimitsRecipe
 from becalm.core.arrays import Floats
 from becalm.export.bundle import Bundle, Exported
-from becalm.export.compiling_c import STRICT
 from becalm.export.layouts import library_name
-from becalm.export.verifying import unpacked
+from becalm.export.proof.compiling import STRICT
+from becalm.export.proof.verifying import unpacked
 from exported import bundle, channel, need
 
 CHANNELS = (channel("ax", 2, 0.05), channel("ay", 1, 0.02, limits=LimitsRecipe(low=-1.0, high=4095.0)))

@@ -14,13 +14,13 @@ from becalm.cleaning.recipe_parts import LimitsRecipe, ToneRecipe
 from becalm.core.verdict import Verdict
 from becalm.errors import RecipeError
 from becalm.export.bundle import Bundle
-from becalm.export.compiling_c import OPTIMISED, SANITIZED, Build, run
 from becalm.export.design import design_of
 from becalm.export.number_type import DOUBLE, FLOAT
-from becalm.export.schedule import schedule_of
-from becalm.export.settled_c import schedule_in, with_gains
-from becalm.export.settled_reference import STARTING, SettledReference
-from becalm.export.word_length import WordLength, prove, stall_of, ulp
+from becalm.export.proof.compiling import OPTIMISED, SANITIZED, Build, run
+from becalm.export.settled.reference import STARTING, SettledReference
+from becalm.export.settled.schedule import schedule_of
+from becalm.export.settled.text import schedule_in, with_gains
+from becalm.export.settled.word_length import WordLength, prove, stall_of, ulp
 from exported import built, bundle, channel, live, need, snr_db, through, wandering
 
 Programs = dict[str, tuple[Bundle, Build]]

@@ -80,8 +80,8 @@ def _to_c(recipe: Recipe, path: Path, output: Path, wanted: Wanted) -> dict[str,
     bundle = bundle_of(recipe, path.stem.removesuffix(".recipe"), _asked(recipe, wanted, recorded))
     files, told = dict(bundle.files), _summary(bundle)
     if wanted.verify:
-        from becalm.export.certificate import certificate
-        from becalm.export.verifying import verify
+        from becalm.export.proof.certificate import certificate
+        from becalm.export.proof.verifying import verify
 
         with stderr.status("compiling and comparing"):
             verified = verify(bundle, recipe, recorded)

@@ -183,7 +183,8 @@ class Gaps:
     def _bridges(self, rows: int) -> bool:
         """Take rows of which none is missing in even time at once, as mostly; say whether they were taken."""
         near = min(self._reach.longest, self._reach.spans * self._last) >= 1.0 and self._now.is_integer()
-        if not (near and self._readings >= self._reach.readings):
+        waits = self._now != self._last  # rows without a reading came last
+        if waits or not (near and self._readings >= self._reach.readings):
             return False
         self._now += rows
         self._last, self._readings = self._now, self._readings + rows

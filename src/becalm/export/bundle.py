@@ -15,14 +15,14 @@ from becalm.core.itself import version
 from becalm.errors import RecipeError, UsageError
 from becalm.export.design import Design, design_of
 from becalm.export.facts import facts_of
-from becalm.export.kind import Kind, Span
+from becalm.export.kind import Kind, Opened, Raw, Span
 from becalm.export.kinds import kind_of
 from becalm.export.layouts import layouts
 from becalm.export.naming import comment, identifier, identifiers
 from becalm.export.number_type import Precision
 from becalm.export.templates import render
-from becalm.export.vector_text import vector_texts
-from becalm.export.vectors import Vector, golden_vectors
+from becalm.export.vector_text import bits_of, vector_texts
+from becalm.export.vectors import Vector, extremes, golden_vectors
 from becalm.export.written import Written, words_of
 
 _HIGHEST_UHZ = (1 << 62) - 1
@@ -61,6 +61,8 @@ class Exported(NamedTuple):
     kind: Kind
     written: Written
     vectors: list[Vector]
+    opened: Opened
+    thrown: Raw
 
 
 class Bundle(NamedTuple):
@@ -154,7 +156,8 @@ def _exported(channel: ChannelRecipe, design: Design, prefix: str, asked: Asked)
         return kind.in_unit(kind.raw(readings, written), written)
 
     vectors = golden_vectors(design, rounded, opened, asked.recorded.get(channel.name))
-    return Exported(channel.name, prefix, design, kind, written, vectors)
+    thrown = kind.raw(extremes(design, span, written.largest), written)
+    return Exported(channel.name, prefix, design, kind, written, vectors, opened, thrown)
 
 
 def _files(  # noqa: PLR0913
@@ -194,7 +197,6 @@ def _context(  # noqa: PLR0913
         "precision": asked.precision,
         "notes": [comment(note) for note in notes],
         "reals": channels[0].kind.words,
-        "most_power": channels[0].kind.most_power,
         "channels": [_channel(one, recipe) for one in channels],
     }
 
@@ -212,5 +214,6 @@ def _channel(one: Exported, recipe: Recipe) -> dict[str, Any]:
         "cost": one.written.cost,
         "bits": one.kind.bits,
         "told": one.kind.told,
-        "vectors": vector_texts(one.vectors, one.kind, one.written),
+        "thrown": bits_of(one.thrown),
+        "vectors": vector_texts(one.vectors, one.kind, one.written, one.opened),
     }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -16,6 +17,9 @@ from becalm.export.vectors import Reference, Vector
 from becalm.export.written import Written
 
 Span = tuple[float, float]
+
+Opened = Callable[[], Reference]
+"""Opens what a filter is held against, at the start."""
 
 Raw = NDArray[np.generic]
 """Numbers of whatever type C takes."""
@@ -48,11 +52,6 @@ class Kind(Protocol):
         ...
 
     @property
-    def most_power(self) -> str:
-        """What the power of the difference may be, in parts of that of the signal; a literal of C."""
-        ...
-
-    @property
     def bridges(self) -> bool:
         """Whether it goes on after missing readings as becalm does, with a covariance."""
         ...
@@ -77,8 +76,12 @@ class Kind(Protocol):
         """Return a signal (N,), in unit, in what C tells it in, not rounded."""
         ...
 
-    def most_error(self, vector: Vector, written: Written) -> float:
-        """Return what a signal may be off by, in what C tells it in."""
+    def most_error(self, vector: Vector, written: Written, opened: Opened) -> float:
+        """Return what a signal may be off by, in what C tells it in; `opened` opens what it is held against."""
+        ...
+
+    def most_power(self, vector: Vector, most_error: float) -> float:
+        """Return what the power of the difference may be, in parts of that of the signal."""
         ...
 
 
@@ -114,11 +117,6 @@ class Floating:
         """Type of C that holds an expected signal."""
         return "double"
 
-    @property
-    def most_power(self) -> str:
-        """What the power of the difference may be, in parts of that of the signal."""
-        return f"{_SAME**2 if self.number.is_double else _DECIBELS_120:.0e}"
-
     def raw(self, readings: Floats, written: Written) -> Raw:
         """Return readings (N,) as numbers that C is given."""
         with np.errstate(over="ignore"):
@@ -132,6 +130,10 @@ class Floating:
         """Return a signal (N,) in what C tells it in: its unit."""
         return signal
 
-    def most_error(self, vector: Vector, written: Written) -> float:
+    def most_power(self, vector: Vector, most_error: float) -> float:
+        """Return what the power of the difference may be, in parts of that of the signal."""
+        return _SAME**2 if self.number.is_double else _DECIBELS_120
+
+    def most_error(self, vector: Vector, written: Written, opened: Opened) -> float:
         """Return what a signal may be off by, in what C tells it in."""
         return (_SAME if self.number.is_double else _NEAR) * float(np.abs(vector.signal).max())

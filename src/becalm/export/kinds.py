@@ -5,14 +5,14 @@ from __future__ import annotations
 from typing import get_args
 
 from becalm.errors import RecipeError, UsageError
-from becalm.export.bank_kind import Bank
+from becalm.export.bank.kind import Bank
 from becalm.export.design import Design
-from becalm.export.fixed_kind import Fixed
-from becalm.export.full_kind import Full
+from becalm.export.fixed.kind import Fixed
+from becalm.export.full.kind import Full
 from becalm.export.kind import Kind
 from becalm.export.number_type import DOUBLE, FLOAT, Precision
-from becalm.export.settled_c import schedule_in
-from becalm.export.settled_kind import Settled
+from becalm.export.settled.kind import Settled
+from becalm.export.settled.text import schedule_in
 
 GAINS = ("auto", "settled", "full")
 

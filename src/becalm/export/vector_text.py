@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from becalm.export.kind import Kind, Raw
+from becalm.export.kind import Kind, Opened, Raw
 from becalm.export.number_type import DOUBLE
 from becalm.export.vectors import Vector
 from becalm.export.written import Written
@@ -15,25 +15,27 @@ from becalm.export.written import Written
 _ON_A_LINE = 6
 
 
-def vector_texts(vectors: Sequence[Vector], kind: Kind, written: Written) -> list[dict[str, Any]]:
-    """Return what the templates write of vectors."""
-    return [_text(vector, kind, written) for vector in vectors]
+def vector_texts(vectors: Sequence[Vector], kind: Kind, written: Written, opened: Opened) -> list[dict[str, Any]]:
+    """Return what the templates write of vectors; `opened` opens what they are held against."""
+    return [_text(vector, kind, written, kind.most_error(vector, written, opened)) for vector in vectors]
 
 
-def _text(vector: Vector, kind: Kind, written: Written) -> dict[str, Any]:
+def _text(vector: Vector, kind: Kind, written: Written, most_error: float) -> dict[str, Any]:
     gaps = zip(vector.gap_rows.tolist(), vector.gap_lengths.tolist(), strict=True)
     return {
         "name": vector.name,
         "rows": len(vector.readings),
-        "readings": _lines(_bits(kind.raw(vector.readings, written))),
+        "readings": _lines(bits_of(kind.raw(vector.readings, written))),
         "signal": _lines([DOUBLE.literal(value) for value in kind.counts(vector.signal, written).tolist()]),
         "codes": _lines([f"{code}u" for code in vector.codes.tolist()], 24),
         "gaps": [f"{{ {row}u, {length}u }}" for row, length in gaps] or ["{ 0u, 0u }"],
-        "most": f"{kind.most_error(vector, written):.3g}",
+        "most": f"{most_error:.3g}",
+        "most_power": f"{kind.most_power(vector, most_error):.3g}",
     }
 
 
-def _bits(raw: Raw) -> list[str]:
+def bits_of(raw: Raw) -> list[str]:
+    """Write numbers (N,) as C is given them by their bits."""
     wide = raw.itemsize == 8
     whole = raw.view(np.uint64 if wide else np.uint32)
     return [f"0x{bits:0{16 if wide else 8}x}{'ULL' if wide else 'u'}" for bits in whole.tolist()]

@@ -64,6 +64,15 @@ def expected(name: str, readings: Floats, gaps: dict[int, int], reference: Refer
     return Vector(name, readings, rows, np.array([gaps[row] for row in rows.tolist()], np.int64), signal, codes)
 
 
+def extremes(design: Design, span: tuple[float, float] | None, largest: float) -> Floats:
+    """Return the least and the greatest reading (2,) that a filter takes, in unit: just within rails and range."""
+    low, high = design.limits.rails
+    low, high = max(low, -largest), min(high, largest)
+    low, high = (low, high) if span is None else (max(low, span[0]), min(high, span[1]))
+    inside = 1e-3 * (high - low)
+    return np.array([low + inside, high - inside])
+
+
 def golden_vectors(
     design: Design, rounded: Callable[[Floats], Floats], opened: Callable[[], Reference], recorded: Floats | None
 ) -> list[Vector]:
@@ -110,7 +119,8 @@ def _centre(design: Design) -> float:
 
 def _size(design: Design) -> float:
     low, high = design.limits.rails
-    return float(min(40 * design.noise_std, 0.4 * (high - low)))
+    noises = 10 if design.modes is not None else 40  # what lies far from all modes makes their probabilities toss
+    return float(min(noises * design.noise_std, 0.4 * (high - low)))
 
 
 def _holed(readings: Floats, hole: float, design: Design) -> Floats:

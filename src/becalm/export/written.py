@@ -11,8 +11,8 @@ from becalm.export.design import Design
 from becalm.export.expressions import Cost
 from becalm.export.naming import comment, identifier
 from becalm.export.number_type import NumberType
+from becalm.export.settled.word_length import WordLength
 from becalm.export.templates import render
-from becalm.export.word_length import WordLength
 
 _SPELT = (("/", " per "), ("%", " percent "), ("°", " deg "), ("^", ""), ("²", "2"), ("³", "3"), ("√", " sqrt "))
 

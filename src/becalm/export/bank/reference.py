@@ -29,21 +29,17 @@ class BankReference:
     def __init__(self, recipe: ChannelRecipe, step_s: float, largest: float) -> None:
         told = Recipe(mode="causal", tuned_on=Origin(rate_hz=1 / step_s), channel=(_plain(recipe, largest),))
         self._stream = StreamCleaner(told, step_s)
-        self._held = 0  # rows of a gap, which come with the next reading: a stream sees only so that they are too many
 
     def run(self, readings: Floats) -> tuple[Floats, Codes]:
         """Take readings (B,); return the signal, 0 where nothing is known yet, and what became of each."""
-        told = self._pushed(np.concatenate([np.full(self._held, np.nan), readings]))
-        signal, codes = told.signal[self._held :, 0], told.verdicts[self._held :, 0]
-        self._held = 0
+        told = self._pushed(readings)
+        signal, codes = told.signal[:, 0], told.verdicts[:, 0]
         return np.where(np.isnan(signal), 0.0, signal), codes.astype(np.int8)
 
     def gap(self, rows: int) -> None:
         """Go on for some rows without a reading, each a step of its own."""
-        rows += self._held
-        for first in range(0, rows - 1, _AT_ONCE):
-            self._pushed(np.full(min(_AT_ONCE, rows - 1 - first), np.nan))
-        self._held = min(rows, 1)
+        for first in range(0, rows, _AT_ONCE):
+            self._pushed(np.full(min(_AT_ONCE, rows - first), np.nan))
 
     def _pushed(self, readings: Floats) -> Streamed:
         return self._stream.push(readings[:, np.newaxis], np.ones(len(readings)))

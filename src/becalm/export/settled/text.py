@@ -11,9 +11,9 @@ from becalm.core.arrays import Floats
 from becalm.export.design import Design
 from becalm.export.expressions import cost_of, product_sum
 from becalm.export.number_type import NumberType
-from becalm.export.schedule import Schedule, schedule_of
+from becalm.export.settled.schedule import Schedule, schedule_of
+from becalm.export.settled.word_length import WordLength, prove
 from becalm.export.templates import render
-from becalm.export.word_length import WordLength, prove
 from becalm.export.written import Written, look_of
 
 _NEAR = {"float64": 1e-13, "float32": 1e-8}

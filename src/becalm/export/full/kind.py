@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.export.design import Design
-from becalm.export.full_c import written_full
-from becalm.export.full_reference import FullReference
+from becalm.export.full.reference import FullReference
+from becalm.export.full.text import written_full
 from becalm.export.kind import Floating, Span
 from becalm.export.vectors import Reference
 from becalm.export.written import Written

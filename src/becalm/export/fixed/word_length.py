@@ -16,8 +16,8 @@ from becalm.core.arrays import Floats
 from becalm.core.steady_filter import SteadyFilter
 from becalm.errors import RecipeError
 from becalm.export.design import Design
-from becalm.export.schedule import Schedule
-from becalm.export.word_length import MOST_ERROR, WordLength, gathered
+from becalm.export.settled.schedule import Schedule
+from becalm.export.settled.word_length import MOST_ERROR, WordLength, gathered
 
 STATE_BITS = 61
 """Of a state besides its sign; sums of terms have one more, and two of them fit into 64 bits."""

@@ -13,8 +13,8 @@ from becalm.core.possible import largest_level
 from becalm.export.design import Design
 from becalm.export.expressions import Cost
 from becalm.export.number_type import DOUBLE, NumberType
+from becalm.export.settled.word_length import WordLength, noise_of, stall_of
 from becalm.export.templates import render
-from becalm.export.word_length import WordLength, noise_of, stall_of
 from becalm.export.written import Written, look_of
 
 _ON_A_LINE = 4

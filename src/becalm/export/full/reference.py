@@ -15,8 +15,8 @@ from becalm.core.arrays import Codes, Floats
 from becalm.core.kernel_faults import Rule, find_faults
 from becalm.core.verdict import Verdict
 from becalm.export.design import Design
-from becalm.export.full_extended import Extended
-from becalm.export.settled_reference import STARTING
+from becalm.export.full.extended import Extended
+from becalm.export.settled.reference import STARTING
 
 _AT_ONCE = 1 << 16  # rows of a gap that go one by one; so many more go as one
 _ROUNDED = 2e-13  # of the largest signal: more of becalm's own rounding would be most of what C may be off by

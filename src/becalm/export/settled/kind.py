@@ -5,8 +5,8 @@ from __future__ import annotations
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.export.design import Design
 from becalm.export.kind import Floating, Span
-from becalm.export.settled_c import schedule_in, written_settled
-from becalm.export.settled_reference import SettledReference
+from becalm.export.settled.reference import SettledReference
+from becalm.export.settled.text import schedule_in, written_settled
 from becalm.export.vectors import Reference
 from becalm.export.written import Written
 

@@ -11,9 +11,9 @@ import numpy as np
 from becalm.core.arrays import Floats
 from becalm.export.design import Design
 from becalm.export.expressions import Cost
-from becalm.export.fixed_word import Point, fit
+from becalm.export.fixed.word_length import Point, fit
 from becalm.export.number_type import DOUBLE, NumberType
-from becalm.export.schedule import Schedule, schedule_of
+from becalm.export.settled.schedule import Schedule, schedule_of
 from becalm.export.templates import render
 from becalm.export.written import Written, unit_name, words_of
 

@@ -7,8 +7,8 @@ from hashlib import sha256
 import numpy as np
 
 from becalm.export.bundle import Bundle
-from becalm.export.compiling_c import version_of
-from becalm.export.verifying import Verified
+from becalm.export.proof.compiling import version_of
+from becalm.export.proof.verifying import Compared, Verified
 
 
 def certificate(bundle: Bundle, verified: Verified) -> str:
@@ -27,10 +27,15 @@ def certificate(bundle: Bundle, verified: Verified) -> str:
     lines += ["|---|---|---|---|---|---|"]
     lines += [
         f"| {one.channel} | {one.record} | {one.rows} | {one.beside} | {one.error:.2g} of the greatest signal |"
-        f" {'no difference' if np.isinf(one.snr_db) else f'{one.snr_db:.1f} dB'} |"
+        f" {_decibels(one)} |"
         for one in verified.compared
     ]
     return "\n".join([*lines, "", *_files(bundle)]) + "\n"
+
+
+def _decibels(one: Compared) -> str:
+    told = "no difference" if np.isinf(one.snr_db) else f"{one.snr_db:.1f} dB"
+    return told if one.kept else f"{told}: more than is promised"
 
 
 def _files(bundle: Bundle) -> list[str]:

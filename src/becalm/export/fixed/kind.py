@@ -8,11 +8,11 @@ from becalm.cleaning.recipe import ChannelRecipe
 from becalm.core.arrays import Floats
 from becalm.errors import RecipeError
 from becalm.export.design import Design
-from becalm.export.fixed_c import GREATEST, Scale, rails_of, schedule_in, written_fixed
-from becalm.export.fixed_word import STATE_BITS, fit
-from becalm.export.kind import Raw, Span
+from becalm.export.fixed.text import GREATEST, Scale, rails_of, schedule_in, written_fixed
+from becalm.export.fixed.word_length import STATE_BITS, fit
+from becalm.export.kind import Opened, Raw, Span
 from becalm.export.number_type import NumberType
-from becalm.export.settled_reference import SettledReference
+from becalm.export.settled.reference import SettledReference
 from becalm.export.vectors import Reference, Vector
 from becalm.export.written import Written
 
@@ -86,10 +86,9 @@ class Fixed:
         """Type of C that holds an expected signal."""
         return "double"
 
-    @property
-    def most_power(self) -> str:
-        """What the power of the difference may be, in parts of that of the signal: 90 dB."""
-        return "1e-9"
+    def most_power(self, vector: Vector, most_error: float) -> float:
+        """Return what the power of the difference may be, in parts of that of the signal: 90 dB."""
+        return 1e-9
 
     @property
     def bridges(self) -> bool:
@@ -133,7 +132,7 @@ class Fixed:
         """Return a signal (N,), in unit, as C tells it: in whole counts, saturated."""
         return np.rint(_scale(written).counts(signal))
 
-    def most_error(self, vector: Vector, written: Written) -> float:
+    def most_error(self, vector: Vector, written: Written, opened: Opened) -> float:
         """Return what a signal may be off by, in counts: one that is rounded the other way, and what the proof says."""
         assert written.word is not None, "a filter in fixed point is proved"
         lsb, largest = _scale(written).lsb, float(np.abs(self.counts(vector.signal, written)).max())

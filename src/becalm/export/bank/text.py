@@ -15,7 +15,7 @@ from becalm.core.possible import largest_level
 from becalm.core.reach import Reach, least_reach, reach_of
 from becalm.core.switching import Switching
 from becalm.errors import RecipeError
-from becalm.export.bank_cost import row_cost
+from becalm.export.bank.cost import row_cost
 from becalm.export.design import Design
 from becalm.export.kind import Span
 from becalm.export.naming import identifiers
@@ -111,6 +111,7 @@ def written_bank(design: Design, prefix: str, number: NumberType, span: Span | N
         "scale": number.literal(scale),
         "half": number.literal(0.5),
         "faint": number.literal(2.0**-number.bits),
+        "gathered": number.literal(2.0**-20),
         "seldom": number.literal(1e-8),
         "most_rows": MOST_ROWS,
     }
@@ -184,7 +185,7 @@ def exponential_of(number: NumberType) -> dict[str, Any]:
 
 
 def _modes_of(design: Design) -> Switching:
-    assert design.modes is not None, "a channel without modes has one filter"
+    assert design.modes is not None
     return design.modes
 
 
@@ -273,14 +274,8 @@ def _state_bytes(design: Design, carried: bool, number: NumberType) -> int:
 
 def _table_bytes(modes: Switching, tails: bool, number: NumberType) -> int:
     n, M = modes.states, len(modes.modes)
-    numbers = (
-        2 * M * n * n
-        + M * M
-        + 2 * n
-        + M * (1 + tails + (not number.is_double))
-        + M * (1 + n)
-        + _EXPONENTIALS[number.precision].terms
-    )
+    of_modes = M * (2 + tails + (not number.is_double) + n)
+    numbers = 2 * M * n * n + M * M + 2 * n + of_modes + _EXPONENTIALS[number.precision].terms
     return numbers * number.bytes
 
 

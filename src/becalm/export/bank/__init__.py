@@ -1,0 +1,1 @@
+"""Modes, one of which is in force at a time."""

@@ -1,0 +1,55 @@
+"""A switching bank, in floating point."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from becalm.cleaning.recipe import ChannelRecipe
+from becalm.export.bank.reference import BankReference
+from becalm.export.bank.text import written_bank
+from becalm.export.design import Design
+from becalm.export.kind import Floating, Opened, Span
+from becalm.export.vectors import Reference, Vector, expected
+from becalm.export.written import Written
+
+_SEED, _TRIES = 20261124, 4
+_TIMES = 16.0  # what a last digit of readings moves: covariances lose some too, and tell as much
+
+
+class Bank(Floating):
+    """A switching bank."""
+
+    def write(self, design: Design, prefix: str, span: Span | None) -> Written:
+        """Write a filter."""
+        return written_bank(design, prefix, self.number, span)
+
+    def reference(self, recipe: ChannelRecipe, design: Design, written: Written) -> Reference:
+        """Return what it is held against, at the start."""
+        return BankReference(recipe, design.step_s, written.largest)
+
+    def most_error(self, vector: Vector, written: Written, opened: Opened) -> float:
+        """Return what a signal may be off by, in unit.
+
+        Where readings lie far from all that a bank expects, its probabilities turn a last digit of them into much
+        more. So much may C be off as well: by how far becalm itself moves where the last digits are others. And each
+        row that is missed rounds the probabilities once more, which no reading mends: they walk off as a sum does.
+        """
+        gathered = np.sqrt(vector.gap_lengths.max(initial=0)) * 2.0**-self.number.bits * np.abs(vector.signal).max()
+        moved = written.start_error + _TIMES * self._moved(vector, opened)
+        return super().most_error(vector, written, opened) + moved + float(gathered)
+
+    def most_power(self, vector: Vector, most_error: float) -> float:
+        """Return what the power of the difference may be, in parts of that of the signal: a fourth of its greatest."""
+        power = float(np.square(vector.signal).mean())
+        allowed = super().most_power(vector, most_error)
+        return max(allowed, (most_error / 4) ** 2 / power) if power > 0 else allowed
+
+    def _moved(self, vector: Vector, opened: Opened) -> float:
+        """Return how far becalm's own signal moves, at the most, where readings differ in their last digit, in unit."""
+        gaps = dict(zip(vector.gap_rows.tolist(), vector.gap_lengths.tolist(), strict=True))
+        rng, moved = np.random.default_rng(_SEED), 0.0
+        for _ in range(_TRIES):
+            digits = rng.uniform(-1.0, 1.0, len(vector.readings)) * 2.0**-self.number.bits
+            other = expected(vector.name, vector.readings * (1.0 + digits), gaps, opened())
+            moved = max(moved, float(np.abs(other.signal - vector.signal).max()))
+        return moved

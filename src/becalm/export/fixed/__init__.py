@@ -1,0 +1,1 @@
+"""A settled gain in whole numbers."""

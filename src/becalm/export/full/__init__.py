@@ -1,0 +1,1 @@
+"""A filter that carries its covariance, and may have a gate."""

@@ -1,0 +1,1 @@
+"""C compiled, run, compared with becalm; and the certificate."""

@@ -1,0 +1,1 @@
+"""A settled gain after a table of gains: no covariance, no division."""
