@@ -63,6 +63,9 @@ bench: .venv/tested
 	$(BIN)/python benchmarks/journal_writing.py -o docs/journal-writing.md
 	$(BIN)/python benchmarks/live_sinks.py -o docs/live-sinks.md
 	$(BIN)/python benchmarks/app_speed.py -o docs/app-speed.md
+	$(BIN)/python benchmarks/export_speed.py -o docs/export-speed.md
+	$(BIN)/python benchmarks/export_cortex.py -o docs/export-cortex.md
+	$(BIN)/python benchmarks/export_records.py -o docs/export-records.md
 	$(BIN)/python docs/real_files.py -o docs/real-files.md
 	$(BIN)/python docs/formats.py -o docs/formats.md
 

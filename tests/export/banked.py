@@ -1,146 +1,52 @@
-"""Banks compiled and run, and records and recipes for them."""
+"""Banks by their names, what becalm tells of their readings, and readings for them."""
 
 from __future__ import annotations
 
-import subprocess
-from collections.abc import Sequence
 from functools import cache
-from pathlib import Path
-from tempfile import mkdtemp
-from typing import NamedTuple
 
 import numpy as np
 
 from becalm.cleaning.modes import modes_in_seconds
-from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
+from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.recipe_modes import ModeRecipe, SwitchingRecipe
 from becalm.cleaning.recipe_parts import LimitsRecipe
 from becalm.cleaning.steps import in_seconds
 from becalm.cleaning.stream import StreamCleaner
-from becalm.core.arrays import Codes, Floats
-from becalm.export.bank.kind import Bank
-from becalm.export.design import design_of
-from becalm.export.number_type import NumberType
-from becalm.export.proof.compiling import STRICT
-from becalm.export.templates import render
-from becalm.export.written import Written
+from becalm.core.arrays import Floats
+from becalm.export.bundle import Bundle, Exported
 from becalm.noise.banks import jumping, noisy, resting, spiky
 from becalm.noise.far import NONE_FAR
 from becalm.noise.likelihood import Evidence, tune_motion
 from becalm.noise.switching import Switched
+from driven import Told
+from exported import WIDE_LIMITS, bundle, recipe_of
 
 RATE_HZ = 200.0
 KINDS = ("resting", "jumping", "noisy", "spiky")
+NAMES = (*(f"{kind} {order}" for kind in KINDS for order in (1, 3)), "limited", "nervous")
 
-_DRIVER = """
-#include "bank.c"
-#include <stdio.h>
-#include <stdlib.h>
-
-int main(int count, char **words)
-{
-    b_state state;
-    char what;
-    double value;
-    b_init(&state);
-    (void)words;
-    if (count > 1) {
-        printf("%zu\\n", sizeof state);
-        return 0;
-    }
-    while (scanf(" %c %lf", &what, &value) == 2) {
-        REAL signal = 0;
-        if (what == 'z') {
-            const int status = (int)b_step(&state, (REAL)value, &signal);
-            printf("%a %d", (double)signal, status);
-            for (uint32_t mode = 0u; mode < MODES; mode++) {
-                printf(" %a", (double)b_probability(&state, mode));
-            }
-            printf("\\n");
-        } else if (what == 'g') {
-            b_gap(&state, (uint32_t)value);
-        } else if (what == 'r') {
-            b_reset(&state, (REAL)value);
-        } else {
-            printf("%a %a\\n", (double)b_decay((REAL)value), (double)b_per_root((REAL)value));
-        }
-    }
-    return 0;
-}
-"""
-
-
-class Told(NamedTuple):
-    """What is told of some rows."""
-
-    signal: Floats  # (N,)
-    codes: Codes  # (N,)
-    modes: Floats  # (N, M)
-
-
-class Program:
-    """A bank of one channel, compiled."""
-
-    def __init__(self, recipe: ChannelRecipe, number: NumberType, compiler: str, flags: Sequence[str]) -> None:
-        design = design_of(recipe, 1 / RATE_HZ)
-        assert design is not None
-        assert design.modes is not None
-        self.kind, self.design, self.recipe = Bank(number), design, recipe
-        self.written: Written = self.kind.write(design, "b", None)
-        folder = Path(mkdtemp(prefix="becalm-bank-"))
-        (folder / "becalm.h").write_text(render("becalm.h.jinja", {}))
-        prototypes = (
-            f"void b_init(b_state *s);\nvoid b_reset(b_state *s, {number.name} x);\n"
-            f"void b_gap(b_state *s, uint32_t n);\n"
-            f"becalm_status b_step(b_state *s, {number.name} z, {number.name} *y);\nvoid b_step_block(b_state *s,"
-            f" const {number.name} *z, {number.name} *y, uint8_t *status, size_t rows);\n"
-        )
-        source = f'#include "becalm.h"\n{self.written.header}{prototypes}{self.written.source}'
-        (folder / "bank.c").write_text(source)
-        (folder / "driver.c").write_text(_DRIVER)
-        names = [f"-DREAL={number.name}", f"-DMODES={len(design.modes.modes)}u"]
-        command = [compiler, *STRICT, *flags, *names, "driver.c", "-o", "driver"]
-        subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True)
-        self._program = folder / "driver"
-
-    def size(self) -> int:
-        """Return the size of the state."""
-        return int(subprocess.run([self._program, "size"], check=True, capture_output=True, text=True).stdout)
-
-    def run(self, readings: Floats, *before: str) -> Told:
-        """Take readings (N,) from the start, after other commands."""
-        lines = self.answers([*before, *(f"z {value.hex()}" for value in readings.tolist())])
-        rows = [line.split() for line in lines]
-        signal = np.array([float.fromhex(row[0]) for row in rows])
-        modes = np.array([[float.fromhex(word) for word in row[2:]] for row in rows])
-        return Told(signal, np.array([int(row[1]) for row in rows], np.int8), modes)
-
-    def answers(self, commands: Sequence[str]) -> list[str]:
-        """Return what the program says to commands."""
-        text = "\n".join(commands).replace("nan", "nan ").replace("-inf", "-inf ")
-        return subprocess.run(
-            [self._program], input=text, check=True, capture_output=True, text=True
-        ).stdout.splitlines()
-
-    def expected(self, readings: Floats) -> Told:
-        """Return what becalm's own stream tells of readings (N,)."""
-        limits = (self.recipe.limits or LimitsRecipe()).model_copy(update={"largest": self.written.largest})
-        recipe = Recipe(
-            mode="causal",
-            tuned_on=Origin(rate_hz=RATE_HZ),
-            channel=(self.recipe.model_copy(update={"limits": limits}),),
-        )
-        told = StreamCleaner(recipe, 1 / RATE_HZ).push(readings[:, np.newaxis], np.ones(len(readings)))
-        return Told(np.nan_to_num(told.signal[:, 0], nan=0.0), told.verdicts[:, 0], told.modes)
-
-    def as_given(self, readings: Floats) -> Floats:
-        """Return readings (N,) as its number type holds them."""
-        return self.kind.in_unit(self.kind.raw(readings, self.written), self.written)
+def told_of(name: str) -> ChannelRecipe:
+    """Return a recipe by its name."""
+    if name == "nervous":
+        return nervous(3)
+    if name == "limited":
+        return made("spiky", 2).model_copy(update={"limits": WIDE_LIMITS})
+    kind, order = name.split()
+    return made(kind, int(order))
 
 
 @cache
-def program(recipe: str, number: NumberType, compiler: str = "cc", flags: tuple[str, ...] = ("-O2",)) -> Program:
-    return Program(RECIPES[recipe], number, compiler, flags)
+def bundle_of_bank(name: str, precision: str) -> Bundle:
+    """Write a bank by its name."""
+    return bundle(told_of(name), rate_hz=RATE_HZ, precision=precision)
+
+
+def expected(told: ChannelRecipe, one: Exported, readings: Floats) -> Told:
+    """Return what becalm's own stream tells of readings (N,)."""
+    limits = (told.limits or LimitsRecipe()).model_copy(update={"largest": one.written.largest})
+    recipe = recipe_of(told.model_copy(update={"limits": limits}), rate_hz=RATE_HZ)
+    found = StreamCleaner(recipe, 1 / RATE_HZ).push(readings[:, np.newaxis], np.ones(len(readings)))
+    return Told(np.nan_to_num(found.signal[:, 0], nan=0.0), found.verdicts[:, 0], found.modes)
 
 
 def record(rows: int, seed: int) -> Floats:
@@ -164,6 +70,7 @@ def spoilt(rows: int, seed: int) -> Floats:
     return z
 
 
+@cache
 def made(kind: str, order: int) -> ChannelRecipe:
     """Return a recipe of a bank with the numbers that a search begins with."""
     z = record(6000, 1)
@@ -198,14 +105,6 @@ def nervous(order: int, noise_std: float = 1.0) -> ChannelRecipe:
         noise_std=noise_std,
         switching=switching,
     )
-
-
-LIMITS = LimitsRecipe(low=-300.0, high=300.0, stuck_readings=4)
-RECIPES = {
-    **{f"{kind} {order}": made(kind, order) for kind in KINDS for order in (1, 3)},
-    "limited": made("spiky", 2).model_copy(update={"limits": LIMITS}),
-    "nervous": nervous(3),
-}
 
 
 def one_noise(rows: int) -> Floats:

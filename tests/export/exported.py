@@ -10,13 +10,29 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import strategies as st
 
 from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
+from becalm.cleaning.recipe_modes import ModeRecipe, SwitchingRecipe
+from becalm.cleaning.recipe_parts import LimitsRecipe, ToneRecipe
 from becalm.cleaning.stream import StreamCleaner
 from becalm.core.arrays import Codes, Floats
 from becalm.export.bundle import Asked, Bundle, Exported, bundle_of
 from becalm.export.proof.compiling import Build, build, run
 from becalm.export.proof.verifying import unpacked
+
+TONE = ToneRecipe(frequency_hz=5.0, bandwidth_hz=0.05, process_noise_density=0.1)
+HUM = TONE.model_copy(update={"disturbance": True})
+LIMITS = LimitsRecipe(low=-60.0, high=60.0, stuck_readings=9)
+WIDE_LIMITS = LimitsRecipe(low=-300.0, high=300.0, stuck_readings=4)
+STILL = ModeRecipe(name="still", order=1, process_noise_density=0.01, noise_std=1.0, lasts_s=4.0)
+MOVING = ModeRecipe(name="moving", order=2, process_noise_density=3e3, noise_std=1.1, lasts_s=1.0, wild_share=0.02)
+MODES = SwitchingRecipe(kind="resting", wild_std=20.0, rejects=True, mode=(STILL, MOVING))
+SPAN = 2.0**15
+ANY = st.one_of(
+    st.floats(width=32), st.sampled_from([np.nan, np.inf, -np.inf, 1e38, -1e38, 3e5, -3e5, 0.0, 60.0, 5e-324, 1e308])
+)
+"""Whatever may be read."""
 
 
 def need(program: str) -> None:
@@ -47,6 +63,12 @@ def recipe_of(*channels: ChannelRecipe, rate_hz: float = 100.0) -> Recipe:
 def bundle(*channels: ChannelRecipe, rate_hz: float = 100.0, **asked: Any) -> Bundle:
     """Write these channels as C."""
     return bundle_of(recipe_of(*channels, rate_hz=rate_hz), "drive", Asked(**asked))
+
+
+def fixed(*told: ChannelRecipe, span: tuple[float, float] = (-SPAN, SPAN)) -> Bundle:
+    """Write these channels in fixed point; a span is for those that have no rails."""
+    railed = [one.name for one in told if one.limits is not None and one.limits.low is not None]
+    return bundle(*told, precision="q31", spans={one.name: span for one in told if one.name not in railed})
 
 
 def built(made: Bundle, folder: Path, compiler: str = "cc", flags: tuple[str, ...] = ("-O2",)) -> Build:

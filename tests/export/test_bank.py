@@ -2,25 +2,41 @@
 
 from __future__ import annotations
 
-from functools import partial
+from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from banked import KINDS, RATE_HZ, RECIPES, Program, nervous, one_noise, program, record, spoilt
+from banked import KINDS, NAMES, RATE_HZ, bundle_of_bank, expected, nervous, one_noise, record, spoilt, told_of
 from becalm.cleaning.tuning import tune
+from becalm.core.arrays import Floats
 from becalm.core.recording import Recording
 from becalm.core.verdict import Verdict
 from becalm.errors import RecipeError
 from becalm.export.bank.cost import row_cost
-from becalm.export.bank.kind import Bank
 from becalm.export.bank.text import reach_of_bank
-from becalm.export.design import design_of
-from becalm.export.number_type import DOUBLE, FLOAT, NumberType
-from becalm.export.proof.compiling import OPTIMISED, SANITIZED, compilers
-from becalm.export.vectors import golden_vectors
+from becalm.export.number_type import DOUBLE, FLOAT
+from becalm.export.proof.compiling import OPTIMISED, SANITIZED, compilers, run
+from driven import UNDEFINED, Driven, driven_one
+from exported import built, bundle, through
 
-NUMBERS = [pytest.param(DOUBLE, id="double"), pytest.param(FLOAT, id="float")]
+PRECISIONS = ("float64", "float32")
+Banks = Callable[[str, str], Driven]
+
+
+@pytest.fixture(scope="module")
+def banks(tmp_path_factory: pytest.TempPathFactory) -> Banks:
+    """Return what compiles a bank by its name, once, and gives it as `_init` leaves it."""
+    folder, made = tmp_path_factory.mktemp("banks"), dict[tuple[str, str], Driven]()
+
+    def bank(name: str, precision: str) -> Driven:
+        if (name, precision) not in made:
+            made[name, precision] = driven_one(bundle_of_bank(name, precision), folder)
+        made[name, precision].init()
+        return made[name, precision]
+
+    return bank
 
 
 @pytest.mark.parametrize("kind", KINDS)

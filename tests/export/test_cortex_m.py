@@ -10,22 +10,16 @@ from typing import Any
 import pytest
 
 from becalm.cleaning.recipe import ChannelRecipe
-from becalm.cleaning.recipe_modes import ModeRecipe, SwitchingRecipe
-from becalm.cleaning.recipe_parts import GateRecipe, LimitsRecipe, ToneRecipe
+from becalm.cleaning.recipe_parts import GateRecipe
 from becalm.export.proof.verifying import unpacked
-from exported import bundle, channel, need
+from exported import MODES, TONE, WIDE_LIMITS, bundle, channel, need
 
 pytestmark = pytest.mark.slow
 
 CPUS = ("m0", "m3", "m4")
-TONE = ToneRecipe(frequency_hz=5.0, bandwidth_hz=0.01, process_noise_density=0.1)
-LIMITS = LimitsRecipe(low=-300.0, high=300.0, stuck_readings=7)
-SLOPE, LEVEL = channel("ax", 2, 0.05), channel("ay", 1, 1e-3, limits=LIMITS)
+SLOPE, LEVEL = channel("ax", 2, 0.05), channel("ay", 1, 1e-3, limits=WIDE_LIMITS)
 CHANNELS = (SLOPE, LEVEL, channel("az", 3, 0.02, tone=(TONE,)))
 SPANS = {told.name: (-500.0, 500.0) for told in CHANNELS}
-STILL = ModeRecipe(name="still", order=1, process_noise_density=0.01, noise_std=1.0, lasts_s=4.0)
-MOVING = ModeRecipe(name="moving", order=2, process_noise_density=3e3, noise_std=1.1, lasts_s=1.0, wild_share=0.02)
-MODES = SwitchingRecipe(kind="resting", wild_std=20.0, rejects=True, mode=(STILL, MOVING))
 KINDS: dict[str, tuple[tuple[ChannelRecipe, ...], dict[str, Any]]] = {
     "float32": (CHANNELS, {}),
     "float64": (CHANNELS, {"precision": "float64"}),

@@ -15,7 +15,7 @@ from becalm.cleaning.stream import StreamCleaner
 from becalm.core.arrays import Floats
 from becalm.errors import RecipeError
 from becalm.export.number_type import Precision
-from becalm.export.settled.reference import STARTING
+from becalm.export.vectors import STARTING
 from exported import built, bundle, channel, live, recipe_of, snr_db, through
 
 ROWS = 4000

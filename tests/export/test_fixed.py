@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
-import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -19,14 +17,12 @@ from becalm.export.fixed.text import GREATEST, factor_of, rails_of, scale_of, sc
 from becalm.export.fixed.word_length import fit
 from becalm.export.number_type import DOUBLE
 from becalm.export.proof.compiling import OPTIMISED, SANITIZED, run
-from becalm.export.proof.verifying import unpacked
-from becalm.export.settled.reference import STARTING
 from becalm.export.settled.text import with_gains
-from becalm.export.settled.word_length import WordLength
-from exported import built, bundle, channel, live, need, snr_db, through, wandering
-from held import SPAN, UNDEFINED, Held, fixed
+from becalm.export.vectors import STARTING
+from becalm.export.word_length import WordLength
+from driven import UNDEFINED, Driven, driven
+from exported import HUM, SPAN, TONE, built, bundle, channel, fixed, live, need, snr_db, through, wandering
 
-TONE = ToneRecipe(frequency_hz=5.0, bandwidth_hz=0.05, process_noise_density=0.1)
 MISSING = -GREATEST - 1
 CHANNELS = {
     "level": channel("level", 1, 0.2),
@@ -36,7 +32,7 @@ CHANNELS = {
     "snap": channel("snap", 5, 0.1),
     "lazy": channel("lazy", 5, 0.02),
     "tone": channel("tone", 2, 0.05, tone=(TONE,)),
-    "hum": channel("hum", 1, 0.05, tone=(TONE.model_copy(update={"disturbance": True}),)),
+    "hum": channel("hum", 1, 0.05, tone=(HUM,)),
     "railed": channel("railed", 2, 0.05, limits=LimitsRecipe(low=-60.0, high=90.0, stuck_readings=9)),
 }
 ORDERS = [(order, 10 ** (decades / (2 * order))) for order in range(1, 6) for decades in (0, -4, -8, -12)]
@@ -83,9 +79,6 @@ def test_a_long_record_agrees_with_the_stream(name: str, tmp_path: Path) -> None
     known[: 0 if one.written.exact else 3 * one.written.start_rows + 2000] = False
     assert known.sum() > 95_000
     assert snr_db(signal[known], live(one, told, readings)[known]) >= 150
-
-
-ORDERS = [(order, 10 ** (lq / (2 * order))) for order in range(1, 6) for lq in (0, -4, -8, -12)]
 
 
 def in_double(made: Bundle) -> Bundle:
@@ -135,18 +128,20 @@ WILD = st.one_of(
 
 
 @pytest.fixture(scope="module")
-def held_ones(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Held]:
-    return {name: Held(fixed(told), tmp_path_factory.mktemp(name), *UNDEFINED) for name, told in CHANNELS.items()}
+def held_ones(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Driven]:
+    return driven(fixed(*CHANNELS.values()), tmp_path_factory.mktemp("held"), *UNDEFINED)
 
 
 @settings(deadline=None, max_examples=60)
 @given(st.sampled_from(sorted(CHANNELS)), st.lists(WILD, min_size=1, max_size=300), st.integers(1, 60))
-def test_whatever_comes_it_does_as_specified(held_ones: dict[str, Held], name: str, wild: list[int], hold: int) -> None:
+def test_whatever_comes_it_does_as_specified(
+    held_ones: dict[str, Driven], name: str, wild: list[int], hold: int
+) -> None:
     """Undefined behaviour aborts; what was learned from full-scale readings, one way or the other, is the same."""
     held = held_ones[name]
     calm = np.random.default_rng(1).normal(0, 2.0**16, 3000) + 2.0**18 * np.sin(np.arange(3000) / 70)
     counts = np.concatenate([np.repeat(wild, hold)[:600], calm]).astype(np.int32)
-    held.call("init")
+    held.init()
     told, codes = held.block(counts)
     one = held.one
     signal, became = one.kind.reference(CHANNELS[name], one.design, one.written).run(
@@ -160,7 +155,7 @@ def test_whatever_comes_it_does_as_specified(held_ones: dict[str, Held], name: s
 
 
 @pytest.mark.parametrize("name", ["level", "slope", "snap", "lazy", "tone"])
-def test_it_recovers_from_full_scale(held_ones: dict[str, Held], name: str) -> None:
+def test_it_recovers_from_full_scale(held_ones: dict[str, Driven], name: str) -> None:
     held, k = held_ones[name], np.arange(4000)
     full = GREATEST - 1
     far = {
@@ -172,27 +167,27 @@ def test_it_recovers_from_full_scale(held_ones: dict[str, Held], name: str) -> N
     }
     calm = np.random.default_rng(2).normal(0, 2.0**16, 6000)
     for readings in far.values():
-        held.call("init")
+        held.init()
         told, codes = held.block(np.concatenate([readings, calm]))
         assert (codes[-1000:] == Verdict.USED).all()
         assert np.abs(told[-1000:]).max() <= 2.0**19
 
 
-def test_gaps_are_missing_rows(held_ones: dict[str, Held]) -> None:
+def test_gaps_are_missing_rows(held_ones: dict[str, Driven]) -> None:
     for held in held_ones.values():
         counts = (2.0**16 * np.clip(wandering(600), -59, 59)).astype(np.int32)
         told = []
         for gap in (True, False):
-            held.call("init")
+            held.init()
             held.block(counts[:300])
-            held.call("gap", ctypes.c_uint32(17)) if gap else held.block(np.full(17, MISSING))
+            held.gap(17) if gap else held.block(np.full(17, MISSING))
             told.append(held.block(counts[300:])[0])
         assert (told[0] == told[1]).all()
 
 
-def test_a_reset_holds_its_signal(held_ones: dict[str, Held]) -> None:
+def test_a_reset_holds_its_signal(held_ones: dict[str, Driven]) -> None:
     for held in held_ones.values():
-        held.call("reset", 1_000_000)
+        held.reset(1_000_000)
         told, codes = held.block([MISSING, 1_000_000, 1_000_000])
         assert (told == 1_000_000).all()
         assert codes.tolist() == [Verdict.MISSING, Verdict.USED, Verdict.USED]
@@ -231,16 +226,6 @@ def test_counts_are_readings_and_back() -> None:
     assert np.isnan(back[0])
     assert back[5] == 0.0
     assert back[6] == pytest.approx(17.25, abs=one.written.scale[1])  # type: ignore[index]
-
-
-@pytest.mark.parametrize("name", CHANNELS)
-def test_the_state_is_as_large_as_is_said(name: str, tmp_path: Path) -> None:
-    made = fixed(CHANNELS[name])
-    (one,) = made.channels
-    unpacked(made, tmp_path)
-    said = f"char is[(sizeof({one.prefix}_state) == {one.written.state_bytes}u) ? 1 : -1];\n"
-    (tmp_path / "size.c").write_text('#include "drive.h"\n' + said)
-    subprocess.run(["cc", "-c", str(tmp_path / "size.c"), "-o", str(tmp_path / "size.o")], check=True)
 
 
 def test_a_settled_row_costs_what_is_said() -> None:

@@ -15,8 +15,13 @@ from becalm.errors import RecipeError
 from becalm.export.fixed.kind import FixedReference
 from becalm.export.fixed.text import GREATEST, factor_of, scale_of, schedule_in
 from becalm.export.fixed.word_length import fit, noise_of, reach_of, stall_of
-from exported import bundle, channel
-from held import SPAN, UNDEFINED, Held, fixed, library
+from driven import UNDEFINED, Driven, driven_one, library
+from exported import SPAN, bundle, channel, fixed
+
+
+def level(held: Driven, digits: int) -> float:
+    """Return the first state of a filter in fixed point, in counts."""
+    return int(np.frombuffer(held.state[:8], np.int64)[0]) / 2.0**digits
 
 
 @pytest.mark.parametrize(
@@ -25,14 +30,14 @@ from held import SPAN, UNDEFINED, Held, fixed, library
 def test_it_stalls_as_foretold(order: int, cutoff: float, most: float, tmp_path: Path) -> None:
     """After steps of many sizes; a level alone always ends where it stalls, a slope beside it at most there."""
     made = fixed(channel("ax", order, cutoff), span=(-(2.0**13), 2.0**13))
-    held = Held(made, tmp_path)
+    held = driven_one(made, tmp_path)
     design = held.one.design
     point, _ = fit(design, schedule_in(design), 2.0**-18)
     rows, found = int(60 / float(design.steady.gain[0, 0]) + 50 / cutoff), []  # type: ignore[union-attr]
     for target in np.geomspace(1e3, 1e8, 12 if order > 1 else 3).astype(int):
-        held.call("reset", 0)
+        held.reset(0)
         held.block(np.full(rows, target))
-        found.append(abs(held.level(point.states[0]) - target))
+        found.append(abs(level(held, point.states[0]) - target))
     assert max(found) <= most * stall_of(design, point)
     assert max(found) >= 0.5 * stall_of(design, point)
 
@@ -40,7 +45,7 @@ def test_it_stalls_as_foretold(order: int, cutoff: float, most: float, tmp_path:
 @pytest.mark.parametrize(("order", "cutoff"), [(3, 0.003), (4, 0.02), (5, 0.05)])
 def test_rounding_is_as_foretold(order: int, cutoff: float, tmp_path: Path) -> None:
     told = channel("ax", order, cutoff)
-    held = Held(fixed(told), tmp_path)
+    held = driven_one(fixed(told), tmp_path)
     one, design = held.one, held.one.design
     point, _ = fit(design, schedule_in(design), 2 * SPAN / 2.0**32)
     counts = np.random.default_rng(2).normal(0, 2.0**14, 20_000).astype(np.int32)
@@ -50,7 +55,7 @@ def test_rounding_is_as_foretold(order: int, cutoff: float, tmp_path: Path) -> N
     for piece in np.split(counts, 2000):
         held.block(piece)
         reference.run(one.kind.in_unit(piece, one.written))
-        off.append(held.level(point.states[0]) - (reference.level + reference.p[0]) * 2.0**32 / (2 * SPAN))
+        off.append(level(held, point.states[0]) - (reference.level + reference.p[0]) * 2.0**32 / (2 * SPAN))
     assert design.steady is not None
     foretold = noise_of(design.steady, point)
     assert foretold / 4 <= np.std(off[-1500:]) <= 2 * foretold
@@ -58,10 +63,10 @@ def test_rounding_is_as_foretold(order: int, cutoff: float, tmp_path: Path) -> N
 
 def test_readings_a_count_higher_make_a_signal_a_count_higher(tmp_path: Path) -> None:
     """In whole numbers exactly, so that no level is better than another."""
-    held = Held(fixed(channel("ax", 3, 0.02)), tmp_path)
+    held = driven_one(fixed(channel("ax", 3, 0.02)), tmp_path)
     counts, signals = np.random.default_rng(2).normal(0, 2.0**20, 3000).astype(np.int32), []
     for higher in (0, 2_000_000_001):
-        held.call("init")
+        held.init()
         signals.append(held.block(counts + higher)[0] - higher)
     assert (signals[0] == signals[1]).all()
 
@@ -80,15 +85,11 @@ MANTISSA = st.one_of(st.integers(1 << 30, GREATEST), st.integers(-GREATEST, -(1 
 
 @pytest.fixture(scope="module")
 def arithmetic(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
-    folder, made = tmp_path_factory.mktemp("arithmetic"), fixed(channel())
-    source = made.files["drive.c"]
-    text = source[source.index("#ifndef BECALM_FIXED") : source.index("#endif")] + "#endif\n"
+    text = ""
     for kind, name, words in HELPERS:
         taken, given_on = ", ".join(words), ", ".join(word.split()[1] for word in words)
         text += f"{kind} {name}({taken}); {kind} {name}({taken}) {{ return becalm_{name}({given_on}); }}\n"
-    (folder / "becalm.h").write_text(made.files["becalm.h"])
-    (folder / "arithmetic.c").write_text('#include "becalm.h"\n' + text)
-    found = library(folder, "arithmetic.c", *UNDEFINED)
+    found = library(fixed(channel()), tmp_path_factory.mktemp("arithmetic"), *UNDEFINED, more=text)
     for name in ("times", "rounded", "sum"):
         getattr(found, name).restype = ctypes.c_int64
     found.is_beyond.restype = ctypes.c_bool

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -15,47 +16,62 @@ from becalm.cleaning.stream import StreamCleaner
 from becalm.core.autoregressive import from_partial_autocorrelations
 from becalm.core.verdict import Verdict
 from becalm.export.design import design_of
+from becalm.export.factors import factors_of
 from becalm.export.full.kind import Full
-from becalm.export.full.reference import FullReference
-from becalm.export.full.text import factors_of
 from becalm.export.number_type import DOUBLE, FLOAT
 from becalm.export.proof.compiling import OPTIMISED, SANITIZED, run
-from becalm.export.settled.reference import STARTING
-from carried import BOTH, CHANNELS, GATE, HARD, NUMBERS, STEP_S, USUAL, Program, rough
-from exported import built, bundle, channel, need, recipe_of, snr_db
+from becalm.export.vectors import STARTING
+from carried import BOTH, CHANNELS, GATE, HARD, NUMBERS, STEP_S, USUAL, becalm, reference_of, rough
+from driven import Driven, driven_one
+from exported import ANY, built, bundle, channel, need, recipe_of, snr_db
+
+Carries = Callable[[ChannelRecipe, str], Driven]
+
+
+@pytest.fixture(scope="module")
+def carries(tmp_path_factory: pytest.TempPathFactory) -> Carries:
+    """Return what compiles a channel in a precision, once, and gives it as `_init` leaves it."""
+    folder, made = tmp_path_factory.mktemp("carries"), dict[tuple[str, str], Driven]()
+
+    def carry(told: ChannelRecipe, precision: str) -> Driven:
+        key = told.model_dump_json(), precision
+        if key not in made:
+            made[key] = driven_one(bundle(told, precision=precision, gain="full"), folder)
+        made[key].init()
+        return made[key]
+
+    return carry
 
 
 @pytest.mark.parametrize("name", USUAL)
 @pytest.mark.parametrize("precision", NUMBERS)
-def test_it_is_the_stream_among_spikes_steps_and_holes(name: str, precision: str, tmp_path: Path) -> None:
-    check(BOTH[name], precision, tmp_path)
+def test_it_is_the_stream_among_spikes_steps_and_holes(name: str, precision: str, carries: Carries) -> None:
+    check(BOTH[name], precision, carries)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in BOTH if name not in USUAL])
 @pytest.mark.parametrize("precision", NUMBERS)
-def test_every_channel_is_the_stream(name: str, precision: str, tmp_path: Path) -> None:
-    check(BOTH[name], precision, tmp_path)
+def test_every_channel_is_the_stream(name: str, precision: str, carries: Carries) -> None:
+    check(BOTH[name], precision, carries)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("decade", range(-12, 1))
 @pytest.mark.parametrize("precision", NUMBERS)
-def test_twelve_decades_of_process_noise_are_the_stream(decade: int, precision: str, tmp_path: Path) -> None:
+def test_twelve_decades_of_process_noise_are_the_stream(decade: int, precision: str, carries: Carries) -> None:
     for order in (1, 2, 3):
-        place = tmp_path / str(order)
-        place.mkdir()
-        check(channel("ax", order, 10.0 ** (decade / (2 * order)), gate=GATE), precision, place)
+        check(channel("ax", order, 10.0 ** (decade / (2 * order)), gate=GATE), precision, carries)
 
 
-def check(told: ChannelRecipe, precision: str, folder: Path) -> None:
-    program = Program(told, NUMBERS[precision], folder)
-    assert program.written.state_bytes == program.size
+def check(told: ChannelRecipe, precision: str, carries: Carries) -> None:
+    program = carries(told, precision)
+    assert program.one.written.state_bytes == program.size
     for seed in (1, 2):
         readings = rough(told, seed=seed)
         program.init()
         signal, codes = program.run(readings)
-        want, became = program.becalm(readings)
+        want, became = becalm(told, program, readings)
         np.testing.assert_array_equal(codes, became)
         if told.gate is not None and told.limits is None:
             assert (codes == Verdict.SPIKE).sum() > 10
@@ -66,21 +82,21 @@ def check(told: ChannelRecipe, precision: str, folder: Path) -> None:
 
 
 @pytest.mark.slow
-def test_sixty_six_states_are_the_stream(tmp_path: Path) -> None:
+def test_sixty_six_states_are_the_stream(carries: Carries) -> None:
     phi = from_partial_autocorrelations((0.8, *[0.05] * 63))
     noise = ColouredNoiseRecipe(rate_hz=100.0, coefficients=phi, std=3.0)
     told = channel("ar", 2, 0.05, coloured_noise=noise, gate=GATE)
-    program, readings = Program(told, DOUBLE, tmp_path), rough(told, 800)
+    program, readings = carries(told, "float64"), rough(told, 800)
     signal, codes = program.run(readings)
-    want, became = program.becalm(readings)
+    want, became = becalm(told, program, readings)
     np.testing.assert_array_equal(codes, became)
     assert np.abs(signal - want).max() <= 1e-12 * np.abs(want).max()
 
 
 @pytest.mark.parametrize("name", ["bend", "gated railed", "never"])
 @pytest.mark.parametrize("rows", [1, 63, 64, 65, 200, 1000])
-def test_a_gap_at_once_is_one_row_by_row(name: str, rows: int, tmp_path: Path) -> None:
-    program = Program(BOTH[name], DOUBLE, tmp_path)
+def test_a_gap_at_once_is_one_row_by_row(name: str, rows: int, carries: Carries) -> None:
+    program = carries(BOTH[name], "float64")
     before, after = np.clip(rough(BOTH[name]), -59, 59)[:700], np.clip(rough(BOTH[name], seed=9), -59, 59)[:700]
     program.run(before)
     program.gap(rows)
@@ -91,7 +107,7 @@ def test_a_gap_at_once_is_one_row_by_row(name: str, rows: int, tmp_path: Path) -
     np.testing.assert_array_equal(codes, became)
     assert np.abs(at_once - one_by_one).max() <= 1e-12 * np.abs(one_by_one).max()
     assert variance == pytest.approx(program.variance, rel=1e-12)
-    reference = program.kind.reference(program.told, program.design, program.written)
+    reference = reference_of(BOTH[name], program)
     reference.run(before)
     reference.gap(rows)
     want, became = reference.run(after)
@@ -101,15 +117,15 @@ def test_a_gap_at_once_is_one_row_by_row(name: str, rows: int, tmp_path: Path) -
 
 @pytest.mark.parametrize("beyond", [0, 1])
 @pytest.mark.parametrize("precision", NUMBERS)
-def test_a_gap_beyond_reach_begins_anew(precision: str, beyond: int, tmp_path: Path) -> None:
-    program = Program(CHANNELS["snap"], NUMBERS[precision], tmp_path)
-    longest, readings = program.design.longest_gap, rough(CHANNELS["snap"])[:600]
+def test_a_gap_beyond_reach_begins_anew(precision: str, beyond: int, carries: Carries) -> None:
+    program = carries(CHANNELS["snap"], precision)
+    longest, readings = program.one.design.longest_gap, rough(CHANNELS["snap"])[:600]
     assert 100 < longest < 1000
     before = 1.0 + np.sin(np.arange(300))
     program.run(before)
     program.gap(longest - 1 + beyond)
     codes = program.run(readings)[1]
-    reference = program.kind.reference(program.told, program.design, program.written)
+    reference = reference_of(CHANNELS["snap"], program)
     reference.run(program.rounded(before))
     reference.gap(longest - 1 + beyond)
     np.testing.assert_array_equal(codes, reference.run(program.rounded(readings))[1])
@@ -117,11 +133,9 @@ def test_a_gap_beyond_reach_begins_anew(precision: str, beyond: int, tmp_path: P
 
 
 @pytest.mark.parametrize("precision", NUMBERS)
-def test_endless_gaps_leave_numbers(precision: str, tmp_path: Path) -> None:
+def test_endless_gaps_leave_numbers(precision: str, carries: Carries) -> None:
     for name in ("never", "coloured", "snap"):
-        place = tmp_path / name
-        place.mkdir()
-        program = Program(CHANNELS[name], NUMBERS[precision], place)
+        program = carries(CHANNELS[name], precision)
         for _ in range(30):
             program.run(rough(CHANNELS[name])[:50])
             program.gap((1 << 32) - 1)
@@ -135,11 +149,9 @@ def test_endless_gaps_leave_numbers(precision: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["slope", "never"])
-def test_a_reset_knows_the_level(name: str, tmp_path: Path) -> None:
-    for number in (DOUBLE, FLOAT):
-        place = tmp_path / number.name
-        place.mkdir()
-        program = Program(CHANNELS[name], number, place)
+def test_a_reset_knows_the_level(name: str, carries: Carries) -> None:
+    for precision in NUMBERS:
+        program = carries(CHANNELS[name], precision)
         program.run(rough(CHANNELS[name]))
         program.reset(1234.5)
         signal, codes = program.run(np.full(200, 1234.5))
@@ -149,9 +161,9 @@ def test_a_reset_knows_the_level(name: str, tmp_path: Path) -> None:
         assert program.run(np.array([np.nan]))[0][0] == 0.0
 
 
-def test_the_variance_is_that_of_the_stream(tmp_path: Path) -> None:
+def test_the_variance_is_that_of_the_stream(carries: Carries) -> None:
     told = CHANNELS["coloured"]
-    program, readings = Program(told, DOUBLE, tmp_path), rough(told)
+    program, readings = carries(told, "float64"), rough(told)
     stream = StreamCleaner(recipe_of(told), STEP_S)
     assert program.variance > 1e299
     for row in range(1500):
@@ -161,45 +173,31 @@ def test_the_variance_is_that_of_the_stream(tmp_path: Path) -> None:
             assert program.variance == pytest.approx(sigma**2, rel=1e-10)
 
 
-def test_a_first_reading_that_is_missing_begins_it_anew(tmp_path: Path) -> None:
-    program = Program(CHANNELS["bend"], DOUBLE, tmp_path)
+def test_a_first_reading_that_is_missing_begins_it_anew(carries: Carries) -> None:
+    told = CHANNELS["bend"]
+    program = carries(told, "float64")
     readings = np.array([np.nan, 1.0, 2.0, np.nan, np.nan, 3.0, 4.0, 6.0, 7.0, np.nan, 9.0])
     signal, codes = program.run(readings)
-    want, became = program.becalm(readings)
+    want, became = becalm(told, program, readings)
     np.testing.assert_array_equal(codes, became)
     assert codes.tolist() == [1, 32, 32, 1, 1, 32, 32, 0, 0, 1, 0]
     assert signal[:7].tolist() == [0.0, 1.0, 2.0, 1.0, 1.0, 3.0, 4.0]
     np.testing.assert_allclose(signal, want, rtol=0, atol=1e-13)
 
 
-def test_readings_of_a_rounded_step_are_followed_as_becalm_does(tmp_path: Path) -> None:
+def test_readings_of_a_rounded_step_are_followed_as_becalm_does(carries: Carries) -> None:
     """A jump whose square is a power of four, and next to one: what is added must not hang on a last digit."""
-    for number in (DOUBLE, FLOAT):
-        place = tmp_path / number.name
-        place.mkdir()
-        program = Program(BOTH["gated slope"], number, place)
+    told = BOTH["gated slope"]
+    for precision in NUMBERS:
+        program = carries(told, precision)
         for size in (64.0, 128.0, 1000.0, 1e6, 4096.0):
             readings = np.where(np.arange(400) < 200, 3.3, 3.3 + size)
             program.init()
             signal, codes = program.run(readings)
-            want, became = program.becalm(readings)
+            want, became = becalm(told, program, readings)
             np.testing.assert_array_equal(codes, became)
             assert (codes == Verdict.STEP).sum() == 1
             assert snr_db(signal, want) >= 120
-
-
-ANY = st.one_of(
-    st.floats(width=32), st.sampled_from([np.nan, np.inf, -np.inf, 1e38, -1e38, 3e5, -3e5, 0.0, 60.0, 5e-324, 1e308])
-)
-
-
-@pytest.fixture(scope="module")
-def programs(tmp_path_factory: pytest.TempPathFactory) -> dict[tuple[str, str], Program]:
-    made = {}
-    for name in ("slope", "gated snap", "gated hum", "gated never", "gated railed"):
-        for precision, number in NUMBERS.items():
-            made[name, precision] = Program(BOTH[name], number, tmp_path_factory.mktemp("program"))
-    return made
 
 
 @settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -209,10 +207,9 @@ def programs(tmp_path_factory: pytest.TempPathFactory) -> dict[tuple[str, str], 
     st.sampled_from(sorted(NUMBERS)),
 )
 def test_nothing_makes_a_state_infinite(
-    programs: dict[tuple[str, str], Program], wild: list[tuple[float, int]], name: str, precision: str
+    carries: Carries, wild: list[tuple[float, int]], name: str, precision: str
 ) -> None:
-    program = programs[name, precision]
-    program.init()
+    program = carries(BOTH[name], precision)
     for reading, gap in wild:
         signal, codes = program.run(np.array([reading]))
         assert np.isfinite(signal).all()
@@ -247,11 +244,11 @@ def test_every_compiler_agrees(precision: str, compiler: str, flags: tuple[str, 
 
 
 @pytest.mark.parametrize("name", HARD)
-def test_what_becalm_rounds_away_c_keeps(name: str, tmp_path: Path) -> None:
+def test_what_becalm_rounds_away_c_keeps(name: str, carries: Carries) -> None:
     """Models whose covariance has few digits: becalm's stream is further from its equations than C is."""
-    program, readings = Program(HARD[name], DOUBLE, tmp_path), rough(HARD[name])
+    program, readings = carries(HARD[name], "float64"), rough(HARD[name])
     signal, codes = program.run(readings)
-    own, digits, became = FullReference(program.told, program.design, program.written.largest).both(readings)
+    own, digits, became = reference_of(HARD[name], program).both(readings)
     np.testing.assert_array_equal(codes, became)
     size = np.abs(digits).max()
     assert np.abs(own - digits).max() > 1e-12 * size
@@ -259,9 +256,9 @@ def test_what_becalm_rounds_away_c_keeps(name: str, tmp_path: Path) -> None:
     assert np.abs(signal - digits).max() <= 1e-12 * size
 
 
-def test_more_digits_are_those_of_becalm(tmp_path: Path) -> None:
-    program, readings = Program(BOTH["gated slope"], DOUBLE, tmp_path), rough(CHANNELS["slope"])
-    own, digits, _ = FullReference(program.told, program.design, program.written.largest).both(readings)
+def test_more_digits_are_those_of_becalm(carries: Carries) -> None:
+    program, readings = carries(BOTH["gated slope"], "float64"), rough(CHANNELS["slope"])
+    own, digits, _ = reference_of(BOTH["gated slope"], program).both(readings)
     assert np.abs(own - digits).max() <= 1e-13 * np.abs(own).max()
 
 

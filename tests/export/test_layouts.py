@@ -69,7 +69,7 @@ int main(void)
             }
         }
     }
-    printf("%lu %lu\\n", (unsigned long)drive_ax_block.left_out, (unsigned long)drive_ay_block.left_out);
+    printf("%lu %lu\\n", (unsigned long)drive_ax_its_block.left_out, (unsigned long)drive_ay_its_block.left_out);
     return 0;
 }
 """

@@ -10,30 +10,42 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from becalm.cleaning.recipe import ChannelRecipe
-from becalm.cleaning.recipe_parts import LimitsRecipe, ToneRecipe
 from becalm.core.verdict import Verdict
 from becalm.errors import RecipeError
 from becalm.export.bundle import Bundle
 from becalm.export.design import design_of
 from becalm.export.number_type import DOUBLE, FLOAT
-from becalm.export.proof.compiling import OPTIMISED, SANITIZED, Build, run
-from becalm.export.settled.reference import STARTING, SettledReference
-from becalm.export.settled.schedule import schedule_of
+from becalm.export.proof.compiling import OPTIMISED, SANITIZED, Build, CompileError, run
+from becalm.export.schedule import schedule_of
+from becalm.export.settled.reference import SettledReference
 from becalm.export.settled.text import schedule_in, with_gains
-from becalm.export.settled.word_length import WordLength, prove, stall_of, ulp
-from exported import built, bundle, channel, live, need, snr_db, through, wandering
+from becalm.export.settled.word_length import prove
+from becalm.export.vectors import STARTING
+from becalm.export.word_length import WordLength, stall_of, ulp
+from exported import (
+    ANY,
+    HUM,
+    LIMITS,
+    TONE,
+    built,
+    bundle,
+    channel,
+    live,
+    need,
+    snr_db,
+    through,
+    wandering,
+)
 
 Programs = dict[str, tuple[Bundle, Build]]
 
-TONE = ToneRecipe(frequency_hz=5.0, bandwidth_hz=0.05, process_noise_density=0.1)
-LIMITS = LimitsRecipe(low=-60.0, high=60.0, stuck_readings=9)
 CHANNELS = {
     "level": channel("level", 1, 0.2),
     "slope": channel("slope", 2, 0.05),
     "bend": channel("bend", 3, 0.05),
     "snap": channel("snap", 5, 0.2),
     "tone": channel("tone", 2, 0.05, tone=(TONE,)),
-    "hum": channel("hum", 1, 0.05, tone=(TONE.model_copy(update={"disturbance": True}),)),
+    "hum": channel("hum", 1, 0.05, tone=(HUM,)),
     "railed": channel("railed", 2, 0.05, limits=LIMITS),
 }
 
@@ -101,11 +113,6 @@ def programs(tmp_path_factory: pytest.TempPathFactory) -> Programs:
     folder = tmp_path_factory.mktemp("programs")
     made = {precision: bundle(*CHANNELS.values(), precision=precision) for precision in ("float32", "float64")}
     return {precision: (one, built(one, folder, flags=SANITIZED)) for precision, one in made.items()}
-
-
-ANY = st.one_of(
-    st.floats(width=32), st.sampled_from([np.nan, np.inf, -np.inf, 1e38, -1e38, 3e5, -3e5, 0.0, 60.0, 5e-324, 1e308])
-)
 
 
 @settings(deadline=None, max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -225,7 +232,7 @@ def test_thinned_gains_are_those_of_their_rows() -> None:
 def test_another_rate_does_not_compile(precision: str, tmp_path: Path) -> None:
     made = bundle(CHANNELS["slope"], precision=precision)
     built(made, tmp_path, flags=("-DDRIVE_RUNS_AT_UHZ=100000000",))
-    with pytest.raises(Exception, match="export them again for the rate you run at"):
+    with pytest.raises(CompileError, match="export them again for the rate you run at"):
         built(made, tmp_path, flags=("-DDRIVE_RUNS_AT_UHZ=200000000",))
 
 

@@ -17,10 +17,11 @@ from becalm.core.arrays import Floats
 from becalm.errors import UsageError
 from becalm.export.bundle import Asked, Bundle, bundle_of
 from becalm.export.kind import Span
-from becalm.files.plain import refuse_unwritable, write_folder, write_text
+from becalm.files.plain import make_folder, refuse_unwritable, write_folder, write_text
 
 if TYPE_CHECKING:
     from becalm.export.number_type import Precision
+    from becalm.export.proof.verifying import Compared
 
 _FORMS = ("json", "sos", "scipy")
 _SHOWN = 2000  # rows of a recording that go into a golden vector
@@ -79,6 +80,9 @@ def _to_c(recipe: Recipe, path: Path, output: Path, wanted: Wanted) -> dict[str,
     recorded = {} if wanted.recording is None else _recorded(recipe, wanted.recording, wanted.channels)
     bundle = bundle_of(recipe, path.stem.removesuffix(".recipe"), _asked(recipe, wanted, recorded))
     files, told = dict(bundle.files), _summary(bundle)
+    if output.exists():
+        make_folder(output)  # which refuses a file
+        refuse_unwritable(output / "becalm.h")
     if wanted.verify:
         from becalm.export.proof.certificate import certificate
         from becalm.export.proof.verifying import verify
@@ -86,11 +90,16 @@ def _to_c(recipe: Recipe, path: Path, output: Path, wanted: Wanted) -> dict[str,
         with stderr.status("compiling and comparing"):
             verified = verify(bundle, recipe, recorded)
         files["certificate.md"] = certificate(bundle, verified)
-        told["compared"] = [one._asdict() for one in verified.compared]
+        told["compared"] = [_told(one) for one in verified.compared]
     write_folder(output, files)
     _say(bundle, told)
     typer.echo(f"Wrote {output}. Try it with: make -C {output} check", err=True)
     return told
+
+
+def _told(one: Compared) -> dict[str, Any]:
+    """Return what JSON can hold: no difference has no decibels."""
+    return {**one._asdict(), "snr_db": one.snr_db if np.isfinite(one.snr_db) else None}
 
 
 def _asked(recipe: Recipe, wanted: Wanted, recorded: dict[str, Floats]) -> Asked:
@@ -170,10 +179,11 @@ def _say(bundle: Bundle, told: dict[str, Any]) -> None:
         if word is not None:
             stderr.print(
                 f"  It stalls {word.stall:.2g} {unit} off at the most, and rounding adds {word.noise:.2g} {unit}:"
-                f" {word.share:.2g} of sigma; proved for readings {word.range:.6g} {unit} apart."
+                f" {word.share:.2g} of sigma; computed for readings {word.range:.6g} {unit} apart."
             )
     for one in told.get("compared", []):
         stderr.print(
             f"  {one['channel']}, {one['record']}: {one['rows']} rows, {one['error']:.2g} of the greatest signal off at"
-            f" the most, {one['snr_db']:.0f} dB."
+            f" the most{'' if one['snr_db'] is None else ', {:.0f} dB'.format(one['snr_db'])}"
+            f"{'' if one['kept'] else ', which is less than promised'}."
         )

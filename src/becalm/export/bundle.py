@@ -14,7 +14,7 @@ from becalm.core.arrays import Floats
 from becalm.core.itself import version
 from becalm.errors import RecipeError, UsageError
 from becalm.export.design import Design, design_of
-from becalm.export.facts import facts_of
+from becalm.export.facts import facts_of, reset_words
 from becalm.export.kind import Kind, Opened, Raw, Span
 from becalm.export.kinds import kind_of
 from becalm.export.layouts import layouts
@@ -206,6 +206,7 @@ def _channel(one: Exported, recipe: Recipe) -> dict[str, Any]:
     return {
         **words_of(one.design, one.prefix, one.kind.number),
         "title": comment(f"{one.name}, {one.design.unit}" if one.design.unit else one.name),
+        "reset_words": reset_words(one.design),
         "facts": [comment(fact) for fact in facts_of(told, one.design, one.written)],
         "header": one.written.header,
         "source": one.written.source,

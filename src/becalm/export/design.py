@@ -1,7 +1,8 @@
 """A channel's filter as numbers that another language needs: gains found beforehand, nothing left to decide.
 
-In steps and in the channel's unit; covariances in parts of R, the variance of a reading's noise. The filter carries the
-*predicted* state, so that a settled row is y = C p + k nu and p = F p + F K nu, with nu = z - H p.
+In steps and in the channel's unit, covariances in unit^2. A filter with a settled gain, in floating or fixed point,
+carries the *predicted* state p, so that a settled row is y = C p + C K nu and p = F p + F K nu, with nu = z - H p; one
+with its covariance, or a bank, carries the state after the reading.
 """
 
 from __future__ import annotations
@@ -113,6 +114,14 @@ class Design:
         return float(np.sqrt(self.steady.error_variance())) if self.steady else np.inf
 
     @cached_property
+    def motion_order(self) -> int:
+        """How many of the first states are a motion: the rest of them fades, or turns, by itself."""
+        F, order = self.model.F, 1
+        while order < self.states and F[order, order] == 1.0 and F[order - 1, order] == 1.0:
+            order += 1
+        return order
+
+    @cached_property
     def settled_rows(self) -> int:
         """Complete rows after which a gain is what it will be to the last digit; the largest number for never."""
         rows = rows_until(_UNMOVED, self.model) if self.steady else np.inf
@@ -136,6 +145,11 @@ class Design:
                 break
             rows += 1
         return max(rows, 1)
+
+
+def spread_of(steady: SteadyFilter) -> Floats:
+    """Return the standard deviation (n,) of each predicted state of a settled filter, in its unit."""
+    return np.asarray(np.sqrt(np.maximum(np.diag(steady.predicted_cov), 0.0)), dtype=np.float64)
 
 
 def design_of(recipe: ChannelRecipe, step_s: float) -> Design | None:

@@ -1,4 +1,4 @@
-"""Sums of products as C writes them, without what is 0 or 1, and what they cost."""
+"""Sums of products as C writes them, without what is 0 or 1, and what they cost; words in lines."""
 
 from __future__ import annotations
 
@@ -27,6 +27,12 @@ def cost_of(lines: Iterable[str]) -> Cost:
     """Count the operations in lines of C, comments aside; each of them runs once."""
     text = re.sub(r"/\*.*?\*/|\[[^]]*\]|0x[0-9a-fA-F.]+p[+-]\d+f?", "", "\n".join(lines))
     return Cost(len(re.findall(r" \* | \*= ", text)), len(re.findall(r" [+-] | [+-]= ", text)), text.count(" / "))
+
+
+def in_lines(words: Iterable[str], most: int) -> list[list[str]]:
+    """Part words into lines of so many at the most."""
+    told = list(words)
+    return [told[i : i + most] for i in range(0, len(told), most)]
 
 
 def product_sum(row: Floats | Sequence[float], names: Sequence[str], number: NumberType) -> str:

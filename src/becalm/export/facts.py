@@ -18,26 +18,41 @@ def facts_of(recipe: ChannelRecipe, design: Design, written: Written) -> list[st
     """Return lines for the comment above a channel."""
     return [
         *_filter(design),
-        f"sigma    {design.settled_std:.6g} {design.unit} once settled, where the model holds"
-        if np.isfinite(design.settled_std)
-        else "sigma    not settled: it falls, or follows the mode",
-        f"readings beyond +-{written.largest:.6g} {design.unit} are none",
-        f"calibration {_calibration(recipe)}",
+        f"readings: those beyond +-{written.largest:.6g} {design.unit} are none",
+        f"calibration: {_calibration(recipe)}",
         *_word(design, written),
-        f"a settled row costs {written.cost}; state {written.state_bytes} bytes, tables {written.table_bytes} bytes",
+        f"cost: {written.cost}, {_which_row(design, written)}; state {written.state_bytes} bytes, tables"
+        f" {written.table_bytes} bytes",
         *_numbers(design),
     ]
 
 
+def reset_words(design: Design) -> str:
+    """Say what a filter is once it was reset to a signal."""
+    if design.modes is not None or design.steady is None:
+        return "as after a first reading of it"
+    return "as if it had been so for ever"
+
+
 def _filter(design: Design) -> list[str]:
+    if design.modes is not None:
+        names = ", ".join(mode.name for mode in design.modes.modes)
+        return [f"filter: switches between {len(design.modes.modes)} modes: {names}; sigma follows the mode"]
     found = design.response
     if found is None:
-        return ["filter   carries its covariance"]
+        return ["filter: never settles; it carries its covariance, and sigma falls"]
     lag = "" if np.isnan(found.lag_s) else f", lag {found.lag_s:.6g} s"
     return [
-        f"filter   {found}",
+        f"filter: {found}",
         f"bandwidth {found.bandwidth_hz:.6g} Hz{lag}, noise gain {found.noise_gain_db:.3f} dB",
+        f"sigma: {design.settled_std:.6g} {design.unit} once settled, where the model holds",
     ]
+
+
+def _which_row(design: Design, written: Written) -> str:
+    if written.word is None:
+        return "a row that carries the covariance" if design.modes is None else "a row of all modes"
+    return "a settled row"
 
 
 def _calibration(recipe: ChannelRecipe) -> str:
@@ -50,16 +65,19 @@ def _calibration(recipe: ChannelRecipe) -> str:
 def _word(design: Design, written: Written) -> list[str]:
     word = written.word
     if word is None:
-        return []
+        return ["word: its covariance is in double, whatever readings are"] if design.modes is None else []
     level = "stays at the first reading" if word.quantum is None else f"moves by {word.quantum:.6g} {design.unit}"
     return [
-        f"word     stalls {word.stall:.3g} {design.unit} off at the most, rounding adds {word.noise:.3g} {design.unit}:"
+        f"word: stalls {word.stall:.3g} {design.unit} off at the most, rounding adds {word.noise:.3g} {design.unit}:"
         f" {word.share:.2g} of sigma; the level {level}",
-        f"range    proved for readings that lie {word.range:.6g} {design.unit} apart",
+        f"range: computed for readings that lie {word.range:.6g} {design.unit} apart",
     ]
 
 
 def _numbers(design: Design) -> list[str]:
+    """Write the matrices of a filter that does not switch."""
+    if design.modes is not None:
+        return []
     told = [*_matrix("F", design.model.F), *_matrix("H", design.model.H), *_matrix("C", design.output[np.newaxis])]
     return told if design.steady is None else [*told, *_matrix("K", design.steady.gain.T)]
 

@@ -25,7 +25,6 @@ Raw = NDArray[np.generic]
 """Numbers of whatever type C takes."""
 
 _SAME, _NEAR = 1e-12, 1e-5  # of the largest signal
-_DECIBELS_120 = 1e-12
 
 
 class Kind(Protocol):
@@ -54,6 +53,11 @@ class Kind(Protocol):
     @property
     def bridges(self) -> bool:
         """Whether it goes on after missing readings as becalm does, with a covariance."""
+        ...
+
+    @property
+    def promised_db(self) -> float:
+        """How far the power of the difference from becalm is below that of the signal, in dB, at the least."""
         ...
 
     def write(self, design: Design, prefix: str, span: Span | None) -> Written:
@@ -103,6 +107,11 @@ class Floating:
         return True
 
     @property
+    def promised_db(self) -> float:
+        """How far the power of the difference from becalm is below that of the signal, in dB, at the least."""
+        return 240.0 if self.number.is_double else 120.0
+
+    @property
     def words(self) -> str:
         """What readings are in a file, in words."""
         return f"{self.number.name}s"
@@ -132,7 +141,7 @@ class Floating:
 
     def most_power(self, vector: Vector, most_error: float) -> float:
         """Return what the power of the difference may be, in parts of that of the signal."""
-        return _SAME**2 if self.number.is_double else _DECIBELS_120
+        return float(10 ** (-self.promised_db / 10))
 
     def most_error(self, vector: Vector, written: Written, opened: Opened) -> float:
         """Return what a signal may be off by, in what C tells it in."""

@@ -42,20 +42,30 @@ def kind_of(design: Design, precision: Precision, gain: str) -> Kind:
     if gain not in GAINS:
         raise UsageError(f"There is no gain {gain!r}; write auto, settled or full.")
     needs = _needs(design)
+    if needs and (gain == "settled" or precision == "q31"):
+        asked = "--gain settled" if gain == "settled" else "--precision q31"
+        raise RecipeError(
+            f"{design.name} {needs} a covariance, which {asked} has not; leave that out, or {_mend(design)}."
+        )
     if precision == "q31":
-        if needs or gain == "full":
-            raise RecipeError(f"{design.name} {needs or 'is to carry'} a covariance, and q31 has none; use float32.")
+        if gain == "full":
+            raise UsageError("Fixed point carries no covariance; leave --gain full out, or use --precision float32.")
         return Fixed()
     number = DOUBLE if precision == "float64" else FLOAT
     if design.modes is not None:
         return Bank(number)
-    if gain == "settled" and design.gate is not None:
-        raise RecipeError(
-            f"{design.name} {needs} a covariance; leave --gain settled out, or take [channel.gate] out of the recipe."
-        )
     if needs or gain == "full" or (gain == "auto" and number.is_double and not schedule_in(design, number).exact):
         return Full(number)
     return Settled(number)
+
+
+def _mend(design: Design) -> str:
+    """Say how a channel needs none."""
+    if design.modes is not None:
+        return "take [channel.switching] out of the recipe"
+    if design.gate is not None:
+        return "take [channel.gate] out of the recipe"
+    return "give it a process_noise_density above 0"
 
 
 def _needs(design: Design) -> str:

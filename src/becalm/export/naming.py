@@ -6,60 +6,26 @@ import re
 import unicodedata
 from collections.abc import Iterable
 
-_KEYWORDS = frozenset(
-    [
-        "auto",
-        "break",
-        "case",
-        "char",
-        "const",
-        "continue",
-        "default",
-        "do",
-        "double",
-        "else",
-        "enum",
-        "extern",
-        "float",
-        "for",
-        "goto",
-        "if",
-        "inline",
-        "int",
-        "long",
-        "register",
-        "restrict",
-        "return",
-        "short",
-        "signed",
-        "sizeof",
-        "static",
-        "struct",
-        "switch",
-        "typedef",
-        "union",
-        "unsigned",
-        "void",
-        "volatile",
-        "while",
-        "bool",
-        "true",
-        "false",
-        "asm",
-        "main",
-        "becalm",
-    ]
+_FILES = re.compile(
+    "main|becalm|counting|startup"
+    "|assert|complex|ctype|errno|fenv|float|inttypes|iso646|limits|locale|math|setjmp|signal"
+    "|stdarg|stdbool|stddef|stdint|stdio|stdlib|string|tgmath|time|wchar|wctype"
 )
+"""What no file of a filter may be called: others of a bundle are, and headers of C99, which it would hide."""
+
 _LONGEST = 40
 
 
 def identifier(text: str, otherwise: str) -> str:
-    """Return a name that C takes, as near to a person's as can be; accents are left out, the rest becomes `_`."""
+    """Return a name that C takes, as near to a person's as can be; accents are left out, the rest becomes `_`.
+
+    It may be a keyword: whatever is called so in C has an end besides. It may name a file.
+    """
     plain = unicodedata.normalize("NFKD", text.replace("µ", "u")).encode("ascii", "ignore").decode()
     name = re.sub(r"[^A-Za-z0-9]+", "_", plain).strip("_").lower()[:_LONGEST].rstrip("_")
     if not name:
         return otherwise
-    return f"_{name}".replace("_", f"{otherwise}_", 1) if name[0].isdigit() or name in _KEYWORDS else name
+    return f"_{name}".replace("_", f"{otherwise}_", 1) if name[0].isdigit() or _FILES.fullmatch(name) else name
 
 
 def identifiers(texts: Iterable[str], otherwise: str) -> list[str]:

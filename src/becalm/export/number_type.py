@@ -10,7 +10,7 @@ Precision = Literal["float32", "float64", "q31"]
 
 
 class NumberType(NamedTuple):
-    """A floating-point type of C.
+    """A type of C for readings and signals.
 
     Attributes
     ----------
@@ -19,9 +19,9 @@ class NumberType(NamedTuple):
     name, suffix : str
         Of the type, and of its literals.
     bits : int
-        Of its significand.
+        Of its significand, or, of an integer, besides its sign.
     dtype : type
-        Of NumPy, that rounds alike.
+        Of NumPy: the same numbers.
     greatest : float
         Magnitude that no reading, and no state, may exceed: products of two stay finite.
     """
@@ -30,7 +30,7 @@ class NumberType(NamedTuple):
     name: str
     suffix: str
     bits: int
-    dtype: type[np.float32 | np.float64]
+    dtype: type[np.float32 | np.float64 | np.int32]
     greatest: float
 
     @property
@@ -48,12 +48,12 @@ class NumberType(NamedTuple):
         return float(self.dtype(value))
 
     def below(self, value: float) -> float:
-        """Return the greatest number of this type that is not above a value."""
+        """Return the greatest number of this type, a floating-point one, that is not above a value."""
         near = self.dtype(value)
         return float(near if float(near) <= value else np.nextafter(near, self.dtype(-np.inf)))
 
     def above(self, value: float) -> float:
-        """Return the least number of this type that is not below a value."""
+        """Return the least number of this type, a floating-point one, that is not below a value."""
         return -self.below(-value)
 
     def literal(self, value: float) -> str:

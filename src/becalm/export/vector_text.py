@@ -7,12 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from becalm.export.expressions import in_lines
 from becalm.export.kind import Kind, Opened, Raw
 from becalm.export.number_type import DOUBLE
 from becalm.export.vectors import Vector
 from becalm.export.written import Written
 
-_ON_A_LINE = 6
+_NUMBERS, _CODES = 6, 24  # on a line
 
 
 def vector_texts(vectors: Sequence[Vector], kind: Kind, written: Written, opened: Opened) -> list[dict[str, Any]]:
@@ -25,9 +26,9 @@ def _text(vector: Vector, kind: Kind, written: Written, most_error: float) -> di
     return {
         "name": vector.name,
         "rows": len(vector.readings),
-        "readings": _lines(bits_of(kind.raw(vector.readings, written))),
-        "signal": _lines([DOUBLE.literal(value) for value in kind.counts(vector.signal, written).tolist()]),
-        "codes": _lines([f"{code}u" for code in vector.codes.tolist()], 24),
+        "readings": in_lines(bits_of(kind.raw(vector.readings, written)), _NUMBERS),
+        "signal": in_lines(map(DOUBLE.literal, kind.counts(vector.signal, written).tolist()), _NUMBERS),
+        "codes": in_lines((f"{code}u" for code in vector.codes.tolist()), _CODES),
         "gaps": [f"{{ {row}u, {length}u }}" for row, length in gaps] or ["{ 0u, 0u }"],
         "most": f"{most_error:.3g}",
         "most_power": f"{kind.most_power(vector, most_error):.3g}",
@@ -39,7 +40,3 @@ def bits_of(raw: Raw) -> list[str]:
     wide = raw.itemsize == 8
     whole = raw.view(np.uint64 if wide else np.uint32)
     return [f"0x{bits:0{16 if wide else 8}x}{'ULL' if wide else 'u'}" for bits in whole.tolist()]
-
-
-def _lines(words: list[str], most: int = _ON_A_LINE) -> list[list[str]]:
-    return [words[i : i + most] for i in range(0, len(words), most)]

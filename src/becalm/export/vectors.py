@@ -11,6 +11,9 @@ import numpy as np
 from becalm.core.arrays import Codes, Floats, Integers
 from becalm.export.design import Design
 
+STARTING = 32
+"""Beside the values of `Verdict`: too few readings came for the state to be known; they are passed on."""
+
 _SEED = 20261124
 _LONGEST_TRIED = 400  # rows that are left out at once
 

@@ -11,8 +11,8 @@ from becalm.export.design import Design
 from becalm.export.expressions import Cost
 from becalm.export.naming import comment, identifier
 from becalm.export.number_type import NumberType
-from becalm.export.settled.word_length import WordLength
 from becalm.export.templates import render
+from becalm.export.word_length import WordLength
 
 _SPELT = (("/", " per "), ("%", " percent "), ("°", " deg "), ("^", ""), ("²", "2"), ("³", "3"), ("√", " sqrt "))
 
@@ -29,7 +29,7 @@ class Written(NamedTuple):
     state_bytes, table_bytes : int
         Of its state in memory, and of its gains in program memory.
     word : WordLength or None
-        What its word length costs; None where a covariance is carried.
+        What its word length costs; None of a bank, and of a filter that carries its covariance and its state in double.
     largest : float
         Magnitude beyond which a value is no reading, in unit.
     exact : bool
@@ -87,6 +87,17 @@ def look_of(design: Design, prefix: str, number: NumberType, largest: float) -> 
         "rails": " || ".join(rails),
     }
     return context | {"look": render("look.c.jinja", context)}
+
+
+def moved_level(quantum: float | None, number: NumberType) -> dict[str, str | None]:
+    """Return what templates need to move a level by whole quanta, in unit; nothing where it stays."""
+    if quantum is None:
+        return {"quantum": None, "per_quantum": None, "farthest": None}
+    return {
+        "quantum": number.literal(quantum),
+        "per_quantum": number.literal(1 / quantum),
+        "farthest": number.literal(quantum * 2.0**30),
+    }
 
 
 def unit_name(unit: str) -> str:

@@ -17,10 +17,13 @@ from becalm.core.switching import Switching
 from becalm.errors import RecipeError
 from becalm.export.bank.cost import row_cost
 from becalm.export.design import Design
+from becalm.export.expressions import in_lines
+from becalm.export.factors import factors_of
 from becalm.export.kind import Span
 from becalm.export.naming import identifiers
 from becalm.export.number_type import NumberType
 from becalm.export.templates import render
+from becalm.export.word_length import COUNTED
 from becalm.export.written import Written, look_of
 
 MOST_ROWS = (1 << 17) - 1
@@ -31,7 +34,6 @@ _LN2 = 0.6931471805599453, 2.3190468138462996e-17  # the nearest double, and the
 _PARTS_OF_SPAN = 1 << 30
 _ROUNDED = 1e3  # of a noise, to which a reading is rounded that is none: see `becalm.core.possible`
 _COARSEST, _QUANTUM, _FINEST = 0.5, 0.25, 2.0**-6  # of the scale: by what a level of float moves, the second unasked
-_LEVELS = 1 << 23  # quanta that it may count
 _START = 2.0**-56  # of what is unknown at the start, which double rounds off there: up to a third of it was measured
 _ON_A_LINE = 4
 _SMALLEST, _GREATEST = 1e-20, 1e15  # of a noise in float, unit: signals and squares keep its range
@@ -147,17 +149,6 @@ def reach_of_bank(modes: Switching) -> Reach:
     return least_reach([reach_of(mode.component, mode.noise_variance) for mode in modes.modes])
 
 
-def factors_of(Q: Floats) -> Floats:
-    """Return U and D of a covariance (n, n) that is U D U': each row a column of U, with D in place of its 1."""
-    left, told = Q.copy(), np.zeros_like(Q)
-    for a in range(len(Q) - 1, -1, -1):
-        D = max(float(left[a, a]), 0.0)
-        told[a, :a] = left[:a, a] / D if D > 0 else 0.0
-        told[a, a] = D
-        left[:a, :a] -= D * np.outer(told[a, :a], told[a, :a])
-    return told
-
-
 def exponential_of(number: NumberType) -> dict[str, Any]:
     """Return what the template of exp and the root needs."""
     told = _EXPONENTIALS[number.precision]
@@ -171,7 +162,7 @@ def exponential_of(number: NumberType) -> dict[str, Any]:
         "digits": told.digits,
         "bias": told.bias,
         "terms": told.terms,
-        "inverse_factorials": _in_lines(factorials, number),
+        "inverse_factorials": in_lines(map(number.literal, factorials), _ON_A_LINE),
         "least_exponential": f"{np.exp(-told.cut):.1e}",
         "exponent_cut": number.literal(told.cut),
         "per_ln2": number.literal(1 / _LN2[0]),
@@ -214,7 +205,7 @@ def _tables(modes: Switching, scale: float, number: NumberType) -> dict[str, Any
     return {
         "M": len(modes.modes),
         "F": _nested(bank.F, number),
-        "Q": _nested(bank.Q / unit if number.is_double else np.array([factors_of(Q) for Q in bank.Q / unit]), number),
+        "Q": _nested(bank.Q / unit if number.is_double else np.array([_columns(Q) for Q in bank.Q / unit]), number),
         "factored": not number.is_double,
         "P": "P" if number.is_double else "U",
         "columns": len(modes.modes) * (modes.states + 1) + modes.states,
@@ -237,13 +228,13 @@ def _level(design: Design, scale: float, number: NumberType, span: Span | None) 
         return {"quantum": None, "largest_level": number.literal(number.below(largest_level(design.noise_variance)))}
     quantum = _QUANTUM
     if span is not None:
-        counted = max(map(abs, span)) / scale / _LEVELS
+        counted = max(map(abs, span)) / scale / COUNTED
         quantum = float(np.clip(2.0 ** np.ceil(np.log2(max(counted, _FINEST))), _FINEST, _COARSEST))
     return {
         "quantum": number.literal(quantum),
         "per_quantum": number.literal(1 / quantum),
         "most_quanta": number.literal(2.0**30),
-        "largest_level": number.literal(_LEVELS * quantum * scale),
+        "largest_level": number.literal(COUNTED * quantum * scale),
     }
 
 
@@ -279,6 +270,14 @@ def _table_bytes(modes: Switching, tails: bool, number: NumberType) -> int:
     return numbers * number.bytes
 
 
+def _columns(Q: Floats) -> Floats:
+    """Return the factors of a covariance (n, n) as C holds them: each row a column of U, with D in place of its 1."""
+    U, D = factors_of(Q)
+    columns = U.T.copy()
+    np.fill_diagonal(columns, D)
+    return columns
+
+
 def _nested(values: Floats, number: NumberType) -> list[str]:
     """Write the rows of a matrix, or the matrices of a stack, each in braces."""
     return [_braced(row, number) for row in values]
@@ -288,8 +287,3 @@ def _braced(values: Floats, number: NumberType) -> str:
     if values.ndim == 1:
         return f"{{ {', '.join(number.literal(value) for value in values.tolist())} }}"
     return f"{{ {', '.join(_braced(row, number) for row in values)} }}"
-
-
-def _in_lines(values: list[float], number: NumberType) -> list[list[str]]:
-    words = [number.literal(value) for value in values]
-    return [words[i : i + _ON_A_LINE] for i in range(0, len(words), _ON_A_LINE)]

@@ -16,7 +16,7 @@ from becalm.export.settled.reference import SettledReference
 from becalm.export.vectors import Reference, Vector
 from becalm.export.written import Written
 
-COUNT = NumberType("q31", "int32_t", "", 31, np.int32, float(GREATEST))  # type: ignore[arg-type]  # a count, and never rounded
+COUNT = NumberType("q31", "int32_t", "", 31, np.int32, float(GREATEST))
 """A reading in fixed point."""
 
 _MISSING = -(1 << 31)
@@ -86,9 +86,14 @@ class Fixed:
         """Type of C that holds an expected signal."""
         return "double"
 
+    @property
+    def promised_db(self) -> float:
+        """How far the power of the difference from becalm is below that of the signal, in dB, at the least."""
+        return 90.0
+
     def most_power(self, vector: Vector, most_error: float) -> float:
-        """Return what the power of the difference may be, in parts of that of the signal: 90 dB."""
-        return 1e-9
+        """Return what the power of the difference may be, in parts of that of the signal."""
+        return float(10 ** (-self.promised_db / 10))
 
     @property
     def bridges(self) -> bool:
@@ -133,8 +138,8 @@ class Fixed:
         return np.rint(_scale(written).counts(signal))
 
     def most_error(self, vector: Vector, written: Written, opened: Opened) -> float:
-        """Return what a signal may be off by, in counts: one that is rounded the other way, and what the proof says."""
-        assert written.word is not None, "a filter in fixed point is proved"
+        """Return what a signal may be off by, in counts: one that is rounded the other way, and what states cost."""
+        assert written.word is not None, "what fixed point costs is computed"
         lsb, largest = _scale(written).lsb, float(np.abs(self.counts(vector.signal, written)).max())
         return 1.0 + _GAIN * largest + (written.word.stall + _NOISES * written.word.noise) / lsb
 

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.export.design import Design
-from becalm.export.expressions import Cost
+from becalm.export.expressions import Cost, in_lines
 from becalm.export.fixed.word_length import Point, fit
 from becalm.export.number_type import DOUBLE, NumberType
-from becalm.export.settled.schedule import Schedule, schedule_of
+from becalm.export.schedule import Schedule, schedule_of
 from becalm.export.templates import render
 from becalm.export.written import Written, unit_name, words_of
 
@@ -21,7 +22,6 @@ GREATEST = (1 << 31) - 1
 """Of a reading's counts, and of the signal's, where the converter, or the filter, is saturated."""
 
 _NEAR = 1e-9  # a gain has 31 bits
-_MOST_NUMBERS = 1024
 _FARTHEST = 92  # a shift: beyond, nothing is left of 62 bits
 _ON_A_LINE = 12
 
@@ -78,9 +78,10 @@ def _at_most(value: float, scale: Scale) -> int:
     return near
 
 
+@lru_cache(maxsize=256)
 def schedule_in(design: Design) -> Schedule:
     """Return the gains of a filter, as near to the end and as many as 31 bits are worth."""
-    return schedule_of(design, _NEAR, _MOST_NUMBERS)
+    return schedule_of(design, _NEAR)
 
 
 def written_fixed(design: Design, prefix: str, number: NumberType, span: tuple[float, float]) -> Written:
@@ -161,7 +162,7 @@ def _numbers(design: Design, schedule: Schedule, point: Point) -> dict[str, Any]
         "opening": _table(design.opening.weights * 2.0 ** (f - nu)),
         "gains": _table(gains),
         "rows": len(K),
-        "counts": _in_lines(f"{count}u" for count in schedule.counts.tolist()),
+        "counts": in_lines((f"{count}u" for count in schedule.counts.tolist()), _ON_A_LINE),
         "digits": point.states,
         "innovation_digits": nu,
         "signal_digits": told,
@@ -211,11 +212,6 @@ def _table(rows: Floats) -> dict[str, list[list[str]]]:
         "mantissas": [[str(mantissa) for mantissa, _ in row] for row in factors],
         "shifts": [[f"{shift}u" for _, shift in row] for row in factors],
     }
-
-
-def _in_lines(words: Iterable[str]) -> list[list[str]]:
-    told = list(words)
-    return [told[i : i + _ON_A_LINE] for i in range(0, len(told), _ON_A_LINE)]
 
 
 def _cost(source: str) -> Cost:

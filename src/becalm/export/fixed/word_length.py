@@ -3,7 +3,9 @@
 A reading is a count of 31 bits, a state an integer of 61 whose last digit is 2^-f counts. f is as large as the range of
 the state leaves: what the settled filter makes of the worst readings (the sum of |h| over its impulse response), and,
 as far as the digits go, of the worst readings while it starts, or coasts; a filter that leaves it then begins anew.
-Rounding stalls a state, and is noise at every step, as in `word_length`; readings and signal are rounded to counts.
+Both are computed, not proved: the response is looked at row by row at first, later in fewer rows of each octave, so
+that its sum holds to about a hundredth. Rounding stalls a state, and is noise at every step, as in
+`export/word_length.py`; readings and signal are rounded to counts.
 """
 
 from __future__ import annotations
@@ -15,9 +17,9 @@ import numpy as np
 from becalm.core.arrays import Floats
 from becalm.core.steady_filter import SteadyFilter
 from becalm.errors import RecipeError
-from becalm.export.design import Design
-from becalm.export.settled.schedule import Schedule
-from becalm.export.settled.word_length import MOST_ERROR, WordLength, gathered
+from becalm.export.design import Design, spread_of
+from becalm.export.schedule import Schedule
+from becalm.export.word_length import MOST_ERROR, WordLength, gathered
 
 STATE_BITS = 61
 """Of a state besides its sign; sums of terms have one more, and two of them fit into 64 bits."""
@@ -134,10 +136,8 @@ def stall_of(design: Design, point: Point) -> float:
     is not 0, the level stands where K nu makes up for it. No innovation is seen below half a digit of its own.
     """
     assert design.steady is not None
-    F, n = design.model.F, 1
-    while n < design.states and F[n, n] == 1.0 and F[n - 1, n] == 1.0:
-        n += 1
-    halves, gains = 0.5 ** (np.array(point.states[:n]) + 1.0), np.abs(F @ design.steady.gain)[:n, 0]
+    n = design.motion_order
+    halves, gains = 0.5 ** (np.array(point.states[:n]) + 1.0), np.abs(design.model.F @ design.steady.gain)[:n, 0]
     stalls = np.divide(halves, gains, out=np.full(n, np.inf), where=gains > 0)
     return max(float(stalls.max()), 0.5 ** (point.innovation + 1))
 
@@ -148,8 +148,7 @@ def noise_of(steady: SteadyFilter, point: Point) -> float:
     Each term of a sum is rounded to the last digit of what it is added to, evenly.
     """
     F, H, C, K = steady.model.F, steady.model.H, steady.output, steady.gain
-    D = np.sqrt(np.maximum(np.diag(steady.predicted_cov), 0.0))
-    D = np.where(D > 0, D, 1.0)
+    D = _scale(steady)
     digit = 0.5 ** np.array(point.states, np.float64)
     terms = 1 + np.count_nonzero(F - np.diag(np.diag(F) == 1.0), axis=1)
     seen = np.count_nonzero(H) * 4.0**-point.innovation / 12
@@ -209,7 +208,6 @@ def _responses(steady: SteadyFilter) -> tuple[Floats, Floats, Floats]:
     The states are those of equal spread.
     """
     loop = steady.loop
-    D = np.sqrt(np.maximum(np.diag(steady.predicted_cov), 0.0))
     grid, power = loop.F @ loop.K, loop.M
     while grid.shape[1] < _GRID:
         grid, power = np.hstack([grid, power @ grid]), power @ power
@@ -221,7 +219,13 @@ def _responses(steady: SteadyFilter) -> tuple[Floats, Floats, Floats]:
         if np.abs(following).sum() * every <= 1e-9 * np.abs(grid).sum():
             break
         grid, power, every = np.hstack([grid[:, ::2], following[:, ::2]]), power @ power, every * 2
-    return np.hstack(columns), np.concatenate(weights), np.where(D > 0, D, 1.0)
+    return np.hstack(columns), np.concatenate(weights), _scale(steady)
+
+
+def _scale(steady: SteadyFilter) -> Floats:
+    """Return the spreads of the states (n,), in which those of its `loop` are told; 1 of one that is known."""
+    spread = spread_of(steady)
+    return np.where(spread > 0, spread, 1.0)
 
 
 def _started(design: Design, schedule: Schedule) -> Floats:

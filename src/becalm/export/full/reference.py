@@ -2,7 +2,7 @@
 
 They differ only where too few readings came for the state to be known. There C passes readings on; a reading that is
 missing among them begins it anew, for which a new stream is begun here. Where the stream's own rounding is more than
-a part of what C may be off by, its signal is told with more digits; see `full_extended`.
+a part of what C may be off by, its signal is told with more digits; see `full/extended.py`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from becalm.core.kernel_faults import Rule, find_faults
 from becalm.core.verdict import Verdict
 from becalm.export.design import Design
 from becalm.export.full.extended import Extended
-from becalm.export.settled.reference import STARTING
+from becalm.export.vectors import STARTING
 
 _AT_ONCE = 1 << 16  # rows of a gap that go one by one; so many more go as one
 _ROUNDED = 2e-13  # of the largest signal: more of becalm's own rounding would be most of what C may be off by

@@ -11,20 +11,19 @@ from becalm.core.gates import level_of
 from becalm.core.kernel_gate import WIDE
 from becalm.core.possible import largest_level
 from becalm.export.design import Design
-from becalm.export.expressions import Cost
+from becalm.export.expressions import Cost, in_lines
+from becalm.export.factors import factors_of
 from becalm.export.number_type import DOUBLE, NumberType
-from becalm.export.settled.word_length import WordLength, noise_of, stall_of
 from becalm.export.templates import render
-from becalm.export.written import Written, look_of
+from becalm.export.word_length import COUNTED, WordLength, noise_of, stall_of
+from becalm.export.written import Written, look_of, moved_level
 
 _ON_A_LINE = 4
 _NEVER = (1 << 32) - 1
 _MOST_SINGLE = 1 << 14  # rows of a gap while rejects wait
-_DEAD_PIVOT = 1e-15
 _HIGHEST_IN_FLOAT = 3  # order of motion
 _STALLED, _ADDED = 1e-5, 3e-7  # of a reading's noise: what a state of float may stall off, and what it may add
 _QUANTUM = 0.5  # of a reading's noise: by so much the level moves
-_COUNTED = 1 << 23  # quanta that a level of float may count
 _GREATEST = {"float32": 3e38, "float64": 1e300}
 _ROUNDED_ULPS = {"float32": 1 << 24, "float64": 1 << 6}  # of a square of double: what rounding leaves of an innovation
 
@@ -42,8 +41,8 @@ def written_full(design: Design, prefix: str, number: NumberType, span: float | 
         What readings are, and states where that costs nothing. The covariance is in double whatever they are, as
         factors: in float it would lose all digits of a gain of order 5 before it settles.
     span : float or None
-        How far readings lie from each other at the most, in unit.
-
+        How far readings lie from each other at the most, in unit; a *small* one lets the level of float move more
+        finely, and trusts that they never lie farther apart: beyond, they are overrange. None where nobody said.
     """
     inner, word = _inner(design, number, span)
     quantum = word.quantum if word else None
@@ -51,7 +50,7 @@ def written_full(design: Design, prefix: str, number: NumberType, span: float | 
     held = largest_level(design.noise_variance)
     context = {
         **look_of(design, prefix, number, largest),
-        **_level(quantum, inner),
+        **moved_level(quantum, inner),
         **_model(design),
         **_of_state(design, inner),
         **_ends(design),
@@ -82,18 +81,6 @@ def written_full(design: Design, prefix: str, number: NumberType, span: float | 
     )
 
 
-def factors_of(P: Floats) -> tuple[Floats, Floats]:
-    """Return U (n, n), an upper triangle with a diagonal of 1, and D (n,) of a covariance U diag(D) U'."""
-    M, n = np.array(P, dtype=np.longdouble), len(P)
-    U, D, least = np.eye(n), np.zeros(n), _DEAD_PIVOT * np.diag(P)
-    for j in range(n - 1, -1, -1):
-        if M[j, j] > least[j]:
-            u = M[:j, j] / M[j, j]
-            D[j], U[:j, j] = M[j, j], u
-            M[:j, :j] -= M[j, j] * np.outer(u, u)
-    return U, D
-
-
 def settles(design: Design) -> bool:
     """Whether its gain is taken for settled after some rows."""
     return design.steady is not None and design.settled_rows < _NEVER
@@ -101,8 +88,8 @@ def settles(design: Design) -> bool:
 
 def _packed(P: Floats) -> Floats:
     """Return the factors of a covariance as C holds them: the upper triangle column by column, D on its diagonal."""
-    U, D = factors_of(P)
-    held = U + np.diag(D - 1.0)
+    held, D = factors_of(P)
+    np.fill_diagonal(held, D)  # in the place of the 1s: a small one must not lose its digits to them
     return np.concatenate([held[: j + 1, j] for j in range(len(P))])
 
 
@@ -119,35 +106,17 @@ def _inner(design: Design, number: NumberType, span: float | None) -> tuple[Numb
 
     Rounding of a slow filter, or of a motion whose order is high, would add up beyond a millionth of the signal.
     """
-    if number.is_double or design.steady is None or not settles(design) or _motion_order(design) > _HIGHEST_IN_FLOAT:
+    if number.is_double or design.steady is None or not settles(design) or design.motion_order > _HIGHEST_IN_FLOAT:
         return DOUBLE, None
     quantum = 2.0 ** np.floor(np.log2(_QUANTUM * design.noise_std))
-    if span is not None and span > quantum * _COUNTED:
-        quantum = 2.0 ** np.ceil(np.log2(span / _COUNTED))
-    stall, noise = stall_of(design, number, quantum), noise_of(design.steady, number, quantum)
+    if span is not None and span > quantum * COUNTED:
+        quantum = 2.0 ** np.ceil(np.log2(span / COUNTED))
+    stall, noise = stall_of(design, number, quantum), noise_of(design, number, quantum)
     first = 2.0**-number.bits * float(np.sqrt(np.diag(design.opening.P).max()))  # a digit of what is hardly known
     if not (max(stall, first) <= _STALLED * design.noise_std and noise <= _ADDED * design.noise_std):
         return DOUBLE, None
     share = max(stall, noise) / design.settled_std
-    return number, WordLength(stall, noise, share, float(quantum) * _COUNTED, float(quantum))
-
-
-def _motion_order(design: Design) -> int:
-    """Return how many of the first states are a motion: the rest of them fades, or turns, by itself."""
-    F, order = design.model.F, 1
-    while order < len(F) and F[order, order] == 1.0 and F[order - 1, order] == 1.0:
-        order += 1
-    return order
-
-
-def _level(quantum: float | None, number: NumberType) -> dict[str, Any]:
-    if quantum is None:
-        return {"quantum": None}
-    return {
-        "quantum": number.literal(quantum),
-        "per_quantum": number.literal(1 / quantum),
-        "farthest": number.literal(quantum * 2.0**30),
-    }
+    return number, WordLength(stall, noise, share, float(quantum) * COUNTED, float(quantum))
 
 
 def _model(design: Design) -> dict[str, Any]:
@@ -220,7 +189,7 @@ def _gate(design: Design, number: NumberType) -> dict[str, Any]:
 def _table(values: Floats, number: NumberType) -> dict[str, Any]:
     """Return numbers as lines of literals, and how many there are."""
     words = [number.literal(value) for value in np.ravel(values).tolist()]
-    return {"count": len(words), "lines": [words[i : i + _ON_A_LINE] for i in range(0, len(words), _ON_A_LINE)]}
+    return {"count": len(words), "lines": in_lines(words, _ON_A_LINE)}
 
 
 def _cost(design: Design) -> Cost:

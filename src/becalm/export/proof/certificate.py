@@ -35,7 +35,7 @@ def certificate(bundle: Bundle, verified: Verified) -> str:
 
 def _decibels(one: Compared) -> str:
     told = "no difference" if np.isinf(one.snr_db) else f"{one.snr_db:.1f} dB"
-    return told if one.kept else f"{told}: more than is promised"
+    return told if one.kept else f"{told}, which is less than promised"
 
 
 def _files(bundle: Bundle) -> list[str]:

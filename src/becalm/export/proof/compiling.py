@@ -17,6 +17,7 @@ OPTIMISED = (("-O0",), ("-O2",), ("-O3",), ("-O3", "-ffast-math"))
 SANITIZED = ("-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 
 _LONGEST_S = 600.0
+_REPORT = "That is a fault of becalm's: leave --verify out, and report it with the recipe."
 
 
 class CompileError(BecalmError):
@@ -92,12 +93,21 @@ def build(folder: Path, stem: str, compiler: str, flags: Sequence[str]) -> Build
 
 def run(build: Build, *words: str) -> subprocess.CompletedProcess[str]:
     """Run a program; what it returns is looked at by the caller."""
-    return subprocess.run([str(build.program), *words], capture_output=True, text=True, check=False, timeout=_LONGEST_S)
+    return _in_time([str(build.program), *words])
 
 
 def _ran(words: Sequence[str], what: str) -> subprocess.CompletedProcess[str]:
-    ran = subprocess.run(list(words), capture_output=True, text=True, check=False, timeout=_LONGEST_S)
+    ran = _in_time(words)
     if ran.returncode != 0:
         said = " ".join((ran.stderr or ran.stdout).split())[:600]
-        raise CompileError(f"{words[0]} does not make {what} of what becalm exported: {said}")
+        raise CompileError(f"{words[0]} does not make {what} of what becalm exported: {said}. {_REPORT}")
     return ran
+
+
+def _in_time(words: Sequence[str]) -> subprocess.CompletedProcess[str]:
+    try:
+        return subprocess.run(list(words), capture_output=True, text=True, check=False, timeout=_LONGEST_S)
+    except subprocess.TimeoutExpired as cause:
+        raise CompileError(
+            f"{words[0]} did not end within {_LONGEST_S:.0f} s. Export fewer channels at once."
+        ) from cause

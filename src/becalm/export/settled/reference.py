@@ -13,10 +13,8 @@ from becalm.core.arrays import Codes, Floats
 from becalm.core.kernel_faults import Rule, find_faults
 from becalm.core.verdict import Verdict
 from becalm.export.design import Design
-from becalm.export.settled.schedule import Schedule
-
-STARTING = 32
-"""Beside the values of `Verdict`: too few readings came for the state to be known; they are passed on."""
+from becalm.export.schedule import Schedule
+from becalm.export.vectors import STARTING
 
 
 class SettledReference:

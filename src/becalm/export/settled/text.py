@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.export.design import Design
-from becalm.export.expressions import cost_of, product_sum
+from becalm.export.expressions import cost_of, in_lines, product_sum
 from becalm.export.number_type import NumberType
-from becalm.export.settled.schedule import Schedule, schedule_of
-from becalm.export.settled.word_length import WordLength, prove
+from becalm.export.schedule import MOST_NUMBERS, Schedule, schedule_of
+from becalm.export.settled.word_length import prove
 from becalm.export.templates import render
-from becalm.export.written import Written, look_of
+from becalm.export.word_length import WordLength
+from becalm.export.written import Written, look_of, moved_level
 
 _NEAR = {"float64": 1e-13, "float32": 1e-8}
-_MOST_NUMBERS = {"float64": 8192, "float32": 1024}
+_MOST_NUMBERS = {"float64": 8192, "float32": MOST_NUMBERS}
+_COUNTS = 12  # on a line
 
 
 def written_settled(design: Design, prefix: str, number: NumberType, span: float | None) -> Written:
@@ -32,7 +33,8 @@ def written_settled(design: Design, prefix: str, number: NumberType, span: float
     number : NumberType
         What it computes in.
     span : float or None
-        How far readings lie from each other at the most, in unit.
+        How far readings lie from each other at the most, in unit; a *small* one leaves more digits, and trusts that
+        they never lie farther apart: beyond, they are overrange. None where nobody said.
 
     Raises
     ------
@@ -54,6 +56,7 @@ def with_gains(design: Design, schedule: Schedule, prefix: str, number: NumberTy
     p, x = [f"p{i}" for i in range(n)], [f"x{i}" for i in range(n)]
     K = np.vstack([schedule.K, schedule.settled])
     gains = np.column_stack([K @ F.T, K @ design.output])
+    counted = 0 if schedule.exact else len(schedule.counts)
     largest = min(design.largest, number.greatest, word.range if word.quantum else np.inf)
     context = {
         **look_of(design, prefix, number, largest),
@@ -63,11 +66,9 @@ def with_gains(design: Design, schedule: Schedule, prefix: str, number: NumberTy
         "settled": [number.literal(value) for value in gains[-1].tolist()],
         "table": len(gains) > 1,
         "exact": schedule.exact,
-        "counts": _in_lines([f"{count}u" for count in schedule.counts.tolist()]),
+        "counts": in_lines((f"{count}u" for count in schedule.counts.tolist()), _COUNTS),
         "coasts": design.coasts,
-        "quantum": word.quantum and number.literal(word.quantum),
-        "per_quantum": word.quantum and number.literal(1 / word.quantum),
-        "farthest": word.quantum and number.literal(word.quantum * 2.0**30),
+        **moved_level(word.quantum, number),
         "read_of_p": product_sum(design.model.H[0], p, number),
         "signal_of_p": product_sum(design.output, p, number),
         "signal_of_x": product_sum(design.output, x, number),
@@ -80,7 +81,7 @@ def with_gains(design: Design, schedule: Schedule, prefix: str, number: NumberTy
         source=source,
         cost=cost_of(_settled_row(source)),
         state_bytes=_bytes(design, schedule, number),
-        table_bytes=(gains.size + design.opening.weights.size) * number.bytes + 4 * (not schedule.exact) * len(K),
+        table_bytes=(gains.size + design.opening.weights.size) * number.bytes + 4 * counted,
         word=word,
         largest=largest,
         exact=schedule.exact,
@@ -97,10 +98,6 @@ def _settled_row(source: str) -> list[str]:
 
 def _literals(rows: Floats, number: NumberType) -> list[list[str]]:
     return [[number.literal(value) for value in row] for row in rows.tolist()]
-
-
-def _in_lines(words: Sequence[str], most: int = 12) -> list[list[str]]:
-    return [list(words[i : i + most]) for i in range(0, len(words), most)]
 
 
 def _bytes(design: Design, schedule: Schedule, number: NumberType) -> int:

@@ -9,7 +9,7 @@ import numpy as np
 from becalm.core.arrays import Floats, Integers
 from becalm.core.gains import Leap, gain_before, gains_after, leap_of
 from becalm.errors import RecipeError
-from becalm.export.design import Design
+from becalm.export.design import Design, spread_of
 
 MOST_NUMBERS = 1024
 """Gains that a table may hold, in numbers; with fewer it is thinned sooner."""
@@ -56,7 +56,7 @@ def schedule_of(design: Design, near: float, most_numbers: int = MOST_NUMBERS) -
     near : float
         Of a state's spread: a gain so near its end has settled; a *small* one makes a longer table.
     most_numbers : int
-        How many gains a table may hold; beyond, rows share theirs, to three in a hundred of each other.
+        How many gains a table may hold; beyond, rows share theirs, about three in a hundred per order apart.
 
     Raises
     ------
@@ -120,5 +120,4 @@ def _leap(leaps: list[Leap], P: Floats, steps: int) -> Floats:
 def _spread(design: Design) -> Floats:
     """Return what a gain is measured by: the spread of each state over that of an innovation."""
     assert design.steady is not None
-    variances = np.maximum(np.diag(design.steady.predicted_cov), 0.0)
-    return np.sqrt(variances / design.steady.innovation_variance)
+    return np.asarray(spread_of(design.steady) / np.sqrt(design.steady.innovation_variance), dtype=np.float64)

@@ -1,0 +1,104 @@
+"""What a word length costs a filter that settles: what rounding leaves, computed before anything runs.
+
+A level that should move by less than half of its last digit does not move: it *stalls*. With a gain K it stands still
+while |K nu| < ulp / 2, an error of ulp / (2 K). A slope beside it then grows until the level moves at last, and beyond:
+the filter swings as far to both sides. Under a reading's noise it does neither; rounding then is noise as well, which
+enters at every step and leaves through the closed loop. Both are held against a tenth of the filter's uncertainty.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from becalm.core.arrays import Floats
+from becalm.export.design import Design, spread_of
+from becalm.export.number_type import NumberType
+
+MOST_ERROR = 0.1
+"""Of the signal's standard deviation: what a word length may cost."""
+
+COUNTED = 1 << 23
+"""Quanta that a level of float may count: each of them is exact."""
+
+_DOUBLINGS = 60
+
+
+class WordLength(NamedTuple):
+    """What a word length costs.
+
+    Attributes
+    ----------
+    stall : float
+        Greatest error at which a filter of a constant stands still, or about which it swings, in unit.
+    noise : float
+        Standard deviation of what rounding adds, in unit.
+    share : float
+        The larger of the two, in parts of the signal's own standard deviation.
+    range : float
+        Readings may lie so far from each other, in unit; beyond, they are overrange.
+    quantum : float or None
+        By which the level moves, in unit; None where it stays at the first reading.
+    """
+
+    stall: float
+    noise: float
+    share: float
+    range: float
+    quantum: float | None
+
+
+def stall_of(design: Design, number: NumberType, farthest: float) -> float:
+    """Return the error at which a filter of a constant stands still, or about which it swings, in unit.
+
+    Parameters
+    ----------
+    design : Design
+        A filter that settles.
+    number : NumberType
+        Of C.
+    farthest : float
+        Magnitude of its first state, in unit.
+    """
+    assert design.steady is not None
+    gain = abs(float((design.model.F @ design.steady.gain)[0, 0]))
+    return ulp(number, farthest) / (2 * gain) if gain > 0 else np.inf
+
+
+def ulp(number: NumberType, magnitude: float) -> float:
+    """Return the distance to the next number of this type."""
+    return float(2.0 ** (np.floor(np.log2(max(magnitude, 1e-300))) - (number.bits - 1)))
+
+
+def noise_of(design: Design, number: NumberType, farthest: float) -> float:
+    """Return the standard deviation of what rounding adds to a settled signal, in unit.
+
+    Each term of a state's sum is rounded to a last digit of the state, evenly; what a state is at the most follows from
+    a first one that is `farthest`, in parts of their own uncertainties. Beside it stands the signal's own last digit.
+
+    Parameters
+    ----------
+    design : Design
+        A filter that settles.
+    number : NumberType
+        Of C.
+    farthest : float
+        Magnitude of its first state, in unit.
+    """
+    assert design.steady is not None
+    loop, row, scale = design.steady.loop, design.steady.row, spread_of(design.steady)
+    reach = farthest * scale / scale[0] if scale[0] > 0 else np.full(len(scale), farthest)
+    terms = 1 + np.count_nonzero(design.model.F, axis=1)
+    injected = terms * (2.0 ** (1 - number.bits) * reach) ** 2 / 12
+    scaled = np.divide(injected, scale**2, out=np.zeros_like(injected), where=scale > 0)
+    through = gathered(loop.A, np.diag(scaled))
+    return float(np.sqrt((row @ through @ row.T)[0, 0]))
+
+
+def gathered(A: Floats, B: Floats) -> Floats:
+    """Return the sum of A^k B A'^k over all k, by doubling."""
+    total = B
+    for _ in range(_DOUBLINGS):
+        total, A = total + A @ total @ A.T, A @ A
+    return total
