@@ -49,7 +49,7 @@ def reference_of(told: ChannelRecipe, held: Driven) -> FullReference:
     return FullReference(told, held.one.design, held.one.written.largest)
 
 
-def becalm(told: ChannelRecipe, held: Driven, readings: Floats) -> tuple[Floats, Codes]:
+def expected(told: ChannelRecipe, held: Driven, readings: Floats) -> tuple[Floats, Codes]:
     """Return what becalm makes of readings (N,) that C is given, in its own digits."""
     signal, _, codes = reference_of(told, held).both(held.rounded(readings))
     return signal, codes

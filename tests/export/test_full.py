@@ -21,7 +21,7 @@ from becalm.export.full.kind import Full
 from becalm.export.number_type import DOUBLE, FLOAT
 from becalm.export.proof.compiling import OPTIMISED, SANITIZED, run
 from becalm.export.vectors import STARTING
-from carried import BOTH, CHANNELS, GATE, HARD, NUMBERS, STEP_S, USUAL, becalm, reference_of, rough
+from carried import BOTH, CHANNELS, GATE, HARD, NUMBERS, STEP_S, USUAL, expected, reference_of, rough
 from driven import Driven, driven_one
 from exported import ANY, built, bundle, channel, need, recipe_of, snr_db
 
@@ -71,7 +71,7 @@ def check(told: ChannelRecipe, precision: str, carries: Carries) -> None:
         readings = rough(told, seed=seed)
         program.init()
         signal, codes = program.run(readings)
-        want, became = becalm(told, program, readings)
+        want, became = expected(told, program, readings)
         np.testing.assert_array_equal(codes, became)
         if told.gate is not None and told.limits is None:
             assert (codes == Verdict.SPIKE).sum() > 10
@@ -88,7 +88,7 @@ def test_sixty_six_states_are_the_stream(carries: Carries) -> None:
     told = channel("ar", 2, 0.05, coloured_noise=noise, gate=GATE)
     program, readings = carries(told, "float64"), rough(told, 800)
     signal, codes = program.run(readings)
-    want, became = becalm(told, program, readings)
+    want, became = expected(told, program, readings)
     np.testing.assert_array_equal(codes, became)
     assert np.abs(signal - want).max() <= 1e-12 * np.abs(want).max()
 
@@ -178,7 +178,7 @@ def test_a_first_reading_that_is_missing_begins_it_anew(carries: Carries) -> Non
     program = carries(told, "float64")
     readings = np.array([np.nan, 1.0, 2.0, np.nan, np.nan, 3.0, 4.0, 6.0, 7.0, np.nan, 9.0])
     signal, codes = program.run(readings)
-    want, became = becalm(told, program, readings)
+    want, became = expected(told, program, readings)
     np.testing.assert_array_equal(codes, became)
     assert codes.tolist() == [1, 32, 32, 1, 1, 32, 32, 0, 0, 1, 0]
     assert signal[:7].tolist() == [0.0, 1.0, 2.0, 1.0, 1.0, 3.0, 4.0]
@@ -194,7 +194,7 @@ def test_readings_of_a_rounded_step_are_followed_as_becalm_does(carries: Carries
             readings = np.where(np.arange(400) < 200, 3.3, 3.3 + size)
             program.init()
             signal, codes = program.run(readings)
-            want, became = becalm(told, program, readings)
+            want, became = expected(told, program, readings)
             np.testing.assert_array_equal(codes, became)
             assert (codes == Verdict.STEP).sum() == 1
             assert snr_db(signal, want) >= 120

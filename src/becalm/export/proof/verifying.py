@@ -168,9 +168,7 @@ def compare(made: Build, one: Exported, channel: ChannelRecipe, record: str, rea
     wrong, greatest = float(np.square(off).sum()), float(np.abs(want[known]).max(initial=0.0))
     snr_db = float(10 * np.log10(power / wrong)) if wrong > 0 < power else np.inf
     error = float(off.max(initial=0.0)) / (greatest or 1.0)
-    kept = (
-        error <= _SAME if one.kind.number.precision == "float64" else snr_db >= _PROMISED_DB[one.kind.number.precision]
-    )
+    kept = snr_db >= one.kind.promised_db
     return Compared(one.name, record, len(given), beside, error, snr_db, kept)
 
 
