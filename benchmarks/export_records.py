@@ -1,7 +1,7 @@
 """What is exported as C beside becalm itself: on real recordings, and on ten million readings.
 
-Every channel of every recording is tuned as a causal filter (on its first 20 000 rows), exported with nothing said, as
-float64, float32 and q31 (its range that of its readings), compiled by `cc -O2`, and run over the whole record, row
+Every channel of every recording is tuned as a causal filter (on its first 20 000 rows), exported as float64, float32 and
+q31 with the range of its readings, compiled by `cc -O2`, and run over the whole record, row
 by row, beside becalm's own stream. *float64* is the greatest difference, in parts of the greatest signal; *float32* and
 *q31* are the power of the signal over that of the difference. Where a filter that keeps its gain meets missing
 readings, or a table of gains was thinned while it starts, it is held against its own specification in Python, which is
@@ -64,7 +64,8 @@ def compared(channel: ChannelRecipe, rate_hz: float, readings: Floats, precision
     """Export one channel, compile it, and run a record through it."""
     recipe = Recipe(mode="causal", tuned_on=Origin(rate_hz=rate_hz), channel=(channel,))
     seen = readings[np.isfinite(readings)]
-    spans = {channel.name: (float(seen.min()), float(seen.max()))} if precision == "q31" and np.ptp(seen) > 0 else {}
+    more = 0.1 * float(np.ptp(seen))  # a reading at the end of the range is clipped
+    spans = {channel.name: (float(seen.min()) - more, float(seen.max()) + more)} if more > 0 else {}
     with tempfile.TemporaryDirectory() as place:
         bundle = bundle_of(recipe, "record", Asked(precision=precision, spans=spans))
         program = build(unpacked(bundle, Path(place)), bundle.stem, "cc", ("-O2",))

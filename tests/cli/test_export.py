@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
-import shutil
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+
+from exported import need
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
@@ -64,8 +65,8 @@ def test_a_recipe_becomes_c_that_passes_its_own_vectors(recipe: Path, run: Run, 
     assert "float reading_m_per_s2, float *signal_m_per_s2" in header
     assert "float reading_kn, float *signal_kn" in header
     assert "#define BENCH_TEST_SAMPLE_RATE_UHZ 100000000UL" in header
-    if shutil.which("make") is None or shutil.which("cc") is None:
-        pytest.skip("make or cc is not installed")
+    need("make")
+    need("cc")
     made = subprocess.run(["make", "-C", tmp_path / "out", "check"], capture_output=True, text=True, check=False)
     assert made.returncode == 0, made.stdout + made.stderr
     assert "All vectors passed." in made.stdout
@@ -75,10 +76,17 @@ def test_exported_again_it_is_the_same(recipe: Path, run: Run, tmp_path: Path) -
     for folder in ("one", "two"):
         assert run("export", recipe, "-o", folder, "--precision", "float64").returncode == 0
     one, two = (
-        {path.name: path.read_bytes() for path in (tmp_path / name).rglob("*") if path.is_file()}
+        {
+            path.relative_to(tmp_path / name): path.read_bytes()
+            for path in (tmp_path / name).rglob("*")
+            if path.is_file()
+        }
         for name in ("one", "two")
     )
     assert one == two
+    copies = [path for path in one if path.name == "bench_test.c"]
+    assert len(copies) == 2  # one of them for Arduino
+    assert one[copies[0]] == one[copies[1]]
 
 
 @pytest.mark.slow

@@ -25,6 +25,7 @@ RATE_HZ = 200.0
 KINDS = ("resting", "jumping", "noisy", "spiky")
 NAMES = (*(f"{kind} {order}" for kind in KINDS for order in (1, 3)), "limited", "nervous")
 
+
 def told_of(name: str) -> ChannelRecipe:
     """Return a recipe by its name."""
     if name == "nervous":

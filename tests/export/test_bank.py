@@ -138,9 +138,7 @@ def test_reset_begins_as_with_a_reading(banks: Banks) -> None:
 
 @pytest.mark.parametrize("number", [DOUBLE, FLOAT], ids=PRECISIONS)
 @pytest.mark.parametrize("flags", OPTIMISED, ids="".join)
-def test_exp_and_root_are_right_to_two_last_digits(
-    number: NumberType, flags: tuple[str, ...], tmp_path: Path
-) -> None:
+def test_exp_and_root_are_right_to_two_last_digits(number: NumberType, flags: tuple[str, ...], tmp_path: Path) -> None:
     made, real = bundle_of_bank("noisy 1", number.precision), number.name
     prefix = made.channels[0].prefix
     shown = "".join(

@@ -106,7 +106,21 @@ def _asked(recipe: Recipe, wanted: Wanted, recorded: dict[str, Floats]) -> Asked
     channels = None if wanted.channels is None else split_names(wanted.channels)
     spans = spans_of(wanted.ranges or [], [channel.name for channel in recipe.channel])
     shown = {name: readings[:_SHOWN] for name, readings in recorded.items()}
+    if wanted.precision != "q31":
+        spans = {**_seen(recipe, recorded), **spans}
     return Asked(cast("Precision", wanted.precision or "float32"), wanted.gain or "auto", channels, spans, shown)
+
+
+def _seen(recipe: Recipe, recorded: dict[str, Floats]) -> dict[str, Span]:
+    """Return how far readings of a recording went, and as much again, of channels whose rails nobody knows."""
+    found: dict[str, Span] = {}
+    for channel in recipe.channel:
+        seen = recorded.get(channel.name, np.empty(0))
+        seen = seen[np.isfinite(seen)]
+        if len(seen) and (channel.limits is None or None in (channel.limits.low, channel.limits.high)):
+            more = float(np.ptp(seen)) / 2
+            found[channel.name] = float(seen.min()) - more, float(seen.max()) + more
+    return found
 
 
 def spans_of(texts: list[str], names: list[str]) -> dict[str, Span]:

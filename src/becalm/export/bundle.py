@@ -19,10 +19,11 @@ from becalm.export.kind import Kind, Opened, Raw, Span
 from becalm.export.kinds import kind_of
 from becalm.export.layouts import layouts
 from becalm.export.naming import comment, identifier, identifiers
-from becalm.export.number_type import Precision
+from becalm.export.number_type import FLOAT, Precision
 from becalm.export.templates import render
 from becalm.export.vector_text import bits_of, vector_texts
 from becalm.export.vectors import Vector, extremes, golden_vectors
+from becalm.export.word_length import refuse_coarse
 from becalm.export.written import Written, words_of
 
 _HIGHEST_UHZ = (1 << 62) - 1
@@ -149,6 +150,8 @@ def _exported(channel: ChannelRecipe, design: Design, prefix: str, asked: Asked)
     kind = kind_of(design, asked.precision, asked.gain)
     low, high = design.limits.rails
     span = asked.spans.get(channel.name, (low, high) if np.isfinite(high - low) else None)
+    if span is not None and kind.number is FLOAT:
+        refuse_coarse(design, kind.number, span)
     written = kind.write(design, prefix, span)
     opened = partial(kind.reference, channel, design, written)
 

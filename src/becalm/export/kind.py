@@ -27,6 +27,11 @@ Raw = NDArray[np.generic]
 _SAME, _NEAR = 1e-12, 1e-5  # of the largest signal
 
 
+def apart(span: Span | None) -> float | None:
+    """Return how far readings may lie from each other, and from 0 on either side, in unit; None where nobody said."""
+    return None if span is None else 2 * max(map(abs, span))
+
+
 class Kind(Protocol):
     """How a channel is written, and held against becalm."""
 

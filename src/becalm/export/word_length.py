@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Floats
+from becalm.errors import RecipeError
 from becalm.export.design import Design, spread_of
 from becalm.export.number_type import NumberType
 
@@ -37,7 +38,7 @@ class WordLength(NamedTuple):
     share : float
         The larger of the two, in parts of the signal's own standard deviation.
     range : float
-        Readings may lie so far from each other, in unit; beyond, they are overrange.
+        Readings may lie so far from each other, and from 0, in unit; beyond, they are overrange.
     quantum : float or None
         By which the level moves, in unit; None where it stays at the first reading.
     """
@@ -64,6 +65,32 @@ def stall_of(design: Design, number: NumberType, farthest: float) -> float:
     assert design.steady is not None
     gain = abs(float((design.model.F @ design.steady.gain)[0, 0]))
     return ulp(number, farthest) / (2 * gain) if gain > 0 else np.inf
+
+
+def refuse_coarse(design: Design, number: NumberType, span: tuple[float, float]) -> None:
+    """Refuse a type of number that tells readings themselves more coarsely than their noise.
+
+    Parameters
+    ----------
+    design : Design
+        A filter.
+    number : NumberType
+        Of C.
+    span : (float, float)
+        Least and greatest reading, in unit.
+
+    Raises
+    ------
+    RecipeError
+        If its last digit of the greatest is more than the noise.
+    """
+    greatest = max(map(abs, span))
+    if ulp(number, greatest) > design.noise_std:
+        raise RecipeError(
+            f"{design.name}: {number.name} tells readings of {greatest:.6g} {design.unit} to"
+            f" {ulp(number, greatest):.3g} only, and their noise is {design.noise_std:.3g}; take an offset off them"
+            " before, or use --precision float64."
+        )
 
 
 def ulp(number: NumberType, magnitude: float) -> float:

@@ -6,7 +6,7 @@ from becalm.cleaning.recipe import ChannelRecipe
 from becalm.export.design import Design
 from becalm.export.full.reference import FullReference
 from becalm.export.full.text import written_full
-from becalm.export.kind import Floating, Span
+from becalm.export.kind import Floating, Span, apart
 from becalm.export.vectors import Reference
 from becalm.export.written import Written
 
@@ -16,7 +16,7 @@ class Full(Floating):
 
     def write(self, design: Design, prefix: str, span: Span | None) -> Written:
         """Write a filter."""
-        return written_full(design, prefix, self.number, None if span is None else span[1] - span[0])
+        return written_full(design, prefix, self.number, apart(span))
 
     def reference(self, recipe: ChannelRecipe, design: Design, written: Written) -> Reference:
         """Return what it is held against, at the start."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.export.design import Design
-from becalm.export.kind import Floating, Span
+from becalm.export.kind import Floating, Span, apart
 from becalm.export.settled.reference import SettledReference
 from becalm.export.settled.text import schedule_in, written_settled
 from becalm.export.vectors import Reference
@@ -21,7 +21,7 @@ class Settled(Floating):
 
     def write(self, design: Design, prefix: str, span: Span | None) -> Written:
         """Write a filter."""
-        return written_settled(design, prefix, self.number, None if span is None else span[1] - span[0])
+        return written_settled(design, prefix, self.number, apart(span))
 
     def reference(self, recipe: ChannelRecipe, design: Design, written: Written) -> Reference:
         """Return what it is held against, at the start."""

@@ -1,0 +1,72 @@
+"""What a filter takes of memory is what is said: of its state, and of its tables, for each kind and precision."""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from becalm.cleaning.recipe import ChannelRecipe
+from becalm.cleaning.recipe_parts import GateRecipe
+from becalm.export.bundle import Bundle
+from becalm.export.proof.verifying import unpacked
+from driven import driven_one
+from exported import HUM, LIMITS, MODES, SPAN, TONE, bundle, channel, need
+
+GATED = channel("ax", 2, 0.05, gate=GateRecipe())
+FLOATING: dict[str, tuple[str, ChannelRecipe, dict[str, Any]]] = {
+    "level": ("Settled", channel("ax", 1, 0.2), {}),
+    "slope": ("Settled", channel("ax", 2, 0.05), {}),
+    "snap": ("Settled", channel("ax", 5, 0.2), {}),
+    "tone": ("Settled", channel("ax", 2, 0.05, tone=(TONE,)), {}),
+    "settled, with limits": ("Settled", channel("ax", 2, 0.05, limits=LIMITS), {}),
+    "thinned": ("Settled", channel("ax", 2, 2e-3), {"gain": "settled"}),
+    "thinned, with limits": ("Settled", channel("ax", 2, 2e-3, limits=LIMITS), {"gain": "settled"}),
+    "full": ("Full", channel("ax", 2, 0.05), {"gain": "full"}),
+    "full, with limits": ("Full", channel("ax", 3, 0.05, limits=LIMITS), {"gain": "full"}),
+    "full, with a disturbance": ("Full", channel("ax", 1, 0.05, tone=(HUM,)), {"gain": "full"}),
+    "gate": ("Full", GATED, {}),
+    "gate and limits": ("Full", GATED.model_copy(update={"limits": LIMITS}), {}),
+    "never settled": ("Full", channel("ax", 2, 0.0), {}),
+    "bank": ("Bank", channel("ax", 2, 0.05, switching=MODES), {}),
+    "bank, with limits": ("Bank", channel("ax", 2, 0.05, switching=MODES, limits=LIMITS), {}),
+}
+COUNTED = {name: FLOATING[name][1] for name in ("level", "slope", "snap", "tone", "settled, with limits")} | {
+    "thinned": channel("ax", 1, 1e-3),
+    "thinned, with limits": channel("ax", 1, 1e-3, limits=LIMITS),
+}
+BUNDLES = [
+    pytest.param(kind, told, {"precision": precision, **asked}, id=f"{precision} {name}")
+    for precision in ("float32", "float64")
+    for name, (kind, told, asked) in FLOATING.items()
+] + [
+    pytest.param(
+        "Fixed", told, {"precision": "q31", "spans": {} if told.limits else {"ax": (-SPAN, SPAN)}}, id=f"q31 {name}"
+    )
+    for name, told in COUNTED.items()
+]
+
+
+def constants(made: Bundle, folder: Path) -> int:
+    """Return the bytes of all objects that the filters keep in program memory, by the symbols of a compiler."""
+    need("cc")
+    need("nm")
+    place = unpacked(made, folder)
+    subprocess.run(["cc", "-std=c99", "-O0", "-c", f"{made.stem}.c", "-o", "filters.o"], cwd=place, check=True)
+    said = subprocess.run(["nm", "-S", "filters.o"], cwd=place, check=True, capture_output=True, text=True).stdout
+    lines = [line.split() for line in said.splitlines()]
+    return sum(int(words[1], 16) for words in lines if len(words) == 4 and words[2] in "rR")
+
+
+@pytest.mark.parametrize(("kind", "told", "asked"), BUNDLES)
+def test_memory_is_what_is_said(
+    kind: str, told: ChannelRecipe, asked: dict[str, Any], request: pytest.FixtureRequest, tmp_path: Path
+) -> None:
+    made = bundle(told, **asked)
+    held = driven_one(made, tmp_path)
+    assert type(held.one.kind).__name__ == kind
+    assert held.one.written.exact == ("thinned" not in request.node.callspec.id)
+    assert held.size == held.one.written.state_bytes
+    assert constants(made, tmp_path) == held.one.written.table_bytes
