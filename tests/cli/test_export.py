@@ -159,3 +159,16 @@ def test_sections_filter_as_the_stream_does(recipe: Path, run: Run, tmp_path: Pa
         filtered = sosfilt(sos, z[:, at], zi=sosfilt_zi(sos) * z[0, at])[0]
         np.testing.assert_allclose(filtered[10_000:], stream[10_000:, at], rtol=1e-10)
         np.testing.assert_array_equal(module["clean"](name, z[:, at]), filtered)  # type: ignore[operator]
+
+
+def test_files_that_no_export_wrote_stay_and_an_old_certificate_goes(recipe: Path, run: Run, tmp_path: Path) -> None:
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "main.c").write_text("mine", encoding="utf-8")
+    ran = run("export", recipe, "-o", "mine")
+    assert ran.returncode == 2
+    assert "holds files that no export wrote" in ran.stderr
+    assert [path.name for path in (tmp_path / "mine").iterdir()] == ["main.c"]
+    assert run("export", recipe, "-o", "out").returncode == 0
+    (tmp_path / "out" / "certificate.md").write_text("of another", encoding="utf-8")
+    assert run("export", recipe, "-o", "out").returncode == 0
+    assert not (tmp_path / "out" / "certificate.md").exists()

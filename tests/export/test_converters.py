@@ -1,4 +1,4 @@
-"""Codes of a converter in fixed point, multiplied as the header says: none wraps, none is shifted, and rails are seen."""
+"""Codes of a converter in fixed point, multiplied as the header says: none is shifted, and rails are seen."""
 
 from __future__ import annotations
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
 
 from becalm.errors import OutputError
-from becalm.files import plain
 from becalm.files.plain import write_folder
 
 TEXTS = {"one.txt": "one\n", "sub/two.txt": "two\n", "sub/deeper/three.txt": "dreißig\n"}
@@ -81,7 +81,7 @@ def test_a_full_disk_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         if len(synced) == len(TEXTS):
             raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(plain.os, "fsync", full)
+    monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(OutputError, match="is full"):
         write_folder(tmp_path, TEXTS)
     assert found(tmp_path) == {}

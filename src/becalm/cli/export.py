@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from becalm.export.proof.verifying import Compared
 
 _FORMS = ("json", "sos", "scipy")
+_CERTIFICATE = "certificate.md"
 _SHOWN = 2000  # rows of a recording that go into a golden vector
 
 
@@ -80,21 +81,39 @@ def _to_c(recipe: Recipe, path: Path, output: Path, wanted: Wanted) -> dict[str,
     recorded = {} if wanted.recording is None else _recorded(recipe, wanted.recording, wanted.channels)
     bundle = bundle_of(recipe, path.stem.removesuffix(".recipe"), _asked(recipe, wanted, recorded))
     files, told = dict(bundle.files), _summary(bundle)
-    if output.exists():
-        make_folder(output)  # which refuses a file
-        refuse_unwritable(output / "becalm.h")
+    _refuse_foreign(output)
     if wanted.verify:
         from becalm.export.proof.certificate import certificate
         from becalm.export.proof.verifying import verify
 
         with stderr.status("compiling and comparing"):
             verified = verify(bundle, recipe, recorded)
-        files["certificate.md"] = certificate(bundle, verified)
+        files[_CERTIFICATE] = certificate(bundle, verified)
         told["compared"] = [_told(one) for one in verified.compared]
     write_folder(output, files)
+    if not wanted.verify:
+        (output / _CERTIFICATE).unlink(missing_ok=True)  # of what stood here before
     _say(bundle, told)
     typer.echo(f"Wrote {output}. Try it with: make -C {output} check", err=True)
     return told
+
+
+def _refuse_foreign(output: Path) -> None:
+    """Refuse a folder that cannot be written to, or that holds files which no export wrote.
+
+    Raises
+    ------
+    UsageError
+        If there are such files.
+    OutputError
+        If it cannot be written to.
+    """
+    if not output.exists():
+        return
+    make_folder(output)  # which refuses a file
+    if any(output.iterdir()) and not (output / "becalm.h").exists():
+        raise UsageError(f"The folder {output} holds files that no export wrote; name another, or a new one, with -o.")
+    refuse_unwritable(output / "becalm.h")
 
 
 def _told(one: Compared) -> dict[str, Any]:
@@ -160,6 +179,8 @@ def _recorded(recipe: Recipe, file: Path, channels: str | None) -> dict[str, Flo
                 f"{file} has {1 / step_s:.6g} Hz, and the recipe {recipe.nominal_rate_hz:.6g} Hz: its readings are"
                 " taken as they come, one a step."
             )
+        if empty := [name for at, name in enumerate(found.names) if not np.isfinite(found.samples[:, at]).any()]:
+            raise UsageError(f"{file} has no reading of {empty[0]}; choose other channels with --channels.")
         return {name: np.ascontiguousarray(found.samples[:, at]) for at, name in enumerate(found.names)}
 
 

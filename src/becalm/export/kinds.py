@@ -10,11 +10,13 @@ from becalm.export.design import Design
 from becalm.export.fixed.kind import Fixed
 from becalm.export.full.kind import Full
 from becalm.export.kind import Kind
-from becalm.export.number_type import DOUBLE, FLOAT, Precision
+from becalm.export.number_type import DOUBLE, FLOAT, NumberType, Precision
 from becalm.export.settled.kind import Settled
 from becalm.export.settled.text import schedule_in
 
 GAINS = ("auto", "settled", "full")
+
+_HIGHEST_IN_FLOAT = 3  # order of a motion: above, rounded derivatives leave less than 120 dB of a signal that moves
 
 
 def kind_of(design: Design, precision: Precision, gain: str) -> Kind:
@@ -27,8 +29,8 @@ def kind_of(design: Design, precision: Precision, gain: str) -> Kind:
     precision : {"float32", "float64", "q31"}
         What it computes in.
     gain : {"auto", "settled", "full"}
-        Whether a covariance is carried; "auto" carries one where the recipe needs it, and in float64 where a table
-        of gains that is exact from the first reading on would be too long.
+        Whether a covariance is carried; "auto" carries one where the recipe needs it, in float64 where a table of
+        gains that is exact from the first reading on would be too long, and in float32 from order 4 on.
 
     Raises
     ------
@@ -54,9 +56,19 @@ def kind_of(design: Design, precision: Precision, gain: str) -> Kind:
     number = DOUBLE if precision == "float64" else FLOAT
     if design.modes is not None:
         return Bank(number)
-    if needs or gain == "full" or (gain == "auto" and number.is_double and not schedule_in(design, number).exact):
+    if needs or gain == "full" or (gain == "auto" and _is_better_full(design, number)):
         return Full(number)
     return Settled(number)
+
+
+def _is_better_full(design: Design, number: NumberType) -> bool:
+    """Whether a covariance serves where none is needed: its table would be thinned in double, its states lost in float.
+
+    A full filter of an order above 3 has its states in double; see `full.text`.
+    """
+    if number.is_double:
+        return not schedule_in(design, number).exact
+    return design.motion_order > _HIGHEST_IN_FLOAT
 
 
 def _mend(design: Design) -> str:

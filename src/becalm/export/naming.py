@@ -42,4 +42,5 @@ def identifiers(texts: Iterable[str], otherwise: str) -> list[str]:
 
 def comment(text: str) -> str:
     """Return text that may stand in a comment of C: it can end none, and a trigraph is none."""
-    return " ".join(text.replace("*/", "* /").replace("/*", "/ *").replace("??", "? ?").split())
+    whole = re.sub(r"\?(?=\?)", "? ", text)
+    return " ".join(whole.replace("*/", "* /").replace("/*", "/ *").split())

@@ -15,6 +15,7 @@ MOST_NUMBERS = 1024
 """Gains that a table may hold, in numbers; with fewer it is thinned sooner."""
 
 _EXACT = 32  # rows, whatever comes then
+_MOST_ALIKE = (1 << 32) - 1  # rows, as four bytes count them
 _ALIKE = 32  # the gain of row k stays for k / 32 rows
 _NEAR = 2e-3  # of the spread of a state: so near its end a thinned gain has settled
 _MOST_ROWS = 1 << 40
@@ -85,7 +86,7 @@ def _thinned(design: Design, first: Floats, settled: Floats, spread: Floats) -> 
     one = leap_of(design.model)
     P, leaps = _after(design, row), [one]
     while row < _MOST_ROWS:
-        count = max(row // _ALIKE, 1)
+        count = min(max(row // _ALIKE, 1), _MOST_ALIKE)
         half = _leap(leaps, P, count // 2)
         gain = gain_before(half, design.model)
         if (np.abs(gain - settled) <= _NEAR * (spread + np.abs(settled))).all():

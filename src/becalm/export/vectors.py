@@ -16,6 +16,7 @@ STARTING = 32
 
 _SEED = 20261124
 _LONGEST_TRIED = 400  # rows that are left out at once
+_BRIDGING = 3  # order of a motion: above, digits are few after hundreds of rows without a reading
 
 
 class Reference(Protocol):
@@ -129,7 +130,7 @@ def _size(design: Design) -> float:
 def _holed(readings: Floats, hole: float, design: Design) -> Floats:
     """Leave readings out: the first ones, single ones, some in a row, and as many as a filter coasts across."""
     holed, coasted = readings.copy(), min(design.coasts, _LONGEST_TRIED)
-    for first, count in ((0, 3), (20, 1), (22, 1), (300, 7), (400, coasted + 3)):
+    for first, count in ((0, 3), (4, 1), (7, 1), (20, 1), (22, 1), (300, 7), (400, coasted + 3)):
         holed[first : first + count] = hole
     return holed
 
@@ -150,4 +151,5 @@ def _clipped(readings: Floats, design: Design) -> Floats:
 
 
 def _gaps(design: Design) -> dict[int, int]:
-    return {100: 1, 300: 5, 500: 60, 700: 3, 800: design.coasts + 3}
+    begins_anew = design.steady is not None and design.modes is None and design.motion_order <= _BRIDGING
+    return {100: 1, 300: 5, 500: 60, 700: 3, 800: design.coasts + 3 if begins_anew else 60}

@@ -11,11 +11,12 @@ import numpy as np
 
 from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
 from becalm.cleaning.stream import StreamCleaner
-from becalm.core.arrays import Floats
+from becalm.core.arrays import Codes, Floats
 from becalm.core.verdict import Verdict
 from becalm.export.bundle import Bundle, Exported
 from becalm.export.kind import Raw
 from becalm.export.proof.compiling import OPTIMISED, SANITIZED, Build, CompileError, build, compilers, run
+from becalm.export.vectors import STARTING
 
 _LONG = 1_000_000  # readings drawn from the model itself
 _SAME_FILTER_DB = 60.0  # below it is no rounding
@@ -160,10 +161,11 @@ def compare(made: Build, one: Exported, channel: ChannelRecipe, record: str, rea
         In unit, a step apart; NaN where missing.
     """
     raw = one.kind.raw(readings, one.written)
-    told = one.kind.in_unit(streamed(made, one, raw), one.written)
+    out, codes = streamed(made, one, raw)
+    told = one.kind.in_unit(out, one.written)
     given = one.kind.in_unit(raw, one.written)
     want, beside = _wanted(one, channel, given)
-    known = np.isfinite(want)
+    known = np.isfinite(want) & (codes != STARTING)  # readings that are passed on are no filter's
     off, power = np.abs(told - want)[known], float(np.square(want[known]).sum())
     wrong, greatest = float(np.square(off).sum()), float(np.abs(want[known]).max(initial=0.0))
     snr_db = float(10 * np.log10(power / wrong)) if wrong > 0 < power else np.inf
@@ -185,8 +187,8 @@ def _wanted(one: Exported, channel: ChannelRecipe, given: Floats) -> tuple[Float
     return one.kind.reference(channel, one.design, one.written).run(given)[0], "its specification"
 
 
-def streamed(made: Build, one: Exported, raw: Raw) -> Raw:
-    """Run numbers (N,) through a channel in C; return what it tells.
+def streamed(made: Build, one: Exported, raw: Raw) -> tuple[Raw, Codes]:
+    """Run numbers (N,) through a channel in C; return what it tells, and what became of each.
 
     Raises
     ------
@@ -199,4 +201,4 @@ def streamed(made: Build, one: Exported, raw: Raw) -> Raw:
         ran = run(made, one.prefix, str(source), str(out), str(codes))
         if ran.returncode != 0:
             raise CompileError(f"{one.name}: the program ended with {ran.returncode}. {ran.stderr[:300]}")
-        return np.frombuffer(out.read_bytes(), raw.dtype)
+        return np.frombuffer(out.read_bytes(), raw.dtype), np.frombuffer(codes.read_bytes(), np.int8)
