@@ -4,9 +4,9 @@ Every channel of every recording is tuned as a causal filter (on its first 20 00
 and q31 with the range of its readings, compiled by `cc -O2`, and run over the whole record, row by row, beside
 becalm's own stream; readings that are passed on while a filter starts are not compared. *float64* is the greatest
 difference, in parts of the greatest signal; *float32* and *q31* are the power of the signal over that of the
-difference. Where a filter that keeps its gain meets missing readings, or a table of gains was thinned while it starts, it is held
-against its own specification in Python, which is becalm's stream everywhere else. A channel that is not exported is
-named with the reason.
+difference. Where a filter that keeps its gain meets missing readings, or a table of gains was thinned while it starts,
+it is held against its own specification in Python, which is becalm's stream everywhere else. A channel that is not
+exported is named with the reason.
 
 Run: python benchmarks/export_records.py [-o docs/export-records.md] [NAME ...]; needs `pip install 'becalm[formats]'`.
 The recordings lie in ../shared/data; with names, only files whose path holds one of them are taken.
