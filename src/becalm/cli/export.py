@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
@@ -18,6 +21,7 @@ from becalm.errors import UsageError
 from becalm.export.bundle import Asked, Bundle, bundle_of
 from becalm.export.kind import Span
 from becalm.files.plain import make_folder, refuse_unwritable, write_folder, write_text
+from becalm.files.waiting import in_waiting
 
 if TYPE_CHECKING:
     from becalm.export.number_type import Precision
@@ -86,8 +90,8 @@ def _to_c(recipe: Recipe, path: Path, output: Path, wanted: Wanted) -> dict[str,
         from becalm.export.proof.certificate import certificate
         from becalm.export.proof.verifying import verify
 
-        with stderr.status("compiling and comparing"):
-            verified = verify(bundle, recipe, recorded)
+        with stderr.status("compiling and comparing"), _scratch() as place:
+            verified = verify(bundle, recipe, recorded, place)
         files[_CERTIFICATE] = certificate(bundle, verified)
         told["compared"] = [_told(one) for one in verified.compared]
     write_folder(output, files)
@@ -96,6 +100,14 @@ def _to_c(recipe: Recipe, path: Path, output: Path, wanted: Wanted) -> dict[str,
     _say(bundle, told)
     typer.echo(f"Wrote {output}. Try it with: make -C {output} check", err=True)
     return told
+
+
+@contextmanager
+def _scratch() -> Iterator[Path]:
+    """Give an empty folder that is gone in the end, whatever stops the process."""
+    place = Path(tempfile.mkdtemp(prefix="becalm-export-"))
+    with in_waiting(place):
+        yield place
 
 
 def _refuse_foreign(output: Path) -> None:

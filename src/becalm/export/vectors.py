@@ -15,6 +15,7 @@ STARTING = 32
 """Beside the values of `Verdict`: too few readings came for the state to be known; they are passed on."""
 
 _SEED = 20261124
+_GATED = 0.1  # of a sine: one that a gate does not take for wild, since what is extrapolated long has few digits
 _LONGEST_TRIED = 400  # rows that are left out at once
 _BRIDGING = 3  # order of a motion: above, digits are few after hundreds of rows without a reading
 
@@ -109,7 +110,7 @@ def _calm(design: Design) -> dict[str, Floats]:
         "impulse": centre + size * (k == 100),
         "step": centre + size * (k >= 100),
         "ramp": centre + size * np.clip((k - 100) / 300, 0, 1),
-        "sine": centre + size * np.sin(2 * np.pi * k / 50),
+        "sine": centre + size * (_GATED if design.gate else 1.0) * np.sin(2 * np.pi * k / 50),
     }
 
 

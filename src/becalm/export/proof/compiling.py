@@ -107,6 +107,10 @@ def _ran(words: Sequence[str], what: str) -> subprocess.CompletedProcess[str]:
 def _in_time(words: Sequence[str]) -> subprocess.CompletedProcess[str]:
     try:
         return subprocess.run(list(words), capture_output=True, text=True, check=False, timeout=_LONGEST_S)
+    except OSError as cause:
+        raise UsageError(
+            f"{words[0]} cannot be run ({cause.strerror}); mend it, or set TMPDIR to a folder whose programs may run."
+        ) from cause
     except subprocess.TimeoutExpired as cause:
         raise CompileError(
             f"{words[0]} did not end within {_LONGEST_S:.0f} s. Export fewer channels at once."

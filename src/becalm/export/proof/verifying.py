@@ -67,7 +67,7 @@ class Verified(NamedTuple):
     compared: list[Compared]
 
 
-def verify(bundle: Bundle, recipe: Recipe, recorded: Mapping[str, Floats]) -> Verified:
+def verify(bundle: Bundle, recipe: Recipe, recorded: Mapping[str, Floats], folder: Path) -> Verified:
     """Compile a bundle in every way that this machine can, run it, and compare it with becalm.
 
     Parameters
@@ -78,30 +78,31 @@ def verify(bundle: Bundle, recipe: Recipe, recorded: Mapping[str, Floats]) -> Ve
         What it was written from.
     recorded : mapping of str to (N,) float array
         Whole records, by channel, in unit.
+    folder : Path
+        An empty one, for what is compiled.
 
     Raises
     ------
     UsageError
-        If there is no compiler.
+        If there is no compiler, or what it makes cannot be run.
     CompileError
         If it does not compile, a vector fails, or it differs from becalm by more than rounding can explain.
     """
-    with tempfile.TemporaryDirectory(prefix="becalm-export-") as place:
-        folder = unpacked(bundle, Path(place))
-        runs = [_run(folder, bundle, name, flags) for name in compilers() for flags in (*OPTIMISED, SANITIZED)]
-        if failed := [one for one in runs if not one.passed]:
-            raise CompileError(
-                f"Built by {failed[0].build.compiler} {' '.join(failed[0].build.flags)}, golden vectors fail:"
-                f" {failed[0].says}"
-            )
-        quick = next(one.build for one in runs if one.build.flags == ("-O2",))
-        compared = list(_compared(quick, bundle, recipe, recorded))
-        if other := [one for one in compared if not one.snr_db >= _SAME_FILTER_DB]:
-            raise CompileError(
-                f"{other[0].channel}, {other[0].record}: C and becalm differ, by {other[0].snr_db:.0f} dB less than the"
-                " signal."
-            )
-        return Verified(runs, compared)
+    unpacked(bundle, folder)
+    runs = [_run(folder, bundle, name, flags) for name in compilers() for flags in (*OPTIMISED, SANITIZED)]
+    if failed := [one for one in runs if not one.passed]:
+        raise CompileError(
+            f"Built by {failed[0].build.compiler} {' '.join(failed[0].build.flags)}, golden vectors fail:"
+            f" {failed[0].says}"
+        )
+    quick = next(one.build for one in runs if one.build.flags == ("-O2",))
+    compared = list(_compared(quick, bundle, recipe, recorded))
+    if other := [one for one in compared if not one.snr_db >= _SAME_FILTER_DB]:
+        raise CompileError(
+            f"{other[0].channel}, {other[0].record}: C and becalm differ, by {other[0].snr_db:.0f} dB less than the"
+            " signal."
+        )
+    return Verified(runs, compared)
 
 
 def unpacked(bundle: Bundle, folder: Path) -> Path:
@@ -195,7 +196,7 @@ def streamed(made: Build, one: Exported, raw: Raw) -> tuple[Raw, Codes]:
     CompileError
         If it ends otherwise than well.
     """
-    with tempfile.TemporaryDirectory(prefix="becalm-stream-") as place:
+    with tempfile.TemporaryDirectory(dir=made.program.parent) as place:
         source, out, codes = (Path(place) / name for name in ("in", "out", "codes"))
         source.write_bytes(raw.tobytes())
         ran = run(made, one.prefix, str(source), str(out), str(codes))
