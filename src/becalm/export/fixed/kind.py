@@ -20,7 +20,7 @@ COUNT = NumberType("q31", "int32_t", "", 31, np.int32, float(GREATEST))
 """A reading in fixed point."""
 
 _MISSING = -(1 << 31)
-_GAIN = 2.0**-27  # of a signal: gains have 31 bits, and what coasts grows by what they lack
+_GAIN = 2.0**-28  # of a signal: gains have 31 bits, and what coasts grows by what they lack
 _NOISES = 6.0  # standard deviations of what rounding adds, that nothing exceeds
 
 
