@@ -219,5 +219,5 @@ def _channel(one: Exported, recipe: Recipe) -> dict[str, Any]:
         "bits": one.kind.bits,
         "told": one.kind.told,
         "thrown": bits_of(one.thrown),
-        "vectors": vector_texts(one.vectors, one.kind, one.written, one.opened),
+        "vectors": vector_texts(one.vectors, one.kind, one.design, one.written, one.opened),
     }

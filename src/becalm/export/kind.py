@@ -24,7 +24,7 @@ Opened = Callable[[], Reference]
 Raw = NDArray[np.generic]
 """Numbers of whatever type C takes."""
 
-_SAME, _NEAR = 1e-12, 1e-5  # of the largest signal
+_SAME, _NEAR = 1e-12, 1e-5  # of the largest signal, or of what a filter is sure of
 _THROWN_DB = 10.0
 
 
@@ -86,11 +86,11 @@ class Kind(Protocol):
         """Return a signal (N,), in unit, in what C tells it in, not rounded."""
         ...
 
-    def most_error(self, vector: Vector, written: Written, opened: Opened) -> float:
+    def most_error(self, vector: Vector, design: Design, written: Written, opened: Opened) -> float:
         """Return what a signal may be off by, in what C tells it in; `opened` opens what it is held against."""
         ...
 
-    def most_power(self, vector: Vector, most_error: float) -> float:
+    def most_power(self, vector: Vector, design: Design, most_error: float) -> float:
         """Return what the power of the difference may be, in parts of that of the signal."""
         ...
 
@@ -145,13 +145,25 @@ class Floating:
         """Return a signal (N,) in what C tells it in: its unit."""
         return signal
 
-    def most_power(self, vector: Vector, most_error: float) -> float:
+    def most_power(self, vector: Vector, design: Design, most_error: float) -> float:
         """Return what the power of the difference may be, in parts of that of the signal.
 
         In float32 it is ten times what records keep to: golden vectors throw a filter about, and begin it anew.
         """
-        return float(10 ** (-(self.promised_db - (0.0 if self.number.is_double else _THROWN_DB)) / 10))
+        allowed = 10 ** (-(self.promised_db - (0.0 if self.number.is_double else _THROWN_DB)) / 10)
+        power = float(np.square(vector.signal).mean())
+        return float(allowed * max(1.0, sure_of(design) ** 2 / power)) if power > 0 else allowed
 
-    def most_error(self, vector: Vector, written: Written, opened: Opened) -> float:
+    def most_error(self, vector: Vector, design: Design, written: Written, opened: Opened) -> float:
         """Return what a signal may be off by, in what C tells it in."""
-        return (_SAME if self.number.is_double else _NEAR) * float(np.abs(vector.signal).max())
+        largest = float(np.abs(vector.signal).max())
+        return (_SAME if self.number.is_double else _NEAR) * max(largest, sure_of(design))
+
+
+def sure_of(design: Design) -> float:
+    """Return the standard deviation of what a filter tells at best, in unit.
+
+    Signals below it are nothing: a bank that takes an impulse for a spike tells 1e-7 of it, and half the digits of that
+    are those of an exponential.
+    """
+    return design.settled_std if np.isfinite(design.settled_std) else design.noise_std

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from becalm.export.design import Design
 from becalm.export.expressions import in_lines
 from becalm.export.kind import Kind, Opened, Raw
 from becalm.export.number_type import DOUBLE
@@ -16,12 +17,19 @@ from becalm.export.written import Written
 _NUMBERS, _CODES = 6, 24  # on a line
 
 
-def vector_texts(vectors: Sequence[Vector], kind: Kind, written: Written, opened: Opened) -> list[dict[str, Any]]:
+def vector_texts(
+    vectors: Sequence[Vector], kind: Kind, design: Design, written: Written, opened: Opened
+) -> list[dict[str, Any]]:
     """Return what the templates write of vectors; `opened` opens what they are held against."""
-    return [_text(vector, kind, written, kind.most_error(vector, written, opened)) for vector in vectors]
+    texts = []
+    for vector in vectors:
+        most_error = kind.most_error(vector, design, written, opened)
+        most_power = kind.most_power(vector, design, most_error)
+        texts.append({**_text(vector, kind, written), "most": f"{most_error:.3g}", "most_power": f"{most_power:.3g}"})
+    return texts
 
 
-def _text(vector: Vector, kind: Kind, written: Written, most_error: float) -> dict[str, Any]:
+def _text(vector: Vector, kind: Kind, written: Written) -> dict[str, Any]:
     gaps = zip(vector.gap_rows.tolist(), vector.gap_lengths.tolist(), strict=True)
     return {
         "name": vector.name,
@@ -30,8 +38,6 @@ def _text(vector: Vector, kind: Kind, written: Written, most_error: float) -> di
         "signal": in_lines(map(DOUBLE.literal, kind.counts(vector.signal, written).tolist()), _NUMBERS),
         "codes": in_lines((f"{code}u" for code in vector.codes.tolist()), _CODES),
         "gaps": [f"{{ {row}u, {length}u }}" for row, length in gaps] or ["{ 0u, 0u }"],
-        "most": f"{most_error:.3g}",
-        "most_power": f"{kind.most_power(vector, most_error):.3g}",
     }
 
 

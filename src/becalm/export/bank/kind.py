@@ -27,21 +27,23 @@ class Bank(Floating):
         """Return what it is held against, at the start."""
         return BankReference(recipe, design.step_s, written.largest)
 
-    def most_error(self, vector: Vector, written: Written, opened: Opened) -> float:
+    def most_error(self, vector: Vector, design: Design, written: Written, opened: Opened) -> float:
         """Return what a signal may be off by, in unit.
 
         Where readings lie far from all that a bank expects, its probabilities turn a last digit of them into much
         more. So much may C be off as well: by how far becalm itself moves where the last digits are others. And each
-        row that is missed rounds the probabilities once more, which no reading mends: they walk off as a sum does.
+        row that is missed rounds what is extrapolated, which may be far from any reading, once more: it walks off as a
+        sum does.
         """
-        gathered = np.sqrt(vector.gap_lengths.max(initial=0)) * 2.0**-self.number.bits * np.abs(vector.signal).max()
+        rows = np.sqrt(vector.gap_lengths.max(initial=0))
+        gathered = float(rows * 2.0**-self.number.bits * _extrapolated(vector, opened)) if rows else 0.0
         moved = written.start_error + _TIMES * self._moved(vector, opened)
-        return super().most_error(vector, written, opened) + moved + float(gathered)
+        return super().most_error(vector, design, written, opened) + moved + gathered
 
-    def most_power(self, vector: Vector, most_error: float) -> float:
+    def most_power(self, vector: Vector, design: Design, most_error: float) -> float:
         """Return what the power of the difference may be, in parts of that of the signal: a fourth of its greatest."""
         power = float(np.square(vector.signal).mean())
-        allowed = super().most_power(vector, most_error)
+        allowed = super().most_power(vector, design, most_error)
         return max(allowed, (most_error / 4) ** 2 / power) if power > 0 else allowed
 
     def _moved(self, vector: Vector, opened: Opened) -> float:
@@ -53,3 +55,9 @@ class Bank(Floating):
             other = expected(vector.name, vector.readings * (1.0 + digits), gaps, opened())
             moved = max(moved, float(np.abs(other.signal - vector.signal).max()))
         return moved
+
+
+def _extrapolated(vector: Vector, opened: Opened) -> float:
+    """Return the greatest signal, in unit, with what is told while readings are left out."""
+    every = np.insert(vector.readings, np.repeat(vector.gap_rows, vector.gap_lengths), np.nan)
+    return float(np.abs(opened().run(every)[0]).max())

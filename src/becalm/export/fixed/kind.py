@@ -8,7 +8,7 @@ from becalm.cleaning.recipe import ChannelRecipe
 from becalm.core.arrays import Floats
 from becalm.errors import RecipeError
 from becalm.export.design import Design
-from becalm.export.fixed.text import GREATEST, Scale, rails_of, schedule_in, written_fixed
+from becalm.export.fixed.text import GREATEST, Scale, kept_of, rails_of, schedule_in, written_fixed
 from becalm.export.fixed.word_length import STATE_BITS, fit
 from becalm.export.kind import Opened, Raw, Span
 from becalm.export.number_type import NumberType
@@ -27,6 +27,9 @@ _NOISES = 6.0  # standard deviations of what rounding adds, that nothing exceeds
 class FixedReference(SettledReference):
     """The specification of a filter in fixed point: it begins anew where a state leaves the range that C has for it.
 
+    The weights of the first readings are those of 31 bits: where these hardly tell tones from a motion, weights are
+    large, cancel, and turn their last digits into counts.
+
     Parameters
     ----------
     design : Design
@@ -42,6 +45,7 @@ class FixedReference(SettledReference):
         super().__init__(design, schedule, largest)
         self._rule = self._rule._replace(low=scale.in_unit(rails.low), high=scale.in_unit(rails.high))
         point, _ = fit(design, schedule, scale.lsb)
+        self._opening = kept_of(self._opening)
         self._ends = scale.in_unit(-GREATEST), scale.in_unit(GREATEST)
         self._middle, self._most = scale.offset, scale.lsb * 2.0 ** (STATE_BITS - np.array(point.states, np.float64))
 
@@ -91,7 +95,7 @@ class Fixed:
         """How far the power of the difference from becalm is below that of the signal, in dB, at the least."""
         return 90.0
 
-    def most_power(self, vector: Vector, most_error: float) -> float:
+    def most_power(self, vector: Vector, design: Design, most_error: float) -> float:
         """Return what the power of the difference may be, in parts of that of the signal."""
         return float(10 ** (-self.promised_db / 10))
 
@@ -137,7 +141,7 @@ class Fixed:
         """Return a signal (N,), in unit, as C tells it: in whole counts, saturated."""
         return np.rint(_scale(written).counts(signal))
 
-    def most_error(self, vector: Vector, written: Written, opened: Opened) -> float:
+    def most_error(self, vector: Vector, design: Design, written: Written, opened: Opened) -> float:
         """Return what a signal may be off by, in counts: one that is rounded the other way, and what states cost."""
         assert written.word is not None, "what fixed point costs is computed"
         lsb, largest = _scale(written).lsb, float(np.abs(self.counts(vector.signal, written)).max())

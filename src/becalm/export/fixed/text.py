@@ -185,6 +185,12 @@ def factor_of(value: float) -> tuple[int, int]:
     return (mantissa, shift) if mantissa and shift <= _FARTHEST else (0, 31)
 
 
+def kept_of(values: Floats) -> Floats:
+    """Return values as m / 2^s tells them: to 31 bits."""
+    factors = [factor_of(value) for value in values.ravel().tolist()]
+    return np.array([mantissa / 2.0**shift for mantissa, shift in factors]).reshape(values.shape)
+
+
 def terms(row: Floats | Sequence[float], names: Sequence[str]) -> list[str]:
     """Write row[j] * names[j] in integers; what is not exact in 31 bits gets as many again."""
     written = []
