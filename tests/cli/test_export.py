@@ -114,6 +114,7 @@ REFUSED = {
     "no such channel": (["--channels", "az"], "The recipe has no channel 'az'; it has ax, load (kN), flag."),
     "a range without an end": (["--range", "ax=5"], "write NAME=LOW:HIGH in the channel's unit, as ax=-20:20."),
     "a range of nothing": (["--range", "ax=5:5"], "--range ax=5:5 is no range"),
+    "two ranges of a channel": (["--range", "ax=0:5", "--range", "ax=0:6"], "ax=0:6 comes after another for ax"),
     "a range of no channel": (["--range", "az=0:5"], "the recipe has no channel 'az'"),
     "a form with a precision": (["--to", "sos", "--precision", "float32"], "Only --channels goes with --to sos"),
     "unfiltered": (["--channels", "flag"], "No channel of the recipe is filtered, so that there is nothing to export."),

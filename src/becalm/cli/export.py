@@ -160,9 +160,9 @@ def spans_of(texts: list[str], names: list[str]) -> dict[str, Span]:
     Raises
     ------
     UsageError
-        If one cannot be read, or is of no channel.
+        If one cannot be read, is of no channel, or says otherwise than one before.
     """
-    spans: dict[str, Span] = {}
+    said: dict[str, Span] = {}
     for text in texts:
         name, _, reach = text.rpartition("=")
         low, _, high = reach.partition(":")
@@ -174,8 +174,9 @@ def spans_of(texts: list[str], names: list[str]) -> dict[str, Span]:
             raise UsageError(f"--range {text} is no range; write NAME=LOW:HIGH in the channel's unit, as ax=-20:20.")
         if name and name not in names:
             raise UsageError(f"--range {text}: the recipe has no channel {name!r}; it has {', '.join(names)}.")
-        spans |= dict.fromkeys([name] if name else names, span)
-    return spans
+        if said.setdefault(name, span) != span:
+            raise UsageError(f"--range {text} comes after another for {name or 'every channel'}; give one of them.")
+    return {each: said[each if each in said else ""] for each in names if each in said or "" in said}
 
 
 def _recorded(recipe: Recipe, file: Path, channels: str | None) -> dict[str, Floats]:
