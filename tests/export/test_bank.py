@@ -14,7 +14,6 @@ from becalm.core.arrays import Floats
 from becalm.core.recording import Recording
 from becalm.core.verdict import Verdict
 from becalm.errors import RecipeError
-from becalm.export.bank.cost import row_cost
 from becalm.export.bank.text import reach_of_bank
 from becalm.export.number_type import DOUBLE, FLOAT, NumberType
 from becalm.export.proof.compiling import OPTIMISED, SANITIZED, compilers, run
@@ -157,30 +156,6 @@ def test_exp_and_root_are_right_to_two_last_digits(number: NumberType, flags: tu
     assert np.max(np.abs(got[:, 0] / np.exp(-exact) - 1)) <= 2 * digit
     assert np.max(np.abs(got[:, 1] * np.sqrt(exact) - 1)) <= 2 * digit
     assert [decay(end) for end in (0.0, cut, 1e30)] == [1.0, 0.0, 0.0]
-
-
-def test_what_a_row_costs_is_counted_by_its_loops() -> None:
-    source = """static double b_one(double x)
-{
-    return x * x + 1.0;
-}
-
-static double b_all(double x)
-{
-    double sum = 0.0;
-    for (uint32_t a = 0u; a < 3u; a++) {
-        sum += b_one(x) / x;
-        for (uint32_t b = 0u; b <= a; b++) {
-            sum += x * x;
-        }
-        for (uint32_t b = 0u; b < a; b++) {
-            sum -= x;
-        }
-    }
-    return sum;
-}
-"""
-    assert row_cost(source, ["b_all", "b_none"]) == (3 + 6, 3 + 3 + 6 + 3, 3)
 
 
 @pytest.mark.parametrize("noise_std", [1e-25, 1e20])

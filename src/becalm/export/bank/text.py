@@ -15,13 +15,13 @@ from becalm.core.possible import largest_level
 from becalm.core.reach import Reach, least_reach, reach_of
 from becalm.core.switching import Switching
 from becalm.errors import RecipeError
-from becalm.export.bank.cost import row_cost
 from becalm.export.design import Design
 from becalm.export.expressions import in_lines
 from becalm.export.factors import factors_of
 from becalm.export.kind import Span
 from becalm.export.naming import identifiers
 from becalm.export.number_type import NumberType
+from becalm.export.row_cost import row_cost
 from becalm.export.templates import render
 from becalm.export.word_length import COUNTED
 from becalm.export.written import Written, look_of

@@ -14,6 +14,7 @@ from becalm.export.design import Design
 from becalm.export.expressions import Cost, in_lines
 from becalm.export.factors import factors_of
 from becalm.export.number_type import DOUBLE, NumberType
+from becalm.export.row_cost import row_cost
 from becalm.export.templates import render
 from becalm.export.word_length import COUNTED, WordLength, noise_of, stall_of
 from becalm.export.written import Written, look_of, moved_level
@@ -68,10 +69,11 @@ def written_full(design: Design, prefix: str, number: NumberType, span: float | 
     }
     context["covariance_c"] = render("covariance.c.jinja", context)
     context["gate_c"] = render("gate.c.jinja", context) if design.gate else ""
+    source = render("full.c.jinja", context)
     return Written(
         header=render("full.h.jinja", context),
-        source=render("full.c.jinja", context),
-        cost=_cost(design),
+        source=source,
+        cost=_cost(design, source, prefix),
         state_bytes=_bytes(design, number, inner),
         table_bytes=_table_bytes(design, inner),
         word=word,
@@ -192,26 +194,12 @@ def _table(values: Floats, number: NumberType) -> dict[str, Any]:
     return {"count": len(words), "lines": in_lines(words, _ON_A_LINE)}
 
 
-def _cost(design: Design) -> Cost:
-    """Count the operations of a row: of a settled one, or of a full one where none settles.
-
-    Each loop counts with all of its turns. The covariance is in double.
-    """
-    n, noises = design.states, int((factors_of(design.model.process_covariance)[1] > 0).sum())
-    state = Cost(n * n + 3 * n, n * n + 3 * n + 2)
-    gate = Cost(3, 0) if design.gate else Cost(0, 0)
-    if settles(design):
-        return Cost(state.multiplications + gate.multiplications, state.additions)
-    width, pairs = n + noises, n * (n - 1) // 2
-    ahead = Cost(n * pairs + 2 * width * n + 3 * width * pairs, n * pairs + width * n + 2 * width * pairs, pairs)
-    learn = Cost(pairs + 3 * n + 2 * pairs, pairs + n + 2 * pairs, 3 * n)
-    seen = Cost(pairs + 2 * n, pairs + n + 1) if design.gate else Cost(0, 0)
-    parts = (state, gate, ahead, learn, seen)
-    return Cost(
-        sum(part.multiplications for part in parts),
-        sum(part.additions for part in parts),
-        sum(part.divisions for part in parts),
-    )
+def _cost(design: Design, source: str, prefix: str) -> Cost:
+    """Count the operations of a row: of a settled one, or of a full one where none settles; jumps aside."""
+    noises = int((factors_of(design.model.process_covariance)[1] > 0).sum())
+    seldom = ["at", "jump", "wander", *(["ahead", "correct", "seen"] if settles(design) else [])]
+    turns = {f"{prefix}_move": noises, f"{prefix}_factor": design.states + noises}
+    return row_cost(source, [f"{prefix}_take"], turns=turns, never=[f"{prefix}_{name}" for name in seldom])
 
 
 def _bytes(design: Design, number: NumberType, inner: NumberType) -> int:
