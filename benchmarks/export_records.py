@@ -39,6 +39,7 @@ from real_recordings import DATA, files, parts
 
 _TUNED_ON = 20_000
 _LONG = 10_000_000
+_SAME, _LEAST_DB = 1e-12, {"float32": 120.0, "q31": 90.0}
 _PRECISIONS: tuple[Precision, ...] = ("float64", "float32", "q31")
 
 
@@ -133,10 +134,21 @@ def table(rows: Sequence[Row]) -> str:
         cells = [_db(row.found[name]) for name in ("float32", "q31")]
         shown = "" if error is None else f"{error:.1e}"
         lines.append(f"| {row.record} | {row.rows} | {row.channels} | {exported} | {shown} | {' | '.join(cells)} |")
+    if beyond := [f"- {row.record}, {said}" for row in rows for said in _beyond(row.found)]:
+        lines += ["", "Beyond 1e-12 in float64, or below 120 dB in float32, or 90 dB in q31:", "", *beyond]
     lines += ["", "*Exported* are channels as float64, float32, q31. Not exported were:", ""]
     reasons: Counter[str] = sum((row.refused for row in rows), Counter())
     lines += [f"- {count}: {why}" for why, count in reasons.most_common()] or ["- none"]
     return "\n".join(lines) + "\n"
+
+
+def _beyond(found: dict[str, list[Compared]]) -> Iterator[str]:
+    """Tell of each channel that keeps less than is asked for."""
+    for precision, compared in found.items():
+        for one in compared:
+            if one.error > _SAME if precision == "float64" else one.snr_db < _LEAST_DB[precision]:
+                first = "the first signal that is told" if one.error_row == one.first_row else f"row {one.error_row}"
+                yield f"{one.channel}, {precision}: {one.error:.1e} off in {first}, {one.snr_db:.0f} dB over all rows"
 
 
 def _db(found: Sequence[Compared]) -> str:

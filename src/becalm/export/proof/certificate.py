@@ -26,11 +26,14 @@ def certificate(bundle: Bundle, verified: Verified) -> str:
     lines += ["", "| channel | record | rows | beside | greatest difference | signal over difference |"]
     lines += ["|---|---|---|---|---|---|"]
     lines += [
-        f"| {one.channel} | {one.record} | {one.rows} | {one.beside} | {one.error:.2g} of the greatest signal |"
-        f" {_decibels(one)} |"
+        f"| {one.channel} | {one.record} | {one.rows} | {one.beside} | {_greatest(one)} | {_decibels(one)} |"
         for one in verified.compared
     ]
     return "\n".join([*lines, "", *_files(bundle)]) + "\n"
+
+
+def _greatest(one: Compared) -> str:
+    return f"{one.error:.2g} of the greatest signal{f', in row {one.error_row}' if one.error > 0 else ''}"
 
 
 def _decibels(one: Compared) -> str:

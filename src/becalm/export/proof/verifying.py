@@ -45,6 +45,8 @@ class Compared(NamedTuple):
         What it was held against: becalm's stream, or the specification of a filter that carries no covariance.
     error : float
         The greatest difference, in parts of the greatest signal.
+    error_row, first_row : int
+        Row of that difference, and the first whose signal is a filter's; -1 where there is none.
     snr_db : float
         Power of the signal over that of the difference; inf where there is none.
     kept : bool
@@ -56,6 +58,8 @@ class Compared(NamedTuple):
     rows: int
     beside: str
     error: float
+    error_row: int
+    first_row: int
     snr_db: float
     kept: bool
 
@@ -167,12 +171,13 @@ def compare(made: Build, one: Exported, channel: ChannelRecipe, record: str, rea
     given = one.kind.in_unit(raw, one.written)
     want, beside = _wanted(one, channel, given)
     known = np.isfinite(want) & (codes != STARTING)  # readings that are passed on are no filter's
-    off, power = np.abs(told - want)[known], float(np.square(want[known]).sum())
+    off, power = np.where(known, np.abs(told - want), 0.0), float(np.square(want[known]).sum())
     wrong, greatest = float(np.square(off).sum()), float(np.abs(want[known]).max(initial=0.0))
     snr_db = float(10 * np.log10(power / wrong)) if wrong > 0 < power else np.inf
-    error = float(off.max(initial=0.0)) / (greatest or 1.0)
+    error_row, first_row = (int(off.argmax()), int(known.argmax())) if known.any() else (-1, -1)
+    error = float(off[error_row]) / (greatest or 1.0) if known.any() else 0.0
     kept = snr_db >= one.kind.promised_db
-    return Compared(one.name, record, len(given), beside, error, snr_db, kept)
+    return Compared(one.name, record, len(given), beside, error, error_row, first_row, snr_db, kept)
 
 
 def _wanted(one: Exported, channel: ChannelRecipe, given: Floats) -> tuple[Floats, str]:
