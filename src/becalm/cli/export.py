@@ -219,15 +219,15 @@ def _say(bundle: Bundle, told: dict[str, Any]) -> None:
     for note in bundle.notes:
         stderr.print(note)
     for one in bundle.channels:
-        word, unit = one.written.word, one.design.unit
+        word, unit = one.written.word, one.design.unit_after
         stderr.print(
             f"{one.name}: {one.prefix}_*, state {one.written.state_bytes} bytes, tables"
             f" {one.written.table_bytes} bytes, {one.written.cost} a settled row."
         )
         if word is not None:
             stderr.print(
-                f"  It stalls {word.stall:.2g} {unit} off at the most, and rounding adds {word.noise:.2g} {unit}:"
-                f" {word.share:.2g} of sigma; computed for readings {word.range:.6g} {unit} apart."
+                f"  It stalls {word.stall:.2g}{unit} off at the most, and rounding adds {word.noise:.2g}{unit}:"
+                f" {word.share:.2g} of sigma; computed for readings {word.range:.6g}{unit} apart."
             )
     for one in told.get("compared", []):
         stderr.print(

@@ -72,6 +72,11 @@ class Design:
         return self.model.states
 
     @property
+    def unit_after(self) -> str:
+        """The unit after a number: with a space before it, or nothing where it is not known."""
+        return f" {self.unit}" if self.unit else ""
+
+    @property
     def noise_variance(self) -> float:
         """R, in unit^2; of a bank the least of its modes."""
         return self.modes.least_noise_variance if self.modes else float(self.model.R[0, 0])

@@ -18,7 +18,7 @@ def facts_of(recipe: ChannelRecipe, design: Design, written: Written) -> list[st
     """Return lines for the comment above a channel."""
     return [
         *_filter(design),
-        f"readings: those beyond +-{written.largest:.6g} {design.unit} are none",
+        f"readings: those beyond +-{written.largest:.6g}{design.unit_after} are none",
         f"calibration: {_calibration(recipe)}",
         *_word(design, written),
         f"cost: {written.cost}, {_which_row(design, written)}; state {written.state_bytes} bytes, tables"
@@ -45,7 +45,7 @@ def _filter(design: Design) -> list[str]:
     return [
         f"filter: {found}",
         f"bandwidth {found.bandwidth_hz:.6g} Hz{lag}, noise gain {found.noise_gain_db:.3f} dB",
-        f"sigma: {design.settled_std:.6g} {design.unit} once settled, where the model holds",
+        f"sigma: {design.settled_std:.6g}{design.unit_after} once settled, where the model holds",
     ]
 
 
@@ -63,14 +63,14 @@ def _calibration(recipe: ChannelRecipe) -> str:
 
 
 def _word(design: Design, written: Written) -> list[str]:
-    word = written.word
+    word, unit = written.word, design.unit_after
     if word is None:
         return ["word: its covariance is in double, whatever readings are"] if design.modes is None else []
-    level = "stays at the first reading" if word.quantum is None else f"moves by {word.quantum:.6g} {design.unit}"
+    level = "stays at the first reading" if word.quantum is None else f"moves by {word.quantum:.6g}{unit}"
     return [
-        f"word: stalls {word.stall:.3g} {design.unit} off at the most, rounding adds {word.noise:.3g} {design.unit}:"
+        f"word: stalls {word.stall:.3g}{unit} off at the most, rounding adds {word.noise:.3g}{unit}:"
         f" {word.share:.2g} of sigma; the level {level}",
-        f"range: computed for readings that lie {word.range:.6g} {design.unit} apart",
+        f"range: computed for readings that lie {word.range:.6g}{unit} apart",
     ]
 
 

@@ -18,7 +18,7 @@ from becalm.export.design import Design, spread_of
 from becalm.export.number_type import NumberType
 
 MOST_ERROR = 0.1
-"""Of the signal's standard deviation: what a word length may cost."""
+"""Of a standard deviation, the signal's or a reading's: what a word length may cost."""
 
 COUNTED = 1 << 23
 """Quanta that a level of float may count: each of them is exact."""
@@ -82,14 +82,14 @@ def refuse_coarse(design: Design, number: NumberType, span: tuple[float, float])
     Raises
     ------
     RecipeError
-        If its last digit of the greatest is more than the noise.
+        If rounding the greatest to its last digit costs more than a tenth of the noise.
     """
     greatest = max(map(abs, span))
-    if ulp(number, greatest) > design.noise_std:
+    digit, unit = ulp(number, greatest), design.unit_after
+    if digit / np.sqrt(12) > MOST_ERROR * design.noise_std:
         raise RecipeError(
-            f"{design.name}: {number.name} tells readings of {greatest:.6g} {design.unit} to"
-            f" {ulp(number, greatest):.3g} only, and their noise is {design.noise_std:.3g}; take an offset off them"
-            " before, or use --precision float64."
+            f"{design.name}: {number.name} tells readings of {greatest:.6g}{unit} to {digit:.3g}{unit} only, and their"
+            f" noise is {design.noise_std:.3g}{unit}; take an offset off them before, or use --precision float64."
         )
 
 

@@ -185,8 +185,8 @@ def _refuse_beyond_float(design: Design, scale: float) -> None:
     modes, most = _modes_of(design), _BOUNDS["float32"].largest_variance
     if not _SMALLEST <= scale <= _GREATEST:
         raise RecipeError(
-            f"{design.name} has a noise of {design.noise_std:.3g} {design.unit}, and float has room for {_SMALLEST:.0e}"
-            f" to {_GREATEST:.0e}; use --precision float64, or a unit nearer to its size."
+            f"{design.name} has a noise of {design.noise_std:.3g}{design.unit_after}, and float has room for"
+            f" {_SMALLEST:.0e} to {_GREATEST:.0e}; use --precision float64, or a unit nearer to its size."
         )
     bank = modes.bank(np.ones(1))
     greatest = max(float(np.abs(part).max()) for part in (bank.Q, bank.R, bank.wild[:1])) / scale**2

@@ -78,11 +78,11 @@ def fit(design: Design, schedule: Schedule, lsb: float) -> tuple[Point, WordLeng
     RecipeError
         If readings, or states, have too few digits beside the noise.
     """
-    unit, span = design.unit, lsb * 2.0 ** (_COUNT_BITS + 1)
+    unit, span = design.unit_after, lsb * 2.0 ** (_COUNT_BITS + 1)
     if lsb > design.noise_std:
         raise RecipeError(
-            f"{design.name}: one count of q31 is {lsb:.3g} {unit} where readings span {span:.3g} {unit}, more"
-            f" than their noise of {design.noise_std:.3g} {unit}; give a narrower --range, or --precision float32."
+            f"{design.name}: one count of q31 is {lsb:.3g}{unit} where readings span {span:.3g}{unit}, more"
+            f" than their noise of {design.noise_std:.3g}{unit}; give a narrower --range, or --precision float32."
         )
     reach, least = reach_of(design, schedule), min(_APART * lsb_noise(design, lsb) / 2.0**_COUNT_BITS, 1.0)
     apart = 1.0
@@ -101,15 +101,15 @@ def lsb_noise(design: Design, lsb: float) -> float:
 
 
 def _refuse(design: Design, point: Point, word: WordLength, lsb: float) -> None:
-    unit, beside = design.unit, _states_cost(design, point)
+    unit, beside = design.unit_after, _states_cost(design, point)
     quiet = word.share <= MOST_ERROR and beside <= _PROMISED * lsb_noise(design, lsb)
     if quiet and min(point.innovation, point.signal) > 0:
         return
     raise RecipeError(
         f"{design.name}: q31 would cost {word.share:.2g} of the signal's standard deviation of {design.settled_std:.3g}"
-        f" {unit} where readings span {word.range:.3g} {unit}, and a tenth is the most (it stalls {word.stall:.2g}"
-        f" {unit} off, rounding adds {word.noise:.2g} {unit}; its states are {beside * lsb:.2g} {unit} of that, and"
-        f" {_PROMISED * design.noise_std:.2g} {unit} is the most); give a narrower --range, a larger"
+        f"{unit} where readings span {word.range:.3g}{unit}, and a tenth is the most (it stalls {word.stall:.2g}"
+        f"{unit} off, rounding adds {word.noise:.2g}{unit}; its states are {beside * lsb:.2g}{unit} of that, and"
+        f" {_PROMISED * design.noise_std:.2g}{unit} is the most); give a narrower --range, a larger"
         " process_noise_density, or --precision float64."
     )
 

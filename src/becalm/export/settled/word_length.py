@@ -46,8 +46,8 @@ def prove(design: Design, number: NumberType, span: float | None) -> WordLength:
     if not found.share <= MOST_ERROR:
         raise RecipeError(
             f"{design.name}: {number.name} would cost {found.share:.2g} of the signal's standard deviation of"
-            f" {design.settled_std:.3g} {design.unit} ({_why(found, design.unit)}), and a tenth is the most; use"
-            f" {'' if number.is_double else '--precision float64, or '}a larger process_noise_density."
+            f" {design.settled_std:.3g}{design.unit_after} ({_why(found, design.unit_after)}), and a tenth is the"
+            f" most; use {'' if number.is_double else '--precision float64, or '}a larger process_noise_density."
         )
     return found
 
@@ -76,7 +76,8 @@ def _widest(design: Design, number: NumberType) -> float:
 
 
 def _why(found: WordLength, unit: str) -> str:
-    return f"it stalls {found.stall:.2g} {unit} off, and rounding adds {found.noise:.2g} {unit}"
+    """Say what is lost; `unit` comes after a number."""
+    return f"it stalls {found.stall:.2g}{unit} off, and rounding adds {found.noise:.2g}{unit}"
 
 
 def _cost(design: Design, number: NumberType, quantum: float | None, span: float) -> WordLength:
