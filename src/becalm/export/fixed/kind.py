@@ -117,8 +117,8 @@ class Fixed:
             raise RecipeError(f"{design.name}: a range goes from low to high, and {low:g} is not below {high:g}.")
         if (high - low) / 2.0**32 < np.spacing(max(abs(low), abs(high))):
             raise RecipeError(
-                f"{design.name}: {low:.9g} to {high:.9g}{design.unit_after} is too little so far from 0 to be counted in"
-                " 32 bits; give a wider --range, or take the middle off the readings."
+                f"{design.name}: {low:.9g} to {high:.9g}{design.unit_after} is too little so far from 0 to be counted"
+                " in 32 bits; give a wider --range, or take the middle off the readings."
             )
         return written_fixed(design, prefix, COUNT, span)
 
