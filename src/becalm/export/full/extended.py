@@ -7,18 +7,42 @@ the twelfth digit. What it decides stays; what it tells is told here with the di
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from becalm.core.arrays import Codes, Floats
+from becalm.core.arrays import Codes, Floats, Integers
 from becalm.core.gates import level_of
 from becalm.core.kernel_gate import WIDE
 from becalm.core.verdict import Verdict
 from becalm.export.design import Design
+from becalm.export.factors import factors_of
 
 Long = np.longdouble
 _LEAST, _GREATEST = 1e-290, 1e200
+
+
+class _Sparse(NamedTuple):
+    """A matrix with something in each row, of which most is 0: F of a motion, of tones, and of coloured noise."""
+
+    told: Any  # (k,) what is not 0, row by row
+    columns: Integers  # (k,) where it stands
+    rows: Integers  # (n,) where each row begins in them
+
+    def times(self, M: Any) -> Any:
+        """Return its product with a vector (n,) or a matrix (n, m)."""
+        return np.add.reduceat((self.told * M[self.columns].T).T, self.rows, axis=0)
+
+
+def _sparse(M: Any) -> _Sparse:
+    rows, columns = np.nonzero(M)
+    return _Sparse(M[rows, columns], columns, np.flatnonzero(np.diff(rows, prepend=-1)))
+
+
+def _held(P: Floats, R: Any) -> Any:
+    """Return a covariance as C is given it: in factors, whose last digits count where readings hardly tell a state."""
+    U, D = (np.asarray(part, Long) for part in factors_of(P / float(R)))
+    return U * D @ U.T * R
 
 
 class Extended:
@@ -36,9 +60,10 @@ class Extended:
         self._design, self._level = design, Long(first[0])
         model = design.model
         self._F, self._Q, self._H = (np.asarray(part, Long) for part in (model.F, model.process_covariance, model.H[0]))
+        self._onward = _sparse(self._F)
         self._R, self._C = Long(design.noise_variance), np.asarray(design.output, Long)
         self._x: Any = np.asarray(design.opening.weights, Long).T @ (np.asarray(first, Long) - self._level)
-        self._P: Any = np.asarray(design.opening.P, Long)
+        self._P: Any = _held(design.opening.P, self._R)
         self._since, self._rows = 0, 0
 
     @property
@@ -64,26 +89,27 @@ class Extended:
         self._rows = 0
 
     def _take(self, reading: float, verdict: int) -> None:
-        steady, F = self._design.steady, self._F
+        steady, H, R = self._design.steady, self._H, self._R
         used = not (math.isnan(reading) or verdict == Verdict.SPIKE)
-        self._x = F @ self._x  # (1)
+        self._x = self._onward.times(self._x)  # (1) F x
         if used and verdict != Verdict.STEP and steady is not None and self._rows >= self._design.settled_rows:
-            self._x = self._x + steady.gain[:, 0] * (reading - self._level - self._H @ self._x)
+            self._x = self._x + steady.gain[:, 0] * (reading - self._level - H @ self._x)
             self._since += 1
             return
-        self._P = F @ self._P @ F.T + self._Q  # (2)
+        self._P = self._onward.times(self._onward.times(self._P).T) + self._Q  # (2) F P F' + Q
         if not used:
             self._rows = 0
             return
-        nu = reading - self._level - self._H @ self._x  # (3)
+        nu = reading - self._level - H @ self._x  # (3)
         if verdict == Verdict.STEP:
             self._jump(float(nu))
             self._rows = 0
-        S = self._H @ self._P @ self._H + self._R  # (4)
-        K = self._P @ self._H / S  # (5)
-        A = np.eye(len(K), dtype=Long) - np.outer(K, self._H)
+        HP = H @ self._P
+        S = HP @ H + R  # (4)
+        K = self._P @ H / S  # (5)
         self._x = self._x + K * nu  # (6)
-        self._P = A @ self._P @ A.T + self._R * np.outer(K, K)  # (7)
+        AP = self._P - np.outer(K, HP)  # where A = I - K H
+        self._P = AP - np.outer(AP @ H - R * K, K)  # (7) A P A' + K R K'
         self._since, self._rows = self._since + 1, self._rows + 1
 
     def _jump(self, nu: float) -> None:
