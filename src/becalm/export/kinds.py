@@ -13,9 +13,11 @@ from becalm.export.kind import Kind
 from becalm.export.number_type import DOUBLE, FLOAT, NumberType, Precision
 from becalm.export.settled.kind import Settled
 from becalm.export.settled.text import schedule_in
+from becalm.export.word_length import start_of
 
 GAINS = ("auto", "settled", "full")
 
+_STARTED = 1e-3  # of a reading's noise: what rounding may leave of the first signals
 _HIGHEST_IN_FLOAT = 3  # order of a motion: above, rounded derivatives leave less than 120 dB of a signal that moves
 
 
@@ -30,7 +32,8 @@ def kind_of(design: Design, precision: Precision, gain: str) -> Kind:
         What it computes in.
     gain : {"auto", "settled", "full"}
         Whether a covariance is carried; "auto" carries one where the recipe needs it, in float64 where a table of
-        gains that is exact from the first reading on would be too long, and in float32 from order 4 on.
+        gains that is exact from the first reading on would be too long, and in float32 from order 4 on, and where the
+        first readings hardly tell its tones.
 
     Raises
     ------
@@ -58,6 +61,11 @@ def kind_of(design: Design, precision: Precision, gain: str) -> Kind:
         return Bank(number)
     if needs or gain == "full" or (gain == "auto" and _is_better_full(design, number)):
         return Full(number)
+    if _is_lost_at_first(design, number):
+        raise RecipeError(
+            f"{design.name}: its first readings hardly tell its tones, and {number.name} would lose their digits; leave"
+            " --gain settled out, or use --precision float64."
+        )
     return Settled(number)
 
 
@@ -68,7 +76,12 @@ def _is_better_full(design: Design, number: NumberType) -> bool:
     """
     if number.is_double:
         return not schedule_in(design, number).exact
-    return design.motion_order > _HIGHEST_IN_FLOAT
+    return design.motion_order > _HIGHEST_IN_FLOAT or _is_lost_at_first(design, number)
+
+
+def _is_lost_at_first(design: Design, number: NumberType) -> bool:
+    """Whether rounding is seen in the first signals: far beyond, a start makes it grow without end."""
+    return start_of(design, number) > _STARTED * design.noise_std
 
 
 def _mend(design: Design) -> str:

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Floats
+from becalm.core.gains import gain_before
 from becalm.errors import RecipeError
 from becalm.export.design import Design, spread_of
 from becalm.export.number_type import NumberType
@@ -121,6 +122,24 @@ def noise_of(design: Design, number: NumberType, farthest: float) -> float:
     scaled = np.divide(injected, scale**2, out=np.zeros_like(injected), where=scale > 0)
     through = gathered(loop.A, np.diag(scaled))
     return float(np.sqrt((row @ through @ row.T)[0, 0]))
+
+
+def start_of(design: Design, number: NumberType) -> float:
+    """Return what rounding leaves of the first signals after the opening, in unit.
+
+    Tones that the first readings hardly tell from a motion are states far beyond any reading, which cancel: their last
+    digit enters the next innovation, and its gain, which may be a hundred, takes it to all states.
+
+    Parameters
+    ----------
+    design : Design
+        A filter.
+    number : NumberType
+        Of its states in C.
+    """
+    F, P = design.model.F, design.opening.P
+    gain = float(np.abs(gain_before(F @ P @ F.T + design.model.process_covariance, design.model)).max())
+    return float(2.0**-number.bits * np.sqrt(np.diag(P).max()) * max(1.0, gain))
 
 
 def gathered(A: Floats, B: Floats) -> Floats:

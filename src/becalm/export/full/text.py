@@ -16,7 +16,7 @@ from becalm.export.factors import factors_of
 from becalm.export.number_type import DOUBLE, NumberType
 from becalm.export.row_cost import row_cost
 from becalm.export.templates import render
-from becalm.export.word_length import COUNTED, WordLength, noise_of, stall_of
+from becalm.export.word_length import COUNTED, WordLength, noise_of, stall_of, start_of
 from becalm.export.written import Written, look_of, moved_level
 
 _ON_A_LINE = 4
@@ -24,6 +24,7 @@ _NEVER = (1 << 32) - 1
 _MOST_SINGLE = 1 << 14  # rows of a gap while rejects wait
 _HIGHEST_IN_FLOAT = 3  # order of motion
 _STALLED, _ADDED = 1e-5, 3e-7  # of a reading's noise: what a state of float may stall off, and what it may add
+_STARTED = 1e-4  # of a reading's noise: what may be left of the first signals
 _QUANTUM = 0.5  # of a reading's noise: by so much the level moves
 _GREATEST = {"float32": 3e38, "float64": 1e300}
 _ROUNDED_ULPS = {"float32": 1 << 24, "float64": 1 << 6}  # of a square of double: what rounding leaves of an innovation
@@ -114,8 +115,8 @@ def _inner(design: Design, number: NumberType, span: float | None) -> tuple[Numb
     if span is not None and span > quantum * COUNTED:
         quantum = 2.0 ** np.ceil(np.log2(span / COUNTED))
     stall, noise = stall_of(design, number, quantum), noise_of(design, number, quantum)
-    first = 2.0**-number.bits * float(np.sqrt(np.diag(design.opening.P).max()))  # a digit of what is hardly known
-    if not (max(stall, first) <= _STALLED * design.noise_std and noise <= _ADDED * design.noise_std):
+    kept = stall <= _STALLED * design.noise_std and noise <= _ADDED * design.noise_std
+    if not (kept and start_of(design, number) <= _STARTED * design.noise_std):
         return DOUBLE, None
     share = max(stall, noise) / design.settled_std
     return number, WordLength(stall, noise, share, float(quantum) * COUNTED, float(quantum))
