@@ -196,9 +196,9 @@ def _table(values: Floats, number: NumberType) -> dict[str, Any]:
 
 
 def _cost(design: Design, source: str, prefix: str) -> Cost:
-    """Count the operations of a row: of a settled one, or of a full one where none settles; jumps aside."""
+    """Count the operations of a row: of a settled one, or of a full one where none settles; without rejects."""
     noises = int((factors_of(design.model.process_covariance)[1] > 0).sum())
-    seldom = ["at", "jump", "wander", *(["ahead", "correct", "seen"] if settles(design) else [])]
+    seldom = ["at", "exact", "jump", "reject", "wander", *(["ahead", "correct", "seen"] if settles(design) else [])]
     turns = {f"{prefix}_move": noises, f"{prefix}_factor": design.states + noises}
     return row_cost(source, [f"{prefix}_take"], turns=turns, never=[f"{prefix}_{name}" for name in seldom])
 
