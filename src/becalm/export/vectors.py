@@ -98,7 +98,7 @@ def golden_vectors(
     rng, centre, size = np.random.default_rng(_SEED), _centre(design), _size(design)
     noisy = centre + 0.3 * size * np.sin(np.arange(900) / 40) + rng.normal(0, min(design.noise_std, size / 8), 900)
     made += [("noise", noisy, {}), ("nan", _holed(noisy, np.nan, design), {}), ("inf", _infinite(noisy, design), {})]
-    made += [("clip", _clipped(noisy, design), {}), ("gap", noisy, _gaps(design))]
+    made += [("clip", _clipped(noisy, design), {}), ("gap", _waiting(noisy, design), _gaps(design))]
     made += [] if recorded is None else [("recording", recorded, {})]
     return [expected(name, rounded(readings), gaps, opened()) for name, readings, gaps in made]
 
@@ -149,6 +149,14 @@ def _clipped(readings: Floats, design: Design) -> Floats:
     clipped[200:210] = high if np.isfinite(high) else 10 * design.largest
     clipped[500:503] = low if np.isfinite(low) else -10 * design.largest
     return clipped
+
+
+def _waiting(readings: Floats, design: Design) -> Floats:
+    """Let a gate reject the last reading before a gap, so that it waits for others that agree."""
+    waiting = readings.copy()
+    if design.gate is not None:
+        waiting[299] = _centre(design) - _size(design)
+    return waiting
 
 
 def _gaps(design: Design) -> dict[int, int]:

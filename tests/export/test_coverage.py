@@ -1,0 +1,97 @@
+"""Every line of exported C is reached by what a bundle carries, and what is wrong there is seen."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from banked import NAMES, bundle_of_bank
+from becalm.export.bundle import Bundle
+from becalm.export.proof.verifying import unpacked
+from carried import BOTH, HARD
+from exported import TONE, bundle, channel, need
+
+PRECISIONS = ("float32", "float64")
+QUICK = {("gated others", "float32"), ("orders", "float64"), ("jumping 1", "float32"), ("limited", "float64")}
+"""What is tried first; the rest takes a minute."""
+
+FULL = {
+    "orders": ("level", "slope", "bend", "jerk", "snap"),
+    "others": ("slow", "never", "hum", "coloured", "railed"),
+    "gated orders": ("gated level", "gated slope", "gated bend", "gated jerk", "gated snap"),
+    "gated others": ("gated slow", "gated never", "gated hum", "gated coloured", "gated railed"),
+    "hard": ("hard tone", "hard slow tone", "hard snap"),
+}
+FULL_OF = {**BOTH, **{f"hard {name}": told for name, told in HARD.items()}}
+SETTLED = (
+    channel("level", 1, 1e-3),
+    channel("thinned", 2, 1e-3),
+    channel("tone", 2, 0.05, tone=(TONE,)),
+    channel("coloured", 2, 0.05, coloured_noise=BOTH["coloured"].coloured_noise),
+)
+
+
+def each(*names: str) -> pytest.MarkDecorator:
+    """Try names in both precisions."""
+    both = [(name, precision) for name in names for precision in PRECISIONS]
+    cases = [pytest.param(*case, marks=[] if case in QUICK else pytest.mark.slow) for case in both]
+    return pytest.mark.parametrize(("name", "precision"), cases)
+
+
+def made(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    """Run make in a bundle."""
+    need("make")
+    return subprocess.run(["make", *words], cwd=cwd, capture_output=True, text=True, check=False, timeout=300)
+
+
+def missed(of: Bundle, folder: Path) -> list[str]:
+    """Return the lines of C that nothing reaches, and whatever failed."""
+    need("gcov")
+    ran = made("coverage", cwd=unpacked(of, folder))
+    lines = [line for line in ran.stdout.splitlines() if "#####" in line or "FAILED" in line]
+    assert lines or (ran.returncode == 0 and "drive.c'\nLines executed:100.00%" in ran.stdout), ran.stderr
+    return lines
+
+
+@each(*FULL)
+def test_every_line_of_a_covariance_is_reached(name: str, precision: str, tmp_path: Path) -> None:
+    told = [FULL_OF[one].model_copy(update={"name": f"a{place}"}) for place, one in enumerate(FULL[name])]
+    assert missed(bundle(*told, precision=precision, gain="full"), tmp_path) == []
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_every_line_of_what_is_written_unasked_is_reached(precision: str, tmp_path: Path) -> None:
+    assert missed(bundle(*SETTLED, precision=precision), tmp_path) == []
+
+
+@each(*NAMES)
+def test_every_line_of_a_bank_is_reached(name: str, precision: str, tmp_path: Path) -> None:
+    assert missed(bundle_of_bank(name, precision), tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    ("kind", "right", "wrong", "seen"),
+    [
+        ("slope", "(T, F, true, Q, G);", "(T, F, true, NULL, G);", "left_out known"),
+        ("slope", "(s->opened < 2u) ||", "(s->opened > 9u) ||", "known"),
+        ("slope", "_gain[i] * nu", "_gain[i] * nu * 1.000001", "learned"),
+        ("slope", "        if (rows > 0u) {", "        if (rows == 0u) {", "left_out"),
+        ("bank", "? s->mu[mode] :", "? s->mu[0] :", "probable"),
+        ("bank", "begin(s, usable ? z : s->level);", "begin(s, s->level);", "spoilt"),
+        ("bank", "            drive_a_begin(s, s->level);\n", "", "spoilt"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_is_seen(kind: str, right: str, wrong: str, seen: str, tmp_path: Path) -> None:
+    slope = channel("a", 2, 0.05)
+    given = (
+        bundle_of_bank("resting 1", "float64") if kind == "bank" else bundle(slope, precision="float64", gain="full")
+    )
+    source = unpacked(given, tmp_path) / "drive.c"
+    text = source.read_text()
+    assert text.count(right) == 1
+    source.write_text(text.replace(right, wrong))
+    failed = re.findall(r"^drive_a (\w+) +FAILED", made("check", cwd=tmp_path).stdout, re.M)
+    assert set(seen.split()) <= set(failed)
