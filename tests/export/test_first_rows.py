@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+from decimal import Decimal, localcontext
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.recipe_parts import GateRecipe
+from becalm.core.arrays import Floats
+from becalm.core.starting import known_before
 from becalm.errors import RecipeError
+from becalm.export.design import Design
 from becalm.export.number_type import FLOAT
 from becalm.export.proof.compiling import run
 from becalm.export.word_length import start_of
-from exported import TONE, built, bundle, channel
+from exported import TONE, built, bundle, channel, live
 
 SLOW = channel("ax", 2, 0.05, tone=(TONE.model_copy(update={"frequency_hz": 0.5}),))
 GATED = channel("ax", 3, 1e-5, gate=GateRecipe(), tone=(TONE.model_copy(update={"frequency_hz": 2.0}),))
@@ -34,3 +40,48 @@ def test_a_table_in_float_is_refused_where_they_would_be_lost() -> None:
     ):
         bundle(SLOW, gain="settled")
     assert bundle(SLOW, gain="settled", precision="float64").channels
+
+
+MANY = channel("ax", 2, 0.05, tone=tuple(TONE.model_copy(update={"frequency_hz": hz}) for hz in (5, 8, 13, 21, 34)))
+_exactly = np.vectorize(lambda value: Decimal(float(value)), otypes=[object])
+
+
+def solved(A: Any, B: Any) -> Any:
+    """Return A^-1 B by Gauss and Jordan, in whatever arithmetic they have."""
+    A, B = A.copy(), B.copy()
+    for i in range(len(A)):
+        best = max(range(i, len(A)), key=lambda row: abs(A[row, i]))
+        A[[i, best]], B[[i, best]] = A[[best, i]], B[[best, i]]
+        A[i], B[i] = A[i] / A[i, i], B[i] / A[i, i]
+        for row in set(range(len(A))) - {i}:
+            A[row], B[row] = A[row] - A[row, i] * A[i], B[row] - A[row, i] * B[i]
+    return B
+
+
+def first_signal(design: Design, z: Floats) -> Decimal:
+    """Return what readings (o,) tell of the signal at the last of them, from information alone, to seventy digits."""
+    with localcontext() as context:
+        context.prec = 70
+        model, n = design.model, design.states
+        F, Q, H, one = (_exactly(part) for part in (model.F, model.process_covariance, model.H, np.eye(n)))
+        back, R, level = solved(F, one), Decimal(design.noise_variance), Decimal(float(z[0]))
+        Y, y = _exactly(known_before(model).Y), _exactly(np.zeros((n, 1)))
+        for k, reading in enumerate(z.tolist()):
+            if k:
+                M = back.T.dot(Y).dot(back)
+                ahead = solved(one + M.dot(Q), np.hstack([M, back.T.dot(y)]))
+                Y, y = ahead[:, :n], ahead[:, n:]
+            Y, y = Y + H.T.dot(H) / R, y + H.T * (Decimal(reading) - level) / R
+        return Decimal(level + _exactly(design.output).dot(solved(Y, y))[0])
+
+
+def test_the_first_signal_is_right_to_what_its_readings_tell() -> None:
+    """Of five tones neither becalm nor C keeps twelve digits: two dozen readings hardly tell twelve states."""
+    (one,) = bundle(MANY, precision="float64").channels
+    o = len(one.design.opening.weights)
+    z = 40 + np.random.default_rng(1).normal(size=o)
+    exact, level = first_signal(one.design, z), z[0]
+    told = level + float(one.design.output @ (one.design.opening.weights.T @ (z - level)))
+    off = [abs(float(Decimal(float(signal)) - exact)) / 40 for signal in (told, live(one, MANY, z)[-1])]
+    assert max(off) <= 1e-11
+    assert np.linalg.cond(one.design.opening.P) > 1e6
