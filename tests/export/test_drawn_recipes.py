@@ -39,7 +39,7 @@ HARDLY_TOLD = ChannelRecipe(
     noise_std=4.107693769787251e-9,
     tone=(SLOW_HUM,),
 )
-"""Of which four readings tell a state to 2600 noises: the last digits of its first factors are a digit of 1e-12."""
+"""Four readings tell one of its states to 2600 noises only: the last digits of its first factors show at 1e-12."""
 
 
 @st.composite

@@ -35,9 +35,7 @@ def test_float_keeps_what_the_first_readings_told(told: ChannelRecipe, tmp_path:
 
 
 def test_a_table_in_float_is_refused_where_they_would_be_lost() -> None:
-    with pytest.raises(
-        RecipeError, match="its first readings hardly tell its tones, and float would lose their digits"
-    ):
+    with pytest.raises(RecipeError, match="its first readings hardly tell its state, and float would lose the digits"):
         bundle(SLOW, gain="settled")
     assert bundle(SLOW, gain="settled", precision="float64").channels
 
@@ -76,7 +74,7 @@ def first_signal(design: Design, z: Floats) -> Decimal:
 
 
 def test_the_first_signal_is_right_to_what_its_readings_tell() -> None:
-    """Of five tones neither becalm nor C keeps twelve digits: two dozen readings hardly tell twelve states."""
+    """Two dozen readings hardly tell five tones: becalm, and the weights that C is given, keep eleven digits."""
     (one,) = bundle(MANY, precision="float64").channels
     o = len(one.design.opening.weights)
     z = 40 + np.random.default_rng(1).normal(size=o)

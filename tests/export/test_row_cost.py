@@ -35,13 +35,14 @@ static double b_all(double x)
 
 GIVEN = """static void b_move(const double *F, size_t columns)
 {
-    for (size_t i = 0u; i < 3u; i++) {
-        const size_t j = 3u - i;
+    for (size_t back = 0u; back < 3u; back++) {
+        const size_t j = 3u - back;
         for (size_t k = 0u; told && (k < columns); k++) {
-            W[i][k] -= F[(i * 3u) + k] * 0x1.8p+1;
+            W[j][k] -= F[(j * 3u) + k] * 0x1.8p+1;
         }
     }
     s->row = row + 1u;
+    b_next(s, 3u + columns);
     x = (x < -0x1.0p+9) ? -0x1.0p+9 : x;
 }
 """
@@ -58,3 +59,13 @@ def test_a_settled_slope_costs_what_its_equations_have(gain: str, cost: tuple[in
     """Three gains, of F K and of C K; or a whole F, and two each for the innovation, the gain and the signal."""
     (one,) = bundle(channel("ax", 2, 0.05), gain=gain, precision="float64").channels
     assert one.written.cost == cost
+
+
+def test_a_whole_slope_costs_what_its_loops_do() -> None:
+    """A slope that never settles, counted by hand: no noise drives it, so that W has two columns."""
+    (one,) = bundle(channel("ax", 2, 0.0), gain="full", precision="float64").channels
+    predicted, innovation, corrected, signal = (4, 4, 0), (2, 3, 0), (2, 2, 0), (2, 3, 0)
+    moved, factored = (2, 2, 0), (2 * 4 + 4 + 2, 2 * 2 + 2 + 2, 1)
+    seen, learned = (2 * 2 + 1, 2 + 1, 0), (2 * 3 + 2, 2 + 2, 2 * 2 + 2)
+    parts = (predicted, innovation, corrected, signal, moved, factored, seen, learned)
+    assert one.written.cost == tuple(map(sum, zip(*parts, strict=True)))

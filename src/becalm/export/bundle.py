@@ -14,7 +14,7 @@ from becalm.core.arrays import Floats
 from becalm.core.itself import version
 from becalm.errors import RecipeError, UsageError
 from becalm.export.design import Design, design_of
-from becalm.export.facts import facts_of, reset_words
+from becalm.export.facts import facts_of, reset_words, which_row
 from becalm.export.kind import Kind, Opened, Raw, Span
 from becalm.export.kinds import kind_of
 from becalm.export.layouts import layouts
@@ -216,6 +216,7 @@ def _channel(one: Exported, recipe: Recipe) -> dict[str, Any]:
         "state_bytes": one.written.state_bytes,
         "table_bytes": one.written.table_bytes,
         "cost": one.written.cost,
+        "which_row": which_row(one.design),
         "bits": one.kind.bits,
         "told": one.kind.told,
         "thrown": bits_of(one.thrown),

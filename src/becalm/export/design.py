@@ -132,6 +132,11 @@ class Design:
         rows = rows_until(_UNMOVED, self.model) if self.steady else np.inf
         return int(min(np.ceil(1.1 * rows) + 32, _COUNTABLE)) if np.isfinite(rows) else _COUNTABLE
 
+    @property
+    def settles(self) -> bool:
+        """Whether its gain is what it will be after rows that can be counted."""
+        return self.steady is not None and self.settled_rows < _COUNTABLE
+
     @cached_property
     def coasts(self) -> int:
         """Rows without a reading after which what is predicted is worth less than one reading; 1 at the least.

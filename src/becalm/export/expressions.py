@@ -27,7 +27,11 @@ def cost_of(lines: Iterable[str]) -> Cost:
     """Count the operations in lines of C, comments aside; each of them runs once."""
     text = re.sub(r"/\*.*?\*/|\[[^]]*\]", "", "\n".join(lines))
     text = re.sub(r"0x[0-9a-fA-F.]+p[+-]\d+f?", "c", text)
-    return Cost(len(re.findall(r" \* | \*= ", text)), len(re.findall(r" [+-] | [+-]= ", text)), text.count(" / "))
+    return Cost(
+        len(re.findall(r" \* | \*= ", text)),
+        len(re.findall(r" [+-] | [+-]= ", text)),
+        len(re.findall(r" / | /= ", text)),
+    )
 
 
 def in_lines(words: Iterable[str], most: int) -> list[list[str]]:

@@ -21,7 +21,7 @@ def facts_of(recipe: ChannelRecipe, design: Design, written: Written) -> list[st
         f"readings: those beyond +-{written.largest:.6g}{design.unit_after} are none",
         f"calibration: {_calibration(recipe)}",
         *_word(design, written),
-        f"cost: {written.cost}, {_which_row(design, written)}; state {written.state_bytes} bytes, tables"
+        f"cost: {written.cost}, {which_row(design)}; state {written.state_bytes} bytes, tables"
         f" {written.table_bytes} bytes",
         *_numbers(design),
     ]
@@ -49,10 +49,11 @@ def _filter(design: Design) -> list[str]:
     ]
 
 
-def _which_row(design: Design, written: Written) -> str:
-    if written.word is None:
-        return "a row that carries the covariance" if design.modes is None else "a row of all modes"
-    return "a settled row"
+def which_row(design: Design) -> str:
+    """Say of which row a cost is told."""
+    if design.modes is not None:
+        return "a row of all modes"
+    return "a settled row" if design.settles else "a row that carries the covariance"
 
 
 def _calibration(recipe: ChannelRecipe) -> str:

@@ -148,22 +148,23 @@ class Floating:
     def most_power(self, vector: Vector, design: Design, most_error: float) -> float:
         """Return what the power of the difference may be, in parts of that of the signal.
 
-        In float32 it is ten times what records keep to: golden vectors throw a filter about, and begin it anew.
+        In float32 it is ten times what records keep to: golden vectors throw a filter about, and begin it anew. A
+        signal that is smaller than what the filter is sure of counts as so large; one that is 0 is kept as it is.
         """
         allowed = 10 ** (-(self.promised_db - (0.0 if self.number.is_double else _THROWN_DB)) / 10)
         power = float(np.square(vector.signal).mean())
-        return float(allowed * max(1.0, sure_of(design) ** 2 / power)) if power > 0 else allowed
+        return float(allowed * max(1.0, _sure_of(design) ** 2 / power)) if power > 0 else allowed
 
     def most_error(self, vector: Vector, design: Design, written: Written, opened: Opened) -> float:
         """Return what a signal may be off by, in what C tells it in."""
         largest = float(np.abs(vector.signal).max())
-        return (_SAME if self.number.is_double else _NEAR) * max(largest, sure_of(design))
+        return (_SAME if self.number.is_double else _NEAR) * max(largest, _sure_of(design))
 
 
-def sure_of(design: Design) -> float:
+def _sure_of(design: Design) -> float:
     """Return the standard deviation of what a filter tells at best, in unit.
 
     Signals below it are nothing: a bank that takes an impulse for a spike tells 1e-7 of it, and half the digits of that
-    are those of an exponential.
+    come from an exponential.
     """
     return design.settled_std if np.isfinite(design.settled_std) else design.noise_std

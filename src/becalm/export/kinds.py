@@ -17,7 +17,7 @@ from becalm.export.word_length import start_of
 
 GAINS = ("auto", "settled", "full")
 
-_STARTED = 1e-3  # of a reading's noise: what rounding may leave of the first signals
+_STARTED = 1e-3  # of a reading's noise: what rounding may leave of first signals, ten times that beside a covariance
 _HIGHEST_IN_FLOAT = 3  # order of a motion: above, rounded derivatives leave less than 120 dB of a signal that moves
 
 
@@ -33,7 +33,7 @@ def kind_of(design: Design, precision: Precision, gain: str) -> Kind:
     gain : {"auto", "settled", "full"}
         Whether a covariance is carried; "auto" carries one where the recipe needs it, in float64 where a table of
         gains that is exact from the first reading on would be too long, and in float32 from order 4 on, and where the
-        first readings hardly tell its tones.
+        first readings hardly tell its state.
 
     Raises
     ------
@@ -61,10 +61,10 @@ def kind_of(design: Design, precision: Precision, gain: str) -> Kind:
         return Bank(number)
     if needs or gain == "full" or (gain == "auto" and _is_better_full(design, number)):
         return Full(number)
-    if _is_lost_at_first(design, number):
+    if not number.is_double and _is_lost_at_first(design, number):
         raise RecipeError(
-            f"{design.name}: its first readings hardly tell its tones, and {number.name} would lose their digits; leave"
-            " --gain settled out, or use --precision float64."
+            f"{design.name}: its first readings hardly tell its state, and float would lose the digits; leave --gain"
+            " settled out, or use --precision float64."
         )
     return Settled(number)
 

@@ -10,9 +10,9 @@ from typing import NamedTuple
 from becalm.export.expressions import Cost, cost_of
 
 _FUNCTION = re.compile(r"^(?:static )?\w+ (\w+)\([^;]*?\)\n\{\n(.*?)^\}", re.M | re.S)
-_LOOP = re.compile(r"for \((?:uint32_t|size_t) \w = 0u; (?:\w+ && \()?\w (<=?) (\w+?)u?\)?;")
+_LOOP = re.compile(r"for \((?:uint32_t|size_t) \w+ = 0u; (?:\w+ && \()?\w+ (<=?) (\w+?)u?\)?;")
 _WHOLE = re.compile(r"\b(uint32_t|uint64_t|size_t) \w+ =|\bbits\b")
-_WHOLE_TERM = re.compile(r" [+-] \d+u\b")
+_WHOLE_TERM = re.compile(r" [+-] \d+u\b|\b\d+u [+-] \w+")
 
 
 class _Counted(NamedTuple):
@@ -61,6 +61,8 @@ def _cost_of_function(counted: _Counted, name: str) -> list[Fraction]:
     found, times = [Fraction(0)] * 3, [Fraction(1)]
     for line in bodies[name].splitlines():
         loop, opens, closes = _LOOP.search(line), line.count("{"), line.count("}")
+        if loop is None and line.lstrip().startswith("for ("):
+            raise ValueError(f"This loop cannot be counted: {line.strip()}")
         if closes > opens or line.strip().startswith("}"):
             times.pop()
         if loop is None and not _WHOLE.search(line):

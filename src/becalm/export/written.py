@@ -25,7 +25,7 @@ class Written(NamedTuple):
     header, source : str
         The type of its state, and its functions.
     cost : Cost
-        Of a settled row.
+        Of a settled row; of a whole one where none settles, or all modes run.
     state_bytes, table_bytes : int
         Of its state in memory, and of its gains in program memory.
     word : WordLength or None

@@ -52,7 +52,7 @@ class Bank(Floating):
         rng, moved = np.random.default_rng(_SEED), 0.0
         for _ in range(_TRIES):
             digits = rng.uniform(-1.0, 1.0, len(vector.readings)) * 2.0**-self.number.bits
-            other = expected(vector.name, vector.readings * (1.0 + digits), gaps, opened())
+            other = expected(vector.name, vector.readings + vector.readings * digits, gaps, opened())
             moved = max(moved, float(np.abs(other.signal - vector.signal).max()))
         return moved
 

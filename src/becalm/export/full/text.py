@@ -74,19 +74,14 @@ def written_full(design: Design, prefix: str, number: NumberType, span: float | 
     return Written(
         header=render("full.h.jinja", context),
         source=source,
-        cost=_cost(design, source, prefix),
+        cost=_cost(design, source, prefix, context["noises"]),
         state_bytes=_bytes(design, number, inner),
-        table_bytes=_table_bytes(design, inner),
+        table_bytes=_table_bytes(design, inner, context["noises"]),
         word=word,
         largest=largest,
         exact=True,
-        start_rows=len(design.opening.weights) + design.settled_rows if settles(design) else 0,
+        start_rows=len(design.opening.weights) + design.settled_rows if design.settles else 0,
     )
-
-
-def settles(design: Design) -> bool:
-    """Whether its gain is taken for settled after some rows."""
-    return design.steady is not None and design.settled_rows < _NEVER
 
 
 def _packed(P: Floats) -> Floats:
@@ -109,7 +104,7 @@ def _inner(design: Design, number: NumberType, span: float | None) -> tuple[Numb
 
     Rounding of a slow filter, or of a motion whose order is high, would add up beyond a millionth of the signal.
     """
-    if number.is_double or design.steady is None or not settles(design) or design.motion_order > _HIGHEST_IN_FLOAT:
+    if number.is_double or design.steady is None or not design.settles or design.motion_order > _HIGHEST_IN_FLOAT:
         return DOUBLE, None
     quantum = 2.0 ** np.floor(np.log2(_QUANTUM * design.noise_std))
     if span is not None and span > quantum * COUNTED:
@@ -155,7 +150,7 @@ def _of_state(design: Design, number: NumberType) -> dict[str, Any]:
 
 def _ends(design: Design) -> dict[str, Any]:
     """Return what stays once the gain has settled."""
-    if design.steady is None or not settles(design):
+    if design.steady is None or not design.settles:
         return {"settled": False}
     return {
         "settled": True,
@@ -195,10 +190,9 @@ def _table(values: Floats, number: NumberType) -> dict[str, Any]:
     return {"count": len(words), "lines": in_lines(words, _ON_A_LINE)}
 
 
-def _cost(design: Design, source: str, prefix: str) -> Cost:
+def _cost(design: Design, source: str, prefix: str, noises: int) -> Cost:
     """Count the operations of a row: of a settled one, or of a full one where none settles; without rejects."""
-    noises = int((factors_of(design.model.process_covariance)[1] > 0).sum())
-    seldom = ["at", "exact", "jump", "reject", "wander", *(["ahead", "correct", "seen"] if settles(design) else [])]
+    seldom = ["at", "exact", "jump", "reject", "wander", *(["ahead", "correct", "seen"] if design.settles else [])]
     turns = {f"{prefix}_move": noises, f"{prefix}_factor": design.states + noises}
     return row_cost(source, [f"{prefix}_take"], turns=turns, never=[f"{prefix}_{name}" for name in seldom])
 
@@ -211,10 +205,9 @@ def _bytes(design: Design, number: NumberType, inner: NumberType) -> int:
     return -(-size // 8) * 8
 
 
-def _table_bytes(design: Design, number: NumberType) -> int:
+def _table_bytes(design: Design, number: NumberType, noises: int) -> int:
     n, o = design.states, len(design.opening.weights)
-    noises = int((factors_of(design.model.process_covariance)[1] > 0).sum())
     packed = n * (n + 1) // 2
-    doubles = n * n + (n + 1) * noises + 2 * n + packed * (1 + settles(design)) + n * (design.gate is not None)
-    reals = o * n + (0 if number.is_double else n * n + 2 * n) + n * settles(design)
+    doubles = n * n + (n + 1) * noises + 2 * n + packed * (1 + design.settles) + n * (design.gate is not None)
+    reals = o * n + (0 if number.is_double else n * n + 2 * n) + n * design.settles
     return 8 * doubles + number.bytes * reals

@@ -18,7 +18,7 @@ def certificate(bundle: Bundle, verified: Verified) -> str:
     lines = [f"# Certificate of {bundle.stem}", ""]
     lines += [f"What was run when these files were made, and what came out. {vectors} golden vectors.", ""]
     lines += [f"- {name}: {version_of(name)}" for name in names]
-    lines += ["", "| compiler | flags | golden vectors |", "|---|---|---|"]
+    lines += ["", "| compiler | flags | vectors and checks |", "|---|---|---|"]
     lines += [
         f"| {one.build.compiler} | `{' '.join(one.build.flags)}` | {'all passed' if one.passed else 'FAILED'} |"
         for one in verified.runs

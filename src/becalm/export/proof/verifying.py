@@ -96,7 +96,7 @@ def verify(bundle: Bundle, recipe: Recipe, recorded: Mapping[str, Floats], folde
     runs = [_run(folder, bundle, name, flags) for name in compilers() for flags in (*OPTIMISED, SANITIZED)]
     if failed := [one for one in runs if not one.passed]:
         raise CompileError(
-            f"Built by {failed[0].build.compiler} {' '.join(failed[0].build.flags)}, golden vectors fail:"
+            f"Built by {failed[0].build.compiler} {' '.join(failed[0].build.flags)}, golden vectors or checks fail:"
             f" {failed[0].says}"
         )
     quick = next(one.build for one in runs if one.build.flags == ("-O2",))
@@ -174,8 +174,9 @@ def compare(made: Build, one: Exported, channel: ChannelRecipe, record: str, rea
     off, power = np.where(known, np.abs(told - want), 0.0), float(np.square(want[known]).sum())
     wrong, greatest = float(np.square(off).sum()), float(np.abs(want[known]).max(initial=0.0))
     snr_db = float(10 * np.log10(power / wrong)) if wrong > 0 < power else np.inf
-    error_row, first_row = (int(off.argmax()), int(known.argmax())) if known.any() else (-1, -1)
-    error = float(off[error_row]) / (greatest or 1.0) if known.any() else 0.0
+    error_row = int(np.where(known, off, -1.0).argmax()) if known.any() else -1
+    first_row = int(known.argmax()) if known.any() else -1
+    error = float(off.max(initial=0.0)) / (greatest or 1.0)
     kept = snr_db >= one.kind.promised_db
     return Compared(one.name, record, len(given), beside, error, error_row, first_row, snr_db, kept)
 
