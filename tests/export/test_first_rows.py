@@ -10,15 +10,16 @@ import numpy as np
 import pytest
 
 from becalm.cleaning.recipe import ChannelRecipe
-from becalm.cleaning.recipe_parts import GateRecipe
+from becalm.cleaning.recipe_parts import GateRecipe, ToneRecipe
 from becalm.core.arrays import Floats
 from becalm.core.starting import known_before
 from becalm.errors import RecipeError
 from becalm.export.design import Design
 from becalm.export.number_type import FLOAT
 from becalm.export.proof.compiling import run
+from becalm.export.proof.verifying import verify
 from becalm.export.word_length import start_of
-from exported import TONE, built, bundle, channel, live
+from exported import TONE, built, bundle, channel, live, recipe_of
 
 SLOW = channel("ax", 2, 0.05, tone=(TONE.model_copy(update={"frequency_hz": 0.5}),))
 GATED = channel("ax", 3, 1e-5, gate=GateRecipe(), tone=(TONE.model_copy(update={"frequency_hz": 2.0}),))
@@ -71,6 +72,18 @@ def first_signal(design: Design, z: Floats) -> Decimal:
                 Y, y = ahead[:, :n], ahead[:, n:]
             Y, y = Y + H.T.dot(H) / R, y + H.T * (Decimal(reading) - level) / R
         return Decimal(level + _exactly(design.output).dot(solved(Y, y))[0])
+
+
+@pytest.mark.slow
+def test_beside_a_stream_that_rounds_first_rows_are_held_against_the_specification(tmp_path: Path) -> None:
+    """A tone of 0.7 Hz beside a level, seen at 250 Hz: the stream keeps nine digits of the first rows, and C all."""
+    tones = tuple(ToneRecipe(frequency_hz=hz, bandwidth_hz=2e-3, process_noise_density=1e-3) for hz in (17.0, 0.7))
+    told = channel("ax", 1, 1e-4, tone=tones, gate=GateRecipe(), rate_hz=250.0)
+    made = bundle(told, rate_hz=250.0, precision="float64")
+    stream, first = verify(made, recipe_of(told, rate_hz=250.0), {}, tmp_path).compared
+    assert (stream.beside, stream.kept) == ("becalm's stream", False)
+    assert (first.beside, first.kept, first.rows) == ("its specification", True, 20_000)
+    assert first.error <= 1e-12 < stream.error
 
 
 def test_the_first_signal_is_right_to_what_its_readings_tell() -> None:

@@ -208,7 +208,7 @@ def _summary(bundle: Bundle) -> dict[str, Any]:
                 "functions": f"{one.prefix}_*",
                 "state_bytes": one.written.state_bytes,
                 "table_bytes": one.written.table_bytes,
-                "settled_row": str(one.written.cost),
+                "cost": f"{one.written.cost}, {which_row(one.design)}",
                 "word": None if one.written.word is None else one.written.word._asdict(),
             }
             for one in bundle.channels
@@ -231,8 +231,8 @@ def _say(bundle: Bundle, told: dict[str, Any]) -> None:
                 f" {word.share:.2g} of sigma; computed for readings {word.range:.6g}{unit} apart."
             )
     for one in told.get("compared", []):
+        decibels = "" if one["snr_db"] is None else f", {one['snr_db']:.0f} dB"
         stderr.print(
-            f"  {one['channel']}, {one['record']}: {one['rows']} rows, {one['error']:.2g} of the greatest signal off at"
-            f" the most{'' if one['snr_db'] is None else ', {:.0f} dB'.format(one['snr_db'])}"
-            f"{'' if one['kept'] else ', which is less than promised'}."
+            f"  {one['channel']}, {one['record']}, beside {one['beside']}: {one['rows']} rows, {one['error']:.2g} of"
+            f" the greatest signal off at the most{decibels}{'' if one['kept'] else ', which is less than promised'}."
         )
