@@ -50,9 +50,10 @@ class Bank(Floating):
         """Return how far becalm's own signal moves, at the most, where readings differ in their last digit, in unit."""
         gaps = dict(zip(vector.gap_rows.tolist(), vector.gap_lengths.tolist(), strict=True))
         rng, moved = np.random.default_rng(_SEED), 0.0
+        finite = np.nan_to_num(vector.readings, nan=0.0, posinf=0.0, neginf=0.0)
         for _ in range(_TRIES):
             digits = rng.uniform(-1.0, 1.0, len(vector.readings)) * 2.0**-self.number.bits
-            other = expected(vector.name, vector.readings + vector.readings * digits, gaps, opened())
+            other = expected(vector.name, vector.readings + finite * digits, gaps, opened())
             moved = max(moved, float(np.abs(other.signal - vector.signal).max()))
         return moved
 
