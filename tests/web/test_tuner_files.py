@@ -41,7 +41,7 @@ def test_a_file_that_is_dropped_is_opened_and_brought_again(look: Look, tmp_path
     with tuner(tmp_path / "empty") as app:
         visit = look(app, "")
         page = visit.page
-        assert "Drop a file" in page.locator("#files-says").inner_text()
+        page.locator("#files-says", has_text="Drop a file").wait_for()  # the list of files comes after the page
         visit.drop(dropped)
         visit.opened("dropped.csv")
         assert "12,000 rows" in page.locator("#facts").inner_text()
