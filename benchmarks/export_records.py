@@ -87,13 +87,12 @@ def compared(channel: ChannelRecipe, rate_hz: float, readings: Floats, precision
     with tempfile.TemporaryDirectory() as place:
         bundle = bundle_of(recipe, "record", Asked(precision=precision, spans=spans))
         program = build(unpacked(bundle, Path(place)), bundle.stem, "cc", ("-O2",))
-        found = compare(program, bundle.channels[0], channel, "record", readings)
-        bits = bundle.channels[0].kind.number.bits
+        (one,) = bundle.channels
+        found = compare(program, one, channel, "record", readings)
         if not is_beyond(found, precision):
             return Beside(found, 0.0, None)
-        one, first = bundle.channels[0], readings[:_FIRST]
-        told = None if one.design.modes else compare(program, one, channel, "record", first, specified)
-        return Beside(found, moved_by_digits(recipe, readings, bits), told)
+        told = None if one.design.modes else compare(program, one, channel, "record", readings[:_FIRST], specified)
+        return Beside(found, moved_by_digits(recipe, readings, one.kind.number.bits), told)
 
 
 def is_beyond(one: Compared, precision: Precision) -> bool:

@@ -127,7 +127,7 @@ def lines() -> Iterator[str]:
     """Return the page's lines."""
     names = compilers()
     took = " | ".join(f"ns a row, {name}" for name in names)
-    yield f"| filter | numbers | {took} | code | state | tables | a settled row |"
+    yield f"| filter | numbers | {took} | code | state | tables | a row |"
     yield f"|---|---|{'---|' * len(names)}---|---|---|---|"
     for title, channel in channels().items():
         for precision in _PRECISIONS:

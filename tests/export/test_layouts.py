@@ -19,7 +19,6 @@ from exported import bundle, channel, need
 
 CHANNELS = (channel("ax", 2, 0.05), channel("ay", 1, 0.02, limits=LimitsRecipe(low=-1.0, high=4095.0)))
 SPANS = dict.fromkeys((told.name for told in CHANNELS), (-1.0, 4095.0))
-DEVIATIONS = {"2.3", "2.5", "8.7", "8.9", "10.1", "12.1", "21.15"}
 ARDUINO_H = """
 #pragma once
 #include <cstdint>
@@ -184,16 +183,6 @@ def test_every_line_is_reached_by_the_golden_vectors(folder: Path) -> None:
     said = ran("make", "-C", folder, "coverage").stdout
     (found,) = re.findall(r"drive\.c'\nLines executed:([\d.]+)%", said)
     assert float(found) == 100.0, "\n".join(line for line in said.splitlines() if "#####" in line)
-
-
-def test_misra_reports_what_is_known_to_deviate(folder: Path) -> None:
-    need("cppcheck")
-    said = ran("make", "-C", folder, "misra").stdout
-    by_rule = dict((rule, int(many)) for many, rule in re.findall(r"(\d+) misra-c2012-([\d.]+)", said))
-    report = (folder / "misra.txt").read_text()
-    assert sum(by_rule.values()) == report.count("[misra-c2012-")
-    assert set(by_rule) <= DEVIATIONS
-    assert "2.5" in by_rule, "the rate of the header is for callers, which cppcheck does not see: is it running?"
 
 
 @pytest.mark.parametrize(

@@ -80,7 +80,7 @@ def _runs(loop: re.Match[str] | None, times: list[Fraction], given: int | None) 
         return Fraction(1)
     if loop[2].isdigit():
         return Fraction(int(loop[2]))
-    if len(loop[2]) > 1:  # the counters around are letters
+    if len(loop[2]) > 1:  # those up to a counter have one letter
         if given is None:
             raise ValueError(f"A loop runs up to {loop[2]}; say how much that is.")
         return Fraction(given)
