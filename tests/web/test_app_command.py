@@ -21,11 +21,18 @@ from served import PATIENCE_S, until
 
 App = subprocess.Popen[str]
 
+LISTENING = """
+import signal
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # who runs this may ignore it
+from becalm.cli.main import main
+main()
+"""
+
 
 @contextmanager
 def started(folder: Path, *words: str, **environment: str) -> Iterator[tuple[App, str]]:
     """Start it, and return it with the address that it printed."""
-    command = [sys.executable, "-m", "becalm", "app", *words]
+    command = [sys.executable, "-c", LISTENING, "app", *words]
     quiet = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")}
     with subprocess.Popen(
         command,
