@@ -144,3 +144,13 @@ def test_no_rows_and_no_columns_are_refused(tmp_path: Path) -> None:
         source_of(tmp_path, {"time": pa.array([], pa.float64()), "a": pa.array([], pa.float64())})
     with pytest.raises(InputError, match="no columns"):
         source_of(tmp_path, {})
+
+
+@pytest.mark.parametrize("asked", [("b", "a"), ("a", "c.d"), ("c.d", "b", "a"), ("c", "a")])
+def test_channels_come_in_the_order_that_they_are_asked_for(asked: tuple[str, ...], tmp_path: Path) -> None:
+    columns = {"time": TICKS["duration"], "a": SIGNAL, "b": SIGNAL + 10, "c.d": SIGNAL + 20}
+    if "c" in asked:  # a column that pyarrow cannot tell by its name from those in it
+        columns["c"] = SIGNAL + 30
+    recording = source_of(tmp_path, columns, channels=asked).recording
+    assert recording.names == asked
+    np.testing.assert_array_equal(recording.samples, np.column_stack([columns[name] for name in asked]))

@@ -79,7 +79,7 @@ class ParquetRows:
         positions = [self.schema.names.index(name) for name in names]
         groups = [number for number, end in enumerate(self._ends) if end > start]
         skipped = start - (self._ends[groups[0] - 1] if groups and groups[0] else 0)
-        wanted = [self._stored.names[position] for position in positions] if self._by_name else None
+        wanted = [self._stored.names[position] for position in sorted(positions)] if self._by_name else None
         with self._damage_told(names), self._open() as file:
             for batch in self._batches(file, most_rows, groups, wanted):
                 self._refuse_changed()
