@@ -8,11 +8,11 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from becalm.cli.streaming import CHUNK_ROWS, rows_of_chunks
 from becalm.core.arrays import Floats
 from becalm.core.kernel_ahead import BLOCK
 from becalm.files import OpenSource, open_source
 from becalm.files.portions import TUNED_ROWS, TUNED_ROWS_UNEVEN, rows_to_tune_on
+from becalm.files.through import CHUNK_ROWS, rows_of_chunks
 
 
 def opened(folder: Path, times: Floats) -> OpenSource:

@@ -33,9 +33,9 @@ SLEEPY = """
 import signal, sys, time
 signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGHUP, signal.SIG_DFL)  # who runs this may ignore it
-import becalm.cli.streaming as streaming
+import becalm.files.through as through
 from becalm.cli.main import main
-streaming.clean_chunks = lambda *_, **__: time.sleep(60)
+through.clean_chunks = lambda *_, **__: time.sleep(60)
 main()
 """
 

@@ -13,13 +13,13 @@ from becalm.cleaning.pipeline import clean
 from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
 from becalm.cleaning.recipe_parts import GateRecipe, TimingRecipe
 from becalm.cleaning.stream import StreamCleaner, Streamed
-from becalm.cli.streaming import rows_of_chunks
 from becalm.core.arrays import Floats
 from becalm.core.recording import Recording
 from becalm.core.told import Told
 from becalm.files import ReadOptions
 from becalm.files.every_time import open_file
 from becalm.files.opening import OpenSource
+from becalm.files.through import rows_of_chunks
 from becalm.live.address import Address
 from becalm.live.block import Output
 from becalm.live.protocols import EndOfStream

@@ -12,12 +12,12 @@ from becalm.cleaning.calibrating import tared_anew
 from becalm.cleaning.pipeline import fitted, in_mode, joined
 from becalm.cli.picturing import Done, Picturing
 from becalm.cli.said import is_same, load, open_every, recipe_beside, refuse_overwriting, refuse_taken, tuned
-from becalm.cli.streaming import clean_chunks
 from becalm.cli.talk import progress, tell, tell_bands, tell_not_removed
 from becalm.cli.times import pass_through, refuse_times, tell_times, timed
 from becalm.errors import UsageError
 from becalm.files.plain import refuse_unwritable, text_in_waiting
 from becalm.files.registry import format_to_write
+from becalm.files.through import clean_chunks
 from becalm.files.writing import open_output, refuse_columns
 
 if TYPE_CHECKING:

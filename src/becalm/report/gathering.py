@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Floats
+from becalm.core.flow import Judge
 from becalm.core.told import Told
 from becalm.core.verdict import Verdict
 from becalm.metrics.running import PIECE
@@ -63,6 +64,11 @@ class Gathering:
         self._nis_stretches = Stretches(rows, _NIS_STRETCHES)
         self.times, self.nis_times = Envelope(self._stretches.count), Envelope(self._nis_stretches.count)
         self.channels = tuple(ChannelGathering(rows, step_s, self._stretches.count) for _ in range(channels))
+
+    @property
+    def looks(self) -> Sequence[Judge]:
+        """What takes the innovations of each channel."""
+        return [channel.look for channel in self.channels]
 
     def add(self, columns: Sequence[Floats], elapsed: Floats, told: Sequence[Told]) -> None:
         """Take the next rows of all channels.

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import nullcontext
 from types import TracebackType
-from typing import TYPE_CHECKING, NamedTuple, Self
+from typing import TYPE_CHECKING, NamedTuple, Protocol, Self
 
 import numpy as np
 import pyarrow as pa
@@ -21,15 +21,37 @@ if TYPE_CHECKING:
     from becalm.cleaning.recipe import ChannelRecipe, Recipe
     from becalm.cleaning.report import ChannelReport
     from becalm.core.arrays import Floats
+    from becalm.core.clock import Clock
+    from becalm.core.flow import Judge
     from becalm.core.told import Told
+    from becalm.files.chunk import Chunk
     from becalm.files.opening import OpenSource
-    from becalm.report.gathering import Gathering
 
 CHUNK_ROWS = 1 << 18
 """Rows that are cleaned at once: much to do, and little to hold."""
 
 
-def rows_of_chunks(source: OpenSource, channels: int) -> int:
+class Gathering(Protocol):
+    """What looks on while a file goes through, such as `becalm.report.gathering.Gathering`."""
+
+    @property
+    def looks(self) -> Sequence[Judge]:
+        """One a channel, which is given its innovations and their standard deviations."""
+        ...
+
+    def add(self, columns: Sequence[Floats], elapsed: Floats, told: Sequence[Told]) -> None:
+        """Take some rows of all channels, and what was told of them."""
+        ...
+
+
+class Source(Protocol):
+    """What is cleaned, as far as it tells how much of it to clean at once."""
+
+    schema: pa.Schema
+    clock: Clock
+
+
+def rows_of_chunks(source: Source, channels: int) -> int:
     """Return how many rows to clean at once, in whole blocks, so that where a file is cut changes no bit."""
     rows = min(CHUNK_ROWS, block_rows(source.schema))
     if not source.clock.uniform:  # then each row has step matrices of its own, in each channel
@@ -57,29 +79,55 @@ def clean_chunks(  # noqa: PLR0913  (each by its name)
     BecalmError
         If the file turns out to be damaged, or cannot be written.
     """
-    waiting: deque[_Waiting] = deque()
-    numbers = [source.names.index(channel.name) for channel in recipe.channel]
-
-    def answer(told: list[Told]) -> None:
-        table, columns, elapsed = waiting.popleft()
-        if behind is not None:
-            behind.add(columns, elapsed, told)
-        write(_output(table, recipe, told, verdicts))
-
-    looks = [] if gathering is None else [channel.look for channel in gathering.channels]
+    looks = [] if gathering is None else gathering.looks
+    chunks = source.chunks(rows_of_chunks(source, len(recipe.channel)))
     with (
         nullcontext() if gathering is None else _Behind(gathering) as behind,
         Cleaner(recipe, source.clock.step_s, split=split, looks=looks) as cleaner,
     ):
-        for chunk in source.chunks(rows_of_chunks(source, len(numbers))):
-            columns = [chunk.channel(number) for number in numbers]
-            waiting.append(_Waiting(chunk.table, [] if gathering is None else columns, chunk.elapsed_steps))
-            for told in cleaner.push(columns, chunk.elapsed_steps):
-                answer(told)
-            step("", len(chunk))
-        for told in cleaner.finish():
-            answer(told)
+        for answer in answered(cleaner, recipe, counted(chunks, step)):
+            if behind is not None:
+                behind.add(columns_of(answer.chunk, recipe), answer.chunk.elapsed_steps, answer.told)
+            write(answer.output(recipe, verdicts=verdicts))
         return cleaner.reports()
+
+
+def counted(chunks: Iterable[Chunk], step: Callable[[str, int], None]) -> Iterator[Chunk]:
+    """Give chunks, and tell after each how many rows it had."""
+    for chunk in chunks:
+        yield chunk
+        step("", len(chunk))
+
+
+class Answer(NamedTuple):
+    """A chunk of rows that is clean."""
+
+    chunk: Chunk
+    told: list[Told]  # of each channel
+
+    def output(self, recipe: Recipe, *, verdicts: bool = False) -> pa.Table:
+        """Return its table with clean channels; with verdicts, what became of each reading too."""
+        named = zip(recipe.channel, self.told, strict=True)
+        return output_block(self.chunk.table, {one.name: _clean_channel(one, clean, verdicts) for one, clean in named})
+
+
+def answered(cleaner: Cleaner, recipe: Recipe, chunks: Iterable[Chunk], *, ends: bool = True) -> Iterator[Answer]:
+    """Give each chunk of rows as soon as it is clean; unless they are the last, what waits for later ones stays."""
+    waiting: deque[Chunk] = deque()
+
+    def ready(told: list[list[Told]]) -> Iterator[Answer]:
+        return (Answer(waiting.popleft(), channels) for channels in told)
+
+    for chunk in chunks:
+        waiting.append(chunk)
+        yield from ready(cleaner.push(columns_of(chunk, recipe), chunk.elapsed_steps))
+    if ends:
+        yield from ready(cleaner.finish())
+
+
+def columns_of(chunk: Chunk, recipe: Recipe) -> list[Floats]:
+    """Return the readings of each channel of a recipe, (n,) each, NaN where missing."""
+    return [chunk.channel(chunk.names.index(channel.name)) for channel in recipe.channel]
 
 
 class _Behind:
@@ -109,19 +157,6 @@ class _Behind:
         self._pool.shutdown(cancel_futures=kind is not None)
         if kind is None:
             self._wait()
-
-
-class _Waiting(NamedTuple):
-    """A chunk that was not answered yet."""
-
-    table: pa.Table
-    columns: list[Floats]  # where they are to be drawn
-    elapsed: Floats
-
-
-def _output(table: pa.Table, recipe: Recipe, told: list[Told], verdicts: bool) -> pa.Table:
-    named = zip(recipe.channel, told, strict=True)
-    return output_block(table, {one.name: _clean_channel(one, clean, verdicts) for one, clean in named})
 
 
 def _clean_channel(channel: ChannelRecipe, told: Told, verdicts: bool) -> CleanChannel:
