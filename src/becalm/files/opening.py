@@ -245,7 +245,21 @@ def open_source(path: str | os.PathLike[str], options: ReadOptions | None = None
     """
     file, options = Path(path), options or ReadOptions()
     refuse_impossible(options)
-    tables = read_tables(file)
+    return understood(file, *as_asked(file, read_tables(file), options))
+
+
+def as_asked(file: Path, tables: tuple[RawTable, ...], options: ReadOptions) -> tuple[RawTable, ReadOptions]:
+    """Return the table of a file that is meant, in the units that are asked for; the others are closed.
+
+    The options come back with the names that channels have now.
+
+    Raises
+    ------
+    InputError
+        If there are several, and nothing was said that chooses one.
+    UsageError
+        If the options do not fit the file.
+    """
     try:
         tables, options = in_units_asked(*with_sensors(tables, options))
         raw = chosen_table(file, tables, options)
@@ -253,7 +267,7 @@ def open_source(path: str | os.PathLike[str], options: ReadOptions | None = None
         close(tables)
         raise
     close([table for table in tables if table is not raw])
-    return understood(file, raw, options)
+    return raw, options
 
 
 def understood(file: Path, raw: RawTable, options: ReadOptions) -> OpenSource:
@@ -269,8 +283,9 @@ def understood(file: Path, raw: RawTable, options: ReadOptions) -> OpenSource:
     except InputError as cause:
         if str(cause).startswith(str(file)):  # damage found on the way
             raise
-        kind = TimeError if isinstance(cause, TimeError) else InputError
-        raise kind(f"{file}: {cause}") from cause
+        if isinstance(cause, TimeError):
+            raise TimeError(f"{file}: {cause} {raw.joined}".rstrip()) from cause
+        raise InputError(f"{file}: {cause}") from cause
 
 
 def close(tables: Iterable[RawTable]) -> None:

@@ -16,6 +16,7 @@ from becalm.files.arrays.mat import is_mat
 from becalm.files.arrays.mat73 import is_mat73
 from becalm.files.arrays.npz import is_npz
 from becalm.files.identity import Original
+from becalm.files.lake.folder import read_folder
 from becalm.files.parquet import read_parquet
 from becalm.files.source import RawTable
 from becalm.files.text.csv_reader import read_csv
@@ -47,7 +48,7 @@ _SEVERAL_TIMES = frozenset({HDF5, MAT, MF4, NPZ, TDMS})
 _WRITTEN_BY = {HDF5: "h5py", MF4: "asammdf", TDMS: "nptdms"}  # all else becalm writes by itself
 
 BAG = "metadata.yaml"
-"""What a folder holds that ROS 2 recorded into; no other folder is read."""
+"""What a folder holds that ROS 2 recorded into; of any other folder the Parquet files are read."""
 
 _ENDINGS = ".csv, .csv.gz, .h5, .mat, .mf4, .npz, .parquet or .tdms"
 
@@ -89,6 +90,8 @@ FOREIGNERS: tuple[Foreigner, ...] = (
 def read_tables(path: Path) -> tuple[RawTable, ...]:
     """Look into a file of any known format: a table for each time base in it; its content decides, whatever its name.
 
+    Of a folder that is no ROS 2 bag, all Parquet files are one table.
+
     Raises
     ------
     InputError
@@ -97,7 +100,9 @@ def read_tables(path: Path) -> tuple[RawTable, ...]:
     if (path / BAG).is_file():
         return _foreign_tables("robots.rosbag", path)
     with told(path):
-        once = not path.is_file()  # a pipe; or nothing
+        folder, once = path.is_dir(), not path.is_file()  # a pipe; or nothing
+    if folder:
+        return (read_folder(path),)
     if once:
         data = read_bytes(path)
         if _foreigner(data):

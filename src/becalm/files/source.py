@@ -96,6 +96,8 @@ class RawTable:
         What a person must know, as sentences: that the file is incomplete, or was mended.
     calibrations : dict of str to Calibration
         Of columns that sensors turned into their units.
+    joined : str
+        Of which files the rows are, as a sentence for whoever must look for a stamp in them; "" where it is one.
     """
 
     rows: Rows
@@ -108,6 +110,7 @@ class RawTable:
     time: ToldTime | None = None
     notes: tuple[str, ...] = ()
     calibrations: dict[str, Calibration] = field(default_factory=dict)
+    joined: str = ""
 
     @property
     def names(self) -> list[str]:

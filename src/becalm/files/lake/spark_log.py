@@ -1,0 +1,73 @@
+"""The log of a stream that Spark wrote: only files that it names were committed."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path, PurePosixPath
+from urllib.parse import unquote, urlsplit
+
+from becalm.errors import InputError
+from becalm.files.text.text import told
+
+NAME = "_spark_metadata"
+"""The folder that holds it, in the folder that the stream writes to."""
+
+_BATCH = re.compile(r"([0-9]+)(\.compact)?")
+_VERSION = "v1"
+
+
+def committed_files(root: Path) -> set[tuple[str, ...]]:
+    """Return the files that a stream committed, each as the parts of its path when it was written.
+
+    Parameters
+    ----------
+    root : Path
+        The folder that the stream writes to, whose log may be where a copy of it is now.
+
+    Raises
+    ------
+    InputError
+        If the log is damaged, incomplete, or cannot be read.
+    """
+    live: set[tuple[str, ...]] = set()
+    for batch in _batches(root / NAME):
+        for path, action in _entries(batch):
+            if action == "delete":
+                live.discard(path)
+            else:
+                live.add(path)
+    return live
+
+
+def _batches(log: Path) -> list[Path]:
+    """List the batches to read, in order: the last one that holds all before it, and those after it."""
+    with told(log):
+        names = [path.name for path in log.iterdir()]
+    found = [(int(match[1]), bool(match[2])) for match in map(_BATCH.fullmatch, names) if match]
+    start = max((number for number, compact in found if compact), default=None)
+    plain = {number for number, compact in found if not compact and (start is None or number > start)}
+    first = 0 if start is None else start + 1
+    if missing := set(range(first, max(plain, default=first - 1))) - plain:
+        raise InputError(
+            f"{log} lacks the batch {min(missing)}, so that it does not tell which files were committed; copy all of it"
+            " again."
+        )
+    return ([] if start is None else [log / f"{start}.compact"]) + [log / str(number) for number in sorted(plain)]
+
+
+def _entries(batch: Path) -> Iterator[tuple[tuple[str, ...], str]]:
+    with told(batch):
+        lines = batch.read_text(encoding="utf-8").splitlines()
+    if lines[:1] != [_VERSION]:
+        said = f"begins with {lines[0][:20]!r}" if lines else "is empty"
+        raise InputError(f"{batch} {said}, and not with {_VERSION!r} as the log of a stream does; copy it again.")
+    for line in lines[1:]:
+        try:
+            entry = json.loads(line)
+            uri, action = entry["path"], entry["action"]
+            path = PurePosixPath(unquote(urlsplit(uri).path, errors="surrogateescape"))
+        except (ValueError, TypeError, KeyError, AttributeError) as cause:
+            raise InputError(f"{batch} is damaged: {line[:60]!r} names no file; copy it again.") from cause
+        yield path.parts, action
