@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import fields
 from functools import partial
 from typing import Any, Protocol
@@ -17,6 +18,7 @@ from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.report import ChannelReport
 from becalm.core.arrays import Floats
 from becalm.core.flow import Judge
+from becalm.core.standing import Before, Rules, standing, standing_of_readings
 from becalm.core.told import Told
 from becalm.core.verdict import ADVICE, Verdict, counted
 from becalm.noise.choose import FEWEST_READINGS
@@ -38,6 +40,27 @@ class Channel(Protocol):
 
     def report(self) -> ChannelReport:
         """Say what was found, once finished."""
+        ...
+
+    def begin_after(self, before: Before) -> None:
+        """Say what went before the rows that will be pushed."""
+        ...
+
+    def saved(self) -> dict[str, Any] | None:
+        """Return what later rows of a causal filter depend on, as arrays; None where rows wait, and of any other."""
+        ...
+
+    def restore(self, arrays: Mapping[str, Any]) -> None:
+        """Take over what `saved` returned."""
+        ...
+
+    def standing(self) -> dict[str, Floats] | None:
+        """Return what later rows depend on and nothing else, so that it can be compared; None where `saved` is."""
+        ...
+
+    @property
+    def surely_alive(self) -> bool:
+        """Whether no window of its innovations can have been one of a dead channel, wherever hops begin."""
         ...
 
 
@@ -89,6 +112,41 @@ class MotionChannel(FilteredChannel):
     def finish(self) -> list[Told]:
         """Return the rest."""
         return self._counted(self._flow.finish())
+
+    def begin_after(self, before: Before) -> None:
+        """Say what went before the rows that will be pushed."""
+        self._flow.begin_after(before.reading, before.readings, before.steps)
+        self.sensor.begin_after(before)
+
+    def saved(self) -> dict[str, Any] | None:
+        """Return what later rows of a causal filter depend on, as arrays; None where rows wait, and of any other."""
+        held = self._flow.saved() if self._lag == 0 else None
+        if held is None:
+            return None
+        return held | self.sensor.saved() | ({} if self._timing is None else self._timing.saved())
+
+    def restore(self, arrays: Mapping[str, Any]) -> None:
+        """Take over what `saved` returned."""
+        self._flow.restore(arrays)
+        self.sensor.restore(arrays)
+        if self._timing is not None:
+            self._timing.restore(arrays)
+
+    def standing(self) -> dict[str, Floats] | None:
+        """Return what later rows depend on and nothing else, so that it can be compared; None where `saved` is."""
+        held = self.saved()
+        if held is None:
+            return None
+        gate, watch = self._runs.gate, self.sensor
+        at_most = np.inf if gate is None else gate.at_most
+        states, reach = len(self._runs.tuning.component.drift), self._runs.reach
+        timing = {} if self._timing is None else {"timing": held["timing_slopes"]}
+        return standing(held, Rules(states, reach, at_most, watch.stuck, watch.monitor.alarms)) | timing
+
+    @property
+    def surely_alive(self) -> bool:
+        """Whether no window of its innovations can have been one of a dead channel, wherever hops begin."""
+        return self.sensor.monitor.aliveness.sure
 
     def _look(self, innovations: Floats, innovation_sigma: Floats) -> None:
         self._judge.add(innovations, innovation_sigma)
@@ -166,6 +224,25 @@ class UnchangedChannel:
     def finish(self) -> list[Told]:
         """Return nothing: all was given back."""
         return []
+
+    def begin_after(self, before: Before) -> None:
+        """Say what went before the rows that will be pushed."""
+        self._sensor.begin_after(before)
+
+    def saved(self) -> dict[str, Any]:
+        """Return what verdicts of later rows depend on, as arrays."""
+        return self._sensor.saved()
+
+    def restore(self, arrays: Mapping[str, Any]) -> None:
+        """Take over what `saved` returned."""
+        self._sensor.restore(arrays)
+
+    def standing(self) -> dict[str, Floats]:
+        """Return what verdicts of later rows depend on and nothing else, so that it can be compared."""
+        return standing_of_readings(self.saved(), self._sensor.stuck)
+
+    surely_alive = True
+    """No filter is asked."""
 
     def report(self) -> ChannelReport:
         """Say whether the channel is constant, or nearly empty, or should have been filtered."""

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import os
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from becalm.cleaning.report import ChannelReport
 from becalm.cleaning.steps import lag_in_rows
 from becalm.core.arrays import Floats
 from becalm.core.flow import Judge
+from becalm.core.standing import Before
 from becalm.core.told import Told
 
 
@@ -77,6 +78,28 @@ class Cleaner:
         """Say that no more rows will come; answer the pushes that are left."""
         return self._answers(list(self._pool.map(lambda channel: channel.finish(), self._channels)))
 
+    def begin_after(self, before: Sequence[Before]) -> None:
+        """Say what went before the rows that will be pushed, of each channel: they begin amid a recording."""
+        for channel, own in zip(self._channels, before, strict=True):
+            channel.begin_after(own)
+
+    def saved(self) -> list[dict[str, Any]] | None:
+        """Return what later rows of causal filters depend on, of each channel; None where rows wait in one."""
+        return _of_all([channel.saved() for channel in self._channels])
+
+    def restore(self, arrays: Sequence[Mapping[str, Any]]) -> None:
+        """Take over what `saved` returned."""
+        for channel, own in zip(self._channels, arrays, strict=True):
+            channel.restore(own)
+
+    def standing(self) -> list[dict[str, Floats]] | None:
+        """Return what later rows depend on and nothing else, of each channel; None where `saved` is."""
+        return _of_all([channel.standing() for channel in self._channels])
+
+    def surely_alive(self) -> list[bool]:
+        """Say of each channel whether where its hops began does not matter: see `core.aliveness`."""
+        return [channel.surely_alive for channel in self._channels]
+
     def reports(self) -> tuple[ChannelReport, ...]:
         """Say what was found for each channel, once finished."""
         return tuple(self._pool.map(lambda channel: channel.report(), self._channels))
@@ -99,6 +122,11 @@ class Cleaner:
     ) -> None:
         """End the threads."""
         self._pool.shutdown(cancel_futures=True)
+
+
+def _of_all(told: Sequence[dict[str, Any] | None]) -> list[dict[str, Any]] | None:
+    known = [one for one in told if one is not None]
+    return known if len(known) == len(told) else None
 
 
 class ReadyRows:

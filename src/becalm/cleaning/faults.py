@@ -15,6 +15,7 @@ from becalm.core.faults import Faults, Found, said
 from becalm.core.limits import Limits, find_limits
 from becalm.core.monitor import NEVER, Alarms, InnovationMonitor
 from becalm.core.noise_change import said_of_change
+from becalm.core.standing import Before
 from becalm.core.told import Told
 from becalm.core.verdict import ADVICE, BEYOND_ANY_SENSOR, Verdict
 
@@ -146,6 +147,11 @@ class SensorWatch:
         self._elapsed = np.empty(0)  # before rows without innovations yet
         self._step_s, self.rows = step_s, 0
 
+    @property
+    def stuck(self) -> int:
+        """How many equal readings in a row are called stuck; 0: none are."""
+        return self._faults.limits.stuck_readings or 0
+
     def push(self, z: Floats, elapsed: Floats) -> Floats:
         """Take readings (B,) and the steps before them; return them, NaN where none may enter the filter."""
         if not len(z):
@@ -156,6 +162,11 @@ class SensorWatch:
             self._elapsed = np.append(self._elapsed, elapsed)  # a copy: the caller may write into its own
         self.rows += len(z)
         return np.where(_ENTERS[verdicts], z, np.nan) if verdicts.any() else z
+
+    def begin_after(self, before: Before) -> None:
+        """Say what went before the rows that will come."""
+        self._faults.begin_after(before.rows, before.steps, before.least, before.most)
+        self.monitor.begin_after(before.readings, before.rows, before.steps)
 
     def look(self, innovations: Floats, innovation_sigma: Floats) -> None:
         """Take the innovations of the next rows (B,), and their expected standard deviations."""

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Codes, Floats, Integers, input_of
-from becalm.core.kernel_faults import Rule, find_faults
+from becalm.core.kernel_faults import LEAST, MOST, Rule, find_faults
 from becalm.core.limits import Limits
 from becalm.core.rhythm import LONGEST, Rhythm
 from becalm.core.verdict import ADVICE, Verdict
@@ -98,6 +98,11 @@ class Faults:
         ticks = np.full(1, _TIME) if even else np.rint(elapsed * _TIME).astype(np.int64)
         self._count(codes if found else codes[:0], np.broadcast_to(ticks, z.shape))
         return codes
+
+    def begin_after(self, rows: int, steps: float, least: float, most: float) -> None:
+        """Say how many rows, and steps, went before those that will come, and between what their readings lay."""
+        self._rows, self._ticks = rows, round(steps * _TIME)
+        self._memory[LEAST], self._memory[MOST] = least, most
 
     def saved(self) -> dict[str, Any]:
         """Return what verdicts depend on, as arrays; what was found so far is not among it."""

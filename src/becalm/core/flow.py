@@ -8,9 +8,9 @@ reaches back is measured, by coming back from there with two futures as differen
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -136,6 +136,25 @@ class Flow:
         self._held.clear()
         return [*told, *reversed(back)]
 
+    def saved(self) -> dict[str, Any] | None:
+        """Return what later rows depend on, as arrays; None while rows wait, before a reading came, of a smoother."""
+        if self._memory is None or self._waiting or not self._causal:
+            return None
+        gate = np.empty(0) if self._gate is None else self._gate.counters.copy()
+        told = np.array([self._how.enough, self._level or 0.0, self._last_step])
+        return {"flow_memory": self._memory[0], "flow_told": told, "flow_gate": gate}
+
+    def restore(self, arrays: Mapping[str, Any]) -> None:
+        """Take over what `saved` returned."""
+        self._memory = arrays["flow_memory"][np.newaxis]
+        _, self._level, self._last_step = arrays["flow_told"].tolist()
+        if self._gate is not None:
+            self._gate.counters = arrays["flow_gate"]
+
+    def tell_from(self, reading: float) -> None:
+        """Tell all readings from one that came first, before those that will be pushed."""
+        self._level = level_by(reading, self._variance) if self._level is None else self._level
+
     def _told_from_level(self, z: Floats) -> Floats:
         """Tell readings from the first one, so that a large offset does not cost the digits of what moves."""
         if self._level is None and (row := first_reading(z[:, np.newaxis])) < len(z):
@@ -155,8 +174,7 @@ class Flow:
         if self._split:
             parts = np.array([output[0] @ belief.mean for _, output in self._component.outputs()])
             parts[0] += level
-            if len(parts) == 1:
-                parts = signal[np.newaxis]
+            parts = signal[np.newaxis] if len(parts) == 1 else parts
         return Told(signal, sigma, parts, verdicts)
 
     def _filter(self, rows: Rows, ends: bool) -> _Stretch | None:
@@ -235,9 +253,8 @@ class Flow:
 
     def _smooth(self, stretch: _Stretch, future: Future) -> Told:
         trace = room_to_return(self._model, stretch.run, self._wanted._replace(innovations=False))
-        go_back(
-            Task(self._model, stretch.timeline, stretch.z, stretch.run.begun), stretch.run, self._how, future, trace
-        )
+        task = Task(self._model, stretch.timeline, stretch.z, stretch.run.begun)
+        go_back(task, stretch.run, self._how, future, trace)
         return self._told(Belief(trace.signal, trace.sigma, trace.mean, trace.cov), stretch.verdicts)
 
     def _future_of(self, later: Sequence[_Stretch]) -> Future | None:

@@ -115,6 +115,10 @@ class LaggedFlow:
         if self._keeper is not None:
             self._keeper.counters = arrays["flow_gate"]
 
+    def tell_from(self, reading: float) -> None:
+        """Tell all readings from one that came first, before those that will be pushed."""
+        self._level = level_by(reading, self._variance) if self._level is None else self._level
+
     def _told(self, output: Floats, sigma: Floats) -> Told:
         output[: 1 + self._split] += self._level or 0.0  # the signal, and the motion, which is the first part
         rows = output.shape[1]

@@ -12,10 +12,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.special import gammainccinv, gammaincinv
 
+from becalm.core.aliveness import Aliveness
 from becalm.core.arrays import Codes, Floats, Integers, input_of
 from becalm.core.cusum import SLACK, cusum_delay, cusum_threshold
 from becalm.core.faults import Found, require_steps
 from becalm.core.kernel_watch import COUNT, DRIFT_SINCE, HOP, KEPT_HOPS, MEMORY, NOW, PARTS, SUMS, WINDOW, Hops, watch
+from becalm.core.kernel_watch import ROWS as SEEN
 from becalm.core.noise_change import NoiseHistory
 from becalm.core.verdict import Verdict
 from becalm.errors import UsageError
@@ -26,7 +28,7 @@ NEVER = 1e12
 _DEAD = 0.05  # of the variance that was expected; what is quieter than chance but above only rests
 _THAN_REST = 0.25  # of the quietest window of a healthy record
 _ALARMS = 3  # of drift, of less noise, of more: each gets its share of the false alarms
-_CALM, _LOUD, _QUIET, _SILENT = range(4)
+_CALM, _LOUD, _QUIET, SILENT = range(4)
 
 
 class Alarms(NamedTuple):
@@ -176,12 +178,14 @@ class InnovationMonitor:
         Sums of squares of the last hops of 16 innovations, in sigma^2.
     louder, quieter : Excursion
         Where the noise was more, or less, than the filter expects. Quieter is no fault: machines rest.
+    aliveness : Aliveness
+        Whether no window can have been dead, wherever hops begin.
     """
 
     def __init__(self, alarms: Alarms) -> None:
         self.alarms = alarms
         self.found: dict[Verdict, Found] = {}
-        self.louder, self.quieter = Excursion(), Excursion()
+        self.louder, self.quieter, self.aliveness = Excursion(), Excursion(), Aliveness(alarms.dead_variance)
         self.history = NoiseHistory()
         self.powers = np.empty(0)
         self._watch = _Watch(alarms.drift_threshold)
@@ -223,19 +227,26 @@ class InnovationMonitor:
         self.history.push(hops.powers, hops.steps)
         self.powers = np.append(self.powers, hops.powers)[-KEPT_HOPS:]
         sums = np.hstack([self._hops, hops[:2]])
+        self.aliveness.add(sums)
         states, spreads = self._judge(_window_spreads(sums), len(hops.steps))
         self._hops = sums[:, -(WINDOW // HOP - 1) :].copy()
         if self._state != _CALM or (states != _CALM).any():
             self._tell(codes, np.flatnonzero(~np.isnan(normalised)), open_before, states, spreads)
         for verdict in (Verdict.DRIFT, Verdict.DEAD) if codes.any() else ():
-            self._count(verdict, np.flatnonzero(codes == verdict), begun, elapsed)
+            if len(rows := np.flatnonzero(codes == verdict)):
+                self._count(verdict, rows, begun, elapsed)
         self._rows += len(codes)
         return codes
 
     @property
     def is_silent(self) -> bool:
         """Whether the last window was that of a dead channel."""
-        return self._state == _SILENT
+        return self._state == SILENT
+
+    def begin_after(self, innovations: int, rows: int, steps: float) -> None:
+        """Say how much went before what will come, so that hops end, and rows are counted, as in the whole."""
+        self._rows = self._watch.memory[SEEN] = rows
+        self._watch.memory[COUNT], self._watch.sums[NOW] = innovations % HOP, steps
 
     def saved(self) -> dict[str, Any]:
         """Return what alarms depend on, as arrays; what was found so far is not among it."""
@@ -250,8 +261,6 @@ class InnovationMonitor:
         self._rows, self._state = arrays["monitor_told"].tolist()
 
     def _count(self, verdict: Verdict, rows: Integers, begun: float, elapsed: Floats) -> None:
-        if not len(rows):
-            return
         if verdict not in self.found:
             steps = np.append(begun, elapsed[0 if self._rows else 1 : rows[0] + 1])
             self.found[verdict] = Found(0, self._rows + int(rows[0]), float(np.cumsum(steps)[-1]))
@@ -261,7 +270,7 @@ class InnovationMonitor:
     def _tell(self, codes: Codes, rows: Integers, open_before: int, states: Integers, spreads: Integers) -> None:
         """Tell what the last whole window said when each innovation came, in these rows."""
         said = np.append(self._state, states)[(open_before + 1 + np.arange(len(rows))) // HOP]
-        codes[rows[said == _SILENT]] = Verdict.DEAD
+        codes[rows[said == SILENT]] = Verdict.DEAD
         self.louder = _joined(self.louder, self._rows + rows[said == _LOUD], spreads[states == _LOUD])
         self.quieter = _joined(self.quieter, self._rows + rows[said == _QUIET], spreads[states == _QUIET])
         self._state = int(said[-1]) if len(said) else self._state
@@ -272,7 +281,7 @@ class InnovationMonitor:
         variance = _variances(about)
         said = np.where(variance > self.alarms.loud_variance, _LOUD, _CALM)
         said[variance < self.alarms.quiet_variance] = _QUIET
-        said[variance < self.alarms.dead_variance] = _SILENT
+        said[variance < self.alarms.dead_variance] = SILENT
         states[count - len(said) :], spread[count - len(said) :] = said, about
         return states, spread
 

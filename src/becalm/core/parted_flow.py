@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from typing import NamedTuple, Protocol
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -37,6 +37,18 @@ class PartialFlow(Protocol):
 
     def finish(self) -> list[Told]:
         """Say that no more rows will come; return the rest."""
+        ...
+
+    def saved(self) -> dict[str, Any] | None:
+        """Return what later rows depend on, as arrays; None where rows wait."""
+        ...
+
+    def restore(self, arrays: Mapping[str, Any]) -> None:
+        """Take over what `saved` returned."""
+        ...
+
+    def tell_from(self, reading: float) -> None:
+        """Tell all readings from one that came first, before those that will be pushed."""
         ...
 
 
@@ -93,6 +105,30 @@ class PartedFlow:
         few, self._few = self._few, np.empty((2, 0))
         told = self._flow.push(few[0], few[1]) if few.shape[1] else []
         return told + self._flow.finish()
+
+    def saved(self) -> dict[str, Any] | None:
+        """Return what later rows depend on, as arrays; None where rows wait."""
+        held = None if self._few.shape[1] else self._flow.saved()
+        if held is None:
+            return None
+        told = np.array([self._stretch or 0, len(self._finished)])
+        return held | {"parted_gaps": self._gaps.saved(), "parted_told": told}
+
+    def restore(self, arrays: Mapping[str, Any]) -> None:
+        """Take over what `saved` returned."""
+        stretch, finished = arrays["parted_told"].tolist()
+        self._stretch, self._finished = stretch or None, [_Part(0, 0, 0.0, None, {})] * finished
+        self._gaps.restore(arrays["parted_gaps"])
+        self._flow.restore(arrays)
+
+    def tell_from(self, reading: float) -> None:
+        """Tell all readings from one that came first, before those that will be pushed."""
+        self._flow.tell_from(reading)
+
+    def begin_after(self, reading: float, readings: int, steps: float) -> None:
+        """Say what went before: the first reading of all, how many came, and how many steps went by."""
+        self.tell_from(reading)
+        self._gaps.restore(np.array([steps, steps, float(readings)]))
 
     @property
     def log_likelihood(self) -> float:

@@ -66,6 +66,10 @@ class SwitchingFilter:
         """Let only possible readings (B,) through."""
         return judge(z, largest_beside(self.switching.least_noise_variance))
 
+    def tell_from(self, reading: float) -> None:
+        """Tell all readings from one that came first, before those that will be pushed."""
+        self._level = level_by(reading, self.switching.least_noise_variance) if self._level is None else self._level
+
     def levelled(self, z: Floats) -> Floats:
         """Return readings (B,) less the first one of all, where the bank keeps a level."""
         if self._level is None and (row := first_reading(z[:, np.newaxis])) < len(z):
@@ -148,6 +152,10 @@ class ByModes:
     def restore(self, arrays: Mapping[str, Any]) -> None:
         """Take over what `saved` returned; raises a ModelError if it is not that of such a bank."""
         self._filter.restore(arrays)
+
+    def tell_from(self, reading: float) -> None:
+        """Tell all readings from one that came first, before those that will be pushed."""
+        self._filter.tell_from(reading)
 
 
 def with_spikes(verdicts: Codes, trace: SwitchingTrace) -> Codes:
