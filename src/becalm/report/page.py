@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import base64
-import gzip
 import platform
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
-from importlib.resources import files
 from typing import NamedTuple
 
 from jinja2 import Environment
@@ -19,6 +15,7 @@ from becalm.cleaning.report import ChannelReport
 from becalm.cleaning.words import amount, cells
 from becalm.report.channel import Cleaned, Pictured, Pictures
 from becalm.report.description import Figure
+from becalm.report.embedding import asset, packed, script
 from becalm.report.payload import payload
 from becalm.report.printing import can_print, printed
 from becalm.report.vendor import uplot
@@ -110,8 +107,8 @@ def page_of(
     numbers = _pictured(reports)
     drawn = {number: pictures.channel(number) for number in numbers}
     sections = [_section(drawn[number], number, beside[number] if beside else Beside()) for number in numbers]
-    script, style = uplot()
-    template = Environment(autoescape=True).from_string(_asset("page.html"))
+    uplot_js, uplot_css = uplot()
+    template = Environment(autoescape=True).from_string(asset("page.html"))
     return template.render(
         facts=facts,
         version=version("becalm"),
@@ -124,10 +121,10 @@ def page_of(
         recipe=recipe.model_copy(update={"channel": tuple(recipe.channel[number] for number in numbers)}).to_toml(),
         versions=_versions(),
         payload=payload([figure for section in sections for figure, _, _ in section.figures]),
-        uplot_css=style,
-        uplot_js=script,
-        css=_asset("figures.css") + _asset("page.css"),
-        js="".join(_module(name) for name in ("colours.js", "numbers.js", "axes.js", "figures.js", "page.js")),
+        uplot_css=uplot_css,
+        uplot_js=uplot_js,
+        css=asset("figures.css") + asset("page.css"),
+        js=script("colours.js", "numbers.js", "axes.js", "figures.js", "page.js"),
     )
 
 
@@ -135,15 +132,6 @@ def _pictured(reports: Sequence[ChannelReport]) -> list[int]:
     """Choose the channels that are drawn, in their order: those first that are to be looked at."""
     first = sorted(range(len(reports)), key=lambda number: reports[number].describes)
     return sorted(first[:MOST_PICTURED])
-
-
-def _asset(name: str) -> str:
-    return (files("becalm.report") / "assets" / name).read_text(encoding="utf-8")
-
-
-def _module(name: str) -> str:
-    """Return a module to stand in one script after those that it imports: a page on a disk can import none."""
-    return re.sub(r'^import .* from "\./.*";\n', "", _asset(name), flags=re.MULTILINE)
 
 
 def _lead(reports: Sequence[ChannelReport]) -> str:
@@ -255,12 +243,12 @@ def _printed(drawn: Pictured, beside: Beside) -> tuple[str, ...]:
     if not can_print():
         return ()
     sheets = (((*drawn.wide, *beside.wide), 1), ((*drawn.narrow, *beside.narrow), 2))
-    return tuple(_packed(printed(figures, "svg", columns)) for figures, columns in sheets if figures)
+    return tuple(packed(_element(printed(figures, "svg", columns))) for figures, columns in sheets if figures)
 
 
-def _packed(svg: bytes) -> str:
-    """Return an SVG file's element, compressed, in base64: the page unpacks it."""
-    return base64.b64encode(gzip.compress(svg[svg.index(b"<svg") :], mtime=0)).decode("ascii")
+def _element(svg: bytes) -> bytes:
+    """Return an SVG file's element, without what stands before it."""
+    return svg[svg.index(b"<svg") :]
 
 
 def _versions() -> str:

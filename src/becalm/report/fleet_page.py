@@ -1,0 +1,164 @@
+"""The report on a fleet: one self-contained page of all its sensors, the worst first."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from importlib.metadata import version
+from typing import NamedTuple
+
+from jinja2 import Environment
+
+from becalm.report.embedding import asset, packed, script
+from becalm.report.fleet_order import TRAITS, summary, worst_first
+from becalm.report.fleet_rows import FleetRow, spaced
+
+_TONES = {
+    "refused": "not",
+    "does not fit": "not",
+    "faulty": "not",
+    "outlying": "except",
+    "fits except": "except",
+    "sigma doubtful": "except",
+    "fits": "fits",
+}
+_TEXTS = ("sensor", "channel", "unit", "reason", "faults", "says", "recipe", "outlying")
+_NUMBERS = ("health", "noise_std", "rate_hz")
+_STYLES = ("figures.css", "page.css", "fleet/fleet.css")
+_SCRIPTS = ("colours.js", "numbers.js", *(f"fleet/{name}.js" for name in ("rows", "table", "strip", "main")))
+_MOST_NAMED = 6  # recipes
+
+
+@dataclass(frozen=True)
+class FleetFacts:
+    """Which fleet a report is about.
+
+    Attributes
+    ----------
+    lake, output : str
+        Where it was read, and written.
+    began : str
+        When, as ISO 8601 writes it; empty if that is not to be told.
+    took_s : float or None
+        How long it took, in seconds.
+    rows_total : int
+        Rows of all sensors.
+    recipes : tuple of str
+        Names of those that were used.
+    """
+
+    lake: str
+    output: str
+    began: str = ""
+    took_s: float | None = None
+    rows_total: int = 0
+    recipes: tuple[str, ...] = ()
+
+
+class _Filter(NamedTuple):
+    """What a press shows only the rows of."""
+
+    name: str
+    says: str
+    tone: str
+    rows: str
+    bit: int
+
+
+def fleet_page(rows: Sequence[FleetRow], facts: FleetFacts) -> str:
+    """Return the report on a fleet that was cleaned, as HTML.
+
+    Parameters
+    ----------
+    rows : sequence of FleetRow
+        Of every channel of every sensor, in any order.
+    facts : FleetFacts
+        Which fleet it was.
+    """
+    told = worst_first(rows)
+    return (
+        Environment(autoescape=True)
+        .from_string(asset("fleet/fleet.html"))
+        .render(
+            name=_unbroken(facts.lake),
+            version=version("becalm"),
+            lead=_unbroken(summary(rows)),
+            facts_told=_facts_told(facts),
+            filters=_filters(told),
+            total=_unbroken(spaced(len(told))),
+            rows=packed(_columns(told).encode()),
+            css="".join(asset(name) for name in _STYLES),
+            js=script(*_SCRIPTS),
+        )
+    )
+
+
+def _unbroken(text: str) -> str:
+    """Return text that UTF-8 can hold whatever a folder is called, and whose numbers stay on one line."""
+    held = text.encode("utf-8", "replace").decode()
+    return re.sub(r"(?<=\d) (?=\d{3}\b)", "\u202f", held)
+
+
+def _facts_told(facts: FleetFacts) -> list[tuple[str, str]]:
+    recipes = ", ".join(facts.recipes[:_MOST_NAMED])
+    more = len(facts.recipes) - _MOST_NAMED
+    told = [
+        ("written to", facts.output),
+        ("began", _moment(facts.began)),
+        ("took", _lasting(facts.took_s)),
+        ("rows", spaced(facts.rows_total)),
+        ("recipes" if len(facts.recipes) > 1 else "recipe", f"{recipes} and {more} more" if more > 0 else recipes),
+    ]
+    return [(term, _unbroken(one)) for term, one in told if one]
+
+
+def _moment(began: str) -> str:
+    """Say when something was, to the minute; as it came where that is no time."""
+    try:
+        return f"{datetime.fromisoformat(began):%Y-%m-%d %H:%M %Z}".strip()
+    except ValueError:
+        return began
+
+
+def _lasting(took_s: float | None) -> str:
+    """Say how long something took."""
+    if took_s is None:
+        return ""
+    if took_s < 60:
+        return f"{took_s:.3g} s"
+    minutes, seconds = divmod(round(took_s), 60)
+    return f"{minutes} min {seconds} s" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"
+
+
+def _filters(rows: Sequence[FleetRow]) -> list[_Filter]:
+    """Return what is true of some rows, with how many."""
+    counts = [sum(trait.holds(row) for row in rows) for trait in TRAITS]
+    return [
+        _Filter(trait.name, trait.says, _TONES.get(trait.name, ""), _unbroken(spaced(count)), bit)
+        for bit, (trait, count) in enumerate(zip(TRAITS, counts, strict=True))
+        if count
+    ]
+
+
+def _columns(rows: Sequence[FleetRow]) -> str:
+    """Return rows as JSON, a column each; what is unknown is null."""
+    columns: dict[str, list[object]] = {name: [getattr(row, name) for row in rows] for name in (*_TEXTS, "rows")}
+    columns |= {name: [_short(getattr(row, name)) for row in rows] for name in _NUMBERS}
+    columns["usable"] = [_percent_down(row.usable_share) for row in rows]
+    columns["traits"] = [sum(trait.holds(row) << bit for bit, trait in enumerate(TRAITS)) for row in rows]
+    traits = [{"name": trait.name, "tone": _TONES.get(trait.name, "")} for trait in TRAITS]
+    return json.dumps({"traits": traits, "columns": columns}, separators=(",", ":"), allow_nan=False)
+
+
+def _short(value: float | None) -> float | None:
+    """Return a number in six digits, which is more than the page shows, and no number that JSON does not know."""
+    return float(f"{value:.6g}") if value is not None and math.isfinite(value) else None
+
+
+def _percent_down(share: float | None) -> float | None:
+    """Return a share in hundredths of a percent, rounded down: 100 % is all."""
+    return math.floor(share * 1e4 + 1e-9) / 100 if share is not None and math.isfinite(share) else None
