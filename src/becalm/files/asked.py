@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from becalm.core.clock import FASTEST_HZ, SLOWEST_HZ
 from becalm.errors import UsageError
 from becalm.sensors.record import SensorRecord
+
+if TYPE_CHECKING:
+    from becalm.cleaning.recipe import Recipe
 
 
 class Asker(NamedTuple):
@@ -79,6 +82,28 @@ class ReadOptions:
     units: Mapping[str, str] = field(default_factory=dict)
     sensors: tuple[SensorRecord, ...] = ()
     as_written: bool = False
+
+
+def asked_by(recipe: Recipe, again: str) -> ReadOptions:
+    """Return what a recipe asks of a file.
+
+    Parameters
+    ----------
+    recipe : Recipe
+        Of the channels to read.
+    again : str
+        What to type for another recipe.
+    """
+    asker = Asker("The recipe", f" Make another recipe with: {again}")
+    units = {channel.name: channel.unit for channel in recipe.channel}
+    return ReadOptions(
+        recipe.time,
+        recipe.rate_hz,
+        tuple(units),
+        asker,
+        fitting=Fitting(asker, units),
+        as_written=recipe.stamps is not None,
+    )
 
 
 def refuse_impossible(options: ReadOptions) -> None:

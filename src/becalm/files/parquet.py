@@ -40,8 +40,12 @@ def read_parquet(path: Path, kept: Original | bytes) -> RawTable:
     rows = ParquetRows(path, kept)
     if not len(rows.schema):
         raise InputError(f"{path} has no columns; a time and one or more columns of numbers are needed.")
-    units = {field.name: unit for field in rows.schema if (unit := _unit(field))}
-    return RawTable(rows, rows.count, "parquet", units)
+    return RawTable(rows, rows.count, "parquet", units_of(rows.schema))
+
+
+def units_of(schema: pa.Schema) -> dict[str, str]:
+    """Return the units that the metadata of columns tell, by their names."""
+    return {field.name: unit for field in schema if (unit := _unit(field))}
 
 
 class ParquetRows:

@@ -107,26 +107,29 @@ class FolderRows:
         """Do nothing: each file is opened anew for each reading."""
 
 
-def read_folder(folder: Path) -> RawTable:
+def read_folder(folder: Path, only: Sequence[Path] = ()) -> RawTable:
     """Look into the Parquet files of a folder, and put them in the order of time.
 
     Parameters
     ----------
     folder : Path
         The folder.
+    only : sequence of Path
+        Files in it, where not all are meant.
 
     Raises
     ------
     InputError
         If there is none, one is damaged, they have not the same columns, or they are of several sensors.
     """
-    files, notes = parquet_files(folder)
-    refuse_several(folder, files)
+    files, notes = (only, ()) if only else parquet_files(folder)
+    if not only:
+        refuse_several(folder, files)
     originals = Originals(folder, {path: Original(path) for path in files})
     read = [(path, read_parquet(path, originals.of(path))) for path in files]
     held = [one for one in read if one[1].count]
     for path, table in held[1:]:
-        _refuse_different(path, table, *held[0])
+        refuse_different(path, table, *held[0])
     order = order_of_time([table for _, table in held]) if held else []
     pieces = [Piece(held[number][0], held[number][1].count) for number in order]
     first = held[order[0]][1] if held else read[0][1]
@@ -135,8 +138,14 @@ def read_folder(folder: Path) -> RawTable:
     return replace(first, rows=rows, count=rows.count, original=originals, notes=notes, joined=_joined(rows))
 
 
-def _refuse_different(path: Path, table: RawTable, other: Path, first: RawTable) -> None:
-    """Refuse a file that has not the columns, types and units of the first one."""
+def refuse_different(path: Path, table: RawTable, other: Path, first: RawTable) -> None:
+    """Refuse a file that has not the columns, types and units of the first one.
+
+    Raises
+    ------
+    InputError
+        If it differs.
+    """
     if lacks := [name for name in first.names if name not in table.names]:
         raise _different(path, f"lacks the column {lacks[0]!r} that {other} has")
     if more := [name for name in table.names if name not in first.names]:

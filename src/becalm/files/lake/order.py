@@ -72,13 +72,13 @@ def _times(firsts: Mapping[str, pa.ChunkedArray], kinds: Sequence[str]) -> pa.Ar
     if kinds == [clock.TIME_OF_DAY]:
         return None
     try:
-        read = [_instants(*one) for one in zip(firsts, kinds, firsts.values(), strict=True)]
+        read = [instants_of(*one) for one in zip(firsts, kinds, firsts.values(), strict=True)]
     except TimeError:  # whether day or month comes first, only all of the rows tell
         return None
     return pa.array(np.sum([one.ns for one in read], axis=0), mask=np.any([one.missing for one in read], axis=0))
 
 
-def _instants(name: str, kind: str, column: pa.ChunkedArray) -> clock.Instants:
+def instants_of(name: str, kind: str, column: pa.ChunkedArray) -> clock.Instants:
     """Read times as text, those of day within their day."""
     read = next(clock.Reader(name, kind, lambda: [column]).blocks())
     return replace(read, ns=read.ns % clock.DAY_NS) if kind == clock.TIME_OF_DAY else read

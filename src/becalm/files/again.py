@@ -1,0 +1,111 @@
+"""A source that was understood by another process, read again: any of its rows, with the clock of all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pyarrow as pa
+
+from becalm.core.arrays import Floats
+from becalm.core.clock import Clock
+from becalm.files.chunk import Chunk
+from becalm.files.opening import OpenSource
+from becalm.files.rows import rebatched
+from becalm.files.source import RawTable
+
+_AT_ONCE = 1 << 20  # stamps
+
+
+class Known(NamedTuple):
+    """What was understood, as it can be sent to where it is read again."""
+
+    names: tuple[str, ...]  # of the channels
+    clock: Clock
+    rows: int
+    stamps: str  # the file that holds the time of each row, as float64; "" where rows are counted
+
+
+def known_of(source: OpenSource, stamps: Path) -> Known:
+    """Return what was understood of a source; its stamps are kept in a file, where rows cannot be counted.
+
+    Parameters
+    ----------
+    source : OpenSource
+        It stays open.
+    stamps : Path
+        The file, which every reader must see.
+    """
+    if source.clock.even:
+        return Known(source.names, source.clock, source.rows, "")
+    with stamps.open("wb") as file:
+        for first in range(0, source.rows, _AT_ONCE):
+            file.write(source.seconds(first, min(_AT_ONCE, source.rows - first)).tobytes())
+    return Known(source.names, source.clock, source.rows, str(stamps))
+
+
+class KnownSource:
+    """A source of which all is known.
+
+    Parameters
+    ----------
+    raw : RawTable
+        Its columns.
+    known : Known
+        What was understood of it.
+
+    Attributes
+    ----------
+    schema : pyarrow.Schema
+        Of the tables of its chunks.
+    clock : Clock
+        What its time is like.
+    """
+
+    def __init__(self, raw: RawTable, known: Known) -> None:
+        self._raw, self._known = raw, known
+        self.schema: pa.Schema = raw.rows.schema
+        self.clock = known.clock
+
+    def chunks(self, first: int, stop: int, rows: int) -> Iterator[Chunk]:
+        """Read from one row up to another, as many rows at once as asked.
+
+        Raises
+        ------
+        InputError
+            If the file turns out to be damaged, or changes meanwhile.
+        """
+        row = first
+        for table in rebatched(self._until(first, stop, rows), rows):
+            yield Chunk(row, table, self.elapsed(row, table.num_rows), self._known.names, self._raw.decimal)
+            row += table.num_rows
+
+    def elapsed(self, first: int, count: int) -> Floats:
+        """Return the steps before each of `count` rows, (count,)."""
+        if not self._known.stamps:
+            return self.clock.elapsed_rows(first, count)
+        begin = max(0, first - 1)
+        stamps = np.fromfile(self._known.stamps, np.float64, first + count - begin, offset=8 * begin)
+        return self.clock.elapsed(stamps[first - begin :], float(stamps[0]) if first else None)
+
+    def steps_before(self, row: int) -> float:
+        """Return the steps from the first row to the one before `row`."""
+        if not self._known.stamps or row < 1:
+            return float(max(0, row - 1))
+        ends = [np.fromfile(self._known.stamps, np.float64, 1, offset=8 * at)[0] for at in (0, row - 1)]
+        steps = float(ends[1] - ends[0]) / self.clock.near_s
+        return float(round(steps)) if self.clock.uniform else steps
+
+    def close(self) -> None:
+        """Give back what is held."""
+        self._raw.rows.close()
+
+    def _until(self, first: int, stop: int, rows: int) -> Iterator[pa.Table]:
+        left = stop - first
+        for block in self._raw.blocks(self._raw.names, first, most_rows=rows):
+            yield block.slice(0, left)
+            left -= block.num_rows
+            if left <= 0:
+                return
