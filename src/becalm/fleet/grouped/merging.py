@@ -1,0 +1,127 @@
+"""Strips of one sensor put together: all of its rows in the order of time, in bounded memory."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from becalm.files.lake.folder import refuse_different
+from becalm.files.parquet import units_of
+from becalm.files.rows import HeldRows
+from becalm.files.source import RawTable
+from becalm.fleet.grouped.strips import RANK, Strip
+
+
+class Head:
+    """How far a strip has been read; its file is open only while it is, for there may be thousands.
+
+    Parameters
+    ----------
+    strip : Strip
+        Which one.
+
+    Attributes
+    ----------
+    columns : pyarrow.Schema
+        Of its rows, without their ranks.
+    left : int
+        Rows that are not in memory yet.
+    reach : int, float or None
+        The rank of the last row that came into memory, or that of the first before any did.
+    """
+
+    def __init__(self, strip: Strip) -> None:
+        self._path, self.left, self.reach = strip.path, strip.rows, strip.first
+        with pa.OSFile(self._path) as file:
+            file.seek(strip.offset)
+            self._schema: pa.Schema = pa.ipc.read_schema(file)
+            self._at: int = file.tell()
+        self.columns: pa.Schema = self._schema.remove(self._schema.get_field_index(RANK))
+        self._held: pa.Table = self._schema.empty_table()
+
+    def load(self) -> pa.Table:
+        """Bring the next rows into memory, in the place of those before, and return them."""
+        with pa.OSFile(self._path) as file:
+            file.seek(self._at)
+            batch = pa.ipc.read_record_batch(pa.ipc.read_message(file), self._schema)
+            self._at = file.tell()
+        self._held, self.left = pa.table(batch), self.left - batch.num_rows
+        self.reach = _ranks(self._held)[-1]
+        return self._held
+
+    def take(self, stop: Any, *, also_equal: bool) -> pa.Table:
+        """Take the rows out of memory whose rank is below one, or equal to it."""
+        count = int(np.searchsorted(_ranks(self._held), stop, "right" if also_equal else "left"))
+        taken, self._held = self._held.slice(0, count), self._held.slice(count)
+        return taken
+
+    def rest(self) -> pa.Table:
+        """Return what is left in memory."""
+        return self._held
+
+
+def merged(lake: Path, strips: Sequence[Strip]) -> Iterator[pa.Table]:
+    """Give the rows of strips in the order of their ranks; equal ones in the order of strips, and as they are in these.
+
+    Where a strip has no ranks, all rows stay as they came.
+
+    Parameters
+    ----------
+    lake : Path
+        What they came from.
+    strips : sequence of Strip
+        All of one sensor, in the order of its files.
+
+    Raises
+    ------
+    InputError
+        If their files have not the same columns.
+    """
+    heads = [Head(strip) for strip in strips]
+    first = heads[0].columns
+    for strip, head in zip(strips, heads, strict=True):
+        if head.columns != first:
+            refuse_different(lake / strip.file, _raw(head.columns), lake / strips[0].file, _raw(first))
+    schema = pa.schema([field.with_nullable(True) for field in first], first.metadata)
+    ranked = all(strip.first is not None for strip in strips)
+    for parts in _by_rank(heads) if ranked else _as_they_came(heads):
+        yield _joined([part for part in parts if part.num_rows], schema)
+
+
+def _as_they_came(heads: Sequence[Head]) -> Iterator[list[pa.Table]]:
+    for head in heads:
+        while head.left:
+            yield [head.load()]
+
+
+def _by_rank(heads: Sequence[Head]) -> Iterator[list[pa.Table]]:
+    """Give of each head what can be told next: no row that is not in memory comes before the least reach."""
+    while unread := [(head.reach, place) for place, head in enumerate(heads) if head.left]:
+        reach, least = min(unread)
+        yield [head.take(reach, also_equal=place <= least) for place, head in enumerate(heads)]
+        heads[least].load()
+    yield [head.rest() for head in heads]
+
+
+def _joined(parts: Sequence[pa.Table], schema: pa.Schema) -> pa.Table:
+    """Put rows of several strips into the order of their ranks."""
+    if not parts:
+        return schema.empty_table()
+    tables = [pa.table([part.column(name) for name in schema.names], schema=schema) for part in parts]
+    if len(parts) == 1:
+        return tables[0]
+    order = np.argsort(np.concatenate([_ranks(part) for part in parts]), kind="stable")
+    return pa.concat_tables(tables).combine_chunks().take(order)
+
+
+def _ranks(table: pa.Table) -> Any:
+    return table.column(RANK).to_numpy()
+
+
+def _raw(columns: pa.Schema) -> RawTable:
+    """Return columns as a reader tells those of a file."""
+    return RawTable(HeldRows(columns.empty_table()), 0, "parquet", units_of(columns))

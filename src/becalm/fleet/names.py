@@ -1,0 +1,143 @@
+"""What sensors are called that columns tell apart: as folders of Hive are, `sensor=17`, `plant=3/sensor=a%2Fb`."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import PurePath
+from typing import NamedTuple
+from urllib.parse import unquote
+
+import numpy as np
+import pyarrow as pa
+
+from becalm.core.arrays import Integers
+from becalm.errors import InputError, UsageError
+from becalm.files.lake.listing import is_partition
+
+NULL = "__HIVE_DEFAULT_PARTITION__"
+"""The value in a folder's name that stands for none."""
+
+_SPECIAL = re.compile(r"[\x00-\x1f\x7f\"#%'*/:=?\\{\[\]^]")  # what Hive and Spark escape
+_MOST_LISTED = 20
+
+
+class Named(NamedTuple):
+    """Of which sensors some rows are.
+
+    Attributes
+    ----------
+    names : list of str
+        Of the sensors, each once.
+    codes : (n,) int array
+        Of each row the place of its sensor in that list.
+    """
+
+    names: list[str]
+    codes: Integers
+
+
+def folder_name(key: str, value: str | None) -> str:
+    """Return what the folder of a value of a column is called; None is a null."""
+    return f"{_escaped(key)}={NULL if value is None else _escaped(value)}"
+
+
+def values_in(place: PurePath) -> dict[str, str | None]:
+    """Return what the folders of a path tell, by their keys."""
+    parts = [part.partition("=") for part in place.parts if is_partition(part)]
+    return {unquote(key): None if value == NULL else unquote(value) for key, _, value in parts}
+
+
+def below(sensor: str, file: PurePath) -> str:
+    """Return the path of a file without the folders that are of its sensor's name."""
+    own = set(values_in(PurePath(sensor)).items())
+    parts = (part for part in file.parts if not own.intersection(values_in(PurePath(part)).items()))
+    return PurePath(*parts).as_posix()
+
+
+def keys_of(by: str, known: Collection[str]) -> tuple[str, ...]:
+    """Return the columns that tell sensors apart.
+
+    Parameters
+    ----------
+    by : str
+        The name of a column, or names of several with commas between.
+    known : collection of str
+        The columns that are there, and the keys of folders.
+
+    Raises
+    ------
+    UsageError
+        If one of them is not there.
+    """
+    if by in known:
+        return (by,)
+    keys = tuple(key.strip() for key in by.split(","))
+    for key in keys:
+        if key not in known:
+            listed = ", ".join(sorted(known)[:_MOST_LISTED])
+            more = f" and {len(known) - _MOST_LISTED} more" if len(known) > _MOST_LISTED else ""
+            raise UsageError(
+                f"--by names {key!r}, which is neither a column nor a key of the folders; there are {listed}{more}."
+            )
+    return keys
+
+
+def named(block: pa.Table, keys: Sequence[str], told: Mapping[str, str | None]) -> Named:
+    """Tell of which sensors the rows of a block are.
+
+    Parameters
+    ----------
+    block : pyarrow.Table
+        Rows with all the keys that folders do not tell.
+    keys : sequence of str
+        What tells sensors apart.
+    told : mapping of str to str or None
+        What the folders tell, which counts more than a column.
+
+    Raises
+    ------
+    InputError
+        If a column cannot name a folder.
+    """
+    found = _all_of("", block.num_rows)
+    for key in keys:
+        own = (
+            _all_of(folder_name(key, told[key]), block.num_rows) if key in told else _of_column(key, block.column(key))
+        )
+        found = _of_both(found, own)
+    return found
+
+
+def _all_of(name: str, rows: int) -> Named:
+    return Named([name], np.zeros(rows, np.int64))
+
+
+def _of_both(first: Named, second: Named) -> Named:
+    """Name sensors by two keys: only those that there are rows of."""
+    if len(first.names) == 1:
+        return Named([_joined(first.names[0], name) for name in second.names], second.codes)
+    pairs, codes = np.unique(first.codes * len(second.names) + second.codes, return_inverse=True)
+    split = zip(*np.divmod(pairs, max(1, len(second.names))), strict=True)
+    return Named([_joined(first.names[one], second.names[other]) for one, other in split], codes)
+
+
+def _joined(above: str, name: str) -> str:
+    return f"{above}/{name}" if above else name
+
+
+def _of_column(key: str, column: pa.ChunkedArray) -> Named:
+    try:
+        coded = column.cast(pa.string()).combine_chunks().dictionary_encode(null_encoding="encode")
+    except pa.ArrowException as cause:
+        raise InputError(
+            f"{key!r} holds {column.type} that cannot name a folder; whole numbers or text can. Name another with --by."
+        ) from cause
+    names = [folder_name(key, value) for value in coded.dictionary.to_pylist()]
+    return Named(names, np.asarray(coded.indices, np.int64))
+
+
+def _escaped(text: str) -> str:
+    if text == NULL:  # as a text, it is another sensor
+        return f"%{ord(text[0]):02X}{text[1:]}"
+    return _SPECIAL.sub(lambda match: f"%{ord(match[0]):02X}", text)

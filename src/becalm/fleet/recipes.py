@@ -1,0 +1,100 @@
+"""Which recipe each sensor has: one for all, or the nearest in a folder that is laid out as the lake is."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable
+from pathlib import Path, PurePosixPath
+
+from becalm.cleaning.recipe import Recipe
+from becalm.errors import RecipeError, UsageError
+
+DEFAULT = "default"
+"""Name of the recipe of all sensors that have none of their own, without its ending."""
+
+_ENDING = ".toml"
+
+
+class RecipeBook:
+    """Recipes by the sensors that they are of.
+
+    Parameters
+    ----------
+    texts : mapping of str to str
+        TOML by paths within the lake: of a sensor, or of a folder of sensors; `DEFAULT` is of all others.
+    source : str
+        Where they come from, for messages.
+
+    Attributes
+    ----------
+    by_hash : dict of str to str
+        The texts by the SHA-256 of their bytes.
+    """
+
+    def __init__(self, texts: dict[str, str], source: str) -> None:
+        self._source = source
+        self._hashes = {name: hashlib.sha256(text.encode()).hexdigest() for name, text in texts.items()}
+        self.by_hash = {self._hashes[name]: text for name, text in texts.items()}
+
+    @classmethod
+    def of_one(cls, path: Path) -> RecipeBook:
+        """Read the one recipe of all sensors.
+
+        Raises
+        ------
+        RecipeError
+            If it cannot be read, or is no recipe.
+        """
+        return cls({DEFAULT: Recipe.load(path).to_toml()}, str(path))
+
+    @classmethod
+    def of_folder(cls, folder: Path) -> RecipeBook:
+        """Read a folder of recipes: `plant=3/sensor=17.toml`, `plant=3.toml`, `default.toml`.
+
+        Raises
+        ------
+        RecipeError
+            If it holds none, or one cannot be read.
+        """
+        found = sorted(path for path in folder.rglob(f"*{_ENDING}") if not path.name.startswith("."))
+        if not found:
+            raise RecipeError(
+                f"{folder} holds no recipes. Name one {DEFAULT}{_ENDING}, or as the sensor that it is of,"
+                f" sensor=17{_ENDING}; or make them with: becalm fleet tune LAKE -o {folder}"
+            )
+        names = (path.relative_to(folder).as_posix().removesuffix(_ENDING) for path in found)
+        return cls({name: Recipe.load(path).to_toml() for name, path in zip(names, found, strict=True)}, str(folder))
+
+    def hash_for(self, sensor: str) -> str | None:
+        """Return the hash of a sensor's recipe: its own, else that of the nearest folder above; None without one."""
+        path = PurePosixPath(sensor)
+        for name in (path, sensor.removesuffix(".parquet").removesuffix(".pq"), *path.parents):
+            if str(name) in self._hashes:
+                return self._hashes[str(name)]
+        return self._hashes.get(DEFAULT)
+
+    def why_not(self, sensor: str) -> str:
+        """Say what to do for a sensor that has no recipe."""
+        return f"{self._source} has no recipe for it; add {sensor}{_ENDING}, or {DEFAULT}{_ENDING} for all others."
+
+    def unused(self, sensors: Iterable[str]) -> list[str]:
+        """List the names of recipes that no sensor has."""
+        used = {self.hash_for(sensor) for sensor in sensors}
+        return [name for name, one in self._hashes.items() if one not in used]
+
+
+def open_book(recipe: Path | None = None, recipes: Path | None = None) -> RecipeBook:
+    """Read what was named: one recipe, or a folder of them.
+
+    Raises
+    ------
+    UsageError
+        If neither or both were.
+    RecipeError
+        If they cannot be read.
+    """
+    if recipe is not None and recipes is None:
+        return RecipeBook.of_one(recipe)
+    if recipes is not None and recipe is None:
+        return RecipeBook.of_folder(recipes)
+    raise UsageError("Name one recipe with --recipe R.toml, or a folder of them with --recipes DIR; one of the two.")

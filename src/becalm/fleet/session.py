@@ -1,0 +1,85 @@
+"""Spark as a command line needs it: on this machine unless another master is named, and then only on loopback."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from becalm.errors import UsageError
+
+if TYPE_CHECKING:
+    from pyspark.sql import SparkSession
+
+HERE = "local[*]"
+"""The master where none is named: all cores of this machine."""
+
+_LOOPBACK = "127.0.0.1"
+_QUIET = {
+    "spark.ui.enabled": "false",  # a page that nobody asked for, open to all of the network
+    "spark.ui.showConsoleProgress": "false",
+    "spark.sql.session.timeZone": "UTC",
+}
+
+
+@contextmanager
+def session(master: str = HERE, settings: dict[str, str] | None = None) -> Iterator[SparkSession]:
+    """Give a session of Spark, which ends in the end, unless there was one before.
+
+    Parameters
+    ----------
+    master : str
+        As Spark has it: `local[4]`, `spark://host:7077`, `yarn`.
+    settings : dict of str to str, optional
+        Spark's own.
+
+    Raises
+    ------
+    UsageError
+        If pyspark, or Java, is not here, or there is no such master.
+    """
+    builder, running = _builder()
+    told = _settings(master) | (settings or {})
+    for name, value in told.items():
+        builder = builder.config(name, value)
+    try:
+        spark: SparkSession = builder.master(master).appName("becalm").getOrCreate()
+    except Exception as cause:  # what Spark raises here is of many kinds, and the last line tells
+        raise UsageError(f"Spark does not start on {master} ({_last_line(cause)}).{_advice(cause)}") from cause
+    spark.sparkContext.setLogLevel("ERROR")
+    try:
+        yield spark
+    finally:
+        if not running:
+            spark.stop()
+
+
+def _builder() -> tuple[SparkSession.Builder, bool]:
+    """Return what builds a session, and whether there is one already."""
+    try:
+        from pyspark.sql import SparkSession
+    except ModuleNotFoundError as cause:
+        raise UsageError("Spark is not here. Type: pip install 'becalm[spark]', and install Java 17.") from cause
+    return SparkSession.builder, SparkSession.getActiveSession() is not None
+
+
+def _settings(master: str) -> dict[str, str]:
+    """Return settings for a master; on this machine workers are this very Python, and nobody else is let in."""
+    if not master.startswith("local"):
+        return _QUIET
+    os.environ.setdefault("PYSPARK_PYTHON", sys.executable)
+    os.environ.setdefault("SPARK_LOCAL_IP", _LOOPBACK)
+    return _QUIET | {"spark.driver.host": _LOOPBACK, "spark.driver.bindAddress": _LOOPBACK}
+
+
+def _last_line(cause: BaseException) -> str:
+    lines = [line.strip() for line in str(cause).splitlines() if line.strip()]
+    return lines[0][:200] if lines else type(cause).__name__
+
+
+def _advice(cause: BaseException) -> str:
+    if "JAVA" in str(cause).upper():
+        return " It needs Java 17 or newer: install one (Debian: openjdk-17-jre-headless), or set JAVA_HOME."
+    return " Name one that is there with --master, as local[4] or spark://HOST:7077."

@@ -1,0 +1,1 @@
+"""One sensor's endless recording, cut in time: each stretch warms up on what was before, and seams are certified."""

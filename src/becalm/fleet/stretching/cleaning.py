@@ -1,0 +1,123 @@
+"""Long sensors through their recipes: looked over, cut, cleaned side by side, and certified."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from becalm.fleet.engine import run_tasks
+from becalm.fleet.job import Job, Sensor
+from becalm.fleet.marks import Mark
+from becalm.fleet.outcome import Outcome
+from becalm.fleet.stretching.joining import joined_outcome
+from becalm.fleet.stretching.long import Long, Stretch
+from becalm.fleet.stretching.run import Told, run_stretch
+from becalm.fleet.stretching.seams import overlaps_agree, to_run_again
+from becalm.fleet.stretching.survey import survey
+from becalm.fleet.whole import clean_whole, commit, told_by
+
+if TYPE_CHECKING:
+    from pyspark.sql import SparkSession
+
+
+class Task(NamedTuple):
+    """A stretch of one of several long sensors."""
+
+    sensor: int  # its place among them
+    stretch: Stretch
+
+
+class Course:
+    """How far a long sensor has come.
+
+    Parameters
+    ----------
+    long : Long
+        The sensor.
+
+    Attributes
+    ----------
+    failed : Outcome or None
+        Why it cannot be cleaned.
+    whole : bool
+        Whether it cannot be cut, and has to be cleaned as a whole.
+    """
+
+    def __init__(self, long: Long) -> None:
+        self.long, self.whole = long, False
+        self.failed: Outcome | None = None
+        self._told: dict[int, Told] = {}
+        self._again, self._took_s = 0, long.took_s
+
+    def hear(self, told: Told | Outcome) -> None:
+        """Take what became of a stretch."""
+        if isinstance(told, Outcome):
+            self.failed = told
+        else:
+            self._told[told.stretch.number] = told
+            self._took_s += told.took_s
+
+    def next(self) -> list[Stretch]:
+        """Return what is to be run now: all stretches; then those that do not begin where the one before ended."""
+        if self.failed is not None or self.whole:
+            return []
+        if not self._told:
+            return [Stretch(number, *span) for number, span in enumerate(pairwise(self.long.cuts))]
+        if not self.long.causal:
+            self.whole = not overlaps_agree(self._in_order)
+            return []
+        again = to_run_again(self._in_order)
+        self.whole = again is None
+        self._again += len(again or ())
+        return again or []
+
+    def finish(self) -> Outcome:
+        """Let the output appear, and say what became of the sensor.
+
+        Raises
+        ------
+        OutputError
+            If the output cannot appear.
+        """
+        if self.failed is not None:
+            return self.failed
+        long, told = self.long, self._in_order
+        outcome = joined_outcome(long, told, self._again, self._took_s)
+        names = tuple(piece.name for one in told for piece in one.pieces)
+        commit(long.job, long.sensor, Path(long.staged), Mark(long.hashed, names, outcome))
+        return outcome
+
+    @property
+    def _in_order(self) -> list[Told]:
+        return [self._told[number] for number in sorted(self._told)]
+
+
+def clean_long(spark: SparkSession, job: Job, sensors: Sequence[Sensor]) -> list[Outcome]:
+    """Clean sensors that may be long, each in several tasks at once.
+
+    Parameters
+    ----------
+    spark : SparkSession
+        Where.
+    job : Job
+        What is to be done.
+    sensors : sequence of Sensor
+        Of the lake.
+    """
+    looked = run_tasks(spark, partial(survey, job), sensors)
+    courses = [Course(one) for one in looked if isinstance(one, Long)]
+    while tasks := [Task(place, stretch) for place, course in enumerate(courses) for stretch in course.next()]:
+        longs = [course.long for course in courses]
+        for task, told in zip(tasks, run_tasks(spark, partial(_run, longs), tasks), strict=True):
+            courses[task.sensor].hear(told)
+    uncut = [course.long.sensor for course in courses if course.whole]
+    outcomes = [one for one in looked if isinstance(one, Outcome)] + run_tasks(spark, partial(clean_whole, job), uncut)
+    return outcomes + [told_by(course.long.sensor, course.finish) for course in courses if not course.whole]
+
+
+def _run(longs: Sequence[Long], task: Task) -> Told | Outcome:
+    long = longs[task.sensor]
+    return told_by(long.sensor, lambda: run_stretch(long, task.stretch))

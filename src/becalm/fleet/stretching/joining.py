@@ -1,0 +1,97 @@
+"""What was found in the stretches of a sensor, told of all of it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from becalm.cleaning.faults import Fault
+from becalm.cleaning.report import ChannelReport
+from becalm.core.verdict import Verdict
+from becalm.fleet.outcome import SHOWN, Outcome
+from becalm.fleet.stretching.long import Long
+from becalm.fleet.stretching.run import Told
+from becalm.report.fleet_rows import FleetRow, faults_told, usable_share
+
+_WORST_FIRST = ("does not fit", "fits except", "fits", "constant", "untold")
+_NO_FAULT = (Verdict.USED, Verdict.MISSING, Verdict.SPIKE, Verdict.STEP)
+
+
+class _Part(NamedTuple):
+    """A channel in one stretch."""
+
+    told: Told
+    report: ChannelReport
+    counts: dict[Verdict, int]
+
+    @property
+    def used(self) -> int:
+        return self.counts.get(Verdict.USED, 0)
+
+
+def joined_outcome(long: Long, told: Sequence[Told], again: int, took_s: float) -> Outcome:
+    """Return what became of a sensor that was cleaned in stretches.
+
+    Parameters
+    ----------
+    long : Long
+        The sensor.
+    told : sequence of Told
+        Of its stretches, in order.
+    again : int
+        How many of them were run again.
+    took_s : float
+        How long all of them took, in seconds.
+    """
+    parts = [[_Part(one, one.reports[c], one.counts[c]) for one in told] for c in range(len(long.first))]
+    rows = tuple(_row(long, channel) for channel in parts)
+    return Outcome(long.sensor.name, "cleaned", rows, took_s, _seams(told, again))
+
+
+def _seams(told: Sequence[Told], again: int) -> str:
+    count, smoothed = len(told), told[0].seams is not None and told[0].seams.end is None
+    if smoothed:
+        return f"{count} stretches, which agree where they overlap."
+    more = f" {again} of them run again from where the one before ended." if again else ""
+    return f"{count} stretches that begin, to the bit, where the one before ended.{more}"
+
+
+def _row(long: Long, parts: Sequence[_Part]) -> FleetRow:
+    counts = Counter[Verdict]()
+    for part in parts:
+        counts.update(part.counts)
+    worst = min(parts, key=lambda part: _WORST_FIRST.index(part.report.verdict))
+    first = parts[0].report
+    return FleetRow(
+        long.sensor.name,
+        first.name,
+        first.unit,
+        verdict=worst.report.verdict,
+        health=_mean_nis(parts),
+        noise_std=first.noise_std,
+        usable_share=usable_share({verdict.name.lower(): count for verdict, count in counts.items()}),
+        faults=faults_told(_faults(counts)),
+        says=_says(worst),
+        recipe=long.sensor.recipe[:SHOWN],
+        rows=long.known.rows,
+        rate_hz=long.known.clock.rate_hz,
+    )
+
+
+def _mean_nis(parts: Sequence[_Part]) -> float | None:
+    known = [(part.report.nis_mean, part.used) for part in parts if part.report.nis_mean is not None]
+    total = sum(used for _, used in known)
+    return sum(nis * used for nis, used in known) / total if total else None
+
+
+def _faults(counts: Counter[Verdict]) -> list[Fault]:
+    told = [verdict for verdict in sorted(counts) if counts[verdict] and verdict not in _NO_FAULT]
+    return [Fault(verdict.name.lower(), counts[verdict], 0, 0.0, 0.0) for verdict in told]
+
+
+def _says(worst: _Part) -> str:
+    if worst.report.describes:
+        return worst.report.says
+    stretch = worst.told.stretch
+    return f"Rows {stretch.first + 1} to {stretch.stop}: {worst.report.says}"

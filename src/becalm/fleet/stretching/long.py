@@ -1,0 +1,51 @@
+"""A sensor that is cut in time: what all of its stretches know of it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from becalm.files.again import Known
+from becalm.fleet.job import Job, Sensor
+from becalm.fleet.pieces import Piece
+
+State = tuple[bytes, ...]
+"""What filters stand at, or leave, packed: of each channel."""
+
+
+class Extremes(NamedTuple):
+    """Between what readings lay before a row."""
+
+    row: int
+    least: tuple[float, ...]  # of each channel
+    most: tuple[float, ...]
+
+
+class Long(NamedTuple):
+    """A sensor that is cut in time."""
+
+    job: Job
+    sensor: Sensor
+    recipe: str  # the text of its recipe, fitted to it
+    causal: bool  # whether estimates know only the past
+    known: Known
+    files: tuple[Piece, ...]  # that it came in, in order
+    staged: str  # the folder in which its output waits for its name
+    hashed: str  # what its output comes of
+    cuts: tuple[int, ...]  # the rows at which stretches begin, and the last row's end
+    first: tuple[float, ...]  # the first usable reading of each channel
+    extremes: tuple[Extremes, ...]
+    took_s: float  # to find that out
+
+    @property
+    def stretches(self) -> int:
+        """How many there are."""
+        return len(self.cuts) - 1
+
+
+class Stretch(NamedTuple):
+    """A part of one sensor's rows, to be cleaned in a task."""
+
+    number: int
+    first: int
+    stop: int
+    state: State | None = None  # what the rows before it leave, where that is known

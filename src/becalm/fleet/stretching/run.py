@@ -1,0 +1,207 @@
+"""A stretch in a task: warmed up on the rows before, cleaned, written, and told where its filters stood."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from itertools import accumulate, chain
+from pathlib import Path, PurePosixPath
+from time import monotonic
+from typing import NamedTuple
+
+import numpy as np
+
+from becalm.cleaning.cleaner import Cleaner
+from becalm.cleaning.recipe import Recipe
+from becalm.cleaning.report import ChannelReport
+from becalm.core.arrays import Floats
+from becalm.core.packing import packed, unpacked
+from becalm.core.standing import Before
+from becalm.core.verdict import Verdict, counted
+from becalm.files.again import KnownSource
+from becalm.files.asked import asked_by
+from becalm.files.opening import as_asked
+from becalm.files.through import Answer, answered, rows_of_chunks
+from becalm.fleet.pieces import Piece, Pieces
+from becalm.fleet.stretching.long import Long, State, Stretch
+from becalm.fleet.stretching.margins import begun, ended, margin_of
+from becalm.fleet.whole import metadata_of
+
+OVERLAP = 64
+"""Rows that are compared where two smoothed stretches meet."""
+
+Write = Callable[[Answer], None]
+
+
+class Seams(NamedTuple):
+    """What is compared where a stretch meets its neighbours."""
+
+    start: State | None = None  # where causal filters stood before it
+    end: State | None = None  # and after it
+    left: State | None = None  # what later rows depend on
+    alive: tuple[bool, ...] = ()  # of each channel, whether it does not matter where its hops began
+    head: Floats | None = None  # (m, 2, OVERLAP) signal and sigma of its first rows, smoothed
+    beyond: Floats | None = None  # the same of the first rows after it
+
+
+class Told(NamedTuple):
+    """What is told of a stretch."""
+
+    stretch: Stretch
+    seams: Seams | None = None  # None where the rows beside it do not tell where its filters stand
+    reports: tuple[ChannelReport, ...] = ()
+    counts: tuple[dict[Verdict, int], ...] = ()  # of verdicts that were written, of each channel
+    pieces: tuple[Piece, ...] = ()
+    took_s: float = 0.0
+
+
+class _Work(NamedTuple):
+    long: Long
+    stretch: Stretch
+    recipe: Recipe
+    source: KnownSource
+    rows: int  # at once
+
+    @property
+    def is_first(self) -> bool:
+        return self.stretch.first == 0
+
+    @property
+    def is_last(self) -> bool:
+        return self.stretch.stop == self.long.known.rows
+
+
+def run_stretch(long: Long, stretch: Stretch) -> Told:
+    """Clean a stretch of a long sensor.
+
+    Parameters
+    ----------
+    long : Long
+        What is known of the sensor.
+    stretch : Stretch
+        Which rows, and perhaps what the rows before leave.
+
+    Raises
+    ------
+    BecalmError
+        If it cannot be read, or written.
+    """
+    began = monotonic()
+    recipe = Recipe.from_toml(long.recipe)
+    source = _reopened(long, recipe)
+    work = _Work(long, stretch, recipe, source, rows_of_chunks(source, len(recipe.channel)))
+    counts = [Counter[Verdict]() for _ in recipe.channel]
+    pieces = pieces_of(long.files, stretch)
+    try:
+        with Pieces(Path(long.staged), pieces, metadata_of(recipe)) as out:
+
+            def write(answer: Answer) -> None:
+                out.write(answer.output(recipe, verdicts=True))
+                for own, told in zip(counts, answer.told, strict=True):
+                    own.update(counted(told.verdicts))
+
+            seams, reports = (_causal if recipe.mode == "causal" else _smoothed)(work, write)
+    finally:
+        source.close()
+    return Told(stretch, seams, reports, tuple(dict(own) for own in counts), tuple(pieces), monotonic() - began)
+
+
+def pieces_of(files: tuple[Piece, ...], stretch: Stretch) -> list[Piece]:
+    """Return the files that a stretch writes: one for each that its rows came in, or for the part that it has of it."""
+    pieces, begins = list[Piece](), accumulate((file.rows for file in files), initial=0)
+    for (name, rows), begin in zip(files, begins, strict=False):
+        first, stop = max(begin, stretch.first), min(begin + rows, stretch.stop)
+        if first < stop:
+            path = PurePosixPath(name)
+            whole = stop - first == rows
+            own = name if whole else str(path.with_name(f"{path.stem}.{stretch.number:06d}{path.suffix}"))
+            pieces.append(Piece(own, stop - first))
+    return pieces
+
+
+def _reopened(long: Long, recipe: Recipe) -> KnownSource:
+    job, sensor = long.job, long.sensor
+    options = asked_by(recipe, f"becalm fleet tune {job.lake} -o DIR")
+    raw, _ = as_asked(job.input_of(sensor), job.tables_of(sensor), options)
+    return KnownSource(raw, long.known)
+
+
+def _causal(work: _Work, write: Write) -> tuple[Seams | None, tuple[ChannelReport, ...]]:
+    start, left = None, None
+    if not work.is_first:
+        with Cleaner(work.recipe, work.source.clock.step_s) as before:
+            if not _warmed_up(work, before):
+                return None, ()
+            start, left = before.standing(), before.saved()
+        if start is None or left is None:
+            return None, ()
+    with Cleaner(work.recipe, work.source.clock.step_s) as own:
+        if left is not None:
+            own.restore(left)
+        _, first, stop, _ = work.stretch
+        for answer in answered(own, work.recipe, work.source.chunks(first, stop, work.rows), ends=work.is_last):
+            write(answer)
+        seams = Seams(_packed(start), _packed(own.standing()), _packed(own.saved()), tuple(own.surely_alive()))
+        return seams, own.reports()
+
+
+def _warmed_up(work: _Work, cleaner: Cleaner) -> bool:
+    """Let filters know what they know of the rows before a stretch; tell whether they can."""
+    if work.stretch.state is not None:
+        cleaner.restore([unpacked(blob) for blob in work.stretch.state])
+        return True
+    margin, first = margin_of(work.recipe, work.source.clock.step_s), work.stretch.first
+    begin = begun(work.source, work.recipe, margin, first, first)
+    if begin is None:
+        return False
+    if begin:
+        cleaner.begin_after(_before(work, begin))
+    for _ in answered(cleaner, work.recipe, work.source.chunks(begin, first, work.rows), ends=False):
+        pass
+    return True
+
+
+def _smoothed(work: _Work, write: Write) -> tuple[Seams | None, tuple[ChannelReport, ...]]:
+    margin, (_, first, stop, _) = margin_of(work.recipe, work.source.clock.step_s), work.stretch
+    most = 2 * (stop - first)
+    begin = begun(work.source, work.recipe, margin, first, most)
+    end = ended(work.source, work.recipe, margin, (stop, work.long.known.rows), most)
+    if begin is None or end is None:
+        return None, ()
+    heads, tails = list[Answer](), list[Answer]()
+    with Cleaner(work.recipe, work.source.clock.step_s) as own:
+        if begin:
+            own.begin_after(_before(work, begin))
+        spans = (begin, first), (first, stop), (stop, end)
+        chunks = chain.from_iterable(work.source.chunks(*span, work.rows) for span in spans if span[0] < span[1])
+        for answer in answered(own, work.recipe, chunks):
+            if first <= answer.chunk.first_row < stop:
+                write(answer)
+                heads += [answer] * (not heads)
+            elif answer.chunk.first_row >= stop:
+                tails += [answer] * (not tails)
+        return Seams(head=_overlap(heads), beyond=_overlap(tails)), own.reports()
+
+
+def _overlap(answers: list[Answer]) -> Floats | None:
+    """Return signal and sigma of the first rows of each channel."""
+    if not answers:
+        return None
+    return np.array([[told.signal[:OVERLAP], told.sigma[:OVERLAP]] for told in answers[0].told])
+
+
+def _before(work: _Work, begin: int) -> list[Before]:
+    """Return what went before the row that a stretch begins to warm up with."""
+    known = [one for one in work.long.extremes if one.row <= begin]
+    steps = work.source.steps_before(begin)
+    nothing = (np.inf,) * len(work.recipe.channel)
+    least = known[-1].least if known else nothing
+    most = known[-1].most if known else tuple(-one for one in nothing)
+    return [
+        Before(reading, begin, begin, steps, *between)
+        for reading, *between in zip(work.long.first, least, most, strict=True)
+    ]
+
+
+def _packed(arrays: list[dict[str, Floats]] | None) -> State | None:
+    return None if arrays is None else tuple(packed(own) for own in arrays)

@@ -1,0 +1,73 @@
+"""The certificate: where two stretches meet, the filters of both stand alike, or the later one is run again.
+
+Where a stretch began at the very numbers that the one before it ended with, for all of them, the output is the one of
+a single run: nothing of it depends on where it was cut. Smoothed stretches, whose rows depend on what comes after as
+well, are held against each other where they overlap.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+
+from becalm.core.packing import unpacked
+from becalm.core.standing import alike
+from becalm.fleet.stretching.long import State, Stretch
+from becalm.fleet.stretching.run import Told
+
+SMOOTHED_TO = 1e-10
+"""Of the uncertainty, or of the signal where that is larger: as much may two smoothed stretches differ."""
+
+
+def to_run_again(told: Sequence[Told]) -> list[Stretch] | None:
+    """Return the causal stretches that did not begin where the one before ended, with what it leaves.
+
+    Parameters
+    ----------
+    told : sequence of Told
+        Of all stretches of a sensor, in order.
+
+    Returns
+    -------
+    list of Stretch or None
+        None where the sensor cannot be cut there: rows wait for others at a seam.
+    """
+    again = list[Stretch]()
+    for before, now in pairwise(told):
+        if before.seams is None:
+            continue  # it will be run again itself
+        if before.seams.end is None or before.seams.left is None:
+            return None
+        if now.seams is None or not _fits(before.seams.end, now.seams.start, now.seams.alive):
+            again.append(now.stretch._replace(state=before.seams.left))
+    return again
+
+
+def overlaps_agree(told: Sequence[Told]) -> bool:
+    """Tell whether smoothed stretches say the same of the rows that two of them have."""
+    return all(now.seams is not None for now in told) and all(
+        _agree(before.seams.beyond, now.seams.head)
+        for before, now in pairwise(told)
+        if before.seams is not None and now.seams is not None
+    )
+
+
+def _fits(end: State, start: State | None, alive: Sequence[bool]) -> bool:
+    if start is None:
+        return False
+    pairs = zip(end, start, alive, strict=True)
+    return all(alike(unpacked(one), unpacked(other), alive=sure) for one, other, sure in pairs)
+
+
+def _agree(one: np.ndarray | None, other: np.ndarray | None) -> bool:
+    """Compare signals and sigmas (m, 2, n), each channel by its own size."""
+    if one is None or other is None:
+        return False
+    rows = min(one.shape[2], other.shape[2])
+    one, other = one[..., :rows], other[..., :rows]
+    scale = np.nanmax(np.abs(np.where(np.isfinite(other), other, np.nan)), axis=(1, 2), keepdims=True, initial=0.0)
+    same = (one == other) | (np.isnan(one) & np.isnan(other))
+    with np.errstate(invalid="ignore"):
+        return bool(np.all(same | (np.abs(one - other) <= SMOOTHED_TO * scale)))

@@ -1,0 +1,27 @@
+"""What killed tasks left behind goes when a job is done: then nobody writes any more."""
+
+from __future__ import annotations
+
+import fnmatch
+import os
+import shutil
+from pathlib import Path
+
+from becalm.fleet.pieces import STAGED
+
+
+def swept(output: Path) -> int:
+    """Remove folders of files that never got their names; return how many there were.
+
+    Parameters
+    ----------
+    output : Path
+        Of a job that nobody works on any more.
+    """
+    left = 0
+    for folder, names, _ in os.walk(output):  # what goes meanwhile is no matter
+        for name in fnmatch.filter(names, STAGED):
+            shutil.rmtree(Path(folder) / name, ignore_errors=True)
+            names.remove(name)
+            left += 1
+    return left

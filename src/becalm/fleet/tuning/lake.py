@@ -1,0 +1,170 @@
+"""A lake tuned: each sensor in a task of its own, a recipe for each class, and that run over its sensors once more."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from functools import partial
+from pathlib import Path
+from time import monotonic
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from becalm.errors import InputError, UsageError
+from becalm.files.plain import make_folder, refuse_unwritable
+from becalm.fleet.batch import refuse_inside
+from becalm.fleet.engine import run_tasks
+from becalm.fleet.job import Job, Sensor
+from becalm.fleet.lake import FILE, FOLDER, places_in
+from becalm.fleet.outcome import Outcome
+from becalm.fleet.tuning.classes import MOST_SENSORS, Chosen, TunedClass, chosen_of
+from becalm.fleet.tuning.sensor import judge_sensor, tune_sensor
+from becalm.fleet.tuning.written import REPORT, book_of, named_recipes, refuse_recipes, write_found
+from becalm.report.fleet_page import FleetFacts
+from becalm.report.fleet_rows import FleetRow
+
+if TYPE_CHECKING:
+    from pyspark.sql import SparkSession
+
+Run = Callable[[Callable[[Any], Any], Sequence[Any]], list[Any]]
+"""Does some work for each of several tasks, and returns what was told in their order, as `fleet.engine.run_tasks`."""
+
+
+class Asked(NamedTuple):
+    """What may be asked of tuning a lake.
+
+    Attributes
+    ----------
+    by : {"folder", "file"}
+        What tells a sensor.
+    causal : bool
+        Whether recipes shall filter, or smooth.
+    most_sensors : int
+        Of each class, that are tuned.
+    own : bool
+        Whether sensors that are unlike their class get recipes of their own.
+    replace : bool
+        Whether new recipes take the place of those that are there.
+    """
+
+    by: str = FOLDER
+    causal: bool = False
+    most_sensors: int = MOST_SENSORS
+    own: bool = False
+    replace: bool = False
+
+
+NOTHING_ASKED = Asked()
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """What was found in a lake.
+
+    Attributes
+    ----------
+    classes : tuple of TunedClass
+        By name.
+    recipes : tuple of str
+        Names of those that were written, as sensors look them up: "kind=pump", and "kind=pump/sensor=17" of its own.
+    rows : tuple of FleetRow
+        Of every channel of every sensor that was looked at.
+    report : Path
+        The page that tells of them, worst first.
+    """
+
+    classes: tuple[TunedClass, ...]
+    recipes: tuple[str, ...]
+    rows: tuple[FleetRow, ...]
+    report: Path
+
+
+def tune(spark: SparkSession, lake: Path, recipes: Path, asked: Asked = NOTHING_ASKED) -> Tuned:
+    """Find a recipe for each class of a lake, and the sensors that are unlike their class.
+
+    Parameters
+    ----------
+    spark : SparkSession
+        Where; all its workers must have becalm, and see the lake under this path.
+    lake : Path
+        A folder of Parquet files, as `kind=pump/sensor=17/date=2026-01-02/part-0.parquet`. It is only read.
+    recipes : Path
+        A folder for the recipes, laid out as the lake: `kind=pump.toml`, and `default.toml` for sensors that are in the
+        lake itself. `report.html` and `sensors.jsonl` beside them tell what was found.
+    asked : Asked
+        What tells a sensor, which of them are tuned, and how.
+
+    Raises
+    ------
+    InputError
+        If the lake holds no sensor, cannot be read, or none of them can be tuned.
+    UsageError
+        If the folder is in the lake, or holds recipes that are not to be replaced, or what is asked cannot be.
+    OutputError
+        If it cannot be written.
+    """
+    return tune_by(partial(run_tasks, spark), lake, recipes, asked)
+
+
+def tune_by(run: Run, lake: Path, recipes: Path, asked: Asked = NOTHING_ASKED) -> Tuned:
+    """Do as `tune`, wherever tasks run."""
+    began, started = datetime.now(UTC), monotonic()
+    lake, recipes = lake.resolve(), recipes.resolve()
+    chosen = chosen_in(lake, recipes, asked)
+    make_folder(recipes)
+    refuse_unwritable(recipes / REPORT)
+    classes = _judged(run, lake, asked.by, chosen, _tuned(run, lake, asked.causal, chosen))
+    if not any(klass.found for klass in classes):
+        first = classes[0].failed[0]
+        raise InputError(f"No sensor of {lake} could be tuned; the first, {first.sensor}: {first.reason}")
+    named = named_recipes(classes, own=asked.own)
+    names, took_s = tuple(sorted(named)), monotonic() - started
+    facts = FleetFacts(lake.name, recipes.name, began.isoformat(), took_s, recipes=names)
+    rows = write_found(recipes, classes, named, facts)
+    return Tuned(tuple(classes), names, tuple(rows), recipes / REPORT)
+
+
+def chosen_in(lake: Path, recipes: Path, asked: Asked = NOTHING_ASKED) -> list[Chosen]:
+    """Return the sensors of a lake that are to be tuned, by their classes; what cannot be done is refused here.
+
+    Raises
+    ------
+    InputError
+        If the lake holds no sensor, or cannot be read.
+    UsageError
+        As `tune`.
+    """
+    if asked.by not in (FOLDER, FILE):
+        raise UsageError(
+            f"--by {asked.by} tells sensors apart by a column, and classes are folders of sensors. Tune a recipe on the"
+            " file of one sensor, becalm tune FILE -o R.toml, and use it with: becalm fleet clean ... --recipe R.toml"
+        )
+    if asked.most_sensors < 1:
+        raise UsageError(f"--sensors {asked.most_sensors} tunes none; give a number above 0, or leave it out.")
+    refuse_inside(lake.resolve(), recipes.resolve())
+    if not asked.replace:
+        refuse_recipes(recipes)
+    return chosen_of(places_in(lake, asked.by), asked.most_sensors)
+
+
+def _tuned(run: Run, lake: Path, causal: bool, chosen: Sequence[Chosen]) -> list[TunedClass]:
+    """Tune the sensors of classes, and find the recipe of each class."""
+    tasks = _longest_first([Sensor(place.name, place.bytes, "") for one in chosen for place in one.places])
+    told = dict(zip((task.name for task in tasks), run(partial(tune_sensor, str(lake), causal), tasks), strict=True))
+    return [TunedClass.of(one, told) for one in chosen]
+
+
+def _judged(run: Run, lake: Path, by: str, chosen: Sequence[Chosen], classes: Sequence[TunedClass]) -> list[TunedClass]:
+    """Run the recipe of each class over those of its sensors that could be tuned."""
+    book = book_of(named_recipes(classes, own=False))
+    tuned = {one.sensor for klass in classes if klass.typical is not None for one in klass.found}
+    places = [place for one in chosen for place in one.places if place.name in tuned]
+    tasks = _longest_first([Sensor(place.name, place.bytes, book.hash_for(place.name) or "") for place in places])
+    told: list[Outcome] = run(partial(judge_sensor, Job(str(lake), "", book.by_hash, by)), tasks)
+    judged = {outcome.sensor: outcome for outcome in told}
+    return [klass.with_judged(judged) for klass in classes]
+
+
+def _longest_first(sensors: Sequence[Sensor]) -> list[Sensor]:
+    """Return sensors in the order of their sizes, so that none is waited for in the end."""
+    return sorted(sensors, key=lambda sensor: -sensor.bytes)

@@ -1,0 +1,95 @@
+"""One sensor in a task: tuned on a sample of it, and its class's recipe run over the same rows."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from time import monotonic
+
+import numpy as np
+
+from becalm.cleaning.calibrating import calibrated
+from becalm.cleaning.pipeline import clean
+from becalm.cleaning.recipe import Recipe
+from becalm.cleaning.tuning import tune
+from becalm.core.compiling import compile_quickly
+from becalm.core.recording import Recording
+from becalm.files.opening import OpenSource, open_source
+from becalm.files.portions import rows_to_tune_on
+from becalm.fleet.job import Job, Sensor
+from becalm.fleet.outcome import SHOWN, Outcome
+from becalm.fleet.tuning.found import Found, TunedChannel
+from becalm.fleet.whole import opened, told_by
+from becalm.report.fleet_rows import FleetRow, row_of
+
+
+def tune_sensor(lake: str, causal: bool, sensor: Sensor) -> Found | Outcome:
+    """Find the recipe of a sensor; whatever is wrong with it is told, and raised nowhere.
+
+    Parameters
+    ----------
+    lake : str
+        A folder that every worker sees under this path.
+    causal : bool
+        Whether the recipe shall filter, or smooth.
+    sensor : Sensor
+        One of the lake.
+
+    Returns
+    -------
+    Found or Outcome
+        The outcome of a sensor that could not be tuned has the reason.
+    """
+    return told_by(sensor, lambda: _tuned(Path(lake) / sensor.name, causal, sensor.name))
+
+
+def judge_sensor(job: Job, sensor: Sensor) -> Outcome:
+    """Say what a recipe makes of the rows of a sensor that its own was tuned on; nothing is raised, or written.
+
+    Parameters
+    ----------
+    job : Job
+        That has the recipe; its output is not looked at.
+    sensor : Sensor
+        One of the lake.
+    """
+    return told_by(sensor, lambda: _judged(job, sensor))
+
+
+def _tuned(place: Path, causal: bool, name: str) -> Found:
+    began = monotonic()
+    compile_quickly()
+    with open_source(place) as source:
+        sample = source.sample(rows_to_tune_on(source))
+        recipe = _with_origin(tune(sample, causal=causal), source)
+        rows = _rows(name, sample, recipe, source.rate_hz)
+    channels = [_channel(name, recipe, row, sample) for row in rows]
+    return Found(name, recipe, tuple(channels), monotonic() - began)
+
+
+def _with_origin(recipe: Recipe, source: OpenSource) -> Recipe:
+    """Say in a recipe what it was tuned on, and how its sensors were calibrated."""
+    origin = recipe.tuned_on.model_copy(update={"sha256": source.sha256()})
+    return recipe.model_copy(update={"tuned_on": origin, "channel": calibrated(recipe.channel, source.calibrations)})
+
+
+def _judged(job: Job, sensor: Sensor) -> Outcome:
+    began, found = monotonic(), opened(job, sensor)
+    with found.source as source:
+        sample = source.sample(rows_to_tune_on(source))
+        rows = _rows(sensor.name, sample, found.recipe, source.rate_hz, sensor.recipe[:SHOWN])
+    return Outcome(sensor.name, "cleaned", tuple(rows), monotonic() - began)
+
+
+def _rows(sensor: str, sample: Recording, recipe: Recipe, rate_hz: float, hashed: str = "") -> list[FleetRow]:
+    """Say what a recipe makes of a sample, a row a channel."""
+    reports = clean(sample, recipe).reports
+    return [row_of(sensor, report, recipe=hashed, rate_hz=rate_hz) for report in reports]
+
+
+def _channel(sensor: str, recipe: Recipe, row: FleetRow, sample: Recording) -> TunedChannel:
+    own = next(channel for channel in recipe.channel if channel.name == row.channel)
+    readings = sample.channel(row.channel)
+    largest = np.inf if own.limits is None or own.limits.largest is None else own.limits.largest
+    seen = readings[np.isfinite(readings) & (np.abs(readings) <= largest)]
+    span = (float(seen.min()), float(seen.max())) if len(seen) else (np.nan, np.nan)
+    return TunedChannel(sensor, own, row, *span)

@@ -1,0 +1,114 @@
+"""The recipe of a class: for each channel that of its most typical sensor, so that it is right for one at least.
+
+The rule. A class's recipe has the channels, by name and unit, that more than half of its tuned sensors have. For each
+of them the sensors count whose own filter describes it (else those that have a filter; else all: then it passes
+unchanged). Of these only those count that have the most frequent order, and of these again those that have most
+frequently the same beside it: modes, tones, coloured noise, a gate. The most typical one is their medoid: the one from
+which all others are least far, by the logarithms of noise_std and process_noise_density. Its numbers are not averaged
+with those of others; only what the sensor keeps to, its limits, has to hold for all of them (`limits`).
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Hashable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from becalm.cleaning.recipe import Recipe
+from becalm.fleet.tuning.found import Found, TunedChannel
+from becalm.fleet.tuning.limits import limits_of_class
+
+_LEAST = float(np.finfo(np.float64).tiny)  # for the logarithm of a density of 0
+
+
+class Typical(NamedTuple):
+    """The recipe of a class.
+
+    Attributes
+    ----------
+    recipe : Recipe
+        What to do with each of its sensors.
+    sensors : dict of str to str
+        By names of channels, whose recipe it is.
+    """
+
+    recipe: Recipe
+    sensors: dict[str, str]
+
+
+def typical(found: Sequence[Found]) -> Typical | None:
+    """Return the recipe of a class; None where more than half of its sensors have no channel in common.
+
+    Parameters
+    ----------
+    found : sequence of Found
+        Its sensors that could be tuned, by name.
+    """
+    chosen = [
+        _typical_channel(channels) for channels in channels_by_key(found).values() if 2 * len(channels) > len(found)
+    ]
+    if not chosen:
+        return None
+    sensors = {channel.recipe.name: channel.sensor for channel in chosen}
+    first = next(one.recipe for one in found if one.sensor == chosen[0].sensor)
+    alone = set(sensors.values()) == {chosen[0].sensor}
+    origin = first.tuned_on if alone else first.tuned_on.model_copy(update={"sha256": ""})
+    channels = tuple(channel.recipe for channel in chosen)
+    return Typical(first.model_copy(update={"tuned_on": origin, "channel": channels}), sensors)
+
+
+def channels_by_key(found: Sequence[Found]) -> dict[tuple[str, str], list[TunedChannel]]:
+    """Return the channels of several sensors by their names and units."""
+    told: dict[tuple[str, str], list[TunedChannel]] = {}
+    for channel in (channel for one in found for channel in one.channels):
+        told.setdefault(channel.key, []).append(channel)
+    return told
+
+
+def _typical_channel(channels: Sequence[TunedChannel]) -> TunedChannel:
+    alike = alike_in(channels)
+    chosen = alike[medoid([_place(channel) for channel in alike])]
+    limits = limits_of_class(alike, channels)
+    return chosen._replace(recipe=chosen.recipe.model_copy(update={"limits": limits}))
+
+
+def alike_in(channels: Sequence[TunedChannel]) -> list[TunedChannel]:
+    """Return those that may be typical: that fit, if any do, and have what most of them have."""
+    moving = [channel for channel in channels if channel.moves]
+    left = [channel for channel in channels if channel.fits] or moving or list(channels)
+    for trait in (_order, _beside):
+        left = _most_frequent(left, trait)
+    return left
+
+
+def _order(channel: TunedChannel) -> Hashable:
+    return channel.recipe.model, channel.recipe.order
+
+
+def _beside(channel: TunedChannel) -> Hashable:
+    recipe = channel.recipe
+    modes = 0 if recipe.switching is None else len(recipe.switching.mode)
+    removed = sum(tone.disturbance for tone in recipe.tone)
+    return modes, len(recipe.tone), removed, recipe.coloured_noise is not None, recipe.gate is not None
+
+
+def _most_frequent(channels: list[TunedChannel], trait: Callable[[TunedChannel], Hashable]) -> list[TunedChannel]:
+    """Return those whose trait is the most frequent; of equally frequent ones that of the first channel."""
+    ((most, _),) = Counter(map(trait, channels)).most_common(1)
+    return [channel for channel in channels if trait(channel) == most]
+
+
+def _place(channel: TunedChannel) -> tuple[float, float]:
+    motion = channel.recipe.motion
+    if motion is None:
+        return 0.0, 0.0
+    return float(np.log(motion.noise_std)), float(np.log(max(motion.process_noise_density, _LEAST)))
+
+
+def medoid(places: Sequence[tuple[float, float]]) -> int:
+    """Return which of some places all others are least far from, in all; of equal ones the first."""
+    points = np.array(places)
+    far = [float(np.hypot(*(points - point).T).sum()) for point in points]
+    return int(np.argmin(far))

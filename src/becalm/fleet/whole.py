@@ -1,0 +1,155 @@
+"""A sensor in one task: read, cleaned and written by the worker itself, chunk by chunk."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from time import monotonic
+from typing import NamedTuple, TypeVar
+
+from becalm.cleaning.pipeline import fitted
+from becalm.cleaning.recipe import Recipe
+from becalm.cleaning.report import ChannelReport
+from becalm.errors import BecalmError, InputError
+from becalm.files.asked import asked_by
+from becalm.files.lake.folder import FolderRows
+from becalm.files.opening import OpenSource, as_asked, understood
+from becalm.files.tables import VERDICT
+from becalm.files.through import clean_chunks
+from becalm.files.whole import sentences
+from becalm.fleet.job import Job, Sensor
+from becalm.fleet.marks import Mark, came_of
+from becalm.fleet.outcome import SHOWN, Outcome, refused
+from becalm.fleet.pieces import Piece, Pieces, put_in_place, staging
+from becalm.report.fleet_rows import row_of
+
+Done = TypeVar("Done")
+
+
+class Opened(NamedTuple):
+    """A sensor that was understood."""
+
+    source: OpenSource
+    recipe: Recipe  # fitted to it
+    pieces: tuple[Piece, ...]  # a file of the output for each that it came in, in order
+    paths: tuple[Path, ...]  # of these, where they came from
+    as_stored: bool  # whether its columns are read as they are in these
+
+
+def clean_whole(job: Job, sensor: Sensor) -> Outcome:
+    """Clean a sensor, unless it was finished before; whatever is wrong with it is told, and raised nowhere.
+
+    Parameters
+    ----------
+    job : Job
+        What is to be done.
+    sensor : Sensor
+        One of the lake.
+    """
+    return told_by(sensor, lambda: _cleaned(job, sensor))
+
+
+def told_by(sensor: Sensor, work: Callable[[], Done]) -> Done | Outcome:
+    """Do some work on a sensor; where it fails, the outcome has the reason, so that no sensor stops the others."""
+    began = monotonic()
+    try:
+        return work()
+    except BecalmError as cause:
+        return refused(sensor.name, str(cause), monotonic() - began)
+    except Exception as cause:  # rubbish of a kind that nobody has thought of
+        return refused(sensor.name, f"{type(cause).__name__}: {cause}", monotonic() - began)
+
+
+def finished(job: Job, sensor: Sensor, hashed: str) -> Outcome | None:
+    """Return the outcome of a sensor whose output is there and came of the same; None where it has to be made."""
+    mark, folder = Mark.of(job.mark_of(sensor)), job.output_folder(sensor)
+    if mark is None or mark.came_of != hashed or not all((folder / name).is_file() for name in mark.files):
+        return None
+    channels = tuple(replace(row, state="kept") for row in mark.outcome.channels)
+    return replace(mark.outcome, state="kept", channels=channels, took_s=0.0)
+
+
+def hash_of(job: Job, sensor: Sensor) -> str:
+    """Return the hash of all that the output of a sensor comes of.
+
+    Raises
+    ------
+    InputError
+        If its files cannot be listed or read.
+    """
+    if sensor.came_of:
+        return sensor.came_of
+    files = [(job.name_of(sensor, path), path) for path in job.files_of(sensor)]
+    return came_of(files, job.recipes[sensor.recipe], job.asked)
+
+
+def opened(job: Job, sensor: Sensor) -> Opened:
+    """Open a sensor as its recipe says; its source is to be closed after use.
+
+    Raises
+    ------
+    BecalmError
+        If it cannot be read, or its recipe does not fit.
+    """
+    place, recipe = job.input_of(sensor), job.recipe_of(sensor)
+    options = asked_by(recipe, f"becalm fleet tune {job.lake} -o DIR")
+    tables = job.tables_of(sensor)
+    rows = tables[0].rows
+    files = tuple(rows.pieces) if isinstance(rows, FolderRows) else ((place, rows.count),)
+    pieces = tuple(Piece(job.name_of(sensor, path), count) for path, count in files)
+    raw, options = as_asked(place, tables, options)
+    source = understood(place, raw, options)
+    try:
+        for name in options.channels or ():
+            if name + VERDICT in source.schema.names:
+                raise InputError(f"{place} has a column {name + VERDICT!r}, which is to be written; rename it.")
+        paths = tuple(path for path, _ in files)
+        return Opened(source, fitted(recipe, source.names, source.units), pieces, paths, raw.rows is rows)
+    except BaseException:
+        source.close()
+        raise
+
+
+def _cleaned(job: Job, sensor: Sensor) -> Outcome:
+    began, hashed = monotonic(), hash_of(job, sensor)
+    kept = finished(job, sensor, hashed)
+    if kept is not None:
+        return kept
+    found = opened(job, sensor)
+    with found.source as source, staging(job.output_folder(sensor)) as staged:
+        with Pieces(staged, found.pieces, metadata_of(found.recipe)) as out:
+            reports = clean_chunks(source, found.recipe, out.write, lambda *_: None, verdicts=True)
+        outcome = outcome_of(sensor, reports, source, monotonic() - began)
+        commit(job, sensor, staged, Mark(hashed, tuple(piece.name for piece in found.pieces), outcome))
+    return outcome
+
+
+def metadata_of(recipe: Recipe) -> dict[str, str]:
+    """Return what every file of an output says of how it was made."""
+    return {"becalm.recipe": recipe.to_toml()}
+
+
+def outcome_of(sensor: Sensor, reports: tuple[ChannelReport, ...], source: OpenSource, took_s: float) -> Outcome:
+    """Return what became of a sensor that was cleaned."""
+    shown = sensor.recipe[:SHOWN]
+    rows = tuple(row_of(sensor.name, report, recipe=shown, rate_hz=source.rate_hz) for report in reports)
+    return Outcome(sensor.name, "cleaned", rows, took_s)
+
+
+def commit(job: Job, sensor: Sensor, staged: Path, mark: Mark) -> None:
+    """Let the files of a sensor appear, and then the mark that says so; files of an older output go.
+
+    Raises
+    ------
+    OutputError
+        If that cannot be done; the sensor is not finished then.
+    """
+    path, folder = job.mark_of(sensor), job.output_folder(sensor)
+    older = Mark.of(path)
+    replace(mark, came_of="", files=()).write(path)  # until all are in place, none of them counts
+    put_in_place(staged, folder, mark.files)
+    for name in set(() if older is None else older.files) - set(mark.files):
+        with sentences(folder / name):
+            (folder / name).unlink(missing_ok=True)
+    mark.write(path)

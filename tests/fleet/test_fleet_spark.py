@@ -1,0 +1,172 @@
+"""Spark itself: a cluster of two workers on this machine, killed in many ways, which changes nothing."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+import becalm
+from becalm.fleet.recipes import open_book
+from becalm.fleet.session import session
+from becalm.fleet.whole import clean_whole
+from made import Lake, job_of, read_parts, recipe_of, same, table_of, walk, write_parts
+
+pytestmark = pytest.mark.slow
+
+CLUSTER = "local-cluster[2,1,1024]"
+SENSORS, ROWS = 24, 40_000
+LONG = "sensor=long"
+
+CommandLine = Callable[..., subprocess.Popen[str]]
+
+
+@pytest.fixture(scope="module")
+def lake(tmp_path_factory: pytest.TempPathFactory) -> Lake:
+    """Write a lake of usual sensors, a long one, and rubbish."""
+    folder = tmp_path_factory.mktemp("fleet")
+    for sensor in range(SENSORS):
+        table = table_of(np.arange(ROWS) / 100, a=walk(sensor, ROWS, holes=sensor % 3))
+        write_parts(folder / "lake" / f"sensor={sensor}", table, (ROWS // 3,))
+    times_s = np.arange(8 * ROWS) / 100 + 12.0 * (np.arange(8 * ROWS) > 5 * ROWS)
+    write_parts(folder / "lake" / LONG, table_of(times_s, a=walk(99, 8 * ROWS, holes=30)), (ROWS, 5 * ROWS + 7))
+    (folder / "lake" / "sensor=rubbish").mkdir()
+    (folder / "lake" / "sensor=rubbish" / "a.parquet").write_bytes(b"PAR1 and no end")
+    (folder / "r.toml").write_text(recipe_of("a").to_toml(), encoding="utf-8")
+    return Lake(folder / "lake", folder / "r.toml")
+
+
+@pytest.fixture(scope="module")
+def whole(lake: Lake) -> Path:
+    """Clean every sensor as a whole, in this very process."""
+    out = lake.root.parent / "whole"
+    book = open_book(lake.recipe)
+    job, sensors = job_of(lake.root, out, book)
+    assert sum(clean_whole(job, sensor).state == "cleaned" for sensor in sensors) == SENSORS + 1
+    return out
+
+
+def command(lake: Lake, out: Path, master: str = CLUSTER) -> list[str]:
+    words = ["fleet", "clean", lake.root, "-o", out, "--recipe", lake.recipe, "--stretch", 65536, "--master", master]
+    return [sys.executable, "-m", "becalm", *map(str, words)]
+
+
+def begun(lake: Lake, out: Path, master: str = CLUSTER) -> subprocess.Popen[str]:
+    """Start a job in a group of processes of its own."""
+    return subprocess.Popen(
+        command(lake, out, master), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True
+    )
+
+
+def finished(process: subprocess.Popen[str]) -> str:
+    told, _ = process.communicate(timeout=300)
+    assert process.returncode == 4, told  # one sensor is refused
+    assert f"{SENSORS + 1} of {SENSORS + 2} sensors are cleaned" in told, told
+    return told
+
+
+def marks(out: Path) -> int:
+    return len(list(out.glob("*/_becalm.json")))
+
+
+def wait_until(out: Path, count: int) -> None:
+    until = time.monotonic() + 200
+    while marks(out) < count and time.monotonic() < until:
+        time.sleep(0.05)
+    assert marks(out) >= count
+
+
+def as_it_would_have_been(lake: Lake, out: Path, whole: Path) -> None:
+    names = sorted(path.name for path in lake.root.iterdir() if path.name != "sensor=rubbish")
+    assert sorted(path.name for path in out.iterdir() if path.is_dir() and "=" in path.name) == names
+    for name in names:
+        assert same(read_parts(out / name), read_parts(whole / name)), name
+        assert len(becalm.read(out / name)) == read_parts(whole / name).num_rows
+    assert not list(out.rglob("*.part"))
+
+
+def processes(pattern: str, group: int) -> Iterator[int]:
+    """Find processes of a job by their command lines."""
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdigit():
+            try:
+                line = (entry / "cmdline").read_bytes().replace(b"\0", b" ").decode("utf-8", "replace")
+                if re.search(pattern, line) and os.getsid(int(entry.name)) == group:
+                    yield int(entry.name)
+            except OSError:  # it is gone
+                continue
+
+
+def test_a_cluster_gives_the_same_files(lake: Lake, whole: Path, tmp_path: Path) -> None:
+    told = finished(begun(lake, tmp_path / "out"))
+    assert "sensor=rubbish: " in told
+    as_it_would_have_been(lake, tmp_path / "out", whole)
+    again = finished(begun(lake, tmp_path / "out", "local[1]"))
+    assert f"{SENSORS + 1} were finished before" in again
+
+
+@pytest.mark.parametrize(
+    ("victim", "pattern"),
+    [("executor", r"CoarseGrainedExecutorBackend"), ("worker", r"pyspark[./]daemon"), ("both", r"Executor|daemon")],
+)
+def test_killed_workers_change_nothing(lake: Lake, whole: Path, tmp_path: Path, victim: str, pattern: str) -> None:
+    process, out = begun(lake, tmp_path / "out"), tmp_path / "out"
+    wait_until(out, 3)
+    killed = 0
+    for pid in list(processes(pattern, process.pid))[: 1 if victim == "executor" else None]:
+        os.kill(pid, signal.SIGKILL)
+        killed += 1
+    assert killed, victim
+    finished(process)
+    as_it_would_have_been(lake, out, whole)
+
+
+def test_a_killed_job_is_taken_up_again(lake: Lake, whole: Path, tmp_path: Path) -> None:
+    """The driver is killed three times; what was finished stays, and no half sensor is ever read."""
+    out = tmp_path / "out"
+    for count in (2, 9, 16):
+        process = begun(lake, out)
+        wait_until(out, count)
+        os.killpg(process.pid, signal.SIGKILL)
+        process.communicate()
+        for place in out.glob("sensor=*"):
+            files = [path for path in place.rglob("*.parquet") if not any(".part" in part for part in path.parts)]
+            if (place / "_becalm.json").is_file() and files:
+                assert len(becalm.read(place)) == read_parts(whole / place.name).num_rows
+    told = finished(begun(lake, out))
+    assert int(re.search(r"\((\d+) were finished before", told)[1]) >= 16  # type: ignore[index]
+    as_it_would_have_been(lake, out, whole)
+
+
+def test_a_session_is_of_this_machine_alone(tmp_path: Path) -> None:
+    with session("local[1]") as spark:
+        assert spark.conf.get("spark.driver.bindAddress") == "127.0.0.1"
+        assert spark.conf.get("spark.ui.enabled") == "false"
+        assert spark.range(3).count() == 3
+
+
+def test_what_spark_cannot_do_is_said(lake: Lake, tmp_path: Path) -> None:
+    ran = subprocess.run(command(lake, tmp_path / "out", "nonsense"), capture_output=True, text=True, check=False)
+    assert (ran.returncode, ran.stdout) == (2, "")
+    assert "Spark does not start on nonsense" in ran.stderr
+    assert "Traceback" not in ran.stderr
+
+
+def test_a_file_never_seen_by_its_name(lake: Lake, tmp_path: Path) -> None:
+    """A recipe made on one machine runs on another: what comes out of a file comes out of a lake."""
+    one = tmp_path / "one.parquet"
+    subprocess.run(
+        [sys.executable, "-m", "becalm", "clean", str(lake.root / LONG), "-o", str(one), "--verdicts", "--recipe",
+         str(lake.recipe)], capture_output=True, check=False,
+    )  # fmt: skip
+    finished(begun(lake, tmp_path / "out", "local[2]"))
+    assert same(read_parts(tmp_path / "out" / LONG), pq.read_table(one))
