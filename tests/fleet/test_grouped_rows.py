@@ -170,9 +170,7 @@ def test_values_types_and_units_are_those_of_the_file(tmp_path: Path) -> None:
         pa.array([5, 1, 3, 2], pa.date32()),
         pa.array([5, 1, 3, 2], pa.duration("us")),
         pa.array([2**63 + 5, 2**63 + 1, 2**63 + 3, 2**63 + 2], pa.uint64()),  # apart by less than float64 tells
-        pa.array(
-            [1_700_000_000_000_000_005, 1_700_000_000_000_000_001, 1_700_000_000_000_000_003, 1_700_000_000_000_000_002]
-        ),
+        pa.array([17 * 10**17 + 5, 17 * 10**17 + 1, 17 * 10**17 + 3, 17 * 10**17 + 2]),
         pa.array([0.5, 0.1, 0.3, 0.2], pa.float32()),
         pa.array(["2026-01-02 10:00:05", "2026-01-02 10:00:01", "2026-01-02T10:00:03.5", "2026-01-02 10:00:02.25"]),
         pa.array(["2026-01-05", "2026-01-01", "2026-01-03", "2026-01-02"]),
@@ -181,8 +179,7 @@ def test_values_types_and_units_are_those_of_the_file(tmp_path: Path) -> None:
 )
 def test_time_may_be_anything_that_tells_it(tmp_path: Path, times: pa.Array) -> None:
     pq.write_table(keyed(pa.table({"timestamp": times, "row": range(4)}), "x"), tmp_path / "0.parquet")
-    assert brought_together(tmp_path, 1, "sensor=x").column("row").to_pylist()[-1] == 0
-    assert set(brought_together(tmp_path, 1, "sensor=x").column("row").to_pylist()) == {0, 1, 2, 3}
+    assert brought_together(tmp_path, 1, "sensor=x").column("row").to_pylist() == [1, 3, 2, 0]
 
 
 def test_date_and_time_of_day_apart_order_rows_together(tmp_path: Path) -> None:
