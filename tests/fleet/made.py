@@ -99,7 +99,7 @@ def one_after_the_other(spark: object, work: Callable[[Any], Any], tasks: Sequen
 
 def without_spark(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let jobs run without Spark."""
-    for module in ("becalm.fleet.batch", "becalm.fleet.stretching.cleaning"):
+    for module in ("becalm.fleet.batch", "becalm.fleet.grouped.cleaning", "becalm.fleet.stretching.cleaning"):
         monkeypatch.setattr(f"{module}.run_tasks", one_after_the_other)
 
 

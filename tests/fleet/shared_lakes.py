@@ -12,9 +12,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from becalm.core.arrays import Integers
-from made import table_of, walk
+from becalm.fleet.batch import Asked, Fleet, clean
+from becalm.fleet.recipes import open_book
+from made import Lake, Run, table_of, walk
 
 KEY = "sensor"
+SPARK: Any = None
+BY_SENSOR = Asked(by=KEY)
 
 
 def own_table(seed: int, rows: int) -> pa.Table:
@@ -44,3 +48,27 @@ def write_files(folder: Path, table: pa.Table, files: int = 3, **how: Any) -> Pa
     for number, (first, stop) in enumerate(pairwise(np.linspace(0, table.num_rows, files + 1).astype(int).tolist())):
         pq.write_table(table.slice(first, stop - first), folder / f"part-{number}.parquet", **how)
     return folder
+
+
+def cleaned(lake: Lake, asked: Asked = BY_SENSOR) -> Fleet:
+    """Clean a lake into the folder beside it."""
+    return clean(SPARK, lake.root, lake.root.parent / "out", open_book(lake.recipe), asked)
+
+
+def states(fleet: Fleet) -> dict[str, str]:
+    """Return what became of each sensor."""
+    return {one.sensor: one.state for one in fleet.outcomes}
+
+
+def read_again(*_: object) -> None:
+    """Stand in for what must not be called."""
+    raise AssertionError("samples were read")
+
+
+def as_a_file(run: Run, lake: Lake, table: pa.Table) -> pa.Table:
+    """Clean a sensor's own rows as `becalm clean` does."""
+    own, out = lake.root.parent / "own.parquet", lake.root.parent / "one.parquet"
+    pq.write_table(table, own)
+    ran = run("clean", own, "-o", out, "--recipe", lake.recipe, "--verdicts")
+    assert ran.returncode in (0, 4), ran.stderr
+    return pq.read_table(out)

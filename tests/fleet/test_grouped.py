@@ -12,24 +12,33 @@ import pyarrow.parquet as pq
 import pytest
 
 from becalm.errors import InputError, UsageError
-from becalm.fleet.batch import Asked, Fleet, clean
+from becalm.fleet.batch import Asked, clean
 from becalm.fleet.grouped import cleaning
+from becalm.fleet.grouped.strips import part_rows
 from becalm.fleet.recipes import open_book
 from becalm.fleet.whole import clean_whole
-from made import Lake, Run, one_after_the_other, read_parts, recipe_of, same, without_spark
-from shared_lakes import KEY, keyed, own_table, shuffled, together, write_files
+from made import Lake, Run, read_parts, recipe_of, same, without_spark
+from shared_lakes import (
+    BY_SENSOR,
+    KEY,
+    SPARK,
+    as_a_file,
+    cleaned,
+    keyed,
+    own_table,
+    read_again,
+    shuffled,
+    states,
+    together,
+    write_files,
+)
 
-SPARK: Any = None
-BY_SENSOR = Asked(by=KEY)
 ROWS = 3000
 
 
 @pytest.fixture(autouse=True)
-def _here(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> None:
-    """Let jobs run without Spark, but for those that are of it."""
-    if not request.node.get_closest_marker("slow"):
-        without_spark(monkeypatch)
-        monkeypatch.setattr(cleaning, "run_tasks", one_after_the_other)
+def _no_spark(monkeypatch: pytest.MonkeyPatch) -> None:
+    without_spark(monkeypatch)
 
 
 def lake_of(place: Path, *tables: pa.Table, mode: Any = "causal") -> Lake:
@@ -42,27 +51,6 @@ def lake_of(place: Path, *tables: pa.Table, mode: Any = "causal") -> Lake:
 def four(place: Path) -> Lake:
     """Write a lake of four sensors with their rows in no order."""
     return lake_of(place, shuffled([keyed(own_table(k, ROWS), f"pump {k}") for k in range(4)]))
-
-
-def cleaned(lake: Lake, asked: Asked = BY_SENSOR) -> Fleet:
-    return clean(SPARK, lake.root, lake.root.parent / "out", open_book(lake.recipe), asked)
-
-
-def states(fleet: Fleet) -> dict[str, str]:
-    return {one.sensor: one.state for one in fleet.outcomes}
-
-
-def read_again(*_: object) -> None:
-    raise AssertionError("samples were read")
-
-
-def as_a_file(run: Run, lake: Lake, table: pa.Table) -> pa.Table:
-    """Clean a sensor's own rows as `becalm clean` does."""
-    own, out = lake.root.parent / "own.parquet", lake.root.parent / "one.parquet"
-    pq.write_table(table, own)
-    ran = run("clean", own, "-o", out, "--recipe", lake.recipe, "--verdicts")
-    assert ran.returncode in (0, 4), ran.stderr
-    return pq.read_table(out)
 
 
 def output_of(lake: Lake, sensor: str) -> pa.Table:
@@ -215,6 +203,25 @@ def test_a_sensor_without_a_recipe_is_said(tmp_path: Path) -> None:
     assert "add sensor=pump 1.toml" in {one.sensor: one.reason for one in fleet.outcomes}["sensor=pump 1"]
 
 
+def test_a_file_that_changes_meanwhile_refuses_the_sensors_in_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lake = four(tmp_path)
+    pq.write_table(keyed(own_table(9, 500), "late"), lake.root / "late.parquet")
+
+    def after_a_change(*known: Any) -> Any:
+        pq.write_table(keyed(own_table(9, 400), "late"), lake.root / "late.parquet")
+        return part_rows(*known)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(cleaning, "part_rows", after_a_change)
+        fleet = cleaned(lake)
+    assert {one.sensor: one.reason for one in fleet.outcomes if one.state == "refused"} == {
+        "sensor=late": "Its files changed while they were read; wait until they are complete, and repeat."
+    }
+    assert {one.sensor for one in cleaned(lake).outcomes if one.state == "cleaned"} == {"sensor=late"}
+
+
 @pytest.mark.parametrize("by", ["pump", "sensor,plant"])
 def test_a_column_that_is_not_there_is_said_with_those_that_are(tmp_path: Path, by: str) -> None:
     with pytest.raises(UsageError, match=r"there are a, b, note, sensor, time_s\."):
@@ -229,54 +236,6 @@ def test_a_long_sensor_is_put_together_and_then_cut_in_time(tmp_path: Path, run:
     assert same(read_parts(tmp_path / "out" / "sensor=long"), as_a_file(run, lake, long))
     assert {*states(cleaned(lake, Asked(by=KEY, stretch_rows=8192))).values()} == {"kept"}
     assert not list((tmp_path / "out").rglob("*.part"))
-
-
-def by_date(place: Path, tables: dict[str, pa.Table]) -> Lake:
-    """Write sensors as folders below those of dates."""
-    for name, table in tables.items():
-        for day in range(3):
-            own = table.slice(day * table.num_rows // 3, table.num_rows // 3)
-            write_files(place / "lake" / f"date=2026-01-{day + 1:02d}" / f"sensor={name}", own, 1)
-    recipe = place / "r.toml"
-    recipe.write_text(recipe_of("a", "b").to_toml(), encoding="utf-8")
-    return Lake(place / "lake", recipe)
-
-
-def test_sensors_below_times_are_read_where_they_are(tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    tables = {"1": own_table(1, ROWS), "a%2Fb": own_table(2, ROWS)}
-    lake = by_date(tmp_path, tables)
-    with pytest.raises(UsageError, match=r"--by sensor$"):
-        cleaned(lake, Asked())
-    monkeypatch.setattr(cleaning, "part_rows", read_again)
-    assert states(cleaned(lake)) == {"sensor=1": "cleaned", "sensor=a%2Fb": "cleaned"}
-    for name, table in tables.items():
-        out = tmp_path / "out" / f"sensor={name}"
-        days = [f"date=2026-01-{day:02d}/part-0.parquet" for day in (1, 2, 3)]
-        assert sorted(path.relative_to(out).as_posix() for path in out.rglob("*.parquet")) == days
-        assert same(read_parts(out), as_a_file(run, lake, table))
-    assert {*states(cleaned(lake)).values()} == {"kept"}
-    (lake.root / "date=2026-01-03" / "sensor=1" / "part-0.parquet").unlink()
-    assert states(cleaned(lake)) == {"sensor=1": "cleaned", "sensor=a%2Fb": "kept"}
-    assert read_parts(tmp_path / "out" / "sensor=1").num_rows == 2 * ROWS // 3
-
-
-def test_a_long_sensor_below_times_is_cut_in_time(tmp_path: Path, run: Run) -> None:
-    table = own_table(1, 10 * ROWS)
-    lake = by_date(tmp_path, {"1": table})
-    (one,) = cleaned(lake, Asked(by=KEY, stretch_rows=8192)).outcomes
-    assert one.seams
-    assert same(read_parts(tmp_path / "out" / "sensor=1"), as_a_file(run, lake, table))
-
-
-def test_folders_below_times_may_need_several_keys(tmp_path: Path) -> None:
-    for plant in (1, 2):
-        write_files(tmp_path / "lake" / "date=1" / f"plant={plant}" / "sensor=3", own_table(plant, 300), 1)
-    recipe = tmp_path / "r.toml"
-    recipe.write_text(recipe_of("a").to_toml(), encoding="utf-8")
-    lake = Lake(tmp_path / "lake", recipe)
-    with pytest.raises(UsageError, match=r"--by plant,sensor$"):
-        cleaned(lake, Asked())
-    assert list(states(cleaned(lake, Asked(by="plant,sensor")))) == ["plant=1/sensor=3", "plant=2/sensor=3"]
 
 
 def test_the_lake_is_never_written_to(tmp_path: Path) -> None:

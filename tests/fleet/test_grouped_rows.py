@@ -19,19 +19,17 @@ from becalm.fleet.grouped.counting import count_rows
 from becalm.fleet.grouped.merging import merged
 from becalm.fleet.grouped.strips import Lake, Part, Strip, part_rows
 from becalm.fleet.names import NULL, below, folder_name, keys_of, named, values_in
-from made import recipe_of
 from shared_lakes import KEY, keyed
 
-RECIPE = recipe_of("a").to_toml()
 WORDS = st.text(max_size=12)
 
 
-def brought_together(folder: Path, files: int, sensor: str, parts: int = 1, recipe: str = RECIPE) -> pa.Table:
+def brought_together(folder: Path, files: int, sensor: str, parts: int = 1, time: str | None = None) -> pa.Table:
     """Part some files of a lake, and merge one sensor."""
     found: list[Strip] = []
     for number in range(files * parts):
         target = str(folder / f"{number}.strips")
-        lake = Lake(str(folder), (KEY,), {sensor: "r"}, {"r": recipe})
+        lake = Lake(str(folder), (KEY,), {sensor: time})
         told = part_rows(lake, Part(f"{number // parts}.parquet", number % parts, parts, target))
         assert not told.failed
         found += told.of.get(sensor, [])
@@ -195,8 +193,7 @@ def test_date_and_time_of_day_apart_order_rows_together(tmp_path: Path) -> None:
 def test_the_recipe_says_which_column_is_the_time(tmp_path: Path) -> None:
     pq.write_table(keyed(pa.table({"time_s": [1, 2, 3], "t2": [2, 3, 1]}), "x"), tmp_path / "0.parquet")
     assert brought_together(tmp_path, 1, "sensor=x").column("t2").to_pylist() == [2, 3, 1]
-    by_t2 = recipe_of("a").model_copy(update={"time": "t2"}).to_toml()
-    assert brought_together(tmp_path, 1, "sensor=x", recipe=by_t2).column("t2").to_pylist() == [1, 2, 3]
+    assert brought_together(tmp_path, 1, "sensor=x", time="t2").column("t2").to_pylist() == [1, 2, 3]
 
 
 @pytest.mark.parametrize(
@@ -216,7 +213,7 @@ def test_a_clock_that_is_mended_later_or_tells_nothing_leaves_rows_as_they_are(t
 
 def test_numbers_that_only_happen_to_rise_are_no_time(tmp_path: Path) -> None:
     readings = [*range(300), *range(300)]
-    pq.write_table(keyed(pa.table({"a": readings, "b": range(600)}), "x"), tmp_path / "0.parquet")
+    pq.write_table(pa.table({"a": readings, "b": range(600), KEY: ["x"] * 600}), tmp_path / "0.parquet")
     assert brought_together(tmp_path, 1, "sensor=x").column("b").to_pylist() == [*range(600)]
 
 

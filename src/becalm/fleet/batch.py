@@ -90,7 +90,8 @@ def clean(spark: SparkSession, lake: Path, output: Path, book: RecipeBook, asked
     lake : Path
         A folder of Parquet files, as `sensor=17/date=2026-01-02/part-0.parquet`. It is only read.
     output : Path
-        A folder for as many files of the same names; those of a sensor appear when all of it is done.
+        A folder for as many files of the same names; those of a sensor appear when all of it is done. Of a sensor that
+        shares its files with others it is one, as `sensor=17/part-0.parquet`.
     book : RecipeBook
         What to do with each sensor.
     asked : Asked

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -22,7 +22,7 @@ from becalm.fleet.grouped.strips import Lake, Part, Strip, Strips, part_rows
 from becalm.fleet.job import Job, Sensor
 from becalm.fleet.lake import Shared
 from becalm.fleet.outcome import Outcome, refused
-from becalm.fleet.pieces import open_staging
+from becalm.fleet.pieces import open_staging, staging
 from becalm.fleet.recipes import RecipeBook
 from becalm.fleet.stretching.cleaning import clean_long
 from becalm.fleet.whole import clean_whole, finished, told_by
@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 
 PART_ROWS = 1 << 22
 """Rows of a file that one task parts: enough work for a task, and not too many to do again."""
+
+_CHANGED = "Its files changed while they were read; wait until they are complete, and repeat."
 
 OUTPUT = "part-0.parquet"
 """The one file of a sensor."""
@@ -87,11 +89,10 @@ def clean_grouped(spark: SparkSession, job: Job, shared: Shared, book: RecipeBoo
     unfinished = [sensor for sensor in sensors if kept[sensor.name] is None]
     staged = open_staging(Path(job.output))
     with in_waiting(staged):
-        wanted = {sensor.name: sensor.recipe for sensor in unfinished}
-        lake = Lake(job.lake, shared.keys, wanted, job.recipes)
+        lake = Lake(job.lake, shared.keys, _times(job, unfinished))
         parted = _parted(spark, lake, staged, counts)
-        found, failed = _gathered(unfinished, parted)
-        return outcomes + failed + _cleaned(spark, lake, replace(job, lake=str(staged)), found)
+        found, failed = _gathered(unfinished, counts, parted)
+        return outcomes + failed + _cleaned(spark, job.lake, replace(job, lake=str(staged)), found)
 
 
 def _counted(spark: SparkSession, job: Job, shared: Shared) -> dict[str, Count]:
@@ -109,6 +110,13 @@ def _sensor(job: Job, name: str, recipe: str, counts: Mapping[str, Count]) -> Se
     return Sensor(name, 0, recipe, came_of=hashlib.sha256(told.encode()).hexdigest())
 
 
+def _times(job: Job, sensors: Sequence[Sensor]) -> dict[str, str | None]:
+    """Return the columns of time that recipes name, by sensor."""
+    by_recipe = {sensor.recipe: sensor for sensor in sensors}
+    times = {one: job.recipe_of(sensor).time for one, sensor in by_recipe.items()}
+    return {sensor.name: times[sensor.recipe] for sensor in sensors}
+
+
 def _parted(spark: SparkSession, lake: Lake, staged: Path, counts: Mapping[str, Count]) -> list[tuple[Count, Strips]]:
     """Part the files that hold rows of unfinished sensors; the parts come back in the order of the files."""
     parts, origins = list[Part](), list[Count]()
@@ -121,61 +129,69 @@ def _parted(spark: SparkSession, lake: Lake, staged: Path, counts: Mapping[str, 
 
 
 def _gathered(
-    sensors: Sequence[Sensor], parted: Sequence[tuple[Count, Strips]]
+    sensors: Sequence[Sensor], counts: Mapping[str, Count], parted: Sequence[tuple[Count, Strips]]
 ) -> tuple[list[Gathered], list[Outcome]]:
     """Return the sensors whose rows are all there, the longest first, and those in files that could not be read."""
-    strips, failed = defaultdict[str, list[Strip]](list), dict[str, str]()
+    strips, failed, rows = defaultdict[str, list[Strip]](list), dict[str, str](), Counter[str]()
+    for count in counts.values():
+        rows.update(count.rows)
     for count, part in parted:
         failed |= {name: part.failed for name in count.rows if part.failed}
         for name, some in part.of.items():
             strips[name] += some
     found = [Gathered(sensor, tuple(strips[sensor.name])) for sensor in sensors if sensor.name not in failed]
-    found.sort(key=lambda one: -one.rows)
+    failed |= {one.sensor.name: _CHANGED for one in found if one.rows != rows[one.sensor.name]}
+    found = sorted((one for one in found if one.sensor.name not in failed), key=lambda one: -one.rows)
     return found, [refused(sensor.name, failed[sensor.name]) for sensor in sensors if sensor.name in failed]
 
 
-def _cleaned(spark: SparkSession, lake: Lake, job: Job, found: Sequence[Gathered]) -> list[Outcome]:
+def _cleaned(spark: SparkSession, lake: str, job: Job, found: Sequence[Gathered]) -> list[Outcome]:
     """Clean sensors; those that are long are put together first, and then cut in time as those of other lakes."""
     told = run_tasks(spark, partial(merge_and_clean, lake, job), found)
     long = [one.sensor for one, outcome in zip(found, told, strict=True) if outcome is None]
-    outcomes = [outcome for outcome in told if outcome is not None] + clean_long(spark, job, long)
-    return [_in_words_of(lake, job, outcome) for outcome in outcomes]
+    outcomes = [outcome for outcome in told if outcome is not None]
+    return outcomes + [_in_words_of(lake, job.lake, outcome) for outcome in clean_long(spark, job, long)]
 
 
-def merge_and_clean(lake: Lake, job: Job, gathered: Gathered) -> Outcome | None:
+def merge_and_clean(lake: str, job: Job, gathered: Gathered) -> Outcome | None:
     """Put the rows of a sensor together, and clean it; None where it is long, and only put together.
 
     Parameters
     ----------
-    lake : Lake
-        Where its rows came from.
+    lake : str
+        The folder that its rows came from.
     job : Job
-        What is to be done, in the place of the lake with the folder where rows are put together.
+        What is to be done, with the folder where rows are put together in the place of the lake.
     gathered : Gathered
         The sensor.
     """
     return told_by(gathered.sensor, lambda: _merged_and_cleaned(lake, job, gathered))
 
 
-def _merged_and_cleaned(lake: Lake, job: Job, gathered: Gathered) -> Outcome | None:
+def _merged_and_cleaned(lake: str, job: Job, gathered: Gathered) -> Outcome | None:
+    if gathered.rows >= 2 * job.stretch_rows:
+        _merge(lake, job, gathered)
+        return None
+    with staging(Path(job.lake)) as own:  # of this attempt alone: another one may not know that it was given up
+        job = replace(job, lake=str(own))
+        _merge(lake, job, gathered)
+        return _in_words_of(lake, job.lake, clean_whole(job, gathered.sensor))
+
+
+def _merge(lake: str, job: Job, gathered: Gathered) -> None:
     path = job.input_of(gathered.sensor) / OUTPUT
     make_folder(path.parent)
     with open_output(path) as out:
-        for table in merged(Path(lake.root), gathered.strips):
+        for table in merged(Path(lake), gathered.strips):
             out.write(table)
-    if gathered.rows >= 2 * job.stretch_rows:
-        return None
-    with in_waiting(path):
-        return clean_whole(job, gathered.sensor)
 
 
-def _in_words_of(lake: Lake, job: Job, outcome: Outcome) -> Outcome:
+def _in_words_of(lake: str, staged: str, outcome: Outcome) -> Outcome:
     """Say why a sensor was refused without the names of files that are no more."""
     if outcome.state != "refused":
         return outcome
-    place = Path(job.lake) / outcome.sensor
-    told = {str(place / OUTPUT): f"{outcome.sensor} of {lake.root}", str(place): f"{outcome.sensor} of {lake.root}"}
-    reason = outcome.reason
-    for staged, said in (told | {job.lake: lake.root}).items():
-        reason = reason.replace(staged, said)
+    place, reason = f"{staged}/{outcome.sensor}", outcome.reason
+    own = f"{outcome.sensor} of {lake}"
+    for name, said in ((f"{place}/{OUTPUT}", own), (place, own), (staged, lake)):
+        reason = reason.replace(name, said)
     return refused(outcome.sensor, reason, outcome.took_s)

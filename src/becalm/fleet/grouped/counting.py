@@ -52,6 +52,8 @@ def count_rows(lake: str, keys: Sequence[str], file: str) -> Count:
         return Count(_rows(path, file, keys), hashed)
     except BecalmError as cause:
         return Count({}, failed=str(cause))
+    except Exception as cause:  # rubbish of a kind that nobody has thought of
+        return Count({}, failed=f"{file} cannot be read: {type(cause).__name__}: {cause}")
 
 
 def _rows(path: Path, file: str, keys: Sequence[str]) -> dict[str, int]:

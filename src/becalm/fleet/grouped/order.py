@@ -11,7 +11,6 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from becalm.cleaning.recipe import Recipe
 from becalm.core.time_repair import Steps
 from becalm.errors import TimeError, UsageError
 from becalm.files.lake.order import instants_of
@@ -36,21 +35,21 @@ Ranks = NDArray[Any]
 _TEXTS = [clock.DATE_TIME], [clock.DATE], [clock.DATE, clock.TIME_OF_DAY]
 
 
-def time_of(table: RawTable, recipe: Recipe) -> tuple[str, ...]:
+def time_of(table: RawTable, asked: str | None) -> tuple[str, ...]:
     """Return the columns that tell the time, by their names or types; () where none does.
 
     Parameters
     ----------
     table : RawTable
         A file of the lake.
-    recipe : Recipe
-        Of sensors in it; it may name the time.
+    asked : str, optional
+        The column that a recipe names.
     """
-    if recipe.time is None:
+    if asked is None:
         found = find_time(replace(table, count=min(table.count, HEAD_ROWS)))
         return next((time for time in found if _says_so(table, time[0])), ())
     try:
-        return (named_column(table, recipe.time, TIME_OPTION),)
+        return (named_column(table, asked, TIME_OPTION),)
     except UsageError:  # those sensors are refused for it when they are opened
         return ()
 

@@ -11,7 +11,6 @@ from typing import IO, NamedTuple
 import numpy as np
 import pyarrow as pa
 
-from becalm.cleaning.recipe import Recipe
 from becalm.core.arrays import Integers
 from becalm.errors import BecalmError
 from becalm.files.identity import Original
@@ -63,16 +62,13 @@ class Lake(NamedTuple):
         Its folder.
     keys : tuple of str
         What tells its sensors apart.
-    wanted : mapping of str to str
-        Sensors whose rows are wanted, and the hashes of their recipes.
-    recipes : mapping of str to str
-        Texts of recipes by their hashes.
+    wanted : mapping of str to str or None
+        Sensors whose rows are wanted, and the columns of time that their recipes name.
     """
 
     root: str
     keys: tuple[str, ...]
-    wanted: Mapping[str, str]
-    recipes: Mapping[str, str]
+    wanted: Mapping[str, str | None]
 
 
 class Part(NamedTuple):
@@ -134,7 +130,7 @@ def part_rows(lake: Lake, part: Part) -> Strips:
 def _parted(lake: Lake, part: Part) -> dict[str, list[Strip]]:
     path, target, found = Path(lake.root) / part.file, Path(part.strips), defaultdict[str, list[Strip]](list)
     table = read_parquet(path, Original(path))
-    times = {one: time_of(table, Recipe.from_toml(lake.recipes[one])) for one in set(lake.wanted.values())}
+    times = {asked: time_of(table, asked) for asked in set(lake.wanted.values())}
     with replacing(target) as file:
         for block in _share_of(path, table, part):
             rows_of = _rows_by_sensor(block, lake.keys, values_in(Path(part.file).parent))
