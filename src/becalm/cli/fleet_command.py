@@ -90,3 +90,47 @@ def tune(  # noqa: PLR0913  (the contract's options)
 
     asked = Asked(by, causal, MOST_SENSORS if sensors is None else sensors, own, replace)
     tune_lake(lake, output, asked, Where(master, conf), as_json=as_json)
+
+
+From = Annotated[
+    str, typer.Argument(metavar="SOURCE", help="A lake to which files come, kafka://HOST:PORT/TOPIC or nats://HOST/S.")
+]
+Streamed = Annotated[str, typer.Option("-o", "--output", metavar="OUT", help="Folder for what is told.")]
+Key = Annotated[str, typer.Option("--by", metavar="COLUMN", help="The column that tells whose a row is.")]
+Stamped = Annotated[str, typer.Option("--time", metavar="COLUMN", help="The column of stamps.")]
+Lateness = Annotated[
+    str, typer.Option("--lateness", metavar="5s", help="How long a row waits for earlier ones; s, ms or us.")
+]
+Silent = Annotated[
+    str | None,
+    typer.Option("--silent", metavar="60s", help="Without a row for so long, a sensor is called silent."),
+]
+Every = Annotated[str, typer.Option("--every", metavar="60s", help="How often rows are taken; s, ms or us.")]
+Once = Annotated[bool, typer.Option("--once", help="End with what is there now.")]
+Checkpoint = Annotated[
+    str, typer.Option("--checkpoint", metavar="DIR", help="Where positions and filters are kept; OUT/_checkpoint.")
+]
+
+
+@fleet.command()
+def stream(  # noqa: PLR0913  (the contract's options)
+    source: From,
+    output: Streamed,
+    recipe: o.RecipeIn = None,
+    recipes: Book = None,
+    by: Key = "sensor",
+    time: Stamped = "time",
+    lateness: Lateness = "0s",
+    silent: Silent = None,
+    every: Every = "60s",
+    once: Once = False,
+    checkpoint: Checkpoint = "",
+    master: Master = "local[*]",
+    conf: Settings = None,
+) -> None:
+    """Filter the rows of all sensors while they come; begun again, it goes on where it was."""
+    from becalm.cli.fleet import Where
+    from becalm.cli.fleet_stream import Asking, Times, stream_sensors
+
+    asking = Asking(recipe, recipes, by, time, Times(lateness, silent, every), checkpoint, once)
+    stream_sensors(source, output, asking, Where(master, conf))

@@ -1,0 +1,76 @@
+"""Streams over a fleet, on Spark, until they end, fail or are stopped."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import typer
+
+from becalm.errors import UsageError
+from becalm.fleet.session import session
+from becalm.fleet.stream import LiveBook, SensorPlan, StreamPlan
+from becalm.live.address import seconds_of
+
+if TYPE_CHECKING:
+    from becalm.cli.fleet import Where
+
+
+class Times(NamedTuple):
+    """How long is waited for what, as it was typed."""
+
+    lateness: str
+    silent: str | None
+    every: str
+
+
+class Asking(NamedTuple):
+    """What is asked of a stream."""
+
+    recipe: Path | None
+    recipes: Path | None
+    key: str
+    time: str
+    times: Times
+    checkpoint: str
+    once: bool
+
+    @property
+    def book(self) -> LiveBook:
+        """The recipes, which may change while it runs.
+
+        Raises
+        ------
+        UsageError
+            If none were named, or both kinds.
+        """
+        named = [path for path in (self.recipe, self.recipes) if path is not None]
+        if len(named) != 1:
+            raise UsageError("Name one recipe with --recipe R.toml, or a folder of them with --recipes DIR.")
+        return LiveBook(named[0].resolve(), self.key)
+
+
+def stream_sensors(source: str, output: str, asking: Asking, where: Where) -> None:
+    """Run a stream to its end.
+
+    Raises
+    ------
+    BecalmError
+        If it cannot be begun, or fails; begun again, it goes on where it was.
+    """
+    times = asking.times
+    sensors = SensorPlan(
+        asking.book,
+        asking.key,
+        asking.time,
+        lateness_s=seconds_of("--lateness", times.lateness),
+        silent_s=None if times.silent is None else seconds_of("--silent", times.silent),
+    ).with_channels()
+    every_s = seconds_of("--every", times.every)
+    plan = StreamPlan(source, output, sensors, asking.checkpoint, every_s, once=asking.once)
+    with session(where.master, where.spark) as spark:
+        from becalm.fleet.stream import run, wait
+
+        query = run(spark, plan)
+        typer.echo(f"Streams {source} into {output}; begun again after a stop, it goes on where it was.", err=True)
+        wait(query)

@@ -1,0 +1,27 @@
+"""Live filters over a fleet: Spark's structured streaming keeps a state for each sensor.
+
+`run(spark, StreamPlan(...))` starts a stream from files, Kafka or NATS into Parquet files;
+`cleaned(frame, SensorPlan(...))` is the part between, for other sources and sinks. Spark is loaded when one of them is
+asked for.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from becalm.fleet.stream.live_book import LiveBook
+from becalm.fleet.stream.plan import Book, SensorPlan, StreamPlan
+
+if TYPE_CHECKING:
+    from becalm.fleet.stream.query import cleaned, run, wait
+
+__all__ = ["Book", "LiveBook", "SensorPlan", "StreamPlan", "cleaned", "run", "wait"]
+
+
+def __getattr__(name: str) -> Any:
+    """Load what needs Spark."""
+    if name not in ("cleaned", "run", "wait"):
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from becalm.fleet.stream import query
+
+    return getattr(query, name)

@@ -1,0 +1,44 @@
+"""Rows and messages that Spark has already, as blocks of one sensor each. Loaded only where Spark is."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING
+
+from pyspark.sql import functions as sql
+
+from becalm.errors import UsageError
+from becalm.fleet.stream.gathering import gathered
+from becalm.fleet.stream.plan import SensorPlan
+from becalm.fleet.stream.shape import BATCH, MESSAGE, Shape, quoted, shape_of
+from becalm.live.messages.encoding import TIME
+
+if TYPE_CHECKING:
+    from pyspark.sql import Column, DataFrame
+
+
+def blocks_of(frame: DataFrame, plan: SensorPlan) -> tuple[Shape, DataFrame]:
+    """Return the shape of rows, or messages, and blocks of one sensor each; the plan names all channels.
+
+    Raises
+    ------
+    UsageError
+        If a column is not there, or of a type that it cannot have.
+    """
+    key = sql.coalesce(_column(plan.key).cast("string"), sql.lit("")).alias("sensor")
+    if plan.messages is not None:
+        missing = [name for name in (plan.key, *MESSAGE) if name not in frame.columns]
+        if missing:
+            raise UsageError(f"Messages need the columns {', '.join((plan.key, *MESSAGE))}; {missing[0]!r} is missing.")
+        named = [_column(name).alias(own) for name, own in MESSAGE.items()]
+        return Shape(plan.key, TIME, plan.channels), frame.select(key, *named).where("batch IS NOT NULL")
+    shape = shape_of(frame.dtypes, plan.key, plan.time, plan.channels)
+    kind = "array<double>" if shape.in_blocks else "double"
+    channels = [
+        (_column(name) if name in frame.columns else sql.lit(None)).cast(kind).alias(name) for name in shape.channels
+    ]
+    return shape, frame.select(key, _column(shape.time), *channels).mapInArrow(partial(gathered, len(channels)), BATCH)
+
+
+def _column(name: str) -> Column:
+    return sql.col(quoted(name))

@@ -1,0 +1,164 @@
+"""Rows of many sensors to blocks of one, before the engine moves them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import pyarrow as pa
+
+from becalm.core.arrays import Booleans, Floats, Integers
+from becalm.fleet.stream.blocks import Garbled, Rows
+
+_HELD_ROWS = 1 << 18
+_PER_SECOND = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
+
+Seconds = Callable[[pa.Array], Floats]
+"""Returns stamps in seconds."""
+
+
+class _Samples(NamedTuple):
+    """Rows of many sensors, some after the other."""
+
+    whose: Integers  # (N,) as `Gathering.whose` tells it
+    time_s: Floats  # (N,)
+    values: Floats  # (N, m)
+
+
+class Gathering:
+    """Holds rows until there are many, and lets them go as blocks of one sensor each.
+
+    Parameters
+    ----------
+    width : int
+        How many channels there are.
+    """
+
+    def __init__(self, width: int) -> None:
+        self._width = width
+        self._numbers: dict[tuple[str, tuple[str, ...]], int] = {}
+        self._held: list[_Samples] = []
+        self._garbled: dict[int, list[Garbled]] = {}
+        self._rows = 0
+
+    def whose(self, sensors: pa.Array, units: tuple[str, ...] = ()) -> Integers:
+        """Return the number of each row's sensor (N,), by its name; rows in other units are counted apart."""
+        own = sensors.fill_null("").dictionary_encode()
+        numbers = np.array([self._number(name, units) for name in own.dictionary.to_pylist()], np.int64)
+        return np.asarray(numbers[own.indices.to_numpy()])
+
+    def garble(self, sensor: str, garbled: Garbled) -> None:
+        """Hear of what could not be read of a sensor."""
+        self._garbled.setdefault(self._number(sensor, ()), []).append(garbled)
+
+    def add(self, whose: Integers, columns: Sequence[pa.Array], seconds: Seconds) -> Iterator[pa.RecordBatch]:
+        """Take rows, or blocks of them, and return blocks, as `shape.BATCH`, once there are many.
+
+        Parameters
+        ----------
+        whose : (N,) int array
+            Whose each is, as `whose` tells it.
+        columns : sequence of (N,) Arrow arrays
+            Stamps, and readings of each channel.
+        seconds : callable
+            Returns stamps in seconds.
+        """
+        samples, garbled = _samples(whose, columns, seconds)
+        for number, lost in enumerate(np.bincount(garbled)):
+            if lost:
+                says = f"{lost} blocks came with columns of different lengths; they were left out."
+                self._garbled.setdefault(number, []).append(Garbled(int(lost), says))
+        self._held.append(samples)
+        self._rows += len(samples.time_s)
+        if self._rows >= _HELD_ROWS:
+            yield from self.rest()
+
+    def rest(self) -> Iterator[pa.RecordBatch]:
+        """Return blocks of all that is held."""
+        nothing = _Samples(np.empty(0, np.int64), np.empty(0), np.empty((0, self._width)))
+        whose, time_s, values = (np.concatenate(parts) for parts in zip(nothing, *self._held, strict=True))
+        order = np.argsort(whose, kind="stable")
+        ends = np.cumsum(np.bincount(whose, minlength=len(self._numbers)))
+        time_s, values = time_s[order], values[order]
+        told: list[tuple[str, bytes]] = []
+        for number, (sensor, units) in enumerate(self._numbers):
+            own = slice(ends[number - 1] if number else 0, ends[number])
+            garbled = tuple(self._garbled.get(number, ()))
+            if own.start < own.stop or garbled:
+                told.append((sensor, Rows(time_s[own], values[own], units, garbled).packed()))
+        self._held, self._rows, self._garbled = [], 0, {}
+        if told:
+            yield self._batch(told)
+
+    def _number(self, sensor: str, units: tuple[str, ...]) -> int:
+        return self._numbers.setdefault((sensor, units), len(self._numbers))
+
+    def _batch(self, told: Sequence[tuple[str, bytes]]) -> pa.RecordBatch:
+        columns = [
+            pa.array([sensor for sensor, _ in told], pa.string()),
+            pa.array(np.zeros(len(told), np.int64)),  # stamps tell the order
+            pa.array([blob for _, blob in told], pa.binary()),
+            pa.array(np.zeros(len(told))),
+        ]
+        return pa.RecordBatch.from_arrays(columns, names=["sensor", "place", "batch", "stored_s"])
+
+
+def gathered(width: int, batches: Iterator[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
+    """Return blocks of one sensor each of rows: sensor, stamp, and so many channels; or of blocks of them."""
+    gathering = Gathering(width)
+    for batch in batches:
+        yield from gathering.add(gathering.whose(batch.column(0)), batch.columns[1:], seconds_of)
+    yield from gathering.rest()
+
+
+def seconds_of(column: pa.Array) -> Floats:
+    """Return stamps in seconds: timestamps, or numbers that are seconds already; NaN where there is none."""
+    if not pa.types.is_timestamp(column.type):
+        return numbers_in(column)
+    per_second = _PER_SECOND[column.type.unit]
+    ticks = column.cast(pa.int64()).fill_null(0).to_numpy()
+    if per_second == _PER_SECOND["ns"]:  # which no double holds: what is below microseconds is added to them
+        whole, rest = np.divmod(ticks, 1000)
+        seconds = whole / _PER_SECOND["us"] + rest / per_second
+    else:
+        seconds = ticks / per_second
+    return np.where(column.is_valid().to_numpy(zero_copy_only=False), seconds, np.nan)
+
+
+def numbers_in(column: pa.Array) -> Floats:
+    """Return numbers, NaN where there is none."""
+    return np.asarray(column.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False), np.float64)
+
+
+def _samples(whose: Integers, columns: Sequence[pa.Array], seconds: Seconds) -> tuple[_Samples, Integers]:
+    """Lay rows out, or blocks one after the other; also tell whose each block is that is none."""
+    time, *channels = columns
+    if not pa.types.is_list(time.type):
+        return _Samples(whose, seconds(time), np.column_stack([*map(numbers_in, channels)])), whose[:0]
+    lengths, fits = _lengths(time), np.ones(len(time), np.bool_)
+    for one in channels:
+        fits &= (_lengths(one) == lengths) | ~_valid(one)
+    lengths = np.where(fits, lengths, 0)
+    values = [_laid_out(one, lengths) for one in channels]
+    stamps = seconds(time.filter(pa.array(fits)).flatten())
+    return _Samples(np.repeat(whose, lengths), stamps, np.column_stack(values)), whose[~fits]
+
+
+def _valid(column: pa.ListArray) -> Booleans:
+    return np.asarray(column.is_valid().to_numpy(zero_copy_only=False), np.bool_)
+
+
+def _lengths(column: pa.ListArray) -> Integers:
+    return np.asarray(column.value_lengths().fill_null(0).to_numpy(zero_copy_only=False), np.int64)
+
+
+def _laid_out(column: pa.ListArray, lengths: Integers) -> Floats:
+    """Return a column of lists one after the other, those of such lengths; NaN where there is none."""
+    kept = _valid(column) & (_lengths(column) == lengths)
+    values = numbers_in(column.filter(pa.array(kept)).flatten())
+    if kept.all():
+        return values
+    out = np.full(int(lengths.sum()), np.nan)
+    out[np.repeat(kept, lengths)] = values
+    return out

@@ -1,0 +1,159 @@
+"""Parquet files of a lake, read by tasks: the engine finds them and moves their paths, and none of their rows.
+
+So a file that cannot be read is told and stops nobody; units are known, and nanoseconds, which Spark has no type for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+from urllib.parse import unquote
+
+import numpy as np
+import pyarrow as pa
+
+from becalm.core.arrays import Floats, Integers
+from becalm.errors import BecalmError, InputError
+from becalm.files.identity import Original
+from becalm.files.parquet import ParquetRows, units_of
+from becalm.fleet.stream.blocks import Garbled
+from becalm.fleet.stream.gathering import Gathering, Seconds, numbers_in, seconds_of
+from becalm.fleet.stream.plan import SensorPlan
+from becalm.fleet.stream.shape import Shape, is_reading, shape_of
+from becalm.live.lines.cells import NumberStamps, stamp_reader
+
+ENDINGS = (".parquet", ".pq")
+"""Of files that hold rows."""
+
+_ROWS = 1 << 16
+_KINDS = {"float": "float", "halffloat": "float", "int8": "int", "int16": "int", "int32": "int", "int64": "bigint"}
+_KINDS |= {"uint8": "int", "uint16": "int", "uint32": "bigint", "uint64": "bigint"}
+_LOOKED_AT = 20  # files, of which one must be readable, when a stream begins
+
+
+def lake_shape(lake: str, plan: SensorPlan) -> Shape:
+    """Find the shape of a lake's rows in one of its files.
+
+    Raises
+    ------
+    BecalmError
+        If it holds none that can be read, or a column is not there, or of a type that it cannot have.
+    """
+    why: BecalmError | None = None
+    for _, path in zip(range(_LOOKED_AT), _files(Path(lake)), strict=False):
+        try:
+            schema = ParquetRows(path, Original(path)).schema
+        except InputError as cause:
+            why = why or cause
+            continue
+        columns = [(field.name, _kind(field.type)) for field in schema]
+        if plan.key not in schema.names and _key_in(path, plan.key) is not None:
+            columns.append((plan.key, "string"))
+        told = [(name, _as_told(kind) if name == plan.time else kind) for name, kind in columns]
+        return shape_of(told, plan.key, plan.time, plan.channels)
+    raise why or InputError(
+        f"{lake} holds no Parquet file yet; a stream begins where there is one, which tells its columns."
+    )
+
+
+def read_files(shape: Shape, batches: Iterator[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
+    """Return blocks of one sensor each, as `shape.BATCH`, of the rows in files; the first column has their paths."""
+    gathering = Gathering(len(shape.channels))
+    for batch in batches:
+        for told in batch.column(0).to_pylist():
+            path = Path(told.removeprefix("file://").removeprefix("file:"))
+            sensor = _key_in(path, shape.key)
+            try:
+                for piece in _pieces(path, shape, gathering, sensor):
+                    yield from gathering.add(*piece)
+            except BecalmError as cause:
+                says = f"{cause} Its rows were left out; once it is mended, put it there under another name."
+                gathering.garble(sensor or "", Garbled(None, says))
+    yield from gathering.rest()
+
+
+class _Piece(NamedTuple):
+    """Some rows of a file, as `Gathering.add` takes them."""
+
+    whose: Integers
+    columns: list[pa.Array]
+    seconds: Seconds
+
+
+class _Clock:
+    """Reads a column of stamps in seconds; numbers by their unit, the column's name or the size of the first."""
+
+    def __init__(self, name: str, unit: str) -> None:
+        self._name, self._unit = name, unit
+        self._second = 0.0  # how many make one; 0 as long as no stamp came
+
+    def __call__(self, column: pa.Array) -> Floats:
+        if pa.types.is_timestamp(column.type):
+            return seconds_of(column)
+        numbers = numbers_in(column)
+        known = numbers[np.isfinite(numbers)]
+        if not self._second and len(known):
+            reader = stamp_reader(self._name, self._unit, float(known[0]))
+            assert isinstance(reader, NumberStamps)  # of a number
+            self._second = reader.per_second / reader.factor
+        return numbers / (self._second or 1.0)
+
+
+def _pieces(path: Path, shape: Shape, gathering: Gathering, sensor: str | None) -> Iterator[_Piece]:
+    """Read a file, some rows at a time; BecalmError if it cannot be read, or has other columns."""
+    rows = ParquetRows(path, Original(path))
+    channels = [name for name in shape.channels if name in rows.schema.names]
+    _refuse_other(path, rows.schema, shape, channels)
+    known = units_of(rows.schema)
+    units = tuple(known.get(name, "") for name in shape.channels)
+    clock = _Clock(shape.time, known.get(shape.time, ""))
+    keyed = [shape.key] if sensor is None else []
+    for table in rows.blocks([*keyed, shape.time, *channels], _ROWS):
+        columns = {name: table.column(name).combine_chunks() for name in table.column_names}
+        names = columns[shape.key].cast(pa.string()) if sensor is None else pa.repeat(sensor, len(table))
+        whose = gathering.whose(names, units)
+        missing = pa.nulls(len(table), pa.list_(pa.float64()) if shape.in_blocks else pa.float64())
+        yield _Piece(whose, [columns[shape.time], *(columns.get(name, missing) for name in shape.channels)], clock)
+
+
+def _refuse_other(path: Path, schema: pa.Schema, shape: Shape, channels: list[str]) -> None:
+    """Refuse a file whose columns are not those of the stream."""
+    if shape.time not in schema.names or not channels:
+        wanted = ", ".join(map(repr, shape.channels))
+        there = ", ".join(map(repr, schema.names))
+        raise InputError(f"{path} needs {shape.time!r} and one of {wanted}, and has {there}.")
+    for name in (shape.time, *channels):
+        kind = _kind(schema.field(name).type)
+        is_known = is_reading(kind, in_blocks=shape.in_blocks) or (name == shape.time and "timestamp" in kind)
+        if not is_known:
+            what = "arrays" if shape.in_blocks else "numbers"
+            raise InputError(f"{path} has {kind} in its column {name!r}, where others have {what}.")
+
+
+def _files(lake: Path) -> Iterator[Path]:
+    """List a lake's files as they are found, but for those whose names say that they are no data."""
+    for path in lake.rglob("*"):
+        if path.suffix in ENDINGS and not any(part.startswith(("_", ".")) for part in path.relative_to(lake).parts):
+            yield path
+
+
+def _key_in(path: Path, key: str) -> str | None:
+    """Return what a path's folders tell of a key, as `sensor=17`; None where they do not."""
+    told = [part.removeprefix(f"{key}=") for part in path.parent.parts if part.startswith(f"{key}=")]
+    return unquote(told[-1]) if told else None
+
+
+def _as_told(kind: str) -> str:
+    """Return in which type stamps are told: numbers, whatever they count, in seconds."""
+    inner = kind.removeprefix("array<").removesuffix(">")
+    return kind.replace(inner, "double") if is_reading(inner, in_blocks=False) else kind
+
+
+def _kind(kind: pa.DataType) -> str:
+    """Return what Spark calls a type."""
+    if pa.types.is_list(kind):
+        return f"array<{_kind(kind.value_type)}>"
+    if pa.types.is_timestamp(kind):
+        return "timestamp"
+    return str(kind) if pa.types.is_decimal(kind) else _KINDS.get(kind, str(kind))

@@ -1,0 +1,85 @@
+"""What Spark calls for each sensor in each micro-batch. Loaded only where Spark is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from pyspark.sql import Row
+from pyspark.sql.streaming.stateful_processor import (
+    ExpiredTimerInfo,
+    StatefulProcessor,
+    StatefulProcessorHandle,
+    TimerValues,
+)
+
+from becalm.fleet.stream.blocks import Event
+from becalm.fleet.stream.reading import Entry
+from becalm.fleet.stream.sensor import SensorWalk, Step
+from becalm.fleet.stream.state import SensorState
+
+_SHOWN = 12  # digits of a recipe's hash
+
+
+class SensorProcessor(StatefulProcessor):
+    """Keeps each sensor's state in Spark's store.
+
+    Parameters
+    ----------
+    walk : SensorWalk
+        What is done with a sensor.
+    """
+
+    def __init__(self, walk: SensorWalk) -> None:
+        self._walk = walk
+
+    def init(self, handle: StatefulProcessorHandle) -> None:
+        """Make ready for a micro-batch's sensors."""
+        self._handle = handle
+        self._state = handle.getValueState("sensor", "state binary")
+
+    def handleInputRows(  # noqa: N802  (Spark's names)
+        self,
+        key: Any,
+        rows: Iterator[Any],
+        timerValues: TimerValues,  # noqa: N803
+    ) -> Iterator[Row]:
+        """Take what came of a sensor."""
+        now_ms = timerValues.getCurrentProcessingTimeInMs()
+        entries = [Entry(row.place, row.batch, row.stored_s) for row in rows]
+        return self._done(key[0], self._walk.hear(key[0], self._before(), entries, now_ms), now_ms)
+
+    def handleExpiredTimer(  # noqa: N802
+        self,
+        key: Any,
+        timerValues: TimerValues,  # noqa: N803
+        expiredTimerInfo: ExpiredTimerInfo,  # noqa: N803
+    ) -> Iterator[Row]:
+        """Look whether a sensor is silent."""
+        now_ms, before = timerValues.getCurrentProcessingTimeInMs(), self._before()
+        return iter(()) if before is None else self._done(key[0], self._walk.wake(before, now_ms), now_ms)
+
+    def close(self) -> None:
+        """Need not do anything."""
+
+    def _before(self) -> SensorState | None:
+        held = self._state.get()
+        return None if held is None else SensorState.unpacked(bytes(held[0]))
+
+    def _done(self, sensor: str, step: Step, now_ms: int) -> Iterator[Row]:
+        self._state.update((step.state.packed(),))
+        if step.wake_ms is not None:
+            self._handle.registerTimer(step.wake_ms)
+        return iter(_answers(sensor, step, now_ms))
+
+
+def _answers(sensor: str, step: Step, now_ms: int) -> Sequence[Row]:
+    shared = {"sensor": sensor, "recipe": step.state.taken[:_SHOWN], "noticed_ms": now_ms}
+    rows = [Row(**shared, **_of(event)) for event in step.events]
+    if step.told is not None:
+        rows.append(Row(**shared, told=step.told.packed()))
+    return rows
+
+
+def _of(event: Event) -> dict[str, Any]:
+    return {"event": event.kind, "event_rows": event.rows, "says": event.says}

@@ -1,0 +1,181 @@
+"""A stream over a fleet as a query of Spark. Loaded only where Spark is."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from functools import partial
+from typing import TYPE_CHECKING
+
+from pyspark.errors import StreamingQueryException
+
+from becalm.errors import InputError, OutputError
+from becalm.files.roles import SIGMA
+from becalm.fleet.stream.frames import blocks_of
+from becalm.fleet.stream.plan import SensorPlan, StreamPlan
+from becalm.fleet.stream.processor import SensorProcessor
+from becalm.fleet.stream.sensor import SensorWalk
+from becalm.fleet.stream.shape import ANSWER, KIND, Shape
+from becalm.fleet.stream.sources import opened
+from becalm.fleet.stream.telling import told_as
+
+if TYPE_CHECKING:
+    from pyspark.sql import DataFrame, SparkSession
+    from pyspark.sql.streaming.query import StreamingQuery
+
+_RAISED = re.compile(r"^(?P<kind>[A-Za-z_][\w.]*(?:Error|Exception)): (?P<says>.+)$", re.MULTILINE)  # in a worker
+_STATES = {
+    "spark.sql.streaming.stateStore.providerClass": (
+        "org.apache.spark.sql.execution.streaming.state.RocksDBStateStoreProvider"
+    ),
+    "spark.sql.streaming.stateStore.rocksdb.changelogCheckpointing.enabled": "true",
+}
+_FILES = {
+    "spark.sql.session.timeZone": "UTC",
+    "spark.sql.parquet.outputTimestampType": "TIMESTAMP_MICROS",  # else nanoseconds, in a type that is given up
+}
+_EMPTY_BATCHES = "spark.sql.streaming.noDataMicroBatches.enabled"
+
+
+def cleaned(frame: DataFrame, plan: SensorPlan) -> DataFrame:
+    """Return what is told of a stream's rows, for any sink.
+
+    The session gets the store of states that this needs; and, where the plan says when a sensor is silent, it goes on
+    with micro-batches while no row comes, else not.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        A stream of rows: a column tells whose, one when, and each channel has one of numbers, null where missing. Or
+        of blocks of rows, whose stamps and channels are arrays. Or of messages, where the plan says so: the key,
+        `message` (binary), `place` (bigint: their order), `stored_s` (double: seconds since 1970).
+    plan : SensorPlan
+        What is done with each sensor.
+
+    Returns
+    -------
+    DataFrame
+        In the shape that came: the key, `kind`, the stamp, of each channel NAME, NAME_sigma and NAME_verdict, and
+        `recipe`, the first digits of its hash. Rows of kind "events" tell what befell a sensor's stream instead:
+        `event`, `event_rows`, `says` and `noticed`.
+
+    Raises
+    ------
+    UsageError
+        If a column is not there, or of a type that it cannot have.
+    BecalmError
+        If the plan names no channels, and its recipes cannot be read.
+    """
+    plan = plan.with_channels()
+    _settle(frame.sparkSession, _STATES | {_EMPTY_BATCHES: _word(plan.silent_s is not None)})
+    return _filtered(*blocks_of(frame, plan), plan)
+
+
+def run(spark: SparkSession, plan: StreamPlan) -> StreamingQuery:
+    """Start a stream: from a source through every sensor's filters into Parquet files, each row once.
+
+    Parameters
+    ----------
+    spark : SparkSession
+        Where. Its settings stay as they are.
+    plan : StreamPlan
+        From where, where to, and how.
+
+    Returns
+    -------
+    StreamingQuery
+        Which runs; `awaitTermination()` waits for its end.
+
+    Raises
+    ------
+    BecalmError
+        If the source is not there or its columns do not fit, or the output belongs to another stream.
+    """
+    session = spark.newSession()
+    looks = plan.sensors.silent_s is not None and not plan.once
+    beside = {_EMPTY_BATCHES: _word(looks), "spark.sql.shuffle.partitions": str(plan.partitions)}
+    _settle(session, _STATES | _FILES | beside)
+    _refuse_strangers(session, plan)
+    shape, blocks, sensors = opened(session, plan)
+    told = _filtered(shape, blocks, sensors)
+    writer = (
+        told.writeStream.format("parquet")
+        .outputMode("append")
+        .partitionBy(KIND, sensors.key)
+        .option("path", plan.output)
+        .option("checkpointLocation", plan.checkpoint_folder)
+        .options(**_plainly(told))
+    )
+    if plan.once:
+        return writer.trigger(availableNow=True).start()
+    return writer.trigger(processingTime=f"{round(plan.every_s * 1000)} milliseconds").start()
+
+
+def wait(query: StreamingQuery, timeout_s: float | None = None) -> bool:
+    """Wait until a stream has ended, or some time has passed; return whether it has ended.
+
+    Parameters
+    ----------
+    query : StreamingQuery
+        What `run` returned.
+    timeout_s : float or None
+        How long at most, in seconds.
+
+    Raises
+    ------
+    InputError
+        If the stream failed; it says why in a sentence.
+    """
+    try:
+        ended = query.awaitTermination(timeout_s)  # type: ignore[arg-type]  # it takes parts of seconds
+    except StreamingQueryException as cause:
+        raised = [found for found in _RAISED.finditer(str(cause)) if not found["kind"].startswith(("java.", "org."))]
+        says = raised[-1]["says"] if raised else str(cause).strip().splitlines()[0]
+        raise InputError(f"The stream ended: {says.rstrip('.')}. Begun again, it goes on where it was.") from cause
+    return ended is not False
+
+
+def _settle(spark: SparkSession, settings: Mapping[str, str]) -> None:
+    for name, value in settings.items():
+        spark.conf.set(name, value)
+
+
+def _word(is_so: bool) -> str:
+    return str(is_so).lower()
+
+
+def _filtered(shape: Shape, blocks: DataFrame, plan: SensorPlan) -> DataFrame:
+    processor = SensorProcessor(SensorWalk(plan, shape.channels))
+    answers = blocks.groupBy("sensor").transformWithState(
+        processor, outputStructType=ANSWER, outputMode="Append", timeMode="ProcessingTime"
+    )
+    return answers.mapInArrow(partial(told_as, shape), shape.told_ddl)
+
+
+def _plainly(told: DataFrame) -> dict[str, str]:
+    """Return options by which numbers that hardly repeat are written as they are: no dictionary is tried for them."""
+    names = [name for name, kind in told.dtypes if kind in ("double", "timestamp") and not name.endswith(SIGMA)]
+    return {f"parquet.enable.dictionary#{name}": "false" for name in names}
+
+
+def _refuse_strangers(spark: SparkSession, plan: StreamPlan) -> None:
+    """Refuse an output whose log is of another stream: Spark would leave out what it takes for written."""
+    told = _is_there(spark, f"{plan.output}/_spark_metadata")
+    kept = _is_there(spark, f"{plan.checkpoint_folder}/offsets")
+    if told and not kept:
+        raise OutputError(
+            f"{plan.output} holds another stream, or this one without its checkpoint {plan.checkpoint_folder}; "
+            "name another folder for the output, or the checkpoint that belongs to it."
+        )
+    if kept and not told:
+        raise OutputError(
+            f"The checkpoint {plan.checkpoint_folder} is of a stream that does not write to {plan.output}; "
+            "name another checkpoint, or the output that belongs to it."
+        )
+
+
+def _is_there(spark: SparkSession, path: str) -> bool:
+    """Say whether a path exists, on whichever file system Spark finds it."""
+    place = spark._jvm.org.apache.hadoop.fs.Path(path)  # type: ignore[union-attr]
+    files = place.getFileSystem(spark._jsc.hadoopConfiguration())
+    return bool(files.exists(place))

@@ -1,0 +1,119 @@
+"""Where a stream's rows come from: files, Kafka, NATS. Loaded only where Spark is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pyspark.errors import AnalysisException
+from pyspark.sql import functions as sql
+
+from becalm.errors import OutputError, UsageError
+from becalm.fleet.stream.frames import blocks_of
+from becalm.fleet.stream.lake import ENDINGS, lake_shape, read_files
+from becalm.fleet.stream.plan import SensorPlan, StreamPlan
+from becalm.fleet.stream.shape import BATCH, MESSAGE, Shape
+from becalm.live.address import Address
+from becalm.live.messages.stream import MessageStream
+
+if TYPE_CHECKING:
+    from pyspark.sql import DataFrame, SparkSession
+
+START, MOST = "start", "most"
+"""Options of brokers: where a new stream begins, and how many messages a micro-batch takes at most."""
+
+_LAKE_BYTES, _MESSAGES = 256 << 20, 100_000  # in a micro-batch, where nobody says: its rows are put in order in memory
+_FILE = "path string, modificationTime timestamp, length bigint, content binary"  # of which only the path is read
+_KAFKA_START = {"first": "earliest", "now": "latest"}
+_KAFKA = "org.apache.spark:spark-sql-kafka-0-10_2.13"
+
+
+def opened(spark: SparkSession, plan: StreamPlan) -> tuple[Shape, DataFrame, SensorPlan]:
+    """Return a source's shape and its blocks, and what is done with them: of messages, if it tells messages.
+
+    Raises
+    ------
+    BecalmError
+        If it is not there, or named in a way that cannot be.
+    """
+    sensors = plan.sensors.with_channels()
+    if "://" not in plan.source:
+        _refuse_circle(plan)
+        shape = lake_shape(plan.source, sensors)
+        return shape, _paths(spark, plan.source).mapInArrow(partial(read_files, shape), BATCH), sensors
+    address = Address.parsed(plan.source)
+    if address.kind not in ("kafka", "nats"):
+        raise UsageError(
+            f"{address} is no source of a fleet; name a folder, kafka://HOST:PORT/TOPIC or nats://HOST/STREAM."
+        )
+    address.refuse_unknown(_options(address.kind))
+    sensors = replace(sensors, messages=address)
+    return *blocks_of(_messages(spark, address, sensors.key), sensors), sensors
+
+
+def most_of(address: Address) -> int:
+    """Return how many messages a micro-batch takes at most."""
+    return int(address.number(MOST, _MESSAGES, least=1))
+
+
+def _refuse_circle(plan: StreamPlan) -> None:
+    if Path(plan.output).resolve().is_relative_to(Path(plan.source).resolve()):
+        raise OutputError(f"{plan.output} is in {plan.source}, and would be read again; name a folder outside of it.")
+
+
+def _messages(spark: SparkSession, address: Address, key: str) -> DataFrame:
+    if address.kind == "kafka":
+        return kafka_messages(spark, address, key)
+    from becalm.fleet.stream.jetstream import nats_messages
+
+    return nats_messages(spark, address, key)
+
+
+def _paths(spark: SparkSession, lake: str) -> DataFrame:
+    """Return the paths of a folder's Parquet files, and of those that will come, at any depth.
+
+    They come by the time of their last change; they have to appear whole, by a rename.
+    """
+    reader = spark.readStream.format("binaryFile").schema(_FILE).option("maxBytesPerTrigger", str(_LAKE_BYTES))
+    listed = (
+        reader.option("pathGlobFilter", f"*{{{','.join(ENDINGS)}}}").option("recursiveFileLookup", "true").load(lake)
+    )
+    return listed.select("path")
+
+
+def kafka_messages(spark: SparkSession, address: Address, key: str) -> DataFrame:
+    """Return the messages of a topic, `kafka://HOST:PORT/TOPIC?start=first|now&most=N`; their key names the sensor.
+
+    Raises
+    ------
+    UsageError
+        If the address names no topic, or Spark has no source for Kafka.
+    """
+    servers, _, topic = address.rest.removeprefix("//").partition("/")
+    if not servers or not topic:
+        raise UsageError(f"{address} names no servers and topic; write kafka://HOST:9092/TOPIC.")
+    start = _KAFKA_START[address.chosen(START, tuple(_KAFKA_START), "first")]
+    reader = spark.readStream.format("kafka").option("kafka.bootstrap.servers", servers).option("subscribe", topic)
+    try:
+        told = reader.option("startingOffsets", start).option("maxOffsetsPerTrigger", str(most_of(address))).load()
+    except AnalysisException as cause:
+        if cause.getCondition() != "KAFKA_DATA_SOURCE_NOT_ENABLED":
+            raise
+        raise UsageError(
+            f"Spark reads Kafka by a library that does not come with it; start it with --packages "
+            f"{_KAFKA}:{spark.version}, or, without a network, with --jars and that library's files."
+        ) from cause
+    columns = {"message": "value", "place": "offset", "stored_s": "timestamp"}
+    kinds = {"message": "binary", "place": "bigint", "stored_s": "double"}
+    messages = [sql.col(columns[name]).cast(kinds[name]).alias(name) for name in MESSAGE]
+    return told.select(sql.col("key").cast("string").alias(key), *messages)
+
+
+def _options(kind: str) -> Sequence[str]:
+    from becalm.live.brokers.remote import OPTIONS
+
+    beside = ("subject", "creds", *OPTIONS) if kind == "nats" else ()
+    return (START, MOST, *MessageStream.OPTIONS, *beside)

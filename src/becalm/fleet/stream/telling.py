@@ -1,0 +1,114 @@
+"""What filters answered, as rows or blocks of rows again."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+
+from becalm.files.roles import SIGMA
+from becalm.files.tables import VERDICT, in_words
+from becalm.fleet.stream.blocks import Told
+from becalm.fleet.stream.shape import EVENTS, KIND, READINGS, Shape
+
+_ROWS = 1 << 15
+_MICRO = 1e6
+_TYPES = {
+    "string": pa.string(),
+    "double": pa.float64(),
+    "bigint": pa.int64(),
+    "timestamp": pa.timestamp("us", "UTC"),
+    "timestamp_ntz": pa.timestamp("us"),
+}
+
+
+class _Answer(NamedTuple):
+    """A row of `shape.ANSWER`."""
+
+    sensor: str
+    told: bytes | None
+    recipe: str
+    event: str | None
+    event_rows: int | None
+    says: str | None
+    noticed_ms: int
+
+
+def told_as(shape: Shape, batches: Iterator[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
+    """Return what filters answered in the columns of `Shape.told`."""
+    teller = _Teller(shape)
+    for batch in batches:
+        answers = [_Answer(*row) for row in zip(*(column.to_pylist() for column in batch.columns), strict=True)]
+        events = [answer for answer in answers if answer.told is None]
+        if events:
+            yield teller.events(events)
+        yield from teller.readings([answer for answer in answers if answer.told is not None])
+
+
+class _Teller:
+    def __init__(self, shape: Shape) -> None:
+        self._shape = shape
+        self._schema = pa.schema([pa.field(name, _type(kind)) for name, kind in shape.told])
+
+    def events(self, answers: Sequence[_Answer]) -> pa.RecordBatch:
+        """Return events, a row each."""
+        noticed_us = [answer.noticed_ms * 1000 for answer in answers]
+        own = {
+            self._shape.key: pa.array([answer.sensor for answer in answers], pa.string()),
+            KIND: pa.repeat(EVENTS, len(answers)),
+            "event": pa.array([answer.event for answer in answers], pa.string()),
+            "event_rows": pa.array([answer.event_rows for answer in answers], pa.int64()),
+            "says": pa.array([answer.says for answer in answers], pa.string()),
+            "noticed": pa.array(noticed_us, pa.int64()).cast(_TYPES["timestamp"]),
+        }
+        return self._batch(own, len(answers))
+
+    def readings(self, answers: Sequence[_Answer]) -> Iterator[pa.RecordBatch]:
+        """Return what is told, some answers together."""
+        held: list[pa.RecordBatch] = []
+        rows = 0
+        for answer in answers:
+            told = Told.unpacked(answer.told or b"")
+            held.append(self._of(answer, told))
+            rows += len(told.time_s)
+            if rows >= _ROWS:
+                yield pa.concat_batches(held)
+                held, rows = [], 0
+        if held:
+            yield pa.concat_batches(held)
+
+    def _of(self, answer: _Answer, told: Told) -> pa.RecordBatch:
+        shape, many = self._shape, self._readings(told)
+        rows = 1 if shape.in_blocks else len(told.time_s)
+        if shape.in_blocks:
+            many = {name: pa.ListArray.from_arrays([0, len(column)], column) for name, column in many.items()}
+        one = {shape.key: answer.sensor, KIND: READINGS, "recipe": answer.recipe}
+        return self._batch(many | {name: pa.repeat(word, rows) for name, word in one.items()}, rows)
+
+    def _readings(self, told: Told) -> dict[str, pa.Array]:
+        stamps = pa.array(told.time_s)
+        if self._shape.stamps != "double":
+            stamps = pa.array(np.round(told.time_s * _MICRO).astype(np.int64)).cast(_TYPES[self._shape.stamps])
+        columns = {self._shape.time: stamps}
+        signal, sigma, verdicts = (np.ascontiguousarray(part.T) for part in told[2:])
+        for k, place in enumerate(told.places):
+            name = self._shape.channels[place]
+            columns[name] = pa.array(signal[k])
+            columns[name + SIGMA] = pa.array(sigma[k])
+            columns[name + VERDICT] = in_words(verdicts[k]).dictionary_decode()
+        return columns
+
+    def _batch(self, own: dict[str, Any], rows: int) -> pa.RecordBatch:
+        columns = [
+            own[one.name].cast(one.type) if one.name in own else pa.nulls(rows, one.type) for one in self._schema
+        ]
+        return pa.RecordBatch.from_arrays(columns, schema=self._schema)
+
+
+def _type(kind: str) -> pa.DataType:
+    """Return a type of `Shape.told` as Arrow has it."""
+    if kind.startswith("array<"):
+        return pa.list_(pa.field("element", _TYPES[kind.removeprefix("array<").removesuffix(">")]))
+    return _TYPES[kind]

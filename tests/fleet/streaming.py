@@ -1,0 +1,134 @@
+"""What tests of streams over a fleet share: books of recipes, rough rows, and a sensor walked by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import count, pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from becalm.cleaning.recipe import Recipe
+from becalm.core.arrays import Codes, Floats
+from becalm.errors import RecipeError
+from becalm.fleet.stream.blocks import Event, Rows
+from becalm.fleet.stream.plan import FIRST_ROWS, SensorPlan
+from becalm.fleet.stream.reading import Entry
+from becalm.fleet.stream.sensor import SensorWalk, Step
+from becalm.fleet.stream.state import SensorState
+from becalm.live.block import Block
+from becalm.live.learning import resolution_of
+from becalm.live.stream import Stream
+from made import RATE_HZ, recipe_of, walk
+
+CHANNELS = ("a", "b")
+BEGINS_S = 1.764e9
+RECIPE = recipe_of(*CHANNELS)
+OTHER = recipe_of(*CHANNELS, density=0.25)
+
+
+@dataclass
+class Shelf:
+    """A book whose recipes a test changes."""
+
+    recipe: Recipe | None = RECIPE
+
+    def recipe_for(self, sensor: str) -> Recipe:
+        """Return the one there is."""
+        if self.recipe is None:
+            raise RecipeError(f"There is no recipe for {sensor!r}.")
+        return self.recipe
+
+    def channels(self) -> tuple[str, ...]:
+        """Return those of all recipes that tests put there."""
+        return CHANNELS
+
+
+class Said(NamedTuple):
+    """All that was told of a sensor's rows."""
+
+    time_s: Floats
+    signal: Floats
+    sigma: Floats
+    verdicts: Codes
+
+
+def rows_of(rows: int, seed: int = 1) -> Rows:
+    """Return rows of two channels, stretches of which are missing, in microseconds since 1970, with gaps."""
+    steps = np.arange(rows) + 30 * (np.arange(rows) > rows // 3) + 400 * (np.arange(rows) > rows // 2)
+    values = np.column_stack([walk(seed, rows, holes=3), walk(seed + 1, rows)])
+    values[rows // 4] += 300.0
+    return Rows(np.round((BEGINS_S + steps / RATE_HZ) * 1e6) / 1e6, values)
+
+
+def by_stream(rows: Rows, recipe: Recipe = RECIPE) -> Said:
+    """Return what a live stream tells of rows."""
+    stream = Stream(recipe, 1 / RATE_HZ, resolution_of(rows.time_s[:FIRST_ROWS]))
+    told = stream.take(Block(CHANNELS, ("m", "m"), rows.time_s, rows.values))
+    return Said(told.time_s, told.signal, told.sigma, told.verdicts)
+
+
+@dataclass
+class Walker:
+    """One sensor, walked through micro-batches."""
+
+    plan: SensorPlan
+    state: bytes | None = None
+    now_ms: int = 0
+    sensor: str = "s"
+    steps: list[Step] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self._walk = SensorWalk(self.plan, CHANNELS)
+        self._places: Iterator[int] = count()
+
+    def hear(self, *batches: Rows) -> Step:
+        """Take a micro-batch in which these entries come."""
+        return self.take([Entry(next(self._places), rows.packed(), 0.0) for rows in batches])
+
+    def take(self, entries: Sequence[Entry]) -> Step:
+        """Take a micro-batch of entries."""
+        before = None if self.state is None else SensorState.unpacked(self.state)
+        return self._kept(self._walk.hear(self.sensor, before, entries, self.now_ms))
+
+    def wake(self) -> Step:
+        """Look whether it is silent."""
+        assert self.state is not None
+        return self._kept(self._walk.wake(SensorState.unpacked(self.state), self.now_ms))
+
+    def _kept(self, step: Step) -> Step:
+        self.state = step.state.packed()
+        self.steps.append(step)
+        return step
+
+    @property
+    def said(self) -> Said:
+        """All that was told so far."""
+        told = [step.told for step in self.steps if step.told is not None]
+        return Said(*(np.concatenate([getattr(one, name) for one in told]) for name in Said._fields))
+
+    @property
+    def events(self) -> list[Event]:
+        """All that befell it so far."""
+        return [event for step in self.steps for event in step.events]
+
+    def kinds(self) -> list[str]:
+        """The kinds of what befell it."""
+        return [event.kind for event in self.events]
+
+
+def cut(rows: Rows, cuts: Sequence[int]) -> list[Rows]:
+    """Cut rows into micro-batches."""
+    return [part(rows, slice(a, b)) for a, b in pairwise([0, *sorted(cuts), len(rows.time_s)])]
+
+
+def part(rows: Rows, which: slice | Sequence[int]) -> Rows:
+    """Return some rows."""
+    return rows._replace(time_s=rows.time_s[which], values=rows.values[which])
+
+
+def assert_same_bits(got: Said, expected: Said) -> None:
+    """Check that the same was told."""
+    for name in Said._fields:
+        np.testing.assert_array_equal(getattr(got, name), getattr(expected, name), err_msg=name)

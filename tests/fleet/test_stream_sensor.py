@@ -1,0 +1,295 @@
+"""One sensor from micro-batch to micro-batch: what a live stream tells, wherever they are cut."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from becalm.cleaning.pipeline import clean
+from becalm.cleaning.recipe import Origin, Recipe
+from becalm.core.recording import Recording
+from becalm.core.timebase import Timebase
+from becalm.errors import UsageError
+from becalm.fleet.stream.blocks import Garbled, Rows
+from becalm.fleet.stream.plan import FIRST_ROWS, SensorPlan, StreamPlan
+from becalm.fleet.stream.sensor import SensorWalk
+from made import RATE_HZ, recipe_of
+from streaming import (
+    BEGINS_S,
+    CHANNELS,
+    RECIPE,
+    Shelf,
+    Walker,
+    assert_same_bits,
+    by_stream,
+    cut,
+    part,
+    rows_of,
+)
+
+ROWS = 1200
+
+
+def walker(recipe: Recipe | None = RECIPE, **plan: Any) -> Walker:
+    return Walker(SensorPlan(Shelf(recipe), **plan))
+
+
+def lagged(lag_s: float) -> Recipe:
+    return RECIPE.model_copy(update={"mode": "lagged", "lag_s": lag_s})
+
+
+@given(cuts=st.lists(st.integers(0, ROWS), max_size=9), seed=st.integers(0, 50))
+@settings(max_examples=30)
+def test_cuts_change_no_bit(cuts: list[int], seed: int) -> None:
+    rows, one = rows_of(ROWS, seed), walker()
+    for batch in cut(rows, cuts):
+        one.hear(batch)
+    assert_same_bits(one.said, by_stream(rows))
+    assert one.kinds() == ["gap", "gap"]
+
+
+@given(cuts=st.lists(st.integers(0, ROWS), max_size=5))
+@settings(max_examples=10)
+def test_a_lag_changes_no_bit_either(cuts: list[int]) -> None:
+    rows, one = rows_of(ROWS), walker(lagged(0.2))
+    for batch in cut(rows, cuts):
+        one.hear(batch)
+    assert_same_bits(one.said, by_stream(rows, lagged(0.2)))
+
+
+def test_it_is_the_causal_filter_of_a_file() -> None:
+    rows = rows_of(ROWS)
+    recording = Recording(rows.values, names=CHANNELS, units=("m", "m"), timebase=Timebase.from_stamps(rows.time_s))
+    recipe = RECIPE.model_copy(update={"tuned_on": Origin(rate_hz=1 / recording.timebase.step_s)})
+    one, filed = walker(recipe), clean(recording, recipe, causal=True)
+    for batch in cut(rows, [100, 333, 700]):
+        one.hear(batch)
+    np.testing.assert_allclose(one.said.signal, filed.signal.samples, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(one.said.sigma, filed.sigma.samples, rtol=1e-12)
+    np.testing.assert_array_equal(one.said.verdicts, np.column_stack([*filed.verdicts.values()]))
+
+
+@given(st.data())
+@settings(max_examples=20)
+def test_the_order_within_a_micro_batch_does_not_matter(data: st.DataObject) -> None:
+    rows, one = rows_of(300), walker()
+    for batch in cut(rows, [150]):
+        order = data.draw(st.permutations(range(150)))
+        first = data.draw(st.integers(0, 150))
+        one.hear(part(batch, order[:first]), part(batch, order[first:]))
+    assert_same_bits(one.said, by_stream(rows))
+
+
+@given(st.data())
+@settings(max_examples=20)
+def test_rows_late_by_less_than_the_lateness_are_put_in_order(data: st.DataObject) -> None:
+    rows, one = rows_of(400), walker(lateness_s=0.5)
+    came = np.argsort(rows.time_s + data.draw(st.sampled_from([0.0, 0.2, 0.4])) * np.random.default_rng(3).random(400))
+    for batch in cut(part(rows, list(came)), data.draw(st.lists(st.integers(0, 400), max_size=9))):
+        one.hear(batch)
+    told = len(one.said.time_s)
+    assert 400 - 70 < told < 400
+    assert "late" not in one.kinds()
+    assert_same_bits(one.said, by_stream(part(rows, slice(0, told))))
+
+
+def test_a_wild_stamp_hurries_nobody_and_is_left_out() -> None:
+    rows, one = rows_of(200), walker(lateness_s=0.5)
+    wild = Rows(np.array([BEGINS_S + 1e9]), np.zeros((1, 2)))
+    assert one.hear(part(rows, slice(0, 40)), wild).told is None
+    one.hear(part(rows, slice(50, 70)))
+    one.hear(part(rows, slice(40, 50)), part(rows, slice(70, 200)))
+    assert [event.kind for event in one.events if event.kind != "gap"] == ["clock"]
+    told = len(one.said.time_s)
+    assert told > 100
+    assert_same_bits(one.said, by_stream(part(rows, slice(0, told))))
+
+
+def test_late_and_repeated_rows_are_left_out_and_counted() -> None:
+    rows, one = rows_of(300), walker()
+    one.hear(part(rows, slice(0, 100)))
+    one.hear(part(rows, slice(90, 200)), part(rows, slice(150, 160)))
+    one.hear(part(rows, slice(200, 300)))
+    assert_same_bits(one.said, by_stream(rows))
+    assert sorted((event.kind, event.rows) for event in one.events if event.kind != "gap") == [
+        ("late", 9),
+        ("repeated", 11),
+    ]
+
+
+def test_a_late_file_is_no_clock_that_was_set_back() -> None:
+    rows, one = rows_of(400), walker()
+    one.hear(part(rows, slice(0, 100)))
+    one.hear(part(rows, slice(200, 300)))
+    assert one.hear(part(rows, slice(100, 200))).told is None
+    one.hear(part(rows, slice(300, 400)))
+    expected = np.r_[0:100, 200:400]
+    assert_same_bits(one.said, by_stream(part(rows, list(expected))))
+    assert ("late", 100) in [(event.kind, event.rows) for event in one.events]
+
+
+def test_a_clock_that_was_wrong_by_years_is_believed_again() -> None:
+    rows, one = rows_of(400), walker()
+    one.hear(part(rows, slice(0, 100)))
+    wrong = part(rows, slice(100, 200))
+    one.hear(Rows(wrong.time_s + 1e8, wrong.values))
+    one.hear(part(rows, slice(200, 400)))
+    assert [event.kind for event in one.events if event.kind != "gap"] == ["clock", "clock", "late", "clock"]
+    assert len(one.said.time_s) == 400 - 14
+
+
+def test_stamps_that_begin_anew_are_followed() -> None:
+    rows, one = rows_of(300), walker()
+    uptime = Rows(rows.time_s - BEGINS_S, rows.values)
+    one.hear(uptime)
+    one.hear(uptime)
+    assert len(one.said.time_s) == 600 - 7
+    assert "clock" in one.kinds()
+
+
+def test_rows_without_a_stamp_are_counted() -> None:
+    rows, one = rows_of(100), walker()
+    one.hear(Rows(np.append(rows.time_s, [np.nan, np.nan]), np.vstack([rows.values, np.zeros((2, 2))])))
+    assert_same_bits(one.said, by_stream(rows))
+    assert ("garbled", 2) in [(event.kind, event.rows) for event in one.events]
+
+
+def test_blocks_that_are_none_are_counted() -> None:
+    one = walker()
+    step = one.hear(rows_of(100)._replace(garbled=(Garbled(3, "3 blocks."), Garbled(None, "A file."))))
+    assert [event for event in step.events if event.kind == "garbled"] == [
+        ("garbled", 3, "3 blocks."),
+        ("garbled", None, "A file."),
+    ]
+
+
+def test_rows_in_other_units_are_left_out_and_counted() -> None:
+    rows, one = rows_of(300), walker()
+    first, second, third = (one._replace(units=("m", "m")) for one in cut(rows, [120, 200]))
+    one.hear(first, second._replace(units=("mm", "m")), Rows(np.empty(0), np.empty((0, 2)), ("g", "g")))
+    one.hear(third)
+    assert ("garbled", 80) in [(event.kind, event.rows) for event in one.events]
+    assert_same_bits(one.said, by_stream(part(rows, list(np.r_[0:120, 200:300]))))
+
+
+def test_units_that_are_not_the_recipe_s_are_refused() -> None:
+    rows, one = rows_of(100), walker()
+    (event,) = one.hear(rows._replace(units=("mm", "m"))).events
+    assert (event.kind, event.rows) == ("refused", 100)
+    assert "in 'm', the recording in 'mm'" in event.says
+
+
+def test_rows_that_wait_go_under_the_channels_that_there_are_now() -> None:
+    rows, one = rows_of(40), walker(recipe_of("b"))
+    one.hear(part(rows, slice(0, 10)))
+    one._walk = SensorWalk(one.plan, ("b", "c"))  # the stream was begun again, with others
+    one.hear(Rows(rows.time_s[10:], rows.values[10:, [1, 0]]))
+    np.testing.assert_array_equal(one.said.signal[:, 0], by_stream(rows).signal[:, 1])
+
+
+def test_rows_of_nobody_are_left_out_and_counted() -> None:
+    one = Walker(SensorPlan(Shelf()), sensor="")
+    (event,) = one.hear(rows_of(50)).events
+    assert (event.kind, event.rows) == ("refused", 50)
+    assert "tells whose they are" in event.says
+
+
+def test_a_sensor_waits_for_its_first_rows() -> None:
+    rows, one = rows_of(100), walker()
+    for k in range(FIRST_ROWS - 1):
+        assert one.hear(part(rows, slice(k, k + 1))).told is None
+    step = one.hear(part(rows, slice(FIRST_ROWS - 1, FIRST_ROWS)))
+    assert step.told is not None
+    assert len(step.told.time_s) == FIRST_ROWS
+
+
+def test_silence_is_said_once_and_its_end() -> None:
+    rows, one = rows_of(400), walker(silent_s=60.0)
+    one.now_ms = 1_000_000
+    first = one.hear(part(rows, slice(0, 100)))
+    assert first.wake_ms == 1_060_000
+    one.now_ms = 1_030_000
+    assert one.hear(part(rows, slice(100, 120))).wake_ms is None  # the first look is to come
+    one.now_ms = 1_060_500
+    step = one.wake()
+    assert (step.events, step.wake_ms) == ((), 1_090_000)
+    one.now_ms = 1_090_000
+    step = one.wake()
+    assert ([event.kind for event in step.events], step.wake_ms) == (["silent"], None)
+    one.now_ms = 2_000_000
+    assert one.wake().events == ()
+    step = one.hear(part(rows, slice(120, 400)))
+    assert step.events[0].kind == "back"
+    assert "970 s" in step.events[0].says
+    assert step.wake_ms == 2_060_000
+    assert_same_bits(one.said, by_stream(rows))
+
+
+def test_silence_tells_rows_that_wait_for_late_ones() -> None:
+    rows, one = rows_of(100), walker(silent_s=5.0, lateness_s=0.3)
+    assert one.hear(rows).told is not None
+    waiting = 100 - len(one.said.time_s)
+    assert waiting > 0
+    one.now_ms = 5000
+    step = one.wake()
+    assert step.told is not None
+    assert len(step.told.time_s) == waiting
+    assert_same_bits(one.said, by_stream(rows))
+
+
+def test_after_silence_stamps_may_be_as_late_as_they_like() -> None:
+    rows, one = rows_of(100), walker(silent_s=5.0)
+    one.hear(rows)
+    one.now_ms = 5000
+    one.wake()
+    later = Rows(rows.time_s + 3 * 86400.0, rows.values)
+    one.hear(later)
+    assert len(one.said.time_s) == 200
+
+
+def test_a_micro_batch_that_is_done_again_tells_the_same() -> None:
+    rows, one = rows_of(ROWS), walker(lateness_s=0.3)
+    first, second = cut(rows, [500])
+    one.hear(first)
+    state = one.state
+    steps = []
+    for _ in range(2):
+        one.state = state
+        steps.append(one.hear(second))
+    assert steps[0].state.packed() == steps[1].state.packed()
+    assert steps[0].told is not None
+    assert steps[1].told is not None
+    assert steps[0].told.packed() == steps[1].told.packed()
+
+
+def test_a_damaged_state_stops_its_sensor_alone_and_says_so() -> None:
+    rows, one = rows_of(300), walker()
+    one.hear(part(rows, slice(0, 100)))
+    stream = one.steps[-1].state.stream
+    assert stream is not None
+    broken = vars(stream) | {"snapshot": stream.snapshot[:-9]}
+    one.state = type(one.steps[-1].state)(**vars(one.steps[-1].state) | {"stream": type(stream)(**broken)}).packed()
+    step = one.hear(part(rows, slice(100, 300)))
+    assert step.told is None
+    assert [event.kind for event in step.events] == ["refused"]
+    assert "damaged" in step.events[0].says
+
+
+@pytest.mark.parametrize("how", [{"lateness_s": -1.0}, {"lateness_s": np.nan}, {"silent_s": 0.0}])
+def test_times_that_are_none_are_refused(how: dict[str, Any]) -> None:
+    with pytest.raises(UsageError, match=next(iter(how))):
+        SensorPlan(Shelf(), **how)
+
+
+@pytest.mark.parametrize("how", [{"every_s": -1.0}, {"every_s": 0.0}, {"partitions": 0}])
+def test_a_plan_that_cannot_be_is_refused(how: dict[str, Any]) -> None:
+    with pytest.raises(UsageError, match=next(iter(how))):
+        StreamPlan("lake", "out", SensorPlan(Shelf(), silent_s=1.0), **how)
+
+
+def test_the_rate_of_a_recipe_is_the_stream_s() -> None:
+    assert 1 / RECIPE.nominal_rate_hz == 1 / RATE_HZ
