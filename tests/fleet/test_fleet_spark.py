@@ -16,6 +16,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import becalm
+from becalm.errors import InputError
 from becalm.fleet.recipes import open_book
 from becalm.fleet.session import session
 from becalm.fleet.whole import clean_whole
@@ -106,6 +107,14 @@ def processes(pattern: str, group: int) -> Iterator[int]:
                 continue
 
 
+def rows_of(place: Path) -> int | None:
+    """Return how many rows a sensor's output has; None where it is not finished, which reading it says."""
+    try:
+        return len(becalm.read(place))
+    except InputError:
+        return None
+
+
 def test_a_cluster_gives_the_same_files(lake: Lake, whole: Path, tmp_path: Path) -> None:
     told = finished(begun(lake, tmp_path / "out"))
     assert "sensor=rubbish: " in told
@@ -127,6 +136,22 @@ def test_killed_workers_change_nothing(lake: Lake, whole: Path, tmp_path: Path, 
         killed += 1
     assert killed, victim
     finished(process)
+    as_it_would_have_been(lake, out, whole)
+
+
+def test_a_killed_job_is_taken_up_again(lake: Lake, whole: Path, tmp_path: Path) -> None:
+    """The driver is killed three times; what was finished stays, and no half sensor is ever read."""
+    out = tmp_path / "out"
+    for count in (2, 9, 16):
+        process = begun(lake, out)
+        wait_until(out, count)
+        os.killpg(process.pid, signal.SIGKILL)
+        process.communicate()
+        read = [rows_of(place) for place in out.glob("sensor=*")]
+        assert len([rows for rows in read if rows is not None]) >= count - 3  # those that were at it have marks too
+        assert {rows for rows in read if rows is not None} <= {ROWS, 8 * ROWS}
+    told = finished(begun(lake, out))
+    assert int(re.search(r"\((\d+) were finished before", told)[1]) >= 12  # type: ignore[index]
     as_it_would_have_been(lake, out, whole)
 
 
