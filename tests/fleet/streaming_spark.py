@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 __all__ = ["committed", "told_in"]
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def spark() -> Iterator[SparkSession]:
     """Give Spark in this process."""
     with session("local[2]", {"spark.sql.shuffle.partitions": "2", "spark.default.parallelism": "2"}) as running:

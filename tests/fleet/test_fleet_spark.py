@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import becalm
-from becalm.errors import InputError
+from becalm.errors import InputError, UsageError
 from becalm.fleet.recipes import open_book
 from becalm.fleet.session import session
 from becalm.fleet.whole import clean_whole
@@ -160,6 +160,11 @@ def test_a_session_is_of_this_machine_alone(tmp_path: Path) -> None:
         assert spark.conf.get("spark.driver.bindAddress") == "127.0.0.1"
         assert spark.conf.get("spark.ui.enabled") == "false"
         assert spark.range(3).count() == 3
+        with session("local[1]") as same_one:
+            assert same_one.sparkContext is spark.sparkContext
+        with pytest.raises(UsageError, match=r"has Spark on local\[1\]"), session("local[2]"):
+            pass
+        assert spark.range(3).count() == 3  # whoever came later has not stopped it
 
 
 def test_what_spark_cannot_do_is_said(lake: Lake, tmp_path: Path) -> None:

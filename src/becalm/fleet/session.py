@@ -38,9 +38,11 @@ def session(master: str = HERE, settings: dict[str, str] | None = None) -> Itera
     Raises
     ------
     UsageError
-        If pyspark, or Java, is not here, or there is no such master.
+        If pyspark, or Java, is not here, there is no such master, or this process has Spark on another one.
     """
     builder, running = _builder()
+    if running is not None and running.sparkContext.master != master:
+        raise UsageError(f"This process has Spark on {running.sparkContext.master}; stop it, or ask for that master.")
     told = _settings(master) | (settings or {})
     for name, value in told.items():
         builder = builder.config(name, value)
@@ -52,17 +54,17 @@ def session(master: str = HERE, settings: dict[str, str] | None = None) -> Itera
     try:
         yield spark
     finally:
-        if not running:
+        if running is None:
             spark.stop()
 
 
-def _builder() -> tuple[SparkSession.Builder, bool]:
-    """Return what builds a session, and whether there is one already."""
+def _builder() -> tuple[SparkSession.Builder, SparkSession | None]:
+    """Return what builds a session, and the one that there is already."""
     try:
         from pyspark.sql import SparkSession
     except ModuleNotFoundError as cause:
         raise UsageError("Spark is not here. Type: pip install 'becalm[spark]', and install Java 17.") from cause
-    return SparkSession.builder, SparkSession.getActiveSession() is not None
+    return SparkSession.builder, SparkSession.getActiveSession()
 
 
 def _settings(master: str) -> dict[str, str]:
