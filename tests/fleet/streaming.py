@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import count, pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from made import RATE_HZ, recipe_of, walk
 
 CHANNELS = ("a", "b")
 BEGINS_S = 1.764e9
+ROWS = 1200
 RECIPE = recipe_of(*CHANNELS)
 OTHER = recipe_of(*CHANNELS, density=0.25)
 
@@ -132,3 +133,13 @@ def assert_same_bits(got: Said, expected: Said) -> None:
     """Check that the same was told."""
     for name in Said._fields:
         np.testing.assert_array_equal(getattr(got, name), getattr(expected, name), err_msg=name)
+
+
+def walker(recipe: Recipe | None = RECIPE, **plan: Any) -> Walker:
+    """Return a sensor's way through micro-batches, by a recipe or none."""
+    return Walker(SensorPlan(Shelf(recipe), **plan))
+
+
+def lagged(lag_s: float) -> Recipe:
+    """Return the recipe with a lag."""
+    return RECIPE.model_copy(update={"mode": "lagged", "lag_s": lag_s})

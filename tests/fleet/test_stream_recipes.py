@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -16,23 +14,16 @@ from streaming import (
     CHANNELS,
     OTHER,
     RECIPE,
+    ROWS,
     Shelf,
     Walker,
     assert_same_bits,
     by_stream,
     cut,
+    lagged,
     rows_of,
+    walker,
 )
-
-ROWS = 1200
-
-
-def walker(recipe: Recipe | None = RECIPE, **plan: Any) -> Walker:
-    return Walker(SensorPlan(Shelf(recipe), **plan))
-
-
-def lagged(lag_s: float) -> Recipe:
-    return RECIPE.model_copy(update={"mode": "lagged", "lag_s": lag_s})
 
 
 def test_another_recipe_takes_over_without_a_jump() -> None:

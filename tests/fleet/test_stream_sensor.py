@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from becalm.cleaning.pipeline import clean
-from becalm.cleaning.recipe import Origin, Recipe
+from becalm.cleaning.recipe import Origin
 from becalm.core.recording import Recording
 from becalm.core.timebase import Timebase
 from becalm.errors import UsageError
@@ -22,24 +22,17 @@ from streaming import (
     BEGINS_S,
     CHANNELS,
     RECIPE,
+    ROWS,
     Shelf,
     Walker,
     assert_same_bits,
     by_stream,
     cut,
+    lagged,
     part,
     rows_of,
+    walker,
 )
-
-ROWS = 1200
-
-
-def walker(recipe: Recipe | None = RECIPE, **plan: Any) -> Walker:
-    return Walker(SensorPlan(Shelf(recipe), **plan))
-
-
-def lagged(lag_s: float) -> Recipe:
-    return RECIPE.model_copy(update={"mode": "lagged", "lag_s": lag_s})
 
 
 @given(cuts=st.lists(st.integers(0, ROWS), max_size=9), seed=st.integers(0, 50))

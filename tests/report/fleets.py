@@ -101,3 +101,17 @@ def choose(page: Page, name: str) -> None:
 def search(page: Page, words: str) -> None:
     """Ask for rows that have all words."""
     page.locator("#search").fill(words)
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    """Give Chromium to the tests of a module."""
+    with chromium() as found:
+        yield found
+
+
+@pytest.fixture
+def open_fleet(browser: Browser, tmp_path: Path) -> Iterator[OpenFleet]:
+    """Give what opens a fleet's page, and fails at an error in it or a request from it."""
+    with opening(browser, tmp_path) as opened:
+        yield opened

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -14,27 +13,16 @@ from becalm.report.fleet_order import TRAITS
 from becalm.report.fleet_page import FleetFacts
 from becalm.report.fleet_rows import FleetRow
 from browsing import settle
-from fleets import FINE, OpenFleet, choose, chromium, fleet, opening, search, shown, traits_of
+from fleets import FINE, OpenFleet, browser, choose, fleet, open_fleet, search, shown, traits_of
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser
+    pass
 
 MOST_HELD = 120  # rows in the page at once, whatever the fleet
 LINES = "() => [...document.querySelectorAll('#table tbody [aria-expanded]')].map((one) => one.innerText.split('\\n'))"
 
 pytestmark = pytest.mark.slow
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with chromium() as found:
-        yield found
-
-
-@pytest.fixture
-def open_fleet(browser: Browser, tmp_path: Path) -> Iterator[OpenFleet]:
-    with opening(browser, tmp_path) as opened:
-        yield opened
+__all__ = ["browser", "open_fleet"]
 
 
 def test_every_row_is_there_and_few_are_in_the_page(open_fleet: OpenFleet) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shutil
 import subprocess
-from collections.abc import Iterator
 from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING
@@ -14,24 +13,13 @@ import pytest
 from becalm.report.fleet_page import fleet_page
 from browsing import settle
 from fleet_report import MOST_ANSWERS_MS, MOST_BYTES, MOST_OPENS_MS, facts_of, simulated, timed
-from fleets import OpenFleet, choose, chromium, fleet, opening, search, shown
+from fleets import OpenFleet, browser, choose, fleet, open_fleet, search, shown
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
 pytestmark = pytest.mark.slow
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with chromium() as found:
-        yield found
-
-
-@pytest.fixture
-def open_fleet(browser: Browser, tmp_path: Path) -> Iterator[OpenFleet]:
-    with opening(browser, tmp_path) as opened:
-        yield opened
+__all__ = ["browser", "open_fleet"]
 
 
 def test_a_dot_tells_its_sensor_and_finds_its_row(open_fleet: OpenFleet) -> None:
