@@ -80,7 +80,6 @@ def test_the_nearest_recipe_is_taken(tmp_path: Path) -> None:
     assert {sensor: book.by_hash[str(one)] for sensor, one in found.items()} == {
         sensor: told[name] for sensor, name in wanted.items()
     }
-    assert sorted(book.unused(["plant=3/sensor=1"])) == ["default", "plant=3", "plant=3/hall/sensor=2"]
 
 
 def test_a_sensor_without_a_recipe_is_told_what_to_add(tmp_path: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable
 from pathlib import Path, PurePosixPath
 
 from becalm.cleaning.recipe import Recipe
@@ -76,11 +75,6 @@ class RecipeBook:
     def why_not(self, sensor: str) -> str:
         """Say what to do for a sensor that has no recipe."""
         return f"{self._source} has no recipe for it; add {sensor}{_ENDING}, or {DEFAULT}{_ENDING} for all others."
-
-    def unused(self, sensors: Iterable[str]) -> list[str]:
-        """List the names of recipes that no sensor has."""
-        used = {self.hash_for(sensor) for sensor in sensors}
-        return [name for name, one in self._hashes.items() if one not in used]
 
 
 def open_book(recipe: Path | None = None, recipes: Path | None = None) -> RecipeBook:

@@ -36,11 +36,6 @@ class Long(NamedTuple):
     extremes: tuple[Extremes, ...]
     took_s: float  # to find that out
 
-    @property
-    def stretches(self) -> int:
-        """How many there are."""
-        return len(self.cuts) - 1
-
 
 class Stretch(NamedTuple):
     """A part of one sensor's rows, to be cleaned in a task."""

@@ -28,7 +28,6 @@ class Margin(NamedTuple):
     """What filters need beside a stretch."""
 
     readings: float  # of each channel that is filtered, and as much time in steps; inf where none is enough
-    after: bool  # whether they need them on both sides
     aligned: int  # rows at whose multiples they have to begin
 
 
@@ -45,7 +44,7 @@ def margin_of(recipe: Recipe, step_s: float) -> Margin:
     times = TIMES if lag == 0 else SMOOTHED_TIMES
     readings = max((times * one.forgotten_after + _GATED * (one.gate is not None) for one in filters), default=0.0)
     aligned = int(np.lcm.reduce([BLOCK, *(one.aligned for one in filters)]))
-    return Margin(readings, lag != 0, aligned)
+    return Margin(readings, aligned)
 
 
 def begun(source: KnownSource, recipe: Recipe, margin: Margin, first: int, most: int) -> int | None:
