@@ -134,8 +134,10 @@ def test_files_that_came_meanwhile_are_told_and_refused_by_name(tmp_path: Path) 
         assert [one["name"] for one in files] == ["broken.csv"]
         with tuner.talk() as other:
             number = page.ask("open", file=files[0]["id"])
-            assert other.until("working").told["says"] == "Reading broken.csv ..."
-            assert other.until("working").told["says"] == "", "it does not wait for what will not come"
+            told = [other.until("working").told["says"]]
+            while told[-1]:  # a page that hears late hears only the newest
+                told.append(other.until("working").told["says"])
+            assert told in (["Reading broken.csv ...", ""], [""]), "it does not wait for what will not come"
         trouble = page.until("trouble").told
         assert trouble["answers"] == number
         assert trouble["says"].startswith("broken.csv")
