@@ -197,8 +197,10 @@ def test_a_server_that_is_away_is_waited_for(server: Broker, monkeypatch: pytest
     server.kill()
     assert reader.latestOffset(end, ReadAllAvailable()) == end
     monkeypatch.setattr(jetstream_range, "_AGAIN_S", (0.5,) * 20)
-    threading.Timer(1.0, server.start).start()
+    returning = threading.Timer(1.0, server.start)
+    returning.start()
     assert numbers_in(reader, start, end) == [1, 2, 3, 4, 5, 6]
+    returning.join()
     server.kill()
     monkeypatch.setattr(jetstream_range, "_AGAIN_S", (0.1,))
     with pytest.raises(AwayError):

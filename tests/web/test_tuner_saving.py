@@ -7,7 +7,6 @@ import socket
 import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 
 import pytest
@@ -19,7 +18,6 @@ from becalm.files.asked import ReadOptions
 from becalm.files.writing import write
 from becalm.web.access import LOOPBACK
 from becalm.web.tuner import saving
-from becalm.web.tuner.naming import command, stem_of
 from served import PATIENCE_S, TOKEN, until
 from tuner_served import Served, drive, drive_in, served
 
@@ -52,10 +50,8 @@ def test_saved_files_are_those_of_the_command_line(tmp_path: Path, monkeypatch: 
         assert Recipe.from_toml(recipe.text).channel[1].process_noise_density == 0.25
         clean = {ending: client.get(f"/save/clean?format={ending}") for ending in ("csv", "npz")}
         report = client.get("/save/report")
-        until = time.monotonic() + PATIENCE_S
-        while [path.name for path in private.iterdir()] != [tuner.tuner._shared.uploads.folder.name]:
-            assert time.monotonic() < until, "what was made for a download is still there"
-            time.sleep(0.01)
+        kept = [tuner.tuner._shared.uploads.folder.name]
+        until(lambda: [path.name for path in private.iterdir()] == kept)  # what was made for a download goes
     assert not any(private.iterdir())
     (tmp_path / "drive.recipe.toml").write_text(recipe.text)
     words = ["clean", "drive.csv", "--recipe", "drive.recipe.toml", "-o"]
@@ -273,35 +269,3 @@ def test_a_name_that_is_no_text_is_saved_as_it_is(tmp_path: Path) -> None:
             answer = client.get(f"/save/{what}")
             assert answer.status_code == 200, answer.text
             assert answer.headers["content-disposition"].endswith(called)
-
-
-@pytest.mark.parametrize(
-    ("name", "stem"),
-    [
-        ("drive.csv", "drive"),
-        ("a.b.mf4", "a.b"),
-        ("drive.csv.gz", "drive"),
-        ("log.tsv.gz", "log"),
-        ("plain", "plain"),
-        (".csv", "recording"),
-    ],
-)
-def test_names_are_kept_without_their_format(name: str, stem: str) -> None:
-    assert stem_of(Path(name)) == stem
-
-
-@pytest.mark.parametrize(
-    ("name", "group", "typed"),
-    [
-        ("a b.csv", None, "becalm clean 'a b.csv' -o 'a b-clean.csv' --recipe 'a b.recipe.toml'"),
-        ("log.tsv.gz", None, "becalm clean log.tsv.gz -o log-clean.csv --recipe log.recipe.toml"),
-        ("-x.csv", None, "becalm clean ./-x.csv -o ./-x-clean.csv --recipe ./-x.recipe.toml"),
-        ("a.tdms", "slow", "becalm clean a.tdms -o a-clean.tdms --recipe a.recipe.toml --group slow"),
-        ("a\x1b[2J.csv", None, ""),
-        ("a\n.csv", None, ""),
-        ("\udcff.csv", None, ""),
-        ("a.tdms", "slow\x03", ""),
-    ],
-)
-def test_what_to_type_is_safe_to_type(name: str, group: str | None, typed: str) -> None:
-    assert command(Path(name), group) == typed
