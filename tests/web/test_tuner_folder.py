@@ -133,6 +133,8 @@ def test_files_that_came_meanwhile_are_told_and_refused_by_name(tmp_path: Path) 
         files = page.until("files").told["files"]
         assert [one["name"] for one in files] == ["broken.csv"]
         with tuner.talk() as other:
+            other.ask("files")
+            other.until("files")  # from here on it is told what others do
             number = page.ask("open", file=files[0]["id"])
             told = [other.until("working").told["says"]]
             while told[-1]:  # a page that hears late hears only the newest
