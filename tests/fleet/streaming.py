@@ -25,6 +25,7 @@ from made import RATE_HZ, recipe_of, walk
 CHANNELS = ("a", "b")
 BEGINS_S = 1.764e9
 ROWS = 1200
+NOW_MS = round(BEGINS_S * 1000) + 60_000
 RECIPE = recipe_of(*CHANNELS)
 OTHER = recipe_of(*CHANNELS, density=0.25)
 
@@ -99,7 +100,7 @@ class Walker:
         return self._kept(self._walk.wake(SensorState.unpacked(self.state), self.now_ms))
 
     def _kept(self, step: Step) -> Step:
-        self.state = step.state.packed()
+        self.state = None if step.state is None else step.state.packed()
         self.steps.append(step)
         return step
 
@@ -135,9 +136,9 @@ def assert_same_bits(got: Said, expected: Said) -> None:
         np.testing.assert_array_equal(getattr(got, name), getattr(expected, name), err_msg=name)
 
 
-def walker(recipe: Recipe | None = RECIPE, **plan: Any) -> Walker:
+def walker(recipe: Recipe | None = RECIPE, now_ms: int = 0, **plan: Any) -> Walker:
     """Return a sensor's way through micro-batches, by a recipe or none."""
-    return Walker(SensorPlan(Shelf(recipe), **plan))
+    return Walker(SensorPlan(Shelf(recipe), **plan), now_ms=now_ms)
 
 
 def lagged(lag_s: float) -> Recipe:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -20,6 +21,7 @@ from becalm.fleet.stream.jetstream import _Reader
 from becalm.fleet.stream.plan import SensorPlan
 from becalm.fleet.stream.reading import Entry
 from becalm.live.address import Address
+from becalm.live.brokers.nats_pull import StreamMessage
 from becalm.live.messages.encoding import Encoder
 from becalm.live.protocols import AwayError
 from brokers import Broker, nats_server
@@ -179,7 +181,9 @@ def test_what_is_deleted_or_of_another_subject_is_passed_over(server: Broker) ->
     assert numbers_in(reader, start, end) == []
 
 
-def test_a_stream_that_was_made_anew_is_read_from_its_beginning(server: Broker) -> None:
+def test_a_stream_that_was_made_anew_is_read_from_its_beginning(
+    server: Broker, caplog: pytest.LogCaptureFixture
+) -> None:
     sent(server, [b"x"] * 6)
     reader = reader_of(server)
     end = reader.latestOffset(reader.initialOffset(), ReadAllAvailable())
@@ -187,6 +191,47 @@ def test_a_stream_that_was_made_anew_is_read_from_its_beginning(server: Broker) 
     sent(server, [b"y"] * 2)
     again = reader.latestOffset(end, ReadAllAvailable())
     assert numbers_in(reader, end, again) == [1, 2]
+    assert "made anew since message 6" in caplog.text
+
+
+def test_what_a_server_lost_is_said(server: Broker, caplog: pytest.LogCaptureFixture) -> None:
+    sent(server, [b"x"] * 6)
+    purged(server, below=5)
+    reader = reader_of(server)
+    created = reader.initialOffset()["created"]
+    for read in (1, 9):
+        end = reader.latestOffset({"message": read, "created": created}, ReadAllAvailable())
+        assert end["message"] == 6
+    assert "Messages 2 to 4 were deleted before they were read." in caplog.text
+    assert "lost its messages 7 to 9, which had been read" in caplog.text
+
+
+def test_a_message_that_is_on_its_way_is_not_left_out(server: Broker, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The server has sent all, as it says, and the reader has not taken them yet."""
+    sent(server, [b"x"] * 6)
+    real, late = jetstream_range._RangePull.take, [2]
+
+    def take(pull: jetstream_range._RangePull, timeout_s: float, at_once: int) -> list[StreamMessage]:
+        if late[0]:
+            late[0] -= 1
+            time.sleep(0.3)
+            return []
+        return real(pull, timeout_s, at_once)
+
+    monkeypatch.setattr(jetstream_range._RangePull, "take", take)
+    reader = reader_of(server)
+    start = reader.initialOffset()
+    assert numbers_in(reader, start, reader.latestOffset(start, ReadAllAvailable())) == [1, 2, 3, 4, 5, 6]
+
+
+def test_a_stream_that_ends_with_what_is_there_does_not_end_without_it(server: Broker) -> None:
+    sent(server, [b"x"] * 6)
+    reader = reader_of(server)
+    start = reader.initialOffset()
+    reader.prepareForTriggerAvailableNow()
+    server.kill()
+    with pytest.raises(AwayError):
+        reader.latestOffset(start, ReadAllAvailable())
 
 
 def test_a_server_that_is_away_is_waited_for(server: Broker, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -32,12 +32,12 @@ def test_another_recipe_takes_over_without_a_jump() -> None:
     *before, after, last = cut(rows, [200, 400, 800])
     for batch in before:
         one.hear(batch)
-    taken = one.steps[-1].state.taken
+    taken = one.steps[-1].recipe
     shelf.recipe = OTHER
     one.hear(after)
     one.hear(last)
     assert one.kinds().count("recipe") == 1
-    assert one.steps[-1].state.taken != taken
+    assert one.steps[-1].recipe != taken
     np.testing.assert_array_equal(one.said.signal[:433], by_stream(rows).signal[:433])  # while the other one begins
     np.testing.assert_allclose(one.said.signal[-200:], by_stream(rows, OTHER).signal[-200:], rtol=1e-6)
     steps = np.abs(np.diff(one.said.signal[390:470], axis=0))

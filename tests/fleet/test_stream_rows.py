@@ -207,10 +207,10 @@ def test_names_are_quoted() -> None:
 
 def test_a_state_is_read_as_it_was_written() -> None:
     held = Block(("a", "b"), ("m", ""), np.arange(3.0), np.arange(6.0).reshape(3, 2))
-    state = SensorState(5, True, "x", "y", Checkpoint(7, "", b"abc", "recipe", ""), 3.5, held, {"next": 4})
+    state = SensorState(5, True, False, "x", "y", Checkpoint(7, "", b"abc", "recipe", ""), held, {"next": 4})
     again = SensorState.unpacked(state.packed())
     assert again.packed() == state.packed()
-    assert (again.stream, again.told_to_s, again.messages) == (state.stream, 3.5, {"next": 4})
+    assert (again.stream, again.is_silent, again.messages) == (state.stream, True, {"next": 4})
     np.testing.assert_array_equal(again.held.values, held.values)
     assert SensorState.unpacked(SensorState(1).packed()).stream is None
 

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import typer
 
+from becalm.cli.fleet import spark_at
 from becalm.errors import UsageError
-from becalm.fleet.session import session
 from becalm.fleet.stream import LiveBook, SensorPlan, StreamPlan
-from becalm.live.address import seconds_of
+from becalm.live.address import Address, seconds_of
 
 if TYPE_CHECKING:
     from becalm.cli.fleet import Where
@@ -68,9 +68,10 @@ def stream_sensors(source: str, output: str, asking: Asking, where: Where) -> No
     ).with_channels()
     every_s = seconds_of("--every", times.every)
     plan = StreamPlan(source, output, sensors, asking.checkpoint, every_s, once=asking.once)
-    with session(where.master, where.spark) as spark:
+    with spark_at(where) as spark:
         from becalm.fleet.stream import run, wait
 
         query = run(spark, plan)
-        typer.echo(f"Streams {source} into {output}; begun again after a stop, it goes on where it was.", err=True)
+        shown = Address.parsed(source) if "://" in source else source  # without secrets
+        typer.echo(f"Streams {shown} into {output}; begun again after a stop, it goes on where it was.", err=True)
         wait(query)

@@ -17,12 +17,14 @@ from becalm.core.kernel_clock import (
     COARSE,
     FAR,
     FARTHEST,
+    LAST,
     LATE,
     OPENED,
     PACE,
     REPEATED,
     RESET,
     SLACK,
+    STARTED,
     STEP,
     TAKEN,
     UNTIMED,
@@ -89,6 +91,11 @@ class LiveClock:
     def opened(self) -> None:
         """Hear that the stream was away, here or there: its next stamp may be as late as it likes."""
         self._state[OPENED] = 1.0
+
+    @property
+    def last_s(self) -> float:
+        """The stamp that was taken last, in seconds; -inf before the first."""
+        return float(self._state[LAST]) if self._state[STARTED] else -np.inf
 
     @property
     def state(self) -> Floats:

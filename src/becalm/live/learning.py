@@ -20,7 +20,9 @@ from becalm.live.block import Block
 FEWEST_ROWS = 64
 """Under so many rows nothing is learned: neither the noise nor the rate."""
 
-_FEW_STAMPS = 20
+FEW_STAMPS = 20
+"""Under so many stamps nothing is told of their last digit."""
+
 _DAY_S = 86400.0
 _STANDING_S = 10.0
 
@@ -130,7 +132,7 @@ class Learner:
 def resolution_of(stamps_s: Floats) -> float:
     """Return the last digit that some stamps are rounded to, in seconds; 0 where they are too few to tell."""
     finite = stamps_s[np.isfinite(stamps_s)]
-    return last_digit(finite) if len(finite) >= _FEW_STAMPS else 0.0
+    return last_digit(finite) if len(finite) >= FEW_STAMPS else 0.0
 
 
 def _time(blocks: list[Block], rate_hz: float | None) -> tuple[Timebase, slice | Integers]:

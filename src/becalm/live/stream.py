@@ -76,6 +76,11 @@ class Stream:
         """Whether the signal is on its way from one filter to another; a third one would make it jump."""
         return isinstance(self._cleaner, Handover) and self._cleaner.has_begun
 
+    @property
+    def taken_to_s(self) -> float:
+        """The stamp of the row that was taken last, in seconds; -inf before the first."""
+        return self._clock.last_s
+
     def opened(self) -> None:
         """Hear that the source was opened anew."""
         self._clock.opened()
@@ -131,7 +136,8 @@ class Stream:
     def _chosen(self, block: Block) -> Floats:
         if self._numbers is None:
             names = [self._called(name) for name in block.names]
-            units = block.units if any(block.units) else [self._unit_of(name) for name in names]
+            told = block.units or ("",) * len(names)
+            units = [unit or self._unit_of(name) for unit, name in zip(told, names, strict=True)]
             self.recipe = fitted(self.recipe, names, units)
             self._numbers = [names.index(channel.name) for channel in self.recipe.channel]
         if self._numbers == list(range(block.values.shape[1])):

@@ -5,9 +5,10 @@ A micro-batch is a range of numbers, so that it is the same whenever it is read;
 
 from __future__ import annotations
 
+import json
 import logging
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
@@ -47,7 +48,7 @@ class _Source(DataSource):
         return _SCHEMA
 
     def streamReader(self, schema: Any) -> DataSourceStreamReader:  # noqa: N802  (Spark's name)
-        return _Reader(Address.parsed(self.options["address"]), int(self.options["tasks"]))
+        return _Reader(Address(**json.loads(self.options["address"])), int(self.options["tasks"]))
 
 
 class _Reader(DataSourceStreamReader, SupportsTriggerAvailableNow):
@@ -69,6 +70,8 @@ class _Reader(DataSourceStreamReader, SupportsTriggerAvailableNow):
         try:
             found = found_in(self._address)
         except AwayError as cause:
+            if self._end is not None:  # it would end with what is read, and seem to have read all
+                raise
             _log.warning("%s", cause)
             return dict(start)
         after = _after(start, found)
@@ -115,14 +118,23 @@ def nats_messages(spark: SparkSession, address: Address, key: str) -> DataFrame:
     """
     found_in(address)
     spark.dataSource.register(_Source)
-    reader = spark.readStream.format(_NAME).option("address", str(address))
+    reader = spark.readStream.format(_NAME).option("address", json.dumps(asdict(address)))
     told = reader.option("tasks", str(spark.sparkContext.defaultParallelism)).load()
     return told.withColumnRenamed("sensor", key)
 
 
 def _after(start: Mapping[str, Any], found: Found) -> int:
-    """Return the message up to which all was read; of a stream that was made anew none was."""
-    return int(start["message"]) if start["created"] == found.created else found.first - 1
+    """Return the message after which to read; say where that is not the last one that was read."""
+    read = int(start["message"])
+    if start["created"] != found.created:
+        _log.warning("The stream was made anew since message %d; it is read from its beginning.", read)
+        return found.first - 1
+    if read > found.last:
+        _log.warning("The stream lost its messages %d to %d, which had been read.", found.last + 1, read)
+        return found.last
+    if read < found.first - 1:
+        _log.warning("Messages %d to %d were deleted before they were read.", read + 1, found.first - 1)
+    return max(read, found.first - 1)
 
 
 def _offset(message: int, found: Found) -> dict[str, Any]:

@@ -30,7 +30,7 @@ class Found(NamedTuple):
     created: str  # when it was made, which tells it from another of its name
 
 
-class Told(NamedTuple):
+class Numbered(NamedTuple):
     """A message of a stream."""
 
     subject: str
@@ -63,7 +63,7 @@ def found_in(address: Address) -> Found:
     return Found(max(1, info.state.first_seq), info.state.last_seq, str(info.created))
 
 
-def messages_of(address: Address, first: int, last: int) -> Iterator[list[Told]]:
+def messages_of(address: Address, first: int, last: int) -> Iterator[list[Numbered]]:
     """Return the messages of a range, in their order, some at a time.
 
     Raises
@@ -86,7 +86,7 @@ def messages_of(address: Address, first: int, last: int) -> Iterator[list[Told]]
             return
 
 
-def _read(address: Address, first: int, last: int) -> Iterator[list[Told]]:
+def _read(address: Address, first: int, last: int) -> Iterator[list[Numbered]]:
     remote = Remote.parsed(address, PORT, PORT)
     with _linked(remote) as link:
         pull = _RangePull(remote, link)
@@ -108,14 +108,14 @@ class _RangePull(NatsPull):
         super().__init__(remote, link)
         self._beside: deque[tuple[str, int]] = deque()  # of each message that came
 
-    def told(self, last: int) -> tuple[list[Told], bool]:
+    def told(self, last: int) -> tuple[list[Numbered], bool]:
         """Return the next messages up to a number, and whether there may be more."""
         taken = self.take(_WAIT_S, _AT_ONCE)
         if not taken:
-            return [], self._left() > 0
+            return [], self._is_more()
         beside = [self._beside.popleft() for _ in taken]
         told = [
-            Told(subject, message.number, message.payload, message.stored_s)
+            Numbered(subject, message.number, message.payload, message.stored_s)
             for message, (subject, _) in zip(taken, beside, strict=True)
             if message.number <= last
         ]
@@ -127,9 +127,16 @@ class _RangePull(NatsPull):
         if len(self._came) > held:
             self._beside.append((told.subject, int(told.reply.split(".")[8 if told.reply.count(".") == 8 else 10])))
 
-    def _left(self) -> int:
-        """Ask how many messages there are that did not come yet."""
-        return int(self._link.call(self._link.stream_api.consumer_info(self._stream, self._consumer)).num_pending)
+    def _is_more(self) -> bool:
+        """Ask whether there are messages that the server did not send yet, or that are still on their way."""
+        from nats.errors import Error
+
+        try:
+            info = self._link.call(self._link.stream_api.consumer_info(self._stream, self._consumer))
+        except (Error, OSError) as cause:
+            raise self._remote.away(cause) from cause
+        with self._link.changed:
+            return bool(info.num_pending > 0 or info.delivered.consumer_seq > self._last or self._came)
 
 
 @contextmanager

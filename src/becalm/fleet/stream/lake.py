@@ -8,23 +8,21 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
-from urllib.parse import unquote
 
 import numpy as np
 import pyarrow as pa
 
 from becalm.core.arrays import Floats, Integers
-from becalm.errors import BecalmError, InputError
+from becalm.errors import BecalmError, InputError, UsageError
 from becalm.files.identity import Original
+from becalm.files.lake.listing import ENDINGS, is_hidden
 from becalm.files.parquet import ParquetRows, units_of
+from becalm.fleet.names import values_in
 from becalm.fleet.stream.blocks import Garbled
 from becalm.fleet.stream.gathering import Gathering, Seconds, numbers_in, seconds_of
 from becalm.fleet.stream.plan import SensorPlan
 from becalm.fleet.stream.shape import Shape, is_reading, shape_of
 from becalm.live.lines.cells import NumberStamps, stamp_reader
-
-ENDINGS = (".parquet", ".pq")
-"""Of files that hold rows."""
 
 _ROWS = 1 << 16
 _KINDS = {"float": "float", "halffloat": "float", "int8": "int", "int16": "int", "int32": "int", "int64": "bigint"}
@@ -51,7 +49,10 @@ def lake_shape(lake: str, plan: SensorPlan) -> Shape:
         if plan.key not in schema.names and _key_in(path, plan.key) is not None:
             columns.append((plan.key, "string"))
         told = [(name, _as_told(kind) if name == plan.time else kind) for name, kind in columns]
-        return shape_of(told, plan.key, plan.time, plan.channels)
+        try:
+            return shape_of(told, plan.key, plan.time, plan.channels)
+        except UsageError as cause:  # of a file that is none of the stream's
+            why = cause if why is None else why
     raise why or InputError(
         f"{lake} holds no Parquet file yet; a stream begins where there is one, which tells its columns."
     )
@@ -68,9 +69,16 @@ def read_files(shape: Shape, batches: Iterator[pa.RecordBatch]) -> Iterator[pa.R
                 for piece in _pieces(path, shape, gathering, sensor):
                     yield from gathering.add(*piece)
             except BecalmError as cause:
-                says = f"{cause} Its rows were left out; once it is mended, put it there under another name."
-                gathering.garble(sensor or "", Garbled(None, says))
+                gathering.garble(sensor or "", _left_out(str(cause)))
+            except Exception as cause:  # rubbish of a kind that nobody has thought of
+                gathering.garble(sensor or "", _left_out(f"{path}: {type(cause).__name__}: {cause}."))
     yield from gathering.rest()
+
+
+def _left_out(why: str) -> Garbled:
+    return Garbled(
+        None, f"{why} The rest of its rows was left out; once it is mended, put it there under another name."
+    )
 
 
 class _Piece(NamedTuple):
@@ -104,7 +112,7 @@ def _pieces(path: Path, shape: Shape, gathering: Gathering, sensor: str | None) 
     """Read a file, some rows at a time; BecalmError if it cannot be read, or has other columns."""
     rows = ParquetRows(path, Original(path))
     channels = [name for name in shape.channels if name in rows.schema.names]
-    _refuse_other(path, rows.schema, shape, channels)
+    _refuse_other(path, rows.schema, shape, channels, has_key=sensor is not None)
     known = units_of(rows.schema)
     units = tuple(known.get(name, "") for name in shape.channels)
     clock = _Clock(shape.time, known.get(shape.time, ""))
@@ -117,15 +125,18 @@ def _pieces(path: Path, shape: Shape, gathering: Gathering, sensor: str | None) 
         yield _Piece(whose, [columns[shape.time], *(columns.get(name, missing) for name in shape.channels)], clock)
 
 
-def _refuse_other(path: Path, schema: pa.Schema, shape: Shape, channels: list[str]) -> None:
-    """Refuse a file whose columns are not those of the stream."""
+def _refuse_other(path: Path, schema: pa.Schema, shape: Shape, channels: list[str], *, has_key: bool) -> None:
+    """Refuse a file whose columns are not those of the stream, or that does not tell whose its rows are."""
+    if not has_key and shape.key not in schema.names:
+        raise InputError(f"{path} has no column {shape.key!r}, nor a folder as {shape.key}=17, that tells its sensor.")
     if shape.time not in schema.names or not channels:
         wanted = ", ".join(map(repr, shape.channels))
         there = ", ".join(map(repr, schema.names))
         raise InputError(f"{path} needs {shape.time!r} and one of {wanted}, and has {there}.")
     for name in (shape.time, *channels):
         kind = _kind(schema.field(name).type)
-        is_known = is_reading(kind, in_blocks=shape.in_blocks) or (name == shape.time and "timestamp" in kind)
+        is_stamp = name == shape.time and kind == ("array<timestamp>" if shape.in_blocks else "timestamp")
+        is_known = is_stamp or is_reading(kind, in_blocks=shape.in_blocks)
         if not is_known:
             what = "arrays" if shape.in_blocks else "numbers"
             raise InputError(f"{path} has {kind} in its column {name!r}, where others have {what}.")
@@ -134,14 +145,14 @@ def _refuse_other(path: Path, schema: pa.Schema, shape: Shape, channels: list[st
 def _files(lake: Path) -> Iterator[Path]:
     """List a lake's files as they are found, but for those whose names say that they are no data."""
     for path in lake.rglob("*"):
-        if path.suffix in ENDINGS and not any(part.startswith(("_", ".")) for part in path.relative_to(lake).parts):
+        if path.name.lower().endswith(ENDINGS) and not any(map(is_hidden, path.relative_to(lake).parts)):
             yield path
 
 
 def _key_in(path: Path, key: str) -> str | None:
-    """Return what a path's folders tell of a key, as `sensor=17`; None where they do not."""
-    told = [part.removeprefix(f"{key}=") for part in path.parent.parts if part.startswith(f"{key}=")]
-    return unquote(told[-1]) if told else None
+    """Return what a path's folders tell of a key, as `sensor=17`; "" of rows of nobody, None where they do not."""
+    told = values_in(path.parent)
+    return (told[key] or "") if key in told else None
 
 
 def _as_told(kind: str) -> str:

@@ -8,7 +8,8 @@ from pathlib import Path
 
 from becalm.cleaning.recipe import Recipe
 from becalm.errors import RecipeError
-from becalm.fleet.recipes import DEFAULT
+from becalm.fleet.names import folder_name, values_in
+from becalm.fleet.recipes import DEFAULT, ENDING, recipes_in
 
 
 @dataclass(frozen=True)
@@ -37,13 +38,13 @@ class LiveBook:
         """
         if not self.path.is_dir():
             return _as_it_is(self.path)
-        own = [sensor, f"{self.key}={sensor}"] if sensor and Path(sensor).name == sensor else []
-        names = [*own, DEFAULT]
-        for path in (self.path / f"{name}.toml" for name in names):
-            if path.exists():
+        folder = folder_name(self.key, sensor)
+        plain = [sensor] if sensor and Path(sensor).name == sensor else []
+        for path in (self.path / f"{name}{ENDING}" for name in (*plain, folder, DEFAULT)):
+            if _is_there(path):
                 return _as_it_is(path)
         raise RecipeError(
-            f"{self.path} has no recipe for {sensor!r}; add {names[0]}.toml, or {DEFAULT}.toml for all others."
+            f"{self.path} has no recipe for {sensor!r}; add {folder}{ENDING}, or {DEFAULT}{ENDING} for all others."
         )
 
     def channels(self) -> tuple[str, ...]:
@@ -52,13 +53,29 @@ class LiveBook:
         Raises
         ------
         RecipeError
-            If there is no recipe, or one cannot be read.
+            If there is no recipe, or one cannot be read, or is where no sensor would find it.
         """
-        paths = sorted(self.path.glob("*.toml")) if self.path.is_dir() else [self.path]
+        paths = recipes_in(self.path) if self.path.is_dir() else [self.path]
+        if lost := [path for path in paths if self.path.is_dir() and not self._is_found(path)]:
+            raise RecipeError(
+                f"{lost[0]} is of no sensor that {self.key!r} tells; a stream looks for SENSOR{ENDING},"
+                f" {self.key}=SENSOR{ENDING} and {DEFAULT}{ENDING} in {self.path} itself. Move it there, or elsewhere."
+            )
         if not paths:
-            raise RecipeError(f"{self.path} holds no recipes; name one {DEFAULT}.toml, or as the sensor that it is of.")
+            raise RecipeError(f"{self.path} holds no recipes; name one {DEFAULT}{ENDING}, or as its sensor.")
         names = [channel.name for path in paths for channel in _as_it_is(path).channel]
         return tuple(dict.fromkeys(names))
+
+    def _is_found(self, path: Path) -> bool:
+        keys = set(values_in(Path(path.name.removesuffix(ENDING))))
+        return path.parent == self.path and keys <= {self.key}
+
+
+def _is_there(path: Path) -> bool:
+    try:
+        return path.exists()
+    except OSError:  # no file can have such a name
+        return False
 
 
 def _as_it_is(path: Path) -> Recipe:

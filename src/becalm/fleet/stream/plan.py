@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from math import inf
 from typing import Protocol
 
 from becalm.cleaning.recipe import Recipe
 from becalm.errors import UsageError
 from becalm.live.address import Address
+from becalm.live.learning import FEW_STAMPS
 
-FIRST_ROWS = 20
+FIRST_ROWS = FEW_STAMPS
 """So many rows of a sensor are waited for before the first is told: they tell the last digit of its stamps."""
 
 
@@ -55,7 +57,8 @@ class SensorPlan:
     lateness_s : float
         How long a row waits for rows that are stamped before it and come in a later micro-batch, by the stamps
         themselves; with a *small* one rows are told soon, and more that are late are left out. 0 puts in order
-        only what comes in one micro-batch. Messages keep the order of their broker.
+        only what comes in one micro-batch. Messages keep the order of their broker, and rows whose stamps count from
+        a start of their own wait for none.
     silent_s : float or None
         After which time without a row a sensor is said to be silent, by the clock of the engine; None says nothing.
     messages : Address or None
@@ -72,9 +75,9 @@ class SensorPlan:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be."""
-        if not self.lateness_s >= 0.0:
+        if not 0.0 <= self.lateness_s < inf:
             raise UsageError(f"lateness_s = {self.lateness_s!r} is no time to wait; give seconds, 0 or more.")
-        if self.silent_s is not None and not self.silent_s > 0.0:
+        if self.silent_s is not None and not 0.0 < self.silent_s < inf:
             raise UsageError(f"silent_s = {self.silent_s!r} is no time without a row; give seconds, or None.")
 
     def with_channels(self) -> SensorPlan:
@@ -123,7 +126,7 @@ class StreamPlan:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be."""
-        if not self.every_s >= 0.0:
+        if not 0.0 <= self.every_s < inf:
             raise UsageError(f"every_s = {self.every_s!r} is no time between micro-batches; give seconds, 0 or more.")
         if self.sensors.silent_s is not None and not self.every_s:
             raise UsageError("every_s = 0 would look for silent sensors without a pause; give seconds, as 10.")

@@ -67,14 +67,17 @@ class SensorProcessor(StatefulProcessor):
         return None if held is None else SensorState.unpacked(bytes(held[0]))
 
     def _done(self, sensor: str, step: Step, now_ms: int) -> Iterator[Row]:
-        self._state.update((step.state.packed(),))
+        if step.state is None:
+            self._state.clear()
+        else:
+            self._state.update((step.state.packed(),))
         if step.wake_ms is not None:
             self._handle.registerTimer(step.wake_ms)
         return iter(_answers(sensor, step, now_ms))
 
 
 def _answers(sensor: str, step: Step, now_ms: int) -> Sequence[Row]:
-    shared = {"sensor": sensor, "recipe": step.state.taken[:_SHOWN], "noticed_ms": now_ms}
+    shared = {"sensor": sensor, "recipe": step.recipe[:_SHOWN], "noticed_ms": now_ms}
     rows = [Row(**shared, **_of(event)) for event in step.events]
     if step.told is not None:
         rows.append(Row(**shared, told=step.told.packed()))

@@ -31,6 +31,7 @@ _STATES = {
     "spark.sql.streaming.stateStore.rocksdb.changelogCheckpointing.enabled": "true",
 }
 _FILES = {
+    "spark.sql.caseSensitive": "true",  # channels may be called p and P
     "spark.sql.session.timeZone": "UTC",
     "spark.sql.parquet.outputTimestampType": "TIMESTAMP_MICROS",  # else nanoseconds, in a type that is given up
 }
@@ -131,7 +132,7 @@ def wait(query: StreamingQuery, timeout_s: float | None = None) -> bool:
     except StreamingQueryException as cause:
         raised = [found for found in _RAISED.finditer(str(cause)) if not found["kind"].startswith(("java.", "org."))]
         says = raised[-1]["says"] if raised else str(cause).strip().splitlines()[0]
-        raise InputError(f"The stream ended: {says.rstrip('.')}. Begun again, it goes on where it was.") from cause
+        raise InputError(f"The stream ended: {says.rstrip('.')}. What was told stays; begin it again.") from cause
     return ended is not False
 
 
@@ -160,8 +161,8 @@ def _plainly(told: DataFrame) -> dict[str, str]:
 
 def _refuse_strangers(spark: SparkSession, plan: StreamPlan) -> None:
     """Refuse an output whose log is of another stream: Spark would leave out what it takes for written."""
-    told = _is_there(spark, f"{plan.output}/_spark_metadata")
-    kept = _is_there(spark, f"{plan.checkpoint_folder}/offsets")
+    told = _holds(spark, f"{plan.output}/_spark_metadata")
+    kept = _holds(spark, f"{plan.checkpoint_folder}/offsets")
     if told and not kept:
         raise OutputError(
             f"{plan.output} holds another stream, or this one without its checkpoint {plan.checkpoint_folder}; "
@@ -174,8 +175,8 @@ def _refuse_strangers(spark: SparkSession, plan: StreamPlan) -> None:
         )
 
 
-def _is_there(spark: SparkSession, path: str) -> bool:
-    """Say whether a path exists, on whichever file system Spark finds it."""
+def _holds(spark: SparkSession, path: str) -> bool:
+    """Say whether a folder is there and holds something, on whichever file system Spark finds it."""
     place = spark._jvm.org.apache.hadoop.fs.Path(path)  # type: ignore[union-attr]
     files = place.getFileSystem(spark._jsc.hadoopConfiguration())
-    return bool(files.exists(place))
+    return bool(files.exists(place) and len(files.listStatus(place)))

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Booleans, Floats
+from becalm.core.live_clock import AGREEING
 from becalm.fleet.stream.blocks import Garbled, Rows
 from becalm.live.address import Address
 from becalm.live.block import Block, Loss, LossKind
@@ -17,7 +18,6 @@ from becalm.live.messages.stream import MessageStream
 from becalm.live.tables import EPOCH_S
 
 _DAY_S = 86400.0  # a clock believes no stamp that is farther ahead
-_AGREEING = 8  # so many that agree are believed
 
 
 class Entry(NamedTuple):
@@ -29,14 +29,15 @@ class Entry(NamedTuple):
 
 
 def read_rows(entries: Sequence[Entry], channels: Sequence[str], held: Block) -> Block:
-    """Return rows of a lake by their stamps, those that waited among them; equal stamps by their readings."""
-    parts = [Rows.unpacked(entry.batch) for entry in entries]
+    """Return rows of a lake by their stamps, those that waited among them; equal stamps in the order they came in."""
+    parts = sorted((Rows.unpacked(entry.batch) for entry in sorted(entries)), key=_first_stamp)
     units = held.units if any(held.units) else _most([part for part in parts if any(part.units)])
-    kept = [part for part in parts if not any(part.units) or part.units == units]
+    kept = [part for part in parts if _alike(part.units, units)]
+    units = _known([units, *(part.units for part in kept)])
     time_s = np.concatenate([held.time_s, *(part.time_s for part in kept)])
     values = np.concatenate([_under(channels, held), *(part.values for part in kept)])
-    if not (np.diff(time_s) > 0).all():
-        order = np.lexsort((*values.T[::-1], time_s))  # rows without a stamp come last
+    if not (np.diff(time_s) >= 0).all():
+        order = np.argsort(time_s, kind="stable")  # rows without a stamp come last
         time_s, values = time_s[order], np.ascontiguousarray(values[order])
     garbled = [one for part in parts for one in part.garbled]
     if others := sum(len(part.time_s) for part in parts) - sum(len(part.time_s) for part in kept):
@@ -54,6 +55,20 @@ def read_messages(
     stream.take_many([(entry.batch, entry.stored_s) for entry in sorted(entries)])
     block = stream.block()
     return held if block is None else _after(held, block), stream.state
+
+
+def _first_stamp(part: Rows) -> float:
+    return float(part.time_s[0]) if len(part.time_s) else -np.inf
+
+
+def _alike(units: Sequence[str], others: Sequence[str]) -> bool:
+    """Whether units are the same, as far as both are told: a file need not have every channel."""
+    return all(not one or not other or one == other for one, other in zip(units, others, strict=False))
+
+
+def _known(told: Sequence[tuple[str, ...]]) -> tuple[str, ...]:
+    """Return the unit of each channel that some of these tell."""
+    return tuple(next(filter(None, units), "") for units in zip(*filter(None, told), strict=True))
 
 
 def _after(held: Block, block: Block) -> Block:
@@ -85,15 +100,25 @@ def _under(channels: Sequence[str], held: Block) -> Floats:
     return values
 
 
-def timely(block: Block, told_to_s: float) -> Block:
-    """Leave out rows of a lake that are stamped before the last that was told, however many.
+def stamped(block: Block) -> Block:
+    """Leave out rows without a stamp; nothing tells when they were."""
+    known = np.isfinite(block.time_s)
+    if known.all():
+        return block
+    count = len(known) - int(np.count_nonzero(known))
+    says = f"{count} rows came without a stamp that is a number; they were left out."
+    return replace(_some(block, known), losses=(*block.losses, Loss(LossKind.GARBLED, count, says)))
+
+
+def timely(block: Block, taken_to_s: float, now_s: float) -> Block:
+    """Leave out rows of a lake that are stamped before the last that was taken, however many.
 
     A file that comes late is no clock that was set back, which a live stream believes from eight rows on. That is left
-    to the clock where stamps count from a start of their own, or all that came is more than a day behind.
+    to the clock where stamps count from a start of their own, or the last that was taken lies in the future.
     """
-    late = block.time_s < told_to_s
+    late = block.time_s < taken_to_s
     count = int(np.count_nonzero(late))
-    if not count or told_to_s < EPOCH_S or np.fmax.reduce(block.time_s) < told_to_s - _DAY_S:
+    if not count or taken_to_s < EPOCH_S or taken_to_s > now_s + _DAY_S:
         return block
     says = f"{count} rows came with stamps before that of a row already taken; they were left out."
     return replace(_some(block, ~late), losses=(*block.losses, Loss(LossKind.LATE, count, says)))
@@ -103,12 +128,13 @@ def parted(block: Block, lateness_s: float) -> tuple[Block, Block]:
     """Part rows in order into those to tell now, and those that wait for rows which may come late.
 
     A row waits until rows came that are stamped `lateness_s` after it, eight of them, so that a wild stamp hurries
-    nobody. One that is more than a day ahead of them waits for none, once others are told before it.
+    nobody. One that is more than a day ahead of them waits for none, once others are told before it. Nor do rows wait
+    whose stamps count from a start of their own: they may begin anew.
     """
-    if not lateness_s or not len(block):
+    if not lateness_s or not len(block) or not np.fmax.reduce(block.time_s) > EPOCH_S:
         return block, Block.of_losses()
     finite = block.time_s[np.isfinite(block.time_s)]
-    newest_s = finite[-min(_AGREEING, len(finite))] if len(finite) else np.inf
+    newest_s = finite[-min(AGREEING, len(finite))] if len(finite) else np.inf
     waits = block.time_s > newest_s - lateness_s
     if not waits.all():
         waits &= block.time_s <= newest_s + _DAY_S

@@ -18,7 +18,7 @@ from becalm.errors import BecalmError, RecipeError
 from becalm.files.units import parse_header
 from becalm.fleet.stream.blocks import Event, Told
 from becalm.fleet.stream.plan import FIRST_ROWS, SensorPlan
-from becalm.fleet.stream.reading import Entry, parted, read_messages, read_rows, timely
+from becalm.fleet.stream.reading import Entry, parted, read_messages, read_rows, stamped, timely
 from becalm.fleet.stream.state import SensorState
 from becalm.live.block import Block, Loss, Output
 from becalm.live.learning import resolution_of
@@ -29,10 +29,11 @@ from becalm.live.stream import Stream
 class Step(NamedTuple):
     """What a micro-batch did to a sensor."""
 
-    state: SensorState
+    state: SensorState | None  # None where nothing need be kept
     told: Told | None = None
     events: tuple[Event, ...] = ()
     wake_ms: int | None = None  # when to look whether it is silent; None leaves that as it is
+    recipe: str = ""  # the hash of the one that was at work
 
 
 class SensorWalk:
@@ -63,96 +64,109 @@ class SensorWalk:
             What came, in any order.
         now_ms : int
             The clock of the engine, in milliseconds since 1970.
+
+        Raises
+        ------
+        ModelError
+            If what was kept of its filters is damaged, or of another version: nothing is taken then.
         """
         state, back, wake_ms = self._awake(before, now_ms)
-        block, numbers = self._read(entries, state)
+        stream = None if state.stream is None else Stream.resumed(state.stream)
+        block, numbers = self._read(entries, state, -np.inf if stream is None else stream.taken_to_s)
         state = replace(state, messages=numbers, held=Block.of_losses())
+        said: tuple[Event, ...] = ()
         try:
-            stream, state, said = self._stream(sensor, state, block)
+            if stream is None:
+                stream, state = self._begun(sensor, state, block)
+            else:
+                said, state = self._retuned(sensor, stream, state)
             if stream is None:
                 step = Step(replace(state, held=replace(block, losses=())), None, _events(block.losses))
             else:
                 if back:
                     stream.opened()
-                ready, held = parted(block, self._plan.lateness_s)
+                ready, held = self._parted(block)
                 step = self._after(stream, replace(state, held=held), stream.take(ready))
         except BecalmError as cause:
-            left_out = Event("refused", len(block), f"{cause} {len(block)} rows were left out.")
-            said, step = (), Step(state, None, (*_events(block.losses), left_out))
-        return step._replace(events=(*back, *said, *step.events), wake_ms=wake_ms)
+            kept = None if state.stream is None and not numbers else state  # a name that nobody has a recipe for
+            says = f"{cause} {len(block)} rows were left out." if len(block) else str(cause)
+            left_out = Event("refused", len(block), says)
+            said, step = (), Step(kept, None, (*_events(block.losses), left_out))
+        wake_ms = None if step.state is None else wake_ms
+        return step._replace(events=(*back, *said, *step.events), wake_ms=wake_ms, recipe=state.taken)
 
     def wake(self, before: SensorState, now_ms: int) -> Step:
         """Look whether a sensor is silent; if so say it, and tell the rows that wait for earlier ones."""
+        if self._plan.silent_s is None or before.is_silent:
+            return Step(replace(before, is_watched=False))
         until_ms = before.heard_ms + _milliseconds(self._plan.silent_s)
-        if before.is_silent or until_ms > now_ms:
-            return Step(before, wake_ms=None if before.is_silent else until_ms)
-        state = replace(before, is_silent=True)
+        if until_ms > now_ms:
+            return Step(before, wake_ms=until_ms)
+        state = replace(before, is_silent=True, is_watched=False)
         silent = Event("silent", None, f"No row came for {(now_ms - before.heard_ms) / 1000:g} s.")
         if state.stream is None:
             return Step(state, None, (silent,))
         stream = Stream.resumed(state.stream)
         step = self._after(stream, replace(state, held=Block.of_losses()), stream.take(state.held))
-        return step._replace(events=(silent, *step.events))
+        return step._replace(events=(silent, *step.events), recipe=state.taken)
 
     def _awake(self, before: SensorState | None, now_ms: int) -> tuple[SensorState, tuple[Event, ...], int | None]:
         """Return the state of a sensor that is heard now, whether it is back, and when to look for it again."""
-        wake_ms = None if self._plan.silent_s is None else now_ms + _milliseconds(self._plan.silent_s)
-        if before is None:
-            return SensorState(now_ms), (), wake_ms
-        state = replace(before, heard_ms=now_ms, is_silent=False)
-        if not before.is_silent:
-            return state, (), None
+        before = before or SensorState(now_ms)
+        wake_ms = None
+        if self._plan.silent_s is not None and not before.is_watched:
+            wake_ms = now_ms + _milliseconds(self._plan.silent_s)
+        is_watched = before.is_watched or wake_ms is not None
+        state = replace(before, heard_ms=now_ms, is_silent=False, is_watched=is_watched)
         says = f"Rows came again after {(now_ms - before.heard_ms) / 1000:g} s."
-        return state, (Event("back", None, says),), wake_ms
+        return state, (Event("back", None, says),) if before.is_silent else (), wake_ms
 
-    def _read(self, entries: Sequence[Entry], state: SensorState) -> tuple[Block, Mapping[str, Any]]:
+    def _read(self, entries: Sequence[Entry], state: SensorState, taken_to_s: float) -> tuple[Block, Mapping[str, Any]]:
         if self._plan.messages is None:
-            rows = read_rows(entries, self._channels, state.held)
-            return timely(rows, state.told_to_s), state.messages
-        return read_messages(entries, self._plan.messages, state.held, state.messages)
+            rows = stamped(read_rows(entries, self._channels, state.held))
+            return timely(rows, taken_to_s, state.heard_ms / 1000), state.messages
+        block, numbers = read_messages(entries, self._plan.messages, state.held, state.messages)
+        return stamped(block) if block.elapsed is None else block, numbers
 
-    def _stream(
-        self, sensor: str, state: SensorState, block: Block
-    ) -> tuple[Stream | None, SensorState, tuple[Event, ...]]:
+    def _parted(self, block: Block) -> tuple[Block, Block]:
+        """Part rows into those to tell now, and those that wait; messages keep the order of their broker."""
+        return parted(block, self._plan.lateness_s if self._plan.messages is None else 0.0)
+
+    def _begun(self, sensor: str, state: SensorState, block: Block) -> tuple[Stream | None, SensorState]:
         """Return a sensor's filters, None while it has too few rows to begin."""
-        if state.stream is not None:
-            return self._retuned(sensor, Stream.resumed(state.stream), state)
         if not sensor:
             raise RecipeError(f"Nothing in {self._plan.key!r} tells whose they are.")
         recipe = self._plan.recipes.recipe_for(sensor)
         stamps = block.time_s[np.isfinite(block.time_s)][:FIRST_ROWS]
         if len(stamps) < FIRST_ROWS:
-            return None, state, ()
+            return None, state
         stream = Stream(recipe, 1 / (self._rate_hz or recipe.nominal_rate_hz), resolution_of(stamps))
-        taken = hash_of(recipe)
-        return stream, replace(state, asked=taken, taken=taken), ()
+        taken = _hash_of(recipe)
+        return stream, replace(state, asked=taken, taken=taken)
 
-    def _retuned(
-        self, sensor: str, stream: Stream, state: SensorState
-    ) -> tuple[Stream, SensorState, tuple[Event, ...]]:
+    def _retuned(self, sensor: str, stream: Stream, state: SensorState) -> tuple[tuple[Event, ...], SensorState]:
         """Let another recipe take over where the book has one, unless one just does: then later."""
         recipe, says, asked = _asked(self._plan, sensor)
         if asked == state.asked or stream.gives_way:
-            return stream, state, ()
+            return (), state
         state = replace(state, asked=asked)
         if asked == state.taken:
-            return stream, state, ()
+            return (), state
         if recipe is not None:
             try:
                 stream.retuned(recipe)
             except BecalmError as cause:
                 says = str(cause)
             else:
-                return stream, replace(state, taken=asked), (Event("recipe", None, "Another recipe takes over."),)
-        return stream, state, (Event("refused", None, f"{says} The recipe that was there stays."),)
+                return (Event("recipe", None, "Another recipe takes over."),), replace(state, taken=asked)
+        return (Event("refused", None, f"{says} The recipe that was there stays."),), state
 
     def _after(self, stream: Stream, state: SensorState, output: Output) -> Step:
-        told, told_to_s = None, state.told_to_s
+        told = None
         if len(output):
-            told_to_s = float(output.time_s[-1])
             places = np.array([self._place(channel.name) for channel in stream.recipe.channel], np.int64)
             told = Told(places, output.time_s, output.signal, output.sigma, output.verdicts)
-        state = replace(state, stream=stream.checkpoint("", ""), told_to_s=told_to_s)
+        state = replace(state, stream=stream.checkpoint("", ""))
         return Step(state, told, _events(output.losses))
 
     def _place(self, name: str) -> int:
@@ -162,7 +176,7 @@ class SensorWalk:
         if len(alike) != 1:
             raise RecipeError(
                 f"The recipe cleans {name!r}, but the stream tells {', '.join(map(repr, self._channels))}; "
-                "name all channels of the fleet's recipes."
+                "begin the stream again, once all recipes are where it looks for them."
             )
         return alike[0]
 
@@ -173,11 +187,11 @@ def _asked(plan: SensorPlan, sensor: str) -> tuple[Recipe | None, str, str]:
         recipe = plan.recipes.recipe_for(sensor)
     except BecalmError as cause:
         return None, str(cause), hashlib.sha256(str(cause).encode()).hexdigest()
-    return recipe, "", hash_of(recipe)
+    return recipe, "", _hash_of(recipe)
 
 
 @lru_cache(maxsize=4096)
-def hash_of(recipe: Recipe) -> str:
+def _hash_of(recipe: Recipe) -> str:
     """Return the SHA-256 of a recipe's text."""
     return hashlib.sha256(recipe.to_toml().encode()).hexdigest()
 

@@ -12,8 +12,9 @@ from pyspark.errors import AnalysisException
 from pyspark.sql import functions as sql
 
 from becalm.errors import OutputError, UsageError
+from becalm.files.lake.listing import ENDINGS
 from becalm.fleet.stream.frames import blocks_of
-from becalm.fleet.stream.lake import ENDINGS, lake_shape, read_files
+from becalm.fleet.stream.lake import lake_shape, read_files
 from becalm.fleet.stream.plan import SensorPlan, StreamPlan
 from becalm.fleet.stream.shape import BATCH, MESSAGE, Shape
 from becalm.live.address import Address
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 START, MOST = "start", "most"
 """Options of brokers: where a new stream begins, and how many messages a micro-batch takes at most."""
 
+_EVER = "3650d"  # else a file is left out, without a word, whose last change is a week before the newest one's
 _LAKE_BYTES, _MESSAGES = 256 << 20, 100_000  # in a micro-batch, where nobody says: its rows are put in order in memory
 _FILE = "path string, modificationTime timestamp, length bigint, content binary"  # of which only the path is read
 _KAFKA_START = {"first": "earliest", "now": "latest"}
@@ -78,6 +80,7 @@ def _paths(spark: SparkSession, lake: str) -> DataFrame:
     They come by the time of their last change; they have to appear whole, by a rename.
     """
     reader = spark.readStream.format("binaryFile").schema(_FILE).option("maxBytesPerTrigger", str(_LAKE_BYTES))
+    reader = reader.option("maxFileAge", _EVER)
     listed = (
         reader.option("pathGlobFilter", f"*{{{','.join(ENDINGS)}}}").option("recursiveFileLookup", "true").load(lake)
     )
@@ -93,6 +96,8 @@ def kafka_messages(spark: SparkSession, address: Address, key: str) -> DataFrame
         If the address names no topic, or Spark has no source for Kafka.
     """
     servers, _, topic = address.rest.removeprefix("//").partition("/")
+    if "@" in servers:
+        raise UsageError("Kafka takes no name and password in its address; set them by --conf, as its security needs.")
     if not servers or not topic:
         raise UsageError(f"{address} names no servers and topic; write kafka://HOST:9092/TOPIC.")
     start = _KAFKA_START[address.chosen(START, tuple(_KAFKA_START), "first")]
@@ -103,8 +108,8 @@ def kafka_messages(spark: SparkSession, address: Address, key: str) -> DataFrame
         if cause.getCondition() != "KAFKA_DATA_SOURCE_NOT_ENABLED":
             raise
         raise UsageError(
-            f"Spark reads Kafka by a library that does not come with it; start it with --packages "
-            f"{_KAFKA}:{spark.version}, or, without a network, with --jars and that library's files."
+            "Spark reads Kafka by a library that does not come with it; add --conf spark.jars.packages="
+            f"{_KAFKA}:{spark.version}, or, without a network, --conf spark.jars=FILE,FILE of that library."
         ) from cause
     columns = {"message": "value", "place": "offset", "stored_s": "timestamp"}
     kinds = {"message": "binary", "place": "bigint", "stored_s": "double"}

@@ -13,7 +13,7 @@ from becalm.core.packing import packed, unpacked
 from becalm.errors import ModelError
 from becalm.live.block import Block, Checkpoint
 
-_VERSION = 1
+_VERSION = 2
 
 
 @dataclass(frozen=True)
@@ -26,14 +26,14 @@ class SensorState:
         When rows came last, by the clock of the engine, in milliseconds since 1970.
     is_silent : bool
         Whether it was said to be silent since.
+    is_watched : bool
+        Whether it will be looked at, to see whether it is silent.
     asked : str
         Hash of the recipe that its book told last, or of the sentence why it told none.
     taken : str
         Hash of the recipe that its filters have.
     stream : Checkpoint or None
         Its filters; None before the first row was told.
-    told_to_s : float
-        The latest stamp that was told; -inf before the first.
     held : Block
         Rows that wait: to be told at all, or for earlier ones.
     messages : mapping
@@ -42,10 +42,10 @@ class SensorState:
 
     heard_ms: int
     is_silent: bool = False
+    is_watched: bool = False
     asked: str = ""
     taken: str = ""
     stream: Checkpoint | None = None
-    told_to_s: float = -np.inf
     held: Block = field(default_factory=Block.of_losses)
     messages: Mapping[str, Any] = field(default_factory=dict)
 
@@ -62,10 +62,9 @@ class SensorState:
         rows = -1 if self.stream is None else self.stream.rows
         return packed(
             {
-                "told": np.array([_VERSION, self.heard_ms, self.is_silent, rows], np.int64),
+                "told": np.array([_VERSION, self.heard_ms, self.is_silent, self.is_watched, rows], np.int64),
                 "words": np.frombuffer(json.dumps(words, separators=(",", ":")).encode(), np.int8),
                 "stream": np.frombuffer(self.stream.snapshot if self.stream else b"", np.int8),
-                "told_to_s": np.array([self.told_to_s]),
                 "held_s": self.held.time_s,
                 "held": self.held.values,
             }
@@ -82,14 +81,16 @@ class SensorState:
         """
         try:
             arrays = unpacked(blob)
-            version, heard_ms, is_silent, rows = (int(number) for number in arrays["told"])
+            version, *numbers = (int(number) for number in arrays["told"])
+            if version != _VERSION:
+                raise ModelError(f"A sensor's state has version {version}; this becalm reads {_VERSION}.")
+            heard_ms, is_silent, is_watched, rows = numbers
             words = json.loads(arrays["words"].tobytes())
-            told_to_s = float(arrays["told_to_s"][0])
             stream = Checkpoint(rows, "", arrays["stream"].tobytes(), words["recipe"], "") if rows >= 0 else None
             held = Block(tuple(words["names"]), tuple(words["units"]), arrays["held_s"], arrays["held"])
             asked, taken, messages = words["asked"], words["taken"], words["messages"]
+        except ModelError:
+            raise
         except (KeyError, IndexError, TypeError, ValueError) as cause:
             raise ModelError("A sensor's state is damaged; begin the stream anew, with another checkpoint.") from cause
-        if version != _VERSION:
-            raise ModelError(f"A sensor's state has version {version}; this becalm reads {_VERSION}.")
-        return cls(heard_ms, bool(is_silent), asked, taken, stream, told_to_s, held, messages)
+        return cls(heard_ms, bool(is_silent), bool(is_watched), asked, taken, stream, held, messages)
