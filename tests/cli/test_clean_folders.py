@@ -51,6 +51,14 @@ def test_a_folder_is_inspected_and_tuned_on(lake: Path, run: Run, tmp_path: Path
     assert ran.returncode == 0, ran.stderr
 
 
+def test_a_table_is_not_written_into_the_folder_that_is_read(lake: Path, run: Run) -> None:
+    before = sorted(lake.rglob("*"))
+    ran = run("clean", lake, "-o", lake / "date=3" / "calm.Parquet")
+    assert ran.returncode == 2
+    assert f"calm.Parquet is in {lake}, and would be read as a part of it. Name another with -o." in ran.stderr
+    assert sorted(lake.rglob("*")) == before
+
+
 def test_several_sensors_and_no_parquet_are_told_in_a_sentence(lake: Path, run: Run, tmp_path: Path) -> None:
     (lake / "date=1").rename(lake / "sensor=1")
     (lake / "date=2").rename(lake / "sensor=2")

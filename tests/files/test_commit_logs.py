@@ -123,6 +123,8 @@ def test_of_a_finished_output_only_marked_files_are_read(tmp_path: Path) -> None
     (folder / "_becalm.json").write_text(json.dumps({"files": ["b.parquet", "date=1/é a.parquet"]}), encoding="utf-8")
     assert len(becalm.read(folder)) == 200
     assert len(becalm.read(folder / "date=1")) == 100
+    shutil.copy(folder / "date=1" / "é a.parquet", folder / "é a.parquet")  # of the name of one that counts
+    assert len(becalm.read(folder)) == 200
     (folder / "_becalm.json").write_text("{}", encoding="utf-8")
     with pytest.raises(InputError, match=r"_becalm\.json is damaged: it does not list"):
         becalm.read(folder)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -77,7 +78,7 @@ def test_a_second_run_leaves_what_is_finished(lake: Lake) -> None:
     assert [row.noise_std for row in again.rows] == [1.0] * 8
 
 
-@pytest.mark.parametrize("change", ["rows", "recipe", "mode", "output gone", "mark cut", "file gone"])
+@pytest.mark.parametrize("change", ["rows", "recipe", "mode", "output gone", "output cut", "file gone"])
 def test_what_has_changed_is_made_anew(lake: Lake, change: str) -> None:
     cleaned(lake)
     out, place = lake.root.parent / "out" / "sensor=1", lake.root / "sensor=1" / "date=2026-01-02" / "part-8.parquet"
@@ -95,8 +96,8 @@ def test_what_has_changed_is_made_anew(lake: Lake, change: str) -> None:
         asked, changed = Asked(causal=True), {f"sensor={k}" for k in range(4)}
     elif change == "output gone":
         next(out.rglob("*.parquet")).unlink()
-    elif change == "mark cut":
-        (out / "_becalm.json").write_text('{"files": [', encoding="utf-8")
+    elif change == "output cut":
+        os.truncate(next(out.rglob("*.parquet")), 100)
     else:
         place.unlink()
     assert {one.sensor for one in cleaned(lake, asked).outcomes if one.state == "cleaned"} == changed
@@ -145,7 +146,9 @@ def test_the_job_is_told_in_a_page_and_in_lines(lake: Lake) -> None:
     lines = (about / "outcomes.jsonl").read_text(encoding="utf-8").splitlines()
     assert [json.loads(line)["sensor"] for line in lines] == [f"sensor={k}" for k in range(4)]
     assert fleet.report == about / "report.html"
-    assert "<html" in fleet.report.read_text(encoding="utf-8")
+    page = fleet.report.read_text(encoding="utf-8")
+    assert "<html" in page
+    assert "24\u202f000" in page  # rows
 
 
 def test_each_file_may_be_a_sensor(tmp_path: Path, lake: Lake) -> None:
@@ -180,7 +183,7 @@ def test_no_lake_is_said(tmp_path: Path, lake: Lake) -> None:
     (tmp_path / "nothing").mkdir()
     with pytest.raises(InputError, match="no folder"):
         clean(SPARK, tmp_path / "nowhere", tmp_path / "out", open_book(lake.recipe))
-    with pytest.raises(InputError):
+    with pytest.raises(InputError, match=r"nothing is a directory; give the path of .* a folder with Parquet files"):
         clean(SPARK, tmp_path / "nothing", tmp_path / "out2", open_book(lake.recipe))
 
 

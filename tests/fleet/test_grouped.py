@@ -164,9 +164,7 @@ def test_rubbish_in_one_sensor_stops_nobody(tmp_path: Path) -> None:
     assert "'a'" in refused["sensor=other"]
     for reason in refused.values():
         assert ".becalm" not in reason
-        assert re.search(rf"^sensor=[a-z ]+ of {lake.root}: .*[.R]$|becalm fleet tune {lake.root} -o DIR$", reason), (
-            reason
-        )
+        assert re.search(rf"^sensor=[a-z ]+ of {lake.root}: .*[.R]$|becalm tune FILE -o R.toml$", reason), reason
 
 
 def test_a_damaged_file_refuses_only_the_sensors_in_it(tmp_path: Path) -> None:
@@ -217,7 +215,7 @@ def test_a_file_that_changes_meanwhile_refuses_the_sensors_in_it(
         patch.setattr(cleaning, "part_rows", after_a_change)
         fleet = cleaned(lake)
     assert {one.sensor: one.reason for one in fleet.outcomes if one.state == "refused"} == {
-        "sensor=late": "Its files changed while they were read; wait until they are complete, and repeat."
+        "sensor=late": f"{lake.root / 'late.parquet'} changed while it was read; wait until it is complete, and repeat."
     }
     assert {one.sensor for one in cleaned(lake).outcomes if one.state == "cleaned"} == {"sensor=late"}
 

@@ -18,6 +18,7 @@ from becalm.fleet.grouped import strips
 from becalm.fleet.grouped.counting import count_rows
 from becalm.fleet.grouped.merging import merged
 from becalm.fleet.grouped.strips import Lake, Part, Strip, part_rows
+from becalm.fleet.marks import came_of
 from becalm.fleet.names import NULL, below, folder_name, keys_of, named, values_in
 from shared_lakes import KEY, keyed
 
@@ -30,7 +31,9 @@ def brought_together(folder: Path, files: int, sensor: str, parts: int = 1, time
     for number in range(files * parts):
         target = str(folder / f"{number}.strips")
         lake = Lake(str(folder), (KEY,), {sensor: time})
-        told = part_rows(lake, Part(f"{number // parts}.parquet", number % parts, parts, target))
+        file = f"{number // parts}.parquet"
+        hashed = came_of([(file, folder / file)], "", {})
+        told = part_rows(lake, Part(file, number % parts, parts, target, hashed))
         assert not told.failed
         found += told.of.get(sensor, [])
     return pa.concat_tables(list(merged(folder, found)))

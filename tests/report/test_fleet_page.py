@@ -167,6 +167,7 @@ def test_a_row_tells_what_was_found() -> None:
 )
 def test_a_fleet_is_told_in_a_sentence(rows: list[FleetRow], says: str) -> None:
     assert summary(rows) == says
+    assert summary(rows, "tuned") == says.replace("cleaned", "tuned")
 
 
 def test_a_page_holds_what_was_put_in() -> None:

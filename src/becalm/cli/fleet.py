@@ -3,22 +3,27 @@
 from __future__ import annotations
 
 import json
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import typer
 
+from becalm.cli.stopping import stop_cleanly
 from becalm.errors import NOT_DESCRIBED, UsageError
-from becalm.fleet.batch import Asked, Fleet, clean
+from becalm.fleet.batch import Asked, Fleet, clean, refuse_inside
 from becalm.fleet.job import STRETCH_ROWS
 from becalm.fleet.lake import told_apart
 from becalm.fleet.recipes import open_book
 from becalm.fleet.session import session
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
-_MOST_NAMED = 5  # sensors that are refused
+    from pyspark.sql import SparkSession
+
+_MOST_NAMED = 5  # sensors
+_STOPPED = b"becalm: Stopped; what is finished stays, and what was half-written is not read. Repeat, and it goes on.\n"
 
 
 class Asking(NamedTuple):
@@ -34,7 +39,7 @@ class Asking(NamedTuple):
 class Where(NamedTuple):
     """Where Spark runs, and how."""
 
-    master: str
+    master: str | None
     settings: Sequence[str] | None
 
     @property
@@ -55,6 +60,20 @@ class Where(NamedTuple):
         return told
 
 
+@contextmanager
+def spark_at(where: Where) -> Iterator[SparkSession]:
+    """Give Spark; signals still stop at once, and say what becomes of what its workers were at.
+
+    Raises
+    ------
+    UsageError
+        As `becalm.fleet.session`.
+    """
+    with session(where.master, where.spark) as spark:
+        stop_cleanly(_STOPPED)  # Spark has taken SIGINT
+        yield spark
+
+
 def clean_lake(lake: Path, output: Path, asking: Asking, where: Where, *, as_json: bool) -> None:
     """Clean a lake; say what became of it, and where the report is.
 
@@ -66,22 +85,27 @@ def clean_lake(lake: Path, output: Path, asking: Asking, where: Where, *, as_jso
     if asking.stretch_rows is not None and asking.stretch_rows < 1:
         raise UsageError(f"--stretch {asking.stretch_rows} is no number of rows; give one above 0, or leave it out.")
     book = open_book(asking.recipe, asking.recipes)
+    refuse_inside(lake.resolve(), output.resolve())
     told_apart(lake, asking.by)
     asked = Asked(asking.by, asking.causal or None, asking.stretch_rows or STRETCH_ROWS)
-    with session(where.master, where.spark) as spark:
+    with spark_at(where) as spark:
         fleet = clean(spark, lake, output, book, asked)
     _tell(fleet, output, as_json=as_json)
     if not all(outcome.describes for outcome in fleet.outcomes):
         raise typer.Exit(NOT_DESCRIBED)
 
 
+def say_some(sentences: Sequence[str]) -> None:
+    """Say the first of some sentences, and how many more there are."""
+    for sentence in sentences[:_MOST_NAMED]:
+        typer.echo(sentence, err=True)
+    if len(sentences) > _MOST_NAMED:
+        typer.echo(f"and {len(sentences) - _MOST_NAMED} more, which the report names.", err=True)
+
+
 def _tell(fleet: Fleet, output: Path, *, as_json: bool) -> None:
     typer.echo(fleet.summary, err=True)
-    refused = [outcome for outcome in fleet.outcomes if outcome.state == "refused"]
-    for outcome in refused[:_MOST_NAMED]:
-        typer.echo(f"{outcome.sensor}: {outcome.reason}", err=True)
-    if len(refused) > _MOST_NAMED:
-        typer.echo(f"and {len(refused) - _MOST_NAMED} more, which the report names.", err=True)
+    say_some([f"{one.sensor}: {one.reason}" for one in fleet.outcomes if one.state == "refused"])
     typer.echo(f"Wrote {output} and its report, {fleet.report}.", err=True)
     if as_json:
         told = {

@@ -28,7 +28,8 @@ By = Annotated[
     typer.Option("--by", metavar="folder|file|COLUMN", help="What tells a sensor: its folder, each file, or a column."),
 ]
 Master = Annotated[
-    str, typer.Option("--master", metavar="URL", help="Where Spark runs: local[4], spark://HOST:7077, yarn.")
+    str | None,
+    typer.Option("--master", metavar="URL", help="Where Spark runs: local[4], spark://HOST:7077, yarn; here."),
 ]
 Settings = Annotated[
     list[str] | None, typer.Option("--conf", metavar="NAME=VALUE", help="A setting of Spark; may be repeated.")
@@ -48,7 +49,7 @@ def clean(  # noqa: PLR0913  (the contract's options)
     by: By = "folder",
     causal: o.Causal = False,
     stretch: StretchRows = None,
-    master: Master = "local[*]",
+    master: Master = None,
     conf: Settings = None,
     as_json: o.Json = False,
 ) -> None:
@@ -69,16 +70,21 @@ Own = Annotated[bool, typer.Option("--own", help="Give sensors that are unlike t
 Replace = Annotated[bool, typer.Option("--replace", help="Put new recipes in the place of all that are in the folder.")]
 
 
+ClassBy = Annotated[
+    str, typer.Option("--by", metavar="folder|file", help="What tells a sensor: its folder, or each file.")
+]
+
+
 @fleet.command()
 def tune(  # noqa: PLR0913  (the contract's options)
     lake: Lake,
     output: Recipes,
-    by: By = "folder",
+    by: ClassBy = "folder",
     causal: o.Causal = False,
     sensors: MostSensors = None,
     own: Own = False,
     replace: Replace = False,
-    master: Master = "local[*]",
+    master: Master = None,
     conf: Settings = None,
     as_json: o.Json = False,
 ) -> None:
@@ -125,7 +131,7 @@ def stream(  # noqa: PLR0913  (the contract's options)
     every: Every = "60s",
     once: Once = False,
     checkpoint: Checkpoint = "",
-    master: Master = "local[*]",
+    master: Master = None,
     conf: Settings = None,
 ) -> None:
     """Filter the rows of all sensors while they come; begun again, it goes on where it was."""

@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from pathlib import Path
 from shlex import quote
 
 import typer
 
-from becalm.cli.fleet import Where
+from becalm.cli.fleet import Where, say_some, spark_at
 from becalm.fleet.lake import FILE
-from becalm.fleet.session import session
 from becalm.fleet.tuning.lake import Asked, Tuned, chosen_in, tune
 from becalm.fleet.tuning.written import values_of
 from becalm.report.fleet_rows import counted
-
-_MOST_NAMED = 5  # sensors that are unlike their class, or could not be tuned
 
 
 def tune_lake(lake: Path, output: Path, asked: Asked, where: Where, *, as_json: bool) -> None:
@@ -28,7 +24,7 @@ def tune_lake(lake: Path, output: Path, asked: Asked, where: Where, *, as_json: 
         As `becalm.fleet.tuning.tune`, or if Spark does not start.
     """
     chosen_in(lake, output, asked)
-    with session(where.master, where.spark) as spark:
+    with spark_at(where) as spark:
         tuned = tune(spark, lake, output, asked)
     _tell(lake, output, asked, tuned)
     if as_json:
@@ -39,9 +35,9 @@ def tune_lake(lake: Path, output: Path, asked: Asked, where: Where, *, as_json: 
 def _tell(lake: Path, output: Path, asked: Asked, tuned: Tuned) -> None:
     for klass in tuned.classes:
         typer.echo(klass.says, err=True)
-    _name([f"{row.sensor}: {row.reason}" for row in tuned.rows if row.state == "refused"])
+    say_some([f"{row.sensor}: {row.reason}" for row in tuned.rows if row.state == "refused"])
     unlike = [row for row in tuned.rows if row.outlying]
-    _name([f"{row.sensor}, {row.channel}: {row.outlying}" for row in unlike])
+    say_some([f"{row.sensor}, {row.channel}: {row.outlying}" for row in unlike])
     if unlike and not asked.own:
         typer.echo("Give those that are unlike their class recipes of their own with --own.", err=True)
     if not tuned.recipes:
@@ -53,11 +49,3 @@ def _tell(lake: Path, output: Path, asked: Asked, tuned: Tuned) -> None:
         f" with: becalm fleet clean {quote(str(lake))} -o OUT --recipes {quote(str(output))}{by}",
         err=True,
     )
-
-
-def _name(sentences: Sequence[str]) -> None:
-    """Say the first of some sentences, and how many more there are."""
-    for sentence in sentences[:_MOST_NAMED]:
-        typer.echo(sentence, err=True)
-    if len(sentences) > _MOST_NAMED:
-        typer.echo(f"and {len(sentences) - _MOST_NAMED} more, which the report names.", err=True)

@@ -134,16 +134,21 @@ def load(path: Path | None) -> Recipe | None:
 
 
 def refuse_overwriting(file: Path, *outputs: Path) -> None:
-    """Refuse to write over the input.
+    """Refuse to write over the input, or tables into a folder of them.
 
     Raises
     ------
     UsageError
-        If an output is the input, by whatever name.
+        If an output is the input, by whatever name, or would be read as a part of it.
     """
+    from becalm.files.lake.listing import ENDINGS
+
     for output in outputs:
         if is_same(output, file):
             raise UsageError(f"{output} is the input itself; raw data are never overwritten. Name another with -o.")
+        is_table = output.name.lower().endswith(ENDINGS)
+        if is_table and file.is_dir() and output.resolve().is_relative_to(file.resolve()):
+            raise UsageError(f"{output} is in {file}, and would be read as a part of it. Name another with -o.")
 
 
 def is_same(one: Path, other: Path) -> bool:

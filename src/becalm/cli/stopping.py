@@ -18,11 +18,11 @@ _WORD = b"becalm: Stopped; nothing half-written is left.\n"
 _SHOW_CURSOR = b"\r\x1b[K\x1b[?25h"  # which a progress bar hides
 
 
-def stop_cleanly() -> None:
-    """Let signals to stop do so; what is ignored stays so, as under nohup."""
+def stop_cleanly(word: bytes = _WORD) -> None:
+    """Let signals to stop do so, with a word; what is ignored stays so, as under nohup."""
     for number in _SIGNALS:
         if signal.getsignal(number) is not signal.SIG_IGN:
-            signal.signal(number, _stop)
+            signal.signal(number, partial(_stop, word))
 
 
 def beside(act: Callable[[], None]) -> Callable[[], None]:
@@ -38,10 +38,10 @@ def beside(act: Callable[[], None]) -> Callable[[], None]:
     return partial(asked.put, None)
 
 
-def _stop(number: int, _: FrameType | None) -> None:
+def _stop(word: bytes, number: int, _: FrameType | None) -> None:
     """Tidy up and end here: an exception might be raised where the interpreter ignores it, as in a finaliser."""
     if waiting := sys.modules.get("becalm.files.waiting"):  # not loaded, it has nothing half-written
         waiting.abandon()
     with suppress(OSError):
-        os.write(2, _SHOW_CURSOR + _WORD if os.isatty(2) else _WORD)
+        os.write(2, _SHOW_CURSOR + word if os.isatty(2) else word)
     os._exit(_STOPPED + number)

@@ -15,6 +15,7 @@ from becalm.files.chunk import Chunk
 from becalm.files.opening import OpenSource
 from becalm.files.rows import rebatched
 from becalm.files.source import RawTable
+from becalm.files.whole import sentences
 
 _AT_ONCE = 1 << 20  # stamps
 
@@ -37,10 +38,15 @@ def known_of(source: OpenSource, stamps: Path) -> Known:
         It stays open.
     stamps : Path
         The file, which every reader must see.
+
+    Raises
+    ------
+    OutputError
+        If they cannot be kept.
     """
     if source.clock.even:
         return Known(source.names, source.clock, source.rows, "")
-    with stamps.open("wb") as file:
+    with sentences(stamps), stamps.open("wb") as file:
         for first in range(0, source.rows, _AT_ONCE):
             file.write(source.seconds(first, min(_AT_ONCE, source.rows - first)).tobytes())
     return Known(source.names, source.clock, source.rows, str(stamps))

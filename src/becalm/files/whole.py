@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import secrets
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -14,6 +15,9 @@ import pyarrow as pa
 
 from becalm.errors import OutputError
 from becalm.files.waiting import in_waiting
+
+UNNAMED = re.compile(r"\..*\.[0-9a-f]{8}\.part", re.DOTALL)
+"""Names of files that have none of their own yet."""
 
 _LONGEST_SHOWN = 60  # letters of a name
 

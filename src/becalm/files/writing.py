@@ -72,7 +72,9 @@ def write_table(path: str | os.PathLike[str], table: pa.Table, metadata: Mapping
 
 
 @contextmanager
-def open_output(path: str | os.PathLike[str], metadata: Mapping[str, str] | None = None) -> Iterator[Output]:
+def open_output(
+    path: str | os.PathLike[str], metadata: Mapping[str, str] | None = None, form: str = ""
+) -> Iterator[Output]:
     """Write a table chunk by chunk; it appears at the end, if nothing was raised until then.
 
     Parameters
@@ -82,6 +84,8 @@ def open_output(path: str | os.PathLike[str], metadata: Mapping[str, str] | None
     metadata : mapping of str to str, optional
         Kept in the file: as Parquet's own metadata, attributes (HDF5), history (MF4), properties (TDMS), texts (MAT,
         NPZ); CSV has no place for it.
+    form : str
+        The format, one of `becalm.files.registry`'s; "" for what the ending says.
 
     Raises
     ------
@@ -89,10 +93,10 @@ def open_output(path: str | os.PathLike[str], metadata: Mapping[str, str] | None
         If it cannot be written; nothing is left behind.
     """
     target = Path(path)
-    form = format_to_write(target)
+    writer = _WRITERS[form or format_to_write(target)]
     refuse_folder(target)
     with replacing(target) as file:
-        output = Output(target, _WRITERS[form](file), metadata)
+        output = Output(target, writer(file), metadata)
         try:
             yield output
         except BaseException:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractContextManager, closing
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
+from shlex import quote
 from time import monotonic
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -17,18 +17,18 @@ import numpy as np
 
 from becalm.errors import UsageError
 from becalm.files.plain import make_folder, write_text
-from becalm.files.whole import sentences
+from becalm.fleet.alone import alone_at
 from becalm.fleet.engine import run_tasks
 from becalm.fleet.grouped.cleaning import clean_grouped
 from becalm.fleet.job import STRETCH_ROWS, Job, Sensor
 from becalm.fleet.lake import FILE, FOLDER, Place, Shared, told_apart
+from becalm.fleet.marks import Mark
 from becalm.fleet.outcome import Outcome, refused
 from becalm.fleet.outlying import marked
 from becalm.fleet.recipes import RecipeBook
 from becalm.fleet.stretching.cleaning import clean_long
 from becalm.fleet.sweeping import swept
 from becalm.fleet.whole import clean_whole
-from becalm.live.locking import locked
 from becalm.report.fleet_order import summary
 from becalm.report.fleet_page import FleetFacts, fleet_page
 from becalm.report.fleet_rows import FleetRow
@@ -110,11 +110,14 @@ def clean(spark: SparkSession, lake: Path, output: Path, book: RecipeBook, asked
     told = told_apart(lake, asked.by)
     make_folder(output / ABOUT)
     by = FILE if asked.by == FILE else FOLDER  # a folder in the output, whatever tells sensors apart in the lake
-    job = Job(str(lake), str(output), book.by_hash, by, asked.causal, asked.stretch_rows)
-    with _alone(output):
-        outcomes = marked(sorted(_cleaned(spark, job, told, book), key=lambda outcome: outcome.sensor))
+    tune = "tune FILE -o R.toml" if isinstance(told, Shared) else f"fleet tune {quote(str(lake))} -o DIR"
+    job = Job(str(lake), str(output), book.by_hash, by, asked.causal, asked.stretch_rows, f"becalm {tune}")
+    with alone_at(output, output / ABOUT / "lock"):
+        found = sorted(_cleaned(spark, job, told, book), key=lambda outcome: outcome.sensor)
+        outcomes = marked([_with_older(job, outcome) for outcome in found])
         swept(output)
-        facts = FleetFacts(lake.name, output.name, began.isoformat(), monotonic() - started)
+        rows = sum(outcome.rows for outcome in outcomes)
+        facts = FleetFacts(lake.name, output.name, began.isoformat(), monotonic() - started, rows, book.names)
         return _told(output, outcomes, facts)
 
 
@@ -133,12 +136,14 @@ def _cleaned(spark: SparkSession, job: Job, told: Sequence[Place] | Shared, book
     return outcomes + [refused(name, book.why_not(name)) for name, one in hashes.items() if one is None]
 
 
-def _alone(output: Path) -> AbstractContextManager[object]:
-    """Keep other jobs from an output while this one is at it."""
-    refusal = f"Another job is at work on {output}; wait for it, or name another with -o."
-    path = output / ABOUT / "lock"
-    with sentences(path):
-        return closing(locked(path, refusal))
+def _with_older(job: Job, outcome: Outcome) -> Outcome:
+    """Say of a sensor that was refused where an output of an earlier job still is."""
+    sensor = Sensor(outcome.sensor, 0, "")
+    mark = Mark.of(job.mark_of(sensor)) if outcome.state == "refused" else None
+    if mark is None or not mark.files:
+        return outcome
+    older = f" An older output is still in {job.output_folder(sensor)}."
+    return refused(outcome.sensor, outcome.reason + older, outcome.took_s)
 
 
 def refuse_inside(lake: Path, output: Path) -> None:

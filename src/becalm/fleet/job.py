@@ -48,6 +48,8 @@ class Job:
         Whether estimates know only the past; None for as each recipe says.
     stretch_rows : int
         A sensor of twice as many is cut in time, into stretches of so many.
+    another : str
+        What makes another recipe, to type.
     """
 
     lake: str
@@ -56,6 +58,7 @@ class Job:
     by: str = FOLDER
     causal: bool | None = None
     stretch_rows: int = STRETCH_ROWS
+    another: str = "becalm fleet tune LAKE -o DIR"
 
     def input_of(self, sensor: Sensor) -> Path:
         """Return the folder, or the one file, of a sensor."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from pathlib import Path
+from shlex import quote
 from typing import NamedTuple
 
 from becalm.errors import InputError, UsageError
@@ -15,6 +16,9 @@ from becalm.fleet.names import folder_name, keys_of, values_in
 
 FOLDER, FILE = "folder", "file"
 """What tells a sensor, beside a column."""
+
+
+_TOLD_BY = "Name the sensors' folders as sensor=17, or say that each file is one: --by file"
 
 
 class Place(NamedTuple):
@@ -104,10 +108,11 @@ def _sensor_folder(lake: Path, folder: Path) -> Path:
     while parts and is_partition(parts[-1]) and tells_time(parts[-1]):
         parts.pop()
     if above := [part for part in parts if is_partition(part) and tells_time(part)]:
-        keys = ",".join(part.partition("=")[0] for part in sensor_of(Path(*parts)))
+        keys = ",".join(values_in(Path(*sensor_of(Path(*parts)))))
+        way = f"becalm fleet clean {quote(str(lake))} -o OUT --recipe R.toml --by {quote(keys)}" if keys else ""
         raise UsageError(
             f"{lake} has its sensors below times, as {above[0]}/.../{parts[-1]}, so that the rows of one are not"
-            f" together. Say which key tells a sensor, and they are brought together: --by {keys}"
+            " together. " + (f"Say which key tells a sensor, and they are brought together: {way}" if way else _TOLD_BY)
         )
     return Path(*parts)
 

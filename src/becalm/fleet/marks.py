@@ -13,9 +13,11 @@ from becalm.core.itself import version
 from becalm.errors import InputError
 from becalm.files.lake.marks import FILES
 from becalm.files.plain import write_text
+from becalm.files.text.text import PARQUET
 from becalm.fleet.outcome import Outcome
 
 _LENGTH = 4  # bytes of the length of a Parquet file's footer, before the four that end it
+_HELD, _SIZES = "held", "sizes"
 
 
 @dataclass(frozen=True)
@@ -30,11 +32,30 @@ class Mark:
         Its output, by paths from the folder of the mark.
     outcome : Outcome
         What became of it.
+    sizes : tuple of int
+        Of these files, in bytes.
+    held : tuple of str
+        While a new output takes the place of an older one: files of both.
     """
 
     came_of: str
     files: tuple[str, ...]
     outcome: Outcome
+    sizes: tuple[int, ...] = ()
+    held: tuple[str, ...] = ()
+
+    @property
+    def own(self) -> set[str]:
+        """All files that becalm wrote where the mark is."""
+        return {*self.files, *self.held}
+
+    def is_whole(self, folder: Path) -> bool:
+        """Whether all files are in a folder, and as long as they were."""
+        try:
+            found = tuple((folder / name).stat().st_size for name in self.files)
+        except OSError:
+            return False
+        return found == self.sizes
 
     def write(self, path: Path) -> None:
         """Say that the output of a sensor is complete.
@@ -44,7 +65,8 @@ class Mark:
         OutputError
             If it cannot be written.
         """
-        told = {FILES: self.files, "came_of": self.came_of, "outcome": self.outcome.as_dict()}
+        told: dict[str, Any] = {FILES: self.files, "came_of": self.came_of, "outcome": self.outcome.as_dict()}
+        told |= {_SIZES: self.sizes, _HELD: self.held}
         write_text(path, json.dumps(told, indent=1) + "\n")
 
     @classmethod
@@ -52,7 +74,8 @@ class Mark:
         """Read a mark; None where there is none, or a damaged one: then the output is made anew."""
         try:
             told = json.loads(path.read_text(encoding="utf-8"))
-            return cls(told["came_of"], tuple(told[FILES]), Outcome.from_dict(told["outcome"]))
+            outcome = Outcome.from_dict(told["outcome"])
+            return cls(told["came_of"], tuple(told[FILES]), outcome, tuple(told[_SIZES]), tuple(told[_HELD]))
         except (OSError, ValueError, KeyError, TypeError):
             return None
 
@@ -90,7 +113,9 @@ def _facts(path: Path) -> tuple[int, int, str]:
         with path.open("rb") as file:
             found = path.stat()
             file.seek(max(0, found.st_size - 2 * _LENGTH))
-            length = int.from_bytes(file.read(_LENGTH), "little")
+            length, ends = int.from_bytes(file.read(_LENGTH), "little"), file.read()
+            if ends != PARQUET:  # cut short: where a footer's length would be is anything
+                return found.st_size, found.st_mtime_ns, ""
             file.seek(max(0, found.st_size - 2 * _LENGTH - length))
             return found.st_size, found.st_mtime_ns, hashlib.sha256(file.read()).hexdigest()
     except OSError as cause:

@@ -45,7 +45,7 @@ def folder_name(key: str, value: str | None) -> str:
 def values_in(place: PurePath) -> dict[str, str | None]:
     """Return what the folders of a path tell, by their keys."""
     parts = [part.partition("=") for part in place.parts if is_partition(part)]
-    return {unquote(key): None if value == NULL else unquote(value) for key, _, value in parts}
+    return {_plain(key): None if value == NULL else _plain(value) for key, _, value in parts}
 
 
 def below(sensor: str, file: PurePath) -> str:
@@ -135,6 +135,10 @@ def _of_column(key: str, column: pa.ChunkedArray) -> Named:
         ) from cause
     names = [folder_name(key, value) for value in coded.dictionary.to_pylist()]
     return Named(names, np.asarray(coded.indices, np.int64))
+
+
+def _plain(text: str) -> str:
+    return unquote(text, errors="surrogateescape")  # bytes that are no text are not those of another name
 
 
 def _escaped(text: str) -> str:

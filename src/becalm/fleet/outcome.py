@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
 from becalm.report.fleet_rows import FleetRow, State
@@ -46,6 +46,11 @@ class Outcome:
         """Whether it was cleaned, and no channel is said not to be described by its model."""
         return self.state != "refused" and all(row.verdict != "does not fit" for row in self.channels)
 
+    @property
+    def rows(self) -> int:
+        """How many rows it has."""
+        return max(row.rows for row in self.channels)
+
     def as_dict(self) -> dict[str, Any]:
         """Return plain values, ready for JSON."""
         return asdict(self)
@@ -64,6 +69,11 @@ class Outcome:
         except (TypeError, KeyError) as cause:
             known = ", ".join(field.name for field in fields(cls))
             raise ValueError(f"{str(told)[:80]!r} is no outcome of a sensor, which has {known}") from cause
+
+
+def noted(rows: Sequence[FleetRow], notes: Sequence[str]) -> tuple[FleetRow, ...]:
+    """Return rows that also say what was found of their sensor's files and clock."""
+    return tuple(replace(row, says=" ".join((row.says, *notes)).strip()) for row in rows)
 
 
 def refused(sensor: str, reason: str, took_s: float = 0.0) -> Outcome:

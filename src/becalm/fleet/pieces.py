@@ -12,6 +12,7 @@ from typing import NamedTuple, Self
 import pyarrow as pa
 
 from becalm.files.plain import make_folder
+from becalm.files.registry import PARQUET_FORMAT
 from becalm.files.waiting import in_waiting
 from becalm.files.whole import sentences, sync_folder
 from becalm.files.writing import Output, open_output
@@ -112,7 +113,7 @@ class Pieces:
             piece = self._left.pop(0)
             target, self._room = self._folder / piece.name, piece.rows
             make_folder(target.parent)
-            self._output = self._stack.enter_context(open_output(target, self._metadata))
+            self._output = self._stack.enter_context(open_output(target, self._metadata, PARQUET_FORMAT))
         return self._output
 
     def __enter__(self) -> Self:

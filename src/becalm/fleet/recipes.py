@@ -11,7 +11,8 @@ from becalm.errors import RecipeError, UsageError
 DEFAULT = "default"
 """Name of the recipe of all sensors that have none of their own, without its ending."""
 
-_ENDING = ".toml"
+ENDING = ".toml"
+"""Of their files."""
 
 
 class RecipeBook:
@@ -28,10 +29,12 @@ class RecipeBook:
     ----------
     by_hash : dict of str to str
         The texts by the SHA-256 of their bytes.
+    names : tuple of str
+        What they are called.
     """
 
     def __init__(self, texts: dict[str, str], source: str) -> None:
-        self._source = source
+        self._source, self.names = source, tuple(sorted(texts))
         self._hashes = {name: hashlib.sha256(text.encode()).hexdigest() for name, text in texts.items()}
         self.by_hash = {self._hashes[name]: text for name, text in texts.items()}
 
@@ -55,13 +58,13 @@ class RecipeBook:
         RecipeError
             If it holds none, or one cannot be read.
         """
-        found = sorted(path for path in folder.rglob(f"*{_ENDING}") if not path.name.startswith("."))
+        found = recipes_in(folder)
         if not found:
             raise RecipeError(
-                f"{folder} holds no recipes. Name one {DEFAULT}{_ENDING}, or as the sensor that it is of,"
-                f" sensor=17{_ENDING}; or make them with: becalm fleet tune LAKE -o {folder}"
+                f"{folder} holds no recipes. Name one {DEFAULT}{ENDING}, or as the sensor that it is of,"
+                f" sensor=17{ENDING}; or make them with: becalm fleet tune LAKE -o {folder}"
             )
-        names = (path.relative_to(folder).as_posix().removesuffix(_ENDING) for path in found)
+        names = (path.relative_to(folder).as_posix().removesuffix(ENDING) for path in found)
         return cls({name: Recipe.load(path).to_toml() for name, path in zip(names, found, strict=True)}, str(folder))
 
     def hash_for(self, sensor: str) -> str | None:
@@ -74,7 +77,14 @@ class RecipeBook:
 
     def why_not(self, sensor: str) -> str:
         """Say what to do for a sensor that has no recipe."""
-        return f"{self._source} has no recipe for it; add {sensor}{_ENDING}, or {DEFAULT}{_ENDING} for all others."
+        own = "" if sensor == "." else f"{sensor}{ENDING}, or "  # all of the lake has no name
+        return f"{self._source} has no recipe for it; add {own}{DEFAULT}{ENDING} for all others."
+
+
+def recipes_in(folder: Path) -> list[Path]:
+    """List the recipes of a folder, at any depth, but in no hidden one."""
+    found = sorted(folder.rglob(f"*{ENDING}"))
+    return [path for path in found if not any(part.startswith(".") for part in path.relative_to(folder).parts)]
 
 
 def open_book(recipe: Path | None = None, recipes: Path | None = None) -> RecipeBook:

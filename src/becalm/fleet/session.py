@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,10 +14,12 @@ from becalm.errors import UsageError
 if TYPE_CHECKING:
     from pyspark.sql import SparkSession
 
-HERE = "local[*]"
-"""The master where none is named: all cores of this machine."""
+HERE = "local[*,4]"
+"""The master where none is named: all cores of this machine; a task whose worker dies is tried four times."""
 
 _LOOPBACK = "127.0.0.1"
+_RAISED = re.compile(r"(?:Caused by)?:? ?(?:org|java|scala)\.[\w.$]*(?:Exception|Error): (?P<says>.+)")
+_LONGEST = 300
 _QUIET = {
     "spark.ui.enabled": "false",  # a page that nobody asked for, open to all of the network
     "spark.ui.showConsoleProgress": "false",
@@ -25,13 +28,13 @@ _QUIET = {
 
 
 @contextmanager
-def session(master: str = HERE, settings: dict[str, str] | None = None) -> Iterator[SparkSession]:
+def session(master: str | None = None, settings: dict[str, str] | None = None) -> Iterator[SparkSession]:
     """Give a session of Spark, which ends in the end, unless there was one before.
 
     Parameters
     ----------
-    master : str
-        As Spark has it: `local[4]`, `spark://host:7077`, `yarn`.
+    master : str, optional
+        As Spark has it: `local[4]`, `spark://host:7077`, `yarn`; `HERE` where none is named.
     settings : dict of str to str, optional
         Spark's own.
 
@@ -40,6 +43,7 @@ def session(master: str = HERE, settings: dict[str, str] | None = None) -> Itera
     UsageError
         If pyspark, or Java, is not here, there is no such master, or this process has Spark on another one.
     """
+    master = master or HERE
     builder, running = _builder()
     if running is not None and running.sparkContext.master != master:
         raise UsageError(f"This process has Spark on {running.sparkContext.master}; stop it, or ask for that master.")
@@ -48,8 +52,8 @@ def session(master: str = HERE, settings: dict[str, str] | None = None) -> Itera
         builder = builder.config(name, value)
     try:
         spark: SparkSession = builder.master(master).appName("becalm").getOrCreate()
-    except Exception as cause:  # what Spark raises here is of many kinds, and the last line tells
-        raise UsageError(f"Spark does not start on {master} ({_last_line(cause)}).{_advice(cause)}") from cause
+    except Exception as cause:  # what Spark raises here is of many kinds
+        raise UsageError(f"Spark does not start on {master} ({reason_of(cause)}).{_advice(cause)}") from cause
     spark.sparkContext.setLogLevel("ERROR")
     try:
         yield spark
@@ -76,12 +80,14 @@ def _settings(master: str) -> dict[str, str]:
     return _QUIET | {"spark.driver.host": _LOOPBACK, "spark.driver.bindAddress": _LOOPBACK}
 
 
-def _last_line(cause: BaseException) -> str:
+def reason_of(cause: BaseException) -> str:
+    """Return why Spark failed, in a line: what its JVM raised, without the name of its class, if that tells."""
     lines = [line.strip() for line in str(cause).splitlines() if line.strip()]
-    return lines[0][:200] if lines else type(cause).__name__
+    raised = [match["says"] for match in map(_RAISED.match, lines) if match]
+    return (raised[0] if raised else lines[0] if lines else type(cause).__name__)[:_LONGEST].rstrip(".")
 
 
 def _advice(cause: BaseException) -> str:
-    if "JAVA" in str(cause).upper():
+    if any(word in str(cause) for word in ("JAVA_GATEWAY_EXITED", "JAVA_HOME", "JAVA_NOT_FOUND")):
         return " It needs Java 17 or newer: install one (Debian: openjdk-17-jre-headless), or set JAVA_HOME."
     return " Name one that is there with --master, as local[4] or spark://HOST:7077."

@@ -5,13 +5,15 @@ from __future__ import annotations
 import fnmatch
 import os
 import shutil
+from contextlib import suppress
 from pathlib import Path
 
+from becalm.files.whole import UNNAMED
 from becalm.fleet.pieces import STAGED
 
 
 def swept(output: Path) -> int:
-    """Remove folders of files that never got their names; return how many there were.
+    """Remove what never got its name, files and folders of them; return how many there were.
 
     Parameters
     ----------
@@ -19,9 +21,13 @@ def swept(output: Path) -> int:
         Of a job that nobody works on any more.
     """
     left = 0
-    for folder, names, _ in os.walk(output):  # what goes meanwhile is no matter
+    for folder, names, files in os.walk(output):  # what goes meanwhile is no matter
         for name in fnmatch.filter(names, STAGED):
             shutil.rmtree(Path(folder) / name, ignore_errors=True)
             names.remove(name)
+            left += 1
+        for name in filter(UNNAMED.fullmatch, files):
+            with suppress(OSError):
+                (Path(folder) / name).unlink()
             left += 1
     return left

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import os
+from collections import Counter
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from time import monotonic
@@ -11,7 +13,7 @@ from typing import NamedTuple, TypeVar
 from becalm.cleaning.pipeline import fitted
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.report import ChannelReport
-from becalm.errors import BecalmError, InputError
+from becalm.errors import BecalmError, InputError, OutputError
 from becalm.files.asked import asked_by
 from becalm.files.lake.folder import FolderRows
 from becalm.files.opening import OpenSource, as_asked, understood
@@ -20,7 +22,7 @@ from becalm.files.through import clean_chunks
 from becalm.files.whole import sentences
 from becalm.fleet.job import Job, Sensor
 from becalm.fleet.marks import Mark, came_of
-from becalm.fleet.outcome import SHOWN, Outcome, refused
+from becalm.fleet.outcome import SHOWN, Outcome, noted, refused
 from becalm.fleet.pieces import Piece, Pieces, put_in_place, staging
 from becalm.report.fleet_rows import row_of
 
@@ -63,8 +65,8 @@ def told_by(sensor: Sensor, work: Callable[[], Done]) -> Done | Outcome:
 
 def finished(job: Job, sensor: Sensor, hashed: str) -> Outcome | None:
     """Return the outcome of a sensor whose output is there and came of the same; None where it has to be made."""
-    mark, folder = Mark.of(job.mark_of(sensor)), job.output_folder(sensor)
-    if mark is None or mark.came_of != hashed or not all((folder / name).is_file() for name in mark.files):
+    mark = Mark.of(job.mark_of(sensor))
+    if mark is None or mark.came_of != hashed or not mark.is_whole(job.output_folder(sensor)):
         return None
     channels = tuple(replace(row, state="kept") for row in mark.outcome.channels)
     return replace(mark.outcome, state="kept", channels=channels, took_s=0.0)
@@ -93,7 +95,7 @@ def opened(job: Job, sensor: Sensor) -> Opened:
         If it cannot be read, or its recipe does not fit.
     """
     place, recipe = job.input_of(sensor), job.recipe_of(sensor)
-    options = asked_by(recipe, f"becalm fleet tune {job.lake} -o DIR")
+    options = asked_by(recipe, job.another)
     tables = job.tables_of(sensor)
     rows = tables[0].rows
     files = tuple(rows.pieces) if isinstance(rows, FolderRows) else ((place, rows.count),)
@@ -117,12 +119,36 @@ def _cleaned(job: Job, sensor: Sensor) -> Outcome:
     if kept is not None:
         return kept
     found = opened(job, sensor)
-    with found.source as source, staging(job.output_folder(sensor)) as staged:
-        with Pieces(staged, found.pieces, metadata_of(found.recipe)) as out:
-            reports = clean_chunks(source, found.recipe, out.write, lambda *_: None, verdicts=True)
-        outcome = outcome_of(sensor, reports, source, monotonic() - began)
-        commit(job, sensor, staged, Mark(hashed, tuple(piece.name for piece in found.pieces), outcome))
+    names = tuple(piece.name for piece in found.pieces)
+    with found.source as source:
+        refuse_foreign(job, sensor, names)
+        with staging(job.output_folder(sensor)) as staged:
+            with Pieces(staged, found.pieces, metadata_of(found.recipe)) as out:
+                reports = clean_chunks(source, found.recipe, out.write, lambda *_: None, verdicts=True)
+            outcome = outcome_of(sensor, reports, source, monotonic() - began)
+            commit(job, sensor, staged, Mark(hashed, names, outcome))
     return outcome
+
+
+def refuse_foreign(job: Job, sensor: Sensor, names: Sequence[str]) -> None:
+    """Refuse to write a sensor's output over files that no job of becalm wrote, or out of the folder of all output.
+
+    Raises
+    ------
+    OutputError
+        If one of them is there, two of them have one name, or a link leads elsewhere.
+    """
+    folder, mark = job.output_folder(sensor), Mark.of(job.mark_of(sensor))
+    if not folder.resolve().is_relative_to(Path(job.output).resolve()):
+        raise OutputError(f"{folder} leads to {folder.resolve()}, out of the output; remove that link.")
+    if twice := [name for name, count in Counter(names).items() if count > 1]:
+        raise OutputError(f"Two files of the sensor would be {folder / twice[0]}; rename one of them in the lake.")
+    own = set() if mark is None else mark.own
+    if foreign := [name for name in names if name not in own and os.path.lexists(folder / name)]:
+        raise OutputError(
+            f"{folder / foreign[0]} is there already, and no mark says that becalm wrote it; remove it, or name another"
+            " output with -o."
+        )
 
 
 def metadata_of(recipe: Recipe) -> dict[str, str]:
@@ -134,7 +160,7 @@ def outcome_of(sensor: Sensor, reports: tuple[ChannelReport, ...], source: OpenS
     """Return what became of a sensor that was cleaned."""
     shown = sensor.recipe[:SHOWN]
     rows = tuple(row_of(sensor.name, report, recipe=shown, rate_hz=source.rate_hz) for report in reports)
-    return Outcome(sensor.name, "cleaned", rows, took_s)
+    return Outcome(sensor.name, "cleaned", noted(rows, source.notes), took_s)
 
 
 def commit(job: Job, sensor: Sensor, staged: Path, mark: Mark) -> None:
@@ -142,14 +168,22 @@ def commit(job: Job, sensor: Sensor, staged: Path, mark: Mark) -> None:
 
     Raises
     ------
+    InputError
+        If what came in is not what it was when the work began.
     OutputError
         If that cannot be done; the sensor is not finished then.
     """
+    if hash_of(job, sensor) != mark.came_of:
+        raise InputError(f"The files of {sensor.name} changed while they were read; wait until all came, and repeat.")
+    refuse_foreign(job, sensor, mark.files)
     path, folder = job.mark_of(sensor), job.output_folder(sensor)
     older = Mark.of(path)
-    replace(mark, came_of="", files=()).write(path)  # until all are in place, none of them counts
+    own = {*mark.files, *(() if older is None else older.own)}
+    with sentences(staged):
+        sizes = tuple((staged / name).stat().st_size for name in mark.files)
+    replace(mark, came_of="", files=(), held=tuple(sorted(own))).write(path)  # until all are in place, none counts
     put_in_place(staged, folder, mark.files)
-    for name in set(() if older is None else older.files) - set(mark.files):
+    for name in own - set(mark.files):
         with sentences(folder / name):
             (folder / name).unlink(missing_ok=True)
-    mark.write(path)
+    replace(mark, sizes=sizes).write(path)

@@ -141,22 +141,29 @@ def _name_key(row: FleetRow) -> tuple[list[tuple[int, str]], str, str]:
     return told, row.sensor, row.channel
 
 
-def summary(rows: Sequence[FleetRow]) -> str:
-    """Return what became of a fleet, in a sentence: how many sensors are cleaned, and how many are to be looked at.
+def summary(rows: Sequence[FleetRow], done: str = "cleaned") -> str:
+    """Return what became of a fleet, in a sentence: how many sensors are done, and how many are to be looked at.
 
-    A sensor is cleaned if none of its channels was refused, and does not fit, or is whatever else, if one of them is.
+    A sensor is done if none of its channels was refused, and does not fit, or is whatever else, if one of them is.
+
+    Parameters
+    ----------
+    rows : sequence of FleetRow
+        Of every channel of every sensor.
+    done : str
+        What was done to them, in a word.
     """
     if not rows:
         return "There is no sensor."
     found: dict[str, set[str]] = defaultdict(set)
     for row in rows:
         found[row.sensor].update(trait.name for trait in TRAITS if trait.holds(row))
-    cleaned = [traits for traits in found.values() if "refused" not in traits]
-    refused = len(found) - len(cleaned)
-    told = [_told(cleaned, *words) for words in _REMARKS]
+    fine = [traits for traits in found.values() if "refused" not in traits]
+    refused = len(found) - len(fine)
+    told = [_told(fine, *words) for words in _REMARKS]
     remarks = ", ".join(remark for remark in told if remark)
     return (
-        f"{spaced(len(cleaned))} of {counted(len(found), 'sensor is', 'sensors are')} cleaned"
+        f"{spaced(len(fine))} of {counted(len(found), 'sensor is', 'sensors are')} {done}"
         + (f" ({remarks})" if remarks else "")
         + (f"; {counted(refused, 'is refused', 'are refused')}" if refused else "")
         + "."

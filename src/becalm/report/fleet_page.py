@@ -49,6 +49,8 @@ class FleetFacts:
         Rows of all sensors.
     recipes : tuple of str
         Names of those that were used.
+    done : str
+        What was done to the sensors, in a word.
     """
 
     lake: str
@@ -57,6 +59,7 @@ class FleetFacts:
     took_s: float | None = None
     rows_total: int = 0
     recipes: tuple[str, ...] = ()
+    done: str = "cleaned"
 
 
 class _Filter(NamedTuple):
@@ -86,7 +89,7 @@ def fleet_page(rows: Sequence[FleetRow], facts: FleetFacts) -> str:
         .render(
             name=_unbroken(facts.lake),
             version=version("becalm"),
-            lead=_unbroken(summary(rows)),
+            lead=_unbroken(summary(rows, facts.done)),
             facts_told=_facts_told(facts),
             filters=_filters(told),
             total=_unbroken(spaced(len(told))),

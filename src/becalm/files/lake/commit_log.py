@@ -15,6 +15,7 @@ _READERS: dict[str, Callable[[Path], Collection[Parts]]] = {
     spark_log.NAME: spark_log.committed_files,
     marks.NAME: marks.marked_files,
 }
+_WHOLE = (spark_log.NAME,)  # name files by all of their paths, which may have been moved since; others from the root on
 
 
 class CommitLog:
@@ -26,14 +27,18 @@ class CommitLog:
         The folder that it is of.
     named : collection of tuple of str
         Parts of the paths of its files, as they were when the log was written.
+    whole : bool
+        Whether these are whole paths, and not from the root on.
     """
 
-    def __init__(self, root: Path, named: Collection[Parts]) -> None:
-        self.root, self._named = root, named
+    def __init__(self, root: Path, named: Collection[Parts], *, whole: bool) -> None:
+        self.root, self._named, self._whole = root, named, whole
         self._ends: dict[int, set[Parts]] = {}
 
     def names(self, below: Parts) -> bool:
         """Whether it names a file, by the path from its root: all above may have been moved since."""
+        if not self._whole:
+            return below in self._named
         ends = self._ends.setdefault(len(below), {one[-len(below) :] for one in self._named})
         return below in ends
 
@@ -47,13 +52,18 @@ class CommitLog:
         under : tuple of str
             The path from the root to that folder.
         """
-        own = next(iter(found), None)
-        places = {one[: len(one) - len(own)] for one in self._named if own and one[-len(own) :] == own}
-        if len(places) != 1:
-            return []
-        place = places.pop()
-        named = {one[len(place) :] for one in self._named if one[: len(place)] == place}
+        named = self._from_root(next(iter(found), None))
         return sorted(one for one in named.difference(found) if one[: len(under)] == under)
+
+    def _from_root(self, one_found: Parts | None) -> set[Parts]:
+        """Return what it names by paths from the root; nothing where a file that was found does not tell these."""
+        if not self._whole:
+            return set(self._named)
+        places = {one[: -len(one_found)] for one in self._named if one_found and one[-len(one_found) :] == one_found}
+        if len(places) != 1:
+            return set()
+        place = places.pop()
+        return {one[len(place) :] for one in self._named if one[: len(place)] == place}
 
 
 def log_of(folder: Path) -> CommitLog | None:
@@ -66,4 +76,4 @@ def log_of(folder: Path) -> CommitLog | None:
     """
     with told(folder):
         names = [name for name in _READERS if (folder / name).exists()]
-    return CommitLog(folder, _READERS[names[0]](folder)) if names else None
+    return CommitLog(folder, _READERS[names[0]](folder), whole=names[0] in _WHOLE) if names else None

@@ -11,8 +11,9 @@ from becalm.errors import InputError
 from becalm.files.lake.commit_log import CommitLog, Parts, log_of
 from becalm.files.text.text import PARQUET, told
 
-_ENDINGS = (".parquet", ".pq")
-_HIDDEN = ("_", ".")
+ENDINGS = (".parquet", ".pq")
+"""Of files that hold rows."""
+
 _PARTITION = re.compile(r"[^=]+=.*", re.DOTALL)
 
 
@@ -64,6 +65,11 @@ def parquet_files(folder: Path) -> Listing:
 def is_partition(name: str) -> bool:
     """Whether a folder is called as those that tables are split into: `key=value`."""
     return _PARTITION.fullmatch(name) is not None
+
+
+def is_hidden(name: str) -> bool:
+    """Whether a file or folder is no data by its name, as Spark has it: `_id=17` is a partition."""
+    return name.startswith(".") or (name.startswith("_") and not is_partition(name))
 
 
 def natural(path: Path) -> list[list[str | int]]:
@@ -118,7 +124,7 @@ def _walk(folder: Path, log: CommitLog | None, below: Parts, seen: set[Path]) ->
     with told(folder):
         paths = sorted(folder.iterdir())
     for path in paths:
-        if path.name.startswith(_HIDDEN):
+        if is_hidden(path.name):
             continue
         deeper = (*below, path.name)
         if not path.is_dir():
@@ -132,7 +138,7 @@ def _walk(folder: Path, log: CommitLog | None, below: Parts, seen: set[Path]) ->
 
 def _is_parquet(path: Path) -> bool:
     """Whether a file is called Parquet, or is it by its first bytes, as Hive's is, whose name has no ending."""
-    named = path.name.lower().endswith(_ENDINGS)
+    named = path.name.lower().endswith(ENDINGS)
     with told(path):
         if named:
             path.stat()  # of a link that leads nowhere, says so

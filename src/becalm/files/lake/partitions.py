@@ -13,7 +13,9 @@ from becalm.files.lake.listing import is_partition
 _TIME = re.compile(
     r"(?:.*_)?(?:year|yr|quarter|month|week|day|date|datetime|dt|ds|hour|hr|minute|second|time|timestamp|ts)", re.DOTALL
 )
-"""Keys that tell when rows were: `date`, `event_date`."""
+"""Keys that tell when rows were: `date`, `event_date`, `eventDate`."""
+
+_HUMP = re.compile(r"(?<=[a-z])(?=[A-Z])")
 
 
 def refuse_several(folder: Path, files: Iterable[Path]) -> None:
@@ -54,7 +56,7 @@ def sensor_of(place: Path) -> tuple[str, ...]:
 
 def tells_time(part: str) -> bool:
     """Tell whether a partition is by time: `date=2026-01-02`, and not `sensor=17`."""
-    return _TIME.fullmatch(part.partition("=")[0].lower()) is not None
+    return _TIME.fullmatch(_HUMP.sub("_", part.partition("=")[0]).lower()) is not None
 
 
 def _up_to(last: str, place: Path) -> Path:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -32,8 +32,6 @@ if TYPE_CHECKING:
 
 PART_ROWS = 1 << 22
 """Rows of a file that one task parts: enough work for a task, and not too many to do again."""
-
-_CHANGED = "Its files changed while they were read; wait until they are complete, and repeat."
 
 OUTPUT = "part-0.parquet"
 """The one file of a sensor."""
@@ -91,7 +89,7 @@ def clean_grouped(spark: SparkSession, job: Job, shared: Shared, book: RecipeBoo
     with in_waiting(staged):
         lake = Lake(job.lake, shared.keys, _times(job, unfinished))
         parted = _parted(spark, lake, staged, counts)
-        found, failed = _gathered(unfinished, counts, parted)
+        found, failed = _gathered(unfinished, parted)
         return outcomes + failed + _cleaned(spark, job.lake, replace(job, lake=str(staged)), found)
 
 
@@ -123,26 +121,23 @@ def _parted(spark: SparkSession, lake: Lake, staged: Path, counts: Mapping[str, 
     for file, count in counts.items():
         shares = -(-sum(count.rows.values()) // PART_ROWS) if lake.wanted.keys() & count.rows.keys() else 0
         for share in range(shares):
-            parts.append(Part(file, share, shares, str(staged / f"{len(parts):06d}.strips")))
+            parts.append(Part(file, share, shares, str(staged / f"{len(parts):06d}.strips"), count.hashed))
             origins.append(count)
     return list(zip(origins, run_tasks(spark, partial(part_rows, lake), parts), strict=True))
 
 
 def _gathered(
-    sensors: Sequence[Sensor], counts: Mapping[str, Count], parted: Sequence[tuple[Count, Strips]]
+    sensors: Sequence[Sensor], parted: Sequence[tuple[Count, Strips]]
 ) -> tuple[list[Gathered], list[Outcome]]:
     """Return the sensors whose rows are all there, the longest first, and those in files that could not be read."""
-    strips, failed, rows = defaultdict[str, list[Strip]](list), dict[str, str](), Counter[str]()
-    for count in counts.values():
-        rows.update(count.rows)
+    strips, failed = defaultdict[str, list[Strip]](list), dict[str, str]()
     for count, part in parted:
         failed |= {name: part.failed for name in count.rows if part.failed}
         for name, some in part.of.items():
             strips[name] += some
     found = [Gathered(sensor, tuple(strips[sensor.name])) for sensor in sensors if sensor.name not in failed]
-    failed |= {one.sensor.name: _CHANGED for one in found if one.rows != rows[one.sensor.name]}
-    found = sorted((one for one in found if one.sensor.name not in failed), key=lambda one: -one.rows)
-    return found, [refused(sensor.name, failed[sensor.name]) for sensor in sensors if sensor.name in failed]
+    outcomes = [refused(sensor.name, failed[sensor.name]) for sensor in sensors if sensor.name in failed]
+    return sorted(found, key=lambda one: -one.rows), outcomes
 
 
 def _cleaned(spark: SparkSession, lake: str, job: Job, found: Sequence[Gathered]) -> list[Outcome]:
@@ -165,7 +160,8 @@ def merge_and_clean(lake: str, job: Job, gathered: Gathered) -> Outcome | None:
     gathered : Gathered
         The sensor.
     """
-    return told_by(gathered.sensor, lambda: _merged_and_cleaned(lake, job, gathered))
+    told = told_by(gathered.sensor, lambda: _merged_and_cleaned(lake, job, gathered))
+    return None if told is None else _in_words_of(lake, job.lake, told)
 
 
 def _merged_and_cleaned(lake: str, job: Job, gathered: Gathered) -> Outcome | None:

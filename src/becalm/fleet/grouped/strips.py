@@ -12,12 +12,13 @@ import numpy as np
 import pyarrow as pa
 
 from becalm.core.arrays import Integers
-from becalm.errors import BecalmError
+from becalm.errors import BecalmError, InputError
 from becalm.files.identity import Original
 from becalm.files.parquet import read_parquet
 from becalm.files.source import RawTable
 from becalm.files.whole import replacing, sentences
 from becalm.fleet.grouped.order import Ranks, is_mended, ranks_of, time_of
+from becalm.fleet.marks import came_of
 from becalm.fleet.names import named, values_in
 
 RANK = "becalm.rank"
@@ -82,12 +83,15 @@ class Part(NamedTuple):
         Which of how many equal shares of its row groups.
     strips : str
         The file to write.
+    hashed : str
+        What tells whether the file of the lake is still the same.
     """
 
     file: str
     number: int
     parts: int
     strips: str
+    hashed: str
 
 
 class Strips(NamedTuple):
@@ -141,6 +145,8 @@ def _parted(lake: Lake, part: Part) -> dict[str, list[Strip]]:
                 found[name].append(Strip(part.strips, file.tell(), len(rows), first, part.file))
                 with sentences(target):
                     _write(file, block.take(rows), ranks)
+    if came_of([(part.file, path)], "", {}) != part.hashed:
+        raise InputError(f"{path} changed while it was read; wait until it is complete, and repeat.")
     return dict(found)
 
 

@@ -70,9 +70,9 @@ class Course:
             self.whole = not overlaps_agree(self._in_order)
             return []
         again = to_run_again(self._in_order)
-        self.whole = again is None
+        self.whole = again is None or any(map(self._was_run, again))
         self._again += len(again or ())
-        return again or []
+        return [] if self.whole else again or []
 
     def finish(self) -> Outcome:
         """Let the output appear, and say what became of the sensor.
@@ -89,6 +89,10 @@ class Course:
         names = tuple(piece.name for one in told for piece in one.pieces)
         commit(long.job, long.sensor, Path(long.staged), Mark(long.hashed, names, outcome))
         return outcome
+
+    def _was_run(self, stretch: Stretch) -> bool:
+        """Whether a stretch was run from where it is to be run again: then it would be run for ever."""
+        return self._told[stretch.number].stretch == stretch
 
     @property
     def _in_order(self) -> list[Told]:

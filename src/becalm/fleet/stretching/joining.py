@@ -9,7 +9,7 @@ from typing import NamedTuple
 from becalm.cleaning.faults import Fault
 from becalm.cleaning.report import ChannelReport
 from becalm.core.verdict import Verdict
-from becalm.fleet.outcome import SHOWN, Outcome
+from becalm.fleet.outcome import SHOWN, Outcome, noted
 from becalm.fleet.stretching.long import Long
 from becalm.fleet.stretching.run import Told
 from becalm.report.fleet_rows import FleetRow, faults_told, usable_share
@@ -46,7 +46,7 @@ def joined_outcome(long: Long, told: Sequence[Told], again: int, took_s: float) 
     """
     parts = [[_Part(one, one.reports[c], one.counts[c]) for one in told] for c in range(len(long.first))]
     rows = tuple(_row(long, channel) for channel in parts)
-    return Outcome(long.sensor.name, "cleaned", rows, took_s, _seams(told, again))
+    return Outcome(long.sensor.name, "cleaned", noted(rows, long.notes), took_s, _seams(told, again))
 
 
 def _seams(told: Sequence[Told], again: int) -> str:

@@ -34,7 +34,8 @@ class Long(NamedTuple):
     cuts: tuple[int, ...]  # the rows at which stretches begin, and the last row's end
     first: tuple[float, ...]  # the first usable reading of each channel
     extremes: tuple[Extremes, ...]
-    took_s: float  # to find that out
+    notes: tuple[str, ...]  # what was found of its files and clock
+    took_s: float  # to find all that out
 
 
 class Stretch(NamedTuple):

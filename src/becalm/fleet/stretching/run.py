@@ -121,7 +121,7 @@ def pieces_of(files: tuple[Piece, ...], stretch: Stretch) -> list[Piece]:
 
 def _reopened(long: Long, recipe: Recipe) -> KnownSource:
     job, sensor = long.job, long.sensor
-    options = asked_by(recipe, f"becalm fleet tune {job.lake} -o DIR")
+    options = asked_by(recipe, job.another)
     raw, _ = as_asked(job.input_of(sensor), job.tables_of(sensor), options)
     return KnownSource(raw, long.known)
 

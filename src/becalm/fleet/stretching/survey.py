@@ -20,7 +20,7 @@ from becalm.fleet.outcome import Outcome
 from becalm.fleet.pieces import open_staging
 from becalm.fleet.stretching.long import Extremes, Long
 from becalm.fleet.stretching.margins import margin_of
-from becalm.fleet.whole import Opened, clean_whole, finished, hash_of, opened, told_by
+from becalm.fleet.whole import Opened, clean_whole, finished, hash_of, opened, refuse_foreign, told_by
 
 FEWEST = 4
 """Margins that a stretch is long, at least: of a shorter one too much would be done twice."""
@@ -56,6 +56,7 @@ def _long(job: Job, sensor: Sensor, hashed: str) -> Long | None:
         length = -(-length // margin.aligned) * margin.aligned
         if found.recipe.mode == "lagged" or source.rows < 2 * length:
             return None
+        refuse_foreign(job, sensor, [piece.name for piece in found.pieces])
         staged = open_staging(job.output_folder(sensor))
         return Long(
             job=job,
@@ -69,6 +70,7 @@ def _long(job: Job, sensor: Sensor, hashed: str) -> Long | None:
             cuts=_cuts(source.rows, length),
             first=_first_readings(found),
             extremes=_extremes(found) if found.as_stored else (),
+            notes=source.notes,
             took_s=monotonic() - began,
         )
 
@@ -110,12 +112,17 @@ def _extremes(found: Opened) -> tuple[Extremes, ...]:
             groups = [file.metadata.row_group(number) for number in range(file.num_row_groups)]
         for group in groups:
             stored = {group.column(c).path_in_schema: group.column(c).statistics for c in range(group.num_columns)}
-            ranges = [one for name in names if (one := stored.get(name)) is not None and one.has_min_max]
+            ranges = [one for name in names if (one := stored.get(name)) is not None and _is_of_numbers(one)]
             if len(ranges) < len(names):
                 return ()
             row += group.num_rows
             told.append(Extremes(row, tuple(one.min for one in ranges), tuple(one.max for one in ranges)))
     return tuple(accumulate(told, _joined))
+
+
+def _is_of_numbers(stored: pq.Statistics) -> bool:
+    """Whether statistics tell between which numbers the values of a column lie; text is in another order."""
+    return bool(stored.has_min_max and isinstance(stored.min, int | float))
 
 
 def _joined(one: Extremes, other: Extremes) -> Extremes:

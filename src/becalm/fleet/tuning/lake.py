@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from becalm.errors import InputError, UsageError
 from becalm.files.plain import make_folder, refuse_unwritable
+from becalm.fleet.alone import alone_at
 from becalm.fleet.batch import refuse_inside
 from becalm.fleet.engine import run_tasks
 from becalm.fleet.job import Job, Sensor
@@ -25,6 +26,8 @@ from becalm.report.fleet_rows import FleetRow
 
 if TYPE_CHECKING:
     from pyspark.sql import SparkSession
+
+_LOCK = ".lock"
 
 Run = Callable[[Callable[[Any], Any], Sequence[Any]], list[Any]]
 """Does some work for each of several tasks, and returns what was told in their order, as `fleet.engine.run_tasks`."""
@@ -113,15 +116,16 @@ def tune_by(run: Run, lake: Path, recipes: Path, asked: Asked = NOTHING_ASKED) -
     chosen = chosen_in(lake, recipes, asked)
     make_folder(recipes)
     refuse_unwritable(recipes / REPORT)
-    classes = _judged(run, lake, asked.by, chosen, _tuned(run, lake, asked.causal, chosen))
-    if not any(klass.found for klass in classes):
-        first = classes[0].failed[0]
-        raise InputError(f"No sensor of {lake} could be tuned; the first, {first.sensor}: {first.reason}")
-    named = named_recipes(classes, own=asked.own)
-    names, took_s = tuple(sorted(named)), monotonic() - started
-    facts = FleetFacts(lake.name, recipes.name, began.isoformat(), took_s, recipes=names)
-    rows = write_found(recipes, classes, named, facts)
-    return Tuned(tuple(classes), names, tuple(rows), recipes / REPORT)
+    with alone_at(recipes, recipes / _LOCK):
+        classes = _judged(run, lake, asked.by, chosen, _tuned(run, lake, asked.causal, chosen))
+        if not any(klass.found for klass in classes):
+            first = classes[0].failed[0]
+            raise InputError(f"No sensor of {lake} could be tuned; the first, {first.sensor}: {first.reason}")
+        named = named_recipes(classes, own=asked.own)
+        names, took_s = tuple(sorted(named)), monotonic() - started
+        facts = FleetFacts(lake.name, recipes.name, began.isoformat(), took_s, recipes=names, done="tuned")
+        rows = write_found(recipes, classes, named, facts)
+        return Tuned(tuple(classes), names, tuple(rows), recipes / REPORT)
 
 
 def chosen_in(lake: Path, recipes: Path, asked: Asked = NOTHING_ASKED) -> list[Chosen]:

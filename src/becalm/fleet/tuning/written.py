@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from becalm.cleaning.recipe import Recipe
-from becalm.errors import UsageError
+from becalm.errors import RecipeError, UsageError
 from becalm.files.plain import write_folder
 from becalm.files.whole import sentences
 from becalm.fleet.outcome import SHOWN
-from becalm.fleet.recipes import RecipeBook
+from becalm.fleet.recipes import ENDING, RecipeBook, recipes_in
 from becalm.fleet.tuning.classes import TunedClass
 from becalm.fleet.tuning.found import TunedChannel
 from becalm.report.fleet_page import FleetFacts, fleet_page
@@ -21,8 +21,6 @@ from becalm.report.fleet_rows import FleetRow
 
 REPORT, SENSORS = "report.html", "sensors.jsonl"
 """Names of the page, and of what was found for each sensor, beside the recipes."""
-
-_ENDING = ".toml"
 
 
 def refuse_recipes(folder: Path) -> None:
@@ -38,11 +36,6 @@ def refuse_recipes(folder: Path) -> None:
             f"{folder} holds recipes already, as {held[0].relative_to(folder)}; name another folder with -o, or repeat"
             " with --replace, which puts new ones in the place of all of them."
         )
-
-
-def recipes_in(folder: Path) -> list[Path]:
-    """List the recipes of a folder, as a `RecipeBook` reads them."""
-    return sorted(path for path in folder.rglob(f"*{_ENDING}") if not path.name.startswith("."))
 
 
 class Named(NamedTuple):
@@ -87,7 +80,9 @@ def _origin(klass: TunedClass) -> str:
 def write_found(
     folder: Path, classes: Sequence[TunedClass], named: Mapping[str, Named], facts: FleetFacts
 ) -> list[FleetRow]:
-    """Write recipes, what was found, and the page, and remove other recipes; return the rows of the page.
+    """Write recipes, what was found, and the page; return the rows of the page.
+
+    Where there are new recipes, all others of the folder go; files that are no recipes stay.
 
     Raises
     ------
@@ -96,14 +91,22 @@ def write_found(
     """
     book = book_of(named)
     rows = [row for klass in classes for row in _rows(klass, named, book)]
-    texts = {name + _ENDING: _commented(one.origin) + one.recipe.to_toml() for name, one in named.items()}
+    texts = {name + ENDING: _commented(one.origin) + one.recipe.to_toml() for name, one in named.items()}
     lines = [json.dumps(told) + "\n" for told in values_of(classes)]
-    older = recipes_in(folder)
+    older = [path for path in recipes_in(folder) if named and _is_recipe(path)]
     write_folder(folder, {**texts, SENSORS: "".join(lines), REPORT: fleet_page(rows, facts)})
     for path in set(older) - {folder / name for name in texts}:
         with sentences(path):
             path.unlink(missing_ok=True)
     return rows
+
+
+def _is_recipe(path: Path) -> bool:
+    try:
+        Recipe.load(path)
+    except RecipeError:
+        return False
+    return True
 
 
 def _commented(text: str) -> str:

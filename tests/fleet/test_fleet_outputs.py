@@ -1,0 +1,152 @@
+"""What lies where a sensor's output goes: written over only where becalm wrote it, and gone when it is older."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+import becalm
+from becalm.errors import OutputError
+from becalm.files.through import clean_chunks
+from becalm.fleet.batch import Asked, Fleet, clean
+from becalm.fleet.marks import Mark
+from becalm.fleet.recipes import open_book
+from made import Lake, recipe_of, table_of, walk, without_spark, write_parts
+
+SPARK: Any = None
+ROWS = 6000
+
+
+@pytest.fixture
+def lake(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Lake:
+    without_spark(monkeypatch)
+    for sensor in range(2):
+        write_parts(
+            tmp_path / "lake" / f"sensor={sensor}", table_of(np.arange(ROWS) / 100, a=walk(sensor, ROWS)), (999,)
+        )
+    (tmp_path / "r.toml").write_text(recipe_of("a").to_toml(), encoding="utf-8")
+    return Lake(tmp_path / "lake", tmp_path / "r.toml")
+
+
+def out_of(lake: Lake) -> Path:
+    return lake.root.parent / "out"
+
+
+def cleaned(lake: Lake, asked: Asked = Asked()) -> Fleet:  # noqa: B008  (it cannot change)
+    return clean(SPARK, lake.root, out_of(lake), open_book(lake.recipe), asked)
+
+
+def reasons(fleet: Fleet) -> list[str]:
+    return [one.reason for one in fleet.outcomes]
+
+
+@pytest.mark.parametrize("asked", [Asked(), Asked(stretch_rows=1024)], ids=["whole", "cut"])
+def test_files_of_others_are_not_written_over(lake: Lake, asked: Asked) -> None:
+    foreign = out_of(lake) / "sensor=1" / "date=2026-01-02" / "part-8.parquet"
+    foreign.parent.mkdir(parents=True)
+    foreign.write_bytes(b"of somebody else")
+    said = reasons(cleaned(lake, asked))
+    assert said[0] == ""
+    assert said[1].startswith(f"{foreign} is there already, and no mark says that becalm wrote it")
+    assert foreign.read_bytes() == b"of somebody else"
+    foreign.unlink()
+    assert reasons(cleaned(lake, asked)) == ["", ""]
+
+
+def test_a_damaged_mark_is_no_leave_to_write_over(lake: Lake) -> None:
+    cleaned(lake)
+    (out_of(lake) / "sensor=1" / "_becalm.json").write_text('{"files": [', encoding="utf-8")
+    assert "no mark says that becalm wrote it; remove it" in reasons(cleaned(lake))[1]
+
+
+def test_a_link_leads_nobody_to_raw_files(lake: Lake) -> None:
+    out_of(lake).mkdir()
+    (out_of(lake) / "sensor=1").symlink_to(lake.root / "sensor=1")
+    before = sorted((path, path.stat().st_mtime_ns) for path in lake.root.rglob("*"))
+    assert "out of the output; remove that link" in reasons(cleaned(lake))[1]
+    assert before == sorted((path, path.stat().st_mtime_ns) for path in lake.root.rglob("*"))
+
+
+@pytest.mark.parametrize("killed_at", ["renames", "older", "mark"])
+def test_files_of_an_older_output_go_whenever_it_is_killed(
+    lake: Lake, monkeypatch: pytest.MonkeyPatch, killed_at: str
+) -> None:
+    cleaned(lake)
+    folder = lake.root / "sensor=1" / "date=2026-01-01"
+    (folder / "part-9.parquet").rename(folder / "another.parquet")
+    with monkeypatch.context() as patch:
+        _kill(patch, killed_at)
+        with pytest.raises(KeyboardInterrupt):
+            cleaned(lake)
+    assert {one.state for one in cleaned(lake).outcomes} == {"kept", "cleaned"}
+    out = out_of(lake) / "sensor=1"
+    assert sorted(path.name for path in out.rglob("*.parquet")) == ["another.parquet", "part-8.parquet"]
+    assert len(becalm.read(out)) == ROWS
+    assert not list(out_of(lake).rglob("*.part"))
+
+
+def _kill(patch: pytest.MonkeyPatch, at: str) -> None:
+    def killed(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    if at == "renames":
+        patch.setattr("becalm.fleet.whole.put_in_place", killed)
+    elif at == "older":
+        patch.setattr(Path, "unlink", killed)
+    else:
+        written, real = [0], Mark.write
+
+        def second(mark: Mark, path: Path) -> None:
+            written[0] += 1
+            killed() if written[0] == 2 else real(mark, path)
+
+        patch.setattr(Mark, "write", second)
+
+
+def test_a_file_that_comes_meanwhile_is_told(lake: Lake, monkeypatch: pytest.MonkeyPatch) -> None:
+    def arrives(*words: Any, **more: Any) -> Any:
+        found = clean_chunks(*words, **more)
+        write_parts(lake.root / "sensor=0" / "year=2025", table_of(np.arange(10) / 100 - 5, a=walk(3, 10)))
+        return found
+
+    lake.root.joinpath("sensor=1").rename(lake.root.parent / "elsewhere")
+    with monkeypatch.context() as patch:
+        patch.setattr("becalm.fleet.whole.clean_chunks", arrives)
+        (said,) = reasons(cleaned(lake))
+    assert said == "The files of sensor=0 changed while they were read; wait until all came, and repeat."
+    assert not list(out_of(lake).rglob("*.parquet"))
+    assert reasons(cleaned(lake)) == [""]
+
+
+def test_a_refused_sensor_says_where_its_older_output_is(lake: Lake) -> None:
+    cleaned(lake)
+    next((lake.root / "sensor=1").rglob("part-9.parquet")).write_bytes(b"PAR1 and no end")
+    assert reasons(cleaned(lake))[1].endswith(f"An older output is still in {out_of(lake) / 'sensor=1'}.")
+
+
+def test_names_without_an_ending_are_written_as_parquet(lake: Lake) -> None:
+    for path in list(lake.root.rglob("*.parquet")):
+        path.rename(path.with_name("000000_0"))
+    assert reasons(cleaned(lake)) == ["", ""]
+    assert pq.read_metadata(out_of(lake) / "sensor=0" / "date=2026-01-01" / "000000_0").num_rows == 999
+    assert len(becalm.read(out_of(lake) / "sensor=0")) == ROWS
+
+
+def test_what_was_found_of_files_and_clocks_is_told(lake: Lake) -> None:
+    folder = lake.root / "sensor=1"
+    named = [str(path.relative_to(folder)) for path in folder.rglob("*.parquet")]
+    (folder / "_becalm.json").write_text(json.dumps({"files": [*named, "gone.parquet"]}), encoding="utf-8")
+    (row,) = [row for row in cleaned(lake).rows if row.sensor == "sensor=1"]
+    assert "One file that the log of" in row.says
+    assert "the rows in them are missing" in row.says
+
+
+def test_an_output_that_cannot_be_locked_is_said(lake: Lake) -> None:
+    (out_of(lake) / "_becalm" / "lock").mkdir(parents=True)
+    with pytest.raises(OutputError, match="cannot be locked"):
+        cleaned(lake)
