@@ -67,8 +67,7 @@ class Stream:
     @property
     def head(self) -> Head:
         """What every row shares."""
-        names = tuple(channel.name for channel in self.recipe.channel)
-        units = tuple(channel.unit for channel in self.recipe.channel)
+        names, units = zip(*((one.name, one.unit) for one in self.recipe.channel), strict=True)
         return Head(names, units, 1 / self._step_s, self._toml())
 
     @property
@@ -255,9 +254,8 @@ class Stream:
             If they have another lag.
         """
         if isinstance(self._cleaner, Handover) and not self._cleaner.has_begun:
-            self._cleaner = Handover(
-                self._cleaner.former, prepared.later, prepared.rows
-            )  # what is between told nothing
+            former = self._cleaner.former  # what is between told nothing
+            self._cleaner = Handover(former, prepared.later, prepared.rows)
         else:
             former = self._cleaner.later if isinstance(self._cleaner, Handover) else self._cleaner
             self._cleaner, self._former = Handover(former, prepared.later, prepared.rows), self.recipe
