@@ -182,7 +182,8 @@ _FORMATS = f"""# Formats and units
 Written by `docs/formats.py`. What a file is, its first bytes say, whatever its name. CSV, Parquet, MAT (but 7.3), NPZ
 and WAV need nothing else; the others need `pip install 'becalm[formats]'`. Channels of one file that have times of
 their own stay apart: `becalm clean` cleans all of them into one `.h5`, `.mat`, `.mf4`, `.npz` or `.tdms`, and
-`--group NAME` chooses one of them for a `.csv` or `.parquet`.
+`--group NAME` chooses one of them for a `.csv` or `.parquet`. A folder of Parquet files is one recording, in the order
+of time ([over a fleet](fleet.md#the-lake) has the rules).
 
 Each format holds the same recording here: four channels in {UNIT} at 1000 Hz. *libraries* are those that becalm
 loaded to read it, beside NumPy and pyarrow; *time* is a rate that the format itself tells, or stamps; *unit*, whether

@@ -22,7 +22,7 @@ from becalm.fleet.recipes import open_book
 from becalm.fleet.whole import clean_whole
 from made import job_of, read_parts, recipe_of, same, table_of, walk, write_parts
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.spark]
 
 DEPLOY = Path(__file__).parents[2] / "deploy" / "spark"
 PLACE = Path(sys.executable).parent

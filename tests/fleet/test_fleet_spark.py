@@ -22,7 +22,7 @@ from becalm.fleet.session import session
 from becalm.fleet.whole import clean_whole
 from made import Lake, job_of, read_parts, recipe_of, same, table_of, walk, write_parts
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.spark]
 
 CLUSTER = "local-cluster[2,1,1024]"
 SENSORS, ROWS = 24, 40_000

@@ -280,6 +280,7 @@ def test_names_of_all_kinds_leave_recipes_that_can_be_read(tmp_path: Path) -> No
 
 
 @pytest.mark.slow
+@pytest.mark.spark
 def test_on_spark_it_is_the_same(done: Done, run: Run, tmp_path: Path) -> None:
     pytest.importorskip("pyspark", reason="it runs on Spark: pip install pyspark")
     ran = run("fleet", "tune", done.lake, "-o", "recipes", "--master", "local[2]", "--json")

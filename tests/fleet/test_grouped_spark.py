@@ -22,7 +22,7 @@ from becalm.fleet.session import session
 from made import Lake, Run, one_after_the_other, read_parts, recipe_of, same
 from shared_lakes import KEY, keyed, own_table, shuffled, write_files
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.spark]
 
 SENSORS, ROWS = 20, 20_000
 

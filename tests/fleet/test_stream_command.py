@@ -28,6 +28,7 @@ def lake(tmp_path: Path) -> Path:
 
 
 @pytest.mark.slow
+@pytest.mark.spark
 def test_what_is_there_is_streamed_and_what_comes_later_follows(lake: Path, run: Run) -> None:
     words = ("fleet", "stream", lake, "-o", "out", "--recipe", "r.toml", "--time", "time_s", "--once")
     for count in (900, 1500):

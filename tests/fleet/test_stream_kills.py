@@ -10,7 +10,7 @@ import becalm
 from fleet_stream_kills import RATE_HZ, SENSORS, killed
 from fleet_stream_runs import KINDS, committed
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.spark]
 
 
 def test_whoever_is_killed_nothing_is_lost_and_nothing_told_twice(tmp_path: Path) -> None:

@@ -261,6 +261,7 @@ def test_streams_that_forget_are_refused(server: Broker) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.spark
 def test_a_broker_s_messages_are_streamed_to_the_bit(server: Broker, stage: Stage) -> None:
     rows = {"plant.a": rows_of(600, 1), "plant.b": rows_of(600, 5)}
     source = f"nats://127.0.0.1:{server.port}/PUMP?subject=plant.*&most=30"
@@ -273,6 +274,7 @@ def test_a_broker_s_messages_are_streamed_to_the_bit(server: Broker, stage: Stag
 
 
 @pytest.mark.slow
+@pytest.mark.spark
 def test_a_stream_of_messages_that_is_not_there_is_told_before_it_begins(server: Broker, stage: Stage) -> None:
     with pytest.raises(InputError, match="no stream 'NONE'"):
         stage.once(source=f"nats://127.0.0.1:{server.port}/NONE")

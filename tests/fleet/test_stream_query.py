@@ -31,7 +31,7 @@ from streaming_spark import Stage, events_of, said_in, spark, stage, told_in, un
 if TYPE_CHECKING:
     from pyspark.sql import SparkSession
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.spark]
 __all__ = ["spark", "stage"]
 
 

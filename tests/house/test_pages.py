@@ -21,7 +21,15 @@ from becalm.noise import banks, lines, risk, switching
 NAMED = {page: str(page.relative_to(ROOT)) for page in PAGES}
 
 
-@pytest.mark.parametrize("page", [page for page in PAGES if has_blocks(page)], ids=NAMED.get)
+SPARK = "fleet.md"
+RUN = [
+    pytest.param(page, marks=pytest.mark.spark if page.name == SPARK else (), id=NAMED[page])
+    for page in PAGES
+    if has_blocks(page)
+]
+
+
+@pytest.mark.parametrize("page", RUN)
 def test_documented_code_runs_and_prints_what_the_page_says(page: Path, tmp_path: Path) -> None:
     assert rewritten(page, tmp_path) == page.read_text(encoding="utf-8"), "write it anew: python docs/blocks.py"
 
