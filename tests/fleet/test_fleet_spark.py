@@ -148,11 +148,26 @@ def test_a_killed_job_is_taken_up_again(lake: Lake, whole: Path, tmp_path: Path)
         os.killpg(process.pid, signal.SIGKILL)
         process.communicate()
         read = [rows_of(place) for place in out.glob("sensor=*")]
-        assert len([rows for rows in read if rows is not None]) >= count - 3  # those that were at it have marks too
+        assert len([rows for rows in read if rows is not None]) >= count - 2  # two that were at it have marks too
         assert {rows for rows in read if rows is not None} <= {ROWS, 8 * ROWS}
     told = finished(begun(lake, out))
     assert int(re.search(r"\((\d+) were finished before", told)[1]) >= 12  # type: ignore[index]
     as_it_would_have_been(lake, out, whole)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_a_job_and_all_of_its_processes(lake: Lake, tmp_path: Path, number: signal.Signals) -> None:
+    process = begun(lake, tmp_path / "out")
+    wait_until(tmp_path / "out", 2)
+    process.send_signal(number)
+    told, _ = process.communicate(timeout=60)
+    assert process.returncode == 128 + number, told
+    assert "Stopped; what is finished stays, and what was half-written is not read. Repeat, and it goes on." in told
+    assert "Traceback" not in told
+    until = time.monotonic() + 60
+    while (left := list(processes("", process.pid))) and time.monotonic() < until:
+        time.sleep(0.2)
+    assert not left
 
 
 def test_a_session_is_of_this_machine_alone(tmp_path: Path) -> None:
@@ -170,7 +185,9 @@ def test_a_session_is_of_this_machine_alone(tmp_path: Path) -> None:
 def test_what_spark_cannot_do_is_said(lake: Lake, tmp_path: Path) -> None:
     ran = subprocess.run(command(lake, tmp_path / "out", "nonsense"), capture_output=True, text=True, check=False)
     assert (ran.returncode, ran.stdout) == (2, "")
-    assert "Spark does not start on nonsense" in ran.stderr
+    assert "Spark does not start on nonsense (" in ran.stderr
+    assert "Master must either be yarn or start with spark" in ran.stderr
+    assert "said why above. Name a master that is there with --master, as local[4]" in ran.stderr
     assert "Traceback" not in ran.stderr
 
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from becalm.errors import UsageError
@@ -20,7 +22,9 @@ HERE = "local[*,4]"
 _LOOPBACK = "127.0.0.1"
 _RAISED = re.compile(r"(?:Caused by)?:? ?(?:org|java|scala)\.[\w.$]*(?:Exception|Error): (?P<says>.+)")
 _LONGEST = 300
+_LOGS = Path(__file__).with_name("log4j2.properties")
 _QUIET = {
+    "spark.driver.extraJavaOptions": f"-Dlog4j2.configurationFile={_LOGS.as_uri()}",
     "spark.ui.enabled": "false",  # a page that nobody asked for, open to all of the network
     "spark.ui.showConsoleProgress": "false",
     "spark.sql.session.timeZone": "UTC",
@@ -88,6 +92,7 @@ def reason_of(cause: BaseException) -> str:
 
 
 def _advice(cause: BaseException) -> str:
-    if any(word in str(cause) for word in ("JAVA_GATEWAY_EXITED", "JAVA_HOME", "JAVA_NOT_FOUND")):
+    if shutil.which("java") is None and "JAVA_HOME" not in os.environ:
         return " It needs Java 17 or newer: install one (Debian: openjdk-17-jre-headless), or set JAVA_HOME."
-    return " Name one that is there with --master, as local[4] or spark://HOST:7077."
+    said = " Java, which must be 17 or newer, said why above." if "JAVA_GATEWAY_EXITED" in str(cause) else ""
+    return f"{said} Name a master that is there with --master, as local[4] or spark://HOST:7077."
