@@ -5,10 +5,11 @@ gap), a time in seconds and one channel of a random walk in white noise, float64
 tuned on one of them. *Plain* is one process, pinned to one core, that cleans one sensor after the other by the very
 function that a task of Spark runs. Spark's start, and the first task of each worker, which loads becalm, are left out:
 a job over another output went before. *A core* is Spark with one executor, pinned to the same core. Turns alternate;
-medians are told.
+medians are told. Every row of what both made last is compared.
 
 The endless sensor has four files, missing stretches and a gap. As a whole it is one task; cut in time, stretches of
-8 388 608 rows. Every row of both outputs is compared.
+8 388 608 rows. Every row of both outputs is compared, of a causal filter by its bits, of a smoother by how far apart
+they are beside the largest number. Spark has started then, and its workers have not.
 
 Memory is the most that any Python worker held (VmHWM), for a tenth of the rows and for all of them.
 
@@ -33,15 +34,12 @@ from pathlib import Path
 from statistics import median
 from typing import NamedTuple
 
-import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
-
 from becalm.fleet import open_book
 from becalm.fleet.job import Job, Sensor
 from becalm.fleet.lake import places_in
 from becalm.fleet.whole import clean_whole
-from fleet_lakes import EACH, GROUP, RATE_HZ, make_endless, make_lake
+from fleet_comparing import compared
+from fleet_lakes import EACH, RATE_HZ, make_endless, make_lake
 from pages import page_parser, publish
 
 PINNED = 0  # the core
@@ -75,11 +73,11 @@ PROGRAM = """
 import json, os, shutil, sys, time
 from pathlib import Path
 from becalm.fleet import Asked, clean, open_book, session
-master, lake, recipe, out, stretch, core = sys.argv[1:]
+master, lake, recipe, out, stretch, core, rounds = sys.argv[1:]
 if core: os.sched_setaffinity(0, {int(core)})
 settings = {"spark.executor.memory": "1g"}
 with session(master, settings) as spark:
-    for _ in ("before", "timed"):
+    for _ in range(int(rounds)):
         shutil.rmtree(out, ignore_errors=True)
         start = time.perf_counter()
         fleet = clean(spark, Path(lake), Path(out), open_book(Path(recipe)), Asked(stretch_rows=int(stretch)))
@@ -97,9 +95,9 @@ class Places(NamedTuple):
     out: Path
 
 
-def on_spark(master: str, places: Places, *, stretch: int = 1 << 40, core: str = "") -> Ran:
-    """Clean a lake on Spark, in processes of its own; the second time is told."""
-    words = [master, *map(str, places), str(stretch), core]
+def on_spark(master: str, places: Places, *, stretch: int = 1 << 40, core: str = "", rounds: int = 2) -> Ran:
+    """Clean a lake on Spark, in processes of its own, so often; the last time is told."""
+    words = [master, *map(str, places), str(stretch), core, str(rounds)]
     environment = os.environ | ONE_THREAD
     ran = subprocess.run([sys.executable, "-c", PROGRAM, *words], capture_output=True, text=True, env=environment)
     if ran.returncode:
@@ -137,34 +135,6 @@ def _held_mb(process: Path) -> float:
     return sum(float(line.split()[1]) / 1024 for line in lines if line.startswith("VmHWM"))
 
 
-def differing(one: Path, other: Path) -> int:
-    """Count the rows of two outputs of a sensor that are not the same to the bit."""
-    count = 0
-    for mine, its in zip(_batches(one), _batches(other), strict=True):
-        for name in ("time (s)", "x", "x_sigma"):
-            a, b = mine.column(name).to_numpy(), its.column(name).to_numpy()
-            count += int(np.count_nonzero(a.view(np.int64) != b.view(np.int64)))
-        a, b = (table.column("x_verdict").cast(pa.string()) for table in (mine, its))
-        count += 0 if a.equals(b) else 1
-    return count
-
-
-def _batches(folder: Path) -> Iterator[pa.Table]:
-    """Give the rows of an output in order of time, a million at a time, however it is cut."""
-    files = [pq.ParquetFile(path) for path in folder.rglob("*.parquet")]
-    files.sort(key=lambda file: float(file.read_row_group(0, ["time (s)"])[0][0].as_py()))
-    held: list[pa.Table] = []
-    for file in files:
-        for batch in file.iter_batches(GROUP):
-            held.append(pa.Table.from_batches([batch]).unify_dictionaries())
-            while sum(table.num_rows for table in held) >= GROUP:
-                joined = pa.concat_tables(held)
-                yield joined.slice(0, GROUP).combine_chunks()
-                held = [joined.slice(GROUP)]
-    if held:
-        yield pa.concat_tables(held).combine_chunks()
-
-
 def size_of(folder: Path) -> int:
     """Return the bytes of all Parquet files in a folder."""
     return sum(path.stat().st_size for path in folder.rglob("*.parquet"))
@@ -186,6 +156,7 @@ def lake_table(work: Path, sensors: int, repeats: int) -> tuple[list[str], float
             ran = way()
             assert ran.states == {"cleaned": sensors}, ran
             took[name].append(ran.seconds)
+            print(name, ran, flush=True)
     middle = {name: median(seconds) for name, seconds in took.items()}
     first, one, single, double = middle.values()
     ratios = (1.0, first / one, 1.0, single / double)
@@ -193,6 +164,10 @@ def lake_table(work: Path, sensors: int, repeats: int) -> tuple[list[str], float
     lines = ["| way | seconds | M rows/s | ratio | asked |", "|---|---|---|---|---|"]
     for (name, seconds), ratio, wanted in zip(middle.items(), ratios, asked, strict=True):
         lines.append(f"| {name} | {seconds:.1f} | {rows / seconds / 1e6:.2f} | {ratio:.2f} | {wanted} |")
+    both = [compared(beside.out / lake.name, places.out / lake.name) for lake in (work / "lake").iterdir()]
+    assert sum(one.rows for one in both) == rows
+    apart = sum(one.differ for one in both)
+    lines.append(f"| numbers of Spark's that are not the plain ones to the bit | {apart} | | | 0 |")
     return lines, rows / one
 
 
@@ -213,18 +188,29 @@ def plain_apart(places: Places) -> Ran:
 
 def endless_table(work: Path, rows: int) -> list[str]:
     """Time the endless sensor, whole and cut in time, and compare every row."""
-    recipe, lines = work / "r.toml", ["| rows | way | seconds | M rows/s | most MB of a worker | seams |"]
-    lines.append("|---|---|---|---|---|---|")
+    lines = [
+        "| rows | filter | way | seconds | M rows/s | most MB of a worker | seams |",
+        "|---|---|---|---|---|---|---|",
+    ]
     for count in (rows // 10, rows):
         lake = work / f"endless-{count}"
         make_endless(lake, count)
-        for name, stretch in (("whole", 1 << 40), ("cut in time", 1 << 23 if count == rows else 1 << 20)):
-            with watched() as most:
-                ran = on_spark("local[2]", Places(lake, recipe, work / name), stretch=stretch)
-            told = f"{count:,} | {name} | {ran.seconds:.1f} | {count / ran.seconds / 1e6:.2f} | {most[0]:.0f}"
-            lines.append(f"| {told} | {ran.seams or 'none'} |")
-        apart = differing(work / "whole" / "sensor=endless", work / "cut in time" / "sensor=endless")
-        lines.append(f"| {count:,} | numbers that differ to the bit: {apart} | | | | |")
+        for mode in ("causal", "smoothed"):
+            recipe = work / f"{mode}.toml"
+            recipe.write_text((work / "r.toml").read_text().replace('mode = "causal"', f'mode = "{mode}"'))
+            for name, stretch in (("whole", 1 << 40), ("cut in time", 1 << 23 if count == rows else 1 << 20)):
+                with watched() as most:
+                    ran = on_spark("local[2]", Places(lake, recipe, work / name), stretch=stretch, rounds=1)
+                assert ran.states == {"cleaned": 1}, ran
+                told = (
+                    f"{count:,} | {mode} | {name} | {ran.seconds:.1f} | {count / ran.seconds / 1e6:.2f} | {most[0]:.0f}"
+                )
+                lines.append(f"| {told} | {ran.seams or 'none'} |")
+                print(lines[-1], flush=True)
+            found = compared(work / "whole" / "sensor=endless", work / "cut in time" / "sensor=endless")
+            bits, far = f"{found.differ} numbers differ to the bit", f"{found.apart:.1e} apart at most"
+            lines.append(f"| {found.rows:,} | {mode} | {bits if mode == 'causal' else far} | | | | |")
+            print(lines[-1], flush=True)
         shutil.rmtree(lake)
     return lines
 

@@ -195,5 +195,5 @@ def test_a_stream_that_fails_says_why_in_a_sentence(stage: Stage, spark: SparkSe
 
     stage.write("sensor=s/0.parquet", rows_of(50))
     plan = stage.plan(once=True)
-    with pytest.raises(InputError, match=r"^The stream ended: a bug with s\. Begun again, it goes on where it was\.$"):
+    with pytest.raises(InputError, match=r"^The stream ended: a bug with s\. What was told stays; begin it again\.$"):
         wait(run(spark, replace(plan, sensors=SensorPlan(Broken()))))
