@@ -68,6 +68,7 @@ bench: .venv/tested
 	$(BIN)/python benchmarks/export_records.py -o docs/export-records.md
 	$(BIN)/python benchmarks/fleet_report.py -o docs/fleet-report.md
 	$(BIN)/python benchmarks/fleet_batch.py -o docs/fleet-batch.md
+	$(BIN)/python benchmarks/fleet_endless.py -o docs/fleet-endless.md
 	$(BIN)/python benchmarks/fleet_stream.py -o docs/fleet-stream.md
 	$(BIN)/python docs/real_files.py -o docs/real-files.md
 	$(BIN)/python docs/formats.py -o docs/formats.md

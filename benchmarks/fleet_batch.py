@@ -1,21 +1,16 @@
-"""A lake on Spark beside one plain process, and an endless sensor that is cut in time.
+"""A lake on Spark beside one plain process, and a model of a fleet on paper.
 
 The lake has 200 sensors of 200 000 rows (two files each, not in the order of time; some with missing stretches and a
 gap), a time in seconds and one channel of a random walk in white noise, float64, snappy; the recipe is causal and was
 tuned on one of them. *Plain* is one process, pinned to one core, that cleans one sensor after the other by the very
 function that a task of Spark runs. Spark's start, and the first task of each worker, which loads becalm, are left out:
-a job over another output went before. *A core* is Spark with one executor, pinned to the same core. Turns alternate;
-medians are told. Every row of what both made last is compared.
-
-The endless sensor has four files, missing stretches and a gap. As a whole it is one task; cut in time, stretches of
-8 388 608 rows. Every row of both outputs is compared, of a causal filter by its bits, of a smoother by how far apart
-they are beside the largest number. Spark has started then, and its workers have not.
-
-Memory is the most that any Python worker held (VmHWM), for a tenth of the rows and for all of them.
+a job over another output went before. *One core* is Spark with one executor, whose driver, JVM and Python worker are
+all pinned to the same core; *two cores* are two executors on both. Turns alternate; medians are told. Every row of what
+plain and Spark made last is compared.
 
 The model at the end is arithmetic on what was measured here.
 
-Run: python benchmarks/fleet_batch.py [--sensors 200] [--rows 100000000] [--repeats 3] [-o docs/fleet-batch.md]
+Run: python benchmarks/fleet_batch.py [--sensors 200] [--repeats 3] [-o docs/fleet-batch.md]
 """
 
 from __future__ import annotations
@@ -26,20 +21,18 @@ import shutil
 import subprocess
 import sys
 import tempfile
-import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from statistics import median
-from typing import NamedTuple
 
 from becalm.fleet import open_book
 from becalm.fleet.job import Job, Sensor
 from becalm.fleet.lake import places_in
 from becalm.fleet.whole import clean_whole
 from fleet_comparing import compared
-from fleet_lakes import EACH, RATE_HZ, make_endless, make_lake
+from fleet_lakes import EACH, RATE_HZ, make_lake
+from fleet_spark import ONE_THREAD, Places, Ran, on_spark
 from pages import page_parser, publish
 
 PINNED = 0  # the core
@@ -47,15 +40,6 @@ LEAST_SHARE, LEAST_SCALING = 0.9, 1.7
 """What was asked."""
 
 YEAR_S, FLEET, CORES = 365.25 * 86_400, 1000, 100
-ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-
-
-class Ran(NamedTuple):
-    """What a job took."""
-
-    seconds: float
-    states: dict[str, int]
-    seams: str = ""
 
 
 def plain(lake: Path, recipe: Path, out: Path) -> Ran:
@@ -69,72 +53,6 @@ def plain(lake: Path, recipe: Path, out: Path) -> Ran:
     return Ran(time.perf_counter() - start, {state: states.count(state) for state in states})
 
 
-PROGRAM = """
-import json, os, shutil, sys, time
-from pathlib import Path
-from becalm.fleet import Asked, clean, open_book, session
-master, lake, recipe, out, stretch, core, rounds = sys.argv[1:]
-if core: os.sched_setaffinity(0, {int(core)})
-settings = {"spark.executor.memory": "1g"}
-with session(master, settings) as spark:
-    for _ in range(int(rounds)):
-        shutil.rmtree(out, ignore_errors=True)
-        start = time.perf_counter()
-        fleet = clean(spark, Path(lake), Path(out), open_book(Path(recipe)), Asked(stretch_rows=int(stretch)))
-        took = time.perf_counter() - start
-    states = [one.state for one in fleet.outcomes]
-    print(json.dumps([took, {one: states.count(one) for one in states}, fleet.outcomes[0].seams]))
-"""
-
-
-class Places(NamedTuple):
-    """What is cleaned, how, and where to."""
-
-    lake: Path
-    recipe: Path
-    out: Path
-
-
-def on_spark(master: str, places: Places, *, stretch: int = 1 << 40, core: str = "", rounds: int = 2) -> Ran:
-    """Clean a lake on Spark, in processes of its own, so often; the last time is told."""
-    words = [master, *map(str, places), str(stretch), core, str(rounds)]
-    environment = os.environ | ONE_THREAD
-    ran = subprocess.run([sys.executable, "-c", PROGRAM, *words], capture_output=True, text=True, env=environment)
-    if ran.returncode:
-        raise SystemExit(ran.stderr[-2000:])
-    return Ran(*json.loads(ran.stdout.splitlines()[-1]))
-
-
-@contextmanager
-def watched() -> Iterator[list[float]]:
-    """Watch the memory of Spark's Python workers; give the most that one held so far, in MB."""
-    most, done = [0.0], threading.Event()
-
-    def watch() -> None:
-        while not done.wait(0.2):
-            for entry in Path("/proc").iterdir():
-                if entry.name.isdigit():
-                    most[0] = max(most[0], _held_mb(entry))
-
-    thread = threading.Thread(target=watch, daemon=True)
-    thread.start()
-    try:
-        yield most
-    finally:
-        done.set()
-        thread.join()
-
-
-def _held_mb(process: Path) -> float:
-    try:
-        if b"pyspark" not in (process / "cmdline").read_bytes():
-            return 0.0
-        lines = (process / "status").read_text().splitlines()
-    except OSError:  # it is gone
-        return 0.0
-    return sum(float(line.split()[1]) / 1024 for line in lines if line.startswith("VmHWM"))
-
-
 def size_of(folder: Path) -> int:
     """Return the bytes of all Parquet files in a folder."""
     return sum(path.stat().st_size for path in folder.rglob("*.parquet"))
@@ -146,9 +64,11 @@ def lake_table(work: Path, sensors: int, repeats: int) -> tuple[list[str], float
     places = beside._replace(out=work / "spark")
     ways: dict[str, Callable[[], Ran]] = {
         "plain, one process on one core": lambda: plain_apart(beside),
-        "Spark, one executor on that core": lambda: on_spark("local[1]", places, core=str(PINNED)),
-        "Spark, `local-cluster[1,1,1024]`": lambda: on_spark("local-cluster[1,1,1024]", places),
-        "Spark, `local-cluster[2,1,1024]`": lambda: on_spark("local-cluster[2,1,1024]", places),
+        "Spark, `local[1]`, one core": lambda: on_spark("local[1]", places, core=str(PINNED)),
+        "Spark, `local-cluster[1,1,1024]`, one core": lambda: on_spark(
+            "local-cluster[1,1,1024]", places, core=str(PINNED)
+        ),
+        "Spark, `local-cluster[2,1,1024]`, two cores": lambda: on_spark("local-cluster[2,1,1024]", places),
     }
     took: dict[str, list[float]] = {name: [] for name in ways}
     for _ in range(repeats):
@@ -186,35 +106,6 @@ def plain_apart(places: Places) -> Ran:
     return Ran(*json.loads(ran.stdout.splitlines()[-1]))
 
 
-def endless_table(work: Path, rows: int) -> list[str]:
-    """Time the endless sensor, whole and cut in time, and compare every row."""
-    lines = [
-        "| rows | filter | way | seconds | M rows/s | most MB of a worker | seams |",
-        "|---|---|---|---|---|---|---|",
-    ]
-    for count in (rows // 10, rows):
-        lake = work / f"endless-{count}"
-        make_endless(lake, count)
-        for mode in ("causal", "smoothed"):
-            recipe = work / f"{mode}.toml"
-            recipe.write_text((work / "r.toml").read_text().replace('mode = "causal"', f'mode = "{mode}"'))
-            for name, stretch in (("whole", 1 << 40), ("cut in time", 1 << 23 if count == rows else 1 << 20)):
-                with watched() as most:
-                    ran = on_spark("local[2]", Places(lake, recipe, work / name), stretch=stretch, rounds=1)
-                assert ran.states == {"cleaned": 1}, ran
-                told = (
-                    f"{count:,} | {mode} | {name} | {ran.seconds:.1f} | {count / ran.seconds / 1e6:.2f} | {most[0]:.0f}"
-                )
-                lines.append(f"| {told} | {ran.seams or 'none'} |")
-                print(lines[-1], flush=True)
-            found = compared(work / "whole" / "sensor=endless", work / "cut in time" / "sensor=endless")
-            bits, far = f"{found.differ} numbers differ to the bit", f"{found.apart:.1e} apart at most"
-            lines.append(f"| {found.rows:,} | {mode} | {bits if mode == 'causal' else far} | | | | |")
-            print(lines[-1], flush=True)
-        shutil.rmtree(lake)
-    return lines
-
-
 def model(work: Path, rows: int, rows_per_core: float) -> list[str]:
     """Return the arithmetic of a thousand sensors for a year."""
     samples = FLEET * YEAR_S * RATE_HZ
@@ -237,7 +128,6 @@ def main() -> None:
     """Run all of it, and publish the page."""
     parser = page_parser(__doc__)
     parser.add_argument("--sensors", type=int, default=200)
-    parser.add_argument("--rows", type=int, default=100_000_000, help="of the endless sensor")
     parser.add_argument("--repeats", type=int, default=3)
     asked = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
@@ -247,12 +137,9 @@ def main() -> None:
         subprocess.run([*tuning, str(work / "r.toml")], check=True, capture_output=True)
         table, per_core = lake_table(work, asked.sensors, asked.repeats)
         arithmetic = model(work, asked.sensors * EACH, per_core)
-        endless = endless_table(work, asked.rows)
     sections = [
         f"## {asked.sensors} sensors of {EACH:,} rows\n\n{asked.repeats} turns.",
         "\n".join(table),
-        "## One endless sensor",
-        "\n".join(endless),
         "## A thousand sensors for a year, on paper",
         *arithmetic,
     ]

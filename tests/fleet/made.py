@@ -92,7 +92,7 @@ class Lake(NamedTuple):
     recipe: Path
 
 
-def one_after_the_other(spark: object, work: Callable[[Any], Any], tasks: Sequence[Any]) -> list[Any]:
+def one_after_the_other(spark: object, work: Callable[[Any], Any], tasks: Sequence[Any], *_: object) -> list[Any]:
     """Run tasks as Spark would, here and now."""
     return [work(task) for task in tasks]
 

@@ -61,7 +61,7 @@ class Where(NamedTuple):
 
 
 @contextmanager
-def spark_at(where: Where) -> Iterator[SparkSession]:
+def spark_at(where: Where, *, schedules: bool = True) -> Iterator[SparkSession]:
     """Give Spark; signals still stop at once, and say what becomes of what its workers were at.
 
     Raises
@@ -69,7 +69,7 @@ def spark_at(where: Where) -> Iterator[SparkSession]:
     UsageError
         As `becalm.fleet.session`.
     """
-    with session(where.master, where.spark) as spark:
+    with session(where.master, where.spark, schedules=schedules) as spark:
         stop_cleanly(_STOPPED)  # Spark has taken SIGINT
         yield spark
 

@@ -68,7 +68,7 @@ def stream_sensors(source: str, output: str, asking: Asking, where: Where) -> No
     ).with_channels()
     every_s = seconds_of("--every", times.every)
     plan = StreamPlan(source, output, sensors, asking.checkpoint, every_s, once=asking.once)
-    with spark_at(where) as spark:
+    with spark_at(where, schedules=False) as spark:
         from becalm.fleet.stream import run, wait
 
         query = run(spark, plan)

@@ -132,7 +132,8 @@ def _cleaned(spark: SparkSession, job: Job, told: Sequence[Place] | Shared, book
     usual = sensors[len(long) :]
     with ThreadPoolExecutor(1) as beside:  # what one leaves of the cluster the other takes
         of_long = beside.submit(clean_long, spark, job, long)
-        outcomes = run_tasks(spark, partial(clean_whole, job), usual) + of_long.result()
+        sizes = [sensor.bytes for sensor in usual]
+        outcomes = run_tasks(spark, partial(clean_whole, job), usual, sizes) + of_long.result()
     return outcomes + [refused(name, book.why_not(name)) for name, one in hashes.items() if one is None]
 
 

@@ -22,17 +22,21 @@ HERE = "local[*,4]"
 _LOOPBACK = "127.0.0.1"
 _RAISED = re.compile(r"(?:Caused by)?:? ?(?:org|java|scala)\.[\w.$]*(?:Exception|Error): (?P<says>.+)")
 _LONGEST = 300
-_LOGS = Path(__file__).with_name("log4j2.properties")
+_LOGS = f"-Dlog4j2.configurationFile={Path(__file__).with_name('log4j2.properties').as_uri()}"
+_HARDLY_COMPILED = "-XX:TieredStopAtLevel=1"  # of a JVM that only schedules, better code would cost more than it gains
 _QUIET = {
-    "spark.driver.extraJavaOptions": f"-Dlog4j2.configurationFile={_LOGS.as_uri()}",
     "spark.ui.enabled": "false",  # a page that nobody asked for, open to all of the network
     "spark.ui.showConsoleProgress": "false",
     "spark.sql.session.timeZone": "UTC",
+    # by a socket of loopback each task takes 50 ms more, and another user may speak with it
+    "spark.python.unix.domain.socket.enabled": str(os.name == "posix").lower(),
 }
 
 
 @contextmanager
-def session(master: str | None = None, settings: dict[str, str] | None = None) -> Iterator[SparkSession]:
+def session(
+    master: str | None = None, settings: dict[str, str] | None = None, *, schedules: bool = False
+) -> Iterator[SparkSession]:
     """Give a session of Spark, which ends in the end, unless there was one before.
 
     Parameters
@@ -41,6 +45,8 @@ def session(master: str | None = None, settings: dict[str, str] | None = None) -
         As Spark has it: `local[4]`, `spark://host:7077`, `yarn`; `HERE` where none is named.
     settings : dict of str to str, optional
         Spark's own.
+    schedules : bool
+        Whether Spark only schedules, as for lakes that are cleaned or tuned, so that its JVM has little to do itself.
 
     Raises
     ------
@@ -51,7 +57,7 @@ def session(master: str | None = None, settings: dict[str, str] | None = None) -
     builder, running = _builder()
     if running is not None and running.sparkContext.master != master:
         raise UsageError(f"This process has Spark on {running.sparkContext.master}; stop it, or ask for that master.")
-    told = _settings(master) | (settings or {})
+    told = _settings(master, schedules) | (settings or {})
     for name, value in told.items():
         builder = builder.config(name, value)
     try:
@@ -75,13 +81,18 @@ def _builder() -> tuple[SparkSession.Builder, SparkSession | None]:
     return SparkSession.builder, SparkSession.getActiveSession()
 
 
-def _settings(master: str) -> dict[str, str]:
+def _settings(master: str, schedules: bool) -> dict[str, str]:
     """Return settings for a master; on this machine workers are this very Python, and nobody else is let in."""
+    executor = _HARDLY_COMPILED if schedules else ""
+    shared = {
+        "spark.driver.extraJavaOptions": f"{_LOGS} {executor}".strip(),
+        "spark.executor.extraJavaOptions": executor,
+    }
     if not master.startswith("local"):
-        return _QUIET
+        return _QUIET | shared
     os.environ.setdefault("PYSPARK_PYTHON", sys.executable)
     os.environ.setdefault("SPARK_LOCAL_IP", _LOOPBACK)
-    return _QUIET | {"spark.driver.host": _LOOPBACK, "spark.driver.bindAddress": _LOOPBACK}
+    return _QUIET | shared | {"spark.driver.host": _LOOPBACK, "spark.driver.bindAddress": _LOOPBACK}
 
 
 def reason_of(cause: BaseException) -> str:

@@ -1,0 +1,57 @@
+"""Jobs over a lake on Spark, each in processes of its own, as benchmarks run them."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+"""Around processes whose libraries are to have no threads of their own."""
+
+
+class Ran(NamedTuple):
+    """What a job took."""
+
+    seconds: float
+    states: dict[str, int]
+    seams: str = ""
+
+
+PROGRAM = """
+import json, os, shutil, sys, time
+from pathlib import Path
+from becalm.fleet import Asked, clean, open_book, session
+master, lake, recipe, out, stretch, core, rounds = sys.argv[1:]
+if core: os.sched_setaffinity(0, {int(core)})
+settings = {"spark.executor.memory": "1g"}
+with session(master, settings, schedules=True) as spark:
+    for _ in range(int(rounds)):
+        shutil.rmtree(out, ignore_errors=True)
+        start = time.perf_counter()
+        fleet = clean(spark, Path(lake), Path(out), open_book(Path(recipe)), Asked(stretch_rows=int(stretch)))
+        took = time.perf_counter() - start
+    states = [one.state for one in fleet.outcomes]
+    print(json.dumps([took, {one: states.count(one) for one in states}, fleet.outcomes[0].seams]))
+"""
+
+
+class Places(NamedTuple):
+    """What is cleaned, how, and where to."""
+
+    lake: Path
+    recipe: Path
+    out: Path
+
+
+def on_spark(master: str, places: Places, *, stretch: int = 1 << 40, core: str = "", rounds: int = 2) -> Ran:
+    """Clean a lake on Spark, in processes of its own, so often; the last time is told."""
+    words = [master, *map(str, places), str(stretch), core, str(rounds)]
+    environment = os.environ | ONE_THREAD
+    ran = subprocess.run([sys.executable, "-c", PROGRAM, *words], capture_output=True, text=True, env=environment)
+    if ran.returncode:
+        raise SystemExit(ran.stderr[-2000:])
+    return Ran(*json.loads(ran.stdout.splitlines()[-1]))
