@@ -25,10 +25,17 @@ PROGRAM = """
 import json, os, shutil, sys, time
 from pathlib import Path
 from becalm.fleet import Asked, clean, open_book, session
+from fleet_stream_runs import below
 master, lake, recipe, out, stretch, core, rounds = sys.argv[1:]
 if core: os.sched_setaffinity(0, {int(core)})
 settings = {"spark.executor.memory": "1g"}
 with session(master, settings, schedules=True) as spark:
+    spark.range(8).mapInArrow(lambda batches: batches, "id long").collect()  # its workers are there now
+    every = below(os.getpid())[1:]
+    for number, executor in enumerate(one for one in every if "CoarseGrainedExecutorBackend" in one.command):
+        for process in below(executor.pid):
+            for thread in os.listdir(f"/proc/{process.pid}/task"):
+                os.sched_setaffinity(int(thread), {number})
     for _ in range(int(rounds)):
         shutil.rmtree(out, ignore_errors=True)
         start = time.perf_counter()
@@ -48,9 +55,12 @@ class Places(NamedTuple):
 
 
 def on_spark(master: str, places: Places, *, stretch: int = 1 << 40, core: str = "", rounds: int = 2) -> Ran:
-    """Clean a lake on Spark, in processes of its own, so often; the last time is told."""
+    """Clean a lake on Spark, in processes of its own, so often; the last time is told.
+
+    All of it is pinned to a core where one is named; else each executor of a cluster has a core of its own.
+    """
     words = [master, *map(str, places), str(stretch), core, str(rounds)]
-    environment = os.environ | ONE_THREAD
+    environment = os.environ | ONE_THREAD | {"PYTHONPATH": str(Path(__file__).parent)}
     ran = subprocess.run([sys.executable, "-c", PROGRAM, *words], capture_output=True, text=True, env=environment)
     if ran.returncode:
         raise SystemExit(ran.stderr[-2000:])

@@ -22,7 +22,7 @@ Task = TypeVar("Task")
 Told = TypeVar("Told")
 
 _SCHEMA = "number long, told binary"
-_TOGETHER_BYTES, _TASKS_A_CORE = 32 << 20, 8
+_TOGETHER_BYTES, _SHARES_A_CORE = 32 << 20, 4
 
 
 def run_tasks(
@@ -82,12 +82,12 @@ def run_tasks(
 
 
 def _shares(sizes: Sequence[int], cores: int) -> list[range]:
-    """Return which tasks run together: neighbours, up to some bytes, but so that there are enough for all cores."""
-    most, shares, first, held = min(_TOGETHER_BYTES, sum(sizes) / (_TASKS_A_CORE * cores)), list[range](), 0, 0
+    """Return which tasks run together: neighbours up to some bytes, and ever fewer, so that all cores end at once."""
+    shares, first, held, left = list[range](), 0, 0, sum(sizes)
     for number, size in enumerate(sizes):
-        if number > first and held + size > most:
+        if number > first and held + size > min(_TOGETHER_BYTES, left / (_SHARES_A_CORE * cores)):
             shares.append(range(first, number))
-            first, held = number, 0
+            first, held, left = number, 0, left - held
         held += size
     return [*shares, range(first, len(sizes))]
 
