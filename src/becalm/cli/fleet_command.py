@@ -29,7 +29,9 @@ By = Annotated[
 ]
 Master = Annotated[
     str | None,
-    typer.Option("--master", metavar="URL", help="Where Spark runs: local[4], spark://HOST:7077, yarn; here."),
+    typer.Option(
+        "--master", metavar="URL", help="Where Spark runs: local[4], spark://HOST:7077, yarn; else this machine."
+    ),
 ]
 Settings = Annotated[
     list[str] | None, typer.Option("--conf", metavar="NAME=VALUE", help="A setting of Spark; may be repeated.")

@@ -84,9 +84,9 @@ def _builder() -> tuple[SparkSession.Builder, SparkSession | None]:
 def _settings(master: str, schedules: bool) -> dict[str, str]:
     """Return settings for a master; on this machine workers are this very Python, and nobody else is let in."""
     executor = _HARDLY_COMPILED if schedules else ""
-    shared = {
-        "spark.driver.extraJavaOptions": f"{_LOGS} {executor}".strip(),
-        "spark.executor.extraJavaOptions": executor,
+    shared = {  # which stand before, and not in the place of, options that somebody has set
+        "spark.driver.defaultJavaOptions": f"{_LOGS} {executor}".strip(),
+        "spark.executor.defaultJavaOptions": executor,
     }
     if not master.startswith("local"):
         return _QUIET | shared
