@@ -24,6 +24,7 @@ ORDER = (
     "hum",
     "spikes",
     "switching",
+    "seams",
     "beside_a_classic",
     "nile",
     "alpha_beta",

@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 from html.parser import HTMLParser
+from importlib import import_module
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
@@ -119,6 +120,11 @@ def test_a_link_to_nothing_is_found(target: str, lost: bool, tmp_path: Path) -> 
     other.write_text('<p id="here">', encoding="utf-8")
     pages = {each: Links(each) for each in (page, other)}
     assert [leads_nowhere(page, to, pages) for to in pages[page].targets] == [lost]
+
+
+def test_each_page_of_the_gallery_has_its_place() -> None:
+    order = import_module("look").ORDER
+    assert sorted(order) == sorted(script.stem for script in (DOCS / "gallery").glob("*.py"))
 
 
 @pytest.mark.slow
