@@ -146,6 +146,22 @@ def test_rows_that_wait_go_under_the_channels_that_there_are_now() -> None:
     np.testing.assert_array_equal(one.said.signal[:, 0], by_stream(rows).signal[:, 1])
 
 
+def test_so_do_their_units() -> None:
+    rows, one = rows_of(40)._replace(units=("m", "m")), walker(recipe_of("b"))
+    one.hear(part(rows, slice(0, 10)))
+    one._walk = SensorWalk(one.plan, ("b", "c", "a"))
+    step = one.hear(Rows(rows.time_s[10:], rows.values[10:, [1, 0, 0]], ("m", "mm", "m")))
+    assert {event.kind for event in step.events} == {"gap"}
+    np.testing.assert_array_equal(one.said.signal[:, 0], by_stream(rows).signal[:, 1])
+
+
+def test_a_file_of_nobody_that_cannot_be_read_is_one_event() -> None:
+    one = Walker(SensorPlan(Shelf()), sensor="")
+    step = one.hear(Rows(np.empty(0), np.empty((0, 2)), (), (Garbled(None, "It is damaged."),)))
+    assert [event.kind for event in step.events] == ["garbled"]
+    assert step.state is None
+
+
 def test_rows_of_nobody_are_left_out_and_counted() -> None:
     one = Walker(SensorPlan(Shelf()), sensor="")
     (event,) = one.hear(rows_of(50)).events

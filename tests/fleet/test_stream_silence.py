@@ -56,6 +56,17 @@ def test_silence_tells_rows_that_wait_for_late_ones() -> None:
     assert_same_bits(one.said, by_stream(rows))
 
 
+def test_rows_that_wait_for_channels_that_are_no_more_are_left_out_and_counted() -> None:
+    rows, one = rows_of(100), walker(silent_s=5.0, lateness_s=0.3)
+    one.hear(rows)
+    waiting = 100 - len(one.said.time_s)
+    one._walk = SensorWalk(one.plan, ("c",))  # it was begun again, with others
+    one.now_ms = 5000
+    events = one.wake().events
+    assert [(event.kind, event.rows) for event in events] == [("silent", None), ("refused", waiting)]
+    assert "the stream tells 'c'" in events[1].says
+
+
 def test_after_silence_stamps_may_be_as_late_as_they_like() -> None:
     rows, one = rows_of(100), walker(silent_s=5.0)
     one.hear(rows)

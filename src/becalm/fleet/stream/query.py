@@ -112,15 +112,13 @@ def run(spark: SparkSession, plan: StreamPlan) -> StreamingQuery:
     return writer.trigger(processingTime=f"{round(plan.every_s * 1000)} milliseconds").start()
 
 
-def wait(query: StreamingQuery, timeout_s: float | None = None) -> bool:
-    """Wait until a stream has ended, or some time has passed; return whether it has ended.
+def wait(query: StreamingQuery) -> None:
+    """Wait until a stream has ended.
 
     Parameters
     ----------
     query : StreamingQuery
         What `run` returned.
-    timeout_s : float or None
-        How long at most, in seconds.
 
     Raises
     ------
@@ -128,13 +126,11 @@ def wait(query: StreamingQuery, timeout_s: float | None = None) -> bool:
         If the stream failed; it says why in a sentence.
     """
     try:
-        ended = query.awaitTermination(timeout_s)  # type: ignore[arg-type]  # it takes parts of seconds
+        query.awaitTermination()
     except StreamingQueryException as cause:
         raised = [found for found in _RAISED.finditer(str(cause)) if not found["kind"].startswith(("java.", "org."))]
         says = raised[-1]["says"] if raised else str(cause).strip().splitlines()[0]
         raise InputError(f"The stream ended: {says.rstrip('.')}. What was told stays; begin it again.") from cause
-    return ended is not False
-
 
 def _settle(spark: SparkSession, settings: Mapping[str, str]) -> None:
     for name, value in settings.items():
@@ -163,12 +159,13 @@ def _refuse_strangers(spark: SparkSession, plan: StreamPlan) -> None:
     """Refuse an output whose log is of another stream: Spark would leave out what it takes for written."""
     told = _holds(spark, f"{plan.output}/_spark_metadata")
     kept = _holds(spark, f"{plan.checkpoint_folder}/offsets")
+    done = _holds(spark, f"{plan.checkpoint_folder}/commits")  # none where the first micro-batch was killed
     if told and not kept:
         raise OutputError(
             f"{plan.output} holds another stream, or this one without its checkpoint {plan.checkpoint_folder}; "
             "name another folder for the output, or the checkpoint that belongs to it."
         )
-    if kept and not told:
+    if done and not told:
         raise OutputError(
             f"The checkpoint {plan.checkpoint_folder} is of a stream that does not write to {plan.output}; "
             "name another checkpoint, or the output that belongs to it."

@@ -29,9 +29,14 @@ class Entry(NamedTuple):
 
 
 def read_rows(entries: Sequence[Entry], channels: Sequence[str], held: Block) -> Block:
-    """Return rows of a lake by their stamps, those that waited among them; equal stamps in the order they came in."""
+    """Return rows of a lake by their stamps, those that waited among them.
+
+    Those with equal stamps are as they were in their block; of several blocks, whose order no engine keeps, always in
+    the same order.
+    """
     parts = sorted((Rows.unpacked(entry.batch) for entry in sorted(entries)), key=_first_stamp)
-    units = held.units if any(held.units) else _most([part for part in parts if any(part.units)])
+    waited = _units_under(channels, held)
+    units = waited if any(waited) else _most([part for part in parts if any(part.units)])
     kept = [part for part in parts if _alike(part.units, units)]
     units = _known([units, *(part.units for part in kept)])
     time_s = np.concatenate([held.time_s, *(part.time_s for part in kept)])
@@ -98,6 +103,12 @@ def _under(channels: Sequence[str], held: Block) -> Floats:
         if name in held.names:
             values[:, place] = held.values[:, held.names.index(name)]
     return values
+
+
+def _units_under(channels: Sequence[str], held: Block) -> tuple[str, ...]:
+    """Return the units of rows that waited under the channels that the stream has now, "" where none is known."""
+    known = dict(zip(held.names, held.units, strict=False))
+    return tuple(known.get(name, "") for name in channels)
 
 
 def stamped(block: Block) -> Block:

@@ -74,6 +74,8 @@ class SensorWalk:
         stream = None if state.stream is None else Stream.resumed(state.stream)
         block, numbers = self._read(entries, state, -np.inf if stream is None else stream.taken_to_s)
         state = replace(state, messages=numbers, held=Block.of_losses())
+        if not sensor and not len(block):  # what could not be read, of whomever
+            return Step(None, None, _events(block.losses))
         said: tuple[Event, ...] = ()
         try:
             if stream is None:
@@ -89,9 +91,7 @@ class SensorWalk:
                 step = self._after(stream, replace(state, held=held), stream.take(ready))
         except BecalmError as cause:
             kept = None if state.stream is None and not numbers else state  # a name that nobody has a recipe for
-            says = f"{cause} {len(block)} rows were left out." if len(block) else str(cause)
-            left_out = Event("refused", len(block), says)
-            said, step = (), Step(kept, None, (*_events(block.losses), left_out))
+            said, step = (), Step(kept, None, (*_events(block.losses), _left_out(cause, len(block))))
         wake_ms = None if step.state is None else wake_ms
         return step._replace(events=(*back, *said, *step.events), wake_ms=wake_ms, recipe=state.taken)
 
@@ -106,8 +106,11 @@ class SensorWalk:
         silent = Event("silent", None, f"No row came for {(now_ms - before.heard_ms) / 1000:g} s.")
         if state.stream is None:
             return Step(state, None, (silent,))
-        stream = Stream.resumed(state.stream)
-        step = self._after(stream, replace(state, held=Block.of_losses()), stream.take(state.held))
+        stream, told = Stream.resumed(state.stream), replace(state, held=Block.of_losses())
+        try:
+            step = self._after(stream, told, stream.take(state.held))
+        except BecalmError as cause:  # its channels are no more, say, since the stream was begun again
+            step = Step(told, None, (_left_out(cause, len(state.held)),) if len(state.held) else ())
         return step._replace(events=(silent, *step.events), recipe=state.taken)
 
     def _awake(self, before: SensorState | None, now_ms: int) -> tuple[SensorState, tuple[Event, ...], int | None]:
@@ -194,6 +197,10 @@ def _asked(plan: SensorPlan, sensor: str) -> tuple[Recipe | None, str, str]:
 def _hash_of(recipe: Recipe) -> str:
     """Return the SHA-256 of a recipe's text."""
     return hashlib.sha256(recipe.to_toml().encode()).hexdigest()
+
+
+def _left_out(cause: BecalmError, rows: int) -> Event:
+    return Event("refused", rows, f"{cause} {rows} rows were left out." if rows else str(cause))
 
 
 def _events(losses: Sequence[Loss]) -> tuple[Event, ...]:
