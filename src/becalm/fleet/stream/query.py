@@ -132,6 +132,7 @@ def wait(query: StreamingQuery) -> None:
         says = raised[-1]["says"] if raised else str(cause).strip().splitlines()[0]
         raise InputError(f"The stream ended: {says.rstrip('.')}. What was told stays; begin it again.") from cause
 
+
 def _settle(spark: SparkSession, settings: Mapping[str, str]) -> None:
     for name, value in settings.items():
         spark.conf.set(name, value)
