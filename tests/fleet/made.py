@@ -92,7 +92,9 @@ class Lake(NamedTuple):
     recipe: Path
 
 
-def one_after_the_other(spark: object, work: Callable[[Any], Any], tasks: Sequence[Any], *_: object) -> list[Any]:
+def one_after_the_other(
+    spark: object, work: Callable[[Any], Any], tasks: Sequence[Any], *_: object, **__: object
+) -> list[Any]:
     """Run tasks as Spark would, here and now."""
     return [work(task) for task in tasks]
 

@@ -76,9 +76,9 @@ def test_killed_workers_change_nothing(
 ) -> None:
     """Two workers are killed amid their work, and Spark gives it to others."""
 
-    def run_tasks(spark: Any, work: Callable[[Any], Any], tasks: Sequence[Any]) -> list[Any]:
+    def run_tasks(spark: Any, work: Callable[[Any], Any], tasks: Sequence[Any], **how: Any) -> list[Any]:
         if work.func.__name__ != stage:  # type: ignore[attr-defined]
-            return engine.run_tasks(spark, work, tasks)
+            return engine.run_tasks(spark, work, tasks, **how)
         killed = [str(tmp_path / f"killed {number}") for number in range(2)]
 
         def dies_twice(task: Any) -> Any:
@@ -97,7 +97,7 @@ def test_killed_workers_change_nothing(
                 time.sleep(10)
             return work(task)
 
-        return engine.run_tasks(spark, dies_twice, tasks)
+        return engine.run_tasks(spark, dies_twice, tasks, **how)
 
     monkeypatch.setattr(cleaning, "run_tasks", run_tasks)
     with session("local[2,4]") as spark:
@@ -112,8 +112,7 @@ import pathlib, sys
 from becalm.fleet.batch import Asked, clean
 from becalm.fleet.grouped import cleaning
 from becalm.fleet.recipes import open_book
-cleaning.run_tasks = lambda spark, work, tasks: [work(task) for task in tasks]
-import becalm.fleet.stretching.cleaning
+cleaning.run_tasks = lambda spark, work, tasks, lost: [work(task) for task in tasks]
 lake, out, recipe = map(pathlib.Path, sys.argv[1:])
 fleet = clean(None, lake, out, open_book(recipe), Asked(by="sensor", stretch_rows=1 << 30))
 assert [one.state for one in fleet.outcomes] == ["cleaned"], fleet.outcomes

@@ -28,7 +28,7 @@ from becalm.fleet.outlying import marked
 from becalm.fleet.recipes import RecipeBook
 from becalm.fleet.stretching.cleaning import clean_long
 from becalm.fleet.sweeping import swept
-from becalm.fleet.whole import clean_whole
+from becalm.fleet.whole import all_died, clean_whole
 from becalm.report.fleet_order import summary
 from becalm.report.fleet_page import FleetFacts, fleet_page
 from becalm.report.fleet_rows import FleetRow
@@ -133,7 +133,7 @@ def _cleaned(spark: SparkSession, job: Job, told: Sequence[Place] | Shared, book
     with ThreadPoolExecutor(1) as beside:  # what one leaves of the cluster the other takes
         of_long = beside.submit(clean_long, spark, job, long)
         sizes = [sensor.bytes for sensor in usual]
-        outcomes = run_tasks(spark, partial(clean_whole, job), usual, sizes) + of_long.result()
+        outcomes = run_tasks(spark, partial(clean_whole, job), usual, sizes, all_died) + of_long.result()
     return outcomes + [refused(name, book.why_not(name)) for name, one in hashes.items() if one is None]
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import pickle
+import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from functools import lru_cache
@@ -23,10 +24,20 @@ Told = TypeVar("Told")
 
 _SCHEMA = "number long, told binary"
 _TOGETHER_BYTES, _SHARES_A_CORE = 32 << 20, 4
+_DIED = re.compile("worker exited unexpectedly|ExecutorLostFailure")
+_MOST_DEATHS = 16  # of tasks: where more die, it is not the tasks
+_ALL_DIED = (
+    "Each process that worked on it died. It may need more memory than there is, or break the library that reads its"
+    " files; try it alone: becalm clean."
+)
 
 
 def run_tasks(
-    spark: SparkSession, work: Callable[[Task], Told], tasks: Sequence[Task], sizes: Sequence[int] = ()
+    spark: SparkSession,
+    work: Callable[[Task], Told],
+    tasks: Sequence[Task],
+    sizes: Sequence[int] = (),
+    lost: Callable[[Task, str], Told] | None = None,
 ) -> list[Told]:
     """Do some work for each of several tasks, the first ones first.
 
@@ -41,6 +52,9 @@ def run_tasks(
     sizes : sequence of int
         Of what each task reads, in bytes. Neighbours that are small are one task of Spark's, which costs some
         milliseconds; () for each by itself.
+    lost : callable, optional
+        Tells, for a task whose workers all died and the reason, what became of it: halves of a job that Spark gave up
+        are run by themselves until it is found. Where None, such a task ends the job.
 
     Returns
     -------
@@ -52,29 +66,51 @@ def run_tasks(
     UsageError
         If Spark gives the job up: workers died again and again, or there are none.
     """
-    if not tasks:
-        return []
     from py4j.protocol import Py4JError
     from pyspark.errors import PySparkException
 
+    told, left, deaths = dict[int, Told](), [range(len(tasks))], 0
+    while left:
+        span = left.pop()
+        own = slice(span.start, span.stop)
+        try:
+            told |= zip(span, _run(spark, work, tasks[own], sizes[own]), strict=True)
+        except (Py4JError, PySparkException) as cause:
+            if lost is None or not _DIED.search(str(cause)) or deaths == _MOST_DEATHS:
+                raise UsageError(
+                    f"Spark gave the job up ({reason_of(cause)}). What was finished stays as it is; repeat, and it"
+                    " goes on."
+                ) from cause
+            half = (span.start + span.stop) // 2
+            if len(span) > 1:
+                left += [range(half, span.stop), range(span.start, half)]
+            else:
+                deaths += 1
+                told[span.start] = lost(tasks[span.start], _ALL_DIED)
+    return [told[number] for number in range(len(tasks))]
+
+
+def _run(spark: SparkSession, work: Callable[[Task], Told], tasks: Sequence[Task], sizes: Sequence[int]) -> list[Told]:
+    """Do the work of one stage; what Spark raises is raised."""
+    from py4j.protocol import Py4JError
+
+    if not tasks:
+        return []
     cores = spark.sparkContext.defaultParallelism
     shares = _shares(sizes, cores) if sizes else [range(number, number + 1) for number in range(len(tasks))]
-    planned = spark.sparkContext.broadcast(_packed((work, list(tasks), shares)))
+    packed = [_packed([tasks[number] for number in share]) for share in shares]  # of which a worker opens its own
+    planned = spark.sparkContext.broadcast(_packed((work, shares, packed)))
 
     def run(batches: Iterator[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
-        work, tasks, shares = _unpacked(planned.value)
-        for batch in batches:
-            for number in chain.from_iterable(shares[share] for share in batch.column(0).to_pylist()):
-                yield _row(number, work(tasks[number]))
+        work, shares, packed = _unpacked(planned.value)
+        for share in chain.from_iterable(batch.column(0).to_pylist() for batch in batches):
+            for number, task in zip(shares[share], pickle.loads(packed[share]), strict=True):
+                yield _row(number, work(task))
         _settle(planned.value)
 
     try:
         found: Any = spark.range(0, len(shares), 1, len(shares)).mapInArrow(run, _SCHEMA)
         told = {row.number: pickle.loads(row.told) for row in found.collect()}
-    except (Py4JError, PySparkException) as cause:
-        raise UsageError(
-            f"Spark gave the job up ({reason_of(cause)}). What was finished stays as it is; repeat, and it goes on."
-        ) from cause
     finally:
         with suppress(Py4JError):  # where Spark itself is gone
             planned.destroy()
@@ -110,10 +146,10 @@ def _packed(planned: object) -> bytes:
 
 
 @lru_cache(maxsize=2)
-def _unpacked(planned: bytes) -> tuple[Callable[[Any], Any], list[Any], list[range]]:
-    """Unpack what a worker is to do once, and not for each task."""
-    work, tasks, shares = pickle.loads(planned)
-    return work, tasks, shares
+def _unpacked(planned: bytes) -> tuple[Callable[[Any], Any], list[range], list[bytes]]:
+    """Unpack what workers are to do once, and not for each task."""
+    work, shares, packed = pickle.loads(planned)
+    return work, shares, packed
 
 
 def _row(number: int, told: object) -> pa.RecordBatch:

@@ -21,6 +21,7 @@ HERE = "local[*,4]"
 
 _LOOPBACK = "127.0.0.1"
 _RAISED = re.compile(r"(?:Caused by)?:? ?(?:org|java|scala)\.[\w.$]*(?:Exception|Error): (?P<says>.+)")
+_PYTHON_RAISED = re.compile(r"[A-Za-z_][\w.]*(?:Error|Exception): .+")  # in a worker, as the last of its lines
 _LONGEST = 300
 _LOGS = f"-Dlog4j2.configurationFile={Path(__file__).with_name('log4j2.properties').as_uri()}"
 _HARDLY_COMPILED = "-XX:TieredStopAtLevel=1"  # of a JVM that only schedules, better code would cost more than it gains
@@ -98,6 +99,8 @@ def _settings(master: str, schedules: bool) -> dict[str, str]:
 def reason_of(cause: BaseException) -> str:
     """Return why Spark failed, in a line: what its JVM raised, without the name of its class, if that tells."""
     lines = [line.strip() for line in str(cause).splitlines() if line.strip()]
+    if python := [line for line in lines if _PYTHON_RAISED.match(line) and not line.startswith(("java.", "org."))]:
+        return python[-1][:_LONGEST].rstrip(".")
     raised = [match["says"] for match in map(_RAISED.match, lines) if match]
     return (raised[0] if raised else lines[0] if lines else type(cause).__name__)[:_LONGEST].rstrip(".")
 

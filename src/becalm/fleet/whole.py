@@ -63,6 +63,11 @@ def told_by(sensor: Sensor, work: Callable[[], Done]) -> Done | Outcome:
         return refused(sensor.name, f"{type(cause).__name__}: {cause}", monotonic() - began)
 
 
+def all_died(sensor: Sensor, why: str) -> Outcome:
+    """Return the outcome of a sensor whose workers died one after the other."""
+    return refused(sensor.name, why)
+
+
 def finished(job: Job, sensor: Sensor, hashed: str) -> Outcome | None:
     """Return the outcome of a sensor whose output is there and came of the same; None where it has to be made."""
     mark = Mark.of(job.mark_of(sensor))

@@ -16,16 +16,16 @@ from becalm.files.plain import make_folder
 from becalm.files.waiting import in_waiting
 from becalm.files.writing import open_output
 from becalm.fleet.engine import run_tasks
-from becalm.fleet.grouped.counting import Count, count_rows
+from becalm.fleet.grouped.counting import Count, count_rows, not_counted
 from becalm.fleet.grouped.merging import merged
-from becalm.fleet.grouped.strips import Lake, Part, Strip, Strips, part_rows
+from becalm.fleet.grouped.strips import Lake, Part, Strip, Strips, not_parted, part_rows
 from becalm.fleet.job import Job, Sensor
 from becalm.fleet.lake import Shared
 from becalm.fleet.outcome import Outcome, refused
 from becalm.fleet.pieces import open_staging, staging
 from becalm.fleet.recipes import RecipeBook
 from becalm.fleet.stretching.cleaning import clean_long
-from becalm.fleet.whole import clean_whole, finished, told_by
+from becalm.fleet.whole import all_died, clean_whole, finished, told_by
 
 if TYPE_CHECKING:
     from pyspark.sql import SparkSession
@@ -94,7 +94,7 @@ def clean_grouped(spark: SparkSession, job: Job, shared: Shared, book: RecipeBoo
 
 
 def _counted(spark: SparkSession, job: Job, shared: Shared) -> dict[str, Count]:
-    counts = run_tasks(spark, partial(count_rows, job.lake, shared.keys), shared.files)
+    counts = run_tasks(spark, partial(count_rows, job.lake, shared.keys), shared.files, lost=not_counted)
     for count in counts:
         if count.failed:
             raise InputError(count.failed)
@@ -123,7 +123,7 @@ def _parted(spark: SparkSession, lake: Lake, staged: Path, counts: Mapping[str, 
         for share in range(shares):
             parts.append(Part(file, share, shares, str(staged / f"{len(parts):06d}.strips"), count.hashed))
             origins.append(count)
-    return list(zip(origins, run_tasks(spark, partial(part_rows, lake), parts), strict=True))
+    return list(zip(origins, run_tasks(spark, partial(part_rows, lake), parts, lost=not_parted), strict=True))
 
 
 def _gathered(
@@ -142,7 +142,7 @@ def _gathered(
 
 def _cleaned(spark: SparkSession, lake: str, job: Job, found: Sequence[Gathered]) -> list[Outcome]:
     """Clean sensors; those that are long are put together first, and then cut in time as those of other lakes."""
-    told = run_tasks(spark, partial(merge_and_clean, lake, job), found)
+    told = run_tasks(spark, partial(merge_and_clean, lake, job), found, lost=_died)
     long = [one.sensor for one, outcome in zip(found, told, strict=True) if outcome is None]
     outcomes = [outcome for outcome in told if outcome is not None]
     return outcomes + [_in_words_of(lake, job.lake, outcome) for outcome in clean_long(spark, job, long)]
@@ -162,6 +162,10 @@ def merge_and_clean(lake: str, job: Job, gathered: Gathered) -> Outcome | None:
     """
     told = told_by(gathered.sensor, lambda: _merged_and_cleaned(lake, job, gathered))
     return None if told is None else _in_words_of(lake, job.lake, told)
+
+
+def _died(gathered: Gathered, why: str) -> Outcome:
+    return all_died(gathered.sensor, why)
 
 
 def _merged_and_cleaned(lake: str, job: Job, gathered: Gathered) -> Outcome | None:

@@ -56,6 +56,11 @@ def count_rows(lake: str, keys: Sequence[str], file: str) -> Count:
         return Count({}, failed=f"{file} cannot be read: {type(cause).__name__}: {cause}")
 
 
+def not_counted(file: str, why: str) -> Count:
+    """Tell of a file that the workers died of."""
+    return Count({}, failed=f"{file} cannot be read. {why}")
+
+
 def _rows(path: Path, file: str, keys: Sequence[str]) -> dict[str, int]:
     table, told = read_parquet(path, Original(path)), values_in(Path(file).parent)
     rows, columns = Counter[str](), [key for key in keys if key not in told]

@@ -131,6 +131,11 @@ def part_rows(lake: Lake, part: Part) -> Strips:
         return Strips({}, f"{part.file}: {type(cause).__name__}: {cause}")
 
 
+def not_parted(part: Part, why: str) -> Strips:
+    """Tell of a file that the workers died of."""
+    return Strips({}, f"{part.file} cannot be read. {why}")
+
+
 def _parted(lake: Lake, part: Part) -> dict[str, list[Strip]]:
     path, target, found = Path(lake.root) / part.file, Path(part.strips), defaultdict[str, list[Strip]](list)
     table = read_parquet(path, Original(path))

@@ -17,7 +17,7 @@ from becalm.fleet.stretching.long import Long, Stretch
 from becalm.fleet.stretching.run import Told, run_stretch
 from becalm.fleet.stretching.seams import overlaps_agree, to_run_again
 from becalm.fleet.stretching.survey import survey
-from becalm.fleet.whole import clean_whole, commit, told_by
+from becalm.fleet.whole import all_died, clean_whole, commit, told_by
 
 if TYPE_CHECKING:
     from pyspark.sql import SparkSession
@@ -111,17 +111,23 @@ def clean_long(spark: SparkSession, job: Job, sensors: Sequence[Sensor]) -> list
     sensors : sequence of Sensor
         Of the lake.
     """
-    looked = run_tasks(spark, partial(survey, job), sensors)
+    looked = run_tasks(spark, partial(survey, job), sensors, lost=all_died)
     courses = [Course(one) for one in looked if isinstance(one, Long)]
     while tasks := [Task(place, stretch) for place, course in enumerate(courses) for stretch in course.next()]:
         longs = [course.long for course in courses]
-        for task, told in zip(tasks, run_tasks(spark, partial(_run, longs), tasks), strict=True):
+        found = run_tasks(spark, partial(_run, longs), tasks, lost=partial(_died, longs))
+        for task, told in zip(tasks, found, strict=True):
             courses[task.sensor].hear(told)
     uncut = [course.long.sensor for course in courses if course.whole]
-    outcomes = [one for one in looked if isinstance(one, Outcome)] + run_tasks(spark, partial(clean_whole, job), uncut)
+    outcomes = [one for one in looked if isinstance(one, Outcome)]
+    outcomes += run_tasks(spark, partial(clean_whole, job), uncut, lost=all_died)
     return outcomes + [told_by(course.long.sensor, course.finish) for course in courses if not course.whole]
 
 
 def _run(longs: Sequence[Long], task: Task) -> Told | Outcome:
     long = longs[task.sensor]
     return told_by(long.sensor, lambda: run_stretch(long, task.stretch))
+
+
+def _died(longs: Sequence[Long], task: Task, why: str) -> Outcome:
+    return all_died(longs[task.sensor].sensor, why)

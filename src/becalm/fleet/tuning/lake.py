@@ -21,6 +21,7 @@ from becalm.fleet.outcome import Outcome
 from becalm.fleet.tuning.classes import MOST_SENSORS, Chosen, TunedClass, chosen_of
 from becalm.fleet.tuning.sensor import judge_sensor, tune_sensor
 from becalm.fleet.tuning.written import REPORT, book_of, named_recipes, refuse_recipes, write_found
+from becalm.fleet.whole import all_died
 from becalm.report.fleet_page import FleetFacts
 from becalm.report.fleet_rows import FleetRow
 
@@ -106,7 +107,7 @@ def tune(spark: SparkSession, lake: Path, recipes: Path, asked: Asked = NOTHING_
     OutputError
         If it cannot be written.
     """
-    return tune_by(partial(run_tasks, spark), lake, recipes, asked)
+    return tune_by(partial(run_tasks, spark, lost=all_died), lake, recipes, asked)
 
 
 def tune_by(run: Run, lake: Path, recipes: Path, asked: Asked = NOTHING_ASKED) -> Tuned:
