@@ -248,3 +248,22 @@ def test_a_file_without_the_key_is_named_with_what_it_has(tmp_path: Path) -> Non
     failed = count_rows(str(tmp_path), (KEY,), "0.parquet").failed
     assert "0.parquet has no column 'sensor'" in failed
     assert "time_s, a" in failed
+
+
+@pytest.mark.parametrize("time", ["time_s", None])
+def test_of_many_strips_few_are_in_memory(tmp_path: Path, time: str | None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Sensors that share files have small strips, each of which is a whole batch."""
+    rows, of_a_block = 400_000, 2000
+    monkeypatch.setattr(strips, "_share_of", lambda path, table, part: table.blocks(table.names, most_rows=of_a_block))
+    own = pa.table({KEY: ["x"] * rows, "time_s": np.arange(rows) / 100, "a": np.arange(rows) / 7})
+    pq.write_table(own, tmp_path / "0.parquet")
+    hashed = came_of([("0.parquet", tmp_path / "0.parquet")], "", {})
+    found = part_rows(
+        Lake(str(tmp_path), (KEY,), {"sensor=x": time}), Part("0.parquet", 0, 1, str(tmp_path / "s"), hashed)
+    ).of["sensor=x"]
+    assert len(found) == rows // of_a_block
+    before, most, count = pa.total_allocated_bytes(), 0, 0
+    for table in merged(tmp_path, found):
+        most, count = max(most, pa.total_allocated_bytes() - before), count + table.num_rows
+    assert count == rows
+    assert most < 8 * of_a_block * 24  # of the 200 strips that there are

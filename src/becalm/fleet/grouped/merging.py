@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import heapq
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -29,7 +30,7 @@ class Head:
     columns : pyarrow.Schema
         Of its rows, without their ranks.
     left : int
-        Rows that are not in memory yet.
+        Rows that were not read yet.
     reach : int, float or None
         The rank of the last row that came into memory, or that of the first before any did.
     """
@@ -43,20 +44,30 @@ class Head:
         self.columns: pa.Schema = self._schema.remove(self._schema.get_field_index(RANK))
         self._held: pa.Table = self._schema.empty_table()
 
-    def load(self) -> pa.Table:
-        """Bring the next rows into memory, in the place of those before, and return them."""
+    @property
+    def held(self) -> int:
+        """Rows in memory."""
+        return int(self._held.num_rows)
+
+    def read(self) -> pa.Table:
+        """Return the next rows, and keep none."""
         with pa.OSFile(self._path) as file:
             file.seek(self._at)
             batch = pa.ipc.read_record_batch(pa.ipc.read_message(file), self._schema)
             self._at = file.tell()
-        self._held, self.left = pa.table(batch), self.left - batch.num_rows
+        self.left -= batch.num_rows
+        return pa.table(batch)
+
+    def load(self) -> None:
+        """Bring the next rows into memory, in the place of those before."""
+        self._held = self.read()
         self.reach = _ranks(self._held)[-1]
-        return self._held
 
     def take(self, stop: Any, *, also_equal: bool) -> pa.Table:
         """Take the rows out of memory whose rank is below one, or equal to it."""
         count = int(np.searchsorted(_ranks(self._held), stop, "right" if also_equal else "left"))
-        taken, self._held = self._held.slice(0, count), self._held.slice(count)
+        taken, rest = self._held.slice(0, count), self._held.slice(count)
+        self._held = rest if rest.num_rows else self._schema.empty_table()  # a slice of nothing would keep all of them
         return taken
 
     def rest(self) -> pa.Table:
@@ -95,16 +106,28 @@ def merged(lake: Path, strips: Sequence[Strip]) -> Iterator[pa.Table]:
 def _as_they_came(heads: Sequence[Head]) -> Iterator[list[pa.Table]]:
     for head in heads:
         while head.left:
-            yield [head.load()]
+            yield [head.read()]
 
 
 def _by_rank(heads: Sequence[Head]) -> Iterator[list[pa.Table]]:
-    """Give of each head what can be told next: no row that is not in memory comes before the least reach."""
-    while unread := [(head.reach, place) for place, head in enumerate(heads) if head.left]:
-        reach, least = min(unread)
-        yield [head.take(reach, also_equal=place <= least) for place, head in enumerate(heads)]
-        heads[least].load()
-    yield [head.rest() for head in heads]
+    """Give of each head what can be told next: no row that is not in memory comes before the least reach.
+
+    Only heads that have rows in memory are looked at: of strips that follow each other in time these are few.
+    """
+    unread = [(head.reach, place) for place, head in enumerate(heads)]
+    heapq.heapify(unread)
+    at_work = list[int]()
+    while unread:
+        reach, least = unread[0]
+        yield [heads[place].take(reach, also_equal=place <= least) for place in at_work]
+        head = heads[least]
+        head.load()
+        at_work = sorted({place for place in at_work if heads[place].held} | {least})
+        if head.left:
+            heapq.heapreplace(unread, (head.reach, least))
+        else:
+            heapq.heappop(unread)
+    yield [heads[place].rest() for place in at_work]
 
 
 def _joined(parts: Sequence[pa.Table], schema: pa.Schema) -> pa.Table:
