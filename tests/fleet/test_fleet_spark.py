@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from threading import Thread
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -170,6 +171,11 @@ def test_a_signal_ends_a_job_and_all_of_its_processes(lake: Lake, tmp_path: Path
     assert not left
 
 
+def _another_session() -> None:
+    with session("local[1]"):
+        pass
+
+
 def test_a_session_is_of_this_machine_alone(tmp_path: Path) -> None:
     with session("local[1]") as spark:
         assert spark.conf.get("spark.driver.bindAddress") == "127.0.0.1"
@@ -177,6 +183,9 @@ def test_a_session_is_of_this_machine_alone(tmp_path: Path) -> None:
         assert spark.range(3).count() == 3
         with session("local[1]") as same_one:
             assert same_one.sparkContext is spark.sparkContext
+        beside = Thread(target=_another_session)
+        beside.start()
+        beside.join()
         with pytest.raises(UsageError, match=r"has Spark on local\[1\]"), session("local[2]"):
             pass
         assert spark.range(3).count() == 3  # whoever came later has not stopped it

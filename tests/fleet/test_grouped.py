@@ -188,7 +188,20 @@ def test_a_file_that_tells_no_sensor_stops_the_job_before_it_begins(tmp_path: Pa
     pq.write_table(own_table(1, 50), lake.root / "torn.parquet")
     with pytest.raises(InputError, match=r"torn\.parquet has no column 'sensor'"):
         cleaned(lake)
+    (lake.root / "zz.parquet").write_bytes(b"PAR1 and no end")
+    with pytest.raises(
+        InputError, match=r"torn\.parquet has no column .* 1 more files are to be mended: zz\.parquet\."
+    ):
+        cleaned(lake)
     assert not list((tmp_path / "out").rglob("*.parquet"))
+
+
+def test_files_without_rows_are_no_lake(tmp_path: Path) -> None:
+    lake = four(tmp_path)
+    for path in lake.root.rglob("*.parquet"):
+        pq.write_table(pq.read_table(path).slice(0, 0), path)
+    with pytest.raises(InputError, match="holds a row; there is nothing to clean"):
+        cleaned(lake)
 
 
 def test_a_sensor_without_a_recipe_is_said(tmp_path: Path) -> None:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import becalm
-from fleet_stream_kills import RATE_HZ, SENSORS, killed
-from fleet_stream_runs import KINDS, committed
+from fleet_stream_kills import FILE_ROWS, NAMES, RATE_HZ, RECIPE, SENSORS, killed
+from fleet_stream_runs import KINDS, StreamRun, committed, told_in, write_rows
+from live_runs import readings
+from streaming_spark import until
 
 pytestmark = [pytest.mark.slow, pytest.mark.spark]
 
@@ -22,6 +25,25 @@ def test_whoever_is_killed_nothing_is_lost_and_nothing_told_twice(tmp_path: Path
     recording = becalm.read(sensor)
     assert len(recording) == found.rows / len(SENSORS)
     assert recording.timebase.step_s == pytest.approx(1 / RATE_HZ)
+
+
+def test_a_stream_that_is_killed_before_its_first_rows_count_can_be_begun_again(tmp_path: Path) -> None:
+    """The engine says in its checkpoint what a micro-batch will take before it takes it."""
+    rows = readings(FILE_ROWS, 2, RATE_HZ, 1)
+    time_s = 1.764e9 + np.arange(FILE_ROWS) / RATE_HZ
+    write_rows(tmp_path / "lake" / "sensor=1" / "0.parquet", time_s, {name: rows[:, c] for c, name in enumerate(NAMES)})
+    (tmp_path / "r.toml").write_text(RECIPE.to_toml(), encoding="utf-8")
+    stream = StreamRun(tmp_path, master="local[2]")
+    try:
+        stream.begin()
+        until((stream.output / "_checkpoint" / "offsets" / "0").exists)
+        stream.end()
+        assert not committed(stream.output)
+        stream.begin()
+        until(lambda: bool(committed(stream.output)))
+    finally:
+        stream.end()
+    assert told_in(stream.output, "1").num_rows == FILE_ROWS
 
 
 def orphan_beside(out: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from becalm.errors import InputError, UsageError
+from becalm.fleet.stream import lake as stream_lake
 from becalm.fleet.stream.blocks import Rows
 from becalm.fleet.stream.lake import lake_shape, read_files
 from becalm.fleet.stream.plan import SensorPlan
@@ -181,3 +183,32 @@ def test_a_lake_without_a_key_is_refused(tmp_path: Path) -> None:
     written(tmp_path / "sensor=1" / "a.parquet", time=[[1.0]], a=[1.0])
     with pytest.raises(UsageError, match="'a' has double; readings are arrays of numbers"):
         lake_shape(str(tmp_path), PLAN)
+
+
+@pytest.mark.parametrize(
+    ("cause", "passes"),
+    [
+        (OSError(errno.ESTALE, "Stale file handle"), True),
+        (OSError(errno.EMFILE, "Too many open files"), True),
+        (MemoryError("no memory"), True),
+        (FileNotFoundError(errno.ENOENT, "No such file"), False),
+        (OSError("Couldn't deserialize thrift"), False),
+        (ValueError("rubbish"), False),
+    ],
+)
+def test_a_file_that_the_machine_could_not_read_is_left_for_another_try(
+    lake: Path, monkeypatch: pytest.MonkeyPatch, cause: Exception, passes: bool
+) -> None:
+    shape = lake_shape(str(lake), PLAN)
+
+    def opened(path: Path, kept: object) -> None:
+        if isinstance(cause, OSError):
+            raise InputError(f"{path} is damaged.") from cause
+        raise cause
+
+    monkeypatch.setattr(stream_lake, "ParquetRows", opened)
+    if passes:
+        with pytest.raises((InputError, MemoryError)):
+            read(shape, lake / "sensor=1" / "a.parquet")
+    else:
+        assert says(read(shape, lake / "sensor=1" / "a.parquet")["1"])

@@ -39,7 +39,8 @@ def test_a_lake_is_streamed_to_the_bit_whenever_its_files_come(stage: Stage) -> 
     rows = {f"{k:03d}": rows_of(900, k) for k in range(3)}
     for number in range(3):
         for sensor, whole in rows.items():
-            stage.write(f"sensor={sensor}/part-{9 - number}.parquet", cut(whole, [300, 600])[number])
+            ending = "parquet" if number else "PARQUET"
+            stage.write(f"sensor={sensor}/part-{9 - number}.{ending}", cut(whole, [300, 600])[number])
         if number:
             stage.once()
     for sensor, whole in rows.items():

@@ -132,7 +132,7 @@ def _shares(sizes: Sequence[int], cores: int) -> list[range]:
 def _settle(planned: bytes) -> None:
     """Keep what a worker has loaded for its first task from being looked through for garbage after each, as Spark does.
 
-    With all of becalm's libraries that takes 75 ms, more than the work on many a sensor.
+    With all of becalm's libraries that takes longer than the work on many a sensor.
     """
     gc.collect()
     gc.freeze()

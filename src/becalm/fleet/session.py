@@ -29,7 +29,7 @@ _QUIET = {
     "spark.ui.enabled": "false",  # a page that nobody asked for, open to all of the network
     "spark.ui.showConsoleProgress": "false",
     "spark.sql.session.timeZone": "UTC",
-    # by a socket of loopback each task takes 50 ms more, and another user may speak with it
+    # by a socket of loopback each task waits some time for nothing, and another user may speak with it
     "spark.python.unix.domain.socket.enabled": str(os.name == "posix").lower(),
 }
 
@@ -76,10 +76,13 @@ def session(
 def _builder() -> tuple[SparkSession.Builder, SparkSession | None]:
     """Return what builds a session, and the one that there is already."""
     try:
+        from pyspark import SparkContext
         from pyspark.sql import SparkSession
     except ModuleNotFoundError as cause:
         raise UsageError("Spark is not here. Type: pip install 'becalm[spark]', and install Java 17.") from cause
-    return SparkSession.builder, SparkSession.getActiveSession()
+    # whichever thread asks: a session is active in the one that made it, and stopping it would stop it for all
+    there = SparkContext._active_spark_context is not None
+    return SparkSession.builder, SparkSession.builder.getOrCreate() if there else None
 
 
 def _settings(master: str, schedules: bool) -> dict[str, str]:

@@ -8,11 +8,11 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from importlib.metadata import version
 from typing import NamedTuple
 
 from jinja2 import Environment
 
+from becalm.core.itself import version
 from becalm.report.embedding import asset, packed, script
 from becalm.report.fleet_order import TRAITS, summary, worst_first
 from becalm.report.fleet_rows import FleetRow, spaced
@@ -88,7 +88,7 @@ def fleet_page(rows: Sequence[FleetRow], facts: FleetFacts) -> str:
         .from_string(asset("fleet/fleet.html"))
         .render(
             name=_unbroken(facts.lake),
-            version=version("becalm"),
+            version=version(),
             lead=_unbroken(summary(rows, facts.done)),
             facts_told=_facts_told(facts),
             filters=_filters(told),

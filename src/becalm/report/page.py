@@ -5,7 +5,7 @@ from __future__ import annotations
 import platform
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib.metadata import version
+from importlib import metadata
 from typing import NamedTuple
 
 from jinja2 import Environment
@@ -13,6 +13,7 @@ from jinja2 import Environment
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.report import ChannelReport
 from becalm.cleaning.words import amount, cells
+from becalm.core.itself import version
 from becalm.report.channel import Cleaned, Pictured, Pictures
 from becalm.report.description import Figure
 from becalm.report.embedding import asset, packed, script
@@ -111,7 +112,7 @@ def page_of(
     template = Environment(autoescape=True).from_string(asset("page.html"))
     return template.render(
         facts=facts,
-        version=version("becalm"),
+        version=version(),
         lead=_lead(reports),
         facts_told=_facts_told(facts, recipe, pictures.times),
         headings=_HEADINGS,
@@ -252,6 +253,5 @@ def _element(svg: bytes) -> bytes:
 
 
 def _versions() -> str:
-    names = ("becalm", "numpy", "scipy", "numba")
-    libraries = ", ".join(f"{name} {version(name)}" for name in names)
-    return f"Made with {libraries}, Python {platform.python_version()}."
+    libraries = ", ".join(f"{name} {metadata.version(name)}" for name in ("numpy", "scipy", "numba"))
+    return f"Made with becalm {version()}, {libraries}, Python {platform.python_version()}."

@@ -33,6 +33,8 @@ if TYPE_CHECKING:
 PART_ROWS = 1 << 22
 """Rows of a file that one task parts: enough work for a task, and not too many to do again."""
 
+_MOST_NAMED = 10  # of files that cannot be read
+
 OUTPUT = "part-0.parquet"
 """The one file of a sensor."""
 
@@ -74,12 +76,14 @@ def clean_grouped(spark: SparkSession, job: Job, shared: Shared, book: RecipeBoo
     Raises
     ------
     InputError
-        If a file does not tell of which sensors its rows are.
+        If a file does not tell of which sensors its rows are, or none holds a row.
     OutputError
         If the output cannot be written to.
     """
     counts = _counted(spark, job, shared)
     names = sorted({name for count in counts.values() for name in count.rows})
+    if not names:
+        raise InputError(f"No file of {job.lake} holds a row; there is nothing to clean.")
     outcomes = [refused(name, book.why_not(name)) for name in names if book.hash_for(name) is None]
     sensors = [_sensor(job, name, one, counts) for name in names if (one := book.hash_for(name))]
     kept = {sensor.name: finished(job, sensor, sensor.came_of) for sensor in sensors}
@@ -95,9 +99,11 @@ def clean_grouped(spark: SparkSession, job: Job, shared: Shared, book: RecipeBoo
 
 def _counted(spark: SparkSession, job: Job, shared: Shared) -> dict[str, Count]:
     counts = run_tasks(spark, partial(count_rows, job.lake, shared.keys), shared.files, lost=not_counted)
-    for count in counts:
-        if count.failed:
-            raise InputError(count.failed)
+    if failed := [file for file, count in zip(shared.files, counts, strict=True) if count.failed]:
+        more = f" {len(failed) - 1} more files are to be mended: {', '.join(failed[1:][:_MOST_NAMED])}." * (
+            len(failed) > 1
+        )
+        raise InputError(next(count.failed for count in counts if count.failed) + more)
     return dict(zip(shared.files, counts, strict=True))
 
 

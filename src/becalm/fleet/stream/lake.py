@@ -5,6 +5,7 @@ So a file that cannot be read is told and stops nobody; units are known, and nan
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -27,6 +28,17 @@ from becalm.live.lines.cells import NumberStamps, stamp_reader
 _ROWS = 1 << 16
 _KINDS = {"float": "float", "halffloat": "float", "int8": "int", "int16": "int", "int32": "int", "int64": "bigint"}
 _KINDS |= {"uint8": "int", "uint16": "int", "uint32": "bigint", "uint64": "bigint"}
+_PASSING = {
+    errno.EIO,
+    errno.ESTALE,
+    errno.ETIMEDOUT,
+    errno.EAGAIN,
+    errno.EBUSY,
+    errno.EMFILE,
+    errno.ENFILE,
+    errno.ENOMEM,
+}
+_PASSING |= {errno.ENOTCONN, errno.ECONNRESET, errno.EHOSTDOWN, errno.EHOSTUNREACH, errno.ENETDOWN, errno.ENETUNREACH}
 _LOOKED_AT = 20  # files, of which one must be readable, when a stream begins
 
 
@@ -59,7 +71,13 @@ def lake_shape(lake: str, plan: SensorPlan) -> Shape:
 
 
 def read_files(shape: Shape, batches: Iterator[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
-    """Return blocks of one sensor each, as `shape.BATCH`, of the rows in files; the first column has their paths."""
+    """Return blocks of one sensor each, as `shape.BATCH`, of the rows in files; the first column has their paths.
+
+    Raises
+    ------
+    OSError, MemoryError, BecalmError
+        If the machine, and not the file, is why it cannot be read now: so that the engine reads it again.
+    """
     gathering = Gathering(len(shape.channels))
     for batch in batches:
         for told in batch.column(0).to_pylist():
@@ -68,11 +86,21 @@ def read_files(shape: Shape, batches: Iterator[pa.RecordBatch]) -> Iterator[pa.R
             try:
                 for piece in _pieces(path, shape, gathering, sensor):
                     yield from gathering.add(*piece)
-            except BecalmError as cause:
-                gathering.garble(sensor or "", _left_out(str(cause)))
-            except Exception as cause:  # rubbish of a kind that nobody has thought of
-                gathering.garble(sensor or "", _left_out(f"{path}: {type(cause).__name__}: {cause}."))
+            except Exception as cause:  # also rubbish of a kind that nobody has thought of
+                if _passes(cause):
+                    raise
+                says = str(cause) if isinstance(cause, BecalmError) else f"{path}: {type(cause).__name__}: {cause}."
+                gathering.garble(sensor or "", _left_out(says))
     yield from gathering.rest()
+
+
+def _passes(cause: BaseException | None) -> bool:
+    """Whether something went wrong with the machine: its disks, its network, its memory."""
+    while cause is not None:
+        if isinstance(cause, MemoryError) or (isinstance(cause, OSError) and cause.errno in _PASSING):
+            return True
+        cause = cause.__cause__ or cause.__context__
+    return False
 
 
 def _left_out(why: str) -> Garbled:
@@ -167,4 +195,4 @@ def _kind(kind: pa.DataType) -> str:
         return f"array<{_kind(kind.value_type)}>"
     if pa.types.is_timestamp(kind):
         return "timestamp"
-    return str(kind) if pa.types.is_decimal(kind) else _KINDS.get(kind, str(kind))
+    return str(kind) if pa.types.is_decimal(kind) else _KINDS.get(str(kind), str(kind))

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from string import ascii_lowercase
 from typing import TYPE_CHECKING
 
 from pyspark.errors import AnalysisException
@@ -81,10 +82,10 @@ def _paths(spark: SparkSession, lake: str) -> DataFrame:
     """
     reader = spark.readStream.format("binaryFile").schema(_FILE).option("maxBytesPerTrigger", str(_LAKE_BYTES))
     reader = reader.option("maxFileAge", _EVER)
-    listed = (
-        reader.option("pathGlobFilter", f"*{{{','.join(ENDINGS)}}}").option("recursiveFileLookup", "true").load(lake)
-    )
-    return listed.select("path")
+    either = {letter: f"[{letter}{letter.upper()}]" for letter in ascii_lowercase}  # a glob tells cases apart
+    endings = ",".join("".join(either.get(sign, sign) for sign in ending) for ending in ENDINGS)
+    reader = reader.option("pathGlobFilter", f"*{{{endings}}}").option("recursiveFileLookup", "true")
+    return reader.load(lake).select("path")
 
 
 def kafka_messages(spark: SparkSession, address: Address, key: str) -> DataFrame:
