@@ -80,6 +80,15 @@ def test_where_all_die_the_job_ends(spark: SparkSession, monkeypatch: pytest.Mon
         engine.run_tasks(spark, doing("dies"), [1, 2, 3], lost=lost)
 
 
+def test_where_spark_itself_is_gone_the_job_ends(spark: SparkSession, monkeypatch: pytest.MonkeyPatch) -> None:
+    def gone(*_: object, **__: object) -> None:
+        raise ConnectionRefusedError(111, "Connection refused")
+
+    monkeypatch.setattr(type(spark), "range", gone)
+    with pytest.raises(UsageError, match=r"Spark gave the job up \(.*Connection refused"):
+        engine.run_tasks(spark, doing("raises"), [1], lost=lost)
+
+
 def test_what_is_no_death_ends_it_at_once(spark: SparkSession) -> None:
     with pytest.raises(UsageError, match=r"Spark gave the job up \(.*1 is rubbish"):
         engine.run_tasks(spark, doing("raises"), [1], lost=lost)

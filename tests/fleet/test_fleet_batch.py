@@ -118,16 +118,18 @@ def test_rubbish_is_reported_and_stops_nobody(lake: Lake) -> None:
     pq.write_table(backwards, lake.root / "sensor=backwards" / "a.parquet")
     (lake.root / "sensor=other").mkdir()
     pq.write_table(table_of(np.arange(100) / 100, c=walk(1, 100)), lake.root / "sensor=other" / "a.parquet")
+    (lake.root / "sensor=gone").mkdir()
+    (lake.root / "sensor=gone" / "a.parquet").symlink_to(lake.root / "nowhere")
     (lake.root / "sensor=text").mkdir()
     words = pa.table({"time_s": np.arange(100) / 100, "a": ["x"] * 100, "b": ["y"] * 100})
     pq.write_table(words, lake.root / "sensor=text" / "a.parquet")
     fleet = cleaned(lake)
     refused = {one.sensor: one.reason for one in fleet.outcomes if one.state == "refused"}
-    assert sorted(refused) == ["sensor=backwards", "sensor=cut", "sensor=empty", "sensor=other", "sensor=text"]
+    assert sorted(refused) == [f"sensor={name}" for name in ("backwards", "cut", "empty", "gone", "other", "text")]
     assert "backwards" in refused["sensor=backwards"]
     assert "'a'" in refused["sensor=other"]
     assert all(reason.endswith((".", "DIR")) and "Error" not in reason for reason in refused.values()), refused
-    assert "4 of 9 sensors are cleaned" in fleet.summary
+    assert "4 of 10 sensors are cleaned" in fleet.summary
     assert not list((lake.root.parent / "out").rglob("*.part"))
 
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
@@ -70,6 +72,30 @@ def test_a_link_leads_nobody_to_raw_files(lake: Lake) -> None:
     before = sorted((path, path.stat().st_mtime_ns) for path in lake.root.rglob("*"))
     assert "out of the output; remove that link" in reasons(cleaned(lake))[1]
     assert before == sorted((path, path.stat().st_mtime_ns) for path in lake.root.rglob("*"))
+
+
+def test_nor_does_one_below_a_sensor(lake: Lake) -> None:
+    cleaned(lake)
+    day = out_of(lake) / "sensor=1" / "date=2026-01-02"
+    shutil.rmtree(day)
+    day.symlink_to(lake.root / "sensor=1" / "date=2026-01-02")
+    before = sorted((path, path.stat().st_mtime_ns) for path in lake.root.rglob("*"))
+    assert f"{day} leads to " in reasons(cleaned(lake))[1]
+    assert before == sorted((path, path.stat().st_mtime_ns) for path in lake.root.rglob("*"))
+
+
+@pytest.mark.parametrize("asked", [Asked(), Asked(stretch_rows=1024)], ids=["whole", "cut"])
+def test_a_column_in_whose_place_an_uncertainty_is_written_is_named(lake: Lake, asked: Asked) -> None:
+    (path,) = (lake.root / "sensor=1" / "date=2026-01-01").glob("*.parquet")
+    shutil.rmtree(lake.root / "sensor=1" / "date=2026-01-02")
+    table = table_of(np.arange(ROWS) / 100, a=walk(1, ROWS))
+    pq.write_table(table.append_column("a_sigma", pa.array(np.full(ROWS, 0.1))), path)
+    for outcome in cleaned(lake, asked).outcomes:
+        assert ("Replaced by the new uncertainty: a_sigma." in outcome.channels[0].says) == (
+            outcome.sensor == "sensor=1"
+        )
+    lake.recipe.write_text(recipe_of("a", "a_sigma").to_toml(), encoding="utf-8")
+    assert "'a_sigma' is called as the uncertainty of 'a'" in reasons(cleaned(lake, asked))[1]
 
 
 @pytest.mark.parametrize("killed_at", ["renames", "older", "mark"])

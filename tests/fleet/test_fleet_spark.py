@@ -186,7 +186,7 @@ def test_a_session_is_of_this_machine_alone(tmp_path: Path) -> None:
         beside = Thread(target=_another_session)
         beside.start()
         beside.join()
-        with pytest.raises(UsageError, match=r"has Spark on local\[1\]"), session("local[2]"):
+        with pytest.raises(UsageError, match=r"has Spark on local\[1,4\]"), session("local[2]"):
             pass
         assert spark.range(3).count() == 3  # whoever came later has not stopped it
 
@@ -194,9 +194,13 @@ def test_a_session_is_of_this_machine_alone(tmp_path: Path) -> None:
 def test_what_spark_cannot_do_is_said(lake: Lake, tmp_path: Path) -> None:
     ran = subprocess.run(command(lake, tmp_path / "out", "nonsense"), capture_output=True, text=True, check=False)
     assert (ran.returncode, ran.stdout) == (2, "")
-    assert "Spark does not start on nonsense (" in ran.stderr
-    assert "Master must either be yarn or start with spark" in ran.stderr
-    assert "said why above. Name a master that is there with --master, as local[4]" in ran.stderr
+    assert "--master nonsense is no master of Spark's; give local[4], spark://HOST:7077 or yarn" in ran.stderr
+    assert "Exception" not in ran.stderr
+    environment = os.environ | {"PATH": "/nonexistent", "JAVA_HOME": "/nonexistent"}
+    words = command(lake, tmp_path / "out", "local[1]")
+    ran = subprocess.run(words, capture_output=True, text=True, check=False, env=environment)
+    assert (ran.returncode, ran.stdout) == (2, "")
+    assert "It needs Java 17 or newer: install one" in ran.stderr
     assert "Traceback" not in ran.stderr
 
 

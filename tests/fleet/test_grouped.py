@@ -196,6 +196,12 @@ def test_a_file_that_tells_no_sensor_stops_the_job_before_it_begins(tmp_path: Pa
     assert not list((tmp_path / "out").rglob("*.parquet"))
 
 
+def test_the_time_of_rows_tells_no_sensor(tmp_path: Path) -> None:
+    lake = four(tmp_path)
+    with pytest.raises(UsageError, match="--by 'time_s' names the time of the rows"):
+        cleaned(lake, Asked(by="time_s"))
+
+
 def test_files_without_rows_are_no_lake(tmp_path: Path) -> None:
     lake = four(tmp_path)
     for path in lake.root.rglob("*.parquet"):

@@ -9,7 +9,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from becalm.errors import RecipeError, UsageError
-from becalm.fleet.lake import FILE, FOLDER, places_in
+from becalm.fleet.lake import FILE, FOLDER, places_in, told_apart
 from becalm.fleet.recipes import open_book
 from made import recipe_of, table_of
 
@@ -54,6 +54,22 @@ def test_sensors_below_times_are_refused_with_what_to_type(tmp_path: Path) -> No
         names(write(tmp_path / "lake", "date=2026-01-01/sensor=1/a.parquet"))
 
 
+def test_a_folder_is_called_as_it_is_and_not_as_a_link_to_it(tmp_path: Path) -> None:
+    lake = write(tmp_path / "lake", "plant=3/sensor=9/a.parquet", "\uff13/a.parquet")
+    (lake / "a").symlink_to(lake / "plant=3" / "sensor=9")
+    assert names(lake) == ["plant=3/sensor=9", "\uff13"]
+
+
+def test_keys_that_folders_tell_need_no_file_to_be_read(tmp_path: Path) -> None:
+    lake = write(tmp_path / "lake", "date=2026-01-01/sensor=1/a.parquet", "date=2026-01-01/sensor=2/a.parquet")
+    (lake / "date=2026-01-01" / "sensor=1" / "a.parquet").write_bytes(b"rubbish")
+    told = told_apart(lake, "sensor")
+    assert isinstance(told, list)
+    assert [place.name for place in told] == ["sensor=1", "sensor=2"]
+    with pytest.raises(UsageError, match="'sensor' twice"):
+        told_apart(lake, "sensor,sensor")
+
+
 def test_files_beside_folders_are_refused(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"--by file"):
         names(write(tmp_path / "lake", "a.parquet", "sensor=1/a.parquet"))
@@ -80,6 +96,14 @@ def test_the_nearest_recipe_is_taken(tmp_path: Path) -> None:
     assert {sensor: book.by_hash[str(one)] for sensor, one in found.items()} == {
         sensor: told[name] for sensor, name in wanted.items()
     }
+
+
+def test_a_recipe_that_no_sensor_has_is_named(tmp_path: Path) -> None:
+    for name in ("default", "sensor=O1", "plant=3/sensor=1", "plant=4"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / f"{name}.toml").write_text(recipe_of("a").to_toml(), encoding="utf-8")
+    book = open_book(recipes=tmp_path)
+    assert book.unused(["sensor=01", "plant=3/sensor=1", "plant=4/sensor=1"]) == ("sensor=O1",)
 
 
 def test_a_sensor_without_a_recipe_is_told_what_to_add(tmp_path: Path) -> None:

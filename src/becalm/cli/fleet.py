@@ -106,6 +106,8 @@ def say_some(sentences: Sequence[str]) -> None:
 def _tell(fleet: Fleet, output: Path, *, as_json: bool) -> None:
     typer.echo(fleet.summary, err=True)
     say_some([f"{one.sensor}: {one.reason}" for one in fleet.outcomes if one.state == "refused"])
+    if fleet.unused:
+        typer.echo(f"No sensor has these recipes, by their names: {', '.join(fleet.unused[:_MOST_NAMED])}.", err=True)
     typer.echo(f"Wrote {output} and its report, {fleet.report}.", err=True)
     if as_json:
         told = {

@@ -9,6 +9,7 @@ from shlex import quote
 import typer
 
 from becalm.cli.fleet import Where, say_some, spark_at
+from becalm.errors import NOT_DESCRIBED
 from becalm.fleet.lake import FILE
 from becalm.fleet.tuning.lake import Asked, Tuned, chosen_in, tune
 from becalm.fleet.tuning.written import values_of
@@ -22,6 +23,8 @@ def tune_lake(lake: Path, output: Path, asked: Asked, where: Where, *, as_json: 
     ------
     BecalmError
         As `becalm.fleet.tuning.tune`, or if Spark does not start.
+    Exit
+        With another code than 0 where a sensor was refused, or a class has no recipe.
     """
     chosen_in(lake, output, asked)
     with spark_at(where) as spark:
@@ -30,6 +33,8 @@ def tune_lake(lake: Path, output: Path, asked: Asked, where: Where, *, as_json: 
     if as_json:
         told = {"recipes": tuned.recipes, "report": str(tuned.report), "sensors": values_of(tuned.classes)}
         print(json.dumps({"output": str(output), **told}, indent=2))  # noqa: T201
+    if any(klass.typical is None for klass in tuned.classes) or any(row.state == "refused" for row in tuned.rows):
+        raise typer.Exit(NOT_DESCRIBED)
 
 
 def _tell(lake: Path, output: Path, asked: Asked, tuned: Tuned) -> None:

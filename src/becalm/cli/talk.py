@@ -92,9 +92,7 @@ def tell_notes(*sources: OpenSource) -> None:
 def tell_columns(source: OpenSource) -> None:
     """Say which columns were not cleaned, and which of the file's own were replaced."""
     passed = [f"{column.name} ({column.why})" for column in source.columns if column.role == "passed through"]
-    names = source.names
-    replaced = [name for name in source.schema.names if name.removesuffix("_sigma") in names and name not in names]
-    if replaced:
-        stderr.print(f"Replaced by the new uncertainty: {', '.join(replaced)}.")
-    if kept := [text for text in passed if text.partition(" (")[0] not in replaced]:
+    if source.replaced:
+        stderr.print(f"Replaced by the new uncertainty: {', '.join(source.replaced)}.")
+    if kept := [text for text in passed if text.partition(" (")[0] not in source.replaced]:
         stderr.print(f"Passed through unchanged: {', '.join(kept[:20])}{' and more' if len(kept) > 20 else ''}.")

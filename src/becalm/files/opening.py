@@ -23,7 +23,7 @@ from becalm.files.choosing import chosen_table
 from becalm.files.chunk import Chunk
 from becalm.files.converting import in_units_asked
 from becalm.files.registry import read_tables
-from becalm.files.roles import choose_channels, missing_in, unit_of, values_of
+from becalm.files.roles import SIGMA, choose_channels, missing_in, refuse_uncertainties, unit_of, values_of
 from becalm.files.rows import HeldRows, block_rows, rebatched
 from becalm.files.sensing import with_sensors
 from becalm.files.source import Layout, RawTable, TimeLayout, layout_of
@@ -72,6 +72,7 @@ class OpenSource:
         self._raw, self._stamps, self._time, raw = times.raw, times.stamps, times.layout, times.raw
         chosen = choose_channels(raw, self._time.columns, times.candidates, options.channels, options.asker)
         self.names, self.columns = chosen
+        refuse_uncertainties(self.names)
         self.units = tuple(unit_of(raw, name) for name in self.names)
         self.rows: int = raw.count
         self.schema: pa.Schema = raw.rows.schema
@@ -108,6 +109,11 @@ class OpenSource:
     def notes(self) -> tuple[str, ...]:
         """What a person must know of the file, as sentences."""
         return (*self._raw.notes, *self._time.notes)
+
+    @property
+    def replaced(self) -> tuple[str, ...]:
+        """Columns of the file in whose places uncertainties are written."""
+        return tuple(name for name in self.schema.names if name in {own + SIGMA for own in self.names})
 
     @property
     def rate_hz(self) -> float:

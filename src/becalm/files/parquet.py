@@ -129,11 +129,17 @@ class ParquetRows:
         except (pa.ArrowException, OSError) as cause:
             self._refuse_changed()
             reason = " ".join(str(cause).split())[:200]
+            if isinstance(cause, FileNotFoundError):
+                raise InputError(f"{self._path} does not exist any more, or is a link that leads nowhere.") from cause
             if isinstance(cause, pa.ArrowNotImplementedError):
                 nested = [name for name in names if pa.types.is_nested(self.schema.field(name).type)]
                 raise InputError(
                     f"{self._path} holds what cannot be read, in {', '.join(map(repr, nested or names)) or 'a column'}"
                     f" ({reason}); write it again without that column, or as plain numbers and text."
+                ) from cause
+            if not self._begins():
+                raise InputError(
+                    f"{self._path} is no Parquet file, whatever it is called; its first bytes say so."
                 ) from cause
             if self._is_cut():
                 raise InputError(
@@ -141,6 +147,14 @@ class ParquetRows:
                     " nothing of it can be read; copy or write it again."
                 ) from cause
             raise InputError(f"{self._path} is a damaged Parquet file ({reason}); copy or write it again.") from cause
+
+    def _begins(self) -> bool:
+        """Whether its first bytes are those of a Parquet file, if it has any, and can be read."""
+        if isinstance(self._kept, bytes):
+            return self._kept[: len(PARQUET)] in (PARQUET, b"")
+        with suppress(OSError), self._path.open("rb") as file:
+            return file.read(len(PARQUET)) in (PARQUET, b"")
+        return True
 
     def _is_cut(self) -> bool:
         """Whether its last bytes are not those of a Parquet file."""

@@ -203,3 +203,18 @@ def _missing(column: pa.ChunkedArray) -> int:
     elif pa.types.is_string(column.type):
         missing += pc.sum(pc.equal(column, "")).as_py() or 0
     return int(missing)
+
+
+def refuse_uncertainties(names: Sequence[str]) -> None:
+    """Refuse to clean both NAME and NAME_sigma, which is to be written.
+
+    Raises
+    ------
+    InputError
+        If they are among some channels.
+    """
+    if twice := [name for name in names if name + SIGMA in names]:
+        raise InputError(
+            f"Column {twice[0] + SIGMA!r} is called as the uncertainty of {twice[0]!r}, which is to be written; clean"
+            " one without the other, or rename it."
+        )

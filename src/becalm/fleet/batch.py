@@ -64,10 +64,13 @@ class Fleet:
         One a sensor, by name.
     report : Path
         The page that tells of them, worst first.
+    unused : tuple of str
+        Names of recipes that no sensor has.
     """
 
     outcomes: tuple[Outcome, ...]
     report: Path
+    unused: tuple[str, ...] = ()
 
     @property
     def rows(self) -> list[FleetRow]:
@@ -118,7 +121,8 @@ def clean(spark: SparkSession, lake: Path, output: Path, book: RecipeBook, asked
         swept(output)
         rows = sum(outcome.rows for outcome in outcomes)
         facts = FleetFacts(lake.name, output.name, began.isoformat(), monotonic() - started, rows, book.names)
-        return _told(output, outcomes, facts)
+        unused = book.unused(outcome.sensor for outcome in outcomes)
+        return _told(Fleet(tuple(outcomes), output / ABOUT / "report.html", unused), facts)
 
 
 def _cleaned(spark: SparkSession, job: Job, told: Sequence[Place] | Shared, book: RecipeBook) -> list[Outcome]:
@@ -159,9 +163,8 @@ def refuse_inside(lake: Path, output: Path) -> None:
         raise UsageError(f"{output} is not apart from {lake}; raw data stay as they are. Name another with -o.")
 
 
-def _told(output: Path, outcomes: Sequence[Outcome], facts: FleetFacts) -> Fleet:
-    fleet = Fleet(tuple(outcomes), output / ABOUT / "report.html")
-    lines = [json.dumps(outcome.as_dict()) + "\n" for outcome in outcomes]
-    write_text(output / ABOUT / "outcomes.jsonl", "".join(lines))
+def _told(fleet: Fleet, facts: FleetFacts) -> Fleet:
+    lines = [json.dumps(outcome.as_dict()) + "\n" for outcome in fleet.outcomes]
+    write_text(fleet.report.with_name("outcomes.jsonl"), "".join(lines))
     write_text(fleet.report, fleet_page(fleet.rows, facts))
     return fleet

@@ -75,7 +75,7 @@ def run_tasks(
         own = slice(span.start, span.stop)
         try:
             told |= zip(span, _run(spark, work, tasks[own], sizes[own]), strict=True)
-        except (Py4JError, PySparkException) as cause:
+        except (Py4JError, PySparkException, ConnectionError) as cause:  # the last where Spark itself is gone
             if lost is None or not _DIED.search(str(cause)) or deaths == _MOST_DEATHS:
                 raise UsageError(
                     f"Spark gave the job up ({reason_of(cause)}). What was finished stays as it is; repeat, and it"
@@ -112,7 +112,7 @@ def _run(spark: SparkSession, work: Callable[[Task], Told], tasks: Sequence[Task
         found: Any = spark.range(0, len(shares), 1, len(shares)).mapInArrow(run, _SCHEMA)
         told = {row.number: pickle.loads(row.told) for row in found.collect()}
     finally:
-        with suppress(Py4JError):  # where Spark itself is gone
+        with suppress(Py4JError, ConnectionError):  # where Spark itself is gone
             planned.destroy()
     return [told[number] for number in range(len(tasks))]
 

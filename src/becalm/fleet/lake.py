@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Mapping
 from pathlib import Path
 from shlex import quote
 from typing import NamedTuple
@@ -59,16 +60,23 @@ def told_apart(lake: Path, by: str = FOLDER) -> list[Place] | Shared:
     paths = _files_in(lake)
     files = [path.relative_to(lake) for path in paths]
     told = [values_in(file.parent) for file in files]
-    keys = keys_of(by, {*told[0], *read_parquet(paths[0], Original(paths[0])).names})
+    keys = _keys(by, told[0], paths[0])
     if not all(values.keys() >= set(keys) for values in told):
         return Shared(keys, tuple(file.as_posix() for file in files))
     held = defaultdict[str, list[Path]](list)
     for file, values in zip(files, told, strict=True):
         held["/".join(folder_name(key, values[key]) for key in keys)].append(file)
     return [
-        Place(name, sum((lake / file).stat().st_size for file in own), tuple(file.as_posix() for file in own))
+        Place(name, sum(_bytes_of(lake / file) for file in own), tuple(file.as_posix() for file in own))
         for name, own in sorted(held.items())
     ]
+
+
+def _keys(by: str, told: Mapping[str, str | None], path: Path) -> tuple[str, ...]:
+    """Return what tells sensors apart; the columns of a file are looked at only where its folders do not tell."""
+    if by in told or all(key.strip() in told for key in by.split(",")):
+        return keys_of(by, told)
+    return keys_of(by, {*told, *read_parquet(path, Original(path)).names})
 
 
 def places_in(lake: Path, by: str = FOLDER) -> list[Place]:
@@ -91,9 +99,17 @@ def places_in(lake: Path, by: str = FOLDER) -> list[Place]:
     sizes: dict[str, int] = defaultdict(int)
     for path in _files_in(lake):
         below = path.relative_to(lake)
-        sizes[str(below) if by == FILE else str(_sensor_folder(lake, below.parent))] += path.stat().st_size
+        sizes[str(below) if by == FILE else str(_sensor_folder(lake, below.parent))] += _bytes_of(path)
     _refuse_nested(lake, sizes)
     return [Place(name, size) for name, size in sorted(sizes.items())]
+
+
+def _bytes_of(path: Path) -> int:
+    """Return how long a file is, 0 of one that is not there any more: its sensor will be refused."""
+    try:
+        return path.stat().st_size
+    except OSError:
+        return 0
 
 
 def _files_in(lake: Path) -> tuple[Path, ...]:

@@ -71,7 +71,7 @@ class Mark:
 
     @classmethod
     def of(cls, path: Path) -> Mark | None:
-        """Read a mark; None where there is none, or a damaged one: then the output is made anew."""
+        """Read a mark; None where there is none, or a damaged one: then nothing says whose files are there."""
         try:
             told = json.loads(path.read_text(encoding="utf-8"))
             outcome = Outcome.from_dict(told["outcome"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import PurePath
 from typing import NamedTuple
@@ -80,6 +81,8 @@ def keys_of(by: str, known: Collection[str]) -> tuple[str, ...]:
             raise UsageError(
                 f"--by names {key!r}, which is neither a column nor a key of the folders; there are {listed}{more}."
             )
+    if twice := [key for key, count in Counter(keys).items() if count > 1]:
+        raise UsageError(f"--by names {twice[0]!r} twice; once is enough.")
     return keys
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterable
 from pathlib import Path, PurePosixPath
 
 from becalm.cleaning.recipe import Recipe
@@ -58,6 +59,8 @@ class RecipeBook:
         RecipeError
             If it holds none, or one cannot be read.
         """
+        if not folder.is_dir():
+            raise RecipeError(f"{folder} is no folder; name one that holds recipes, or one recipe with --recipe.")
         found = recipes_in(folder)
         if not found:
             raise RecipeError(
@@ -67,13 +70,19 @@ class RecipeBook:
         names = (path.relative_to(folder).as_posix().removesuffix(ENDING) for path in found)
         return cls({name: Recipe.load(path).to_toml() for name, path in zip(names, found, strict=True)}, str(folder))
 
-    def hash_for(self, sensor: str) -> str | None:
-        """Return the hash of a sensor's recipe: its own, else that of the nearest folder above; None without one."""
+    def name_for(self, sensor: str) -> str:
+        """Return the name of a sensor's recipe: its own, else that of the nearest folder above, else `DEFAULT`."""
         path = PurePosixPath(sensor)
-        for name in (path, sensor.removesuffix(".parquet").removesuffix(".pq"), *path.parents):
-            if str(name) in self._hashes:
-                return self._hashes[str(name)]
-        return self._hashes.get(DEFAULT)
+        names = map(str, (path, sensor.removesuffix(".parquet").removesuffix(".pq"), *path.parents))
+        return next((name for name in names if name in self._hashes), DEFAULT)
+
+    def hash_for(self, sensor: str) -> str | None:
+        """Return the hash of a sensor's recipe; None where it has none."""
+        return self._hashes.get(self.name_for(sensor))
+
+    def unused(self, sensors: Iterable[str]) -> tuple[str, ...]:
+        """Return the names of recipes, but `DEFAULT`, that none of some sensors has."""
+        return tuple(sorted({*self.names} - {DEFAULT} - set(map(self.name_for, sensors))))
 
     def why_not(self, sensor: str) -> str:
         """Say what to do for a sensor that has no recipe."""

@@ -16,8 +16,11 @@ from becalm.errors import UsageError
 if TYPE_CHECKING:
     from pyspark.sql import SparkSession
 
-HERE = "local[*,4]"
-"""The master where none is named: all cores of this machine; a task whose worker dies is tried four times."""
+HERE = "local[*]"
+"""The master where none is named: all cores of this machine."""
+
+_TRIES = 4  # of a task whose worker died, as on a cluster
+_MASTER = re.compile(r"local(\[(\*|[1-9]\d*)(, *[1-9]\d*)?\])?|local-cluster\[.+\]|(spark|k8s)://.+|yarn")
 
 _LOOPBACK = "127.0.0.1"
 _RAISED = re.compile(r"(?:Caused by)?:? ?(?:org|java|scala)\.[\w.$]*(?:Exception|Error): (?P<says>.+)")
@@ -43,7 +46,8 @@ def session(
     Parameters
     ----------
     master : str, optional
-        As Spark has it: `local[4]`, `spark://host:7077`, `yarn`; `HERE` where none is named.
+        As Spark has it: `local[4]`, `spark://host:7077`, `yarn`; `HERE` where none is named. A task whose worker died
+        is tried four times, as on a cluster, but with `local[4,1]` once.
     settings : dict of str to str, optional
         Spark's own.
     schedules : bool
@@ -54,9 +58,9 @@ def session(
     UsageError
         If pyspark, or Java, is not here, there is no such master, or this process has Spark on another one.
     """
-    master = master or HERE
-    builder, running = _builder()
-    if running is not None and running.sparkContext.master != master:
+    asked = master or HERE
+    master, (builder, running) = _understood(asked), _builder()
+    if running is not None and running.sparkContext.master not in (asked, master):
         raise UsageError(f"This process has Spark on {running.sparkContext.master}; stop it, or ask for that master.")
     told = _settings(master, schedules) | (settings or {})
     for name, value in told.items():
@@ -71,6 +75,17 @@ def session(
     finally:
         if running is None:
             spark.stop()
+
+
+def _understood(master: str) -> str:
+    """Refuse what is no master; on this machine too, a task whose worker dies is tried again, unless told how often."""
+    if not _MASTER.fullmatch(master):
+        raise UsageError(
+            f"--master {master} is no master of Spark's; give local[4], spark://HOST:7077 or yarn, or leave it out for"
+            " this machine."
+        )
+    cores = re.fullmatch(r"local(?:\[(\*|\d+)\])?", master)
+    return f"local[{cores[1] or 1},{_TRIES}]" if cores else master
 
 
 def _builder() -> tuple[SparkSession.Builder, SparkSession | None]:
@@ -109,7 +124,8 @@ def reason_of(cause: BaseException) -> str:
 
 
 def _advice(cause: BaseException) -> str:
-    if shutil.which("java") is None and "JAVA_HOME" not in os.environ:
+    home = os.environ.get("JAVA_HOME")
+    if shutil.which("java", path=str(Path(home) / "bin") if home else None) is None:
         return " It needs Java 17 or newer: install one (Debian: openjdk-17-jre-headless), or set JAVA_HOME."
     said = " Java, which must be 17 or newer, said why above." if "JAVA_GATEWAY_EXITED" in str(cause) else ""
     return f"{said} Name a master that is there with --master, as local[4] or spark://HOST:7077."

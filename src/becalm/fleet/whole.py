@@ -146,6 +146,10 @@ def refuse_foreign(job: Job, sensor: Sensor, names: Sequence[str]) -> None:
     folder, mark = job.output_folder(sensor), Mark.of(job.mark_of(sensor))
     if not folder.resolve().is_relative_to(Path(job.output).resolve()):
         raise OutputError(f"{folder} leads to {folder.resolve()}, out of the output; remove that link.")
+    for name in names:
+        place = (folder / name).parent
+        if place.resolve() != folder.resolve() / Path(name).parent:
+            raise OutputError(f"{place} leads to {place.resolve()}, out of the output; remove that link.")
     if twice := [name for name, count in Counter(names).items() if count > 1]:
         raise OutputError(f"Two files of the sensor would be {folder / twice[0]}; rename one of them in the lake.")
     own = set() if mark is None else mark.own
@@ -165,7 +169,13 @@ def outcome_of(sensor: Sensor, reports: tuple[ChannelReport, ...], source: OpenS
     """Return what became of a sensor that was cleaned."""
     shown = sensor.recipe[:SHOWN]
     rows = tuple(row_of(sensor.name, report, recipe=shown, rate_hz=source.rate_hz) for report in reports)
-    return Outcome(sensor.name, "cleaned", noted(rows, source.notes), took_s)
+    return Outcome(sensor.name, "cleaned", noted(rows, notes_of(source)), took_s)
+
+
+def notes_of(source: OpenSource) -> tuple[str, ...]:
+    """Return what a person must know of a sensor's files and columns, as sentences."""
+    replaced = ", ".join(source.replaced)
+    return (*source.notes, *((f"Replaced by the new uncertainty: {replaced}.",) if replaced else ()))
 
 
 def commit(job: Job, sensor: Sensor, staged: Path, mark: Mark) -> None:

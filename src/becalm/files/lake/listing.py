@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -54,7 +55,7 @@ def parquet_files(folder: Path) -> Listing:
         If the folder or a log cannot be read, or no file counts.
     """
     log, under = _log_above(folder)
-    found = list(_walk(folder, log, under, {folder.resolve()}))
+    found = list(_walked(folder, log, under))
     files = sorted((one.path for one in found if one.counts), key=lambda path: natural(path.relative_to(folder)))
     if not files:
         raise _nothing(folder, [one for one in found if one.log is not None])
@@ -74,7 +75,10 @@ def is_hidden(name: str) -> bool:
 
 def natural(path: Path) -> list[list[str | int]]:
     """Return what orders paths as people do: `part-2` before `part-10`."""
-    return [[int(bit) if bit.isdecimal() else bit for bit in re.split(r"([0-9]+)", part)] for part in path.parts]
+    return [
+        [int(bit) if bit.isascii() and bit.isdecimal() else bit for bit in re.split(r"([0-9]+)", part)]
+        for part in path.parts
+    ]
 
 
 def _nothing(folder: Path, unnamed: list[_Found]) -> InputError:
@@ -119,21 +123,33 @@ def _log_above(folder: Path) -> tuple[CommitLog | None, Parts]:
     return None, ()
 
 
-def _walk(folder: Path, log: CommitLog | None, below: Parts, seen: set[Path]) -> Iterator[_Found]:
-    """Give the Parquet files of a folder and of those in it; none twice, wherever links lead to."""
-    with told(folder):
-        paths = sorted(folder.iterdir())
-    for path in paths:
-        if is_hidden(path.name):
+class _Place(NamedTuple):
+    path: Path
+    log: CommitLog | None
+    below: Parts
+
+
+def _walked(folder: Path, log: CommitLog | None, below: Parts) -> Iterator[_Found]:
+    """Give the Parquet files of a folder and of those in it; none twice, wherever links lead to.
+
+    Links are followed in the end, so that a folder is found under its own name.
+    """
+    seen, left = set[Path](), deque([_Place(folder, log, below)])
+    links = deque[_Place]()
+    while left or links:
+        place = left.popleft() if left else links.popleft()
+        if (real := place.path.resolve()) in seen:
             continue
-        deeper = (*below, path.name)
-        if not path.is_dir():
-            if _is_parquet(path):
-                yield _Found(path, log, deeper)
-        elif (real := path.resolve()) not in seen:
-            seen.add(real)
-            own = log_of(path)
-            yield from _walk(path, own or log, () if own else deeper, seen)
+        seen.add(real)
+        with told(place.path):
+            paths = sorted(place.path.iterdir())
+        for path in (path for path in paths if not is_hidden(path.name)):
+            deeper = (*place.below, path.name)
+            if path.is_dir():
+                own = log_of(path)
+                (links if path.is_symlink() else left).append(_Place(path, own or place.log, () if own else deeper))
+            elif _is_parquet(path):
+                yield _Found(path, place.log, deeper)
 
 
 def _is_parquet(path: Path) -> bool:
@@ -141,8 +157,8 @@ def _is_parquet(path: Path) -> bool:
     named = path.name.lower().endswith(ENDINGS)
     with told(path):
         if named:
-            path.stat()  # of a link that leads nowhere, says so
-        if named or not path.is_file():
-            return path.is_file()
+            return path.is_file() or not path.exists()  # who reads a link that leads nowhere will say so
+        if not path.is_file():
+            return False
         with path.open("rb") as file:
             return file.read(len(PARQUET)) == PARQUET

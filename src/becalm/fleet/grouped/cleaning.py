@@ -6,18 +6,22 @@ import hashlib
 import json
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from becalm.errors import InputError
+from becalm.errors import InputError, UsageError
+from becalm.files.identity import Original
+from becalm.files.parquet import read_parquet
 from becalm.files.plain import make_folder
 from becalm.files.waiting import in_waiting
 from becalm.files.writing import open_output
 from becalm.fleet.engine import run_tasks
 from becalm.fleet.grouped.counting import Count, count_rows, not_counted
 from becalm.fleet.grouped.merging import merged
+from becalm.fleet.grouped.order import time_of
 from becalm.fleet.grouped.strips import Lake, Part, Strip, Strips, not_parted, part_rows
 from becalm.fleet.job import Job, Sensor
 from becalm.fleet.lake import Shared
@@ -77,11 +81,14 @@ def clean_grouped(spark: SparkSession, job: Job, shared: Shared, book: RecipeBoo
     ------
     InputError
         If a file does not tell of which sensors its rows are, or none holds a row.
+    UsageError
+        If what tells them is the time of the rows.
     OutputError
         If the output cannot be written to.
     """
     counts = _counted(spark, job, shared)
     names = sorted({name for count in counts.values() for name in count.rows})
+    _refuse_times(job, shared)
     if not names:
         raise InputError(f"No file of {job.lake} holds a row; there is nothing to clean.")
     outcomes = [refused(name, book.why_not(name)) for name in names if book.hash_for(name) is None]
@@ -105,6 +112,14 @@ def _counted(spark: SparkSession, job: Job, shared: Shared) -> dict[str, Count]:
         )
         raise InputError(next(count.failed for count in counts if count.failed) + more)
     return dict(zip(shared.files, counts, strict=True))
+
+
+def _refuse_times(job: Job, shared: Shared) -> None:
+    first, times = Path(job.lake) / shared.files[0], tuple[str, ...]()
+    with suppress(InputError):  # whose rows are damaged: its sensors will be refused
+        times = time_of(read_parquet(first, Original(first)), None)
+    if alike := set(times) & set(shared.keys):
+        raise UsageError(f"--by {min(alike)!r} names the time of the rows, which tells no sensors apart; name another.")
 
 
 def _sensor(job: Job, name: str, recipe: str, counts: Mapping[str, Count]) -> Sensor:

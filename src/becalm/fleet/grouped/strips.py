@@ -140,6 +140,12 @@ def _parted(lake: Lake, part: Part) -> dict[str, list[Strip]]:
     path, target, found = Path(lake.root) / part.file, Path(part.strips), defaultdict[str, list[Strip]](list)
     table = read_parquet(path, Original(path))
     times = {asked: time_of(table, asked) for asked in set(lake.wanted.values())}
+    if alike := {name for own in times.values() for name in own} & set(lake.keys):
+        raise InputError(
+            f"{min(alike)!r} tells the time of rows, and cannot tell sensors apart; name another with --by."
+        )
+    if RANK in table.names:
+        raise InputError(f"{path} has a column {RANK!r}, which is used while rows are brought together; rename it.")
     with replacing(target) as file:
         for block in _share_of(path, table, part):
             rows_of = _rows_by_sensor(block, lake.keys, values_in(Path(part.file).parent))

@@ -50,7 +50,7 @@ class Course:
         self.long, self.whole = long, False
         self.failed: Outcome | None = None
         self._told: dict[int, Told] = {}
-        self._again, self._took_s = 0, long.took_s
+        self._again, self._took_s = set[int](), long.took_s
 
     def hear(self, told: Told | Outcome) -> None:
         """Take what became of a stretch."""
@@ -71,7 +71,7 @@ class Course:
             return []
         again = to_run_again(self._in_order)
         self.whole = again is None or any(map(self._was_run, again))
-        self._again += len(again or ())
+        self._again.update(stretch.number for stretch in again or ())
         return [] if self.whole else again or []
 
     def finish(self) -> Outcome:
@@ -85,7 +85,7 @@ class Course:
         if self.failed is not None:
             return self.failed
         long, told = self.long, self._in_order
-        outcome = joined_outcome(long, told, self._again, self._took_s)
+        outcome = joined_outcome(long, told, len(self._again), self._took_s)
         names = tuple(piece.name for one in told for piece in one.pieces)
         commit(long.job, long.sensor, Path(long.staged), Mark(long.hashed, names, outcome))
         return outcome

@@ -20,7 +20,7 @@ from becalm.fleet.outcome import Outcome
 from becalm.fleet.pieces import open_staging
 from becalm.fleet.stretching.long import Extremes, Long
 from becalm.fleet.stretching.margins import margin_of
-from becalm.fleet.whole import Opened, clean_whole, finished, hash_of, opened, refuse_foreign, told_by
+from becalm.fleet.whole import Opened, clean_whole, finished, hash_of, notes_of, opened, refuse_foreign, told_by
 
 FEWEST = 4
 """Margins that a stretch is long, at least: of a shorter one too much would be done twice."""
@@ -70,7 +70,7 @@ def _long(job: Job, sensor: Sensor, hashed: str) -> Long | None:
             cuts=_cuts(source.rows, length),
             first=_first_readings(found),
             extremes=_extremes(found) if found.as_stored else (),
-            notes=source.notes,
+            notes=notes_of(source),
             took_s=monotonic() - began,
         )
 
