@@ -35,7 +35,7 @@ def read(shape: Shape, *paths: Path) -> dict[str, list[Rows]]:
     """Return the blocks of each sensor."""
     batch = pa.RecordBatch.from_pydict({"path": [f"file:{path}" for path in paths]})
     found: dict[str, list[Rows]] = {}
-    for told in read_files(shape, iter([batch])):
+    for told in read_files("/", shape, iter([batch])):
         for row in told.to_pylist():
             found.setdefault(row["sensor"], []).append(Rows.unpacked(row["batch"]))
     return found
@@ -212,3 +212,28 @@ def test_a_file_that_the_machine_could_not_read_is_left_for_another_try(
             read(shape, lake / "sensor=1" / "a.parquet")
     else:
         assert says(read(shape, lake / "sensor=1" / "a.parquet")["1"])
+
+
+def test_folders_above_the_lake_tell_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    place = written(
+        tmp_path / "sensor=above" / "lake" / "a.parquet", sensor=list("ststst"), time=STAMPS / 1e6, a=A, b=B
+    )
+    lake = tmp_path / "sensor=above" / "lake"
+    monkeypatch.chdir(lake.parent)
+    for said in (lake, Path("lake")):
+        batch = pa.RecordBatch.from_pydict({"path": [f"file:{place}"]})
+        told = pa.Table.from_batches(read_files(str(said), lake_shape(str(said), PLAN), iter([batch])))
+        assert sorted(told["sensor"].to_pylist()) == ["s", "t"]
+
+
+def test_an_odd_first_stamp_does_not_tell_what_numbers_count(tmp_path: Path) -> None:
+    ticks = STAMPS // 1000
+    ticks[0] = 0
+    place = written(tmp_path / "sensor=1" / "a.parquet", time=ticks, a=A, b=B)
+    (block,) = read(lake_shape(str(tmp_path), PLAN), place)["1"]
+    np.testing.assert_array_equal(block.time_s[1:], STAMPS[1:] // 1000 / 1e3)
+
+
+def test_a_folder_that_is_not_there_is_said(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="nowhere is no folder"):
+        lake_shape(str(tmp_path / "nowhere"), PLAN)

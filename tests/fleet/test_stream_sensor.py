@@ -226,3 +226,22 @@ def test_times_that_are_none_are_refused(how: dict[str, Any]) -> None:
 def test_a_plan_that_cannot_be_is_refused(how: dict[str, Any]) -> None:
     with pytest.raises(UsageError, match=next(iter(how))):
         StreamPlan("lake", "out", SensorPlan(Shelf(), silent_s=1.0), **how)
+
+
+@pytest.mark.parametrize(("slower", "kinds"), [(1, set()), (2, {"rate"}), (0.5, {"rate"})])
+def test_rows_at_another_rate_than_the_recipe_s_are_said(slower: float, kinds: set[str]) -> None:
+    time_s = np.round((BEGINS_S + slower * np.arange(100) / RATE_HZ) * 1e6) / 1e6
+    one = walker()
+    one.hear(Rows(time_s[:60], np.ones((60, 2))))
+    one.hear(Rows(time_s[60:], np.ones((40, 2))))
+    assert set(one.kinds()) & {"rate"} == kinds
+    assert one.kinds().count("rate") <= 1
+
+
+def test_a_name_that_no_folder_can_have_is_refused() -> None:
+    one = Walker(SensorPlan(Shelf()), sensor="ü" * 130)
+    (event,) = one.hear(rows_of(50)).events
+    assert (event.kind, event.rows, one.state) == ("refused", 50, None)
+    assert "No folder can have so long a name" in event.says
+    assert one._walk.told_under("ü" * 130) == ""
+    assert one._walk.told_under("ü" * 120) == "ü" * 120

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -9,6 +11,8 @@ import typer
 
 from becalm.cli.fleet import spark_at
 from becalm.errors import UsageError
+from becalm.files.plain import make_folder
+from becalm.fleet.alone import alone_at
 from becalm.fleet.stream import LiveBook, SensorPlan, StreamPlan
 from becalm.live.address import Address, seconds_of
 
@@ -50,6 +54,18 @@ class Asking(NamedTuple):
         return LiveBook(named[0].resolve(), self.key)
 
 
+@contextmanager
+def _alone(plan: StreamPlan) -> Iterator[None]:
+    """Keep another stream of this machine from the output; where it is on no disk, Spark ends the first of two."""
+    if "://" in plan.checkpoint_folder:
+        yield
+        return
+    place = Path(plan.checkpoint_folder)
+    make_folder(place)
+    with alone_at(Path(plan.output), place / "lock"):
+        yield
+
+
 def stream_sensors(source: str, output: str, asking: Asking, where: Where) -> None:
     """Run a stream to its end.
 
@@ -68,7 +84,7 @@ def stream_sensors(source: str, output: str, asking: Asking, where: Where) -> No
     ).with_channels()
     every_s = seconds_of("--every", times.every)
     plan = StreamPlan(source, output, sensors, asking.checkpoint, every_s, once=asking.once)
-    with spark_at(where, schedules=False) as spark:
+    with spark_at(where, schedules=False) as spark, _alone(plan):
         from becalm.fleet.stream import run, wait
 
         query = run(spark, plan)

@@ -50,6 +50,8 @@ def lake_shape(lake: str, plan: SensorPlan) -> Shape:
     BecalmError
         If it holds none that can be read, or a column is not there, or of a type that it cannot have.
     """
+    if not Path(lake).is_dir():
+        raise InputError(f"{lake} is no folder; give one that Parquet files come into.")
     why: BecalmError | None = None
     for _, path in zip(range(_LOOKED_AT), _files(Path(lake)), strict=False):
         try:
@@ -58,7 +60,7 @@ def lake_shape(lake: str, plan: SensorPlan) -> Shape:
             why = why or cause
             continue
         columns = [(field.name, _kind(field.type)) for field in schema]
-        if plan.key not in schema.names and _key_in(path, plan.key) is not None:
+        if plan.key not in schema.names and _key_in(Path(lake), path, plan.key) is not None:
             columns.append((plan.key, "string"))
         told = [(name, _as_told(kind) if name == plan.time else kind) for name, kind in columns]
         try:
@@ -70,7 +72,7 @@ def lake_shape(lake: str, plan: SensorPlan) -> Shape:
     )
 
 
-def read_files(shape: Shape, batches: Iterator[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
+def read_files(lake: str, shape: Shape, batches: Iterator[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
     """Return blocks of one sensor each, as `shape.BATCH`, of the rows in files; the first column has their paths.
 
     Raises
@@ -82,7 +84,7 @@ def read_files(shape: Shape, batches: Iterator[pa.RecordBatch]) -> Iterator[pa.R
     for batch in batches:
         for told in batch.column(0).to_pylist():
             path = Path(told.removeprefix("file://").removeprefix("file:"))
-            sensor = _key_in(path, shape.key)
+            sensor = _key_in(Path(lake), path, shape.key)
             try:
                 for piece in _pieces(path, shape, gathering, sensor):
                     yield from gathering.add(*piece)
@@ -118,7 +120,7 @@ class _Piece(NamedTuple):
 
 
 class _Clock:
-    """Reads a column of stamps in seconds; numbers by their unit, the column's name or the size of the first."""
+    """Reads a column of stamps in seconds; numbers by their unit, the column's name or their size."""
 
     def __init__(self, name: str, unit: str) -> None:
         self._name, self._unit = name, unit
@@ -130,7 +132,7 @@ class _Clock:
         numbers = numbers_in(column)
         known = numbers[np.isfinite(numbers)]
         if not self._second and len(known):
-            reader = stamp_reader(self._name, self._unit, float(known[0]))
+            reader = stamp_reader(self._name, self._unit, float(np.median(known)))  # one odd stamp tells nothing
             assert isinstance(reader, NumberStamps)  # of a number
             self._second = reader.per_second / reader.factor
         return numbers / (self._second or 1.0)
@@ -177,9 +179,10 @@ def _files(lake: Path) -> Iterator[Path]:
             yield path
 
 
-def _key_in(path: Path, key: str) -> str | None:
-    """Return what a path's folders tell of a key, as `sensor=17`; "" of rows of nobody, None where they do not."""
-    told = values_in(path.parent)
+def _key_in(lake: Path, path: Path, key: str) -> str | None:
+    """Return what a path's folders in a lake tell of a key, as `sensor=17`; "" of nobody, None where they do not."""
+    whole, path = lake.absolute(), path.absolute()
+    told = values_in((path.relative_to(whole) if path.is_relative_to(whole) else path).parent)
     return (told[key] or "") if key in told else None
 
 

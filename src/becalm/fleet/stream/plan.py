@@ -76,9 +76,13 @@ class SensorPlan:
     def __post_init__(self) -> None:
         """Refuse what cannot be."""
         if not 0.0 <= self.lateness_s < inf:
-            raise UsageError(f"lateness_s = {self.lateness_s!r} is no time to wait; give seconds, 0 or more.")
+            raise UsageError(
+                f"lateness_s = {self.lateness_s!r} (--lateness) is no time to wait; give seconds, 0 or more."
+            )
         if self.silent_s is not None and not 0.0 < self.silent_s < inf:
-            raise UsageError(f"silent_s = {self.silent_s!r} is no time without a row; give seconds, or None.")
+            raise UsageError(
+                f"silent_s = {self.silent_s!r} (--silent) is no time without a row; give seconds, or None."
+            )
 
     def with_channels(self) -> SensorPlan:
         """Return the plan with its channels, those of all recipes where it names none.
@@ -127,9 +131,13 @@ class StreamPlan:
     def __post_init__(self) -> None:
         """Refuse what cannot be."""
         if not 0.0 <= self.every_s < inf:
-            raise UsageError(f"every_s = {self.every_s!r} is no time between micro-batches; give seconds, 0 or more.")
+            raise UsageError(
+                f"every_s = {self.every_s!r} (--every) is no time between micro-batches; give seconds, 0 or more."
+            )
         if self.sensors.silent_s is not None and not self.every_s:
-            raise UsageError("every_s = 0 would look for silent sensors without a pause; give seconds, as 10.")
+            raise UsageError(
+                "every_s = 0 (--every) would look for silent sensors without a pause; give seconds, as 10."
+            )
         if self.partitions < 1:
             raise UsageError(f"partitions = {self.partitions} are no tasks; give 1 or more.")
 

@@ -7,10 +7,12 @@ from collections.abc import Mapping
 from functools import partial
 from typing import TYPE_CHECKING
 
+from py4j.protocol import Py4JError
 from pyspark.errors import StreamingQueryException
 
-from becalm.errors import InputError, OutputError
+from becalm.errors import InputError
 from becalm.files.roles import SIGMA
+from becalm.fleet.stream.claim import claim
 from becalm.fleet.stream.frames import blocks_of
 from becalm.fleet.stream.plan import SensorPlan, StreamPlan
 from becalm.fleet.stream.processor import SensorProcessor
@@ -24,6 +26,9 @@ if TYPE_CHECKING:
     from pyspark.sql.streaming.query import StreamingQuery
 
 _RAISED = re.compile(r"^(?P<kind>[A-Za-z_][\w.]*(?:Error|Exception)): (?P<says>.+)$", re.MULTILINE)  # in a worker
+_NUMBERED = re.compile(
+    r"^(?:\[[A-Z_.]+\] )?Query \[id = [^]]*\] terminated with exception: |^\[[A-Z_.]+\] | SQLSTATE: \w+"
+)
 _STATES = {
     "spark.sql.streaming.stateStore.providerClass": (
         "org.apache.spark.sql.execution.streaming.state.RocksDBStateStoreProvider"
@@ -96,7 +101,7 @@ def run(spark: SparkSession, plan: StreamPlan) -> StreamingQuery:
     looks = plan.sensors.silent_s is not None and not plan.once
     beside = {_EMPTY_BATCHES: _word(looks), "spark.sql.shuffle.partitions": str(plan.partitions)}
     _settle(session, _STATES | _FILES | beside)
-    _refuse_strangers(session, plan)
+    claim(session, plan)
     shape, blocks, sensors = opened(session, plan)
     told = _filtered(shape, blocks, sensors)
     writer = (
@@ -127,9 +132,11 @@ def wait(query: StreamingQuery) -> None:
     """
     try:
         query.awaitTermination()
+    except (Py4JError, ConnectionError) as cause:
+        raise InputError("The stream ended: Spark itself is gone. What was told stays; begin it again.") from cause
     except StreamingQueryException as cause:
         raised = [found for found in _RAISED.finditer(str(cause)) if not found["kind"].startswith(("java.", "org."))]
-        says = raised[-1]["says"] if raised else str(cause).strip().splitlines()[0]
+        says = _NUMBERED.sub("", raised[-1]["says"] if raised else str(cause).strip().splitlines()[0])
         raise InputError(f"The stream ended: {says.rstrip('.')}. What was told stays; begin it again.") from cause
 
 
@@ -154,27 +161,3 @@ def _plainly(told: DataFrame) -> dict[str, str]:
     """Return options by which numbers that hardly repeat are written as they are: no dictionary is tried for them."""
     names = [name for name, kind in told.dtypes if kind in ("double", "timestamp") and not name.endswith(SIGMA)]
     return {f"parquet.enable.dictionary#{name}": "false" for name in names}
-
-
-def _refuse_strangers(spark: SparkSession, plan: StreamPlan) -> None:
-    """Refuse an output whose log is of another stream: Spark would leave out what it takes for written."""
-    told = _holds(spark, f"{plan.output}/_spark_metadata")
-    kept = _holds(spark, f"{plan.checkpoint_folder}/offsets")
-    done = _holds(spark, f"{plan.checkpoint_folder}/commits")  # none where the first micro-batch was killed
-    if told and not kept:
-        raise OutputError(
-            f"{plan.output} holds another stream, or this one without its checkpoint {plan.checkpoint_folder}; "
-            "name another folder for the output, or the checkpoint that belongs to it."
-        )
-    if done and not told:
-        raise OutputError(
-            f"The checkpoint {plan.checkpoint_folder} is of a stream that does not write to {plan.output}; "
-            "name another checkpoint, or the output that belongs to it."
-        )
-
-
-def _holds(spark: SparkSession, path: str) -> bool:
-    """Say whether a folder is there and holds something, on whichever file system Spark finds it."""
-    place = spark._jvm.org.apache.hadoop.fs.Path(path)  # type: ignore[union-attr]
-    files = place.getFileSystem(spark._jsc.hadoopConfiguration())
-    return bool(files.exists(place) and len(files.listStatus(place)))

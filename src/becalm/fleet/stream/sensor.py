@@ -14,8 +14,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from becalm.cleaning.recipe import Recipe
+from becalm.core.arrays import Floats
 from becalm.errors import BecalmError, RecipeError
 from becalm.files.units import parse_header
+from becalm.fleet.names import folder_name
 from becalm.fleet.stream.blocks import Event, Told
 from becalm.fleet.stream.plan import FIRST_ROWS, SensorPlan
 from becalm.fleet.stream.reading import Entry, parted, read_messages, read_rows, stamped, timely
@@ -24,6 +26,9 @@ from becalm.live.block import Block, Loss, Output
 from becalm.live.learning import resolution_of
 from becalm.live.messages.stream import MessageStream
 from becalm.live.stream import Stream
+
+_LONGEST_NAME, _SHOWN = 255, 40  # bytes of a folder's; and how many letters of a longer one are shown
+_ODD = 1.5  # times the recipe's rate
 
 
 class Step(NamedTuple):
@@ -50,6 +55,10 @@ class SensorWalk:
     def __init__(self, plan: SensorPlan, channels: tuple[str, ...]) -> None:
         self._plan, self._channels = plan, channels
         self._rate_hz = None if plan.messages is None else MessageStream(plan.messages).rate_hz
+
+    def told_under(self, sensor: str) -> str:
+        """Return under which name something is told of a sensor: "" where no folder could be called so."""
+        return sensor if len(folder_name(self._plan.key, sensor).encode(errors="replace")) <= _LONGEST_NAME else ""
 
     def hear(self, sensor: str, before: SensorState | None, entries: Sequence[Entry], now_ms: int) -> Step:
         """Take what came of a sensor.
@@ -80,6 +89,7 @@ class SensorWalk:
         try:
             if stream is None:
                 stream, state = self._begun(sensor, state, block)
+                said = () if stream is None else _odd_rate(stream.recipe, block.time_s)
             else:
                 said, state = self._retuned(sensor, stream, state)
             if stream is None:
@@ -139,6 +149,8 @@ class SensorWalk:
         """Return a sensor's filters, None while it has too few rows to begin."""
         if not sensor:
             raise RecipeError(f"Nothing in {self._plan.key!r} tells whose they are.")
+        if not self.told_under(sensor):
+            raise RecipeError(f"No folder can have so long a name as that of {sensor[:_SHOWN]!r} and so on.")
         recipe = self._plan.recipes.recipe_for(sensor)
         stamps = block.time_s[np.isfinite(block.time_s)][:FIRST_ROWS]
         if len(stamps) < FIRST_ROWS:
@@ -197,6 +209,18 @@ def _asked(plan: SensorPlan, sensor: str) -> tuple[Recipe | None, str, str]:
 def _hash_of(recipe: Recipe) -> str:
     """Return the SHA-256 of a recipe's text."""
     return hashlib.sha256(recipe.to_toml().encode()).hexdigest()
+
+
+def _odd_rate(recipe: Recipe, time_s: Floats) -> tuple[Event, ...]:
+    """Say that rows come at another rate than that of a recipe: each step of theirs would be a gap, or a repeat."""
+    steps_s = np.diff(time_s[np.isfinite(time_s)][:FIRST_ROWS])
+    steps_s = steps_s[steps_s > 0]
+    if not len(steps_s) or 1 / _ODD < np.median(steps_s) * recipe.nominal_rate_hz < _ODD:
+        return ()
+    says = (
+        f"Rows come at about {1 / np.median(steps_s):.3g} Hz, and their recipe is for {recipe.nominal_rate_hz:.3g} Hz"
+    )
+    return (Event("rate", None, f"{says}; tune one on rows as they come."),)
 
 
 def _left_out(cause: BecalmError, rows: int) -> Event:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
@@ -27,9 +28,10 @@ if TYPE_CHECKING:
 START, MOST = "start", "most"
 """Options of brokers: where a new stream begins, and how many messages a micro-batch takes at most."""
 
-_EVER = "3650d"  # else a file is left out, without a word, whose last change is a week before the newest one's
+_EVER = "36500d"  # else a file is left out, without a word, whose last change is a week before the newest one's
 _LAKE_BYTES, _MESSAGES = 256 << 20, 100_000  # in a micro-batch, where nobody says: its rows are put in order in memory
 _FILE = "path string, modificationTime timestamp, length bigint, content binary"  # of which only the path is read
+_PATTERN = re.compile(r"[][*?{}\\]")  # Spark takes a folder with these in its name for a pattern
 _KAFKA_START = {"first": "earliest", "now": "latest"}
 _KAFKA = "org.apache.spark:spark-sql-kafka-0-10_2.13"
 
@@ -46,7 +48,7 @@ def opened(spark: SparkSession, plan: StreamPlan) -> tuple[Shape, DataFrame, Sen
     if "://" not in plan.source:
         _refuse_circle(plan)
         shape = lake_shape(plan.source, sensors)
-        return shape, _paths(spark, plan.source).mapInArrow(partial(read_files, shape), BATCH), sensors
+        return shape, _paths(spark, plan.source).mapInArrow(partial(read_files, plan.source, shape), BATCH), sensors
     address = Address.parsed(plan.source)
     if address.kind not in ("kafka", "nats"):
         raise UsageError(
@@ -85,7 +87,7 @@ def _paths(spark: SparkSession, lake: str) -> DataFrame:
     either = {letter: f"[{letter}{letter.upper()}]" for letter in ascii_lowercase}  # a glob tells cases apart
     endings = ",".join("".join(either.get(sign, sign) for sign in ending) for ending in ENDINGS)
     reader = reader.option("pathGlobFilter", f"*{{{endings}}}").option("recursiveFileLookup", "true")
-    return reader.load(lake).select("path")
+    return reader.load(_PATTERN.sub(r"\\\g<0>", lake)).select("path")
 
 
 def kafka_messages(spark: SparkSession, address: Address, key: str) -> DataFrame:
