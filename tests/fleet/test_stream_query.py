@@ -103,7 +103,7 @@ def test_rubbish_stops_nobody(stage: Stage) -> None:
     assert_same_bits(said_in(told_in(stage.out, "good")), by_stream(rows_of(200)))
     events = told_in(stage.out, "bad", "events")
     assert set(events["event"].to_pylist()) == {"garbled", "repeated"}
-    assert any("1.parquet is cut short" in says for says in events["says"].to_pylist())
+    assert any("1.parquet is no Parquet file" in says for says in events["says"].to_pylist())
 
 
 @pytest.mark.parametrize("zone", ["UTC", "Asia/Kolkata"])
@@ -155,11 +155,15 @@ def test_an_output_in_its_lake_and_a_source_of_another_kind_are_refused(stage: S
     stage.write("sensor=s/0.parquet", rows_of(50))
     with pytest.raises(OutputError, match="would be read again"):
         run(spark, replace(stage.plan(), output=str(stage.lake / "out")))
+    assert not (stage.lake / "out").exists()
     with pytest.raises(UsageError, match="no source of a fleet"):
         run(spark, stage.plan(source="mqtt://127.0.0.1/pumps"))
 
 
 def test_sources_that_are_not_there_are_told(stage: Stage, spark: SparkSession) -> None:
+    with pytest.raises(InputError, match="is no folder"):
+        stage.once()
+    stage.lake.mkdir()
     with pytest.raises(InputError, match="holds no Parquet file yet"):
         stage.once()
     with pytest.raises(UsageError, match=r"spark-sql-kafka-0-10_2\.13:4"):

@@ -18,7 +18,7 @@ from becalm.errors import ModelError, UsageError
 from becalm.fleet.stream.blocks import Garbled, Rows
 from becalm.fleet.stream.plan import FIRST_ROWS, SensorPlan, StreamPlan
 from becalm.fleet.stream.sensor import SensorWalk
-from made import recipe_of
+from made import RATE_HZ, recipe_of
 from streaming import (
     BEGINS_S,
     CHANNELS,

@@ -17,8 +17,8 @@ _CLAIM = "becalm.json"
 _WORDS = {"output": "into", "source": "from", "key": "with --by", "time": "with --time"}
 
 
-def claim(spark: SparkSession, plan: StreamPlan) -> None:
-    """Say in the checkpoint of which stream it is; refuse one that is of another, and an output that is.
+def refuse_other(spark: SparkSession, plan: StreamPlan) -> None:
+    """Refuse a checkpoint that is of another stream, and an output that is.
 
     Parameters
     ----------
@@ -50,11 +50,27 @@ def claim(spark: SparkSession, plan: StreamPlan) -> None:
             f"The checkpoint {plan.checkpoint_folder} is of a stream that does not write to {plan.output}; "
             "name another checkpoint, or the output that belongs to it."
         )
-    place, own = f"{plan.checkpoint_folder}/{_CLAIM}", _claim_of(plan)
-    if kept and (before := folders.read(place)):
-        _refuse_other(plan, json.loads(before), own)
-    else:
-        folders.write(place, json.dumps(own))
+    before, own = folders.read(f"{plan.checkpoint_folder}/{_CLAIM}") if kept else "", _claim_of(plan)
+    for name, word in _WORDS.items():
+        if before and json.loads(before)[name] != own[name]:
+            raise OutputError(
+                f"The checkpoint {plan.checkpoint_folder} is of a stream that was begun {word} "
+                f"{json.loads(before)[name]!r}, not {own[name]!r}; begin it again as it was, or name another "
+                "checkpoint and output."
+            )
+
+
+def claim(spark: SparkSession, plan: StreamPlan) -> None:
+    """Say in a checkpoint, which was not refused, of which stream it is.
+
+    Parameters
+    ----------
+    spark : SparkSession
+        As in `refuse_other`.
+    plan : StreamPlan
+        The stream.
+    """
+    _Folders(spark).write(f"{plan.checkpoint_folder}/{_CLAIM}", json.dumps(_claim_of(plan)))
 
 
 def _claim_of(plan: StreamPlan) -> dict[str, str]:
@@ -68,15 +84,6 @@ def _claim_of(plan: StreamPlan) -> dict[str, str]:
 
 def _absolute(place: str) -> str:
     return place if "://" in place else str(Path(place).resolve())
-
-
-def _refuse_other(plan: StreamPlan, before: dict[str, str], own: dict[str, str]) -> None:
-    for name, word in _WORDS.items():
-        if before[name] != own[name]:
-            raise OutputError(
-                f"The checkpoint {plan.checkpoint_folder} is of a stream that was begun {word} {before[name]!r}, not "
-                f"{own[name]!r}; begin it again as it was, or name another checkpoint and output."
-            )
 
 
 class _Folders:

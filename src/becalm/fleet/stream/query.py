@@ -12,7 +12,7 @@ from pyspark.errors import StreamingQueryException
 
 from becalm.errors import InputError
 from becalm.files.roles import SIGMA
-from becalm.fleet.stream.claim import claim
+from becalm.fleet.stream.claim import claim, refuse_other
 from becalm.fleet.stream.frames import blocks_of
 from becalm.fleet.stream.plan import SensorPlan, StreamPlan
 from becalm.fleet.stream.processor import SensorProcessor
@@ -101,8 +101,9 @@ def run(spark: SparkSession, plan: StreamPlan) -> StreamingQuery:
     looks = plan.sensors.silent_s is not None and not plan.once
     beside = {_EMPTY_BATCHES: _word(looks), "spark.sql.shuffle.partitions": str(plan.partitions)}
     _settle(session, _STATES | _FILES | beside)
-    claim(session, plan)
+    refuse_other(session, plan)
     shape, blocks, sensors = opened(session, plan)
+    claim(session, plan)
     told = _filtered(shape, blocks, sensors)
     writer = (
         told.writeStream.format("parquet")
