@@ -21,6 +21,7 @@ import becalm
 from becalm.errors import InputError, TimeError
 from becalm.files import ReadOptions, open_source, read_source
 from becalm.files.lake.folder import FolderRows, read_folder
+from becalm.files.lake.listing import parquet_files
 from lakes import START_MS, cut, evenly, readings
 
 COUNT = 300
@@ -166,6 +167,16 @@ def test_a_linked_folder_is_read_once(tmp_path: Path) -> None:
     (tmp_path / "lake" / "gone.parquet").symlink_to(tmp_path / "nowhere")
     with pytest.raises(InputError, match=r"gone\.parquet does not exist"):
         becalm.read(tmp_path / "lake")
+
+
+def test_a_linked_file_is_read_once(tmp_path: Path) -> None:
+    folder = cut(evenly(), [100], ["b.parquet", "c.parquet"], tmp_path / "lake")
+    (folder / "a.parquet").symlink_to(folder / "b.parquet")
+    pq.write_table(evenly().slice(0, 0), tmp_path / "elsewhere.parquet")
+    (folder / "d.parquet").symlink_to(tmp_path / "elsewhere.parquet")
+    (folder / "e.parquet").symlink_to(folder / "d.parquet")
+    assert len(becalm.read(folder)) == COUNT
+    assert [path.name for path in parquet_files(folder).files] == ["b.parquet", "c.parquet", "d.parquet"]
 
 
 def test_what_is_no_file_is_not_opened(tmp_path: Path) -> None:

@@ -53,6 +53,7 @@ def test_a_sensor_that_its_workers_die_of_stops_nobody(
     assert {one.sensor: one.state == "refused" for one in fleet.outcomes} == {
         f"sensor={sensor}": f"sensor={sensor}" == DEADLY for sensor in range(6)
     }
+    assert {one.state for one in fleet.outcomes if one.sensor != DEADLY} == {"cleaned"}  # and by no earlier job
     (lost,) = [one for one in fleet.outcomes if one.sensor == DEADLY]
     assert lost.reason.startswith("Each process that worked on it died. It may need more memory")
     assert lost.reason in (fleet.report.parent / "outcomes.jsonl").read_text(encoding="utf-8")

@@ -156,6 +156,22 @@ def test_a_killed_job_is_taken_up_again(lake: Lake, whole: Path, tmp_path: Path)
     as_it_would_have_been(lake, out, whole)
 
 
+def test_without_its_jvm_a_job_ends_in_a_sentence_and_is_taken_up_again(
+    lake: Lake, whole: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    process = begun(lake, out, "local[2]")
+    wait_until(out, 2)
+    for pid in processes("SparkSubmit", process.pid):
+        os.kill(pid, signal.SIGKILL)
+    told, _ = process.communicate(timeout=60)
+    assert process.returncode == 2, told
+    assert "becalm: Spark gave the job up (" in told
+    assert "Make room" not in told
+    finished(begun(lake, out, "local[2]"))
+    as_it_would_have_been(lake, out, whole)
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_a_job_and_all_of_its_processes(lake: Lake, tmp_path: Path, number: signal.Signals) -> None:
     process = begun(lake, tmp_path / "out")

@@ -48,6 +48,20 @@ def test_a_checkpoint_is_of_one_stream(stage: Stage, spark: SparkSession, tmp_pa
     assert told_in(stage.out, "s").num_rows == 200
 
 
+def test_a_damaged_claim_is_said(stage: Stage, spark: SparkSession) -> None:
+    stage.write("sensor=s/0.parquet", rows_of(100))
+    stage.once()
+    claim = stage.out / "_checkpoint" / "becalm.json"
+    whole = claim.read_text(encoding="utf-8")
+    claim.write_text(whole[:20], encoding="utf-8")
+    refused(stage, spark, r"cannot be used \(Checksum error")
+    claim.with_name(".becalm.json.crc").unlink()
+    refused(stage, spark, r"becalm\.json is damaged, and would say of which stream")
+    claim.unlink()
+    stage.once()
+    assert claim.read_text(encoding="utf-8") == whole
+
+
 def test_whatever_files_and_folders_are_called(stage: Stage) -> None:
     stage.lake = stage.lake.parent / "l[5] {a,b} *"
     rows = cut(rows_of(400), [100, 200, 300])

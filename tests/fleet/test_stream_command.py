@@ -39,6 +39,16 @@ def test_what_is_there_is_streamed_and_what_comes_later_follows(lake: Path, run:
         pq.write_table(later, lake / "sensor=left" / "b.parquet")
 
 
+@pytest.mark.slow
+@pytest.mark.spark
+def test_a_stream_into_its_own_lake_leaves_nothing_there(lake: Path, run: Run) -> None:
+    words = ("fleet", "stream", lake, "-o", lake / "out", "--recipe", "r.toml", "--time", "time_s", "--once")
+    ran = run(*words, "--master", "local[1]")
+    assert ran.returncode == 2
+    assert "would be read again" in ran.stderr
+    assert not (lake / "out").exists()
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [

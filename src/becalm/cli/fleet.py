@@ -14,6 +14,7 @@ from becalm.errors import NOT_DESCRIBED, UsageError
 from becalm.fleet.batch import Asked, Fleet, clean, refuse_inside
 from becalm.fleet.job import STRETCH_ROWS
 from becalm.fleet.lake import told_apart
+from becalm.fleet.names import listed
 from becalm.fleet.recipes import open_book
 from becalm.fleet.session import session
 
@@ -107,12 +108,13 @@ def _tell(fleet: Fleet, output: Path, *, as_json: bool) -> None:
     typer.echo(fleet.summary, err=True)
     say_some([f"{one.sensor}: {one.reason}" for one in fleet.outcomes if one.state == "refused"])
     if fleet.unused:
-        typer.echo(f"No sensor has these recipes, by their names: {', '.join(fleet.unused[:_MOST_NAMED])}.", err=True)
+        typer.echo(f"No sensor has these recipes, by their names: {listed(fleet.unused)}.", err=True)
     typer.echo(f"Wrote {output} and its report, {fleet.report}.", err=True)
     if as_json:
         told = {
             "output": str(output),
             "report": str(fleet.report),
+            "unused": fleet.unused,
             "sensors": [one.as_dict() for one in fleet.outcomes],
         }
         print(json.dumps(told, indent=2))  # noqa: T201

@@ -57,12 +57,12 @@ class Asking(NamedTuple):
 @contextmanager
 def _alone(plan: StreamPlan) -> Iterator[None]:
     """Keep another stream of this machine from the output; where it is on no disk, Spark ends the first of two."""
-    if "://" in plan.checkpoint_folder:
+    if "://" in plan.output:
         yield
         return
-    place = Path(plan.checkpoint_folder)
+    place = Path(plan.output)
     make_folder(place)
-    with alone_at(Path(plan.output), place / "lock"):
+    with alone_at(place, place / "_becalm.lock"):
         yield
 
 
@@ -84,10 +84,11 @@ def stream_sensors(source: str, output: str, asking: Asking, where: Where) -> No
     ).with_channels()
     every_s = seconds_of("--every", times.every)
     plan = StreamPlan(source, output, sensors, asking.checkpoint, every_s, once=asking.once)
-    with spark_at(where, schedules=False) as spark, _alone(plan):
-        from becalm.fleet.stream import run, wait
+    with spark_at(where, schedules=False) as spark:
+        from becalm.fleet.stream import prepared, wait
 
-        query = run(spark, plan)
+        begin = prepared(spark, plan)
         shown = Address.parsed(source) if "://" in source else source  # without secrets
         typer.echo(f"Streams {shown} into {output}; begun again after a stop, it goes on where it was.", err=True)
-        wait(query)
+        with _alone(plan):
+            wait(begin())

@@ -77,9 +77,10 @@ def run_tasks(
             told |= zip(span, _run(spark, work, tasks[own], sizes[own]), strict=True)
         except (Py4JError, PySparkException, ConnectionError) as cause:  # the last where Spark itself is gone
             if lost is None or not _DIED.search(str(cause)) or deaths == _MOST_DEATHS:
+                many = f" Workers died of more than {deaths} tasks, which is hardly their fault." if deaths else ""
                 raise UsageError(
-                    f"Spark gave the job up ({reason_of(cause)}). What was finished stays as it is; repeat, and it"
-                    " goes on."
+                    f"Spark gave the job up ({reason_of(cause)}).{many} What was finished stays as it is; repeat, and"
+                    " it goes on."
                 ) from cause
             half = (span.start + span.stop) // 2
             if len(span) > 1:

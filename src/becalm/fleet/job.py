@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
+from secrets import token_hex
 from typing import Any, NamedTuple
 
 from becalm.cleaning.pipeline import in_mode
@@ -50,6 +51,8 @@ class Job:
         A sensor of twice as many is cut in time, into stretches of so many.
     another : str
         What makes another recipe, to type.
+    own : str
+        What no other job has: a sensor that it finished is not of an earlier one, though a worker died since.
     """
 
     lake: str
@@ -59,6 +62,7 @@ class Job:
     causal: bool | None = None
     stretch_rows: int = STRETCH_ROWS
     another: str = "becalm fleet tune LAKE -o DIR"
+    own: str = field(default_factory=token_hex)
 
     def input_of(self, sensor: Sensor) -> Path:
         """Return the folder, or the one file, of a sensor."""

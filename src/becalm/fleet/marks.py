@@ -17,7 +17,7 @@ from becalm.files.text.text import PARQUET
 from becalm.fleet.outcome import Outcome
 
 _LENGTH = 4  # bytes of the length of a Parquet file's footer, before the four that end it
-_HELD, _SIZES = "held", "sizes"
+_HELD, _SIZES, _JOB = "held", "sizes", "job"
 
 
 @dataclass(frozen=True)
@@ -34,6 +34,8 @@ class Mark:
         What became of it.
     sizes : tuple of int
         Of these files, in bytes.
+    job : str
+        Which made it.
     held : tuple of str
         While a new output takes the place of an older one: files of both.
     """
@@ -43,6 +45,7 @@ class Mark:
     outcome: Outcome
     sizes: tuple[int, ...] = ()
     held: tuple[str, ...] = ()
+    job: str = ""
 
     @property
     def own(self) -> set[str]:
@@ -66,7 +69,7 @@ class Mark:
             If it cannot be written.
         """
         told: dict[str, Any] = {FILES: self.files, "came_of": self.came_of, "outcome": self.outcome.as_dict()}
-        told |= {_SIZES: self.sizes, _HELD: self.held}
+        told |= {_SIZES: self.sizes, _HELD: self.held, _JOB: self.job}
         write_text(path, json.dumps(told, indent=1) + "\n")
 
     @classmethod
@@ -75,7 +78,9 @@ class Mark:
         try:
             told = json.loads(path.read_text(encoding="utf-8"))
             outcome = Outcome.from_dict(told["outcome"])
-            return cls(told["came_of"], tuple(told[FILES]), outcome, tuple(told[_SIZES]), tuple(told[_HELD]))
+            return cls(
+                told["came_of"], tuple(told[FILES]), outcome, tuple(told[_SIZES]), tuple(told[_HELD]), told[_JOB]
+            )
         except (OSError, ValueError, KeyError, TypeError):
             return None
 

@@ -76,14 +76,19 @@ def keys_of(by: str, known: Collection[str]) -> tuple[str, ...]:
     keys = tuple(key.strip() for key in by.split(","))
     for key in keys:
         if key not in known:
-            listed = ", ".join(sorted(known)[:_MOST_LISTED])
-            more = f" and {len(known) - _MOST_LISTED} more" if len(known) > _MOST_LISTED else ""
+            there = listed(sorted(known))
             raise UsageError(
-                f"--by names {key!r}, which is neither a column nor a key of the folders; there are {listed}{more}."
+                f"--by names {key!r}, which is neither a column nor a key of the folders; there are {there}."
             )
     if twice := [key for key, count in Counter(keys).items() if count > 1]:
         raise UsageError(f"--by names {twice[0]!r} twice; once is enough.")
     return keys
+
+
+def listed(names: Sequence[str]) -> str:
+    """Return the first of some names, and how many more there are."""
+    more = f" and {len(names) - _MOST_LISTED} more" if len(names) > _MOST_LISTED else ""
+    return ", ".join(names[:_MOST_LISTED]) + more
 
 
 def named(block: pa.Table, keys: Sequence[str], told: Mapping[str, str | None]) -> Named:

@@ -74,7 +74,20 @@ def session(
         yield spark
     finally:
         if running is None:
-            spark.stop()
+            _stop(spark)
+
+
+def _stop(spark: SparkSession) -> None:
+    """Stop Spark; where its JVM is gone, let pyspark forget it, or no other session could begin in this process."""
+    from py4j.protocol import Py4JError
+    from pyspark import SparkContext
+    from pyspark.sql import SparkSession
+
+    try:
+        spark.stop()
+    except (Py4JError, ConnectionError):
+        SparkSession._instantiatedSession = None
+        SparkContext._active_spark_context = SparkContext._gateway = SparkContext._jvm = None
 
 
 def _understood(master: str) -> str:

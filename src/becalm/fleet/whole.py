@@ -73,6 +73,8 @@ def finished(job: Job, sensor: Sensor, hashed: str) -> Outcome | None:
     mark = Mark.of(job.mark_of(sensor))
     if mark is None or mark.came_of != hashed or not mark.is_whole(job.output_folder(sensor)):
         return None
+    if mark.job == job.own:  # in a stage that Spark gave up for another sensor
+        return mark.outcome
     channels = tuple(replace(row, state="kept") for row in mark.outcome.channels)
     return replace(mark.outcome, state="kept", channels=channels, took_s=0.0)
 
@@ -131,7 +133,7 @@ def _cleaned(job: Job, sensor: Sensor) -> Outcome:
             with Pieces(staged, found.pieces, metadata_of(found.recipe)) as out:
                 reports = clean_chunks(source, found.recipe, out.write, lambda *_: None, verdicts=True)
             outcome = outcome_of(sensor, reports, source, monotonic() - began)
-            commit(job, sensor, staged, Mark(hashed, names, outcome))
+            commit(job, sensor, staged, Mark(hashed, names, outcome, job=job.own))
     return outcome
 
 

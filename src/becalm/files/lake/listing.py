@@ -132,10 +132,10 @@ class _Place(NamedTuple):
 def _walked(folder: Path, log: CommitLog | None, below: Parts) -> Iterator[_Found]:
     """Give the Parquet files of a folder and of those in it; none twice, wherever links lead to.
 
-    Links are followed in the end, so that a folder is found under its own name.
+    Links are followed in the end, so that folders and files are found under their own names.
     """
     seen, left = set[Path](), deque([_Place(folder, log, below)])
-    links = deque[_Place]()
+    links, linked = deque[_Place](), list[_Found]()
     while left or links:
         place = left.popleft() if left else links.popleft()
         if (real := place.path.resolve()) in seen:
@@ -149,7 +149,16 @@ def _walked(folder: Path, log: CommitLog | None, below: Parts) -> Iterator[_Foun
                 own = log_of(path)
                 (links if path.is_symlink() else left).append(_Place(path, own or place.log, () if own else deeper))
             elif _is_parquet(path):
-                yield _Found(path, place.log, deeper)
+                found = _Found(path, place.log, deeper)
+                if path.is_symlink():
+                    linked.append(found)
+                else:
+                    seen.add(real / path.name)
+                    yield found
+    for found in linked:
+        if (real := found.path.resolve()) not in seen:
+            seen.add(real)
+            yield found
 
 
 def _is_parquet(path: Path) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -25,6 +25,7 @@ from becalm.fleet.grouped.order import time_of
 from becalm.fleet.grouped.strips import Lake, Part, Strip, Strips, not_parted, part_rows
 from becalm.fleet.job import Job, Sensor
 from becalm.fleet.lake import Shared
+from becalm.fleet.names import listed
 from becalm.fleet.outcome import Outcome, refused
 from becalm.fleet.pieces import open_staging, staging
 from becalm.fleet.recipes import RecipeBook
@@ -36,8 +37,6 @@ if TYPE_CHECKING:
 
 PART_ROWS = 1 << 22
 """Rows of a file that one task parts: enough work for a task, and not too many to do again."""
-
-_MOST_NAMED = 10  # of files that cannot be read
 
 OUTPUT = "part-0.parquet"
 """The one file of a sensor."""
@@ -88,7 +87,6 @@ def clean_grouped(spark: SparkSession, job: Job, shared: Shared, book: RecipeBoo
     """
     counts = _counted(spark, job, shared)
     names = sorted({name for count in counts.values() for name in count.rows})
-    _refuse_times(job, shared)
     if not names:
         raise InputError(f"No file of {job.lake} holds a row; there is nothing to clean.")
     outcomes = [refused(name, book.why_not(name)) for name in names if book.hash_for(name) is None]
@@ -99,6 +97,7 @@ def clean_grouped(spark: SparkSession, job: Job, shared: Shared, book: RecipeBoo
     staged = open_staging(Path(job.output))
     with in_waiting(staged):
         lake = Lake(job.lake, shared.keys, _times(job, unfinished))
+        _refuse_times(job, shared, set(lake.wanted.values()))
         parted = _parted(spark, lake, staged, counts)
         found, failed = _gathered(unfinished, parted)
         return outcomes + failed + _cleaned(spark, job.lake, replace(job, lake=str(staged)), found)
@@ -106,19 +105,19 @@ def clean_grouped(spark: SparkSession, job: Job, shared: Shared, book: RecipeBoo
 
 def _counted(spark: SparkSession, job: Job, shared: Shared) -> dict[str, Count]:
     counts = run_tasks(spark, partial(count_rows, job.lake, shared.keys), shared.files, lost=not_counted)
-    if failed := [file for file, count in zip(shared.files, counts, strict=True) if count.failed]:
-        more = f" {len(failed) - 1} more files are to be mended: {', '.join(failed[1:][:_MOST_NAMED])}." * (
-            len(failed) > 1
-        )
-        raise InputError(next(count.failed for count in counts if count.failed) + more)
+    failed = [file for file, count in zip(shared.files, counts, strict=True) if count.failed]
+    if failed:
+        told, more = next(count.failed for count in counts if count.failed), failed[1:]
+        raise InputError(f"{told} To be mended as well: {listed(more)}." if more else told)
     return dict(zip(shared.files, counts, strict=True))
 
 
-def _refuse_times(job: Job, shared: Shared) -> None:
-    first, times = Path(job.lake) / shared.files[0], tuple[str, ...]()
+def _refuse_times(job: Job, shared: Shared, asked: Collection[str | None]) -> None:
+    first, times = Path(job.lake) / shared.files[0], set[str]()
     with suppress(InputError):  # whose rows are damaged: its sensors will be refused
-        times = time_of(read_parquet(first, Original(first)), None)
-    if alike := set(times) & set(shared.keys):
+        table = read_parquet(first, Original(first))
+        times = {name for one in asked for name in time_of(table, one)}
+    if alike := times & set(shared.keys):
         raise UsageError(f"--by {min(alike)!r} names the time of the rows, which tells no sensors apart; name another.")
 
 

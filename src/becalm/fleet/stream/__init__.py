@@ -13,14 +13,14 @@ from becalm.fleet.stream.live_book import LiveBook
 from becalm.fleet.stream.plan import Book, SensorPlan, StreamPlan
 
 if TYPE_CHECKING:
-    from becalm.fleet.stream.query import cleaned, run, wait
+    from becalm.fleet.stream.query import cleaned, prepared, run, wait
 
-__all__ = ["Book", "LiveBook", "SensorPlan", "StreamPlan", "cleaned", "run", "wait"]
+__all__ = ["Book", "LiveBook", "SensorPlan", "StreamPlan", "cleaned", "prepared", "run", "wait"]
 
 
 def __getattr__(name: str) -> Any:
     """Load what needs Spark."""
-    if name not in ("cleaned", "run", "wait"):
+    if name not in ("cleaned", "prepared", "run", "wait"):
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from becalm.fleet.stream import query
 

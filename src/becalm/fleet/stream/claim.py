@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
+from py4j.protocol import Py4JError
+from pyspark.errors import PySparkException
+
 from becalm.errors import OutputError
+from becalm.fleet.session import reason_of
 from becalm.fleet.stream.plan import StreamPlan
 from becalm.live.address import Address
 
@@ -33,7 +38,45 @@ def refuse_other(spark: SparkSession, plan: StreamPlan) -> None:
         If the checkpoint or the output is of another stream, or no folder: Spark would leave out what it takes for
         written, or go on from places that this stream has never been at.
     """
-    folders = _Folders(spark)
+    with _told(plan):
+        _refuse(_Folders(spark), plan)
+
+
+def claim(spark: SparkSession, plan: StreamPlan) -> None:
+    """Say in a checkpoint, which was not refused, of which stream it is.
+
+    Parameters
+    ----------
+    spark : SparkSession
+        As in `refuse_other`.
+    plan : StreamPlan
+        The stream.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be written.
+    """
+    with _told(plan):
+        folders, place = _Folders(spark), f"{plan.checkpoint_folder}/{_CLAIM}"
+        own = json.dumps(_claim_of(plan))
+        if folders.read(place) != own:
+            folders.write(place, own)
+
+
+@contextmanager
+def _told(plan: StreamPlan) -> Iterator[None]:
+    """Say in a sentence what Spark cannot do with folders."""
+    try:
+        yield
+    except (Py4JError, PySparkException) as cause:
+        raise OutputError(
+            f"{plan.output}, or the checkpoint {plan.checkpoint_folder}, cannot be used ({reason_of(cause)}); name"
+            " another."
+        ) from cause
+
+
+def _refuse(folders: _Folders, plan: StreamPlan) -> None:
     for place in (plan.output, plan.checkpoint_folder):
         if folders.is_file(place):
             raise OutputError(f"{place} is a file; name a folder for the stream's output, and for its checkpoint.")
@@ -50,40 +93,34 @@ def refuse_other(spark: SparkSession, plan: StreamPlan) -> None:
             f"The checkpoint {plan.checkpoint_folder} is of a stream that does not write to {plan.output}; "
             "name another checkpoint, or the output that belongs to it."
         )
-    before, own = folders.read(f"{plan.checkpoint_folder}/{_CLAIM}") if kept else "", _claim_of(plan)
-    for name, word in _WORDS.items():
-        if before and json.loads(before)[name] != own[name]:
-            raise OutputError(
-                f"The checkpoint {plan.checkpoint_folder} is of a stream that was begun {word} "
-                f"{json.loads(before)[name]!r}, not {own[name]!r}; begin it again as it was, or name another "
-                "checkpoint and output."
-            )
+    if kept and (before := folders.read(f"{plan.checkpoint_folder}/{_CLAIM}")):
+        _refuse_changed(plan, before)
 
 
-def claim(spark: SparkSession, plan: StreamPlan) -> None:
-    """Say in a checkpoint, which was not refused, of which stream it is.
-
-    Parameters
-    ----------
-    spark : SparkSession
-        As in `refuse_other`.
-    plan : StreamPlan
-        The stream.
-    """
-    _Folders(spark).write(f"{plan.checkpoint_folder}/{_CLAIM}", json.dumps(_claim_of(plan)))
+def _refuse_changed(plan: StreamPlan, before: str) -> None:
+    try:
+        told, own = json.loads(before), _claim_of(plan)
+        changed = next((name for name in _WORDS if told[name] != own[name]), None)
+    except (ValueError, KeyError, TypeError) as cause:
+        raise OutputError(
+            f"{plan.checkpoint_folder}/{_CLAIM} is damaged, and would say of which stream that checkpoint is; remove it"
+            " if you know that it is of this one."
+        ) from cause
+    if changed is not None:
+        raise OutputError(
+            f"The checkpoint {plan.checkpoint_folder} is of a stream that was begun {_WORDS[changed]}"
+            f" {told[changed]!r}, not {own[changed]!r}; begin it again as it was, or name another checkpoint and"
+            " another output."
+        )
 
 
 def _claim_of(plan: StreamPlan) -> dict[str, str]:
     """Return what may not change of a stream; the server of its messages may."""
-    source = _absolute(plan.source)
-    if "://" in plan.source:
+    source = plan.source
+    if "://" in source:
         address = Address.parsed(plan.source)
         source = f"{address.kind}: {address.rest.rpartition('/')[2]}"
-    return {"output": _absolute(plan.output), "source": source, "key": plan.sensors.key, "time": plan.sensors.time}
-
-
-def _absolute(place: str) -> str:
-    return place if "://" in place else str(Path(place).resolve())
+    return {"output": plan.output, "source": source, "key": plan.sensors.key, "time": plan.sensors.time}
 
 
 class _Folders:
@@ -114,12 +151,16 @@ class _Folders:
             stream.close()
 
     def write(self, path: str, text: str) -> None:
+        """Write a text, which is there whole or not at all."""
         files, place = self._found(path)
-        stream = files.create(place, True)
+        _, beside = self._found(f"{path}.part")
+        stream = files.create(beside, True)
         try:
             stream.write(bytearray(text.encode()))
         finally:
             stream.close()
+        files.delete(place, False)
+        files.rename(beside, place)
 
     def _found(self, path: str) -> tuple[Any, Any]:
         place = self._jvm.org.apache.hadoop.fs.Path(path)

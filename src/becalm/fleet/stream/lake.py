@@ -77,7 +77,7 @@ def read_files(lake: str, shape: Shape, batches: Iterator[pa.RecordBatch]) -> It
 
     Raises
     ------
-    OSError, MemoryError, BecalmError
+    InputError
         If the machine, and not the file, is why it cannot be read now: so that the engine reads it again.
     """
     gathering = Gathering(len(shape.channels))
@@ -90,16 +90,22 @@ def read_files(lake: str, shape: Shape, batches: Iterator[pa.RecordBatch]) -> It
                     yield from gathering.add(*piece)
             except Exception as cause:  # also rubbish of a kind that nobody has thought of
                 if _passes(cause):
-                    raise
+                    raise InputError(
+                        f"{path} cannot be read now ({cause}); if that stays so when the stream is begun again, move"
+                        " the file away."
+                    ) from cause
                 says = str(cause) if isinstance(cause, BecalmError) else f"{path}: {type(cause).__name__}: {cause}."
                 gathering.garble(sensor or "", _left_out(says))
     yield from gathering.rest()
 
 
 def _passes(cause: BaseException | None) -> bool:
-    """Whether something went wrong with the machine: its disks, its network, its memory."""
+    """Whether something went wrong with the machine: its disks, its network, its memory.
+
+    Arrow's own want of memory is of a damaged file, which claims to be as large as none.
+    """
     while cause is not None:
-        if isinstance(cause, MemoryError) or (isinstance(cause, OSError) and cause.errno in _PASSING):
+        if type(cause) is MemoryError or (isinstance(cause, OSError) and cause.errno in _PASSING):
             return True
         cause = cause.__cause__ or cause.__context__
     return False

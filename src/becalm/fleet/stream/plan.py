@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, replace
 from math import inf
 from typing import Protocol
@@ -129,7 +130,11 @@ class StreamPlan:
     once: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be."""
+        """Refuse what cannot be; say of folders where they are, whoever looks for them from elsewhere."""
+        for name in ("source", "output", "checkpoint"):
+            place = getattr(self, name)
+            if place and "://" not in place:
+                object.__setattr__(self, name, os.path.abspath(place))  # noqa: PTH100  (also without `..`)
         if not 0.0 <= self.every_s < inf:
             raise UsageError(
                 f"every_s = {self.every_s!r} (--every) is no time between micro-batches; give seconds, 0 or more."

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -12,6 +12,7 @@ from pyspark.errors import StreamingQueryException
 
 from becalm.errors import InputError
 from becalm.files.roles import SIGMA
+from becalm.fleet.session import reason_of
 from becalm.fleet.stream.claim import claim, refuse_other
 from becalm.fleet.stream.frames import blocks_of
 from becalm.fleet.stream.plan import SensorPlan, StreamPlan
@@ -97,13 +98,23 @@ def run(spark: SparkSession, plan: StreamPlan) -> StreamingQuery:
     BecalmError
         If the source is not there or its columns do not fit, or the output belongs to another stream.
     """
+    return prepared(spark, plan)()
+
+
+def prepared(spark: SparkSession, plan: StreamPlan) -> Callable[[], StreamingQuery]:
+    """Return what starts a stream, as `run` does; nothing is written before that.
+
+    Raises
+    ------
+    BecalmError
+        As `run`.
+    """
     session = spark.newSession()
     looks = plan.sensors.silent_s is not None and not plan.once
     beside = {_EMPTY_BATCHES: _word(looks), "spark.sql.shuffle.partitions": str(plan.partitions)}
     _settle(session, _STATES | _FILES | beside)
     refuse_other(session, plan)
     shape, blocks, sensors = opened(session, plan)
-    claim(session, plan)
     told = _filtered(shape, blocks, sensors)
     writer = (
         told.writeStream.format("parquet")
@@ -114,8 +125,15 @@ def run(spark: SparkSession, plan: StreamPlan) -> StreamingQuery:
         .options(**_plainly(told))
     )
     if plan.once:
-        return writer.trigger(availableNow=True).start()
-    return writer.trigger(processingTime=f"{round(plan.every_s * 1000)} milliseconds").start()
+        writer = writer.trigger(availableNow=True)
+    else:
+        writer = writer.trigger(processingTime=f"{round(plan.every_s * 1000)} milliseconds")
+
+    def begin() -> StreamingQuery:
+        claim(session, plan)
+        return writer.start()
+
+    return begin
 
 
 def wait(query: StreamingQuery) -> None:
@@ -134,7 +152,7 @@ def wait(query: StreamingQuery) -> None:
     try:
         query.awaitTermination()
     except (Py4JError, ConnectionError) as cause:
-        raise InputError("The stream ended: Spark itself is gone. What was told stays; begin it again.") from cause
+        raise InputError(f"The stream ended ({reason_of(cause)}). What was told stays; begin it again.") from cause
     except StreamingQueryException as cause:
         raised = [found for found in _RAISED.finditer(str(cause)) if not found["kind"].startswith(("java.", "org."))]
         says = _NUMBERED.sub("", raised[-1]["says"] if raised else str(cause).strip().splitlines()[0])

@@ -87,7 +87,7 @@ class Course:
         long, told = self.long, self._in_order
         outcome = joined_outcome(long, told, len(self._again), self._took_s)
         names = tuple(piece.name for one in told for piece in one.pieces)
-        commit(long.job, long.sensor, Path(long.staged), Mark(long.hashed, names, outcome))
+        commit(long.job, long.sensor, Path(long.staged), Mark(long.hashed, names, outcome, job=long.job.own))
         return outcome
 
     def _was_run(self, stretch: Stretch) -> bool:
