@@ -21,7 +21,6 @@ import becalm
 from becalm.errors import InputError, TimeError
 from becalm.files import ReadOptions, open_source, read_source
 from becalm.files.lake.folder import FolderRows, read_folder
-from becalm.files.lake.listing import parquet_files
 from lakes import START_MS, cut, evenly, readings
 
 COUNT = 300
@@ -156,27 +155,6 @@ def test_what_is_hidden_and_what_is_no_parquet_is_not_read(tmp_path: Path) -> No
     (folder / "nothing.txt").write_text("", encoding="utf-8")
     (folder / "empty").mkdir()
     assert len(becalm.read(folder)) == 100
-
-
-def test_a_linked_folder_is_read_once(tmp_path: Path) -> None:
-    cut(evenly(), [100], ["a.parquet", "b.parquet"], tmp_path / "elsewhere")
-    (tmp_path / "lake").mkdir()
-    (tmp_path / "lake" / "one").symlink_to(tmp_path / "elsewhere")
-    (tmp_path / "elsewhere" / "again").symlink_to(tmp_path / "lake")
-    assert len(becalm.read(tmp_path / "lake")) == COUNT
-    (tmp_path / "lake" / "gone.parquet").symlink_to(tmp_path / "nowhere")
-    with pytest.raises(InputError, match=r"gone\.parquet does not exist"):
-        becalm.read(tmp_path / "lake")
-
-
-def test_a_linked_file_is_read_once(tmp_path: Path) -> None:
-    folder = cut(evenly(), [100], ["b.parquet", "c.parquet"], tmp_path / "lake")
-    (folder / "a.parquet").symlink_to(folder / "b.parquet")
-    pq.write_table(evenly().slice(0, 0), tmp_path / "elsewhere.parquet")
-    (folder / "d.parquet").symlink_to(tmp_path / "elsewhere.parquet")
-    (folder / "e.parquet").symlink_to(folder / "d.parquet")
-    assert len(becalm.read(folder)) == COUNT
-    assert [path.name for path in parquet_files(folder).files] == ["b.parquet", "c.parquet", "d.parquet"]
 
 
 def test_what_is_no_file_is_not_opened(tmp_path: Path) -> None:
