@@ -79,7 +79,12 @@ class Mark:
             told = json.loads(path.read_text(encoding="utf-8"))
             outcome = Outcome.from_dict(told["outcome"])
             return cls(
-                told["came_of"], tuple(told[FILES]), outcome, tuple(told[_SIZES]), tuple(told[_HELD]), told[_JOB]
+                told["came_of"],
+                tuple(told[FILES]),
+                outcome,
+                tuple(told[_SIZES]),
+                tuple(told[_HELD]),
+                told.get(_JOB, ""),
             )
         except (OSError, ValueError, KeyError, TypeError):
             return None
