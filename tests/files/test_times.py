@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from becalm.errors import InputError, TimeError
@@ -173,6 +175,17 @@ def test_two_times_are_refused_and_settled_by_name(tmp_path: Path) -> None:
     assert source.recording.rate_hz == pytest.approx(50)
     assert source.recording.names == ("a",)
     assert read_source(path, ReadOptions(time="time")).recording.rate_hz == pytest.approx(100)
+
+
+def test_a_column_of_stamps_that_tells_none_is_not_asked_about(tmp_path: Path) -> None:
+    """As in the rows of a stream over a fleet, which has a column for when an event was noticed."""
+    path, stamps = tmp_path / "rows.parquet", pa.timestamp("us")
+    when = pa.array(1_764_000_000_000_000 + 10_000 * np.arange(COUNT), stamps)
+    pq.write_table(pa.table({"noticed": pa.nulls(COUNT, stamps), "when": when, "a": np.arange(COUNT) % 3}), path)
+    assert read_source(path).recording.rate_hz == pytest.approx(100)
+    pq.write_table(pa.table({"noticed": when, "when": when, "a": np.arange(COUNT) % 3}), path)
+    with pytest.raises(InputError, match="--time 'noticed' or --time 'when'"):
+        read_source(path)
 
 
 def test_a_rate_counts_rows_and_the_time_passes_through(tmp_path: Path) -> None:

@@ -90,6 +90,15 @@ def test_where_spark_itself_is_gone_the_job_ends(spark: SparkSession, monkeypatc
         engine.run_tasks(spark, doing("raises"), [1], lost=lost)
 
 
+@pytest.mark.skipif(os.name != "posix", reason="signals of pipes are POSIX's")
+def test_a_worker_whose_jvm_is_gone_dies_without_a_word(spark: SparkSession) -> None:
+    def work(task: int) -> bool:
+        return signal.getsignal(signal.SIGPIPE) is signal.SIG_DFL
+
+    engine.run_tasks(spark, work, [1, 2])
+    assert any(engine.run_tasks(spark, work, [1, 2]))  # of the same workers, which Spark keeps
+
+
 def test_what_is_no_death_ends_it_at_once(spark: SparkSession) -> None:
     with pytest.raises(UsageError, match=r"Spark gave the job up \(.*1 is rubbish"):
         engine.run_tasks(spark, doing("raises"), [1], lost=lost)

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import gc
+import os
 import pickle
 import re
+import signal
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from functools import lru_cache
@@ -131,12 +134,16 @@ def _shares(sizes: Sequence[int], cores: int) -> list[range]:
 
 @lru_cache(maxsize=2)
 def _settle(planned: bytes) -> None:
-    """Keep what a worker has loaded for its first task from being looked through for garbage after each, as Spark does.
+    """Make a worker ready for more tasks than its first one.
 
-    With all of becalm's libraries that takes longer than the work on many a sensor.
+    What it has loaded is not looked through for garbage after each, as Spark does: with all of becalm's libraries that
+    takes longer than the work on many a sensor. And where its JVM is gone it dies of its first word to it, as programs
+    do whose reader is gone; Python's own way is a traceback.
     """
     gc.collect()
     gc.freeze()
+    if os.name == "posix" and threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGPIPE, signal.SIG_DFL)
 
 
 def _packed(planned: object) -> bytes:

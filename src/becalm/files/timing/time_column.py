@@ -70,7 +70,8 @@ def find_time(raw: RawTable) -> list[tuple[str, ...]]:
     kinds = {name: kind_of_column(raw.head.column(name)) for name in raw.names}
     named = [name for name, kind in kinds.items() if kind and is_time_name(name)]
     if not named:
-        named = [n for n, k in kinds.items() if k in (clock.DATE_TIME, clock.DATE, clock.TIME_OF_DAY, TEMPORAL)]
+        of_time = [n for n, k in kinds.items() if k in (clock.DATE_TIME, clock.DATE, clock.TIME_OF_DAY, TEMPORAL)]
+        named = [name for name in of_time if not _is_empty(raw, name)] or of_time
     dates = [name for name in named if kinds[name] == clock.DATE]
     times = [name for name in named if kinds[name] == clock.TIME_OF_DAY]
     if len(dates) == len(times) == 1:
@@ -81,6 +82,12 @@ def find_time(raw: RawTable) -> list[tuple[str, ...]]:
     ]
     found = found or ([] if spoilt_times(raw) else _first_column(raw, kinds))
     return found + [(name,) for name in _namesakes(raw, found, kinds)]
+
+
+def _is_empty(raw: RawTable, name: str) -> bool:
+    """Whether a column's first rows tell nothing, so that another column is the time if there is one."""
+    column = raw.head.column(name)
+    return bool(column.null_count == len(column))
 
 
 def _namesakes(raw: RawTable, found: list[tuple[str, ...]], kinds: dict[str, str]) -> list[str]:
