@@ -6,7 +6,8 @@ tuned on one of them. *Plain* is one process, pinned to one core, that cleans on
 function that a task of Spark runs. Spark's start, and the first task of each worker, which loads becalm, are left out:
 a job over another output went before. *On that core* all of Spark, its driver, JVM and Python worker, is pinned to the
 same core. Of clusters each executor, with its worker, is pinned to a core of its own, and the driver is where there is
-room. Turns alternate; medians are told. Every row of what plain and Spark made last is compared.
+room. Turns alternate; medians are told. *Ratio* is that of rows per second to the plain process, and of two executors
+to one. Every row of what plain and Spark made last is compared.
 
 The model at the end is arithmetic on what was measured here.
 
