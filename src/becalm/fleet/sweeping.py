@@ -12,22 +12,18 @@ from becalm.files.whole import UNNAMED
 from becalm.fleet.pieces import STAGED
 
 
-def swept(output: Path) -> int:
-    """Remove what never got its name, files and folders of them; return how many there were.
+def swept(output: Path) -> None:
+    """Remove what never got its name, files and folders of them.
 
     Parameters
     ----------
     output : Path
         Of a job that nobody works on any more.
     """
-    left = 0
     for folder, names, files in os.walk(output):  # what goes meanwhile is no matter
         for name in fnmatch.filter(names, STAGED):
             shutil.rmtree(Path(folder) / name, ignore_errors=True)
             names.remove(name)
-            left += 1
         for name in filter(UNNAMED.fullmatch, files):
             with suppress(OSError):
                 (Path(folder) / name).unlink()
-            left += 1
-    return left
