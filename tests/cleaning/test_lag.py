@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.signal import butter, sosfiltfilt
 
 from becalm.cleaning.delays import delays
 from becalm.cleaning.pipeline import clean
@@ -77,7 +78,9 @@ def test_spikes_are_left_out_as_a_causal_filter_does(recipe: Recipe) -> None:
 
 
 def test_one_recipe_leaves_less_the_longer_it_waits(recording: Recording, recipe: Recipe) -> None:
-    """And sigma in the middle of the record is the one that the curve foretells."""
+    """And sigma in the middle of the record is the one that the curve foretells, of a filter that settles by then."""
+    kinematic = tuple(channel.model_copy(update={"damped_below_hz": None}) for channel in recipe.channel)
+    recipe = recipe.model_copy(update={"channel": kinematic})
     (curve,) = delays(recipe).values()
     assert curve[0].wait_s == 0.0
     assert [one.left_db for one in curve] == sorted((one.left_db for one in curve), reverse=True)
@@ -116,3 +119,16 @@ def test_a_lag_and_its_mode_belong_together(said: str, recipe: Recipe) -> None:
 def test_what_never_settles_has_no_curve(recipe: Recipe) -> None:
     still = recipe.channel[0].model_copy(update={"process_noise_density": 0.0})
     assert delays(Recipe(tuned_on=Origin(rate_hz=RATE_HZ), channel=(still,))) == {}
+
+
+def test_a_long_lag_is_judged_as_a_smoother_is() -> None:
+    rng = np.random.default_rng(8)
+    x = sosfiltfilt(butter(8, 6.0, fs=200.0, output="sos"), rng.normal(size=8000))
+    recording = Recording(x / x.std() + 0.05 * rng.normal(size=8000), rate_hz=200.0)
+    recipe = tune(recording)
+    smoothed, lagged, causal = (
+        clean(recording, recipe, **how).reports[0] for how in ({}, {"lag_s": 1.0}, {"causal": True})
+    )
+    assert smoothed.describes
+    assert lagged.verdict == smoothed.verdict
+    assert causal.verdict != smoothed.verdict

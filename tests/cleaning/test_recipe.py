@@ -125,7 +125,7 @@ FAULTS = [
     ('name = "ax"', "", "channel.1.name: Field required"),
     ("rate_hz = 50.0", "", "tuned_on.rate_hz: Field required"),
     ("rate_hz = 50.0", "rate_hz = 0", "tuned_on.rate_hz: Input should be greater than 0"),
-    ("becalm_recipe = 1", "becalm_recipe = 5", "becalm_recipe: Input should be 1, 2, 3 or 4"),
+    ("becalm_recipe = 1", "becalm_recipe = 6", "becalm_recipe: Input should be 1, 2, 3, 4 or 5"),
     (
         "noise_std = 0.1",
         "noise_std = 0.1\n[[channel.tone]]\nfrequency_hz = 7",

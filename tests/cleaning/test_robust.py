@@ -38,9 +38,9 @@ def test_wild_readings_of_a_thousand_cost_no_more_than_those_of_ten(causal: bool
     assert error(0, 10.0, causal, first=first) < 0.05
 
 
-@pytest.mark.parametrize("size", [1e3, 1e6])
+@pytest.mark.parametrize("size", [2.0, 2.5])
 def test_a_robust_recipe_tells_the_size_of_what_is_wild(size: float) -> None:
-    """Though readings so far out are not tuned by otherwise."""
+    """Of what is no gross outlier, which goes before any filter."""
     _, z = sine(1, size)
     (channel,) = tune(Recording(z, rate_hz=100.0), wishes=Wishes(robust=True)).channel
     assert channel.switching is not None

@@ -21,7 +21,10 @@ STEP_S = 0.01
 CUT = 4096  # rows that are pushed at once
 
 USUAL: dict[str, Any] = {"name": "a", "model": "motion", "order": 1, "process_noise_density": 4.0, "noise_std": 1.0}
-LIMITS = LimitsRecipe(low=-40.0, high=40.0, stuck_readings=12, drift_threshold=25.0, dead_variance=0.05)
+LIMITS = LimitsRecipe(
+    low=-40.0, high=40.0, stuck_readings=12, drift_threshold=25.0, dead_variance=0.05, outlier_distance=9.0,
+    causal_outlier_distance=12.0, plausible_low=-20.0, plausible_high=40.0, repeats_are_one=True, blank=1.0,
+)  # fmt: skip
 CHANNELS = {
     "level": ChannelRecipe(**USUAL),
     "gated, watched": ChannelRecipe(**USUAL, gate=GateRecipe(false_alarms_per_hour=60.0), limits=LIMITS),

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from becalm.cleaning.cleaner import Cleaner
-from becalm.cleaning.faults import SensorWatch, find_healthy, limits_of
+from becalm.cleaning.faults import SensorWatch, find_healthy
+from becalm.cleaning.limits_entry import limits_of
 from becalm.cleaning.pipeline import clean
 from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
 from becalm.cleaning.recipe_parts import LimitsRecipe
@@ -113,7 +114,7 @@ def test_healthy_readings_come_back_as_they_are(z: Floats) -> None:
     found = find_healthy(z, elapsed, 0.01)
     assert found.readings is z
     watch = SensorWatch(found.limits, 0.01)
-    assert watch.push(z, elapsed) is z
+    assert watch.push(z, elapsed)[0] is z
     assert watch.faults() == ()
 
 
@@ -121,9 +122,9 @@ def test_a_car_that_stops_for_the_first_time_is_not_stuck() -> None:
     """Speeds rest at 0, where the recipe's record had no stop; a strain gauge that reads it for long is stuck."""
     watch = SensorWatch(LimitsRecipe(stuck_readings=5), 0.01)
     z = np.append(np.linspace(20, 0.1, 200), np.zeros(300))
-    assert watch.push(z, np.ones(len(z))) is z
+    assert watch.push(z, np.ones(len(z)))[0] is z
     watch = SensorWatch(LimitsRecipe(stuck_readings=5), 0.01)
-    assert np.isnan(watch.push(np.append(-1.0, z), np.ones(len(z) + 1))).sum() == 296
+    assert np.isnan(watch.push(np.append(-1.0, z), np.ones(len(z) + 1))[0]).sum() == 296
 
 
 def test_most_readings_lost_is_said_first() -> None:

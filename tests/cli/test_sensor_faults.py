@@ -52,7 +52,7 @@ def test_each_fault_is_told_at_its_place(mode: list[str], faulty: Path, run: Run
     channels = {channel["name"]: channel for channel in json.loads(ran.stdout)["channels"]}
     recipe = tomllib.loads((tmp_path / "out.csv.recipe.toml").read_text(encoding="utf-8"))
     limits = {channel["name"]: channel["limits"] for channel in recipe["channel"]}
-    from_row = STUCK.start + limits["stuck"]["stuck_readings"] - 1
+    from_row = STUCK.start + (limits["stuck"]["stuck_readings"] - 1 if mode else 0)  # a smoother sees the whole run
     assert from_row < STUCK.start + 20
     assert np.flatnonzero(words["stuck"] == "stuck").tolist() == list(range(from_row, STUCK.stop))
     clipped = np.array(raw["clipped"]) == 4.0

@@ -19,7 +19,7 @@ ROOT = Path(__file__).parents[2]
 SOURCE = ROOT / "src" / "becalm"
 COMPILED_BY_MAKE = ROOT / ".venv" / "kernels"
 
-OF_ALL = ("faults", "watch")
+OF_ALL = ("faults", "outliers", "watch")
 OF_MOTIONS = ("forward", "backward", "gate", "late", "live run", "live step", "stream")
 TWO_MODES, FIVE_MODES = (
     tuple(f"{modes} modes {what}" for what in ("forward", "backward", "late", "run", "step")) for modes in (2, 5)
@@ -109,20 +109,20 @@ def test_warm_names_what_it_compiles(fresh: Run, warmed: Path) -> None:
     for kernel in warmed.glob("*kernel_watch.*"):
         kernel.unlink()
     *compiled, where = fresh("warm").stderr.splitlines()
-    assert [line.partition(":")[0] for line in compiled] == ["watch, order 1"]
+    assert [line.partition(":")[0] for line in compiled] == ["watch, 1 states"]
     assert str(warmed) in where
 
 
 @pytest.mark.slow
 def test_every_kernel_of_a_channel_is_warmed() -> None:
-    assert [(kernel.name, kernel.order) for kernel in warm()] == [
-        (kernel, order)
-        for order in (1, 2, 3, 4, 5)
+    assert [(kernel.name, kernel.states) for kernel in warm()] == [
+        (kernel, states)
+        for states in (1, 2, 3, 4, 5, 6)
         for kernel in (
-            *(OF_ALL if order == 1 else ()),
+            *(OF_ALL if states == 1 else ()),
             *OF_MOTIONS,
-            *(TWO_MODES if order < 4 else ()),
-            *(FIVE_MODES if order == 1 else ()),
+            *TWO_MODES,
+            *(FIVE_MODES if states == 1 else ()),
         )
     ]
 

@@ -67,23 +67,23 @@ def test_a_resonance_is_discretised_exactly(T: float) -> None:
 
 
 @pytest.mark.parametrize(("fades", "turns"), [(0.0, 0.3), (1e-9, 1e-6), (1e-4, 0.3), (0.5, 3.0), (2.0, 0.0)])
-def test_the_road_of_a_tone_is_van_loans_road(fades: float, turns: float) -> None:
+def test_the_road_of_a_tone_is_that_of_a_series(fades: float, turns: float) -> None:
     A, W = np.array([[-fades, turns], [-turns, -fades]]), 0.7 * np.eye(2)
     steps = np.array([0.0, 1e-6, 0.1, 1.0, 7.5, 300.0])
     for size in (1, 2):
         F, Q = discretisation.discretise(A[:size, :size], W[:size, :size], steps)
-        F_other, Q_other = discretisation._integrate_van_loan(A[:size, :size], W[:size, :size], steps)
+        F_other, Q_other = discretisation._integrate_series(A[:size, :size], W[:size, :size], steps)
         np.testing.assert_allclose(F, F_other, rtol=0, atol=1e-13)
         np.testing.assert_allclose(Q, Q_other, rtol=0, atol=1e-13 * np.abs(Q_other).max())
 
 
 @pytest.mark.parametrize("order", [1, 2, 3, 4, 5])
-def test_the_polynomial_road_is_van_loans_road(order: int) -> None:
+def test_the_polynomial_road_is_that_of_a_series(order: int) -> None:
     part = motion(order, 0.7)
     W = part.noise_input @ part.noise_density @ part.noise_input.T
     steps = np.array([0.0, 0.01, 1.0, 2.5])
     F, Q = discretisation._integrate_polynomial(part.drift, W, steps)
-    F_other, Q_other = discretisation._integrate_van_loan(part.drift, W, steps)
+    F_other, Q_other = discretisation._integrate_series(part.drift, W, steps)
     np.testing.assert_allclose(F, F_other, rtol=1e-12, atol=1e-14)
     np.testing.assert_allclose(Q, Q_other, rtol=1e-11, atol=1e-13)
 

@@ -34,10 +34,10 @@ def codes_of(z: list[float], elapsed: list[float] | None = None, limits: Limits 
 
 def test_the_numbers_of_the_verdicts_are_fixed() -> None:
     names = ["USED", "MISSING", "NONFINITE", "OVERRANGE", "SPIKE", "STEP", "CLIPPED"]
-    names += ["STUCK", "DEAD", "DRIFT", "LATE", "REPEATED", "GAP"]
+    names += ["STUCK", "DEAD", "DRIFT", "LATE", "REPEATED", "GAP", "OUTLIER", "HOLE", "RUNAWAY"]
     assert [verdict.name for verdict in Verdict] == names
     assert [int(verdict) for verdict in Verdict] == list(range(len(names)))
-    assert all(ADVICE[Verdict(number)].endswith(".") for number in range(6, 13))
+    assert all(ADVICE[Verdict(number)].endswith(".") for number in range(6, 14))
 
 
 def test_a_run_of_equal_readings_is_stuck_from_the_stated_one_on() -> None:

@@ -154,8 +154,9 @@ def test_a_step_is_followed_within_the_readings_that_agree(order: int, size: flo
     z = noise(order) + np.where(np.arange(ROWS) >= 2000, size, 0.0)
     told = told_of(component_of(order), z, causal=True)
     assert np.flatnonzero(told.verdicts == Verdict.STEP).tolist() == [2000 + GATE.agree - 1]
-    assert np.abs(told.signal[2004:2100] - size).max() < 5.0
-    assert np.abs(told.signal[:2004]).max() < 5.0
+    followed = 2000 + GATE.agree - 1
+    assert np.abs(told.signal[followed:2100] - size).max() < 5.0
+    assert np.abs(told.signal[:followed]).max() < 5.0
 
 
 @pytest.mark.parametrize("order", [1, 2, 3])
@@ -198,9 +199,32 @@ def test_bursts_of_random_spikes_are_no_step(seed: int) -> None:
     burst = slice(2000, 2012)
     bad[burst] = np.random.default_rng(seed).permutation(np.linspace(100, 1200, 12)) * np.resize([1, -1], 12)
     bad[:20] = 0.0
-    told = told_of(component_of(2), noise(seed) + bad, causal=True)
+    told = told_of(component_of(2), noise(seed) + bad, causal=True, gate=Gate(5.0, agree=5, at_most=50))
     assert not (told.verdicts == Verdict.STEP).any()
     assert np.array_equal(told.verdicts == Verdict.SPIKE, bad != 0)
+
+
+def shock(width: int, size: float) -> Floats:
+    """Return a half-sine shock and the ringing after it."""
+    k = np.arange(ROWS) - 2000.0
+    pulse = np.where((k > 0) & (k < width), size * np.sin(np.pi * k / width), 0.0)
+    ringing = 0.3 * size * np.exp(-np.maximum(k, 0) / (2 * width)) * np.sin(6 * np.pi * k / width)
+    return pulse + np.where(k > 0, ringing, 0.0)
+
+
+@pytest.mark.parametrize("size", [50.0, 400.0, 1000.0])
+@pytest.mark.parametrize("width", [10, 55, 220])
+@pytest.mark.parametrize("order", [1, 2, 3])
+def test_a_shock_is_followed_though_the_gate_knew_only_rest(order: int, width: int, size: float) -> None:
+    """A causal filter leaves out the first readings, fewer than `at_most`, and few later; a smoother, next to none."""
+    truth = shock(width, size)
+    causal, smoothed = (told_of(component_of(order), noise(7) + truth, causal=causal) for causal in (True, False))
+    moving = np.abs(truth) > 20.0
+    left_out = [np.count_nonzero((told.verdicts == Verdict.SPIKE)[moving]) for told in (causal, smoothed)]
+    assert longest_rejected(causal.verdicts) < GATE.at_most
+    assert left_out[0] <= max(GATE.at_most - 1, 0.12 * np.count_nonzero(moving))
+    assert left_out[1] <= 0.04 * np.count_nonzero(moving)
+    assert np.sqrt(np.mean((smoothed.signal - truth)[moving] ** 2)) < 10.0 + 0.02 * size
 
 
 @pytest.mark.parametrize("causal", [True, False])

@@ -74,7 +74,7 @@ def test_a_known_start_has_a_gate_from_the_first_reading() -> None:
     online = Online(model, gate=GATE)
     online.step(100.0)
     assert online.verdict == Verdict.SPIKE
-    for _ in range(3):
+    for _ in range(GATE.agree - 2):
         online.step(100.0)
     signal, _sigma = online.step(100.0)
     assert int(online.verdict or 0) == Verdict.STEP

@@ -14,15 +14,13 @@ from becalm.cleaning.steps import in_seconds
 from becalm.cleaning.stream import StreamCleaner
 from becalm.core.arrays import Floats
 from becalm.export.bundle import Bundle, Exported
-from becalm.noise.banks import jumping, noisy, resting, spiky
-from becalm.noise.far import NONE_FAR
+from becalm.noise.banks import bursting, jumping, noisy, resting, spiky
 from becalm.noise.likelihood import Evidence, tune_motion
-from becalm.noise.switching import Switched
 from driven import Told
 from exported import WIDE_LIMITS, bundle, recipe_of
 
 RATE_HZ = 200.0
-KINDS = ("resting", "jumping", "noisy", "spiky")
+KINDS = ("resting", "jumping", "noisy", "spiky", "bursting")
 NAMES = (*(f"{kind} {order}" for kind in KINDS for order in (1, 3)), "limited", "nervous")
 
 
@@ -79,12 +77,13 @@ def made(kind: str, order: int) -> ChannelRecipe:
     tuning = tune_motion(order, evidence)
     bank = {
         "resting": lambda: resting(tuning, evidence),
-        "jumping": lambda: jumping(evidence, NONE_FAR),
+        "jumping": lambda: jumping(evidence),
         "noisy": lambda: noisy(tuning),
+        "bursting": lambda: bursting(tuning, evidence),
         "spiky": lambda: spiky(tuning, evidence),
     }[kind]()
     switching = bank.make(*(number.default for number in bank.numbers))
-    modes = modes_in_seconds(Switched(kind, switching, 0.0, 0.0), 1 / RATE_HZ)  # type: ignore[arg-type]
+    modes = modes_in_seconds(kind, switching, 1 / RATE_HZ)  # type: ignore[arg-type]
     return in_seconds("a", "V", tuning, 1 / RATE_HZ).model_copy(update={"switching": modes})
 
 

@@ -219,7 +219,8 @@ def test_nothing_makes_a_state_infinite(
         assert np.isfinite(program.variance)
     signal, codes = program.run(10 + np.random.default_rng(3).normal(size=4000))
     assert np.isfinite(signal).all()
-    assert (codes[-1000:] == Verdict.USED).mean() > 0.99
+    used = float((codes[-1000:] == Verdict.USED).mean())
+    assert used > (0.9 if name == "gated never" else 0.99)  # without process noise nothing wild is ever forgotten
     assert np.abs(signal[-500:] - 10).max() < 10
 
 

@@ -27,7 +27,9 @@ Run = Callable[..., subprocess.CompletedProcess[str]]
 
 def recipe_of(*names: str, mode: Mode = "causal", density: float = 4.0) -> Recipe:
     """Return a recipe for some channels."""
-    limits = LimitsRecipe(low=-500.0, high=500.0, stuck_readings=30, drift_threshold=40.0, dead_variance=0.05)
+    watch: dict[str, Any] = {"stuck_readings": 30, "drift_threshold": 40.0, "dead_variance": 0.05}
+    watch |= {"outlier_distance": 9.0, "causal_outlier_distance": 12.0}
+    limits = LimitsRecipe(low=-500.0, high=500.0, **watch)
     told: dict[str, Any] = {"unit": "m", "model": "motion", "order": 1, "noise_std": 1.0, "limits": limits}
     channels = tuple(ChannelRecipe(name=name, process_noise_density=density, **told) for name in names)
     return Recipe(mode=mode, tuned_on=Origin(rate_hz=RATE_HZ), channel=channels)

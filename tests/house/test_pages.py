@@ -14,8 +14,8 @@ from urllib.parse import unquote, urlsplit
 import pytest
 from blocks import DOCS, PAGES, ROOT, has_blocks, rewritten
 
-from becalm.cleaning import judging, tuning
-from becalm.core import clock, gates, kernel_ahead, kernel_watch, noise_change, reach, starting, verdict
+from becalm.cleaning import judging, steps
+from becalm.core import clock, gates, kernel_ahead, kernel_gate, kernel_watch, noise_change, reach, starting, verdict
 from becalm.files import opening
 from becalm.noise import banks, lines, risk, switching
 
@@ -47,7 +47,7 @@ def test_links_lead_somewhere(page: Path) -> None:
     assert [target for target in targets if not (page.parent / target).exists()] == []
 
 
-WORDS = {3: "three", 5: "five", 8: "eight", 50: "fifty"}
+WORDS = {3: "three", 4: "four", 5: "five", 8: "eight"}
 
 
 def spelt(number: float) -> str:
@@ -57,9 +57,9 @@ def spelt(number: float) -> str:
 @pytest.mark.parametrize(
     ("page", "said"),
     [
-        ("design", f"{WORDS[verdict.AGREE].capitalize()} rejects in a row that agree"),
-        ("design", f"{WORDS[verdict.AT_MOST]} are believed whatever they are"),
-        ("design", f"Up to {WORDS[tuning.SOON]} readings of lag"),
+        ("design", f"{WORDS[verdict.AT_MOST].capitalize()} rejects in a row are motion"),
+        ("design", f"for {kernel_gate.GOES_ON:g} readings a reject is believed at once"),
+        ("design", f"Up to {WORDS[steps.SOON]} readings of lag"),
         ("design", f"tuned on {WORDS[opening.STRETCHES]} stretches"),
         ("design", f"blocks of {kernel_ahead.BLOCK}"),
         ("design", f"at 500 Hz, {gates.threshold_for(1, 10_000):.2f} at 10 kHz"),

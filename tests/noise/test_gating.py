@@ -8,7 +8,8 @@ import pytest
 from becalm.core.arrays import Booleans, Floats
 from becalm.core.gates import Gate, threshold_for
 from becalm.noise.choose import choose
-from becalm.noise.gating import choose_gated, foretells_better, imputed
+from becalm.noise.gating import choose_gated, foretells_better
+from becalm.noise.imputation import imputed
 from becalm.noise.likelihood import Tuning
 
 ROWS = 6000

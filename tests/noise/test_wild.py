@@ -34,7 +34,7 @@ def robust_error(z: Floats, truth: Floats, causal: bool) -> float:
     elapsed = np.ones(ROWS)
     tuning = choose(z, elapsed, causal).tuning
     assert tuning is not None
-    flow = SwitchingFlow(choose_robust(tuning, z, elapsed, causal).switched.switching, causal=causal)
+    flow = SwitchingFlow(choose_robust(tuning, Evidence.of(z, elapsed), causal).switching, causal=causal)
     signal = np.concatenate([told.signal for told in [*flow.push(z, elapsed), *flow.finish()]])
     return float(np.sqrt(np.mean((signal - truth)[STARTING:] ** 2)))
 
@@ -102,16 +102,3 @@ def test_from_minus_infinity_to_minus_infinity_is_no_gain(monkeypatch: pytest.Mo
 
     banks.searched(banks.Bank([banks.Number(1.0, 1e-4, 1e4)], make), [])
     assert made[-1] == 1.0
-
-
-def test_a_record_may_begin_with_a_wild_reading() -> None:
-    _, z, _ = record("random walk", 2)
-    tuning = choose(z, np.ones(ROWS), True).tuning
-    assert tuning is not None
-    bad = z.copy()
-    bad[0] = 1e6
-    noises = [
-        robust_filter(tuning, Evidence.of(readings, np.ones(ROWS))).switching.modes[0].noise_variance
-        for readings in (z, bad)
-    ]
-    assert noises[1] == pytest.approx(noises[0], rel=0.1)

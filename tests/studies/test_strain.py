@@ -130,8 +130,8 @@ def test_classic_filters_trail_and_kalman_filters_do_not(simulated: Simulated) -
     found = {name: values[SHOWN] for name, values in simulated[0].items()}
     assert found[AVERAGE].ramp_lag_s == pytest.approx((AVERAGED - 1) / 2 * STEP_S)
     assert found[BUTTERWORTH].ramp_lag_s > 1.3
-    for name in (KALMAN, LIKELIEST, BECALM, SMOOTHED):
-        assert abs(found[name].ramp_lag_s) < 0.05
+    for name, most_s in ((KALMAN, 0.05), (LIKELIEST, 0.05), (BECALM, 0.15), (SMOOTHED, 0.05)):
+        assert abs(found[name].ramp_lag_s) < most_s  # a motion that returns to a level trails a ramp a little
         assert 0 < found[name].overshoot < 0.05
 
 

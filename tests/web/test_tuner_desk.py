@@ -249,12 +249,14 @@ def test_a_dial_goes_from_quick_to_calm(order: int, lag: int | None) -> None:
     assert told.lag_s == pytest.approx(found["lag_s"][middle], rel=1e-6, abs=1e-12)
 
 
+@pytest.mark.parametrize("damped_below_hz", [None, 0.1])
 @pytest.mark.parametrize("tones", [(), TONES])
-def test_a_map_is_what_the_likelihood_says(tones: tuple[object, ...]) -> None:
+def test_a_map_is_what_the_likelihood_says(tones: tuple[object, ...], damped_below_hz: float | None) -> None:
     rng = np.random.default_rng(11)
     z = np.cumsum(rng.normal(size=15_000)) * 0.05 + rng.normal(size=15_000)
     rows = ChannelRows(z, even(z).timebase.elapsed_steps, 1 / RATE_HZ)
-    channel = motion(process_noise_density=RATE_HZ * 0.05**2 * 30, noise_std=0.5, tone=tones)
+    density = RATE_HZ * 0.05**2 * 30
+    channel = motion(process_noise_density=density, noise_std=0.5, tone=tones, damped_below_hz=damped_below_hz)
     found = cost_map(rows, channel)
     assert found.cost.min() == 0.0 == found.cost[found.best]
     if not tones:

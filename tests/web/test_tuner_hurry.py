@@ -87,7 +87,7 @@ def test_a_turn_is_shown_in_a_hurry_before_the_gate_judges_anew(
     with served(tmp_path) as tuner, tuner.talk() as page:
         page.opened("folder/drive.csv")
         page.until("figures")
-        number = page.ask("turn", channel=0, settings={"process_noise_density": 3.0})
+        number = page.ask("turn", channel=0, settings={"process_noise_density": 1e4})
         assert [page.picture(number).told["hurried"] for _ in range(2)] == [True, False]
 
 

@@ -65,7 +65,7 @@ def test_a_file_is_opened_judged_and_saved(app: App, folder: Path, look: Look, t
     visit.judged()
     assert page.locator("#verdict").inner_text().startswith(("✓", "!", "✗"))
     assert page.locator("#figures figure:visible").count() >= 5
-    assert page.locator("#lanes").get_attribute("aria-label") == "Verdicts in view: spike in 3 places."
+    assert page.locator("#lanes").get_attribute("aria-label") == "Verdicts in view: outlier in 3 places."
     for role in ("readings", "clean"):
         assert visit.pixels(role)["all"] > 500
     assert page.evaluate(NAMELESS) == []

@@ -10,7 +10,7 @@ from becalm.core.compiling import compile_quickly, kernel_folder, require_compil
 from becalm.core.recording import Recording
 from becalm.core.warming import OF_ALL, is_cold, warm
 from becalm.errors import UsageError
-from becalm.noise.choose import orders_run
+from becalm.noise.choose import sizes_run
 
 
 def compile_ahead(recording: Recording, *, causal: bool, tell: Callable[[str], object]) -> None:
@@ -33,8 +33,8 @@ def compile_ahead(recording: Recording, *, causal: bool, tell: Callable[[str], o
     require_compiler()
     compile_quickly()
     names = ("forward", *(() if causal else ("backward",)), *OF_ALL)
-    orders = orders_run(recording.timebase.elapsed_steps, causal)
-    if kernel_folder() is not None and is_cold(names, orders):
+    sizes = sizes_run(recording.timebase.elapsed_steps, causal)
+    if kernel_folder() is not None and is_cold(names, sizes):
         tell("Compiling the filters for this machine, which is done once and takes some minutes.")
         with suppress(UsageError):  # then they are compiled when they are used
-            deque(warm(names, orders), maxlen=0)
+            deque(warm(names, sizes), maxlen=0)

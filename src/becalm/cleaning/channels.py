@@ -13,9 +13,11 @@ import numpy as np
 from becalm.cleaning.faults import SensorWatch
 from becalm.cleaning.figures import Figures, fixed_figures, mode_figures
 from becalm.cleaning.filtered import FilteredChannel
+from becalm.cleaning.holes import Holes
 from becalm.cleaning.judging import Decision, InnovationJudge, Judgement
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.report import ChannelReport
+from becalm.cleaning.steps import SOON
 from becalm.core.arrays import Floats
 from becalm.core.flow import Judge
 from becalm.core.standing import Before, Rules, standing, standing_of_readings
@@ -100,18 +102,28 @@ class MotionChannel(FilteredChannel):
     ) -> None:
         super().__init__(recipe, step_s, lag)
         self._also = look
-        self._judge = InnovationJudge(step_s, scores=recipe.switching is not None)
+        self._own = recipe.own_steps(step_s)
+        self._judge = InnovationJudge(step_s * self._own, scores=recipe.switching is not None)
         self._flow = self._runs.opened(self._look, split=split)
+        self._holes = Holes(recipe.hole, self._own) if lag is None and recipe.hole else None
 
     def push(self, z: Floats, elapsed: Floats) -> list[Told]:
         """Take readings (B,) and the steps before them; return what is clean, in order."""
         if self._timing is not None:
             self._timing.push(elapsed)
-        return self._counted(self._flow.push(self.sensor.push(z, elapsed), elapsed))
+        if self._holes is not None:
+            self._holes.push(elapsed)
+        usable, steps = self.sensor.push(z, elapsed)
+        self._sentinel.push(usable)
+        told = self._flow.push(usable, steps)
+        return self._counted(told if self._holes is None else self._holes.bridged(told))
 
     def finish(self) -> list[Told]:
         """Return the rest."""
-        return self._counted(self._flow.finish())
+        usable, steps = self.sensor.finish()
+        self._sentinel.push(usable)
+        told = [*self._flow.push(usable, steps), *self._flow.finish()]
+        return self._counted(told if self._holes is None else [*self._holes.bridged(told), *self._holes.finish()])
 
     def begin_after(self, before: Before) -> None:
         """Say what went before the rows that will be pushed."""
@@ -123,12 +135,14 @@ class MotionChannel(FilteredChannel):
         held = self._flow.saved() if self._lag == 0 else None
         if held is None:
             return None
-        return held | self.sensor.saved() | ({} if self._timing is None else self._timing.saved())
+        timing = {} if self._timing is None else self._timing.saved()
+        return held | self.sensor.saved() | self._sentinel.saved() | timing
 
     def restore(self, arrays: Mapping[str, Any]) -> None:
         """Take over what `saved` returned."""
         self._flow.restore(arrays)
         self.sensor.restore(arrays)
+        self._sentinel.restore(arrays)
         if self._timing is not None:
             self._timing.restore(arrays)
 
@@ -140,8 +154,9 @@ class MotionChannel(FilteredChannel):
         gate, watch = self._runs.gate, self.sensor
         at_most = np.inf if gate is None else gate.at_most
         states, reach = len(self._runs.tuning.component.drift), self._runs.reach
+        rules = Rules(states, reach, at_most, watch.stuck, watch.monitor.alarms, watch.remembers)
         timing = {} if self._timing is None else {"timing": held["timing_slopes"]}
-        return standing(held, Rules(states, reach, at_most, watch.stuck, watch.monitor.alarms)) | timing
+        return standing(held, rules) | {"sentinel": held["sentinel"]} | timing
 
     @property
     def surely_alive(self) -> bool:
@@ -157,8 +172,8 @@ class MotionChannel(FilteredChannel):
     def report(self) -> ChannelReport:
         """Say what was found, once finished."""
         tuning, figures = self._runs.tuning, self._figures()
-        smooths = self._lag is None and figures.removes_noise
-        found = self._judge.judgement(partial(excess_error, tuning) if smooths else None)
+        smooths = (self._lag is None or self._lag > SOON) and figures.removes_noise
+        found = self._judge.judgement(partial(excess_error, tuning.counted_in(self._own)) if smooths else None)
         says = f"{found.says} {_NOTHING_REMOVED}" if figures.removes_nothing else found.says
         says = " ".join([says, *([] if self._timing is None else self._timing.says())])
         return ChannelReport(
@@ -191,7 +206,7 @@ class MotionChannel(FilteredChannel):
     def _figures(self) -> Figures:
         if self._runs.modes is not None:
             return mode_figures(self._runs.modes, self._flow.shares, self._step_s, self._lag)
-        return fixed_figures(self._runs.tuning, self._step_s, self._lag)
+        return fixed_figures(self._runs.tuning.counted_in(self._own), self._step_s * self._own, self._lag)
 
     def _tones_hz(self, *, disturbance: bool) -> tuple[float, ...]:
         return tuple(tone.frequency_hz for tone in self._recipe.tone if tone.disturbance == disturbance)
@@ -209,7 +224,7 @@ class UnchangedChannel:
 
     def push(self, z: Floats, elapsed: Floats) -> list[Told]:
         """Take readings (B,) and give them back."""
-        readings = self._sensor.push(z, elapsed)
+        readings, _ = self._sensor.push(z, elapsed)
         seen = readings[np.isfinite(readings)]
         self._seen += len(seen)
         if len(seen):
@@ -239,7 +254,7 @@ class UnchangedChannel:
 
     def standing(self) -> dict[str, Floats]:
         """Return what verdicts of later rows depend on and nothing else, so that it can be compared."""
-        return standing_of_readings(self.saved(), self._sensor.stuck)
+        return standing_of_readings(self.saved(), self._sensor.stuck, self._sensor.remembers)
 
     surely_alive = True
     """No filter is asked."""
@@ -283,7 +298,7 @@ def _named(counts: Counter[Verdict]) -> dict[str, int]:
 
 def _advice(counts: Counter[Verdict], but: Verdict | None = None) -> tuple[str, ...]:
     """Say what to do about what a filter met; of faults the sensor's watch tells."""
-    met = (Verdict.MISSING, Verdict.SPIKE, Verdict.STEP)
+    met = (Verdict.MISSING, Verdict.SPIKE, Verdict.STEP, Verdict.HOLE, Verdict.RUNAWAY)
     return tuple(ADVICE[verdict] for verdict in met if verdict != but and counts[verdict])
 
 

@@ -23,7 +23,7 @@ _PUSHED = 1 << 19
 
 _FAR = 16  # times what it comes back over
 
-_IMPOSSIBLE = np.isin(list(Verdict), (Verdict.NONFINITE, Verdict.OVERRANGE))
+_IMPOSSIBLE = np.isin(list(Verdict), (Verdict.NONFINITE, Verdict.OVERRANGE, Verdict.OUTLIER))
 
 _GATED = 1024  # rows more: what a gate has rejected in a row is looked at anew
 
@@ -53,31 +53,31 @@ class ChannelRows:
 
     def __init__(self, z: Floats, elapsed: Floats, step_s: float, limits: LimitsRecipe | None = None) -> None:
         self.z, self.elapsed, self.step_s, self._limits = z, elapsed, step_s, limits
-        self._healthy: dict[LimitsRecipe | None, Healthy] = {}
+        self._healthy: dict[tuple[LimitsRecipe | None, bool], Healthy] = {}
 
     def __len__(self) -> int:
         """Return how many there are."""
         return len(self.z)
 
-    def healthy(self, limits: LimitsRecipe | None) -> Healthy:
-        """Return the readings that may enter a filter; what the sensor keeps to is looked at once."""
-        plain = _plain(limits)
+    def healthy(self, limits: LimitsRecipe | None, *, waits: bool = False) -> Healthy:
+        """Return the readings that may enter a filter, perhaps one that waits for all; they are looked at once."""
+        plain = _plain(limits), waits
         found = self._healthy.get(plain)
         if found is None:
-            watch = SensorWatch(plain, self.step_s, shown=False)
-            readings = watch.push(self.z, self.elapsed)
+            watch = SensorWatch(plain[0], self.step_s, shown=False, waits=waits)
+            readings = np.concatenate([watch.push(self.z, self.elapsed)[0], watch.finish()[0]])
             nothing = np.empty(len(self.z))
             (told,) = watch.named([Told(nothing, nothing, nothing[np.newaxis], np.zeros(len(self.z), np.int8))])
             found = Healthy(readings, told.verdicts, self._longest_gap(readings))
             self._healthy = {**({} if len(self._healthy) > 1 else self._healthy), plain: found}
         return found
 
-    def without(self, spikes: Integers, limits: LimitsRecipe | None) -> ChannelRows:
+    def without(self, spikes: Integers, limits: LimitsRecipe | None, *, waits: bool = False) -> ChannelRows:
         """Return the rows as if these readings were missing, as they are to a filter whose gate leaves them out."""
-        healthy, other = self.healthy(limits), ChannelRows(self.z, self.elapsed, self.step_s, self._limits)
+        healthy, other = self.healthy(limits, waits=waits), ChannelRows(self.z, self.elapsed, self.step_s, self._limits)
         readings, verdicts = healthy.readings.copy(), healthy.verdicts.copy()
         readings[spikes], verdicts[spikes] = np.nan, Verdict.SPIKE
-        other._healthy = {_plain(limits): Healthy(readings, verdicts, self._longest_gap(readings))}
+        other._healthy = {(_plain(limits), waits): Healthy(readings, verdicts, self._longest_gap(readings))}
         return other
 
     def possible(self, part: slice) -> Floats:
@@ -128,7 +128,7 @@ class Run:
     def __init__(self, rows: ChannelRows, recipe: ChannelRecipe, lag: int | None) -> None:
         self._rows, self._recipe, self._lag = rows, recipe, lag
         self.filter = Filter(recipe, rows.step_s, lag)
-        self.healthy = rows.healthy(recipe.limits)
+        self.healthy = rows.healthy(recipe.limits, waits=lag is None)
         kept = self.filter.forgotten_after + (0 if recipe.gate is None else _GATED)
         self._margin = int(min(kept, len(rows))) + BLOCK
 
@@ -141,7 +141,7 @@ class Run:
         """Give what is told of rows first to stop, in parts: the filter begins so much before them as it needs."""
         recipe, rows = self._recipe, self._rows
         begin, end = self._begun(first), self._ended(stop)
-        flow, uncertainty = self.filter.opened(), Uncertainty(recipe.tuning_spread, recipe.calibration)
+        flow, uncertainty = self.filter.opened(), Uncertainty(recipe.tuning_spread, recipe.calibration, recipe.limits)
         timing = None
         if recipe.timing is not None:
             timing = TimingNoise(recipe.timing, self.filter.noise_std, rows.step_s)

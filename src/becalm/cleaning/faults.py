@@ -8,16 +8,20 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from becalm.cleaning.limits_entry import alarms_of, limits_of, written
 from becalm.cleaning.recipe_parts import LimitsRecipe
 from becalm.core.arrays import Codes, Floats
-from becalm.core.clock import GAP_STEPS
 from becalm.core.faults import Faults, Found, said
-from becalm.core.limits import Limits, find_limits
-from becalm.core.monitor import NEVER, Alarms, InnovationMonitor
+from becalm.core.held import EVERY_REPEAT
+from becalm.core.kernel_outliers import HELD, OUT
+from becalm.core.limits import find_limits, stuck_at_once
+from becalm.core.look_ahead import LookAhead
+from becalm.core.monitor import InnovationMonitor
 from becalm.core.noise_change import said_of_change
+from becalm.core.outliers import NO_OUTLIERS, beside_others
 from becalm.core.standing import Before
 from becalm.core.told import Told
-from becalm.core.verdict import ADVICE, BEYOND_ANY_SENSOR, Verdict
+from becalm.core.verdict import ADVICE, LOST, Verdict
 
 FALSE_ALARMS_PER_HOUR = 1.0
 """Healthy stretches of an hour that may be called stuck; a *small* one trusts the sensor."""
@@ -28,7 +32,6 @@ MOST_LOST = 0.5
 _PIECE = 1 << 16  # rows whose arrays stay in the cache
 _LOST = (Verdict.CLIPPED, Verdict.STUCK)
 _FROM_FILTER = np.isin(list(Verdict), [Verdict.OVERRANGE, Verdict.SPIKE, Verdict.STEP])
-_ENTERS = np.isin(list(Verdict), [Verdict.USED, Verdict.LATE, Verdict.REPEATED, Verdict.GAP])
 
 
 @dataclass(frozen=True)
@@ -59,11 +62,12 @@ class Fault:
 class Healthy(NamedTuple):
     """Readings of a channel to tune on."""
 
-    readings: Floats  # (N,) NaN where missing, impossible, clipped or stuck
+    readings: Floats  # (N,) NaN where missing, impossible, clipped, stuck or a gross outlier
+    outliers: Floats  # (N,) the gross outliers, held within what is plausible; NaN elsewhere
     limits: LimitsRecipe | None
 
 
-def find_healthy(z: Floats, elapsed: Floats, step_s: float) -> Healthy:
+def find_healthy(z: Floats, elapsed: Floats, step_s: float, *, causal: bool = False) -> Healthy:
     """Find what a channel keeps to, and leave out the readings that do not.
 
     Parameters
@@ -74,6 +78,8 @@ def find_healthy(z: Floats, elapsed: Floats, step_s: float) -> Healthy:
         Steps since the row before.
     step_s : float
         One step, in seconds.
+    causal : bool
+        Whether gross outliers are those of a filter that waits for no later readings, which lets more of them in.
 
     Returns
     -------
@@ -81,41 +87,15 @@ def find_healthy(z: Floats, elapsed: Floats, step_s: float) -> Healthy:
         The readings as they came where all are usable.
     """
     limits = find_limits(z, elapsed, FALSE_ALARMS_PER_HOUR, step_s)
-    codes = Faults(limits).push(z, elapsed)
-    enters = _ENTERS[codes]
-    return Healthy(z if enters.all() else np.where(enters, z, np.nan), _told(limits))
-
-
-def _told(limits: Limits) -> LimitsRecipe | None:
-    """Write limits as a recipe does; None where only the time could be told of."""
-    rails = [float(rail) if np.isfinite(rail) else None for rail in limits.rails]
-    largest = limits.largest if limits.largest < BEYOND_ANY_SENSOR else None
-    if rails == [None, None] and limits.stuck_readings is None and largest is None:
-        return None
-    return LimitsRecipe(
-        low=rails[0],
-        high=rails[1],
-        resolution=limits.resolution or None,
-        stuck_readings=limits.stuck_readings,
-        even_time=limits.even,
-        gap_steps=None if limits.gap_steps == GAP_STEPS else limits.gap_steps,
-        largest=largest,
-    )
-
-
-def limits_of(told: LimitsRecipe | None) -> Limits:
-    """Return the limits of a recipe; where it has none, no reading is clipped or stuck, and no row late."""
-    if told is None:
-        return Limits(even=False)
-    return Limits(
-        low=-np.inf if told.low is None else told.low,
-        high=np.inf if told.high is None else told.high,
-        resolution=told.resolution or 0.0,
-        stuck_readings=told.stuck_readings,
-        gap_steps=told.gap_steps or GAP_STEPS,
-        even=bool(told.even_time),
-        largest=told.largest or BEYOND_ANY_SENSOR,
-    )
+    codes = Faults(limits if causal else limits._replace(outliers=NO_OUTLIERS)).push(z, elapsed)
+    rule = limits.outliers
+    if not causal:
+        possible = np.where(np.isfinite(z) & (np.abs(z) <= limits.largest) & (z != rule.blank), z, np.nan)
+        found = beside_others(possible, rule, stuck_at_once(limits))
+        codes[(found == OUT) & ~LOST[codes]], codes[found == HELD] = Verdict.OUTLIER, Verdict.STUCK
+    enters = ~LOST[codes] & (z != rule.blank)
+    outliers = np.where((codes == Verdict.OUTLIER) & (z != rule.blank), np.clip(z, rule.low, rule.high), np.nan)
+    return Healthy(z if enters.all() else np.where(enters, z, np.nan), outliers, written(limits))
 
 
 class SensorWatch:
@@ -131,6 +111,8 @@ class SensorWatch:
         One step, in seconds.
     shown : bool
         Whether it will be shown innovations.
+    waits : bool
+        Whether rows wait for later ones, so that gross outliers are found by readings on both sides.
 
     Attributes
     ----------
@@ -140,8 +122,12 @@ class SensorWatch:
         Of the innovations.
     """
 
-    def __init__(self, told: LimitsRecipe | None, step_s: float, *, shown: bool = True) -> None:
-        self._faults, self.monitor, self._shown = Faults(limits_of(told)), InnovationMonitor(alarms_of(told)), shown
+    def __init__(self, told: LimitsRecipe | None, step_s: float, *, shown: bool = True, waits: bool = False) -> None:
+        limits = limits_of(told)
+        self._ahead = LookAhead(limits) if waits and limits.outliers.distance < np.inf else None
+        if waits:
+            limits = limits._replace(outliers=NO_OUTLIERS._replace(blank=limits.outliers.blank))
+        self._faults, self.monitor, self._shown = Faults(limits), InnovationMonitor(alarms_of(told)), shown
         self._verdicts: Codes = np.empty(0, np.int8)  # of rows that the filter still holds
         self._alarms: Codes = np.empty(0, np.int8)  # of rows whose innovations it has told before the rows themselves
         self._elapsed = np.empty(0)  # before rows without innovations yet
@@ -152,16 +138,40 @@ class SensorWatch:
         """How many equal readings in a row are called stuck; 0: none are."""
         return self._faults.limits.stuck_readings or 0
 
-    def push(self, z: Floats, elapsed: Floats) -> Floats:
-        """Take readings (B,) and the steps before them; return them, NaN where none may enter the filter."""
+    @property
+    def remembers(self) -> bool:
+        """Whether the last six readings matter to the verdicts of later ones."""
+        return bool(self._faults.limits.outliers.causal_distance < np.inf)
+
+    def push(self, z: Floats, elapsed: Floats) -> tuple[Floats, Floats]:
+        """Take readings (B,) and the steps before them.
+
+        Returns
+        -------
+        (float array, float array)
+            The next readings, NaN where none may enter the filter, and the steps before them; fewer where rows wait.
+        """
+        if self._ahead is None:
+            return self._usable(z, elapsed, None), elapsed
+        z, elapsed, beside = self._ahead.push(z, elapsed)
+        return self._usable(z, elapsed, beside), elapsed
+
+    def finish(self) -> tuple[Floats, Floats]:
+        """Return the readings that waited, as `push` does."""
+        if self._ahead is None:
+            return np.empty(0), np.empty(0)
+        z, elapsed, beside = self._ahead.finish()
+        return self._usable(z, elapsed, beside), elapsed
+
+    def _usable(self, z: Floats, elapsed: Floats, beside: Codes | None) -> Floats:
         if not len(z):
             return z
-        verdicts = self._faults.push(z, elapsed)
+        verdicts = self._faults.push(z, elapsed, beside)
         self._verdicts = np.append(self._verdicts, verdicts)
         if self._shown:
             self._elapsed = np.append(self._elapsed, elapsed)  # a copy: the caller may write into its own
         self.rows += len(z)
-        return np.where(_ENTERS[verdicts], z, np.nan) if verdicts.any() else z
+        return np.where(LOST[verdicts], np.nan, z) if verdicts.any() else z
 
     def begin_after(self, before: Before) -> None:
         """Say what went before the rows that will come."""
@@ -204,8 +214,26 @@ class SensorWatch:
     @property
     def found(self) -> dict[Verdict, Found]:
         """What is wrong with readings, with their time, or with innovations; what is missing is no fault."""
-        found = {verdict: one for verdict, one in self._faults.found.items() if verdict != Verdict.MISSING}
+        told = (Verdict.MISSING, Verdict.STUCK) if self._holds else (Verdict.MISSING,)
+        found = {verdict: one for verdict, one in self._faults.found.items() if verdict not in told}
         return found | self.monitor.found
+
+    @property
+    def _holds(self) -> bool:
+        return self.stuck == EVERY_REPEAT
+
+    def _said_of_repeats(self) -> list[str]:
+        """Say how often a channel repeats a reading because no new one came."""
+        found = self._faults.found.get(Verdict.STUCK)
+        if not self._holds or found is None:
+            return []
+        if found.readings > MOST_LOST * self.rows:
+            new = self.rows / (self.rows - found.readings)
+            return [
+                f"The sensor is slower than its log: a new reading comes every {new:.3g} rows on average; the rows"
+                " between repeat it and count as missing."
+            ]
+        return [f"{found.readings} of {self.rows} rows only repeat the reading before and count as missing."]
 
     def faults(self) -> tuple[Fault, ...]:
         """Tell each fault, with when it came first."""
@@ -233,7 +261,7 @@ class SensorWatch:
         told = said(self.found, self._faults.limits, self._step_s)
         if lost > MOST_LOST * self.rows:
             told.insert(0, f"{lost} of {self.rows} readings are clipped or stuck: between them the signal is a guess.")
-        return [*told, *self.changes()]
+        return [*self._said_of_repeats(), *told, *self.changes()]
 
     def changes(self) -> list[str]:
         """Say from when on the noise was another."""
@@ -247,10 +275,3 @@ class SensorWatch:
 def beside_filter(verdicts: Codes, before: Codes) -> Codes:
     """Return what became of readings: what their filter says of them, (B,), and else what stood before it says."""
     return np.where(_FROM_FILTER[verdicts], verdicts, before) if verdicts.any() else before
-
-
-def alarms_of(told: LimitsRecipe | None) -> Alarms:
-    """Return when a channel drifts or is dead; never where the recipe does not say."""
-    drift = None if told is None else told.drift_threshold
-    dead = None if told is None else told.dead_variance
-    return Alarms(NEVER if drift is None else drift, 0.0, np.inf, dead or 0.0)

@@ -78,9 +78,9 @@ def response_of(channel: ChannelRecipe, report: ChannelReport, step_s: float, ca
     """
     if channel.motion is None:
         return None
-    tuning = in_steps(channel.motion, step_s)
+    tuning, own = in_steps(channel.motion, step_s), channel.own_steps(step_s)
     if channel.switching is None:
-        return fixed_response(tuning, step_s, causal)
+        return fixed_response(tuning.counted_in(own), step_s * own, causal)
     modes = {mode.name: mode for mode in modes_in_steps(channel.switching, tuning, step_s).modes}
     most = modes[max(report.modes, key=lambda name: report.modes[name].share)]
     return _response(most.component, most.noise_variance, step_s, causal=causal)

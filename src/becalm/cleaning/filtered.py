@@ -6,9 +6,11 @@ from collections import Counter
 
 from becalm.cleaning.faults import SensorWatch
 from becalm.cleaning.filters import Filter
+from becalm.cleaning.limits_entry import limits_of
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.slopes import TimingNoise
 from becalm.cleaning.uncertainty import Uncertainty
+from becalm.core.sentinel import Sentinel
 from becalm.core.told import Told
 from becalm.core.verdict import Verdict, counted
 
@@ -41,14 +43,15 @@ class FilteredChannel:
     def __init__(self, recipe: ChannelRecipe, step_s: float, lag: int | None) -> None:
         self._recipe, self._step_s, self._lag = recipe, step_s, lag
         self._runs = Filter(recipe, step_s, lag)
-        self.sensor, self.counts = SensorWatch(recipe.limits, step_s), Counter[Verdict]()
-        self._uncertainty = Uncertainty(recipe.tuning_spread, recipe.calibration)
+        self.sensor, self.counts = SensorWatch(recipe.limits, step_s, waits=lag is None), Counter[Verdict]()
+        self._sentinel = Sentinel(limits_of(recipe.limits), recipe.unknown_from)
+        self._uncertainty = Uncertainty(recipe.tuning_spread, recipe.calibration, recipe.limits)
         timing = recipe.timing
         self._timing = None if timing is None else TimingNoise(timing, self._runs.noise_std, step_s)
 
     def _counted(self, told: list[Told]) -> list[Told]:
         """Return what a filter tells, with what else became of readings, and sigma as wide as it has to be."""
-        told = self.sensor.named(told)
+        told = [self._sentinel.told(part) for part in self.sensor.named(told)]
         for part in told:
             self.counts.update(counted(part.verdicts))
         if self._timing is not None:

@@ -65,7 +65,8 @@ class LiveMotion(FilteredChannel):
         """Take readings (B,) and the steps before them; return what is clean, in order."""
         if self._timing is not None:
             self._timing.push(elapsed)
-        usable = self.sensor.push(z, elapsed)
+        usable, _ = self.sensor.push(z, elapsed)
+        self._sentinel.push(usable)
         steps = np.round(elapsed) if self._runs.tuning.component.goes_in_steps else elapsed
         return self._counted(self._flow.push(usable, steps))
 
@@ -79,12 +80,14 @@ class LiveMotion(FilteredChannel):
     def saved(self) -> dict[str, Any]:
         """Return what rows depend on, as arrays."""
         timing = {} if self._timing is None else self._timing.saved()
-        return self._flow.saved() | self.sensor.saved() | timing | {"counts": _listed(self.counts)}
+        beside = self.sensor.saved() | self._sentinel.saved() | timing
+        return self._flow.saved() | beside | {"counts": _listed(self.counts)}
 
     def restore(self, arrays: Mapping[str, Any]) -> None:
         """Take over what `saved` returned."""
         self._flow.restore(arrays)
         self.sensor.restore(arrays)
+        self._sentinel.restore(arrays)
         self.counts = _named(arrays["counts"])
         if self._timing is not None:
             self._timing.restore(arrays)
@@ -98,7 +101,7 @@ class LiveUnchanged:
 
     def push(self, z: Floats, elapsed: Floats) -> list[Told]:
         """Take readings (B,) and give them back."""
-        readings, count = self.sensor.push(z, elapsed), len(z)
+        (readings, _), count = self.sensor.push(z, elapsed), len(z)
         nothing = Told(readings, np.full(count, np.nan), np.empty((0, count)), np.zeros(count, np.int8))
         told = self.sensor.named([nothing])
         self.counts.update(counted(told[0].verdicts))

@@ -5,21 +5,20 @@ from __future__ import annotations
 import numpy as np
 
 from becalm.cleaning.recipe_modes import ModeRecipe, SwitchingRecipe
-from becalm.core.components import Component, motion, with_walking_level
+from becalm.core.components import LEVEL_RATE, Component, motion, returning_motion, with_walking_level
 from becalm.core.switching import Mode, Switching
 from becalm.errors import ModelError, RecipeError
+from becalm.noise.banks import Kind
 from becalm.noise.likelihood import Tuning
-from becalm.noise.switching import Switched
 
 _LEAST, _GREATEST = 1e-250, 1e250  # of variances, unit^2: beyond, their products leave float64
 _GREATEST_RATIO = 1e30  # of q/r: beyond, what is known of a state is lost to rounding
 
 
-def modes_in_seconds(found: Switched, step_s: float) -> SwitchingRecipe:
-    """Return the modes of a channel, found in steps, as its recipe tells them."""
-    bank = found.switching
+def modes_in_seconds(kind: Kind, bank: Switching, step_s: float) -> SwitchingRecipe:
+    """Return the modes of a channel, in steps of so many seconds, as its recipe tells them."""
     return SwitchingRecipe(
-        kind=found.kind,
+        kind=kind,
         wild_std=float(np.sqrt(bank.wild_variance)),
         rejects=bank.rejects,
         mode=tuple(_mode_in_seconds(mode, step_s) for mode in bank.modes),
@@ -52,7 +51,10 @@ def modes_in_steps(told: SwitchingRecipe, tuning: Tuning, step_s: float) -> Swit
 
 
 def _mode_in_seconds(mode: Mode, step_s: float) -> ModeRecipe:
-    order = len(mode.component.parts[0].state_names)
+    states, component = len(mode.component.parts[0].state_names), mode.component
+    order, damping = states, 0.0
+    if component.returns:
+        order, damping = states - 1, -float(component.drift[states - 1, states - 1]) / LEVEL_RATE
     return ModeRecipe(
         name=mode.name,
         order=order,
@@ -62,6 +64,7 @@ def _mode_in_seconds(mode: Mode, step_s: float) -> ModeRecipe:
         lasts_s=mode.lasts * step_s,
         then=mode.then,
         wild_share=mode.wild_share,
+        damped_below_hz=damping / (2 * np.pi * step_s) if damping else None,
         with_tones=len(mode.component.parts) > 1,
     )
 
@@ -80,7 +83,8 @@ def _mode_in_steps(told: ModeRecipe, tuning: Tuning, step_s: float) -> Mode:
             f"mode {told.name!r} has process_noise_density = {told.process_noise_density:.3g} and noise_std ="
             f" {told.noise_std:.3g}, which is out of reach; mend one of them, or choose a unit nearer to its size."
         )
-    component = motion(told.order, density)
+    damping = 0.0 if told.damped_below_hz is None else 2 * np.pi * told.damped_below_hz * step_s
+    component = returning_motion(told.order, density, damping) if damping else motion(told.order, density)
     if told.with_tones:
         component = sum(tuning.companions, component)
     if told.level_noise_density > 0:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal, NamedTuple, Self
 
+import numpy as np
 import tomlkit
 from pydantic import Field, field_validator, model_validator
 
@@ -13,6 +14,7 @@ from becalm.cleaning.recipe_parts import (
     CalibrationRecipe,
     ColouredNoiseRecipe,
     GateRecipe,
+    HoleRecipe,
     LimitsRecipe,
     NotNegative,
     Positive,
@@ -23,17 +25,24 @@ from becalm.cleaning.recipe_parts import (
 from becalm.cleaning.toml_text import TomlKind
 from becalm.errors import RecipeError
 
-VERSION: Literal[4] = 4  # 1 knew no tones, 2 no disturbances, 3 no gates, lags and spread; all are read
+VERSION: Literal[5] = 5  # 1 knew no tones, 2 disturbances, 3 gates, lags, spread, 4 damping, outliers; all are read
 
 _HEADER = """A recipe of becalm: what was decided for each channel.
 Use it again:  becalm clean FILE -o OUT --recipe THIS
 A small process_noise_density trusts the model and smooths more; a small noise_std trusts the readings.
+Motion slower than damped_below_hz is damped: without readings the signal returns to its own level and spread.
+In a hole the departure of a smoother from a line across it fades, and sigma grows, by powers of sigma over that beside
+the hole: model_fading and sigma_growth, for holes of so many readings.
+Where sigma is nearly as wide as spread_std and no reading came, nothing is told, but with fill = true.
 A tone with disturbance = true, and coloured_noise, are taken off the signal.
 A gate leaves spikes out and follows steps; without one every reading is believed.
-Readings at low or high, or beyond, are clipped, and stuck from so many equal ones on: they count as missing.
+Readings at low or high, or beyond, are clipped, and stuck from so many equal ones on; those farther than
+outlier_distance from their neighbours are gross outliers: they count as missing.
 sigma is widened by the share tuning_spread; [channel.calibration] with relative_std, offset_std adds what averaging
 does not lower; [channel.timing] with std_s adds to the noise where the signal moves, beyond its included_std."""
 
+
+_KNOWS_NOTHING = 0.95  # of the spread of the readings: nine tenths of their variance are unknown
 
 _KIND = TomlKind("recipe", RecipeError)
 
@@ -46,6 +55,7 @@ class TunedMotion(NamedTuple):
     order: int
     process_noise_density: float
     noise_std: float
+    damped_below_hz: float | None = None
     tones: tuple[ToneRecipe, ...] = ()
     coloured_noise: ColouredNoiseRecipe | None = None
 
@@ -65,8 +75,18 @@ class ChannelRecipe(Settings):
         q, in unit^2/s^(2 order - 1); a *small* one trusts the model and smooths more.
     noise_std : float or None
         Standard deviation of one reading's noise, in unit; a *small* one trusts the readings.
+    damped_below_hz : float or None
+        Motion slower than this is damped: without readings the signal returns to its own level, and sigma to its own
+        spread. With a *small* one it returns late; None of a motion that does not return.
     tuning_spread : float
         Share by which sigma is wider for what the tuning does not know; a *small* one trusts the tuning.
+    spread_std : float or None
+        Standard deviation of the readings. Where no reading came and sigma is nearly as wide, the model knows nothing,
+        and nothing is told; None tells everywhere.
+    fill : bool
+        Whether its guess is told even there.
+    rate_hz : float or None
+        Readings a second, where they come more seldom than rows: its bandwidth is that of a filter at this rate.
     coloured_noise : ColouredNoiseRecipe or None
         Beside the white noise.
     calibration : CalibrationRecipe or None
@@ -75,6 +95,8 @@ class ChannelRecipe(Settings):
         What is uncertain in the time of its readings.
     tone : tuple of ToneRecipe
         Oscillations beside the motion.
+    hole : tuple of HoleRecipe
+        What a smoother is worth where readings are missing, for holes of some lengths; without any, what it says.
     gate : GateRecipe or None
         What leaves spikes out; None believes every reading.
     switching : SwitchingRecipe or None
@@ -89,11 +111,16 @@ class ChannelRecipe(Settings):
     order: Annotated[int, Field(ge=1, le=5)] | None = None
     process_noise_density: NotNegative | None = None
     noise_std: Positive | None = None
+    damped_below_hz: Positive | None = None
     tuning_spread: NotNegative = 0.0
+    spread_std: Positive | None = None
+    fill: bool = False
+    rate_hz: Positive | None = None
     coloured_noise: ColouredNoiseRecipe | None = None
     calibration: CalibrationRecipe | None = None
     timing: TimingRecipe | None = None
     tone: Annotated[tuple[ToneRecipe, ...], Field(max_length=32)] = ()  # each two states more
+    hole: Annotated[tuple[HoleRecipe, ...], Field(max_length=16)] = ()
     gate: GateRecipe | None = None
     switching: SwitchingRecipe | None = None
     limits: LimitsRecipe | None = None
@@ -103,6 +130,15 @@ class ChannelRecipe(Settings):
         if self.model == "motion" and None in (self.order, self.process_noise_density, self.noise_std):
             raise ValueError("a motion needs order, process_noise_density and noise_std")
         return self
+
+    def own_steps(self, step_s: float) -> float:
+        """Return how many steps of a recording its readings lie apart; 1 where a row has one."""
+        return 1.0 if self.rate_hz is None else max(1.0, 1 / (self.rate_hz * step_s))
+
+    @property
+    def unknown_from(self) -> float:
+        """Sigma from which on a row without a reading is a hole, in unit; inf where it never is."""
+        return np.inf if self.fill or self.spread_std is None else _KNOWS_NOTHING * self.spread_std
 
     @property
     def parts(self) -> tuple[str, ...]:
@@ -122,7 +158,14 @@ class ChannelRecipe(Settings):
         """The motion's numbers, or None if the channel passes unchanged."""
         if self.model != "motion" or self.order is None or self.process_noise_density is None or self.noise_std is None:
             return None
-        return TunedMotion(self.order, self.process_noise_density, self.noise_std, self.tone, self.coloured_noise)
+        return TunedMotion(
+            self.order,
+            self.process_noise_density,
+            self.noise_std,
+            self.damped_below_hz,
+            self.tone,
+            self.coloured_noise,
+        )
 
 
 class Origin(Settings):
@@ -169,7 +212,7 @@ class Recipe(Settings):
         One for each channel to clean.
     """
 
-    becalm_recipe: Literal[1, 2, 3, 4] = VERSION
+    becalm_recipe: Literal[1, 2, 3, 4, 5] = VERSION
     mode: Mode = "smoothed"
     lag_s: Positive | None = None
     time: str | None = None
@@ -211,7 +254,7 @@ class Recipe(Settings):
         document.add("tuned_on", tomlkit.item(self.tuned_on.model_dump()))
         channels = tomlkit.aot()
         for channel in self.channel:
-            unneeded = {field for field in ("tone", "tuning_spread") if not getattr(channel, field)}
+            unneeded = {field for field in ("tone", "tuning_spread", "fill", "hole") if not getattr(channel, field)}
             channels.append(tomlkit.item(channel.model_dump(exclude_none=True, exclude=unneeded)))
         document.add("channel", channels)
         return tomlkit.dumps(document)

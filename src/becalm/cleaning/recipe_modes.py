@@ -30,6 +30,8 @@ class ModeRecipe(Settings):
         The mode that comes after it; "" for any other.
     wild_share : float
         Share of wild readings; a *small* one believes in a switch sooner.
+    damped_below_hz : float or None
+        Motion slower than this is damped, as in the channel's recipe.
     with_tones : bool
         Whether the channel's tones and coloured noise are there in this mode.
     """
@@ -42,6 +44,7 @@ class ModeRecipe(Settings):
     lasts_s: Positive
     then: str = ""
     wild_share: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    damped_below_hz: Positive | None = None
     with_tones: bool = False
 
 
@@ -50,7 +53,7 @@ class SwitchingRecipe(Settings):
 
     Attributes
     ----------
-    kind : {"resting", "jumping", "noisy", "spiky"}
+    kind : {"resting", "jumping", "noisy", "spiky", "bursting"}
         Which bank they are of.
     wild_std : float
         How far wild readings are spread beyond the noise, in unit; with a *small* one a far reading is a switch rather
@@ -61,7 +64,7 @@ class SwitchingRecipe(Settings):
         One of them is in force at a time.
     """
 
-    kind: Literal["resting", "jumping", "noisy", "spiky"]
+    kind: Literal["resting", "jumping", "noisy", "spiky", "bursting"]
     wild_std: NotNegative = 0.0
     rejects: bool = False
     mode: Annotated[tuple[ModeRecipe, ...], Field(min_length=1, max_length=8)]

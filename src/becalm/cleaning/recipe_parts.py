@@ -62,6 +62,25 @@ class ColouredNoiseRecipe(Settings):
     std: Positive
 
 
+class HoleRecipe(Settings):
+    """What a smoother is worth in holes of one length, as readings showed that were hidden.
+
+    Attributes
+    ----------
+    readings : int
+        That are missing in such a hole.
+    model_fading : float
+        Of the model's departure from a line across the hole a share is told: sigma beside the hole over sigma, to this
+        power; a *small* one trusts the model.
+    sigma_growth : float
+        Sigma is wider than the model's by the inverse of that, to this power; a *small* one trusts the model.
+    """
+
+    readings: Annotated[int, Field(ge=2)]
+    model_fading: NotNegative
+    sigma_growth: NotNegative
+
+
 class GateRecipe(Settings):
     """What leaves spikes out, and follows steps.
 
@@ -96,6 +115,8 @@ class LimitsRecipe(Settings):
         The rails, in unit: readings there or beyond are clipped, and count as missing.
     resolution : float or None
         The step between two codes, in unit; None where readings lie on no lattice.
+    rounding_std : float or None
+        What the steps between codes leave in the signal, in unit, however long it is averaged; it widens sigma.
     stuck_readings : int or None
         From so many equal readings in a row on they count as missing; a *small* one finds a stuck channel
         sooner, and calls slow signals stuck.
@@ -105,6 +126,17 @@ class LimitsRecipe(Settings):
         More steps than this since the row before are a gap; 1.5 by default.
     largest : float or None
         Readings of a greater magnitude, in unit, are none, and count as missing; None for 1e100.
+    outlier_distance : float or None
+        Readings farther, in unit, from the median of three readings on each side, and than these lie apart, are gross
+        outliers of a smoother, and count as missing; a *small* one finds more that are motion, None finds none.
+    causal_outlier_distance : float or None
+        The same, from the six readings before, of a filter that waits for none after.
+    plausible_low, plausible_high : float or None
+        Between them, in unit, a first reading of a causal filter is believed at once.
+    repeats_are_one : bool or None
+        Whether equal readings in a row count as one, of which all are gross outliers, or none.
+    blank : float or None
+        What is written where there is no reading, in unit; it counts as missing.
     drift_threshold : float or None
         Of the cumulative sum of innovations, in sigma: a *small* one finds a drift sooner, and more that are
         none; None tells no drift.
@@ -116,10 +148,17 @@ class LimitsRecipe(Settings):
     low: Finite | None = None
     high: Finite | None = None
     resolution: Positive | None = None
+    rounding_std: Positive | None = None
     stuck_readings: Annotated[int, Field(ge=2)] | None = None
     even_time: bool | None = None
     gap_steps: Annotated[float, Field(ge=GAP_STEPS, allow_inf_nan=False)] | None = None
     largest: Positive | None = None
+    outlier_distance: Positive | None = None
+    causal_outlier_distance: Positive | None = None
+    plausible_low: Finite | None = None
+    plausible_high: Finite | None = None
+    repeats_are_one: bool | None = None
+    blank: Finite | None = None
     drift_threshold: Positive | None = None
     dead_variance: Positive | None = None
 

@@ -17,9 +17,13 @@ from becalm.noise.likelihood import Tuning
 from becalm.noise.spectrum import Line
 
 _SLOWEST, _QUICKEST, _WIDEST = 1e-8, 0.5, 1.0  # cycles a step
+_LEAST_DAMPING = 1e-12  # cycles a step: less is none
 _APART = 1e-6  # of a frequency: nearer tones are one
 _LEAST_RATIO, _GREATEST_RATIO = 1e-60, 1e12  # of q/r: beyond, every reading is ignored or believed
 _SAME_RATE = 1e-3
+SOON = 3
+"""Readings: with a lag up to this a filter's tuning errs less, beyond it a smoother's (`benchmarks/fixed_lag.py`)."""
+
 _WHOLE = 1e-6  # of a step: by so much a lag may fall short of a reading that it counts
 
 
@@ -33,6 +37,7 @@ def in_seconds(name: str, unit: str, tuning: Tuning, step_s: float, spread: floa
         order=tuning.order,
         process_noise_density=tuning.ratio * tuning.noise_variance / step_s ** (2 * tuning.order - 1),
         noise_std=float(np.sqrt(tuning.noise_variance)),
+        damped_below_hz=tuning.damping / (2 * np.pi * step_s) if tuning.damping else None,
         tuning_spread=spread,
         tone=tuple(_tone_in_seconds(line, step_s) for line in tuning.lines),
         coloured_noise=None
@@ -64,7 +69,8 @@ def in_steps(tuned: TunedMotion, step_s: float) -> Tuning:
     _refuse_twins(tuned.tones)
     lines = tuple(_tone_in_steps(tone, variance, step_s) for tone in tuned.tones)
     coloured = _coloured_in_steps(tuned.coloured_noise, step_s)
-    found = Tuning(tuned.order, density / variance, variance, 0, lines=lines, coloured=coloured)
+    damping = _damping_in_steps(tuned.damped_below_hz, step_s)
+    found = Tuning(tuned.order, density / variance, variance, 0, lines=lines, coloured=coloured, damping=damping)
     try:
         found.component  # noqa: B018  (refuses noise that grows for ever)
     except ModelError as cause:
@@ -116,6 +122,17 @@ def _tone_in_seconds(line: Line, step_s: float) -> ToneRecipe:
         process_noise_density=line.density / step_s,
         disturbance=line.disturbance,
     )
+
+
+def _damping_in_steps(damped_below_hz: float | None, step_s: float) -> float:
+    if damped_below_hz is None:
+        return 0.0
+    if not _LEAST_DAMPING < damped_below_hz * step_s < _QUICKEST:
+        raise RecipeError(
+            f"damped_below_hz = {damped_below_hz:.3g} makes no filter at {1 / step_s:.6g} Hz, which has to be more than"
+            " twice as much; mend it in the recipe, or tune one on this recording."
+        )
+    return 2 * np.pi * damped_below_hz * step_s
 
 
 def _tone_in_steps(tone: ToneRecipe, variance: float, step_s: float) -> Line:

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from becalm.cleaning.cleaner import ReadyRows
-from becalm.cleaning.faults import limits_of
+from becalm.cleaning.limits_entry import limits_of
 from becalm.cleaning.live_channel import mean_power, open_live
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.steps import lag_in_rows
@@ -29,7 +29,7 @@ from becalm.core.told import Told
 from becalm.core.verdict import Verdict
 from becalm.errors import ModelError, RecipeError
 
-_VERSION = 1
+_VERSION = 2  # 1 knew no gross outliers
 _LONGEST = 2.0**52  # steps: more than a clock can count
 _NO_SNAPSHOT = "These bytes are no snapshot of a stream"
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Sequence
 
-from becalm.cleaning.faults import alarms_of, limits_of
+from becalm.cleaning.limits_entry import alarms_of, limits_of
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.steps import gate_of, in_steps
+from becalm.cleaning.uncertainty import lasting_std
 from becalm.core.streams import StreamChannel, Streams, Widening
 
 
@@ -42,7 +43,7 @@ def open_together(recipes: Sequence[ChannelRecipe], columns: Sequence[int], step
 
 def _stream_channel(recipe: ChannelRecipe, step_s: float) -> StreamChannel:
     assert recipe.motion is not None, "what has no motion passes unchanged"
-    tuning, timing, calibration = in_steps(recipe.motion, step_s), recipe.timing, recipe.calibration
+    tuning, timing = in_steps(recipe.motion, step_s), recipe.timing
     return StreamChannel(
         tuning.component,
         tuning.noise_variance,
@@ -53,6 +54,7 @@ def _stream_channel(recipe: ChannelRecipe, step_s: float) -> StreamChannel:
             1.0 + recipe.tuning_spread,
             None if timing is None else timing.std_s,
             0.0 if timing is None else timing.included_std,
-            None if calibration is None else (calibration.relative_std, calibration.offset_std),
+            lasting_std(recipe.calibration, recipe.limits),
         ),
+        recipe.unknown_from,
     )

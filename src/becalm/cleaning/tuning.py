@@ -11,30 +11,29 @@ import numpy as np
 
 from becalm.cleaning.alarms import with_alarms
 from becalm.cleaning.faults import find_healthy
+from becalm.cleaning.hidden_blocks import holes_shown
+from becalm.cleaning.limits_entry import with_rounding
 from becalm.cleaning.modes import modes_in_seconds
 from becalm.cleaning.recipe import ChannelRecipe, Mode, Origin, Recipe
 from becalm.cleaning.recipe_parts import GateRecipe
-from becalm.cleaning.steps import gate_of, in_seconds, lag_in_rows
+from becalm.cleaning.steps import SOON, gate_of, in_seconds, lag_in_rows
 from becalm.cleaning.timing import time_std_of, timed
-from becalm.core.arrays import Floats
 from becalm.core.itself import version
 from becalm.core.recording import Recording
 from becalm.core.verdict import judge
 from becalm.errors import RecordingError, UsageError
 from becalm.noise.choose import Choice, Known
 from becalm.noise.coloured import NoiseModel, fit_noise
-from becalm.noise.dial import Dial, turn
-from becalm.noise.far import Far, told_of_far, without_far
+from becalm.noise.damping import spread_std
+from becalm.noise.dial import Dial, may_judge, turn
 from becalm.noise.gating import choose_gated, forecasts
+from becalm.noise.imputation import nearly_complete
 from becalm.noise.likelihood import Evidence, Tuning
 from becalm.noise.lines import FEWEST_FOR_TONES, MOST_TONES
 from becalm.noise.still import said_still
 from becalm.noise.switching import Switched, find_switching
 from becalm.noise.tuning_spread import tuning_spread
 from becalm.noise.wild import choose_robust
-
-SOON = 3
-"""Readings: with a lag up to this a filter's tuning errs less, beyond it a smoother's (`benchmarks/fixed_lag.py`)."""
 
 _NEARLY_EMPTY = 64  # readings, below which a channel need not tell its noise at rest
 
@@ -58,6 +57,8 @@ class Wishes(NamedTuple):
         How long each estimate may wait for later readings; with a *small* one it comes soon, and noisier.
     robust : bool
         Whether many readings are wild, one in a hundred to one in ten, and shall be left out.
+    fill : bool
+        Whether the best guess is told in holes of which the model knows nothing, too.
     time_std_s : float or None
         Standard uncertainty (k = 1) of the time of each reading, independent of the others: jitter of the sampling
         clock, in seconds. None takes it from the last digit of stamps that are no even grid.
@@ -70,6 +71,7 @@ class Wishes(NamedTuple):
     lag_s: float | None = None
     robust: bool = False
     time_std_s: float | None = None
+    fill: bool = False
 
 
 NO_WISHES = Wishes()
@@ -153,6 +155,9 @@ def explore(
 
 def _tune_channel(recording: Recording, causal: bool, wishes: Wishes, progress: Progress, name: str) -> Found:
     found = _found(recording, causal, wishes, name)
+    if not causal and wishes.lag_s is None and found.channel.motion is not None:
+        hole = holes_shown(found.channel, found.believed, recording.timebase.step_s)
+        found = found._replace(channel=found.channel.model_copy(update={"hole": hole}))
     progress(name)
     return found
 
@@ -165,8 +170,7 @@ def _found(recording: Recording, causal: bool, wishes: Wishes, name: str) -> Fou
     )
     told, elapsed = GateRecipe(), time.elapsed_steps
     gate = gate_of(told, time.step_s)
-    healthy, limits = find_healthy(recording.channel(name), elapsed, time.step_s)
-    readings = without_far(healthy)
+    readings, outliers, limits = find_healthy(recording.channel(name), elapsed, time.step_s, causal=causal)
     choice, gated = choose_gated(readings, elapsed, gate, causal, known)
     evidence = Evidence.of(readings, elapsed)
     if choice.tuning is None or choice.motion is None:
@@ -174,30 +178,37 @@ def _found(recording: Recording, causal: bool, wishes: Wishes, name: str) -> Fou
     found, spread = choice.tuning, 0.0
     if wishes.dial is not None:
         found = turn(choice.motion, wishes.dial, time.step_s, causal)
+        gated = gated and may_judge(found, choice.tuning)
+    unknown = {"spread_std": spread_std(evidence), "fill": wishes.fill}
+    limits = with_rounding(limits, found, readings, causal=causal)
     foretold = forecasts(found, readings, elapsed, gate if gated else None)
     if wishes.dial is None:  # what a person asked for is no estimate: it has no spread, and nothing replaces it
         if not wishes.still_s and not wishes.removed_hz:
             spikes = None if wishes.robust else bool(foretold.rejected.any())
-            taken = healthy if wishes.robust else readings
-            found, switched = _switched(found, taken, elapsed, causal, spikes, told_of_far(healthy, readings))
+            all_readings = Evidence.of(np.where(np.isfinite(outliers), outliers, readings), elapsed)
+            own = evidence.own_step
+            seen, every = evidence.counted_in(own), all_readings.counted_in(own)
+            switched = _switched(found.counted_in(own), seen, causal, spikes, every)
             if switched is not None:
-                more = {"switching": modes_in_seconds(switched, time.step_s), "limits": limits}
-                switching = in_seconds(name, unit, found, time.step_s).model_copy(update=more)
-                return Found(switching, choice, evidence)
+                modes = modes_in_seconds(switched.kind, switched.switching, own * time.step_s)
+                switching = in_seconds(name, unit, switched.tuning.counted_in(1 / own), time.step_s)
+                more = {"switching": modes, "limits": limits, **unknown}
+                return Found(switching.model_copy(update=more), choice, evidence)
         evidence = Evidence.of(np.where(foretold.rejected, np.nan, readings), elapsed) if gated else evidence
-        spread = tuning_spread(found, evidence, causal, noise_known=known.noise is not None)
+        own = 1.0 if found.coloured else evidence.own_step
+        steps = found.counted_in(own), evidence.counted_in(own)
+        spread = tuning_spread(*steps, causal, noise_known=known.noise is not None)
     limits = with_alarms(limits, found, foretold.normalised, causal=causal, step_s=time.step_s)
-    beside = {"gate": told if gated else None, "limits": limits}
+    own_hz = 1 / (evidence.own_step * time.step_s) if evidence.own_step > 1 and not found.coloured else None
+    beside = {"gate": told if gated else None, "limits": limits, "rate_hz": own_hz, **unknown}
     return Found(in_seconds(name, unit, found, time.step_s, spread).model_copy(update=beside), choice, evidence)
 
 
-def _switched(  # noqa: PLR0913  (what a channel is, and what is known of it)
-    tuning: Tuning, readings: Floats, elapsed: Floats, causal: bool, spikes: bool | None, far: Far
-) -> tuple[Tuning, Switched | None]:
+def _switched(tuning: Tuning, evidence: Evidence, causal: bool, spikes: bool | None, wild: Evidence) -> Switched | None:
     """Find modes for a channel; `spikes` tells whether a gate leaves some out, None that many are to be left out."""
     if spikes is None:
-        return choose_robust(tuning, readings, elapsed, causal)
-    return tuning, find_switching(tuning, Evidence.of(readings, elapsed), causal, spikes, far)
+        return choose_robust(tuning, evidence, causal)
+    return find_switching(tuning, evidence, causal, spikes, wild)
 
 
 def _rest_noise(rest: Recording, name: str, still_s: Sequence[tuple[float, float]]) -> NoiseModel | None:
@@ -231,14 +242,18 @@ def _refuse_contradictions(wishes: Wishes, recording: Recording) -> None:
             f"Tones to take off lie between 0 and {rate_hz / 2:.6g} Hz, half of the rate;"
             f" {', '.join(f'{frequency:.6g}' for frequency in removed)} Hz came."
         )
-    even = Evidence.of(np.zeros(len(recording)), recording.timebase.elapsed_steps).complete
-    longest = max((part.stop - part.start for part in even), default=0)
-    if removed and longest < FEWEST_FOR_TONES:
+    if removed and _longest_even(recording) < FEWEST_FOR_TONES:
         raise UsageError(
             f"To take off tones, {FEWEST_FOR_TONES} rows in even time without a gap are needed;"
             f" {'no stretch is so even' if len(recording) >= FEWEST_FOR_TONES else f'{len(recording)} rows came'}."
             " Give a longer recording, or with --rate the rate at which the rows were taken."
         )
+
+
+def _longest_even(recording: Recording) -> int:
+    """Return how many rows come in even time, but for short holes, at the most."""
+    rows = Evidence.of(np.zeros(len(recording)), recording.timebase.elapsed_steps)
+    return max(len(rows.z[part]) for part in (nearly_complete(rows), *rows.complete))
 
 
 def tuned_as_filter(causal: bool, lag_s: float | None, step_s: float) -> bool:

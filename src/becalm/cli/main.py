@@ -94,6 +94,7 @@ def clean(  # noqa: PLR0913  (the contract's options)
     time_jitter: o.TimeJitter = None,
     remove: o.Remove = None,
     robust: o.Robust = False,
+    fill: o.Fill = False,
     split: o.Split = False,
     verdicts: o.Verdicts = False,
     report: o.Report = None,
@@ -103,7 +104,7 @@ def clean(  # noqa: PLR0913  (the contract's options)
     """Remove the noise from a recording; nothing needs to be chosen."""
     from becalm.cli.clean import Asking, Outputs, run
 
-    asked = o.asked_of(o.Dials(max_lag, bandwidth, noise_gain), still, remove, robust, time_jitter)
+    asked = o.asked_of(o.Dials(max_lag, bandwidth, noise_gain), still, remove, robust, time_jitter)._replace(fill=fill)
     outputs = Outputs(output, split, verdicts, report, figures)
     said = said_of(channels, o.When(rate, time, group, stamps), unit, sensors)
     if not run(file, said, Asking(recipe, causal, o.lag_of(lag), asked), outputs, as_json=as_json):
@@ -130,6 +131,7 @@ def tune(  # noqa: PLR0913  (the contract's options)
     time_jitter: o.TimeJitter = None,
     remove: o.Remove = None,
     robust: o.Robust = False,
+    fill: o.Fill = False,
     as_json: o.Json = False,
 ) -> None:
     """Find the filter of each channel and write it as a recipe; say what a delay would buy."""
@@ -141,7 +143,7 @@ def tune(  # noqa: PLR0913  (the contract's options)
     refuse_overwriting(file, output)
     refuse_unwritable(output)
     said = said_of(channels, o.When(rate, time, group, stamps), unit, sensors)
-    asked = o.asked_of(o.Dials(max_lag, bandwidth, noise_gain), still, remove, robust, time_jitter)
+    asked = o.asked_of(o.Dials(max_lag, bandwidth, noise_gain), still, remove, robust, time_jitter)._replace(fill=fill)
     with open_every(file, said) as opened:
         tell_notes(*opened.sources)
         found = said.kept_in(joined([tuned(source, causal, asked, o.lag_of(lag)) for source in opened.sources]))

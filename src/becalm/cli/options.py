@@ -104,6 +104,9 @@ Remove = Annotated[
 Robust = Annotated[
     bool, typer.Option("--robust", help="Leave wild readings out, even where one in ten is wild; jumps are followed.")
 ]
+Fill = Annotated[
+    bool, typer.Option("--fill", help="Tell the best guess in holes of which the model knows nothing, too.")
+]
 Split = Annotated[bool, typer.Option("--split", help="Write the parts of each channel too: motion, tones, noise.")]
 Verdicts = Annotated[
     bool, typer.Option("--verdicts", help="Write what became of each reading: used, missing, spike, ...")
@@ -140,12 +143,13 @@ class Asked(NamedTuple):
     removed_hz: tuple[float, ...]
     robust: bool
     time_std_s: float | None = None
+    fill: bool = False
 
     @property
     def anything(self) -> bool:
         """Whether something was asked at all."""
         told = self.dial is not None or self.time_std_s is not None
-        return told or self.robust or bool(self.still_s or self.removed_hz)
+        return told or self.robust or self.fill or bool(self.still_s or self.removed_hz)
 
 
 class When(NamedTuple):

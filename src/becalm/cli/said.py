@@ -187,7 +187,9 @@ def tuned(source: OpenSource, causal: bool, asked: Asked, lag_s: float | None = 
     sample = source.sample(rows_to_tune_on(source))
     ahead(sample, causal=tuned_as_filter(causal, lag_s, sample.timebase.step_s))
     rest = beginning(source) if asked.still_s else sample
-    wishes = Wishes(asked.dial, asked.still_s, rest, asked.removed_hz, lag_s, asked.robust, asked.time_std_s)
+    wishes = Wishes(
+        asked.dial, asked.still_s, rest, asked.removed_hz, lag_s, asked.robust, asked.time_std_s, asked.fill
+    )
     told = rest_within(source, rest) if asked.still_s else nullcontext()
     with progress("tuning", len(source.names)) as step, told:
         found = tune(sample, causal=causal, wishes=wishes, progress=lambda name: step(name, 1))

@@ -16,6 +16,7 @@ from becalm.core.arrays import Floats
 from becalm.core.steady_filter import Complexes
 
 _FINE = 0.05  # between logarithms of frequencies
+_FOLDS = 16  # frequencies on each side
 _LOGARITHMS = np.arange(-40.0, 40.0, _FINE)
 
 
@@ -41,6 +42,35 @@ def motion_power(order: int, angle: Floats) -> Floats:
     turns = angle / (2 * np.pi)
     folded: Floats = (zeta(2 * order, turns) + zeta(2 * order, 1 - turns)) * (2 * np.pi) ** (-2 * order)
     return folded
+
+
+def returning_power(order: int, damping: float, level_rate: float, angle: Floats) -> Floats:
+    """Return the power (k,), unit^2, of a motion of density 1 that returns to its level, read once a step.
+
+    Parameters
+    ----------
+    order : int
+        n, how often white noise is integrated.
+    damping : float
+        a, of each integration, radians a step; 0 is `motion_power`.
+    level_rate : float
+        b, how fast the level follows, radians a step.
+    angle : (k,) float array
+        w, radians a step.
+
+    Notes
+    -----
+    The power (w^2 + b^2) / (w^2 (w^2n + a^2n)), folded: the next frequencies one by one, those beyond as if there
+    were no damping.
+    """
+    if not damping:
+        return motion_power(order, angle)
+    turns, near = angle / (2 * np.pi), 2 * np.pi * np.arange(-_FOLDS, _FOLDS + 1)[:, np.newaxis]
+    squares = (angle + near) ** 2
+    folded = ((1 + level_rate**2 / squares) / (squares**order + damping ** (2 * order))).sum(axis=0)
+    beyond = zeta(2 * order, _FOLDS + 1 + turns) + zeta(2 * order, _FOLDS + 1 - turns)
+    power: Floats = folded + beyond * (2 * np.pi) ** (-2 * order)
+    return power
 
 
 def autoregressive_power(coefficients: Sequence[float] | Floats, innovation_variance: float, angle: Floats) -> Floats:

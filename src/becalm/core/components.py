@@ -12,11 +12,13 @@ from scipy.linalg import block_diag
 
 from becalm.core.arrays import frozen
 from becalm.core.autoregressive import autoregressive
+from becalm.core.closed_forms import butterworth_poles
 from becalm.core.parts import Component, Part, checked_number, checked_whole
 
 __all__ = [
     "EVERY_ORDER",
     "HIGHEST_ORDER",
+    "LEVEL_RATE",
     "ORDERS",
     "Component",
     "Part",
@@ -27,10 +29,14 @@ __all__ = [
     "level",
     "motion",
     "oscillator",
+    "returning_motion",
     "with_walking_level",
 ]
 
 HIGHEST_ORDER = 5
+
+LEVEL_RATE = 0.1
+"""Of a returning motion's damping, how fast its level follows."""
 
 ORDERS = (1, 2, 3)
 """Orders of motion that a causal filter is chosen from."""
@@ -84,6 +90,46 @@ def motion(order: int, noise_density: float = 1.0) -> Component:
     enters[-1, 0] = sees[0, 0] = 1.0
     part = Part("motion", ("level", "velocity", "acceleration", "jerk", "snap")[:order])
     return Component(frozen(drift), frozen(enters), frozen([[noise_density]]), frozen(sees), (part,))
+
+
+def returning_motion(order: int, noise_density: float, damping: float) -> Component:
+    """Return n-th order motion that is damped towards a level of its own, a mean of what it was.
+
+    Without readings the signal returns to the level, and its variance to that of the motion: predictions are bounded.
+
+    Parameters
+    ----------
+    order : int
+        n, how often white noise is integrated, 1 to 5.
+    noise_density : float
+        Two-sided density of that noise, in unit^2/s^(2n-1); a *small* one trusts the model and smooths more.
+    damping : float
+        a, in rad/s: slower motion than that is damped; with a *small* one the signal returns late. `motion` is the
+        limit of none.
+
+    Raises
+    ------
+    ModelError
+        If the order is not 1 to 5, the density is negative or not finite, or the damping is not positive.
+
+    Notes
+    -----
+    Its power is q (w^2 + b^2) / (w^2 (w^2n + a^2n)): about its level it is white noise behind a Butterworth low-pass.
+    Beyond a it is that of `motion`, so that a smoother smooths alike. The level goes towards the signal with the rate
+    b = a / 10: it is the mean of what the signal was, with weights that fade ten times as slowly as a.
+    """
+    kinematic = motion(order, noise_density)
+    damping = checked_number("damping", damping, "a damping", "a positive number")
+    n, level_rate = len(kinematic.drift), LEVEL_RATE * damping
+    drift, enters, sees = np.zeros((n + 1, n + 1)), np.zeros((n + 1, 1)), np.zeros((1, n + 1))
+    drift[:n, :n] = np.eye(n, k=1)
+    drift[n - 1, :n] = -(np.poly(butterworth_poles(n)).real[:0:-1] * damping ** np.arange(n, 0, -1))
+    drift[n - 1, n] = -drift[n - 1, 0]
+    drift[[0, n], 0] += level_rate
+    drift[[0, n], n] -= level_rate
+    enters[n - 1, 0] = sees[0, 0] = 1.0
+    part = Part("motion", (*kinematic.state_names, "level that it returns to"))
+    return Component(frozen(drift), frozen(enters), kinematic.noise_density, frozen(sees), (part,))
 
 
 def oscillator(frequency_hz: float, bandwidth_hz: float = 0.0, noise_density: float = 1.0) -> Component:
@@ -196,8 +242,8 @@ def with_walking_level(component: Component, noise_density: float) -> Component:
     ModelError
         If the density is negative or not finite.
     """
-    level = np.zeros((len(component.drift), 1))
-    level[0, 0] = 1.0
+    level = component.level_direction
+    level = np.eye(len(component.drift))[:, :1] if level is None else level[:, np.newaxis]
     return replace(
         component,
         noise_input=frozen(np.hstack([component.noise_input, level])),

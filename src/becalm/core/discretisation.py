@@ -6,11 +6,12 @@ from math import factorial
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import expm
+from scipy.linalg import matrix_balance
 
 from becalm.core.arrays import Floats
 from becalm.errors import ModelError
 
+_TERMS = 24  # of a series whose argument is 1 at the most
 _WHOLE = 1e-9  # of a step, or of the number of steps: what rounding of times leaves
 
 
@@ -45,7 +46,7 @@ def discretise(A: Floats, W: Floats, steps_s: Floats) -> tuple[Floats, Floats]:
         return _integrate_polynomial(A, W, steps_s)
     if _turns(A, W):
         return _integrate_turn(A, W, steps_s)
-    return _integrate_van_loan(A, W, steps_s)
+    return _integrate_series(A, W, steps_s)
 
 
 def repeat(one: Recursion, steps_s: Floats) -> tuple[Floats, Floats]:
@@ -122,21 +123,34 @@ def _integrate_turn(A: Floats, W: Floats, steps_s: Floats) -> tuple[Floats, Floa
     return F, W * (T if a == 0.0 else np.expm1(2 * a * T) / (2 * a))
 
 
-def _integrate_van_loan(A: Floats, W: Floats, steps_s: Floats) -> tuple[Floats, Floats]:
-    """Van Loan, IEEE TAC-23 (1978) 395: both from one exponential of a matrix twice as large.
+def balancing(A: Floats) -> Floats:
+    """Return the scale (n,) of each state by which the numbers of A (n, n) come nearest to each other."""
+    with np.errstate(invalid="ignore"):  # it also tells a permutation, which far scales are none of
+        _, (scale, _) = matrix_balance(A, permute=False, separate=True)
+    return np.asarray(scale)
 
-    It holds expm(-A T) as well, beyond any number where something fades; so a step is halved until it
-    is short, and doubled again: F <- F F, Q <- F Q F' + Q.
+
+def _integrate_series(A: Floats, W: Floats, steps_s: Floats) -> tuple[Floats, Floats]:
+    """Sum both by their series: F = sum of A^k T^k / k!, Q = sum of L^k(W) T^(k+1) / (k+1)!, with L(X) = A X + X A'.
+
+    States are balanced first, so that every entry keeps its digits, also of a chain of integrators that hardly fades.
+    A step is halved until it is short, and doubled again: F <- F F, Q <- F Q F' + Q.
     """
-    n, scale = len(A), float(np.abs(W).max(initial=0.0)) or 1.0
-    reach = np.linalg.norm(A, np.inf) * np.abs(steps_s)
+    scale = balancing(A)
+    balanced, gathered = A / scale[:, np.newaxis] * scale, W / np.outer(scale, scale)
+    reach = 2 * np.linalg.norm(balanced, np.inf) * steps_s
     halvings = np.ceil(np.log2(np.maximum(reach, 1.0))).astype(int)
-    block = np.block([[-A, W / scale], [np.zeros_like(A), A.T]])
-    E = expm(block * (steps_s / 2.0**halvings)[:, np.newaxis, np.newaxis])
-    F = np.swapaxes(E[:, n:, n:], 1, 2)
-    Q = F @ E[:, :n, n:]
+    T = (steps_s / 2.0**halvings)[:, np.newaxis, np.newaxis]
+    power, F, Q = np.eye(len(A)), np.zeros((len(steps_s), *A.shape)), np.zeros((len(steps_s), *A.shape))
+    term = np.ones_like(T)
+    for k in range(_TERMS):
+        F += power * term
+        term = term * T / (k + 1)
+        Q += gathered * term
+        power, gathered = power @ balanced, balanced @ gathered + gathered @ balanced.T
     for k in range(int(halvings.max(initial=0))):
         late = halvings > k
         Q[late] = F[late] @ Q[late] @ np.swapaxes(F[late], 1, 2) + Q[late]
         F[late] = F[late] @ F[late]
-    return F, scale * (Q + np.swapaxes(Q, 1, 2)) / 2
+    Q *= np.outer(scale, scale)
+    return F * scale[:, np.newaxis] / scale, (Q + np.swapaxes(Q, 1, 2)) / 2

@@ -12,7 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Codes, Floats, Integers, input_of
-from becalm.core.kernel_faults import LEAST, MOST, Rule, find_faults
+from becalm.core.kernel_faults import LEAST, MOST, Rule, find_faults, new_memory
+from becalm.core.kernel_outliers import Outliers
 from becalm.core.limits import Limits
 from becalm.core.rhythm import LONGEST, Rhythm
 from becalm.core.verdict import ADVICE, Verdict
@@ -53,8 +54,8 @@ class Faults:
         self.limits = limits
         self.found: dict[Verdict, Found] = {}
         rails, stuck = limits.rails, min(limits.stuck_readings or 0, _ENDLESS)
-        self._rule = Rule(float(rails.low), float(rails.high), float(limits.largest), stuck)
-        self._memory = np.array([np.nan, 0.0, np.inf, -np.inf])  # see `kernel_faults`
+        self._rule = Rule(float(rails.low), float(rails.high), float(limits.largest), stuck, _plain(limits.outliers))
+        self._memory = new_memory()  # see `kernel_faults`
         self._rows = 0
         self._ticks = 0  # from the first row
         self._rhythm = Rhythm(limits)
@@ -64,7 +65,7 @@ class Faults:
         """How many readings a channel is stuck before it is told, itself among them; None: never."""
         return self.limits.stuck_readings
 
-    def push(self, z: Floats, elapsed: Floats) -> Codes:
+    def push(self, z: Floats, elapsed: Floats, beside: Codes | None = None) -> Codes:
         """Take the next rows and tell what is wrong with each.
 
         Parameters
@@ -73,6 +74,8 @@ class Faults:
             Readings, in unit; NaN where missing.
         elapsed : (B,) float array
             Steps since the row before; not looked at for the first row of all.
+        beside : (B,) int8 array, optional
+            What is wrong with each reading by those on both sides of it; 0 for nothing.
 
         Returns
         -------
@@ -95,6 +98,10 @@ class Faults:
         if not even or not self._rhythm.undisturbed:
             self._rhythm.write(codes, elapsed)
         found = find_faults(input_of(z), input_of(elapsed), self._rule, self._memory, codes)
+        if beside is not None and beside.any():
+            worse = (beside > 0) & (codes != Verdict.CLIPPED)
+            codes[worse] = beside[worse]
+            found = 1
         ticks = np.full(1, _TIME) if even else np.rint(elapsed * _TIME).astype(np.int64)
         self._count(codes if found else codes[:0], np.broadcast_to(ticks, z.shape))
         return codes
@@ -127,6 +134,12 @@ class Faults:
             self.found[verdict] = before._replace(readings=before.readings + int(counts[verdict]))
         self._ticks += begun + int(ticks.sum())
         self._rows += len(ticks)
+
+
+def _plain(rule: Outliers) -> Outliers:
+    """Return a rule of float64 alone, as the one kernel takes it."""
+    distance, causal_distance, low, high = map(float, rule[:4])
+    return Outliers(distance, causal_distance, low, high, bool(rule.repeats_are_one), float(rule.blank))
 
 
 def require_steps(elapsed: Floats, rows: int) -> None:
@@ -168,6 +181,8 @@ def _what(verdict: Verdict, count: int, limits: Limits) -> str:
         return f"{readings} at a rail or beyond ({_range(limits)})"
     if verdict == Verdict.OVERRANGE:
         return f"{readings} beyond {f'{limits.largest:.3g}'.replace('e+', 'e')}"
+    if verdict == Verdict.OUTLIER:
+        return f"{readings} far from all readings beside {'it' if count == 1 else 'them'}"
     if verdict == Verdict.STUCK:
         return f"{readings} in runs of {limits.stuck_readings} equal ones or more"
     if verdict == Verdict.GAP:

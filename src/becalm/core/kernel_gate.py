@@ -18,12 +18,18 @@ from becalm.core.kernel_steps import State, Step, System, correct, joseph, look,
 from becalm.core.sized import Size, Sizes, size, stack_matrix, stack_vector
 
 COUNTERS: Size = size(7)
-REJECTED, AGREEING, LAST, WANDERED, MISSED, SINCE, CAPPED = 0, 1, 2, 3, 4, 5, 6
+REJECTED, AGREEING, LAST, WANDERED, MISSED, SINCE, JUMPED = 0, 1, 2, 3, 4, 5, 6
 """Rejects in a row; how many of the last agree; the last innovation rejected, and how far the prediction may have
 wandered since; rows missing since; readings used since the last jump, below 0 while all are believed: after a jump of
-all states they have to tell what it forgot; whether that jump was less than its innovation asked for."""
+all states they have to tell what it forgot; whether there was a jump at all."""
 
 USED, SPIKE, STEP = 0, 4, 5
+
+LONGEST_WAIT = 50.0
+"""Missing rows after a reject, beyond which it is a spike for good."""
+
+GOES_ON = 16.0
+"""Readings used since a jump, before which a reject is the same motion that goes on, and believed at once."""
 
 WIDE = 1e9
 """Variances of all states over that of a reading, beyond which a covariance loses the digits of the readings."""
@@ -88,7 +94,7 @@ def jump(sizes: Sizes, step: Step, nu: float, rule: Rule, state: State, variance
             variances[i] = round_up(square * (state.P[i, i] / told)) if told > 0.0 else 0.0
         state.P[i, i] += variances[i]
     counters[SINCE] = -1.0 if level >= 0 else -float(n)
-    counters[CAPPED] = 1.0 if level < 0 and square < nu * nu else 0.0
+    counters[JUMPED] = 1.0
 
 
 @compiled_part
@@ -110,12 +116,15 @@ def believe(sizes: Sizes, step: Step, z: Floats, row: int, state: State, counter
 
 @compiled_part
 def reject(rule: Rule, R: float, nu: float, counters: Floats) -> bool:
-    """Count a reading that is rejected; tell whether it is to be believed after all."""
+    """Count a reading that is rejected; tell whether it is to be believed after all.
+
+    So many in a row are motion, and so is one soon after a jump: what moved goes on.
+    """
     counters[AGREEING] = counters[AGREEING] + 1.0 if agrees(rule, R, nu, counters) else 1.0
     counters[REJECTED] += 1.0
     counters[LAST] = nu
     counters[WANDERED] = counters[MISSED] = 0.0
-    goes_on = counters[CAPPED] > 0.0 and counters[SINCE] == 0.0
+    goes_on = counters[JUMPED] > 0.0 and counters[SINCE] < GOES_ON
     return bool(goes_on or counters[AGREEING] >= rule.agree or counters[REJECTED] >= rule.at_most)
 
 
@@ -149,7 +158,7 @@ def find_outliers(  # noqa: PLR0913  (a door for Python: what is read, what move
     state, counters = new_state(sizes), stack_vector(COUNTERS)
     x, P = stack_vector(sizes.states), stack_matrix(sizes.states, sizes.states)  # predicted for row `first`
     carry(sizes, state, counters, memory, LOAD)
-    z, row, run, found, first, believed = record.z, begun, 0, 0, -1, -1
+    z, row, run, found, first = record.z, begun, 0, 0, -1
     while row < len(z):
         run = run_of(record, row, run)
         step = step_of(sizes, system, max(record.step[run], 0))
@@ -159,24 +168,24 @@ def find_outliers(  # noqa: PLR0913  (a door for Python: what is read, what move
             predict(sizes, step.F, step.Q, state)
         if not look(sizes, z, row, state):
             counters[MISSED] += 1.0
-            if counters[MISSED] > rule.at_most:
+            if counters[MISSED] > LONGEST_WAIT:
                 first = -1
             row += 1
             continue
         weigh(sizes, step.H, step.R, state)
         nu = innovation(sizes, step.H, z[row, 0], state.x)
-        if row <= believed or counters[SINCE] < 0.0 or not abs(nu) > rule.threshold * math.sqrt(state.D[0]):
+        if counters[SINCE] < 0.0 or not abs(nu) > rule.threshold * math.sqrt(state.D[0]):
             believe(sizes, step, z, row, state, counters)
             verdicts[row], first, row = USED, -1, row + 1
             continue
         is_jump = reject(rule, step.R[0, 0], nu, counters)
-        if counters[AGREEING] == 1.0 or first < 0:
+        if first < 0:
             first = row
             keep(sizes, state.x, state.P, x, P)
         verdicts[row] = SPIKE
         if is_jump:
             if rule.takes_back:
-                believed, row = row, first
+                row = first
                 keep(sizes, x, P, state.x, state.P)
                 look(sizes, z, row, state)
                 nu = innovation(sizes, step.H, z[row, 0], state.x)

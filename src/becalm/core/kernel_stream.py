@@ -4,7 +4,18 @@ from __future__ import annotations
 
 from becalm.core.compiling import compiled
 from becalm.core.kernel_stream_filter import new_desk, run_filter
-from becalm.core.kernel_stream_layout import FILTERED, FINISHED, SENSED, Channels, Moving, Out, Rows, Work, sizes_of_one
+from becalm.core.kernel_stream_layout import (
+    FILTERED,
+    FINISHED,
+    SENSED,
+    Channels,
+    Heard,
+    Moving,
+    Out,
+    Rows,
+    Work,
+    sizes_of_one,
+)
 from becalm.core.kernel_stream_sense import find_starts, sense
 from becalm.core.kernel_stream_tell import tell
 from becalm.core.sized import Size
@@ -27,7 +38,8 @@ def run_streams(states: Size, channels: Channels, rows: Rows, moving: Moving, wo
             sense(fixed, rows.z, rows.elapsed, column, numbers, out.verdicts, work.usable[c])
             find_starts(fixed, work.usable[c], rows.elapsed, numbers, marks, work.anew[c])
         begun[FILTERED] = run_filter(sizes, channels, c, rows, work, numbers, marks, out, begun[FILTERED], desk)
-        tell(fixed, column, rows, work.normalised[c], numbers, marks, out, begun[FINISHED], begun[FILTERED])
+        heard = Heard(work.usable[c], work.normalised[c])
+        tell(fixed, column, rows, heard, numbers, marks, out, begun[FINISHED], begun[FILTERED])
         begun[FINISHED] = begun[FILTERED]
         stopped += begun[FILTERED] < len(rows.elapsed)
     return stopped

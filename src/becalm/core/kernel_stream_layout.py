@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 from becalm.core.arrays import Codes, Floats, Integers
 from becalm.core.compiling import woven
+from becalm.core.kernel_faults import MEMORY as MEMORY_OF_SENSOR
 from becalm.core.kernel_watch import KEPT_HOPS, MEMORY
 from becalm.core.sized import Size, Sizes, size
 
@@ -20,15 +21,17 @@ from becalm.core.sized import Size, Sizes, size
     DRIFT_AT, DEAD_BELOW,  # alarms: of a cumulative sum in parts of a sigma, of a window in parts^2
     TIMED, TIME_STD, TIME_INCLUDED, VARIANCE,  # uncertain time: s, unit^2 that R holds already, R
     FACTOR, CALIBRATED, RELATIVE, OFFSET,  # what widens sigma
-) = range(24)  # fmt: skip
-FIXED = 24
+    UNKNOWN_FROM,  # sigma from which on a row without a reading is a hole
+    OUTLIERS,  # and the five after it, as of `kernel_outliers.Outliers`
+) = range(26)  # fmt: skip
+FIXED = OUTLIERS + 6
 
-HELD, RUN, LEAST, MOST = range(4)  # see `kernel_faults`
-NOW, LAST, LEVEL, TOLD, SLOPE, POWER = range(4, 10)
+SENSOR = 0  # and those after it, see `kernel_faults`
+NOW, LAST, LEVEL, TOLD, SLOPE, READ, POWER = range(MEMORY_OF_SENSOR, MEMORY_OF_SENSOR + 7)
 """Steps from the first reading since a start to the last row, and to the last reading; what readings are told from; the
-last signal and its slope; sum of squares of the open hop of innovations."""
-GATE = 10  # and the six after it, see `kernel_gate`
-POWERS = 17  # and those of the last hops, in a ring
+last signal and its slope; the last reading that entered; sum of squares of the open hop of innovations."""
+GATE = POWER + 1  # and the six after it, see `kernel_gate`
+POWERS = GATE + 7  # and those of the last hops, in a ring
 FILTER = POWERS + KEPT_HOPS
 """From there on the filter's state and its watch, as `kernel_settling.transfer` lays them out."""
 
@@ -36,8 +39,9 @@ KNOWN, READINGS, HOPS, SILENT, TOTALS, SQUARES_OF = 0, 1, 2, 3, 4, 7
 """How far the state is known; readings since the start; whole hops so far; whether the last window was silent; sums of
 the last three hops, and sums of their squares."""
 WATCH = 10  # and those after it, see `kernel_watch`
-COUNTS = WATCH + MEMORY
-VERDICTS = 13
+MISSED = WATCH + MEMORY  # whether the last row had no reading
+COUNTS = MISSED + 1
+VERDICTS = 16
 MARKS = COUNTS + VERDICTS
 
 UNKNOWN, GATHERING, DETERMINED = range(3)
@@ -90,6 +94,13 @@ class Work(NamedTuple):
     normalised: Floats  # (C, B) innovations over their standard deviations, NaN where there is none
     anew: Codes  # (C, B) 1 where a reading comes after a gap beyond reach
     begun: Integers  # (C, 3) rows that each pass has done
+
+
+class Heard(NamedTuple):
+    """What the passes before made of one channel."""
+
+    usable: Floats  # (B,) readings, NaN where none may enter the filter
+    normalised: Floats  # (B,) innovations over their standard deviations, NaN where there is none
 
 
 class Out(NamedTuple):

@@ -6,20 +6,18 @@ import math
 
 from becalm.core.arrays import Codes, Floats, Integers
 from becalm.core.compiling import compiled_part
-from becalm.core.kernel_faults import OVERRANGE, Rule, fault_of
+from becalm.core.kernel_faults import OVERRANGE, Rule, fault_of, load_memory, save_memory
+from becalm.core.kernel_outliers import Outliers
 from becalm.core.kernel_stream_layout import (
-    HELD,
     HIGH,
     IMPOSSIBLE,
     LARGEST,
     LAST,
-    LEAST,
     LONGEST,
     LOW,
-    MOST,
     NOW,
+    OUTLIERS,
     READINGS,
-    RUN,
     SPANS,
     STUCK,
     TELLING,
@@ -33,8 +31,12 @@ def sense(  # noqa: PLR0913
     fixed: Floats, z: Floats, elapsed: Floats, column: int, numbers: Floats, codes: Codes, usable: Floats
 ) -> None:
     """Write which readings of a column of z (B, m) are usable (B,), and what is wrong with the others."""
-    rule = Rule(fixed[LOW], fixed[HIGH], fixed[IMPOSSIBLE], int(fixed[STUCK]))
-    memory = numbers[HELD], numbers[RUN], numbers[LEAST], numbers[MOST]
+    outliers = Outliers(
+        fixed[OUTLIERS], fixed[OUTLIERS + 1], fixed[OUTLIERS + 2], fixed[OUTLIERS + 3], fixed[OUTLIERS + 4] > 0.0,
+        fixed[OUTLIERS + 5],
+    )  # fmt: skip
+    rule = Rule(fixed[LOW], fixed[HIGH], fixed[IMPOSSIBLE], int(fixed[STUCK]), outliers)
+    memory = load_memory(numbers)
     for row in range(len(elapsed)):
         reading = z[row, column]
         code, memory = fault_of(reading, elapsed[row] > 0.0, rule, memory)
@@ -42,7 +44,7 @@ def sense(  # noqa: PLR0913
             code = OVERRANGE
         usable[row] = reading if code == 0 else math.nan
         codes[row, column] = code if code else codes[row, column]
-    numbers[HELD], numbers[RUN], numbers[LEAST], numbers[MOST] = memory
+    save_memory(memory, numbers)
 
 
 @compiled_part

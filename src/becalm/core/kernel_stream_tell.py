@@ -6,6 +6,7 @@ import math
 
 from becalm.core.arrays import Floats, Integers
 from becalm.core.compiling import compiled_part
+from becalm.core.kernel_outliers import PLAUSIBLE_HIGH, PLAUSIBLE_LOW
 from becalm.core.kernel_stream_layout import (
     CALIBRATED,
     COUNTS,
@@ -13,9 +14,12 @@ from becalm.core.kernel_stream_layout import (
     DRIFT_AT,
     FACTOR,
     HOPS,
+    MISSED,
     OFFSET,
+    OUTLIERS,
     POWER,
     POWERS,
+    READ,
     RELATIVE,
     SILENT,
     SLOPE,
@@ -25,8 +29,10 @@ from becalm.core.kernel_stream_layout import (
     TIMED,
     TOLD,
     TOTALS,
+    UNKNOWN_FROM,
     VARIANCE,
     WATCH,
+    Heard,
     Out,
     Rows,
 )
@@ -49,7 +55,7 @@ from becalm.core.kernel_watch import (
     cumulate,
 )
 
-DEAD = 8
+SPIKE, DEAD, HOLE, RUNAWAY = 4, 8, 14, 15
 SLACK = PARTS // 2  # as `cusum.SLACK`
 _BEFORE = WINDOW // HOP - 1  # hops that make a window with the last one
 _OF_VARIANCE = float(WINDOW * (WINDOW - 1)) * float(PARTS) * float(PARTS)
@@ -116,15 +122,38 @@ def widened(fixed: Floats, signal: float, sigma: float, elapsed: float, numbers:
 
 
 @compiled_part
+def is_lost(verdict: int) -> bool:
+    """Whether a reading did not enter the filter: the twin of `verdict.LOST`."""
+    return verdict in (1, 2, 3, 4, 6, 7, 13)
+
+
+@compiled_part
+def ran_away(fixed: Floats, signal: float, read: float) -> bool:
+    """Whether an estimate has left everything that was read: the twin of `sentinel`."""
+    low, high = fixed[OUTLIERS + PLAUSIBLE_LOW], fixed[OUTLIERS + PLAUSIBLE_HIGH]
+    away: bool = (signal < low or signal > high) and abs(signal - read) > high - low
+    return away
+
+
+@compiled_part
 def tell(  # noqa: PLR0913
-    fixed: Floats, column: int, rows: Rows, normalised: Floats, numbers: Floats, marks: Integers, out: Out, begun: int,
+    fixed: Floats, column: int, rows: Rows, heard: Heard, numbers: Floats, marks: Integers, out: Out, begun: int,
     end: int,
 ) -> None:  # fmt: skip
     """Finish the rows of a channel from `begun` to `end`: alarms, sigma, and how often each verdict was given."""
     for row in range(begun, end):
-        alarm = watch_innovation(fixed, normalised[row], numbers, marks)
+        alarm = watch_innovation(fixed, heard.normalised[row], numbers, marks)
         if alarm and out.verdicts[row, column] == 0:
             out.verdicts[row, column] = alarm
+        verdict, sigma = out.verdicts[row, column], out.sigma[row, column]
+        if not is_lost(verdict) and not math.isnan(heard.usable[row]):
+            numbers[READ] = heard.usable[row]
+        if ran_away(fixed, out.signal[row, column], numbers[READ]):
+            out.signal[row, column], out.sigma[row, column], out.verdicts[row, column] = math.nan, math.nan, RUNAWAY
+            verdict = RUNAWAY
+        missed, marks[MISSED] = marks[MISSED], 1 if is_lost(verdict) and verdict != SPIKE else 0
+        if sigma >= fixed[UNKNOWN_FROM] and missed and marks[MISSED] and not math.isnan(out.signal[row, column]):
+            out.signal[row, column], out.sigma[row, column], out.verdicts[row, column] = math.nan, math.nan, HOLE
         marks[COUNTS + out.verdicts[row, column]] += 1
         seconds = rows.elapsed[row] * rows.step_s
         out.sigma[row, column] = widened(fixed, out.signal[row, column], out.sigma[row, column], seconds, numbers)

@@ -102,9 +102,8 @@ class LagOpening:
         """Take a row (m,); return the state and its covariance where it is the one that determines them."""
         F, Q, H, R = step
         if self.blank and not arrived(reading).any():
-            n, p = len(F), len(self._C)
-            unknown = np.full(p, np.nan), np.full(p, np.inf), np.zeros((n, n)), np.zeros(n)
-            self._rows.append(Early(*unknown, F, Q))
+            unknown = np.full(len(self._C), np.nan), np.full(len(self._C), np.inf)
+            self._rows.append(Early(*unknown, *known_before(self._model), F, Q))
             return None
         before = self._prior or known_before(self._model)
         before = before if self._now is None else carry_on(self._now, F, Q, self._model)

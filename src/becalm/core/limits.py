@@ -15,6 +15,9 @@ from scipy.special import ndtr, ndtri
 
 from becalm.core.arrays import Floats, Integers
 from becalm.core.clock import GAP_STEPS
+from becalm.core.held import EVERY_REPEAT, repeats_readings
+from becalm.core.kernel_outliers import NEAR_REST, Outliers
+from becalm.core.outliers import NO_OUTLIERS, find_outlier_rule, is_outlier
 from becalm.core.possible import find_largest
 from becalm.core.rails import Rails, find_rails, is_noisy
 from becalm.core.verdict import BEYOND_ANY_SENSOR
@@ -53,6 +56,8 @@ class Limits(NamedTuple):
         Whether rows come in even time, so that one can be late.
     largest : float
         Readings of a greater magnitude, in unit, are impossible.
+    outliers : Outliers
+        How far readings jump; those that are farther out are gross outliers.
     """
 
     low: float = -np.inf
@@ -62,6 +67,7 @@ class Limits(NamedTuple):
     gap_steps: float = GAP_STEPS
     even: bool = True
     largest: float = BEYOND_ANY_SENSOR
+    outliers: Outliers = NO_OUTLIERS
 
     @property
     def rails(self) -> Rails:
@@ -113,11 +119,25 @@ def find_limits(
     kept = (np.abs(z) <= largest) & ((elapsed != 0) | (np.arange(len(z)) == 0))  # possible, and of a time of its own
     readings = np.asarray(z[kept])
     resolution = find_resolution(readings)
-    rails = find_rails(readings, resolution) if sensor_range is None else Rails(*sensor_range)
+    outliers = find_outlier_rule(readings, held=repeats_readings(readings, resolution))
+    rails = (
+        find_rails(readings[readings != outliers.blank], resolution) if sensor_range is None else Rails(*sensor_range)
+    )
     hours = float(elapsed[kept].sum()) * step_s / 3600
-    stuck = _stuck_readings(readings[~rails.reached(readings)], resolution, false_alarms_per_hour * hours)
+    plain = readings[~rails.reached(readings) & ~is_outlier(readings, outliers)]
+    held = repeats_readings(plain, resolution)
+    stuck = EVERY_REPEAT if held else _stuck_readings(plain, resolution, false_alarms_per_hour * hours, outliers)
     gap_steps, even = _rhythm(elapsed[1:])
-    return Limits(rails.low, rails.high, resolution, stuck, gap_steps, even, largest)
+    return Limits(rails.low, rails.high, resolution, stuck, gap_steps, even, largest, outliers)
+
+
+def stuck_at_once(limits: Limits) -> int:
+    """Return how many equal readings in a row count as stuck from the first on, where rows may wait; 0 for none.
+
+    They do where a channel hardly repeats a reading; where others do, the first of them may be good.
+    """
+    stuck = limits.stuck_readings or 0
+    return stuck if limits.outliers.repeats_are_one and stuck > EVERY_REPEAT else 0
 
 
 def find_resolution(z: Floats) -> float:
@@ -152,7 +172,7 @@ def run_lengths(z: Floats) -> Integers:
     return np.diff(ends, prepend=-1)
 
 
-def _stuck_readings(z: Floats, resolution: float, alarms: float) -> int | None:
+def _stuck_readings(z: Floats, resolution: float, alarms: float, outliers: Outliers) -> int | None:
     """Return the run of equal readings (N,) that comes less than `alarms` times in as many readings; None if unknown.
 
     A few of the longest runs are held against the others first: far beyond them they are faults, and not of them.
@@ -168,14 +188,22 @@ def _stuck_readings(z: Floats, resolution: float, alarms: float) -> int | None:
     hold, lengths = _longest_hold(z, alarms), runs[order]
     limits = [margin * max(hold, _longest_run(lengths[: len(runs) - k], alarms)) for k in range(most + 1)]
     held = z[np.cumsum(runs)[order] - 1]
-    faults = max(k for k in range(most + 1) if not k or (lengths[-k] > limits[k] and _are_faults(held[-k:], z)))
+    faults = max(
+        k for k in range(most + 1) if not k or (lengths[-k] > limits[k] and _are_faults(held[-k:], z, outliers))
+    )
     return int(np.ceil(limits[faults])) if limits[faults] <= len(z) else None
 
 
-def _are_faults(held: Floats, z: Floats) -> bool:
+def _are_faults(held: Floats, z: Floats, outliers: Outliers) -> bool:
     """Whether values (k,) that were held are no rest: that repeats a value, or is the 0 a channel ends at."""
-    ends = 0.0 in held and (z.min() == 0 or z.max() == 0)
+    ends = 0.0 in held and (z.min() == 0 or z.max() == 0) and _rests_at_0(z, outliers)
     return len(np.unique(held)) == len(held) and not ends
+
+
+def _rests_at_0(z: Floats, outliers: Outliers) -> bool:
+    """Whether readings (N,), some of them 0, come near to it; otherwise a 0 fills in for a reading."""
+    others = np.abs(z[z != 0])
+    return not len(others) or bool(others.min() <= NEAR_REST * (outliers.high - outliers.low))
 
 
 def _longest_run(runs: Integers, alarms: float) -> float:

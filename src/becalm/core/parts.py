@@ -12,10 +12,10 @@ from itertools import pairwise
 from typing import Literal
 
 import numpy as np
-from scipy.linalg import block_diag, solve_discrete_lyapunov
+from scipy.linalg import block_diag, solve_continuous_lyapunov, solve_discrete_lyapunov
 
 from becalm.core.arrays import Floats, frozen
-from becalm.core.discretisation import Recursion, discretise, repeat
+from becalm.core.discretisation import Recursion, balancing, discretise, repeat
 from becalm.core.model import Model
 from becalm.errors import ModelError
 
@@ -89,10 +89,27 @@ class Component:
         return sum((output for part, output in self.outputs() if not part.disturbance), np.zeros_like(self.output))
 
     @property
+    def level_direction(self) -> Floats | None:
+        """What is added to the states (n,) when a constant is added to y, and stays; None where none does."""
+        states, n = self._slices()[0], len(self.drift)
+        for last in dict.fromkeys((0, states.stop - 1)):  # a motion's level, or it with the level that it returns to
+            direction = np.zeros(n)
+            direction[[0, last]] = 1.0
+            stays = self.parts[0].recursion is None and not (self.drift @ direction).any()
+            if stays and (self.output @ direction == 1.0).all():
+                return frozen(direction)
+        return None
+
+    @property
     def keeps_level(self) -> bool:
-        """Whether whatever is added to the first state stays, and is added to y."""
-        stays = self.parts[0].recursion is None and not self.drift[:, 0].any()
-        return bool(self.output[0, 0] == 1.0 and stays)
+        """Whether a constant may be added to y for good, so that readings may be told from any level."""
+        return self.level_direction is not None
+
+    @property
+    def returns(self) -> bool:
+        """Whether the first part, a motion, is damped towards a level of its own, its last state."""
+        last = self._slices()[0].stop - 1
+        return bool(last > 0 and self.drift[last, last] < 0.0 and self.keeps_level)
 
     @property
     def goes_in_steps(self) -> bool:
@@ -103,14 +120,19 @@ class Component:
     def known(self) -> Floats | None:
         """What is known of the states before any reading, as an inverse covariance (n, n); None where nothing is.
 
-        Of a recursion, that it is stationary; it could not be told from a motion by its first readings.
+        Of a recursion, that it is stationary, for it could not be told from a motion by its first readings; and so of
+        the distance of a motion from the level that it returns to.
         """
-        if not self.goes_in_steps:
+        if not (self.goes_in_steps or self.returns):
             return None
         Y = np.zeros_like(self.drift)
         for part, states in zip(self.parts, self._slices(), strict=True):
             if part.recursion is not None:
                 Y[states, states] = np.linalg.inv(solve_discrete_lyapunov(part.recursion.F, part.recursion.Q))
+        if self.returns:
+            states = self._slices()[0]
+            W = self.noise_input @ self.noise_density @ self.noise_input.T
+            Y[states, states] = _about_level(self.drift[states, states], W[states, states])
         return (Y + Y.T) / 2
 
     def outputs(self) -> list[tuple[Part, Floats]]:
@@ -179,7 +201,7 @@ class Component:
         noise_variance : float
             R, the variance of one reading's noise, in unit^2.
         discretisation : {"exact", "euler"}
-            "exact" integrates the noise over the step (Van Loan 1978); "euler" is the first-order
+            "exact" integrates the noise over the step, by series (`discretisation`); "euler" is the first-order
             form F = I + T A, G = T B with the density taken as the covariance of each step's
             noise, as in the IMU paper.
 
@@ -199,6 +221,20 @@ class Component:
             raise ModelError(f"discretisation = {discretisation!r} is not known; use 'exact' or 'euler'.")
         F, Q = self.over(np.array([step_s]))
         return Model(F=F[0], H=self.output, Q=Q[0], R=R, known=self.known)
+
+
+def _about_level(A: Floats, W: Floats) -> Floats:
+    """Return what is known, (n + 1, n + 1), of a motion that is stationary about its last state, an unknown level."""
+    n = len(A) - 1
+    apart, together = np.eye(n + 1), np.eye(n + 1)
+    apart[0, n], together[0, n] = -1.0, 1.0  # to the distance from the level, and back
+    own = (apart @ A @ together)[:n, :n]
+    scale = balancing(own)
+    P = solve_continuous_lyapunov(own / scale[:, np.newaxis] * scale, -W[:n, :n] / np.outer(scale, scale))
+    Y = np.zeros((n + 1, n + 1))
+    if np.isfinite(P).all() and (P.diagonal() > 0.0).all():
+        Y[:n, :n] = np.linalg.inv(P) / np.outer(scale, scale)
+    return np.asarray(apart.T @ Y @ apart)
 
 
 def checked_number(name: str, value: object, what: str, needed: str, *, zero: bool = False) -> float:

@@ -47,7 +47,7 @@ def reach_of(component: Component, noise_variance: float) -> Reach:
     """
     if len(component.drift) == 1:  # the next reading tells all there is, however far it was
         return Reach(np.inf)
-    order = len(component.parts[0].state_names)
+    order = 1 if component.returns else len(component.parts[0].state_names)
     degree, spans = order - 1, np.inf
     if degree and component.keeps_level and noise_variance > 0:
         spans = (_CARRIED * order / ((2 * degree + 1) * comb(2 * degree, degree) ** 2)) ** (1 / (2 * degree))

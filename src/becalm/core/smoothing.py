@@ -110,17 +110,20 @@ def go_back(task: Task, run: Run, how: Pass, future: Future, trace: Trace) -> No
     rows = np.empty((BLOCK, run.memory.shape[1]))
     backward(sizes_of(model), timeline.system, timeline.record(z), begun, how.enough, run.memory, rows, future, trace)
     if run.opening is not None:
-        _smooth_opening(timeline, run.opening, future, trace)
+        _smooth_opening(model, timeline, run.opening, future, trace)
 
 
-def _smooth_opening(timeline: Timeline, opening: starting.Opening, future: Future, trace: Trace) -> None:
-    """Smooth the last row of the opening, (9) and (10), and regress each row before on the row after it."""
+def _smooth_opening(model: Model, timeline: Timeline, opening: starting.Opening, future: Future, trace: Trace) -> None:
+    """Smooth the last row of the opening, (9) and (10), and regress each row before on the row after it.
+
+    Of a row before the first reading the model knows what it knows of any: a motion comes from where it returns to.
+    """
     system, last = timeline.system, opening.rows - 1
-    nothing = starting.Information(np.zeros_like(opening.P), np.zeros_like(opening.x))
+    before = starting.known_before(model)
     x, P = opening.x + opening.P @ future.r, opening.P - opening.P @ future.N @ opening.P
     for k in range(last, -1, -1):
         if k < last:
-            now = opening.information[k - opening.first] if k >= opening.first else nothing
+            now = opening.information[k - opening.first] if k >= opening.first else before
             step = timeline.step_before(k + 1)
             J, c, W = starting.regress(now, system.F[step], system.Q[step])
             x, P = J @ x + c, J @ P @ J.T + W

@@ -13,8 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.core.kernel_faults import HELD, LEAST, MOST, RUN
-from becalm.core.kernel_gate import CAPPED, REJECTED, SINCE
+from becalm.core.kernel_faults import FAR, HELD, LEAST, MOST, RUN
+from becalm.core.kernel_gate import GOES_ON, JUMPED, REJECTED, SINCE
+from becalm.core.kernel_outliers import LONGEST_FILL
 from becalm.core.kernel_settling import SETTLED, SIX, rename_last_step
 from becalm.core.kernel_watch import ABOVE, BELOW, COUNT, SQUARES, TOTAL
 from becalm.core.monitor import NEVER, SILENT, Alarms
@@ -45,6 +46,7 @@ class Rules(NamedTuple):
     at_most: float  # rejects in a row that a gate makes; inf without one
     stuck: int  # equal readings in a row that are called stuck; 0: never
     alarms: Alarms
+    remembers: bool = False  # whether the last six readings tell gross outliers
 
 
 def standing(saved: Mapping[str, Any], rules: Rules) -> dict[str, Floats]:
@@ -71,14 +73,19 @@ def standing(saved: Mapping[str, Any], rules: Rules) -> dict[str, Floats]:
             "gate": _of_gate(saved["flow_gate"], rules.at_most),
         }
     gaps, alarms = _of_gaps(saved["parted_gaps"], rules.reach), _of_alarms(saved, rules.alarms)
-    return belief | {"gaps": gaps, HOPS: _of_hops(saved), "alarms": alarms} | standing_of_readings(saved, rules.stuck)
+    return (
+        belief
+        | {"gaps": gaps, HOPS: _of_hops(saved), "alarms": alarms}
+        | standing_of_readings(saved, rules.stuck, rules.remembers)
+    )
 
 
-def standing_of_readings(saved: Mapping[str, Any], stuck: int) -> dict[str, Floats]:
+def standing_of_readings(saved: Mapping[str, Any], stuck: int, remembers: bool = False) -> dict[str, Floats]:
     """Return what the verdicts of later readings depend on, where no filter is asked; parameters as of `standing`."""
-    offsets = saved["faults_offsets"]
+    offsets, memory = saved["faults_offsets"], saved["faults_memory"]
+    past = np.append(memory[HELD], memory[FAR:]) if remembers else np.empty(0)
     return {
-        "readings": _of_readings(saved["faults_memory"], stuck),
+        "readings": np.append(_of_readings(memory, max(stuck, LONGEST_FILL) if remembers else stuck), past),
         "rhythm": np.asarray(offsets - offsets[-1], np.float64),
     }
 
@@ -102,8 +109,8 @@ def _of_filter(memory: Floats, told: Floats, n: int) -> Floats:
 def _of_gate(counters: Floats, at_most: float) -> Floats:
     if not len(counters) or counters[REJECTED]:
         return counters
-    since = min(counters[SINCE], at_most)
-    return np.array([since, counters[CAPPED] if since == 0.0 else 0.0])
+    since = min(counters[SINCE], max(at_most, GOES_ON))
+    return np.array([since, counters[JUMPED] if since < GOES_ON else 0.0])
 
 
 def _of_gaps(gaps: Floats, reach: Reach) -> Floats:

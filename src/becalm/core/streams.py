@@ -15,6 +15,7 @@ from becalm.core import kernel_stream_layout as at
 from becalm.core.arrays import Floats, Integers, input_of, read_only
 from becalm.core.components import Component
 from becalm.core.gates import Gate, level_of
+from becalm.core.kernel_faults import new_memory as new_sensor_memory
 from becalm.core.kernel_settling import COVARIANCE, GAIN, new_memory
 from becalm.core.kernel_stream import run_streams
 from becalm.core.kernel_stream_layout import Channels, Moving, Out, Rows, Work
@@ -60,6 +61,7 @@ class StreamChannel(NamedTuple):
     alarms: Alarms
     gate: Gate | None = None
     widening: Widening = Widening()
+    unknown_from: float = np.inf  # sigma from which on a row without a reading is a hole, in unit
 
     @property
     def disturbed(self) -> bool:
@@ -95,8 +97,8 @@ class Streams:
         self._known: list[Information | None] = [None] * len(channels)
         blank = new_memory(np.zeros(len(self._states)), np.zeros((len(self._states),) * 2), 1)[0]
         self._blank = np.concatenate([np.zeros(at.FILTER), blank])
-        self._blank[at.HELD : at.MOST + 1] = np.nan, 0.0, np.inf, -np.inf
-        self._blank[at.TOLD] = np.nan
+        self._blank[at.SENSOR : at.NOW] = new_sensor_memory()
+        self._blank[[at.TOLD, at.READ]] = np.nan
         self.moving = Moving(np.tile(self._blank, (len(channels), 1)), np.zeros((len(channels), at.MARKS), np.int64))
         self.moving.marks[:, at.WATCH + DRIFT_SINCE] = -1
 
@@ -248,6 +250,7 @@ def _fixed(channel: StreamChannel) -> Floats:
     reach = reach_of(channel.component, channel.noise_variance)
     fixed[at.LOW], fixed[at.HIGH], fixed[at.IMPOSSIBLE] = limits.low, limits.high, limits.largest
     fixed[at.STUCK] = min(limits.stuck_readings or 0, _ENDLESS)
+    fixed[at.OUTLIERS :] = limits.outliers
     fixed[at.LARGEST], fixed[at.VARIANCE] = largest_beside(channel.noise_variance), channel.noise_variance
     fixed[at.ENOUGH] = COVARIANCE if channel.disturbed else GAIN
     fixed[at.LONGEST], fixed[at.SPANS], fixed[at.TELLING] = reach
@@ -256,7 +259,7 @@ def _fixed(channel: StreamChannel) -> Floats:
         fixed[at.GATED : at.LEVEL_STATE + 1] = 1.0, gate.threshold, gate.agree, gate.at_most, level
     fixed[at.DRIFT_AT] = np.ceil(min(channel.alarms.drift_threshold, NEVER) * PARTS)
     fixed[at.DEAD_BELOW] = channel.alarms.dead_variance
-    fixed[at.FACTOR] = widening.factor
+    fixed[at.FACTOR], fixed[at.UNKNOWN_FROM] = widening.factor, channel.unknown_from
     if widening.time_std_s is not None:
         fixed[at.TIMED], fixed[at.TIME_STD], fixed[at.TIME_INCLUDED] = (
             1.0,

@@ -7,8 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from becalm.core.arrays import Codes, Floats
+from becalm.core.arrays import Booleans, Codes, Floats
 from becalm.core.filtering import Estimate
+from becalm.core.verdict import Verdict
 
 
 class Rows(NamedTuple):
@@ -45,6 +46,19 @@ class Told(NamedTuple):
     def rows(self, which: slice) -> Told:
         """Return some of the rows."""
         return Told(self.signal[which], self.sigma[which], self.parts[:, which], self.verdicts[which])
+
+    def without(self, which: Booleans, verdict: Verdict) -> Told:
+        """Return the same with nothing told of some rows (B,), which get a verdict."""
+        if not which.any():
+            return self
+        signal, sigma, parts = (np.where(which, np.nan, one) for one in self[:3])
+        return Told(signal, sigma, parts, np.where(which, np.int8(verdict), self.verdicts))
+
+    @classmethod
+    def joined(cls, parts: Sequence[Told]) -> Told:
+        """Return rows one after the other."""
+        some = [part for part in parts if len(part.signal)] or [cls.nothing()]
+        return some[0] if len(some) == 1 else cls(*(np.concatenate(of, axis=-1) for of in zip(*some, strict=True)))
 
     @classmethod
     def nothing(cls) -> Told:

@@ -12,8 +12,9 @@ from becalm.core.arrays import Codes, Floats
 BEYOND_ANY_SENSOR = 1e100
 """A magnitude whose square would leave float64; no sensor reads it."""
 
-AGREE, AT_MOST = 5, 50
-"""Spikes in a row that are believed after all: where they agree with each other, and whatever they are.
+AGREE, AT_MOST = 4, 4
+"""Rejects in a row that are believed after all: where they agree with each other, and whatever they are. A spike stands
+alone, or two or three do; what lasts longer is motion: a shock, a reversal, an impact.
 
 They stand here and not beside `gates.Gate`, so that a recipe can name them without loading a kernel."""
 
@@ -34,7 +35,22 @@ class Verdict(IntEnum):
     LATE = 10
     REPEATED = 11
     GAP = 12
+    OUTLIER = 13
+    HOLE = 14
+    RUNAWAY = 15
 
+
+LOST = np.isin(
+    list(Verdict),
+    [
+        Verdict.MISSING, Verdict.NONFINITE, Verdict.OVERRANGE, Verdict.SPIKE, Verdict.CLIPPED, Verdict.STUCK,
+        Verdict.OUTLIER,
+    ],
+)  # fmt: skip
+"""For each verdict, whether the reading did not enter the filter."""
+
+NOT_READ = LOST & (np.arange(len(Verdict)) != Verdict.SPIKE)
+"""For each verdict, whether there was no reading to tell of the signal; a spike may have been motion."""
 
 ADVICE = {
     Verdict.MISSING: "Missing readings are predicted across; sigma grows there.",
@@ -50,7 +66,13 @@ ADVICE = {
     Verdict.DRIFT: "Readings drift to one side of the signal; compare the sensor at rest, or with a slow reference.",
     Verdict.LATE: "Late rows came off their even time, none was lost; stamp them where they are measured.",
     Verdict.REPEATED: "Repeated rows have the time of the row before; look for a block that was written twice.",
+    Verdict.OUTLIER: "Gross outliers were treated as missing; look for loose contacts and broken transfers, and if they"
+    " are motion take outlier_distance and causal_outlier_distance out of the recipe.",
     Verdict.GAP: "Rows were lost before a gap, and sigma grows across it; look at the link and at the logger's buffer.",
+    Verdict.HOLE: "In a long hole the model knows no more than how far the signal goes, and nothing is told; for its"
+    " guess, with a sigma as wide as that, take --fill.",
+    Verdict.RUNAWAY: "Estimates left everything that was read, and are not told: a fault of the filter or of its"
+    " recipe; tune anew, and if they come again report it, with the recipe.",
 }
 
 

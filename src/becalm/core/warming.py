@@ -1,6 +1,6 @@
 """The kernels that cleaning, tuning and live filters of one channel use, compiled ahead of their first use.
 
-Compiling is slow, and one process compiles one kernel at a time; so each order has a process of its own.
+Compiling is slow, and one process compiles one kernel at a time; so each number of states has a process of its own.
 """
 
 from __future__ import annotations
@@ -12,14 +12,13 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from becalm.core.compiling import compile_quickly, count_kept, save_trouble, times_compiled
-from becalm.core.components import EVERY_ORDER, motion
+from becalm.core.components import HIGHEST_ORDER, Component, motion, returning_motion
 from becalm.core.faults import Faults
 from becalm.core.filtering import kalman_filter, sizes_of
 from becalm.core.fixed_lag import fixed_lag_smoother
@@ -30,6 +29,7 @@ from becalm.core.kernel_faults import find_faults
 from becalm.core.kernel_gate import find_outliers
 from becalm.core.kernel_lag import run_late
 from becalm.core.kernel_online import live_kernels
+from becalm.core.kernel_outliers import mark_outliers
 from becalm.core.kernel_stream import run_streams
 from becalm.core.kernel_switching import switch_forward
 from becalm.core.kernel_switching_online import live_bank_kernels
@@ -40,6 +40,7 @@ from becalm.core.limits import Limits
 from becalm.core.model import Model
 from becalm.core.monitor import NEVER, Alarms, InnovationMonitor
 from becalm.core.online import Online
+from becalm.core.outliers import find_outlier_rule, is_outlier
 from becalm.core.smoothing import kalman_smoother
 from becalm.core.streams import StreamChannel, Streams, new_block
 from becalm.core.switching import Mode, Switching
@@ -48,14 +49,17 @@ from becalm.core.switching_lag import LaggedSwitchingFlow
 from becalm.core.timeline import even_timeline
 from becalm.errors import UsageError
 
-_BANKS = {2: (1, 2, 3), 5: (1,)}
-"""Orders for which so many modes are found in records."""
+EVERY_SIZE = tuple(range(1, HIGHEST_ORDER + 2))
+"""Numbers of states of a motion: its order, and one more where it returns to a level."""
+
+_BANKS = {2: EVERY_SIZE, 5: (1,)}
+"""Numbers of states for which so many modes are found in records."""
 
 _OF_BANKS = tuple(
     f"{modes} modes {what}" for modes in _BANKS for what in ("forward", "backward", "late", "run", "step")
 )
-OF_ALL = ("faults", "watch")
-"""What every channel uses, of whatever order."""
+OF_ALL = ("faults", "outliers", "watch")
+"""What every channel uses, of whatever size."""
 
 KERNELS = (*OF_ALL, "forward", "backward", "gate", "late", "live run", "live step", "stream", *_OF_BANKS)
 
@@ -68,28 +72,28 @@ class Warmed(NamedTuple):
     """What became of one kernel."""
 
     name: str
-    order: int
+    states: int
     seconds: float
     compiled: bool  # False where it was there already
     trouble: str | None  # why it could not be kept
 
 
-def is_cold(names: Sequence[str], orders: Sequence[int]) -> bool:
-    """Whether fewer kernels are kept, of the forward and the backward ones, than there are orders."""
-    return any(count_kept(kernel) < len(orders) for kernel in (forward, backward) if kernel.__name__ in names)
+def is_cold(names: Sequence[str], sizes: Sequence[int]) -> bool:
+    """Whether fewer kernels are kept, of the forward and the backward ones, than there are numbers of states."""
+    return any(count_kept(kernel) < len(sizes) for kernel in (forward, backward) if kernel.__name__ in names)
 
 
-def warm(names: Sequence[str] = KERNELS, orders: Sequence[int] = EVERY_ORDER) -> Iterator[Warmed]:
-    """Compile the kernels for motions of some orders with one channel, and for banks of them, side by side.
+def warm(names: Sequence[str] = KERNELS, sizes: Sequence[int] = EVERY_SIZE) -> Iterator[Warmed]:
+    """Compile the kernels for motions of some numbers of states with one channel, and for banks of them, side by side.
 
-    A tone counts as two orders more.
+    A tone counts as two states more.
 
     Raises
     ------
     UsageError
         If a process came to grief; what it has not compiled is compiled when it is used.
     """
-    waiting, running = list(orders), deque[subprocess.Popen[str]]()
+    waiting, running = list(sizes), deque[subprocess.Popen[str]]()
     codes: list[int] = []
     try:
         while waiting or running:
@@ -112,10 +116,10 @@ def warm(names: Sequence[str] = KERNELS, orders: Sequence[int] = EVERY_ORDER) ->
             process.communicate()
 
 
-def _start(order: int, names: Sequence[str]) -> subprocess.Popen[str]:
-    """Compile for one order in a process of its own."""
+def _start(states: int, names: Sequence[str]) -> subprocess.Popen[str]:
+    """Compile for one number of states in a process of its own."""
     return subprocess.Popen(
-        [*MODULE, __name__, str(order), *names],
+        [*MODULE, __name__, str(states), *names],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
@@ -124,26 +128,36 @@ def _start(order: int, names: Sequence[str]) -> subprocess.Popen[str]:
     )
 
 
-def warm_order(order: int, names: Sequence[str]) -> Iterator[Warmed]:
-    """Compile kernels for a motion of one order in this process, one after the other."""
-    uses = _uses_of_motion(order) | (_uses_of_all() if order == 1 else {})
-    for modes in (count for count, orders in _BANKS.items() if order in orders):
-        uses |= _uses_of_bank(order, modes)
+def warm_size(states: int, names: Sequence[str]) -> Iterator[Warmed]:
+    """Compile kernels for a motion of so many states in this process, one after the other."""
+    uses = _uses_of_motion(states) | (_uses_of_all() if states == 1 else {})
+    for modes in (count for count, sizes in _BANKS.items() if states in sizes):
+        uses |= _uses_of_bank(states, modes)
     for name in names:
         if name in uses:
-            yield _warmed(name, order, *uses[name])
+            yield _warmed(name, states, *uses[name])
+
+
+def _motion(states: int) -> Component:
+    return motion(states) if states <= HIGHEST_ORDER else returning_motion(states - 1, 1.0, 0.1)
 
 
 def _uses_of_all() -> dict[str, Use]:
-    """Return what every channel uses, of whatever order."""
+    """Return what every channel uses, of whatever size."""
     return {
         "faults": (find_faults, partial(Faults(Limits()).push, _READINGS, np.ones(len(_READINGS)))),
+        "outliers": (mark_outliers, _look_for_outliers),
         "watch": (watch, partial(InnovationMonitor(Alarms(NEVER, 0.0, np.inf)).push, _READINGS)),
     }
 
 
-def _uses_of_motion(order: int) -> dict[str, Use]:
-    model = motion(order).to_model(step_s=1.0, noise_variance=1.0)
+def _look_for_outliers() -> None:
+    z = np.sin(np.square(np.arange(64.0)))
+    is_outlier(z, find_outlier_rule(z))
+
+
+def _uses_of_motion(states: int) -> dict[str, Use]:
+    model = _motion(states).to_model(step_s=1.0, noise_variance=1.0)
     online = Online(model)
     live = live_kernels(*sizes_of(model))
     return {
@@ -153,13 +167,12 @@ def _uses_of_motion(order: int) -> dict[str, Use]:
         "late": (run_late, partial(fixed_lag_smoother, model, _READINGS, 1)),
         "live run": (live.run, partial(online.run, _READINGS)),
         "live step": (live.step, partial(online.step, 1.0)),
-        "stream": (run_streams, partial(_stream, order)),
+        "stream": (run_streams, partial(_stream, states)),
     }
 
 
-def _uses_of_bank(order: int, modes: int) -> dict[str, Use]:
-    still, moving = Mode("still", motion(1), 1.0, 10.0), Mode("", motion(order), 1.0, 10.0)
-    bank = Switching((still, *(replace(moving, name=str(count)) for count in range(1, modes))))
+def _uses_of_bank(states: int, modes: int) -> dict[str, Use]:
+    bank = Switching(tuple(Mode(str(count), _motion(states), 1.0, 10.0) for count in range(modes)))
     online, live = Online(bank), live_bank_kernels(bank.states, modes)
     flows = (
         ("forward", switch_forward, SwitchingFlow(bank, causal=True)),
@@ -172,8 +185,8 @@ def _uses_of_bank(order: int, modes: int) -> dict[str, Use]:
     return uses
 
 
-def _stream(order: int) -> None:
-    channel = StreamChannel(motion(order), 1.0, Limits(), Alarms(NEVER, 0.0, np.inf))
+def _stream(states: int) -> None:
+    channel = StreamChannel(_motion(states), 1.0, Limits(), Alarms(NEVER, 0.0, np.inf))
     Streams([channel], [0]).push(*new_block(_READINGS[:, np.newaxis], np.ones(len(_READINGS)), 1.0))
 
 
@@ -188,15 +201,15 @@ def _judge(model: Model) -> None:
     Gatekeeper(model, Gate(LEAST_THRESHOLD)).judge(timeline, _READINGS[:, np.newaxis], 0, belief)
 
 
-def _warmed(name: str, order: int, kernel: object, use: Callable[[], object]) -> Warmed:
+def _warmed(name: str, states: int, kernel: object, use: Callable[[], object]) -> Warmed:
     before, begun = times_compiled(kernel), time.perf_counter()
     use()
     took, compiled = time.perf_counter() - begun, times_compiled(kernel) > before
     trouble = save_trouble(kernel)
-    return Warmed(name, order, took, compiled, None if trouble is None else trouble.strerror)
+    return Warmed(name, states, took, compiled, None if trouble is None else trouble.strerror)
 
 
 if __name__ == "__main__":
     compile_quickly()
-    for one in warm_order(int(sys.argv[1]), sys.argv[2:]):
+    for one in warm_size(int(sys.argv[1]), sys.argv[2:]):
         print(json.dumps(one), flush=True)  # noqa: T201  (read by `warm`)

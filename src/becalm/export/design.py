@@ -12,8 +12,8 @@ from functools import cached_property
 
 import numpy as np
 
-from becalm.cleaning.faults import limits_of
 from becalm.cleaning.filters import Filter
+from becalm.cleaning.limits_entry import limits_of
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.core.arrays import Floats
 from becalm.core.gains import Opening, open_at

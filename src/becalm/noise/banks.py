@@ -1,10 +1,11 @@
-"""Four banks of modes, each told by few numbers, and the search for them by likelihood.
+"""Five banks of modes, each told by few numbers, and the search for them by likelihood.
 
 resting   a still mode beside the fixed filter
 jumping   random walks from still to abrupt, and leaps, for levels that hold and jump; wild readings are left out
 noisy     the fixed filter with quiet and with loud noise
 spiky     the fixed filter with wild readings, which are left out, and an abrupt mode, in which the level jumps and
           all else goes on, so that it never locks out
+bursting  the fixed filter with calm and with violent motion; wild readings are left out
 """
 
 from __future__ import annotations
@@ -20,10 +21,10 @@ from becalm.core.components import motion, with_walking_level
 from becalm.core.kernel_switching import NOTHING_WANTED, switch_forward
 from becalm.core.kernel_switching_row import memory_length
 from becalm.core.switching import Mode, Switching, numbered_steps
-from becalm.noise.far import WINDOW, Far, running_median
 from becalm.noise.likelihood import Evidence, Tuning
+from becalm.noise.running_median import WINDOW, running_median
 
-Kind = Literal["resting", "jumping", "noisy", "spiky"]
+Kind = Literal["resting", "jumping", "noisy", "spiky", "bursting"]
 
 STANDS_OUT = 8.0
 """Standard deviations of noise, beyond which a reading stands out among its neighbours."""
@@ -39,11 +40,14 @@ _RESTS, _MOVES = 1.6e5, 3e6  # steps that a level stays still, or moves, where t
 _UNMOVED = 1e8  # steps between jumps of what is only spiky
 _WALKS = {"still": 1e-10, "gentle": 2e-3, "quick": 0.7, "abrupt": 40.0}  # q/r
 _RANGES = ((1e-12, 1e-3), (1e-8, 1e0), (1e-3, 1e2), (1e1, 1e6))  # of them
-_WILD = 1e-9  # share of readings that are wild among levels, where the record shows none: a jump is far likelier
+_WILD = 1e-9  # share of readings that are wild, where the record shows none: a jump, or a burst, is far likelier
+_APART = 100.0  # times the variance of the noise, by which wild readings are spread where none stands out
 _FARTHER = 4.0  # times the variance of wild readings, which that of a leap is
 _AT_ONCE = 0.7  # steps that an abrupt mode lasts
 _FINEST = 1e-7  # of what most readings span, the noise of a bank: of less a jump leaves nothing but rounding
 _LOST = 1e-13  # of what all of them span, so
+_VIOLENT, _CALMS, _STORMS = 100.0, 3000.0, 20.0  # q/r of violent motion, which believes readings; steps of both
+_LOUDEST = 1e15  # times the calm motion's density: of more the calm is lost to rounding where it is mixed
 _BLOCK = 50  # readings, of which the variance of bends is taken
 
 
@@ -78,7 +82,7 @@ def resting(tuning: Tuning, evidence: Evidence) -> Bank:
     A moving sensor now and then surprises its filter, which says nothing of whether it came to rest.
     """
     spread = float(np.ptp(evidence.z)) ** 2
-    moving = Mode("moving", tuning.component, tuning.noise_variance, 1.0, wild_share=_SURPRISED)
+    moving = Mode("moving", replace(tuning, damping=0.0).component, tuning.noise_variance, 1.0, wild_share=_SURPRISED)
 
     def make(r: float, ratio: float, rests: float, moves: float) -> Switching:
         still = Mode("still", motion(1, ratio * r), r, rests)
@@ -87,13 +91,13 @@ def resting(tuning: Tuning, evidence: Evidence) -> Bank:
     return Bank([_variance(evidence), Number(1e-6, 1e-12, 1e-3), *2 * [Number(300.0, 50.0, 1e6)]], make)
 
 
-def jumping(evidence: Evidence, far: Far) -> Bank:
+def jumping(evidence: Evidence, wild: float = _WILD) -> Bank:
     """Return banks of random walks, from still to abrupt, and of leaps as far as readings reach, and farther.
 
-    What is farther out than any wild reading is a leap: so a level is never lost for good. `far` tells of readings
-    that the evidence is without.
+    What is farther out than any wild reading is a leap: so a level is never lost for good. `wild` is the share of wild
+    readings to begin with; with a *small* one the record has to show them, and a far reading is a jump.
     """
-    spread = max(far.reach, float(np.ptp(evidence.z))) ** 2
+    spread = float(np.ptp(evidence.z)) ** 2
 
     def make(r: float, still: float, others: float, wild: float, *ratios: float) -> Switching:
         lasts = (still, others, others, _AT_ONCE)
@@ -106,10 +110,7 @@ def jumping(evidence: Evidence, far: Far) -> Bank:
 
     numbers = [
         _variance(evidence),
-        *(
-            Number(*told, gain=_MUCH)
-            for told in ((_RESTS, 10.0, 1e7), (_MOVES, 0.5, 1e7), (max(_WILD, min(far.share, 0.2)), 1e-12, 0.2))
-        ),
+        *(Number(*told, gain=_MUCH) for told in ((_RESTS, 10.0, 1e7), (_MOVES, 0.5, 1e7), (wild, 1e-12, 0.2))),
     ]
     walks = [Number(ratio, *bounds, gain=_MUCH) for ratio, bounds in zip(_WALKS.values(), _RANGES, strict=True)]
     return Bank([*numbers, *walks], make)
@@ -127,12 +128,40 @@ def noisy(tuning: Tuning) -> Bank:
     return Bank([own, Number(10.0, 1.5, 1e6), *2 * [Number(1000.0, 50.0, 1e6)]], make)
 
 
+def bursting(tuning: Tuning, evidence: Evidence, like: Switching | None = None) -> Bank:
+    """Return banks of a fixed filter with calm and with violent motion: of Q and R, only Q changes.
+
+    With a bank that it is to be `like`, perhaps of another order, the calm motion is that of `tuning`; it stays.
+    """
+    r, ratio, first = tuning.noise_variance, tuning.ratio, (_VIOLENT, _WILD, _CALMS, _STORMS)
+    own = [Number(r, r * 1e-4, r * 20, 1.0, _SOME), Number(ratio, 1e-14, 1e6, gain=_SOME)]
+    apart = max(outstanding_variance(evidence.z[:, 0], r), _APART * r)
+
+    def make(noise: float, ratio: float, violent: float, share: float, *lasts: float) -> Switching:
+        ratios = (ratio, max(violent, ratio))
+        modes = (
+            Mode(name, replace(tuning, ratio=q, noise_variance=noise).component, noise, last, wild_share=share)
+            for name, q, last in zip(("calm", "burst"), ratios, lasts, strict=True)
+        )
+        return Switching(tuple(modes), apart, rejects=True)
+
+    if like is not None:
+        own = [Number(one.default, one.default, one.default) for one in own]
+        calm, burst = like.modes
+        violent = float(burst.component.noise_density[0, 0]) / burst.noise_variance
+        first = (violent, calm.wild_share, calm.lasts, burst.lasts)
+    ranges = ((1e-9, min(1e12, _LOUDEST * ratio)), (1e-12, 0.2), (50.0, 1e7), (2.0, 1e4))
+    gains = (_GAIN, _MUCH, _GAIN, _GAIN)
+    others = zip(first, ranges, gains, strict=True)
+    return Bank([*own, *(Number(value, low, high, gain=gain) for value, (low, high), gain in others)], make)
+
+
 def spiky(tuning: Tuning, evidence: Evidence) -> Bank:
     """Return banks of a fixed filter, tuned anew, with wild readings; where they agree, it was a jump."""
     r, spread = max(middle_variance(evidence.z[:, 0]), _least(evidence)), float(np.ptp(evidence.z)) ** 2
 
     def make(noise: float, ratio: float, share: float, wild: float) -> Switching:
-        own = sum(tuning.companions, motion(tuning.order, ratio * noise))
+        own = replace(tuning, ratio=ratio, noise_variance=noise).component
         steady = Mode("steady", own, noise, _UNMOVED, wild_share=share)
         abrupt = Mode("abrupt", with_walking_level(own, wild), noise, _AT_ONCE, "steady", share)
         return Switching((steady, abrupt), wild, rejects=True)
@@ -143,7 +172,7 @@ def spiky(tuning: Tuning, evidence: Evidence) -> Bank:
             _about(r, 1e4, evidence),
             Number(tuning.ratio, *fastest, gain=_SOME),
             Number(0.03, 3e-3, 0.4),
-            Number(max(outstanding_variance(evidence.z[:, 0], r), 100 * r), 9 * r, max(spread, 100 * r)),
+            Number(max(outstanding_variance(evidence.z[:, 0], r), _APART * r), 9 * r, max(spread, _APART * r)),
         ],
         make,
     )
@@ -165,6 +194,19 @@ def _least(evidence: Evidence) -> float:
     low, high = np.quantile(evidence.z[:, 0], (0.05, 0.95))
     finest = max(_FINEST * float(high - low), _LOST * float(np.ptp(evidence.z)))
     return max(evidence.smallest_variance, finest**2)
+
+
+def of_first_mode(tuning: Tuning, switching: Switching) -> Tuning:
+    """Return a tuning with the noise, and the process noise, of the first mode of a bank that was made of it."""
+    first = switching.modes[0]
+    ratio = float(first.component.noise_density[0, 0]) / first.noise_variance
+    return replace(tuning, ratio=ratio, noise_variance=first.noise_variance)
+
+
+def with_wild_share(switching: Switching, share: float) -> Switching:
+    """Return a bank of which so many readings are wild in every mode; with a share of 0 it believes all of them."""
+    modes = tuple(replace(mode, wild_share=share) for mode in switching.modes)
+    return replace(switching, modes=modes, rejects=share > 0)
 
 
 def searched(bank: Bank, pieces: Sequence[Piece]) -> tuple[Switching, float]:

@@ -16,11 +16,12 @@ from becalm.core.components import EVERY_ORDER, ORDERS
 from becalm.noise.beside import tune_beside
 from becalm.noise.coloured import NoiseModel
 from becalm.noise.cross_validation import lasting, simplest, tune_smoother
+from becalm.noise.damping import damped
 from becalm.noise.likelihood import FEWEST_READINGS, UNSCORED, Evidence, Tuning, tune_motion
 from becalm.noise.lines import add_lines
 from becalm.noise.risk import less_risky, retune
 
-__all__ = ["FEWEST_READINGS", "NOTHING_KNOWN", "Choice", "Known", "choose", "orders_run"]
+__all__ = ["FEWEST_READINGS", "NOTHING_KNOWN", "Choice", "Known", "choose", "sizes_run"]
 
 
 @dataclass(frozen=True)
@@ -45,9 +46,16 @@ class Choice:
     motion: Tuning | None = None
     rivals: tuple[Tuning, ...] = ()
 
+    def counted_in(self, steps: float) -> Choice:
+        """Return the same where a step is so many of its own long."""
+        if steps == 1.0 or self.tuning is None or self.motion is None:
+            return self
+        rivals = tuple(rival.counted_in(steps) for rival in self.rivals)
+        return Choice(self.kind, self.tuning.counted_in(steps), self.motion.counted_in(steps), rivals)
 
-def orders_run(elapsed: Floats, causal: bool) -> tuple[int, ...]:
-    """Return the orders whose kernels choosing runs, over a record of these steps (N,) of which none is missing."""
+
+def sizes_run(elapsed: Floats, causal: bool) -> tuple[int, ...]:
+    """Return the numbers of states of the kernels that choosing runs, over a whole record of these steps (N,)."""
     if causal:
         return ORDERS
     even = Evidence.of(np.zeros(len(elapsed)), elapsed)
@@ -68,6 +76,10 @@ class Known:
 
     noise: NoiseModel | None = None
     removed: tuple[float, ...] = ()
+
+    def counted_in(self, steps: float) -> Known:
+        """Return the same where a step is so many of its own long."""
+        return self if steps == 1.0 else Known(self.noise, tuple(angle * steps for angle in self.removed))
 
 
 NOTHING_KNOWN = Known()
@@ -99,20 +111,34 @@ def choose(readings: Floats, elapsed: Floats, causal: bool = True, known: Known 
         return Choice("untold")
     if np.all(seen == seen[0]):
         return Choice("constant")
-    evidence = Evidence.of(readings, elapsed)
+    every = Evidence.of(readings, elapsed)
+    own = 1.0 if known.noise is not None else every.own_step
+    return _chosen(every.counted_in(own), causal, known.counted_in(own)).counted_in(1 / own)
+
+
+def _chosen(evidence: Evidence, causal: bool, known: Known) -> Choice:
+    """Choose a motion for readings most of which lie a step apart."""
     if known.noise is not None:
         beside = tune_beside(evidence, known.noise.white_variance, known.noise.coloured, causal=causal)
-        return Choice("motion", beside, replace(beside, coloured=None))
+        return Choice("motion", damped(beside, evidence), replace(beside, coloured=None))
     smoothers = () if causal else tune_smoother(evidence)
     if smoothers:
         best = simplest(smoothers)
-        return Choice("motion", _toned(best, evidence, causal, known.removed), best, smoothers)
+        return _returning(best, evidence, causal, known.removed, smoothers)
     rivals = tuple(tune_motion(order, evidence) for order in ORDERS)
     if max(tuning.count for tuning in rivals) < FEWEST_READINGS - UNSCORED:
         return Choice("untold")
     likeliest = max(rivals, key=lambda tuning: tuning.log_likelihood)
     best = retune(likeliest, evidence) if causal else likeliest
-    return Choice("motion", _toned(best, evidence, causal, known.removed), best, rivals)
+    return _returning(best, evidence, causal, known.removed, rivals)
+
+
+def _returning(
+    best: Tuning, evidence: Evidence, causal: bool, removed: tuple[float, ...], rivals: tuple[Tuning, ...]
+) -> Choice:
+    """Choose a motion with its tones, bounded by the record's own spread."""
+    toned = _toned(best, evidence, causal, removed)
+    return Choice("motion", damped(toned, evidence), best, rivals)
 
 
 def _toned(alone: Tuning, evidence: Evidence, causal: bool, removed: tuple[float, ...]) -> Tuning:

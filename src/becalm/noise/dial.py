@@ -77,6 +77,16 @@ def ratio_for(order: int, dial: Dial, step_s: float, causal: bool = True) -> flo
     return ratio_for_lag(order, value, step_s)
 
 
+def may_judge(tuning: Tuning, identified: Tuning) -> bool:
+    """Return whether a gate may judge by a filter: one that is as quick as the identified filter, and as wide.
+
+    A slower filter does not follow the signal, and its gate takes motion for spikes.
+    """
+    quick = tuning.ratio >= identified.ratio and tuning.noise_variance >= identified.noise_variance
+    same = (tuning.order, tuning.lines, tuning.coloured) == (identified.order, identified.lines, identified.coloured)
+    return quick and same
+
+
 def _at(tuning: Tuning, ratio: float) -> Tuning:
     return replace(tuning, ratio=ratio, lines=(), coloured=None, log_likelihood=np.nan, loss=np.nan, at_edge="")
 

@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.core.closed_forms import autoregressive_power, motion_power
+from becalm.core.closed_forms import autoregressive_power
 from becalm.noise.likelihood import Tuning
 from becalm.noise.spectrum import line_power
 
@@ -45,7 +45,7 @@ def excess_error(tuning: Tuning, colour: Colour) -> float:
 
 def powers(tuning: Tuning, angle: Floats) -> tuple[Floats, Floats]:
     """Return the power (k,) of the signal and of the noise in readings, unit^2, at angles (k,) in radians a step."""
-    signal = tuning.ratio * tuning.noise_variance * motion_power(tuning.order, angle)
+    signal = tuning.motion_power(angle)
     noise = np.full_like(angle, tuning.noise_variance)
     for line in tuning.lines:
         power = line_power(line, angle)

@@ -2,7 +2,6 @@
 
 Spikes inflate the noise, and a tuning that believes them rejects too few; so a channel is tuned, gated and
 tuned again on what was not rejected. Whether the rejects were spikes is told by the readings after them.
-Source of the draws: Rubin, Multiple Imputation for Nonresponse in Surveys (1987), chapter 1.
 """
 
 from __future__ import annotations
@@ -16,10 +15,11 @@ from scipy.special import ndtr
 from becalm.core.arrays import Booleans, Floats
 from becalm.core.flow import Flow
 from becalm.core.gates import Gate
-from becalm.core.told import Told
 from becalm.core.verdict import Verdict
 from becalm.noise.choose import NOTHING_KNOWN, Choice, Known, choose
+from becalm.noise.imputation import imputed, run_through
 from becalm.noise.likelihood import Tuning
+from becalm.noise.rejection import stand_out
 
 ROUNDS = 12
 """Tunings at the most: each lowers what huge spikes feign by the root of their share, until nothing changes."""
@@ -42,7 +42,6 @@ _MIDDLE = 1.4826  # of the median of |e|, which makes a standard deviation of Ga
 _CHANCE = 3.0  # standard deviations of a count
 _SAME = 0.1  # of a noise variance: another round would change little
 _PAIR = 2
-_PIECE = 1 << 15  # rows
 
 
 class GatedChoice(NamedTuple):
@@ -142,32 +141,10 @@ def forecasts(tuning: Tuning, readings: Floats, elapsed: Floats, gate: Gate | No
     flow = Flow(
         tuning.component, tuning.noise_variance, causal=True, gate=gate, judge=lambda *found: shown.append(found)
     )
-    told = _run_through(flow, readings, elapsed)
+    told = run_through(flow, readings, elapsed)
     verdicts = np.concatenate([part.verdicts for part in told])
     nu, sigma = (np.concatenate(parts) for parts in zip(*shown, strict=True))
     return Forecasts(nu / sigma, sigma, verdicts == Verdict.SPIKE)
-
-
-def imputed(tuning: Tuning, readings: Floats, elapsed: Floats, rejected: Booleans) -> Floats:
-    """Return readings (N,) with each reject replaced by a draw from what all others say of it.
-
-    So a record in even time stays one, and its spectrum can be taken; a draw, and not its mean, keeps the
-    noise as large as it is. The same record gets the same draws.
-    """
-    left = np.where(rejected, np.nan, readings)
-    flow = Flow(tuning.component, tuning.noise_variance, causal=False, split=True)
-    told = _run_through(flow, left, elapsed)
-    mean = np.concatenate([part.parts.sum(axis=0) for part in told])
-    spread = np.sqrt(np.concatenate([part.sigma for part in told]) ** 2 + tuning.noise_variance)
-    draws = np.random.default_rng(len(readings)).normal(size=len(readings))
-    return np.where(rejected, mean + spread * draws, readings)
-
-
-def _run_through(flow: Flow, readings: Floats, elapsed: Floats) -> list[Told]:
-    """Run a flow over readings (N,) in pieces: in uneven time each row has step matrices of its own."""
-    pieces = (slice(start, start + _PIECE) for start in range(0, len(readings), _PIECE))
-    told = [part for piece in pieces for part in flow.push(readings[piece], elapsed[piece])]
-    return [*told, *flow.finish()]
 
 
 def robust(tuning: Tuning, readings: Floats, elapsed: Floats) -> Tuning:
@@ -179,9 +156,10 @@ def robust(tuning: Tuning, readings: Floats, elapsed: Floats) -> Tuning:
 
 
 def _are_exceptions(rejected: Booleans, readings: Floats) -> bool:
-    """Whether rejects are few, and most of them stand alone or in pairs."""
+    """Return whether rejects are few, and most of them stand alone or in pairs, out of their neighbours."""
     count, seen = np.count_nonzero(rejected), np.count_nonzero(np.isfinite(readings))
     edges = np.flatnonzero(np.diff(np.concatenate([[False], rejected, [False]]).astype(np.int8)))
     lengths = np.diff(edges)[::2]
     alone = int(lengths[lengths <= _PAIR].sum())
-    return bool(count <= MOST_REJECTED * seen and alone >= FEWEST_ISOLATED * count)
+    few = count <= MOST_REJECTED * seen and alone >= FEWEST_ISOLATED * count
+    return bool(few and stand_out(readings, rejected))

@@ -8,7 +8,7 @@ the Kalman Filter (1989), section 4.2; Schweppe, IEEE TIT-11 (1965) 61.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import NamedTuple
@@ -17,9 +17,11 @@ import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.core.autoregressive import Coloured, autoregressive
-from becalm.core.components import Component, motion, oscillator
+from becalm.core.closed_forms import returning_power
+from becalm.core.components import LEVEL_RATE, Component, motion, oscillator, returning_motion
 from becalm.core.filtering import Sums
 from becalm.core.likelihood import score
+from becalm.core.quantisation import converter_step
 from becalm.core.timeline import elapsed_timeline
 from becalm.noise.search import Edge, find_ratio
 from becalm.noise.spectrum import Line
@@ -36,6 +38,7 @@ LONG_GAP = 1000.0
 LASTING = 1024
 """Readings in even time, none missing, whose spectrum is worth looking at."""
 
+_SELDOM = 1.5  # steps between readings, from which on they have a rate of their own
 _MOST_GAPS = 63
 _JITTER, _LATE = 0.02, 0.1  # steps by which a row may come late, after the row before and beside an even clock
 _PIECE, _PIECES = 2048, 16  # readings of a long record that stand for it
@@ -76,6 +79,8 @@ class Tuning:
         Tones beside the motion.
     coloured : Coloured or None
         Coloured noise beside the motion, a disturbance.
+    damping : float
+        Of the motion, radians a step, by which it returns to a level of its own; 0 of one that does not return.
     """
 
     order: int
@@ -87,11 +92,30 @@ class Tuning:
     at_edge: Edge = ""
     lines: tuple[Line, ...] = ()
     coloured: Coloured | None = None
+    damping: float = 0.0
+
+    def counted_in(self, steps: float) -> Tuning:
+        """Return the same tuning where a step is so many of its own long.
+
+        Parameters
+        ----------
+        steps : float
+            Length of the new step in old ones, above 0; of a tuning with coloured noise, 1.
+        """
+        if steps == 1.0:
+            return self
+        assert self.coloured is None, "coloured noise is known at whole steps only"
+        lines = tuple(
+            line._replace(angle=line.angle * steps, damping=line.damping * steps, density=line.density * steps)
+            for line in self.lines
+        )
+        ratio = self.ratio * steps ** (2 * self.order - 1)
+        return replace(self, ratio=ratio, lines=lines, damping=self.damping * steps)
 
     @property
     def component(self) -> Component:
         """The signal and what disturbs it, in steps."""
-        return sum(self.companions, motion(self.order, self.ratio * self.noise_variance))
+        return sum(self.companions, self.motion)
 
     @property
     def companions(self) -> list[Component]:
@@ -100,6 +124,22 @@ class Tuning:
         if self.coloured is None:
             return tones
         return [*tones, autoregressive(self.coloured.coefficients, float(np.sqrt(self.coloured.variance)))]
+
+    @property
+    def motion(self) -> Component:
+        """The motion alone, in steps."""
+        density = self.ratio * self.noise_variance
+        if not self.damping:
+            return motion(self.order, density)
+        return returning_motion(self.order, density, self.damping)
+
+    def motion_power(self, angle: Floats) -> Floats:
+        """Return the power (k,), unit^2, of the motion at angles (k,) in radians a step, as it is read once a step."""
+        return (
+            self.ratio
+            * self.noise_variance
+            * returning_power(self.order, self.damping, LEVEL_RATE * self.damping, angle)
+        )
 
 
 def _tone(line: Line) -> Component:
@@ -131,6 +171,16 @@ class Evidence:
         if np.array_equal(np.round(elapsed), elapsed):
             whole = np.round(whole)
         return cls(np.ascontiguousarray(readings[seen, np.newaxis]), whole)
+
+    @cached_property
+    def own_step(self) -> float:
+        """How many steps readings mostly lie apart; 1 unless they come more seldom than every other row."""
+        apart = float(np.quantile(self.elapsed[1:], 0.5, method="lower")) if len(self.elapsed) > 1 else 1.0
+        return apart if _SELDOM <= apart <= LONG_GAP else 1.0
+
+    def counted_in(self, steps: float) -> Evidence:
+        """Return the same readings where a step is so many of its own long."""
+        return self if steps == 1.0 else Evidence(self.z, self.elapsed / steps)
 
     @cached_property
     def stretches(self) -> list[slice]:
@@ -171,9 +221,10 @@ class Evidence:
 
     @cached_property
     def smallest_variance(self) -> float:
-        """What rounding alone leaves of a noise-free record, in unit^2."""
+        """What rounding, of float64 and of a converter, alone leaves of a noise-free record, in unit^2."""
         largest = float(np.abs(self.z).max(initial=0.0))
-        return (np.finfo(float).eps * largest) ** 2 + float(np.finfo(float).tiny)
+        rounded = (np.finfo(float).eps * largest) ** 2 + float(np.finfo(float).tiny)
+        return max(rounded, converter_step(self.z[:, 0]) ** 2 / 12)
 
 
 class Candidate:

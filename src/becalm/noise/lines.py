@@ -17,6 +17,7 @@ from scipy.ndimage import uniform_filter1d
 
 from becalm.core.arrays import Floats
 from becalm.core.closed_forms import cutoff_to_ratio, motion_power, ratio_to_cutoff
+from becalm.noise.imputation import completed
 from becalm.noise.likelihood import Evidence, Tuning
 from becalm.noise.spectrum import Line, Spectrum, binned, line_power, periodogram
 
@@ -74,10 +75,19 @@ def add_lines(tuning: Tuning, evidence: Evidence, removed: Sequence[float] = ())
     tuning : Tuning
         The best motion alone.
     evidence : Evidence
-        What it was tuned on; of fewer than 2048 readings in even time the tuning stays.
+        What it was tuned on; of fewer than 2048 readings in even time, but for short holes, the tuning stays.
     removed : sequence of float
         Angles, radians a step, near which a tone is a disturbance; a weaker one is found there.
     """
+    whole = completed(evidence, tuning)
+    found = _with_tones(tuning, whole, removed)
+    if whole is evidence or not found.lines:
+        return found
+    return _with_tones(tuning, completed(evidence, found), removed)  # whose draws hold the tones
+
+
+def _with_tones(tuning: Tuning, evidence: Evidence, removed: Sequence[float]) -> Tuning:
+    """Put tones beside a motion by the spectrum of the longest complete stretch."""
     longest = max(evidence.complete, key=lambda part: part.stop - part.start, default=slice(0))
     z = evidence.z[longest, 0]
     if len(z) < FEWEST_FOR_TONES or not np.var(z) > 0:

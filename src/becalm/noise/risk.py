@@ -20,6 +20,7 @@ from becalm.core.filtering import Wanted, run_filter
 from becalm.core.smoothing import run_smoother
 from becalm.core.timeline import elapsed_timeline
 from becalm.metrics.whiteness import whiteness
+from becalm.noise.imputation import completed
 from becalm.noise.likelihood import Candidate, Evidence, Tuning
 from becalm.noise.spectrum import periodogram, welch_power
 
@@ -45,9 +46,11 @@ def retune(tuning: Tuning, evidence: Evidence) -> Tuning:
     tuning : Tuning
         The likeliest.
     evidence : Evidence
-        The readings it was tuned on; at least 2048 in even time but for jitter, otherwise the tuning stays.
+        The readings it was tuned on; at least 2048 in even time but for jitter and short holes, otherwise the tuning
+        stays.
     """
-    if not _is_whole(evidence):
+    readings, evidence = len(evidence.z), completed(evidence, tuning)
+    if not _is_whole(evidence) or len(evidence.z) < readings:
         return tuning
     _, share = _risk(tuning, evidence)
     floor = white_floor(evidence.z[:, 0])
@@ -115,8 +118,9 @@ def less_risky(tuning: Tuning, other: Tuning, evidence: Evidence, causal: bool) 
     Cross-validation cannot compare a smoother that leaves each reading half its weight with one that leaves it a
     tenth: it asks how a reading is told by the others, and its own word counts for much in the first.
     """
-    longest = max(evidence.complete, key=lambda part: part.stop - part.start, default=slice(0))
-    floors = [floor_between_lines(evidence.z[longest, 0])] if longest.stop else []
+    whole = completed(evidence, tuning)
+    longest = max(whole.complete, key=lambda part: part.stop - part.start, default=slice(0))
+    floors = [floor_between_lines(whole.z[longest, 0])] if longest.stop else []
     if floors and tuning.noise_variance < floors[0] / _EXPLAINED:
         return other
     R = min(tuning.noise_variance, *floors)

@@ -17,7 +17,6 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.core.components import motion
 from becalm.core.filtering import Sums
 from becalm.core.likelihood import score
 from becalm.core.timeline import Timeline, elapsed_timeline
@@ -93,7 +92,7 @@ class _Passes:
             coloured=None if noise is None else noise._replace(variance=noise.variance / r),
         )
         component = unit.component
-        still = sum(unit.companions, motion(tuning.order, 0.0))
+        still = replace(unit, ratio=0.0).component
         self._model = component.to_model(1.0, 1.0)
         self._stretches: list[tuple[Timeline, Floats, Floats]] = []
         for evidence in stretches:

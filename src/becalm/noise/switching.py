@@ -1,6 +1,6 @@
 """Modes found from a recording: a filter that switches, where it foretells the readings better than a fixed one.
 
-Four banks are tried, each with few numbers, which are searched by likelihood (`banks`). A number leaves its
+Five banks are tried, each with few numbers, which are searched by likelihood (`banks`). A number leaves its
 default only where the record clearly says so, so that a record that shows few switches still gets a bank that
 follows any. A smoother has to err less by its estimated risk as well: what foretells best need not smooth best.
 Source of that estimate for filters that are not linear: Ramani, Blu and Unser, IEEE TIP-17 (2008) 1540.
@@ -15,10 +15,12 @@ import numpy as np
 from becalm.core.arrays import Floats
 from becalm.core.components import ORDERS, with_walking_level
 from becalm.core.switching import Mode, Switching
-from becalm.noise.bank_risk import errs_less
+from becalm.noise.bank_risk import errs_less, find_wild
 from becalm.noise.banks import Bank, Kind, Piece, jumping, log_likelihood, noisy, pieces_of, resting, searched, spiky
-from becalm.noise.far import NONE_FAR, Far
+from becalm.noise.bursts import find_bursting
+from becalm.noise.damping import damped
 from becalm.noise.likelihood import Evidence, Tuning, tune_motion
+from becalm.noise.rejection import stand_out
 
 _FEWEST = 256  # readings, below which no switch can be told from noise
 _SURPRISING = 6.0  # standard deviations: a difference of means that Gaussian noise and motion do not make
@@ -32,7 +34,7 @@ class Switched:
 
     Attributes
     ----------
-    kind : {"resting", "jumping", "noisy", "spiky"}
+    kind : {"resting", "jumping", "noisy", "spiky", "bursting"}
         See `becalm.noise.banks`.
     switching : Switching
         The modes, in steps.
@@ -40,16 +42,19 @@ class Switched:
         Of the readings that banks were compared on.
     fixed_log_likelihood : float
         Of the best fixed filter, on the same readings.
+    tuning : Tuning
+        The fixed filter that goes with it, perhaps with tones.
     """
 
     kind: Kind
     switching: Switching
     log_likelihood: float
     fixed_log_likelihood: float
+    tuning: Tuning
 
 
 def find_switching(
-    tuning: Tuning, evidence: Evidence, causal: bool, spikes_gated: bool = False, far: Far = NONE_FAR
+    tuning: Tuning, evidence: Evidence, causal: bool, spikes_gated: bool = False, wild: Evidence | None = None
 ) -> Switched | None:
     """Find the bank that foretells a record best; None where a fixed filter does as well.
 
@@ -63,30 +68,43 @@ def find_switching(
         Whether it shall filter (True) or smooth.
     spikes_gated : bool
         Whether a gate leaves spikes out of the fixed filter; then a bank has to be better than that.
-    far : Far
-        What is known of readings that the evidence is without.
+    wild : Evidence, optional
+        The readings with the gross outliers that stand before every filter: they tell a causal bank how seldom a
+        reading that is far off is a jump. A smoother's outliers are found on both sides, and hardly any is left.
     """
     surprise = find_surprise(evidence.z[:, 0]) if len(evidence.z) >= _FEWEST else None
     if surprise is None:
         return None
     pieces, motions = pieces_of(evidence, surprise), [tune_motion(order, evidence) for order in ORDERS]
-    likeliest = max(motions, key=lambda motion: motion.log_likelihood)
+    likeliest = damped(max(motions, key=lambda motion: motion.log_likelihood), evidence)
     fixed = max(log_likelihood(_alone(one), pieces) for one in (tuning, likeliest))
+    bursts = find_bursting(likeliest, evidence, pieces, causal)
     found = [
-        _found("resting", resting(likeliest, evidence), pieces),
-        _found("jumping", jumping(evidence, far), pieces),
-        _found("noisy", noisy(likeliest), pieces),
-        _found("spiky", spiky(likeliest, evidence), pieces),
+        _found("resting", resting(likeliest, evidence), pieces, tuning),
+        _found("jumping", jumping(evidence), pieces, tuning),
+        _found("noisy", noisy(likeliest), pieces, tuning),
+        _found("spiky", spiky(likeliest, evidence), pieces, tuning),
+        *(Switched("bursting", one.switching, one.log_likelihood, np.nan, one.tuning) for one in bursts),
     ]
     if spikes_gated:  # then a bank that leaves them out has to be better than that
         gated = log_likelihood(_with_wild(tuning, found[3].switching), pieces)
-        fixed, found = max(fixed, gated) + _DOUBT + _BETTER, [found[1], found[3]]
-    best = max(found, key=_gain)
-    if _gain(best) < fixed:
-        return None
-    alone = best.kind == "spiky" and not spikes_gated  # beside it a filter that believes all is no rival
-    enough = causal or alone or errs_less(best.switching, tuning, evidence)
-    return replace(best, fixed_log_likelihood=fixed) if enough else None
+        fixed, found = max(fixed, gated) + _DOUBT + _BETTER, [bank for bank in found if bank.switching.rejects]
+    likelier = [bank for bank in found if _gain(bank) >= fixed]
+    alone: Kind | None = None if spikes_gated else "spiky"  # beside it a filter that believes all is no rival
+    best = _best(likelier, evidence, None if causal else tuning, alone)
+    if best is not None and causal and wild is not None and len(wild.z) > len(evidence.z):
+        best = _knowing_outliers(best, likeliest, evidence, wild)
+    return None if best is None else replace(best, fixed_log_likelihood=fixed)
+
+
+def _knowing_outliers(found: Switched, tuning: Tuning, evidence: Evidence, wild: Evidence) -> Switched:
+    """Return a bank whose level jumps with the share of wild readings of all of them; others are as they were."""
+    if found.kind not in ("jumping", "spiky"):
+        return found
+    share = 1 - len(evidence.z) / len(wild.z)
+    bank = jumping(wild, share) if found.kind == "jumping" else spiky(tuning, wild)
+    known, _ = searched(bank, pieces_of(wild, int(np.argmax(np.abs(wild.z[:, 0] - np.median(wild.z))))))
+    return replace(found, switching=known) if _follows_motion(known, evidence, at_jumps=True) else found
 
 
 def _with_wild(tuning: Tuning, like: Switching) -> Switching:
@@ -97,13 +115,39 @@ def _with_wild(tuning: Tuning, like: Switching) -> Switching:
     return replace(like, modes=(replace(steady, component=own), replace(abrupt, component=walking)))
 
 
+def _best(found: list[Switched], evidence: Evidence, smoothed: Tuning | None, alone: Kind | None) -> Switched | None:
+    """Return the bank that foretells best and leaves no motion out, neither as wild readings nor as loud noise.
+
+    A smoother has to err less than the fixed one as well, unless it is of the kind that stands `alone`, and first.
+    """
+    motion_is_wild, ranked = False, sorted(found, key=_gain, reverse=True)
+    for bank in ranked:
+        if bank.kind == "noisy" and motion_is_wild:
+            continue
+        if not _follows_motion(bank.switching, evidence):
+            motion_is_wild = True
+            continue
+        first = bank is ranked[0] and bank.kind == alone
+        if smoothed is None or first or errs_less(bank.switching, smoothed, evidence):
+            return bank
+    return None
+
+
+def _follows_motion(switching: Switching, evidence: Evidence, *, at_jumps: bool = False) -> bool:
+    """Return whether a bank leaves out outliers only, if anything, and perhaps first readings after jumps."""
+    if not switching.rejects:
+        return True
+    z = evidence.z[:, 0]
+    return stand_out(z, find_wild(switching, z, evidence.elapsed), at_jumps=at_jumps)
+
+
 def _gain(found: Switched) -> float:
     return found.log_likelihood + (_DOUBT if found.kind == "jumping" else -_BETTER)
 
 
-def _found(kind: Kind, bank: Bank, pieces: list[Piece]) -> Switched:
+def _found(kind: Kind, bank: Bank, pieces: list[Piece], tuning: Tuning) -> Switched:
     switching, value = searched(bank, pieces)
-    return Switched(kind, switching, value, np.nan)
+    return Switched(kind, switching, value, np.nan, tuning)
 
 
 def find_surprise(z: Floats) -> int | None:

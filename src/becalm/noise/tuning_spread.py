@@ -23,7 +23,6 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.core.closed_forms import motion_power
 from becalm.core.steady import steady
 from becalm.core.steady_filter import SteadyFilter
 from becalm.errors import ModelError
@@ -124,7 +123,7 @@ def spectra_of(tuning: Tuning) -> Spectra | None:
         return None
     f = found.frequencies
     angle = 2 * np.pi * f
-    motion = tuning.ratio * tuning.noise_variance * motion_power(tuning.order, angle)
+    motion = tuning.motion_power(angle)
     signal, noise = powers(tuning, angle)
     return Spectra(found, f, motion, signal, signal + noise)
 

@@ -23,6 +23,9 @@ _WORDS = {  # of faults: of one, and of several
     "drift": ("drifting", "drifting"),
     "nonfinite": ("infinite", "infinite"),
     "overrange": ("out of range", "out of range"),
+    "outlier": ("gross outlier", "gross outliers"),
+    "hole": ("in holes", "in holes"),
+    "runaway": ("ran away", "ran away"),
 }
 
 

@@ -53,7 +53,11 @@ def _plain(recipe: ChannelRecipe, largest: float) -> ChannelRecipe:
         "dead_variance": None,
         "even_time": None,
         "gap_steps": None,
+        "outlier_distance": None,
+        "causal_outlier_distance": None,
+        "blank": None,
         "largest": min(largest, BEYOND_ANY_SENSOR),
     }
     beside = {"tuning_spread": 0.0, "calibration": None, "timing": None, "limits": limits.model_copy(update=known)}
+    beside["fill"] = True
     return recipe.model_copy(update=beside)

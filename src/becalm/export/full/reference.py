@@ -12,7 +12,7 @@ import numpy as np
 from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
 from becalm.cleaning.stream import StreamCleaner
 from becalm.core.arrays import Codes, Floats
-from becalm.core.kernel_faults import Rule, find_faults
+from becalm.core.kernel_faults import Rule, find_faults, new_memory
 from becalm.core.verdict import Verdict
 from becalm.export.design import Design
 from becalm.export.full.extended import Extended
@@ -46,12 +46,12 @@ class FullReference:
     """
 
     def __init__(self, recipe: ChannelRecipe, design: Design, largest: float) -> None:
-        bare = {"limits": None, "calibration": None, "timing": None, "tuning_spread": 0.0}
+        bare = {"limits": None, "calibration": None, "timing": None, "tuning_spread": 0.0, "fill": True}
         self._recipe = Recipe(tuned_on=Origin(rate_hz=1 / design.step_s), channel=(recipe.model_copy(update=bare),))
         self._design, self._first = design, len(design.opening.weights)
         limits = design.limits
         self._rule = Rule(limits.low, limits.high, largest, limits.stuck_readings or 0)
-        self._memory = np.array([np.nan, 0.0, np.inf, -np.inf])
+        self._memory = new_memory()
         self._stream = self._begun()
         self._gathered: list[float] = []
         self._extended: Extended | None = None

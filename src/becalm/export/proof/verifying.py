@@ -12,7 +12,7 @@ import numpy as np
 from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
 from becalm.cleaning.stream import StreamCleaner
 from becalm.core.arrays import Codes, Floats
-from becalm.core.verdict import Verdict
+from becalm.core.verdict import LOST
 from becalm.export.bundle import Bundle, Exported
 from becalm.export.kind import Raw
 from becalm.export.proof.compiling import OPTIMISED, SANITIZED, Build, CompileError, build, compilers, run
@@ -22,7 +22,6 @@ _LONG = 1_000_000  # readings drawn from the model itself
 _FIRST = 20_000  # of them, where the stream itself may keep fewer digits than C
 _SAME_FILTER_DB = 60.0  # below it is no rounding
 _SEED = 7
-_LOST = (Verdict.MISSING, Verdict.NONFINITE, Verdict.OVERRANGE, Verdict.CLIPPED, Verdict.STUCK)
 
 
 class Run(NamedTuple):
@@ -201,11 +200,19 @@ def _wanted(one: Exported, channel: ChannelRecipe, given: Floats) -> tuple[Float
     A filter without a covariance that meets missing readings, or whose start was thinned, is held against its own.
     """
     step_s = one.design.step_s
-    alone = Recipe(mode="causal", tuned_on=Origin(rate_hz=1 / step_s), channel=(channel,))
+    alone = Recipe(mode="causal", tuned_on=Origin(rate_hz=1 / step_s), channel=(_as_exported(channel),))
     found = StreamCleaner(alone, step_s).push(given[:, np.newaxis], np.ones(len(given)))
-    if one.kind.bridges or (one.written.exact and not np.isin(found.verdicts, _LOST).any()):
+    if one.kind.bridges or (one.written.exact and not LOST[found.verdicts].any()):
         return found.signal[:, 0], "becalm's stream"
     return specified(one, channel, given)
+
+
+def _as_exported(channel: ChannelRecipe) -> ChannelRecipe:
+    """Return a recipe of what C does: it predicts in any hole, believes gross outliers, and has no last sentinel."""
+    unknown = ("outlier_distance", "causal_outlier_distance", "blank", "plausible_low", "plausible_high")
+    known = dict.fromkeys(unknown)
+    limits = None if channel.limits is None else channel.limits.model_copy(update=known)
+    return channel.model_copy(update={"limits": limits, "fill": True})
 
 
 def specified(one: Exported, channel: ChannelRecipe, given: Floats) -> tuple[Floats, str]:

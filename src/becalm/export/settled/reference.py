@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from becalm.core.arrays import Codes, Floats
-from becalm.core.kernel_faults import Rule, find_faults
+from becalm.core.kernel_faults import Rule, find_faults, new_memory
 from becalm.core.verdict import Verdict
 from becalm.export.design import Design
 from becalm.export.schedule import Schedule
@@ -46,7 +46,7 @@ class SettledReference:
         self._gains, self._until = [*schedule.K, schedule.settled], np.cumsum(schedule.counts)
         limits = design.limits
         self._rule = Rule(limits.low, limits.high, largest, limits.stuck_readings or 0)
-        self._memory = np.array([np.nan, 0.0, np.inf, -np.inf])
+        self._memory = new_memory()
         self.p, self.level, self.row, self.missed = np.zeros(design.states), 0.0, 0, 0
 
     def run(self, readings: Floats) -> tuple[Floats, Codes]:

@@ -15,7 +15,7 @@ from becalm.fleet.stretching.run import Told
 from becalm.report.fleet_rows import FleetRow, faults_told, usable_share
 
 _WORST_FIRST = ("does not fit", "fits except", "fits", "constant", "untold")
-_NO_FAULT = (Verdict.USED, Verdict.MISSING, Verdict.SPIKE, Verdict.STEP)
+_NO_FAULT = (Verdict.USED, Verdict.MISSING, Verdict.SPIKE, Verdict.STEP, Verdict.HOLE, Verdict.RUNAWAY)
 
 
 class _Part(NamedTuple):

@@ -12,6 +12,7 @@ from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.steps import lag_in_rows
 from becalm.core.arrays import Integers
 from becalm.core.kernel_ahead import BLOCK
+from becalm.core.kernel_outliers import REACH
 from becalm.files.again import KnownSource
 from becalm.files.through import columns_of
 
@@ -49,7 +50,7 @@ def margin_of(recipe: Recipe, step_s: float) -> Margin:
 
 def begun(source: KnownSource, recipe: Recipe, margin: Margin, first: int, most: int) -> int | None:
     """Return the row to begin with, so that each channel has enough readings before `first`; None beyond `most`."""
-    rows = int(margin.readings) + BLOCK
+    rows = int(margin.readings) + BLOCK + REACH
     while rows <= most:
         begin = (first - rows) // margin.aligned * margin.aligned
         if begin <= 0:
@@ -66,7 +67,7 @@ def ended(source: KnownSource, recipe: Recipe, margin: Margin, span: tuple[int, 
     `span` is where the stretch, and all of the sensor, stop.
     """
     stop, last = span
-    rows = int(margin.readings) + BLOCK
+    rows = int(margin.readings) + BLOCK + REACH
     while rows <= most:
         if stop + rows >= last:
             return last

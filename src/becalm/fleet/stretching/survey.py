@@ -83,15 +83,18 @@ def _cuts(rows: int, length: int) -> tuple[int, ...]:
 def _first_readings(found: Opened) -> tuple[float, ...]:
     """Return the first reading of each channel that may enter its filter; NaN where there is none."""
     step_s, channels = found.source.clock.step_s, found.recipe.channel
-    first, watches = np.full(len(channels), np.nan), [SensorWatch(one.limits, step_s, shown=False) for one in channels]
+    first, waits = np.full(len(channels), np.nan), found.recipe.mode == "smoothed"
+    watches = [SensorWatch(one.limits, step_s, shown=False, waits=waits and one.motion is not None) for one in channels]
     largest = [_largest(channel, step_s) for channel in channels]
     for chunk in found.source.chunks(rows_of_chunks(found.source, len(channels))):
         for c, column in enumerate(columns_of(chunk, found.recipe)):
-            readings = watches[c].push(column, chunk.elapsed_steps)
+            readings, _ = watches[c].push(column, chunk.elapsed_steps)
             if np.isnan(first[c]):
                 first[c] = _first(judge(readings, largest[c]).readings)
         if not np.isnan(first).any():
             break
+    for c in np.flatnonzero(np.isnan(first)).tolist():
+        first[c] = _first(judge(watches[c].finish()[0], largest[c]).readings)
     return tuple(first.tolist())
 
 

@@ -37,14 +37,22 @@ def limits_of_class(alike: Sequence[TunedChannel], channels: Sequence[TunedChann
         low=_rail("low", channels),
         high=_rail("high", channels),
         resolution=_same([one.resolution for one in told]),
+        rounding_std=max((one.rounding_std for one in told if one.rounding_std is not None), default=None),
         stuck_readings=_least_strict(max, [one.stuck_readings for one in told], enough),
         even_time=all(one.even_time for one in told),
         gap_steps=max((one.gap_steps for one in told if one.gap_steps is not None), default=None),
         largest=max((one.largest for one in every if one.largest is not None), default=None),
+        outlier_distance=_least_strict(max, [one.outlier_distance for one in told], enough),
+        causal_outlier_distance=_least_strict(max, [one.causal_outlier_distance for one in told], enough),
+        plausible_low=_least_strict(min, [one.plausible_low for one in told], enough),
+        plausible_high=_least_strict(max, [one.plausible_high for one in told], enough),
+        repeats_are_one=all(one.repeats_are_one for one in told) or None,
+        blank=_same([one.blank for one in told]),
         drift_threshold=_least_strict(max, [one.drift_threshold for one in told], enough),
         dead_variance=_least_strict(min, [one.dead_variance for one in told], enough),
     )
-    nothing = (limits.low, limits.high, limits.stuck_readings, limits.largest) == (None,) * 4
+    readings = (limits.low, limits.high, limits.stuck_readings, limits.largest, limits.outlier_distance, limits.blank)
+    nothing = readings == (None,) * len(readings)
     return None if nothing else limits  # of time, and of innovations, nothing is told alone
 
 

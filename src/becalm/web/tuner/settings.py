@@ -6,9 +6,10 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 from becalm.cleaning.recipe import ChannelRecipe
-from becalm.cleaning.steps import in_seconds
+from becalm.cleaning.steps import in_seconds, in_steps
 from becalm.cleaning.tuning import Found
 from becalm.errors import UsageError
+from becalm.noise.dial import may_judge
 from becalm.noise.tuning_spread import tuning_spread
 from becalm.web.tuner.evidence import beside_best, described
 from becalm.web.tuner.messages import Turned
@@ -100,15 +101,16 @@ class Options:
         if recipe.timing is not None:
             included = min(recipe.timing.included_std, noise_std)
             update["timing"] = recipe.timing.model_copy(update={"included_std": included})
-        return _without_alarms(recipe.model_copy(update=update))
+        return _without_alarms(_with_fair_gate(recipe.model_copy(update=update), base, self._step_s))
 
     def told(self, setting: Setting) -> dict[str, object]:
         """Tell a page of a setting."""
         recipe, base = self.recipe(setting), self._base(setting)
         on = dict.fromkeys(components(self.channel), False)
         on |= {key: key not in setting.off for key in components(base)}
-        if "switching" in on and recipe.switching is None:
-            on["switching"] = False
+        for key in ("switching", "gate"):
+            if key in on and getattr(recipe, key) is None:
+                on[key] = False
         return {
             "choice": setting.choice,
             "order": recipe.order,
@@ -126,7 +128,7 @@ class Options:
             tries = [Setting(choice, off=off)]
             if given.motion is not None:
                 dialled = given.motion.noise_std, given.motion.process_noise_density
-                tries.append(Setting(choice, *dialled, off=off - {"switching"}))
+                tries += [Setting(choice, *dialled, off=off - kept) for kept in ({"switching", "gate"}, {"switching"})]
             for setting in tries:
                 if self.recipe(setting) == given:
                     return setting
@@ -157,7 +159,7 @@ class Options:
             if not on:  # as of what switches, which one order alone does not
                 return setting
             setting = setting._replace(choice=FOUND, noise_std=None, process_noise_density=None)
-        if key == "switching" and on:
+        if key in ("switching", "gate") and on:  # neither belongs to a dial that was turned
             setting = setting._replace(noise_std=None, process_noise_density=None)
         return setting._replace(off=setting.off - {key} if on else setting.off | {key})
 
@@ -206,6 +208,15 @@ def _without(recipe: ChannelRecipe, off: frozenset[str]) -> ChannelRecipe:
     if any(key not in _FIELDS for key in off):
         update["tone"] = tuple(tone for k, tone in enumerate(recipe.tone) if f"{_TONE}{k}" not in off)
     return recipe.model_copy(update=update) if update else recipe
+
+
+def _with_fair_gate(dialled: ChannelRecipe, base: ChannelRecipe, step_s: float) -> ChannelRecipe:
+    """Return a dialled recipe without its gate where the dialled filter is slower than the one that was found."""
+    if dialled.gate is None or dialled.motion is None or base.motion is None:
+        return dialled
+    if may_judge(in_steps(dialled.motion, step_s), in_steps(base.motion, step_s)):
+        return dialled
+    return dialled.model_copy(update={"gate": None})
 
 
 def _without_alarms(recipe: ChannelRecipe) -> ChannelRecipe:

@@ -3,7 +3,7 @@
 import { colour, other } from "../colours.js";
 
 /** As `becalm.core.verdict.Verdict` counts them; the first is no verdict that is drawn. */
-export const VERDICTS = ["used", "missing", "nonfinite", "overrange", "spike", "step", "clipped", "stuck", "dead", "drift", "late", "repeated", "gap"];
+export const VERDICTS = ["used", "missing", "nonfinite", "overrange", "spike", "step", "clipped", "stuck", "dead", "drift", "late", "repeated", "gap", "outlier", "hole", "runaway"];
 const ROW = 18;
 
 /**

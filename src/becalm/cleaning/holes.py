@@ -1,0 +1,142 @@
+"""Rows without a reading in a smoothed record: how far the model is believed there, and with what sigma.
+
+A motion that tells readings well, one at a time, may tell them badly where many are missing. What it is worth there is
+measured by readings that are hidden in blocks (`hidden_blocks`). Of its departure from a line across the hole a share
+is believed that fades, and its sigma grows faster than the model says, both with sigma over that beside the hole.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from becalm.cleaning.recipe_parts import HoleRecipe
+from becalm.core.arrays import Booleans, Floats
+from becalm.core.told import Told
+from becalm.core.verdict import LOST
+
+
+class Across(NamedTuple):
+    """What lies across the holes of a record, in rows that have no reading; of other rows it is of no use."""
+
+    line: Floats  # (N,) from the estimate before the hole to the one after it, in unit; NaN where there is one only
+    edge: Floats  # (N,) the less of the sigmas there, in unit
+    missing: Floats  # (N,) readings that are missing in the hole
+
+
+class Row(NamedTuple):
+    """A row that has a reading: its time in steps, and its signal and sigma in unit."""
+
+    time: float
+    signal: float
+    sigma: float
+
+
+NO_ROW = Row(np.nan, np.nan, np.nan)
+
+
+def across(times: Floats, told: Told, used: Booleans, own_steps: float, before: Row = NO_ROW) -> Across:
+    """Return what lies across the holes of a record.
+
+    Parameters
+    ----------
+    times : (N,) float array
+        Of the rows, in steps.
+    told : Told
+        Of the same rows.
+    used : (N,) bool array
+        Which rows have a reading that entered.
+    own_steps : float
+        Steps from a reading to the next where none is missing.
+    before : Row
+        The last row with a reading before these.
+    """
+    ends = [np.concatenate([[head], of[used], [np.nan]]) for head, of in zip(before, (times, *told[:2]), strict=True)]
+    number = np.cumsum(used)
+    (begun, y, sigma), (ended, y_after, sigma_after) = (
+        [of[number + later] for of in ends] for later in (0, 1)
+    )  # fmt: skip
+    length = ended - begun
+    share = np.divide(times - begun, length, out=np.zeros(len(times)), where=length > 0)
+    edge = np.fmin(sigma, sigma_after)
+    return Across(y + share * (y_after - y), edge, np.maximum(length / own_steps - 1.0, 0.0))
+
+
+class Holes:
+    """Tells rows without a reading by what hidden readings showed; rows wait until a hole has ended.
+
+    Parameters
+    ----------
+    shown : sequence of HoleRecipe
+        For holes of some lengths, at least one; between them by the logarithm of the length, and beyond the longest as
+        there. Where one reading is missing the model is believed.
+    own_steps : float
+        Steps from a reading to the next where none is missing.
+    """
+
+    def __init__(self, shown: Sequence[HoleRecipe], own_steps: float) -> None:
+        in_order = sorted(shown, key=lambda one: one.readings)
+        self._own_steps = own_steps
+        self._lengths = np.log([1.0, *(one.readings for one in in_order)])
+        self._fading = [0.0, *(one.model_fading for one in in_order)]
+        self._growth = [0.0, *(one.sigma_growth for one in in_order)]
+        self._before, self._time = NO_ROW, 0.0
+        self._times: list[Floats] = []
+        self._waiting: list[Told] = []
+
+    def push(self, elapsed: Floats) -> None:
+        """Take the steps before rows that will be told, (B,)."""
+        times = self._time + np.cumsum(elapsed)
+        self._times.append(times)
+        self._time = float(times[-1]) if len(times) else self._time
+
+    def bridged(self, told: Sequence[Told]) -> list[Told]:
+        """Return rows with what is told in holes; those of a hole that goes on wait."""
+        self._waiting += told
+        rows = Told.joined(self._waiting)
+        ends = np.flatnonzero(has_reading(rows))
+        return self._told(rows, int(ends[-1]) + 1) if len(ends) else []
+
+    def finish(self) -> list[Told]:
+        """Return the rest."""
+        rows = Told.joined(self._waiting)
+        return self._told(rows, len(rows.signal)) if len(rows.signal) else []
+
+    def _told(self, rows: Told, count: int) -> list[Told]:
+        """Tell the first rows; the others wait on."""
+        now, self._waiting = rows.rows(slice(count)), [rows.rows(slice(count, None))]
+        times = np.concatenate(self._times)
+        self._times, times = [times[count:]], times[:count]
+        used = has_reading(now)
+        hole = across(times, now, used, self._own_steps, self._before)
+        if used.any():
+            last = int(np.flatnonzero(used)[-1])
+            self._before = Row(float(times[last]), float(now.signal[last]), float(now.sigma[last]))
+        return [now if used.all() else self._in_holes(now, used, hole)]
+
+    def _in_holes(self, rows: Told, used: Booleans, hole: Across) -> Told:
+        length = np.log(np.maximum(np.nan_to_num(hole.missing, nan=np.inf), 1.0))
+        fading, growth = (np.interp(length, self._lengths, of) for of in (self._fading, self._growth))
+        wider = widening(rows.sigma, hole.edge)
+        line = np.where(np.isfinite(hole.line), hole.line, rows.signal)
+        signal = np.where(used, rows.signal, line + wider**-fading * (rows.signal - line))
+        sigma = np.where(used, rows.sigma, rows.sigma * wider**growth)
+        parts = rows.parts
+        if len(parts):
+            parts = parts.copy()
+            parts[0] += signal - rows.signal
+        return Told(signal, sigma, parts, rows.verdicts)
+
+
+def widening(sigma: Floats, edge: Floats) -> Floats:
+    """Return sigma over that beside a hole, at least 1, (N,)."""
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        wider = sigma / edge
+    return np.where((wider > 1.0) & np.isfinite(wider), wider, 1.0)
+
+
+def has_reading(rows: Told) -> Booleans:
+    """Return which rows have a reading that entered, and an estimate (N,)."""
+    return ~LOST[rows.verdicts] & np.isfinite(rows.signal)

@@ -1,0 +1,105 @@
+"""What a sensor keeps to while it is healthy, between a recipe and the core."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from becalm.cleaning.recipe_parts import LimitsRecipe
+from becalm.core.arrays import Floats
+from becalm.core.clock import GAP_STEPS
+from becalm.core.kernel_outliers import Outliers
+from becalm.core.limits import Limits
+from becalm.core.monitor import NEVER, Alarms
+from becalm.core.quantisation import rounding_left
+from becalm.core.verdict import BEYOND_ANY_SENSOR
+from becalm.noise.independence import independence_steps
+from becalm.noise.likelihood import Tuning
+
+_LEAST_ROUNDING = 1e-3  # of a step; less is not worth a number
+
+
+def written(limits: Limits) -> LimitsRecipe | None:
+    """Return limits as a recipe has them; None where only the time could be told of."""
+    rails = [float(rail) if np.isfinite(rail) else None for rail in limits.rails]
+    largest = limits.largest if limits.largest < BEYOND_ANY_SENSOR else None
+    jumps = limits.outliers
+    none_jumps = np.isinf(jumps.distance) and np.isinf(jumps.blank)
+    if rails == [None, None] and limits.stuck_readings is None and largest is None and none_jumps:
+        return None
+    return LimitsRecipe(
+        low=rails[0],
+        high=rails[1],
+        resolution=limits.resolution or None,
+        stuck_readings=limits.stuck_readings,
+        even_time=limits.even,
+        gap_steps=None if limits.gap_steps == GAP_STEPS else limits.gap_steps,
+        largest=largest,
+        outlier_distance=_finite(jumps.distance),
+        causal_outlier_distance=_finite(jumps.causal_distance),
+        plausible_low=_finite(jumps.low),
+        plausible_high=_finite(jumps.high),
+        repeats_are_one=jumps.repeats_are_one or None,
+        blank=_finite(jumps.blank),
+    )
+
+
+def _finite(number: float) -> float | None:
+    return float(number) if np.isfinite(number) else None
+
+
+def _or(number: float | None, otherwise: float) -> float:
+    return otherwise if number is None else number
+
+
+def limits_of(told: LimitsRecipe | None) -> Limits:
+    """Return the limits of a recipe; where it has none, no reading is clipped or stuck, and no row late."""
+    if told is None:
+        return Limits(even=False)
+    return Limits(
+        low=_or(told.low, -np.inf),
+        high=_or(told.high, np.inf),
+        resolution=told.resolution or 0.0,
+        stuck_readings=told.stuck_readings,
+        gap_steps=told.gap_steps or GAP_STEPS,
+        even=bool(told.even_time),
+        largest=told.largest or BEYOND_ANY_SENSOR,
+        outliers=Outliers(
+            told.outlier_distance or np.inf,
+            told.causal_outlier_distance or np.inf,
+            _or(told.plausible_low, -np.inf),
+            _or(told.plausible_high, np.inf),
+            bool(told.repeats_are_one),
+            _or(told.blank, np.inf),
+        ),
+    )
+
+
+def alarms_of(told: LimitsRecipe | None) -> Alarms:
+    """Return when a channel drifts or is dead; never where the recipe does not say."""
+    drift = None if told is None else told.drift_threshold
+    dead = None if told is None else told.dead_variance
+    return Alarms(NEVER if drift is None else drift, 0.0, np.inf, dead or 0.0)
+
+
+def with_rounding(
+    limits: LimitsRecipe | None, tuning: Tuning, readings: Floats, *, causal: bool
+) -> LimitsRecipe | None:
+    """Add to the limits of a channel what its converter's rounding leaves in the signal, where it leaves anything.
+
+    Parameters
+    ----------
+    limits : LimitsRecipe or None
+        Of a channel that has none nothing is added.
+    tuning : Tuning
+        Its filter, in steps.
+    readings : (N,) float array
+        That it was tuned on, in unit; NaN where missing.
+    causal : bool
+        Whether the filter shall run causally.
+    """
+    if limits is None or limits.resolution is None:
+        return limits
+    averaged = independence_steps(tuning, causal) or 1.0
+    seen = readings[np.isfinite(readings)]
+    left = rounding_left(seen, tuning.noise_variance, min(max(round(averaged), 1), max(len(seen) // 2, 1)))
+    return limits.model_copy(update={"rounding_std": left}) if left > _LEAST_ROUNDING * limits.resolution else limits

@@ -1,0 +1,302 @@
+"""Gross outliers: left out one by one, on both sides or causally, and never motion."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from becalm.core.arrays import Floats
+from becalm.core.faults import Faults
+from becalm.core.kernel_outliers import REACH, Outliers
+from becalm.core.limits import Limits, find_limits, stuck_at_once
+from becalm.core.look_ahead import LookAhead
+from becalm.core.outliers import NO_OUTLIERS, beside_others, find_outlier_rule, is_outlier
+from becalm.core.verdict import Verdict
+
+DATA = Path(__file__).parents[3] / "shared" / "data"
+ROWS = 4000
+
+
+def noise(seed: int = 0, rows: int = ROWS) -> Floats:
+    return np.random.default_rng(seed).normal(size=rows)
+
+
+def found(z: Floats) -> list[int]:
+    """Return the rows of outliers by both sides, as a file is judged that is smoothed."""
+    return np.flatnonzero(is_outlier(z, find_outlier_rule(z[np.isfinite(z)]))).tolist()
+
+
+def found_causally(z: Floats, rule: Outliers) -> list[int]:
+    codes = Faults(Limits(outliers=rule)).push(z, np.ones(len(z)))
+    return np.flatnonzero(codes == Verdict.OUTLIER).tolist()
+
+
+@pytest.mark.parametrize("row", [0, 1, 2, 3, 2000, 3996, 3998, 3999])
+@pytest.mark.parametrize("size", [100.0, 1e4, -1e8, 1e30])
+def test_a_reading_far_out_is_an_outlier_and_no_other(row: int, size: float) -> None:
+    z = 20.0 + noise()
+    z[row] = size
+    assert found(z) == [row]
+    assert found_causally(z, find_outlier_rule(z)) == [row]
+
+
+def test_two_outliers_side_by_side_do_not_hide_each_other() -> None:
+    z = noise()
+    z[[500, 501, 1000, 1002]] = 1e6, -3e4, 1e5, 1e5
+    assert found(z) == found_causally(z, find_outlier_rule(z)) == [500, 501, 1000, 1002]
+
+
+@pytest.mark.parametrize("value", [0.0, -999.0])
+@pytest.mark.parametrize("count", [1, 4, 10, 300])
+def test_equal_readings_far_out_are_outliers_however_many(value: float, count: int) -> None:
+    z = 9.81 + 0.02 * noise()
+    z[1000 : 1000 + count] = value
+    rows = list(range(1000, 1000 + count))
+    assert found(z) == found_causally(z, find_outlier_rule(z)) == rows
+
+
+def test_one_reading_in_twenty_may_be_wild() -> None:
+    rng = np.random.default_rng(5)
+    wild = rng.random(ROWS) < 0.05
+    z = np.where(wild, rng.choice([8388607.0, 4194303.0, 1048575.0, 0.0], ROWS), 500_000 + 80 * noise())
+    assert np.isin(np.flatnonzero(wild), found(z)).mean() > 0.95
+    assert not np.isin(np.flatnonzero(~wild), found(z)).any()
+
+
+def half_sine(rows: int, size: float, at: int = 2000) -> Floats:
+    """Return a shock of so many rows, in noise of variance 1."""
+    z = noise()
+    z[at : at + rows] += size * np.sin(np.pi * (np.arange(rows) + 0.5) / rows)
+    return z
+
+
+def drop_test() -> Floats:
+    """Return rest, free fall, an impact that rings, and rest: steps and shocks far beyond the noise."""
+    rng = np.random.default_rng(7)
+    t = np.arange(600)
+    z = 9.81 + 0.02 * rng.normal(size=ROWS)
+    z[1000:1500] -= 9.81
+    z[1500:2100] += 900 * np.exp(-t / 40) * np.cos(0.9 * t)
+    return z
+
+
+MOTION = {
+    "noise": noise(),
+    "spikes of a gate": noise() + 8 * np.random.default_rng(3).choice([-1.0, 1.0], ROWS),
+    "running away": np.cumsum(np.cumsum(noise())),
+    "a cubic": 1e-4 * np.arange(ROWS) ** 3.0 + noise(),
+    "a step": np.where(np.arange(ROWS) < 2000, 0.0, 1e6) + noise(),
+    "levels": np.repeat(1e4 * noise(1, ROWS // 50), 50) + noise(),
+    "coarse": np.round(0.1 * noise()),
+    "zeros": np.zeros(ROWS),
+    "reversals": 300 * np.abs(np.mod(np.arange(ROWS) / 40, 2) - 1) + 0.1 * noise(),
+    "a square wave": 50 * np.sign(np.sin(np.arange(ROWS) / 9)) + noise(),
+    "every third": np.where(np.arange(ROWS) % 3 == 0, 1e6, 0.0) + noise(),
+    "a shock of 3 rows": half_sine(3, 400.0),
+    "a shock of 4 rows": half_sine(4, 400.0),
+    "a shock of 9 rows": half_sine(9, 400.0),
+    "a shock of 40 rows": half_sine(40, 4000.0),
+    "a drop test": drop_test(),
+    "rest, then shaking": np.where(np.arange(ROWS) < 3000, 0.01, 100.0) * noise(),
+}
+
+
+@pytest.mark.parametrize("name", MOTION)
+def test_motion_is_no_outlier(name: str) -> None:
+    z = MOTION[name]
+    assert found(z) == []
+    assert found_causally(z, find_outlier_rule(z)) == [], "nor of the record that it was tuned on"
+
+
+def test_motion_that_was_never_seen_costs_two_readings_and_locks_nothing_out() -> None:
+    """Two that agree are believed: the third reading at a new level is used, and all after it."""
+    rule = find_outlier_rule(noise())
+    z = np.where(np.arange(ROWS) < 2000, 0.0, 1e6) + noise(1)
+    assert found_causally(z, rule) == [2000, 2001]
+    assert found_causally(1e6 + noise(1), rule) == [0], "nor at the beginning"
+
+
+def test_a_wild_beginning_is_no_reading_to_judge_others_by() -> None:
+    rule = find_outlier_rule(20.0 + noise())
+    z = 20.0 + noise(1)
+    z[[0, 1]] = 65535.0, -8388608.0
+    assert found_causally(z, rule) == [0, 1]
+
+
+def test_few_readings_tell_of_no_outlier() -> None:
+    assert find_outlier_rule(np.array([0.0, 1e9, 0.0])) == NO_OUTLIERS
+    assert find_outlier_rule(np.empty(0)) == NO_OUTLIERS
+
+
+@pytest.mark.parametrize("every", [2, 4])
+@pytest.mark.parametrize("level", [0.0, 40.0])
+def test_a_value_that_fills_in_is_known(every: int, level: float) -> None:
+    t = np.arange(ROWS)
+    z = level + 15 * np.sin(t / 90) + 0.3 * noise()
+    z[t % every == 0] = 0.0
+    rule = find_outlier_rule(z)
+    assert rule.blank == 0.0
+    assert found(z) == found_causally(z, rule) == np.flatnonzero(t % every == 0).tolist()
+
+
+def test_a_rest_at_zero_fills_nothing_in() -> None:
+    """A car that stops, pulses above a floor, a coarse code."""
+    t = np.arange(ROWS)
+    for z in (np.maximum(0, np.sin(t / 300)) * (5 + 0.1 * noise()), np.round(noise()), (t % 3 == 0) * 5.0):
+        assert np.isinf(find_outlier_rule(z).blank)
+
+
+def stairs(rows: int = ROWS) -> Floats:
+    """Return levels between which a sensor jumps, in noise."""
+    rng = np.random.default_rng(4)
+    return 50.0 + np.repeat(10 * rng.normal(size=rows // 200), 200) + 0.5 * rng.normal(size=rows)
+
+
+def test_outliers_beside_jumps_do_not_tell_how_far_readings_jump() -> None:
+    z = stairs()
+    rng = np.random.default_rng(5)
+    rows = rng.choice(ROWS, 60, replace=False)
+    z[rows] += rng.choice([-1, 1], 60) * 2.0 ** rng.integers(6, 20, 60)
+    assert find_outlier_rule(z).causal_distance < 2.5 * find_outlier_rule(stairs()).causal_distance
+
+
+def test_an_implausible_reading_beside_a_jump_does_not_hide_there() -> None:
+    z = np.repeat([0.0, 2.0, -1.0, 1.0], 200) + 0.05 * np.random.default_rng(8).normal(size=800)
+    z[50:800:50] = 1e3
+    z[201] = 14.0
+    rule = find_outlier_rule(z)
+    assert not rule.low <= z[201] <= rule.high
+    assert np.flatnonzero(is_outlier(z, rule)).tolist() == sorted([201, *range(50, 800, 50)])
+
+
+def test_a_value_that_fills_in_ten_times_is_left_out_though_readings_jump_as_far() -> None:
+    z = stairs()
+    z[1010:1020] = 0.0
+    limits = find_limits(z, np.ones(ROWS), 1.0, 0.005)
+    assert np.flatnonzero(beside_others(z, limits.outliers, stuck_at_once(limits))).tolist() == [*range(1010, 1020)]
+    lost = np.flatnonzero(Faults(limits).push(z, np.ones(ROWS)))
+    assert lost.tolist() == [*range(1011, 1020)], "causally all but the first"
+
+
+def test_a_rest_that_comes_slowly_is_none() -> None:
+    rng = np.random.default_rng(6)
+    speed = np.maximum(30 * np.sin(np.arange(ROWS) / 300.0), 0.0)
+    z = np.where(speed > 0, speed + 0.01 * rng.normal(size=ROWS), 0.0)
+    limits = find_limits(z, np.ones(ROWS), 1.0, 0.01)
+    assert not beside_others(z, limits.outliers, stuck_at_once(limits)).any()
+    assert not Faults(limits).push(z, np.ones(ROWS)).any()
+
+
+def test_a_zero_that_no_reading_comes_near_is_no_rest() -> None:
+    z = 20.0 + 5 * np.sin(np.arange(ROWS) / 3.0) + 0.1 * noise(7)
+    z[500:540] = 0.0
+    limits = find_limits(z, np.ones(ROWS), 1.0, 0.01)
+    assert limits.stuck_readings is not None
+    assert (Faults(limits).push(z, np.ones(ROWS))[510:540] > 0).all()
+
+
+@pytest.mark.parametrize("every", [2, 5])
+def test_of_a_slower_sensor_each_new_reading_is_judged_once(every: int) -> None:
+    z = np.repeat(np.sin(np.arange(ROWS // every) / 9.0) + 0.01 * noise(8, ROWS // every), every)
+    rows = [every * k for k in (100, 201, 333)]
+    for row in rows:
+        z[row : row + every] = 1e4
+    limits = find_limits(z, np.ones(len(z)), 1.0, 0.01)
+    outliers = np.flatnonzero(is_outlier(z, limits.outliers))
+    assert outliers.tolist() == sorted(row + k for row in rows for k in range(every))
+
+
+def test_a_wild_reading_that_stands_alone_for_long_is_judged_by_what_is_plausible() -> None:
+    z = np.sin(np.arange(ROWS) / 50.0) + 0.01 * noise(9)
+    z[0], z[1 : 2 * REACH] = 65_535.0, np.nan
+    z[-1], z[-2 * REACH : -1] = -65_535.0, np.nan
+    assert found(z) == [0, ROWS - 1]
+
+
+def test_a_spike_on_coarse_steps_is_found() -> None:
+    z = np.repeat(np.round(5 * np.random.default_rng(10).normal(size=60)), 7)
+    z[200] = 4.2e7
+    assert found(z) == [200]
+
+
+@st.composite
+def records(draw: st.DrawFn) -> Floats:
+    """Return noise with motion, outliers, dropouts and holes."""
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    z = rng.normal(size=draw(st.integers(1, 1500)))
+    if draw(st.booleans()):
+        z = np.round(z, draw(st.integers(0, 2)))
+    for _ in range(draw(st.integers(0, 8))):
+        at, rows = rng.integers(0, len(z)), rng.integers(1, 2 * REACH)
+        kind = draw(st.sampled_from(["step", "hold", "hole", "wild", "shake"]))
+        if kind == "step":
+            z[at:] += 1e3 * rng.normal()
+        elif kind == "hold":
+            z[at : at + rows] = 1e4 * rng.normal()
+        elif kind == "hole":
+            z[at : at + rows] = np.nan
+        elif kind == "shake":
+            z[at : at + rows] *= 1e3
+        else:
+            z[at] = rng.choice([1e6, -1e9, np.inf])
+    return z
+
+
+@given(records(), st.booleans(), st.sampled_from([None, 2, 6]), st.lists(st.integers(0, 1500), max_size=6))
+def test_both_sides_tell_the_same_wherever_the_record_is_cut(
+    z: Floats, as_one: bool, stuck: int | None, cuts: list[int]
+) -> None:
+    limits = Limits(outliers=Outliers(30.0, 60.0, -99.0, 99.0, as_one), stuck_readings=stuck)
+    found = beside_others(np.where(np.isfinite(z), z, np.nan), limits.outliers, stuck_at_once(limits))
+    whole = np.array([Verdict.USED, Verdict.OUTLIER, Verdict.STUCK])[found]
+    ahead, elapsed = LookAhead(limits), np.arange(len(z), dtype=np.float64)
+    bounds = [0, *sorted(min(cut, len(z)) for cut in cuts), len(z)]
+    parts = [ahead.push(z[a:b], elapsed[a:b]) for a, b in pairwise(bounds)]
+    assert all(len(part[0]) % 256 == 0 for part in parts), "smoothers count on whole blocks"
+    rows, steps, far = (np.concatenate(arrays) for arrays in zip(*parts, ahead.finish(), strict=True))
+    assert np.array_equal(rows, z, equal_nan=True)
+    assert np.array_equal(steps, elapsed)
+    assert np.array_equal(far, whole)
+
+
+@given(records(), st.booleans(), st.integers(0, 1500))
+def test_a_causal_rule_tells_the_same_wherever_the_record_is_cut(z: Floats, as_one: bool, cut: int) -> None:
+    limits = Limits(outliers=Outliers(30.0, 60.0, -99.0, 99.0, as_one))
+    whole, first, second = Faults(limits), Faults(limits), Faults(limits)
+    codes = whole.push(z, np.ones(len(z)))
+    told = first.push(z[:cut], np.ones(len(z[:cut])))
+    second.restore({name: array.copy() for name, array in first.saved().items()})
+    assert np.array_equal(np.append(told, second.push(z[cut:], np.ones(len(z[cut:])))), codes)
+
+
+@given(records())
+def test_nothing_is_locked_out(z: Floats) -> None:
+    """Of readings that differ, one in three is believed where they agree with the two before them."""
+    rule = Outliers(30.0, 60.0, -99.0, 99.0, False)
+    codes = Faults(Limits(outliers=rule)).push(z, np.ones(len(z)))
+    seen = z[np.isfinite(z)]
+    told = codes[np.isfinite(z)] == Verdict.OUTLIER
+    for row in range(6, len(seen)):
+        near = np.ptp(seen[row - 2 : row + 1]) <= 1.0 and np.ptp(seen[row - 6 : row - 2]) <= 1.0
+        assert not (near and told[row] and abs(seen[row] - seen[row - 3]) > 60.0)
+
+
+REAL = ["gaitmap/imu_sample.csv", "comma2k19/accelerometer.csv", "comma2k19/gyroscope.csv", "fusion/sensor_data.csv"]
+
+
+@pytest.mark.parametrize("file", REAL)
+def test_no_reading_of_a_real_motion_is_an_outlier(file: str) -> None:
+    """Steps of a walker hit the ground with 100 times the noise."""
+    if not (DATA / file).exists():
+        pytest.skip(f"the recordings are not beside the project ({file})")
+    from becalm.files.reading import read
+
+    recording = read(DATA / file, rate_hz=204.8 if "gaitmap" in file else None)
+    for z in recording.samples.T:
+        limits = find_limits(z, recording.timebase.elapsed_steps, 1.0, recording.timebase.step_s)
+        assert found(z) == found_causally(z, limits.outliers) == []
