@@ -1,0 +1,97 @@
+"""The ways that a record takes through becalm: a file, a live stream, exported C."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from contextlib import AbstractContextManager, ExitStack
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+
+import becalm
+from becalm.cleaning.stream import StreamCleaner, Streamed
+from becalm.core.verdict import Verdict
+from becalm.export.bundle import Asked, bundle_of
+from becalm.export.proof.compiling import build
+from becalm.export.proof.verifying import streamed, unpacked
+from safe_bounds import Estimate
+from safe_signals import RATE_HZ, Floats
+
+LAG_ROWS = 20
+_BLOCK = 50  # rows that come together
+_SPIKES = [one.value for one in Verdict if one.name == "SPIKE" or "OUTLIER" in one.name]
+
+Path_ = Callable[[Floats], Estimate]
+"""Takes readings (N,), and returns an estimate of them."""
+
+
+def _recording(z: Floats, rate_hz: float = RATE_HZ) -> becalm.Recording:
+    return becalm.Recording(z, names=["z"], rate_hz=rate_hz)
+
+
+def by_file(z: Floats, estimate: str, rate_hz: float = RATE_HZ) -> Estimate:
+    """Clean a record with nothing chosen; `estimate` is smoothed, causal or lag."""
+    lag_s = LAG_ROWS / rate_hz if estimate == "lag" else None
+    out = becalm.clean(_recording(z, rate_hz), causal=estimate == "causal", lag_s=lag_s)
+    spikes = np.isin(out.verdicts["z"], _SPIKES)
+    return Estimate(out.signal.samples[:, 0], out.sigma.samples[:, 0], spikes)
+
+
+def _recipe(z: Floats, estimate: str) -> becalm.Recipe:
+    """Tune a recipe on an undamaged record."""
+    lag_s = LAG_ROWS / RATE_HZ if estimate == "lag" else None
+    return becalm.tune(_recording(z), causal=estimate == "causal", wishes=becalm.Wishes(lag_s=lag_s))
+
+
+def by_stream(sound: Floats, estimate: str) -> Path_:
+    """Return a live stream, block by block, whose recipe was tuned on an undamaged record."""
+    recipe = _recipe(sound, estimate)
+
+    def path(z: Floats) -> Estimate:
+        stream = StreamCleaner(recipe, 1 / RATE_HZ)
+        parts: list[Streamed] = []
+        for start in range(0, len(z), _BLOCK):
+            block = np.ascontiguousarray(z[start : start + _BLOCK, np.newaxis])
+            parts.append(stream.push(block, np.ones(len(block))))
+        if stream.lag_rows:
+            parts.append(stream.finish())
+        signal, sigma, verdicts = (np.concatenate([getattr(part, name)[:, 0] for part in parts]) for name in _FIELDS)
+        sigma = np.where(np.isfinite(sigma), sigma, np.nan)
+        signal = np.where(np.isnan(sigma) & ~np.isfinite(z), np.nan, signal)
+        return Estimate(signal, sigma, np.isin(verdicts, _SPIKES))
+
+    return path
+
+
+_FIELDS = ("signal", "sigma", "verdicts")
+
+
+class Exported(AbstractContextManager["Exported"]):
+    """A filter in C (float64), tuned on an undamaged record, exported and compiled; it tells no sigma."""
+
+    def __init__(self, sound: Floats) -> None:
+        self._stack = ExitStack()
+        folder = Path(self._stack.enter_context(tempfile.TemporaryDirectory()))
+        bundle = bundle_of(_recipe(sound, "causal"), "safe", Asked(precision="float64"))
+        self._program = build(unpacked(bundle, folder), bundle.stem, "cc", ("-O2",))
+        (self._channel,) = bundle.channels
+
+    def __call__(self, z: Floats) -> Estimate:
+        """Run readings (N,) through the program."""
+        one = self._channel
+        out, codes = streamed(self._program, one, one.kind.raw(z, one.written))
+        signal = one.kind.in_unit(out, one.written)
+        return Estimate(signal, np.full(len(z), np.nan), np.isin(codes, _SPIKES))
+
+    def __enter__(self) -> Self:
+        """Return the filter."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Remove what was compiled."""
+        self._stack.close()
