@@ -20,8 +20,9 @@ from driven import Told
 from exported import WIDE_LIMITS, bundle, recipe_of
 
 RATE_HZ = 200.0
+_DAMPED_HZ = 0.5
 KINDS = ("resting", "jumping", "noisy", "spiky", "bursting")
-NAMES = (*(f"{kind} {order}" for kind in KINDS for order in (1, 3)), "limited", "nervous")
+NAMES = (*(f"{kind} {order}" for kind in KINDS for order in (1, 3)), "limited", "nervous", "damped 1", "damped 3")
 
 
 def told_of(name: str) -> ChannelRecipe:
@@ -31,6 +32,8 @@ def told_of(name: str) -> ChannelRecipe:
     if name == "limited":
         return made("spiky", 2).model_copy(update={"limits": WIDE_LIMITS})
     kind, order = name.split()
+    if kind == "damped":
+        return damped(made("bursting", int(order)))
     return made(kind, int(order))
 
 
@@ -85,6 +88,14 @@ def made(kind: str, order: int) -> ChannelRecipe:
     switching = bank.make(*(number.default for number in bank.numbers))
     modes = modes_in_seconds(kind, switching, 1 / RATE_HZ)  # type: ignore[arg-type]
     return in_seconds("a", "V", tuning, 1 / RATE_HZ).model_copy(update={"switching": modes})
+
+
+def damped(bank: ChannelRecipe) -> ChannelRecipe:
+    """Return a recipe whose modes all return to a level of their own."""
+    assert bank.switching is not None
+    damping = {"damped_below_hz": _DAMPED_HZ}
+    modes = tuple(mode.model_copy(update=damping) for mode in bank.switching.mode)
+    return bank.model_copy(update={**damping, "switching": bank.switching.model_copy(update={"mode": modes})})
 
 
 def nervous(order: int, noise_std: float = 1.0) -> ChannelRecipe:

@@ -27,6 +27,7 @@ CHANNELS = {
     "slow": channel("slow", 2, 1e-3),
     "never": channel("never", 2, 0.0),
     "hum": channel("hum", 1, 0.05, tone=(NARROW_HUM,)),
+    "returning": channel("returning", 2, 0.05, damped_below_hz=0.1),
     "coloured": channel("coloured", 2, 0.05, coloured_noise=COLOURED),
     "railed": channel("railed", 2, 0.05, limits=LIMITS),
     "small": channel("small", 2, 0.05, noise_std=1e-9),

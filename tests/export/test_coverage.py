@@ -20,9 +20,9 @@ QUICK = {("gated others", "float32"), ("orders", "float64"), ("jumping 1", "floa
 
 FULL = {
     "orders": ("level", "slope", "bend", "jerk", "snap"),
-    "others": ("slow", "never", "hum", "coloured", "railed"),
+    "others": ("slow", "never", "hum", "returning", "coloured", "railed"),
     "gated orders": ("gated level", "gated slope", "gated bend", "gated jerk", "gated snap"),
-    "gated others": ("gated slow", "gated never", "gated hum", "gated coloured", "gated railed"),
+    "gated others": ("gated slow", "gated never", "gated hum", "gated returning", "gated coloured", "gated railed"),
     "hard": ("hard tone", "hard slow tone", "hard snap"),
 }
 FULL_OF = {**BOTH, **{f"hard {name}": told for name, told in HARD.items()}}
@@ -30,6 +30,7 @@ SETTLED = (
     channel("level", 1, 1e-3),
     channel("thinned", 2, 1e-3),
     channel("tone", 2, 0.05, tone=(TONE,)),
+    channel("returning", 2, 0.05, damped_below_hz=0.1),
     channel("coloured", 2, 0.05, coloured_noise=BOTH["coloured"].coloured_noise),
 )
 

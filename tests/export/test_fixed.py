@@ -31,6 +31,7 @@ CHANNELS = {
     "bend": channel("bend", 3, 0.02),
     "snap": channel("snap", 5, 0.1),
     "lazy": channel("lazy", 5, 0.02),
+    "returning": channel("returning", 2, 0.05, damped_below_hz=0.1),
     "tone": channel("tone", 2, 0.05, tone=(TONE,)),
     "hum": channel("hum", 1, 0.05, tone=(HUM,)),
     "railed": channel("railed", 2, 0.05, limits=LimitsRecipe(low=-60.0, high=90.0, stuck_readings=9)),

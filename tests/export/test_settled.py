@@ -44,6 +44,7 @@ CHANNELS = {
     "slope": channel("slope", 2, 0.05),
     "bend": channel("bend", 3, 0.05),
     "snap": channel("snap", 5, 0.2),
+    "returning": channel("returning", 2, 0.05, damped_below_hz=0.1),
     "tone": channel("tone", 2, 0.05, tone=(TONE,)),
     "hum": channel("hum", 1, 0.05, tone=(HUM,)),
     "railed": channel("railed", 2, 0.05, limits=LIMITS),

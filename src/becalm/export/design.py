@@ -20,6 +20,7 @@ from becalm.core.gains import Opening, open_at
 from becalm.core.gates import Gate
 from becalm.core.limits import Limits
 from becalm.core.model import Model
+from becalm.core.parts import Component
 from becalm.core.possible import largest_beside
 from becalm.core.response import Response, describe
 from becalm.core.steady import rows_until, steady
@@ -42,16 +43,16 @@ class Design:
         As in the recipe.
     step_s : float
         One step, in seconds.
+    component : Component
+        The signal and its disturbances; where the recipe switches, those of its richest mode.
     model : Model
-        Of one channel, one step a reading.
-    output : (n,) float array
-        C, what of the state is signal: H without disturbances.
+        Of it and the noise of readings, one step a reading.
     limits : Limits
         What readings keep to.
     gate : Gate or None
         What leaves spikes out.
     modes : Switching or None
-        The bank, where the recipe switches; `model` is then that of its richest mode.
+        The bank, where the recipe switches.
     longest_gap : int
         Steps across which a filter with a covariance is carried; the largest number for any.
     """
@@ -59,8 +60,8 @@ class Design:
     name: str
     unit: str
     step_s: float
+    component: Component
     model: Model
-    output: Floats
     limits: Limits
     gate: Gate | None
     modes: Switching | None
@@ -70,6 +71,17 @@ class Design:
     def states(self) -> int:
         """Number of states, n."""
         return self.model.states
+
+    @property
+    def output(self) -> Floats:
+        """What of the state is signal, C (n,): H without disturbances."""
+        return np.asarray(self.component.signal_output[0], dtype=np.float64)
+
+    @property
+    def level_direction(self) -> Floats:
+        """What is added to the state (n,) with a constant to the signal; to the first state alone where it fades."""
+        direction = self.component.level_direction
+        return np.eye(self.states)[0] if direction is None else direction
 
     @property
     def unit_after(self) -> str:
@@ -118,13 +130,10 @@ class Design:
         """Standard deviation of the settled signal's error where the model holds, in unit; inf where there is none."""
         return float(np.sqrt(self.steady.error_variance())) if self.steady else np.inf
 
-    @cached_property
+    @property
     def motion_order(self) -> int:
-        """How many of the first states are a motion: the rest of them fades, or turns, by itself."""
-        F, order = self.model.F, 1
-        while order < self.states and F[order, order] == 1.0 and F[order - 1, order] == 1.0:
-            order += 1
-        return order
+        """How many of the first states are a motion, without the level that it returns to: the rest fades, or turns."""
+        return len(self.component.parts[0].state_names) - self.component.returns
 
     @cached_property
     def settled_rows(self) -> int:
@@ -185,8 +194,8 @@ def design_of(recipe: ChannelRecipe, step_s: float) -> Design | None:
         recipe.name,
         recipe.unit,
         step_s,
+        component,
         component.to_model(1.0, runs.noise_variance),
-        component.signal_output[0],
         limits_of(recipe.limits),
         runs.gate,
         runs.modes,

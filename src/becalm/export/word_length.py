@@ -25,6 +25,7 @@ COUNTED = 1 << 23
 """Quanta that a level of float may count: each of them is exact."""
 
 _DOUBLINGS = 60
+_AWAY = 64.0  # standard deviations of a reading's noise, that a signal may be away from the level that it returns to
 
 
 class WordLength(NamedTuple):
@@ -103,7 +104,8 @@ def noise_of(design: Design, number: NumberType, farthest: float) -> float:
     """Return the standard deviation of what rounding adds to a settled signal, in unit.
 
     Each term of a state's sum is rounded to a last digit of the state, evenly; what a state is at the most follows from
-    a first one that is `farthest`, in parts of their own uncertainties. Beside it stands the signal's own last digit.
+    a first one that is `farthest`, in parts of their own uncertainties. A level that the signal returns to is as far
+    from it as signals go. Beside it stands the signal's own last digit.
 
     Parameters
     ----------
@@ -117,6 +119,7 @@ def noise_of(design: Design, number: NumberType, farthest: float) -> float:
     assert design.steady is not None
     loop, row, scale = design.steady.loop, design.steady.row, spread_of(design.steady)
     reach = farthest * scale / scale[0] if scale[0] > 0 else np.full(len(scale), farthest)
+    reach[np.flatnonzero(design.level_direction)[1:]] = max(_AWAY * design.noise_std, farthest)
     terms = 1 + np.count_nonzero(design.model.F, axis=1)
     injected = terms * (2.0 ** (1 - number.bits) * reach) ** 2 / 12
     scaled = np.divide(injected, scale**2, out=np.zeros_like(injected), where=scale > 0)

@@ -89,11 +89,17 @@ def look_of(design: Design, prefix: str, number: NumberType, largest: float) -> 
     return context | {"look": render("look.c.jinja", context)}
 
 
-def moved_level(quantum: float | None, number: NumberType) -> dict[str, str | None]:
+def also_level(design: Design) -> list[int]:
+    """Return which states, beside the first, a constant is added to when it is added to the signal."""
+    return [int(state) for state in np.flatnonzero(design.level_direction)[1:]]
+
+
+def moved_level(quantum: float | None, number: NumberType, design: Design) -> dict[str, Any]:
     """Return what templates need to move a level by whole quanta, in unit; nothing where it stays."""
     if quantum is None:
         return {"quantum": None, "per_quantum": None, "farthest": None}
     return {
+        "also_level": also_level(design),
         "quantum": number.literal(quantum),
         "per_quantum": number.literal(1 / quantum),
         "farthest": number.literal(quantum * 2.0**30),

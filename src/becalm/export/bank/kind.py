@@ -33,10 +33,14 @@ class Bank(Floating):
         Where readings lie far from all that a bank expects, its probabilities turn a last digit of them into much
         more. So much may C be off as well: by how far becalm itself moves where the last digits are others. And each
         row that is missed rounds what is extrapolated, which may be far from any reading, once more: it walks off as a
-        sum does.
+        sum does. The next reading is weighed against all that the signal may have become, to the last digits of that;
+        a single mode may know less than all together, and a covariance in double, which is no product of factors, loses
+        as many digits more as it is large beside the noise.
         """
         rows = np.sqrt(vector.gap_lengths.max(initial=0))
-        gathered = float(rows * 2.0**-self.number.bits * _extrapolated(vector, opened)) if rows else 0.0
+        signal, sigma = _extrapolated(vector, opened) if rows else (0.0, 0.0)
+        sigma *= max(sigma / design.noise_std, 1.0) if self.number.is_double else 1.0
+        gathered = 2.0**-self.number.bits * (float(rows) * signal + _TIMES * sigma)
         moved = written.start_error + _TIMES * self._moved(vector, opened)
         return super().most_error(vector, design, written, opened) + moved + gathered
 
@@ -58,7 +62,9 @@ class Bank(Floating):
         return moved
 
 
-def _extrapolated(vector: Vector, opened: Opened) -> float:
-    """Return the greatest signal, in unit, with what is told while readings are left out."""
-    every = np.insert(vector.readings, np.repeat(vector.gap_rows, vector.gap_lengths), np.nan)
-    return float(np.abs(opened().run(every)[0]).max())
+def _extrapolated(vector: Vector, opened: Opened) -> tuple[float, float]:
+    """Return the greatest signal and the greatest sigma, in unit, with what is told while readings are left out."""
+    every, reference = np.insert(vector.readings, np.repeat(vector.gap_rows, vector.gap_lengths), np.nan), opened()
+    assert isinstance(reference, BankReference), "a bank is held against one"
+    told = reference.push(every)
+    return float(np.nanmax(np.abs(told.signal))), float(told.sigma[np.isfinite(told.sigma)].max())

@@ -32,16 +32,17 @@ class BankReference:
 
     def run(self, readings: Floats) -> tuple[Floats, Codes]:
         """Take readings (B,); return the signal, 0 where nothing is known yet, and what became of each."""
-        told = self._pushed(readings)
+        told = self.push(readings)
         signal, codes = told.signal[:, 0], told.verdicts[:, 0]
         return np.where(np.isnan(signal), 0.0, signal), codes.astype(np.int8)
 
     def gap(self, rows: int) -> None:
         """Go on for some rows without a reading, each a step of its own."""
         for first in range(0, rows, _AT_ONCE):
-            self._pushed(np.full(min(_AT_ONCE, rows - first), np.nan))
+            self.push(np.full(min(_AT_ONCE, rows - first), np.nan))
 
-    def _pushed(self, readings: Floats) -> Streamed:
+    def push(self, readings: Floats) -> Streamed:
+        """Take readings (B,); return all that is told of them."""
         return self._stream.push(readings[:, np.newaxis], np.ones(len(readings)))
 
 

@@ -24,7 +24,7 @@ from becalm.export.number_type import NumberType
 from becalm.export.row_cost import row_cost
 from becalm.export.templates import render
 from becalm.export.word_length import COUNTED
-from becalm.export.written import Written, look_of
+from becalm.export.written import Written, also_level, look_of
 
 MOST_ROWS = (1 << 17) - 1
 """Rows of one gap that are stepped through; after more the next reading begins anew."""
@@ -108,6 +108,7 @@ def written_bank(design: Design, prefix: str, number: NumberType, span: Span | N
         **{name: number.literal(value) for name, value in _BOUNDS[number.precision]._asdict().items()},
         "mode_names": _mode_names(modes, prefix),
         "keeps_level": modes.component.keeps_level,
+        "also_level": also_level(design),
         "scale_words": f"{scale:.9g}",
         "per_scale": number.literal(1 / scale),
         "scale": number.literal(scale),

@@ -62,7 +62,7 @@ class FixedReference(SettledReference):
 
     def _watch(self, signal: float) -> None:
         """Begin anew where a state is out of its range; until then what was told last is told."""
-        states = self.p + np.eye(len(self.p))[0] * (self.level - self._middle)
+        states = self.p + self._design.level_direction * (self.level - self._middle)
         if (np.abs(states) > self._most).any():
             self.row, self.p, self.level = 0, np.zeros_like(self.p), float(np.clip(signal, *self._ends))
 

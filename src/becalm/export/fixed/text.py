@@ -167,7 +167,7 @@ def _numbers(design: Design, schedule: Schedule, point: Point) -> dict[str, Any]
         "innovation_digits": nu,
         "signal_digits": told,
         "of_reading": 1 << nu,
-        "of_level": f"INT64_C({1 << point.states[0]})",
+        "of_level": {i: f"INT64_C({1 << point.states[i]})" for i in np.flatnonzero(design.level_direction).tolist()},
         "read_of_p": terms(-H * 2.0 ** (nu - f), p),
         "signal_of_p": terms(C * 2.0 ** (told - f), p),
         "signal_of_x": terms(C * 2.0 ** (told - f), x),

@@ -164,7 +164,7 @@ def _point(design: Design, schedule: Schedule, reach: Reach, apart: float) -> Po
     """Give each state the digits that its reach, and that of the sums it is made by, leaves."""
     F, H, C = design.model.F, np.abs(design.model.H[0]), np.abs(design.output)
     K = np.vstack([schedule.K, schedule.settled])
-    level = np.eye(design.states)[0]
+    level = design.level_direction
     started = np.minimum(np.maximum(reach.starting, level), level + apart * reach.starting)
     states = np.maximum(reach.settled, started)
     nu = 1.0 + float(H @ states)

@@ -52,7 +52,7 @@ def written_full(design: Design, prefix: str, number: NumberType, span: float | 
     held = largest_level(design.noise_variance)
     context = {
         **look_of(design, prefix, number, largest),
-        **moved_level(quantum, inner),
+        **moved_level(quantum, inner, design),
         **_model(design),
         **_of_state(design, inner),
         **_ends(design),

@@ -68,7 +68,7 @@ def with_gains(design: Design, schedule: Schedule, prefix: str, number: NumberTy
         "exact": schedule.exact,
         "counts": in_lines((f"{count}u" for count in schedule.counts.tolist()), _COUNTS),
         "coasts": design.coasts,
-        **moved_level(word.quantum, number),
+        **moved_level(word.quantum, number, design),
         "read_of_p": product_sum(design.model.H[0], p, number),
         "signal_of_p": product_sum(design.output, p, number),
         "signal_of_x": product_sum(design.output, x, number),
