@@ -25,6 +25,8 @@ _NOISES = 30.0  # standard deviations of the noise that a gross outlier is away,
 _OF_NOISE, _LARGE_OF_NOISE = 0.745, 1.82  # of white noise: the median distance from neighbours, and that of one in ten
 _MOST = 0.1  # share of the readings beyond which they are no exceptions
 _AS_FAR, _MOST_MOVE = 1 / 3, 0.1  # times an outlier's distance, that hardly any reading of motion is away; their share
+_NEARLY = 0.8  # times the spread of its neighbours that motion is away, which may be taken for an outlier
+_MANY, _NEARER = 8, 3.0  # outliers, of which there are others that are so many times nearer
 _JUMPS = 2.0  # times the largest jump of a record is beyond what it shows
 _HIDDEN = 0.1  # of the outliers that were found, so many more are hidden beside motion that is as large
 _RARE = 0.05  # share of readings that are as the one before
@@ -118,15 +120,17 @@ def _least_distance(distances: Floats, spreads: Floats) -> float:
     """Return how far an outlier is from its neighbours, in unit: farther than noise, and than motion; 0 without either.
 
     An impact may be as far from neighbours that lie as close, but others of the same kind, or what follows it, are as
-    far from neighbours that do not: there are no outliers among them.
+    far from neighbours that do not: there are no outliers among them. A record that has many has nearer ones as well.
     """
     some = distances[distances > 0]
     if not len(some):
         return 0.0
     usual, large = np.quantile(distances, (0.5, 1 - _MOST))
     least = float(max(_NOISES / _OF_NOISE * usual, _NOISES / _LARGE_OF_NOISE * large, _NOISES * some.min()))
-    out = (distances > least) & (distances > SPREADS * spreads)
-    found, motion = np.sort(distances[out]), np.sort(distances[~out])
+    alone = distances > SPREADS * spreads
+    least /= _NEARER if np.count_nonzero(alone & (distances > least)) >= _MANY else 1.0
+    out = alone & (distances > least)
+    found, motion = np.sort(distances[out]), np.sort(distances[~out & (distances > _NEARLY * spreads)])
     if not len(found):
         return least
     as_far = len(motion) - np.searchsorted(motion, _AS_FAR * found, side="right")
