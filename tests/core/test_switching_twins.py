@@ -8,9 +8,10 @@ import pytest
 from banks import bank_of, kernels, laid_out, record, tones
 from becalm.core import switching_reference as reference
 from becalm.core.arrays import Floats
+from becalm.core.components import motion
 from becalm.core.kernel_switching import SwitchingTrace
 from becalm.core.kernel_switching_row import Bank
-from becalm.core.switching import Switching
+from becalm.core.switching import Mode, Switching
 
 TWIN = 1e-10
 LONG = 1e-10
@@ -66,6 +67,18 @@ def test_the_kernels_are_the_reference(order: int, modes: int, kind: str) -> Non
 @pytest.mark.parametrize(("order", "modes"), [(1, 2), (2, 3), (3, 2)])
 def test_wild_readings_believed_and_rejected(order: int, modes: int, rejects: bool) -> None:
     check(bank_of(order, modes, share=0.05, rejects=rejects), "wild")
+
+
+def test_a_jump_that_one_mode_could_never_explain_is_the_reference() -> None:
+    switching = Switching((Mode("calm", motion(1, 1e-6), 1.0, 3000.0), Mode("burst", motion(1, 1e3), 1.0, 2.7)))
+    z = np.random.default_rng(2).normal(size=ROWS)
+    z[60:] += 60.0
+    bank, steps = laid_out(switching, np.ones(ROWS))
+    _, back, _ = kernels(switching, z, np.ones(ROWS))
+    long = Bank(*(np.asarray(array, np.longdouble) for array in bank))  # type: ignore[arg-type]
+    rows = reference.filter_readings(long, switching.start.astype(np.longdouble), z.astype(np.longdouble), steps)
+    assert_twin(back, told(switching, reference.smooth(long, rows, np.append(steps, -1))), LONG)
+    assert np.abs(back.signal[:60]).max() < 2.0
 
 
 @pytest.mark.parametrize("switching", [bank_of(4, 2), bank_of(5, 2), tones(2)], ids=["order 4", "order 5", "two tones"])

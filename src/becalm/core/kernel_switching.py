@@ -29,7 +29,7 @@ from becalm.core.kernel_switching_row import (
 from becalm.core.kernel_switching_score import score_of_modes
 
 UNKNOWN, BEGUN, MISSED, JUDGED = 0, 1, 2, 3  # what became of a row: before the first reading, that one, none, one
-_TINIEST = 1e-300  # a weight below it has no logarithm worth telling
+_TINIEST = 1e-300  # a weight below it has lost its digits
 
 
 class SwitchingTrace(NamedTuple):
@@ -147,7 +147,8 @@ def note_reading(sizes: BankSizes, bank: Bank, z: float, look: Look, now: Belief
         for a in range(n):
             y -= bank.H[0, a] * now.x[j, a]
         W, s, nu = (1.0 - look.wild[j] * bank.wild[1]) / R, look.S[j] - R, z - look.Hx[j]
-        own = np.log(max(look.weight[j], _TINIEST)) + 0.5 * np.log(1.0 + W * s)
+        weight = np.log(look.weight[j]) if look.weight[j] > _TINIEST else look.far[j]
+        own = weight + 0.5 * np.log(1.0 + W * s)
         note[at], note[at + 1] = W * y, W
         note[at + 2] = own + 0.5 * (W * nu * nu / (1.0 + W * s) - W * y * y)
         at += TOLD

@@ -147,6 +147,7 @@ class Look(NamedTuple):
     Hx: Floats  # (M,) what it expected
     S: Floats  # (M,)
     weight: Floats  # (M,) likelihood, scaled alike for all
+    far: Floats  # (M,) logarithm of it, where the reading is not wild
     wild: Floats  # (M,) share of it that a wild reading has
 
 
@@ -154,8 +155,9 @@ class Look(NamedTuple):
 def new_look(sizes: BankSizes) -> Look:
     """Make room for a look on the stack."""
     return Look(
-        stack_vector(sizes.modes), stack_vector(sizes.modes), stack_vector(sizes.modes), stack_vector(sizes.modes)
-    )
+        stack_vector(sizes.modes), stack_vector(sizes.modes), stack_vector(sizes.modes), stack_vector(sizes.modes),
+        stack_vector(sizes.modes),
+    )  # fmt: skip
 
 
 @compiled_part
@@ -184,7 +186,8 @@ def judge_modes(sizes: BankSizes, bank: Bank, z: float, look: Look) -> float:
             best = min(best, look.wild[j])
     for j in range(len(sizes.modes)):
         t, wild = bank.tail[j], 0.0
-        tame = (1.0 - t) * np.exp(best - look.weight[j]) / np.sqrt(look.S[j])
+        look.far[j] = best - look.weight[j] + np.log((1.0 - t) / np.sqrt(look.S[j]))
+        tame = np.exp(look.far[j])
         if t > 0.0:
             wild = t * np.exp(best - look.wild[j]) / np.sqrt(look.S[j] + V)
         look.weight[j] = tame + wild
