@@ -63,6 +63,16 @@ def test_a_hole_begins_with_its_second_row(rows: list[tuple[float, int]], cut: i
         assert (told[k] == Verdict.HOLE) == (len(missing) == 2 and all(missing) and sigma[k] >= 1.0)
 
 
+def test_a_hole_goes_on_behind_an_estimate_that_ran_away() -> None:
+    verdicts = np.array([Verdict.USED, Verdict.MISSING, Verdict.MISSING, Verdict.MISSING], np.int8)
+    rows = Told(np.array([0.0, 1.0, 60.0, 9.0]), np.full(4, 2.0), np.empty((0, 4)), verdicts)
+    for cut in range(5):
+        watch = Sentinel(LIMITS, unknown_from=1.0)
+        watch.push(np.array([0.0, np.nan, np.nan, np.nan]))
+        found = [watch.told(rows.rows(part)).verdicts for part in (slice(None, cut), slice(cut, None))]
+        assert np.concatenate(found).tolist() == [Verdict.USED, Verdict.MISSING, Verdict.RUNAWAY, Verdict.HOLE]
+
+
 def runaway_recipe() -> Recipe:
     """Return a recipe, as a person may write one, whose estimate runs away where no readings come."""
     return Recipe.from_toml("""

@@ -148,10 +148,9 @@ def tell(  # noqa: PLR0913
         verdict, sigma = out.verdicts[row, column], out.sigma[row, column]
         if not is_lost(verdict) and not math.isnan(heard.usable[row]):
             numbers[READ] = heard.usable[row]
+        missed, marks[MISSED] = marks[MISSED], 1 if is_lost(verdict) and verdict != SPIKE else 0
         if ran_away(fixed, out.signal[row, column], numbers[READ]):
             out.signal[row, column], out.sigma[row, column], out.verdicts[row, column] = math.nan, math.nan, RUNAWAY
-            verdict = RUNAWAY
-        missed, marks[MISSED] = marks[MISSED], 1 if is_lost(verdict) and verdict != SPIKE else 0
         if sigma >= fixed[UNKNOWN_FROM] and missed and marks[MISSED] and not math.isnan(out.signal[row, column]):
             out.signal[row, column], out.sigma[row, column], out.verdicts[row, column] = math.nan, math.nan, HOLE
         marks[COUNTS + out.verdicts[row, column]] += 1

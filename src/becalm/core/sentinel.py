@@ -12,7 +12,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from becalm.core.arrays import Floats
+from becalm.core.arrays import Booleans, Floats
 from becalm.core.limits import Limits
 from becalm.core.told import Told
 from becalm.core.verdict import LOST, NOT_READ, Verdict
@@ -43,7 +43,9 @@ class Sentinel:
         """Return rows of which no estimate ran away, and none is unknown."""
         count = len(rows.signal)
         readings, self._waiting = self._waiting[:count], self._waiting[count:]
-        return self._without_holes(self._without_runaways(rows, readings)) if count else rows
+        if not count:
+            return rows
+        return self._without_holes(self._without_runaways(rows, readings), NOT_READ[rows.verdicts])
 
     def _without_runaways(self, told: Told, readings: Floats) -> Told:
         rows = np.arange(len(readings))
@@ -54,8 +56,7 @@ class Sentinel:
         outside = (told.signal < self._low) | (told.signal > self._high)
         return told.without(outside & (np.abs(told.signal - read) > self._high - self._low), Verdict.RUNAWAY)
 
-    def _without_holes(self, told: Told) -> Told:
-        missing = NOT_READ[told.verdicts]
+    def _without_holes(self, told: Told, missing: Booleans) -> Told:
         goes_on = missing & np.append(self._missed, missing[:-1])
         self._missed = bool(missing[-1])
         return told.without(goes_on & (told.sigma >= self._unknown_from) & np.isfinite(told.signal), Verdict.HOLE)
