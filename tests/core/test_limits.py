@@ -7,7 +7,9 @@ import pytest
 
 from becalm.core.arrays import Floats
 from becalm.core.held import EVERY_REPEAT
-from becalm.core.limits import Limits, find_limits, find_resolution, run_lengths
+from becalm.core.kernel_outliers import HELD
+from becalm.core.limits import Limits, find_limits, find_resolution, run_lengths, stuck_at_once
+from becalm.core.outliers import beside_others
 from becalm.core.rails import Rails, find_rails
 from becalm.errors import UsageError
 from becalm.files.reading import read
@@ -125,6 +127,19 @@ def test_stuck_stretches_of_the_record_itself_are_no_healthy_runs(lengths: tuple
     assert healthy is not None
     assert found is not None
     assert found <= 2 * healthy < min(lengths)
+
+
+@pytest.mark.parametrize("value", [0.0, 0.3])
+def test_dropouts_that_share_a_value_are_no_rest(value: float) -> None:
+    z = np.sin(T / 45) + 0.1 * noise()
+    z[8000:8400] = z[12_000:14_000] = value
+    limits = limits_of(z)
+    assert limits.stuck_readings is not None
+    assert limits.stuck_readings < 20
+    codes = beside_others(z, limits.outliers, stuck_at_once(limits))
+    assert (codes[8000:8400] == HELD).all()
+    assert (codes[12_000:14_000] == HELD).all()
+    assert np.count_nonzero(codes) == 2400
 
 
 CANNOT_TELL = {

@@ -36,6 +36,14 @@ def found_causally(z: Floats, rule: Outliers) -> list[int]:
     return np.flatnonzero(codes == Verdict.OUTLIER).tolist()
 
 
+@pytest.mark.parametrize("rows", [8, 12, 20])
+def test_few_readings_tell_an_outlier_as_well(rows: int) -> None:
+    z = np.linspace(1.0, 3.0, rows) + 0.1 * noise(rows=rows)
+    assert found(z) == []
+    z[rows // 2] = 50.0
+    assert found(z) == [rows // 2]
+
+
 @pytest.mark.parametrize("row", [0, 1, 2, 3, 2000, 3996, 3998, 3999])
 @pytest.mark.parametrize("size", [100.0, 1e4, -1e8, 1e30])
 def test_a_reading_far_out_is_an_outlier_and_no_other(row: int, size: float) -> None:

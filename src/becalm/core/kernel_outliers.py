@@ -26,8 +26,10 @@ FILLED, LONGEST_FILL = 3, 64
 """Rows of one value, of a channel that hardly repeats any, that fill in for readings: longer ones may be a rest."""
 NEARER = 4.0
 """Times that such a value need be less far away to be an outlier."""
-NEAR_REST = 1.0 / 12.0
-"""Of what is plausible, about a fourth of what was read: so near to 0 is a channel before it rests there."""
+NEAR_REST = 1.0 / 36.0
+"""Of what is plausible, about a twelfth of what was read: so near to 0 is a channel before it rests there."""
+
+AMID = 0.01  # of what was read: nearer to an end of it is no value amid
 
 REACH = 256
 """Rows beyond which a reading is no neighbour."""
@@ -156,6 +158,13 @@ def rests(neighbours: Floats, count: int, rule: Outliers) -> bool:
     return nearest == math.inf or nearest <= NEAR_REST * (rule.high - rule.low)
 
 
+@compiled_part
+def ends_at_0(rule: Outliers) -> bool:
+    """Return whether a channel may end at 0: it is not amid what was read, the middle third of what is plausible."""
+    third = (rule.high - rule.low) / 3.0
+    return not (rule.low + (1.0 + AMID) * third < 0.0 < rule.high - (1.0 + AMID) * third)
+
+
 @compiled
 def mark_outliers(  # noqa: PLR0913  (a door for Python: what is read, how, room, what is written)
     z: Floats, begun: int, whole: bool, rule: Outliers, stuck: int, values: Floats, ends: Integers, far: Codes
@@ -187,8 +196,9 @@ def mark_outliers(  # noqa: PLR0913  (a door for Python: what is read, how, room
                 spreads = IMPLAUSIBLE_SPREADS if away else SPREADS
                 away = is_far(values[run], neighbours, count, distance, spreads)
             found = OUT if away else 0
-            if not away and rows >= stuck > 0 and (values[run] != 0.0 or not rests(neighbours, count, rule)):
-                found = HELD
+            if not away and rows >= stuck > 0:
+                past = values[max(run - COUNT, 0) : run]
+                found = 0 if values[run] == 0.0 and ends_at_0(rule) and rests(past, len(past), rule) else HELD
         if found:
             for row in range(max(first, begun), ends[run, 1] + 1):
                 far[row] = 0 if math.isnan(z[row]) else found

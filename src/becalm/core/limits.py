@@ -187,17 +187,27 @@ def _stuck_readings(z: Floats, resolution: float, alarms: float, outliers: Outli
     margin, most = (_MARGIN, _MOST_FAULTS) if noisy else (_WIDE_MARGIN, 1)
     hold, lengths = _longest_hold(z, alarms), runs[order]
     limits = [margin * max(hold, _longest_run(lengths[: len(runs) - k], alarms)) for k in range(most + 1)]
-    held = z[np.cumsum(runs)[order] - 1]
+    last = np.cumsum(runs)[order] - 1
     faults = max(
-        k for k in range(most + 1) if not k or (lengths[-k] > limits[k] and _are_faults(held[-k:], z, outliers))
+        k
+        for k in range(most + 1)
+        if not k or (lengths[-k] > limits[k] and _are_faults(z, last[-k:], lengths[-k:], noisy, outliers))
     )
     return int(np.ceil(limits[faults])) if limits[faults] <= len(z) else None
 
 
-def _are_faults(held: Floats, z: Floats, outliers: Outliers) -> bool:
-    """Whether values (k,) that were held are no rest: that repeats a value, or is the 0 a channel ends at."""
-    ends = 0.0 in held and (z.min() == 0 or z.max() == 0) and _rests_at_0(z, outliers)
-    return len(np.unique(held)) == len(held) and not ends
+def _are_faults(z: Floats, last: Integers, lengths: Integers, noisy: bool, outliers: Outliers) -> bool:
+    """Whether runs of equal readings, by their last rows (k,), are no rest: the 0 a channel ends at, or what repeats.
+
+    A value that repeats fills in for readings all the same, if noise leaves it by jumps.
+    """
+    held = z[last]
+    if 0.0 in held and (z.min() == 0 or z.max() == 0) and _rests_at_0(z, outliers):
+        return False
+    beside = np.maximum(last - lengths, 0), np.minimum(last + 1, len(z) - 1)
+    jumps = np.min([np.abs(z[rows] - held) for rows in beside], axis=0)
+    leaves = noisy and bool(np.median(jumps) > NEAR_REST * (outliers.high - outliers.low))
+    return leaves or len(np.unique(held)) == len(held)
 
 
 def _rests_at_0(z: Floats, outliers: Outliers) -> bool:

@@ -20,7 +20,7 @@ from becalm.core.kernel_outliers import (
 NO_OUTLIERS = Outliers()
 """What finds none."""
 
-_FEWEST = 16  # readings that tell how far they jump
+_FEWEST = 8  # readings that tell how far they jump
 _NOISES = 30.0  # standard deviations of the noise that a gross outlier is away, at the least
 _OF_NOISE, _LARGE_OF_NOISE = 0.745, 1.82  # of white noise: the median distance from neighbours, and that of one in ten
 _MOST = 0.1  # share of the readings beyond which they are no exceptions
@@ -59,7 +59,7 @@ def find_outlier_rule(z: Floats, *, held: bool = False) -> Outliers:
     distances, spreads = distances_of(values)
     distance = _least_distance(distances, spreads)
     kept = _without_outliers(values, distances, spreads, distance)
-    if not 0 < distance < np.inf or len(kept) < (1 - _MOST) * len(values):
+    if not 0 < distance < np.inf or len(values) - len(kept) > max(_MOST * len(values), 1):
         return NO_OUTLIERS._replace(blank=blank)
     jumps, hidden = np.empty(max(len(kept) - COUNT, 0)), int(_HIDDEN * (len(values) - len(kept)))
     measure_jumps(input_of(kept), jumps)
@@ -125,7 +125,7 @@ def _least_distance(distances: Floats, spreads: Floats) -> float:
     some = distances[distances > 0]
     if not len(some):
         return 0.0
-    usual, large = np.quantile(distances, (0.5, 1 - _MOST))
+    usual, large = np.quantile(distances, (0.5, 1 - _MOST), method="lower")  # of few readings one may be an outlier
     least = float(max(_NOISES / _OF_NOISE * usual, _NOISES / _LARGE_OF_NOISE * large, _NOISES * some.min()))
     alone = distances > SPREADS * spreads
     least /= _NEARER if np.count_nonzero(alone & (distances > least)) >= _MANY else 1.0
