@@ -15,6 +15,7 @@ from becalm.noise.risk import estimated_risk, long_pieces
 
 _LESS = 0.05  # of a mean squared error, by which a smoother that switches must err less
 _CLEARLY = 3.0  # standard errors, by which it does beyond doubt
+_BY_CHANCE = 2.0  # standard errors, by which it may seem not to: one hidden reading of a shock alone makes one of them
 _HIDDEN = 10  # every such reading is hidden from smoothers that are compared
 _PROBE = 0.02  # of a standard deviation of the noise
 _LIKELY = 0.5  # probability from which a reading is taken for a wild one
@@ -65,7 +66,7 @@ def errs_less(switching: Switching, tuning: Tuning, evidence: Evidence) -> bool:
         return True
     R = min(tuning.noise_variance, switching.least_noise_variance)
     fixed = estimated_risk(tuning, evidence, R, causal=False).error
-    return bool(more.mean() <= chance and _risk(switching, evidence, R) < (1 - _LESS) * fixed)
+    return bool(more.mean() <= _BY_CHANCE * chance and _risk(switching, evidence, R) < (1 - _LESS) * fixed)
 
 
 def hidden_errors(flow: Flow | SwitchingFlow, evidence: Evidence) -> Floats:

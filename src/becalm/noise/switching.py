@@ -25,7 +25,7 @@ from becalm.noise.rejection import stand_out
 _FEWEST = 256  # readings, below which no switch can be told from noise
 _SURPRISING = 6.0  # standard deviations: a difference of means that Gaussian noise and motion do not make
 _BETTER = 6.0  # of a log-likelihood, for which a filter that switches is taken
-_DOUBT = 15.0  # of it, which levels that jump may seem to cost: about what one switch does
+_DOUBT = 15.0  # of it, which levels that jump may seem to cost, and motion: about what one switch does
 
 
 @dataclass(frozen=True)
@@ -142,7 +142,9 @@ def _follows_motion(switching: Switching, evidence: Evidence, *, at_jumps: bool 
 
 
 def _gain(found: Switched) -> float:
-    return found.log_likelihood + (_DOUBT if found.kind == "jumping" else -_BETTER)
+    """Return by how much a bank foretells better; where loud noise might as well be motion, it is motion."""
+    doubt = {"jumping": _DOUBT, "noisy": -_DOUBT - _BETTER}
+    return found.log_likelihood + doubt.get(found.kind, -_BETTER)
 
 
 def _found(kind: Kind, bank: Bank, pieces: list[Piece], tuning: Tuning) -> Switched:
