@@ -22,7 +22,7 @@ from safe_signals import RATE_HZ, Floats
 
 LAG_ROWS = 20
 _BLOCK = 50  # rows that come together
-_SPIKES = [one.value for one in Verdict if one.name == "SPIKE" or "OUTLIER" in one.name]
+_SPIKES = [Verdict.SPIKE, Verdict.OUTLIER]
 
 Path_ = Callable[[Floats], Estimate]
 """Takes readings (N,), and returns an estimate of them."""

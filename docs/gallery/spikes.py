@@ -3,8 +3,7 @@ Spikes left out, steps followed
 ===============================
 
 A linear filter spreads a spike over all readings near it. A gate looks at each innovation, reading minus prediction,
-and leaves out what is too far away; but five rejects in a row that agree with each other are a step, and the filter
-follows at once.
+and leaves out what is too far away; but four rejects in a row are motion, and the filter follows at once.
 """
 
 import matplotlib.pyplot as plt
@@ -12,7 +11,7 @@ import numpy as np
 
 import becalm
 from becalm.core.gates import Gate, threshold_for
-from becalm.core.verdict import AGREE, Verdict
+from becalm.core.verdict import AT_MOST, Verdict
 
 rate_hz = 100.0
 rng = np.random.default_rng(2)
@@ -26,9 +25,8 @@ noisy[struck] += rng.choice([-3.0, 3.0], struck.size)
 # The gate's width is told as a rate of false alarms.
 
 threshold = threshold_for(false_alarms_per_hour=1.0, readings_per_second=rate_hz)
-print(
-    f"one false alarm an hour at {rate_hz:.0f} Hz: {threshold:.2f} standard deviations; {AGREE} that agree are a step"
-)
+print(f"one false alarm an hour at {rate_hz:.0f} Hz: {threshold:.2f} standard deviations")
+print(f"{AT_MOST} rejects in a row are motion")
 
 # %%
 # The same filter twice, with and without a gate, as live filters. (`becalm.clean` finds out by itself whether a channel

@@ -121,8 +121,8 @@ def test_of_a_sharp_spectrum_the_model_is_worth_less_than_it_says() -> None:
 def test_of_a_walk_the_model_is_worth_what_it_says() -> None:
     rng = np.random.default_rng(5)
     z = np.cumsum(rng.normal(size=8000)) + rng.normal(size=8000)
-    for one in becalm.tune(becalm.Recording(z, rate_hz=RATE_HZ)).channel[0].hole:
-        assert one.sigma_growth < 0.3
+    holes = becalm.tune(becalm.Recording(z, rate_hz=RATE_HZ)).channel[0].hole
+    assert max((one.sigma_growth for one in holes), default=0.0) < 0.3
 
 
 @pytest.mark.parametrize("how", [{"causal": True}, {"wishes": becalm.Wishes(lag_s=0.2)}])

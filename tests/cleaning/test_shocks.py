@@ -67,6 +67,16 @@ def test_no_reading_of_a_motion_is_a_spike(kind: str, causal: bool) -> None:
 
 
 @pytest.mark.parametrize("causal", [True, False])
+@pytest.mark.parametrize(("hz", "lasts_s"), [(60.0, 0.05), (60.0, 0.2), (90.0, 0.1)])
+def test_a_quick_shock_at_rest_is_followed(hz: float, lasts_s: float, causal: bool) -> None:
+    after_s = np.arange(1500) / 200 - 3.0
+    ringing = 20 * np.exp(-2 * np.maximum(after_s, 0) / lasts_s) * np.cos(2 * np.pi * hz * after_s)
+    truth = np.where((after_s > 0) & (after_s < lasts_s), ringing, 0.0)
+    out = clean(Recording(truth + 0.05 * np.random.default_rng(0).normal(size=1500), rate_hz=200.0), causal=causal)
+    assert np.abs(out.signal.samples[:, 0] - truth).max() < 0.3
+
+
+@pytest.mark.parametrize("causal", [True, False])
 def test_steps_of_a_walk_are_no_spikes(causal: bool) -> None:
     """A foot's gyroscope at a heel strike, of which one reading in twenty was left out."""
     if not GAITMAP.exists():

@@ -109,7 +109,7 @@ def test_warm_names_what_it_compiles(fresh: Run, warmed: Path) -> None:
     for kernel in warmed.glob("*kernel_watch.*"):
         kernel.unlink()
     *compiled, where = fresh("warm").stderr.splitlines()
-    assert [line.partition(":")[0] for line in compiled] == ["watch, 1 states"]
+    assert [line.partition(":")[0] for line in compiled] == ["watch, 1 state"]
     assert str(warmed) in where
 
 

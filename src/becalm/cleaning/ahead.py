@@ -33,7 +33,7 @@ def compile_ahead(recording: Recording, *, causal: bool, tell: Callable[[str], o
     require_compiler()
     compile_quickly()
     names = ("forward", *(() if causal else ("backward",)), *OF_ALL)
-    sizes = sizes_run(recording.timebase.elapsed_steps, causal)
+    sizes = sizes_run(causal)
     if kernel_folder() is not None and is_cold(names, sizes):
         tell("Compiling the filters for this machine, which is done once and takes some minutes.")
         with suppress(UsageError):  # then they are compiled when they are used

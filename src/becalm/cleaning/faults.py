@@ -30,7 +30,7 @@ MOST_LOST = 0.5
 """Share of the rows: a channel that is clipped or stuck in more of them hardly measures."""
 
 _PIECE = 1 << 16  # rows whose arrays stay in the cache
-_LOST = (Verdict.CLIPPED, Verdict.STUCK)
+_HARDLY_MEASURES = (Verdict.CLIPPED, Verdict.STUCK)
 _FROM_FILTER = np.isin(list(Verdict), [Verdict.OVERRANGE, Verdict.SPIKE, Verdict.STEP])
 
 
@@ -257,7 +257,7 @@ class SensorWatch:
 
     def says(self) -> list[str]:
         """Say what was found, when first, and what to do."""
-        lost = sum(found.readings for verdict, found in self.found.items() if verdict in _LOST)
+        lost = sum(found.readings for verdict, found in self.found.items() if verdict in _HARDLY_MEASURES)
         told = said(self.found, self._faults.limits, self._step_s)
         if lost > MOST_LOST * self.rows:
             told.insert(0, f"{lost} of {self.rows} readings are clipped or stuck: between them the signal is a guess.")

@@ -127,12 +127,14 @@ class LimitsRecipe(Settings):
     largest : float or None
         Readings of a greater magnitude, in unit, are none, and count as missing; None for 1e100.
     outlier_distance : float or None
-        Readings farther, in unit, from the median of three readings on each side, and than these lie apart, are gross
-        outliers of a smoother, and count as missing; a *small* one finds more that are motion, None finds none.
+        Readings farther than this, in unit, and than 8 times their middle spread, from the median of three readings on
+        each side are gross outliers of a smoother, and count as missing; a *small* one finds more that are motion, None
+        finds none.
     causal_outlier_distance : float or None
         The same, from the six readings before, of a filter that waits for none after.
     plausible_low, plausible_high : float or None
-        Between them, in unit, a first reading of a causal filter is believed at once.
+        Range of plausible readings, in unit: outside it a first or a single reading is a gross outlier, and an estimate
+        ran away; a *narrow* one trusts the record that it was tuned on.
     repeats_are_one : bool or None
         Whether equal readings in a row count as one, of which all are gross outliers, or none.
     blank : float or None

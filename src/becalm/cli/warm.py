@@ -39,7 +39,8 @@ def run() -> None:
             raise OutputError(f"Compiled kernels cannot be kept in {folder}: {kernel.trouble}. {_WAY_OUT}")
         if kernel.compiled:
             made += 1
-            stderr.print(f"{kernel.name}, {kernel.states} states: compiled in {kernel.seconds:.1f} s")
+            states = f"{kernel.states} state{'s' * (kernel.states > 1)}"
+            stderr.print(f"{kernel.name}, {states}: compiled in {kernel.seconds:.1f} s")
     took = time.perf_counter() - begun
     if made:
         stderr.print(f"Compiled {made} kernels in {took:.1f} s; they are kept in {folder}.")

@@ -52,7 +52,7 @@ def returning_power(order: int, damping: float, level_rate: float, angle: Floats
     order : int
         n, how often white noise is integrated.
     damping : float
-        a, of each integration, radians a step; 0 is `motion_power`.
+        a, cut-off of the low-pass, radians a step; 0 is `motion_power`.
     level_rate : float
         b, how fast the level follows, radians a step.
     angle : (k,) float array

@@ -109,13 +109,6 @@ def distances_of(z: Floats) -> tuple[Floats, Floats]:
     return distances, spreads
 
 
-def noise_of(z: Floats) -> float:
-    """Return about how large the noise of readings (N,) is, in unit, as most of them show it; 0 where none does."""
-    distances, _ = distances_of(z)
-    distances = distances[distances > 0]
-    return float(np.median(distances)) / _OF_NOISE if len(distances) else 0.0
-
-
 def _least_distance(distances: Floats, spreads: Floats) -> float:
     """Return how far an outlier is from its neighbours, in unit: farther than noise, and than motion; 0 without either.
 

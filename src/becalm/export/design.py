@@ -28,6 +28,9 @@ from becalm.core.steady_filter import SteadyFilter
 from becalm.core.switching import Switching
 from becalm.errors import ModelError
 
+NOT_IN_C = ("outlier_distance", "causal_outlier_distance", "blank", "plausible_low", "plausible_high")
+"""Limits of a recipe that no exported filter has: gross outliers, a fill value, and a last sentinel."""
+
 _COUNTABLE = (1 << 32) - 1
 _UNMOVED = 1e-8  # of a state: its square is what is left of a covariance, and less than float64 holds beside it
 _MOST_COASTED = (1 << 16) - 2  # rows, which two bytes count

@@ -15,7 +15,8 @@ from becalm.noise.risk import estimated_risk, long_pieces
 
 _LESS = 0.05  # of a mean squared error, by which a smoother that switches must err less
 _CLEARLY = 3.0  # standard errors, by which it does beyond doubt
-_BY_CHANCE = 2.0  # standard errors, by which it may seem not to: one hidden reading of a shock alone makes one of them
+_FAR_LESS, _BY_CHANCE = 0.1, 2.0  # of a fixed smoother's risk: beside it hidden readings may contradict by so many, for
+# one of a shock, which nothing foretells, makes one of them alone
 _HIDDEN = 10  # every such reading is hidden from smoothers that are compared
 _PROBE = 0.02  # of a standard deviation of the noise
 _LIKELY = 0.5  # probability from which a reading is taken for a wild one
@@ -52,8 +53,8 @@ def errs_less(switching: Switching, tuning: Tuning, evidence: Evidence) -> bool:
     """Whether a smoother that switches errs less than the fixed one: clearly where readings are hidden, or by its risk.
 
     What little is gained where a record rests drowns in the noise of hidden readings; then the risk tells it, and
-    hidden readings have to contradict by no more than chance. The risk needs the variance of the noise, and of two
-    it takes the smaller; hidden readings need none.
+    hidden readings have to contradict by no more than chance: one standard error, or two where it tells much. The risk
+    needs the variance of the noise, and of two it takes the smaller; hidden readings need none.
     Readings that the bank takes for wild say nothing of errors; draws of what it believes stand in their place.
     """
     evidence = _tame(switching, evidence)
@@ -66,7 +67,8 @@ def errs_less(switching: Switching, tuning: Tuning, evidence: Evidence) -> bool:
         return True
     R = min(tuning.noise_variance, switching.least_noise_variance)
     fixed = estimated_risk(tuning, evidence, R, causal=False).error
-    return bool(more.mean() <= _BY_CHANCE * chance and _risk(switching, evidence, R) < (1 - _LESS) * fixed)
+    share = _FAR_LESS if more.mean() > chance else 1 - _LESS
+    return bool(more.mean() <= _BY_CHANCE * chance and _risk(switching, evidence, R) < share * fixed)
 
 
 def hidden_errors(flow: Flow | SwitchingFlow, evidence: Evidence) -> Floats:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Booleans
-from becalm.core.components import ORDERS
+from becalm.core.components import HIGHEST_ORDER, ORDERS
 from becalm.core.switching import Switching
 from becalm.core.switching_flow import SwitchingFlow
 from becalm.noise.bank_risk import hidden_errors
@@ -26,7 +26,9 @@ _ROUNDS = 2  # of finding what is violent, and of tuning what is calm
 _MOST = 0.3  # share of violent readings, from which on the calm is no exception to tune on
 _BESIDE = 10  # readings on each side that count to it as well: its ends are not told from calm motion
 _LIKELY = 0.5  # probability of a burst, from which a reading counts to it
-_MOST_STATES = 6  # of a filter whose bank is compiled ahead (`core/warming`): others keep a person waiting
+_MOST_STATES = (
+    HIGHEST_ORDER + 1
+)  # of a filter whose bank is compiled ahead (`core/warming`): others keep a person waiting
 
 
 class Bursting(NamedTuple):
@@ -83,7 +85,7 @@ def _find_bursting(tuning: Tuning, evidence: Evidence, pieces: list[Piece], caus
 
 
 def _chosen(calm: Evidence, causal: bool) -> Tuning | None:
-    """Choose the filter of calm motion; without its tones, where with them nobody would wait for its bank."""
+    """Choose the filter of calm motion; without its tones, if a bank of them would not be compiled ahead."""
     choice = choose(calm.z[:, 0], calm.elapsed, causal)
     alone = None if choice.motion is None else damped(choice.motion, calm)
     fitting = (one for one in (choice.tuning, alone) if one is not None and one.ratio > 0)

@@ -15,7 +15,7 @@ from becalm.core.arrays import Floats
 from becalm.core.components import EVERY_ORDER, ORDERS
 from becalm.noise.beside import tune_beside
 from becalm.noise.coloured import NoiseModel
-from becalm.noise.cross_validation import lasting, simplest, tune_smoother
+from becalm.noise.cross_validation import simplest, tune_smoother
 from becalm.noise.damping import damped
 from becalm.noise.likelihood import FEWEST_READINGS, UNSCORED, Evidence, Tuning, tune_motion
 from becalm.noise.lines import add_lines
@@ -54,12 +54,9 @@ class Choice:
         return Choice(self.kind, self.tuning.counted_in(steps), self.motion.counted_in(steps), rivals)
 
 
-def sizes_run(elapsed: Floats, causal: bool) -> tuple[int, ...]:
-    """Return the numbers of states of the kernels that choosing runs, over a whole record of these steps (N,)."""
-    if causal:
-        return ORDERS
-    even = Evidence.of(np.zeros(len(elapsed)), elapsed)
-    return () if lasting(even) else EVERY_ORDER
+def sizes_run(causal: bool) -> tuple[int, ...]:
+    """Return the numbers of states of the kernels that choosing runs: a damped motion has one more than its order."""
+    return (*ORDERS, ORDERS[-1] + 1) if causal else (*EVERY_ORDER, EVERY_ORDER[-1] + 1)
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,8 @@
 
 Five banks are tried, each with few numbers, which are searched by likelihood (`banks`). A number leaves its
 default only where the record clearly says so, so that a record that shows few switches still gets a bank that
-follows any. A smoother has to err less by its estimated risk as well: what foretells best need not smooth best.
+follows any. A smoother has to err less as well, clearly at hidden readings or by its estimated risk: what foretells
+best need not smooth best.
 Source of that estimate for filters that are not linear: Ramani, Blu and Unser, IEEE TIP-17 (2008) 1540.
 """
 
@@ -25,7 +26,8 @@ from becalm.noise.rejection import stand_out
 _FEWEST = 256  # readings, below which no switch can be told from noise
 _SURPRISING = 6.0  # standard deviations: a difference of means that Gaussian noise and motion do not make
 _BETTER = 6.0  # of a log-likelihood, for which a filter that switches is taken
-_DOUBT = 15.0  # of it, which levels that jump may seem to cost, and motion: about what one switch does
+_DOUBT = 15.0  # of it, which levels that jump may seem to cost: about what one switch does
+_MOTION_FIRST = 45.0  # of it, by which loud noise must be likelier than motion: more than a shock of 100 readings
 
 
 @dataclass(frozen=True)
@@ -79,15 +81,16 @@ def find_switching(
     likeliest = damped(max(motions, key=lambda motion: motion.log_likelihood), evidence)
     fixed = max(log_likelihood(_alone(one), pieces) for one in (tuning, likeliest))
     bursts = find_bursting(likeliest, evidence, pieces, causal)
+    spikes = _found("spiky", spiky(likeliest, evidence), pieces, tuning)
     found = [
         _found("resting", resting(likeliest, evidence), pieces, tuning),
         _found("jumping", jumping(evidence), pieces, tuning),
         _found("noisy", noisy(likeliest), pieces, tuning),
-        _found("spiky", spiky(likeliest, evidence), pieces, tuning),
+        spikes,
         *(Switched("bursting", one.switching, one.log_likelihood, np.nan, one.tuning) for one in bursts),
     ]
     if spikes_gated:  # then a bank that leaves them out has to be better than that
-        gated = log_likelihood(_with_wild(tuning, found[3].switching), pieces)
+        gated = log_likelihood(_with_wild(tuning, spikes.switching), pieces)
         fixed, found = max(fixed, gated) + _DOUBT + _BETTER, [bank for bank in found if bank.switching.rejects]
     likelier = [bank for bank in found if _gain(bank) >= fixed]
     alone: Kind | None = None if spikes_gated else "spiky"  # beside it a filter that believes all is no rival
@@ -143,7 +146,7 @@ def _follows_motion(switching: Switching, evidence: Evidence, *, at_jumps: bool 
 
 def _gain(found: Switched) -> float:
     """Return by how much a bank foretells better; where loud noise might as well be motion, it is motion."""
-    doubt = {"jumping": _DOUBT, "noisy": -_DOUBT - _BETTER}
+    doubt = {"jumping": _DOUBT, "noisy": -_MOTION_FIRST}
     return found.log_likelihood + doubt.get(found.kind, -_BETTER)
 
 

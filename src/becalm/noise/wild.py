@@ -2,7 +2,6 @@
 
 Wild readings inflate the noise, and hide what moves and what hums; so once the bank has told which they are, each is
 replaced by a draw from what all others say of it, the channel's filter is chosen again, and the bank with it.
-Source of the draws: Rubin, Multiple Imputation for Nonresponse in Surveys (1987), chapter 1.
 """
 
 from __future__ import annotations
@@ -15,9 +14,6 @@ from becalm.noise.choose import choose
 from becalm.noise.imputation import imputed
 from becalm.noise.likelihood import Evidence, Tuning
 from becalm.noise.switching import Switched
-
-_LIKELY = 0.5  # probability from which a reading is taken for a wild one
-_PIECE = 1 << 15  # rows
 
 
 def choose_robust(tuning: Tuning, evidence: Evidence, causal: bool) -> Switched:

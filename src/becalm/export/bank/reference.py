@@ -9,6 +9,7 @@ from becalm.cleaning.recipe_parts import LimitsRecipe
 from becalm.cleaning.stream import StreamCleaner, Streamed
 from becalm.core.arrays import Codes, Floats
 from becalm.core.verdict import BEYOND_ANY_SENSOR
+from becalm.export.design import NOT_IN_C
 
 _AT_ONCE = 1 << 16  # rows
 
@@ -54,9 +55,7 @@ def _plain(recipe: ChannelRecipe, largest: float) -> ChannelRecipe:
         "dead_variance": None,
         "even_time": None,
         "gap_steps": None,
-        "outlier_distance": None,
-        "causal_outlier_distance": None,
-        "blank": None,
+        **dict.fromkeys(NOT_IN_C),
         "largest": min(largest, BEYOND_ANY_SENSOR),
     }
     beside = {"tuning_spread": 0.0, "calibration": None, "timing": None, "limits": limits.model_copy(update=known)}

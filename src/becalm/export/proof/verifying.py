@@ -14,6 +14,7 @@ from becalm.cleaning.stream import StreamCleaner
 from becalm.core.arrays import Codes, Floats
 from becalm.core.verdict import LOST
 from becalm.export.bundle import Bundle, Exported
+from becalm.export.design import NOT_IN_C
 from becalm.export.kind import Raw
 from becalm.export.proof.compiling import OPTIMISED, SANITIZED, Build, CompileError, build, compilers, run
 from becalm.export.vectors import STARTING
@@ -209,9 +210,7 @@ def _wanted(one: Exported, channel: ChannelRecipe, given: Floats) -> tuple[Float
 
 def _as_exported(channel: ChannelRecipe) -> ChannelRecipe:
     """Return a recipe of what C does: it predicts in any hole, believes gross outliers, and has no last sentinel."""
-    unknown = ("outlier_distance", "causal_outlier_distance", "blank", "plausible_low", "plausible_high")
-    known = dict.fromkeys(unknown)
-    limits = None if channel.limits is None else channel.limits.model_copy(update=known)
+    limits = None if channel.limits is None else channel.limits.model_copy(update=dict.fromkeys(NOT_IN_C))
     return channel.model_copy(update={"limits": limits, "fill": True})
 
 
