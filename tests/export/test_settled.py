@@ -138,12 +138,12 @@ def test_after_broken_readings_the_signal_is_back_within_the_settling_time(
 ) -> None:
     made, program = programs[precision]
     for one in made.channels:
-        readings = np.clip(wandering(6000), -55, 55)
+        settling = one.design.settled_rows
+        readings = np.clip(wandering(3000 + settling), -55, 55)
         holed = readings.copy()
         holed[1000:1500] = broken
         signal, codes = through(program, one, holed)
         whole, _ = through(program, one, readings)
-        settling = one.design.settled_rows
         assert (codes[1000:1500] != Verdict.USED).all()
         assert np.isfinite(signal).all()
         back = np.abs(signal - whole)[1500 + settling :]
