@@ -86,7 +86,7 @@ class ChannelRecipe(Settings):
     fill : bool
         Whether its guess is told even there.
     rate_hz : float or None
-        Readings a second, where they come more seldom than rows: its bandwidth is that of a filter at this rate.
+        Rate of new readings, in Hz, where it is lower than that of the rows; bandwidth and tests refer to it.
     coloured_noise : ColouredNoiseRecipe or None
         Beside the white noise.
     calibration : CalibrationRecipe or None

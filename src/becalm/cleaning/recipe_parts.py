@@ -68,12 +68,13 @@ class HoleRecipe(Settings):
     Attributes
     ----------
     readings : int
-        That are missing in such a hole.
+        How many are missing in such a hole.
     model_fading : float
         Of the model's departure from a line across the hole a share is told: sigma beside the hole over sigma, to this
         power; a *small* one trusts the model.
     sigma_growth : float
-        Sigma is wider than the model's by the inverse of that, to this power; a *small* one trusts the model.
+        Sigma is that of the model times (sigma over sigma beside the hole), to this power; a *small* one trusts the
+        model.
     """
 
     readings: Annotated[int, Field(ge=2)]
