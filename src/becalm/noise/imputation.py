@@ -10,7 +10,7 @@ import numpy as np
 from becalm.core.arrays import Booleans, Floats
 from becalm.core.flow import Flow
 from becalm.core.told import Told
-from becalm.noise.likelihood import LASTING, Evidence, Tuning
+from becalm.noise.likelihood import JITTER, LASTING, Evidence, Tuning, keeps_time
 
 LONGEST_HOLE = 32
 """Steps without a reading, across which a spectrum goes on."""
@@ -18,7 +18,6 @@ LONGEST_HOLE = 32
 MOST_MISSING = 0.2
 """Share of the rows beyond which draws would make the spectrum."""
 
-_JITTER, _LATE = 0.02, 0.1  # steps by which a reading may come late, after the one before and beside an even clock
 _PIECE = 1 << 15  # rows
 
 
@@ -74,7 +73,7 @@ def nearly_complete(evidence: Evidence) -> slice:
     """Return the readings of the longest part in even time, but for jitter, whose holes are short and few."""
     elapsed = evidence.elapsed
     steps = np.round(elapsed)
-    odd = (np.abs(elapsed - steps) > _JITTER) | (steps < 1) | (steps > LONGEST_HOLE)
+    odd = (np.abs(elapsed - steps) > JITTER) | (steps < 1) | (steps > LONGEST_HOLE)
     bounds = np.concatenate([[0], np.flatnonzero(odd[1:]) + 1, [len(elapsed)]])
     parts = [slice(start, stop) for start, stop in zip(bounds[:-1].tolist(), bounds[1:].tolist(), strict=True)]
     even = [part for part in parts if _is_even(elapsed[part][1:])]
@@ -88,5 +87,4 @@ def _is_even(elapsed: Floats) -> bool:
     steps = np.round(elapsed)
     if len(steps) < (1 - MOST_MISSING) * steps.sum():
         return False
-    late = np.cumsum(elapsed - steps * (elapsed.sum() / steps.sum()))
-    return bool(np.abs(late).max() <= _LATE)
+    return keeps_time(elapsed, steps)

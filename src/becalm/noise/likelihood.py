@@ -40,7 +40,10 @@ LASTING = 1024
 
 _SELDOM = 1.5  # steps between readings, from which on they have a rate of their own
 _MOST_GAPS = 63
-_JITTER, _LATE = 0.02, 0.1  # steps by which a row may come late, after the row before and beside an even clock
+JITTER = 0.02
+"""Steps by which a row may come late after the row before, in even time."""
+
+_LATE = 0.1  # steps by which it may, beside an even clock
 _PIECE, _PIECES = 2048, 16  # readings of a long record that stand for it
 _FALLS = 3  # points downhill in a row after which slower cut-offs are not tried
 _DEEP = 50.0  # and this much less likely
@@ -206,18 +209,14 @@ class Evidence:
     @cached_property
     def complete(self) -> list[slice]:
         """Long stretches of rows in even time but for a little jitter, none missing."""
-        uneven = np.abs(self.elapsed[1:] - 1.0) > _JITTER
+        uneven = np.abs(self.elapsed[1:] - 1.0) > JITTER
         bounds = np.flatnonzero(np.concatenate([[True], uneven, [True]]))
         runs = [slice(start, stop) for start, stop in pairwise(bounds.tolist()) if stop - start >= LASTING]
-        return [run for run in runs if self._keeps_time(run)]
+        return [run for run in runs if keeps_time(self.elapsed[run][1:], np.ones(run.stop - run.start - 1))]
 
     def mean_step(self, part: slice) -> float:
         """Return how long a step of a stretch lasts on average, in steps."""
         return float(np.mean(self.elapsed[part][1:]))
-
-    def _keeps_time(self, part: slice) -> bool:
-        late = np.cumsum(self.elapsed[part][1:] - self.mean_step(part))
-        return bool(np.abs(late).max() <= _LATE)
 
     @cached_property
     def smallest_variance(self) -> float:
@@ -277,6 +276,12 @@ def tune_motion(order: int, evidence: Evidence) -> Tuning:
     found = find_ratio(order, cost, evidence.longest_steps, _has_risen)
     best = candidate.score(found.ratio)
     return Tuning(order, found.ratio, best.noise_variance, best.used, best.log_likelihood, at_edge=found.at_edge)
+
+
+def keeps_time(elapsed: Floats, steps: Floats) -> bool:
+    """Return whether rows, so many whole steps (N,) apart, keep to one even clock as time tells it, in steps (N,)."""
+    late = np.cumsum(elapsed - steps * (elapsed.sum() / steps.sum()))
+    return bool(np.abs(late).max() <= _LATE)
 
 
 def _has_risen(costs: Sequence[float]) -> bool:
