@@ -8,7 +8,8 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from threading import Thread
 
@@ -108,6 +109,16 @@ def processes(pattern: str, group: int) -> Iterator[int]:
                 continue
 
 
+def killed(pids: Iterable[int]) -> int:
+    """Kill processes; return how many of them were still there: a worker ends with its executor."""
+    count = 0
+    for pid in pids:
+        with suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGKILL)
+            count += 1
+    return count
+
+
 def rows_of(place: Path) -> int | None:
     """Return how many rows a sensor's output has; None where it is not finished, which reading it says."""
     try:
@@ -131,11 +142,8 @@ def test_a_cluster_gives_the_same_files(lake: Lake, whole: Path, tmp_path: Path)
 def test_killed_workers_change_nothing(lake: Lake, whole: Path, tmp_path: Path, victim: str, pattern: str) -> None:
     process, out = begun(lake, tmp_path / "out"), tmp_path / "out"
     wait_until(out, 3)
-    killed = 0
-    for pid in list(processes(pattern, process.pid))[: 1 if victim == "executor" else None]:
-        os.kill(pid, signal.SIGKILL)
-        killed += 1
-    assert killed, victim
+    victims = list(processes(pattern, process.pid))[: 1 if victim == "executor" else None]
+    assert killed(victims), victim
     finished(process)
     as_it_would_have_been(lake, out, whole)
 
@@ -162,8 +170,7 @@ def test_without_its_jvm_a_job_ends_in_a_sentence_and_is_taken_up_again(
     out = tmp_path / "out"
     process = begun(lake, out, "local[2]")
     wait_until(out, 2)
-    for pid in processes("SparkSubmit", process.pid):
-        os.kill(pid, signal.SIGKILL)
+    assert killed(processes("SparkSubmit", process.pid))
     told, _ = process.communicate(timeout=60)
     assert process.returncode == 2, told
     assert "becalm: Spark gave the job up (" in told
