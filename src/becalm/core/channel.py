@@ -1,0 +1,224 @@
+"""One channel, causally: measurements and the steps before them in, estimates out, any number of rows at a time.
+
+The filter itself is `native/channel.c`. Rows are processed one after the other, so that a recording gives the same bits
+wherever it is cut.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from becalm.core.arrays import Codes, Floats
+from becalm.core.components import Component
+from becalm.core.gates import Gate, level_of
+from becalm.core.limits import Limits
+from becalm.core.model import Model
+from becalm.core.monitor import NEVER, Alarms
+from becalm.core.possible import largest_beside
+from becalm.core.reach import reach_of
+from becalm.core.starting import known_before, refuse_singular
+from becalm.core.steps import Steps
+from becalm.core.timeline import model_system
+from becalm.core.verdict import Verdict
+from becalm.errors import ModelError
+from becalm.native import COEFFICIENTS, MOST_STATES, SETTINGS, STATE, is_sound, process, start
+
+_PARTS = 1 << 16  # of a sigma, that the monitor counts in
+_ENDLESS = 1 << 53  # equal measurements in a row: no stream has so many
+
+
+class Widening(NamedTuple):
+    """What makes the sigma of a signal larger than its filter's: by a share, by times, and by a calibration."""
+
+    factor: float = 1.0
+    time_std_s: float | None = None  # standard uncertainty of a measurement's time
+    included_std: float = 0.0  # what of it the noise holds already
+    calibration: tuple[float, float] | None = None  # standard uncertainties of sensitivity, as a share, and of zero
+
+
+class Settings(NamedTuple):
+    """What a recipe says of one channel."""
+
+    component: Component  # in steps
+    noise_variance: float  # R, in unit^2
+    step_s: float
+    limits: Limits
+    alarms: Alarms
+    gate: Gate | None = None
+    widening: Widening = Widening()
+    unknown_from: float = np.inf  # sigma from which on a row without a measurement is a hole, in unit
+
+    @property
+    def disturbed(self) -> bool:
+        """Whether its signal is less than what is measured."""
+        return any(part.disturbance for part in self.component.parts)
+
+
+class Channel:
+    """A causal filter of one channel.
+
+    Parameters
+    ----------
+    settings : Settings
+        What it is made of.
+
+    Raises
+    ------
+    ModelError
+        If it cannot start from measurements alone.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        model = settings.component.to_model(1.0, settings.noise_variance)
+        refuse_singular(model_system(model))
+        self._steps, self._in_steps = Steps(settings.component), settings.component.goes_in_steps
+        self._settings, self._coefficients = _packed(settings), _coefficients(settings, model)
+        self._lengths, self._matrices = np.ones(1), self._steps.over(np.ones(1))
+        self._state = start()
+
+    def process(self, z: Floats, elapsed: Floats, verdicts: Codes) -> tuple[Floats, Floats]:
+        """Process a block of rows.
+
+        Parameters
+        ----------
+        z : (B,) float array
+            Measurements, in unit; NaN where missing.
+        elapsed : (B,) float array
+            Steps since the row before.
+        verdicts : (B,) int8 array
+            What is wrong with the time of each row; becomes the verdict of each.
+
+        Returns
+        -------
+        (float array, float array)
+            Signal and sigma, (B,) each, in unit.
+        """
+        step, F, Q = self._steps_of(elapsed)
+        out = np.empty((2, len(z)))
+        process(
+            self._settings, self._coefficients, self._state,
+            z=z, elapsed=elapsed, step=step, F=F, Q=Q, signal=out[0], sigma=out[1], verdict=verdicts,
+        )  # fmt: skip
+        return out[0], out[1]
+
+    def _steps_of(self, elapsed: Floats) -> tuple[NDArray[np.int32], Floats, Floats]:
+        """Return which step each row follows, and the matrices of these steps; those of the last block are kept."""
+        lengths, step = elapsed[:1], np.zeros(len(elapsed), np.int32)
+        if not (elapsed == lengths).all():
+            lengths, rows = np.unique(elapsed, return_inverse=True)
+            step = rows.astype(np.int32)
+        if not np.array_equal(lengths, self._lengths) and len(lengths):
+            wanted = np.round(lengths) if self._in_steps else lengths  # the nearest: no stream ends by a late row
+            self._lengths, self._matrices = lengths.copy(), self._steps.over(wanted)
+        return step, *self._matrices
+
+    @property
+    def counts(self) -> dict[Verdict, int]:
+        """How often its measurements met each verdict."""
+        return dict(zip(Verdict, self._state["counts"].tolist(), strict=True))
+
+    @property
+    def powers(self) -> Floats:
+        """The sums of squares of the last hops of innovations, in sigma^2, in no order."""
+        powers: Floats = self._state["powers"][: int(self._state["hops"])]
+        return powers
+
+    @property
+    def drift_since(self) -> int | None:
+        """The row in which the first drift that was found began."""
+        since = int(self._state["drift_since"])
+        return None if since < 0 else since
+
+    @property
+    def is_silent(self) -> bool:
+        """Whether the last window of innovations was that of a dead sensor."""
+        return bool(self._state["silent"])
+
+    def state_dict(self) -> dict[str, Codes]:
+        """Return all that later rows depend on, as plain bytes."""
+        return {"state": np.frombuffer(self._state.tobytes(), np.int8)}
+
+    def load_state_dict(self, arrays: Mapping[str, Any]) -> None:
+        """Take over what `state_dict` returned.
+
+        Raises
+        ------
+        ModelError
+            If these are not the bytes of such a channel.
+        """
+        state = np.asarray(arrays["state"])
+        if state.dtype != np.int8 or state.shape != (STATE.itemsize,):
+            raise ModelError(f"The state of a snapshot is {state.dtype} of shape {state.shape}, not that of a channel.")
+        loaded = np.frombuffer(bytearray(state.tobytes()), STATE).reshape(())
+        if not is_sound(loaded):
+            raise ModelError("The state of a snapshot says what none can say; pass what snapshot() returned.")
+        self._state = loaded
+
+
+def _packed(settings: Settings) -> NDArray[np.void]:
+    limits, gate, widening = settings.limits, settings.gate, settings.widening
+    outliers, reach = limits.outliers, reach_of(settings.component, settings.noise_variance)
+    timed, calibrated = widening.time_std_s is not None, widening.calibration is not None
+    values = {
+        "states": len(settings.component.drift),
+        "low": limits.low,
+        "high": limits.high,
+        "largest": limits.largest,
+        "largest_believed": largest_beside(settings.noise_variance),
+        "stuck": min(limits.stuck_readings or 0, _ENDLESS),
+        "outlier_distance": outliers.causal_distance,
+        "plausible_low": outliers.low,
+        "plausible_high": outliers.high,
+        "repeats_are_one": outliers.repeats_are_one,
+        "blank": outliers.blank,
+        "longest_gap": reach.longest,
+        "gap_spans": reach.spans,
+        "gap_measurements": reach.readings,
+        "gated": gate is not None,
+        "gate_threshold": gate.threshold if gate else np.inf,
+        "gate_agree": gate.agree if gate else 0,
+        "gate_most": gate.at_most if gate else 0,
+        "gate_level": level_of(settings.component.to_model(1.0, settings.noise_variance)) if gate else -1,
+        "drift_threshold": int(np.ceil(min(settings.alarms.drift_threshold, NEVER) * _PARTS)),
+        "dead_variance": settings.alarms.dead_variance,
+        "timed": timed,
+        "step_s": settings.step_s,
+        "time_std_s": widening.time_std_s if timed else 0.0,
+        "time_variance": widening.included_std**2,
+        "factor": widening.factor,
+        "calibrated": calibrated,
+        "relative_std": widening.calibration[0] if widening.calibration else 0.0,
+        "offset_std": widening.calibration[1] if widening.calibration else 0.0,
+        "unknown_from": settings.unknown_from,
+    }
+    packed = np.zeros((), SETTINGS)
+    assert set(values) == set(SETTINGS.names or ()), "every field of the kernel's settings is filled in"
+    for name, value in values.items():
+        packed[name] = value
+    return packed
+
+
+def _coefficients(settings: Settings, model: Model) -> NDArray[np.void]:
+    component, n = settings.component, model.states
+    if n > MOST_STATES:
+        raise ModelError(f"A channel has up to {MOST_STATES} states; this one has {n}. Leave a tone out.")
+    coefficients = np.zeros((), COEFFICIENTS)
+    coefficients["h"][:n] = model.H[0]
+    coefficients["c"][:n] = (component.signal_output if settings.disturbed else component.output)[0]
+    coefficients["R"] = model.R[0, 0]
+    coefficients["prior"][: n * n] = _root(known_before(model).Y).ravel()
+    coefficients["keeps_level"], coefficients["disturbed"] = component.keeps_level, settings.disturbed
+    return coefficients
+
+
+def _root(Y: Floats) -> Floats:
+    """Return the upper triangular root of a semidefinite matrix, whatever the scales of its rows."""
+    scale = np.sqrt(np.diag(Y))
+    scale[scale == 0] = 1.0
+    values, vectors = np.linalg.eigh(Y / np.outer(scale, scale))
+    root = np.linalg.qr((vectors * np.sqrt(np.maximum(values, 0.0))).T, mode="r") * scale
+    return np.asarray(root * np.where(np.diag(root) < 0, -1.0, 1.0)[:, np.newaxis])

@@ -1,0 +1,116 @@
+"""The filter in C99, compiled when becalm is built, and the door to it.
+
+`becalm.h` describes the structs; here they are NumPy's. Buffers go in and out; nothing is kept.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from becalm.errors import BecalmError
+
+LIBRARY = Path(__file__).with_name("kernel.dll" if sys.platform == "win32" else "kernel.so")
+
+
+class _Field(ctypes.Structure):
+    _fields_ = (
+        ("name", ctypes.c_char_p),
+        ("offset", ctypes.c_int64),
+        ("size", ctypes.c_int64),
+        ("whole", ctypes.c_int64),
+    )
+
+
+class _Block(ctypes.Structure):
+    _fields_ = (*((name, ctypes.c_void_p) for name in ("z", "elapsed", "step", "F", "Q")), ("rows", ctypes.c_int64))
+
+
+class _Estimate(ctypes.Structure):
+    _fields_ = tuple((name, ctypes.c_void_p) for name in ("signal", "sigma", "verdict"))
+
+
+def _opened() -> ctypes.CDLL:
+    try:
+        return ctypes.CDLL(str(LIBRARY))
+    except OSError as cause:
+        raise BecalmError(
+            f"becalm's filter in C is not there, or not for this machine ({cause}). Install becalm again: pip install ."
+        ) from cause
+
+
+_LIBRARY = _opened()
+_LIBRARY.channel_start.argtypes, _LIBRARY.channel_start.restype = [ctypes.c_void_p], None
+_LIBRARY.channel_process.argtypes, _LIBRARY.channel_process.restype = [ctypes.c_void_p] * 5, None
+_LIBRARY.channel_is_sound.argtypes, _LIBRARY.channel_is_sound.restype = [ctypes.c_void_p], ctypes.c_int
+
+
+def _layout_of(struct: str) -> np.dtype[np.void]:
+    """Return a struct of `becalm.h` as NumPy's, with the fields that Python reads or writes."""
+    fields_of = getattr(_LIBRARY, f"channel_{struct}_fields")
+    fields_of.restype = ctypes.POINTER(_Field)
+    layout: Any = {"names": [], "formats": [], "offsets": []}
+    for field in fields_of():
+        if field.name is None:
+            break
+        count = field.size // 8
+        layout["names"].append(field.name.decode())
+        layout["formats"].append(f"{count if count > 1 else ''}{'i8' if field.whole else 'f8'}")
+        layout["offsets"].append(field.offset)
+    layout["itemsize"] = field.offset
+    structure: np.dtype[np.void] = np.dtype(layout)
+    return structure
+
+
+SETTINGS, COEFFICIENTS, STATE = map(_layout_of, ("settings", "coefficients", "state"))
+_REALS = ("z", "elapsed", "signal", "sigma")
+MOST_STATES = int(COEFFICIENTS["h"].shape[0])
+
+
+def start() -> NDArray[np.void]:
+    """Return the state of a channel before its first row."""
+    state = np.zeros((), STATE)
+    _LIBRARY.channel_start(state.ctypes.data)
+    return state
+
+
+def is_sound(state: NDArray[np.void]) -> bool:
+    """Return whether a state, which may come from a file, is one that a channel can have."""
+    return bool(_LIBRARY.channel_is_sound(state.ctypes.data))
+
+
+def process(settings: NDArray[np.void], coefficients: NDArray[np.void], state: NDArray[np.void], **rows: Any) -> None:
+    """Process a block of rows.
+
+    Parameters
+    ----------
+    settings, coefficients, state : () structured array
+        Of the channel; the state changes.
+    **rows : array
+        z, elapsed (B,), F, Q (u, n, n), signal, sigma (B,) of float64; step (B,) of int32, each below u; verdict (B,)
+        of int8. All are C-contiguous. See `block_t` and `estimate_t`.
+
+    Raises
+    ------
+    ValueError
+        If they are not of these types, or do not fit each other: C would read beyond their ends.
+    """
+    n, count = int(settings["states"]), len(rows["z"])
+    wanted: dict[str, tuple[str, tuple[int, ...]]] = {name: ("f8", (count,)) for name in _REALS}
+    wanted |= {"step": ("i4", (count,)), "verdict": ("i1", (count,))}
+    wanted |= dict.fromkeys(("F", "Q"), ("f8", (len(rows["F"]), n, n)))
+    for name, (kind, shape) in wanted.items():
+        array = rows[name]
+        if array.dtype != kind or array.shape != shape or not array.flags.c_contiguous:
+            raise ValueError(f"{name} is {array.dtype} of shape {array.shape}, not {kind} of {shape} in one piece.")
+    at = {name: rows[name].ctypes.data for name in wanted}
+    block = _Block(at["z"], at["elapsed"], at["step"], at["F"], at["Q"], count)
+    estimate = _Estimate(at["signal"], at["sigma"], at["verdict"])
+    _LIBRARY.channel_process(
+        settings.ctypes.data, coefficients.ctypes.data, state.ctypes.data, ctypes.byref(block), ctypes.byref(estimate)
+    )

@@ -1,0 +1,144 @@
+/* becalm's filter in C99: no heap, no globals, of libm only sqrt and fabs.
+
+   A channel is one sensor signal: z = h x + v, x' = F x + w. Times are in steps, values in the channel's unit. */
+#ifndef BECALM_H
+#define BECALM_H
+
+#include <math.h>
+#include <stdint.h>
+
+typedef double real;
+
+#define NOT_A_NUMBER ((real)NAN)
+#define INFINITE ((real)INFINITY)
+
+#ifndef BECALM_STATES
+#define BECALM_STATES 8 /* the most that a channel has */
+#endif
+
+enum { N_MAX = BECALM_STATES, NN_MAX = BECALM_STATES * BECALM_STATES };
+
+/* What became of a measurement; the values of `becalm.core.verdict.Verdict`. */
+enum {
+    USED = 0, MISSING = 1, NONFINITE = 2, OVERRANGE = 3, SPIKE = 4, STEP = 5, CLIPPED = 6, STUCK = 7, DEAD = 8,
+    DRIFT = 9, OUTLIER = 13, HOLE = 14, RUNAWAY = 15, VERDICTS = 16
+};
+
+enum { NEIGHBOURS = 6 };    /* measurements that a gross outlier is held against */
+enum { HOP = 16 };          /* innovations that are summed together */
+enum { WINDOW_HOPS = 4 };   /* hops whose variance is looked at together */
+enum { KEPT_HOPS = 32 };    /* the last ones, whose power says how large innovations are now */
+
+/* What a recipe says of a channel. */
+typedef struct {
+    int64_t states;           /* n */
+    /* limits */
+    real low, high;           /* saturation limits of the converter, in unit */
+    real largest;             /* magnitude beyond which a value is no measurement, in unit */
+    real largest_believed;    /* the same, beside the filter's noise: beyond, float64 would round the noise away */
+    int64_t stuck;            /* equal measurements in a row that are stuck; 0: any number may be equal */
+    /* gross outliers */
+    real outlier_distance;    /* from the median of the measurements before, in unit; inf finds none */
+    real plausible_low, plausible_high; /* first measurements, and estimates, in unit */
+    int64_t repeats_are_one;  /* whether equal measurements in a row count as one */
+    real blank;               /* what is written where there is no measurement; inf where nothing is */
+    /* gaps that are bridged, in steps */
+    real longest_gap;
+    real gap_spans;           /* times the time that the measurements before span */
+    int64_t gap_measurements; /* so many have to come before that counts */
+    /* innovation gate */
+    int64_t gated;
+    real gate_threshold;      /* |innovation| over its standard deviation */
+    int64_t gate_agree;       /* rejected ones in a row that agree: the signal has jumped */
+    int64_t gate_most;        /* rejected ones in a row, whatever they are */
+    int64_t gate_level;       /* the state that a jump adds to; -1: all of them */
+    /* monitor */
+    int64_t drift_threshold;  /* of a cumulative sum, in 2^-16 sigma */
+    real dead_variance;       /* of the innovations in a window, in sigma^2 */
+    /* uncertainty */
+    int64_t timed;
+    real step_s;              /* one step, in s */
+    real time_std_s;          /* standard uncertainty of a measurement's time, in s */
+    real time_variance;       /* what of it R holds already, in unit^2 */
+    real factor;              /* sigma of an uncertain tuning over that of a certain one */
+    int64_t calibrated;
+    real relative_std, offset_std; /* of the sensitivity, as a share; of the zero, in unit */
+    real unknown_from;        /* sigma from which on a row without a measurement is a hole, in unit */
+} settings_t;
+
+/* What is computed once for a channel; the matrices of its steps come with every call. */
+typedef struct {
+    real h[N_MAX];       /* what is measured of the state */
+    real c[N_MAX];       /* what of the state is the signal */
+    real R;              /* variance of a measurement, in unit^2 */
+    real prior[NN_MAX];  /* upper triangular root of the information that the model itself has; mostly 0 */
+    int64_t keeps_level; /* whether a constant added to the measurements is added to the signal */
+    int64_t disturbed;   /* whether c is not h: the signal is less than what is measured */
+} coefficients_t;
+
+/* All that later rows depend on. Its bytes are a checkpoint. */
+typedef struct {
+    /* limits */
+    real held;              /* the last measurement */
+    int64_t run;            /* how often it came in a row */
+    real least, most;       /* so far */
+    int64_t far;            /* whether the last measurement is an outlier; 2: it fills in for those that did not come */
+    real past[NEIGHBOURS];  /* the last measurements, the last one last */
+    /* gaps */
+    real now, last;         /* steps from the first measurement since a start to the last row, and measurement */
+    int64_t measurements;   /* since the start */
+    /* filter */
+    int64_t known;          /* UNKNOWN, GATHERING, DETERMINED */
+    real level;             /* that is subtracted from every measurement, in unit */
+    real x[N_MAX], P[NN_MAX]; /* filtered state and covariance; while GATHERING root and right-hand side of information */
+    real ahead[N_MAX];      /* predicted state, of a filter that has settled */
+    real K[N_MAX], L[N_MAX]; /* gains of the filtered and of the predicted state */
+    real S;                 /* innovation variance */
+    real sigma;             /* of the signal */
+    /* settling */
+    real K_then[N_MAX], variance_then[N_MAX], S_then, sigma_then; /* at the last check */
+    int64_t settled;        /* whether the gain, and sigma, are those of all later rows like the last */
+    int64_t steady, next_check, agreed; /* rows since the last gap; when to look again; checks that agreed in a row */
+    real last_step;         /* in steps; -1: none */
+    int64_t predicted;      /* whether `ahead` and L are those of the last row */
+    /* gate */
+    int64_t rejected, agreeing; /* in a row */
+    real last_rejected, wandered; /* innovation, and how far predictions may have moved since */
+    int64_t since_jump;     /* measurements used since; below 0 all are believed */
+    int64_t jumped;
+    /* monitor */
+    int64_t rows;           /* so far */
+    int64_t above, below, above_since, below_since, drift_since;
+    int64_t hop_count, hop_total, hop_squares, hops, silent;
+    int64_t totals[WINDOW_HOPS - 1], squares[WINDOW_HOPS - 1];
+    real hop_power, powers[KEPT_HOPS];
+    /* estimate */
+    real last_signal, slope; /* in unit, and in unit/s */
+    real entered;           /* the last measurement that entered */
+    int64_t missed;         /* whether the last row had none */
+    int64_t counts[VERDICTS];
+} state_t;
+
+enum { UNKNOWN, GATHERING, DETERMINED };
+
+/* A block of rows. */
+typedef struct {
+    const real *z;        /* measurements, in unit; NaN where missing */
+    const real *elapsed;  /* steps since the row before */
+    const int32_t *step;  /* which step that is */
+    const real *F, *Q;    /* of the steps, (n, n) each */
+    int64_t rows;
+} block_t;
+
+/* What is estimated of it. */
+typedef struct {
+    real *signal, *sigma; /* in unit */
+    int8_t *verdict;      /* comes with what is wrong with a row's time */
+} estimate_t;
+
+void channel_start(state_t *state);
+int channel_is_sound(const state_t *state);
+void channel_process(const settings_t *settings, const coefficients_t *model, state_t *state, const block_t *block,
+                     const estimate_t *estimate);
+
+#endif

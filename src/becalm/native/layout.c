@@ -1,0 +1,51 @@
+/* Where the fields of a channel's structs are, for languages that cannot read the header. All have 8 bytes a number. */
+#include <stddef.h>
+
+#include "becalm.h"
+
+typedef struct {
+    const char *name;     /* NULL: the end of a struct, whose size is the offset */
+    int64_t offset, size; /* in bytes */
+    int64_t whole;        /* whether it holds whole numbers */
+} field_t;
+
+#define REALS(type, name) {#name, offsetof(type, name), sizeof(((type *)0)->name), 0}
+#define WHOLE(type, name) {#name, offsetof(type, name), sizeof(((type *)0)->name), 1}
+#define END(type) {0, sizeof(type), 0, 0}
+
+const field_t *channel_settings_fields(void);
+const field_t *channel_coefficients_fields(void);
+const field_t *channel_state_fields(void);
+
+const field_t *channel_settings_fields(void) {
+#define R(name) REALS(settings_t, name)
+#define W(name) WHOLE(settings_t, name)
+    static const field_t fields[] = {
+        W(states), R(low), R(high), R(largest), R(largest_believed), W(stuck), R(outlier_distance), R(plausible_low),
+        R(plausible_high), W(repeats_are_one), R(blank), R(longest_gap), R(gap_spans), W(gap_measurements), W(gated),
+        R(gate_threshold), W(gate_agree), W(gate_most), W(gate_level), W(drift_threshold), R(dead_variance), W(timed),
+        R(step_s), R(time_std_s), R(time_variance), R(factor), W(calibrated), R(relative_std), R(offset_std),
+        R(unknown_from), END(settings_t),
+    };
+#undef R
+#undef W
+    return fields;
+}
+
+const field_t *channel_coefficients_fields(void) {
+#define R_(name) REALS(coefficients_t, name)
+    static const field_t fields[] = {
+        R_(h), R_(c), R_(R), R_(prior), WHOLE(coefficients_t, keeps_level), WHOLE(coefficients_t, disturbed),
+        END(coefficients_t),
+    };
+#undef R_
+    return fields;
+}
+
+const field_t *channel_state_fields(void) {
+    static const field_t fields[] = {
+        WHOLE(state_t, known), WHOLE(state_t, hops), REALS(state_t, powers), WHOLE(state_t, drift_since),
+        WHOLE(state_t, silent), WHOLE(state_t, counts), END(state_t),
+    };
+    return fields;
+}

@@ -1,0 +1,126 @@
+/* What is wrong with a measurement itself: impossible, saturated, held for too long, far from those before it. */
+#ifndef BECALM_LIMITS_H
+#define BECALM_LIMITS_H
+
+#include <string.h>
+#include "linear.h"
+
+enum { FEWEST_NEIGHBOURS = 3, LONGEST_FILL = 64, EVERY_REPEAT = 2 };
+
+#define SPREADS ((real)8)       /* of its neighbours, that an outlier is away from their median */
+#define NEARER ((real)4)        /* times that a value which fills in for measurements is nearer */
+#define NEAR_REST (1 / (real)36) /* of what is plausible: a channel that came so near to 0 before may rest there */
+
+/* Collect the measurements before; return how many there are. */
+static int recall(const real *past, real *neighbours) {
+    int count = 0;
+    for (int k = 0; k < NEIGHBOURS; k++)
+        if (!isnan(past[k])) neighbours[count++] = past[k];
+    return count;
+}
+
+/* Return whether a measurement is far from the median of some neighbours, which are sorted. */
+static int is_far(const real z, real *neighbours, const int count, const real distance) {
+    for (int k = 1; k < count; k++) {
+        const real now = neighbours[k];
+        int at = k;
+        for (; at > 0 && neighbours[at - 1] > now; at--) neighbours[at] = neighbours[at - 1];
+        neighbours[at] = now;
+    }
+    const real median = (neighbours[(count - 1) / 2] + neighbours[count / 2]) * (real)0.5;
+    const real spread = SPREADS * (neighbours[count - 2] - neighbours[1]);
+    return fabs(z - median) > (spread > distance ? spread : distance);
+}
+
+/* Return whether a measurement is far from the six before it; of the first ones, from what is plausible. */
+static int is_far_from_past(const settings_t *settings, const real z, const real *past) {
+    const real distance = settings->outlier_distance;
+    real neighbours[NEIGHBOURS];
+    if (!isnan(past[0])) {
+        real low = past[0], high = past[0];
+        for (int k = 1; k < NEIGHBOURS; k++) {
+            low = past[k] < low ? past[k] : low;
+            high = past[k] > high ? past[k] : high;
+        }
+        if (high - distance <= z && z <= low + distance) return 0;
+    }
+    const int count = recall(past, neighbours);
+    if (count >= FEWEST_NEIGHBOURS) return is_far(z, neighbours, count, distance);
+    const int plausible = settings->plausible_low <= z && z <= settings->plausible_high;
+    return !(plausible || fabs(z - past[NEIGHBOURS - 1]) <= distance);
+}
+
+/* Return whether a measurement that repeats the one before fills in for one that did not come. */
+static int fills_in(const settings_t *settings, const real z, const real *past) {
+    real neighbours[NEIGHBOURS];
+    const int count = recall(past, neighbours);
+    return count == NEIGHBOURS && is_far(z, neighbours, count, settings->outlier_distance / NEARER);
+}
+
+/* Return whether a 0 that ends the range so far is one at which a channel rests, as speeds and loads do. */
+static int is_rest(const settings_t *settings, const state_t *state) {
+    if (state->least != 0 && state->most != 0) return 0;
+    if (!(settings->repeats_are_one && settings->outlier_distance < INFINITE)) return 1;
+    real neighbours[NEIGHBOURS], nearest = INFINITE;
+    const int count = recall(state->past, neighbours);
+    for (int k = 0; k < count; k++)
+        if (neighbours[k] != 0 && fabs(neighbours[k]) < nearest) nearest = fabs(neighbours[k]);
+    return nearest == INFINITE || nearest <= NEAR_REST * (settings->plausible_high - settings->plausible_low);
+}
+
+/* Return why a value is no measurement of the sensor, 0 where it may be one. */
+static int no_measurement(const settings_t *settings, const real z) {
+    if (isnan(z)) return MISSING;
+    if (isinf(z)) return NONFINITE;
+    if (fabs(z) > settings->largest) return OVERRANGE;
+    return z == settings->blank ? OUTLIER : USED;
+}
+
+/* Return what is wrong with one measurement. One without a time of its own says nothing new, unless it is the first. */
+static int judge(const settings_t *settings, state_t *state, const real z, const int moved) {
+    int verdict = no_measurement(settings, z);
+    if (verdict) return verdict;
+    const int counts = moved || state->run == 0;
+    if (settings->outlier_distance < INFINITE) {
+        if (!(settings->repeats_are_one && z == state->held)) {
+            state->far = is_far_from_past(settings, z, state->past);
+            if (counts) {
+                memmove(state->past, state->past + 1, sizeof(real) * (NEIGHBOURS - 1));
+                state->past[NEIGHBOURS - 1] = z;
+            }
+        } else if (state->far != 1 && moved) {
+            const int may_fill = settings->stuck > EVERY_REPEAT && state->run < LONGEST_FILL;
+            state->far = may_fill && fills_in(settings, z, state->past) ? 2 : 0;
+        }
+    }
+    if (counts) {
+        state->run = z == state->held ? state->run + 1 : 1;
+        state->held = z;
+        state->least = z < state->least ? z : state->least;
+        state->most = z > state->most ? z : state->most;
+        if (settings->stuck > 0 && state->run >= settings->stuck && !(z == 0 && is_rest(settings, state)))
+            verdict = STUCK;
+    }
+    if (state->far) verdict = OUTLIER;
+    if (z <= settings->low || z >= settings->high) verdict = CLIPPED;
+    if (verdict == USED && fabs(z) > settings->largest_believed) verdict = OVERRANGE;
+    return verdict;
+}
+
+/* Return whether a gap before a measurement is longer than the filter can be carried across. */
+static int starts_anew(const settings_t *settings, state_t *state, const real elapsed, const int usable) {
+    if (state->measurements) state->now += elapsed;
+    if (!usable) return 0;
+    real longest = settings->longest_gap;
+    if (state->measurements >= settings->gap_measurements && state->last > 0) {
+        const real spans = settings->gap_spans * state->last;
+        longest = spans < longest ? spans : longest;
+    }
+    const int anew = state->measurements && state->now - state->last > longest;
+    if (anew) state->now = 0, state->measurements = 0;
+    state->last = state->now;
+    state->measurements++;
+    return anew;
+}
+
+#endif

@@ -1,0 +1,60 @@
+/* Linear algebra of n states. `n` is a constant where it matters, so that every loop is unrolled. */
+#ifndef BECALM_LINEAR_H
+#define BECALM_LINEAR_H
+
+#include <math.h>
+
+#include "becalm.h"
+
+#if defined(__GNUC__)
+#define INLINE static inline __attribute__((always_inline))
+#else
+#define INLINE static inline
+#endif
+
+INLINE real dot(const int n, const real *a, const real *b) {
+    real s = 0;
+    for (int i = 0; i < n; i++) s += a[i] * b[i];
+    return s;
+}
+
+/* y = A x */
+INLINE void times(const int n, const real *A, const real *x, real *y) {
+    for (int i = 0; i < n; i++) y[i] = dot(n, A + i * n, x);
+}
+
+/* C = A B */
+INLINE void multiply(const int n, const real *A, const real *B, real *C) {
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j < n; j++) {
+            real s = 0;
+            for (int k = 0; k < n; k++) s += A[i * n + k] * B[k * n + j];
+            C[i * n + j] = s;
+        }
+}
+
+/* P = A P A' + Q (2) */
+INLINE void propagate(const int n, const real *A, const real *Q, real *P) {
+    real AP[NN_MAX];
+    multiply(n, A, P, AP);
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j <= i; j++) {
+            const real s = Q[i * n + j] + dot(n, AP + i * n, A + j * n);
+            P[i * n + j] = P[j * n + i] = s;
+        }
+}
+
+/* P = (I - K h) P (I - K h)' + K R K', Joseph's form (7); `Ph` is P h'. */
+INLINE void joseph(const int n, const real *h, const real R, const real *K, const real *Ph, real *P) {
+    real B[NN_MAX], Bh[N_MAX];
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j < n; j++) B[i * n + j] = P[i * n + j] - K[i] * Ph[j];
+    times(n, B, h, Bh);
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j <= i; j++) {
+            const real s = B[i * n + j] - Bh[i] * K[j] + K[i] * R * K[j];
+            P[i * n + j] = P[j * n + i] = s;
+        }
+}
+
+#endif

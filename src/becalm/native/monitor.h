@@ -1,0 +1,50 @@
+/* What innovations say of the sensor: it drifts, or is dead. */
+#ifndef BECALM_MONITOR_H
+#define BECALM_MONITOR_H
+
+#include <string.h>
+#include "linear.h"
+
+enum { PARTS = 1 << 16 }; /* of a sigma: innovations are summed in whole ones, so that sums are exact */
+
+#define MOST_SIGMA ((real)6) /* what one innovation may say */
+
+enum { SLACK = PARTS / 2 };
+
+/* Close a hop of innovations: look at the window that ends with it. */
+static void end_hop(const settings_t *settings, state_t *state) {
+    enum { BEFORE = WINDOW_HOPS - 1, WINDOW = WINDOW_HOPS * HOP };
+    int64_t total = state->hop_total, squares = state->hop_squares;
+    for (int k = 0; k < BEFORE; k++) total += state->totals[k], squares += state->squares[k];
+    const real variance = (real)(WINDOW * squares - total * total) / ((real)(WINDOW * (WINDOW - 1)) * PARTS * PARTS);
+    state->silent = state->hops >= BEFORE && variance < settings->dead_variance;
+    state->powers[state->hops % KEPT_HOPS] = state->hop_power;
+    memmove(state->totals, state->totals + 1, sizeof(int64_t) * (BEFORE - 1));
+    memmove(state->squares, state->squares + 1, sizeof(int64_t) * (BEFORE - 1));
+    state->totals[BEFORE - 1] = state->hop_total, state->squares[BEFORE - 1] = state->hop_squares;
+    state->hop_count = state->hop_total = state->hop_squares = 0;
+    state->hop_power = 0;
+    state->hops++;
+}
+
+/* Return what a normalised innovation says, NaN where there is none: Page's cumulative sums on either side (1954), and
+   windows too quiet for a sensor that lives. */
+static int watch(const settings_t *settings, state_t *state, real nu) {
+    const int64_t row = state->rows++;
+    int64_t since = -1;
+    if (isnan(nu)) return USED;
+    nu = nu < -MOST_SIGMA ? -MOST_SIGMA : nu > MOST_SIGMA ? MOST_SIGMA : nu;
+    const int64_t part = (int64_t)(nu * PARTS + (nu < 0 ? (real)-0.5 : (real)0.5));
+    state->above = state->above + part - SLACK > 0 ? state->above + part - SLACK : 0;
+    state->below = state->below - part - SLACK > 0 ? state->below - part - SLACK : 0;
+    if (state->above >= settings->drift_threshold) since = state->above_since, state->above = 0;
+    if (state->below >= settings->drift_threshold) since = since < 0 ? state->below_since : since, state->below = 0;
+    if (state->above == 0) state->above_since = row + 1;
+    if (state->below == 0) state->below_since = row + 1;
+    if (since >= 0 && state->drift_since < 0) state->drift_since = since;
+    state->hop_total += part, state->hop_squares += part * part, state->hop_power += nu * nu;
+    if (++state->hop_count == HOP) end_hop(settings, state);
+    return state->silent ? DEAD : since >= 0 ? DRIFT : USED;
+}
+
+#endif

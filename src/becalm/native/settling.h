@@ -1,0 +1,78 @@
+/* When a gain has settled: then it is used again, and no covariance is computed. */
+#ifndef BECALM_SETTLING_H
+#define BECALM_SETTLING_H
+
+#include <string.h>
+#include "linear.h"
+
+enum { FIRST_CHECK = 32 };
+
+#define UNCHANGED ((real)1e-13)
+#define STEADY ((real)1e-9)    /* of a variance */
+#define FORGOTTEN ((real)0.9)  /* what the last eighth of a stretch may leave of the spread before it */
+
+INLINE int near(const real now, const real then, const real scale) { return fabs(now - then) <= UNCHANGED * scale; }
+
+/* Return whether gain and sigma have settled since the last check, and remember them anew. */
+static int is_settled(const int n, state_t *state) {
+    int settled = near(state->S, state->S_then, state->S) & near(state->sigma, state->sigma_then, state->sigma);
+    for (int i = 0; i < n; i++) {
+        const real variance = state->P[i * n + i];
+        const int steady = fabs(variance - state->variance_then[i]) <= STEADY * variance; /* else a gain may grow */
+        const real spread = steady && state->S > 0 ? sqrt(variance / state->S) : 0;
+        settled &= near(state->K[i], state->K_then[i], spread + fabs(state->K[i]));
+        state->variance_then[i] = variance, state->K_then[i] = state->K[i];
+    }
+    state->S_then = state->S, state->sigma_then = state->sigma;
+    return settled;
+}
+
+/* Return whether the filter forgets a tenth at least of what was before some rows: a slow gain only creeps. */
+static int forgets(const int n, const real *h, const real *F, const state_t *state, real rows) {
+    real A[NN_MAX], squared[NN_MAX], hF[N_MAX], before = 0, left = 0;
+    for (int j = 0; j < n; j++) {
+        hF[j] = 0;
+        for (int i = 0; i < n; i++) hF[j] += h[i] * F[i * n + j];
+    }
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j < n; j++) A[i * n + j] = F[i * n + j] - state->K[i] * hF[j];
+    for (; rows >= 2; rows *= (real)0.5) {
+        multiply(n, A, A, squared);
+        memcpy(A, squared, sizeof A);
+    }
+    for (int j = 0; j < n; j++) {
+        const real spread = sqrt(state->P[j * n + j]);
+        real s = 0;
+        for (int i = 0; i < n; i++) s += h[i] * A[i * n + j];
+        before += fabs(h[j]) * spread;
+        left += fabs(s) * spread;
+    }
+    return left <= FORGOTTEN * before;
+}
+
+static void unsettle(state_t *state) {
+    state->settled = state->agreed = state->predicted = 0;
+    state->steady = -1, state->next_check = FIRST_CHECK;
+    state->last_step = -1, state->S_then = -1;
+}
+
+/* Notice, after a row, that the gain has settled. It stays so for n rows, lest an oscillating gain comes back just at
+   the checks. */
+INLINE void notice(const int n, const real *h, const real *F, state_t *state, const real elapsed, const int complete) {
+    if (!complete || elapsed != state->last_step) {
+        unsettle(state);
+        if (complete) state->last_step = elapsed;
+    }
+    state->predicted = 0;
+    if (++state->steady < state->next_check) return;
+    const int settled = is_settled(n, state) && forgets(n, h, F, state, (real)0.125 * (real)state->steady);
+    state->agreed = settled ? state->agreed + 1 : 0;
+    if (0 < state->agreed && state->agreed <= n) {
+        state->next_check = state->steady + 1;
+        return;
+    }
+    state->settled = settled, state->agreed = 0;
+    state->next_check = state->steady + (state->steady / 8 > FIRST_CHECK ? state->steady / 8 : FIRST_CHECK);
+}
+
+#endif

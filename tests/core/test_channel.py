@@ -1,0 +1,245 @@
+"""The filter in C: against the recursion in a hundred digits, and cut anywhere."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from decimal import Decimal, localcontext
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from becalm.core.arrays import Codes, Floats
+from becalm.core.channel import Channel, Settings
+from becalm.core.components import Component, bias, motion, oscillator, returning_motion
+from becalm.core.gates import Gate
+from becalm.core.limits import Limits
+from becalm.core.monitor import Alarms
+from becalm.core.outliers import find_outlier_rule
+from becalm.core.verdict import LOST, Verdict
+from becalm.errors import ModelError
+from becalm.native import COEFFICIENTS, MOST_STATES, SETTINGS, STATE
+from bits import assert_same_bits
+
+ALARMS = Alarms(drift_threshold=10.0, quiet_variance=0.5, loud_variance=2.0)
+COMPONENTS = {
+    **{f"order {order}": motion(order, 0.1 ** (2 * order)) for order in range(1, 6)},
+    **{f"damped {order}": returning_motion(order, 0.1 ** (2 * order), 0.02) for order in range(1, 4)},
+    "tone": motion(2, 1e-4) + oscillator(0.11, 0.01, 1e-3),
+    "disturbed": motion(1, 0.01) + oscillator(0.17, 0.0, 1e-4).as_disturbance(),
+}
+KINDS = pytest.mark.parametrize("kind", COMPONENTS)
+R, TWIN, OPENING = 0.7, 1e-11, 1e-8
+
+
+def channel(component: Component, **more: Any) -> Channel:
+    return Channel(Settings(component, R, 0.01, **({"limits": Limits(), "alarms": ALARMS} | more)))
+
+
+def run(one: Channel, z: Floats, elapsed: Floats) -> tuple[Floats, Floats, Codes]:
+    verdicts = np.zeros(len(z), np.int8)
+    signal, sigma = one.process(z, elapsed, verdicts)
+    return signal, sigma, verdicts
+
+
+def stacked(estimates: tuple[Floats, Floats, Codes]) -> Floats:
+    """Return signal, sigma and verdict as rows (3, N)."""
+    return np.stack([part.astype(np.float64) for part in estimates])
+
+
+def rough(rows: int, seed: int = 0) -> Floats:
+    """Return a walk with noise, and readings that are missing one by one and 30 in a row."""
+    rng = np.random.default_rng(seed)
+    z = 0.1 * np.cumsum(rng.normal(size=rows)) + rng.normal(size=rows)
+    z[rng.random(rows) < 0.03] = np.nan
+    z[rows // 2 : rows // 2 + 30] = np.nan
+    return z
+
+
+def uneven(rows: int) -> Floats:
+    rng = np.random.default_rng(rows)
+    return np.where(rng.random(rows) < 0.1, rng.choice([0.0, 0.5, 2.0, 7.0], rows), 1.0)
+
+
+def exact(component: Component, z: Floats, elapsed: Floats) -> tuple[Floats, Floats]:
+    """Return signal and sigma by the recursion in a hundred digits, from a prior that is as good as none."""
+    model, wide = component.to_model(1.0, R), Decimal(10) ** 40
+    x, P, H = decimals(np.zeros(model.states)), decimals(np.eye(model.states)) * wide, decimals(model.H[0])
+    if model.known is not None:
+        left = decimals(model.known)  # = sum of d l l': what the model knows is a reading of 0 of variance 1/d
+        for k in range(model.states):
+            if left[k, k] > 0:
+                weight, row = left[k, k], left[k] / left[k, k]
+                left = left - weight * np.outer(row, row)
+                x, P = learnt(x, P, row, Decimal(0), 1 / weight)
+    signal, sigma, C, steps = np.empty(len(z)), np.empty(len(z)), decimals(component.signal_output[0]), {}
+    for k, reading in enumerate(z):
+        if k:
+            if elapsed[k] not in steps:
+                (F,), (Q,) = component.over(elapsed[k : k + 1])
+                steps[elapsed[k]] = decimals(F), decimals(Q)
+            F_k, Q_k = steps[elapsed[k]]
+            x, P = F_k @ x, F_k @ P @ F_k.T + Q_k
+        if np.isfinite(reading):
+            x, P = learnt(x, P, H, Decimal(float(reading)), Decimal(R))
+        signal[k], sigma[k] = float(C @ x), float((C @ P @ C).sqrt())
+    return signal, sigma
+
+
+def learnt(x: Any, P: Any, h: Any, reading: Decimal, variance: Decimal) -> tuple[Any, Any]:
+    K = P @ h / (h @ P @ h + variance)
+    return x + K * (reading - h @ x), P - np.outer(K, h @ P)
+
+
+def decimals(values: Floats) -> Any:
+    return np.vectorize(Decimal, otypes=[object])(values)
+
+
+@pytest.fixture(autouse=True)
+def _digits() -> Iterator[None]:
+    with localcontext() as context:
+        context.prec = 100
+        yield
+
+
+@KINDS
+def test_it_is_the_specification(kind: str) -> None:
+    """From the first rows, settled or not, across gaps and uneven steps."""
+    z, elapsed = rough(900), np.ones(900)
+    elapsed[600:] = uneven(300)
+    expected, spread = exact(COMPONENTS[kind], z, elapsed)
+    signal, sigma, _ = run(channel(COMPONENTS[kind]), z, elapsed)
+    told = np.isfinite(sigma)
+    assert told[2 * MOST_STATES :].all()
+    assert np.abs((signal - expected) / spread)[told].max() < TWIN
+    assert np.abs(sigma / spread - 1)[told].max() < TWIN
+
+
+@pytest.mark.parametrize("seed", range(5))
+@KINDS
+def test_its_first_rows_are_exact_at_uneven_steps(kind: str, seed: int) -> None:
+    z, elapsed = rough(24, seed), uneven(24 + seed)[:24] + 0.1
+    z[:seed] = np.nan
+    expected, spread = exact(COMPONENTS[kind], z, elapsed)
+    signal, sigma, _ = run(channel(COMPONENTS[kind]), z, elapsed)
+    told = np.isfinite(sigma)
+    assert told.sum() > 8
+    assert np.abs((signal - expected) / spread)[told].max() < OPENING
+    assert np.abs(sigma / spread - 1)[told].max() < OPENING
+
+
+def everything(rows: int) -> tuple[Floats, Floats, dict[str, Any]]:
+    """Return readings with all that can be wrong with them, the steps before them, and a channel's settings."""
+    z, elapsed = rough(rows, 7), uneven(rows)
+    rng = np.random.default_rng(8)
+    z[rng.random(rows) < 0.01] += 40.0
+    z[rows // 3 :] += 25.0
+    z[rows // 4 : rows // 4 + 12] = z[rows // 4]
+    z[[5, rows // 5, 40, 60]] = np.inf, 1e300, 1e6, 5e3
+    rule = find_outlier_rule(z[np.isfinite(z) & (np.abs(z) < 1e9)])
+    limits = Limits(high=1e6, stuck_readings=8, outliers=rule)
+    return z, elapsed, {"limits": limits, "gate": Gate(4.0, 3, 20)}
+
+
+@KINDS
+@given(data=st.data())
+@settings(max_examples=10, deadline=None)
+def test_any_cut_gives_the_same_bits(kind: str, data: st.DataObject) -> None:
+    z, elapsed, more = everything(700)
+    whole, parts = channel(COMPONENTS[kind], **more), channel(COMPONENTS[kind], **more)
+    expected = stacked(run(whole, z, elapsed))
+    cuts = sorted(data.draw(st.lists(st.integers(0, 700), max_size=12)))
+    told = [stacked(run(parts, z[a:b], elapsed[a:b])) for a, b in pairwise([0, *cuts, 700])]
+    assert_same_bits(np.hstack(told), expected)
+    assert parts.state_dict()["state"].tobytes() == whole.state_dict()["state"].tobytes()
+
+
+@KINDS
+def test_it_goes_on_from_its_state(kind: str) -> None:
+    z, elapsed, more = everything(600)
+    expected = stacked(run(channel(COMPONENTS[kind], **more), z, elapsed))
+    for row in (1, 2, 7, 301, 420):
+        one, other = channel(COMPONENTS[kind], **more), channel(COMPONENTS[kind], **more)
+        run(one, z[:row], elapsed[:row])
+        other.load_state_dict(one.state_dict())
+        assert_same_bits(stacked(run(other, z[row:], elapsed[row:])), expected[:, row:])
+
+
+def test_every_verdict_is_given_and_counted() -> None:
+    z, elapsed, more = everything(3000)
+    one = channel(COMPONENTS["order 1"], **more)
+    signal, _, verdicts = run(one, z, elapsed)
+    given_ = set(verdicts.tolist())
+    assert given_ >= {
+        Verdict.USED, Verdict.MISSING, Verdict.NONFINITE, Verdict.OVERRANGE, Verdict.STEP, Verdict.STUCK,
+        Verdict.CLIPPED, Verdict.OUTLIER,
+    }  # fmt: skip
+    counted = np.bincount(verdicts, minlength=len(Verdict))
+    assert one.counts == dict(zip(Verdict, counted.tolist(), strict=True))
+    assert np.isfinite(signal).all()
+    calm = int(np.flatnonzero(verdicts == Verdict.STEP)[0])  # there is no jump before
+    assert calm > 100
+    without = np.where(LOST[verdicts], np.nan, z)[:calm]
+    again, _, _ = run(channel(COMPONENTS["order 1"]), without, elapsed[:calm])
+    np.testing.assert_allclose(signal[:calm], again, rtol=1e-9)
+
+
+@given(
+    z=st.lists(st.floats(width=64) | st.sampled_from([np.nan, np.inf, 1e300, 0.0]), min_size=1, max_size=60),
+    elapsed=st.lists(st.floats(0, 2.0**52) | st.sampled_from([0.0, 1.0, 1e-9]), min_size=60, max_size=60),
+    kind=st.sampled_from(list(COMPONENTS)),
+    gated=st.booleans(),
+)
+@settings(max_examples=150, deadline=None)
+def test_nothing_that_is_pushed_breaks_it(z: list[float], elapsed: list[float], kind: str, gated: bool) -> None:
+    one = channel(COMPONENTS[kind], gate=Gate(4.0, 3, 20) if gated else None)
+    signal, sigma, _ = run(one, np.array(z), np.array(elapsed[: len(z)]))
+    assert not (np.isfinite(signal) & ~(sigma >= 0)).any()
+    after, _, _ = run(one, np.zeros(4000), np.ones(4000))
+    assert np.isfinite(after[-1])
+
+
+def test_arrays_that_do_not_fit_are_refused() -> None:
+    one = channel(COMPONENTS["order 2"])
+    for z, elapsed, verdicts in (
+        (np.zeros(3), np.ones(3), np.zeros(2, np.int8)),
+        (np.zeros(3), np.ones(2), np.zeros(3, np.int8)),
+        (np.zeros(6)[::2], np.ones(3), np.zeros(3, np.int8)),
+    ):
+        with pytest.raises(ValueError, match="in one piece"):
+            one.process(z, elapsed, verdicts)
+
+
+@pytest.mark.parametrize(
+    "state",
+    [np.zeros(3, np.int8), np.zeros(3), np.full(STATE.itemsize, -1, np.int8)],
+    ids=["short", "reals", "senseless"],
+)
+def test_a_state_that_no_channel_can_have_is_refused(state: Any) -> None:
+    with pytest.raises(ModelError, match="state of a snapshot"):
+        channel(COMPONENTS["order 2"]).load_state_dict({"state": state})
+
+
+def test_too_many_states_are_refused() -> None:
+    tones = [oscillator(0.05 * k, 0.01, 1e-3) for k in range(1, 5)]
+    component = sum(tones, motion(1, 0.01))
+    assert len(component.drift) > MOST_STATES
+    with pytest.raises(ModelError, match=f"up to {MOST_STATES} states"):
+        channel(component)
+
+
+def test_a_bias_that_no_reading_sees_stays_apart() -> None:
+    """Signal and bias are seen as a sum alone; the sum is known, and no number runs away."""
+    signal, sigma, _ = run(channel(motion(1, 0.01) + bias(1e-4)), rough(3000), np.ones(3000))
+    assert np.isfinite(signal).all()
+    assert np.isfinite(sigma).all()
+
+
+@pytest.mark.parametrize("struct", [SETTINGS, COEFFICIENTS, STATE], ids=["settings", "coefficients", "state"])
+def test_the_fields_of_a_struct_do_not_overlap(struct: np.dtype[np.void]) -> None:
+    places = sorted((offset, offset + dtype.itemsize) for dtype, offset, *_ in (struct.fields or {}).values())
+    assert all(end <= begin for (_, end), (begin, _) in pairwise(places))
+    assert places[-1][1] <= struct.itemsize

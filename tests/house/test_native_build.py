@@ -1,0 +1,67 @@
+"""The filter in C is compiled when becalm is built, without a warning; where it cannot be, a sentence says so."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+import hatch_build
+
+ROOT = Path(__file__).parents[2]
+STRICT = ("-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Wshadow", "-Werror")
+
+
+@pytest.fixture
+def project(tmp_path: Path) -> Path:
+    shutil.copytree(ROOT / hatch_build.NATIVE, tmp_path / hatch_build.NATIVE)
+    (tmp_path / hatch_build.NATIVE / hatch_build.KERNEL).unlink()
+    return tmp_path
+
+
+def files(project: Path) -> set[str]:
+    return {path.name for path in (project / hatch_build.NATIVE).iterdir()}
+
+
+def test_it_is_compiled_beside_its_sources(project: Path) -> None:
+    before = files(project)
+    hatch_build.compile_kernel(project)
+    assert files(project) - before == {hatch_build.KERNEL}
+
+
+def test_a_compiler_that_fails_says_why_and_leaves_nothing(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = files(project)
+    with (project / hatch_build.NATIVE / "channel.c").open("a", encoding="utf-8") as source:
+        source.write("no C\n")
+    with pytest.raises(hatch_build.BuildError, match=r"was not compiled \(.*error.*\)\. Install a C compiler"):
+        hatch_build.compile_kernel(project)
+    monkeypatch.setenv("CC", "/nowhere/cc")
+    with pytest.raises(hatch_build.BuildError, match=r"No such file.*'apt-get install gcc'"):
+        hatch_build.compile_kernel(project)
+    assert files(project) == before
+
+
+def test_without_a_compiler_that_of_pypi_is_asked_for(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", os.devnull)
+    monkeypatch.delenv("CC", raising=False)
+    assert hatch_build.own_compiler() == []
+    stand_in = project / "ziglang.py"
+    stand_in.write_text("import sys\nsys.exit(' '.join(['asked', *sys.argv[1:3]]))\n", encoding="utf-8")
+    monkeypatch.setenv("PYTHONPATH", str(project))
+    with pytest.raises(hatch_build.BuildError, match=r"asked cc -std=c99"):
+        hatch_build.compile_kernel(project)
+
+
+@pytest.mark.parametrize("source", hatch_build.SOURCES)
+@pytest.mark.parametrize("optimised", ["-O0", "-O2", "-O3"])
+@pytest.mark.parametrize("compiler", ["gcc", "clang"])
+def test_no_compiler_warns(compiler: str, optimised: str, source: str, tmp_path: Path) -> None:
+    if not shutil.which(compiler):
+        pytest.skip(f"{compiler} is not installed")
+    place = str(ROOT / hatch_build.NATIVE / source)
+    command = [compiler, "-std=c99", optimised, *STRICT, "-c", place, "-o", str(tmp_path / "object")]
+    ran = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert ran.returncode == 0, ran.stderr
