@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from becalm.core.arrays import Codes, Floats
-from becalm.core.channel import Channel, Settings
+from becalm.core.channel import Channel, Estimates, Settings
 from becalm.core.components import Component, bias, motion, oscillator, returning_motion
 from becalm.core.gates import Gate
 from becalm.core.limits import Limits
@@ -40,13 +40,11 @@ def channel(component: Component, **more: Any) -> Channel:
 
 
 def run(one: Channel, z: Floats, elapsed: Floats) -> tuple[Floats, Floats, Codes]:
-    verdicts = np.zeros(len(z), np.int8)
-    signal, sigma = one.process(z, elapsed, verdicts)
-    return signal, sigma, verdicts
+    return one.process(z, elapsed)[:3]
 
 
-def stacked(estimates: tuple[Floats, Floats, Codes]) -> Floats:
-    """Return signal, sigma and verdict as rows (3, N)."""
+def stacked(estimates: Estimates) -> Floats:
+    """Return all that is estimated, as rows (5, N)."""
     return np.stack([part.astype(np.float64) for part in estimates])
 
 
@@ -64,8 +62,8 @@ def uneven(rows: int) -> Floats:
     return np.where(rng.random(rows) < 0.1, rng.choice([0.0, 0.5, 2.0, 7.0], rows), 1.0)
 
 
-def exact(component: Component, z: Floats, elapsed: Floats) -> tuple[Floats, Floats]:
-    """Return signal and sigma by the recursion in a hundred digits, from a prior that is as good as none."""
+def exact(component: Component, z: Floats, elapsed: Floats) -> tuple[Floats, ...]:
+    """Return signal, sigma, innovations and their deviations in a hundred digits, from a prior as good as none."""
     model, wide = component.to_model(1.0, R), Decimal(10) ** 40
     x, P, H = decimals(np.zeros(model.states)), decimals(np.eye(model.states)) * wide, decimals(model.H[0])
     if model.known is not None:
@@ -75,7 +73,8 @@ def exact(component: Component, z: Floats, elapsed: Floats) -> tuple[Floats, Flo
                 weight, row = left[k, k], left[k] / left[k, k]
                 left = left - weight * np.outer(row, row)
                 x, P = learnt(x, P, row, Decimal(0), 1 / weight)
-    signal, sigma, C, steps = np.empty(len(z)), np.empty(len(z)), decimals(component.signal_output[0]), {}
+    signal, sigma, innovation, deviation = np.full((4, len(z)), np.nan)
+    C, steps = decimals(component.signal_output[0]), {}
     for k, reading in enumerate(z):
         if k:
             if elapsed[k] not in steps:
@@ -84,9 +83,10 @@ def exact(component: Component, z: Floats, elapsed: Floats) -> tuple[Floats, Flo
             F_k, Q_k = steps[elapsed[k]]
             x, P = F_k @ x, F_k @ P @ F_k.T + Q_k
         if np.isfinite(reading):
+            innovation[k], deviation[k] = float(Decimal(float(reading)) - H @ x), float((H @ P @ H + Decimal(R)).sqrt())
             x, P = learnt(x, P, H, Decimal(float(reading)), Decimal(R))
         signal[k], sigma[k] = float(C @ x), float((C @ P @ C).sqrt())
-    return signal, sigma
+    return signal, sigma, innovation, deviation
 
 
 def learnt(x: Any, P: Any, h: Any, reading: Decimal, variance: Decimal) -> tuple[Any, Any]:
@@ -110,8 +110,14 @@ def test_it_is_the_specification(kind: str) -> None:
     """From the first rows, settled or not, across gaps and uneven steps."""
     z, elapsed = rough(900), np.ones(900)
     elapsed[600:] = uneven(300)
-    expected, spread = exact(COMPONENTS[kind], z, elapsed)
-    signal, sigma, _ = run(channel(COMPONENTS[kind]), z, elapsed)
+    expected, spread, innovation, deviation = exact(COMPONENTS[kind], z, elapsed)
+    one = channel(COMPONENTS[kind])
+    signal, sigma, _, nu, S = one.process(z, elapsed)
+    assert one.settled_row is None or one.settled_row < 300
+    judged = np.isfinite(S)
+    assert judged.sum() > 800
+    assert np.abs((nu - innovation) / deviation)[judged].max() < TWIN
+    assert np.abs(S / deviation - 1)[judged].max() < TWIN
     told = np.isfinite(sigma)
     assert told[2 * MOST_STATES :].all()
     assert np.abs((signal - expected) / spread)[told].max() < TWIN
@@ -123,7 +129,7 @@ def test_it_is_the_specification(kind: str) -> None:
 def test_its_first_rows_are_exact_at_uneven_steps(kind: str, seed: int) -> None:
     z, elapsed = rough(24, seed), uneven(24 + seed)[:24] + 0.1
     z[:seed] = np.nan
-    expected, spread = exact(COMPONENTS[kind], z, elapsed)
+    expected, spread, *_ = exact(COMPONENTS[kind], z, elapsed)
     signal, sigma, _ = run(channel(COMPONENTS[kind]), z, elapsed)
     told = np.isfinite(sigma)
     assert told.sum() > 8
@@ -150,9 +156,9 @@ def everything(rows: int) -> tuple[Floats, Floats, dict[str, Any]]:
 def test_any_cut_gives_the_same_bits(kind: str, data: st.DataObject) -> None:
     z, elapsed, more = everything(700)
     whole, parts = channel(COMPONENTS[kind], **more), channel(COMPONENTS[kind], **more)
-    expected = stacked(run(whole, z, elapsed))
+    expected = stacked(whole.process(z, elapsed))
     cuts = sorted(data.draw(st.lists(st.integers(0, 700), max_size=12)))
-    told = [stacked(run(parts, z[a:b], elapsed[a:b])) for a, b in pairwise([0, *cuts, 700])]
+    told = [stacked(parts.process(z[a:b], elapsed[a:b])) for a, b in pairwise([0, *cuts, 700])]
     assert_same_bits(np.hstack(told), expected)
     assert parts.state_dict()["state"].tobytes() == whole.state_dict()["state"].tobytes()
 
@@ -160,12 +166,12 @@ def test_any_cut_gives_the_same_bits(kind: str, data: st.DataObject) -> None:
 @KINDS
 def test_it_goes_on_from_its_state(kind: str) -> None:
     z, elapsed, more = everything(600)
-    expected = stacked(run(channel(COMPONENTS[kind], **more), z, elapsed))
+    expected = stacked(channel(COMPONENTS[kind], **more).process(z, elapsed))
     for row in (1, 2, 7, 301, 420):
         one, other = channel(COMPONENTS[kind], **more), channel(COMPONENTS[kind], **more)
         run(one, z[:row], elapsed[:row])
         other.load_state_dict(one.state_dict())
-        assert_same_bits(stacked(run(other, z[row:], elapsed[row:])), expected[:, row:])
+        assert_same_bits(stacked(other.process(z[row:], elapsed[row:])), expected[:, row:])
 
 
 def test_every_verdict_is_given_and_counted() -> None:
@@ -204,13 +210,14 @@ def test_nothing_that_is_pushed_breaks_it(z: list[float], elapsed: list[float], 
 
 def test_arrays_that_do_not_fit_are_refused() -> None:
     one = channel(COMPONENTS["order 2"])
-    for z, elapsed, verdicts in (
+    for z, elapsed, timing in (
+        (np.zeros(3), np.ones(2), None),
+        (np.zeros(6)[::2], np.ones(3), None),
+        (np.zeros((3, 1)), np.ones(3), None),
         (np.zeros(3), np.ones(3), np.zeros(2, np.int8)),
-        (np.zeros(3), np.ones(2), np.zeros(3, np.int8)),
-        (np.zeros(6)[::2], np.ones(3), np.zeros(3, np.int8)),
     ):
-        with pytest.raises(ValueError, match="in one piece"):
-            one.process(z, elapsed, verdicts)
+        with pytest.raises(ValueError, match=r"in one piece|broadcast"):
+            one.process(z, elapsed, timing)
 
 
 @pytest.mark.parametrize(

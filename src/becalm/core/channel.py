@@ -58,6 +58,16 @@ class Settings(NamedTuple):
         return any(part.disturbance for part in self.component.parts)
 
 
+class Estimates(NamedTuple):
+    """What a channel makes of B rows."""
+
+    signal: Floats  # (B,) in unit
+    sigma: Floats  # (B,) in unit; inf where nothing is known yet, NaN where nothing is told
+    verdict: Codes  # (B,) values of `Verdict`
+    innovation: Floats  # (B,) measurement minus its prediction, in unit; NaN where there is none
+    deviation: Floats  # (B,) standard deviation that is expected of it, in unit
+
+
 class Channel:
     """A causal filter of one channel.
 
@@ -80,7 +90,7 @@ class Channel:
         self._lengths, self._matrices = np.ones(1), self._steps.over(np.ones(1))
         self._state = start()
 
-    def process(self, z: Floats, elapsed: Floats, verdicts: Codes) -> tuple[Floats, Floats]:
+    def process(self, z: Floats, elapsed: Floats, timing: Codes | None = None) -> Estimates:
         """Process a block of rows.
 
         Parameters
@@ -89,21 +99,27 @@ class Channel:
             Measurements, in unit; NaN where missing.
         elapsed : (B,) float array
             Steps since the row before.
-        verdicts : (B,) int8 array
-            What is wrong with the time of each row; becomes the verdict of each.
+        timing : (B,) int8 array, optional
+            What is wrong with the time of each row, as `Verdict`; by default nothing.
 
         Returns
         -------
-        (float array, float array)
-            Signal and sigma, (B,) each, in unit.
+        Estimates
+            Of each row.
+
+        Raises
+        ------
+        ValueError
+            If there is not one step for each measurement.
         """
         step, F, Q = self._steps_of(elapsed)
-        out = np.empty((2, len(z)))
-        process(
-            self._settings, self._coefficients, self._state,
-            z=z, elapsed=elapsed, step=step, F=F, Q=Q, signal=out[0], sigma=out[1], verdict=verdicts,
-        )  # fmt: skip
-        return out[0], out[1]
+        signal, sigma, innovation, deviation = np.empty((4, len(z)))
+        found = Estimates(signal, sigma, np.zeros(len(z), np.int8), innovation, deviation)
+        if timing is not None:
+            found.verdict[:] = timing
+        rows = found._asdict() | {"z": z, "elapsed": elapsed, "step": step, "F": F, "Q": Q}
+        process(self._settings, self._coefficients, self._state, **rows)
+        return found
 
     def _steps_of(self, elapsed: Floats) -> tuple[NDArray[np.int32], Floats, Floats]:
         """Return which step each row follows, and the matrices of these steps; those of the last block are kept."""
@@ -132,6 +148,12 @@ class Channel:
         """The row in which the first drift that was found began."""
         since = int(self._state["drift_since"])
         return None if since < 0 else since
+
+    @property
+    def settled_row(self) -> int | None:
+        """The first row that was filtered with a settled gain."""
+        row = int(self._state["settled_row"])
+        return None if row < 0 else row
 
     @property
     def is_silent(self) -> bool:

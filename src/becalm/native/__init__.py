@@ -31,8 +31,11 @@ class _Block(ctypes.Structure):
     _fields_ = (*((name, ctypes.c_void_p) for name in ("z", "elapsed", "step", "F", "Q")), ("rows", ctypes.c_int64))
 
 
+_ESTIMATES = ("signal", "sigma", "verdict", "innovation", "deviation")
+
+
 class _Estimate(ctypes.Structure):
-    _fields_ = tuple((name, ctypes.c_void_p) for name in ("signal", "sigma", "verdict"))
+    _fields_ = tuple((name, ctypes.c_void_p) for name in _ESTIMATES)
 
 
 def _opened() -> ctypes.CDLL:
@@ -68,7 +71,7 @@ def _layout_of(struct: str) -> np.dtype[np.void]:
 
 
 SETTINGS, COEFFICIENTS, STATE = map(_layout_of, ("settings", "coefficients", "state"))
-_REALS = ("z", "elapsed", "signal", "sigma")
+_REALS = ("z", "elapsed", "signal", "sigma", "innovation", "deviation")
 MOST_STATES = int(COEFFICIENTS["h"].shape[0])
 
 
@@ -92,8 +95,8 @@ def process(settings: NDArray[np.void], coefficients: NDArray[np.void], state: N
     settings, coefficients, state : () structured array
         Of the channel; the state changes.
     **rows : array
-        z, elapsed (B,), F, Q (u, n, n), signal, sigma (B,) of float64; step (B,) of int32, each below u; verdict (B,)
-        of int8. All are C-contiguous. See `block_t` and `estimate_t`.
+        z, elapsed, signal, sigma, innovation, deviation (B,), F, Q (u, n, n) of float64; step (B,) of int32, each below
+        u; verdict (B,) of int8. All are C-contiguous. See `block_t` and `estimate_t`.
 
     Raises
     ------
@@ -110,7 +113,7 @@ def process(settings: NDArray[np.void], coefficients: NDArray[np.void], state: N
             raise ValueError(f"{name} is {array.dtype} of shape {array.shape}, not {kind} of {shape} in one piece.")
     at = {name: rows[name].ctypes.data for name in wanted}
     block = _Block(at["z"], at["elapsed"], at["step"], at["F"], at["Q"], count)
-    estimate = _Estimate(at["signal"], at["sigma"], at["verdict"])
+    estimate = _Estimate(*(at[name] for name in _ESTIMATES))
     _LIBRARY.channel_process(
         settings.ctypes.data, coefficients.ctypes.data, state.ctypes.data, ctypes.byref(block), ctypes.byref(estimate)
     )

@@ -101,6 +101,7 @@ typedef struct {
     int64_t steady, next_check, agreed; /* rows since the last gap; when to look again; checks that agreed in a row */
     real last_step;         /* in steps; -1: none */
     int64_t predicted;      /* whether `ahead` and L are those of the last row */
+    int64_t settled_row;    /* the first that was filtered with a settled gain; -1: none */
     /* gate */
     int64_t rejected, agreeing; /* in a row */
     real last_rejected, wandered; /* innovation, and how far predictions may have moved since */
@@ -132,8 +133,10 @@ typedef struct {
 
 /* What is estimated of it. */
 typedef struct {
-    real *signal, *sigma; /* in unit */
-    int8_t *verdict;      /* comes with what is wrong with a row's time */
+    real *signal, *sigma;         /* in unit */
+    int8_t *verdict;              /* comes with what is wrong with a row's time */
+    real *innovation, *deviation; /* what a measurement differs from its prediction by, and is expected to, in unit; NaN
+                                     where there is no prediction */
 } estimate_t;
 
 void channel_start(state_t *state);

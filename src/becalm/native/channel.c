@@ -20,9 +20,8 @@ enum { BLOCK = 64 };
 
 /* What the passes over a block hand on to each other. */
 typedef struct {
-    real usable[BLOCK];     /* measurements, NaN where none may enter the filter */
-    real normalised[BLOCK]; /* innovations over their standard deviations, NaN where there is none */
-    int8_t anew[BLOCK];     /* whether the filter starts anew here */
+    real usable[BLOCK]; /* measurements, NaN where none may enter the filter */
+    int8_t anew[BLOCK]; /* whether the filter starts anew here */
 } pass_t;
 
 static void judge_rows(const settings_t *settings, state_t *state, const block_t *block, const estimate_t *estimate,
@@ -38,7 +37,8 @@ static void judge_rows(const settings_t *settings, state_t *state, const block_t
 
 /* Take one row with its covariance; return what the gate says of its measurement. */
 INLINE int filter_row(const int n, const settings_t *settings, const coefficients_t *model, state_t *state,
-                      const real *F, const real *Q, const real elapsed, const real z, real *normalised) {
+                      const real *F, const real *Q, const real elapsed, const real z, real *innovation,
+                      real *deviation) {
     const real *h = model->h;
     real x[N_MAX], Ph[N_MAX];
     int verdict = USED;
@@ -54,7 +54,7 @@ INLINE int filter_row(const int n, const settings_t *settings, const coefficient
     }
     const int arrived = fabs(z) <= BEYOND_ANY_SENSOR;
     int complete = arrived;
-    *normalised = NOT_A_NUMBER;
+    *innovation = *deviation = NOT_A_NUMBER;
     if (arrived) {
         const real nu = z - dot(n, h, state->x); /* (3) */
         times(n, state->P, h, Ph);
@@ -77,7 +77,7 @@ INLINE int filter_row(const int n, const settings_t *settings, const coefficient
             for (int i = 0; i < n; i++) state->K[i] = state->S > 0 ? Ph[i] / state->S : 0; /* (5) */
             for (int i = 0; i < n; i++) state->x[i] += state->K[i] * nu;                   /* (6) */
             joseph(n, h, model->R, state->K, Ph, state->P);
-            *normalised = state->S > 0 ? nu / sqrt(state->S) : NOT_A_NUMBER;
+            *innovation = nu, *deviation = sqrt(state->S);
         }
     }
     real Pc[N_MAX];
@@ -92,7 +92,7 @@ INLINE int filter_row(const int n, const settings_t *settings, const coefficient
 /* Take rows with the gain that has settled, until one is missing, rejected, or comes after another step; return how
    many were taken. What moves is the predicted state: s = F s + L nu (14), the least that a row waits for. */
 INLINE int64_t filter_settled(const int n, const settings_t *settings, const coefficients_t *model, state_t *state,
-                              const real *F_, const block_t *block, int64_t row, const pass_t *pass, real *normalised,
+                              const real *F_, const block_t *block, int64_t row, const pass_t *pass,
                               const estimate_t *estimate) {
     const int64_t from = row;
     real F[NN_MAX], s[N_MAX], before[N_MAX], L[N_MAX], h[N_MAX], c[N_MAX], nu = 0, gain = 0;
@@ -112,12 +112,13 @@ INLINE int64_t filter_settled(const int n, const settings_t *settings, const coe
         nu = next;
         estimate->signal[row] = dot(n, c, s) + gain * nu + level;
         estimate->sigma[row] = sigma;
-        normalised[row] = nu / deviation;
+        estimate->innovation[row] = nu, estimate->deviation[row] = deviation;
         real ahead[N_MAX];
         for (int i = 0; i < n; i++) ahead[i] = dot(n, F + i * n, s) + L[i] * nu;
         for (int i = 0; i < n; i++) before[i] = s[i], s[i] = ahead[i];
     }
     if (row > from) {
+        if (state->settled_row < 0) state->settled_row = state->rows + from;
         for (int i = 0; i < n; i++) state->x[i] = before[i] + state->K[i] * nu, state->ahead[i] = s[i];
         state->since_jump += settings->gated ? row - from : 0;
     }
@@ -170,18 +171,17 @@ INLINE void filter_rows(const int n, const settings_t *settings, const coefficie
             pass->anew[row] = 0;
         }
         if (state->settled && state->known == DETERMINED) {
-            const int64_t taken =
-                filter_settled(n, settings, model, state, F, block, row, pass, pass->normalised, estimate);
+            const int64_t taken = filter_settled(n, settings, model, state, F, block, row, pass, estimate);
             row += taken;
             if (taken) continue;
         }
         if (state->known != DETERMINED) {
-            pass->normalised[row] = NOT_A_NUMBER;
+            estimate->innovation[row] = estimate->deviation[row] = NOT_A_NUMBER;
             open_row(n, settings, model, state, F, Q, pass->usable[row], estimate->signal + row, estimate->sigma + row);
         } else {
             const real z = pass->usable[row] - state->level;
-            const int verdict =
-                filter_row(n, settings, model, state, F, Q, block->elapsed[row], z, pass->normalised + row);
+            const int verdict = filter_row(n, settings, model, state, F, Q, block->elapsed[row], z,
+                                           estimate->innovation + row, estimate->deviation + row);
             if (verdict) estimate->verdict[row] = (int8_t)verdict;
             estimate->signal[row] = dot(n, model->c, state->x) + state->level;
             estimate->sigma[row] = state->sigma;
@@ -213,7 +213,8 @@ static void watch_rows(const settings_t *settings, const coefficients_t *model, 
                        const estimate_t *estimate, const pass_t *pass) {
     const real low = settings->plausible_low, high = settings->plausible_high;
     for (int64_t row = 0; row < block->rows; row++) {
-        const int alarm = watch(settings, state, pass->normalised[row]);
+        const real deviation = estimate->deviation[row];
+        const int alarm = watch(settings, state, deviation > 0 ? estimate->innovation[row] / deviation : NOT_A_NUMBER);
         int verdict = estimate->verdict[row];
         if (alarm && verdict == USED) verdict = alarm;
         real signal = estimate->signal[row], sigma = estimate->sigma[row];
@@ -236,7 +237,7 @@ void channel_start(state_t *state) {
     state->held = state->last_signal = state->entered = NOT_A_NUMBER;
     state->least = INFINITE, state->most = -INFINITE;
     for (int k = 0; k < NEIGHBOURS; k++) state->past[k] = NOT_A_NUMBER;
-    state->drift_since = -1;
+    state->drift_since = state->settled_row = -1;
     forget(state);
 }
 
@@ -268,7 +269,8 @@ void channel_process(const settings_t *settings, const coefficients_t *model, st
                      const estimate_t *estimate) {
     for (int64_t row = 0; row < block->rows; row += BLOCK) {
         block_t part = *block;
-        const estimate_t out = {estimate->signal + row, estimate->sigma + row, estimate->verdict + row};
+        const estimate_t out = {estimate->signal + row, estimate->sigma + row, estimate->verdict + row,
+                                estimate->innovation + row, estimate->deviation + row};
         part.z += row, part.elapsed += row, part.step += row;
         part.rows = block->rows - row < BLOCK ? block->rows - row : BLOCK;
         process(settings, model, state, &part, &out);

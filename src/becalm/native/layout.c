@@ -45,6 +45,7 @@ const field_t *channel_coefficients_fields(void) {
 const field_t *channel_state_fields(void) {
     static const field_t fields[] = {
         WHOLE(state_t, known), WHOLE(state_t, hops), REALS(state_t, powers), WHOLE(state_t, drift_since),
+        WHOLE(state_t, settled_row),
         WHOLE(state_t, silent), WHOLE(state_t, counts), END(state_t),
     };
     return fields;
