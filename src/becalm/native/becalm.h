@@ -76,47 +76,57 @@ typedef struct {
     int64_t disturbed;   /* whether c is not h: the signal is less than what is measured */
 } coefficients_t;
 
-/* All that later rows depend on. Its bytes are a checkpoint. */
+/* What the limits remember of the measurements before. */
 typedef struct {
-    /* limits */
-    real held;              /* the last measurement */
-    int64_t run;            /* how often it came in a row */
-    real least, most;       /* so far */
-    int64_t far;            /* whether the last measurement is an outlier; 2: it fills in for those that did not come */
-    real past[NEIGHBOURS];  /* the last measurements, the last one last */
-    /* gaps */
-    real now, last;         /* steps from the first measurement since a start to the last row, and measurement */
-    int64_t measurements;   /* since the start */
-    /* filter */
-    int64_t known;          /* UNKNOWN, GATHERING, DETERMINED */
-    real level;             /* that is subtracted from every measurement, in unit */
-    real x[N_MAX], P[NN_MAX]; /* filtered state and covariance; while GATHERING root and right-hand side of information */
-    real ahead[N_MAX];      /* predicted state, of a filter that has settled */
-    real K[N_MAX], L[N_MAX]; /* gains of the filtered and of the predicted state */
-    real S;                 /* innovation variance */
-    real sigma;             /* of the signal */
+    real held;             /* the last measurement */
+    int64_t run;           /* how often it came in a row */
+    real least, most;      /* so far */
+    int64_t far;           /* whether the last measurement is an outlier; 2: it fills in for those that did not come */
+    real past[NEIGHBOURS]; /* the last measurements, the last one last */
+    real now, last;        /* steps from the first measurement since a start to the last row, and measurement */
+    int64_t measurements;  /* since the start */
+} limits_t;
+
+/* What the filter and its gate know. */
+typedef struct {
+    int64_t known;            /* UNKNOWN, GATHERING, DETERMINED */
+    real level;               /* that is subtracted from every measurement, in unit */
+    real x[N_MAX], P[NN_MAX]; /* state and covariance; while GATHERING right-hand side and root of the information */
+    real ahead[N_MAX];        /* predicted state, of a filter that has settled */
+    real K[N_MAX], L[N_MAX];  /* gains of the filtered and of the predicted state */
+    real S;                   /* innovation variance */
+    real sigma;               /* of the signal */
     /* settling */
     real K_then[N_MAX], variance_then[N_MAX], S_then, sigma_then; /* at the last check */
-    int64_t settled;        /* whether the gain, and sigma, are those of all later rows like the last */
+    int64_t settled;          /* whether the gain, and sigma, are those of all later rows like the last */
     int64_t steady, next_check, agreed; /* rows since the last gap; when to look again; checks that agreed in a row */
-    real last_step;         /* in steps; -1: none */
-    int64_t predicted;      /* whether `ahead` and L are those of the last row */
-    int64_t settled_row;    /* the first that was filtered with a settled gain; -1: none */
+    real last_step;           /* in steps; -1: none */
+    int64_t predicted;        /* whether `ahead` and L are those of the last row */
+    int64_t rows, settled_row; /* so far; the first that was filtered with a settled gain, -1: none */
     /* gate */
     int64_t rejected, agreeing; /* in a row */
     real last_rejected, wandered; /* innovation, and how far predictions may have moved since */
-    int64_t since_jump;     /* measurements used since; below 0 all are believed */
+    int64_t since_jump;       /* measurements used since; below 0 all are believed */
     int64_t jumped;
-    /* monitor */
-    int64_t rows;           /* so far */
+} filter_t;
+
+/* What the monitor remembers of innovations; sums are in 2^-16 sigma. */
+typedef struct {
+    int64_t rows;             /* so far */
     int64_t above, below, above_since, below_since, drift_since;
     int64_t hop_count, hop_total, hop_squares, hops, silent;
     int64_t totals[WINDOW_HOPS - 1], squares[WINDOW_HOPS - 1];
-    real hop_power, powers[KEPT_HOPS];
-    /* estimate */
+    real hop_power, powers[KEPT_HOPS]; /* in sigma^2 */
+} monitor_t;
+
+/* All that later rows depend on. Its bytes are a checkpoint. */
+typedef struct {
+    limits_t limits;
+    filter_t filter;
+    monitor_t monitor;
     real last_signal, slope; /* in unit, and in unit/s */
-    real entered;           /* the last measurement that entered */
-    int64_t missed;         /* whether the last row had none */
+    real entered;            /* the last measurement that entered */
+    int64_t missed;          /* whether the last row had none */
     int64_t counts[VERDICTS];
 } state_t;
 

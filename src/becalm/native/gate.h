@@ -30,7 +30,7 @@ static real round_up(real variance) {
 }
 
 /* Add to a predicted covariance what makes an innovation likely: to the level alone, or to all states alike. */
-static void jump(const int n, const settings_t *settings, const coefficients_t *model, state_t *state, const real nu,
+static void jump(const int n, const settings_t *settings, const coefficients_t *model, filter_t *state, const real nu,
                  const real hPh) {
     const int64_t level = state->since_jump >= settings->gate_most ? settings->gate_level : -1;
     const real most = WIDE * model->R, square = nu * nu < most ? nu * nu : most;
@@ -47,7 +47,7 @@ static void jump(const int n, const settings_t *settings, const coefficients_t *
 
 /* Count a measurement that is rejected; return whether it is to be believed after all: so many in a row are motion, and
    so is one soon after a jump. */
-static int believes(const settings_t *settings, const coefficients_t *model, state_t *state, const real nu) {
+static int believes(const settings_t *settings, const coefficients_t *model, filter_t *state, const real nu) {
     const real noise = sqrt(2 * model->R + state->wandered * state->wandered);
     const int agrees = state->agreeing > 0 && fabs(nu - state->last_rejected) <= settings->gate_threshold * noise;
     state->agreeing = agrees ? state->agreeing + 1 : 1;

@@ -43,10 +43,11 @@ const field_t *channel_coefficients_fields(void) {
 }
 
 const field_t *channel_state_fields(void) {
+#define IN(part, name, whole) {#name, offsetof(state_t, part.name), sizeof(((state_t *)0)->part.name), whole}
     static const field_t fields[] = {
-        WHOLE(state_t, known), WHOLE(state_t, hops), REALS(state_t, powers), WHOLE(state_t, drift_since),
-        WHOLE(state_t, settled_row),
-        WHOLE(state_t, silent), WHOLE(state_t, counts), END(state_t),
+        IN(filter, known, 1), IN(filter, settled_row, 1), IN(monitor, hops, 1), IN(monitor, powers, 0),
+        IN(monitor, drift_since, 1), IN(monitor, silent, 1), WHOLE(state_t, counts), END(state_t),
     };
+#undef IN
     return fields;
 }

@@ -58,7 +58,7 @@ static int fills_in(const settings_t *settings, const real z, const real *past) 
 }
 
 /* Return whether a 0 that ends the range so far is one at which a channel rests, as speeds and loads do. */
-static int is_rest(const settings_t *settings, const state_t *state) {
+static int is_rest(const settings_t *settings, const limits_t *state) {
     if (state->least != 0 && state->most != 0) return 0;
     if (!(settings->repeats_are_one && settings->outlier_distance < INFINITE)) return 1;
     real neighbours[NEIGHBOURS], nearest = INFINITE;
@@ -77,7 +77,7 @@ static int no_measurement(const settings_t *settings, const real z) {
 }
 
 /* Return what is wrong with one measurement. One without a time of its own says nothing new, unless it is the first. */
-static int judge(const settings_t *settings, state_t *state, const real z, const int moved) {
+static int judge(const settings_t *settings, limits_t *state, const real z, const int moved) {
     int verdict = no_measurement(settings, z);
     if (verdict) return verdict;
     const int counts = moved || state->run == 0;
@@ -108,7 +108,7 @@ static int judge(const settings_t *settings, state_t *state, const real z, const
 }
 
 /* Return whether a gap before a measurement is longer than the filter can be carried across. */
-static int starts_anew(const settings_t *settings, state_t *state, const real elapsed, const int usable) {
+static int starts_anew(const settings_t *settings, limits_t *state, const real elapsed, const int usable) {
     if (state->measurements) state->now += elapsed;
     if (!usable) return 0;
     real longest = settings->longest_gap;

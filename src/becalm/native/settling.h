@@ -14,7 +14,7 @@ enum { FIRST_CHECK = 32 };
 INLINE int near(const real now, const real then, const real scale) { return fabs(now - then) <= UNCHANGED * scale; }
 
 /* Return whether gain and sigma have settled since the last check, and remember them anew. */
-static int is_settled(const int n, state_t *state) {
+static int is_settled(const int n, filter_t *state) {
     int settled = near(state->S, state->S_then, state->S) & near(state->sigma, state->sigma_then, state->sigma);
     for (int i = 0; i < n; i++) {
         const real variance = state->P[i * n + i];
@@ -28,7 +28,7 @@ static int is_settled(const int n, state_t *state) {
 }
 
 /* Return whether the filter forgets a tenth at least of what was before some rows: a slow gain only creeps. */
-static int forgets(const int n, const real *h, const real *F, const state_t *state, real rows) {
+static int forgets(const int n, const real *h, const real *F, const filter_t *state, real rows) {
     real A[NN_MAX], squared[NN_MAX], hF[N_MAX], before = 0, left = 0;
     for (int j = 0; j < n; j++) {
         hF[j] = 0;
@@ -50,7 +50,7 @@ static int forgets(const int n, const real *h, const real *F, const state_t *sta
     return left <= FORGOTTEN * before;
 }
 
-static void unsettle(state_t *state) {
+static void unsettle(filter_t *state) {
     state->settled = state->agreed = state->predicted = 0;
     state->steady = -1, state->next_check = FIRST_CHECK;
     state->last_step = -1, state->S_then = -1;
@@ -58,7 +58,7 @@ static void unsettle(state_t *state) {
 
 /* Notice, after a row, that the gain has settled. It stays so for n rows, lest an oscillating gain comes back just at
    the checks. */
-INLINE void notice(const int n, const real *h, const real *F, state_t *state, const real elapsed, const int complete) {
+INLINE void notice(const int n, const real *h, const real *F, filter_t *state, const real elapsed, const int complete) {
     if (!complete || elapsed != state->last_step) {
         unsettle(state);
         if (complete) state->last_step = elapsed;
