@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from decimal import Decimal, localcontext
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from becalm.core.arrays import Codes, Floats
-from becalm.core.channel import Channel, Estimates, Settings
+from becalm.core.channel import Channel, Estimates, Settings, smooth_record
 from becalm.core.components import Component, bias, motion, oscillator, returning_motion
 from becalm.core.gates import Gate
 from becalm.core.limits import Limits
@@ -32,11 +32,15 @@ COMPONENTS = {
     "disturbed": motion(1, 0.01) + oscillator(0.17, 0.0, 1e-4).as_disturbance(),
 }
 KINDS = pytest.mark.parametrize("kind", COMPONENTS)
-R, TWIN, OPENING = 0.7, 1e-11, 1e-8
+R, TWIN, OPENING, SMOOTHER = 0.7, 1e-11, 1e-8, 1e-10
+
+
+def settings_of(component: Component, **more: Any) -> Settings:
+    return Settings(component, R, 0.01, **({"limits": Limits(), "alarms": ALARMS} | more))
 
 
 def channel(component: Component, **more: Any) -> Channel:
-    return Channel(Settings(component, R, 0.01, **({"limits": Limits(), "alarms": ALARMS} | more)))
+    return Channel(settings_of(component, **more))
 
 
 def run(one: Channel, z: Floats, elapsed: Floats) -> tuple[Floats, Floats, Codes]:
@@ -62,8 +66,19 @@ def uneven(rows: int) -> Floats:
     return np.where(rng.random(rows) < 0.1, rng.choice([0.0, 0.5, 2.0, 7.0], rows), 1.0)
 
 
-def exact(component: Component, z: Floats, elapsed: Floats) -> tuple[Floats, ...]:
-    """Return signal, sigma, innovations and their deviations in a hundred digits, from a prior as good as none."""
+class Exact(NamedTuple):
+    """One row in a hundred digits."""
+
+    F: Any  # of the step before it
+    x: Any
+    P: Any
+    K: Any  # 0 where no reading came
+    S: Decimal
+    nu: Decimal
+
+
+def exact_rows(component: Component, z: Floats, elapsed: Floats) -> list[Exact]:
+    """Return the rows of a record by the recursion in a hundred digits, from a prior that is as good as none."""
     model, wide = component.to_model(1.0, R), Decimal(10) ** 40
     x, P, H = decimals(np.zeros(model.states)), decimals(np.eye(model.states)) * wide, decimals(model.H[0])
     if model.known is not None:
@@ -73,20 +88,49 @@ def exact(component: Component, z: Floats, elapsed: Floats) -> tuple[Floats, ...
                 weight, row = left[k, k], left[k] / left[k, k]
                 left = left - weight * np.outer(row, row)
                 x, P = learnt(x, P, row, Decimal(0), 1 / weight)
-    signal, sigma, innovation, deviation = np.full((4, len(z)), np.nan)
-    C, steps = decimals(component.signal_output[0]), {}
+    rows: list[Exact] = []
+    steps: dict[float, tuple[Any, Any]] = {}
     for k, reading in enumerate(z):
+        F = decimals(np.eye(model.states))
         if k:
             if elapsed[k] not in steps:
                 (F,), (Q,) = component.over(elapsed[k : k + 1])
                 steps[elapsed[k]] = decimals(F), decimals(Q)
-            F_k, Q_k = steps[elapsed[k]]
-            x, P = F_k @ x, F_k @ P @ F_k.T + Q_k
+            F, Q = steps[elapsed[k]]
+            x, P = F @ x, F @ P @ F.T + Q
+        K, S, nu = decimals(np.zeros(model.states)), Decimal(1), Decimal(0)
         if np.isfinite(reading):
-            innovation[k], deviation[k] = float(Decimal(float(reading)) - H @ x), float((H @ P @ H + Decimal(R)).sqrt())
+            nu, S = Decimal(float(reading)) - H @ x, H @ P @ H + Decimal(R)
+            K = P @ H / S
             x, P = learnt(x, P, H, Decimal(float(reading)), Decimal(R))
-        signal[k], sigma[k] = float(C @ x), float((C @ P @ C).sqrt())
-    return signal, sigma, innovation, deviation
+        rows.append(Exact(F, x, P, K, S, nu))
+    return rows
+
+
+def exact(component: Component, z: Floats, elapsed: Floats) -> tuple[Floats, ...]:
+    """Return signal, sigma, innovations and their deviations, in a hundred digits."""
+    rows, C = exact_rows(component, z, elapsed), decimals(component.signal_output[0])
+    signal = np.array([float(C @ row.x) for row in rows])
+    sigma = np.array([float((C @ row.P @ C).sqrt()) for row in rows])
+    innovation = np.where(np.isfinite(z), [float(row.nu) for row in rows], np.nan)
+    return signal, sigma, innovation, np.where(np.isfinite(z), [float(row.S.sqrt()) for row in rows], np.nan)
+
+
+def exact_smoothed(component: Component, z: Floats, elapsed: Floats) -> tuple[Floats, Floats]:
+    """Return signal and sigma of a smoother, equations (9) to (12) of the specification, in a hundred digits."""
+    rows, C = exact_rows(component, z, elapsed), decimals(component.signal_output[0])
+    H, n = decimals(component.to_model(1.0, R).H[0]), len(C)
+    r, N = decimals(np.zeros(n)), decimals(np.zeros((n, n)))
+    signal, sigma = np.empty(len(z)), np.empty(len(z))
+    for k in range(len(z) - 1, -1, -1):
+        row = rows[k]
+        P = row.P - row.P @ N @ row.P
+        signal[k], sigma[k] = float(C @ (row.x + row.P @ r)), float((C @ P @ C).sqrt())
+        A = decimals(np.eye(n)) - np.outer(row.K, H)
+        seen = Decimal(int(np.isfinite(z[k])))
+        r = row.F.T @ (H * (seen * row.nu / row.S) + A.T @ r)
+        N = row.F.T @ (np.outer(H, H) * (seen / row.S) + A.T @ N @ A) @ row.F
+    return signal, sigma
 
 
 def learnt(x: Any, P: Any, h: Any, reading: Decimal, variance: Decimal) -> tuple[Any, Any]:
@@ -122,6 +166,19 @@ def test_it_is_the_specification(kind: str) -> None:
     assert told[2 * MOST_STATES :].all()
     assert np.abs((signal - expected) / spread)[told].max() < TWIN
     assert np.abs(sigma / spread - 1)[told].max() < TWIN
+
+
+@KINDS
+def test_its_smoother_is_the_specification(kind: str) -> None:
+    """From the first rows, settled or not, across gaps and uneven steps, at both ends."""
+    z, elapsed = rough(900), np.ones(900)
+    elapsed[600:] = uneven(300)
+    expected, spread = exact_smoothed(COMPONENTS[kind], z, elapsed)
+    signal, sigma, *_ = smooth_record(settings_of(COMPONENTS[kind]), z, elapsed)
+    told = np.isfinite(sigma)
+    assert told[np.flatnonzero(np.isfinite(z))[0] :].all()
+    assert np.abs((signal - expected) / spread)[told].max() < SMOOTHER
+    assert np.abs(sigma / spread - 1)[told].max() < SMOOTHER
 
 
 @pytest.mark.parametrize("seed", range(5))

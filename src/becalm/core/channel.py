@@ -16,7 +16,6 @@ from becalm.core.arrays import Codes, Floats
 from becalm.core.components import Component
 from becalm.core.gates import Gate, level_of
 from becalm.core.limits import Limits
-from becalm.core.model import Model
 from becalm.core.monitor import NEVER, Alarms
 from becalm.core.possible import largest_beside
 from becalm.core.reach import reach_of
@@ -25,7 +24,7 @@ from becalm.core.steps import Steps
 from becalm.core.timeline import model_system
 from becalm.core.verdict import Verdict
 from becalm.errors import ModelError
-from becalm.native import COEFFICIENTS, MOST_STATES, SETTINGS, STATE, is_sound, process, start
+from becalm.native import COEFFICIENTS, MOST_STATES, SETTINGS, STATE, is_sound, process, smooth, start
 
 _PARTS = 1 << 16  # of a sigma, that the monitor counts in
 _ENDLESS = 1 << 53  # equal measurements in a row: no stream has so many
@@ -83,11 +82,8 @@ class Channel:
     """
 
     def __init__(self, settings: Settings) -> None:
-        model = settings.component.to_model(1.0, settings.noise_variance)
-        refuse_singular(model_system(model))
-        self._steps, self._in_steps = Steps(settings.component), settings.component.goes_in_steps
-        self._settings, self._coefficients = _packed(settings), _coefficients(settings, model)
-        self._lengths, self._matrices = np.ones(1), self._steps.over(np.ones(1))
+        self._steps = StepTable(settings.component)
+        self._settings, self._coefficients = _packed(settings), _coefficients(settings)
         self._state = start()
 
     def process(self, z: Floats, elapsed: Floats, timing: Codes | None = None) -> Estimates:
@@ -112,25 +108,12 @@ class Channel:
         ValueError
             If there is not one step for each measurement.
         """
-        step, F, Q = self._steps_of(elapsed)
-        signal, sigma, innovation, deviation = np.empty((4, len(z)))
-        found = Estimates(signal, sigma, np.zeros(len(z), np.int8), innovation, deviation)
+        found = _room(len(z))
         if timing is not None:
             found.verdict[:] = timing
-        rows = found._asdict() | {"z": z, "elapsed": elapsed, "step": step, "F": F, "Q": Q}
+        rows = found._asdict() | self._steps.before(elapsed) | {"z": z, "elapsed": elapsed}
         process(self._settings, self._coefficients, self._state, **rows)
         return found
-
-    def _steps_of(self, elapsed: Floats) -> tuple[NDArray[np.int32], Floats, Floats]:
-        """Return which step each row follows, and the matrices of these steps; those of the last block are kept."""
-        lengths, step = elapsed[:1], np.zeros(len(elapsed), np.int32)
-        if not (elapsed == lengths).all():
-            lengths, rows = np.unique(elapsed, return_inverse=True)
-            step = rows.astype(np.int32)
-        if not np.array_equal(lengths, self._lengths) and len(lengths):
-            wanted = np.round(lengths) if self._in_steps else lengths  # the nearest: no stream ends by a late row
-            self._lengths, self._matrices = lengths.copy(), self._steps.over(wanted)
-        return step, *self._matrices
 
     @property
     def counts(self) -> dict[Verdict, int]:
@@ -181,6 +164,69 @@ class Channel:
         self._state = loaded
 
 
+class StepTable:
+    """The matrices of steps, for the kernel.
+
+    Parameters
+    ----------
+    component : Component
+        In steps.
+    """
+
+    def __init__(self, component: Component) -> None:
+        self._steps, self._in_steps = Steps(component), component.goes_in_steps
+        self._lengths, self._matrices = np.ones(1), self._steps.over(np.ones(1))
+
+    def before(self, elapsed: Floats) -> dict[str, NDArray[np.int32] | Floats]:
+        """Return which step each of some rows follows, and the matrices of these steps; those of the last are kept."""
+        lengths, step = elapsed[:1], np.zeros(len(elapsed), np.int32)
+        if not (elapsed == lengths).all():
+            lengths, rows = np.unique(elapsed, return_inverse=True)
+            step = rows.astype(np.int32)
+        if not np.array_equal(lengths, self._lengths) and len(lengths):
+            wanted = np.round(lengths) if self._in_steps else lengths  # the nearest: no stream ends by a late row
+            self._lengths, self._matrices = lengths.copy(), self._steps.over(wanted)
+        F, Q = self._matrices
+        return {"step": step, "F": F, "Q": Q}
+
+
+def smooth_record(settings: Settings, z: Floats, elapsed: Floats) -> Estimates:
+    """Smooth a record of one channel: each estimate knows all of its rows.
+
+    Parameters
+    ----------
+    settings : Settings
+        What the channel is made of; its limits, gate and alarms are not looked at.
+    z : (N,) float array
+        Measurements that may enter, in unit; NaN elsewhere.
+    elapsed : (N,) float array
+        Steps since the row before.
+
+    Returns
+    -------
+    Estimates
+        Of each row; innovations are those of the pass forward.
+
+    Raises
+    ------
+    ModelError
+        If the channel cannot start from measurements alone.
+
+    Notes
+    -----
+    Bryson and Frazier (1963), Bierman (1973); equations (9) to (12) of `becalm.core.reference`.
+    """
+    packed, found = _packed(settings._replace(gate=None)), _room(len(z))
+    steps = StepTable(settings.component).before(elapsed)
+    smooth(packed, _coefficients(settings), **found._asdict(), **steps, z=z, elapsed=elapsed)
+    return found
+
+
+def _room(rows: int) -> Estimates:
+    signal, sigma, innovation, deviation = np.empty((4, rows))
+    return Estimates(signal, sigma, np.zeros(rows, np.int8), innovation, deviation)
+
+
 def _packed(settings: Settings) -> NDArray[np.void]:
     limits, gate, widening = settings.limits, settings.gate, settings.widening
     outliers, reach = limits.outliers, reach_of(settings.component, settings.noise_variance)
@@ -224,8 +270,11 @@ def _packed(settings: Settings) -> NDArray[np.void]:
     return packed
 
 
-def _coefficients(settings: Settings, model: Model) -> NDArray[np.void]:
-    component, n = settings.component, model.states
+def _coefficients(settings: Settings) -> NDArray[np.void]:
+    component = settings.component
+    model = component.to_model(1.0, settings.noise_variance)
+    refuse_singular(model_system(model))
+    n = model.states
     if n > MOST_STATES:
         raise ModelError(f"A channel has up to {MOST_STATES} states; this one has {n}. Leave a tone out.")
     coefficients = np.zeros((), COEFFICIENTS)

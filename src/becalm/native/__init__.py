@@ -50,6 +50,9 @@ def _opened() -> ctypes.CDLL:
 _LIBRARY = _opened()
 _LIBRARY.channel_start.argtypes, _LIBRARY.channel_start.restype = [ctypes.c_void_p], None
 _LIBRARY.channel_process.argtypes, _LIBRARY.channel_process.restype = [ctypes.c_void_p] * 5, None
+_LIBRARY.smoother_start.argtypes, _LIBRARY.smoother_start.restype = [ctypes.c_void_p] * 2, None
+_LIBRARY.smoother_forward.argtypes, _LIBRARY.smoother_forward.restype = [ctypes.c_void_p] * 6, None
+_LIBRARY.smoother_backward.argtypes, _LIBRARY.smoother_backward.restype = [ctypes.c_void_p] * 6, None
 _LIBRARY.channel_is_sound.argtypes, _LIBRARY.channel_is_sound.restype = [ctypes.c_void_p], ctypes.c_int
 
 
@@ -71,6 +74,8 @@ def _layout_of(struct: str) -> np.dtype[np.void]:
 
 
 SETTINGS, COEFFICIENTS, STATE = map(_layout_of, ("settings", "coefficients", "state"))
+_FILTER, _FUTURE = (_layout_of(struct).itemsize for struct in ("filter", "future"))
+_SMOOTHED = 64  # rows between two checkpoints of a smoother, as in `becalm.h`
 _REALS = ("z", "elapsed", "signal", "sigma", "innovation", "deviation")
 MOST_STATES = int(COEFFICIENTS["h"].shape[0])
 
@@ -103,6 +108,40 @@ def process(settings: NDArray[np.void], coefficients: NDArray[np.void], state: N
     ValueError
         If they are not of these types, or do not fit each other: C would read beyond their ends.
     """
+    block, estimate = _checked(settings, rows)
+    _LIBRARY.channel_process(
+        settings.ctypes.data, coefficients.ctypes.data, state.ctypes.data, ctypes.byref(block), ctypes.byref(estimate)
+    )
+
+
+def smooth(settings: NDArray[np.void], coefficients: NDArray[np.void], **rows: Any) -> None:
+    """Smooth a record: filter it forward, and come back with what later rows say.
+
+    Parameters
+    ----------
+    settings, coefficients : () structured array
+        Of the channel.
+    **rows : array
+        As of `process`; z holds NaN where no measurement may enter. signal and sigma become the smoothed ones.
+
+    Raises
+    ------
+    ValueError
+        If they do not fit each other.
+    """
+    block, estimate = _checked(settings, rows)
+    state, future = bytearray(_FILTER), bytearray(_FUTURE)
+    checkpoints = bytearray(_FILTER * (-(-block.rows // _SMOOTHED) + 1))
+    held = [(ctypes.c_char * len(one)).from_buffer(one) for one in (state, future, checkpoints)]
+    at_state, at_future, at_checkpoints = map(ctypes.addressof, held)
+    of_channel = settings.ctypes.data, coefficients.ctypes.data
+    _LIBRARY.smoother_start(at_state, at_future)
+    _LIBRARY.smoother_forward(*of_channel, at_state, ctypes.byref(block), ctypes.byref(estimate), at_checkpoints)
+    _LIBRARY.smoother_backward(*of_channel, at_checkpoints, ctypes.byref(block), at_future, ctypes.byref(estimate))
+
+
+def _checked(settings: NDArray[np.void], rows: dict[str, Any]) -> tuple[_Block, _Estimate]:
+    """Return rows as C takes them."""
     n, count = int(settings["states"]), len(rows["z"])
     wanted: dict[str, tuple[str, tuple[int, ...]]] = {name: ("f8", (count,)) for name in _REALS}
     wanted |= {"step": ("i4", (count,)), "verdict": ("i1", (count,))}
@@ -114,6 +153,4 @@ def process(settings: NDArray[np.void], coefficients: NDArray[np.void], state: N
     at = {name: rows[name].ctypes.data for name in wanted}
     block = _Block(at["z"], at["elapsed"], at["step"], at["F"], at["Q"], count)
     estimate = _Estimate(*(at[name] for name in _ESTIMATES))
-    _LIBRARY.channel_process(
-        settings.ctypes.data, coefficients.ctypes.data, state.ctypes.data, ctypes.byref(block), ctypes.byref(estimate)
-    )
+    return block, estimate

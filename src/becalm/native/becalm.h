@@ -149,9 +149,28 @@ typedef struct {
                                      where there is no prediction */
 } estimate_t;
 
+/* What later rows say of a state: its smoothed value is x + P r, its covariance P - P M P. */
+typedef struct {
+    real r[N_MAX], M[NN_MAX];
+    real M_then[NN_MAX];           /* at the last check */
+    int64_t settled, steady, next_check; /* of M: whether it is that of all rows before like the last; see filter_t */
+    int64_t later;                 /* whether x and P are those of the row after */
+    real x[N_MAX], P[NN_MAX];      /* smoothed */
+} future_t;
+
+enum { SMOOTHED = 64 };            /* rows from one checkpoint of a smoother to the next */
+
 void channel_start(state_t *state);
 int channel_is_sound(const state_t *state);
 void channel_process(const settings_t *settings, const coefficients_t *model, state_t *state, const block_t *block,
                      const estimate_t *estimate);
+
+/* A smoother passes forward, then back. `z` of its block holds NaN where no measurement may enter. A checkpoint is left
+   before every SMOOTHED rows of it, and after the last. */
+void smoother_start(filter_t *state, future_t *future);
+void smoother_forward(const settings_t *settings, const coefficients_t *model, filter_t *state, const block_t *block,
+                      const estimate_t *estimate, filter_t *checkpoints);
+void smoother_backward(const settings_t *settings, const coefficients_t *model, const filter_t *checkpoints,
+                       const block_t *block, future_t *future, const estimate_t *estimate);
 
 #endif

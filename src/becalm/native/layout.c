@@ -16,6 +16,8 @@ typedef struct {
 const field_t *channel_settings_fields(void);
 const field_t *channel_coefficients_fields(void);
 const field_t *channel_state_fields(void);
+const field_t *channel_filter_fields(void);
+const field_t *channel_future_fields(void);
 
 const field_t *channel_settings_fields(void) {
 #define R(name) REALS(settings_t, name)
@@ -49,5 +51,15 @@ const field_t *channel_state_fields(void) {
         IN(monitor, drift_since, 1), IN(monitor, silent, 1), WHOLE(state_t, counts), END(state_t),
     };
 #undef IN
+    return fields;
+}
+
+const field_t *channel_filter_fields(void) {
+    static const field_t fields[] = {END(filter_t)};
+    return fields;
+}
+
+const field_t *channel_future_fields(void) {
+    static const field_t fields[] = {END(future_t)};
     return fields;
 }
