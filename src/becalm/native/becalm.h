@@ -82,7 +82,8 @@ typedef struct {
     int64_t run;           /* how often it came in a row */
     real least, most;      /* so far */
     int64_t far;           /* whether the last measurement is an outlier; 2: it fills in for those that did not come */
-    real past[NEIGHBOURS]; /* the last measurements, the last one last */
+    real past[NEIGHBOURS]; /* the last measurements that differ, in a ring */
+    int64_t at;            /* where the oldest of them is, and the next will be */
     real now, last;        /* steps from the first measurement since a start to the last row, and measurement */
     int64_t measurements;  /* since the start */
 } limits_t;

@@ -99,7 +99,9 @@ INLINE int64_t filter_settled(const int n, const settings_t *settings, const coe
         estimate->sigma[row] = sigma;
         estimate->innovation[row] = nu, estimate->deviation[row] = deviation;
         real ahead[N_MAX];
+        UNROLL
         for (int i = 0; i < n; i++) ahead[i] = dot(n, F + i * n, s) + L[i] * nu;
+        UNROLL
         for (int i = 0; i < n; i++) before[i] = s[i], s[i] = ahead[i];
     }
     if (row > from) {

@@ -2,7 +2,6 @@
 #ifndef BECALM_LIMITS_H
 #define BECALM_LIMITS_H
 
-#include <string.h>
 #include "linear.h"
 
 enum { FEWEST_NEIGHBOURS = 3, LONGEST_FILL = 64, EVERY_REPEAT = 2 };
@@ -33,21 +32,19 @@ static int is_far(const real z, real *neighbours, const int count, const real di
 }
 
 /* Return whether a measurement is far from the six before it; of the first ones, from what is plausible. */
-static int is_far_from_past(const settings_t *settings, const real z, const real *past) {
-    const real distance = settings->outlier_distance;
-    real neighbours[NEIGHBOURS];
-    if (!isnan(past[0])) {
-        real low = past[0], high = past[0];
-        for (int k = 1; k < NEIGHBOURS; k++) {
-            low = past[k] < low ? past[k] : low;
-            high = past[k] > high ? past[k] : high;
-        }
-        if (high - distance <= z && z <= low + distance) return 0;
+static int is_far_from_past(const settings_t *settings, const limits_t *state, const real z) {
+    const real distance = settings->outlier_distance, *past = state->past;
+    real neighbours[NEIGHBOURS], low = past[0], high = past[0];
+    UNROLL
+    for (int k = 1; k < NEIGHBOURS; k++) {
+        low = past[k] < low ? past[k] : low;
+        high = past[k] > high ? past[k] : high;
     }
+    if (!isnan(past[NEIGHBOURS - 1]) && high - distance <= z && z <= low + distance) return 0; /* so near to each */
     const int count = recall(past, neighbours);
     if (count >= FEWEST_NEIGHBOURS) return is_far(z, neighbours, count, distance);
     const int plausible = settings->plausible_low <= z && z <= settings->plausible_high;
-    return !(plausible || fabs(z - past[NEIGHBOURS - 1]) <= distance);
+    return !(plausible || fabs(z - state->held) <= distance);
 }
 
 /* Return whether a measurement that repeats the one before fills in for one that did not come. */
@@ -83,10 +80,10 @@ static int judge(const settings_t *settings, limits_t *state, const real z, cons
     const int counts = moved || state->run == 0;
     if (settings->outlier_distance < INFINITE) {
         if (!(settings->repeats_are_one && z == state->held)) {
-            state->far = is_far_from_past(settings, z, state->past);
+            state->far = is_far_from_past(settings, state, z);
             if (counts) {
-                memmove(state->past, state->past + 1, sizeof(real) * (NEIGHBOURS - 1));
-                state->past[NEIGHBOURS - 1] = z;
+                state->past[state->at] = z;
+                state->at = state->at + 1 < NEIGHBOURS ? state->at + 1 : 0;
             }
         } else if (state->far != 1 && moved) {
             const int may_fill = settings->stuck > EVERY_REPEAT && state->run < LONGEST_FILL;

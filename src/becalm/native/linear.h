@@ -12,8 +12,16 @@
 #define INLINE static inline
 #endif
 
+/* Unroll a loop over states. Clang does so by itself. */
+#if defined(__GNUC__) && !defined(__clang__)
+#define UNROLL _Pragma("GCC unroll 8")
+#else
+#define UNROLL
+#endif
+
 INLINE real dot(const int n, const real *a, const real *b) {
     real s = 0;
+    UNROLL
     for (int i = 0; i < n; i++) s += a[i] * b[i];
     return s;
 }

@@ -7,7 +7,8 @@
 
 enum { PARTS = 1 << 16 }; /* of a sigma: innovations are summed in whole ones, so that sums are exact */
 
-#define MOST_SIGMA ((real)6) /* what one innovation may say */
+#define MOST_SIGMA ((real)6)                 /* what one innovation may say */
+#define ROUNDING ((real)6755399441055744.0) /* 1.5 * 2^52: added to a small number, it leaves no digit behind the point */
 
 enum { SLACK = PARTS / 2 };
 
@@ -33,14 +34,15 @@ static int watch(const settings_t *settings, monitor_t *state, real nu) {
     const int64_t row = state->rows++;
     int64_t since = -1;
     if (isnan(nu)) return USED;
-    nu = nu < -MOST_SIGMA ? -MOST_SIGMA : nu > MOST_SIGMA ? MOST_SIGMA : nu;
-    const int64_t part = (int64_t)(nu * PARTS + (nu < 0 ? (real)-0.5 : (real)0.5));
-    state->above = state->above + part - SLACK > 0 ? state->above + part - SLACK : 0;
-    state->below = state->below - part - SLACK > 0 ? state->below - part - SLACK : 0;
+    nu = nu > -MOST_SIGMA ? nu : -MOST_SIGMA;
+    nu = nu < MOST_SIGMA ? nu : MOST_SIGMA;
+    const int64_t part = (int64_t)((nu * PARTS + ROUNDING) - ROUNDING); /* the nearest whole number */
+    const int64_t above = state->above + part - SLACK, below = state->below - part - SLACK;
+    state->above = above * (above > 0), state->below = below * (below > 0); /* no branch: signs are random */
     if (state->above >= settings->drift_threshold) since = state->above_since, state->above = 0;
     if (state->below >= settings->drift_threshold) since = since < 0 ? state->below_since : since, state->below = 0;
-    if (state->above == 0) state->above_since = row + 1;
-    if (state->below == 0) state->below_since = row + 1;
+    state->above_since = row + 1 + (state->above_since - row - 1) * (state->above > 0);
+    state->below_since = row + 1 + (state->below_since - row - 1) * (state->below > 0);
     if (since >= 0 && state->drift_since < 0) state->drift_since = since;
     state->hop_total += part, state->hop_squares += part * part, state->hop_power += nu * nu;
     if (++state->hop_count == HOP) end_hop(settings, state);

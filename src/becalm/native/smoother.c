@@ -88,24 +88,23 @@ static void notice_future(const int n, future_t *future, const int64_t rows) {
 /* Smooth a block whose gain had settled before it. */
 INLINE void smooth_settled(const int n, const coefficients_t *model, const filter_t *state, const real *F,
                            const block_t *part, future_t *future, const estimate_t *estimate) {
-    real A[NN_MAX], hF[N_MAX], Pc[N_MAX], r[N_MAX], sigma = 0;
+    real A[NN_MAX], B[NN_MAX], hF[N_MAX], Pc[N_MAX], r[N_MAX], sigma = 0; /* B = A' */
     const real weight = 1 / state->S, variance = state->sigma * state->sigma;
     for (int j = 0; j < n; j++) {
         hF[j] = 0;
         for (int i = 0; i < n; i++) hF[j] += model->h[i] * F[i * n + j];
     }
     for (int i = 0; i < n; i++)
-        for (int j = 0; j < n; j++) A[i * n + j] = F[i * n + j] - state->K[i] * hF[j]; /* (I - K h) F */
+        for (int j = 0; j < n; j++) A[i * n + j] = B[j * n + i] = F[i * n + j] - state->K[i] * hF[j]; /* (I - K h) F */
     times(n, state->P, model->c, Pc);
     for (int i = 0; i < n; i++) r[i] = future->r[i];
     for (int64_t row = part->rows - 1; row >= 0; row--) {
         real before[N_MAX];
         const real nu = weight * estimate->innovation[row];
         estimate->signal[row] += dot(n, Pc, r); /* (9) */
-        for (int j = 0; j < n; j++) {
-            before[j] = hF[j] * nu;
-            for (int i = 0; i < n; i++) before[j] += A[i * n + j] * r[i];
-        }
+        UNROLL
+        for (int j = 0; j < n; j++) before[j] = hF[j] * nu + dot(n, B + j * n, r);
+        UNROLL
         for (int j = 0; j < n; j++) r[j] = before[j]; /* (11) */
     }
     for (int i = 0; i < n; i++) future->r[i] = r[i];
