@@ -56,7 +56,7 @@ def test_without_a_compiler_that_of_pypi_is_asked_for(project: Path, monkeypatch
 
 
 @pytest.mark.parametrize("source", hatch_build.SOURCES)
-@pytest.mark.parametrize("optimised", ["-O0", "-O2", "-O3"])
+@pytest.mark.parametrize("optimised", ["-O2", *(pytest.param(how, marks=pytest.mark.slow) for how in ("-O0", "-O3"))])
 @pytest.mark.parametrize("compiler", ["gcc", "clang"])
 def test_no_compiler_warns(compiler: str, optimised: str, source: str, tmp_path: Path) -> None:
     if not shutil.which(compiler):
