@@ -5,8 +5,7 @@ WORKERS ?= 2
 # uPlot comes by npm: from the machine, or from a package that brings its own.
 NODE := $(shell command -v npm >/dev/null 2>&1 || echo -r requirements-node.lock)
 # So does a C compiler.
-ZIG := $(shell command -v cc >/dev/null 2>&1 || echo -r requirements-zig.lock)
-NATIVE := hatch_build.py $(wildcard src/becalm/native/*.[ch])
+ZIG := $(shell test -n "$$CC" || command -v cc >/dev/null 2>&1 || echo -r requirements-zig.lock)
 
 LOCK := $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-annotate --no-header
 LOCK += --no-emit-index-url --no-emit-find-links
@@ -17,6 +16,7 @@ COMPILED := $(addprefix src/becalm/core/,sized.py small.py compiling.py warming.
 .PHONY: demo test lint types arrows fast slow bench site lock clean
 
 demo: .venv/installed
+	$(BIN)/python hatch_build.py
 	$(BIN)/becalm demo -o demo
 
 test: .venv/tested
@@ -34,10 +34,13 @@ types: .venv/tested
 arrows: .venv/tested
 	$(BIN)/lint-imports
 
+# What was edited in C since is compiled.
 fast: .venv/kernels
+	$(BIN)/python hatch_build.py
 	$(BIN)/pytest -n $(WORKERS) --dist worksteal -m "not slow"
 
 slow: .venv/kernels
+	$(BIN)/python hatch_build.py
 	$(BIN)/pytest -n $(WORKERS) --dist worksteal -m slow
 
 site: .venv/tested
@@ -82,12 +85,12 @@ bench: .venv/tested
 	$(PYTHON) -c "import sys; sys.exit(sys.version_info < (3, 11) and 'becalm needs Python 3.11 or newer; say which: make PYTHON=python3.12')"
 	$(PYTHON) -m venv .venv
 
-.venv/installed: .venv/bin/python requirements.lock requirements-node.lock requirements-zig.lock pyproject.toml $(NATIVE)
+.venv/installed: .venv/bin/python requirements.lock requirements-node.lock requirements-zig.lock pyproject.toml hatch_build.py
 	$(BIN)/python -m pip install --quiet --require-hashes -r requirements.lock $(NODE) $(ZIG)
 	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --editable .
 	touch $@
 
-.venv/tested: .venv/bin/python requirements-test.lock requirements-node.lock requirements-zig.lock pyproject.toml $(NATIVE)
+.venv/tested: .venv/bin/python requirements-test.lock requirements-node.lock requirements-zig.lock pyproject.toml hatch_build.py
 	$(BIN)/python -m pip install --quiet --require-hashes -r requirements-test.lock $(NODE) $(ZIG)
 	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --editable .
 	touch $@
@@ -108,4 +111,4 @@ lock: .venv/bin/python
 	echo 'ziglang>=0.15' | $(LOCK) - -o requirements-zig.lock
 
 clean:
-	rm -rf .venv demo src/becalm/report/uplot build docs/gallery_pages docs/sg_execution_times.rst
+	rm -rf .venv demo src/becalm/native/kernel.* src/becalm/report/uplot build docs/gallery_pages docs/sg_execution_times.rst

@@ -95,7 +95,7 @@ def own_compiler() -> list[str]:
 
 
 def compile_kernel(root: Path) -> None:
-    """Compile the filter into the sources, with this machine's C compiler or else with that of ziglang.
+    """Compile the filter into the sources, unless it is there, with this machine's C compiler or that of ziglang.
 
     Parameters
     ----------
@@ -107,9 +107,12 @@ def compile_kernel(root: Path) -> None:
     BuildError
         If there is no compiler, or it failed.
     """
-    compiler, folder = own_compiler() or [sys.executable, "-m", ZIG, "cc"], root / NATIVE
-    with tempfile.TemporaryDirectory(dir=folder) as unready:
-        built = Path(unready) / KERNEL
+    folder = root / NATIVE
+    if is_compiled(root):
+        return
+    compiler = own_compiler() or [sys.executable, "-m", ZIG, "cc", "-mcpu=baseline"]  # else for this very processor
+    with tempfile.TemporaryDirectory() as elsewhere:
+        built, beside = Path(elsewhere) / KERNEL, folder / f".{KERNEL}.{os.getpid()}"
         command = [*compiler, *C_FLAGS, *(str(folder / name) for name in SOURCES), "-o", str(built), "-lm"]
         try:
             ran = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
@@ -119,13 +122,22 @@ def compile_kernel(root: Path) -> None:
             raise BuildError(
                 _not_compiled(shorten(ran.stderr, 300, placeholder=" ...") or f"exit code {ran.returncode}")
             )
-        built.replace(folder / KERNEL)
+        shutil.copy2(built, beside)
+        beside.replace(folder / KERNEL)
+
+
+def is_compiled(root: Path) -> bool:
+    """Return whether the filter is there, and no older than what it is made of."""
+    kernel, sources = root / NATIVE / KERNEL, [*(root / NATIVE).glob("*.[ch]"), root / "hatch_build.py"]
+    return kernel.is_file() and all(
+        source.stat().st_mtime <= kernel.stat().st_mtime for source in sources if source.exists()
+    )
 
 
 def _not_compiled(reason: str) -> str:
     return (
         f"Its filter in C was not compiled ({reason}). Install a C compiler, as 'apt-get install gcc' does, or "
-        f"'pip install {ZIG}', and install again."
+        f"'pip install {ZIG}' and say CC='{Path(sys.executable).name} -m {ZIG} cc', and install again."
     )
 
 
@@ -219,3 +231,10 @@ def checked(content: bytes, package: Package, source: str) -> bytes:
             "'npm config get registry' says who gave it; install again from another."
         )
     return content
+
+
+if __name__ == "__main__":
+    try:
+        compile_kernel(Path(__file__).parent)
+    except (BuildError, OSError) as error:
+        sys.exit(str(error))

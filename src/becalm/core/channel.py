@@ -61,7 +61,7 @@ class Estimates(NamedTuple):
     """What a channel makes of B rows."""
 
     signal: Floats  # (B,) in unit
-    sigma: Floats  # (B,) in unit; inf where nothing is known yet, NaN where nothing is told
+    sigma: Floats  # (B,) in unit; inf where nothing is known yet, NaN where nothing is estimated
     verdict: Codes  # (B,) values of `Verdict`
     innovation: Floats  # (B,) measurement minus its prediction, in unit; NaN where there is none
     deviation: Floats  # (B,) standard deviation that is expected of it, in unit
@@ -84,7 +84,7 @@ class Channel:
     def __init__(self, settings: Settings) -> None:
         self._steps = StepTable(settings.component)
         self._settings, self._coefficients = _packed(settings), _coefficients(settings)
-        self._state = start()
+        self._state = start(self._settings)
 
     def process(self, z: Floats, elapsed: Floats, timing: Codes | None = None) -> Estimates:
         """Process a block of rows.
@@ -106,10 +106,13 @@ class Channel:
         Raises
         ------
         ValueError
-            If there is not one step for each measurement.
+            If there is not one step, 0 or more, for each measurement, if they are not contiguous float64, or if timing
+            holds what is no `Verdict`.
         """
-        found = _room(len(z))
+        found = _empty_estimates(len(z))
         if timing is not None:
+            if not np.isin(timing, list(Verdict)).all():
+                raise ValueError("timing holds what is no Verdict.")
             found.verdict[:] = timing
         rows = found._asdict() | self._steps.before(elapsed) | {"z": z, "elapsed": elapsed}
         process(self._settings, self._coefficients, self._state, **rows)
@@ -117,13 +120,13 @@ class Channel:
 
     @property
     def counts(self) -> dict[Verdict, int]:
-        """How often its measurements met each verdict."""
+        """Count of each verdict so far."""
         return dict(zip(Verdict, self._state["counts"].tolist(), strict=True))
 
     @property
     def powers(self) -> Floats:
         """The sums of squares of the last hops of innovations, in sigma^2, in no order."""
-        powers: Floats = self._state["powers"][: int(self._state["hops"])]
+        powers: Floats = self._state["powers"][: int(self._state["hops"])].copy()
         return powers
 
     @property
@@ -154,12 +157,14 @@ class Channel:
         ------
         ModelError
             If these are not the bytes of such a channel.
+        KeyError
+            If there is no "state" among them.
         """
         state = np.asarray(arrays["state"])
         if state.dtype != np.int8 or state.shape != (STATE.itemsize,):
             raise ModelError(f"The state of a snapshot is {state.dtype} of shape {state.shape}, not that of a channel.")
         loaded = np.frombuffer(bytearray(state.tobytes()), STATE).reshape(())
-        if not is_sound(loaded):
+        if not is_sound(self._settings, loaded):
             raise ModelError("The state of a snapshot says what none can say; pass what snapshot() returned.")
         self._state = loaded
 
@@ -216,13 +221,13 @@ def smooth_record(settings: Settings, z: Floats, elapsed: Floats) -> Estimates:
     -----
     Bryson and Frazier (1963), Bierman (1973); equations (9) to (12) of `becalm.core.reference`.
     """
-    packed, found = _packed(settings._replace(gate=None)), _room(len(z))
+    packed, found = _packed(settings._replace(gate=None)), _empty_estimates(len(z))
     steps = StepTable(settings.component).before(elapsed)
     smooth(packed, _coefficients(settings), **found._asdict(), **steps, z=z, elapsed=elapsed)
     return found
 
 
-def _room(rows: int) -> Estimates:
+def _empty_estimates(rows: int) -> Estimates:
     signal, sigma, innovation, deviation = np.empty((4, rows))
     return Estimates(signal, sigma, np.zeros(rows, np.int8), innovation, deviation)
 
@@ -236,7 +241,7 @@ def _packed(settings: Settings) -> NDArray[np.void]:
         "low": limits.low,
         "high": limits.high,
         "largest": limits.largest,
-        "largest_believed": largest_beside(settings.noise_variance),
+        "largest_accepted": largest_beside(settings.noise_variance),
         "stuck": min(limits.stuck_readings or 0, _ENDLESS),
         "outlier_distance": outliers.causal_distance,
         "plausible_low": outliers.low,

@@ -38,7 +38,7 @@ class _Estimate(ctypes.Structure):
     _fields_ = tuple((name, ctypes.c_void_p) for name in _ESTIMATES)
 
 
-def _opened() -> ctypes.CDLL:
+def _library() -> ctypes.CDLL:
     try:
         return ctypes.CDLL(str(LIBRARY))
     except OSError as cause:
@@ -47,13 +47,14 @@ def _opened() -> ctypes.CDLL:
         ) from cause
 
 
-_LIBRARY = _opened()
-_LIBRARY.channel_start.argtypes, _LIBRARY.channel_start.restype = [ctypes.c_void_p], None
+_LIBRARY = _library()
+_LIBRARY.channel_start.argtypes, _LIBRARY.channel_start.restype = [ctypes.c_void_p] * 2, None
 _LIBRARY.channel_process.argtypes, _LIBRARY.channel_process.restype = [ctypes.c_void_p] * 5, None
-_LIBRARY.smoother_start.argtypes, _LIBRARY.smoother_start.restype = [ctypes.c_void_p] * 2, None
-_LIBRARY.smoother_forward.argtypes, _LIBRARY.smoother_forward.restype = [ctypes.c_void_p] * 6, None
-_LIBRARY.smoother_backward.argtypes, _LIBRARY.smoother_backward.restype = [ctypes.c_void_p] * 6, None
-_LIBRARY.channel_is_sound.argtypes, _LIBRARY.channel_is_sound.restype = [ctypes.c_void_p], ctypes.c_int
+_LIBRARY.smoother_start.argtypes, _LIBRARY.smoother_start.restype = [ctypes.c_void_p], None
+_LIBRARY.smoother_forward.argtypes, _LIBRARY.smoother_forward.restype = [ctypes.c_void_p] * 7, None
+_LIBRARY.smoother_backward.argtypes, _LIBRARY.smoother_backward.restype = [ctypes.c_void_p] * 7, None
+_LIBRARY.channel_is_sound.argtypes, _LIBRARY.channel_is_sound.restype = [ctypes.c_void_p] * 2, ctypes.c_int
+_LIBRARY.smoother_checkpoints.argtypes, _LIBRARY.smoother_checkpoints.restype = [ctypes.c_int64], ctypes.c_int64
 
 
 def _layout_of(struct: str) -> np.dtype[np.void]:
@@ -74,22 +75,21 @@ def _layout_of(struct: str) -> np.dtype[np.void]:
 
 
 SETTINGS, COEFFICIENTS, STATE = map(_layout_of, ("settings", "coefficients", "state"))
-_FILTER, _FUTURE = (_layout_of(struct).itemsize for struct in ("filter", "future"))
-_SMOOTHED = 64  # rows between two checkpoints of a smoother, as in `becalm.h`
+_FILTER, _SMOOTHER = (_layout_of(struct).itemsize for struct in ("filter", "smoother"))
 _REALS = ("z", "elapsed", "signal", "sigma", "innovation", "deviation")
 MOST_STATES = int(COEFFICIENTS["h"].shape[0])
 
 
-def start() -> NDArray[np.void]:
+def start(settings: NDArray[np.void]) -> NDArray[np.void]:
     """Return the state of a channel before its first row."""
     state = np.zeros((), STATE)
-    _LIBRARY.channel_start(state.ctypes.data)
+    _LIBRARY.channel_start(settings.ctypes.data, state.ctypes.data)
     return state
 
 
-def is_sound(state: NDArray[np.void]) -> bool:
-    """Return whether a state, which may come from a file, is one that a channel can have."""
-    return bool(_LIBRARY.channel_is_sound(state.ctypes.data))
+def is_sound(settings: NDArray[np.void], state: NDArray[np.void]) -> bool:
+    """Return whether a state, which may come from a file, is one that this channel can have."""
+    return bool(_LIBRARY.channel_is_sound(settings.ctypes.data, state.ctypes.data))
 
 
 def process(settings: NDArray[np.void], coefficients: NDArray[np.void], state: NDArray[np.void], **rows: Any) -> None:
@@ -130,26 +130,31 @@ def smooth(settings: NDArray[np.void], coefficients: NDArray[np.void], **rows: A
         If they do not fit each other.
     """
     block, estimate = _checked(settings, rows)
-    state, future = bytearray(_FILTER), bytearray(_FUTURE)
-    checkpoints = bytearray(_FILTER * (-(-block.rows // _SMOOTHED) + 1))
-    held = [(ctypes.c_char * len(one)).from_buffer(one) for one in (state, future, checkpoints)]
-    at_state, at_future, at_checkpoints = map(ctypes.addressof, held)
-    of_channel = settings.ctypes.data, coefficients.ctypes.data
-    _LIBRARY.smoother_start(at_state, at_future)
-    _LIBRARY.smoother_forward(*of_channel, at_state, ctypes.byref(block), ctypes.byref(estimate), at_checkpoints)
-    _LIBRARY.smoother_backward(*of_channel, at_checkpoints, ctypes.byref(block), at_future, ctypes.byref(estimate))
+    sizes = _SMOOTHER, _FILTER * _LIBRARY.smoother_checkpoints(block.rows), max(block.rows, 1)
+    room = [np.zeros(size, np.uint8) for size in sizes]
+    smoother, checkpoints, starts = (one.ctypes.data for one in room)
+    channel = settings.ctypes.data, coefficients.ctypes.data, smoother, ctypes.byref(block), ctypes.byref(estimate)
+    _LIBRARY.smoother_start(smoother)
+    _LIBRARY.smoother_forward(*channel, checkpoints, starts)
+    _LIBRARY.smoother_backward(*channel, checkpoints, starts)
 
 
 def _checked(settings: NDArray[np.void], rows: dict[str, Any]) -> tuple[_Block, _Estimate]:
     """Return rows as C takes them."""
     n, count = int(settings["states"]), len(rows["z"])
+    if settings.dtype != SETTINGS or not 1 <= n <= MOST_STATES:
+        raise ValueError(f"A channel of {n} states came; 1 to {MOST_STATES} are needed.")
     wanted: dict[str, tuple[str, tuple[int, ...]]] = {name: ("f8", (count,)) for name in _REALS}
     wanted |= {"step": ("i4", (count,)), "verdict": ("i1", (count,))}
     wanted |= dict.fromkeys(("F", "Q"), ("f8", (len(rows["F"]), n, n)))
     for name, (kind, shape) in wanted.items():
         array = rows[name]
-        if array.dtype != kind or array.shape != shape or not array.flags.c_contiguous:
+        if array.dtype != kind or array.shape != shape or not (array.flags.c_contiguous and array.flags.aligned):
             raise ValueError(f"{name} is {array.dtype} of shape {array.shape}, not {kind} of {shape} in one piece.")
+    if count and not (rows["step"].min() >= 0 and rows["step"].max() < len(rows["F"])):
+        raise ValueError(f"step has {rows['step'].max()}; there are {len(rows['F'])} steps.")
+    if not (rows["elapsed"] >= 0).all():
+        raise ValueError("elapsed is NaN or below 0 somewhere; time only goes on.")
     at = {name: rows[name].ctypes.data for name in wanted}
     block = _Block(at["z"], at["elapsed"], at["step"], at["F"], at["Q"], count)
     estimate = _Estimate(*(at[name] for name in _ESTIMATES))

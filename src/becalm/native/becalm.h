@@ -12,11 +12,7 @@ typedef double real;
 #define NOT_A_NUMBER ((real)NAN)
 #define INFINITE ((real)INFINITY)
 
-#ifndef BECALM_STATES
-#define BECALM_STATES 8 /* the most that a channel has */
-#endif
-
-enum { N_MAX = BECALM_STATES, NN_MAX = BECALM_STATES * BECALM_STATES };
+enum { N_MAX = 8, NN_MAX = N_MAX * N_MAX }; /* states that a channel has at the most */
 
 /* What became of a measurement; the values of `becalm.core.verdict.Verdict`. */
 enum {
@@ -35,7 +31,7 @@ typedef struct {
     /* limits */
     real low, high;           /* saturation limits of the converter, in unit */
     real largest;             /* magnitude beyond which a value is no measurement, in unit */
-    real largest_believed;    /* the same, beside the filter's noise: beyond, float64 would round the noise away */
+    real largest_accepted;    /* the same, beside the filter's noise: beyond, float64 would round the noise away */
     int64_t stuck;            /* equal measurements in a row that are stuck; 0: any number may be equal */
     /* gross outliers */
     real outlier_distance;    /* from the median of the measurements before, in unit; inf finds none */
@@ -78,10 +74,10 @@ typedef struct {
 
 /* What the limits remember of the measurements before. */
 typedef struct {
-    real held;             /* the last measurement */
+    real last_value;       /* the last measurement */
     int64_t run;           /* how often it came in a row */
     real least, most;      /* so far */
-    int64_t far;           /* whether the last measurement is an outlier; 2: it fills in for those that did not come */
+    int64_t outlier;       /* whether the last measurement is an outlier; 2: it fills in for those that did not come */
     real past[NEIGHBOURS]; /* the last measurements that differ, in a ring */
     int64_t at;            /* where the oldest of them is, and the next will be */
     real now, last;        /* steps from the first measurement since a start to the last row, and measurement */
@@ -90,7 +86,7 @@ typedef struct {
 
 /* What the filter and its gate know. */
 typedef struct {
-    int64_t known;            /* UNKNOWN, GATHERING, DETERMINED */
+    int64_t phase;            /* UNKNOWN, GATHERING, DETERMINED */
     real level;               /* that is subtracted from every measurement, in unit */
     real x[N_MAX], P[NN_MAX]; /* state and covariance; while GATHERING right-hand side and root of the information */
     real ahead[N_MAX];        /* predicted state, of a filter that has settled */
@@ -120,8 +116,11 @@ typedef struct {
     real hop_power, powers[KEPT_HOPS]; /* in sigma^2 */
 } monitor_t;
 
+enum { LAYOUT = 1 }; /* of a state: raise it with every change, for a checkpoint of another one is refused */
+
 /* All that later rows depend on. Its bytes are a checkpoint. */
 typedef struct {
+    int64_t layout, states;
     limits_t limits;
     filter_t filter;
     monitor_t monitor;
@@ -157,21 +156,31 @@ typedef struct {
     int64_t settled, steady, next_check; /* of M: whether it is that of all rows before like the last; see filter_t */
     int64_t later;                 /* whether x and P are those of the row after */
     real x[N_MAX], P[NN_MAX];      /* smoothed */
+    real level;                    /* of the row after, in unit */
 } future_t;
+
+/* All that a smoother knows between two blocks. */
+typedef struct {
+    limits_t limits;
+    filter_t filter; /* of the pass forward */
+    future_t future; /* of the way back */
+} smoother_t;
 
 enum { SMOOTHED = 64 };            /* rows from one checkpoint of a smoother to the next */
 
-void channel_start(state_t *state);
-int channel_is_sound(const state_t *state);
+void channel_start(const settings_t *settings, state_t *state);
+int channel_is_sound(const settings_t *settings, const state_t *state);
 void channel_process(const settings_t *settings, const coefficients_t *model, state_t *state, const block_t *block,
                      const estimate_t *estimate);
 
-/* A smoother passes forward, then back. `z` of its block holds NaN where no measurement may enter. A checkpoint is left
-   before every SMOOTHED rows of it, and after the last. */
-void smoother_start(filter_t *state, future_t *future);
-void smoother_forward(const settings_t *settings, const coefficients_t *model, filter_t *state, const block_t *block,
-                      const estimate_t *estimate, filter_t *checkpoints);
-void smoother_backward(const settings_t *settings, const coefficients_t *model, const filter_t *checkpoints,
-                       const block_t *block, future_t *future, const estimate_t *estimate);
+/* A smoother passes forward, then back. `z` of its block holds NaN where no measurement may enter. It needs room for so
+   many checkpoints, one before every SMOOTHED rows and one after the last, and for where the filter starts anew. */
+int64_t smoother_checkpoints(int64_t rows);
+void smoother_start(smoother_t *smoother);
+void smoother_forward(const settings_t *settings, const coefficients_t *model, smoother_t *smoother,
+                      const block_t *block, const estimate_t *estimate, filter_t *checkpoints, int8_t *starts);
+void smoother_backward(const settings_t *settings, const coefficients_t *model, smoother_t *smoother,
+                       const block_t *block, const estimate_t *estimate, const filter_t *checkpoints,
+                       const int8_t *starts);
 
 #endif

@@ -7,6 +7,7 @@
 #include <string.h>
 
 #include "filter.h"
+#include "gap.h"
 #include "limits.h"
 #include "monitor.h"
 
@@ -17,7 +18,7 @@ static void judge_rows(const settings_t *settings, limits_t *state, const block_
         const int verdict = judge(settings, state, z, elapsed > 0);
         if (verdict) estimate->verdict[row] = (int8_t)verdict;
         pass->usable[row] = verdict ? NOT_A_NUMBER : z;
-        pass->anew[row] = (int8_t)starts_anew(settings, state, elapsed, verdict == USED);
+        pass->anew[row] = (int8_t)check_gap(settings, state, elapsed, verdict == USED);
     }
 }
 
@@ -56,26 +57,60 @@ static void watch_rows(const settings_t *settings, const coefficients_t *model, 
             signal = sigma = NOT_A_NUMBER, verdict = RUNAWAY;
         else if (goes_on && sigma >= settings->unknown_from && !isnan(signal))
             signal = sigma = NOT_A_NUMBER, verdict = HOLE;
-        state->counts[verdict]++;
+        state->counts[verdict & (VERDICTS - 1)]++;
         estimate->verdict[row] = (int8_t)verdict;
         estimate->signal[row] = signal;
         estimate->sigma[row] = widened(settings, model, state, signal, sigma, block->elapsed[row]);
     }
 }
 
-void channel_start(state_t *state) {
+void channel_start(const settings_t *settings, state_t *state) {
     memset(state, 0, sizeof *state);
+    state->layout = LAYOUT, state->states = settings->states;
     limits_t *limits = &state->limits;
-    state->last_signal = state->entered = limits->held = NOT_A_NUMBER;
+    state->last_signal = state->entered = limits->last_value = NOT_A_NUMBER;
     limits->least = INFINITE, limits->most = -INFINITE;
     for (int k = 0; k < NEIGHBOURS; k++) limits->past[k] = NOT_A_NUMBER;
     state->monitor.drift_since = state->filter.settled_row = -1;
     forget(&state->filter);
 }
 
-/* Return whether a state, which may come from a file, is one that a channel can have. */
-int channel_is_sound(const state_t *state) {
-    return state->filter.known >= UNKNOWN && state->filter.known <= DETERMINED && state->monitor.hops >= 0;
+static int is_count(const int64_t count, const int64_t most) { return count >= -most && count <= most; }
+
+static int are_finite(const real *numbers, const int count) {
+    for (int i = 0; i < count; i++)
+        if (!isfinite(numbers[i])) return 0;
+    return 1;
+}
+
+/* Return whether a state, which may come from a file, is one that this channel can have: then no place is outside of
+   its array, no counter overflows, and no number is NaN for good. */
+int channel_is_sound(const settings_t *settings, const state_t *state) {
+    const int64_t ever = (int64_t)1 << 53, sum = (int64_t)1 << 45; /* rows; parts of a sigma in a hop, and their squares */
+    const limits_t *limits = &state->limits;
+    const filter_t *filter = &state->filter;
+    const monitor_t *monitor = &state->monitor;
+    const int n = (int)state->states;
+    int sound = state->layout == LAYOUT && state->states == settings->states && n >= 1 && n <= N_MAX;
+    sound = sound && limits->at >= 0 && limits->at < NEIGHBOURS && is_count(limits->run, ever) &&
+            limits->measurements >= 0 && is_count(limits->measurements, ever) && isfinite(limits->now) &&
+            isfinite(limits->last);
+    sound = sound && filter->phase >= UNKNOWN && filter->phase <= DETERMINED && are_finite(filter->x, n) &&
+            are_finite(filter->P, n * n) && isfinite(filter->level);
+    if (sound && filter->phase == DETERMINED)
+        sound = are_finite(filter->K, n) && are_finite(filter->L, n) && are_finite(filter->ahead, n) &&
+                isfinite(filter->S) && isfinite(filter->sigma);
+    sound = sound && is_count(filter->rows, ever) && is_count(filter->steady, ever) &&
+            is_count(filter->next_check, ever) && is_count(filter->agreed, ever) && is_count(filter->rejected, ever) &&
+            is_count(filter->agreeing, ever) && is_count(filter->since_jump, ever);
+    sound = sound && is_count(monitor->rows, ever) && is_count(monitor->above, ever) && is_count(monitor->below, ever) &&
+            is_count(monitor->above_since, ever) && is_count(monitor->below_since, ever) && monitor->hops >= 0 &&
+            is_count(monitor->hops, ever) && monitor->hop_count >= 0 && monitor->hop_count < HOP &&
+            is_count(monitor->hop_total, sum) && is_count(monitor->hop_squares, sum);
+    for (int k = 0; k < WINDOW_HOPS - 1; k++)
+        sound = sound && is_count(monitor->totals[k], (int64_t)1 << 28) && is_count(monitor->squares[k], sum);
+    for (int k = 0; k < VERDICTS; k++) sound = sound && is_count(state->counts[k], ever);
+    return sound;
 }
 
 static void process(const settings_t *settings, const coefficients_t *model, state_t *state, const block_t *block,

@@ -48,7 +48,7 @@ INLINE int filter_row(const int n, const settings_t *settings, const coefficient
         if (settings->gated) {
             if (state->since_jump < 0 || !(fabs(nu) > settings->gate_threshold * sqrt(state->S)))
                 ;
-            else if (!believes(settings, model, state, nu))
+            else if (!reject(settings, model, state, nu))
                 verdict = SPIKE, complete = 0;
             else {
                 verdict = STEP;
@@ -115,7 +115,7 @@ INLINE int64_t filter_settled(const int n, const settings_t *settings, const coe
 
 /* Start a filter anew, with what is known of its sensor. */
 static void forget(filter_t *state) {
-    state->known = UNKNOWN;
+    state->phase = UNKNOWN;
     state->level = 0;
     state->rejected = state->agreeing = state->since_jump = state->jumped = 0;
     state->last_rejected = state->wandered = 0;
@@ -123,23 +123,23 @@ static void forget(filter_t *state) {
     state->steady = 0;
 }
 
-/* Take one row while measurements do not tell the state: they are gathered as information. */
+/* Take one row while measurements do not determine the state: their information is gathered. */
 static void open_row(const int n, const settings_t *settings, const coefficients_t *model, filter_t *state,
                      const real *F, const real *Q, const real z, real *signal, real *sigma) {
     *signal = NOT_A_NUMBER, *sigma = INFINITE;
-    if (state->known == UNKNOWN) {
-        if (isnan(z)) return;
-        state->known = GATHERING;
-        /* Measurements are told from the first, as long as that does not round their noise away. */
-        state->level = model->keeps_level && fabs(z) <= settings->largest_believed / 1000 ? z : 0;
-        memcpy(state->P, model->prior, sizeof state->P);
-        memset(state->x, 0, sizeof state->x);
+    const int arrived = fabs(z) <= BEYOND_ANY_SENSOR;
+    if (state->phase == UNKNOWN) {
+        if (!arrived) return;
+        state->phase = GATHERING;
+        /* Measurements are relative to the first, unless that would round their noise away. */
+        state->level = model->keeps_level && fabs(z) <= settings->largest_accepted / 1000 ? z : 0;
+        begin_information(n, model->prior, state->P, state->x);
     } else
         carry_information(n, F, Q, model->prior, state->P, state->x);
-    if (!isnan(z)) add_information(n, model->h, model->R, z - state->level, state->P, state->x);
+    if (arrived) add_information(n, model->h, model->R, z - state->level, state->P, state->x);
     if (!model->disturbed) estimate_from_information(n, model->h, state->P, state->x, signal, sigma);
-    if (determine(n, state->P, state->x)) {
-        state->known = DETERMINED;
+    if (try_to_determine(n, state->P, state->x)) {
+        state->phase = DETERMINED;
         if (model->disturbed) {
             real Pc[N_MAX];
             times(n, state->P, model->c, Pc);
@@ -153,17 +153,18 @@ static void open_row(const int n, const settings_t *settings, const coefficients
 INLINE void filter_rows(const int n, const settings_t *settings, const coefficients_t *model, filter_t *state,
                         const block_t *block, const estimate_t *estimate, pass_t *pass) {
     for (int64_t row = 0; row < block->rows;) {
-        const real *F = block->F + block->step[row] * n * n, *Q = block->Q + block->step[row] * n * n;
+        const int64_t at = (int64_t)block->step[row] * n * n;
+        const real *F = block->F + at, *Q = block->Q + at;
         if (pass->anew[row]) {
             forget(state);
             pass->anew[row] = 0;
         }
-        if (state->settled && state->known == DETERMINED) {
+        if (state->settled && state->phase == DETERMINED) {
             const int64_t taken = filter_settled(n, settings, model, state, F, block, row, pass, estimate);
             row += taken;
             if (taken) continue;
         }
-        if (state->known != DETERMINED) {
+        if (state->phase != DETERMINED) {
             estimate->innovation[row] = estimate->deviation[row] = NOT_A_NUMBER;
             open_row(n, settings, model, state, F, Q, pass->usable[row], estimate->signal + row, estimate->sigma + row);
         } else {

@@ -4,8 +4,8 @@
 
 #include "linear.h"
 
-#define GOES_ON 16           /* measurements used since a jump, before which a rejected one is the same motion */
-#define WIDE ((real)1e9)     /* variances of all states over that of a measurement that leave it some digits */
+#define GOES_ON 16       /* measurements used since a jump: before so many a rejected one still belongs to it */
+#define WIDE ((real)1e9) /* times R, the most that a jump adds: a measurement then keeps some digits */
 
 /* Return by how much a prediction's error may change over a step, one standard deviation. */
 static real wander(const int n, const real *h, const real *F, const real *Q, const real *P) {
@@ -45,9 +45,9 @@ static void jump(const int n, const settings_t *settings, const coefficients_t *
     state->jumped = 1;
 }
 
-/* Count a measurement that is rejected; return whether it is to be believed after all: so many in a row are motion, and
-   so is one soon after a jump. */
-static int believes(const settings_t *settings, const coefficients_t *model, filter_t *state, const real nu) {
+/* Count a measurement that is rejected; return whether it is accepted after all: so many in a row are motion, and so is
+   one soon after a jump. */
+static int reject(const settings_t *settings, const coefficients_t *model, filter_t *state, const real nu) {
     const real noise = sqrt(2 * model->R + state->wandered * state->wandered);
     const int agrees = state->agreeing > 0 && fabs(nu - state->last_rejected) <= settings->gate_threshold * noise;
     state->agreeing = agrees ? state->agreeing + 1 : 1;

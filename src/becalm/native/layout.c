@@ -17,13 +17,13 @@ const field_t *channel_settings_fields(void);
 const field_t *channel_coefficients_fields(void);
 const field_t *channel_state_fields(void);
 const field_t *channel_filter_fields(void);
-const field_t *channel_future_fields(void);
+const field_t *channel_smoother_fields(void);
 
 const field_t *channel_settings_fields(void) {
 #define R(name) REALS(settings_t, name)
 #define W(name) WHOLE(settings_t, name)
     static const field_t fields[] = {
-        W(states), R(low), R(high), R(largest), R(largest_believed), W(stuck), R(outlier_distance), R(plausible_low),
+        W(states), R(low), R(high), R(largest), R(largest_accepted), W(stuck), R(outlier_distance), R(plausible_low),
         R(plausible_high), W(repeats_are_one), R(blank), R(longest_gap), R(gap_spans), W(gap_measurements), W(gated),
         R(gate_threshold), W(gate_agree), W(gate_most), W(gate_level), W(drift_threshold), R(dead_variance), W(timed),
         R(step_s), R(time_std_s), R(time_variance), R(factor), W(calibrated), R(relative_std), R(offset_std),
@@ -47,7 +47,8 @@ const field_t *channel_coefficients_fields(void) {
 const field_t *channel_state_fields(void) {
 #define IN(part, name, whole) {#name, offsetof(state_t, part.name), sizeof(((state_t *)0)->part.name), whole}
     static const field_t fields[] = {
-        IN(filter, known, 1), IN(filter, settled_row, 1), IN(monitor, hops, 1), IN(monitor, powers, 0),
+        WHOLE(state_t, layout), WHOLE(state_t, states), IN(limits, at, 1), IN(filter, phase, 1), IN(filter, x, 0),
+        IN(filter, P, 0), IN(filter, settled_row, 1), IN(monitor, hops, 1), IN(monitor, powers, 0),
         IN(monitor, drift_since, 1), IN(monitor, silent, 1), WHOLE(state_t, counts), END(state_t),
     };
 #undef IN
@@ -59,7 +60,7 @@ const field_t *channel_filter_fields(void) {
     return fields;
 }
 
-const field_t *channel_future_fields(void) {
-    static const field_t fields[] = {END(future_t)};
+const field_t *channel_smoother_fields(void) {
+    static const field_t fields[] = {END(smoother_t)};
     return fields;
 }

@@ -44,7 +44,7 @@ static int is_far_from_past(const settings_t *settings, const limits_t *state, c
     const int count = recall(past, neighbours);
     if (count >= FEWEST_NEIGHBOURS) return is_far(z, neighbours, count, distance);
     const int plausible = settings->plausible_low <= z && z <= settings->plausible_high;
-    return !(plausible || fabs(z - state->held) <= distance);
+    return !(plausible || fabs(z - state->last_value) <= distance);
 }
 
 /* Return whether a measurement that repeats the one before fills in for one that did not come. */
@@ -79,45 +79,29 @@ static int judge(const settings_t *settings, limits_t *state, const real z, cons
     if (verdict) return verdict;
     const int counts = moved || state->run == 0;
     if (settings->outlier_distance < INFINITE) {
-        if (!(settings->repeats_are_one && z == state->held)) {
-            state->far = is_far_from_past(settings, state, z);
+        if (!(settings->repeats_are_one && z == state->last_value)) {
+            state->outlier = is_far_from_past(settings, state, z);
             if (counts) {
                 state->past[state->at] = z;
                 state->at = state->at + 1 < NEIGHBOURS ? state->at + 1 : 0;
             }
-        } else if (state->far != 1 && moved) {
+        } else if (state->outlier != 1 && moved) {
             const int may_fill = settings->stuck > EVERY_REPEAT && state->run < LONGEST_FILL;
-            state->far = may_fill && fills_in(settings, z, state->past) ? 2 : 0;
+            state->outlier = may_fill && fills_in(settings, z, state->past) ? 2 : 0;
         }
     }
     if (counts) {
-        state->run = z == state->held ? state->run + 1 : 1;
-        state->held = z;
+        state->run = z == state->last_value ? state->run + 1 : 1;
+        state->last_value = z;
         state->least = z < state->least ? z : state->least;
         state->most = z > state->most ? z : state->most;
         if (settings->stuck > 0 && state->run >= settings->stuck && !(z == 0 && is_rest(settings, state)))
             verdict = STUCK;
     }
-    if (state->far) verdict = OUTLIER;
+    if (state->outlier) verdict = OUTLIER;
     if (z <= settings->low || z >= settings->high) verdict = CLIPPED;
-    if (verdict == USED && fabs(z) > settings->largest_believed) verdict = OVERRANGE;
+    if (verdict == USED && fabs(z) > settings->largest_accepted) verdict = OVERRANGE;
     return verdict;
-}
-
-/* Return whether a gap before a measurement is longer than the filter can be carried across. */
-static int starts_anew(const settings_t *settings, limits_t *state, const real elapsed, const int usable) {
-    if (state->measurements) state->now += elapsed;
-    if (!usable) return 0;
-    real longest = settings->longest_gap;
-    if (state->measurements >= settings->gap_measurements && state->last > 0) {
-        const real spans = settings->gap_spans * state->last;
-        longest = spans < longest ? spans : longest;
-    }
-    const int anew = state->measurements && state->now - state->last > longest;
-    if (anew) state->now = 0, state->measurements = 0;
-    state->last = state->now;
-    state->measurements++;
-    return anew;
 }
 
 #endif

@@ -1,4 +1,4 @@
-/* The first measurements, which do not tell the state yet: what is known is gathered as information.
+/* The first measurements, which do not determine the state yet: their information is gathered.
 
    U x = b + e with e ~ N(0, I); U is upper triangular and may have empty rows (Bierman 1977, square root information
    filter). No prior is needed, and none is made up. */
@@ -8,13 +8,14 @@
 #include "linear.h"
 
 #define WELL_DETERMINED ((real)1e-6) /* of information scaled to a unit diagonal: its least eigenvalue */
+#define LOST_DIGITS ((real)1e12)    /* of I + W Q W', which is I at the least: beyond, a difference means nothing */
 #define LIVE ((real)3e-5)            /* of a column: a diagonal element of U that says something */
 
 /* Add an equation, a x = b, by rotations; `a` is used up. */
 static void add_equation(const int n, real *a, real right, real *U, real *b) {
     for (int i = 0; i < n; i++) {
         const real length = sqrt(U[i * n + i] * U[i * n + i] + a[i] * a[i]);
-        if (a[i] == 0 || length == 0) continue; /* of what is smaller than any square nothing is known */
+        if (a[i] == 0 || length == 0) continue; /* 0 also where a square underflows */
         const real cosine = U[i * n + i] / length, sine = a[i] / length;
         for (int j = i; j < n; j++) {
             const real u = U[i * n + j];
@@ -33,8 +34,14 @@ static void add_information(const int n, const real *h, const real R, const real
     add_equation(n, a, z / sqrt(R), U, b);
 }
 
+/* Begin with what the model itself knows. */
+static void begin_information(const int n, const real *prior, real *U, real *b) {
+    for (int i = 0; i < n * n; i++) U[i] = prior[i];
+    for (int i = 0; i < n; i++) b[i] = 0;
+}
+
 /* Predict one step. With W = U F^-1 the equations are W x' = b + e + W w; they are whitened by the root of
-   I + W Q W'. Where F has no inverse, as after a step so long that all has faded, only the prior is left. */
+   I + W Q W'. After a step so long that all has faded, or that digits are lost, only the prior is left. */
 static void carry_information(const int n, const real *F, const real *Q, const real *prior, real *U, real *b) {
     real A[NN_MAX] = {0}, W[NN_MAX], T[NN_MAX], right[N_MAX];
     for (int i = 0; i < n * n; i++) A[i] = F[i], W[i] = U[i];
@@ -43,8 +50,7 @@ static void carry_information(const int n, const real *F, const real *Q, const r
         for (int j = k + 1; j < n; j++)
             if (fabs(A[k * n + j]) > fabs(A[k * n + pivot])) pivot = j;
         if (A[k * n + pivot] == 0) {
-            for (int i = 0; i < n * n; i++) U[i] = prior[i];
-            for (int i = 0; i < n; i++) b[i] = 0;
+            begin_information(n, prior, U, b);
             return;
         }
         for (int i = 0; i < n; i++) {
@@ -77,6 +83,10 @@ static void carry_information(const int n, const real *F, const real *Q, const r
         for (int j = 0; j <= i; j++) {
             real s = T[i * n + j];
             for (int k = 0; k < j; k++) s -= T[i * n + k] * T[j * n + k];
+            if (i == j && !(s * LOST_DIGITS >= T[i * n + i] && T[i * n + i] < INFINITE)) {
+                begin_information(n, prior, U, b);
+                return;
+            }
             T[i * n + j] = i == j ? sqrt(s) : s / T[j * n + j];
         }
         for (int k = 0; k < i; k++) {
@@ -121,7 +131,7 @@ static void estimate_from_information(const int n, const real *h, const real *U,
 }
 
 /* Turn information into a state and its covariance, in place; return whether it determines them. */
-static int determine(const int n, real *P, real *x) {
+static int try_to_determine(const int n, real *P, real *x) {
     real V[NN_MAX], state[N_MAX], squares = 0; /* V = U^-1 */
     for (int j = 0; j < n; j++) {
         if (!(fabs(P[j * n + j]) > LIVE * column(n, P, j))) return 0;

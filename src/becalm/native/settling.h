@@ -13,8 +13,8 @@ enum { FIRST_CHECK = 32 };
 
 INLINE int near(const real now, const real then, const real scale) { return fabs(now - then) <= UNCHANGED * scale; }
 
-/* Return whether gain and sigma have settled since the last check, and remember them anew. */
-static int is_settled(const int n, filter_t *state) {
+/* Compare gain and sigma with those of the last check, and keep them for the next; return whether they have settled. */
+static int check_gain(const int n, filter_t *state) {
     int settled = near(state->S, state->S_then, state->S) & near(state->sigma, state->sigma_then, state->sigma);
     for (int i = 0; i < n; i++) {
         const real variance = state->P[i * n + i];
@@ -65,7 +65,7 @@ INLINE void notice(const int n, const real *h, const real *F, filter_t *state, c
     }
     state->predicted = 0;
     if (++state->steady < state->next_check) return;
-    const int settled = is_settled(n, state) && forgets(n, h, F, state, (real)0.125 * (real)state->steady);
+    const int settled = check_gain(n, state) && forgets(n, h, F, state, (real)0.125 * (real)state->steady);
     state->agreed = settled ? state->agreed + 1 : 0;
     if (0 < state->agreed && state->agreed <= n) {
         state->next_check = state->steady + 1;

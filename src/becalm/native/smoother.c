@@ -1,15 +1,16 @@
 /* Fixed-interval smoother of one channel: the form of Bryson and Frazier (1963) and Bierman (1973), which needs no inverse.
 
-   Forward, the filter leaves its state before every block. Back, a block whose gain had settled is known by its
-   innovations; any other is filtered again from there. Equations are numbered as in core/reference.py. */
+   The pass forward leaves its state before every block. The way back needs only the innovations of a block whose gain
+   had settled; any other block is filtered again from that state. Equations are numbered as in core/reference.py. */
 #include "filter.h"
+#include "gap.h"
 
 #define MUCH ((real)1e-3) /* of a variance: where later rows leave less of it, P - P M P has lost its digits */
 
 /* One row that was filtered again. */
 typedef struct {
     real x[N_MAX], P[NN_MAX], K[N_MAX], S, level;
-    int64_t known;
+    int64_t phase;
 } row_t;
 
 static void unsettle_future(future_t *future) {
@@ -18,12 +19,18 @@ static void unsettle_future(future_t *future) {
     future->M_then[0] = -1;
 }
 
-void smoother_start(filter_t *state, future_t *future) {
-    memset(state, 0, sizeof *state);
+int64_t smoother_checkpoints(const int64_t rows) { return (rows + SMOOTHED - 1) / SMOOTHED + 1; }
+
+static void forget_future(future_t *future) {
     memset(future, 0, sizeof *future);
-    state->settled_row = -1;
-    forget(state);
     unsettle_future(future);
+}
+
+void smoother_start(smoother_t *smoother) {
+    memset(smoother, 0, sizeof *smoother);
+    smoother->filter.settled_row = -1;
+    forget(&smoother->filter);
+    forget_future(&smoother->future);
 }
 
 /* Return the part of a block from a row on, at most SMOOTHED rows. */
@@ -42,21 +49,26 @@ static estimate_t from_row(const estimate_t *estimate, const int64_t row) {
 
 /* Filter a part: all of its measurements may enter. */
 static void filter_part(const settings_t *settings, const coefficients_t *model, filter_t *state, const block_t *part,
-                        const estimate_t *estimate) {
+                        const estimate_t *estimate, const int8_t *starts) {
     pass_t pass = {{0}, {0}};
     memcpy(pass.usable, part->z, sizeof(real) * (size_t)part->rows);
+    memcpy(pass.anew, starts, (size_t)part->rows);
     filter_block(settings, model, state, part, estimate, &pass);
 }
 
-void smoother_forward(const settings_t *settings, const coefficients_t *model, filter_t *state, const block_t *block,
-                      const estimate_t *estimate, filter_t *checkpoints) {
+void smoother_forward(const settings_t *settings, const coefficients_t *model, smoother_t *smoother,
+                      const block_t *block, const estimate_t *estimate, filter_t *checkpoints, int8_t *starts) {
+    for (int64_t row = 0; row < block->rows; row++) {
+        const int usable = fabs(block->z[row]) <= BEYOND_ANY_SENSOR;
+        starts[row] = (int8_t)check_gap(settings, &smoother->limits, block->elapsed[row], usable);
+    }
     for (int64_t row = 0; row < block->rows; row += SMOOTHED) {
         const block_t part = part_of(block, row);
         const estimate_t out = from_row(estimate, row);
-        *checkpoints++ = *state;
-        filter_part(settings, model, state, &part, &out);
+        *checkpoints++ = smoother->filter;
+        filter_part(settings, model, &smoother->filter, &part, &out, starts + row);
     }
-    *checkpoints = *state;
+    *checkpoints = smoother->filter;
 }
 
 /* M = A' M A + g g' / S */
@@ -158,7 +170,10 @@ static int from_later(const int n, const real *F, const real *Q, const real *U, 
     multiply(n, U, back, W);
     multiply(n, W, Q, G); /* (Q W')' */
     for (int i = 0; i < n; i++)
-        for (int j = 0; j < n; j++) T[i * n + j] = dot(n, G + i * n, W + j * n) + (i == j);
+        for (int j = 0; j < n; j++) {
+            T[i * n + j] = dot(n, G + i * n, W + j * n) + (i == j);
+            if (i == j && !(T[i * n + i] < LOST_DIGITS)) return 0;
+        }
     if (!solve(n, T, G)) return 0; /* G' = T^-1 W Q */
     for (int i = 0; i < n; i++) {
         Gb[i] = 0;
@@ -207,9 +222,12 @@ static int covariance_from_later(const int n, const real *F, const real *Q, cons
 /* Smooth one row that was filtered again; `next` is the step to the row after. */
 static void smooth_row(const int n, const coefficients_t *model, const row_t *row, const real *F, const real *Q,
                        future_t *future, real *signal, real *sigma) {
-    if (row->known == UNKNOWN) return;
-    if (row->known == GATHERING) {
-        future->later = future->later && from_later(n, F, Q, row->P, row->x, future);
+    const real level = row->phase == UNKNOWN ? future->level : row->level;
+    if (row->phase != DETERMINED) {
+        real U[NN_MAX], b[N_MAX];
+        begin_information(n, row->phase == GATHERING ? row->P : model->prior, U, b);
+        if (row->phase == GATHERING) memcpy(b, row->x, sizeof b);
+        future->later = future->later && from_later(n, F, Q, U, b, future);
         if (!future->later) return;
     } else {
         real PM[NN_MAX], smoothed[NN_MAX], Pr[N_MAX];
@@ -227,7 +245,8 @@ static void smooth_row(const int n, const coefficients_t *model, const row_t *ro
     real Pc[N_MAX];
     times(n, future->P, model->c, Pc);
     const real variance = dot(n, model->c, Pc);
-    *signal = dot(n, model->c, future->x) + row->level;
+    future->level = level;
+    *signal = dot(n, model->c, future->x) + level;
     *sigma = variance > 0 ? sqrt(variance) : 0;
 }
 
@@ -253,26 +272,27 @@ static void step_back(const int n, const real *h, const row_t *row, const real *
 
 /* Filter a block again, row by row, and smooth it. */
 static void smooth_again(const settings_t *settings, const coefficients_t *model, filter_t state, const block_t *part,
-                         future_t *future, const estimate_t *estimate, const int64_t step_after) {
+                         future_t *future, const estimate_t *estimate, const int8_t *starts, const int64_t step_after) {
     const int n = (int)settings->states;
     row_t rows[SMOOTHED];
     for (int64_t row = 0; row < part->rows; row++) {
         block_t one = part_of(part, row);
         const estimate_t out = from_row(estimate, row);
         one.rows = 1;
-        filter_part(settings, model, &state, &one, &out);
+        filter_part(settings, model, &state, &one, &out, starts + row);
         memcpy(rows[row].x, state.x, sizeof state.x);
         memcpy(rows[row].P, state.P, sizeof state.P);
         memcpy(rows[row].K, state.K, sizeof state.K);
-        rows[row].S = state.S, rows[row].level = state.level, rows[row].known = state.known;
+        rows[row].S = state.S, rows[row].level = state.level, rows[row].phase = state.phase;
     }
     unsettle_future(future);
     for (int64_t row = part->rows - 1; row >= 0; row--) {
         const int64_t after = row + 1 < part->rows ? part->step[row + 1] : step_after;
-        const real *F = part->F + part->step[row] * n * n;
+        const real *F = part->F + (int64_t)part->step[row] * n * n;
         smooth_row(n, model, rows + row, part->F + after * n * n, part->Q + after * n * n, future,
                    estimate->signal + row, estimate->sigma + row);
-        if (rows[row].known == DETERMINED) step_back(n, model->h, rows + row, F, estimate->innovation[row], future);
+        if (rows[row].phase == DETERMINED) step_back(n, model->h, rows + row, F, estimate->innovation[row], future);
+        if (starts[row]) forget_future(future); /* rows before it know nothing of it */
     }
 }
 
@@ -281,8 +301,10 @@ static int was_settled(const filter_t *before, const filter_t *after) {
     return before->settled && after->settled && before->steady == after->steady;
 }
 
-void smoother_backward(const settings_t *settings, const coefficients_t *model, const filter_t *checkpoints,
-                       const block_t *block, future_t *future, const estimate_t *estimate) {
+void smoother_backward(const settings_t *settings, const coefficients_t *model, smoother_t *smoother,
+                       const block_t *block, const estimate_t *estimate, const filter_t *checkpoints,
+                       const int8_t *starts) {
+    future_t *future = &smoother->future;
     const int64_t parts = (block->rows + SMOOTHED - 1) / SMOOTHED;
     int64_t step_after = 0;
     for (int64_t k = parts - 1; k >= 0; k--) {
@@ -290,7 +312,7 @@ void smoother_backward(const settings_t *settings, const coefficients_t *model, 
         const estimate_t out = from_row(estimate, k * SMOOTHED);
         const real *F = block->F + part.step[0] * settings->states * settings->states;
         if (!was_settled(checkpoints + k, checkpoints + k + 1))
-            smooth_again(settings, model, checkpoints[k], &part, future, &out, step_after);
+            smooth_again(settings, model, checkpoints[k], &part, future, &out, starts + k * SMOOTHED, step_after);
         else
             switch (settings->states) {
 #define WITH_STATES(n) \

@@ -1,0 +1,23 @@
+/* Gaps that no filter can be carried across: float64 would lose what was measured before. */
+#ifndef BECALM_GAP_H
+#define BECALM_GAP_H
+
+#include "linear.h"
+
+/* Follow the time since the last measurement; return whether the gap before this one is longer than the filter can be carried across. */
+static int check_gap(const settings_t *settings, limits_t *state, const real elapsed, const int usable) {
+    if (state->measurements) state->now += elapsed;
+    if (!usable) return 0;
+    real longest = settings->longest_gap;
+    if (state->measurements >= settings->gap_measurements && state->last > 0) {
+        const real spans = settings->gap_spans * state->last;
+        longest = spans < longest ? spans : longest;
+    }
+    const int anew = state->measurements && state->now - state->last > longest;
+    if (anew) state->now = 0, state->measurements = 0;
+    state->last = state->now;
+    state->measurements++;
+    return anew;
+}
+
+#endif
