@@ -323,6 +323,52 @@ def test_a_damaged_state_is_refused_or_does_no_harm(at: int, flips: list[int]) -
     one.process(rough(500), uneven(500))
 
 
+def swing(rows: int) -> Floats:
+    t = np.arange(rows)
+    return 100 * np.sin(t / 8.0) + np.random.default_rng(2).normal(size=rows)
+
+
+@pytest.mark.parametrize("lost", [7, 60, 500])
+@pytest.mark.parametrize("told", ["by time", "by NaN"])
+def test_the_first_reading_after_a_gap_is_no_outlier(lost: int, told: str) -> None:
+    z = swing(3000)
+    limits = Limits(outliers=find_outlier_rule(z))
+    for at in range(1000, 1050):
+        if told == "by time":
+            rows, elapsed = np.delete(z, slice(at, at + lost)), np.ones(3000 - lost)
+            elapsed[at], first = 1 + lost, at
+        else:
+            rows, elapsed, first = z.copy(), np.ones(3000), at + lost
+            rows[at:first] = np.nan
+        _, _, verdict, *_ = channel(COMPONENTS["order 1"], limits=limits).process(rows, elapsed)
+        assert not (verdict == Verdict.OUTLIER).any()
+        rows[first] = 5e4
+        _, _, verdict, *_ = channel(COMPONENTS["order 1"], limits=limits).process(rows, elapsed)
+        assert np.flatnonzero(verdict == Verdict.OUTLIER).tolist() == [first]
+
+
+@pytest.mark.parametrize("every", [3, 10])
+def test_an_outlier_is_found_where_readings_come_seldom(every: int) -> None:
+    z = swing(30_000)[::every].repeat(every)
+    z[np.arange(len(z)) % every > 0] = np.nan
+    limits = Limits(outliers=find_outlier_rule(z[np.isfinite(z)]))
+    if not limits.outliers.causal_distance < 300:
+        limits = limits._replace(outliers=limits.outliers._replace(causal_distance=300.0))
+    z[600 * every] += 1e4
+    _, _, verdict, *_ = channel(COMPONENTS["order 2"], limits=limits).process(z, np.ones(len(z)))
+    assert np.flatnonzero(verdict == Verdict.OUTLIER).tolist() == [600 * every]
+
+
+def test_a_held_reading_is_stuck_though_it_may_fill_in_for_others() -> None:
+    z = swing(3000)
+    limits = Limits(outliers=find_outlier_rule(z), stuck_readings=6)
+    for at in range(1000, 1060):
+        held = z.copy()
+        held[at:] = held[at]
+        _, _, verdict, *_ = channel(COMPONENTS["order 2"], limits=limits).process(held, np.ones(3000))
+        assert np.flatnonzero(verdict == Verdict.STUCK)[0] == at + 5
+
+
 def test_a_timing_that_is_no_verdict_is_refused() -> None:
     for wrong in (127, -1, 16):
         with pytest.raises(ValueError, match="no Verdict"):

@@ -79,7 +79,9 @@ typedef struct {
     real least, most;      /* so far */
     int64_t outlier;       /* whether the last measurement is an outlier; 2: it fills in for those that did not come */
     real past[NEIGHBOURS]; /* the last measurements that differ, in a ring */
+    real waits[NEIGHBOURS]; /* steps before each of them since the measurement before */
     int64_t at;            /* where the oldest of them is, and the next will be */
+    real since;            /* steps since the last measurement */
     real now, last;        /* steps from the first measurement since a start to the last row, and measurement */
     int64_t measurements;  /* since the start */
 } limits_t;

@@ -15,7 +15,7 @@ static void judge_rows(const settings_t *settings, limits_t *state, const block_
                        pass_t *pass) {
     for (int64_t row = 0; row < block->rows; row++) {
         const real z = block->z[row], elapsed = block->elapsed[row];
-        const int verdict = judge(settings, state, z, elapsed > 0);
+        const int verdict = judge(settings, state, z, elapsed);
         if (verdict) estimate->verdict[row] = (int8_t)verdict;
         pass->usable[row] = verdict ? NOT_A_NUMBER : z;
         pass->anew[row] = (int8_t)check_gap(settings, state, elapsed, verdict == USED);
@@ -92,7 +92,7 @@ int channel_is_sound(const settings_t *settings, const state_t *state) {
     const monitor_t *monitor = &state->monitor;
     const int n = (int)state->states;
     int sound = state->layout == LAYOUT && state->states == settings->states && n >= 1 && n <= N_MAX;
-    sound = sound && limits->at >= 0 && limits->at < NEIGHBOURS && is_count(limits->run, ever) &&
+    sound = sound && isfinite(limits->since) && limits->at >= 0 && limits->at < NEIGHBOURS && is_count(limits->run, ever) &&
             limits->measurements >= 0 && is_count(limits->measurements, ever) && isfinite(limits->now) &&
             isfinite(limits->last);
     sound = sound && filter->phase >= UNKNOWN && filter->phase <= DETERMINED && are_finite(filter->x, n) &&

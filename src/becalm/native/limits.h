@@ -7,6 +7,7 @@
 enum { FEWEST_NEIGHBOURS = 3, LONGEST_FILL = 64, EVERY_REPEAT = 2 };
 
 #define SPREADS ((real)8)       /* of its neighbours, that an outlier is away from their median */
+#define LATE ((real)2.5)        /* times the longest wait before: then the measurements before are no neighbours */
 #define NEARER ((real)4)        /* times that a value which fills in for measurements is nearer */
 #define NEAR_REST (1 / (real)36) /* of what is plausible: a channel that came so near to 0 before may rest there */
 
@@ -73,16 +74,28 @@ static int no_measurement(const settings_t *settings, const real z) {
     return z == settings->blank ? OUTLIER : USED;
 }
 
+/* Forget the measurements before one that comes much later than they did: the signal has moved on. */
+static void forget_past(limits_t *state) {
+    real longest = 1;
+    for (int k = 0; k < NEIGHBOURS; k++) longest = state->waits[k] > longest ? state->waits[k] : longest;
+    if (state->since <= LATE * longest) return;
+    for (int k = 0; k < NEIGHBOURS; k++) state->past[k] = NOT_A_NUMBER, state->waits[k] = 0;
+    state->at = 0, state->since = 1;
+}
+
 /* Return what is wrong with one measurement. One without a time of its own says nothing new, unless it is the first. */
-static int judge(const settings_t *settings, limits_t *state, const real z, const int moved) {
+static int judge(const settings_t *settings, limits_t *state, const real z, const real elapsed) {
+    const int moved = elapsed > 0;
     int verdict = no_measurement(settings, z);
+    state->since += elapsed;
     if (verdict) return verdict;
+    if (state->since > LATE) forget_past(state);
     const int counts = moved || state->run == 0;
     if (settings->outlier_distance < INFINITE) {
         if (!(settings->repeats_are_one && z == state->last_value)) {
             state->outlier = is_far_from_past(settings, state, z);
             if (counts) {
-                state->past[state->at] = z;
+                state->past[state->at] = z, state->waits[state->at] = state->since;
                 state->at = state->at + 1 < NEIGHBOURS ? state->at + 1 : 0;
             }
         } else if (state->outlier != 1 && moved) {
@@ -98,7 +111,8 @@ static int judge(const settings_t *settings, limits_t *state, const real z, cons
         if (settings->stuck > 0 && state->run >= settings->stuck && !(z == 0 && is_rest(settings, state)))
             verdict = STUCK;
     }
-    if (state->outlier) verdict = OUTLIER;
+    if (state->outlier == 1 || (state->outlier && verdict != STUCK)) verdict = OUTLIER;
+    state->since = 0;
     if (z <= settings->low || z >= settings->high) verdict = CLIPPED;
     if (verdict == USED && fabs(z) > settings->largest_accepted) verdict = OVERRANGE;
     return verdict;
