@@ -46,7 +46,8 @@ static void watch_rows(const settings_t *settings, const coefficients_t *model, 
     const real low = settings->plausible_low, high = settings->plausible_high;
     for (int64_t row = 0; row < block->rows; row++) {
         const real deviation = estimate->deviation[row];
-        const int alarm = watch(settings, &state->monitor, deviation > 0 ? estimate->innovation[row] / deviation : NOT_A_NUMBER);
+        const real normalised = deviation > 0 ? estimate->innovation[row] / deviation : NOT_A_NUMBER;
+        const int alarm = watch(settings, &state->monitor, normalised);
         int verdict = estimate->verdict[row];
         if (alarm && verdict == USED) verdict = alarm;
         real signal = estimate->signal[row], sigma = estimate->sigma[row];
@@ -86,15 +87,16 @@ static int are_finite(const real *numbers, const int count) {
 /* Return whether a state, which may come from a file, is one that this channel can have: then no place is outside of
    its array, no counter overflows, and no number is NaN for good. */
 int channel_is_sound(const settings_t *settings, const state_t *state) {
-    const int64_t ever = (int64_t)1 << 53, sum = (int64_t)1 << 45; /* rows; parts of a sigma in a hop, and their squares */
+    const int64_t ever = (int64_t)1 << 53; /* rows */
+    const int64_t sum = (int64_t)1 << 45;  /* squares of the innovations in a hop, in 2^-32 sigma^2 */
     const limits_t *limits = &state->limits;
     const filter_t *filter = &state->filter;
     const monitor_t *monitor = &state->monitor;
     const int n = (int)state->states;
     int sound = state->layout == LAYOUT && state->states == settings->states && n >= 1 && n <= N_MAX;
-    sound = sound && isfinite(limits->since) && limits->at >= 0 && limits->at < NEIGHBOURS && is_count(limits->run, ever) &&
-            limits->measurements >= 0 && is_count(limits->measurements, ever) && isfinite(limits->now) &&
-            isfinite(limits->last);
+    sound = sound && isfinite(limits->since) && limits->at >= 0 && limits->at < NEIGHBOURS &&
+            is_count(limits->run, ever) && limits->measurements >= 0 && is_count(limits->measurements, ever) &&
+            isfinite(limits->now) && isfinite(limits->last);
     sound = sound && filter->phase >= UNKNOWN && filter->phase <= DETERMINED && are_finite(filter->x, n) &&
             are_finite(filter->P, n * n) && isfinite(filter->level);
     if (sound && filter->phase == DETERMINED)
@@ -103,8 +105,8 @@ int channel_is_sound(const settings_t *settings, const state_t *state) {
     sound = sound && is_count(filter->rows, ever) && is_count(filter->steady, ever) &&
             is_count(filter->next_check, ever) && is_count(filter->agreed, ever) && is_count(filter->rejected, ever) &&
             is_count(filter->agreeing, ever) && is_count(filter->since_jump, ever);
-    sound = sound && is_count(monitor->rows, ever) && is_count(monitor->above, ever) && is_count(monitor->below, ever) &&
-            is_count(monitor->above_since, ever) && is_count(monitor->below_since, ever) && monitor->hops >= 0 &&
+    sound = sound && is_count(monitor->rows, ever) && is_count(monitor->above, ever) &&
+            is_count(monitor->below, ever) && is_count(monitor->above_since, ever) && is_count(monitor->below_since, ever) && monitor->hops >= 0 &&
             is_count(monitor->hops, ever) && monitor->hop_count >= 0 && monitor->hop_count < HOP &&
             is_count(monitor->hop_total, sum) && is_count(monitor->hop_squares, sum);
     for (int k = 0; k < WINDOW_HOPS - 1; k++)

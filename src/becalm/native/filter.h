@@ -81,7 +81,8 @@ INLINE int64_t filter_settled(const int n, const settings_t *settings, const coe
                               const estimate_t *estimate) {
     const int64_t from = row;
     real F[NN_MAX], s[N_MAX], before[N_MAX], L[N_MAX], h[N_MAX], c[N_MAX], nu = 0, gain = 0;
-    const real deviation = sqrt(state->S), threshold = settings->gated ? settings->gate_threshold * deviation : INFINITE;
+    const real deviation = sqrt(state->S);
+    const real threshold = settings->gated ? settings->gate_threshold * deviation : INFINITE;
     const real level = state->level, sigma = state->sigma, step = state->last_step;
     memcpy(F, F_, sizeof(real) * (size_t)(n * n));
     if (!state->predicted) {
@@ -179,22 +180,10 @@ INLINE void filter_rows(const int n, const settings_t *settings, const coefficie
     }
 }
 
-/* The same for the channel's number of states, which is a constant up to 7. */
+/* Filter rows with the channel's number of states. */
 static void filter_block(const settings_t *settings, const coefficients_t *model, filter_t *state, const block_t *block,
                          const estimate_t *estimate, pass_t *pass) {
-    switch (settings->states) {
-#define WITH_STATES(n) \
-    case n: filter_rows(n, settings, model, state, block, estimate, pass); break
-        WITH_STATES(1);
-        WITH_STATES(2);
-        WITH_STATES(3);
-        WITH_STATES(4);
-        WITH_STATES(5);
-        WITH_STATES(6);
-        WITH_STATES(7);
-#undef WITH_STATES
-    default: filter_rows((int)settings->states, settings, model, state, block, estimate, pass);
-    }
+    FOR_STATES(settings->states, filter_rows, settings, model, state, block, estimate, pass)
 }
 
 #endif

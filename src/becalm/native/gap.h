@@ -4,7 +4,8 @@
 
 #include "linear.h"
 
-/* Follow the time since the last measurement; return whether the gap before this one is longer than the filter can be carried across. */
+/* Follow the time since the last measurement; return whether the gap before this one is longer than the filter can be
+   carried across. */
 static int check_gap(const settings_t *settings, limits_t *state, const real elapsed, const int usable) {
     if (state->measurements) state->now += elapsed;
     if (!usable) return 0;

@@ -65,4 +65,51 @@ INLINE void joseph(const int n, const real *h, const real R, const real *K, cons
         }
 }
 
+/* Solve A X = B in place by elimination with pivots, B (n, n); A is used up. Return whether A has an inverse. */
+static inline int solve(const int n, real *A, real *B) {
+    for (int k = 0; k < n; k++) {
+        int pivot = k;
+        for (int i = k + 1; i < n; i++)
+            if (fabs(A[i * n + k]) > fabs(A[pivot * n + k])) pivot = i;
+        if (A[pivot * n + k] == 0) return 0;
+        for (int j = 0; j < n; j++) {
+            real t = A[k * n + j];
+            A[k * n + j] = A[pivot * n + j], A[pivot * n + j] = t;
+            t = B[k * n + j];
+            B[k * n + j] = B[pivot * n + j], B[pivot * n + j] = t;
+        }
+        for (int i = k + 1; i < n; i++) {
+            const real factor = A[i * n + k] / A[k * n + k];
+            for (int j = 0; j < n; j++) A[i * n + j] -= factor * A[k * n + j], B[i * n + j] -= factor * B[k * n + j];
+        }
+    }
+    for (int k = n - 1; k >= 0; k--)
+        for (int j = 0; j < n; j++) {
+            for (int i = k + 1; i < n; i++) B[k * n + j] -= A[k * n + i] * B[i * n + j];
+            B[k * n + j] /= A[k * n + k];
+        }
+    return 1;
+}
+
+/* Write the inverse of A; return whether it has one. */
+static inline int invert(const int n, const real *A, real *inverse) {
+    real B[NN_MAX];
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j < n; j++) B[i * n + j] = A[i * n + j], inverse[i * n + j] = i == j;
+    return solve(n, B, inverse);
+}
+
+/* Call a function whose first argument is the number of states: a constant up to 7. */
+#define FOR_STATES(n, function, ...)                       \
+    switch (n) {                                           \
+    case 1: function(1, __VA_ARGS__); break;               \
+    case 2: function(2, __VA_ARGS__); break;               \
+    case 3: function(3, __VA_ARGS__); break;               \
+    case 4: function(4, __VA_ARGS__); break;               \
+    case 5: function(5, __VA_ARGS__); break;               \
+    case 6: function(6, __VA_ARGS__); break;               \
+    case 7: function(7, __VA_ARGS__); break;               \
+    default: function((int)(n), __VA_ARGS__);              \
+    }
+
 #endif

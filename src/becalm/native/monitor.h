@@ -8,7 +8,7 @@
 enum { PARTS = 1 << 16 }; /* of a sigma: innovations are summed in whole ones, so that sums are exact */
 
 #define MOST_SIGMA ((real)6)                 /* what one innovation may say */
-#define ROUNDING ((real)6755399441055744.0) /* 1.5 * 2^52: added to a small number, it leaves no digit behind the point */
+#define ROUNDING ((real)6755399441055744.0) /* 1.5 * 2^52: a number that it is added to keeps no fraction */
 
 enum { SLACK = PARTS / 2 };
 

@@ -43,33 +43,12 @@ static void begin_information(const int n, const real *prior, real *U, real *b) 
 /* Predict one step. With W = U F^-1 the equations are W x' = b + e + W w; they are whitened by the root of
    I + W Q W'. After a step so long that all has faded, or that digits are lost, only the prior is left. */
 static void carry_information(const int n, const real *F, const real *Q, const real *prior, real *U, real *b) {
-    real A[NN_MAX] = {0}, W[NN_MAX], T[NN_MAX], right[N_MAX];
-    for (int i = 0; i < n * n; i++) A[i] = F[i], W[i] = U[i];
-    for (int k = 0; k < n; k++) { /* W F = U, by elimination of columns with pivots */
-        int pivot = k;
-        for (int j = k + 1; j < n; j++)
-            if (fabs(A[k * n + j]) > fabs(A[k * n + pivot])) pivot = j;
-        if (A[k * n + pivot] == 0) {
-            begin_information(n, prior, U, b);
-            return;
-        }
-        for (int i = 0; i < n; i++) {
-            real t = A[i * n + k];
-            A[i * n + k] = A[i * n + pivot], A[i * n + pivot] = t;
-            t = W[i * n + k];
-            W[i * n + k] = W[i * n + pivot], W[i * n + pivot] = t;
-        }
-        for (int j = k + 1; j < n; j++) {
-            const real factor = A[k * n + j] / A[k * n + k];
-            for (int i = 0; i < n; i++) A[i * n + j] -= factor * A[i * n + k], W[i * n + j] -= factor * W[i * n + k];
-        }
+    real back[NN_MAX], W[NN_MAX], T[NN_MAX], right[N_MAX];
+    if (!invert(n, F, back)) {
+        begin_information(n, prior, U, b);
+        return;
     }
-    for (int k = n - 1; k >= 0; k--)
-        for (int i = 0; i < n; i++) {
-            real s = W[i * n + k];
-            for (int j = k + 1; j < n; j++) s -= W[i * n + j] * A[j * n + k];
-            W[i * n + k] = s / A[k * n + k];
-        }
+    multiply(n, U, back, W);
     for (int i = 0; i < n; i++) { /* T = I + W Q W' = C C', and C^-1 W, row by row */
         real WQ[N_MAX];
         for (int j = 0; j < n; j++) {

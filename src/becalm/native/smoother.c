@@ -1,4 +1,4 @@
-/* Fixed-interval smoother of one channel: the form of Bryson and Frazier (1963) and Bierman (1973), which needs no inverse.
+/* Fixed-interval smoother of one channel, in the form of Bryson and Frazier (1963) and Bierman (1973).
 
    The pass forward leaves its state before every block. The way back needs only the innovations of a block whose gain
    had settled; any other block is filtered again from that state. Equations are numbered as in core/reference.py. */
@@ -133,40 +133,12 @@ INLINE void smooth_settled(const int n, const coefficients_t *model, const filte
     future->later = 0;
 }
 
-/* Solve A X = B in place by elimination with pivots, B (n, n); A is used up. Return whether A has an inverse. */
-static int solve(const int n, real *A, real *B) {
-    for (int k = 0; k < n; k++) {
-        int pivot = k;
-        for (int i = k + 1; i < n; i++)
-            if (fabs(A[i * n + k]) > fabs(A[pivot * n + k])) pivot = i;
-        if (A[pivot * n + k] == 0) return 0;
-        for (int j = 0; j < n; j++) {
-            real t = A[k * n + j];
-            A[k * n + j] = A[pivot * n + j], A[pivot * n + j] = t;
-            t = B[k * n + j];
-            B[k * n + j] = B[pivot * n + j], B[pivot * n + j] = t;
-        }
-        for (int i = k + 1; i < n; i++) {
-            const real factor = A[i * n + k] / A[k * n + k];
-            for (int j = 0; j < n; j++) A[i * n + j] -= factor * A[k * n + j], B[i * n + j] -= factor * B[k * n + j];
-        }
-    }
-    for (int k = n - 1; k >= 0; k--)
-        for (int j = 0; j < n; j++) {
-            for (int i = k + 1; i < n; i++) B[k * n + j] -= A[k * n + i] * B[i * n + j];
-            B[k * n + j] /= A[k * n + k];
-        }
-    return 1;
-}
-
 /* Write the smoothed state and covariance of a row from those of the row after, one step later: given that, the noise w
    of the step is known by G (W x' - b), where W = U F^-1, G = Q W' (I + W Q W')^-1, and its own covariance is
    V = (I - G W) Q (I - G W)' + G G'. So x = F^-1 (x' - w). U and b are the row's information. */
 static int from_later(const int n, const real *F, const real *Q, const real *U, const real *b, future_t *future) {
-    real A[NN_MAX], W[NN_MAX], T[NN_MAX], G[NN_MAX], V[NN_MAX], J[NN_MAX], back[NN_MAX], x[N_MAX], Gb[N_MAX];
-    for (int i = 0; i < n; i++)
-        for (int j = 0; j < n; j++) A[i * n + j] = F[i * n + j], back[i * n + j] = i == j;
-    if (!solve(n, A, back)) return 0;
+    real W[NN_MAX], T[NN_MAX], G[NN_MAX], V[NN_MAX], J[NN_MAX], back[NN_MAX], x[N_MAX], Gb[N_MAX];
+    if (!invert(n, F, back)) return 0;
     multiply(n, U, back, W);
     multiply(n, W, Q, G); /* (Q W')' */
     for (int i = 0; i < n; i++)
@@ -206,9 +178,7 @@ static int covariance_from_later(const int n, const real *F, const real *Q, cons
     memcpy(M, P, sizeof M);
     propagate(n, F, Q, M);
     memcpy(D, Q, sizeof(real) * (size_t)(n * n));
-    for (int i = 0; i < n; i++)
-        for (int j = 0; j < n; j++) A[i * n + j] = F[i * n + j], back[i * n + j] = i == j;
-    if (!solve(n, A, back) || !solve(n, M, D)) return 0; /* D = M^-1 Q */
+    if (!invert(n, F, back) || !solve(n, M, D)) return 0; /* D = M^-1 Q */
     for (int i = 0; i < n; i++)
         for (int j = 0; j < n; j++) A[i * n + j] = (i == j) - D[j * n + i]; /* I - Q M^-1 */
     multiply(n, back, A, C);
@@ -219,14 +189,14 @@ static int covariance_from_later(const int n, const real *F, const real *Q, cons
     return 1;
 }
 
-/* Smooth one row that was filtered again; `next` is the step to the row after. */
+/* Smooth one row that was filtered again; F and Q are of the step to the row after. */
 static void smooth_row(const int n, const coefficients_t *model, const row_t *row, const real *F, const real *Q,
                        future_t *future, real *signal, real *sigma) {
     const real level = row->phase == UNKNOWN ? future->level : row->level;
     if (row->phase != DETERMINED) {
-        real U[NN_MAX], b[N_MAX];
-        begin_information(n, row->phase == GATHERING ? row->P : model->prior, U, b);
-        if (row->phase == GATHERING) memcpy(b, row->x, sizeof b);
+        const real nothing[N_MAX] = {0};
+        const int unknown = row->phase == UNKNOWN;
+        const real *U = unknown ? model->prior : row->P, *b = unknown ? nothing : row->x;
         future->later = future->later && from_later(n, F, Q, U, b, future);
         if (!future->later) return;
     } else {
@@ -314,19 +284,7 @@ void smoother_backward(const settings_t *settings, const coefficients_t *model, 
         if (!was_settled(checkpoints + k, checkpoints + k + 1))
             smooth_again(settings, model, checkpoints[k], &part, future, &out, starts + k * SMOOTHED, step_after);
         else
-            switch (settings->states) {
-#define WITH_STATES(n) \
-    case n: smooth_settled(n, model, checkpoints + k, F, &part, future, &out); break
-                WITH_STATES(1);
-                WITH_STATES(2);
-                WITH_STATES(3);
-                WITH_STATES(4);
-                WITH_STATES(5);
-                WITH_STATES(6);
-                WITH_STATES(7);
-#undef WITH_STATES
-            default: smooth_settled((int)settings->states, model, checkpoints + k, F, &part, future, &out);
-            }
+            FOR_STATES(settings->states, smooth_settled, model, checkpoints + k, F, &part, future, &out);
         step_after = part.step[0];
     }
 }
