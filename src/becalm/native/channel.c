@@ -106,7 +106,8 @@ int channel_is_sound(const settings_t *settings, const state_t *state) {
             is_count(filter->next_check, ever) && is_count(filter->agreed, ever) && is_count(filter->rejected, ever) &&
             is_count(filter->agreeing, ever) && is_count(filter->since_jump, ever);
     sound = sound && is_count(monitor->rows, ever) && is_count(monitor->above, ever) &&
-            is_count(monitor->below, ever) && is_count(monitor->above_since, ever) && is_count(monitor->below_since, ever) && monitor->hops >= 0 &&
+            is_count(monitor->below, ever) && is_count(monitor->above_since, ever) &&
+            is_count(monitor->below_since, ever) && monitor->hops >= 0 &&
             is_count(monitor->hops, ever) && monitor->hop_count >= 0 && monitor->hop_count < HOP &&
             is_count(monitor->hop_total, sum) && is_count(monitor->hop_squares, sum);
     for (int k = 0; k < WINDOW_HOPS - 1; k++)
