@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from becalm.core.arrays import Codes, Floats
 from becalm.core.channel import Channel, Estimates, Settings, smooth_record
 from becalm.core.components import Component, bias, motion, oscillator, returning_motion
+from becalm.core.faults import Found
 from becalm.core.gates import Gate
 from becalm.core.limits import Limits
 from becalm.core.monitor import Alarms
@@ -49,7 +50,7 @@ def run(one: Channel, z: Floats, elapsed: Floats) -> tuple[Floats, Floats, Codes
 
 def stacked(estimates: Estimates) -> Floats:
     """Return all that is estimated, as rows (5, N)."""
-    return np.stack([part.astype(np.float64) for part in estimates])
+    return np.stack([part.astype(np.float64) for part in estimates[:5]])
 
 
 def rough(rows: int, seed: int = 0) -> Floats:
@@ -156,7 +157,7 @@ def test_it_is_the_specification(kind: str) -> None:
     elapsed[600:] = uneven(300)
     expected, spread, innovation, deviation = exact(COMPONENTS[kind], z, elapsed)
     one = channel(COMPONENTS[kind])
-    signal, sigma, _, nu, S = one.process(z, elapsed)
+    signal, sigma, _, nu, S = one.process(z, elapsed)[:5]
     assert one.settled_row is None or one.settled_row < 300
     judged = np.isfinite(S)
     assert judged.sum() > 800
@@ -300,7 +301,7 @@ def spoilt(field: str, value: float, kind: str = "i8") -> Codes:
     "state",
     [
         np.zeros(3, np.int8), np.zeros(3), np.full(STATE.itemsize, -1, np.int8), np.zeros(STATE.itemsize, np.int8),
-        state_of("order 3"), spoilt("layout", 2), spoilt("states", 3), spoilt("phase", 3), spoilt("at", 6),
+        state_of("order 3"), spoilt("layout", 1), spoilt("states", 3), spoilt("phase", 3), spoilt("at", 6),
         spoilt("at", -1), spoilt("hops", -1), spoilt("hops", 1 << 62), spoilt("x", np.nan, "f8"),
         spoilt("P", np.inf, "f8"),
     ],
@@ -369,6 +370,36 @@ def test_a_held_reading_is_stuck_though_it_may_fill_in_for_others() -> None:
         assert np.flatnonzero(verdict == Verdict.STUCK)[0] == at + 5
 
 
+@KINDS
+def test_states_make_the_signal_but_for_its_level(kind: str) -> None:
+    component, z = COMPONENTS[kind], rough(300)
+    found = channel(component).process(z, uneven(300), states=True)
+    known = np.isfinite(found.x).all(axis=1)
+    assert known.sum() > 250
+    level = found.signal - found.x @ component.signal_output[0]
+    np.testing.assert_allclose(level[known], z[np.isfinite(z)][0] if component.keeps_level else 0.0, atol=1e-12)
+    assert_same_bits(stacked(found), stacked(channel(component).process(z, uneven(300))))
+
+
+def test_faults_are_told_of_a_hole_too() -> None:
+    """A sensor that is stuck in a hole is stuck, though what is told of its rows is that nothing is known."""
+    rng = np.random.default_rng(4)
+    z, elapsed = rng.normal(size=400), np.ones(400)
+    z[100:200], z[300], elapsed[50] = 0.25, np.inf, 6.0
+    one = channel(motion(1, 0.1), limits=Limits(stuck_readings=10), unknown_from=0.5)
+    timing = np.where(elapsed > 2.5, np.int8(Verdict.GAP), np.int8(Verdict.USED))
+    found = one.process(z, elapsed, timing)
+    assert (found.verdict[112:200] == Verdict.HOLE).all()
+    assert one.faults == {
+        Verdict.NONFINITE: Found(1, 300, 305.0),
+        Verdict.STUCK: Found(91, 109, 114.0),
+        Verdict.GAP: Found(1, 50, 55.0),
+    }
+    one.forget_counts()
+    assert one.faults == {}
+    assert sum(one.counts.values()) == 0
+
+
 def test_a_timing_that_is_no_verdict_is_refused() -> None:
     for wrong in (127, -1, 16):
         with pytest.raises(ValueError, match="no Verdict"):
@@ -407,7 +438,7 @@ def test_what_no_sensor_measures_is_missing_at_the_first_row_too() -> None:
 
 
 def test_too_many_states_are_refused() -> None:
-    tones = [oscillator(0.05 * k, 0.01, 1e-3) for k in range(1, 5)]
+    tones = [oscillator(0.01 * k, 0.01, 1e-3) for k in range(1, 37)]
     component = sum(tones, motion(1, 0.01))
     assert len(component.drift) > MOST_STATES
     with pytest.raises(ModelError, match=f"up to {MOST_STATES} states"):

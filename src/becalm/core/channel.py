@@ -14,17 +14,32 @@ from numpy.typing import NDArray
 
 from becalm.core.arrays import Codes, Floats
 from becalm.core.components import Component
+from becalm.core.faults import Found
 from becalm.core.gates import Gate, level_of
 from becalm.core.limits import Limits
 from becalm.core.monitor import NEVER, Alarms
 from becalm.core.possible import largest_beside
 from becalm.core.reach import reach_of
+from becalm.core.standing import HOPS, Before
 from becalm.core.starting import known_before, refuse_singular
 from becalm.core.steps import Steps
 from becalm.core.timeline import model_system
+from becalm.core.told import Told
 from becalm.core.verdict import Verdict
 from becalm.errors import ModelError
-from becalm.native import COEFFICIENTS, MOST_STATES, SETTINGS, STATE, is_sound, process, smooth, start
+from becalm.native import (
+    COEFFICIENTS,
+    MOST_STATES,
+    SETTINGS,
+    STATE,
+    begin_after,
+    forget_counts,
+    is_sound,
+    process,
+    reduced,
+    smooth,
+    start,
+)
 
 _PARTS = 1 << 16  # of a sigma, that the monitor counts in
 _ENDLESS = 1 << 53  # equal measurements in a row: no stream has so many
@@ -65,6 +80,11 @@ class Estimates(NamedTuple):
     verdict: Codes  # (B,) values of `Verdict`
     innovation: Floats  # (B,) measurement minus its prediction, in unit; NaN where there is none
     deviation: Floats  # (B,) standard deviation that is expected of it, in unit
+    x: Floats  # (B, n) filtered states, where they were asked for, else (B, 0); NaN while nothing determines them
+
+    def told(self) -> Told:
+        """Return what is told of these rows."""
+        return Told(self.signal, self.sigma, np.empty((0, len(self.signal))), self.verdict)
 
 
 class Channel:
@@ -86,7 +106,7 @@ class Channel:
         self._settings, self._coefficients = _packed(settings), _coefficients(settings)
         self._state = start(self._settings)
 
-    def process(self, z: Floats, elapsed: Floats, timing: Codes | None = None) -> Estimates:
+    def process(self, z: Floats, elapsed: Floats, timing: Codes | None = None, *, states: bool = False) -> Estimates:
         """Process a block of rows.
 
         Parameters
@@ -97,6 +117,8 @@ class Channel:
             Steps since the row before.
         timing : (B,) int8 array, optional
             What is wrong with the time of each row, as `Verdict`; by default nothing.
+        states : bool
+            Whether the filtered states are wanted, too.
 
         Returns
         -------
@@ -109,12 +131,12 @@ class Channel:
             If there is not one step, 0 or more, for each measurement, if they are not contiguous float64, or if timing
             holds what is no `Verdict`.
         """
-        found = _empty_estimates(len(z))
+        found = _empty_estimates(len(z), int(self._settings["states"]) if states else 0)
         if timing is not None:
             if not np.isin(timing, list(Verdict)).all():
                 raise ValueError("timing holds what is no Verdict.")
             found.verdict[:] = timing
-        rows = found._asdict() | self._steps.before(elapsed) | {"z": z, "elapsed": elapsed}
+        rows = _outputs(found) | self._steps.before(elapsed) | {"z": z, "elapsed": elapsed}
         process(self._settings, self._coefficients, self._state, **rows)
         return found
 
@@ -122,6 +144,17 @@ class Channel:
     def counts(self) -> dict[Verdict, int]:
         """Count of each verdict so far."""
         return dict(zip(Verdict, self._state["counts"].tolist(), strict=True))
+
+    @property
+    def faults(self) -> dict[Verdict, Found]:
+        """What was wrong with measurements, or with their times, whatever was estimated there."""
+        met, rows, steps = (self._state[name].tolist() for name in ("met", "first_row", "first_step"))
+        return {verdict: Found(met[verdict], rows[verdict], steps[verdict]) for verdict in Verdict if met[verdict]}
+
+    @property
+    def timing_share(self) -> float:
+        """The largest share that uncertain times have added to sigma."""
+        return float(self._state["timing_share"])
 
     @property
     def powers(self) -> Floats:
@@ -145,6 +178,31 @@ class Channel:
     def is_silent(self) -> bool:
         """Whether the last window of innovations was that of a dead sensor."""
         return bool(self._state["silent"])
+
+    def begin_after(self, before: Before) -> None:
+        """Say, before the first row, what went before it."""
+        begin_after(
+            self._settings,
+            self._coefficients,
+            self._state,
+            first=before.reading,
+            rows=before.rows,
+            steps=before.steps,
+            least=before.least,
+            most=before.most,
+        )
+
+    def forget_counts(self) -> None:
+        """Count verdicts and faults from 0 again, and find anew when the gain settles."""
+        forget_counts(self._state)
+
+    def standing(self) -> dict[str, Codes]:
+        """Return only what later estimates depend on: two channels that stand alike estimate alike, to the bit.
+
+        Under `HOPS` there is what only matters to a sensor that may be dead.
+        """
+        alive, whole = (reduced(self._settings, self._state, alive=alive).tobytes() for alive in (True, False))
+        return {"channel": np.frombuffer(alive, np.int8), HOPS: np.frombuffer(whole, np.int8)}
 
     def state_dict(self) -> dict[str, Codes]:
         """Return all that later rows depend on, as plain bytes."""
@@ -223,13 +281,21 @@ def smooth_record(settings: Settings, z: Floats, elapsed: Floats) -> Estimates:
     """
     packed, found = _packed(settings._replace(gate=None)), _empty_estimates(len(z))
     steps = StepTable(settings.component).before(elapsed)
-    smooth(packed, _coefficients(settings), **found._asdict(), **steps, z=z, elapsed=elapsed)
+    smooth(packed, _coefficients(settings), **_outputs(found), **steps, z=z, elapsed=elapsed)
     return found
 
 
-def _empty_estimates(rows: int) -> Estimates:
+def _empty_estimates(rows: int, states: int = 0) -> Estimates:
     signal, sigma, innovation, deviation = np.empty((4, rows))
-    return Estimates(signal, sigma, np.zeros(rows, np.int8), innovation, deviation)
+    return Estimates(signal, sigma, np.zeros(rows, np.int8), innovation, deviation, np.empty((rows, states)))
+
+
+def _outputs(found: Estimates) -> dict[str, Any]:
+    """Return where C writes what it finds."""
+    outputs = found._asdict()
+    if not found.x.shape[1]:
+        del outputs["x"]
+    return outputs
 
 
 def _packed(settings: Settings) -> NDArray[np.void]:

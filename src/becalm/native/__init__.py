@@ -31,7 +31,7 @@ class _Block(ctypes.Structure):
     _fields_ = (*((name, ctypes.c_void_p) for name in ("z", "elapsed", "step", "F", "Q")), ("rows", ctypes.c_int64))
 
 
-_ESTIMATES = ("signal", "sigma", "verdict", "innovation", "deviation")
+_ESTIMATES = ("signal", "sigma", "verdict", "innovation", "deviation", "x")
 
 
 class _Estimate(ctypes.Structure):
@@ -50,6 +50,15 @@ def _library() -> ctypes.CDLL:
 _LIBRARY = _library()
 _LIBRARY.channel_start.argtypes, _LIBRARY.channel_start.restype = [ctypes.c_void_p] * 2, None
 _LIBRARY.channel_process.argtypes, _LIBRARY.channel_process.restype = [ctypes.c_void_p] * 5, None
+_LIBRARY.channel_begin_after.argtypes = [
+    *[ctypes.c_void_p] * 3,
+    ctypes.c_double,
+    ctypes.c_int64,
+    *[ctypes.c_double] * 3,
+]
+_LIBRARY.channel_begin_after.restype = None
+_LIBRARY.channel_reduce.argtypes, _LIBRARY.channel_reduce.restype = [*[ctypes.c_void_p] * 2, ctypes.c_int], None
+_LIBRARY.channel_forget_counts.argtypes, _LIBRARY.channel_forget_counts.restype = [ctypes.c_void_p], None
 _LIBRARY.smoother_start.argtypes, _LIBRARY.smoother_start.restype = [ctypes.c_void_p], None
 _LIBRARY.smoother_forward.argtypes, _LIBRARY.smoother_forward.restype = [ctypes.c_void_p] * 7, None
 _LIBRARY.smoother_backward.argtypes, _LIBRARY.smoother_backward.restype = [ctypes.c_void_p] * 7, None
@@ -87,6 +96,34 @@ def start(settings: NDArray[np.void]) -> NDArray[np.void]:
     return state
 
 
+def begin_after(  # noqa: PLR0913  (each by its name)
+    settings: NDArray[np.void],
+    coefficients: NDArray[np.void],
+    state: NDArray[np.void],
+    *,
+    first: float,
+    rows: int,
+    steps: float,
+    least: float,
+    most: float,
+) -> None:
+    """Say what went before the first row: the first measurement, rows, steps, and between what they lay, in unit."""
+    channel = settings.ctypes.data, coefficients.ctypes.data, state.ctypes.data
+    _LIBRARY.channel_begin_after(*channel, first, rows, steps, least, most)
+
+
+def reduced(settings: NDArray[np.void], state: NDArray[np.void], *, alive: bool) -> NDArray[np.void]:
+    """Return a state with only what later estimates depend on; of a sensor that is alive, but for its hops."""
+    own = np.frombuffer(bytearray(state.tobytes()), STATE).reshape(())  # copy() would copy the fields alone
+    _LIBRARY.channel_reduce(settings.ctypes.data, own.ctypes.data, alive)
+    return own
+
+
+def forget_counts(state: NDArray[np.void]) -> None:
+    """Count verdicts and faults from 0 again."""
+    _LIBRARY.channel_forget_counts(state.ctypes.data)
+
+
 def is_sound(settings: NDArray[np.void], state: NDArray[np.void]) -> bool:
     """Return whether a state, which may come from a file, is one that this channel can have."""
     return bool(_LIBRARY.channel_is_sound(settings.ctypes.data, state.ctypes.data))
@@ -101,7 +138,7 @@ def process(settings: NDArray[np.void], coefficients: NDArray[np.void], state: N
         Of the channel; the state changes.
     **rows : array
         z, elapsed, signal, sigma, innovation, deviation (B,), F, Q (u, n, n) of float64; step (B,) of int32, each below
-        u; verdict (B,) of int8. All are C-contiguous. See `block_t` and `estimate_t`.
+        u; verdict (B,) of int8; x (B, n) of float64, or none. All are C-contiguous. See `block_t` and `estimate_t`.
 
     Raises
     ------
@@ -147,6 +184,8 @@ def _checked(settings: NDArray[np.void], rows: dict[str, Any]) -> tuple[_Block, 
     wanted: dict[str, tuple[str, tuple[int, ...]]] = {name: ("f8", (count,)) for name in _REALS}
     wanted |= {"step": ("i4", (count,)), "verdict": ("i1", (count,))}
     wanted |= dict.fromkeys(("F", "Q"), ("f8", (len(rows["F"]), n, n)))
+    if "x" in rows:
+        wanted |= {"x": ("f8", (count, n))}
     for name, (kind, shape) in wanted.items():
         array = rows[name]
         if array.dtype != kind or array.shape != shape or not (array.flags.c_contiguous and array.flags.aligned):
@@ -157,5 +196,5 @@ def _checked(settings: NDArray[np.void], rows: dict[str, Any]) -> tuple[_Block, 
         raise ValueError("elapsed is NaN or below 0 somewhere; time only goes on.")
     at = {name: rows[name].ctypes.data for name in wanted}
     block = _Block(at["z"], at["elapsed"], at["step"], at["F"], at["Q"], count)
-    estimate = _Estimate(*(at[name] for name in _ESTIMATES))
+    estimate = _Estimate(*(at.get(name) for name in _ESTIMATES))
     return block, estimate

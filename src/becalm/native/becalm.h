@@ -12,7 +12,7 @@ typedef double real;
 #define NOT_A_NUMBER ((real)NAN)
 #define INFINITE ((real)INFINITY)
 
-enum { N_MAX = 8, NN_MAX = N_MAX * N_MAX }; /* states that a channel has at the most */
+enum { N_MAX = 72, NN_MAX = N_MAX * N_MAX }; /* states that a channel has at the most */
 
 /* What became of a measurement; the values of `becalm.core.verdict.Verdict`. */
 enum {
@@ -90,6 +90,7 @@ typedef struct {
 typedef struct {
     int64_t phase;            /* UNKNOWN, GATHERING, DETERMINED */
     real level;               /* that is subtracted from every measurement, in unit */
+    int64_t has_level;        /* whether it is known */
     real x[N_MAX], P[NN_MAX]; /* state and covariance; while GATHERING right-hand side and root of the information */
     real ahead[N_MAX];        /* predicted state, of a filter that has settled */
     real K[N_MAX], L[N_MAX];  /* gains of the filtered and of the predicted state */
@@ -118,7 +119,15 @@ typedef struct {
     real hop_power, powers[KEPT_HOPS]; /* in sigma^2 */
 } monitor_t;
 
-enum { LAYOUT = 1 }; /* of a state: raise it with every change, for a checkpoint of another one is refused */
+/* What was wrong with measurements, or with their times, whatever is estimated there; for each verdict. */
+typedef struct {
+    int64_t rows;                 /* so far */
+    real steps;                   /* from the first row to the last */
+    int64_t met[VERDICTS], first_row[VERDICTS];
+    real first_step[VERDICTS];    /* steps from the first row to there */
+} faults_t;
+
+enum { LAYOUT = 2 }; /* of a state: raise it with every change, for a checkpoint of another one is refused */
 
 /* All that later rows depend on. Its bytes are a checkpoint. */
 typedef struct {
@@ -129,7 +138,10 @@ typedef struct {
     real last_signal, slope; /* in unit, and in unit/s */
     real entered;            /* the last measurement that entered */
     int64_t missed;          /* whether the last row had none */
+    /* what no later estimate depends on */
     int64_t counts[VERDICTS];
+    faults_t faults;
+    real timing_share;       /* the largest share that uncertain times have added to sigma */
 } state_t;
 
 enum { UNKNOWN, GATHERING, DETERMINED };
@@ -148,7 +160,9 @@ typedef struct {
     real *signal, *sigma;         /* in unit */
     int8_t *verdict;              /* comes with what is wrong with a row's time */
     real *innovation, *deviation; /* what a measurement differs from its prediction by, and is expected to, in unit; NaN
-                                     where there is no prediction */
+                                     where there is no prediction, or the measurement is not believed */
+    real *x;                      /* filtered state without the level, n a row, NaN while nothing determines it; NULL: not
+                                     wanted */
 } estimate_t;
 
 /* What later rows say of a state: its smoothed value is x + P r, its covariance P - P M P. */
@@ -171,6 +185,13 @@ typedef struct {
 enum { SMOOTHED = 64 };            /* rows from one checkpoint of a smoother to the next */
 
 void channel_start(const settings_t *settings, state_t *state);
+/* Say, before the first row, what went before: the first measurement, and how many rows and steps, all measured. */
+void channel_begin_after(const settings_t *settings, const coefficients_t *model, state_t *state, real first,
+                         int64_t rows, real steps, real least, real most);
+/* Leave of a state only what later estimates depend on: where these bytes are the same, so are they. Of a sensor that is
+   surely alive where its hops begin does not matter. */
+void channel_reduce(const settings_t *settings, state_t *state, int alive);
+void channel_forget_counts(state_t *state);
 int channel_is_sound(const settings_t *settings, const state_t *state);
 void channel_process(const settings_t *settings, const coefficients_t *model, state_t *state, const block_t *block,
                      const estimate_t *estimate);

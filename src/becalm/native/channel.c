@@ -11,14 +11,23 @@
 #include "limits.h"
 #include "monitor.h"
 
-static void judge_rows(const settings_t *settings, limits_t *state, const block_t *block, const estimate_t *estimate,
+/* Count a fault that is met in the row that comes now. */
+static void meet(faults_t *faults, const int verdict) {
+    if (!faults->met[verdict]++) faults->first_row[verdict] = faults->rows, faults->first_step[verdict] = faults->steps;
+}
+
+static void judge_rows(const settings_t *settings, state_t *state, const block_t *block, const estimate_t *estimate,
                        pass_t *pass) {
+    faults_t *faults = &state->faults;
     for (int64_t row = 0; row < block->rows; row++) {
         const real z = block->z[row], elapsed = block->elapsed[row];
-        const int verdict = judge(settings, state, z, elapsed);
+        const int verdict = judge(settings, &state->limits, z, elapsed);
+        faults->steps += faults->rows ? elapsed : 0;
         if (verdict) estimate->verdict[row] = (int8_t)verdict;
+        if (estimate->verdict[row]) meet(faults, estimate->verdict[row] & (VERDICTS - 1));
+        faults->rows++;
         pass->usable[row] = verdict ? NOT_A_NUMBER : z;
-        pass->anew[row] = (int8_t)check_gap(settings, state, elapsed, verdict == USED);
+        pass->anew[row] = (int8_t)check_gap(settings, &state->limits, elapsed, verdict == USED);
     }
 }
 
@@ -30,7 +39,9 @@ static real widened(const settings_t *settings, const coefficients_t *model, sta
         if (seconds > 0 && isfinite(risen)) state->slope = risen / seconds;
         state->last_signal = signal;
         const real moved = state->slope * settings->time_std_s, more = moved * moved - settings->time_variance;
-        if (more > 0) sigma *= sqrt(1 + more / model->R);
+        const real share = more > 0 ? sqrt(1 + more / model->R) - 1 : 0;
+        state->timing_share = share > state->timing_share ? share : state->timing_share;
+        sigma *= 1 + share;
     }
     sigma *= settings->factor;
     if (settings->calibrated) {
@@ -76,6 +87,74 @@ void channel_start(const settings_t *settings, state_t *state) {
     forget(&state->filter);
 }
 
+void channel_begin_after(const settings_t *settings, const coefficients_t *model, state_t *state, const real first,
+                         const int64_t rows, const real steps, const real least, const real most) {
+    if (isfinite(first)) state->filter.level = level_from(settings, model, first), state->filter.has_level = 1;
+    state->limits.now = state->limits.last = steps, state->limits.measurements = rows;
+    state->limits.least = least, state->limits.most = most;
+    state->monitor.rows = state->faults.rows = rows, state->faults.steps = steps;
+    state->monitor.hop_count = rows % HOP;
+}
+
+/* Reduce what the limits remember. */
+static void reduce_limits(const settings_t *settings, limits_t *limits) {
+    limits_t own = *limits;
+    for (int k = 0; k < NEIGHBOURS; k++) {
+        const int64_t from = (limits->at + k) % NEIGHBOURS;
+        own.past[k] = limits->past[from], own.waits[k] = limits->waits[from];
+    }
+    own.at = 0;
+    const int64_t longest = settings->stuck > LONGEST_FILL ? settings->stuck : LONGEST_FILL;
+    own.run = limits->run < longest ? limits->run : longest;
+    own.least = limits->least < 0 ? -1 : 0, own.most = limits->most > 0; /* whether 0 would end the range */
+    own.now = limits->now - limits->last, own.last = 0;
+    const int near = limits->measurements < settings->gap_measurements ||
+                     settings->gap_spans * limits->last < settings->longest_gap;
+    if (near) own.last = limits->last;
+    own.measurements = near ? limits->measurements : settings->gap_measurements;
+    *limits = own;
+}
+
+/* Reduce what the filter knows: how it came to a gain that has settled matters no more. */
+static void reduce_filter(const settings_t *settings, filter_t *filter) {
+    const int64_t longest = settings->gate_most > GOES_ON ? settings->gate_most : GOES_ON;
+    filter->rows = filter->settled_row = 0;
+    if (filter->since_jump >= longest) filter->since_jump = longest, filter->jumped = 0;
+    if (!filter->rejected) filter->last_rejected = filter->wandered = 0;
+    if (!filter->predicted) memset(filter->ahead, 0, sizeof filter->ahead), memset(filter->L, 0, sizeof filter->L);
+    if (!filter->settled) return;
+    filter->steady = filter->next_check = filter->agreed = 0;
+    filter->S_then = filter->sigma_then = 0;
+    memset(filter->K_then, 0, sizeof filter->K_then);
+    memset(filter->variance_then, 0, sizeof filter->variance_then);
+}
+
+void channel_reduce(const settings_t *settings, state_t *state, const int alive) {
+    monitor_t *monitor = &state->monitor, watched = {0};
+    reduce_limits(settings, &state->limits);
+    reduce_filter(settings, &state->filter);
+    watched.above = monitor->above, watched.below = monitor->below;
+    if (!alive) {
+        watched.hop_count = monitor->hop_count, watched.hop_total = monitor->hop_total;
+        watched.hop_squares = monitor->hop_squares, watched.silent = monitor->silent;
+        watched.hops = monitor->hops < WINDOW_HOPS ? monitor->hops : WINDOW_HOPS;
+        memcpy(watched.totals, monitor->totals, sizeof watched.totals);
+        memcpy(watched.squares, monitor->squares, sizeof watched.squares);
+    }
+    *monitor = watched;
+    channel_forget_counts(state);
+    state->faults.rows = 0, state->faults.steps = 0;
+    if (!settings->timed) state->last_signal = state->slope = 0;
+}
+
+void channel_forget_counts(state_t *state) {
+    const faults_t blank = {.rows = state->faults.rows, .steps = state->faults.steps};
+    memset(state->counts, 0, sizeof state->counts);
+    state->faults = blank;
+    state->timing_share = 0;
+    state->filter.settled_row = -1;
+}
+
 static int is_count(const int64_t count, const int64_t most) { return count >= -most && count <= most; }
 
 static int are_finite(const real *numbers, const int count) {
@@ -112,14 +191,16 @@ int channel_is_sound(const settings_t *settings, const state_t *state) {
             is_count(monitor->hop_total, sum) && is_count(monitor->hop_squares, sum);
     for (int k = 0; k < WINDOW_HOPS - 1; k++)
         sound = sound && is_count(monitor->totals[k], (int64_t)1 << 28) && is_count(monitor->squares[k], sum);
-    for (int k = 0; k < VERDICTS; k++) sound = sound && is_count(state->counts[k], ever);
+    for (int k = 0; k < VERDICTS; k++)
+        sound = sound && is_count(state->counts[k], ever) && is_count(state->faults.met[k], ever);
+    sound = sound && is_count(state->faults.rows, ever) && isfinite(state->faults.steps);
     return sound;
 }
 
 static void process(const settings_t *settings, const coefficients_t *model, state_t *state, const block_t *block,
                     const estimate_t *estimate) {
     pass_t pass;
-    judge_rows(settings, &state->limits, block, estimate, &pass);
+    judge_rows(settings, state, block, estimate, &pass);
     filter_block(settings, model, &state->filter, block, estimate, &pass);
     watch_rows(settings, model, state, block, estimate, &pass);
 }
@@ -129,7 +210,8 @@ void channel_process(const settings_t *settings, const coefficients_t *model, st
     for (int64_t row = 0; row < block->rows; row += BLOCK) {
         block_t part = *block;
         const estimate_t out = {estimate->signal + row, estimate->sigma + row, estimate->verdict + row,
-                                estimate->innovation + row, estimate->deviation + row};
+                                estimate->innovation + row, estimate->deviation + row,
+                                estimate->x ? estimate->x + row * settings->states : NULL};
         part.z += row, part.elapsed += row, part.step += row;
         part.rows = block->rows - row < BLOCK ? block->rows - row : BLOCK;
         process(settings, model, state, &part, &out);

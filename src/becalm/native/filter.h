@@ -99,6 +99,8 @@ INLINE int64_t filter_settled(const int n, const settings_t *settings, const coe
         estimate->signal[row] = dot(n, c, s) + gain * nu + level;
         estimate->sigma[row] = sigma;
         estimate->innovation[row] = nu, estimate->deviation[row] = deviation;
+        if (estimate->x)
+            for (int i = 0; i < n; i++) estimate->x[row * n + i] = s[i] + state->K[i] * nu;
         real ahead[N_MAX];
         UNROLL
         for (int i = 0; i < n; i++) ahead[i] = dot(n, F + i * n, s) + L[i] * nu;
@@ -117,11 +119,16 @@ INLINE int64_t filter_settled(const int n, const settings_t *settings, const coe
 /* Start a filter anew, with what is known of its sensor. */
 static void forget(filter_t *state) {
     state->phase = UNKNOWN;
-    state->level = 0;
+    state->level = 0, state->has_level = 0;
     state->rejected = state->agreeing = state->since_jump = state->jumped = 0;
     state->last_rejected = state->wandered = 0;
     unsettle(state);
     state->steady = 0;
+}
+
+/* Return what measurements are relative to: the first of them, unless that would round their noise away. */
+static real level_from(const settings_t *settings, const coefficients_t *model, const real first) {
+    return model->keeps_level && fabs(first) <= settings->largest_accepted / 1000 ? first : 0;
 }
 
 /* Take one row while measurements do not determine the state: their information is gathered. */
@@ -132,8 +139,7 @@ static void open_row(const int n, const settings_t *settings, const coefficients
     if (state->phase == UNKNOWN) {
         if (!arrived) return;
         state->phase = GATHERING;
-        /* Measurements are relative to the first, unless that would round their noise away. */
-        state->level = model->keeps_level && fabs(z) <= settings->largest_accepted / 1000 ? z : 0;
+        if (!state->has_level) state->level = level_from(settings, model, z), state->has_level = 1;
         begin_information(n, model->prior, state->P, state->x);
     } else
         carry_information(n, F, Q, model->prior, state->P, state->x);
@@ -164,6 +170,7 @@ INLINE void filter_rows(const int n, const settings_t *settings, const coefficie
             const int64_t taken = filter_settled(n, settings, model, state, F, block, row, pass, estimate);
             row += taken;
             if (taken) continue;
+            unsettle(state); /* so that what follows does not depend on when the gain has settled */
         }
         if (state->phase != DETERMINED) {
             estimate->innovation[row] = estimate->deviation[row] = NOT_A_NUMBER;
@@ -176,6 +183,9 @@ INLINE void filter_rows(const int n, const settings_t *settings, const coefficie
             estimate->signal[row] = dot(n, model->c, state->x) + state->level;
             estimate->sigma[row] = state->sigma;
         }
+        if (estimate->x)
+            for (int i = 0; i < n; i++)
+                estimate->x[row * n + i] = state->phase == DETERMINED ? state->x[i] : NOT_A_NUMBER;
         state->rows++, row++;
     }
 }

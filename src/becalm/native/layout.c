@@ -49,7 +49,8 @@ const field_t *channel_state_fields(void) {
     static const field_t fields[] = {
         WHOLE(state_t, layout), WHOLE(state_t, states), IN(limits, at, 1), IN(filter, phase, 1), IN(filter, x, 0),
         IN(filter, P, 0), IN(filter, settled_row, 1), IN(monitor, hops, 1), IN(monitor, powers, 0),
-        IN(monitor, drift_since, 1), IN(monitor, silent, 1), WHOLE(state_t, counts), END(state_t),
+        IN(monitor, drift_since, 1), IN(monitor, silent, 1), WHOLE(state_t, counts), IN(faults, met, 1), IN(faults, first_row, 1),
+        IN(faults, first_step, 0), REALS(state_t, timing_share), END(state_t),
     };
 #undef IN
     return fields;

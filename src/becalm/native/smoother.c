@@ -43,7 +43,7 @@ static block_t part_of(const block_t *block, const int64_t row) {
 
 static estimate_t from_row(const estimate_t *estimate, const int64_t row) {
     const estimate_t part = {estimate->signal + row, estimate->sigma + row, estimate->verdict + row,
-                             estimate->innovation + row, estimate->deviation + row};
+                             estimate->innovation + row, estimate->deviation + row, NULL};
     return part;
 }
 
