@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,10 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from becalm.classic.causal import butterworth, moving_average
-from becalm.cleaning.channels import MotionChannel
+from becalm.cleaning.channels import CausalMotion, MotionChannel
 from becalm.cleaning.pipeline import Cleaned, clean
 from becalm.cleaning.recipe import Recipe
-from becalm.cleaning.report import ChannelReport
 from becalm.cleaning.tuning import tune
 from becalm.core.arrays import Floats
 from becalm.core.components import motion, returning_motion
@@ -234,19 +234,21 @@ def test_progress_names_every_channel() -> None:
 
 @pytest.mark.parametrize("causal", MODES)
 def test_every_channel_is_finished_before_it_reports(causal: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    finished: list[MotionChannel] = []
-    finish, report = MotionChannel.finish, MotionChannel.report
+    kind: Any = CausalMotion if causal else MotionChannel
+    finished: list[Any] = []
+    finish, report = kind.finish, kind.report
 
-    def finish_and_tell(channel: MotionChannel) -> list[Told]:
+    def finish_and_tell(channel: Any) -> list[Told]:
         finished.append(channel)
-        return finish(channel)
+        told: list[Told] = finish(channel)
+        return told
 
-    def report_once_finished(channel: MotionChannel) -> ChannelReport:
+    def report_once_finished(channel: Any) -> Any:
         assert channel in finished
         return report(channel)
 
-    monkeypatch.setattr(MotionChannel, "finish", finish_and_tell)
-    monkeypatch.setattr(MotionChannel, "report", report_once_finished)
+    monkeypatch.setattr(kind, "finish", finish_and_tell)
+    monkeypatch.setattr(kind, "report", report_once_finished)
     assert len(clean(record(Z), RECIPES[causal]).reports) == 4
     assert len(finished) == 3
 

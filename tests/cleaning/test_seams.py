@@ -134,13 +134,15 @@ def test_a_channel_that_may_be_dead_is_not_surely_alive() -> None:
     assert not channel.surely_alive
 
 
-def test_a_filter_that_waits_for_its_first_readings_cannot_be_cut() -> None:
-    channel = open_channel(CHANNELS["slope"], STEP_S, 0)
+def test_a_filter_is_cut_while_its_readings_do_not_tell_a_slope_yet() -> None:
     z = np.full(CUT, np.nan)
-    z[10] = 1.0  # one reading tells no slope
-    channel.push(z, np.ones(CUT))
-    assert channel.saved() is None
-    assert channel.standing() is None
+    z[10], z[CUT // 2 :] = 1.0, np.arange(CUT // 2)
+    whole, other = open_channel(CHANNELS["slope"], STEP_S, 0), open_channel(CHANNELS["slope"], STEP_S, 0)
+    whole.push(z[: CUT // 2], np.ones(CUT // 2))
+    held = whole.saved()
+    assert held is not None
+    other.restore(held)
+    assert same(pushed(whole, z[CUT // 2 :], np.ones(CUT // 2)), pushed(other, z[CUT // 2 :], np.ones(CUT // 2)))
 
 
 def test_a_smoother_cannot_be_cut_so() -> None:

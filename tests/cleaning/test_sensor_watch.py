@@ -115,7 +115,7 @@ def test_healthy_readings_come_back_as_they_are(z: Floats) -> None:
     assert found.readings is z
     watch = SensorWatch(found.limits, 0.01)
     assert watch.push(z, elapsed)[0] is z
-    assert watch.faults() == ()
+    assert watch.findings.faults() == ()
 
 
 def test_a_car_that_stops_for_the_first_time_is_not_stuck() -> None:
@@ -132,7 +132,7 @@ def test_most_readings_lost_is_said_first() -> None:
     z[300:] = z[300]
     watch = SensorWatch(LimitsRecipe(stuck_readings=10), 0.01)
     watch.push(z, np.ones(1000))
-    assert watch.says()[0].startswith("691 of 1000 readings are clipped or stuck")
+    assert watch.findings.says()[0].startswith("691 of 1000 readings are clipped or stuck")
 
 
 def test_limits_go_through_a_recipe_and_come_back() -> None:
@@ -181,7 +181,7 @@ def test_what_a_caller_writes_later_into_its_own_array_moves_no_time() -> None:
     elapsed[5] = 1.0
     watch.push(walk(14, 50), elapsed)
     watch.look(nu, np.ones(100))
-    drift = watch.faults()[0]
+    drift = watch.findings.faults()[0]
     assert drift.what == "drift"
     assert drift.first_s == drift.first_row - 1 + 999
 

@@ -12,11 +12,10 @@ from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.stream import StreamCleaner
 from becalm.core.arrays import Floats
 from becalm.core.kernel_outliers import Outliers
-from becalm.core.kernel_stream_tell import is_lost
 from becalm.core.limits import Limits
 from becalm.core.sentinel import Sentinel
 from becalm.core.told import Told
-from becalm.core.verdict import LOST, Verdict
+from becalm.core.verdict import Verdict
 
 LIMITS = Limits(outliers=Outliers(low=-10.0, high=10.0))
 ROWS, RATE_HZ = 600, 100.0
@@ -72,10 +71,6 @@ def test_a_hole_goes_on_behind_an_estimate_that_ran_away() -> None:
         watch.push(np.array([0.0, np.nan, np.nan, np.nan]))
         found = [watch.told(rows.rows(part)).verdicts for part in (slice(None, cut), slice(cut, None))]
         assert np.concatenate(found).tolist() == [Verdict.USED, Verdict.MISSING, Verdict.RUNAWAY, Verdict.HOLE]
-
-
-def test_the_kernel_knows_which_readings_did_not_enter() -> None:
-    assert [is_lost.py_func(verdict.value) for verdict in Verdict] == LOST.tolist()  # type: ignore[attr-defined]
 
 
 def runaway_recipe() -> Recipe:

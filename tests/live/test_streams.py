@@ -133,11 +133,11 @@ def test_other_bytes_are_no_snapshot(blob: bytes) -> None:
 def test_a_snapshot_of_another_version_is_refused() -> None:
     arrays = unpacked(snapshot())
     arrays["told"][0] += 1
-    with pytest.raises(ModelError, match="version 3; this becalm reads 2"):
+    with pytest.raises(ModelError, match="version 4; this becalm reads 3"):
         StreamCleaner.resume(packed(arrays), RECIPE)
 
 
-@pytest.mark.parametrize("name", ["group0.numbers", "group0.marks", "rhythm0", "step_s"])
+@pytest.mark.parametrize("name", ["channel0.state", "channel0.rhythm", "channel0.begun", "step_s"])
 @pytest.mark.parametrize("mistake", ["missing", "misshapen"])
 def test_a_snapshot_with_a_part_that_does_not_fit_is_refused(name: str, mistake: str) -> None:
     arrays = unpacked(snapshot())

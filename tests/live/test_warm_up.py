@@ -14,7 +14,6 @@ from becalm.core import (
     kernel_faults,
     kernel_gate,
     kernel_lag,
-    kernel_stream,
     kernel_switching,
     kernel_switching_return,
     kernel_watch,
@@ -23,7 +22,7 @@ from stream_recipes import CAUSAL, KINDS, LAGGED, RATE_HZ, recipe_of, rough, str
 
 KERNELS: list[Any] = [
     kernel_faults.find_faults, kernel_gate.find_outliers, kernel_lag.open_window, kernel_lag.run_late,
-    kernel_lag.run_out, kernel_stream.run_streams, kernel_switching.switch_forward,
+    kernel_lag.run_out, kernel_switching.switch_forward,
     kernel_switching_return.switch_late, kernel_watch.watch,
 ]  # fmt: skip
 
@@ -41,7 +40,7 @@ def test_nothing_is_left_to_compile(kind: str, how: dict[str, Any]) -> None:
 LOOK = """
 import threading
 import numpy as np
-import becalm.core.kernel_stream
+import becalm.core.kernel_lag
 from numba.core.typing.typeof import typeof_impl
 from becalm.core.components import motion
 from becalm.core.online import Online

@@ -4,29 +4,30 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import fields
-from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
 
-from becalm.cleaning.faults import SensorWatch
-from becalm.cleaning.figures import Figures, fixed_figures, mode_figures
+from becalm.cleaning.causal_channel import CausalChannel, is_causal
+from becalm.cleaning.channel_report import Filtered, advice_on, named, report_of, with_advice
+from becalm.cleaning.faults import Findings, SensorWatch
 from becalm.cleaning.filtered import FilteredChannel
+from becalm.cleaning.filters import Filter
 from becalm.cleaning.holes import Holes
-from becalm.cleaning.judging import Decision, InnovationJudge, Judgement
+from becalm.cleaning.judging import Decision, InnovationJudge
+from becalm.cleaning.limits_entry import alarms_of
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.report import ChannelReport
-from becalm.cleaning.steps import SOON
+from becalm.cleaning.uncertainty import Uncertainty
 from becalm.core.arrays import Floats
+from becalm.core.channel import Estimates
 from becalm.core.flow import Judge
+from becalm.core.monitor import InnovationMonitor
 from becalm.core.standing import Before, Rules, standing, standing_of_readings
 from becalm.core.told import Told
-from becalm.core.verdict import ADVICE, Verdict, counted
+from becalm.core.verdict import Verdict, counted
+from becalm.metrics.running import PIECE, Running
 from becalm.noise.choose import FEWEST_READINGS
-from becalm.noise.excess import excess_error
-
-_NOTHING_REMOVED = "Next to nothing was removed: noise cannot be told from motion here, so noise_std is a guess."
 
 
 class Channel(Protocol):
@@ -91,6 +92,8 @@ def open_channel(
     """
     if recipe.motion is None:
         return UnchangedChannel(recipe, step_s, split)
+    if is_causal(recipe, lag):
+        return CausalMotion(recipe, step_s, split=split, look=look)
     return MotionChannel(recipe, step_s, lag=lag, split=split, look=look)
 
 
@@ -151,10 +154,8 @@ class MotionChannel(FilteredChannel):
         held = self.saved()
         if held is None:
             return None
-        gate, watch = self._runs.gate, self.sensor
-        at_most = np.inf if gate is None else gate.at_most
-        states, reach = len(self._runs.tuning.component.drift), self._runs.reach
-        rules = Rules(states, reach, at_most, watch.stuck, watch.monitor.alarms, watch.remembers)
+        watch = self.sensor
+        rules = Rules(self._runs.reach, watch.stuck, watch.monitor.alarms, watch.remembers)
         timing = {} if self._timing is None else {"timing": held["timing_slopes"]}
         return standing(held, rules) | {"sentinel": held["sentinel"]} | timing
 
@@ -171,45 +172,104 @@ class MotionChannel(FilteredChannel):
 
     def report(self) -> ChannelReport:
         """Say what was found, once finished."""
-        tuning, figures = self._runs.tuning, self._figures()
-        smooths = (self._lag is None or self._lag > SOON) and figures.removes_noise
-        found = self._judge.judgement(partial(excess_error, tuning.counted_in(self._own)) if smooths else None)
-        says = f"{found.says} {_NOTHING_REMOVED}" if figures.removes_nothing else found.says
-        says = " ".join([says, *([] if self._timing is None else self._timing.says())])
-        return ChannelReport(
-            **_fields(found),
-            name=self._recipe.name,
-            unit=self._recipe.unit,
-            model=self._recipe.model,
-            order=tuning.order,
-            tones_hz=self._tones_hz(disturbance=False),
-            removed_hz=self._tones_hz(disturbance=True),
-            noise_std=self._runs.noise_std,
-            coloured_std=None if tuning.coloured is None else float(np.sqrt(tuning.coloured.variance)),
-            q_over_r=tuning.ratio,
-            bandwidth_hz=figures.bandwidth_hz,
-            lag_s=figures.lag_s,
-            delay_s=self._lag * self._step_s if self._lag else None,
-            independence_s=figures.independence_s,
-            tuning_spread=self._recipe.tuning_spread,
-            calibration_std=self._uncertainty.calibration_std,
-            timing_share=None if self._timing is None else self._timing.most,
-            modes=figures.modes,
-            log_likelihood=self._flow.log_likelihood,
-            settled_row=self._flow.settled_row,
-            verdicts=_named(self.counts),
-            advice=(*_advice(self.counts), *self.sensor.advice()),
-            faults=self.sensor.faults(),
-            says=_with_advice(says, self.counts, self.sensor.says()),
+        found = Filtered(
+            self._runs,
+            self.counts,
+            self.sensor.findings,
+            self._judge,
+            self._flow.shares,
+            self._uncertainty.calibration_std,
+            None if self._timing is None else self._timing.most,
+            self._flow.log_likelihood,
+            self._flow.settled_row,
         )
+        return report_of(self._recipe, self._step_s, self._lag, found)
 
-    def _figures(self) -> Figures:
-        if self._runs.modes is not None:
-            return mode_figures(self._runs.modes, self._flow.shares, self._step_s, self._lag)
-        return fixed_figures(self._runs.tuning.counted_in(self._own), self._step_s * self._own, self._lag)
 
-    def _tones_hz(self, *, disturbance: bool) -> tuple[float, ...]:
-        return tuple(tone.frequency_hz for tone in self._recipe.tone if tone.disturbance == disturbance)
+class CausalMotion:
+    """A channel that is one causal filter."""
+
+    def __init__(self, recipe: ChannelRecipe, step_s: float, *, split: bool, look: Judge | None) -> None:
+        self._recipe, self._step_s, self._split, self._also = recipe, step_s, split, look
+        self._runs, self._own = Filter(recipe, step_s, 0), recipe.own_steps(step_s)
+        self._channel = CausalChannel(recipe, step_s)
+        self._judge, self._monitor = InnovationJudge(step_s * self._own), InnovationMonitor(alarms_of(recipe.limits))
+        self._log_likelihood = Running(0.0, _with_log_densities)
+        self._uncertainty = Uncertainty(recipe.tuning_spread, recipe.calibration, recipe.limits)
+        self._counts, self._rows = Counter[Verdict](), 0
+
+    def push(self, z: Floats, elapsed: Floats) -> list[Told]:
+        """Take readings (B,) and the steps before them; return what is clean, in order."""
+        found = self._channel.process(z, elapsed, states=self._split)
+        for start in range(0, len(z), PIECE):
+            piece = slice(start, start + PIECE)
+            self._look(found.innovation[piece], found.deviation[piece], elapsed[piece])
+        self._rows += len(z)
+        self._counts.update(counted(found.verdict))
+        self._uncertainty.see(found.signal)
+        return [found.told()._replace(parts=self._parts(found))] if self._split else [found.told()]
+
+    def finish(self) -> list[Told]:
+        """Return nothing: all was given back."""
+        return []
+
+    def begin_after(self, before: Before) -> None:
+        """Say what went before the rows that will be pushed."""
+        self._channel.begin_after(before)
+        self._monitor.begin_after(before.readings, before.rows, before.steps)
+
+    def saved(self) -> dict[str, Any]:
+        """Return what later rows depend on, as arrays."""
+        return self._channel.state_dict() | self._monitor.saved()
+
+    def restore(self, arrays: Mapping[str, Any]) -> None:
+        """Take over what `saved` returned."""
+        self._channel.load_state_dict(arrays)
+        self._channel.filter.forget_counts()
+        self._monitor.restore(arrays)
+
+    def standing(self) -> dict[str, Any]:
+        """Return what later rows depend on and nothing else, so that it can be compared."""
+        return self._channel.standing()
+
+    @property
+    def surely_alive(self) -> bool:
+        """Whether no window of its innovations can have been one of a dead channel, wherever hops begin."""
+        return self._monitor.aliveness.sure
+
+    def report(self) -> ChannelReport:
+        """Say what was found, once finished."""
+        own = self._channel.filter
+        findings = Findings(self._channel.settings.limits, self._step_s, self._rows, own.faults, self._monitor)
+        found = Filtered(
+            self._runs,
+            self._counts,
+            findings,
+            self._judge,
+            shares={},
+            calibration_std=self._uncertainty.calibration_std,
+            timing_share=None if self._recipe.timing is None else own.timing_share,
+            log_likelihood=self._log_likelihood.sums(),
+            settled_row=own.settled_row,
+        )
+        return report_of(self._recipe, self._step_s, 0, found)
+
+    def _look(self, innovation: Floats, deviation: Floats, elapsed: Floats) -> None:
+        self._judge.add(innovation, deviation)
+        normalised = innovation / deviation
+        self._monitor.push(normalised, elapsed)
+        self._log_likelihood.add(-0.5 * normalised**2 - np.log(deviation) - 0.5 * np.log(2 * np.pi))
+        if self._also is not None:
+            self._also(innovation, deviation)
+
+    def _parts(self, found: Estimates) -> Floats:
+        """Return the share (p, B) of each part of the signal; the first holds the level."""
+        component = self._channel.settings.component
+        parts = np.array([output[0] @ found.x.T for _, output in component.outputs()])
+        if len(parts) == 1:
+            return found.signal[np.newaxis]
+        parts[0] += found.signal - component.signal_output[0] @ found.x.T
+        return parts
 
 
 class UnchangedChannel:
@@ -281,26 +341,12 @@ class UnchangedChannel:
             name=self._recipe.name,
             unit=self._recipe.unit,
             model=self._recipe.model,
-            verdicts=_named(self._counts),
-            advice=(*_advice(self._counts, but=Verdict.MISSING), *self._sensor.advice()),
-            faults=self._sensor.faults(),
-            says=_with_advice(says, self._counts, self._sensor.says(), but=Verdict.MISSING),
+            verdicts=named(self._counts),
+            advice=(*advice_on(self._counts, but=Verdict.MISSING), *self._sensor.findings.advice()),
+            faults=self._sensor.findings.faults(),
+            says=with_advice(says, self._counts, self._sensor.findings.says(), but=Verdict.MISSING),
         )
 
 
-def _fields(judgement: Judgement) -> dict[str, Any]:
-    return {field.name: getattr(judgement, field.name) for field in fields(judgement) if field.name != "says"}
-
-
-def _named(counts: Counter[Verdict]) -> dict[str, int]:
-    return {verdict.name.lower(): counts[verdict] for verdict in Verdict}
-
-
-def _advice(counts: Counter[Verdict], but: Verdict | None = None) -> tuple[str, ...]:
-    """Say what to do about what a filter met; of faults the sensor's watch tells."""
-    met = (Verdict.MISSING, Verdict.SPIKE, Verdict.STEP, Verdict.HOLE, Verdict.RUNAWAY)
-    return tuple(ADVICE[verdict] for verdict in met if verdict != but and counts[verdict])
-
-
-def _with_advice(says: str, counts: Counter[Verdict], faults: list[str], but: Verdict | None = None) -> str:
-    return " ".join([says, *_advice(counts, but), *faults])
+def _with_log_densities(sum_so_far: float, more: Floats) -> float:
+    return sum_so_far + float(more.sum())

@@ -14,7 +14,7 @@ from becalm.core.arrays import Codes, Floats
 from becalm.core.faults import Faults, Found, said
 from becalm.core.held import EVERY_REPEAT
 from becalm.core.kernel_outliers import HELD, OUT
-from becalm.core.limits import find_limits, stuck_at_once
+from becalm.core.limits import Limits, find_limits, stuck_at_once
 from becalm.core.look_ahead import LookAhead
 from becalm.core.monitor import InnovationMonitor
 from becalm.core.noise_change import said_of_change
@@ -57,6 +57,76 @@ class Fault:
     first_row: int
     first_s: float
     found_within_s: float
+
+
+class Findings(NamedTuple):
+    """What was found to be wrong with the sensor of one channel."""
+
+    limits: Limits  # what its readings were held against
+    step_s: float
+    rows: int  # so far
+    of_readings: dict[Verdict, Found]  # what is wrong with readings, or with their times
+    monitor: InnovationMonitor  # what is wrong with innovations
+
+    @property
+    def found(self) -> dict[Verdict, Found]:
+        """What is wrong with readings, with their time, or with innovations; what is missing is no fault."""
+        told = (Verdict.MISSING, Verdict.STUCK) if self._holds else (Verdict.MISSING,)
+        found = {verdict: one for verdict, one in self.of_readings.items() if verdict not in told}
+        return found | self.monitor.found
+
+    @property
+    def _holds(self) -> bool:
+        return self.limits.stuck_readings == EVERY_REPEAT
+
+    def _said_of_repeats(self) -> list[str]:
+        """Say how often a channel repeats a reading because no new one came."""
+        found = self.of_readings.get(Verdict.STUCK)
+        if not self._holds or found is None:
+            return []
+        if found.readings > MOST_LOST * self.rows:
+            new = self.rows / (self.rows - found.readings)
+            return [
+                f"The sensor is slower than its log: a new reading comes every {new:.3g} rows on average; the rows"
+                " between repeat it and count as missing."
+            ]
+        return [f"{found.readings} of {self.rows} rows only repeat the reading before and count as missing."]
+
+    def faults(self) -> tuple[Fault, ...]:
+        """Tell each fault, with when it came first."""
+        return tuple(
+            Fault(
+                verdict.name.lower(),
+                found.readings,
+                found.first_row + 1,
+                found.first_step * self.step_s,
+                self._delay(verdict) * self.step_s,
+            )
+            for verdict, found in sorted(self.found.items())
+        )
+
+    def _delay(self, verdict: Verdict) -> float:
+        """Return how many readings a fault lasts until it is told."""
+        alarms = self.monitor.alarms
+        if verdict in (Verdict.DRIFT, Verdict.DEAD):
+            return alarms.drift_delay if verdict == Verdict.DRIFT else alarms.dead_delay
+        return float(self.limits.stuck_readings or 0) if verdict == Verdict.STUCK else 0.0
+
+    def says(self) -> list[str]:
+        """Say what was found, when first, and what to do."""
+        lost = sum(found.readings for verdict, found in self.found.items() if verdict in _HARDLY_MEASURES)
+        told = said(self.found, self.limits, self.step_s)
+        if lost > MOST_LOST * self.rows:
+            told.insert(0, f"{lost} of {self.rows} readings are clipped or stuck: between them the signal is a guess.")
+        return [*self._said_of_repeats(), *told, *self.changes()]
+
+    def changes(self) -> list[str]:
+        """Say from when on the noise was another."""
+        return said_of_change(self.monitor.history.change(), self.step_s)
+
+    def advice(self) -> tuple[str, ...]:
+        """Say what to do about the faults that were found."""
+        return (*(ADVICE[verdict] for verdict in sorted(self.found)), *self.changes())
 
 
 class Healthy(NamedTuple):
@@ -212,64 +282,9 @@ class SensorWatch:
         return np.where((named == Verdict.USED) & (alarms > 0), alarms, named) if alarms.any() else named
 
     @property
-    def found(self) -> dict[Verdict, Found]:
-        """What is wrong with readings, with their time, or with innovations; what is missing is no fault."""
-        told = (Verdict.MISSING, Verdict.STUCK) if self._holds else (Verdict.MISSING,)
-        found = {verdict: one for verdict, one in self._faults.found.items() if verdict not in told}
-        return found | self.monitor.found
-
-    @property
-    def _holds(self) -> bool:
-        return self.stuck == EVERY_REPEAT
-
-    def _said_of_repeats(self) -> list[str]:
-        """Say how often a channel repeats a reading because no new one came."""
-        found = self._faults.found.get(Verdict.STUCK)
-        if not self._holds or found is None:
-            return []
-        if found.readings > MOST_LOST * self.rows:
-            new = self.rows / (self.rows - found.readings)
-            return [
-                f"The sensor is slower than its log: a new reading comes every {new:.3g} rows on average; the rows"
-                " between repeat it and count as missing."
-            ]
-        return [f"{found.readings} of {self.rows} rows only repeat the reading before and count as missing."]
-
-    def faults(self) -> tuple[Fault, ...]:
-        """Tell each fault, with when it came first."""
-        return tuple(
-            Fault(
-                verdict.name.lower(),
-                found.readings,
-                found.first_row + 1,
-                found.first_step * self._step_s,
-                self._delay(verdict) * self._step_s,
-            )
-            for verdict, found in sorted(self.found.items())
-        )
-
-    def _delay(self, verdict: Verdict) -> float:
-        """Return how many readings a fault lasts until it is told."""
-        alarms = self.monitor.alarms
-        if verdict in (Verdict.DRIFT, Verdict.DEAD):
-            return alarms.drift_delay if verdict == Verdict.DRIFT else alarms.dead_delay
-        return float(self._faults.stuck_delay or 0) if verdict == Verdict.STUCK else 0.0
-
-    def says(self) -> list[str]:
-        """Say what was found, when first, and what to do."""
-        lost = sum(found.readings for verdict, found in self.found.items() if verdict in _HARDLY_MEASURES)
-        told = said(self.found, self._faults.limits, self._step_s)
-        if lost > MOST_LOST * self.rows:
-            told.insert(0, f"{lost} of {self.rows} readings are clipped or stuck: between them the signal is a guess.")
-        return [*self._said_of_repeats(), *told, *self.changes()]
-
-    def changes(self) -> list[str]:
-        """Say from when on the noise was another."""
-        return said_of_change(self.monitor.history.change(), self._step_s)
-
-    def advice(self) -> tuple[str, ...]:
-        """Say what to do about the faults that were found."""
-        return (*(ADVICE[verdict] for verdict in sorted(self.found)), *self.changes())
+    def findings(self) -> Findings:
+        """What was found so far."""
+        return Findings(self._faults.limits, self._step_s, self.rows, self._faults.found, self.monitor)
 
 
 def beside_filter(verdicts: Codes, before: Codes) -> Codes:

@@ -9,6 +9,7 @@ import numpy as np
 from becalm.cleaning.modes import modes_in_steps
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.steps import gate_of, in_steps
+from becalm.core.causal_flow import CausalFlow
 from becalm.core.flow import FORGOTTEN, Flow, Judge
 from becalm.core.kernel_ahead import BLOCK
 from becalm.core.lagged_flow import LaggedFlow
@@ -97,7 +98,9 @@ class Filter:
         part, variance, gate = self.tuning.component, self.noise_variance, self.gate
         if lag:
             return LaggedFlow(part, variance, lag=lag, judge=judge, split=split, gate=gate)
-        return Flow(part, variance, causal=lag == 0, judge=judge, split=split, gate=gate)
+        if lag == 0:  # what is judged, or split, is a `CausalChannel`
+            return CausalFlow(part, variance, gate)
+        return Flow(part, variance, causal=False, judge=judge, split=split, gate=gate)
 
 
 def _reach_of_modes(modes: Switching) -> Reach:

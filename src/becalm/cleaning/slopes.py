@@ -94,13 +94,14 @@ class TimingNoise:
         self._slopes.restore(arrays["timing_slopes"])
         self._elapsed = [arrays["timing_elapsed"]]
 
-    def says(self) -> list[str]:
-        """Say what it adds, in a sentence, where that is worth one."""
-        if self.most < _WORTH_SAYING:
-            return []
-        return [f"Times uncertain by {1e6 * self._timing.std_s:.3g} us add up to {self.most:.1%} to sigma."]
-
     def _taken(self, count: int) -> Floats:
         waiting = np.concatenate([*self._elapsed, np.empty(0)])
         self._elapsed = [waiting[count:]]
         return waiting[:count]
+
+
+def said_of_times(timing: TimingRecipe | None, share: float) -> list[str]:
+    """Say what uncertain times add to sigma, in a sentence, where that is worth one."""
+    if timing is None or share < _WORTH_SAYING:
+        return []
+    return [f"Times uncertain by {1e6 * timing.std_s:.3g} us add up to {share:.1%} to sigma."]

@@ -1,7 +1,7 @@
 """A stream through a recipe: rows come as they are measured, and the numbers are those of a file.
 
-The results are those of a causal, or lagged, `clean` to 1e-12; wherever rows are cut, and wherever a stream is paused
-and resumed, they are the same to the bit.
+The results are those of a causal `clean` to the bit, and of a lagged one to 1e-12; wherever rows are cut, and wherever
+a stream is paused and resumed, they are the same to the bit.
 """
 
 from __future__ import annotations
@@ -13,23 +13,19 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 
+from becalm.cleaning.causal_channel import CausalChannel, is_causal
 from becalm.cleaning.cleaner import ReadyRows
-from becalm.cleaning.limits_entry import limits_of
 from becalm.cleaning.live_channel import mean_power, open_live
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.steps import lag_in_rows
 from becalm.cleaning.stream_modes import NO_MODES, modes_in, modes_of, with_modes
-from becalm.cleaning.together import open_together, runs_together
 from becalm.core.arrays import Codes, Floats, input_of
-from becalm.core.kernel_stream_layout import Out, Rows
 from becalm.core.packing import packed, unpacked
-from becalm.core.rhythm import Rhythm
-from becalm.core.streams import new_block
 from becalm.core.told import Told
 from becalm.core.verdict import Verdict
 from becalm.errors import ModelError, RecipeError
 
-_VERSION = 2  # 1 knew no gross outliers
+_VERSION = 3  # 1 knew no gross outliers, 2 was of other filters
 _LONGEST = 2.0**52  # steps: more than a clock can count
 _NO_SNAPSHOT = "These bytes are no snapshot of a stream"
 
@@ -96,13 +92,10 @@ class StreamCleaner:
         self.lag_rows = 0 if recipe.lag_s is None else lag_in_rows(recipe.lag_s, step_s)
         self._recipe, self._step_s, self._rows = recipe, step_s, 0
         self._mark = _mark_of(recipe)
-        joined = [c for c, one in enumerate(recipe.channel) if runs_together(one, self.lag_rows)]
-        self._together = open_together([recipe.channel[c] for c in joined], joined, step_s)
-        self._apart = {
-            c: open_live(one, step_s, self.lag_rows) for c, one in enumerate(recipe.channel) if c not in joined
-        }
+        channels = dict(enumerate(recipe.channel))
+        self._causal = {c: CausalChannel(one, step_s) for c, one in channels.items() if is_causal(one, self.lag_rows)}
+        self._apart = {c: open_live(one, step_s, self.lag_rows) for c, one in channels.items() if c not in self._causal}
         self._ready = {c: ReadyRows() for c in self._apart}
-        self._rhythms = _rhythms(recipe, joined)
         self._modes = [modes_in(one) for one in recipe.channel]
 
     def push(self, values: Floats, elapsed: Floats) -> Streamed:
@@ -126,16 +119,14 @@ class StreamCleaner:
             If the shapes do not fit each other or the recipe, or time goes backwards.
         """
         values, elapsed = self._checked(values, elapsed)
-        rows, out = new_block(values, elapsed, self._step_s)
         if not len(values):
-            return Streamed(*out, modes_of({}, self._modes))
-        self._write_timing(out.verdicts, rows)
-        for group in self._together:
-            group.push(rows, out)
+            return self._nothing()
+        columns = np.ascontiguousarray(values.T)
+        found = {c: channel.process(columns[c], elapsed).told() for c, channel in self._causal.items()}
         for c, channel in self._apart.items():
-            self._ready[c].add(channel.push(np.ascontiguousarray(values[:, c]), elapsed))
+            self._ready[c].add(channel.push(columns[c], elapsed))
         self._rows += len(values)
-        return self._answer(out)
+        return self._answer(found)
 
     def finish(self) -> Streamed:
         """Return the rows that wait, with what there is after them; nothing changes by it: more rows may follow."""
@@ -144,18 +135,16 @@ class StreamCleaner:
         other = type(self).resume(self.snapshot(), self._recipe)
         for c, channel in other._apart.items():
             other._ready[c].add(channel.finish())
-        return other._answer(None)
+        return other._answer({})
 
     def health(self) -> tuple[ChannelHealth, ...]:
         """Say how each channel is."""
         found: dict[int, ChannelHealth] = {}
         names = [channel.name for channel in self._recipe.channel]
-        for group in self._together:
-            for place, c in enumerate(group.columns):
-                counts = _in_words(group.counts(place))
-                found[c] = ChannelHealth(
-                    names[c], counts, mean_power(group.powers(place)), group.drift_since(place), group.is_silent(place)
-                )
+        for c, causal in self._causal.items():
+            now = causal.filter
+            nis = mean_power(now.powers)
+            found[c] = ChannelHealth(names[c], _in_words(now.counts), nis, now.drift_since, now.is_silent)
         for c, channel in self._apart.items():
             monitor, counts = channel.sensor.monitor, _in_words(channel.counts)
             nis = mean_power(monitor.powers)
@@ -166,9 +155,8 @@ class StreamCleaner:
         """Return all that is needed to go on later, as plain bytes; the same state gives the same bytes."""
         told = np.array([_VERSION, self._rows], np.int64)
         arrays: dict[str, Any] = {"told": told, "recipe": self._mark, "step_s": np.array([self._step_s])}
-        arrays |= {f"rhythm{k}": rhythm.offsets for k, (rhythm, _) in enumerate(self._rhythms)}
-        for k, group in enumerate(self._together):
-            arrays |= {f"group{k}.{name}": array for name, array in group.saved().items()}
+        for c, causal in self._causal.items():
+            arrays |= {f"channel{c}.{name}": array for name, array in causal.state_dict().items()}
         for c, channel in self._apart.items():
             arrays |= {f"channel{c}.{name}": array for name, array in channel.saved().items()}
             if self.lag_rows:
@@ -209,10 +197,8 @@ class StreamCleaner:
 
     def _restore(self, arrays: Mapping[str, Any]) -> None:
         self._rows = int(arrays["told"][1])
-        for k, (rhythm, _) in enumerate(self._rhythms):
-            rhythm.offsets[:] = arrays[f"rhythm{k}"]
-        for k, group in enumerate(self._together):
-            group.restore(**{name: arrays[f"group{k}.{name}"] for name in ("numbers", "marks", "known")})
+        for c, causal in self._causal.items():
+            causal.load_state_dict(_under(f"channel{c}.", arrays))
         for c, channel in self._apart.items():
             channel.restore(_under(f"channel{c}.", arrays))
             if self.lag_rows:
@@ -234,28 +220,23 @@ class StreamCleaner:
             raise ModelError(f"elapsed has {elapsed[~(elapsed >= 0.0)][0]:.6g} steps; time only goes on: 0 or more.")
         return values, np.minimum(elapsed, _LONGEST)
 
-    def _write_timing(self, verdicts: Codes, rows: Rows) -> None:
-        """Write what is wrong with the time of rows, for the channels that run together."""
-        for rhythm, columns in self._rhythms:
-            if rows.is_even and rhythm.undisturbed:
-                continue
-            codes = np.zeros(len(verdicts), np.int8)
-            rhythm.write(codes, rows.elapsed)
-            verdicts[:, columns] = codes[:, np.newaxis]
+    def _answer(self, causal: Mapping[int, Told]) -> Streamed:
+        """Return what is ready of all channels, given what is told of those that wait for nothing."""
+        found = dict(causal)
+        if self._apart:
+            count = min(ready.count for ready in self._ready.values())
+            found |= {c: ready.take(count) for c, ready in self._ready.items()}
+        channels = [found[c] for c in range(len(found))]
+        return Streamed(
+            np.column_stack([one.signal for one in channels]),
+            np.column_stack([one.sigma for one in channels]),
+            np.column_stack([one.verdicts for one in channels]),
+            modes_of(found, self._modes),
+        )
 
-    def _answer(self, out: Out | None) -> Streamed:
-        """Return what is ready of all channels."""
-        if not self._apart and out is not None:
-            return Streamed(*out)
-        count = min(ready.count for ready in self._ready.values())
-        told = {c: ready.take(count) for c, ready in self._ready.items()}
-        if self.lag_rows or out is None:
-            fields = ([getattr(told[c], name) for c in range(len(told))] for name in Out._fields)
-            joined = Out(*map(np.ascontiguousarray, map(np.column_stack, fields)))
-            return Streamed(*joined, modes_of(told, self._modes))
-        for c, one in told.items():
-            out.signal[:, c], out.sigma[:, c], out.verdicts[:, c] = one.signal, one.sigma, one.verdicts
-        return Streamed(*out, modes_of(told, self._modes))
+    def _nothing(self) -> Streamed:
+        shape = 0, len(self._recipe.channel)
+        return Streamed(np.empty(shape), np.empty(shape), np.empty(shape, np.int8), modes_of({}, self._modes))
 
 
 def _numbers(name: str, given: object) -> Any:
@@ -263,15 +244,6 @@ def _numbers(name: str, given: object) -> Any:
     if isinstance(given, np.ndarray) and given.dtype.kind in "fiub":
         return given
     raise ModelError(f"{name} is no array of numbers; give float64, as np.asarray(rows, float) does.")
-
-
-def _rhythms(recipe: Recipe, columns: list[int]) -> list[tuple[Rhythm, list[int]]]:
-    """Return what watches the time of rows, one for all channels that take the same for late and for a gap."""
-    alike: dict[tuple[bool, float], tuple[Rhythm, list[int]]] = {}
-    for c in columns:
-        limits = limits_of(recipe.channel[c].limits)
-        alike.setdefault((limits.even, limits.gap_steps), (Rhythm(limits), []))[1].append(c)
-    return list(alike.values())
 
 
 def _mark_of(recipe: Recipe) -> Codes:

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from becalm.cleaning.recipe_parts import CalibrationRecipe, LimitsRecipe
+from becalm.core.arrays import Floats
 from becalm.core.told import Told
 
 
@@ -50,11 +51,15 @@ class Uncertainty:
         mean = self._magnitudes / self._rows
         return float(np.hypot(mean * self._calibration.relative_std, self._calibration.offset_std))
 
+    def see(self, signal: Floats) -> None:
+        """Take a signal (B,), to know how large it is on average."""
+        if self._calibration is not None:
+            seen = np.abs(signal[np.isfinite(signal)])
+            self._magnitudes, self._rows = self._magnitudes + float(seen.sum()), self._rows + len(seen)
+
     def _widened(self, told: Told) -> Told:
         sigma = self._factor * told.sigma
-        if self._calibration is not None:
-            seen = np.abs(told.signal[np.isfinite(told.signal)])
-            self._magnitudes, self._rows = self._magnitudes + float(seen.sum()), self._rows + len(seen)
+        self.see(told.signal)
         if self._lasting is not None:
             relative_std, offset_std = self._lasting
             sensitivity = np.hypot(told.signal * relative_std, offset_std)

@@ -34,9 +34,6 @@ AMID = 0.01  # of what was read: nearer to an end of it is no value amid
 REACH = 256
 """Rows beyond which a reading is no neighbour."""
 
-PLAUSIBLE_LOW, PLAUSIBLE_HIGH = 2, 3
-"""Where they stand in `Outliers`."""
-
 OUT, HELD = 1, 2
 """Why a reading is none, by those on both sides of it: it is an outlier, or else one of too many that are equal."""
 

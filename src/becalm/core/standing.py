@@ -1,4 +1,4 @@
-"""Where a causal filter stands between two rows: all that later rows depend on, and nothing else.
+"""Where a causal bank stands between two rows: all that later rows depend on, and nothing else.
 
 Two filters that began in different rows of a record stand alike if these numbers are the same to the bit: then every
 later row is told the same. What is saved to go on from holds more: counts since the first row, of which only matters
@@ -14,17 +14,13 @@ import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.core.kernel_faults import FAR, HELD, LEAST, MOST, RUN
-from becalm.core.kernel_gate import GOES_ON, JUMPED, REJECTED, SINCE
 from becalm.core.kernel_outliers import LONGEST_FILL
-from becalm.core.kernel_settling import SETTLED, SIX, rename_last_step
 from becalm.core.kernel_watch import ABOVE, BELOW, COUNT, SQUARES, TOTAL
 from becalm.core.monitor import NEVER, SILENT, Alarms
 from becalm.core.reach import Reach
 
 HOPS = "hops"
 """What only matters to a channel that may be dead."""
-
-_BEHIND = 2  # what stands behind the counters: the last innovation, and whether it came
 
 
 class Before(NamedTuple):
@@ -41,9 +37,7 @@ class Before(NamedTuple):
 class Rules(NamedTuple):
     """By what a channel is filtered and watched."""
 
-    states: int  # n
     reach: Reach
-    at_most: float  # rejects in a row that a gate makes; inf without one
     stuck: int  # equal readings in a row that are called stuck; 0: never
     alarms: Alarms
     remembers: bool = False  # whether the last six readings tell gross outliers
@@ -55,7 +49,7 @@ def standing(saved: Mapping[str, Any], rules: Rules) -> dict[str, Floats]:
     Parameters
     ----------
     saved : mapping of str to array
-        What a `PartedFlow` of a `Flow`, a `Faults` and an `InnovationMonitor` have saved.
+        What a `PartedFlow` of a `SwitchingFlow`, a `Faults` and an `InnovationMonitor` have saved.
     rules : Rules
         Of the channel.
 
@@ -64,14 +58,7 @@ def standing(saved: Mapping[str, Any], rules: Rules) -> dict[str, Floats]:
     dict of str to float array
         Under the names of what they are made of; `HOPS` matters only to a channel that may be dead.
     """
-    if "flow_beliefs" in saved:
-        belief = {"filter": saved["flow_beliefs"], "flow": saved["flow_told"][:1]}
-    else:
-        belief = {
-            "filter": _of_filter(saved["flow_memory"], saved["flow_told"], rules.states),
-            "flow": saved["flow_told"],
-            "gate": _of_gate(saved["flow_gate"], rules.at_most),
-        }
+    belief = {"filter": saved["flow_beliefs"], "flow": saved["flow_told"][:1]}
     gaps, alarms = _of_gaps(saved["parted_gaps"], rules.reach), _of_alarms(saved, rules.alarms)
     return (
         belief
@@ -94,23 +81,6 @@ def alike(one: Mapping[str, Floats], other: Mapping[str, Floats], *, alive: bool
     """Whether two filters stand alike, to the bit; of one that is surely alive later on, hops may begin elsewhere."""
     asked = [name for name in one if not (alive and name == HOPS)]
     return all(np.array_equal(one[name], other[name], equal_nan=True) for name in asked)
-
-
-def _of_filter(memory: Floats, told: Floats, n: int) -> Floats:
-    """Return what a filter believes; how it came to a gain that has settled matters no more."""
-    counters = len(memory) - len(SIX) - _BEHIND
-    if memory[counters + SETTLED] >= told[0]:
-        return np.append(memory[: 2 * n + n * n + _BEHIND], 1.0)  # x, P, K, L and D
-    own = memory.copy()
-    rename_last_step(own, n, 1, None)  # its length is told elsewhere
-    return own[:-_BEHIND]
-
-
-def _of_gate(counters: Floats, at_most: float) -> Floats:
-    if not len(counters) or counters[REJECTED]:
-        return counters
-    since = min(counters[SINCE], max(at_most, GOES_ON))
-    return np.array([since, counters[JUMPED] if since < GOES_ON else 0.0])
 
 
 def _of_gaps(gaps: Floats, reach: Reach) -> Floats:

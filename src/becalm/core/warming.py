@@ -30,7 +30,6 @@ from becalm.core.kernel_gate import find_outliers
 from becalm.core.kernel_lag import run_late
 from becalm.core.kernel_online import live_kernels
 from becalm.core.kernel_outliers import mark_outliers
-from becalm.core.kernel_stream import run_streams
 from becalm.core.kernel_switching import switch_forward
 from becalm.core.kernel_switching_online import live_bank_kernels
 from becalm.core.kernel_switching_return import switch_backward, switch_late
@@ -42,7 +41,6 @@ from becalm.core.monitor import NEVER, Alarms, InnovationMonitor
 from becalm.core.online import Online
 from becalm.core.outliers import find_outlier_rule, is_outlier
 from becalm.core.smoothing import kalman_smoother
-from becalm.core.streams import StreamChannel, Streams, new_block
 from becalm.core.switching import Mode, Switching
 from becalm.core.switching_flow import SwitchingFlow
 from becalm.core.switching_lag import LaggedSwitchingFlow
@@ -61,7 +59,7 @@ _OF_BANKS = tuple(
 OF_ALL = ("faults", "outliers", "watch")
 """What every channel uses, of whatever size."""
 
-KERNELS = (*OF_ALL, "forward", "backward", "gate", "late", "live run", "live step", "stream", *_OF_BANKS)
+KERNELS = (*OF_ALL, "forward", "backward", "gate", "late", "live run", "live step", *_OF_BANKS)
 
 Use = tuple[object, Callable[[], object]]
 
@@ -167,7 +165,6 @@ def _uses_of_motion(states: int) -> dict[str, Use]:
         "late": (run_late, partial(fixed_lag_smoother, model, _READINGS, 1)),
         "live run": (live.run, partial(online.run, _READINGS)),
         "live step": (live.step, partial(online.step, 1.0)),
-        "stream": (run_streams, partial(_stream, states)),
     }
 
 
@@ -183,11 +180,6 @@ def _uses_of_bank(states: int, modes: int) -> dict[str, Use]:
     uses[f"{modes} modes run"] = live.run, partial(online.run, _READINGS)
     uses[f"{modes} modes step"] = live.step, partial(online.step, 1.0)
     return uses
-
-
-def _stream(states: int) -> None:
-    channel = StreamChannel(_motion(states), 1.0, Limits(), Alarms(NEVER, 0.0, np.inf))
-    Streams([channel], [0]).push(*new_block(_READINGS[:, np.newaxis], np.ones(len(_READINGS)), 1.0))
 
 
 def _run(flow: SwitchingFlow | LaggedSwitchingFlow) -> None:

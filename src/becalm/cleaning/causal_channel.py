@@ -1,0 +1,131 @@
+"""A channel that is one causal filter, in a file as in a stream: what its recipe says, and when its rows come."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from becalm.cleaning.limits_entry import alarms_of, limits_of
+from becalm.cleaning.recipe import ChannelRecipe
+from becalm.cleaning.steps import gate_of, in_steps
+from becalm.cleaning.uncertainty import lasting_std
+from becalm.core.arrays import Floats, input_of
+from becalm.core.channel import Channel, Estimates, Settings, Widening
+from becalm.core.rhythm import LONGEST, Rhythm
+from becalm.core.standing import Before
+from becalm.errors import ModelError
+from becalm.native import STATE
+
+
+def is_causal(recipe: ChannelRecipe, lag: int | None) -> bool:
+    """Whether a channel is one causal filter, as most are in a stream."""
+    return recipe.motion is not None and recipe.switching is None and lag == 0
+
+
+class CausalChannel:
+    """A causal filter of one channel, which watches the times of its rows as well.
+
+    Parameters
+    ----------
+    recipe : ChannelRecipe
+        In seconds and units.
+    step_s : float
+        Step in seconds.
+
+    Attributes
+    ----------
+    filter : Channel
+        What filters.
+    settings : Settings
+        What that is made of.
+
+    Raises
+    ------
+    RecipeError
+        If its numbers make no filter at this step.
+    """
+
+    def __init__(self, recipe: ChannelRecipe, step_s: float) -> None:
+        self.settings = _settings(recipe, step_s)
+        self.filter = Channel(self.settings)
+        self._rhythm, self._begun = Rhythm(self.settings.limits), False
+
+    def process(self, z: Floats, elapsed: Floats, *, states: bool = False) -> Estimates:
+        """Process the next rows.
+
+        Parameters
+        ----------
+        z : (B,) float array
+            Measurements, in unit; NaN where missing.
+        elapsed : (B,) float array
+            Steps since the row before; not looked at for the first row of all.
+        states : bool
+            Whether the filtered states are wanted, too.
+        """
+        z, elapsed = input_of(z), input_of(elapsed)
+        even = bool((elapsed[0 if self._begun else 1 :] == 1.0).all())
+        if not even or not self._begun:
+            elapsed = np.clip(np.nan_to_num(elapsed, nan=1.0), 0.0, LONGEST)
+            elapsed[: 0 if self._begun else 1] = 1.0  # the first row comes when it is due
+        self._begun = self._begun or len(z) > 0
+        if even and self._rhythm.undisturbed:
+            return self.filter.process(z, elapsed, states=states)
+        timing = np.zeros(len(z), np.int8)
+        self._rhythm.write(timing, elapsed)
+        return self.filter.process(z, elapsed, timing, states=states)
+
+    def begin_after(self, before: Before) -> None:
+        """Say, before the first row, what went before it."""
+        self.filter.begin_after(before)
+        self._begun = before.rows > 0
+
+    def standing(self) -> dict[str, Any]:
+        """Return only what later rows depend on; see `Channel.standing`."""
+        offsets = self._rhythm.offsets
+        return self.filter.standing() | {"rhythm": offsets - offsets[-1]}
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return all that later rows depend on, as arrays."""
+        state = zlib.compress(self.filter.state_dict()["state"].tobytes(), level=1)  # most of it is 0
+        offsets = self._rhythm.offsets if not self._rhythm.undisturbed else self._rhythm.offsets[:0]
+        return {"state": np.frombuffer(state, np.int8), "rhythm": offsets, "begun": np.array([int(self._begun)])}
+
+    def load_state_dict(self, arrays: Mapping[str, Any]) -> None:
+        """Take over what `state_dict` returned.
+
+        Raises
+        ------
+        ModelError
+            If these are not the bytes of such a channel.
+        """
+        packed = np.asarray(arrays["state"], np.int8).tobytes()
+        try:
+            state = zlib.decompressobj().decompress(packed, max_length=STATE.itemsize + 1)
+        except zlib.error as cause:
+            raise ModelError(f"The state of a snapshot cannot be unpacked: {cause}.") from cause
+        self.filter.load_state_dict({"state": np.frombuffer(state, np.int8)})
+        self._rhythm.offsets[:] = arrays["rhythm"] if len(arrays["rhythm"]) else 0
+        self._begun = bool(arrays["begun"][0])
+
+
+def _settings(recipe: ChannelRecipe, step_s: float) -> Settings:
+    assert recipe.motion is not None, "what has no motion passes unchanged"
+    tuning, timing = in_steps(recipe.motion, step_s), recipe.timing
+    return Settings(
+        tuning.component,
+        tuning.noise_variance,
+        step_s,
+        limits_of(recipe.limits),
+        alarms_of(recipe.limits),
+        None if recipe.gate is None else gate_of(recipe.gate, step_s),
+        Widening(
+            1.0 + recipe.tuning_spread,
+            None if timing is None else timing.std_s,
+            0.0 if timing is None else timing.included_std,
+            lasting_std(recipe.calibration, recipe.limits),
+        ),
+        recipe.unknown_from,
+    )

@@ -1,0 +1,100 @@
+"""What is reported of a channel: its filter in an engineer's words, how it was judged, and what it met."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import fields
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from becalm.cleaning.faults import Findings
+from becalm.cleaning.figures import fixed_figures, mode_figures
+from becalm.cleaning.filters import Filter
+from becalm.cleaning.judging import InnovationJudge, Judgement
+from becalm.cleaning.recipe import ChannelRecipe
+from becalm.cleaning.report import ChannelReport
+from becalm.cleaning.slopes import said_of_times
+from becalm.cleaning.steps import SOON
+from becalm.core.verdict import ADVICE, Verdict
+from becalm.noise.excess import excess_error
+
+_NOTHING_REMOVED = "Next to nothing was removed: noise cannot be told from motion here, so noise_std is a guess."
+
+
+class Filtered(NamedTuple):
+    """What a channel's filter has found, for its report."""
+
+    runs: Filter
+    counts: Counter[Verdict]
+    findings: Findings
+    judged: InnovationJudge
+    shares: dict[str, float]  # of the rows, that each mode of a bank was in force
+    calibration_std: float | None
+    timing_share: float | None
+    log_likelihood: float
+    settled_row: int | None
+
+
+def report_of(recipe: ChannelRecipe, step_s: float, lag: int | None, found: Filtered) -> ChannelReport:
+    """Return the report of a channel that was filtered."""
+    tuning, modes, own = found.runs.tuning, found.runs.modes, recipe.own_steps(step_s)
+    if modes is not None:
+        figures = mode_figures(modes, found.shares, step_s, lag)
+    else:
+        figures = fixed_figures(tuning.counted_in(own), step_s * own, lag)
+    smooths = (lag is None or lag > SOON) and figures.removes_noise
+    judged = found.judged.judgement(partial(excess_error, tuning.counted_in(own)) if smooths else None)
+    says = f"{judged.says} {_NOTHING_REMOVED}" if figures.removes_nothing else judged.says
+    says = " ".join([says, *said_of_times(recipe.timing, found.timing_share or 0.0)])
+    return ChannelReport(
+        **_fields(judged),
+        name=recipe.name,
+        unit=recipe.unit,
+        model=recipe.model,
+        order=tuning.order,
+        tones_hz=_tones_hz(recipe, disturbance=False),
+        removed_hz=_tones_hz(recipe, disturbance=True),
+        noise_std=found.runs.noise_std,
+        coloured_std=None if tuning.coloured is None else float(np.sqrt(tuning.coloured.variance)),
+        q_over_r=tuning.ratio,
+        bandwidth_hz=figures.bandwidth_hz,
+        lag_s=figures.lag_s,
+        delay_s=lag * step_s if lag else None,
+        independence_s=figures.independence_s,
+        tuning_spread=recipe.tuning_spread,
+        calibration_std=found.calibration_std,
+        timing_share=found.timing_share,
+        modes=figures.modes,
+        log_likelihood=found.log_likelihood,
+        settled_row=found.settled_row,
+        verdicts=named(found.counts),
+        advice=(*advice_on(found.counts), *found.findings.advice()),
+        faults=found.findings.faults(),
+        says=with_advice(says, found.counts, found.findings.says()),
+    )
+
+
+def _tones_hz(recipe: ChannelRecipe, *, disturbance: bool) -> tuple[float, ...]:
+    return tuple(tone.frequency_hz for tone in recipe.tone if tone.disturbance == disturbance)
+
+
+def _fields(judgement: Judgement) -> dict[str, Any]:
+    return {field.name: getattr(judgement, field.name) for field in fields(judgement) if field.name != "says"}
+
+
+def named(counts: Counter[Verdict]) -> dict[str, int]:
+    """Return how often each verdict was given, by its name."""
+    return {verdict.name.lower(): counts[verdict] for verdict in Verdict}
+
+
+def advice_on(counts: Counter[Verdict], but: Verdict | None = None) -> tuple[str, ...]:
+    """Say what to do about what a filter met; of faults the sensor's watch tells."""
+    met = (Verdict.MISSING, Verdict.SPIKE, Verdict.STEP, Verdict.HOLE, Verdict.RUNAWAY)
+    return tuple(ADVICE[verdict] for verdict in met if verdict != but and counts[verdict])
+
+
+def with_advice(says: str, counts: Counter[Verdict], faults: list[str], but: Verdict | None = None) -> str:
+    """Return what is said of a filter, with what to do about what it met, and the faults of its sensor."""
+    return " ".join([says, *advice_on(counts, but), *faults])
