@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -15,10 +16,11 @@ from becalm.core.recording import Recording
 from becalm.core.verdict import Verdict
 from becalm.errors import RecipeError
 from becalm.export.bank.text import reach_of_bank
+from becalm.export.bundle import Bundle
 from becalm.export.number_type import DOUBLE, FLOAT, NumberType
-from becalm.export.proof.compiling import OPTIMISED, SANITIZED, compilers, run
+from becalm.export.proof.compiling import OPTIMISED, SANITIZED, run
 from driven import UNDEFINED, Driven, driven_one
-from exported import built, bundle, through
+from exported import EVERY_BUILD, built, bundle, through
 
 PRECISIONS = ("float64", "float32")
 Banks = Callable[[str, str], Driven]
@@ -167,14 +169,19 @@ def test_float_refuses_what_it_cannot_hold(noise_std: float) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("flags", [*OPTIMISED, SANITIZED], ids="".join)
+@EVERY_BUILD
 @pytest.mark.parametrize("precision", PRECISIONS)
-def test_golden_vectors_pass_with_every_compiler(precision: str, flags: tuple[str, ...], tmp_path: Path) -> None:
+def test_golden_vectors_pass_with_every_compiler(
+    precision: str, compiler: str, flags: tuple[str, ...], tmp_path: Path
+) -> None:
+    ran = run(built(every_bank(precision), tmp_path, compiler, flags))
+    assert (ran.returncode, ran.stdout.count("passed:")) == (0, 10 * len(NAMES)), ran.stdout + ran.stderr
+
+
+@cache
+def every_bank(precision: str) -> Bundle:
     named = [told_of(name).model_copy(update={"name": f"c{k}"}) for k, name in enumerate(NAMES)]
-    made = bundle(*named, rate_hz=RATE_HZ, precision=precision)
-    for compiler in compilers():
-        ran = run(built(made, tmp_path, compiler, flags))
-        assert (ran.returncode, ran.stdout.count("passed:")) == (0, 10 * len(NAMES)), ran.stdout + ran.stderr
+    return bundle(*named, rate_hz=RATE_HZ, precision=precision)
 
 
 @pytest.mark.slow

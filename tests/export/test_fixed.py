@@ -16,12 +16,12 @@ from becalm.export.bundle import Bundle
 from becalm.export.fixed.text import GREATEST, factor_of, rails_of, scale_of, schedule_in
 from becalm.export.fixed.word_length import fit
 from becalm.export.number_type import DOUBLE
-from becalm.export.proof.compiling import OPTIMISED, SANITIZED, run
+from becalm.export.proof.compiling import run
 from becalm.export.settled.text import with_gains
 from becalm.export.vectors import STARTING
 from becalm.export.word_length import WordLength
 from driven import UNDEFINED, Driven, driven
-from exported import HUM, SPAN, TONE, built, bundle, channel, fixed, live, need, snr_db, through, wandering
+from exported import EVERY_BUILD, HUM, SPAN, TONE, built, bundle, channel, fixed, live, need, snr_db, through, wandering
 
 MISSING = -GREATEST - 1
 CHANNELS = {
@@ -52,8 +52,7 @@ def test_the_golden_vectors_pass(all_fixed: Bundle, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("flags", [*OPTIMISED, SANITIZED], ids=" ".join)
-@pytest.mark.parametrize("compiler", ["gcc", "clang"])
+@EVERY_BUILD
 def test_every_compiler_agrees(all_fixed: Bundle, compiler: str, flags: tuple[str, ...], tmp_path: Path) -> None:
     need(compiler)
     ran = run(built(all_fixed, tmp_path, compiler, flags))
