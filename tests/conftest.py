@@ -13,6 +13,8 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
+from forked import can_fork, command
+
 settings.register_profile("becalm", deadline=None)  # a shared machine stands still at times: that fails no test
 settings.load_profile("becalm")
 
@@ -46,11 +48,13 @@ def run(tmp_path: Path) -> Run:
     """Run becalm in a process of its own, in an empty folder."""
 
     def becalm(*words: object, **more: object) -> subprocess.CompletedProcess[str]:
-        command = [sys.executable, "-m", "becalm", *map(str, words)]
-        environment = {**os.environ, "COLUMNS": "200"}
+        arguments, environment = [*map(str, words)], {**os.environ, "COLUMNS": "200"}
+        if not more.keys() - {"input"} and can_fork(environment):
+            return command(arguments, tmp_path, environment, str(more.get("input", "")))
         ran: subprocess.CompletedProcess[str] = subprocess.run(
-            command, capture_output=True, text=True, cwd=tmp_path, env=environment, check=False, **more
-        )  # type: ignore[call-overload]
+            [sys.executable, "-m", "becalm", *arguments],
+            capture_output=True, text=True, cwd=tmp_path, env=environment, check=False, **more,
+        )  # type: ignore[call-overload]  # fmt: skip
         return ran
 
     return becalm

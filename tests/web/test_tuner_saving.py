@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import socket
-import subprocess
 import sys
 import tempfile
 from pathlib import Path
@@ -18,14 +17,13 @@ from becalm.files.asked import ReadOptions
 from becalm.files.writing import write
 from becalm.web.access import LOOPBACK
 from becalm.web.tuner import saving
+from forked import command
 from served import PATIENCE_S, TOKEN, until
 from tuner_served import Served, drive, drive_in, served
 
 
 def becalm(folder: Path, *words: str) -> None:
-    found = subprocess.run(
-        [sys.executable, "-m", "becalm", *words], cwd=folder, capture_output=True, text=True, check=False
-    )
+    found = command(words, folder, dict(os.environ))
     assert found.returncode in (0, 4), found.stderr
 
 
