@@ -23,7 +23,7 @@ from typing import Any
 _OWN = {"COLUMNS", "PYTEST_CURRENT_TEST"}
 """What of the environment a command is told; the rest is read when modules are loaded."""
 
-_BEGUN = dict(os.environ)
+_BEGUN = {**os.environ, "COLUMNS": "200"}  # a console asks for its width when it is loaded
 
 
 def command(
