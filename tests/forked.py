@@ -89,6 +89,7 @@ def _load() -> None:
 
 def _serve() -> None:
     _load()
+    assert threading.active_count() == 1, "a fork has only the thread that asked for it"
     for line in sys.stdin:
         asked = json.loads(line)
         child = os.fork()
@@ -128,5 +129,4 @@ def _piped(given: bytes) -> int:
 
 
 if __name__ == "__main__":
-    assert threading.active_count() == 1, "a fork has only the thread that asked for it"
     _serve()

@@ -258,7 +258,8 @@ class CausalMotion:
         self._judge.add(innovation, deviation)
         normalised = innovation / deviation
         self._monitor.push(normalised, elapsed)
-        self._log_likelihood.add(-0.5 * normalised**2 - np.log(deviation) - 0.5 * np.log(2 * np.pi))
+        with np.errstate(over="ignore"):  # of a reading beyond all others nothing is left of its density
+            self._log_likelihood.add(-0.5 * normalised**2 - np.log(deviation) - 0.5 * np.log(2 * np.pi))
         if self._also is not None:
             self._also(innovation, deviation)
 
