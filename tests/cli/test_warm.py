@@ -20,7 +20,7 @@ SOURCE = ROOT / "src" / "becalm"
 COMPILED_BY_MAKE = ROOT / ".venv" / "kernels"
 
 OF_ALL = ("faults", "outliers", "watch")
-OF_MOTIONS = ("forward", "backward", "gate", "late", "live run", "live step", "stream")
+OF_MOTIONS = ("forward", "backward", "gate", "late", "live run", "live step")
 TWO_MODES, FIVE_MODES = (
     tuple(f"{modes} modes {what}" for what in ("forward", "backward", "late", "run", "step")) for modes in (2, 5)
 )

@@ -23,6 +23,7 @@ from exported import built, bundle, channel, recipe_of, through
 ROWS = 4000  # after those that tell the state
 UNHURRIED = (HealthCheck.function_scoped_fixture, HealthCheck.too_slow)
 SAME = {"float64": 1e-12, "float32": 1e-8}  # of the largest signal; a table of gains in float32 ends earlier
+BRIDGED = 1e-10  # of its sigma, in a hole: a settled gain is that of the recursion to 1e-13 of a state's spread
 OTHER_UNITS = (1 + 1e-9, 1 + 3e-9, 1 + 7e-9)
 NO_SHRINKING = (Phase.explicit, Phase.reuse, Phase.generate)  # each try compiles
 SLOW_HUM = ToneRecipe(
@@ -40,6 +41,26 @@ HARDLY_TOLD = ChannelRecipe(
     tone=(SLOW_HUM,),
 )
 """Four readings tell one of its states to 2600 noises only: the last digits of its first factors show at 1e-12."""
+
+LONG_HOLE = ChannelRecipe(
+    name="ax",
+    model="motion",
+    order=4,
+    process_noise_density=1.0568046181477093e-10,
+    noise_std=0.004051323581546961,
+    damped_below_hz=0.0003191627646960998,
+    coloured_noise=ColouredNoiseRecipe(rate_hz=0.40619619946087265, coefficients=(0.6,), std=0.008102687676329738),
+    tone=(
+        ToneRecipe(
+            frequency_hz=0.18278828975739267,
+            bandwidth_hz=0.0004061961994608727,
+            process_noise_density=7.970664622337066e-07,
+            disturbance=True,
+        ),
+    ),
+    gate=GateRecipe(),
+)
+"""Forty predictions make 2200 of the last digits of its gain."""
 
 
 @st.composite
@@ -94,11 +115,11 @@ def wanted(one: Exported, told: ChannelRecipe, given_it: Floats) -> tuple[Floats
     return reference.run(given_it)
 
 
-def told_by_becalm(told: ChannelRecipe, rate_hz: float, readings: Floats) -> tuple[Floats, Codes]:
-    """Return what its stream makes of readings (N,)."""
+def told_by_becalm(told: ChannelRecipe, rate_hz: float, readings: Floats) -> tuple[Floats, Floats, Codes]:
+    """Return what its stream makes of readings (N,): signal, sigma and verdicts."""
     stream = StreamCleaner(recipe_of(told, rate_hz=rate_hz), 1 / rate_hz)
     found = stream.push(readings[:, np.newaxis], np.ones(len(readings)))
-    return found.signal[:, 0], found.verdicts[:, 0]
+    return found.signal[:, 0], found.sigma[:, 0], found.verdicts[:, 0]
 
 
 def in_unit(told: ChannelRecipe, unit: float) -> ChannelRecipe:
@@ -123,12 +144,13 @@ def check_is_becalm(one: Exported, told: ChannelRecipe, given_it: Floats, want: 
     that differ by a billionth: all last digits are then others, and nothing else.
     """
     rate_hz, known = 1 / one.design.step_s, became != STARTING
-    signal, verdicts = told_by_becalm(told, rate_hz, given_it)
+    signal, sigma, verdicts = told_by_becalm(told, rate_hz, given_it)
     others = [told_by_becalm(in_unit(told, unit), rate_hz, given_it * unit)[0] / unit for unit in OTHER_UNITS]
     rounded = max(np.abs(other - signal)[known].max() for other in others)
     np.testing.assert_array_equal(became[known], verdicts[known])
-    off = np.abs(want - signal)[known].max()
-    assert off <= SAME[one.kind.number.precision] * np.abs(want[known]).max() + 4 * rounded
+    off = np.abs(want - signal)[known]
+    bridged = np.where(np.isnan(given_it), BRIDGED * sigma, 0.0)[known]
+    assert (off <= SAME[one.kind.number.precision] * np.abs(want[known]).max() + 4 * rounded + bridged).all()
 
 
 @pytest.mark.slow
@@ -138,6 +160,7 @@ def check_is_becalm(one: Exported, told: ChannelRecipe, given_it: Floats, want: 
     suppress_health_check=UNHURRIED,
 )
 @example((HARDLY_TOLD, 1.0471285480508996), 4, "float64")
+@example((LONG_HOLE, 0.40619619946087265), 67, "float64")
 @given(recipes(), st.integers(0, 99), st.sampled_from(["float64", "float32"]))
 def test_any_recipe_exports_and_agrees(
     tmp_path: Path, drawn: tuple[ChannelRecipe, float], seed: int, precision: Precision

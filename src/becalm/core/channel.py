@@ -21,7 +21,7 @@ from becalm.core.monitor import NEVER, Alarms
 from becalm.core.possible import largest_beside
 from becalm.core.reach import reach_of
 from becalm.core.standing import HOPS, Before
-from becalm.core.starting import known_before, refuse_singular
+from becalm.core.starting import known_before, refuse_singular, root_of
 from becalm.core.steps import Steps
 from becalm.core.timeline import model_system
 from becalm.core.told import Told
@@ -352,15 +352,6 @@ def _coefficients(settings: Settings) -> NDArray[np.void]:
     coefficients["h"][:n] = model.H[0]
     coefficients["c"][:n] = (component.signal_output if settings.disturbed else component.output)[0]
     coefficients["R"] = model.R[0, 0]
-    coefficients["prior"][: n * n] = _root(known_before(model).Y).ravel()
+    coefficients["prior"][: n * n] = root_of(known_before(model).Y).ravel()
     coefficients["keeps_level"], coefficients["disturbed"] = component.keeps_level, settings.disturbed
     return coefficients
-
-
-def _root(Y: Floats) -> Floats:
-    """Return the upper triangular root of a semidefinite matrix, whatever the scales of its rows."""
-    scale = np.sqrt(np.diag(Y))
-    scale[scale == 0] = 1.0
-    values, vectors = np.linalg.eigh(Y / np.outer(scale, scale))
-    root = np.linalg.qr((vectors * np.sqrt(np.maximum(values, 0.0))).T, mode="r") * scale
-    return np.asarray(root * np.where(np.diag(root) < 0, -1.0, 1.0)[:, np.newaxis])

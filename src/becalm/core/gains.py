@@ -11,24 +11,14 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.core.kernel_online import live_kernels, new_live
-from becalm.core.kernel_settling import gain_in, has_settled
 from becalm.core.model import Model
-from becalm.core.sized import size
-from becalm.core.starting import (
-    Information,
-    carry_on,
-    is_determined,
-    known_before,
-    known_state,
-    learn,
-    refuse_singular,
-)
+from becalm.core.starting import known_before, refuse_singular, root_of
 from becalm.core.timeline import model_system
 from becalm.errors import ModelError
 
 _LONGEST_OPENING = 4096
-_ONE = size(1)
+_WELL_DETERMINED, _LIVE = 1e-6, 3e-5
+_UNCHANGED, _FIRST_CHECK = 1e-13, 32  # beside a state's spread, over the last eighth; in rows
 
 
 class Opening(NamedTuple):
@@ -53,21 +43,47 @@ def open_at(model: Model) -> Opening:
 
     Notes
     -----
-    The information of `starting` is linear in the readings: y[k] = M[k] y[k-1] + H' z[k] / R, and x = P y.
+    Square root information filter (Bierman 1977, chapter V): U x = b + e with e ~ N(0, I). Its right-hand side is kept
+    as what each reading has become of it, since it is linear in them.
     """
     refuse_singular(model_system(model))
-    F, Q, H, R, n = model.F, model.process_covariance, model.H, model.R, model.states
-    told = H.T @ np.linalg.inv(R)
-    maps: Floats = told[np.newaxis, :, 0]  # (k, n): what each reading has become of y
-    now = learn(known_before(model), H, R, np.zeros(1))
-    while not is_determined(now.Y):
-        if len(maps) == _LONGEST_OPENING:
+    n = model.states
+    prior = np.pad(root_of(known_before(model).Y), ((0, 0), (0, 1)))
+    noise, seen = root_of(model.process_covariance).T, np.append(model.H[0], 1.0) / np.sqrt(model.R[0, 0])
+    known = _triangular(np.vstack([prior, seen]), n)
+    while not _is_told(known[:, :n]):
+        if known.shape[1] - n == _LONGEST_OPENING:
             raise ModelError(f"{_LONGEST_OPENING} readings do not tell the state of this model; leave a tone out.")
-        onward = [carry_on(Information(now.Y, unit), F, Q, model).y for unit in np.eye(n)]
-        maps = np.vstack([maps @ np.array(onward), told.T])
-        now = learn(carry_on(now, F, Q, model), H, R, np.zeros(1))
-    P = known_state(now)[1]
-    return Opening(maps @ P, P)
+        told = np.hstack([seen[:n], np.zeros(known.shape[1] - n), seen[n:]])
+        known = np.pad(_onward(known, model.F, noise, prior), ((0, 0), (0, 1)))
+        known = _triangular(np.vstack([known, told]), n)
+    back = np.linalg.inv(known[:, :n])
+    return Opening((back @ known[:, n:]).T, back @ back.T)
+
+
+def _is_told(U: Floats) -> bool:
+    """Return what `try_to_determine` of `native/opening.h` says of a root of information."""
+    length = np.linalg.norm(U, axis=0)
+    if (np.abs(np.diag(U)) <= _LIVE * length).any():
+        return False
+    return bool(_WELL_DETERMINED * np.sum((np.linalg.inv(U) * length[:, np.newaxis]) ** 2) < 1)
+
+
+def _triangular(equations: Floats, n: int) -> Floats:
+    """Return equations (r, n + o) of n states as n, U beside what they equal."""
+    return np.asarray(np.linalg.qr(equations, mode="r")[:n], dtype=np.float64)
+
+
+def _onward(known: Floats, F: Floats, noise: Floats, prior: Floats) -> Floats:
+    """Predict equations (n, n + o) one step; after one so long that F has lost its inverse only the prior is left."""
+    n = len(F)
+    try:
+        W = known[:, :n] @ np.linalg.inv(F)
+    except np.linalg.LinAlgError:  # what fades has become 0
+        return np.pad(prior[:, :n], ((0, 0), (0, known.shape[1] - n)))
+    first = np.hstack([np.eye(n), np.zeros_like(known)])
+    second = np.hstack([-W @ noise, W, known[:, n:]])
+    return _triangular(np.vstack([first, second]), 2 * n)[n:, n:]
 
 
 class Gains(NamedTuple):
@@ -78,7 +94,7 @@ class Gains(NamedTuple):
 
 
 def gains_after(opening: Opening, model: Model, most: int) -> Gains:
-    """Return the gains of the rows after an opening, those of `becalm.Online`, until they settle.
+    """Return the gains of the rows after an opening until they settle; equations as in `core/reference.py`.
 
     Parameters
     ----------
@@ -89,14 +105,20 @@ def gains_after(opening: Opening, model: Model, most: int) -> Gains:
     most : int
         Rows after which it is given up.
     """
-    n = model.states
-    live = new_live(model, np.zeros(n), opening.P, fresh=False)
-    step = live_kernels(size(n), _ONE).step
+    F, Q, h, R = model.F, model.process_covariance, model.H[0], float(model.R[0, 0])
+    P, alike = opening.P, 0
     found: list[Floats] = []
-    while len(found) < most and not has_settled(live, n):
-        step(live, 0.0)
-        found.append(gain_in(live, n))
-    return Gains(np.array(found).reshape(len(found), n), has_settled(live, n))
+    while len(found) < most and alike <= model.states:
+        P = F @ P @ F.T + Q  # (2)
+        Ph = P @ h
+        K = Ph / (h @ Ph + R)  # (4), (5)
+        rest = np.eye(model.states) - np.outer(K, h)
+        P = rest @ P @ rest.T + R * np.outer(K, K)  # (7)
+        found.append(K)
+        then = found[len(found) * 7 // 8 - 1]  # a slow gain hardly changes from one row to the next
+        unchanged = np.abs(K - then) <= _UNCHANGED * (np.sqrt(np.diag(P) / R) + np.abs(K))
+        alike = alike + 1 if len(found) > _FIRST_CHECK and unchanged.all() else 0
+    return Gains(np.array(found).reshape(len(found), model.states), alike > model.states)
 
 
 class Leap(NamedTuple):

@@ -60,16 +60,6 @@ def rename_last_step(memory: Floats, n: int, m: int, number: int | None) -> None
     memory[_counters_at(n, m) + LAST_STEP] = NO_STEP if number is None else number
 
 
-def gain_in(memory: Floats, n: int) -> Floats:
-    """Return a copy of the gain (n,) in a memory (M,) of a filter of one channel."""
-    return memory[n + n * n : 2 * n + n * n].copy()
-
-
-def has_settled(memory: Floats, n: int) -> bool:
-    """Whether the gain in a memory (M,) of a filter of one channel is used again from now on."""
-    return bool(memory[_counters_at(n, 1) + SETTLED] >= GAIN)
-
-
 def _counters_at(n: int, m: int) -> int:
     return n + 2 * n * n + 2 * n * m + 2 * m * m + 2 * m
 

@@ -223,6 +223,15 @@ def regress(now: Information, F: Floats, Q: Floats) -> Regression:
     return Regression(back @ (np.eye(len(M)) - W @ M), back @ W @ b, back @ W @ back.T)
 
 
+def root_of(Y: Floats) -> Floats:
+    """Return the upper triangular root of a semidefinite matrix, whatever the scales of its rows."""
+    scale = np.sqrt(np.diag(Y))
+    scale[scale == 0] = 1.0
+    values, vectors = np.linalg.eigh(Y / np.outer(scale, scale))
+    root = np.linalg.qr((vectors * np.sqrt(np.maximum(values, 0.0))).T, mode="r") * scale
+    return np.asarray(root * np.where(np.diag(root) < 0, -1.0, 1.0)[:, np.newaxis])
+
+
 def _symmetric_inverse(Y: Floats) -> Floats:
     scale = 1 / np.sqrt(np.diag(Y))
     P = np.linalg.inv(Y * np.outer(scale, scale)) * np.outer(scale, scale)
