@@ -39,7 +39,7 @@ def linear(recipe: ChannelRecipe, sine: Floats, causal: bool) -> Floats:
     return run(tuning.component.to_model(1.0, tuning.noise_variance), sine).signal[:, 0]
 
 
-@pytest.mark.parametrize("times", [0.5, 1.0, 2.0, 4.0])
+@pytest.mark.parametrize("times", [0.5, 1.0, 4.0])
 @pytest.mark.parametrize("how", DIALS)
 @pytest.mark.parametrize("share", [0.0, 0.01], ids=["noise", "spikes"])
 def test_sines_pass_as_the_dial_promised(how: str, times: float, share: float) -> None:

@@ -36,8 +36,8 @@ def test_a_page_that_cannot_be_written_is_said_before_the_work(run: Run, tmp_pat
 
 @pytest.mark.slow
 def test_the_page_is_printed_and_written(run: Run, tmp_path: Path) -> None:
-    ran = run("study", "imu", "-o", "study")
+    ran = run("study", "car", "-o", "study")
     assert ran.returncode == 0, ran.stderr
-    page = (tmp_path / "study" / "imu.md").read_text(encoding="utf-8")
+    page = (tmp_path / "study" / "car.md").read_text(encoding="utf-8")
     assert ran.stdout.strip() == page.strip()
-    assert "480" in page
+    assert "985.6" in page

@@ -29,11 +29,11 @@ STILL = ModeRecipe(name="still", order=1, process_noise_density=0.01, noise_std=
 MOVING = ModeRecipe(name="moving", order=2, process_noise_density=3e3, noise_std=1.1, lasts_s=1.0, wild_share=0.02)
 MODES = SwitchingRecipe(kind="resting", wild_std=20.0, rejects=True, mode=(STILL, MOVING))
 SPAN = 2.0**15
-_BUILDS = [*((compiler, flags) for compiler in ("gcc", "clang") for flags in OPTIMISED), ("clang", SANITIZED)]
+_BUILDS = [*(("gcc", flags) for flags in OPTIMISED), ("clang", OPTIMISED[-1]), ("clang", SANITIZED)]
 EVERY_BUILD = pytest.mark.parametrize(
     ("compiler", "flags"), _BUILDS, ids=[" ".join([c, *flags]) for c, flags in _BUILDS]
 )
-"""Each compiler, in each way; what one's sanitizers see the other's see too."""
+"""Each compiler, one in each way; what one's sanitizers see the other's see too."""
 ANY = st.one_of(
     st.floats(width=32), st.sampled_from([np.nan, np.inf, -np.inf, 1e38, -1e38, 3e5, -3e5, 0.0, 60.0, 5e-324, 1e308])
 )

@@ -155,7 +155,7 @@ def check_is_becalm(one: Exported, told: ChannelRecipe, given_it: Floats, want: 
 
 @pytest.mark.slow
 @settings(
-    max_examples=40,
+    max_examples=25,
     phases=NO_SHRINKING,
     suppress_health_check=UNHURRIED,
 )

@@ -230,8 +230,6 @@ def test_a_chirp_is_no_band(causal: bool) -> None:
 
 PERIODIC = {
     "saw": (lambda t: (2.7 * t) % 1, 0.1),
-    "pulses": (lambda t: ((1.1 * t) % 1 < 0.1) * 1.0, 0.1),
-    "square": (lambda t: np.sign(np.sin(2 * np.pi * 1.3 * t)), 0.3),
     "harmonics": (lambda t: sum(np.sin(2 * np.pi * 3.1 * k * t) / k for k in range(1, 9)), 0.3),
 }
 

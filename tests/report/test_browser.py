@@ -86,9 +86,9 @@ def driven(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def real(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    source = DATA / "comma2k19" / "accelerometer.csv"
+    source = DATA / "comma2k19" / "can_speed.csv"
     if not source.exists():
-        pytest.skip("the recordings are not beside the project (comma2k19/accelerometer.csv)")
+        pytest.skip("the recordings are not beside the project (comma2k19/can_speed.csv)")
     return written(tmp_path_factory.mktemp("real"), read(source))
 
 
