@@ -62,6 +62,30 @@ LONG_HOLE = ChannelRecipe(
 )
 """Forty predictions make 2200 of the last digits of its gain."""
 
+WIDE_START = ChannelRecipe(
+    name="ax",
+    model="motion",
+    order=5,
+    process_noise_density=1.345028563057893e-08,
+    noise_std=1.0,
+    damped_below_hz=0.0002598323865731019,
+    tone=(
+        ToneRecipe(
+            frequency_hz=0.08573327856068487,
+            bandwidth_hz=0.003988396023595775,
+            process_noise_density=7.565247043504467e-05,
+            disturbance=True,
+        ),
+        ToneRecipe(
+            frequency_hz=0.16265471527643555,
+            bandwidth_hz=0.012942083160391221,
+            process_noise_density=0.030808758485293696,
+            disturbance=True,
+        ),
+    ),
+)
+"""Its first signal has a sigma of 17 noises: information that is inverted at each row keeps nine digits of it."""
+
 
 @st.composite
 def recipes(draw: st.DrawFn) -> tuple[ChannelRecipe, float]:
@@ -161,6 +185,7 @@ def check_is_becalm(one: Exported, told: ChannelRecipe, given_it: Floats, want: 
 )
 @example((HARDLY_TOLD, 1.0471285480508996), 4, "float64")
 @example((LONG_HOLE, 0.40619619946087265), 67, "float64")
+@example((WIDE_START, 1.0), 95, "float64")
 @given(recipes(), st.integers(0, 99), st.sampled_from(["float64", "float32"]))
 def test_any_recipe_exports_and_agrees(
     tmp_path: Path, drawn: tuple[ChannelRecipe, float], seed: int, precision: Precision

@@ -17,7 +17,7 @@ from becalm.core.timeline import model_system
 from becalm.errors import ModelError
 
 _LONGEST_OPENING = 4096
-_WELL_DETERMINED, _LIVE = 1e-6, 3e-5
+_WELL_DETERMINED, _LIVE = 1e-6, 3e-5  # those of native/opening.h
 _UNCHANGED, _FIRST_CHECK = 1e-13, 32  # beside a state's spread, over the last eighth; in rows
 
 
