@@ -27,7 +27,6 @@ from becalm.core import reference
 from becalm.core.arrays import Floats
 from becalm.core.components import motion
 from becalm.core.filtering import Estimate, Wanted, kalman_filter, run_filter
-from becalm.core.likelihood import score
 from becalm.core.model import Model
 from becalm.core.online import Online
 from becalm.core.smoothing import kalman_smoother, run_smoother
@@ -94,14 +93,6 @@ def test_a_flat_start_goes_on_as_the_reference(rows: int) -> None:
     assert_filter(rows_from(got, 2), about)
     assert_smoother(rows_from(back, 2), about)
     assert np.isfinite(back.signal).all()
-    for begin in (0, 3, 100, 255, 256, 300, 512, 1000):
-        if begin < rows:
-            expected = sum(step.log_likelihood for step in about.steps[max(begin - 2, 0) :])
-            sums = score(model, even_timeline(model, rows), z, begin)
-            assert sums is not None
-            told = -0.5 * (sums.squares + sums.log_det + sums.used * np.log(2 * np.pi))
-            assert told == pytest.approx(expected, rel=TWIN)
-            assert sums.used == np.isfinite(after[max(begin - 2, 0) :]).sum()
 
 
 def spread_out(z: Floats) -> Floats:

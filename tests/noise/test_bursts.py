@@ -78,7 +78,7 @@ def test_only_the_process_noise_of_a_burst_is_another() -> None:
     assert calm.noise_variance == burst.noise_variance == pytest.approx(NOISE**2, rel=0.06)
     assert (calm.component.drift == burst.component.drift).all()
     assert burst.component.noise_density[0, 0] > 1000 * calm.component.noise_density[0, 0]
-    assert found.tuning.noise_variance == calm.noise_variance
+    assert found.tuning.noise_variance == pytest.approx(calm.noise_variance, rel=1e-12)
     assert (found.switching.rejects, believing.switching.rejects) == (True, False)
     assert believing.log_likelihood == pytest.approx(found.log_likelihood, abs=1.0)
 

@@ -13,7 +13,8 @@ from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.steps import gate_of, in_steps
 from becalm.cleaning.uncertainty import lasting_std
 from becalm.core.arrays import Floats, input_of
-from becalm.core.channel import Channel, Estimates, Settings, Widening
+from becalm.core.channel import Channel, Estimates
+from becalm.core.channel_settings import Settings, Widening
 from becalm.core.rhythm import LONGEST, Rhythm
 from becalm.core.standing import Before
 from becalm.errors import ModelError

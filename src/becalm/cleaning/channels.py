@@ -20,11 +20,10 @@ from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.report import ChannelReport
 from becalm.cleaning.uncertainty import Uncertainty
 from becalm.core.arrays import Floats
-from becalm.core.channel import Estimates
-from becalm.core.flow import Judge
+from becalm.core.channel import log_densities, parts_of
 from becalm.core.monitor import InnovationMonitor
 from becalm.core.standing import Before, Rules, standing, standing_of_readings
-from becalm.core.told import Told
+from becalm.core.told import Judge, Told
 from becalm.core.verdict import Verdict, counted
 from becalm.metrics.running import PIECE, Running
 from becalm.noise.choose import FEWEST_READINGS
@@ -207,7 +206,8 @@ class CausalMotion:
         self._rows += len(z)
         self._counts.update(counted(found.verdict))
         self._uncertainty.see(found.signal)
-        return [found.told()._replace(parts=self._parts(found))] if self._split else [found.told()]
+        parts = parts_of(self._channel.settings.component, found) if self._split else found.told().parts
+        return [found.told()._replace(parts=parts)]
 
     def finish(self) -> list[Told]:
         """Return nothing: all was given back."""
@@ -256,21 +256,10 @@ class CausalMotion:
 
     def _look(self, innovation: Floats, deviation: Floats, elapsed: Floats) -> None:
         self._judge.add(innovation, deviation)
-        normalised = innovation / deviation
-        self._monitor.push(normalised, elapsed)
-        with np.errstate(over="ignore"):  # of a reading beyond all others nothing is left of its density
-            self._log_likelihood.add(-0.5 * normalised**2 - np.log(deviation) - 0.5 * np.log(2 * np.pi))
+        self._monitor.push(innovation / deviation, elapsed)
+        self._log_likelihood.add(log_densities(innovation, deviation))
         if self._also is not None:
             self._also(innovation, deviation)
-
-    def _parts(self, found: Estimates) -> Floats:
-        """Return the share (p, B) of each part of the signal; the first holds the level."""
-        component = self._channel.settings.component
-        parts = np.array([output[0] @ found.x.T for _, output in component.outputs()])
-        if len(parts) == 1:
-            return found.signal[np.newaxis]
-        parts[0] += found.signal - component.signal_output[0] @ found.x.T
-        return parts
 
 
 class UnchangedChannel:

@@ -16,9 +16,8 @@ from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.report import ChannelReport
 from becalm.cleaning.steps import lag_in_rows
 from becalm.core.arrays import Floats
-from becalm.core.flow import Judge
 from becalm.core.standing import Before
-from becalm.core.told import Told
+from becalm.core.told import Judge, Told
 
 
 class Cleaner:

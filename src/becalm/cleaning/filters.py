@@ -10,16 +10,16 @@ from becalm.cleaning.modes import modes_in_steps
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.steps import gate_of, in_steps
 from becalm.core.causal_flow import CausalFlow
-from becalm.core.flow import FORGOTTEN, Flow, Judge
-from becalm.core.kernel_ahead import BLOCK
 from becalm.core.lagged_flow import LaggedFlow
 from becalm.core.parted_flow import PartedFlow, PartialFlow
 from becalm.core.possible import largest_beside
 from becalm.core.reach import Reach, least_reach, reach_of
-from becalm.core.steady import rows_until
+from becalm.core.smoothed_flow import BLOCK, SmoothedFlow
+from becalm.core.steady import FORGOTTEN, rows_until
 from becalm.core.switching import Switching
 from becalm.core.switching_flow import SwitchingFlow
 from becalm.core.switching_lag import LaggedSwitchingFlow, rows_between
+from becalm.core.told import Judge
 from becalm.noise.likelihood import Tuning
 
 
@@ -72,8 +72,11 @@ class Filter:
             self.reach = reach_of(self.tuning.component, self.noise_variance)
         self.largest = largest_beside(self.noise_variance)
 
-    def opened(self, judge: Judge | None = None, *, split: bool = False) -> PartedFlow:
+    def opened(self, judge: Judge | None = None, *, split: bool = False) -> PartedFlow | SmoothedFlow:
         """Return it at the start of a record; a judge is shown its innovations, split tells its parts too."""
+        if self.lag is None and self.modes is None:
+            part = self.tuning.component
+            return SmoothedFlow(part, self.noise_variance, judge=judge, split=split, gate=self.gate)
         return PartedFlow(partial(self._part, judge, split), self.reach, self.largest)
 
     @property
@@ -98,9 +101,7 @@ class Filter:
         part, variance, gate = self.tuning.component, self.noise_variance, self.gate
         if lag:
             return LaggedFlow(part, variance, lag=lag, judge=judge, split=split, gate=gate)
-        if lag == 0:  # what is judged, or split, is a `CausalChannel`
-            return CausalFlow(part, variance, gate)
-        return Flow(part, variance, causal=False, judge=judge, split=split, gate=gate)
+        return CausalFlow(part, variance, gate)  # what is judged, or split, is a `CausalChannel`
 
 
 def _reach_of_modes(modes: Switching) -> Reach:

@@ -5,17 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-
 from becalm.core.arrays import Floats
-from becalm.core.channel import Channel, Settings
+from becalm.core.channel import Channel
+from becalm.core.channel_settings import Settings
 from becalm.core.components import Component
 from becalm.core.gates import Gate
 from becalm.core.limits import Limits
-from becalm.core.monitor import NEVER, Alarms
+from becalm.core.monitor import NO_ALARMS
 from becalm.core.told import Told
-
-_SILENT = Alarms(NEVER, 0.0, np.inf, 0.0)
 
 
 class CausalFlow:
@@ -35,7 +32,7 @@ class CausalFlow:
     """Nobody asks for it."""
 
     def __init__(self, component: Component, noise_variance: float, gate: Gate | None = None) -> None:
-        self._channel = Channel(Settings(component, noise_variance, 1.0, Limits(), _SILENT, gate))
+        self._channel = Channel(Settings(component, noise_variance, 1.0, Limits(), NO_ALARMS, gate))
 
     @property
     def settled_row(self) -> int | None:

@@ -10,66 +10,16 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from becalm.core.arrays import Codes, Floats
+from becalm.core.channel_settings import Settings, StepTable, packed_coefficients, packed_settings
 from becalm.core.components import Component
 from becalm.core.faults import Found
-from becalm.core.gates import Gate, level_of
-from becalm.core.limits import Limits
-from becalm.core.monitor import NEVER, Alarms
-from becalm.core.possible import largest_beside
-from becalm.core.reach import reach_of
 from becalm.core.standing import HOPS, Before
-from becalm.core.starting import known_before, refuse_singular, root_of
-from becalm.core.steps import Steps
-from becalm.core.timeline import model_system
 from becalm.core.told import Told
 from becalm.core.verdict import Verdict
 from becalm.errors import ModelError
-from becalm.native import (
-    COEFFICIENTS,
-    MOST_STATES,
-    SETTINGS,
-    STATE,
-    begin_after,
-    forget_counts,
-    is_sound,
-    process,
-    reduced,
-    smooth,
-    start,
-)
-
-_PARTS = 1 << 16  # of a sigma, that the monitor counts in
-_ENDLESS = 1 << 53  # equal measurements in a row: no stream has so many
-
-
-class Widening(NamedTuple):
-    """What makes the sigma of a signal larger than its filter's: by a share, by times, and by a calibration."""
-
-    factor: float = 1.0
-    time_std_s: float | None = None  # standard uncertainty of a measurement's time
-    included_std: float = 0.0  # what of it the noise holds already
-    calibration: tuple[float, float] | None = None  # standard uncertainties of sensitivity, as a share, and of zero
-
-
-class Settings(NamedTuple):
-    """What a recipe says of one channel."""
-
-    component: Component  # in steps
-    noise_variance: float  # R, in unit^2
-    step_s: float
-    limits: Limits
-    alarms: Alarms
-    gate: Gate | None = None
-    widening: Widening = Widening()
-    unknown_from: float = np.inf  # sigma from which on a row without a measurement is a hole, in unit
-
-    @property
-    def disturbed(self) -> bool:
-        """Whether its signal is less than what is measured."""
-        return any(part.disturbance for part in self.component.parts)
+from becalm.native import STATE, begin_after, forget_counts, is_sound, process, reduced, start
 
 
 class Estimates(NamedTuple):
@@ -82,9 +32,38 @@ class Estimates(NamedTuple):
     deviation: Floats  # (B,) standard deviation that is expected of it, in unit
     x: Floats  # (B, n) filtered states, where they were asked for, else (B, 0); NaN while nothing determines them
 
+    @classmethod
+    def room(cls, rows: int, states: int = 0) -> Estimates:
+        """Make room for what is estimated of some rows, and of so many states."""
+        signal, sigma, innovation, deviation = np.empty((4, rows))
+        return cls(signal, sigma, np.zeros(rows, np.int8), innovation, deviation, np.empty((rows, states)))
+
+    def outputs(self) -> dict[str, Any]:
+        """Return where C writes what it finds."""
+        outputs = self._asdict()
+        if not self.x.shape[1]:
+            del outputs["x"]
+        return outputs
+
     def told(self) -> Told:
         """Return what is told of these rows."""
         return Told(self.signal, self.sigma, np.empty((0, len(self.signal))), self.verdict)
+
+
+def log_densities(innovation: Floats, deviation: Floats) -> Floats:
+    """Return the log-likelihood (B,) of measurements, given those before; NaN where there is none."""
+    with np.errstate(over="ignore"):  # of a reading beyond all others nothing is left of its density
+        densities: Floats = -0.5 * (innovation / deviation) ** 2 - np.log(deviation) - 0.5 * np.log(2 * np.pi)
+    return densities
+
+
+def parts_of(component: Component, found: Estimates) -> Floats:
+    """Return the share (p, B) of each part of a signal whose states were asked for; the first holds the level."""
+    parts = np.array([output[0] @ found.x.T for _, output in component.outputs()])
+    if len(parts) == 1:
+        return found.signal[np.newaxis]
+    parts[0] += found.signal - component.signal_output[0] @ found.x.T
+    return parts
 
 
 class Channel:
@@ -103,7 +82,10 @@ class Channel:
 
     def __init__(self, settings: Settings) -> None:
         self._steps = StepTable(settings.component)
-        self._settings, self._coefficients = _packed(settings), _coefficients(settings)
+        self._settings = packed_settings(settings)
+        self._coefficients = packed_coefficients(
+            settings.component, settings.noise_variance, disturbed=settings.disturbed
+        )
         self._state = start(self._settings)
 
     def process(self, z: Floats, elapsed: Floats, timing: Codes | None = None, *, states: bool = False) -> Estimates:
@@ -131,12 +113,12 @@ class Channel:
             If there is not one step, 0 or more, for each measurement, if they are not contiguous float64, or if timing
             holds what is no `Verdict`.
         """
-        found = _empty_estimates(len(z), int(self._settings["states"]) if states else 0)
+        found = Estimates.room(len(z), int(self._settings["states"]) if states else 0)
         if timing is not None:
             if not np.isin(timing, list(Verdict)).all():
                 raise ValueError("timing holds what is no Verdict.")
             found.verdict[:] = timing
-        rows = _outputs(found) | self._steps.before(elapsed) | {"z": z, "elapsed": elapsed}
+        rows = found.outputs() | self._steps.before(elapsed) | {"z": z, "elapsed": elapsed}
         process(self._settings, self._coefficients, self._state, **rows)
         return found
 
@@ -225,133 +207,3 @@ class Channel:
         if not is_sound(self._settings, loaded):
             raise ModelError("The state of a snapshot says what none can say; pass what snapshot() returned.")
         self._state = loaded
-
-
-class StepTable:
-    """The matrices of steps, for the kernel.
-
-    Parameters
-    ----------
-    component : Component
-        In steps.
-    """
-
-    def __init__(self, component: Component) -> None:
-        self._steps, self._in_steps = Steps(component), component.goes_in_steps
-        self._lengths, self._matrices = np.ones(1), self._steps.over(np.ones(1))
-
-    def before(self, elapsed: Floats) -> dict[str, NDArray[np.int32] | Floats]:
-        """Return which step each of some rows follows, and the matrices of these steps; those of the last are kept."""
-        lengths, step = elapsed[:1], np.zeros(len(elapsed), np.int32)
-        if not (elapsed == lengths).all():
-            lengths, rows = np.unique(elapsed, return_inverse=True)
-            step = rows.astype(np.int32)
-        if not np.array_equal(lengths, self._lengths) and len(lengths):
-            wanted = np.round(lengths) if self._in_steps else lengths  # the nearest: no stream ends by a late row
-            self._lengths, self._matrices = lengths.copy(), self._steps.over(wanted)
-        F, Q = self._matrices
-        return {"step": step, "F": F, "Q": Q}
-
-
-def smooth_record(settings: Settings, z: Floats, elapsed: Floats) -> Estimates:
-    """Smooth a record of one channel: each estimate knows all of its rows.
-
-    Parameters
-    ----------
-    settings : Settings
-        What the channel is made of; its limits, gate and alarms are not looked at.
-    z : (N,) float array
-        Measurements that may enter, in unit; NaN elsewhere.
-    elapsed : (N,) float array
-        Steps since the row before.
-
-    Returns
-    -------
-    Estimates
-        Of each row; innovations are those of the pass forward.
-
-    Raises
-    ------
-    ModelError
-        If the channel cannot start from measurements alone.
-
-    Notes
-    -----
-    Bryson and Frazier (1963), Bierman (1973); equations (9) to (12) of `becalm.core.reference`.
-    """
-    packed, found = _packed(settings._replace(gate=None)), _empty_estimates(len(z))
-    steps = StepTable(settings.component).before(elapsed)
-    smooth(packed, _coefficients(settings), **_outputs(found), **steps, z=z, elapsed=elapsed)
-    return found
-
-
-def _empty_estimates(rows: int, states: int = 0) -> Estimates:
-    signal, sigma, innovation, deviation = np.empty((4, rows))
-    return Estimates(signal, sigma, np.zeros(rows, np.int8), innovation, deviation, np.empty((rows, states)))
-
-
-def _outputs(found: Estimates) -> dict[str, Any]:
-    """Return where C writes what it finds."""
-    outputs = found._asdict()
-    if not found.x.shape[1]:
-        del outputs["x"]
-    return outputs
-
-
-def _packed(settings: Settings) -> NDArray[np.void]:
-    limits, gate, widening = settings.limits, settings.gate, settings.widening
-    outliers, reach = limits.outliers, reach_of(settings.component, settings.noise_variance)
-    timed, calibrated = widening.time_std_s is not None, widening.calibration is not None
-    values = {
-        "states": len(settings.component.drift),
-        "low": limits.low,
-        "high": limits.high,
-        "largest": limits.largest,
-        "largest_accepted": largest_beside(settings.noise_variance),
-        "stuck": min(limits.stuck_readings or 0, _ENDLESS),
-        "outlier_distance": outliers.causal_distance,
-        "plausible_low": outliers.low,
-        "plausible_high": outliers.high,
-        "repeats_are_one": outliers.repeats_are_one,
-        "blank": outliers.blank,
-        "longest_gap": reach.longest,
-        "gap_spans": reach.spans,
-        "gap_measurements": reach.readings,
-        "gated": gate is not None,
-        "gate_threshold": gate.threshold if gate else np.inf,
-        "gate_agree": gate.agree if gate else 0,
-        "gate_most": gate.at_most if gate else 0,
-        "gate_level": level_of(settings.component.to_model(1.0, settings.noise_variance)) if gate else -1,
-        "drift_threshold": int(np.ceil(min(settings.alarms.drift_threshold, NEVER) * _PARTS)),
-        "dead_variance": settings.alarms.dead_variance,
-        "timed": timed,
-        "step_s": settings.step_s,
-        "time_std_s": widening.time_std_s if timed else 0.0,
-        "time_variance": widening.included_std**2,
-        "factor": widening.factor,
-        "calibrated": calibrated,
-        "relative_std": widening.calibration[0] if widening.calibration else 0.0,
-        "offset_std": widening.calibration[1] if widening.calibration else 0.0,
-        "unknown_from": settings.unknown_from,
-    }
-    packed = np.zeros((), SETTINGS)
-    assert set(values) == set(SETTINGS.names or ()), "every field of the kernel's settings is filled in"
-    for name, value in values.items():
-        packed[name] = value
-    return packed
-
-
-def _coefficients(settings: Settings) -> NDArray[np.void]:
-    component = settings.component
-    model = component.to_model(1.0, settings.noise_variance)
-    refuse_singular(model_system(model))
-    n = model.states
-    if n > MOST_STATES:
-        raise ModelError(f"A channel has up to {MOST_STATES} states; this one has {n}. Leave a tone out.")
-    coefficients = np.zeros((), COEFFICIENTS)
-    coefficients["h"][:n] = model.H[0]
-    coefficients["c"][:n] = (component.signal_output if settings.disturbed else component.output)[0]
-    coefficients["R"] = model.R[0, 0]
-    coefficients["prior"][: n * n] = root_of(known_before(model).Y).ravel()
-    coefficients["keeps_level"], coefficients["disturbed"] = component.keeps_level, settings.disturbed
-    return coefficients

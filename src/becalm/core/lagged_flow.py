@@ -13,14 +13,13 @@ import numpy as np
 from becalm.core.arrays import Codes, Floats
 from becalm.core.components import Component
 from becalm.core.fixed_lag import FixedLag
-from becalm.core.flow import Judge
 from becalm.core.gates import Gate, Gatekeeper
 from becalm.core.kernel_settling import COVARIANCE, GAIN
 from becalm.core.possible import largest_beside, level_by
 from becalm.core.starting import first_reading
 from becalm.core.steps import Steps
 from becalm.core.timeline import elapsed_timeline
-from becalm.core.told import Told
+from becalm.core.told import Judge, Told
 from becalm.core.verdict import judge as judge_readings
 
 

@@ -1,16 +1,12 @@
-"""The likelihood of a record and nothing else: what tuning asks for, dozens of times a channel."""
+"""The likelihood of a record of a model and nothing else; of one channel `becalm.core.record.Record.score` tells it."""
 
 from __future__ import annotations
 
 from numpy.typing import ArrayLike
 
-from becalm.core import starting
-from becalm.core.arrays import Floats
-from becalm.core.filtering import Sums, Wanted, checked_readings, new_trace, run_filter, sizes_of
-from becalm.core.kernel_settling import GAIN, new_memory
-from becalm.core.kernels import forward
+from becalm.core.filtering import Wanted, checked_readings, run_filter
 from becalm.core.model import Model
-from becalm.core.timeline import Timeline, even_timeline
+from becalm.core.timeline import even_timeline
 
 NOTHING = Wanted(sigma=False, innovations=False, signal=False)
 
@@ -36,23 +32,3 @@ def log_likelihood(model: Model, z: ArrayLike) -> float:
     """
     readings = checked_readings(model, z)
     return run_filter(model, even_timeline(model, len(readings)), readings, NOTHING).estimate.log_likelihood
-
-
-def score(model: Model, timeline: Timeline, z: Floats, scored_from: int) -> Sums | None:
-    """Return what makes the likelihood of the rows from `scored_from` on, after a start from the first readings.
-
-    None where the readings (N, m) do not tell the state.
-    """
-    opening = starting.open_record(timeline, z, model)
-    if not opening.known or opening.rows >= len(z):
-        return None
-    memory, trace = new_memory(opening.x, opening.P, model.channels), new_trace(model, len(z), NOTHING)
-    begun = opening.rows
-    if begun < scored_from:
-        head = timeline.record(z[:scored_from])
-        forward(sizes_of(model), timeline.system, head, begun, GAIN, memory, trace)
-        begun = scored_from
-    squares, log_det, used, _ = forward(
-        sizes_of(model), timeline.system, timeline.record(z), begun, GAIN, memory, trace
-    )
-    return Sums(squares, log_det, used)

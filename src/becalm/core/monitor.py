@@ -60,6 +60,10 @@ class Alarms(NamedTuple):
         return WINDOW + HOP
 
 
+NO_ALARMS = Alarms(NEVER, 0.0, np.inf, 0.0)
+"""Of what nobody watches."""
+
+
 def find_alarms(false_alarms_per_hour: float, step_s: float, healthy: Floats | None = None) -> Alarms:
     """Choose the thresholds so that white innovations of variance 1 raise no more false alarms than this.
 

@@ -46,6 +46,10 @@ def steady(model: Model, output: ArrayLike | None = None) -> SteadyFilter:
     return SteadyFilter(model, P, K, (np.eye(model.states) - K @ model.H) @ model.F, S, row)
 
 
+FORGOTTEN = 1e-13
+"""Share by which what later rows say may still depend on rows that are not there yet."""
+
+
 def rows_until(share: float, model: Model) -> float:
     """Return after how many readings only a share is left of what a filter of one channel began with.
 

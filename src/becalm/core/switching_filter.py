@@ -8,13 +8,12 @@ from typing import Any
 import numpy as np
 
 from becalm.core.arrays import Codes, Floats, Integers
-from becalm.core.flow import Judge
 from becalm.core.kernel_switching import SwitchingTrace, switch_forward
 from becalm.core.kernel_switching_row import Bank, memory_length
 from becalm.core.possible import largest_beside, level_by
 from becalm.core.starting import first_reading
 from becalm.core.switching import Switching
-from becalm.core.told import Told
+from becalm.core.told import Judge, Told
 from becalm.core.verdict import Judged, Verdict, judge
 from becalm.errors import ModelError
 

@@ -12,16 +12,15 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Codes, Floats, Integers
-from becalm.core.flow import FORGOTTEN, Judge
 from becalm.core.kernel_ahead import BLOCK
 from becalm.core.kernel_switching import NOTHING_WANTED, note_length, switch_forward
 from becalm.core.kernel_switching_ahead import outlook_length
 from becalm.core.kernel_switching_return import switch_backward
 from becalm.core.kernel_switching_row import Bank, memory_length
-from becalm.core.steady import steady
+from becalm.core.steady import FORGOTTEN, steady
 from becalm.core.switching import Switching, numbered_steps
 from becalm.core.switching_filter import ByModes, SwitchingFilter, with_spikes
-from becalm.core.told import Rows, Told
+from becalm.core.told import Judge, Rows, Told
 from becalm.errors import ModelError
 
 _LEAST_GROUP = 64 * BLOCK

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +10,9 @@ import numpy as np
 from becalm.core.arrays import Booleans, Codes, Floats
 from becalm.core.filtering import Estimate
 from becalm.core.verdict import Verdict
+
+Judge = Callable[[Floats, Floats], None]
+"""Takes innovations and their expected standard deviations, (B,) each."""
 
 
 class Rows(NamedTuple):

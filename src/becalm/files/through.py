@@ -22,8 +22,7 @@ if TYPE_CHECKING:
     from becalm.cleaning.report import ChannelReport
     from becalm.core.arrays import Floats
     from becalm.core.clock import Clock
-    from becalm.core.flow import Judge
-    from becalm.core.told import Told
+    from becalm.core.told import Judge, Told
     from becalm.files.chunk import Chunk
     from becalm.files.opening import OpenSource
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import ctypes
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,11 +27,12 @@ class _Field(ctypes.Structure):
     )
 
 
-class _Block(ctypes.Structure):
-    _fields_ = (*((name, ctypes.c_void_p) for name in ("z", "elapsed", "step", "F", "Q")), ("rows", ctypes.c_int64))
-
-
+_ROWS = ("z", "elapsed", "step", "F", "Q")
 _ESTIMATES = ("signal", "sigma", "verdict", "innovation", "deviation", "x")
+
+
+class _Block(ctypes.Structure):
+    _fields_ = (*((name, ctypes.c_void_p) for name in _ROWS), ("rows", ctypes.c_int64))
 
 
 class _Estimate(ctypes.Structure):
@@ -59,11 +60,15 @@ _LIBRARY.channel_begin_after.argtypes = [
 _LIBRARY.channel_begin_after.restype = None
 _LIBRARY.channel_reduce.argtypes, _LIBRARY.channel_reduce.restype = [*[ctypes.c_void_p] * 2, ctypes.c_int], None
 _LIBRARY.channel_forget_counts.argtypes, _LIBRARY.channel_forget_counts.restype = [ctypes.c_void_p], None
-_LIBRARY.smoother_start.argtypes, _LIBRARY.smoother_start.restype = [ctypes.c_void_p], None
-_LIBRARY.smoother_forward.argtypes, _LIBRARY.smoother_forward.restype = [ctypes.c_void_p] * 7, None
-_LIBRARY.smoother_backward.argtypes, _LIBRARY.smoother_backward.restype = [ctypes.c_void_p] * 7, None
+_LIBRARY.smoother_start.argtypes, _LIBRARY.smoother_start.restype = [ctypes.c_void_p] * 2, None
+_LIBRARY.smoother_forward.argtypes = [*[ctypes.c_void_p] * 7, ctypes.c_int]
+_LIBRARY.smoother_forward.restype = ctypes.c_int64
+_LIBRARY.smoother_backward.argtypes = [*[ctypes.c_void_p] * 7, ctypes.c_int]
+_LIBRARY.smoother_backward.restype = None
 _LIBRARY.channel_is_sound.argtypes, _LIBRARY.channel_is_sound.restype = [ctypes.c_void_p] * 2, ctypes.c_int
-_LIBRARY.smoother_checkpoints.argtypes, _LIBRARY.smoother_checkpoints.restype = [ctypes.c_int64], ctypes.c_int64
+_LIBRARY.smoother_room.argtypes, _LIBRARY.smoother_room.restype = [ctypes.c_int64] * 2, ctypes.c_int64
+_LIBRARY.likelihood_add.argtypes = [*[ctypes.c_void_p] * 3, ctypes.c_int64, ctypes.c_void_p]
+_LIBRARY.likelihood_add.restype = None
 
 
 def _layout_of(struct: str) -> np.dtype[np.void]:
@@ -84,8 +89,8 @@ def _layout_of(struct: str) -> np.dtype[np.void]:
 
 
 SETTINGS, COEFFICIENTS, STATE = map(_layout_of, ("settings", "coefficients", "state"))
-_FILTER, _SMOOTHER = (_layout_of(struct).itemsize for struct in ("filter", "smoother"))
-_REALS = ("z", "elapsed", "signal", "sigma", "innovation", "deviation")
+_FORWARD, _FUTURE, _SCORE = map(_layout_of, ("forward", "future", "score"))
+DETERMINED = 2  # the phase of a filter whose measurements determine its state
 MOST_STATES = int(COEFFICIENTS["h"].shape[0])
 
 
@@ -151,41 +156,129 @@ def process(settings: NDArray[np.void], coefficients: NDArray[np.void], state: N
     )
 
 
-def smooth(settings: NDArray[np.void], coefficients: NDArray[np.void], **rows: Any) -> None:
-    """Smooth a record: filter it forward, and come back with what later rows say.
+class Passed(NamedTuple):
+    """What a pass forward leaves for the way back."""
+
+    taken: int  # rows
+    room: NDArray[np.float64]
+    starts: NDArray[np.int8]
+    rows: dict[str, Any]  # all that came in
+
+
+class Smoother:
+    """A filter that passes over blocks of rows, and comes back with what later rows say.
 
     Parameters
     ----------
     settings, coefficients : () structured array
         Of the channel.
+
+    Attributes
+    ----------
+    state : () structured array
+        After the rows that were taken forward.
+    """
+
+    def __init__(self, settings: NDArray[np.void], coefficients: NDArray[np.void]) -> None:
+        self._settings, self._coefficients = settings, coefficients
+        self.state, self._nothing = np.zeros((), _FORWARD), np.zeros((), _FUTURE)
+        _LIBRARY.smoother_start(self.state.ctypes.data, self._nothing.ctypes.data)
+
+    def forward(self, *, ends: bool, **rows: Any) -> Passed:
+        """Filter the next block, or as much of it as is decided; the rest has to come again.
+
+        Parameters
+        ----------
+        ends : bool
+            Whether the record ends with it; else it is of a multiple of 64 rows, and so is what is taken.
+        **rows : array
+            As of `process`; z holds NaN where no measurement may enter, and verdict 0.
+
+        Raises
+        ------
+        ValueError
+            If the arrays do not fit each other.
+        """
+        block, estimate = _checked(self._settings, rows)
+        room = np.empty(_LIBRARY.smoother_room(int(self._settings["states"]), block.rows))
+        starts = np.empty(block.rows, np.int8)
+        memory = room.ctypes.data, starts.ctypes.data
+        taken = _LIBRARY.smoother_forward(
+            *self._channel, self.state.ctypes.data, ctypes.byref(block), ctypes.byref(estimate), *memory, ends
+        )
+        return Passed(taken, room, starts, rows)
+
+    def nothing(self) -> NDArray[np.void]:
+        """Return what is known of the future at the end of a record."""
+        return np.frombuffer(bytearray(self._nothing.tobytes()), _FUTURE).reshape(())
+
+    def backward(self, passed: Passed, future: NDArray[np.void]) -> None:
+        """Come back over a block with what all rows after it say, which changes; signal and sigma become smoothed.
+
+        Parameters
+        ----------
+        passed : Passed
+            Of this smoother; what `forward` returned.
+        future : () structured array
+            What all later rows say; afterwards its own rows, too.
+        """
+        self._come_back(passed, future, passed.taken, only_future=False)
+
+    def look_back(self, passed: Passed, future: NDArray[np.void], count: int) -> None:
+        """Take into a future what the first rows of a block say: a multiple of 64, or all; estimates stay as they are."""
+        self._come_back(passed, future, count, only_future=True)
+
+    def _come_back(self, passed: Passed, future: NDArray[np.void], count: int, *, only_future: bool) -> None:
+        block, estimate = _checked(self._settings, passed.rows)
+        block.rows = count
+        memory = passed.room.ctypes.data, passed.starts.ctypes.data
+        _LIBRARY.smoother_backward(
+            *self._channel, future.ctypes.data, ctypes.byref(block), ctypes.byref(estimate), *memory, only_future
+        )
+
+    @property
+    def _channel(self) -> tuple[int, int]:
+        return self._settings.ctypes.data, self._coefficients.ctypes.data
+
+
+def score(
+    settings: NDArray[np.void], coefficients: NDArray[np.void], scored_from: int, **rows: Any
+) -> tuple[float, float, int]:
+    """Return what makes the likelihood of a record's rows from `scored_from` on: sums of nu^2 / S and log S; how many.
+
+    Parameters
+    ----------
+    settings, coefficients : () structured array
+        Of the channel.
+    scored_from : int
+        Rows before only start the filter.
     **rows : array
-        As of `process`; z holds NaN where no measurement may enter. signal and sigma become the smoothed ones.
+        z, elapsed, F, Q and step, as of `process`; z holds NaN where no measurement may enter.
 
     Raises
     ------
     ValueError
         If they do not fit each other.
     """
-    block, estimate = _checked(settings, rows)
-    sizes = _SMOOTHER, _FILTER * _LIBRARY.smoother_checkpoints(block.rows), max(block.rows, 1)
-    room = [np.zeros(size, np.uint8) for size in sizes]
-    smoother, checkpoints, starts = (one.ctypes.data for one in room)
-    channel = settings.ctypes.data, coefficients.ctypes.data, smoother, ctypes.byref(block), ctypes.byref(estimate)
-    _LIBRARY.smoother_start(smoother)
-    _LIBRARY.smoother_forward(*channel, checkpoints, starts)
-    _LIBRARY.smoother_backward(*channel, checkpoints, starts)
+    block, _ = _checked(settings, rows, writes=False)
+    found = np.zeros((), _SCORE)
+    found["product"] = 1.0
+    _LIBRARY.likelihood_add(
+        settings.ctypes.data, coefficients.ctypes.data, ctypes.byref(block), scored_from, found.ctypes.data
+    )
+    log_det = np.log(found["product"]) + found["exponent"] * np.log(2.0)
+    return float(found["squares"]), float(log_det), int(found["used"])
 
 
-def _checked(settings: NDArray[np.void], rows: dict[str, Any]) -> tuple[_Block, _Estimate]:
-    """Return rows as C takes them."""
+def _checked(settings: NDArray[np.void], rows: dict[str, Any], *, writes: bool = True) -> tuple[_Block, _Estimate]:
+    """Return rows as C takes them, and where it writes to, if it does."""
     n, count = int(settings["states"]), len(rows["z"])
     if settings.dtype != SETTINGS or not 1 <= n <= MOST_STATES:
         raise ValueError(f"A channel of {n} states came; 1 to {MOST_STATES} are needed.")
-    wanted: dict[str, tuple[str, tuple[int, ...]]] = {name: ("f8", (count,)) for name in _REALS}
-    wanted |= {"step": ("i4", (count,)), "verdict": ("i1", (count,))}
-    wanted |= dict.fromkeys(("F", "Q"), ("f8", (len(rows["F"]), n, n)))
-    if "x" in rows:
-        wanted |= {"x": ("f8", (count, n))}
+    shapes = {"step": ("i4", (count,)), "verdict": ("i1", (count,)), "x": ("f8", (count, n))}
+    shapes |= dict.fromkeys(("F", "Q"), ("f8", (len(rows["F"]), n, n)))
+    names = *_ROWS, *(name for name in _ESTIMATES if writes and (name != "x" or name in rows))
+    wanted = {name: shapes.get(name, ("f8", (count,))) for name in names}
     for name, (kind, shape) in wanted.items():
         array = rows[name]
         if array.dtype != kind or array.shape != shape or not (array.flags.c_contiguous and array.flags.aligned):

@@ -86,18 +86,15 @@ typedef struct {
     int64_t measurements;  /* since the start */
 } limits_t;
 
-/* What the filter and its gate know. */
+/* What the filter and its gate know. Of each array the first n, or n * n, count; they come last, see pack.h. */
 typedef struct {
     int64_t phase;            /* UNKNOWN, GATHERING, DETERMINED */
     real level;               /* that is subtracted from every measurement, in unit */
     int64_t has_level;        /* whether it is known */
-    real x[N_MAX], P[NN_MAX]; /* state and covariance; while GATHERING right-hand side and root of the information */
-    real ahead[N_MAX];        /* predicted state, of a filter that has settled */
-    real K[N_MAX], L[N_MAX];  /* gains of the filtered and of the predicted state */
     real S;                   /* innovation variance */
     real sigma;               /* of the signal */
     /* settling */
-    real K_then[N_MAX], variance_then[N_MAX], S_then, sigma_then; /* at the last check */
+    real S_then, sigma_then;  /* at the last check */
     int64_t settled;          /* whether the gain, and sigma, are those of all later rows like the last */
     int64_t steady, next_check, agreed; /* rows since the last gap; when to look again; checks that agreed in a row */
     real last_step;           /* in steps; -1: none */
@@ -108,6 +105,11 @@ typedef struct {
     real last_rejected, wandered; /* innovation, and how far predictions may have moved since */
     int64_t since_jump;       /* measurements used since; below 0 all are believed */
     int64_t jumped;
+    real x[N_MAX];            /* state; while GATHERING right-hand side of the information */
+    real ahead[N_MAX];        /* predicted state, of a filter that has settled */
+    real K[N_MAX], L[N_MAX];  /* gains of the filtered and of the predicted state */
+    real K_then[N_MAX], variance_then[N_MAX]; /* at the last check */
+    real P[NN_MAX];           /* covariance; while GATHERING root of the information */
 } filter_t;
 
 /* What the monitor remembers of innovations; sums are in 2^-16 sigma. */
@@ -127,7 +129,7 @@ typedef struct {
     real first_step[VERDICTS];    /* steps from the first row to there */
 } faults_t;
 
-enum { LAYOUT = 2 }; /* of a state: raise it with every change, for a checkpoint of another one is refused */
+enum { LAYOUT = 3 }; /* of a state: raise it with every change, for a checkpoint of another one is refused */
 
 /* All that later rows depend on. Its bytes are a checkpoint. */
 typedef struct {
@@ -167,22 +169,28 @@ typedef struct {
 
 /* What later rows say of a state: its smoothed value is x + P r, its covariance P - P M P. */
 typedef struct {
-    real r[N_MAX], M[NN_MAX];
-    real M_then[NN_MAX];           /* at the last check */
     int64_t settled, steady, next_check; /* of M: whether it is that of all rows before like the last; see filter_t */
     int64_t later;                 /* whether x and P are those of the row after */
-    real x[N_MAX], P[NN_MAX];      /* smoothed */
     real level;                    /* of the row after, in unit */
+    real r[N_MAX], x[N_MAX];       /* x, P: smoothed */
+    real M[NN_MAX], P[NN_MAX];
+    real M_then[NN_MAX];           /* at the last check */
+    real F[NN_MAX], Q[NN_MAX];     /* of the step to the row after */
 } future_t;
 
-/* All that a smoother knows between two blocks. */
+/* What a pass forward knows between two blocks. */
 typedef struct {
     limits_t limits;
-    filter_t filter; /* of the pass forward */
-    future_t future; /* of the way back */
-} smoother_t;
+    filter_t filter;
+} forward_t;
 
-enum { SMOOTHED = 64 };            /* rows from one checkpoint of a smoother to the next */
+/* What makes a likelihood; the product of all S is `product` times 2^exponent. */
+typedef struct {
+    real squares; /* sum of nu^2 / S */
+    real product;
+    int64_t exponent;
+    int64_t used; /* measurements */
+} score_t;
 
 void channel_start(const settings_t *settings, state_t *state);
 /* Say, before the first row, what went before: the first measurement, and how many rows and steps, all measured. */
@@ -196,14 +204,22 @@ int channel_is_sound(const settings_t *settings, const state_t *state);
 void channel_process(const settings_t *settings, const coefficients_t *model, state_t *state, const block_t *block,
                      const estimate_t *estimate);
 
-/* A smoother passes forward, then back. `z` of its block holds NaN where no measurement may enter. It needs room for so
-   many checkpoints, one before every SMOOTHED rows and one after the last, and for where the filter starts anew. */
-int64_t smoother_checkpoints(int64_t rows);
-void smoother_start(smoother_t *smoother);
-void smoother_forward(const settings_t *settings, const coefficients_t *model, smoother_t *smoother,
-                      const block_t *block, const estimate_t *estimate, filter_t *checkpoints, int8_t *starts);
-void smoother_backward(const settings_t *settings, const coefficients_t *model, smoother_t *smoother,
-                       const block_t *block, const estimate_t *estimate, const filter_t *checkpoints,
-                       const int8_t *starts);
+/* A smoother passes forward, then back. `z` of its block holds NaN where no measurement may enter; `verdict` is 0. Between
+   the passes it needs room for so many reals, and for where the filter starts anew, or jumps. Where measurements that
+   are rejected turn out to be a jump, the first of them is, and all are used; so the last rows of a block may be left
+   for the next. Returned is how many rows were taken, a multiple of SMOOTHED but where a record ends. */
+enum { SMOOTHED = 64 };
+int64_t smoother_room(int64_t states, int64_t rows);
+void smoother_start(forward_t *forward, future_t *future);
+int64_t smoother_forward(const settings_t *settings, const coefficients_t *model, forward_t *forward,
+                         const block_t *block, const estimate_t *estimate, real *room, int8_t *starts, int ends);
+/* Come back over a block; where it is `only_future` that is wanted, estimates are those of the pass forward. */
+void smoother_backward(const settings_t *settings, const coefficients_t *model, future_t *future,
+                       const block_t *block, const estimate_t *estimate, real *room, const int8_t *starts,
+                       int only_future);
+
+/* Add up the likelihood of a record's rows from one on. */
+void likelihood_add(const settings_t *settings, const coefficients_t *model, const block_t *block, int64_t from,
+                    score_t *score);
 
 #endif

@@ -9,6 +9,7 @@
 #include "filter.h"
 #include "gap.h"
 #include "limits.h"
+#include "linear.h"
 #include "monitor.h"
 
 /* Count a fault that is met in the row that comes now. */
@@ -27,7 +28,7 @@ static void judge_rows(const settings_t *settings, state_t *state, const block_t
         if (estimate->verdict[row]) meet(faults, estimate->verdict[row] & (VERDICTS - 1));
         faults->rows++;
         pass->usable[row] = verdict ? NOT_A_NUMBER : z;
-        pass->anew[row] = (int8_t)check_gap(settings, &state->limits, elapsed, verdict == USED);
+        pass->starts[row] = (int8_t)check_gap(settings, &state->limits, elapsed, verdict == USED);
     }
 }
 
@@ -84,12 +85,12 @@ void channel_start(const settings_t *settings, state_t *state) {
     limits->least = INFINITE, limits->most = -INFINITE;
     for (int k = 0; k < NEIGHBOURS; k++) limits->past[k] = NOT_A_NUMBER;
     state->monitor.drift_since = state->filter.settled_row = -1;
-    forget(&state->filter);
+    filter_forget(&state->filter);
 }
 
 void channel_begin_after(const settings_t *settings, const coefficients_t *model, state_t *state, const real first,
                          const int64_t rows, const real steps, const real least, const real most) {
-    if (isfinite(first)) state->filter.level = level_from(settings, model, first), state->filter.has_level = 1;
+    if (isfinite(first)) state->filter.level = filter_level(settings, model, first), state->filter.has_level = 1;
     state->limits.now = state->limits.last = steps, state->limits.measurements = rows;
     state->limits.least = least, state->limits.most = most;
     state->monitor.rows = state->faults.rows = rows, state->faults.steps = steps;

@@ -2,9 +2,9 @@
 #ifndef BECALM_GATE_H
 #define BECALM_GATE_H
 
+#include "filter.h"
 #include "linear.h"
 
-#define GOES_ON 16       /* measurements used since a jump: before so many a rejected one still belongs to it */
 #define WIDE ((real)1e9) /* times R, the most that a jump adds: a measurement then keeps some digits */
 
 /* Return by how much a prediction's error may change over a step, one standard deviation. */

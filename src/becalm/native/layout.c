@@ -16,8 +16,9 @@ typedef struct {
 const field_t *channel_settings_fields(void);
 const field_t *channel_coefficients_fields(void);
 const field_t *channel_state_fields(void);
-const field_t *channel_filter_fields(void);
-const field_t *channel_smoother_fields(void);
+const field_t *channel_forward_fields(void);
+const field_t *channel_future_fields(void);
+const field_t *channel_score_fields(void);
 
 const field_t *channel_settings_fields(void) {
 #define R(name) REALS(settings_t, name)
@@ -56,12 +57,24 @@ const field_t *channel_state_fields(void) {
     return fields;
 }
 
-const field_t *channel_filter_fields(void) {
-    static const field_t fields[] = {END(filter_t)};
+const field_t *channel_forward_fields(void) {
+#define IN(part, name, whole) {#name, offsetof(forward_t, part.name), sizeof(((forward_t *)0)->part.name), whole}
+    static const field_t fields[] = {
+        IN(limits, now, 0), IN(limits, last, 0), IN(limits, measurements, 1), IN(filter, phase, 1), IN(filter, level, 0),
+        IN(filter, has_level, 1), IN(filter, P, 0), IN(filter, settled_row, 1), END(forward_t),
+    };
+#undef IN
     return fields;
 }
 
-const field_t *channel_smoother_fields(void) {
-    static const field_t fields[] = {END(smoother_t)};
+const field_t *channel_future_fields(void) {
+    static const field_t fields[] = {REALS(future_t, M), END(future_t)};
+    return fields;
+}
+
+const field_t *channel_score_fields(void) {
+    static const field_t fields[] = {
+        REALS(score_t, squares), REALS(score_t, product), WHOLE(score_t, exponent), WHOLE(score_t, used), END(score_t),
+    };
     return fields;
 }

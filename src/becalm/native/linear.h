@@ -19,6 +19,11 @@
 #define UNROLL
 #endif
 
+#define UNCHANGED ((real)1e-13)
+#define LOST_DIGITS ((real)1e12) /* of I + W Q W', which is I at the least: beyond, a difference means nothing */
+
+INLINE int near(const real now, const real then, const real scale) { return fabs(now - then) <= UNCHANGED * scale; }
+
 INLINE real dot(const int n, const real *a, const real *b) {
     real s = 0;
     UNROLL

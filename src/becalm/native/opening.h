@@ -8,7 +8,6 @@
 #include "linear.h"
 
 #define WELL_DETERMINED ((real)1e-6) /* of information scaled to a unit diagonal: its least eigenvalue */
-#define LOST_DIGITS ((real)1e12)    /* of I + W Q W', which is I at the least: beyond, a difference means nothing */
 #define LIVE ((real)3e-5)            /* of a column: a diagonal element of U that says something */
 
 /* Add an equation, a x = b, by rotations; `a` is used up. */

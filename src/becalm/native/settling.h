@@ -3,15 +3,11 @@
 #define BECALM_SETTLING_H
 
 #include <string.h>
+#include "filter.h"
 #include "linear.h"
 
-enum { FIRST_CHECK = 32 };
-
-#define UNCHANGED ((real)1e-13)
 #define STEADY ((real)1e-9)    /* of a variance */
 #define FORGOTTEN ((real)0.9)  /* what the last eighth of a stretch may leave of the spread before it */
-
-INLINE int near(const real now, const real then, const real scale) { return fabs(now - then) <= UNCHANGED * scale; }
 
 /* Compare gain and sigma with those of the last check, and keep them for the next; return whether they have settled. */
 static int check_gain(const int n, filter_t *state) {
@@ -38,7 +34,7 @@ static int forgets(const int n, const real *h, const real *F, const filter_t *st
         for (int j = 0; j < n; j++) A[i * n + j] = F[i * n + j] - state->K[i] * hF[j];
     for (; rows >= 2; rows *= (real)0.5) {
         multiply(n, A, A, squared);
-        memcpy(A, squared, sizeof A);
+        memcpy(A, squared, sizeof(real) * (size_t)(n * n));
     }
     for (int j = 0; j < n; j++) {
         const real spread = sqrt(state->P[j * n + j]);

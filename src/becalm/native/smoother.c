@@ -4,14 +4,11 @@
    had settled; any other block is filtered again from that state. Equations are numbered as in core/reference.py. */
 #include "filter.h"
 #include "gap.h"
+#include "pack.h"
+
+enum { LONGEST_WAIT = 50 }; /* missing rows after a reject, beyond which it is a spike for good */
 
 #define MUCH ((real)1e-3) /* of a variance: where later rows leave less of it, P - P M P has lost its digits */
-
-/* One row that was filtered again. */
-typedef struct {
-    real x[N_MAX], P[NN_MAX], K[N_MAX], S, level;
-    int64_t phase;
-} row_t;
 
 static void unsettle_future(future_t *future) {
     future->settled = future->steady = 0;
@@ -19,18 +16,23 @@ static void unsettle_future(future_t *future) {
     future->M_then[0] = -1;
 }
 
-int64_t smoother_checkpoints(const int64_t rows) { return (rows + SMOOTHED - 1) / SMOOTHED + 1; }
-
-static void forget_future(future_t *future) {
-    memset(future, 0, sizeof *future);
+static void forget_future(const int n, future_t *future) {
+    future->later = 0;
+    for (int i = 0; i < n; i++) future->r[i] = 0;
+    for (int i = 0; i < n * n; i++) future->M[i] = 0;
     unsettle_future(future);
 }
 
-void smoother_start(smoother_t *smoother) {
-    memset(smoother, 0, sizeof *smoother);
-    smoother->filter.settled_row = -1;
-    forget(&smoother->filter);
-    forget_future(&smoother->future);
+int64_t smoother_room(const int64_t states, const int64_t rows) {
+    return ((rows + SMOOTHED - 1) / SMOOTHED + 1 + SMOOTHED) * packed_size(states);
+}
+
+void smoother_start(forward_t *forward, future_t *future) {
+    memset(forward, 0, sizeof *forward);
+    forward->filter.settled_row = -1;
+    filter_forget(&forward->filter);
+    memset(future, 0, sizeof *future);
+    unsettle_future(future);
 }
 
 /* Return the part of a block from a row on, at most SMOOTHED rows. */
@@ -41,34 +43,97 @@ static block_t part_of(const block_t *block, const int64_t row) {
     return part;
 }
 
-static estimate_t from_row(const estimate_t *estimate, const int64_t row) {
+static estimate_t from_row(const estimate_t *estimate, const int64_t row, const int64_t n) {
     const estimate_t part = {estimate->signal + row, estimate->sigma + row, estimate->verdict + row,
-                             estimate->innovation + row, estimate->deviation + row, NULL};
+                             estimate->innovation + row, estimate->deviation + row,
+                             estimate->x ? estimate->x + row * n : NULL};
     return part;
 }
 
 /* Filter a part: all of its measurements may enter. */
-static void filter_part(const settings_t *settings, const coefficients_t *model, filter_t *state, const block_t *part,
-                        const estimate_t *estimate, const int8_t *starts) {
-    pass_t pass = {{0}, {0}};
+static void filter_part(const settings_t *settings, const coefficients_t *model, filter_t *state,
+                        const block_t *part, const estimate_t *estimate, const int8_t *starts) {
+    pass_t pass;
     memcpy(pass.usable, part->z, sizeof(real) * (size_t)part->rows);
-    memcpy(pass.anew, starts, (size_t)part->rows);
+    memcpy(pass.starts, starts, (size_t)part->rows);
     filter_block(settings, model, state, part, estimate, &pass);
 }
 
-void smoother_forward(const settings_t *settings, const coefficients_t *model, smoother_t *smoother,
-                      const block_t *block, const estimate_t *estimate, filter_t *checkpoints, int8_t *starts) {
-    for (int64_t row = 0; row < block->rows; row++) {
+/* Return the first of the measurements in a row that were rejected before a row, or that row. */
+static int64_t first_rejected(const block_t *block, const int8_t *verdict, const int64_t row) {
+    int64_t first = row, missing = 0;
+    for (int64_t k = row - 1; k >= 0 && missing <= LONGEST_WAIT; k--) {
+        if (verdict[k] == SPIKE)
+            first = k, missing = 0;
+        else if (fabs(block->z[k]) <= BEYOND_ANY_SENSOR)
+            break;
+        else
+            missing++;
+    }
+    return first;
+}
+
+/* Filter SMOOTHED rows; return how many may stay. Rows from where a jump began, which is marked, are to be filtered
+   again. */
+INLINE int64_t forward_part(const int n, const settings_t *settings, const coefficients_t *model, filter_t *state,
+                            const block_t *block, const int64_t row, const estimate_t *estimate, real *room,
+                            int8_t *starts) {
+    const block_t part = part_of(block, row);
+    const estimate_t out = from_row(estimate, row, n);
+    pack(n, state, room + (SMOOTHED + row / SMOOTHED) * packed_size(n));
+    filter_part(settings, model, state, &part, &out, starts + row);
+    for (int64_t k = row; settings->gated && k < row + part.rows; k++) {
+        if (estimate->verdict[k] != STEP) continue;
+        const int64_t first = first_rejected(block, estimate->verdict, k);
+        if (first == k) continue;
+        starts[first] = JUMPS;
+        return first;
+    }
+    return row + part.rows;
+}
+
+INLINE int64_t forward_rows(const int n, const settings_t *settings, const coefficients_t *model, filter_t *state,
+                            const block_t *block, const estimate_t *estimate, real *room, int8_t *starts,
+                            const int ends) {
+    int64_t rows = block->rows;
+    for (int64_t row = 0; row < rows;) {
+        const int64_t filtered = row + SMOOTHED < rows ? row + SMOOTHED : rows;
+        int64_t stay = forward_part(n, settings, model, state, block, row, estimate, room, starts);
+        if (stay == rows && !ends && settings->gated) {
+            const int64_t first = first_rejected(block, estimate->verdict, rows);
+            if (first < rows) rows = stay = first / SMOOTHED * SMOOTHED; /* it may be a jump yet */
+        }
+        if (stay < filtered) {
+            stay = stay / SMOOTHED * SMOOTHED;
+            memset(estimate->verdict + stay, 0, (size_t)(filtered - stay));
+            unpack(n, room + (SMOOTHED + stay / SMOOTHED) * packed_size(n), state);
+        }
+        row = stay;
+    }
+    pack(n, state, room + (SMOOTHED + (rows + SMOOTHED - 1) / SMOOTHED) * packed_size(n));
+    return rows;
+}
+
+static void find_starts(const settings_t *settings, limits_t *limits, const block_t *block, const int64_t rows,
+                        int8_t *starts) {
+    for (int64_t row = 0; row < rows; row++) {
         const int usable = fabs(block->z[row]) <= BEYOND_ANY_SENSOR;
-        starts[row] = (int8_t)check_gap(settings, &smoother->limits, block->elapsed[row], usable);
+        const int anew = check_gap(settings, limits, block->elapsed[row], usable);
+        if (anew) starts[row] = ANEW;
     }
-    for (int64_t row = 0; row < block->rows; row += SMOOTHED) {
-        const block_t part = part_of(block, row);
-        const estimate_t out = from_row(estimate, row);
-        *checkpoints++ = smoother->filter;
-        filter_part(settings, model, &smoother->filter, &part, &out, starts + row);
-    }
-    *checkpoints = smoother->filter;
+}
+
+int64_t smoother_forward(const settings_t *settings, const coefficients_t *model, forward_t *forward,
+                         const block_t *block, const estimate_t *estimate, real *room, int8_t *starts,
+                         const int ends) {
+    limits_t limits = forward->limits;
+    int64_t taken = block->rows;
+    memset(starts, 0, (size_t)block->rows);
+    find_starts(settings, &limits, block, block->rows, starts);
+    FOR_STATES(settings->states, taken = forward_rows, settings, model, &forward->filter, block, estimate, room, starts,
+               ends)
+    find_starts(settings, &forward->limits, block, taken, starts);
+    return taken;
 }
 
 /* M = A' M A + g g' / S */
@@ -94,12 +159,12 @@ static void notice_future(const int n, future_t *future, const int64_t rows) {
             const real scale = sqrt(future->M[i * n + i]) * sqrt(future->M[j * n + j]);
             future->settled &= near(future->M[i * n + j], future->M_then[i * n + j], scale);
         }
-    memcpy(future->M_then, future->M, sizeof future->M);
+    copy(n * n, future->M, future->M_then);
 }
 
 /* Smooth a block whose gain had settled before it. */
 INLINE void smooth_settled(const int n, const coefficients_t *model, const filter_t *state, const real *F,
-                           const block_t *part, future_t *future, const estimate_t *estimate) {
+                           const block_t *part, future_t *future, const estimate_t *estimate, const int only_future) {
     real A[NN_MAX], B[NN_MAX], hF[N_MAX], Pc[N_MAX], r[N_MAX], sigma = 0; /* B = A' */
     const real weight = 1 / state->S, variance = state->sigma * state->sigma;
     for (int j = 0; j < n; j++) {
@@ -113,7 +178,9 @@ INLINE void smooth_settled(const int n, const coefficients_t *model, const filte
     for (int64_t row = part->rows - 1; row >= 0; row--) {
         real before[N_MAX];
         const real nu = weight * estimate->innovation[row];
-        estimate->signal[row] += dot(n, Pc, r); /* (9) */
+        if (!only_future) estimate->signal[row] += dot(n, Pc, r); /* (9) */
+        if (estimate->x && !only_future)
+            for (int i = 0; i < n; i++) estimate->x[row * n + i] += dot(n, state->P + i * n, r);
         UNROLL
         for (int j = 0; j < n; j++) before[j] = hF[j] * nu + dot(n, B + j * n, r);
         UNROLL
@@ -121,12 +188,12 @@ INLINE void smooth_settled(const int n, const coefficients_t *model, const filte
     }
     for (int i = 0; i < n; i++) future->r[i] = r[i];
     for (int64_t row = part->rows - 1; row >= 0; row--) {
-        if (!future->settled || row == part->rows - 1) {
+        if (!only_future && (!future->settled || row == part->rows - 1)) {
             real left = variance;
             for (int i = 0; i < n; i++) left -= Pc[i] * dot(n, future->M + i * n, Pc); /* (10) */
             sigma = left > 0 ? sqrt(left) : 0;
         }
-        estimate->sigma[row] = sigma;
+        if (!only_future) estimate->sigma[row] = sigma;
         if (!future->settled) pull_back(n, A, hF, weight, future->M); /* (12) */
     }
     if (!future->settled) notice_future(n, future, part->rows);
@@ -136,7 +203,8 @@ INLINE void smooth_settled(const int n, const coefficients_t *model, const filte
 /* Write the smoothed state and covariance of a row from those of the row after, one step later: given that, the noise w
    of the step is known by G (W x' - b), where W = U F^-1, G = Q W' (I + W Q W')^-1, and its own covariance is
    V = (I - G W) Q (I - G W)' + G G'. So x = F^-1 (x' - w). U and b are the row's information. */
-static int from_later(const int n, const real *F, const real *Q, const real *U, const real *b, future_t *future) {
+static int from_later(const int n, const real *U, const real *b, future_t *future) {
+    const real *F = future->F, *Q = future->Q;
     real W[NN_MAX], T[NN_MAX], G[NN_MAX], V[NN_MAX], J[NN_MAX], back[NN_MAX], x[N_MAX], Gb[N_MAX];
     if (!invert(n, F, back)) return 0;
     multiply(n, U, back, W);
@@ -160,7 +228,7 @@ static int from_later(const int n, const real *F, const real *Q, const real *U, 
             V[i * n + j] = 0;
             for (int k = 0; k < n; k++) V[i * n + j] += G[k * n + i] * G[k * n + j];
         }
-    memcpy(T, Q, sizeof(real) * (size_t)(n * n));
+    copy(n * n, Q, T);
     propagate(n, J, V, T); /* T = (I - G W) Q (I - G W)' + G G' */
     propagate(n, J, T, future->P);
     for (int i = 0; i < n * n; i++) V[i] = 0;
@@ -173,11 +241,12 @@ static int from_later(const int n, const real *F, const real *Q, const real *U, 
 
 /* The same where the row has a covariance, which P - P M P would lose the digits of: with M = F P F' + Q and
    C = F^-1 (I - Q M^-1), it is C P' C' + C Q F'^-1 (Anderson and Moore 1979, chapter 10). */
-static int covariance_from_later(const int n, const real *F, const real *Q, const real *P, future_t *future) {
+static int covariance_from_later(const int n, const real *P, future_t *future) {
+    const real *F = future->F, *Q = future->Q;
     real A[NN_MAX], M[NN_MAX], C[NN_MAX], D[NN_MAX], back[NN_MAX], V[NN_MAX];
-    memcpy(M, P, sizeof M);
+    copy(n * n, P, M);
     propagate(n, F, Q, M);
-    memcpy(D, Q, sizeof(real) * (size_t)(n * n));
+    copy(n * n, Q, D);
     if (!invert(n, F, back) || !solve(n, M, D)) return 0; /* D = M^-1 Q */
     for (int i = 0; i < n; i++)
         for (int j = 0; j < n; j++) A[i * n + j] = (i == j) - D[j * n + i]; /* I - Q M^-1 */
@@ -189,15 +258,15 @@ static int covariance_from_later(const int n, const real *F, const real *Q, cons
     return 1;
 }
 
-/* Smooth one row that was filtered again; F and Q are of the step to the row after. */
-static void smooth_row(const int n, const coefficients_t *model, const row_t *row, const real *F, const real *Q,
-                       future_t *future, real *signal, real *sigma) {
+/* Smooth one row that was filtered again. */
+INLINE void smooth_row(const int n, const coefficients_t *model, const filter_t *row, future_t *future, real *signal,
+                       real *sigma) {
     const real level = row->phase == UNKNOWN ? future->level : row->level;
     if (row->phase != DETERMINED) {
         const real nothing[N_MAX] = {0};
         const int unknown = row->phase == UNKNOWN;
         const real *U = unknown ? model->prior : row->P, *b = unknown ? nothing : row->x;
-        future->later = future->later && from_later(n, F, Q, U, b, future);
+        future->later = future->later && from_later(n, U, b, future);
         if (!future->later) return;
     } else {
         real PM[NN_MAX], smoothed[NN_MAX], Pr[N_MAX];
@@ -206,8 +275,7 @@ static void smooth_row(const int n, const coefficients_t *model, const row_t *ro
         multiply(n, PM, row->P, smoothed);
         for (int i = 0; i < n * n; i++) smoothed[i] = row->P[i] - smoothed[i]; /* (10) */
         for (int i = 0; i < n; i++) lost |= smoothed[i * n + i] < MUCH * row->P[i * n + i];
-        if (!(lost && future->later && covariance_from_later(n, F, Q, row->P, future)))
-            memcpy(future->P, smoothed, sizeof smoothed);
+        if (!(lost && future->later && covariance_from_later(n, row->P, future))) copy(n * n, smoothed, future->P);
         times(n, row->P, future->r, Pr);
         for (int i = 0; i < n; i++) future->x[i] = row->x[i] + Pr[i]; /* (9) */
         future->later = 1;
@@ -221,7 +289,7 @@ static void smooth_row(const int n, const coefficients_t *model, const row_t *ro
 }
 
 /* Carry what later rows say through the update of a row, and through the step before it (11), (12). */
-static void step_back(const int n, const real *h, const row_t *row, const real *F, const real innovation,
+INLINE void step_back(const int n, const real *h, const filter_t *row, const real *F, const real innovation,
                       future_t *future) {
     real A[NN_MAX], g[N_MAX], r[N_MAX];
     const int used = !isnan(innovation);
@@ -236,55 +304,60 @@ static void step_back(const int n, const real *h, const row_t *row, const real *
         r[j] = used ? g[j] * weight * innovation : 0;
         for (int i = 0; i < n; i++) r[j] += A[i * n + j] * future->r[i];
     }
-    memcpy(future->r, r, sizeof r);
+    copy(n, r, future->r);
     pull_back(n, A, g, weight, future->M);
 }
 
 /* Filter a block again, row by row, and smooth it. */
-static void smooth_again(const settings_t *settings, const coefficients_t *model, filter_t state, const block_t *part,
-                         future_t *future, const estimate_t *estimate, const int8_t *starts, const int64_t step_after) {
-    const int n = (int)settings->states;
-    row_t rows[SMOOTHED];
+INLINE void smooth_again(const int n, const settings_t *settings, const coefficients_t *model, filter_t *state,
+                         const block_t *part, future_t *future, const estimate_t *estimate, const int8_t *starts,
+                         real *room, const int only_future) {
     for (int64_t row = 0; row < part->rows; row++) {
         block_t one = part_of(part, row);
-        const estimate_t out = from_row(estimate, row);
+        const estimate_t out = from_row(estimate, row, n);
         one.rows = 1;
-        filter_part(settings, model, &state, &one, &out, starts + row);
-        memcpy(rows[row].x, state.x, sizeof state.x);
-        memcpy(rows[row].P, state.P, sizeof state.P);
-        memcpy(rows[row].K, state.K, sizeof state.K);
-        rows[row].S = state.S, rows[row].level = state.level, rows[row].phase = state.phase;
+        filter_part(settings, model, state, &one, &out, starts + row);
+        pack(n, state, room + row * packed_size(n));
     }
     unsettle_future(future);
     for (int64_t row = part->rows - 1; row >= 0; row--) {
-        const int64_t after = row + 1 < part->rows ? part->step[row + 1] : step_after;
-        const real *F = part->F + (int64_t)part->step[row] * n * n;
-        smooth_row(n, model, rows + row, part->F + after * n * n, part->Q + after * n * n, future,
-                   estimate->signal + row, estimate->sigma + row);
-        if (rows[row].phase == DETERMINED) step_back(n, model->h, rows + row, F, estimate->innovation[row], future);
-        if (starts[row]) forget_future(future); /* rows before it know nothing of it */
+        const real *F = part->F + (int64_t)part->step[row] * n * n, *Q = part->Q + (int64_t)part->step[row] * n * n;
+        unpack(n, room + row * packed_size(n), state);
+        if (!only_future) {
+            smooth_row(n, model, state, future, estimate->signal + row, estimate->sigma + row);
+            if (estimate->x && future->later) copy(n, future->x, estimate->x + row * n);
+        }
+        if (state->phase == DETERMINED) step_back(n, model->h, state, F, estimate->innovation[row], future);
+        if (starts[row] == ANEW) forget_future(n, future); /* rows before it know nothing of it */
+        if (estimate->verdict[row] == STEP) future->later = 0; /* Q is not all that lies between */
+        copy(n * n, F, future->F), copy(n * n, Q, future->Q);
     }
 }
 
-/* Whether a gain had settled before a block, and was used for all of its rows. */
-static int was_settled(const filter_t *before, const filter_t *after) {
-    return before->settled && after->settled && before->steady == after->steady;
-}
-
-void smoother_backward(const settings_t *settings, const coefficients_t *model, smoother_t *smoother,
-                       const block_t *block, const estimate_t *estimate, const filter_t *checkpoints,
-                       const int8_t *starts) {
-    future_t *future = &smoother->future;
-    const int64_t parts = (block->rows + SMOOTHED - 1) / SMOOTHED;
-    int64_t step_after = 0;
+INLINE void backward_rows(const int n, const settings_t *settings, const coefficients_t *model, future_t *future,
+                          const block_t *block, const estimate_t *estimate, real *room, const int8_t *starts,
+                          const int only_future) {
+    const int64_t parts = (block->rows + SMOOTHED - 1) / SMOOTHED, size = packed_size(n);
     for (int64_t k = parts - 1; k >= 0; k--) {
         const block_t part = part_of(block, k * SMOOTHED);
-        const estimate_t out = from_row(estimate, k * SMOOTHED);
-        const real *F = block->F + part.step[0] * settings->states * settings->states;
-        if (!was_settled(checkpoints + k, checkpoints + k + 1))
-            smooth_again(settings, model, checkpoints[k], &part, future, &out, starts + k * SMOOTHED, step_after);
-        else
-            FOR_STATES(settings->states, smooth_settled, model, checkpoints + k, F, &part, future, &out);
-        step_after = part.step[0];
+        const estimate_t out = from_row(estimate, k * SMOOTHED, n);
+        const int64_t at = (int64_t)part.step[0] * n * n;
+        filter_t state;
+        unpack(n, room + (SMOOTHED + k + 1) * size, &state);
+        const int64_t settled = state.settled, steady = state.steady;
+        unpack(n, room + (SMOOTHED + k) * size, &state);
+        if (settled && state.settled && steady == state.steady) { /* one gain for all rows */
+            smooth_settled(n, model, &state, part.F + at, &part, future, &out, only_future);
+            copy(n * n, part.F + at, future->F), copy(n * n, part.Q + at, future->Q);
+        } else
+            smooth_again(n, settings, model, &state, &part, future, &out, starts + k * SMOOTHED, room,
+                         only_future);
     }
+}
+
+void smoother_backward(const settings_t *settings, const coefficients_t *model, future_t *future,
+                       const block_t *block, const estimate_t *estimate, real *room, const int8_t *starts,
+                       const int only_future) {
+    FOR_STATES(settings->states, backward_rows, settings, model, future, block, estimate, room, starts, only_future)
+    future->later &= !only_future;
 }

@@ -12,16 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from becalm.core import starting
 from becalm.core.arrays import Floats
 from becalm.core.autoregressive import Coloured, autoregressive
 from becalm.core.components import motion
-from becalm.core.filtering import Sums, new_trace, sizes_of
-from becalm.core.kernel_settling import GAIN, new_memory
-from becalm.core.kernels import forward
-from becalm.core.likelihood import NOTHING
+from becalm.core.filtering import Sums
 from becalm.core.parts import Component
-from becalm.core.timeline import elapsed_timeline
+from becalm.core.record import Record
 from becalm.noise.spectrum import pooled, sine_spectrum
 
 HIGHEST_ORDER = 3
@@ -110,16 +106,8 @@ def score_coloured(component: Component, noise_variance: float, z: Floats, elaps
     elapsed : (N,) float array
         Steps since the reading before, whole.
     """
-    model = component.to_model(1.0, noise_variance)
-    timeline = elapsed_timeline(component, noise_variance, elapsed)
-    opening = starting.open_record(timeline, z[: UNSCORED + 1], model)
-    if opening.rows > UNSCORED:
-        return None
-    sizes, trace = sizes_of(model), new_trace(model, len(z), NOTHING)
-    memory = new_memory(opening.x, opening.P, model.channels)
-    forward(sizes, timeline.system, timeline.record(z[:UNSCORED]), opening.rows, GAIN, memory, trace)
-    squares, log_det, used, _ = forward(sizes, timeline.system, timeline.record(z), UNSCORED, GAIN, memory, trace)
-    return Sums(squares, log_det, used)
+    found = Record(component, noise_variance, z[:, 0], elapsed).score(UNSCORED)
+    return found if found.used == len(z) - UNSCORED else None
 
 
 def first_in_a_row(elapsed: Floats) -> int:

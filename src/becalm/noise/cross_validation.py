@@ -19,10 +19,7 @@ import numpy as np
 from becalm.core.arrays import Floats
 from becalm.core.closed_forms import motion_power
 from becalm.core.components import EVERY_ORDER, motion
-from becalm.core.filtering import Wanted
-from becalm.core.model import Model
-from becalm.core.smoothing import run_smoother
-from becalm.core.timeline import Timeline, elapsed_timeline
+from becalm.core.record import Record
 from becalm.noise.likelihood import Evidence, Tuning
 from becalm.noise.search import find_ratio
 from becalm.noise.spectrum import pooled, sine_spectrum, slope_between_ends
@@ -195,26 +192,16 @@ def smooth_residuals(order: int, evidence: Evidence) -> tuple[Residuals, int]:
     count : int
         Readings that they are of; 0 where all stretches are too short.
     """
-    component = motion(order)
-    model, parts = component.to_model(1.0, 1.0), _parts(evidence, order)
-    laid_out = [(elapsed_timeline(component, 1.0, evidence.elapsed[part]), evidence.z[part]) for part in parts]
+    unit, stretches = motion(order), [(evidence.z[part, 0], evidence.elapsed[part]) for part in _parts(evidence, order)]
+    records = [Record(unit, 1.0, z, elapsed) for z, elapsed in stretches]
+    count = sum(len(z) for z, _ in stretches)
 
     def residuals(ratio: float) -> tuple[float, float]:
-        scaled = [
-            (timeline._replace(system=timeline.system._replace(Q=timeline.system.Q * ratio)), z)
-            for timeline, z in laid_out
-        ]
-        return _residuals(model, scaled)
+        squares = weight = 0.0
+        for record, (z, _) in zip(records, stretches, strict=True):
+            smoothed = record.smoothed(record.process_noise * ratio)
+            squares += float(((z - smoothed.signal) ** 2).sum())
+            weight += float(np.minimum(smoothed.sigma**2, 1.0).sum())
+        return squares / count, weight / count
 
-    return residuals, sum(len(z) for _, z in laid_out)
-
-
-def _residuals(model: Model, parts: Sequence[tuple[Timeline, Floats]]) -> tuple[float, float]:
-    """Return the mean squared residual of a smoother, and the mean weight of a reading in its own estimate."""
-    R, squares, weight = float(model.R[0, 0]), 0.0, 0.0
-    for timeline, z in parts:
-        smoothed = run_smoother(model, timeline, z, Wanted(innovations=False))
-        squares += float(((z - smoothed.signal) ** 2).sum())
-        weight += float(np.minimum(smoothed.sigma**2 / R, 1.0).sum())
-    count = sum(len(z) for _, z in parts)
-    return squares / count, weight / count
+    return residuals, count

@@ -18,8 +18,7 @@ from becalm.core.arrays import Floats
 from becalm.core.closed_forms import ratio_to_cutoff
 from becalm.core.components import LEVEL_RATE
 from becalm.core.filtering import Sums
-from becalm.core.likelihood import score
-from becalm.core.timeline import elapsed_timeline
+from becalm.core.record import Record
 from becalm.noise.likelihood import Evidence, Tuning
 
 _LEAST = 1e-250  # of a noise variance: of less, or of more than one over it, no recipe is made
@@ -79,10 +78,9 @@ def _mean_log_likelihood(tuning: Tuning, evidence: Evidence) -> float:
     A mean, for filters may know their state from different readings on, and each log-density holds that of the unit.
     """
     component, r, total = tuning.component, tuning.noise_variance, Sums()
-    model = component.to_model(1.0, r)
     for part in evidence.sample:
-        timeline, z = elapsed_timeline(component, r, evidence.elapsed[part]), evidence.z[part]
-        total = total.plus(score(model, timeline, z, min(_BEGUN, len(z) // 4)) or Sums())
+        z = evidence.z[part, 0]
+        total = total.plus(Record(component, r, z, evidence.elapsed[part]).score(min(_BEGUN, len(z) // 4)))
     return total.log_likelihood / total.used if total.used else -np.inf
 
 

@@ -20,9 +20,8 @@ from becalm.core.autoregressive import Coloured, autoregressive
 from becalm.core.closed_forms import returning_power
 from becalm.core.components import LEVEL_RATE, Component, motion, oscillator, returning_motion
 from becalm.core.filtering import Sums
-from becalm.core.likelihood import score
 from becalm.core.quantisation import converter_step
-from becalm.core.timeline import elapsed_timeline
+from becalm.core.record import Record
 from becalm.noise.search import Edge, find_ratio
 from becalm.noise.spectrum import Line
 
@@ -233,18 +232,13 @@ class Candidate:
         self.order = order
         self.evidence = evidence
         unit = motion(order)
-        self._model = unit.to_model(1.0, 1.0)
-        self._stretches = [
-            (elapsed_timeline(unit, 1.0, evidence.elapsed[part]), evidence.z[part]) for part in evidence.stretches
-        ]
+        self._records = [Record(unit, 1.0, evidence.z[part, 0], evidence.elapsed[part]) for part in evidence.stretches]
 
     def score(self, ratio: float) -> Score:
         """Return the likelihood at q/r = `ratio`, maximised over r."""
         total = Sums()
-        for timeline, z in self._stretches:
-            system = timeline.system
-            scaled = timeline._replace(system=system._replace(Q=system.Q * ratio))
-            total = total.plus(score(self._model, scaled, z, UNSCORED) or Sums())
+        for record in self._records:
+            total = total.plus(record.score(UNSCORED, record.process_noise * ratio))
         squares, log_det, used = total
         if not used:
             return Score(-np.inf, 0.0, 0)

@@ -16,9 +16,7 @@ from scipy.optimize import minimize_scalar
 
 from becalm.core.arrays import Floats
 from becalm.core.closed_forms import cutoff_to_ratio, ratio_to_cutoff
-from becalm.core.filtering import Wanted, run_filter
-from becalm.core.smoothing import run_smoother
-from becalm.core.timeline import elapsed_timeline
+from becalm.core.record import Record
 from becalm.metrics.whiteness import whiteness
 from becalm.noise.imputation import completed
 from becalm.noise.likelihood import Candidate, Evidence, Tuning
@@ -141,13 +139,11 @@ class Risk(NamedTuple):
 def estimated_risk(tuning: Tuning, evidence: Evidence, noise_variance: float, causal: bool) -> Risk:
     """Estimate how far a filter, or a smoother, errs over a record, given the variance of a reading's noise, unit^2."""
     component, r = tuning.component, tuning.noise_variance
-    model, squares, weights = component.to_model(1.0, r), list[Floats](), list[Floats]()
+    squares, weights = list[Floats](), list[Floats]()
     for part in long_pieces(evidence):
-        timeline, z = elapsed_timeline(component, r, evidence.elapsed[part]), evidence.z[part]
-        if causal:
-            found = run_filter(model, timeline, z, Wanted(innovations=False)).estimate
-        else:
-            found = run_smoother(model, timeline, z, Wanted(innovations=False))
+        z = evidence.z[part, 0]
+        record = Record(component, r, z, evidence.elapsed[part])
+        found = record.filtered() if causal else record.smoothed()
         told = np.isfinite(found.sigma)
         squares.append((z - found.signal)[told] ** 2)
         weights.append(found.sigma[told] ** 2 / r)
@@ -176,15 +172,13 @@ def _risk(tuning: Tuning, evidence: Evidence) -> tuple[float, float]:
 
     Where the readings never tell the state, the first is inf and the second 0.
     """
-    r = tuning.noise_variance
-    component = tuning.component
-    model = component.to_model(1.0, r)
-    estimate = run_filter(model, elapsed_timeline(component, r, evidence.elapsed), evidence.z).estimate
-    known = np.isfinite(estimate.sigma[:, 0])
-    known[: len(model.F)] = False
+    component, r, z = tuning.component, tuning.noise_variance, evidence.z[:, 0]
+    estimate = Record(component, r, z, evidence.elapsed).filtered()
+    known = np.isfinite(estimate.sigma)
+    known[: len(component.drift)] = False
     if not known.any():
         return np.inf, 0.0
     weight = float(np.mean(estimate.sigma[known] ** 2)) / r  # of each reading in its own estimate
-    residual = (evidence.z - estimate.signal)[known]
-    normalised = (estimate.innovations / estimate.innovation_sigma)[:, 0]
+    residual = (z - estimate.signal)[known]
+    normalised = estimate.innovation / estimate.deviation
     return float(np.mean(residual**2)) + r * (2 * weight - 1), whiteness(normalised).predictable_share

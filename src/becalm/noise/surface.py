@@ -18,8 +18,7 @@ import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.core.filtering import Sums
-from becalm.core.likelihood import score
-from becalm.core.timeline import Timeline, elapsed_timeline
+from becalm.core.record import Record
 from becalm.noise.likelihood import FEWEST_READINGS, UNSCORED, Evidence, Tuning
 
 _NOISES, _DENSITIES = 41, 61
@@ -93,18 +92,15 @@ class _Passes:
         )
         component = unit.component
         still = replace(unit, ratio=0.0).component
-        self._model = component.to_model(1.0, 1.0)
-        self._stretches: list[tuple[Timeline, Floats, Floats]] = []
-        for evidence in stretches:
-            timeline = elapsed_timeline(component, 1.0, evidence.elapsed)
-            beside = elapsed_timeline(still, 1.0, evidence.elapsed).system.Q
-            self._stretches.append((timeline, beside, evidence.z))
+        self._records = [
+            tuple(Record(one, 1.0, evidence.z[:, 0], evidence.elapsed) for one in (component, still))
+            for evidence in stretches
+        ]
 
     def sums(self, ratio: float) -> tuple[float, float, int]:
         """Return the sums of nu^2 / S and log S, and how many readings they are of."""
         total = Sums()
-        for timeline, beside, z in self._stretches:
-            system = timeline.system
-            scaled = system._replace(Q=beside + ratio * (system.Q - beside))
-            total = total.plus(score(self._model, timeline._replace(system=scaled), z, UNSCORED) or Sums())
+        for record, still in self._records:
+            beside = still.process_noise
+            total = total.plus(record.score(UNSCORED, beside + ratio * (record.process_noise - beside)))
         return total[0], total[1], total[2]

@@ -17,10 +17,9 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from becalm.core.arrays import Floats
+from becalm.core.channel import Estimates
 from becalm.core.closed_forms import cutoff_to_ratio
-from becalm.core.filtering import Estimate, Wanted, run_filter
-from becalm.core.smoothing import run_smoother
-from becalm.core.timeline import elapsed_timeline
+from becalm.core.record import Record
 from becalm.metrics.whiteness import whiteness
 from becalm.noise.likelihood import Candidate, Evidence, Tuning
 
@@ -105,28 +104,21 @@ def _walk(candidate: Candidate, log_cutoff: float) -> Tuning:
 
 def _describes(tuning: Tuning, evidence: Evidence) -> bool:
     """Whether the innovations of a walk are as white as chance allows."""
-    innovations = [
-        found.innovations[:, 0] / found.innovation_sigma[:, 0]
-        for found in _runs(tuning, evidence, causal=True, wanted=Wanted(sigma=False))
-    ]
+    innovations = [found.innovation / found.deviation for found in _runs(tuning, evidence, causal=True)]
     return whiteness(np.concatenate(innovations)).p_value > _BY_CHANCE
 
 
 def _estimated(tuning: Tuning, evidence: Evidence, causal: bool) -> tuple[Floats, Floats]:
     """Return the estimates (N,), in unit, and their variances (N,), unit^2, at the readings."""
-    found = _runs(tuning, evidence, causal, Wanted(innovations=False))
-    signal, sigma = (np.concatenate([getattr(part, name)[:, 0] for part in found]) for name in ("signal", "sigma"))
+    found = _runs(tuning, evidence, causal)
+    signal, sigma = (np.concatenate([getattr(part, name) for part in found]) for name in ("signal", "sigma"))
     return signal, sigma**2
 
 
-def _runs(tuning: Tuning, evidence: Evidence, causal: bool, wanted: Wanted) -> list[Estimate]:
+def _runs(tuning: Tuning, evidence: Evidence, causal: bool) -> list[Estimates]:
     """Run a filter, or a smoother, over each stretch."""
-    component, r = tuning.component, tuning.noise_variance
-    model, found = component.to_model(1.0, r), []
-    for part in evidence.stretches:
-        timeline, z = elapsed_timeline(component, r, evidence.elapsed[part]), evidence.z[part]
-        if causal:
-            found.append(run_filter(model, timeline, z, wanted).estimate)
-        else:
-            found.append(run_smoother(model, timeline, z, wanted))
-    return found
+    records = [
+        Record(tuning.component, tuning.noise_variance, evidence.z[part, 0], evidence.elapsed[part])
+        for part in evidence.stretches
+    ]
+    return [record.filtered() if causal else record.smoothed() for record in records]

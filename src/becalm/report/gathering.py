@@ -8,8 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.core.flow import Judge
-from becalm.core.told import Told
+from becalm.core.told import Judge, Told
 from becalm.core.verdict import Verdict
 from becalm.metrics.running import PIECE
 from becalm.report.closeup import Closeup, Farthest, Middle

@@ -1,0 +1,154 @@
+"""What one channel is made of, as the kernel in C takes it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from becalm.core.arrays import Floats
+from becalm.core.components import Component
+from becalm.core.gates import Gate, level_of
+from becalm.core.limits import Limits
+from becalm.core.monitor import NEVER, Alarms
+from becalm.core.possible import largest_beside
+from becalm.core.reach import reach_of
+from becalm.core.starting import known_before, refuse_singular, root_of
+from becalm.core.steps import Steps
+from becalm.core.timeline import model_system
+from becalm.errors import ModelError
+from becalm.native import COEFFICIENTS, MOST_STATES, SETTINGS
+
+_PARTS = 1 << 16  # of a sigma, that the monitor counts in
+_ENDLESS = 1 << 53  # equal measurements in a row: no stream has so many
+
+
+class Widening(NamedTuple):
+    """What makes the sigma of a signal larger than its filter's: by a share, by times, and by a calibration."""
+
+    factor: float = 1.0
+    time_std_s: float | None = None  # standard uncertainty of a measurement's time
+    included_std: float = 0.0  # what of it the noise holds already
+    calibration: tuple[float, float] | None = None  # standard uncertainties of sensitivity, as a share, and of zero
+
+
+class Settings(NamedTuple):
+    """What a recipe says of one channel."""
+
+    component: Component  # in steps
+    noise_variance: float  # R, in unit^2
+    step_s: float
+    limits: Limits
+    alarms: Alarms
+    gate: Gate | None = None
+    widening: Widening = Widening()
+    unknown_from: float = np.inf  # sigma from which on a row without a measurement is a hole, in unit
+
+    @property
+    def disturbed(self) -> bool:
+        """Whether its signal is less than what is measured."""
+        return any(part.disturbance for part in self.component.parts)
+
+
+class StepTable:
+    """The matrices of steps, for the kernel.
+
+    Parameters
+    ----------
+    component : Component
+        In steps.
+    nearest : bool
+        Whether coloured noise, which goes in whole steps, takes the nearest to any other: no stream ends by a late row.
+    """
+
+    def __init__(self, component: Component, *, nearest: bool = True) -> None:
+        self._steps, self._in_steps = Steps(component), component.goes_in_steps and nearest
+        self._lengths, self._matrices = np.ones(1), self._steps.over(np.ones(1))
+
+    def before(self, elapsed: Floats) -> dict[str, NDArray[np.int32] | Floats]:
+        """Return which step each of some rows follows, and the matrices of these steps; those of the last are kept."""
+        lengths, step = elapsed[:1], np.zeros(len(elapsed), np.int32)
+        if not (elapsed == lengths).all():
+            lengths, rows = np.unique(elapsed, return_inverse=True)
+            step = rows.astype(np.int32)
+        if not np.array_equal(lengths, self._lengths) and len(lengths):
+            wanted = np.round(lengths) if self._in_steps else lengths
+            self._lengths, self._matrices = lengths.copy(), self._steps.over(wanted)
+        F, Q = self._matrices
+        return {"step": step, "F": F, "Q": Q}
+
+
+def packed_settings(settings: Settings) -> NDArray[np.void]:
+    """Return the settings of a channel as C's struct."""
+    limits, gate, widening = settings.limits, settings.gate, settings.widening
+    outliers, reach = limits.outliers, reach_of(settings.component, settings.noise_variance)
+    timed, calibrated = widening.time_std_s is not None, widening.calibration is not None
+    values = {
+        "states": len(settings.component.drift),
+        "low": limits.low,
+        "high": limits.high,
+        "largest": limits.largest,
+        "largest_accepted": largest_beside(settings.noise_variance),
+        "stuck": min(limits.stuck_readings or 0, _ENDLESS),
+        "outlier_distance": outliers.causal_distance,
+        "plausible_low": outliers.low,
+        "plausible_high": outliers.high,
+        "repeats_are_one": outliers.repeats_are_one,
+        "blank": outliers.blank,
+        "longest_gap": reach.longest,
+        "gap_spans": reach.spans,
+        "gap_measurements": reach.readings,
+        "gated": gate is not None,
+        "gate_threshold": gate.threshold if gate else np.inf,
+        "gate_agree": gate.agree if gate else 0,
+        "gate_most": gate.at_most if gate else 0,
+        "gate_level": level_of(settings.component.to_model(1.0, settings.noise_variance)) if gate else -1,
+        "drift_threshold": int(np.ceil(min(settings.alarms.drift_threshold, NEVER) * _PARTS)),
+        "dead_variance": settings.alarms.dead_variance,
+        "timed": timed,
+        "step_s": settings.step_s,
+        "time_std_s": widening.time_std_s if timed else 0.0,
+        "time_variance": widening.included_std**2,
+        "factor": widening.factor,
+        "calibrated": calibrated,
+        "relative_std": widening.calibration[0] if widening.calibration else 0.0,
+        "offset_std": widening.calibration[1] if widening.calibration else 0.0,
+        "unknown_from": settings.unknown_from,
+    }
+    packed = np.zeros((), SETTINGS)
+    assert set(values) == set(SETTINGS.names or ()), "every field of the kernel's settings is filled in"
+    for name, value in values.items():
+        packed[name] = value
+    return packed
+
+
+def packed_coefficients(component: Component, noise_variance: float, *, disturbed: bool) -> NDArray[np.void]:
+    """Return the coefficients of a channel as C's struct.
+
+    Parameters
+    ----------
+    component : Component
+        In steps.
+    noise_variance : float
+        R, in unit^2.
+    disturbed : bool
+        Whether its signal leaves the disturbances out.
+
+    Raises
+    ------
+    ModelError
+        If it has too many states, or cannot start from measurements alone.
+    """
+    model = component.to_model(1.0, noise_variance)
+    refuse_singular(model_system(model))
+    n = model.states
+    if n > MOST_STATES:
+        raise ModelError(f"A channel has up to {MOST_STATES} states; this one has {n}. Leave a tone out.")
+    coefficients = np.zeros((), COEFFICIENTS)
+    coefficients["h"][:n] = model.H[0]
+    coefficients["c"][:n] = (component.signal_output if disturbed else component.output)[0]
+    coefficients["R"] = model.R[0, 0]
+    coefficients["prior"][: n * n] = root_of(known_before(model).Y).ravel()
+    coefficients["keeps_level"], coefficients["disturbed"] = component.keeps_level, disturbed
+    return coefficients

@@ -1,0 +1,187 @@
+/* The filter of one channel: rows whose measurements were judged, and whose starts were found.
+
+   Equations are numbered as in core/reference.py. */
+#include "filter.h"
+
+#include <string.h>
+
+#include "gate.h"
+#include "linear.h"
+#include "opening.h"
+#include "settling.h"
+
+#define LARGEST ((real)1e200) /* a state that no measurement sees saturates here, and cannot spoil the others */
+
+/* Take one row with its covariance; return what the gate says of its measurement. */
+INLINE int filter_row(const int n, const settings_t *settings, const coefficients_t *model, filter_t *state,
+                      const real *F, const real *Q, const real elapsed, const real z, const int jumps, real *innovation,
+                      real *deviation) {
+    const real *h = model->h;
+    real x[N_MAX], Ph[N_MAX];
+    int verdict = USED;
+    if (state->agreeing > 0) state->wandered += wander(n, h, F, Q, state->P);
+    times(n, F, state->x, x); /* (1) */
+    propagate(n, F, Q, state->P);
+    for (int i = 0; i < n; i++) {
+        state->x[i] = x[i] < -LARGEST ? -LARGEST : x[i] > LARGEST ? LARGEST : x[i];
+        if (state->P[i * n + i] > LARGEST) {
+            const real shrink = sqrt(LARGEST / state->P[i * n + i]);
+            for (int j = 0; j < n; j++) state->P[i * n + j] *= shrink, state->P[j * n + i] *= shrink;
+        }
+    }
+    const int arrived = fabs(z) <= BEYOND_ANY_SENSOR;
+    int complete = arrived;
+    *innovation = *deviation = NOT_A_NUMBER;
+    if (arrived) {
+        const real nu = z - dot(n, h, state->x); /* (3) */
+        times(n, state->P, h, Ph);
+        real hPh = dot(n, h, Ph);
+        state->S = hPh + model->R; /* (4) */
+        if (settings->gated) {
+            if (state->since_jump < 0 || !(fabs(nu) > settings->gate_threshold * sqrt(state->S)))
+                ;
+            else if (!(reject(settings, model, state, nu) || jumps))
+                verdict = SPIKE, complete = 0;
+            else {
+                verdict = STEP;
+                jump(n, settings, model, state, nu, hPh);
+                times(n, state->P, h, Ph);
+                state->S = dot(n, h, Ph) + model->R;
+            }
+            if (verdict != SPIKE) state->rejected = state->agreeing = 0, state->since_jump++;
+        }
+        if (verdict != SPIKE) {
+            for (int i = 0; i < n; i++) state->K[i] = state->S > 0 ? Ph[i] / state->S : 0; /* (5) */
+            for (int i = 0; i < n; i++) state->x[i] += state->K[i] * nu;                   /* (6) */
+            joseph(n, h, model->R, state->K, Ph, state->P);
+            *innovation = nu, *deviation = sqrt(state->S);
+        }
+    }
+    real Pc[N_MAX];
+    times(n, state->P, model->c, Pc);
+    const real variance = dot(n, model->c, Pc);
+    state->sigma = variance > 0 ? sqrt(variance) : 0;
+    notice(n, h, F, state, verdict == STEP ? -2 : elapsed, complete);
+    if (verdict == STEP) state->last_step = -1; /* its covariance is that of no other row */
+    return verdict;
+}
+
+/* Take rows with the gain that has settled, until one is missing, rejected, or comes after another step; return how
+   many were taken. What moves is the predicted state: s = F s + L nu (14), the least that a row waits for. */
+INLINE int64_t filter_settled(const int n, const settings_t *settings, const coefficients_t *model, filter_t *state,
+                              const real *F_, const block_t *block, int64_t row, const pass_t *pass,
+                              const estimate_t *estimate) {
+    const int64_t from = row;
+    real F[NN_MAX], s[N_MAX], before[N_MAX], L[N_MAX], h[N_MAX], c[N_MAX], nu = 0, gain = 0;
+    const real deviation = sqrt(state->S);
+    const real threshold = settings->gated ? settings->gate_threshold * deviation : INFINITE;
+    const real level = state->level, sigma = state->sigma, step = state->last_step;
+    memcpy(F, F_, sizeof(real) * (size_t)(n * n));
+    if (!state->predicted) {
+        times(n, F, state->x, state->ahead);
+        times(n, F, state->K, state->L); /* (13) */
+        state->predicted = 1;
+    }
+    for (int i = 0; i < n; i++) s[i] = before[i] = state->ahead[i], L[i] = state->L[i];
+    for (int i = 0; i < n; i++) h[i] = model->h[i], c[i] = model->c[i], gain += c[i] * state->K[i];
+    for (; row < block->rows && block->elapsed[row] == step && pass->starts[row] != ANEW; row++) {
+        const real next = pass->usable[row] - level - dot(n, h, s);
+        if (!(fabs(next) <= threshold && fabs(next) < BEYOND_ANY_SENSOR)) break;
+        nu = next;
+        estimate->signal[row] = dot(n, c, s) + gain * nu + level;
+        estimate->sigma[row] = sigma;
+        estimate->innovation[row] = nu, estimate->deviation[row] = deviation;
+        if (estimate->x)
+            for (int i = 0; i < n; i++) estimate->x[row * n + i] = s[i] + state->K[i] * nu;
+        real ahead[N_MAX];
+        UNROLL
+        for (int i = 0; i < n; i++) ahead[i] = dot(n, F + i * n, s) + L[i] * nu;
+        UNROLL
+        for (int i = 0; i < n; i++) before[i] = s[i], s[i] = ahead[i];
+    }
+    if (row > from) {
+        if (state->settled_row < 0) state->settled_row = state->rows;
+        for (int i = 0; i < n; i++) state->x[i] = before[i] + state->K[i] * nu, state->ahead[i] = s[i];
+        state->since_jump += settings->gated ? row - from : 0;
+        state->rows += row - from;
+    }
+    return row - from;
+}
+
+void filter_forget(filter_t *state) {
+    state->phase = UNKNOWN;
+    state->level = 0, state->has_level = 0;
+    state->rejected = state->agreeing = state->since_jump = state->jumped = 0;
+    state->last_rejected = state->wandered = 0;
+    unsettle(state);
+    state->steady = 0;
+}
+
+real filter_level(const settings_t *settings, const coefficients_t *model, const real first) {
+    return model->keeps_level && fabs(first) <= settings->largest_accepted / 1000 ? first : 0;
+}
+
+/* Take one row while measurements do not determine the state: their information is gathered. */
+static void open_row(const int n, const settings_t *settings, const coefficients_t *model, filter_t *state,
+                     const real *F, const real *Q, const real z, real *signal, real *sigma) {
+    *signal = NOT_A_NUMBER, *sigma = INFINITE;
+    const int arrived = fabs(z) <= BEYOND_ANY_SENSOR;
+    if (state->phase == UNKNOWN) {
+        if (!arrived) return;
+        state->phase = GATHERING;
+        if (!state->has_level) state->level = filter_level(settings, model, z), state->has_level = 1;
+        begin_information(n, model->prior, state->P, state->x);
+    } else
+        carry_information(n, F, Q, model->prior, state->P, state->x);
+    if (arrived) add_information(n, model->h, model->R, z - state->level, state->P, state->x);
+    if (!model->disturbed) estimate_from_information(n, model->h, state->P, state->x, signal, sigma);
+    if (try_to_determine(n, state->P, state->x)) {
+        state->phase = DETERMINED;
+        if (model->disturbed) {
+            real Pc[N_MAX];
+            times(n, state->P, model->c, Pc);
+            const real variance = dot(n, model->c, Pc);
+            *signal = dot(n, model->c, state->x), *sigma = variance > 0 ? sqrt(variance) : 0;
+        }
+    }
+    *signal += state->level;
+}
+
+INLINE void filter_rows(const int n, const settings_t *settings, const coefficients_t *model, filter_t *state,
+                        const block_t *block, const estimate_t *estimate, pass_t *pass) {
+    for (int64_t row = 0; row < block->rows;) {
+        const int64_t at = (int64_t)block->step[row] * n * n;
+        const real *F = block->F + at, *Q = block->Q + at;
+        if (pass->starts[row] == ANEW) {
+            filter_forget(state);
+            pass->starts[row] = 0;
+        }
+        if (state->settled && state->phase == DETERMINED) {
+            const int64_t taken = filter_settled(n, settings, model, state, F, block, row, pass, estimate);
+            row += taken;
+            if (taken) continue;
+            unsettle(state); /* so that what follows does not depend on when the gain has settled */
+        }
+        if (state->phase != DETERMINED) {
+            estimate->innovation[row] = estimate->deviation[row] = NOT_A_NUMBER;
+            open_row(n, settings, model, state, F, Q, pass->usable[row], estimate->signal + row, estimate->sigma + row);
+        } else {
+            const real z = pass->usable[row] - state->level;
+            const int verdict = filter_row(n, settings, model, state, F, Q, block->elapsed[row], z,
+                                           pass->starts[row] == JUMPS, estimate->innovation + row,
+                                           estimate->deviation + row);
+            if (verdict) estimate->verdict[row] = (int8_t)verdict;
+            estimate->signal[row] = dot(n, model->c, state->x) + state->level;
+            estimate->sigma[row] = state->sigma;
+        }
+        if (estimate->x)
+            for (int i = 0; i < n; i++)
+                estimate->x[row * n + i] = state->phase == DETERMINED ? state->x[i] : NOT_A_NUMBER;
+        state->rows++, row++;
+    }
+}
+
+void filter_block(const settings_t *settings, const coefficients_t *model, filter_t *state, const block_t *block,
+                  const estimate_t *estimate, pass_t *pass) {
+    FOR_STATES(settings->states, filter_rows, settings, model, state, block, estimate, pass)
+}

@@ -1,0 +1,41 @@
+/* The likelihood of a record and nothing else: what tuning asks for, dozens of times a channel. Source: Schweppe, IEEE
+   TIT-11 (1965) 61; equation (8) of core/reference.py. No logarithm is needed: what it is taken of is multiplied. */
+#include "filter.h"
+
+#include <string.h>
+
+enum { POWER = 60 };
+
+#define LARGE ((real)1152921504606846976) /* 2^POWER: products are kept between it and its inverse */
+
+/* Return a factor without powers of two that are counted in an exponent. */
+static real near_one(real factor, int64_t *exponent) {
+    for (; factor > LARGE; *exponent += POWER) factor *= 1 / LARGE;
+    for (; factor < 1 / LARGE; *exponent -= POWER) factor *= LARGE;
+    return factor;
+}
+
+void likelihood_add(const settings_t *settings, const coefficients_t *model, const block_t *block, const int64_t from,
+                    score_t *score) {
+    real signal[BLOCK], sigma[BLOCK], innovation[BLOCK], deviation[BLOCK];
+    int8_t verdict[BLOCK];
+    const estimate_t estimate = {signal, sigma, verdict, innovation, deviation, NULL};
+    filter_t state;
+    memset(&state, 0, sizeof state);
+    filter_forget(&state);
+    for (int64_t at = 0; at < block->rows; at += BLOCK) {
+        block_t part = *block;
+        pass_t pass = {{0}, {0}};
+        part.z += at, part.elapsed += at, part.step += at;
+        part.rows = block->rows - at < BLOCK ? block->rows - at : BLOCK;
+        memcpy(pass.usable, part.z, sizeof(real) * (size_t)part.rows);
+        filter_block(settings, model, &state, &part, &estimate, &pass);
+        for (int64_t row = from > at ? from - at : 0; row < part.rows; row++) {
+            const real S = deviation[row] * deviation[row];
+            if (!(S > 0)) continue; /* missing, or nothing foretold it */
+            score->squares += innovation[row] * innovation[row] / S;
+            score->used++;
+            score->product = near_one(score->product * near_one(S, &score->exponent), &score->exponent);
+        }
+    }
+}
