@@ -20,8 +20,8 @@ from scipy.stats import poisson
 
 from becalm.cleaning.pipeline import Cleaned, clean
 from becalm.cleaning.tuning import Wishes, tune
+from becalm.core.causal_flow import CausalFlow
 from becalm.core.components import motion
-from becalm.core.flow import Flow
 from becalm.core.gates import Gate, threshold_for
 from becalm.core.recording import Recording
 from becalm.core.verdict import Verdict
@@ -38,16 +38,16 @@ BLOCK = 1 << 20
 RECORDINGS = ("comma2k19/accelerometer.csv", "comma2k19/gyroscope.csv", "comma2k19/can_speed.csv")
 
 
-def smooth_motion(order: int, cutoff: float = 0.01) -> Flow:
+def smooth_motion(order: int, cutoff: float = 0.01) -> CausalFlow:
     """Return a causal filter of a cut-off in cycles a step, with a gate of one false alarm an hour at 500 Hz."""
     part = motion(order, (2 * np.pi * cutoff) ** (2 * order))
-    return Flow(part, 1.0, causal=True, gate=Gate(threshold_for(1.0, RATE_HZ)))
+    return CausalFlow(part, 1.0, Gate(threshold_for(1.0, RATE_HZ)))
 
 
 def false_alarms(rate_hz: float, readings: float) -> Row:
     """Count the good readings that a gate rejects."""
     part = motion(1, (2 * np.pi * 0.01) ** 2)
-    flow = Flow(part, 1.0, causal=True, gate=Gate(threshold_for(1.0, rate_hz)))
+    flow = CausalFlow(part, 1.0, Gate(threshold_for(1.0, rate_hz)))
     rng, count, level, blocks = np.random.default_rng(int(rate_hz)), 0, 0.0, round(readings / BLOCK)
     for _ in range(blocks):
         walk = level + np.cumsum(2 * np.pi * 0.01 * rng.normal(size=BLOCK))

@@ -13,13 +13,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from becalm.core.arrays import Codes, Floats
-from becalm.core.channel import Channel, Estimates, Settings, smooth_record
+from becalm.core.channel import Channel, Estimates
+from becalm.core.channel_settings import Settings
 from becalm.core.components import Component, bias, motion, oscillator, returning_motion
 from becalm.core.faults import Found
 from becalm.core.gates import Gate
 from becalm.core.limits import Limits
 from becalm.core.monitor import Alarms
 from becalm.core.outliers import find_outlier_rule
+from becalm.core.record import Record
+from becalm.core.smoothed_flow import SmoothedFlow
+from becalm.core.told import Told
 from becalm.core.verdict import LOST, Verdict
 from becalm.errors import ModelError
 from becalm.native import COEFFICIENTS, MOST_STATES, SETTINGS, STATE
@@ -46,6 +50,12 @@ def channel(component: Component, **more: Any) -> Channel:
 
 def run(one: Channel, z: Floats, elapsed: Floats) -> tuple[Floats, Floats, Codes]:
     return one.process(z, elapsed)[:3]
+
+
+def smoothed(component: Component, z: Floats, elapsed: Floats) -> tuple[Floats, Floats]:
+    flow = SmoothedFlow(component, R)
+    told = Told.joined([*flow.push(z, elapsed), *flow.finish()])
+    return told.signal, told.sigma
 
 
 def stacked(estimates: Estimates) -> Floats:
@@ -176,9 +186,32 @@ def test_its_smoother_is_the_specification(kind: str) -> None:
     z[:5] = np.nan
     elapsed[600:] = uneven(300)
     expected, spread = exact_smoothed(COMPONENTS[kind], z, elapsed)
-    signal, sigma, *_ = smooth_record(settings_of(COMPONENTS[kind]), z, elapsed)
+    signal, sigma = smoothed(COMPONENTS[kind], z, elapsed)
     assert np.abs((signal - expected) / spread).max() < SMOOTHER
     assert np.abs(sigma / spread - 1).max() < SMOOTHER
+
+
+@KINDS
+def test_its_likelihood_is_the_specification(kind: str) -> None:
+    """From any row on, of any scale: beyond what a product of so many variances could be."""
+    z, elapsed = rough(900), np.ones(900)
+    elapsed[600:] = uneven(300)
+    *_, innovation, deviation = exact(COMPONENTS[kind], z, elapsed)
+    for begin in (0, 20, 300, 899, 2000):
+        foretold = np.isfinite(innovation) & (deviation < 1e6) & (np.arange(900) >= begin)
+        found = Record(COMPONENTS[kind], R, z, elapsed).score(begin)
+        assert found.used == np.count_nonzero(foretold)
+        assert found.squares == pytest.approx(((innovation / deviation)[foretold] ** 2).sum(), rel=TWIN)
+        assert found.log_det == pytest.approx(2 * np.log(deviation[foretold]).sum(), rel=TWIN, abs=TWIN)
+
+
+@pytest.mark.parametrize("scale", [1e-120, 1e-60, 1e60, 1e90])
+def test_a_likelihood_has_any_unit(scale: float) -> None:
+    z = rough(900)
+    one, other = (Record(motion(2, 1e-4 * k**2), R * k**2, z * k, np.ones(900)).score(3) for k in (1.0, scale))
+    assert other.used == one.used
+    assert other.squares == pytest.approx(one.squares, rel=1e-9)
+    assert other.log_det == pytest.approx(one.log_det + 2 * one.used * np.log(scale), rel=1e-12)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -420,7 +453,7 @@ def test_a_gap_among_the_first_rows_locks_nothing_out(kind: str, row: int, gap: 
     elapsed[row] = gap
     for signal, sigma, *_ in (
         channel(COMPONENTS[kind]).process(z, elapsed),
-        smooth_record(settings_of(COMPONENTS[kind]), z, elapsed),
+        smoothed(COMPONENTS[kind], z, elapsed),
     ):
         assert np.isfinite(sigma[row + 40 :]).all()
         told = np.isfinite(sigma)
@@ -432,7 +465,7 @@ def test_what_no_sensor_measures_is_missing_at_the_first_row_too() -> None:
     z = rough(200)
     for value in (np.inf, -np.inf, 1e150, np.nan):
         z[0] = value
-        signal, sigma, *_ = smooth_record(settings_of(COMPONENTS["order 2"]), z, np.ones(200))
+        signal, sigma = smoothed(COMPONENTS["order 2"], z, np.ones(200))
         assert np.abs(signal).max() < 100
         assert np.isfinite(sigma).all()
 

@@ -6,11 +6,14 @@ import numpy as np
 import pytest
 
 from becalm.core.arrays import Floats
+from becalm.core.channel import Channel, parts_of
+from becalm.core.channel_settings import Settings
 from becalm.core.components import Component, autoregressive, hum, motion
 from becalm.core.filtering import kalman_filter
-from becalm.core.flow import Flow
-from becalm.core.kernel_ahead import BLOCK
+from becalm.core.limits import Limits
 from becalm.core.model import Model
+from becalm.core.monitor import NO_ALARMS
+from becalm.core.smoothed_flow import SmoothedFlow
 from becalm.core.smoothing import kalman_smoother
 from becalm.core.told import Told
 
@@ -31,12 +34,14 @@ def readings(missing: bool) -> Floats:
 
 
 def flow(component: Component, z: Floats, causal: bool, rows: int) -> Told:
-    made = Flow(component, 1.0, causal=causal, split=True)
-    told = []
-    for start in range(0, len(z), rows):
-        told += made.push(z[start : start + rows], np.ones(len(z[start : start + rows])))
-    told += made.finish()
-    return Told(*(np.concatenate(arrays, axis=-1) for arrays in zip(*told, strict=True)))
+    pieces = [z[start : start + rows] for start in range(0, len(z), rows)]
+    if causal:
+        channel = Channel(Settings(component, 1.0, 1.0, Limits(), NO_ALARMS))
+        found = [channel.process(piece, np.ones(len(piece)), states=True) for piece in pieces]
+        return Told.joined([each.told()._replace(parts=parts_of(component, each)) for each in found])
+    made = SmoothedFlow(component, 1.0, split=True)
+    told = [part for piece in pieces for part in made.push(piece, np.ones(len(piece)))]
+    return Told.joined([*told, *made.finish()])
 
 
 def beside_a_blind_sensor(component: Component) -> Model:
@@ -72,15 +77,6 @@ def test_parts_add_up(component: Component, causal: bool) -> None:
 @pytest.mark.parametrize("causal", [True, False])
 def test_stretches_give_the_bits_of_the_whole(causal: bool) -> None:
     z, component = readings(missing=True), COMPONENTS["hum"]
-    whole, cut = flow(component, z, causal, ROWS), flow(component, z, causal, 2 * BLOCK)
+    whole, cut = flow(component, z, causal, ROWS), flow(component, z, causal, 512)
     for one, other in zip(whole, cut, strict=True):
         np.testing.assert_array_equal(one, other)
-
-
-def test_a_long_stretch_is_taken_in_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
-    z, component = readings(missing=False), COMPONENTS["hum"]
-    whole = flow(component, z, False, ROWS)
-    monkeypatch.setattr("becalm.core.flow._MOST_NUMBERS", 16 * 2 * BLOCK)
-    pieces = flow(component, z, False, ROWS)
-    np.testing.assert_allclose(pieces.signal, whole.signal, rtol=1e-12)
-    np.testing.assert_allclose(pieces.sigma, whole.sigma, rtol=1e-12)

@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from numpy.lib.stride_tricks import as_strided
 
 from against_reference import (
-    TWIN,
     Known,
     arrived,
     assert_filter,
@@ -30,7 +29,7 @@ from becalm.core.filtering import Estimate, Wanted, kalman_filter, run_filter
 from becalm.core.model import Model
 from becalm.core.online import Online
 from becalm.core.smoothing import kalman_smoother, run_smoother
-from becalm.core.timeline import elapsed_timeline, even_timeline
+from becalm.core.timeline import elapsed_timeline
 
 SLOPE: dict[str, Any] = {"F": [[0.95, 0.5], [0, 0.9]], "H": [[1, 0]], "Q": [[0.1, 0], [0, 0.2]], "R": [[1]]}
 PAIR: dict[str, Any] = SLOPE | {"H": [[1, 0], [0.5, 1]], "R": [[1, 0.4], [0.4, 0.8]]}

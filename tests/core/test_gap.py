@@ -12,9 +12,9 @@ import pytest
 from becalm.core.arrays import Floats
 from becalm.core.components import motion
 from becalm.core.filtering import Estimate
-from becalm.core.flow import Flow
 from becalm.core.model import Model
 from becalm.core.smoothing import kalman_smoother
+from flows import flow_of
 
 EDGE = 3000
 EQUAL = 1e-7  # over a gap of g rows the covariance itself keeps about g^2 ulp of its smallest part
@@ -63,7 +63,7 @@ def test_a_lone_reading_within_the_gap() -> None:
 @pytest.mark.parametrize("rows", [1024, 2560])
 def test_a_record_in_stretches_has_the_sigma_of_the_whole(rows: int) -> None:
     component, z = motion(3, 1e-9), gapped(9000)
-    flow = Flow(component, 1.0, causal=False)
+    flow = flow_of(component, 1.0, causal=False)
     told = []
     for first in range(0, len(z), rows):
         told += flow.push(z[first : first + rows], np.ones(len(z[first : first + rows])))

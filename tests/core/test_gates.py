@@ -10,7 +10,6 @@ from scipy.stats import norm, poisson
 
 from becalm.core.arrays import Codes, Floats
 from becalm.core.components import Component, motion, oscillator
-from becalm.core.flow import Flow
 from becalm.core.gates import LEAST_THRESHOLD, Gate, Gatekeeper, threshold_for
 from becalm.core.model import Model
 from becalm.core.starting import open_record
@@ -18,6 +17,7 @@ from becalm.core.timeline import elapsed_timeline
 from becalm.core.told import Told
 from becalm.core.verdict import Verdict
 from becalm.errors import ModelError
+from flows import flow_of
 
 ROWS = 4096
 GATE = Gate(5.0)
@@ -46,14 +46,14 @@ def told_of(  # noqa: PLR0913  (each by its name)
     cuts: tuple[int, ...] = (),
     elapsed: Floats | None = None,
 ) -> Told:
-    flow = Flow(component, 1.0, causal=causal, gate=gate)
+    flow = flow_of(component, 1.0, causal=causal, gate=gate)
     steps = even(len(z)) if elapsed is None else elapsed
     told: list[Told] = []
     for start, stop in zip([0, *cuts], [*cuts, len(z)], strict=True):
         told += flow.push(z[start:stop], steps[start:stop])
     told += flow.finish()
-    assert flow.rows == len(z)
-    return Told(*(np.concatenate(arrays, axis=-1) for arrays in zip(*told, strict=True)))
+    assert sum(len(part.signal) for part in told) == len(z)
+    return Told.joined(told)
 
 
 def noise(seed: int, rows: int = ROWS) -> Floats:
@@ -291,7 +291,7 @@ def test_a_stretch_of_wild_readings_is_overcome(order: int, value: float) -> Non
 
 
 def count_false_alarms(rate_hz: float, rows: int, block: int = 1 << 20) -> int:
-    flow = Flow(component_of(1), 1.0, causal=True, gate=Gate(threshold_for(1.0, rate_hz)))
+    flow = flow_of(component_of(1), 1.0, causal=True, gate=Gate(threshold_for(1.0, rate_hz)))
     rng, count, level = np.random.default_rng(int(rate_hz)), 0, 0.0
     for _ in range(rows // block):
         walk = level + np.cumsum(2 * np.pi * 0.01 * rng.normal(size=block))

@@ -8,7 +8,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from becalm.core.arrays import Codes, Floats
-from becalm.core.flow import Flow
 from becalm.core.gates import Gate, Gatekeeper, with_jumps
 from becalm.core.lagged_flow import LaggedFlow
 from becalm.core.model import Model
@@ -18,6 +17,7 @@ from becalm.core.starting import open_record
 from becalm.core.timeline import elapsed_timeline
 from becalm.core.verdict import Verdict
 from becalm.errors import ModelError
+from flows import flow_of
 from gated_streams import GATE, PARTS, in_chunks, model_of
 
 ROWS, LAG = 900, 7
@@ -79,7 +79,7 @@ def test_a_row_is_that_of_the_decided_record_cut_after_the_lag(order: int, kind:
 
 @pytest.mark.parametrize("order", [1, 2, 3])
 def test_it_decides_as_the_causal_filter(order: int) -> None:
-    flow = Flow(PARTS[order], 1.0, causal=True, gate=GATE)
+    flow = flow_of(PARTS[order], 1.0, causal=True, gate=GATE)
     told = [*flow.push(readings(order), stamps("even")), *flow.finish()]
     verdicts = file(order, LAG, stamps("even"), [])[2]
     assert np.array_equal(verdicts, np.concatenate([part.verdicts for part in told]))

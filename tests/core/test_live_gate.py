@@ -8,12 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from becalm.core.arrays import Floats
-from becalm.core.flow import Flow
 from becalm.core.gates import Gate
 from becalm.core.model import Model
 from becalm.core.online import Online
 from becalm.core.verdict import Verdict
 from becalm.errors import ModelError
+from flows import flow_of
 from gated_streams import GATE, PARTS, in_chunks, model_of
 
 ROWS = 1500
@@ -32,7 +32,7 @@ def readings(order: int) -> Floats:
 def test_live_is_the_file(order: int) -> None:
     z = readings(order)
     elapsed = np.ones(ROWS)
-    flow = Flow(PARTS[order], 1.0, causal=True, gate=GATE)
+    flow = flow_of(PARTS[order], 1.0, causal=True, gate=GATE)
     told = [*flow.push(z, elapsed), *flow.finish()]
     signal, sigma, verdicts = in_chunks(Online(model_of(order), gate=GATE), z, [])
     assert np.array_equal(verdicts, np.concatenate([part.verdicts for part in told]))

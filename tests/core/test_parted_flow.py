@@ -13,22 +13,21 @@ import banks
 from becalm.core.arrays import Floats
 from becalm.core.autoregressive import autoregressive
 from becalm.core.components import gauss_markov, motion, oscillator
-from becalm.core.flow import Flow, Judge
 from becalm.core.gates import Gate
 from becalm.core.lagged_flow import LaggedFlow
 from becalm.core.parted_flow import Gaps, PartedFlow, PartialFlow
 from becalm.core.reach import Reach, least_reach, longest_step, reach_of
+from becalm.core.smoothed_flow import SmoothedFlow
 from becalm.core.switching_flow import SwitchingFlow
 from becalm.core.switching_lag import LaggedSwitchingFlow
-from becalm.core.told import Told
+from becalm.core.told import Judge, Told
 from becalm.core.verdict import Verdict
+from flows import flow_of
 
 ROWS, AT = 1500, 700
 PART, VARIANCE, GATE = motion(3, 1e-4), 0.01, Gate(5.0)
 BANK = banks.bank_of(2, 2)
 OPEN: dict[str, Callable[[Judge | None], PartialFlow]] = {
-    "causal": lambda judge: Flow(PART, VARIANCE, causal=True, judge=judge, gate=GATE),
-    "smoothed": lambda judge: Flow(PART, VARIANCE, causal=False, judge=judge, gate=GATE),
     "lagged": lambda judge: LaggedFlow(PART, VARIANCE, lag=9, judge=judge, gate=GATE),
     "switching": lambda judge: SwitchingFlow(BANK, causal=True, judge=judge, split=True),
     "switching, smoothed": lambda judge: SwitchingFlow(BANK, causal=False, judge=judge, split=True),
@@ -86,25 +85,34 @@ def test_both_sides_of_a_long_gap_are_records_of_their_own_to_the_bit(kind: str)
 @given(blocks=st.lists(st.integers(0, ROWS // 256), max_size=4))
 @settings(max_examples=10)
 def test_cut_anywhere_the_bits_are_the_same(kind: str, blocks: list[int]) -> None:
-    """At whole blocks, as `Flow` asks."""
+    """At whole blocks, as a smoother of a bank asks."""
     cuts = sorted(256 * block for block in blocks)
     whole, parts = parted(kind), parted(kind)
     one, other = run(whole, record()), run(parts, record(), cuts)
-    if kind == "smoothed":  # what is cut itself knows the future to 1e-13 only
-        for a, b in zip(one, other, strict=True):
-            np.testing.assert_allclose(np.asarray(a), np.asarray(b), rtol=1e-12, atol=1e-12)
-    else:
-        assert same(one, other)
+    assert same(one, other)
     assert whole.settled_row == parts.settled_row
     assert whole.shares == pytest.approx(parts.shares, rel=1e-12)
 
 
-def test_a_smoother_in_chunks_is_the_rest_in_chunks_to_the_bit() -> None:
-    """Stretches are as long as the first push, from each start on."""
+@pytest.mark.parametrize("causal", [True, False])
+def test_both_sides_of_a_long_gap_are_records_of_their_own(causal: bool) -> None:
+    """Of a filter in C, which starts anew by itself, and settles at other rows."""
     z, elapsed = record()
-    whole = run(parted("smoothed"), (z, elapsed), [512, 1024])
-    rest = run(OPEN["smoothed"](None), (z[AT:], elapsed[AT:]), [512])
-    assert same(whole.rows(slice(AT, None)), rest)
+    shown: list[Floats] = []
+    flow, before, after = (flow_of(PART, VARIANCE, causal=causal, gate=GATE) for _ in range(3))
+    if not causal:
+        flow = SmoothedFlow(PART, VARIANCE, judge=lambda nu, _: shown.append(nu), gate=GATE)
+    whole, first, rest = (
+        run(one, (z[rows], elapsed[rows]))
+        for one, rows in ((flow, slice(ROWS)), (before, slice(AT)), (after, slice(AT, ROWS)))
+    )
+    for told, rows in ((first, slice(AT)), (rest, slice(AT, None))):
+        np.testing.assert_allclose(whole.signal[rows], told.signal, rtol=1e-11)
+        np.testing.assert_allclose(whole.sigma[rows], told.sigma, rtol=1e-9)
+        assert np.array_equal(whole.verdicts[rows], told.verdicts)
+    assert flow.log_likelihood == pytest.approx(before.log_likelihood + after.log_likelihood, rel=1e-12)
+    assert flow.settled_row == before.settled_row
+    assert sum(map(len, shown)) == (0 if causal else ROWS)
 
 
 @pytest.mark.parametrize("cuts", [[], [256, 1024], [1, 300, 301]])
@@ -124,7 +132,7 @@ def test_a_gap_before_the_first_reading_is_none(kind: str) -> None:
 
 def test_verdicts_survive_and_a_bank_tells_the_shares_of_all_parts() -> None:
     z, elapsed = record()
-    verdicts = run(parted("causal"), (z, elapsed)).verdicts
+    verdicts = run(flow_of(PART, VARIANCE, causal=True, gate=GATE), (z, elapsed)).verdicts
     assert set(np.flatnonzero(verdicts == Verdict.SPIKE)) == {400, 1100}
     assert set(np.flatnonzero(verdicts == Verdict.MISSING)) == set(range(AT - 7, AT))
     flow, before, after = parted("switching"), OPEN["switching"](None), OPEN["switching"](None)
@@ -144,7 +152,7 @@ def test_what_follows_a_gap_keeps_to_its_sigma(order: int, ratio: float, gap: fl
     true = np.sin(np.arange(before + 300) / 200)
     z, elapsed, part = true + 0.1 * rng.normal(size=len(true)), np.ones(before + 300), motion(order, ratio * 0.01)
     elapsed[before] = gap
-    told = run(PartedFlow(lambda: Flow(part, 0.01, causal=causal), reach_of(part, 0.01)), (z, elapsed))
+    told = run(flow_of(part, 0.01, causal=causal), (z, elapsed))
     assert (np.abs(told.signal - true) <= 4 * told.sigma)[before:].all()
     assert told.sigma.min() > 0.01
 
@@ -155,7 +163,7 @@ def test_a_million_missing_rows_are_a_gap(causal: bool) -> None:
     true = np.sin(np.arange(1_000_600) / 200)
     z, part = true + 0.1 * rng.normal(size=len(true)), motion(5, 1e-5)
     z[300:1_000_300] = np.nan
-    told = run(PartedFlow(lambda: Flow(part, 0.01, causal=causal), reach_of(part, 0.01)), (z, np.ones(len(z))))
+    told = run(flow_of(part, 0.01, causal=causal), (z, np.ones(len(z))))
     arrived = np.isfinite(z)
     assert (np.abs(told.signal - true) <= 4 * told.sigma)[arrived].all()
     assert np.isfinite(told.signal).all()

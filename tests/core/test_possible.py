@@ -6,16 +6,18 @@ import numpy as np
 import pytest
 
 from becalm.core.arrays import Floats
+from becalm.core.causal_flow import CausalFlow
 from becalm.core.components import motion
 from becalm.core.faults import Faults, said
-from becalm.core.flow import Flow
 from becalm.core.gates import Gate
 from becalm.core.lagged_flow import LaggedFlow
 from becalm.core.limits import find_limits
 from becalm.core.online import Online
 from becalm.core.possible import find_largest, largest_beside, level_by
+from becalm.core.smoothed_flow import SmoothedFlow
 from becalm.core.told import Told
 from becalm.core.verdict import BEYOND_ANY_SENSOR, Verdict
+from flows import flow_of
 
 ROWS = 1024
 GATE = Gate(5.0)
@@ -25,7 +27,7 @@ def noise(seed: int = 1) -> Floats:
     return np.random.default_rng(seed).normal(size=ROWS)
 
 
-def told_of(flow: Flow | LaggedFlow, z: Floats) -> Told:
+def told_of(flow: CausalFlow | SmoothedFlow | LaggedFlow, z: Floats) -> Told:
     told = [*flow.push(z, np.ones(len(z))), *flow.finish()]
     return Told(*(np.concatenate(arrays, axis=-1) for arrays in zip(*told, strict=True)))
 
@@ -91,7 +93,7 @@ def test_an_absurd_reading_is_as_if_it_had_not_come(kind: str, gate: Gate | None
         return told_of(
             LaggedFlow(part, 1.0, lag=5, gate=gate)
             if kind == "lagged"
-            else Flow(part, 1.0, causal=kind == "causal", gate=gate),
+            else flow_of(part, 1.0, causal=kind == "causal", gate=gate),
             z,
         )
 
@@ -112,10 +114,10 @@ def test_a_gate_finds_back_from_whatever_it_believed(order: int, row: int, size:
     z = good.copy()
     z[row] = size
     rounded = 4 * np.spacing(size) if row == 0 and size == level_by(size, 1.0) else 1e-3
-    right = told_of(Flow(part, 1.0, causal=True, gate=GATE), good)
+    right = told_of(flow_of(part, 1.0, causal=True, gate=GATE), good)
     for causal in (True, False):
-        told = told_of(Flow(part, 1.0, causal=causal, gate=GATE), z)
-        own = right if causal else told_of(Flow(part, 1.0, causal=False, gate=GATE), good)
+        told = told_of(flow_of(part, 1.0, causal=causal, gate=GATE), z)
+        own = right if causal else told_of(flow_of(part, 1.0, causal=False, gate=GATE), good)
         assert np.abs(told.signal - own.signal)[row + 200 : -200].max() < rounded
 
 
@@ -126,7 +128,7 @@ def test_live_does_as_a_file_does(row: int, size: float) -> None:
     z[row] = size
     online = Online(part.to_model(1.0, 1.0), gate=GATE)
     signal, _ = online.run(z)
-    told = told_of(Flow(part, 1.0, causal=True, gate=GATE), z)
+    told = told_of(flow_of(part, 1.0, causal=True, gate=GATE), z)
     np.testing.assert_allclose(signal[:, 0][5:], told.signal[5:], rtol=0, atol=1e-10)
     assert online.verdicts is not None
     assert online.verdicts[row] == Verdict.OVERRANGE

@@ -43,7 +43,13 @@ class Record:
         even = np.concatenate([elapsed[1:2], elapsed[1:]]) if len(elapsed) > 1 else np.ones(len(elapsed))
         lengths, step = np.unique(even, return_inverse=True)
         F, Q = component.over(lengths if len(lengths) else np.ones(1))
-        self._rows: dict[str, Any] = {"z": np.ascontiguousarray(z), "elapsed": even, "step": step.astype(np.int32), "F": F, "Q": Q}
+        self._rows: dict[str, Any] = {
+            "z": np.ascontiguousarray(z),
+            "elapsed": even,
+            "step": step.astype(np.int32),
+            "F": F,
+            "Q": Q,
+        }
         self._coefficients = packed_coefficients(component, noise_variance, disturbed=False)
         self._settings = np.zeros((), SETTINGS)
         self._settings["states"] = len(component.drift)

@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Booleans, Codes, Floats
-from becalm.core.filtering import Estimate
 from becalm.core.verdict import Verdict
 
 Judge = Callable[[Floats, Floats], None]
@@ -67,19 +66,3 @@ class Told(NamedTuple):
     def nothing(cls) -> Told:
         """Return no rows."""
         return cls(np.empty(0), np.empty(0), np.empty((0, 0)), np.empty(0, np.int8))
-
-
-class Belief(NamedTuple):
-    """What is believed of some rows."""
-
-    signal: Floats  # (1, B)
-    sigma: Floats  # (1, B)
-    mean: Floats  # (n, B) where wanted
-    cov: Floats  # (n, n, B) where wanted
-
-    @classmethod
-    def of(cls, estimate: Estimate) -> Belief:
-        """Return what a forward pass found."""
-        mean = np.empty((0, 0)) if estimate.mean is None else estimate.mean.T
-        cov = np.empty((0, 0, 0)) if estimate.cov is None else np.moveaxis(estimate.cov, 0, 2)
-        return cls(estimate.signal.T, estimate.sigma.T, mean, cov)

@@ -225,7 +225,7 @@ class Smoother:
         self._come_back(passed, future, passed.taken, only_future=False)
 
     def look_back(self, passed: Passed, future: NDArray[np.void], count: int) -> None:
-        """Take into a future what the first rows of a block say: a multiple of 64, or all; estimates stay as they are."""
+        """Take into a future what the first rows of a block say: a multiple of 64, or all. Nothing is smoothed."""
         self._come_back(passed, future, count, only_future=True)
 
     def _come_back(self, passed: Passed, future: NDArray[np.void], count: int, *, only_future: bool) -> None:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from becalm.core.arrays import Booleans, Floats
-from becalm.core.flow import Flow
 from becalm.core.kernel_switching import NOTHING_WANTED, switch_forward
 from becalm.core.kernel_switching_row import memory_length
+from becalm.core.smoothed_flow import SmoothedFlow
 from becalm.core.switching import Switching, numbered_steps
 from becalm.core.switching_flow import SwitchingFlow
 from becalm.noise.likelihood import Evidence, Tuning
@@ -58,7 +58,7 @@ def errs_less(switching: Switching, tuning: Tuning, evidence: Evidence) -> bool:
     Readings that the bank takes for wild say nothing of errors; draws of what it believes stand in their place.
     """
     evidence = _tame(switching, evidence)
-    alone = Flow(tuning.component, tuning.noise_variance, causal=False)
+    alone = SmoothedFlow(tuning.component, tuning.noise_variance)
     more = hidden_errors(SwitchingFlow(switching, causal=False), evidence) - hidden_errors(alone, evidence)
     if not len(more):
         return False
@@ -71,7 +71,7 @@ def errs_less(switching: Switching, tuning: Tuning, evidence: Evidence) -> bool:
     return bool(more.mean() <= _BY_CHANCE * chance and _risk(switching, evidence, R) < share * fixed)
 
 
-def hidden_errors(flow: Flow | SwitchingFlow, evidence: Evidence) -> Floats:
+def hidden_errors(flow: SmoothedFlow | SwitchingFlow, evidence: Evidence) -> Floats:
     """Return the squared errors of a smoother at every tenth reading, which it is not shown; none of few readings."""
     part = max(long_pieces(evidence), key=lambda piece: piece.stop - piece.start)
     z, elapsed = evidence.z[part, 0], evidence.elapsed[part]
@@ -95,5 +95,5 @@ def _risk(switching: Switching, evidence: Evidence, noise_variance: float) -> fl
     return squares / count + noise_variance * (2 * answers / count - 1)
 
 
-def _smoothed(flow: Flow | SwitchingFlow, z: Floats, elapsed: Floats) -> Floats:
+def _smoothed(flow: SmoothedFlow | SwitchingFlow, z: Floats, elapsed: Floats) -> Floats:
     return np.concatenate([told.signal for told in [*flow.push(z, elapsed), *flow.finish()]])

@@ -13,11 +13,14 @@ import numpy as np
 from scipy.special import ndtr
 
 from becalm.core.arrays import Booleans, Floats
-from becalm.core.flow import Flow
+from becalm.core.channel import Channel
+from becalm.core.channel_settings import Settings
 from becalm.core.gates import Gate
+from becalm.core.limits import Limits
+from becalm.core.monitor import NO_ALARMS
 from becalm.core.verdict import Verdict
 from becalm.noise.choose import NOTHING_KNOWN, Choice, Known, choose
-from becalm.noise.imputation import imputed, run_through
+from becalm.noise.imputation import PIECE, imputed
 from becalm.noise.likelihood import Tuning
 from becalm.noise.rejection import stand_out
 
@@ -42,6 +45,7 @@ _MIDDLE = 1.4826  # of the median of |e|, which makes a standard deviation of Ga
 _CHANCE = 3.0  # standard deviations of a count
 _SAME = 0.1  # of a noise variance: another round would change little
 _PAIR = 2
+_FORETOLD = "innovation", "deviation", "verdict"
 
 
 class GatedChoice(NamedTuple):
@@ -137,14 +141,11 @@ def has_shoulders(found: Forecasts, threshold: float) -> bool:
 
 def forecasts(tuning: Tuning, readings: Floats, elapsed: Floats, gate: Gate | None) -> Forecasts:
     """Foretell readings (N,), causally, with a gate or without."""
-    shown: list[tuple[Floats, Floats]] = []
-    flow = Flow(
-        tuning.component, tuning.noise_variance, causal=True, gate=gate, judge=lambda *found: shown.append(found)
-    )
-    told = run_through(flow, readings, elapsed)
-    verdicts = np.concatenate([part.verdicts for part in told])
-    nu, sigma = (np.concatenate(parts) for parts in zip(*shown, strict=True))
-    return Forecasts(nu / sigma, sigma, verdicts == Verdict.SPIKE)
+    channel = Channel(Settings(tuning.component, tuning.noise_variance, 1.0, Limits(), NO_ALARMS, gate))
+    pieces = (slice(start, start + PIECE) for start in range(0, len(readings), PIECE))
+    found = [channel.process(readings[piece], elapsed[piece]) for piece in pieces]
+    nu, sigma, verdict = (np.concatenate([getattr(each, of) for each in found]) for of in _FORETOLD)
+    return Forecasts(nu / sigma, sigma, verdict == Verdict.SPIKE)
 
 
 def robust(tuning: Tuning, readings: Floats, elapsed: Floats) -> Tuning:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from becalm.core.arrays import Booleans, Floats
-from becalm.core.flow import Flow
+from becalm.core.smoothed_flow import SmoothedFlow
 from becalm.core.told import Told
 from becalm.noise.likelihood import JITTER, LASTING, Evidence, Tuning, keeps_time
 
@@ -18,7 +18,8 @@ LONGEST_HOLE = 32
 MOST_MISSING = 0.2
 """Share of the rows beyond which draws would make the spectrum."""
 
-_PIECE = 1 << 15  # rows
+PIECE = 1 << 15
+"""Rows that are filtered at once: in uneven time each has step matrices of its own."""
 
 
 def imputed(tuning: Tuning, readings: Floats, elapsed: Floats, rejected: Booleans) -> Floats:
@@ -28,17 +29,16 @@ def imputed(tuning: Tuning, readings: Floats, elapsed: Floats, rejected: Boolean
     noise as large as it is. The same record gets the same draws.
     """
     left = np.where(rejected, np.nan, readings)
-    flow = Flow(tuning.component, tuning.noise_variance, causal=False, split=True)
-    told = run_through(flow, left, elapsed)
+    told = _smoothed(tuning, left, elapsed)
     mean = np.concatenate([part.parts.sum(axis=0) for part in told])
     spread = np.sqrt(np.concatenate([part.sigma for part in told]) ** 2 + tuning.noise_variance)
     draws = np.random.default_rng(len(readings)).normal(size=len(readings))
     return np.where(rejected, mean + spread * draws, readings)
 
 
-def run_through(flow: Flow, readings: Floats, elapsed: Floats) -> list[Told]:
-    """Run a flow over readings (N,) in pieces: in uneven time each row has step matrices of its own."""
-    pieces = (slice(start, start + _PIECE) for start in range(0, len(readings), _PIECE))
+def _smoothed(tuning: Tuning, readings: Floats, elapsed: Floats) -> list[Told]:
+    flow = SmoothedFlow(tuning.component, tuning.noise_variance, split=True)
+    pieces = (slice(start, start + PIECE) for start in range(0, len(readings), PIECE))
     told = [part for piece in pieces for part in flow.push(readings[piece], elapsed[piece])]
     return [*told, *flow.finish()]
 
