@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 import banks
 from becalm.core.arrays import Floats
 from becalm.core.autoregressive import autoregressive
+from becalm.core.causal_flow import CausalFlow
 from becalm.core.components import gauss_markov, motion, oscillator
 from becalm.core.gates import Gate
 from becalm.core.lagged_flow import LaggedFlow
@@ -47,7 +48,9 @@ def record() -> tuple[Floats, Floats]:
     return z, elapsed
 
 
-def run(flow: PartialFlow, readings: tuple[Floats, Floats], cuts: list[int] | None = None) -> Told:
+def run(
+    flow: PartialFlow | CausalFlow | SmoothedFlow, readings: tuple[Floats, Floats], cuts: list[int] | None = None
+) -> Told:
     z, elapsed = readings
     told, cuts = [], cuts or []
     for start, stop in zip([0, *cuts], [*cuts, len(z)], strict=True):

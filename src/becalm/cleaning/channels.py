@@ -22,6 +22,7 @@ from becalm.cleaning.uncertainty import Uncertainty
 from becalm.core.arrays import Floats
 from becalm.core.channel import log_densities, parts_of
 from becalm.core.monitor import InnovationMonitor
+from becalm.core.parted_flow import PartedFlow
 from becalm.core.standing import Before, Rules, standing, standing_of_readings
 from becalm.core.told import Judge, Told
 from becalm.core.verdict import Verdict, counted
@@ -134,7 +135,7 @@ class MotionChannel(FilteredChannel):
 
     def saved(self) -> dict[str, Any] | None:
         """Return what later rows of a causal filter depend on, as arrays; None where rows wait, and of any other."""
-        held = self._flow.saved() if self._lag == 0 else None
+        held = self._flow.saved() if self._lag == 0 and isinstance(self._flow, PartedFlow) else None
         if held is None:
             return None
         timing = {} if self._timing is None else self._timing.saved()
@@ -142,6 +143,7 @@ class MotionChannel(FilteredChannel):
 
     def restore(self, arrays: Mapping[str, Any]) -> None:
         """Take over what `saved` returned."""
+        assert isinstance(self._flow, PartedFlow), "nothing else is saved"
         self._flow.restore(arrays)
         self.sensor.restore(arrays)
         self._sentinel.restore(arrays)

@@ -38,6 +38,11 @@ class Estimates(NamedTuple):
         signal, sigma, innovation, deviation = np.empty((4, rows))
         return cls(signal, sigma, np.zeros(rows, np.int8), innovation, deviation, np.empty((rows, states)))
 
+    def rows(self, which: slice) -> Estimates:
+        """Return some of the rows."""
+        signal, sigma, verdict, innovation, deviation, x = self
+        return Estimates(signal[which], sigma[which], verdict[which], innovation[which], deviation[which], x[which])
+
     def outputs(self) -> dict[str, Any]:
         """Return where C writes what it finds."""
         outputs = self._asdict()

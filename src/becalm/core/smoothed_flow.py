@@ -186,7 +186,7 @@ class SmoothedFlow:
 
     def _told(self, stretch: _Stretch) -> Told:
         taken = slice(stretch.passed.taken)
-        found = Estimates(*(each[taken] for each in stretch.found))
+        found = stretch.found.rows(taken)
         verdicts = np.where(found.verdict == Verdict.USED, stretch.verdicts, found.verdict)
         told = found._replace(verdict=verdicts).told()
         return told._replace(parts=parts_of(self._component, found)) if self._split else told
