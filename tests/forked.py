@@ -12,7 +12,6 @@ import subprocess
 import sys
 import tempfile
 import threading
-from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
 from functools import cache
@@ -78,11 +77,8 @@ def _load() -> None:
     """Load what most commands do, but start no thread: a fork has none."""
     from becalm.cleaning import pipeline  # noqa: F401
     from becalm.cli import clean, main, talk  # noqa: F401
-    from becalm.core.warming import OF_ALL, warm_size
     from becalm.files import source  # noqa: F401
 
-    for states in (1, 2, 3):
-        deque(warm_size(states, (*OF_ALL, "forward", "backward", "gate")), maxlen=0)
     if find_spec("pandas"):
         import pandas  # noqa: F401  (which pyarrow loads where it is)
 

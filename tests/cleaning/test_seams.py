@@ -14,7 +14,8 @@ from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.recipe_modes import ModeRecipe, SwitchingRecipe
 from becalm.cleaning.recipe_parts import ColouredNoiseRecipe, GateRecipe, LimitsRecipe, TimingRecipe, ToneRecipe
 from becalm.core.arrays import Floats
-from becalm.core.standing import HOPS, Before, alike
+from becalm.core.monitor import HOPS
+from becalm.core.standing import Before, alike
 from becalm.core.told import Told
 
 STEP_S = 0.01

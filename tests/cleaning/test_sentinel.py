@@ -11,8 +11,8 @@ import becalm
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.stream import StreamCleaner
 from becalm.core.arrays import Floats
-from becalm.core.kernel_outliers import Outliers
 from becalm.core.limits import Limits
+from becalm.core.outliers import Outliers
 from becalm.core.sentinel import Sentinel
 from becalm.core.told import Told
 from becalm.core.verdict import Verdict

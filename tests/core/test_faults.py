@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from becalm.core.arrays import Codes, Floats
 from becalm.core.faults import Faults, said
-from becalm.core.kernel_faults import find_faults
 from becalm.core.limits import Limits, find_limits
 from becalm.core.verdict import ADVICE, Verdict
 from becalm.errors import UsageError
@@ -61,15 +60,13 @@ def test_steps_of_other_rows_are_refused() -> None:
         Faults(LIMITS).push(np.zeros(100), np.ones(5))
 
 
-def test_readings_and_limits_of_any_number_run_in_the_one_kernel() -> None:
+def test_readings_and_limits_may_be_of_any_number() -> None:
     z = np.array([1, 2, 2, 2, 2, 5])
     expected = Faults(LIMITS).push(z.astype(np.float64), np.ones(6))
-    kinds = list(cast(Any, find_faults).signatures)
     whole = LIMITS._replace(low=-5, high=5, largest=1000)
     others: list[Any] = [z, z.astype(np.float32), np.repeat(z, 2)[::2]]
     for readings in others:
         assert np.array_equal(Faults(whole).push(readings, np.ones(6, dtype=np.int64)), expected)
-    assert list(cast(Any, find_faults).signatures) == kinds
 
 
 def test_rails_and_what_is_no_reading_are_told() -> None:

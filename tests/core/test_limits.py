@@ -7,10 +7,10 @@ import pytest
 
 from becalm.core.arrays import Floats
 from becalm.core.held import EVERY_REPEAT
-from becalm.core.kernel_outliers import HELD
 from becalm.core.limits import Limits, find_limits, find_resolution, run_lengths, stuck_at_once
 from becalm.core.outliers import beside_others
 from becalm.core.rails import Rails, find_rails
+from becalm.core.verdict import Verdict
 from becalm.errors import UsageError
 from becalm.files.reading import read
 from sensor_faults_records import DATA, REAL
@@ -137,8 +137,8 @@ def test_dropouts_that_share_a_value_are_no_rest(value: float) -> None:
     assert limits.stuck_readings is not None
     assert limits.stuck_readings < 20
     codes = beside_others(z, limits.outliers, stuck_at_once(limits))
-    assert (codes[8000:8400] == HELD).all()
-    assert (codes[12_000:14_000] == HELD).all()
+    assert (codes[8000:8400] == Verdict.STUCK).all()
+    assert (codes[12_000:14_000] == Verdict.STUCK).all()
     assert np.count_nonzero(codes) == 2400
 
 

@@ -11,11 +11,11 @@ from scipy.stats import chi2, poisson
 from becalm.core.arrays import Floats
 from becalm.core.cusum import SLACK, cusum_delay, cusum_threshold
 from becalm.core.filtering import kalman_filter
-from becalm.core.kernel_watch import HOP, WINDOW
 from becalm.core.model import Model
 from becalm.core.monitor import InnovationMonitor, find_alarms
 from becalm.core.verdict import Verdict
 from becalm.errors import UsageError
+from becalm.native.scans import HOP, WINDOW
 
 STEP_S = 0.002
 ALARMS = find_alarms(1.0, STEP_S)

@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 
 from becalm.core.arrays import Floats
 from becalm.core.faults import Faults
-from becalm.core.kernel_outliers import REACH, Outliers
 from becalm.core.limits import Limits, find_limits, stuck_at_once
 from becalm.core.look_ahead import LookAhead
-from becalm.core.outliers import NO_OUTLIERS, beside_others, find_outlier_rule, is_outlier
+from becalm.core.outliers import NO_OUTLIERS, Outliers, beside_others, find_outlier_rule, is_outlier
 from becalm.core.verdict import Verdict
+from becalm.native.scans import REACH
 
 DATA = Path(__file__).parents[3] / "shared" / "data"
 ROWS = 4000
@@ -269,7 +269,7 @@ def test_both_sides_tell_the_same_wherever_the_record_is_cut(
 ) -> None:
     limits = Limits(outliers=Outliers(30.0, 60.0, -99.0, 99.0, as_one), stuck_readings=stuck)
     found = beside_others(np.where(np.isfinite(z), z, np.nan), limits.outliers, stuck_at_once(limits))
-    whole = np.array([Verdict.USED, Verdict.OUTLIER, Verdict.STUCK])[found]
+    whole = found
     ahead, elapsed = LookAhead(limits), np.arange(len(z), dtype=np.float64)
     bounds = [0, *sorted(min(cut, len(z)) for cut in cuts), len(z)]
     parts = [ahead.push(z[a:b], elapsed[a:b]) for a, b in pairwise(bounds)]

@@ -15,8 +15,9 @@ import pytest
 from blocks import DOCS, PAGES, ROOT, has_blocks, rewritten
 
 from becalm.cleaning import judging, steps
-from becalm.core import clock, gates, kernel_ahead, kernel_gate, kernel_watch, noise_change, reach, starting, verdict
+from becalm.core import clock, gates, kernel_ahead, kernel_gate, noise_change, reach, starting, verdict
 from becalm.files import opening
+from becalm.native import scans
 from becalm.noise import banks, lines, risk, switching
 
 NAMED = {page: str(page.relative_to(ROOT)) for page in PAGES}
@@ -66,7 +67,7 @@ def spelt(number: float) -> str:
         ("design", f"({gates.threshold_for(1, 500):.1f} at 500 Hz"),
         ("design", f"under {gates.LEAST_THRESHOLD:.0f})"),
         ("design", f"grows to {spelt(reach._FORGOTTEN)} R ({spelt(reach._CARRIED)} where"),
-        ("design", f"blocks of {kernel_watch.WINDOW} innovations and more"),
+        ("design", f"blocks of {scans.WINDOW} innovations and more"),
         ("design", f"by {noise_change._RATIO:g} between them"),
         ("design", f"{lines._GAIN:.0f} in log-likelihood"),
         ("design", f"need bring {lines._GAIN_NAMED:.0f} only"),

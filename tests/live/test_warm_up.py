@@ -11,19 +11,17 @@ import pytest
 
 from becalm.cleaning import stream, warm_up
 from becalm.core import (
-    kernel_faults,
     kernel_gate,
     kernel_lag,
     kernel_switching,
     kernel_switching_return,
-    kernel_watch,
 )
 from stream_recipes import CAUSAL, KINDS, LAGGED, RATE_HZ, recipe_of, rough, streamed
 
 KERNELS: list[Any] = [
-    kernel_faults.find_faults, kernel_gate.find_outliers, kernel_lag.open_window, kernel_lag.run_late,
+    kernel_gate.find_outliers, kernel_lag.open_window, kernel_lag.run_late,
     kernel_lag.run_out, kernel_switching.switch_forward,
-    kernel_switching_return.switch_late, kernel_watch.watch,
+    kernel_switching_return.switch_late,
 ]  # fmt: skip
 
 

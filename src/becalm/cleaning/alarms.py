@@ -11,8 +11,8 @@ from becalm.cleaning.judging import InnovationJudge
 from becalm.cleaning.recipe_parts import LimitsRecipe
 from becalm.core.arrays import Floats
 from becalm.core.cusum import SLACK
-from becalm.core.kernel_watch import LARGEST
 from becalm.core.monitor import find_alarms
+from becalm.native.scans import MOST_SIGMA
 from becalm.noise.excess import excess_error
 from becalm.noise.likelihood import Tuning
 
@@ -74,6 +74,6 @@ def highest_sum(normalised: Floats) -> float:
     known = normalised[np.isfinite(normalised)]
     highest = 0.0
     for sign in (1.0, -1.0):
-        walk = np.cumsum(sign * np.clip(known, -LARGEST, LARGEST) - SLACK)
+        walk = np.cumsum(sign * np.clip(known, -MOST_SIGMA, MOST_SIGMA) - SLACK)
         highest = max(highest, float((walk - np.minimum(np.minimum.accumulate(walk), 0.0)).max(initial=0.0)))
     return highest

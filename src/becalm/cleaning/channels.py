@@ -23,7 +23,7 @@ from becalm.core.arrays import Floats
 from becalm.core.channel import log_densities, parts_of
 from becalm.core.monitor import InnovationMonitor
 from becalm.core.parted_flow import PartedFlow
-from becalm.core.standing import Before, Rules, standing, standing_of_readings
+from becalm.core.standing import Before, standing
 from becalm.core.told import Judge, Told
 from becalm.core.verdict import Verdict, counted
 from becalm.metrics.running import PIECE, Running
@@ -155,10 +155,8 @@ class MotionChannel(FilteredChannel):
         held = self.saved()
         if held is None:
             return None
-        watch = self.sensor
-        rules = Rules(self._runs.reach, watch.stuck, watch.monitor.alarms, watch.remembers)
         timing = {} if self._timing is None else {"timing": held["timing_slopes"]}
-        return standing(held, rules) | {"sentinel": held["sentinel"]} | timing
+        return standing(held, self._runs.reach) | self.sensor.standing() | {"sentinel": held["sentinel"]} | timing
 
     @property
     def surely_alive(self) -> bool:
@@ -306,7 +304,7 @@ class UnchangedChannel:
 
     def standing(self) -> dict[str, Floats]:
         """Return what verdicts of later rows depend on and nothing else, so that it can be compared."""
-        return standing_of_readings(self.saved(), self._sensor.stuck, self._sensor.remembers)
+        return self._sensor.standing()
 
     surely_alive = True
     """No filter is asked."""

@@ -13,7 +13,6 @@ from becalm.cleaning.recipe_parts import LimitsRecipe
 from becalm.core.arrays import Codes, Floats
 from becalm.core.faults import Faults, Found, said
 from becalm.core.held import EVERY_REPEAT
-from becalm.core.kernel_outliers import HELD, OUT
 from becalm.core.limits import Limits, find_limits, stuck_at_once
 from becalm.core.look_ahead import LookAhead
 from becalm.core.monitor import InnovationMonitor
@@ -162,7 +161,8 @@ def find_healthy(z: Floats, elapsed: Floats, step_s: float, *, causal: bool = Fa
     if not causal:
         possible = np.where(np.isfinite(z) & (np.abs(z) <= limits.largest) & (z != rule.blank), z, np.nan)
         found = beside_others(possible, rule, stuck_at_once(limits))
-        codes[(found == OUT) & ~LOST[codes]], codes[found == HELD] = Verdict.OUTLIER, Verdict.STUCK
+        codes[(found == Verdict.OUTLIER) & ~LOST[codes]] = Verdict.OUTLIER
+        codes[found == Verdict.STUCK] = Verdict.STUCK
     enters = ~LOST[codes] & (z != rule.blank)
     outliers = np.where((codes == Verdict.OUTLIER) & (z != rule.blank), np.clip(z, rule.low, rule.high), np.nan)
     return Healthy(z if enters.all() else np.where(enters, z, np.nan), outliers, written(limits))
@@ -202,16 +202,6 @@ class SensorWatch:
         self._alarms: Codes = np.empty(0, np.int8)  # of rows whose innovations it has told before the rows themselves
         self._elapsed = np.empty(0)  # before rows without innovations yet
         self._step_s, self.rows = step_s, 0
-
-    @property
-    def stuck(self) -> int:
-        """How many equal readings in a row are called stuck; 0: none are."""
-        return self._faults.limits.stuck_readings or 0
-
-    @property
-    def remembers(self) -> bool:
-        """Whether the last six readings matter to the verdicts of later ones."""
-        return bool(self._faults.limits.outliers.causal_distance < np.inf)
 
     def push(self, z: Floats, elapsed: Floats) -> tuple[Floats, Floats]:
         """Take readings (B,) and the steps before them.
@@ -273,6 +263,10 @@ class SensorWatch:
         self.monitor.restore(arrays)
         self._verdicts, self._alarms = arrays["watch_verdicts"], arrays["watch_alarms"]
         self._elapsed = arrays["watch_elapsed"]
+
+    def standing(self) -> dict[str, Any]:
+        """Return what later verdicts depend on and nothing else, so that it can be compared."""
+        return self._faults.standing() | (self.monitor.standing() if self._shown else {})
 
     def _beside(self, verdicts: Codes) -> Codes:
         rows = len(verdicts)

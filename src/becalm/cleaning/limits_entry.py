@@ -7,9 +7,9 @@ import numpy as np
 from becalm.cleaning.recipe_parts import LimitsRecipe
 from becalm.core.arrays import Floats
 from becalm.core.clock import GAP_STEPS
-from becalm.core.kernel_outliers import Outliers
 from becalm.core.limits import Limits
 from becalm.core.monitor import NEVER, Alarms
+from becalm.core.outliers import Outliers
 from becalm.core.quantisation import rounding_left
 from becalm.core.verdict import BEYOND_ANY_SENSOR
 from becalm.noise.independence import independence_steps

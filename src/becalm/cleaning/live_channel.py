@@ -12,13 +12,13 @@ from becalm.cleaning.faults import SensorWatch
 from becalm.cleaning.filtered import FilteredChannel
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.core.arrays import Floats
-from becalm.core.kernel_watch import HOP
 from becalm.core.lagged_flow import LaggedFlow
 from becalm.core.live_parted import LiveFlow, LiveParted
 from becalm.core.switching_flow import SwitchingFlow
 from becalm.core.switching_lag import LaggedSwitchingFlow
 from becalm.core.told import Told
 from becalm.core.verdict import Verdict, counted
+from becalm.native.scans import HOP
 
 
 class LiveChannel(Protocol):

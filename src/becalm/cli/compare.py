@@ -13,7 +13,6 @@ from becalm.cleaning.comparison import compare
 from becalm.cleaning.comparison_words import cells, headings
 from becalm.cli.said import AS_WRITTEN, shown_name
 from becalm.cli.talk import stderr, tell_notes
-from becalm.cli.warm import ahead
 from becalm.files.asked import Asker, Fitting, ReadOptions
 from becalm.files.opening import open_source
 from becalm.files.plain import make_folder, refuse_unwritable, write_text
@@ -42,7 +41,6 @@ def run(source: OpenSource, said: Said, asking: Asking, *, as_json: bool) -> Non
     page = None if folder is None else _page_in(folder)
     tell_notes(source)
     recording = beginning(source)
-    ahead(recording, causal=causal)
     true = None if truth is None else _truth(truth, source, said)
     found = compare(recording, said.recipe, truth=true, causal=causal or None, channels=source.names)
     if as_json:

@@ -17,7 +17,6 @@ def run(folder: Path) -> None:
     """Write the drive and its clean signal into a folder, and print the figures."""
     from becalm.cleaning.pipeline import clean
     from becalm.cli.said import recipe_beside
-    from becalm.cli.warm import ahead
     from becalm.files.plain import make_folder, write_text
     from becalm.files.reading import read
     from becalm.files.writing import write
@@ -27,7 +26,6 @@ def run(folder: Path) -> None:
 
     make_folder(folder)
     drive = simulate()
-    ahead(drive.measured, causal=True)
     raw, calm, live = folder / "drive.csv", folder / "drive_clean.csv", folder / "drive_causal.csv"
     write(folder / "drive_truth.csv", drive.truth)
     write(raw, drive.measured)

@@ -179,13 +179,11 @@ def refuse_taken(recipe: Recipe, columns: list[str], *, split: bool, verdicts: b
 def tuned(source: OpenSource, causal: bool, asked: Asked, lag_s: float | None = None) -> Recipe:
     """Tune a recipe on a file, or on evenly spread stretches of a long one."""
     from becalm.cleaning.calibrating import calibrated
-    from becalm.cleaning.tuning import Wishes, tune, tuned_as_filter
+    from becalm.cleaning.tuning import Wishes, tune
     from becalm.cli.talk import progress
-    from becalm.cli.warm import ahead
     from becalm.files.portions import beginning, rest_within, rows_to_tune_on
 
     sample = source.sample(rows_to_tune_on(source))
-    ahead(sample, causal=tuned_as_filter(causal, lag_s, sample.timebase.step_s))
     rest = beginning(source) if asked.still_s else sample
     wishes = Wishes(
         asked.dial, asked.still_s, rest, asked.removed_hz, lag_s, asked.robust, asked.time_std_s, asked.fill

@@ -3,22 +3,11 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING
 
 from becalm.cli.talk import stderr
 from becalm.errors import OutputError
 
-if TYPE_CHECKING:
-    from becalm.core.recording import Recording
-
 _WAY_OUT = "Set NUMBA_CACHE_DIR to a folder that can be written, and repeat."
-
-
-def ahead(recording: Recording, *, causal: bool) -> None:
-    """Compile what tuning needs, if it was never done; say so on stderr."""
-    from becalm.cleaning.ahead import compile_ahead
-
-    compile_ahead(recording, causal=causal, tell=stderr.print)
 
 
 def run() -> None:

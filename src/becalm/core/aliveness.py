@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from becalm.core.arrays import Integers
-from becalm.core.kernel_watch import HOP, PARTS, WINDOW
+from becalm.native.scans import HOP, PARTS, WINDOW
 
 _WHOLE = WINDOW // HOP - 1
 """Hops that any window holds."""

@@ -15,7 +15,8 @@ from becalm.core.arrays import Codes, Floats
 from becalm.core.channel_settings import Settings, StepTable, packed_coefficients, packed_settings
 from becalm.core.components import Component
 from becalm.core.faults import Found
-from becalm.core.standing import HOPS, Before
+from becalm.core.monitor import HOPS
+from becalm.core.standing import Before
 from becalm.core.told import Told
 from becalm.core.verdict import Verdict
 from becalm.errors import ModelError

@@ -18,10 +18,13 @@ from becalm.core.starting import known_before, refuse_singular, root_of
 from becalm.core.steps import Steps
 from becalm.core.timeline import model_system
 from becalm.errors import ModelError
-from becalm.native import COEFFICIENTS, MOST_STATES, SETTINGS
+from becalm.native import COEFFICIENTS, MOST_STATES
+from becalm.native.scans import PARTS
 
-_PARTS = 1 << 16  # of a sigma, that the monitor counts in
-_ENDLESS = 1 << 53  # equal measurements in a row: no stream has so many
+_OF_LIMITS = {
+    *("low", "high", "largest", "stuck", "outlier_distance", "plausible_low", "plausible_high"),
+    *("repeats_are_one", "blank"),
+}
 
 
 class Widening(NamedTuple):
@@ -81,21 +84,12 @@ class StepTable:
 
 def packed_settings(settings: Settings) -> NDArray[np.void]:
     """Return the settings of a channel as C's struct."""
-    limits, gate, widening = settings.limits, settings.gate, settings.widening
-    outliers, reach = limits.outliers, reach_of(settings.component, settings.noise_variance)
+    packed, gate, widening = settings.limits.packed(), settings.gate, settings.widening
+    reach = reach_of(settings.component, settings.noise_variance)
     timed, calibrated = widening.time_std_s is not None, widening.calibration is not None
     values = {
         "states": len(settings.component.drift),
-        "low": limits.low,
-        "high": limits.high,
-        "largest": limits.largest,
         "largest_accepted": largest_beside(settings.noise_variance),
-        "stuck": min(limits.stuck_readings or 0, _ENDLESS),
-        "outlier_distance": outliers.causal_distance,
-        "plausible_low": outliers.low,
-        "plausible_high": outliers.high,
-        "repeats_are_one": outliers.repeats_are_one,
-        "blank": outliers.blank,
         "longest_gap": reach.longest,
         "gap_spans": reach.spans,
         "gap_measurements": reach.readings,
@@ -104,7 +98,7 @@ def packed_settings(settings: Settings) -> NDArray[np.void]:
         "gate_agree": gate.agree if gate else 0,
         "gate_most": gate.at_most if gate else 0,
         "gate_level": level_of(settings.component.to_model(1.0, settings.noise_variance)) if gate else -1,
-        "drift_threshold": int(np.ceil(min(settings.alarms.drift_threshold, NEVER) * _PARTS)),
+        "drift_threshold": int(np.ceil(min(settings.alarms.drift_threshold, NEVER) * PARTS)),
         "dead_variance": settings.alarms.dead_variance,
         "timed": timed,
         "step_s": settings.step_s,
@@ -116,8 +110,7 @@ def packed_settings(settings: Settings) -> NDArray[np.void]:
         "offset_std": widening.calibration[1] if widening.calibration else 0.0,
         "unknown_from": settings.unknown_from,
     }
-    packed = np.zeros((), SETTINGS)
-    assert set(values) == set(SETTINGS.names or ()), "every field of the kernel's settings is filled in"
+    assert set(values) | _OF_LIMITS == set(packed.dtype.names or ()), "every field of C's settings is filled in"
     for name, value in values.items():
         packed[name] = value
     return packed

@@ -214,15 +214,6 @@ def save_trouble(kernel: object) -> OSError | None:
     return shelf.trouble if isinstance(shelf, Shelf) else None
 
 
-def count_kept(kernel: object) -> int:
-    """Return for how many kinds of arguments a kernel is kept on disk; 0 where nothing can be read."""
-    shelf = getattr(kernel, "_cache", None)
-    try:
-        return shelf.count() if isinstance(shelf, Shelf) else 0
-    except OSError:
-        return 0
-
-
 def times_compiled(kernel: object) -> int:
     """Return for how many kinds of arguments a kernel was compiled in this process, and not found on disk."""
     stats = getattr(kernel, "stats", None)

@@ -1,7 +1,7 @@
 """The cumulative sum that finds a small lasting shift of white noise: how soon, and how often it is wrong.
 
-S_i = max(0, S_{i-1} + x_i - k), alarm and start anew where S reaches h (Page 1954); `kernel_watch` sums it. Its mean
-time to an alarm, of noise of mean mu, is (exp(-2 d b) + 2 d b - 1) / (2 d^2) with d = mu - k and b = h + 1.166:
+S_i = max(0, S_{i-1} + x_i - k), alarm and start anew where S reaches h (Page 1954), as `native/monitor.h` sums it. Its
+mean time to an alarm, of noise of mean mu, is (exp(-2 d b) + 2 d b - 1) / (2 d^2) with d = mu - k and b = h + 1.166:
 Siegmund, Sequential Analysis (1985), chapter 10; within a few per cent here.
 """
 

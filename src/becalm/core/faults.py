@@ -12,15 +12,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Codes, Floats, Integers, input_of
-from becalm.core.kernel_faults import LEAST, MOST, Rule, find_faults, new_memory
-from becalm.core.kernel_outliers import Outliers
 from becalm.core.limits import Limits
 from becalm.core.rhythm import LONGEST, Rhythm
 from becalm.core.verdict import ADVICE, Verdict
-from becalm.errors import UsageError
+from becalm.errors import ModelError, UsageError
+from becalm.native.scans import LIMITS, new_limits, reduced_limits, restored, scan_faults
 
 _TIME = 1 << 10  # of a step, for the time since the first row
-_ENDLESS = 1 << 53  # equal readings in a row: no record has so many
 
 
 class Found(NamedTuple):
@@ -53,9 +51,7 @@ class Faults:
     def __init__(self, limits: Limits) -> None:
         self.limits = limits
         self.found: dict[Verdict, Found] = {}
-        rails, stuck = limits.rails, min(limits.stuck_readings or 0, _ENDLESS)
-        self._rule = Rule(float(rails.low), float(rails.high), float(limits.largest), stuck, _plain(limits.outliers))
-        self._memory = new_memory()  # see `kernel_faults`
+        self._settings, self._state = limits.packed(), new_limits()
         self._rows = 0
         self._ticks = 0  # from the first row
         self._rhythm = Rhythm(limits)
@@ -92,12 +88,12 @@ class Faults:
         if not len(z):
             return codes
         even = bool((elapsed[0 if self._rows else 1 :] == 1.0).all())
-        if not even:
+        if not even or not self._rows:
             elapsed = np.clip(np.nan_to_num(elapsed, nan=1.0), 0.0, LONGEST)
             elapsed[0] = elapsed[0] if self._rows else 1.0  # it came when it was due
         if not even or not self._rhythm.undisturbed:
             self._rhythm.write(codes, elapsed)
-        found = find_faults(input_of(z), input_of(elapsed), self._rule, self._memory, codes)
+        found = scan_faults(self._settings, self._state, input_of(z), input_of(elapsed), codes)
         if beside is not None and beside.any():
             worse = (beside > 0) & (codes != Verdict.CLIPPED)
             codes[worse] = beside[worse]
@@ -109,17 +105,26 @@ class Faults:
     def begin_after(self, rows: int, steps: float, least: float, most: float) -> None:
         """Say how many rows, and steps, went before those that will come, and between what their readings lay."""
         self._rows, self._ticks = rows, round(steps * _TIME)
-        self._memory[LEAST], self._memory[MOST] = least, most
+        self._state["least"], self._state["most"] = least, most
 
     def saved(self) -> dict[str, Any]:
         """Return what verdicts depend on, as arrays; what was found so far is not among it."""
-        told = np.array([self._rows, self._ticks])
-        return {"faults_memory": self._memory, "faults_told": told, "faults_offsets": self._rhythm.offsets}
+        told, state = np.array([self._rows, self._ticks]), np.frombuffer(self._state.tobytes(), np.int8)
+        return {"faults_state": state, "faults_told": told, "faults_offsets": self._rhythm.offsets}
 
     def restore(self, arrays: Mapping[str, Any]) -> None:
         """Take over what `saved` returned."""
-        self._memory[:], self._rhythm.offsets[:] = arrays["faults_memory"], arrays["faults_offsets"]
+        state = restored(arrays["faults_state"], LIMITS)
+        if state is None:
+            raise ModelError("A snapshot tells of readings what none can tell; pass what snapshot() returned.")
+        self._state, self._rhythm.offsets[:] = state, arrays["faults_offsets"]
         self._rows, self._ticks = arrays["faults_told"].tolist()
+
+    def standing(self) -> dict[str, Any]:
+        """Return what later verdicts depend on and nothing else, so that it can be compared."""
+        offsets = self._rhythm.offsets
+        readings = np.frombuffer(reduced_limits(self._settings, self._state), np.int8)
+        return {"readings": readings, "rhythm": np.asarray(offsets - offsets[-1], np.float64)}
 
     def _count(self, codes: Codes, ticks: Integers) -> None:
         """Remember how often each verdict was given, and where first; time begins with the first row of all."""
@@ -134,12 +139,6 @@ class Faults:
             self.found[verdict] = before._replace(readings=before.readings + int(counts[verdict]))
         self._ticks += begun + int(ticks.sum())
         self._rows += len(ticks)
-
-
-def _plain(rule: Outliers) -> Outliers:
-    """Return a rule of float64 alone, as the one kernel takes it."""
-    distance, causal_distance, low, high = map(float, rule[:4])
-    return Outliers(distance, causal_distance, low, high, bool(rule.repeats_are_one), float(rule.blank))
 
 
 def require_steps(elapsed: Floats, rows: int) -> None:

@@ -11,17 +11,19 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
 from becalm.core.arrays import Floats, Integers
 from becalm.core.clock import GAP_STEPS
 from becalm.core.held import EVERY_REPEAT, repeats_readings
-from becalm.core.kernel_outliers import NEAR_REST, Outliers
-from becalm.core.outliers import NO_OUTLIERS, find_outlier_rule, is_outlier
+from becalm.core.outliers import NO_OUTLIERS, Outliers, find_outlier_rule, is_outlier
 from becalm.core.possible import find_largest
 from becalm.core.rails import Rails, find_rails, is_noisy
 from becalm.core.verdict import BEYOND_ANY_SENSOR
 from becalm.errors import UsageError
+from becalm.native import SETTINGS
+from becalm.native.scans import NEAR_REST
 
 _MARGIN = 2.0  # of a limit over what the record itself shows
 _WIDE_MARGIN = 10.0  # where only the signal ends a run
@@ -36,6 +38,7 @@ _FEWEST_CODES = 3  # two lie on any lattice
 _MOST_CODES = 1 << 16  # differences that a lattice is looked for in
 _EVEN, _EVEN_SHARE = 0.1, 0.95  # steps off whole ones, of so many rows
 _SLOW = 1e-3  # of a step
+_ENDLESS = 1 << 53  # equal readings in a row: no record has so many
 
 
 class Limits(NamedTuple):
@@ -73,6 +76,16 @@ class Limits(NamedTuple):
     def rails(self) -> Rails:
         """The rails alone."""
         return Rails(self.low, self.high)
+
+    def packed(self) -> NDArray[np.void]:
+        """Return them as C's settings, in which nothing else is set."""
+        settings, rule = np.zeros((), SETTINGS), self.outliers
+        settings["low"], settings["high"], settings["largest"] = self.low, self.high, self.largest
+        settings["largest_accepted"] = np.inf
+        settings["stuck"] = min(self.stuck_readings or 0, _ENDLESS)
+        settings["outlier_distance"], settings["repeats_are_one"] = rule.causal_distance, rule.repeats_are_one
+        settings["plausible_low"], settings["plausible_high"], settings["blank"] = rule.low, rule.high, rule.blank
+        return settings
 
 
 def find_limits(

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from becalm.core.arrays import Codes, Floats, input_of
+from becalm.core.arrays import Codes, Floats
 from becalm.core.kernel_ahead import BLOCK
-from becalm.core.kernel_outliers import REACH, mark_outliers
 from becalm.core.limits import Limits, stuck_at_once
-from becalm.core.verdict import Verdict
-
-_VERDICTS = np.array([Verdict.USED, Verdict.OUTLIER, Verdict.STUCK], np.int8)  # of 0, OUT and HELD
+from becalm.core.outliers import plausible
+from becalm.native.scans import REACH, scan_outliers
 
 
 class LookAhead:
@@ -26,6 +24,7 @@ class LookAhead:
 
     def __init__(self, limits: Limits) -> None:
         self._rule, self._largest, self._stuck = limits.outliers, limits.largest, stuck_at_once(limits)
+        self._settings = plausible(self._rule)
         self._z = self._seen = np.empty(0)  # the last rows that were returned, and those that wait
         self._far, self._elapsed = np.empty(0, np.int8), np.empty(0)  # of those that wait, the steps before them
         self._returned = 0  # of the rows that are held
@@ -54,15 +53,21 @@ class LookAhead:
         self._far, self._elapsed = np.append(self._far, np.zeros(len(z), np.int8)), np.append(self._elapsed, elapsed)
 
     def _mark(self, *, whole: bool) -> int:
-        rows = len(self._seen)
         self._far[self._returned :] = 0
-        room = np.empty(rows), np.empty((rows, 2), np.int64)
-        return mark_outliers(input_of(self._seen), self._returned, whole, self._rule, self._stuck, *room, self._far)
+        return scan_outliers(
+            self._settings,
+            self._seen,
+            self._far,
+            distance=self._rule.distance,
+            stuck=self._stuck,
+            begun=self._returned,
+            whole=whole,
+        )
 
     def _take(self, count: int) -> tuple[Floats, Floats, Codes]:
         rows = slice(self._returned, self._returned + count)
         z, elapsed = self._z[rows], self._elapsed[:count]
-        far = _VERDICTS[self._far[rows]]
+        far = self._far[rows].copy()
         kept = max(rows.stop - REACH, 0)
         self._z, self._seen, self._far = self._z[kept:], self._seen[kept:], self._far[kept:]
         self._elapsed, self._returned = self._elapsed[count:], rows.stop - kept

@@ -14,13 +14,16 @@ from scipy.special import gammainccinv, gammaincinv
 
 from becalm.core.aliveness import Aliveness
 from becalm.core.arrays import Codes, Floats, Integers, input_of
-from becalm.core.cusum import SLACK, cusum_delay, cusum_threshold
+from becalm.core.cusum import cusum_delay, cusum_threshold
 from becalm.core.faults import Found, require_steps
-from becalm.core.kernel_watch import COUNT, DRIFT_SINCE, HOP, KEPT_HOPS, MEMORY, NOW, PARTS, SUMS, WINDOW, Hops, watch
-from becalm.core.kernel_watch import ROWS as SEEN
 from becalm.core.noise_change import NoiseHistory
 from becalm.core.verdict import Verdict
-from becalm.errors import UsageError
+from becalm.errors import ModelError, UsageError
+from becalm.native import SETTINGS
+from becalm.native.scans import HOP, KEPT_HOPS, PARTS, WATCHED, WINDOW, Hops, new_watched, restored, scan_innovations
+
+HOPS = "hops"
+"""What only matters to a channel that may be dead."""
 
 NEVER = 1e12
 """Of a cumulative sum, in sigma: none gets there."""
@@ -109,18 +112,12 @@ class _Watch:
     """The one pass over innovations that go on from push to push."""
 
     def __init__(self, drift_threshold: float) -> None:
-        self.memory, self.sums = np.zeros(MEMORY, dtype=np.int64), np.zeros(SUMS)  # see `kernel_watch`
-        self.memory[DRIFT_SINCE] = -1
-        self._threshold = int(np.ceil(min(drift_threshold, NEVER) * PARTS))
+        self.state, self._settings = new_watched(), np.zeros((), SETTINGS)
+        self._settings["drift_threshold"] = int(np.ceil(min(drift_threshold, NEVER) * PARTS))
 
     def push(self, normalised: Floats, elapsed: Floats, codes: Codes) -> Hops:
         """Take innovations (B,) and the steps before them, write DRIFT into their codes; return the hops that ended."""
-        most = len(normalised) // HOP + 1
-        totals, squares = np.empty((2, most), dtype=np.int64)
-        hops = Hops(totals, squares, *np.empty((2, most)))
-        inputs, slack = (input_of(normalised), input_of(elapsed)), int(SLACK * PARTS)
-        count = watch(*inputs, slack, self._threshold, self.memory, self.sums, hops, codes)
-        return Hops(totals[:count], squares[:count], hops.powers[:count], hops.steps[:count])
+        return scan_innovations(self._settings, self.state, input_of(normalised), input_of(elapsed), codes)
 
 
 def _hops_of(normalised: Floats) -> Integers:
@@ -200,7 +197,7 @@ class InnovationMonitor:
     @property
     def drift_since(self) -> int | None:
         """The row in which the drift that was told first began, as far as the sum tells."""
-        since = int(self._watch.memory[DRIFT_SINCE])
+        since = int(self._watch.state["drift_since"])
         return None if since < 0 else since
 
     def push(self, normalised: Floats, elapsed: Floats | None = None) -> Codes:
@@ -225,8 +222,8 @@ class InnovationMonitor:
         """
         elapsed = np.ones(len(normalised)) if elapsed is None else elapsed
         require_steps(elapsed, len(normalised))
-        codes, open_before = np.zeros(len(normalised), dtype=np.int8), int(self._watch.memory[COUNT])
-        begun = float(self._watch.sums[NOW])
+        codes, open_before = np.zeros(len(normalised), dtype=np.int8), int(self._watch.state["hop_count"])
+        begun = float(self._watch.state["now"])
         hops = self._watch.push(normalised, elapsed, codes)
         self.history.push(hops.powers, hops.steps)
         self.powers = np.append(self.powers, hops.powers)[-KEPT_HOPS:]
@@ -249,20 +246,32 @@ class InnovationMonitor:
 
     def begin_after(self, innovations: int, rows: int, steps: float) -> None:
         """Say how much went before what will come, so that hops end, and rows are counted, as in the whole."""
-        self._rows = self._watch.memory[SEEN] = rows
-        self._watch.memory[COUNT], self._watch.sums[NOW] = innovations % HOP, steps
+        state = self._watch.state
+        self._rows = state["rows"] = rows
+        state["hop_count"], state["now"] = innovations % HOP, steps
 
     def saved(self) -> dict[str, Any]:
         """Return what alarms depend on, as arrays; what was found so far is not among it."""
         told = np.array([self._rows, self._state])
-        watched = {"monitor_memory": self._watch.memory, "monitor_sums": self._watch.sums}
+        watched = {"monitor_state": np.frombuffer(self._watch.state.tobytes(), np.int8)}
         return watched | {"monitor_hops": self._hops, "monitor_told": told, "monitor_powers": self.powers}
 
     def restore(self, arrays: Mapping[str, Any]) -> None:
         """Take over what `saved` returned."""
-        self._watch.memory[:], self._watch.sums[:] = arrays["monitor_memory"], arrays["monitor_sums"]
+        state = restored(arrays["monitor_state"], WATCHED)
+        if state is None:
+            raise ModelError("A snapshot tells of innovations what none can tell; pass what snapshot() returned.")
+        self._watch.state = state
         self._hops, self.powers = arrays["monitor_hops"], arrays["monitor_powers"]
         self._rows, self._state = arrays["monitor_told"].tolist()
+
+    def standing(self) -> dict[str, Floats]:
+        """Return what later alarms depend on and nothing else; under `HOPS` what only matters to a dead channel."""
+        state, never = self._watch.state, self.alarms.drift_threshold >= NEVER
+        sums = [] if never else [state["above"], state["below"]]
+        hop = [state["hop_count"], state["hop_total"], state["hop_squares"]]
+        dead = [float(self.is_silent)]
+        return {"alarms": np.array(sums, np.float64), HOPS: np.array([*hop, *np.ravel(self._hops), *dead], np.float64)}
 
     def _count(self, verdict: Verdict, rows: Integers, begun: float, elapsed: Floats) -> None:
         if verdict not in self.found:

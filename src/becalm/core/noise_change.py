@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.core.kernel_watch import HOP
+from becalm.native.scans import HOP
 
 _LEAST = 4  # hops whose mean square is taken together
 _MOST = 2048  # blocks that are held; then each two become one

@@ -2,20 +2,39 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from becalm.core.arrays import Booleans, Codes, Floats, input_of
 from becalm.core.blank import find_blank
-from becalm.core.kernel_outliers import (
-    COUNT,
-    FILLED,
-    OUT,
+from becalm.core.verdict import Verdict
+from becalm.native import SETTINGS
+from becalm.native.scans import (
+    NEIGHBOURS,
+    SHORTEST_FILL,
     SPREADS,
-    Outliers,
-    mark_outliers,
     measure_distances,
     measure_jumps,
+    scan_outliers,
 )
+
+
+class Outliers(NamedTuple):
+    """How far readings of a channel jump; a gross outlier is far from the median of six neighbours that lie together.
+
+    A peak of motion, a shock or a step has neighbours that lead there, and that spread as wide. The lowest and the
+    highest neighbour do not count for the spread, so that one other outlier does not hide the first.
+    """
+
+    distance: float = np.inf  # in unit, from the median of neighbours on both sides; inf finds none
+    causal_distance: float = np.inf  # and of neighbours before; inf finds none
+    low: float = -np.inf  # plausible first readings, in unit
+    high: float = np.inf
+    repeats_are_one: bool = False  # whether equal readings in a row count as one
+    blank: float = np.inf  # what is written where there is no reading, in unit; inf where nothing is
+
 
 NO_OUTLIERS = Outliers()
 """What finds none."""
@@ -61,8 +80,7 @@ def find_outlier_rule(z: Floats, *, held: bool = False) -> Outliers:
     kept = _without_outliers(values, distances, spreads, distance)
     if not 0 < distance < np.inf or len(values) - len(kept) > max(_MOST * len(values), 1):
         return NO_OUTLIERS._replace(blank=blank)
-    jumps, hidden = np.empty(max(len(kept) - COUNT, 0)), int(_HIDDEN * (len(values) - len(kept)))
-    measure_jumps(input_of(kept), jumps)
+    jumps, hidden = measure_jumps(input_of(kept)), int(_HIDDEN * (len(values) - len(kept)))
     largest = float(np.sort(jumps)[: max(len(jumps) - hidden, 1)].max(initial=0.0))
     causal = max(_JUMPS * largest, distance)
     low, high = np.sort(kept)[[hidden, -1 - hidden]].tolist()
@@ -74,7 +92,7 @@ def _that_vary(z: Floats, repeats: Booleans) -> Floats:
     """Return readings without repeats, and without those that are held: how these jump is no motion."""
     first = np.flatnonzero(~repeats)
     rows = np.diff(np.append(first, len(z)))
-    return z[first[rows < FILLED]]
+    return z[first[rows < SHORTEST_FILL]]
 
 
 def _without_outliers(values: Floats, distances: Floats, spreads: Floats, distance: float) -> Floats:
@@ -87,26 +105,30 @@ def _without_outliers(values: Floats, distances: Floats, spreads: Floats, distan
 
 def is_outlier(z: Floats, rule: Outliers) -> Booleans:
     """Return which readings (N,), NaN where missing, are gross outliers by their neighbours on both sides."""
-    return np.asarray((beside_others(z, rule) == OUT) | (z == rule.blank))
+    return np.asarray((beside_others(z, rule) == Verdict.OUTLIER) | (z == rule.blank))
 
 
 def beside_others(z: Floats, rule: Outliers, stuck: int = 0) -> Codes:
-    """Return what readings (N,), NaN where missing, are by those on both sides of them: OUT, HELD, or 0 for nothing.
+    """Return what readings (N,), NaN where missing, are by those on both sides of them: `OUTLIER`, `STUCK` or `USED`.
 
-    HELD are so many equal ones in a row as `stuck` tells; 0: none are.
+    Stuck are so many equal ones in a row as `stuck` tells; 0: none are.
     """
-    far = np.zeros(len(z), np.int8)
-    seen = input_of(np.where(z == rule.blank, np.nan, z))
-    mark_outliers(seen, 0, True, rule, stuck, np.empty(len(z)), np.empty((len(z), 2), np.int64), far)
-    return far
+    codes, seen = np.zeros(len(z), np.int8), input_of(np.where(z == rule.blank, np.nan, z))
+    scan_outliers(plausible(rule), seen, codes, distance=rule.distance, stuck=stuck, begun=0, whole=True)
+    return codes
+
+
+def plausible(rule: Outliers) -> NDArray[np.void]:
+    """Return what a rule says of readings, as C's settings."""
+    settings = np.zeros((), SETTINGS)
+    settings["plausible_low"], settings["plausible_high"] = rule.low, rule.high
+    settings["repeats_are_one"] = rule.repeats_are_one
+    return settings
 
 
 def distances_of(z: Floats) -> tuple[Floats, Floats]:
     """Return how far readings (N,) are from the median of six neighbours, and how far these lie apart."""
-    distances, spreads, ends = np.zeros(len(z)), np.zeros(len(z)), np.arange(len(z))
-    if len(z) > COUNT:
-        measure_distances(input_of(z), np.column_stack([ends, ends]), distances, spreads)
-    return distances, spreads
+    return measure_distances(input_of(z)) if len(z) > NEIGHBOURS else (np.zeros(len(z)), np.zeros(len(z)))
 
 
 def _least_distance(distances: Floats, spreads: Floats) -> float:

@@ -13,14 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.core.kernel_faults import FAR, HELD, LEAST, MOST, RUN
-from becalm.core.kernel_outliers import LONGEST_FILL
-from becalm.core.kernel_watch import ABOVE, BELOW, COUNT, SQUARES, TOTAL
-from becalm.core.monitor import NEVER, SILENT, Alarms
+from becalm.core.monitor import HOPS
 from becalm.core.reach import Reach
-
-HOPS = "hops"
-"""What only matters to a channel that may be dead."""
 
 
 class Before(NamedTuple):
@@ -34,46 +28,20 @@ class Before(NamedTuple):
     most: float = -np.inf
 
 
-class Rules(NamedTuple):
-    """By what a channel is filtered and watched."""
-
-    reach: Reach
-    stuck: int  # equal readings in a row that are called stuck; 0: never
-    alarms: Alarms
-    remembers: bool = False  # whether the last six readings tell gross outliers
-
-
-def standing(saved: Mapping[str, Any], rules: Rules) -> dict[str, Floats]:
-    """Return what later rows depend on.
+def standing(saved: Mapping[str, Any], reach: Reach) -> dict[str, Floats]:
+    """Return what later rows depend on, of what a `PartedFlow` of a `SwitchingFlow` has saved.
 
     Parameters
     ----------
     saved : mapping of str to array
-        What a `PartedFlow` of a `SwitchingFlow`, a `Faults` and an `InnovationMonitor` have saved.
-    rules : Rules
-        Of the channel.
-
-    Returns
-    -------
-    dict of str to float array
-        Under the names of what they are made of; `HOPS` matters only to a channel that may be dead.
+        What it has saved.
+    reach : Reach
+        Which gaps it is carried across.
     """
-    belief = {"filter": saved["flow_beliefs"], "flow": saved["flow_told"][:1]}
-    gaps, alarms = _of_gaps(saved["parted_gaps"], rules.reach), _of_alarms(saved, rules.alarms)
-    return (
-        belief
-        | {"gaps": gaps, HOPS: _of_hops(saved), "alarms": alarms}
-        | standing_of_readings(saved, rules.stuck, rules.remembers)
-    )
-
-
-def standing_of_readings(saved: Mapping[str, Any], stuck: int, remembers: bool = False) -> dict[str, Floats]:
-    """Return what the verdicts of later readings depend on, where no filter is asked; parameters as of `standing`."""
-    offsets, memory = saved["faults_offsets"], saved["faults_memory"]
-    past = np.append(memory[HELD], memory[FAR:]) if remembers else np.empty(0)
     return {
-        "readings": np.append(_of_readings(memory, max(stuck, LONGEST_FILL) if remembers else stuck), past),
-        "rhythm": np.asarray(offsets - offsets[-1], np.float64),
+        "filter": saved["flow_beliefs"],
+        "flow": saved["flow_told"][:1],
+        "gaps": _of_gaps(saved["parted_gaps"], reach),
     }
 
 
@@ -88,24 +56,3 @@ def _of_gaps(gaps: Floats, reach: Reach) -> Floats:
     now, last, readings = gaps
     far = readings >= reach.readings and reach.spans * last >= reach.longest
     return np.array([now - last, np.inf if far else last, np.inf if far else readings])
-
-
-def _of_readings(memory: Floats, stuck: int) -> Floats:
-    """Return the reading that is held, and for how long; and whether a 0 would end the range so far."""
-    if not stuck:
-        return np.empty(0)
-    least, most = memory[LEAST], memory[MOST]
-    return np.array([memory[HELD], min(memory[RUN], stuck), least >= 0.0, most <= 0.0])
-
-
-def _of_alarms(saved: Mapping[str, Any], alarms: Alarms) -> Floats:
-    if alarms.drift_threshold >= NEVER:
-        return np.empty(0)
-    return np.asarray(saved["monitor_memory"][[ABOVE, BELOW]], np.float64)
-
-
-def _of_hops(saved: Mapping[str, Any]) -> Floats:
-    """Return what tells a dead channel: the hop that is open, those before it, and whether it was dead already."""
-    dead = float(saved["monitor_told"][1] == SILENT)
-    open_hop = saved["monitor_memory"][[COUNT, TOTAL, SQUARES]]
-    return np.concatenate([open_hop, np.ravel(saved["monitor_hops"]), [dead]]).astype(np.float64)

@@ -17,29 +17,22 @@ from typing import NamedTuple
 
 import numpy as np
 
-from becalm.core.compiling import compile_quickly, count_kept, save_trouble, times_compiled
+from becalm.core.compiling import compile_quickly, save_trouble, times_compiled
 from becalm.core.components import HIGHEST_ORDER, Component, motion, returning_motion
-from becalm.core.faults import Faults
 from becalm.core.filtering import kalman_filter, sizes_of
 from becalm.core.fixed_lag import fixed_lag_smoother
 from becalm.core.gates import LEAST_THRESHOLD, Gate, Gatekeeper
 from becalm.core.itself import MODULE, environment
 from becalm.core.kernel_backward import backward
-from becalm.core.kernel_faults import find_faults
 from becalm.core.kernel_gate import find_outliers
 from becalm.core.kernel_lag import run_late
 from becalm.core.kernel_online import live_kernels
-from becalm.core.kernel_outliers import mark_outliers
 from becalm.core.kernel_switching import switch_forward
 from becalm.core.kernel_switching_online import live_bank_kernels
 from becalm.core.kernel_switching_return import switch_backward, switch_late
-from becalm.core.kernel_watch import watch
 from becalm.core.kernels import forward
-from becalm.core.limits import Limits
 from becalm.core.model import Model
-from becalm.core.monitor import NEVER, Alarms, InnovationMonitor
 from becalm.core.online import Online
-from becalm.core.outliers import find_outlier_rule, is_outlier
 from becalm.core.smoothing import kalman_smoother
 from becalm.core.switching import Mode, Switching
 from becalm.core.switching_flow import SwitchingFlow
@@ -56,10 +49,7 @@ _BANKS = {2: EVERY_SIZE, 5: (1,)}
 _OF_BANKS = tuple(
     f"{modes} modes {what}" for modes in _BANKS for what in ("forward", "backward", "late", "run", "step")
 )
-OF_ALL = ("faults", "outliers", "watch")
-"""What every channel uses, of whatever size."""
-
-KERNELS = (*OF_ALL, "forward", "backward", "gate", "late", "live run", "live step", *_OF_BANKS)
+KERNELS = ("forward", "backward", "gate", "late", "live run", "live step", *_OF_BANKS)
 
 Use = tuple[object, Callable[[], object]]
 
@@ -74,11 +64,6 @@ class Warmed(NamedTuple):
     seconds: float
     compiled: bool  # False where it was there already
     trouble: str | None  # why it could not be kept
-
-
-def is_cold(names: Sequence[str], sizes: Sequence[int]) -> bool:
-    """Whether fewer kernels are kept, of the forward and the backward ones, than there are numbers of states."""
-    return any(count_kept(kernel) < len(sizes) for kernel in (forward, backward) if kernel.__name__ in names)
 
 
 def warm(names: Sequence[str] = KERNELS, sizes: Sequence[int] = EVERY_SIZE) -> Iterator[Warmed]:
@@ -128,7 +113,7 @@ def _start(states: int, names: Sequence[str]) -> subprocess.Popen[str]:
 
 def warm_size(states: int, names: Sequence[str]) -> Iterator[Warmed]:
     """Compile kernels for a motion of so many states in this process, one after the other."""
-    uses = _uses_of_motion(states) | (_uses_of_all() if states == 1 else {})
+    uses = _uses_of_motion(states)
     for modes in (count for count, sizes in _BANKS.items() if states in sizes):
         uses |= _uses_of_bank(states, modes)
     for name in names:
@@ -138,20 +123,6 @@ def warm_size(states: int, names: Sequence[str]) -> Iterator[Warmed]:
 
 def _motion(states: int) -> Component:
     return motion(states) if states <= HIGHEST_ORDER else returning_motion(states - 1, 1.0, 0.1)
-
-
-def _uses_of_all() -> dict[str, Use]:
-    """Return what every channel uses, of whatever size."""
-    return {
-        "faults": (find_faults, partial(Faults(Limits()).push, _READINGS, np.ones(len(_READINGS)))),
-        "outliers": (mark_outliers, _look_for_outliers),
-        "watch": (watch, partial(InnovationMonitor(Alarms(NEVER, 0.0, np.inf)).push, _READINGS)),
-    }
-
-
-def _look_for_outliers() -> None:
-    z = np.sin(np.square(np.arange(64.0)))
-    is_outlier(z, find_outlier_rule(z))
 
 
 def _uses_of_motion(states: int) -> dict[str, Use]:

@@ -6,26 +6,12 @@
 from __future__ import annotations
 
 import ctypes
-import sys
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from becalm.errors import BecalmError
-
-LIBRARY = Path(__file__).with_name("kernel.dll" if sys.platform == "win32" else "kernel.so")
-
-
-class _Field(ctypes.Structure):
-    _fields_ = (
-        ("name", ctypes.c_char_p),
-        ("offset", ctypes.c_int64),
-        ("size", ctypes.c_int64),
-        ("whole", ctypes.c_int64),
-    )
-
+from becalm.native.library import CONSTANTS, kernel, layout_of
 
 _ROWS = ("z", "elapsed", "step", "F", "Q")
 _ESTIMATES = ("signal", "sigma", "verdict", "innovation", "deviation", "x")
@@ -39,65 +25,37 @@ class _Estimate(ctypes.Structure):
     _fields_ = tuple((name, ctypes.c_void_p) for name in _ESTIMATES)
 
 
-def _library() -> ctypes.CDLL:
-    try:
-        return ctypes.CDLL(str(LIBRARY))
-    except OSError as cause:
-        raise BecalmError(
-            f"becalm's filter in C is not there, or not for this machine ({cause}). Install becalm again: pip install ."
-        ) from cause
-
-
-_LIBRARY = _library()
-_LIBRARY.channel_start.argtypes, _LIBRARY.channel_start.restype = [ctypes.c_void_p] * 2, None
-_LIBRARY.channel_process.argtypes, _LIBRARY.channel_process.restype = [ctypes.c_void_p] * 5, None
-_LIBRARY.channel_begin_after.argtypes = [
+kernel.channel_start.argtypes, kernel.channel_start.restype = [ctypes.c_void_p] * 2, None
+kernel.channel_process.argtypes, kernel.channel_process.restype = [ctypes.c_void_p] * 5, None
+kernel.channel_begin_after.argtypes = [
     *[ctypes.c_void_p] * 3,
     ctypes.c_double,
     ctypes.c_int64,
     *[ctypes.c_double] * 3,
 ]
-_LIBRARY.channel_begin_after.restype = None
-_LIBRARY.channel_reduce.argtypes, _LIBRARY.channel_reduce.restype = [*[ctypes.c_void_p] * 2, ctypes.c_int], None
-_LIBRARY.channel_forget_counts.argtypes, _LIBRARY.channel_forget_counts.restype = [ctypes.c_void_p], None
-_LIBRARY.smoother_start.argtypes, _LIBRARY.smoother_start.restype = [ctypes.c_void_p] * 2, None
-_LIBRARY.smoother_forward.argtypes = [*[ctypes.c_void_p] * 7, ctypes.c_int]
-_LIBRARY.smoother_forward.restype = ctypes.c_int64
-_LIBRARY.smoother_backward.argtypes = [*[ctypes.c_void_p] * 7, ctypes.c_int]
-_LIBRARY.smoother_backward.restype = None
-_LIBRARY.channel_is_sound.argtypes, _LIBRARY.channel_is_sound.restype = [ctypes.c_void_p] * 2, ctypes.c_int
-_LIBRARY.smoother_room.argtypes, _LIBRARY.smoother_room.restype = [ctypes.c_int64] * 2, ctypes.c_int64
-_LIBRARY.likelihood_add.argtypes = [*[ctypes.c_void_p] * 3, ctypes.c_int64, ctypes.c_void_p]
-_LIBRARY.likelihood_add.restype = None
+kernel.channel_begin_after.restype = None
+kernel.channel_reduce.argtypes, kernel.channel_reduce.restype = [*[ctypes.c_void_p] * 2, ctypes.c_int], None
+kernel.channel_forget_counts.argtypes, kernel.channel_forget_counts.restype = [ctypes.c_void_p], None
+kernel.smoother_start.argtypes, kernel.smoother_start.restype = [ctypes.c_void_p] * 2, None
+kernel.smoother_forward.argtypes = [*[ctypes.c_void_p] * 7, ctypes.c_int]
+kernel.smoother_forward.restype = ctypes.c_int64
+kernel.smoother_backward.argtypes = [*[ctypes.c_void_p] * 7, ctypes.c_int]
+kernel.smoother_backward.restype = None
+kernel.channel_is_sound.argtypes, kernel.channel_is_sound.restype = [ctypes.c_void_p] * 2, ctypes.c_int
+kernel.smoother_room.argtypes, kernel.smoother_room.restype = [ctypes.c_int64] * 2, ctypes.c_int64
+kernel.likelihood_add.argtypes = [*[ctypes.c_void_p] * 3, ctypes.c_int64, ctypes.c_void_p]
+kernel.likelihood_add.restype = None
 
 
-def _layout_of(struct: str) -> np.dtype[np.void]:
-    """Return a struct of `becalm.h` as NumPy's, with the fields that Python reads or writes."""
-    fields_of = getattr(_LIBRARY, f"channel_{struct}_fields")
-    fields_of.restype = ctypes.POINTER(_Field)
-    layout: Any = {"names": [], "formats": [], "offsets": []}
-    for field in fields_of():
-        if field.name is None:
-            break
-        count = field.size // 8
-        layout["names"].append(field.name.decode())
-        layout["formats"].append(f"{count if count > 1 else ''}{'i8' if field.whole else 'f8'}")
-        layout["offsets"].append(field.offset)
-    layout["itemsize"] = field.offset
-    structure: np.dtype[np.void] = np.dtype(layout)
-    return structure
-
-
-SETTINGS, COEFFICIENTS, STATE = map(_layout_of, ("settings", "coefficients", "state"))
-_FORWARD, _FUTURE, _SCORE = map(_layout_of, ("forward", "future", "score"))
-DETERMINED = 2  # the phase of a filter whose measurements determine its state
-MOST_STATES = int(COEFFICIENTS["h"].shape[0])
+SETTINGS, COEFFICIENTS, STATE = map(layout_of, ("settings", "coefficients", "state"))
+_FORWARD, _FUTURE, _SCORE = map(layout_of, ("forward", "future", "score"))
+DETERMINED, MOST_STATES = CONSTANTS["DETERMINED"], CONSTANTS["N_MAX"]
 
 
 def start(settings: NDArray[np.void]) -> NDArray[np.void]:
     """Return the state of a channel before its first row."""
     state = np.zeros((), STATE)
-    _LIBRARY.channel_start(settings.ctypes.data, state.ctypes.data)
+    kernel.channel_start(settings.ctypes.data, state.ctypes.data)
     return state
 
 
@@ -114,24 +72,24 @@ def begin_after(  # noqa: PLR0913  (each by its name)
 ) -> None:
     """Say what went before the first row: the first measurement, rows, steps, and between what they lay, in unit."""
     channel = settings.ctypes.data, coefficients.ctypes.data, state.ctypes.data
-    _LIBRARY.channel_begin_after(*channel, first, rows, steps, least, most)
+    kernel.channel_begin_after(*channel, first, rows, steps, least, most)
 
 
 def reduced(settings: NDArray[np.void], state: NDArray[np.void], *, alive: bool) -> NDArray[np.void]:
     """Return a state with only what later estimates depend on; of a sensor that is alive, but for its hops."""
     own = np.frombuffer(bytearray(state.tobytes()), STATE).reshape(())  # copy() would copy the fields alone
-    _LIBRARY.channel_reduce(settings.ctypes.data, own.ctypes.data, alive)
+    kernel.channel_reduce(settings.ctypes.data, own.ctypes.data, alive)
     return own
 
 
 def forget_counts(state: NDArray[np.void]) -> None:
     """Count verdicts and faults from 0 again."""
-    _LIBRARY.channel_forget_counts(state.ctypes.data)
+    kernel.channel_forget_counts(state.ctypes.data)
 
 
 def is_sound(settings: NDArray[np.void], state: NDArray[np.void]) -> bool:
     """Return whether a state, which may come from a file, is one that this channel can have."""
-    return bool(_LIBRARY.channel_is_sound(settings.ctypes.data, state.ctypes.data))
+    return bool(kernel.channel_is_sound(settings.ctypes.data, state.ctypes.data))
 
 
 def process(settings: NDArray[np.void], coefficients: NDArray[np.void], state: NDArray[np.void], **rows: Any) -> None:
@@ -151,7 +109,7 @@ def process(settings: NDArray[np.void], coefficients: NDArray[np.void], state: N
         If they are not of these types, or do not fit each other: C would read beyond their ends.
     """
     block, estimate = _checked(settings, rows)
-    _LIBRARY.channel_process(
+    kernel.channel_process(
         settings.ctypes.data, coefficients.ctypes.data, state.ctypes.data, ctypes.byref(block), ctypes.byref(estimate)
     )
 
@@ -182,7 +140,7 @@ class Smoother:
     def __init__(self, settings: NDArray[np.void], coefficients: NDArray[np.void]) -> None:
         self._settings, self._coefficients = settings, coefficients
         self.state, self._nothing = np.zeros((), _FORWARD), np.zeros((), _FUTURE)
-        _LIBRARY.smoother_start(self.state.ctypes.data, self._nothing.ctypes.data)
+        kernel.smoother_start(self.state.ctypes.data, self._nothing.ctypes.data)
 
     def forward(self, *, ends: bool, **rows: Any) -> Passed:
         """Filter the next block, or as much of it as is decided; the rest has to come again.
@@ -200,10 +158,10 @@ class Smoother:
             If the arrays do not fit each other.
         """
         block, estimate = _checked(self._settings, rows)
-        room = np.empty(_LIBRARY.smoother_room(int(self._settings["states"]), block.rows))
+        room = np.empty(kernel.smoother_room(int(self._settings["states"]), block.rows))
         starts = np.empty(block.rows, np.int8)
         memory = room.ctypes.data, starts.ctypes.data
-        taken = _LIBRARY.smoother_forward(
+        taken = kernel.smoother_forward(
             *self._channel, self.state.ctypes.data, ctypes.byref(block), ctypes.byref(estimate), *memory, ends
         )
         return Passed(taken, room, starts, rows)
@@ -232,7 +190,7 @@ class Smoother:
         block, estimate = _checked(self._settings, passed.rows)
         block.rows = count
         memory = passed.room.ctypes.data, passed.starts.ctypes.data
-        _LIBRARY.smoother_backward(
+        kernel.smoother_backward(
             *self._channel, future.ctypes.data, ctypes.byref(block), ctypes.byref(estimate), *memory, only_future
         )
 
@@ -263,7 +221,7 @@ def score(
     block, _ = _checked(settings, rows, writes=False)
     found = np.zeros((), _SCORE)
     found["product"] = 1.0
-    _LIBRARY.likelihood_add(
+    kernel.likelihood_add(
         settings.ctypes.data, coefficients.ctypes.data, ctypes.byref(block), scored_from, found.ctypes.data
     )
     log_det = np.log(found["product"]) + found["exponent"] * np.log(2.0)

@@ -20,7 +20,14 @@ enum {
     DRIFT = 9, OUTLIER = 13, HOLE = 14, RUNAWAY = 15, VERDICTS = 16
 };
 
-enum { NEIGHBOURS = 6 };    /* measurements that a gross outlier is held against */
+enum { NEIGHBOURS = 6, SIDE = 3, FEWEST_NEIGHBOURS = 3 }; /* measurements that a gross outlier is held against */
+enum { REACH = 256 };       /* rows beyond which a measurement is no neighbour */
+enum { SPREADS = 8 };       /* of its neighbours, that an outlier is away from their median */
+enum { REST_PARTS = 36 };   /* of what is plausible: a channel that came as near to 0 as one of them may rest there */
+enum { SHORTEST_FILL = 3, LONGEST_FILL = 64 }; /* rows of one value that fill in for measurements */
+enum { EVERY_REPEAT = 2 };  /* equal measurements in a row that are stuck where a channel holds its last one */
+enum { PARTS = 1 << 16 };   /* of a sigma: innovations are summed in whole ones, so that sums are exact */
+enum { MOST_SIGMA = 6 };    /* what one innovation may say */
 enum { HOP = 16 };          /* innovations that are summed together */
 enum { WINDOW_HOPS = 4 };   /* hops whose variance is looked at together */
 enum { KEPT_HOPS = 32 };    /* the last ones, whose power says how large innovations are now */
@@ -121,6 +128,19 @@ typedef struct {
     real hop_power, powers[KEPT_HOPS]; /* in sigma^2 */
 } monitor_t;
 
+/* Innovations that are watched by themselves, with the time of the last row, and of the first in the hop that is open. */
+typedef struct {
+    monitor_t monitor;
+    real now, opened; /* in steps from the first row of all */
+} watched_t;
+
+/* What is told of each whole hop. */
+typedef struct {
+    int64_t *totals, *squares; /* in parts of a sigma, and in parts^2 */
+    real *powers;              /* sums of squares, in sigma^2 */
+    real *steps;               /* from the first row of all to that of its first innovation */
+} hops_t;
+
 /* What was wrong with measurements, or with their times, whatever is estimated there; for each verdict. */
 typedef struct {
     int64_t rows;                 /* so far */
@@ -217,6 +237,28 @@ int64_t smoother_forward(const settings_t *settings, const coefficients_t *model
 void smoother_backward(const settings_t *settings, const coefficients_t *model, future_t *future,
                        const block_t *block, const estimate_t *estimate, real *room, const int8_t *starts,
                        int only_future);
+
+void scan_start(limits_t *limits, watched_t *watched);
+/* Return whether what is remembered, which may come from a file, can be. */
+int scan_is_sound(const limits_t *limits, const watched_t *watched);
+/* Write what is wrong with measurements over what is wrong with their times; return how many verdicts are not 0. */
+int64_t scan_faults(const settings_t *settings, limits_t *state, const real *z, const real *elapsed, int64_t rows,
+                    int8_t *verdict);
+/* Leave of what limits remember only what later verdicts depend on. */
+void scan_reduce(const settings_t *settings, limits_t *state);
+/* Watch innovations over their standard deviations, NaN where there is none; return how many hops ended. */
+int64_t scan_innovations(const settings_t *settings, watched_t *state, const real *normalised, const real *elapsed,
+                         int64_t rows, int8_t *verdict, const hops_t *hops);
+/* Write OUTLIER for each measurement, NaN where missing, that is farther than a distance from its neighbours on both
+   sides, and STUCK for so many equal ones in a row, from the first on, unless they are a rest; 0: any number may be
+   equal. Rows before `begun` are written already; the others come with 0. `values`, one a row, and `ends`, two a row,
+   are room. Return the first row that has to wait for later ones: none where the record is whole. */
+int64_t scan_outliers(const settings_t *settings, real distance, int64_t stuck, const real *z, int64_t rows,
+                      int64_t begun, int whole, real *values, int64_t *ends, int8_t *verdict);
+/* Write how far measurements are from the median of their neighbours on both sides, and how far these spread. */
+void measure_distances(const real *z, int64_t rows, int64_t *ends, real *distances, real *spreads);
+/* Write how far measurements are from the median of the six before them, from the seventh on. */
+void measure_jumps(const real *z, int64_t rows, real *jumps);
 
 /* Add up the likelihood of a record's rows from one on. */
 void likelihood_add(const settings_t *settings, const coefficients_t *model, const block_t *block, int64_t from,

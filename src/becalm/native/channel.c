@@ -80,10 +80,8 @@ static void watch_rows(const settings_t *settings, const coefficients_t *model, 
 void channel_start(const settings_t *settings, state_t *state) {
     memset(state, 0, sizeof *state);
     state->layout = LAYOUT, state->states = settings->states;
-    limits_t *limits = &state->limits;
-    state->last_signal = state->entered = limits->last_value = NOT_A_NUMBER;
-    limits->least = INFINITE, limits->most = -INFINITE;
-    for (int k = 0; k < NEIGHBOURS; k++) limits->past[k] = NOT_A_NUMBER;
+    start_limits(&state->limits);
+    state->last_signal = state->entered = NOT_A_NUMBER;
     state->monitor.drift_since = state->filter.settled_row = -1;
     filter_forget(&state->filter);
 }
@@ -95,25 +93,6 @@ void channel_begin_after(const settings_t *settings, const coefficients_t *model
     state->limits.least = least, state->limits.most = most;
     state->monitor.rows = state->faults.rows = rows, state->faults.steps = steps;
     state->monitor.hop_count = rows % HOP;
-}
-
-/* Reduce what the limits remember. */
-static void reduce_limits(const settings_t *settings, limits_t *limits) {
-    limits_t own = *limits;
-    for (int k = 0; k < NEIGHBOURS; k++) {
-        const int64_t from = (limits->at + k) % NEIGHBOURS;
-        own.past[k] = limits->past[from], own.waits[k] = limits->waits[from];
-    }
-    own.at = 0;
-    const int64_t longest = settings->stuck > LONGEST_FILL ? settings->stuck : LONGEST_FILL;
-    own.run = limits->run < longest ? limits->run : longest;
-    own.least = limits->least < 0 ? -1 : 0, own.most = limits->most > 0; /* whether 0 would end the range */
-    own.now = limits->now - limits->last, own.last = 0;
-    const int near = limits->measurements < settings->gap_measurements ||
-                     settings->gap_spans * limits->last < settings->longest_gap;
-    if (near) own.last = limits->last;
-    own.measurements = near ? limits->measurements : settings->gap_measurements;
-    *limits = own;
 }
 
 /* Reduce what the filter knows: how it came to a gain that has settled matters no more. */
@@ -156,8 +135,6 @@ void channel_forget_counts(state_t *state) {
     state->filter.settled_row = -1;
 }
 
-static int is_count(const int64_t count, const int64_t most) { return count >= -most && count <= most; }
-
 static int are_finite(const real *numbers, const int count) {
     for (int i = 0; i < count; i++)
         if (!isfinite(numbers[i])) return 0;
@@ -167,34 +144,21 @@ static int are_finite(const real *numbers, const int count) {
 /* Return whether a state, which may come from a file, is one that this channel can have: then no place is outside of
    its array, no counter overflows, and no number is NaN for good. */
 int channel_is_sound(const settings_t *settings, const state_t *state) {
-    const int64_t ever = (int64_t)1 << 53; /* rows */
-    const int64_t sum = (int64_t)1 << 45;  /* squares of the innovations in a hop, in 2^-32 sigma^2 */
-    const limits_t *limits = &state->limits;
     const filter_t *filter = &state->filter;
-    const monitor_t *monitor = &state->monitor;
     const int n = (int)state->states;
     int sound = state->layout == LAYOUT && state->states == settings->states && n >= 1 && n <= N_MAX;
-    sound = sound && isfinite(limits->since) && limits->at >= 0 && limits->at < NEIGHBOURS &&
-            is_count(limits->run, ever) && limits->measurements >= 0 && is_count(limits->measurements, ever) &&
-            isfinite(limits->now) && isfinite(limits->last);
+    sound = sound && limits_are_sound(&state->limits) && monitor_is_sound(&state->monitor);
     sound = sound && filter->phase >= UNKNOWN && filter->phase <= DETERMINED && are_finite(filter->x, n) &&
             are_finite(filter->P, n * n) && isfinite(filter->level);
     if (sound && filter->phase == DETERMINED)
         sound = are_finite(filter->K, n) && are_finite(filter->L, n) && are_finite(filter->ahead, n) &&
                 isfinite(filter->S) && isfinite(filter->sigma);
-    sound = sound && is_count(filter->rows, ever) && is_count(filter->steady, ever) &&
-            is_count(filter->next_check, ever) && is_count(filter->agreed, ever) && is_count(filter->rejected, ever) &&
-            is_count(filter->agreeing, ever) && is_count(filter->since_jump, ever);
-    sound = sound && is_count(monitor->rows, ever) && is_count(monitor->above, ever) &&
-            is_count(monitor->below, ever) && is_count(monitor->above_since, ever) &&
-            is_count(monitor->below_since, ever) && monitor->hops >= 0 &&
-            is_count(monitor->hops, ever) && monitor->hop_count >= 0 && monitor->hop_count < HOP &&
-            is_count(monitor->hop_total, sum) && is_count(monitor->hop_squares, sum);
-    for (int k = 0; k < WINDOW_HOPS - 1; k++)
-        sound = sound && is_count(monitor->totals[k], (int64_t)1 << 28) && is_count(monitor->squares[k], sum);
+    const int64_t counts[] = {filter->rows, filter->steady, filter->next_check, filter->agreed,
+                              filter->rejected, filter->agreeing, filter->since_jump};
+    for (int k = 0; k < 7; k++) sound = sound && is_count(counts[k], EVER);
     for (int k = 0; k < VERDICTS; k++)
-        sound = sound && is_count(state->counts[k], ever) && is_count(state->faults.met[k], ever);
-    sound = sound && is_count(state->faults.rows, ever) && isfinite(state->faults.steps);
+        sound = sound && is_count(state->counts[k], EVER) && is_count(state->faults.met[k], EVER);
+    sound = sound && is_count(state->faults.rows, EVER) && isfinite(state->faults.steps);
     return sound;
 }
 

@@ -19,6 +19,9 @@ const field_t *channel_state_fields(void);
 const field_t *channel_forward_fields(void);
 const field_t *channel_future_fields(void);
 const field_t *channel_score_fields(void);
+const field_t *channel_limits_fields(void);
+const field_t *channel_watched_fields(void);
+const field_t *channel_constants(void);
 
 const field_t *channel_settings_fields(void) {
 #define R(name) REALS(settings_t, name)
@@ -70,6 +73,33 @@ const field_t *channel_forward_fields(void) {
 const field_t *channel_future_fields(void) {
     static const field_t fields[] = {REALS(future_t, M), END(future_t)};
     return fields;
+}
+
+const field_t *channel_limits_fields(void) {
+    static const field_t fields[] = {REALS(limits_t, least), REALS(limits_t, most), END(limits_t)};
+    return fields;
+}
+
+const field_t *channel_watched_fields(void) {
+#define IN(name) {#name, offsetof(watched_t, monitor.name), sizeof(((watched_t *)0)->monitor.name), 1}
+    static const field_t fields[] = {
+        IN(rows), IN(above), IN(below), IN(drift_since), IN(hop_count), IN(hop_total), IN(hop_squares),
+        REALS(watched_t, now), REALS(watched_t, opened), END(watched_t),
+    };
+#undef IN
+    return fields;
+}
+
+/* Return whole numbers that Python uses, too, each as the size of a field. */
+const field_t *channel_constants(void) {
+#define VALUE(name) {#name, 0, name, 1}
+    static const field_t values[] = {
+        VALUE(NEIGHBOURS), VALUE(REACH), VALUE(SHORTEST_FILL), VALUE(LONGEST_FILL), VALUE(EVERY_REPEAT), VALUE(PARTS),
+        VALUE(SPREADS), VALUE(REST_PARTS), VALUE(MOST_SIGMA),
+        VALUE(HOP), VALUE(WINDOW_HOPS), VALUE(KEPT_HOPS), VALUE(DETERMINED), VALUE(N_MAX), {0, 0, 0, 0},
+    };
+#undef VALUE
+    return values;
 }
 
 const field_t *channel_score_fields(void) {

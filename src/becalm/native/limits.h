@@ -2,14 +2,22 @@
 #ifndef BECALM_LIMITS_H
 #define BECALM_LIMITS_H
 
+#include <string.h>
+
 #include "linear.h"
 
-enum { FEWEST_NEIGHBOURS = 3, LONGEST_FILL = 64, EVERY_REPEAT = 2 };
-
-#define SPREADS ((real)8)       /* of its neighbours, that an outlier is away from their median */
+#define IMPLAUSIBLE_SPREADS ((real)3) /* the same, of one that is not plausible: beside a jump it spreads its neighbours */
 #define LATE ((real)2.5)        /* times the longest wait before: then the measurements before are no neighbours */
 #define NEARER ((real)4)        /* times that a value which fills in for measurements is nearer */
-#define NEAR_REST (1 / (real)36) /* of what is plausible: a channel that came so near to 0 before may rest there */
+#define AMID ((real)0.01)       /* of what was measured: nearer to an end of it is no value amid */
+
+/* Begin before the first measurement. */
+static inline void start_limits(limits_t *state) {
+    memset(state, 0, sizeof *state);
+    state->last_value = NOT_A_NUMBER;
+    state->least = INFINITE, state->most = -INFINITE;
+    for (int k = 0; k < NEIGHBOURS; k++) state->past[k] = NOT_A_NUMBER;
+}
 
 /* Collect the measurements before; return how many there are. */
 static int recall(const real *past, real *neighbours) {
@@ -19,17 +27,23 @@ static int recall(const real *past, real *neighbours) {
     return count;
 }
 
-/* Return whether a measurement is far from the median of some neighbours, which are sorted. */
-static int is_far(const real z, real *neighbours, const int count, const real distance) {
+/* Sort some neighbours; return their median, and how far all but the lowest and the highest spread. */
+static inline real median_of(real *neighbours, const int count, real *spread) {
     for (int k = 1; k < count; k++) {
         const real now = neighbours[k];
         int at = k;
         for (; at > 0 && neighbours[at - 1] > now; at--) neighbours[at] = neighbours[at - 1];
         neighbours[at] = now;
     }
-    const real median = (neighbours[(count - 1) / 2] + neighbours[count / 2]) * (real)0.5;
-    const real spread = SPREADS * (neighbours[count - 2] - neighbours[1]);
-    return fabs(z - median) > (spread > distance ? spread : distance);
+    *spread = neighbours[count - 2] - neighbours[1];
+    return (neighbours[(count - 1) / 2] + neighbours[count / 2]) * (real)0.5;
+}
+
+/* Return whether a measurement is far from the median of some neighbours, and so many of their spreads. */
+static int is_far(const real z, real *neighbours, const int count, const real distance, const real spreads) {
+    real spread;
+    const real median = median_of(neighbours, count, &spread);
+    return fabs(z - median) > (spreads * spread > distance ? spreads * spread : distance);
 }
 
 /* Return whether a measurement is far from the six before it; of the first ones, from what is plausible. */
@@ -43,7 +57,7 @@ static int is_far_from_past(const settings_t *settings, const limits_t *state, c
     }
     if (!isnan(past[NEIGHBOURS - 1]) && high - distance <= z && z <= low + distance) return 0; /* so near to each */
     const int count = recall(past, neighbours);
-    if (count >= FEWEST_NEIGHBOURS) return is_far(z, neighbours, count, distance);
+    if (count >= FEWEST_NEIGHBOURS) return is_far(z, neighbours, count, distance, SPREADS);
     const int plausible = settings->plausible_low <= z && z <= settings->plausible_high;
     return !(plausible || fabs(z - state->last_value) <= distance);
 }
@@ -52,18 +66,24 @@ static int is_far_from_past(const settings_t *settings, const limits_t *state, c
 static int fills_in(const settings_t *settings, const real z, const real *past) {
     real neighbours[NEIGHBOURS];
     const int count = recall(past, neighbours);
-    return count == NEIGHBOURS && is_far(z, neighbours, count, settings->outlier_distance / NEARER);
+    return count == NEIGHBOURS && is_far(z, neighbours, count, settings->outlier_distance / NEARER, SPREADS);
 }
 
-/* Return whether a 0 that ends the range so far is one at which a channel rests, as speeds and loads do. */
+/* Return whether a 0 among some measurements is one at which a channel rests, as speeds and loads do. */
+static int rests(const settings_t *settings, const real *measured, const int count) {
+    real nearest = INFINITE;
+    for (int k = 0; k < count; k++)
+        if (measured[k] != 0 && fabs(measured[k]) < nearest) nearest = fabs(measured[k]);
+    return nearest == INFINITE || nearest <= (settings->plausible_high - settings->plausible_low) / REST_PARTS;
+}
+
+/* Return whether a 0 that ends the range so far is a rest. */
 static int is_rest(const settings_t *settings, const limits_t *state) {
     if (state->least != 0 && state->most != 0) return 0;
     if (!(settings->repeats_are_one && settings->outlier_distance < INFINITE)) return 1;
-    real neighbours[NEIGHBOURS], nearest = INFINITE;
+    real neighbours[NEIGHBOURS];
     const int count = recall(state->past, neighbours);
-    for (int k = 0; k < count; k++)
-        if (neighbours[k] != 0 && fabs(neighbours[k]) < nearest) nearest = fabs(neighbours[k]);
-    return nearest == INFINITE || nearest <= NEAR_REST * (settings->plausible_high - settings->plausible_low);
+    return rests(settings, neighbours, count);
 }
 
 /* Return why a value is no measurement of the sensor, 0 where it may be one. */
@@ -116,6 +136,32 @@ static int judge(const settings_t *settings, limits_t *state, const real z, cons
     if (z <= settings->low || z >= settings->high) verdict = CLIPPED;
     if (verdict == USED && fabs(z) > settings->largest_accepted) verdict = OVERRANGE;
     return verdict;
+}
+
+/* Return whether what is remembered, which may come from a file, can be. */
+static inline int limits_are_sound(const limits_t *limits) {
+    return isfinite(limits->since) && limits->at >= 0 && limits->at < NEIGHBOURS && is_count(limits->run, EVER) &&
+           limits->measurements >= 0 && is_count(limits->measurements, EVER) && isfinite(limits->now) &&
+           isfinite(limits->last);
+}
+
+/* Reduce what the limits remember. */
+static void reduce_limits(const settings_t *settings, limits_t *limits) {
+    limits_t own = *limits;
+    for (int k = 0; k < NEIGHBOURS; k++) {
+        const int64_t from = (limits->at + k) % NEIGHBOURS;
+        own.past[k] = limits->past[from], own.waits[k] = limits->waits[from];
+    }
+    own.at = 0;
+    const int64_t longest = settings->stuck > LONGEST_FILL ? settings->stuck : LONGEST_FILL;
+    own.run = limits->run < longest ? limits->run : longest;
+    own.least = limits->least < 0 ? -1 : 0, own.most = limits->most > 0; /* whether 0 would end the range */
+    own.now = limits->now - limits->last, own.last = 0;
+    const int near = limits->measurements < settings->gap_measurements ||
+                     settings->gap_spans * limits->last < settings->longest_gap;
+    if (near) own.last = limits->last;
+    own.measurements = near ? limits->measurements : settings->gap_measurements;
+    *limits = own;
 }
 
 #endif

@@ -24,6 +24,11 @@
 
 INLINE int near(const real now, const real then, const real scale) { return fabs(now - then) <= UNCHANGED * scale; }
 
+#define EVER ((int64_t)1 << 53) /* rows: no record has so many */
+
+/* Return whether a number, which may come from a file, is one that counting can give. */
+static inline int is_count(const int64_t count, const int64_t most) { return count >= -most && count <= most; }
+
 INLINE real dot(const int n, const real *a, const real *b) {
     real s = 0;
     UNROLL

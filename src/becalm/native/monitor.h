@@ -5,9 +5,6 @@
 #include <string.h>
 #include "linear.h"
 
-enum { PARTS = 1 << 16 }; /* of a sigma: innovations are summed in whole ones, so that sums are exact */
-
-#define MOST_SIGMA ((real)6)                 /* what one innovation may say */
 #define ROUNDING ((real)6755399441055744.0) /* 1.5 * 2^52: a number that it is added to keeps no fraction */
 
 enum { SLACK = PARTS / 2 };
@@ -47,6 +44,18 @@ static int watch(const settings_t *settings, monitor_t *state, real nu) {
     state->hop_total += part, state->hop_squares += part * part, state->hop_power += nu * nu;
     if (++state->hop_count == HOP) end_hop(settings, state);
     return state->silent ? DEAD : since >= 0 ? DRIFT : USED;
+}
+
+/* Return whether sums, which may come from a file, can be. */
+static inline int monitor_is_sound(const monitor_t *monitor) {
+    const int64_t squares = (int64_t)1 << 45; /* of the innovations in a hop, in 2^-32 sigma^2 */
+    int sound = is_count(monitor->rows, EVER) && is_count(monitor->above, EVER) && is_count(monitor->below, EVER) &&
+                is_count(monitor->above_since, EVER) && is_count(monitor->below_since, EVER) && monitor->hops >= 0 &&
+                is_count(monitor->hops, EVER) && monitor->hop_count >= 0 && monitor->hop_count < HOP &&
+                is_count(monitor->hop_total, squares) && is_count(monitor->hop_squares, squares);
+    for (int k = 0; k < WINDOW_HOPS - 1; k++)
+        sound = sound && is_count(monitor->totals[k], (int64_t)1 << 28) && is_count(monitor->squares[k], squares);
+    return sound;
 }
 
 #endif

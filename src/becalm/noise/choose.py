@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.core.components import EVERY_ORDER, ORDERS
+from becalm.core.components import ORDERS
 from becalm.noise.beside import tune_beside
 from becalm.noise.coloured import NoiseModel
 from becalm.noise.cross_validation import simplest, tune_smoother
@@ -21,7 +21,7 @@ from becalm.noise.likelihood import FEWEST_READINGS, UNSCORED, Evidence, Tuning,
 from becalm.noise.lines import add_lines
 from becalm.noise.risk import less_risky, retune
 
-__all__ = ["FEWEST_READINGS", "NOTHING_KNOWN", "Choice", "Known", "choose", "sizes_run"]
+__all__ = ["FEWEST_READINGS", "NOTHING_KNOWN", "Choice", "Known", "choose"]
 
 
 @dataclass(frozen=True)
@@ -52,11 +52,6 @@ class Choice:
             return self
         rivals = tuple(rival.counted_in(steps) for rival in self.rivals)
         return Choice(self.kind, self.tuning.counted_in(steps), self.motion.counted_in(steps), rivals)
-
-
-def sizes_run(causal: bool) -> tuple[int, ...]:
-    """Return the numbers of states of the kernels that choosing runs: a damped motion has one more than its order."""
-    return (*ORDERS, ORDERS[-1] + 1) if causal else (*EVERY_ORDER, EVERY_ORDER[-1] + 1)
 
 
 @dataclass(frozen=True)

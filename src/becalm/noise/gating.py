@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import ndtr
 
-from becalm.core.arrays import Booleans, Floats
+from becalm.core.arrays import Booleans, Floats, input_of
 from becalm.core.channel import Channel
 from becalm.core.channel_settings import Settings
 from becalm.core.gates import Gate
@@ -142,6 +142,7 @@ def has_shoulders(found: Forecasts, threshold: float) -> bool:
 def forecasts(tuning: Tuning, readings: Floats, elapsed: Floats, gate: Gate | None) -> Forecasts:
     """Foretell readings (N,), causally, with a gate or without."""
     channel = Channel(Settings(tuning.component, tuning.noise_variance, 1.0, Limits(), NO_ALARMS, gate))
+    readings, elapsed = input_of(readings), input_of(elapsed)
     pieces = (slice(start, start + PIECE) for start in range(0, len(readings), PIECE))
     found = [channel.process(readings[piece], elapsed[piece]) for piece in pieces]
     nu, sigma, verdict = (np.concatenate([getattr(each, of) for each in found]) for of in _FORETOLD)

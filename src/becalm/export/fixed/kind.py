@@ -43,7 +43,7 @@ class FixedReference(SettledReference):
     def __init__(self, design: Design, largest: float, scale: Scale) -> None:
         schedule, rails = schedule_in(design), rails_of(design, scale)
         super().__init__(design, schedule, largest)
-        self._rule = self._rule._replace(low=scale.in_unit(rails.low), high=scale.in_unit(rails.high))
+        self._limits["low"], self._limits["high"] = scale.in_unit(rails.low), scale.in_unit(rails.high)
         point, _ = fit(design, schedule, scale.lsb)
         self._opening = kept_of(self._opening)
         self._ends = scale.in_unit(-GREATEST), scale.in_unit(GREATEST)

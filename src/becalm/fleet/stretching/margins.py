@@ -12,9 +12,9 @@ from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.steps import lag_in_rows
 from becalm.core.arrays import Integers
 from becalm.core.kernel_ahead import BLOCK
-from becalm.core.kernel_outliers import REACH
 from becalm.files.again import KnownSource
 from becalm.files.through import columns_of
+from becalm.native.scans import REACH
 
 TIMES = 16
 """Times what leaves 1e-13 of where a causal filter began: until then the last bits of two that began apart agree."""

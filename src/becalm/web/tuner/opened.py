@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 
-from becalm.cleaning.ahead import compile_ahead
 from becalm.cleaning.calibrating import calibrated
 from becalm.cleaning.excerpt import ChannelRows
 from becalm.cleaning.recipe import Origin
@@ -153,7 +152,6 @@ class Opened:
 
     def _explore(self, as_filter: bool) -> tuple[Tuned, tuple[Options, ...]]:
         count, done = len(self.recording.names), list[str]()
-        compile_ahead(self._sample, causal=as_filter, tell=self._progress)
         self._progress(f"Finding the noise of {count} channel{'s' * (count > 1)} ...")
 
         def tell(name: str) -> None:

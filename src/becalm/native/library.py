@@ -1,0 +1,68 @@
+"""The filter in C99, as it was compiled, and what it says of itself: its structs, and its constants."""
+
+from __future__ import annotations
+
+import ctypes
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from becalm.errors import BecalmError
+
+LIBRARY = Path(__file__).with_name("kernel.dll" if sys.platform == "win32" else "kernel.so")
+
+
+class _Field(ctypes.Structure):
+    _fields_ = (
+        ("name", ctypes.c_char_p),
+        ("offset", ctypes.c_int64),
+        ("size", ctypes.c_int64),
+        ("whole", ctypes.c_int64),
+    )
+
+
+def _loaded() -> ctypes.CDLL:
+    try:
+        return ctypes.CDLL(str(LIBRARY))
+    except OSError as cause:
+        raise BecalmError(
+            f"becalm's filter in C is not there, or not for this machine ({cause}). Install becalm again: pip install ."
+        ) from cause
+
+
+kernel = _loaded()
+
+
+def layout_of(struct: str) -> np.dtype[np.void]:
+    """Return a struct of `becalm.h` as NumPy's, with the fields that Python reads or writes."""
+    *fields, end = _told(f"channel_{struct}_fields")
+    counts = [field.size // 8 for field in fields]
+    layout: Any = {
+        "names": [field.name.decode() for field in fields],
+        "formats": [
+            f"{count if count > 1 else ''}{'i8' if field.whole else 'f8'}"
+            for field, count in zip(fields, counts, strict=True)
+        ],
+        "offsets": [field.offset for field in fields],
+        "itemsize": end.offset,
+    }
+    structure: np.dtype[np.void] = np.dtype(layout)
+    return structure
+
+
+def _told(name: str) -> list[Any]:
+    """Return the fields that C tells under a name; the last has none of its own."""
+    fields_of = getattr(kernel, name)
+    fields_of.restype = ctypes.POINTER(_Field)
+    told = list[Any]()
+    for field in fields_of():
+        told.append(field)
+        if field.name is None:
+            break
+    return told
+
+
+CONSTANTS: dict[str, int] = {value.name.decode(): value.size for value in _told("channel_constants")[:-1]}
+"""Whole numbers that C and Python both use, by their names in `becalm.h`."""

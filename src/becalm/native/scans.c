@@ -1,0 +1,148 @@
+/* Passes over a record that ask no filter: what is wrong with measurements themselves, and with innovations. */
+#include "limits.h"
+#include "monitor.h"
+
+void scan_start(limits_t *limits, watched_t *watched) {
+    start_limits(limits);
+    memset(watched, 0, sizeof *watched);
+    watched->monitor.drift_since = -1;
+}
+
+int scan_is_sound(const limits_t *limits, const watched_t *watched) {
+    return limits_are_sound(limits) && monitor_is_sound(&watched->monitor) && isfinite(watched->now) &&
+           isfinite(watched->opened);
+}
+
+int64_t scan_faults(const settings_t *settings, limits_t *state, const real *z, const real *elapsed, const int64_t rows,
+                    int8_t *verdict) {
+    int64_t found = 0;
+    for (int64_t row = 0; row < rows; row++) {
+        const int fault = judge(settings, state, z[row], elapsed[row]);
+        if (fault) verdict[row] = (int8_t)fault;
+        found += verdict[row] != 0;
+    }
+    return found;
+}
+
+void scan_reduce(const settings_t *settings, limits_t *state) { reduce_limits(settings, state); }
+
+int64_t scan_innovations(const settings_t *settings, watched_t *state, const real *normalised, const real *elapsed,
+                         const int64_t rows, int8_t *verdict, const hops_t *hops) {
+    enum { LAST = WINDOW_HOPS - 2 };
+    monitor_t *monitor = &state->monitor;
+    int64_t ended = 0;
+    for (int64_t row = 0; row < rows; row++) {
+        const int64_t before = monitor->hops;
+        state->now = monitor->rows ? state->now + elapsed[row] : 0;
+        if (!monitor->hop_count) state->opened = state->now;
+        const int alarm = watch(settings, monitor, normalised[row]);
+        if (alarm) verdict[row] = (int8_t)alarm;
+        if (monitor->hops == before) continue;
+        hops->totals[ended] = monitor->totals[LAST], hops->squares[ended] = monitor->squares[LAST];
+        hops->powers[ended] = monitor->powers[before % KEPT_HOPS], hops->steps[ended] = state->opened;
+        ended++;
+    }
+    return ended;
+}
+
+/* Fill in the six nearest neighbours of a run; return how many. Where one side has fewer than three, the other has
+   more. `missing` are how many more may come after the last run. */
+static int gather(const real *values, const int64_t *ends, const int64_t run, const int64_t runs, real *neighbours,
+                  int *missing) {
+    int before = 0, after = 0;
+    while (before < NEIGHBOURS && run - before > 0 && ends[2 * run] - ends[2 * (run - before - 1) + 1] <= REACH) before++;
+    while (after < NEIGHBOURS && run + after + 1 < runs && ends[2 * (run + after + 1)] - ends[2 * run] <= REACH) after++;
+    const int wanted = NEIGHBOURS - (before < SIDE ? before : SIDE);
+    const int room = NEIGHBOURS - (after < SIDE ? after : SIDE);
+    const int left = before < room ? before : room;
+    const int right = after < NEIGHBOURS - left ? after : NEIGHBOURS - left;
+    *missing = after < wanted && run + after + 1 == runs;
+    for (int k = 0; k < left; k++) neighbours[k] = values[run - 1 - k];
+    for (int k = 0; k < right; k++) neighbours[left + k] = values[run + 1 + k];
+    return left + right;
+}
+
+/* Write the measurements that are not NaN, a run of equal ones as one where they are, and the first and the last row of
+   each; return how many. */
+static int64_t find_runs(const real *z, const int64_t rows, const int repeats_are_one, real *values, int64_t *ends) {
+    int64_t runs = 0;
+    for (int64_t row = 0; row < rows; row++) {
+        if (isnan(z[row])) continue;
+        const int goes_on = repeats_are_one && runs && z[row] == values[runs - 1] &&
+                            row - ends[2 * (runs - 1) + 1] <= REACH;
+        if (goes_on)
+            ends[2 * (runs - 1) + 1] = row;
+        else
+            values[runs] = z[row], ends[2 * runs] = ends[2 * runs + 1] = row, runs++;
+    }
+    return runs;
+}
+
+/* Return whether a channel may end at 0: it is not amid what was measured, the middle third of what is plausible. */
+static int ends_at_0(const settings_t *settings) {
+    const real low = settings->plausible_low, high = settings->plausible_high, third = (high - low) / 3;
+    return !(low + (1 + AMID) * third < 0 && 0 < high - (1 + AMID) * third);
+}
+
+static int64_t count_measured(const real *z, const int64_t first, const int64_t last) {
+    int64_t count = 0;
+    for (int64_t row = first; row <= last; row++) count += !isnan(z[row]);
+    return count;
+}
+
+/* Return what the measurements of a run are, by those on both sides of it. */
+static int judge_run(const settings_t *settings, const real distance, const int64_t stuck, const real *values,
+                     const int64_t run, const int64_t rows, real *neighbours, const int count) {
+    const real value = values[run];
+    int away = value < settings->plausible_low || value > settings->plausible_high;
+    if (count >= FEWEST_NEIGHBOURS) {
+        const int fills = stuck > 0 && rows >= SHORTEST_FILL && rows <= LONGEST_FILL;
+        away = is_far(value, neighbours, count, fills ? distance / NEARER : distance,
+                      away ? IMPLAUSIBLE_SPREADS : SPREADS);
+    }
+    if (away) return OUTLIER;
+    if (!(stuck > 0 && rows >= stuck)) return USED;
+    const int64_t from = run < NEIGHBOURS ? 0 : run - NEIGHBOURS;
+    return value == 0 && ends_at_0(settings) && rests(settings, values + from, (int)(run - from)) ? USED : STUCK;
+}
+
+int64_t scan_outliers(const settings_t *settings, const real distance, const int64_t stuck, const real *z,
+                      const int64_t rows, const int64_t begun, const int whole, real *values, int64_t *ends,
+                      int8_t *verdict) {
+    const int64_t runs = find_runs(z, rows, settings->repeats_are_one != 0, values, ends);
+    const int64_t decided = stuck > SHORTEST_FILL ? stuck : SHORTEST_FILL; /* rows after which a run may be what it is */
+    for (int64_t run = 0; run < runs; run++) {
+        const int64_t first = ends[2 * run], last = ends[2 * run + 1];
+        int found = verdict[first];
+        if (first >= begun) {
+            real neighbours[NEIGHBOURS];
+            int missing;
+            const int count = gather(values, ends, run, runs, neighbours, &missing);
+            const int64_t measured = count_measured(z, first, last);
+            if (missing && !whole && rows - 1 - first < REACH) return first;
+            if (run == runs - 1 && measured < decided && !whole && rows - 1 - last < REACH) return first;
+            found = judge_run(settings, distance, stuck, values, run, measured, neighbours, count);
+        }
+        for (int64_t row = first > begun ? first : begun; found && row <= last; row++)
+            verdict[row] = (int8_t)(isnan(z[row]) ? USED : found);
+    }
+    return rows;
+}
+
+void measure_distances(const real *z, const int64_t rows, int64_t *ends, real *distances, real *spreads) {
+    for (int64_t row = 0; row < rows; row++) ends[2 * row] = ends[2 * row + 1] = row;
+    for (int64_t row = 0; row < rows; row++) {
+        real neighbours[NEIGHBOURS];
+        int missing;
+        const int count = gather(z, ends, row, rows, neighbours, &missing);
+        distances[row] = fabs(z[row] - median_of(neighbours, count, spreads + row));
+    }
+}
+
+void measure_jumps(const real *z, const int64_t rows, real *jumps) {
+    for (int64_t row = NEIGHBOURS; row < rows; row++) {
+        real neighbours[NEIGHBOURS], spread;
+        for (int k = 0; k < NEIGHBOURS; k++) neighbours[k] = z[row - NEIGHBOURS + k];
+        jumps[row - NEIGHBOURS] = fabs(z[row] - median_of(neighbours, NEIGHBOURS, &spread));
+    }
+}

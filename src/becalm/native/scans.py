@@ -1,0 +1,168 @@
+"""Passes over a record that ask no filter, in C: what is wrong with measurements themselves, and with innovations."""
+
+from __future__ import annotations
+
+import ctypes
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from becalm.native.library import CONSTANTS, kernel, layout_of
+
+Floats = NDArray[np.float64]
+Codes = NDArray[np.int8]
+Whole = NDArray[np.int64]
+
+LIMITS, WATCHED = map(layout_of, ("limits", "watched"))
+NEIGHBOURS, SPREADS, REACH = (CONSTANTS[name] for name in ("NEIGHBOURS", "SPREADS", "REACH"))
+SHORTEST_FILL, LONGEST_FILL = CONSTANTS["SHORTEST_FILL"], CONSTANTS["LONGEST_FILL"]
+NEAR_REST = 1 / CONSTANTS["REST_PARTS"]
+"""Of what is plausible: so near to 0 is a channel before it rests there."""
+HOP, KEPT_HOPS, PARTS, MOST_SIGMA = (CONSTANTS[name] for name in ("HOP", "KEPT_HOPS", "PARTS", "MOST_SIGMA"))
+WINDOW = HOP * CONSTANTS["WINDOW_HOPS"]
+"""Innovations whose variance is looked at together."""
+
+kernel.scan_start.argtypes, kernel.scan_start.restype = [ctypes.c_void_p] * 2, None
+kernel.scan_is_sound.argtypes, kernel.scan_is_sound.restype = [ctypes.c_void_p] * 2, ctypes.c_int
+kernel.scan_faults.argtypes = [*[ctypes.c_void_p] * 4, ctypes.c_int64, ctypes.c_void_p]
+kernel.scan_faults.restype = ctypes.c_int64
+kernel.scan_reduce.argtypes, kernel.scan_reduce.restype = [ctypes.c_void_p] * 2, None
+kernel.scan_innovations.argtypes = [*[ctypes.c_void_p] * 4, ctypes.c_int64, *[ctypes.c_void_p] * 2]
+kernel.scan_innovations.restype = ctypes.c_int64
+_PLACE, _COUNT = ctypes.c_void_p, ctypes.c_int64
+kernel.scan_outliers.argtypes = [_PLACE, ctypes.c_double, _COUNT, _PLACE, _COUNT, _COUNT, ctypes.c_int, *[_PLACE] * 3]
+kernel.scan_outliers.restype = ctypes.c_int64
+kernel.measure_distances.argtypes = [ctypes.c_void_p, ctypes.c_int64, *[ctypes.c_void_p] * 3]
+kernel.measure_distances.restype = None
+kernel.measure_jumps.argtypes = [ctypes.c_void_p, ctypes.c_int64, ctypes.c_void_p]
+kernel.measure_jumps.restype = None
+
+
+class _Hops(ctypes.Structure):
+    _fields_ = tuple((name, ctypes.c_void_p) for name in ("totals", "squares", "powers", "steps"))
+
+
+class Hops(NamedTuple):
+    """What is told of each whole hop of innovations."""
+
+    totals: Whole  # (H,) in parts of a sigma
+    squares: Whole  # (H,) in parts^2
+    powers: Floats  # (H,) sums of squares, in sigma^2
+    steps: Floats  # (H,) from the first row of all to that of its first innovation
+
+
+def restored(kept: NDArray[np.int8], struct: np.dtype[np.void]) -> NDArray[np.void] | None:
+    """Return what is remembered from its bytes, of measurements (LIMITS) or innovations (WATCHED); else None."""
+    if kept.dtype != np.int8 or kept.shape != (struct.itemsize,):
+        return None
+    state = np.frombuffer(bytearray(kept.tobytes()), struct).reshape(())
+    limits, watched = (state, new_watched()) if struct == LIMITS else (new_limits(), state)
+    return state if kernel.scan_is_sound(limits.ctypes.data, watched.ctypes.data) else None
+
+
+def new_limits() -> NDArray[np.void]:
+    """Return what is remembered of measurements before the first."""
+    return _started()[0]
+
+
+def new_watched() -> NDArray[np.void]:
+    """Return what is remembered of innovations before the first."""
+    return _started()[1]
+
+
+def _started() -> tuple[NDArray[np.void], NDArray[np.void]]:
+    limits, watched = np.zeros((), LIMITS), np.zeros((), WATCHED)
+    kernel.scan_start(limits.ctypes.data, watched.ctypes.data)
+    return limits, watched
+
+
+def scan_faults(settings: NDArray[np.void], limits: NDArray[np.void], z: Floats, elapsed: Floats, codes: Codes) -> int:
+    """Write what is wrong with measurements (B,), in unit, given the steps before them, over their codes (B,).
+
+    Returns how many codes are not 0 then. What is remembered changes.
+    """
+    _check(z, (z, elapsed), (codes,))
+    pointers = [array.ctypes.data for array in (settings, limits, z, elapsed)]
+    return int(kernel.scan_faults(*pointers, len(z), codes.ctypes.data))
+
+
+def reduced_limits(settings: NDArray[np.void], limits: NDArray[np.void]) -> bytes:
+    """Return only what later verdicts depend on."""
+    own = bytearray(limits.tobytes())
+    kernel.scan_reduce(settings.ctypes.data, ctypes.addressof(ctypes.c_char.from_buffer(own)))
+    return bytes(own)
+
+
+def scan_innovations(
+    settings: NDArray[np.void], watched: NDArray[np.void], normalised: Floats, elapsed: Floats, codes: Codes
+) -> Hops:
+    """Write alarms to the codes (B,) of innovations over their standard deviations (B,); return the hops that ended."""
+    _check(normalised, (normalised, elapsed), (codes,))
+    most = len(normalised) // HOP + 1
+    hops = Hops(*np.empty((2, most), np.int64), *np.empty((2, most)))
+    pointers = [array.ctypes.data for array in (settings, watched, normalised, elapsed)]
+    into = _Hops(*(array.ctypes.data for array in hops))
+    count = kernel.scan_innovations(*pointers, len(normalised), codes.ctypes.data, ctypes.byref(into))
+    return Hops(hops.totals[:count], hops.squares[:count], hops.powers[:count], hops.steps[:count])
+
+
+def scan_outliers(  # noqa: PLR0913  (each by its name)
+    settings: NDArray[np.void], z: Floats, codes: Codes, *, distance: float, stuck: int, begun: int, whole: bool
+) -> int:
+    """Write to the codes (N,) what measurements, NaN where missing, are by those on both sides of them.
+
+    Parameters
+    ----------
+    settings : () structured array
+        What is plausible, and whether repeats are one.
+    z : (N,) float array
+        Measurements, in unit.
+    codes : (N,) int8 array
+        Those of rows before `begun` are read, the others are 0.
+    distance : float
+        From the median of neighbours, in unit; inf finds no outlier.
+    stuck : int
+        Equal measurements in a row that are stuck, from the first of them on; 0: any number may be equal.
+    begun : int
+        Rows that are written already.
+    whole : bool
+        Whether no later rows will come.
+
+    Returns
+    -------
+    int
+        The first row that has to wait for later ones; N where none has.
+    """
+    _check(z, (z,), (codes,))
+    values, ends = np.empty(len(z)), np.empty((len(z), 2), np.int64)
+    room = values.ctypes.data, ends.ctypes.data, codes.ctypes.data
+    rows = z.ctypes.data, len(z), begun, whole
+    return int(kernel.scan_outliers(settings.ctypes.data, distance, stuck, *rows, *room))
+
+
+def measure_distances(z: Floats) -> tuple[Floats, Floats]:
+    """Return how far measurements (N,) are from the median of six neighbours, and how far these spread."""
+    _check(z, (z,), ())
+    distances, spreads = np.empty((2, len(z)))
+    ends = np.empty((len(z), 2), np.int64)
+    kernel.measure_distances(z.ctypes.data, len(z), ends.ctypes.data, distances.ctypes.data, spreads.ctypes.data)
+    return distances, spreads
+
+
+def measure_jumps(z: Floats) -> Floats:
+    """Return how far measurements (N,) are from the median of the six before them, from the seventh on."""
+    _check(z, (z,), ())
+    jumps = np.empty(max(len(z) - NEIGHBOURS, 0))
+    kernel.measure_jumps(z.ctypes.data, len(z), jumps.ctypes.data)
+    return jumps
+
+
+def _check(rows: Floats, reals: tuple[Floats, ...], codes: tuple[Codes, ...]) -> None:
+    """Raise a ValueError if arrays do not fit: C would read, or write, beyond their ends."""
+    for kind, arrays in (("f8", reals), ("i1", codes)):
+        for array in arrays:
+            flags = array.flags
+            in_place = flags.c_contiguous and flags.aligned and (kind == "f8" or flags.writeable)
+            if array.dtype != kind or array.shape != (len(rows),) or not in_place:
+                raise ValueError(f"{array.dtype} {array.shape} came, not {kind} ({len(rows)},) in one piece.")
