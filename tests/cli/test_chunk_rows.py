@@ -8,8 +8,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from becalm.core.arrays import Floats
-from becalm.core.kernel_ahead import BLOCK
+from becalm.core.arrays import BLOCK, Floats
 from becalm.files import OpenSource, open_source
 from becalm.files.portions import TUNED_ROWS, TUNED_ROWS_UNEVEN, rows_to_tune_on
 from becalm.files.through import CHUNK_ROWS, rows_of_chunks

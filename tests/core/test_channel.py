@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from becalm.core.arrays import Codes, Floats
 from becalm.core.channel import Channel, Estimates
+from becalm.core.channel_record import ChannelRecord
 from becalm.core.channel_settings import Settings
 from becalm.core.components import Component, bias, motion, oscillator, returning_motion
 from becalm.core.faults import Found
@@ -21,7 +22,6 @@ from becalm.core.gates import Gate
 from becalm.core.limits import Limits
 from becalm.core.monitor import Alarms
 from becalm.core.outliers import find_outlier_rule
-from becalm.core.record import Record
 from becalm.core.smoothed_flow import SmoothedFlow
 from becalm.core.told import Told
 from becalm.core.verdict import LOST, Verdict
@@ -199,7 +199,7 @@ def test_its_likelihood_is_the_specification(kind: str) -> None:
     *_, innovation, deviation = exact(COMPONENTS[kind], z, elapsed)
     for begin in (0, 20, 300, 899, 2000):
         foretold = np.isfinite(innovation) & (deviation < 1e6) & (np.arange(900) >= begin)
-        found = Record(COMPONENTS[kind], R, z, elapsed).score(begin)
+        found = ChannelRecord(COMPONENTS[kind], R, z, elapsed).score(begin)
         assert found.used == np.count_nonzero(foretold)
         assert found.squares == pytest.approx(((innovation / deviation)[foretold] ** 2).sum(), rel=TWIN)
         assert found.log_det == pytest.approx(2 * np.log(deviation[foretold]).sum(), rel=TWIN, abs=TWIN)
@@ -208,7 +208,7 @@ def test_its_likelihood_is_the_specification(kind: str) -> None:
 @pytest.mark.parametrize("scale", [1e-120, 1e-60, 1e60, 1e90])
 def test_a_likelihood_has_any_unit(scale: float) -> None:
     z = rough(900)
-    one, other = (Record(motion(2, 1e-4 * k**2), R * k**2, z * k, np.ones(900)).score(3) for k in (1.0, scale))
+    one, other = (ChannelRecord(motion(2, 1e-4 * k**2), R * k**2, z * k, np.ones(900)).score(3) for k in (1.0, scale))
     assert other.used == one.used
     assert other.squares == pytest.approx(one.squares, rel=1e-9)
     assert other.log_det == pytest.approx(one.log_det + 2 * one.used * np.log(scale), rel=1e-12)

@@ -10,10 +10,9 @@ from scipy.stats import norm, poisson
 
 from becalm.core.arrays import Codes, Floats
 from becalm.core.components import Component, motion, oscillator
-from becalm.core.gates import LEAST_THRESHOLD, Gate, Gatekeeper, threshold_for
+from becalm.core.gatekeeper import Gatekeeper
+from becalm.core.gates import LEAST_THRESHOLD, Gate, threshold_for
 from becalm.core.model import Model
-from becalm.core.starting import open_record
-from becalm.core.timeline import elapsed_timeline
 from becalm.core.told import Told
 from becalm.core.verdict import Verdict
 from becalm.errors import ModelError
@@ -308,15 +307,3 @@ def test_false_alarms_are_one_an_hour(rate_hz: float) -> None:
     expected = rows / rate_hz / 3600
     low, high = poisson.interval(0.99, expected)
     assert low <= count_false_alarms(rate_hz, rows) <= high
-
-
-def test_a_gatekeeper_says_what_is_undecided() -> None:
-    part, z = component_of(1), noise(1, 300)
-    z[298:] += 50.0
-    line, model = elapsed_timeline(part, 1.0, even(300)), part.to_model(1.0, 1.0)
-    opening = open_record(line, z[:, np.newaxis], model)
-    belief = np.concatenate([opening.x, opening.P.ravel()])
-    found = Gatekeeper(model, GATE, takes_back=True).judge(line, z[:, np.newaxis], opening.rows, belief)
-    assert found.undecided == 298
-    assert found.rejects
-    assert not len(found.rows)

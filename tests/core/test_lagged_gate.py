@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from becalm.core.arrays import Codes, Floats
-from becalm.core.gates import Gate, Gatekeeper, with_jumps
+from becalm.core.gatekeeper import Gatekeeper, with_jumps
+from becalm.core.gates import Gate
 from becalm.core.lagged_flow import LaggedFlow
 from becalm.core.model import Model
 from becalm.core.online import Online

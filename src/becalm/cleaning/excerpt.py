@@ -13,8 +13,7 @@ from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.recipe_parts import LimitsRecipe
 from becalm.cleaning.slopes import TimingNoise
 from becalm.cleaning.uncertainty import Uncertainty
-from becalm.core.arrays import Codes, Floats, Integers
-from becalm.core.kernel_ahead import BLOCK
+from becalm.core.arrays import BLOCK, Codes, Floats, Integers
 from becalm.core.told import Told
 from becalm.core.verdict import Verdict
 

@@ -9,12 +9,13 @@ import numpy as np
 from becalm.cleaning.modes import modes_in_steps
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.steps import gate_of, in_steps
+from becalm.core.arrays import BLOCK
 from becalm.core.causal_flow import CausalFlow
 from becalm.core.lagged_flow import LaggedFlow
 from becalm.core.parted_flow import PartedFlow, PartialFlow
 from becalm.core.possible import largest_beside
 from becalm.core.reach import Reach, least_reach, reach_of
-from becalm.core.smoothed_flow import BLOCK, SmoothedFlow
+from becalm.core.smoothed_flow import SmoothedFlow
 from becalm.core.steady import FORGOTTEN, rows_until
 from becalm.core.switching import Switching
 from becalm.core.switching_flow import SwitchingFlow

@@ -10,8 +10,8 @@ import numpy as np
 from becalm.cleaning.recipe import ChannelRecipe, TunedMotion
 from becalm.cleaning.recipe_parts import ColouredNoiseRecipe, GateRecipe, ToneRecipe
 from becalm.core.autoregressive import Coloured
-from becalm.core.fixed_lag import LONGEST_LAG
 from becalm.core.gates import Gate, threshold_for
+from becalm.core.lags import LONGEST_LAG
 from becalm.errors import ModelError, RecipeError, UsageError
 from becalm.noise.likelihood import Tuning
 from becalm.noise.spectrum import Line

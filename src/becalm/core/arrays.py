@@ -13,6 +13,9 @@ Number = TypeVar("Number", np.float64, np.int64)
 Booleans = NDArray[np.bool_]
 Codes = NDArray[np.int8]
 
+BLOCK = 256
+"""Rows a block, at whose multiples a run over a part of a record has to begin."""
+
 
 def real(values: ArrayLike) -> ArrayLike:
     """Return values as they came, if they are real numbers.

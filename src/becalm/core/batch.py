@@ -8,16 +8,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from becalm.core.arrays import Floats, Integers, read_only
+from becalm.core.arrays import BLOCK, Floats, Integers, read_only
 from becalm.core.filtering import Estimate, Wanted, numbers, run_filter, sizes_of
-from becalm.core.kernel_ahead import AHEAD, BLOCK
+from becalm.core.kernel_ahead import AHEAD
 from becalm.core.kernel_batch import Results, Table, rehearse, run_together
-from becalm.core.kernel_block import TAME, Record
+from becalm.core.kernel_block import TAME
 from becalm.core.kernel_settling import GAIN, new_memory
 from becalm.core.kernels import Trace, forward
 from becalm.core.model import Model
 from becalm.core.sized import size
 from becalm.core.starting import open_record, wide_prior
+from becalm.core.system import Record
 from becalm.core.timeline import even_timeline, model_system
 from becalm.errors import ModelError
 

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from becalm.core import starting
-from becalm.core.arrays import Floats, real
-from becalm.core.kernel_ahead import BLOCK
+from becalm.core.arrays import BLOCK, Floats, real
 from becalm.core.kernel_settling import COVARIANCE, GAIN, new_memory
 from becalm.core.kernels import Trace, forward
 from becalm.core.model import Model
 from becalm.core.sized import Sizes, size
+from becalm.core.sums import Sums
 from becalm.core.timeline import Timeline, even_timeline
 from becalm.errors import ModelError
 
@@ -145,23 +145,6 @@ def kalman_filter(  # noqa: PLR0913  (what is wanted, each by its name)
     return run_filter(model, even_timeline(model, len(readings)), readings, wanted).estimate
 
 
-class Sums(NamedTuple):
-    """What makes a log-likelihood."""
-
-    squares: float = 0.0  # of nu' S^-1 nu
-    log_det: float = 0.0  # of log det S
-    used: int = 0
-
-    @property
-    def log_likelihood(self) -> float:
-        """The Gaussian log-likelihood of the readings used, equation (8)."""
-        return float(-0.5 * (self.squares + self.log_det + self.used * np.log(2 * np.pi)))
-
-    def plus(self, other: Sums) -> Sums:
-        """Return the sums over the readings of both."""
-        return Sums(self.squares + other.squares, self.log_det + other.log_det, self.used + other.used)
-
-
 class Run(NamedTuple):
     """A forward pass, with what a backward pass, or the rows that follow, need of it."""
 
@@ -190,20 +173,13 @@ def start_filter(model: Model, timeline: Timeline, z: Floats, how: Pass) -> Run:
     prior = starting.wide_prior(model)
     if model.x0 is not None and model.P0 is not None and prior is None:
         memory = new_memory(model.x0, model.P0, model.channels, _rows_to_remember(z, how))
-        return go_on(model, timeline, z, memory, how)
+        return _run(Task(model, timeline, z, 0), memory, how, new_trace(model, len(z), how.wanted), Sums())
     opening = starting.open_record(timeline, z, model, prior)
     trace = new_trace(model, len(z), how.wanted)
     write_opening(model, opening, trace)
     before = Sums() if prior is None else score_opening(timeline, z, prior, opening, trace)
     memory = new_memory(opening.x, opening.P, model.channels, _rows_to_remember(z, how))
     return _run(Task(model, timeline, z, opening.rows), memory, how, trace, before)._replace(opening=opening)
-
-
-def go_on(model: Model, timeline: Timeline, z: Floats, memory: Floats, how: Pass) -> Run:
-    """Filter the rows of a record that follow those that left a memory (1 or more, M), changed in place."""
-    if how.remember and len(memory) != _rows_to_remember(z, how):
-        memory = np.concatenate([memory[:1], np.empty((_rows_to_remember(z, how) - 1, memory.shape[1]))])
-    return _run(Task(model, timeline, z, 0), memory, how, new_trace(model, len(z), how.wanted), Sums())
 
 
 def _rows_to_remember(z: Floats, how: Pass) -> int:

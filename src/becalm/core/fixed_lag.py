@@ -7,30 +7,27 @@ is what `kalman_smoother` says of it on the record that ends with row k + L.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from operator import index
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from becalm.core.arrays import Floats
-from becalm.core.filtering import Sums, Wanted, checked_readings, kalman_filter, new_trace, sizes_of
-from becalm.core.gates import Gated, Gatekeeper, with_jumps
-from becalm.core.kernel_block import Record
+from becalm.core.filtering import Wanted, checked_readings, kalman_filter, new_trace, sizes_of
+from becalm.core.gatekeeper import Gated, Gatekeeper, with_jumps
 from becalm.core.kernel_lag import open_window, run_late, run_out
 from becalm.core.kernel_lag_window import PLACE, ROWS, WEIGHED, Window, new_window, newest_taken
 from becalm.core.kernel_settling import GAIN, new_memory, rename_last_step
-from becalm.core.kernel_steps import Step, System
 from becalm.core.kernels import Trace
 from becalm.core.lag_opening import LagOpening, Taken
+from becalm.core.lags import checked_lag
 from becalm.core.model import Model
 from becalm.core.sized import Size, Sizes, size
 from becalm.core.starting import arrived, first_reading, refuse_singular, wide_prior
+from becalm.core.sums import Sums
+from becalm.core.system import Record, Step, System
 from becalm.core.timeline import Timeline, even_timeline, model_system
 from becalm.errors import ModelError
-
-LONGEST_LAG = 1 << 20
-"""Readings, the longest lag: a window of them is held."""
 
 _FAR = 1 << 52  # rows: more than are ever counted
 
@@ -78,25 +75,6 @@ def fixed_lag_smoother(model: Model, z: ArrayLike, lag: int) -> tuple[Floats, Fl
     signal, sigma = smoother.rest()
     waited = min(smoother.lag, len(readings))
     return np.hstack([late.signal[:, waited:], signal]).T, np.hstack([late.sigma[:, waited:], sigma]).T
-
-
-def checked_lag(lag: int) -> int:
-    """Return a lag in rows.
-
-    Raises
-    ------
-    ModelError
-        If it is no whole number, below 0, or beyond 2^20.
-    """
-    try:
-        rows = index(lag)
-    except TypeError as cause:
-        raise ModelError(f"lag = {lag!r} is no number of readings; give a whole number, 0 to filter.") from cause
-    if rows > LONGEST_LAG:
-        raise ModelError(f"lag = {rows} holds a window of too many readings; give up to {LONGEST_LAG}, or smooth.")
-    if rows < 0:
-        raise ModelError(f"lag = {rows} would know readings before they come; give a whole number, 0 to filter.")
-    return rows
 
 
 class FixedLag:

@@ -11,13 +11,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from becalm.core.arrays import Floats
+from becalm.core.arrays import BLOCK, Floats
 from becalm.core.compiling import compiled_part, woven
 from becalm.core.kernel_matrices import multiply, transpose
 from becalm.core.sized import Size, size, stack_matrix, stack_vector
-
-BLOCK = 256
-"""Rows a block; its arrays stay in the nearest cache."""
 
 AFTER = BLOCK + 1
 """Rows of states: the one before the block, and those of the block."""

@@ -7,18 +7,10 @@ stack; so no covariance of a whole record is ever kept.
 
 from __future__ import annotations
 
-from becalm.core.arrays import Floats
+from becalm.core.arrays import BLOCK, Floats
 from becalm.core.compiling import compiled, compiled_part
-from becalm.core.kernel_ahead import BLOCK, new_loop
-from becalm.core.kernel_block import (
-    Record,
-    close_loop,
-    fetch_block,
-    is_settled,
-    new_block,
-    run_of,
-    step_of,
-)
+from becalm.core.kernel_ahead import new_loop
+from becalm.core.kernel_block import close_loop, fetch_block, is_settled, new_block, run_of, step_of
 from becalm.core.kernel_gap import has_lost_digits, regress
 from becalm.core.kernel_matrices import copy_matrix
 from becalm.core.kernel_moving import move_gains, new_moving
@@ -48,9 +40,10 @@ from becalm.core.kernel_settling import (
     new_watch,
     transfer,
 )
-from becalm.core.kernel_steps import State, System, new_state, shrink
+from becalm.core.kernel_steps import State, new_state, shrink
 from becalm.core.kernels import Trace, can_move, write_belief
 from becalm.core.sized import Sizes, stack_matrix, stack_vector
+from becalm.core.system import Record, System
 
 
 @compiled_part

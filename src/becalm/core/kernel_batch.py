@@ -10,15 +10,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from becalm.core.arrays import Floats
+from becalm.core.arrays import BLOCK, Floats
 from becalm.core.compiling import compiled, compiled_part
-from becalm.core.kernel_ahead import AHEAD, BLOCK, FOUR, Rows, add_up, combine, copy, looks_ahead
-from becalm.core.kernel_block import TOTAL, Block, Record, new_block, run_of, step_of
+from becalm.core.kernel_ahead import AHEAD, FOUR, Rows, add_up, combine, copy, looks_ahead
+from becalm.core.kernel_block import TOTAL, Block, new_block, run_of, step_of
 from becalm.core.kernel_matrices import multiply
 from becalm.core.kernel_settling import LOAD, SAVE, SETTLED, new_watch, notice, transfer
-from becalm.core.kernel_steps import State, System, joseph, new_state, predict, shrink, weigh
+from becalm.core.kernel_steps import State, joseph, new_state, predict, shrink, weigh
 from becalm.core.kernels import innovation_spread, spread
 from becalm.core.sized import Size, Sizes, down, piece, stack_matrix, stack_rows
+from becalm.core.system import Record, System
 
 
 class Table(NamedTuple):

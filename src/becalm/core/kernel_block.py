@@ -6,24 +6,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from becalm.core.arrays import Floats, Integers
+from becalm.core.arrays import BLOCK, Floats
 from becalm.core.compiling import compiled_part, woven
-from becalm.core.kernel_ahead import AFTER, BLOCK, Loop, Rows, add_up, copy, prepare, run_block
+from becalm.core.kernel_ahead import AFTER, Loop, Rows, add_up, copy, prepare, run_block
 from becalm.core.kernel_matrices import copy_matrix
 from becalm.core.kernel_settling import LAST_STEP, SETTLED, Watch
-from becalm.core.kernel_steps import State, Step, System, close, see_through
+from becalm.core.kernel_steps import State, close, see_through
 from becalm.core.sized import Size, Sizes, across, down, layer, size, stack_rows
+from becalm.core.system import Record, Step, System
 
 TAME = 1e190  # sum of squares; NaN, Inf and what no sensor reads are beyond it, as are states that run away
 TOTAL: Size = size(1)
-
-
-class Record(NamedTuple):
-    """Readings, and the steps before them: rows first[s] to first[s + 1] - 1 follow step[s] each."""
-
-    z: Floats  # (N, m)
-    first: Integers  # (runs + 1,)
-    step: Integers  # (runs,) which matrices of the System; -1: no step
 
 
 class Block(NamedTuple):

@@ -11,22 +11,19 @@ from typing import NamedTuple
 
 from becalm.core.arrays import Codes, Floats
 from becalm.core.compiling import compiled, compiled_part
-from becalm.core.kernel_block import Record, run_of, step_of
-from becalm.core.kernel_matrices import copy_matrix
+from becalm.core.kernel_block import run_of, step_of
 from becalm.core.kernel_settling import LOAD, SAVE, transfer_matrix, transfer_vector
-from becalm.core.kernel_steps import State, Step, System, correct, joseph, look, new_state, predict, weigh
-from becalm.core.sized import Size, Sizes, size, stack_matrix, stack_vector
+from becalm.core.kernel_steps import State, correct, joseph, look, new_state, predict, weigh
+from becalm.core.sized import Size, Sizes, size, stack_vector
+from becalm.core.system import Record, Step, System
 
-COUNTERS: Size = size(7)
-REJECTED, AGREEING, LAST, WANDERED, MISSED, SINCE, JUMPED = 0, 1, 2, 3, 4, 5, 6
+COUNTERS: Size = size(6)
+REJECTED, AGREEING, LAST, WANDERED, SINCE, JUMPED = range(6)
 """Rejects in a row; how many of the last agree; the last innovation rejected, and how far the prediction may have
-wandered since; rows missing since; readings used since the last jump, below 0 while all are believed: after a jump of
+wandered since; readings used since the last jump, below 0 while all are believed: after a jump of
 all states they have to tell what it forgot; whether there was a jump at all."""
 
 USED, SPIKE, STEP = 0, 4, 5
-
-LONGEST_WAIT = 50.0
-"""Missing rows after a reject, beyond which it is a spike for good."""
 
 GOES_ON = 16.0
 """Readings used since a jump, before which a reject is the same motion that goes on, and believed at once."""
@@ -42,7 +39,6 @@ class Rule(NamedTuple):
     agree: int  # rejects in a row that agree: the signal has jumped
     at_most: int  # rejects in a row, whatever they are
     level: int  # the state that a jump adds to; -1 where all of them take part
-    takes_back: bool  # whether rejects that agreed count as used in the end, as a smoother can have it
 
 
 @compiled_part
@@ -123,16 +119,9 @@ def reject(rule: Rule, R: float, nu: float, counters: Floats) -> bool:
     counters[AGREEING] = counters[AGREEING] + 1.0 if agrees(rule, R, nu, counters) else 1.0
     counters[REJECTED] += 1.0
     counters[LAST] = nu
-    counters[WANDERED] = counters[MISSED] = 0.0
+    counters[WANDERED] = 0.0
     goes_on = counters[JUMPED] > 0.0 and counters[SINCE] < GOES_ON
     return bool(goes_on or counters[AGREEING] >= rule.agree or counters[REJECTED] >= rule.at_most)
-
-
-@compiled_part
-def keep(sizes: Sizes, x: Floats, P: Floats, other_x: Floats, other_P: Floats) -> None:
-    """Copy a state to another place."""
-    transfer_vector(sizes.states, x, other_x, 0, SAVE)
-    copy_matrix(sizes.states, sizes.states, P, other_P)
 
 
 @compiled_part
@@ -147,19 +136,17 @@ def carry(sizes: Sizes, state: State, counters: Floats, memory: Floats, saving: 
 def find_outliers(  # noqa: PLR0913  (a door for Python: what is read, what moves, what is written)
     sizes: Sizes, system: System, record: Record, begun: int, rule: Rule, memory: Floats, verdicts: Codes,
     jumps: Floats,
-) -> tuple[int, int]:  # fmt: skip
+) -> int:  # fmt: skip
     """Judge the rows of a record of one channel from `begun` on.
 
     `memory` holds x, P and the counters before them, and those after them when done. `verdicts` gets
     USED, SPIKE or STEP where a reading arrived, `jumps` for each STEP the variances that are added to the
-    states before it. Returns how many jumps there are, and the row from which on rejects may yet be taken
-    back (-1: none).
+    states before it. Returns how many jumps there are.
     """
     state, counters = new_state(sizes), stack_vector(COUNTERS)
-    x, P = stack_vector(sizes.states), stack_matrix(sizes.states, sizes.states)  # predicted for row `first`
     carry(sizes, state, counters, memory, LOAD)
-    z, row, run, found, first = record.z, begun, 0, 0, -1
-    while row < len(z):
+    z, run, found = record.z, 0, 0
+    for row in range(begun, len(z)):
         run = run_of(record, row, run)
         step = step_of(sizes, system, max(record.step[run], 0))
         if record.step[run] >= 0:
@@ -167,31 +154,17 @@ def find_outliers(  # noqa: PLR0913  (a door for Python: what is read, what move
                 counters[WANDERED] += wander(sizes, step, state.P)
             predict(sizes, step.F, step.Q, state)
         if not look(sizes, z, row, state):
-            counters[MISSED] += 1.0
-            if counters[MISSED] > LONGEST_WAIT:
-                first = -1
-            row += 1
             continue
         weigh(sizes, step.H, step.R, state)
         nu = innovation(sizes, step.H, z[row, 0], state.x)
         if counters[SINCE] < 0.0 or not abs(nu) > rule.threshold * math.sqrt(state.D[0]):
             believe(sizes, step, z, row, state, counters)
-            verdicts[row], first, row = USED, -1, row + 1
+            verdicts[row] = USED
             continue
-        is_jump = reject(rule, step.R[0, 0], nu, counters)
-        if first < 0:
-            first = row
-            keep(sizes, state.x, state.P, x, P)
         verdicts[row] = SPIKE
-        if is_jump:
-            if rule.takes_back:
-                row = first
-                keep(sizes, x, P, state.x, state.P)
-                look(sizes, z, row, state)
-                nu = innovation(sizes, step.H, z[row, 0], state.x)
+        if reject(rule, step.R[0, 0], nu, counters):
             jump(sizes, step, nu, rule, state, jumps[found], counters)
             believe(sizes, step, z, row, state, counters)
-            verdicts[row], first, found = STEP, -1, found + 1
-        row += 1
+            verdicts[row], found = STEP, found + 1
     carry(sizes, state, counters, memory, SAVE)
-    return found, first
+    return found

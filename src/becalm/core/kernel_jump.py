@@ -11,12 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from becalm.core.arrays import Floats
+from becalm.core.arrays import BLOCK, Floats
 from becalm.core.compiling import compiled_part, woven
-from becalm.core.kernel_ahead import BLOCK, Rows, add_up
+from becalm.core.kernel_ahead import Rows, add_up
 from becalm.core.kernel_matrices import copy_matrix, multiply
-from becalm.core.kernel_steps import Step
 from becalm.core.sized import Size, size, stack_matrix, stack_vector
+from becalm.core.system import Step
 
 FAR = 8
 """Rows of the longest jump: enough to be computed side by side."""

@@ -19,16 +19,17 @@ import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.core.compiling import compiled, compiled_part, woven
-from becalm.core.kernel_block import Record, run_of, step_of
+from becalm.core.kernel_block import run_of, step_of
 from becalm.core.kernel_gap import has_lost_digits, regress
 from becalm.core.kernel_lag_window import ALIKE, ROWS, WEIGHED, Window, fetch, keep
 from becalm.core.kernel_matrices import copy_matrix, solve
 from becalm.core.kernel_return import inform, pull_back_spread, smooth_cov
 from becalm.core.kernel_row import advance
 from becalm.core.kernel_settling import LAST_STEP, LOAD, SAVE, SETTLED, new_watch, transfer
-from becalm.core.kernel_steps import State, Step, System, new_state, shrink, whiten
+from becalm.core.kernel_steps import State, new_state, shrink, whiten
 from becalm.core.kernels import Trace, write_innovation
 from becalm.core.sized import Size, Sizes, layer, stack_matrix, stack_vector
+from becalm.core.system import Record, Step, System
 
 _MUCH = 1e-3  # of a variance: where less is left, the difference has lost its digits
 

@@ -12,8 +12,9 @@ import numpy as np
 from becalm.core.arrays import Floats, Integers
 from becalm.core.compiling import compiled_part
 from becalm.core.kernel_settling import LOAD, SAVE, transfer_matrix, transfer_vector
-from becalm.core.kernel_steps import State, Step
+from becalm.core.kernel_steps import State
 from becalm.core.sized import Size, Sizes
+from becalm.core.system import Step
 
 ROWS, ALIKE, PLACE, WEIGHED = 0, 1, 2, 3
 

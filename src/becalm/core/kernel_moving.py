@@ -6,15 +6,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from becalm.core.arrays import Floats
+from becalm.core.arrays import BLOCK, Floats
 from becalm.core.compiling import compiled_part, woven
-from becalm.core.kernel_ahead import BLOCK, Rows, add_up, combine, looks_ahead
+from becalm.core.kernel_ahead import Rows, add_up, combine, looks_ahead
 from becalm.core.kernel_block import TAME, Block, innovate, read_block
 from becalm.core.kernel_jump import Jumps, get_row, keeps_digits, leap_through, new_jumps, prepare_jumps, set_row
 from becalm.core.kernel_matrices import copy_matrix
 from becalm.core.kernel_one import subtract
-from becalm.core.kernel_steps import State, Step, joseph, move, see_through
+from becalm.core.kernel_steps import State, joseph, move, see_through
 from becalm.core.sized import Sizes, stack_matrix, stack_rows, stack_triangle, stack_vector
+from becalm.core.system import Step
 
 _PRODUCTS = 16  # of a block's numbers, whose logarithms are taken
 _LEAST = 1e-280

@@ -10,8 +10,9 @@ from typing import NamedTuple
 
 from becalm.core.arrays import Floats
 from becalm.core.compiling import compiled_part, woven
-from becalm.core.kernel_steps import LARGEST, State, Step, joseph, move, see_through
+from becalm.core.kernel_steps import LARGEST, State, joseph, move, see_through
 from becalm.core.sized import Sizes, stack_matrix, stack_vector
+from becalm.core.system import Step
 
 
 class Reach(NamedTuple):

@@ -28,10 +28,11 @@ from becalm.core.kernel_settling import (
     transfer,
     transfer_matrix,
 )
-from becalm.core.kernel_steps import State, Step, close, new_state
+from becalm.core.kernel_steps import State, close, new_state
 from becalm.core.kernels import spread
 from becalm.core.model import Model
 from becalm.core.sized import Size, Sizes, size, stack_matrix, stack_vector
+from becalm.core.system import Step
 
 ONE: Size = size(1)
 

@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from becalm.core.arrays import Floats
+from becalm.core.arrays import BLOCK, Floats
 from becalm.core.compiling import compiled_part, woven
-from becalm.core.kernel_ahead import AFTER, BLOCK, Loop, Rows, combine, fill, new_loop, prepare, run_back, run_block
+from becalm.core.kernel_ahead import AFTER, Loop, Rows, combine, fill, new_loop, prepare, run_back, run_block
 from becalm.core.kernel_block import Block
 from becalm.core.kernel_matrices import multiply, solve
 from becalm.core.kernel_settling import FIRST_CHECK, NEXT_CHECK, SETTLED, STEADY, near

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from becalm.core.arrays import Floats
+from becalm.core.arrays import BLOCK, Floats
 from becalm.core.compiling import compiled_part
-from becalm.core.kernel_ahead import BLOCK, Rows
+from becalm.core.kernel_ahead import Rows
 from becalm.core.kernel_block import Block
 from becalm.core.kernel_matrices import copy_matrix
 from becalm.core.kernel_moving import Moving
 from becalm.core.kernel_return import Future, pull_back_spread
-from becalm.core.kernel_steps import Step, close, see_through
+from becalm.core.kernel_steps import close, see_through
 from becalm.core.kernels import Trace
 from becalm.core.sized import Sizes, across, stack_matrix, stack_vector
+from becalm.core.system import Step
 
 
 @compiled_part

@@ -6,8 +6,9 @@ from becalm.core.arrays import Floats
 from becalm.core.compiling import compiled_part
 from becalm.core.kernel_one import new_reach, reach_back, take_one
 from becalm.core.kernel_settling import LAST_STEP, SETTLED, Watch, notice
-from becalm.core.kernel_steps import State, Step, correct, joseph, look, predict, settled_step, weigh
+from becalm.core.kernel_steps import State, correct, joseph, look, predict, settled_step, weigh
 from becalm.core.sized import Sizes
+from becalm.core.system import Step
 
 
 @compiled_part

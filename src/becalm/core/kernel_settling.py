@@ -9,8 +9,9 @@ import numpy as np
 from becalm.core.arrays import Floats
 from becalm.core.compiling import compiled_part, woven
 from becalm.core.kernel_matrices import copy_matrix, multiply
-from becalm.core.kernel_steps import State, Step, close
+from becalm.core.kernel_steps import State, close
 from becalm.core.sized import Size, Sizes, size, stack_matrix, stack_vector
+from becalm.core.system import Step
 
 SIX: Size = size(6)
 SETTLED, STEADY, NEXT_CHECK, LAST_STEP, AGREED, PROVEN = 0, 1, 2, 3, 4, 5

@@ -20,24 +20,6 @@ LARGEST = 1e200  # an unobservable, unstable state saturates here and cannot spo
 LARGEST_READING = BEYOND_ANY_SENSOR
 
 
-class System(NamedTuple):
-    """Step matrices of u different lengths, and the sensors."""
-
-    F: Floats  # (u, n, n)
-    Q: Floats  # (u, n, n)
-    H: Floats  # (m, n)
-    R: Floats  # (m, m)
-
-
-class Step(NamedTuple):
-    """One step, and the sensors that read after it."""
-
-    F: Floats  # (n, n)
-    Q: Floats  # (n, n)
-    H: Floats  # (m, n)
-    R: Floats  # (m, m)
-
-
 class State(NamedTuple):
     """What is believed after a reading, and how it was learnt; changed in place."""
 

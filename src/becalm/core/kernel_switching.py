@@ -6,9 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from becalm.core.arrays import Floats, Integers
+from becalm.core.arrays import BLOCK, Floats, Integers
 from becalm.core.compiling import compiled, compiled_part
-from becalm.core.kernel_ahead import BLOCK
 from becalm.core.kernel_settling import LOAD, SAVE
 from becalm.core.kernel_steps import LARGEST_READING
 from becalm.core.kernel_switching_row import (

@@ -11,12 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from becalm.core.arrays import Floats
+from becalm.core.arrays import BLOCK, Floats
 from becalm.core.compiling import compiled, compiled_part
-from becalm.core.kernel_ahead import BLOCK, combine, copy, fill, new_loop
+from becalm.core.kernel_ahead import combine, copy, fill, new_loop
 from becalm.core.kernel_block import (
     Block,
-    Record,
     close_loop,
     is_settled,
     log_det_of,
@@ -28,8 +27,9 @@ from becalm.core.kernel_block import (
 from becalm.core.kernel_moving import Moving, moves_in_blocks, moving_block, new_moving, score_moving, spread_moving
 from becalm.core.kernel_row import advance
 from becalm.core.kernel_settling import AGREED, LOAD, SAVE, SETTLED, Watch, new_watch, notice, transfer
-from becalm.core.kernel_steps import State, Step, System, new_state, whiten
+from becalm.core.kernel_steps import State, new_state, whiten
 from becalm.core.sized import Sizes, across, stack_matrix
+from becalm.core.system import Record, Step, System
 
 
 class Trace(NamedTuple):

@@ -13,7 +13,6 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.core.kernel_steps import Step, System
 from becalm.core.model import Model
 from becalm.core.starting import (
     Information,
@@ -28,6 +27,7 @@ from becalm.core.starting import (
     regress,
     wide_prior,
 )
+from becalm.core.system import Step, System
 
 
 class Early(NamedTuple):

@@ -13,7 +13,8 @@ import numpy as np
 from becalm.core.arrays import Codes, Floats
 from becalm.core.components import Component
 from becalm.core.fixed_lag import FixedLag
-from becalm.core.gates import Gate, Gatekeeper
+from becalm.core.gatekeeper import Gatekeeper
+from becalm.core.gates import Gate
 from becalm.core.kernel_settling import COVARIANCE, GAIN
 from becalm.core.possible import largest_beside, level_by
 from becalm.core.starting import first_reading

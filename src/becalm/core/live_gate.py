@@ -7,7 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from becalm.core.arrays import Codes, Floats
-from becalm.core.gates import Gate, Gated, Gatekeeper
+from becalm.core.gatekeeper import Gated, Gatekeeper
+from becalm.core.gates import Gate
 from becalm.core.kernel_online import LiveKernels
 from becalm.core.kernel_settling import rename_last_step
 from becalm.core.model import Model

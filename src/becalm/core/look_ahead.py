@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from becalm.core.arrays import Codes, Floats
-from becalm.core.kernel_ahead import BLOCK
+from becalm.core.arrays import BLOCK, Codes, Floats
 from becalm.core.limits import Limits, stuck_at_once
 from becalm.core.outliers import plausible
 from becalm.native.scans import REACH, scan_outliers

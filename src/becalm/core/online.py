@@ -12,9 +12,10 @@ from numpy.typing import ArrayLike
 
 from becalm.core.arrays import Codes, Floats
 from becalm.core.filtering import checked_readings, numbers, sizes_of
-from becalm.core.fixed_lag import FixedLag, checked_lag
+from becalm.core.fixed_lag import FixedLag
 from becalm.core.gates import Gate
 from becalm.core.kernel_online import live_kernels, new_live
+from becalm.core.lags import checked_lag
 from becalm.core.live_gate import LiveGate, saved_gate
 from becalm.core.live_switching import LiveSwitching
 from becalm.core.live_switching_lag import new_live_switching, saved_switching
@@ -37,7 +38,7 @@ from becalm.core.timeline import even_timeline, model_system
 from becalm.core.verdict import Verdict
 from becalm.errors import ModelError
 
-_VERSION = 2
+_VERSION = 3
 _FLOAT64 = np.dtype(np.float64)
 _NOT_A_SNAPSHOT = "These bytes are not a snapshot of becalm.Online; pass what snapshot() returned."
 

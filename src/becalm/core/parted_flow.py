@@ -7,8 +7,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from becalm.core.arrays import Booleans, Floats
-from becalm.core.kernel_ahead import BLOCK
+from becalm.core.arrays import BLOCK, Booleans, Floats
 from becalm.core.reach import Reach
 from becalm.core.told import Told
 from becalm.core.verdict import BEYOND_ANY_SENSOR

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from becalm.core.arrays import Codes, Floats, input_of
+from becalm.core.arrays import BLOCK, Codes, Floats, input_of
 from becalm.core.channel import Estimates, log_densities, parts_of
 from becalm.core.channel_settings import Settings, StepTable, packed_coefficients, packed_settings
 from becalm.core.components import Component
@@ -28,9 +28,6 @@ from becalm.core.told import Judge, Rows, Told
 from becalm.core.verdict import Verdict
 from becalm.core.verdict import judge as judge_readings
 from becalm.native import DETERMINED, Passed, Smoother
-
-BLOCK = 256
-"""Rows at whose multiples a run over a part of a record has to begin; stretches are of whole ones."""
 
 _LONGEST = 1 << 14  # rows of a stretch
 _MOST_NUMBERS = 1 << 21  # of the matrices of its steps, where each row has some of its own

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from becalm.core import starting
-from becalm.core.arrays import Floats
+from becalm.core.arrays import BLOCK, Floats
 from becalm.core.filtering import (
     EVERYTHING,
     Estimate,
@@ -22,7 +22,6 @@ from becalm.core.filtering import (
     sizes_of,
     start_filter,
 )
-from becalm.core.kernel_ahead import BLOCK
 from becalm.core.kernel_backward import backward
 from becalm.core.kernel_return import Future, new_future
 from becalm.core.kernel_settling import COVARIANCE, GAIN

@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Booleans, Floats
-from becalm.core.kernel_steps import System
 from becalm.core.model import Model
+from becalm.core.system import System
 from becalm.core.timeline import Timeline
 from becalm.core.verdict import BEYOND_ANY_SENSOR
 from becalm.errors import ModelError

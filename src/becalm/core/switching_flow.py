@@ -11,8 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from becalm.core.arrays import Codes, Floats, Integers
-from becalm.core.kernel_ahead import BLOCK
+from becalm.core.arrays import BLOCK, Codes, Floats, Integers
 from becalm.core.kernel_switching import NOTHING_WANTED, note_length, switch_forward
 from becalm.core.kernel_switching_ahead import outlook_length
 from becalm.core.kernel_switching_return import switch_backward

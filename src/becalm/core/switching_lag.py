@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 
 from becalm.core.arrays import Codes, Floats, Integers
-from becalm.core.fixed_lag import checked_lag
 from becalm.core.kernel_switching import SwitchingTrace, note_length
 from becalm.core.kernel_switching_return import switch_late
 from becalm.core.kernel_switching_row import Bank, BankSizes
+from becalm.core.lags import checked_lag
 from becalm.core.switching import Switching, numbered_steps
 from becalm.core.switching_filter import ByModes, SwitchingFilter, with_spikes
 from becalm.core.told import Judge, Told

@@ -8,10 +8,9 @@ import numpy as np
 
 from becalm.core.arrays import Floats, Integers, input_of, read_only
 from becalm.core.components import Component
-from becalm.core.kernel_block import Record
-from becalm.core.kernel_steps import System
 from becalm.core.model import Model
 from becalm.core.steps import Steps
+from becalm.core.system import Record, System
 
 
 class Timeline(NamedTuple):

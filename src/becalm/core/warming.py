@@ -21,7 +21,8 @@ from becalm.core.compiling import compile_quickly, save_trouble, times_compiled
 from becalm.core.components import HIGHEST_ORDER, Component, motion, returning_motion
 from becalm.core.filtering import kalman_filter, sizes_of
 from becalm.core.fixed_lag import fixed_lag_smoother
-from becalm.core.gates import LEAST_THRESHOLD, Gate, Gatekeeper
+from becalm.core.gatekeeper import Gatekeeper
+from becalm.core.gates import LEAST_THRESHOLD, Gate
 from becalm.core.itself import MODULE, environment
 from becalm.core.kernel_backward import backward
 from becalm.core.kernel_gate import find_outliers

@@ -13,7 +13,7 @@ import numpy as np
 import pyarrow as pa
 
 from becalm.cleaning.cleaner import Cleaner
-from becalm.core.kernel_ahead import BLOCK
+from becalm.core.arrays import BLOCK
 from becalm.files.rows import block_rows
 from becalm.files.tables import CleanChannel, output_block
 

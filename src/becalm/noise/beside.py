@@ -18,7 +18,7 @@ import numpy as np
 
 from becalm.core.autoregressive import Coloured
 from becalm.core.components import EVERY_ORDER, ORDERS
-from becalm.core.filtering import Sums
+from becalm.core.sums import Sums
 from becalm.errors import RecordingError
 from becalm.noise.coloured_likelihood import first_in_a_row, score_coloured
 from becalm.noise.cross_validation import Residuals, cautious, lasting, read_residuals, simplest, smooth_residuals

@@ -14,10 +14,10 @@ import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.core.autoregressive import Coloured, autoregressive
+from becalm.core.channel_record import ChannelRecord
 from becalm.core.components import motion
-from becalm.core.filtering import Sums
 from becalm.core.parts import Component
-from becalm.core.record import Record
+from becalm.core.sums import Sums
 from becalm.noise.spectrum import pooled, sine_spectrum
 
 HIGHEST_ORDER = 3
@@ -106,7 +106,7 @@ def score_coloured(component: Component, noise_variance: float, z: Floats, elaps
     elapsed : (N,) float array
         Steps since the reading before, whole.
     """
-    found = Record(component, noise_variance, z[:, 0], elapsed).score(UNSCORED)
+    found = ChannelRecord(component, noise_variance, z[:, 0], elapsed).score(UNSCORED)
     return found if found.used == len(z) - UNSCORED else None
 
 

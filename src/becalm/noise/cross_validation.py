@@ -17,9 +17,9 @@ from dataclasses import replace
 import numpy as np
 
 from becalm.core.arrays import Floats
+from becalm.core.channel_record import ChannelRecord
 from becalm.core.closed_forms import motion_power
 from becalm.core.components import EVERY_ORDER, motion
-from becalm.core.record import Record
 from becalm.noise.likelihood import Evidence, Tuning
 from becalm.noise.search import find_ratio
 from becalm.noise.spectrum import pooled, sine_spectrum, slope_between_ends
@@ -193,7 +193,7 @@ def smooth_residuals(order: int, evidence: Evidence) -> tuple[Residuals, int]:
         Readings that they are of; 0 where all stretches are too short.
     """
     unit, stretches = motion(order), [(evidence.z[part, 0], evidence.elapsed[part]) for part in _parts(evidence, order)]
-    records = [Record(unit, 1.0, z, elapsed) for z, elapsed in stretches]
+    records = [ChannelRecord(unit, 1.0, z, elapsed) for z, elapsed in stretches]
     count = sum(len(z) for z, _ in stretches)
 
     def residuals(ratio: float) -> tuple[float, float]:

@@ -15,10 +15,10 @@ from dataclasses import replace
 import numpy as np
 
 from becalm.core.arrays import Floats
+from becalm.core.channel_record import ChannelRecord
 from becalm.core.closed_forms import ratio_to_cutoff
 from becalm.core.components import LEVEL_RATE
-from becalm.core.filtering import Sums
-from becalm.core.record import Record
+from becalm.core.sums import Sums
 from becalm.noise.likelihood import Evidence, Tuning
 
 _LEAST = 1e-250  # of a noise variance: of less, or of more than one over it, no recipe is made
@@ -80,7 +80,7 @@ def _mean_log_likelihood(tuning: Tuning, evidence: Evidence) -> float:
     component, r, total = tuning.component, tuning.noise_variance, Sums()
     for part in evidence.sample:
         z = evidence.z[part, 0]
-        total = total.plus(Record(component, r, z, evidence.elapsed[part]).score(min(_BEGUN, len(z) // 4)))
+        total = total.plus(ChannelRecord(component, r, z, evidence.elapsed[part]).score(min(_BEGUN, len(z) // 4)))
     return total.log_likelihood / total.used if total.used else -np.inf
 
 

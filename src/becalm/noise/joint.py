@@ -15,12 +15,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from becalm.core.arrays import Booleans, Floats
-from becalm.core.filtering import Sums, checked_readings, new_trace, run_filter, sizes_of
+from becalm.core.filtering import checked_readings, new_trace, run_filter, sizes_of
 from becalm.core.kernel_settling import GAIN, new_memory
 from becalm.core.kernels import forward
 from becalm.core.likelihood import NOTHING
 from becalm.core.model import Model
 from becalm.core.starting import arrived, wide_prior
+from becalm.core.sums import Sums
 from becalm.core.timeline import even_timeline
 from becalm.errors import ModelError, RecordingError
 from becalm.noise.autocovariances import Autocovariances, autocovariances

@@ -17,11 +17,11 @@ import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.core.autoregressive import Coloured, autoregressive
+from becalm.core.channel_record import ChannelRecord
 from becalm.core.closed_forms import returning_power
 from becalm.core.components import LEVEL_RATE, Component, motion, oscillator, returning_motion
-from becalm.core.filtering import Sums
 from becalm.core.quantisation import converter_step
-from becalm.core.record import Record
+from becalm.core.sums import Sums
 from becalm.noise.search import Edge, find_ratio
 from becalm.noise.spectrum import Line
 
@@ -232,7 +232,9 @@ class Candidate:
         self.order = order
         self.evidence = evidence
         unit = motion(order)
-        self._records = [Record(unit, 1.0, evidence.z[part, 0], evidence.elapsed[part]) for part in evidence.stretches]
+        self._records = [
+            ChannelRecord(unit, 1.0, evidence.z[part, 0], evidence.elapsed[part]) for part in evidence.stretches
+        ]
 
     def score(self, ratio: float) -> Score:
         """Return the likelihood at q/r = `ratio`, maximised over r."""

@@ -15,8 +15,8 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from becalm.core.arrays import Floats
+from becalm.core.channel_record import ChannelRecord
 from becalm.core.closed_forms import cutoff_to_ratio, ratio_to_cutoff
-from becalm.core.record import Record
 from becalm.metrics.whiteness import whiteness
 from becalm.noise.imputation import completed
 from becalm.noise.likelihood import Candidate, Evidence, Tuning
@@ -142,7 +142,7 @@ def estimated_risk(tuning: Tuning, evidence: Evidence, noise_variance: float, ca
     squares, weights = list[Floats](), list[Floats]()
     for part in long_pieces(evidence):
         z = evidence.z[part, 0]
-        record = Record(component, r, z, evidence.elapsed[part])
+        record = ChannelRecord(component, r, z, evidence.elapsed[part])
         found = record.filtered() if causal else record.smoothed()
         told = np.isfinite(found.sigma)
         squares.append((z - found.signal)[told] ** 2)
@@ -173,7 +173,7 @@ def _risk(tuning: Tuning, evidence: Evidence) -> tuple[float, float]:
     Where the readings never tell the state, the first is inf and the second 0.
     """
     component, r, z = tuning.component, tuning.noise_variance, evidence.z[:, 0]
-    estimate = Record(component, r, z, evidence.elapsed).filtered()
+    estimate = ChannelRecord(component, r, z, evidence.elapsed).filtered()
     known = np.isfinite(estimate.sigma)
     known[: len(component.drift)] = False
     if not known.any():

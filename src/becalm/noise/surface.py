@@ -17,8 +17,8 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.core.filtering import Sums
-from becalm.core.record import Record
+from becalm.core.channel_record import ChannelRecord
+from becalm.core.sums import Sums
 from becalm.noise.likelihood import FEWEST_READINGS, UNSCORED, Evidence, Tuning
 
 _NOISES, _DENSITIES = 41, 61
@@ -93,7 +93,7 @@ class _Passes:
         component = unit.component
         still = replace(unit, ratio=0.0).component
         self._records = [
-            tuple(Record(one, 1.0, evidence.z[:, 0], evidence.elapsed) for one in (component, still))
+            tuple(ChannelRecord(one, 1.0, evidence.z[:, 0], evidence.elapsed) for one in (component, still))
             for evidence in stretches
         ]
 

@@ -18,8 +18,8 @@ from scipy.interpolate import CubicSpline
 
 from becalm.core.arrays import Floats
 from becalm.core.channel import Estimates
+from becalm.core.channel_record import ChannelRecord
 from becalm.core.closed_forms import cutoff_to_ratio
-from becalm.core.record import Record
 from becalm.metrics.whiteness import whiteness
 from becalm.noise.likelihood import Candidate, Evidence, Tuning
 
@@ -118,7 +118,7 @@ def _estimated(tuning: Tuning, evidence: Evidence, causal: bool) -> tuple[Floats
 def _runs(tuning: Tuning, evidence: Evidence, causal: bool) -> list[Estimates]:
     """Run a filter, or a smoother, over each stretch."""
     records = [
-        Record(tuning.component, tuning.noise_variance, evidence.z[part, 0], evidence.elapsed[part])
+        ChannelRecord(tuning.component, tuning.noise_variance, evidence.z[part, 0], evidence.elapsed[part])
         for part in evidence.stretches
     ]
     return [record.filtered() if causal else record.smoothed() for record in records]

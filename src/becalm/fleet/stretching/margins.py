@@ -10,8 +10,7 @@ import numpy as np
 from becalm.cleaning.filters import Filter
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.steps import lag_in_rows
-from becalm.core.arrays import Integers
-from becalm.core.kernel_ahead import BLOCK
+from becalm.core.arrays import BLOCK, Integers
 from becalm.files.again import KnownSource
 from becalm.files.through import columns_of
 from becalm.native.scans import REACH

@@ -14,12 +14,12 @@ from becalm.core.arrays import Floats
 from becalm.core.channel import Estimates
 from becalm.core.channel_settings import packed_coefficients
 from becalm.core.components import Component
-from becalm.core.filtering import Sums
 from becalm.core.possible import largest_beside
+from becalm.core.sums import Sums
 from becalm.native import SETTINGS, Smoother, score
 
 
-class Record:
+class ChannelRecord:
     """Measurements of one channel, all of which may enter its filter, however long the gaps between them.
 
     Parameters

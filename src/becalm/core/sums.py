@@ -1,0 +1,24 @@
+"""What makes a log-likelihood, added up over parts of a record."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+
+class Sums(NamedTuple):
+    """What makes a log-likelihood."""
+
+    squares: float = 0.0  # of nu' S^-1 nu
+    log_det: float = 0.0  # of log det S
+    used: int = 0
+
+    @property
+    def log_likelihood(self) -> float:
+        """The Gaussian log-likelihood of the readings used, equation (8)."""
+        return float(-0.5 * (self.squares + self.log_det + self.used * np.log(2 * np.pi)))
+
+    def plus(self, other: Sums) -> Sums:
+        """Return the sums over the readings of both."""
+        return Sums(self.squares + other.squares, self.log_det + other.log_det, self.used + other.used)
