@@ -1,4 +1,4 @@
-"""What filters or smooths one channel, by its name."""
+"""What opens a causal filter, or a smoother, of one channel."""
 
 from __future__ import annotations
 

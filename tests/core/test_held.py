@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from becalm.core.arrays import Floats
-from becalm.core.held import EVERY_REPEAT, repeats_readings
+from becalm.core.held import repeats_readings
 from becalm.core.limits import find_limits, find_resolution
+from becalm.native.scans import EVERY_REPEAT
 
 ROWS = 12000
 

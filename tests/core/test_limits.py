@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from becalm.core.arrays import Floats
-from becalm.core.held import EVERY_REPEAT
 from becalm.core.limits import Limits, find_limits, find_resolution, run_lengths, stuck_at_once
 from becalm.core.outliers import beside_others
 from becalm.core.rails import Rails, find_rails
 from becalm.core.verdict import Verdict
 from becalm.errors import UsageError
 from becalm.files.reading import read
+from becalm.native.scans import EVERY_REPEAT
 from sensor_faults_records import DATA, REAL
 
 ROWS = 20_000

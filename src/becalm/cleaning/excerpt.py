@@ -18,9 +18,7 @@ from becalm.core.told import Told
 from becalm.core.verdict import Verdict
 
 _PUSHED = 1 << 19
-"""Rows that a filter is given at once; a smoother, which comes back to the end of each push, more where it goes far."""
-
-_FAR = 16  # times what it comes back over
+"""Rows that a filter is given at once."""
 
 _IMPOSSIBLE = np.isin(list(Verdict), (Verdict.NONFINITE, Verdict.OVERRANGE, Verdict.OUTLIER))
 
@@ -140,13 +138,13 @@ class Run:
         """Give what is told of rows first to stop, in parts: the filter begins so much before them as it needs."""
         recipe, rows = self._recipe, self._rows
         begin, end = self._begun(first), self._ended(stop)
-        flow, uncertainty = self.filter.opened(), Uncertainty(recipe.tuning_spread, recipe.calibration, recipe.limits)
+        flow, uncertainty = self.filter.alone(), Uncertainty(recipe.tuning_spread, recipe.calibration, recipe.limits)
         timing = None
         if recipe.timing is not None:
             timing = TimingNoise(recipe.timing, self.filter.noise_std, rows.step_s)
-        at, size = begin, max(_PUSHED, _FAR * self._margin // BLOCK * BLOCK)
-        for start in range(begin, end, size):
-            part = slice(start, min(start + size, end))
+        at = begin
+        for start in range(begin, end, _PUSHED):
+            part = slice(start, min(start + _PUSHED, end))
             elapsed = rows.elapsed[part]
             if timing is not None:
                 timing.push(elapsed)

@@ -12,7 +12,6 @@ from becalm.cleaning.limits_entry import alarms_of, limits_of, written
 from becalm.cleaning.recipe_parts import LimitsRecipe
 from becalm.core.arrays import Codes, Floats
 from becalm.core.faults import Faults, Found, said
-from becalm.core.held import EVERY_REPEAT
 from becalm.core.limits import Limits, find_limits, stuck_at_once
 from becalm.core.look_ahead import LookAhead
 from becalm.core.monitor import InnovationMonitor
@@ -21,6 +20,7 @@ from becalm.core.outliers import NO_OUTLIERS, beside_others
 from becalm.core.standing import Before
 from becalm.core.told import Told
 from becalm.core.verdict import ADVICE, LOST, Verdict
+from becalm.native.scans import EVERY_REPEAT
 
 FALSE_ALARMS_PER_HOUR = 1.0
 """Healthy stretches of an hour that may be called stuck; a *small* one trusts the sensor."""

@@ -74,11 +74,20 @@ class Filter:
         self.largest = largest_beside(self.noise_variance)
 
     def opened(self, judge: Judge | None = None, *, split: bool = False) -> PartedFlow | SmoothedFlow:
-        """Return it at the start of a record; a judge is shown its innovations, split tells its parts too."""
+        """Return it at the start of a record; a judge is shown its innovations, split tells its parts too.
+
+        A causal filter without modes is a `CausalChannel`, or a `CausalFlow`.
+        """
         if self.lag is None and self.modes is None:
             part = self.tuning.component
             return SmoothedFlow(part, self.noise_variance, judge=judge, split=split, gate=self.gate)
         return PartedFlow(partial(self._part, judge, split), self.reach, self.largest)
+
+    def alone(self) -> PartedFlow | SmoothedFlow | CausalFlow:
+        """Return it at the start of a record, where nothing but its signal is asked for."""
+        if self.lag == 0 and self.modes is None:
+            return CausalFlow(self.tuning.component, self.noise_variance, self.gate)
+        return self.opened()
 
     @property
     def aligned(self) -> int:
@@ -99,10 +108,9 @@ class Filter:
             if lag:
                 return LaggedSwitchingFlow(modes, lag=lag, judge=judge, split=split)
             return SwitchingFlow(modes, causal=lag == 0, judge=judge, split=split)
-        part, variance, gate = self.tuning.component, self.noise_variance, self.gate
-        if lag:
-            return LaggedFlow(part, variance, lag=lag, judge=judge, split=split, gate=gate)
-        return CausalFlow(part, variance, gate)  # what is judged, or split, is a `CausalChannel`
+        assert lag, "a filter without modes and lag is one in C"
+        part, variance = self.tuning.component, self.noise_variance
+        return LaggedFlow(part, variance, lag=lag, judge=judge, split=split, gate=self.gate)
 
 
 def _reach_of_modes(modes: Switching) -> Reach:

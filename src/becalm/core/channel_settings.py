@@ -11,7 +11,7 @@ from becalm.core.arrays import Floats
 from becalm.core.components import Component
 from becalm.core.gates import Gate, level_of
 from becalm.core.limits import Limits
-from becalm.core.monitor import NEVER, Alarms
+from becalm.core.monitor import NEVER, NO_ALARMS, Alarms
 from becalm.core.possible import largest_beside
 from becalm.core.reach import reach_of
 from becalm.core.starting import known_before, refuse_singular, root_of
@@ -41,9 +41,9 @@ class Settings(NamedTuple):
 
     component: Component  # in steps
     noise_variance: float  # R, in unit^2
-    step_s: float
-    limits: Limits
-    alarms: Alarms
+    step_s: float = 1.0
+    limits: Limits = Limits()
+    alarms: Alarms = NO_ALARMS
     gate: Gate | None = None
     widening: Widening = Widening()
     unknown_from: float = np.inf  # sigma from which on a row without a measurement is a hole, in unit

@@ -116,7 +116,7 @@ class Faults:
         """Take over what `saved` returned."""
         state = restored(arrays["faults_state"], LIMITS)
         if state is None:
-            raise ModelError("A snapshot tells of readings what none can tell; pass what snapshot() returned.")
+            raise ModelError("What a snapshot remembers of readings is not valid: pass what snapshot() returned.")
         self._state, self._rhythm.offsets[:] = state, arrays["faults_offsets"]
         self._rows, self._ticks = arrays["faults_told"].tolist()
 

@@ -12,9 +12,6 @@ import numpy as np
 from becalm.core.arrays import Floats, Integers
 from becalm.core.rails import is_noisy
 
-EVERY_REPEAT = 2
-"""Equal readings in a row, from which on a reading counts as held where a channel holds them."""
-
 _FEWEST = 30  # different readings, one after the other
 _FEWEST_HELD = 10  # runs of equal readings: so many, the longest, are rests, or faults of the sensor
 _SHARE = 0.05  # of the readings that repeat the one before

@@ -16,14 +16,14 @@ from scipy.special import ndtr, ndtri
 
 from becalm.core.arrays import Floats, Integers
 from becalm.core.clock import GAP_STEPS
-from becalm.core.held import EVERY_REPEAT, repeats_readings
+from becalm.core.held import repeats_readings
 from becalm.core.outliers import NO_OUTLIERS, Outliers, find_outlier_rule, is_outlier
 from becalm.core.possible import find_largest
 from becalm.core.rails import Rails, find_rails, is_noisy
 from becalm.core.verdict import BEYOND_ANY_SENSOR
 from becalm.errors import UsageError
 from becalm.native import SETTINGS
-from becalm.native.scans import NEAR_REST
+from becalm.native.scans import EVERY_REPEAT, NEAR_REST
 
 _MARGIN = 2.0  # of a limit over what the record itself shows
 _WIDE_MARGIN = 10.0  # where only the signal ends a run

@@ -260,7 +260,7 @@ class InnovationMonitor:
         """Take over what `saved` returned."""
         state = restored(arrays["monitor_state"], WATCHED)
         if state is None:
-            raise ModelError("A snapshot tells of innovations what none can tell; pass what snapshot() returned.")
+            raise ModelError("What a snapshot remembers of innovations is not valid: pass what snapshot() returned.")
         self._watch.state = state
         self._hops, self.powers = arrays["monitor_hops"], arrays["monitor_powers"]
         self._rows, self._state = arrays["monitor_told"].tolist()

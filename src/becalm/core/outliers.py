@@ -12,7 +12,6 @@ from becalm.core.blank import find_blank
 from becalm.core.verdict import Verdict
 from becalm.native import SETTINGS
 from becalm.native.scans import (
-    NEIGHBOURS,
     SHORTEST_FILL,
     SPREADS,
     measure_distances,
@@ -128,7 +127,7 @@ def plausible(rule: Outliers) -> NDArray[np.void]:
 
 def distances_of(z: Floats) -> tuple[Floats, Floats]:
     """Return how far readings (N,) are from the median of six neighbours, and how far these lie apart."""
-    return measure_distances(input_of(z)) if len(z) > NEIGHBOURS else (np.zeros(len(z)), np.zeros(len(z)))
+    return measure_distances(input_of(z))
 
 
 def _least_distance(distances: Floats, spreads: Floats) -> float:

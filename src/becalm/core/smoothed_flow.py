@@ -20,8 +20,6 @@ from becalm.core.channel import Estimates, log_densities, parts_of
 from becalm.core.channel_settings import Settings, StepTable, packed_coefficients, packed_settings
 from becalm.core.components import Component
 from becalm.core.gates import Gate
-from becalm.core.limits import Limits
-from becalm.core.monitor import NO_ALARMS
 from becalm.core.possible import largest_beside, level_by
 from becalm.core.steady import FORGOTTEN, rows_until
 from becalm.core.told import Judge, Rows, Told
@@ -77,7 +75,7 @@ class SmoothedFlow:
         split: bool = False,
         gate: Gate | None = None,
     ) -> None:
-        settings = Settings(component, noise_variance, 1.0, Limits(), NO_ALARMS, gate)
+        settings = Settings(component, noise_variance, gate=gate)
         self._component, self._variance, self._judge, self._split = component, noise_variance, judge, split
         self._model = component.to_model(1.0, noise_variance)
         coefficients = packed_coefficients(component, noise_variance, disturbed=settings.disturbed)
@@ -89,7 +87,7 @@ class SmoothedFlow:
         self._wanted = self._length  # so many of them make one
         self._held: list[_Stretch] = []  # until what follows tells the future
         self._begun = False
-        self._reach = self._usual_reach  # rows that later rows are looked at across
+        self._reach = 0  # rows that later rows are looked at across, once they are needed
         self.log_likelihood = 0.0
 
     @property
@@ -110,7 +108,9 @@ class SmoothedFlow:
             elapsed = np.concatenate([[1.0], elapsed[1:]])  # the first row comes when it is due
             self._begun = True
         judged = judge_readings(z, self._largest)
-        self._few.append(Rows(judged.readings, elapsed, judged.verdicts))
+        self._few.append(
+            Rows(judged.readings.copy(), elapsed.copy(), judged.verdicts)
+        )  # a caller may write into its own
         self._count += len(z)
         told = list[Told]()
         while self._count >= self._wanted:
@@ -161,6 +161,9 @@ class SmoothedFlow:
     def _told_for_good(self) -> list[Told]:
         """Tell the stretches whose future is known."""
         rows = np.array([stretch.passed.taken for stretch in self._held])
+        if rows.sum() < _MANY:
+            return []
+        self._reach = self._reach or self._usual_reach
         after = rows[::-1].cumsum()[::-1] - rows  # each stretch
         if rows.sum() < self._reach + max(self._reach, _MANY):  # so that looking back costs little
             return []

@@ -187,6 +187,8 @@ class Smoother:
         self._come_back(passed, future, count, only_future=True)
 
     def _come_back(self, passed: Passed, future: NDArray[np.void], count: int, *, only_future: bool) -> None:
+        if count != passed.taken and count % CONSTANTS["SMOOTHED"]:
+            raise ValueError(f"{count} rows are wanted; of {passed.taken} that were taken give all, or whole blocks.")
         block, estimate = _checked(self._settings, passed.rows)
         block.rows = count
         memory = passed.room.ctypes.data, passed.starts.ctypes.data
@@ -242,7 +244,7 @@ def _checked(settings: NDArray[np.void], rows: dict[str, Any], *, writes: bool =
         if array.dtype != kind or array.shape != shape or not (array.flags.c_contiguous and array.flags.aligned):
             raise ValueError(f"{name} is {array.dtype} of shape {array.shape}, not {kind} of {shape} in one piece.")
     if count and not (rows["step"].min() >= 0 and rows["step"].max() < len(rows["F"])):
-        raise ValueError(f"step has {rows['step'].max()}; there are {len(rows['F'])} steps.")
+        raise ValueError(f"step goes from {rows['step'].min()} to {rows['step'].max()} of {len(rows['F'])} steps.")
     if not (rows["elapsed"] >= 0).all():
         raise ValueError("elapsed is NaN or below 0 somewhere; time only goes on.")
     at = {name: rows[name].ctypes.data for name in wanted}

@@ -12,6 +12,7 @@ typedef double real;
 #define NOT_A_NUMBER ((real)NAN)
 #define INFINITE ((real)INFINITY)
 
+enum { SMOOTHED = 64 }; /* rows that a smoother filters again at once */
 enum { N_MAX = 72, NN_MAX = N_MAX * N_MAX }; /* states that a channel has at the most */
 
 /* What became of a measurement; the values of `becalm.core.verdict.Verdict`. */
@@ -224,16 +225,15 @@ int channel_is_sound(const settings_t *settings, const state_t *state);
 void channel_process(const settings_t *settings, const coefficients_t *model, state_t *state, const block_t *block,
                      const estimate_t *estimate);
 
-/* A smoother passes forward, then back. `z` of its block holds NaN where no measurement may enter; `verdict` is 0. Between
-   the passes it needs room for so many reals, and for where the filter starts anew, or jumps. Where measurements that
-   are rejected turn out to be a jump, the first of them is, and all are used; so the last rows of a block may be left
-   for the next. Returned is how many rows were taken, a multiple of SMOOTHED but where a record ends. */
-enum { SMOOTHED = 64 };
+/* A smoother passes forward, then back. `z` of its block holds NaN where no measurement may enter; `verdict` is 0.
+   Between the passes it needs room for so many reals, and for where the filter starts anew, or jumps. Where measurements
+   that are rejected turn out to be a jump, the first of them is, and all are used; so the last rows of a block may be
+   left for the next. Return how many rows were taken: a multiple of SMOOTHED, or all of them where the record ends. */
 int64_t smoother_room(int64_t states, int64_t rows);
 void smoother_start(forward_t *forward, future_t *future);
 int64_t smoother_forward(const settings_t *settings, const coefficients_t *model, forward_t *forward,
                          const block_t *block, const estimate_t *estimate, real *room, int8_t *starts, int ends);
-/* Come back over a block; where it is `only_future` that is wanted, estimates are those of the pass forward. */
+/* Come back over a block. With `only_future` its estimates stay those of the pass forward. */
 void smoother_backward(const settings_t *settings, const coefficients_t *model, future_t *future,
                        const block_t *block, const estimate_t *estimate, real *room, const int8_t *starts,
                        int only_future);
@@ -255,12 +255,13 @@ int64_t scan_innovations(const settings_t *settings, watched_t *state, const rea
    are room. Return the first row that has to wait for later ones: none where the record is whole. */
 int64_t scan_outliers(const settings_t *settings, real distance, int64_t stuck, const real *z, int64_t rows,
                       int64_t begun, int whole, real *values, int64_t *ends, int8_t *verdict);
-/* Write how far measurements are from the median of their neighbours on both sides, and how far these spread. */
+/* Write how far measurements, more than NEIGHBOURS, are from the median of their neighbours on both sides, and how far
+   these spread. */
 void measure_distances(const real *z, int64_t rows, int64_t *ends, real *distances, real *spreads);
 /* Write how far measurements are from the median of the six before them, from the seventh on. */
 void measure_jumps(const real *z, int64_t rows, real *jumps);
 
-/* Add up the likelihood of a record's rows from one on. */
+/* Add nu^2 / S and log S of rows `from` and later to a score. */
 void likelihood_add(const settings_t *settings, const coefficients_t *model, const block_t *block, int64_t from,
                     score_t *score);
 

@@ -4,7 +4,7 @@
 
 #include "becalm.h"
 
-enum { BLOCK = 64, FIRST_CHECK = 32 }; /* rows; rows until a gain may have settled */
+enum { BLOCK = SMOOTHED, FIRST_CHECK = 32 }; /* rows; rows until a gain may have settled */
 
 enum { GOES_ON = 16 }; /* measurements used since a jump: before so many a rejected one still belongs to it */
 

@@ -84,7 +84,7 @@ const field_t *channel_watched_fields(void) {
 #define IN(name) {#name, offsetof(watched_t, monitor.name), sizeof(((watched_t *)0)->monitor.name), 1}
     static const field_t fields[] = {
         IN(rows), IN(above), IN(below), IN(drift_since), IN(hop_count), IN(hop_total), IN(hop_squares),
-        REALS(watched_t, now), REALS(watched_t, opened), END(watched_t),
+        REALS(watched_t, now), END(watched_t),
     };
 #undef IN
     return fields;
@@ -94,7 +94,7 @@ const field_t *channel_watched_fields(void) {
 const field_t *channel_constants(void) {
 #define VALUE(name) {#name, 0, name, 1}
     static const field_t values[] = {
-        VALUE(NEIGHBOURS), VALUE(REACH), VALUE(SHORTEST_FILL), VALUE(LONGEST_FILL), VALUE(EVERY_REPEAT), VALUE(PARTS),
+        VALUE(NEIGHBOURS), VALUE(REACH), VALUE(SHORTEST_FILL), VALUE(SMOOTHED), VALUE(EVERY_REPEAT), VALUE(PARTS),
         VALUE(SPREADS), VALUE(REST_PARTS), VALUE(MOST_SIGMA),
         VALUE(HOP), VALUE(WINDOW_HOPS), VALUE(KEPT_HOPS), VALUE(DETERMINED), VALUE(N_MAX), {0, 0, 0, 0},
     };

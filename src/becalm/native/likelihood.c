@@ -32,7 +32,7 @@ void likelihood_add(const settings_t *settings, const coefficients_t *model, con
         filter_block(settings, model, &state, &part, &estimate, &pass);
         for (int64_t row = from > at ? from - at : 0; row < part.rows; row++) {
             const real S = deviation[row] * deviation[row];
-            if (!(S > 0)) continue; /* missing, or nothing foretold it */
+            if (!(S > 0 && S < INFINITE)) continue; /* missing, or without a prediction */
             score->squares += innovation[row] * innovation[row] / S;
             score->used++;
             score->product = near_one(score->product * near_one(S, &score->exponent), &score->exponent);

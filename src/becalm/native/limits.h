@@ -6,7 +6,7 @@
 
 #include "linear.h"
 
-#define IMPLAUSIBLE_SPREADS ((real)3) /* the same, of one that is not plausible: beside a jump it spreads its neighbours */
+#define IMPLAUSIBLE_SPREADS ((real)3) /* for a value that is not plausible: beside a jump it spreads its neighbours */
 #define LATE ((real)2.5)        /* times the longest wait before: then the measurements before are no neighbours */
 #define NEARER ((real)4)        /* times that a value which fills in for measurements is nearer */
 #define AMID ((real)0.01)       /* of what was measured: nearer to an end of it is no value amid */

@@ -16,7 +16,7 @@ Whole = NDArray[np.int64]
 
 LIMITS, WATCHED = map(layout_of, ("limits", "watched"))
 NEIGHBOURS, SPREADS, REACH = (CONSTANTS[name] for name in ("NEIGHBOURS", "SPREADS", "REACH"))
-SHORTEST_FILL, LONGEST_FILL = CONSTANTS["SHORTEST_FILL"], CONSTANTS["LONGEST_FILL"]
+SHORTEST_FILL, EVERY_REPEAT = CONSTANTS["SHORTEST_FILL"], CONSTANTS["EVERY_REPEAT"]
 NEAR_REST = 1 / CONSTANTS["REST_PARTS"]
 """Of what is plausible: so near to 0 is a channel before it rests there."""
 HOP, KEPT_HOPS, PARTS, MOST_SIGMA = (CONSTANTS[name] for name in ("HOP", "KEPT_HOPS", "PARTS", "MOST_SIGMA"))
@@ -142,8 +142,10 @@ def scan_outliers(  # noqa: PLR0913  (each by its name)
 
 
 def measure_distances(z: Floats) -> tuple[Floats, Floats]:
-    """Return how far measurements (N,) are from the median of six neighbours, and how far these spread."""
+    """Return how far measurements (N,) are from the median of six neighbours, and how far these spread; 0 of so few."""
     _check(z, (z,), ())
+    if len(z) <= NEIGHBOURS:
+        return np.zeros(len(z)), np.zeros(len(z))
     distances, spreads = np.empty((2, len(z)))
     ends = np.empty((len(z), 2), np.int64)
     kernel.measure_distances(z.ctypes.data, len(z), ends.ctypes.data, distances.ctypes.data, spreads.ctypes.data)
@@ -165,4 +167,4 @@ def _check(rows: Floats, reals: tuple[Floats, ...], codes: tuple[Codes, ...]) ->
             flags = array.flags
             in_place = flags.c_contiguous and flags.aligned and (kind == "f8" or flags.writeable)
             if array.dtype != kind or array.shape != (len(rows),) or not in_place:
-                raise ValueError(f"{array.dtype} {array.shape} came, not {kind} ({len(rows)},) in one piece.")
+                raise ValueError(f"{array.dtype} {array.shape} came; {kind} ({len(rows)},) in one piece is needed.")

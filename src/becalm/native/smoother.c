@@ -10,6 +10,10 @@ enum { LONGEST_WAIT = 50 }; /* missing rows after a reject, beyond which it is a
 
 #define MUCH ((real)1e-3) /* of a variance: where later rows leave less of it, P - P M P has lost its digits */
 
+/* A gain that was lost within a block has not settled again at its end: so one that has settled, for as many rows as
+   before the block, was used for all of them. */
+typedef char settles_late[2 * FIRST_CHECK >= SMOOTHED ? 1 : -1];
+
 static void unsettle_future(future_t *future) {
     future->settled = future->steady = 0;
     future->next_check = FIRST_CHECK;

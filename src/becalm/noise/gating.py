@@ -16,11 +16,9 @@ from becalm.core.arrays import Booleans, Floats, input_of
 from becalm.core.channel import Channel
 from becalm.core.channel_settings import Settings
 from becalm.core.gates import Gate
-from becalm.core.limits import Limits
-from becalm.core.monitor import NO_ALARMS
 from becalm.core.verdict import Verdict
 from becalm.noise.choose import NOTHING_KNOWN, Choice, Known, choose
-from becalm.noise.imputation import PIECE, imputed
+from becalm.noise.imputation import imputed
 from becalm.noise.likelihood import Tuning
 from becalm.noise.rejection import stand_out
 
@@ -45,7 +43,7 @@ _MIDDLE = 1.4826  # of the median of |e|, which makes a standard deviation of Ga
 _CHANCE = 3.0  # standard deviations of a count
 _SAME = 0.1  # of a noise variance: another round would change little
 _PAIR = 2
-_FORETOLD = "innovation", "deviation", "verdict"
+_PIECE = 1 << 15  # rows that are filtered at once: in uneven time each has step matrices of its own
 
 
 class GatedChoice(NamedTuple):
@@ -141,12 +139,15 @@ def has_shoulders(found: Forecasts, threshold: float) -> bool:
 
 def forecasts(tuning: Tuning, readings: Floats, elapsed: Floats, gate: Gate | None) -> Forecasts:
     """Foretell readings (N,), causally, with a gate or without."""
-    channel = Channel(Settings(tuning.component, tuning.noise_variance, 1.0, Limits(), NO_ALARMS, gate))
+    channel = Channel(Settings(tuning.component, tuning.noise_variance, gate=gate))
     readings, elapsed = input_of(readings), input_of(elapsed)
-    pieces = (slice(start, start + PIECE) for start in range(0, len(readings), PIECE))
+    pieces = (slice(start, start + _PIECE) for start in range(0, len(readings), _PIECE))
     found = [channel.process(readings[piece], elapsed[piece]) for piece in pieces]
-    nu, sigma, verdict = (np.concatenate([getattr(each, of) for each in found]) for of in _FORETOLD)
-    return Forecasts(nu / sigma, sigma, verdict == Verdict.SPIKE)
+    nu, sigma = (
+        np.concatenate(parts) for parts in zip(*((one.innovation, one.deviation) for one in found), strict=True)
+    )
+    rejected = np.concatenate([one.verdict for one in found]) == Verdict.SPIKE
+    return Forecasts(nu / sigma, sigma, rejected)
 
 
 def robust(tuning: Tuning, readings: Floats, elapsed: Floats) -> Tuning:

@@ -18,9 +18,6 @@ LONGEST_HOLE = 32
 MOST_MISSING = 0.2
 """Share of the rows beyond which draws would make the spectrum."""
 
-PIECE = 1 << 15
-"""Rows that are filtered at once: in uneven time each has step matrices of its own."""
-
 
 def imputed(tuning: Tuning, readings: Floats, elapsed: Floats, rejected: Booleans) -> Floats:
     """Return readings (N,) with each reject replaced by a draw from what all others say of it.
@@ -29,18 +26,11 @@ def imputed(tuning: Tuning, readings: Floats, elapsed: Floats, rejected: Boolean
     noise as large as it is. The same record gets the same draws.
     """
     left = np.where(rejected, np.nan, readings)
-    told = _smoothed(tuning, left, elapsed)
-    mean = np.concatenate([part.parts.sum(axis=0) for part in told])
-    spread = np.sqrt(np.concatenate([part.sigma for part in told]) ** 2 + tuning.noise_variance)
+    flow = SmoothedFlow(tuning.component, tuning.noise_variance, split=True)
+    told = Told.joined([*flow.push(left, elapsed), *flow.finish()])
+    mean, spread = told.parts.sum(axis=0), np.sqrt(told.sigma**2 + tuning.noise_variance)
     draws = np.random.default_rng(len(readings)).normal(size=len(readings))
     return np.where(rejected, mean + spread * draws, readings)
-
-
-def _smoothed(tuning: Tuning, readings: Floats, elapsed: Floats) -> list[Told]:
-    flow = SmoothedFlow(tuning.component, tuning.noise_variance, split=True)
-    pieces = (slice(start, start + PIECE) for start in range(0, len(readings), PIECE))
-    told = [part for piece in pieces for part in flow.push(readings[piece], elapsed[piece])]
-    return [*told, *flow.finish()]
 
 
 def completed(evidence: Evidence, tuning: Tuning) -> Evidence:

@@ -6,6 +6,7 @@ import numpy as np
 
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.core.arrays import Floats
+from becalm.core.faults import Faults
 from becalm.errors import RecipeError
 from becalm.export.design import Design
 from becalm.export.fixed.text import GREATEST, Scale, kept_of, rails_of, schedule_in, written_fixed
@@ -43,7 +44,8 @@ class FixedReference(SettledReference):
     def __init__(self, design: Design, largest: float, scale: Scale) -> None:
         schedule, rails = schedule_in(design), rails_of(design, scale)
         super().__init__(design, schedule, largest)
-        self._limits["low"], self._limits["high"] = scale.in_unit(rails.low), scale.in_unit(rails.high)
+        low, high = scale.in_unit(rails.low), scale.in_unit(rails.high)
+        self._faults = Faults(self._faults.limits._replace(low=low, high=high))
         point, _ = fit(design, schedule, scale.lsb)
         self._opening = kept_of(self._opening)
         self._ends = scale.in_unit(-GREATEST), scale.in_unit(GREATEST)

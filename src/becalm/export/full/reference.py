@@ -11,13 +11,13 @@ import numpy as np
 
 from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
 from becalm.cleaning.stream import StreamCleaner
-from becalm.core.arrays import Codes, Floats, input_of
+from becalm.core.arrays import Codes, Floats
+from becalm.core.faults import Faults
 from becalm.core.limits import Limits
 from becalm.core.verdict import Verdict
 from becalm.export.design import Design
 from becalm.export.full.extended import Extended
 from becalm.export.vectors import STARTING
-from becalm.native.scans import new_limits, scan_faults
 
 _AT_ONCE = 1 << 16  # rows of a gap that go one by one; so many more go as one
 _ROUNDED = 2e-13  # of the largest signal: more of becalm's own rounding would be most of what C may be off by
@@ -51,8 +51,7 @@ class FullReference:
         self._recipe = Recipe(tuned_on=Origin(rate_hz=1 / design.step_s), channel=(recipe.model_copy(update=bare),))
         self._design, self._first = design, len(design.opening.weights)
         limits = design.limits
-        own = Limits(limits.low, limits.high, stuck_readings=limits.stuck_readings, largest=largest)
-        self._limits, self._state = own.packed(), new_limits()
+        self._faults = Faults(Limits(limits.low, limits.high, stuck_readings=limits.stuck_readings, largest=largest))
         self._stream = self._begun()
         self._gathered: list[float] = []
         self._extended: Extended | None = None
@@ -66,8 +65,7 @@ class FullReference:
 
     def both(self, readings: Floats) -> tuple[Floats, Floats, Codes]:
         """Take readings (B,); return becalm's signal, the same with more digits, and what became of each."""
-        codes = np.zeros(len(readings), np.int8)
-        scan_faults(self._limits, self._state, input_of(readings), np.ones(len(readings)), codes)
+        codes = self._faults.push(readings, np.ones(len(readings)))
         usable = np.where(codes == Verdict.USED, readings, np.nan)
         signal, digits, row = np.empty(len(readings)), np.empty(len(readings)), 0
         while row < len(readings):

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from becalm.core.arrays import Codes, Floats, input_of
+from becalm.core.arrays import Codes, Floats
+from becalm.core.faults import Faults
 from becalm.core.limits import Limits
 from becalm.core.verdict import Verdict
 from becalm.export.design import Design
 from becalm.export.schedule import Schedule
 from becalm.export.vectors import STARTING
-from becalm.native.scans import new_limits, scan_faults
 
 
 class SettledReference:
@@ -46,14 +46,12 @@ class SettledReference:
         self._design, self._opening = design, design.opening.weights
         self._gains, self._until = [*schedule.K, schedule.settled], np.cumsum(schedule.counts)
         limits = design.limits
-        own = Limits(limits.low, limits.high, stuck_readings=limits.stuck_readings, largest=largest)
-        self._limits, self._state = own.packed(), new_limits()
+        self._faults = Faults(Limits(limits.low, limits.high, stuck_readings=limits.stuck_readings, largest=largest))
         self.p, self.level, self.row, self.missed = np.zeros(design.states), 0.0, 0, 0
 
     def run(self, readings: Floats) -> tuple[Floats, Codes]:
         """Take readings (B,); return the signal and what became of each."""
-        codes = np.zeros(len(readings), np.int8)
-        scan_faults(self._limits, self._state, input_of(readings), np.ones(len(readings)), codes)
+        codes = self._faults.push(readings, np.ones(len(readings)))
         told = [self._step(reading, code) for reading, code in zip(readings.tolist(), codes.tolist(), strict=True)]
         signal, became = zip(*told, strict=True) if told else ((), ())
         return np.array(signal, np.float64), np.array(became, np.int8)
