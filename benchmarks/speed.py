@@ -1,11 +1,11 @@
-"""How long the command line takes: --help, the first clean with nothing compiled, and the next ones.
+"""How long the command line takes: --help, the first clean of a fresh copy, and the next ones.
 
 A CSV of 100 000 rows x 6 channels at 100 Hz is cleaned, smoothed, nothing chosen. Wall-clock seconds of
-whole processes; the first run is that of a copy of becalm of which nothing was compiled. Beside it, in
+whole processes; the first run is that of a copy of becalm that never ran. Beside it, in
 the same run: reading the CSV and writing a CSV of the output's size with pyarrow alone.
 
-Then choosing the filter of one channel of a million samples, every order and tone tried, in a running process
-whose kernels are compiled: a random walk in white noise, and the same with five tones in it.
+Then choosing the filter of one channel of a million samples, every order and tone tried, in a running process: a
+random walk in white noise, and the same with five tones in it.
 
 Run: python benchmarks/speed.py [-o docs/speed.md]
 """
@@ -30,7 +30,7 @@ from becalm.noise.choose import choose
 from pages import page_parser, publish
 
 ROWS, CHANNELS, REPEATS = 100_000, 6, 5
-SAMPLES, LEARNT = 1_000_000, 20_000
+SAMPLES = 1_000_000
 TONES = (0.01, 0.023, 0.11, 0.2, 0.31)  # cycles a sample
 
 
@@ -72,7 +72,6 @@ def choosing() -> list[str]:
     rows = []
     for causal in (False, True):
         for what, z in (("walk", walk), ("walk and five tones", tones)):
-            choose(z[:LEARNT], np.ones(LEARNT), causal)  # compiles
             start = time.perf_counter()
             found = choose(z, np.ones(SAMPLES), causal).tuning
             took, heard = time.perf_counter() - start, len(found.lines) if found else 0
@@ -101,8 +100,8 @@ def table() -> str:
             "| job | asked | seconds |",
             "|---|---|---|",
             f"| `becalm --help` | under 0.4 | {help_page:.2f} |",
-            f"| clean 100 000 x 6 CSV, first run (compiling) | under 20 | {first:.1f} |",
-            f"| the same, compiled | under 3 | {again:.2f} |",
+            f"| clean 100 000 x 6 CSV, first run of a copy | under 3 | {first:.2f} |",
+            f"| the same again | under 3 | {again:.2f} |",
             f"| the same, with its recipe | | {told:.2f} |",
             f"| reading it and writing as many columns with pyarrow, in a running process | | {copied:.2f} |",
             *choosing(),

@@ -1,4 +1,4 @@
-"""The kernels that cleaning, tuning and live filters of one channel use, compiled ahead of their first use.
+"""The kernels of lags, of modes that switch and of `becalm.kalman_filter`, for one channel, compiled ahead.
 
 Compiling is slow, and one process compiles one kernel at a time; so each number of states has a process of its own.
 """

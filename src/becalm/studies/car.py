@@ -112,7 +112,7 @@ def study(recordings: Path = RECORDINGS, *, seed: int = 1, channel_by_channel: b
     seed : int
         Of the simulated drive.
     channel_by_channel : bool
-        Whether to clean each channel for itself too, with nothing told: the first time its kernels are compiled.
+        Whether to clean each channel for itself too, with nothing told.
     """
     drive = simulate(seed)
     z, truth = drive.measured.samples, drive.truth.samples
