@@ -280,6 +280,19 @@ def test_both_sides_tell_the_same_wherever_the_record_is_cut(
     assert np.array_equal(far, whole)
 
 
+@pytest.mark.parametrize("cuts", [[300, 600, 1000], [803, 830], [870]])
+@pytest.mark.parametrize("stuck", [3, 8])
+def test_equal_readings_after_seldom_ones_are_the_same_wherever_rows_are_cut(cuts: list[int], stuck: int) -> None:
+    """Rows far before are no neighbours, and a run that goes on fills in for nothing."""
+    z = np.full(1600, np.nan)
+    z[[0, 150, 300, 450, 600, 750]], z[800:] = [0.5, 30, 31, 32, 33, 34], 0.0
+    limits = Limits(stuck_readings=stuck, outliers=Outliers(20.0, 20.0, 0.0, 60.0, True))
+    ahead, bounds = LookAhead(limits), [0, *cuts, len(z)]
+    parts = [ahead.push(z[a:b], np.ones(b - a)) for a, b in pairwise(bounds)]
+    codes = np.concatenate([part[2] for part in [*parts, ahead.finish()]])
+    assert np.array_equal(codes, beside_others(z, limits.outliers, stuck_at_once(limits)))
+
+
 @given(records(), st.booleans(), st.integers(0, 1500))
 def test_a_causal_rule_tells_the_same_wherever_the_record_is_cut(z: Floats, as_one: bool, cut: int) -> None:
     limits = Limits(outliers=Outliers(30.0, 60.0, -99.0, 99.0, as_one))

@@ -259,7 +259,14 @@ class InnovationMonitor:
     def restore(self, arrays: Mapping[str, Any]) -> None:
         """Take over what `saved` returned."""
         state = restored(arrays["monitor_state"], WATCHED)
-        if state is None:
+        hops = arrays["monitor_hops"]
+        if (
+            state is None
+            or hops.dtype != np.int64
+            or hops.ndim != 2
+            or len(hops) != 2
+            or hops.shape[1] > WINDOW // HOP - 1
+        ):
             raise ModelError("What a snapshot remembers of innovations is not valid: pass what snapshot() returned.")
         self._watch.state = state
         self._hops, self.powers = arrays["monitor_hops"], arrays["monitor_powers"]

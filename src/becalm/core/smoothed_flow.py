@@ -31,7 +31,7 @@ _LONGEST = 1 << 14  # rows of a stretch
 _MOST_NUMBERS = 1 << 21  # of the matrices of its steps, where each row has some of its own
 _DIFFERENT = 1e14  # two futures this far apart ...
 _SAME = 1e-12  # ... have come this close: then `FORGOTTEN`, squared, lies between
-_MANY = 1 << 16  # rows that are told at once, if more may wait
+_STRETCHES = 4  # that are told at once, if more may wait
 _FAR = 1 << 40  # rows
 
 
@@ -161,11 +161,11 @@ class SmoothedFlow:
     def _told_for_good(self) -> list[Told]:
         """Tell the stretches whose future is known."""
         rows = np.array([stretch.passed.taken for stretch in self._held])
-        if rows.sum() < _MANY:
+        if len(rows) < _STRETCHES:
             return []
         self._reach = self._reach or self._usual_reach
         after = rows[::-1].cumsum()[::-1] - rows  # each stretch
-        if rows.sum() < self._reach + max(self._reach, _MANY):  # so that looking back costs little
+        if rows.sum() < self._reach + max(self._reach, _STRETCHES * self._length):  # so that looking back costs little
             return []
         cuts = [k for k, stretch in enumerate(self._held) if stretch.known and after[k] >= self._reach]
         if not cuts:

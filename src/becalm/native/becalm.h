@@ -191,7 +191,7 @@ typedef struct {
 /* What later rows say of a state: its smoothed value is x + P r, its covariance P - P M P. */
 typedef struct {
     int64_t settled, steady, next_check; /* of M: whether it is that of all rows before like the last; see filter_t */
-    int64_t later;                 /* whether x and P are those of the row after */
+    int64_t later;                 /* whether P, or x and P, are those of the row after */
     real level;                    /* of the row after, in unit */
     real r[N_MAX], x[N_MAX];       /* x, P: smoothed */
     real M[NN_MAX], P[NN_MAX];

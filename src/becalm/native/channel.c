@@ -152,7 +152,8 @@ int channel_is_sound(const settings_t *settings, const state_t *state) {
             are_finite(filter->P, n * n) && isfinite(filter->level);
     if (sound && filter->phase == DETERMINED)
         sound = are_finite(filter->K, n) && are_finite(filter->L, n) && are_finite(filter->ahead, n) &&
-                isfinite(filter->S) && isfinite(filter->sigma);
+                isfinite(filter->S) && isfinite(filter->sigma) && filter->S >= 0 && filter->sigma >= 0;
+    for (int i = 0; sound && i < n; i++) sound = filter->phase != DETERMINED || filter->P[i * n + i] >= 0;
     const int64_t counts[] = {filter->rows, filter->steady, filter->next_check, filter->agreed,
                               filter->rejected, filter->agreeing, filter->since_jump};
     for (int k = 0; k < 7; k++) sound = sound && is_count(counts[k], EVER);

@@ -135,7 +135,7 @@ static void open_row(const int n, const settings_t *settings, const coefficients
         carry_information(n, F, Q, model->prior, state->P, state->x);
     if (arrived) add_information(n, model->h, model->R, z - state->level, state->P, state->x);
     if (!model->disturbed) estimate_from_information(n, model->h, state->P, state->x, signal, sigma);
-    if (try_to_determine(n, state->P, state->x)) {
+    if (try_to_determine(n, model->R, Q, state->P, state->x)) {
         state->phase = DETERMINED;
         if (model->disturbed) {
             real Pc[N_MAX];

@@ -20,7 +20,6 @@
 #endif
 
 #define UNCHANGED ((real)1e-13)
-#define LOST_DIGITS ((real)1e12) /* of I + W Q W', which is I at the least: beyond, a difference means nothing */
 
 INLINE int near(const real now, const real then, const real scale) { return fabs(now - then) <= UNCHANGED * scale; }
 

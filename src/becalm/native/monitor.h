@@ -52,7 +52,7 @@ static inline int monitor_is_sound(const monitor_t *monitor) {
     int sound = is_count(monitor->rows, EVER) && is_count(monitor->above, EVER) && is_count(monitor->below, EVER) &&
                 is_count(monitor->above_since, EVER) && is_count(monitor->below_since, EVER) && monitor->hops >= 0 &&
                 is_count(monitor->hops, EVER) && monitor->hop_count >= 0 && monitor->hop_count < HOP &&
-                is_count(monitor->hop_total, squares) && is_count(monitor->hop_squares, squares);
+                is_count(monitor->hop_total, (int64_t)1 << 28) && is_count(monitor->hop_squares, squares);
     for (int k = 0; k < WINDOW_HOPS - 1; k++)
         sound = sound && is_count(monitor->totals[k], (int64_t)1 << 28) && is_count(monitor->squares[k], squares);
     return sound;

@@ -92,7 +92,7 @@ static int64_t count_measured(const real *z, const int64_t first, const int64_t 
 
 /* Return what the measurements of a run are, by those on both sides of it. */
 static int judge_run(const settings_t *settings, const real distance, const int64_t stuck, const real *values,
-                     const int64_t run, const int64_t rows, real *neighbours, const int count) {
+                     const int64_t *ends, const int64_t run, const int64_t rows, real *neighbours, const int count) {
     const real value = values[run];
     int away = value < settings->plausible_low || value > settings->plausible_high;
     if (count >= FEWEST_NEIGHBOURS) {
@@ -102,7 +102,8 @@ static int judge_run(const settings_t *settings, const real distance, const int6
     }
     if (away) return OUTLIER;
     if (!(stuck > 0 && rows >= stuck)) return USED;
-    const int64_t from = run < NEIGHBOURS ? 0 : run - NEIGHBOURS;
+    int64_t from = run < NEIGHBOURS ? 0 : run - NEIGHBOURS;
+    while (from < run && ends[2 * run] - ends[2 * from + 1] > REACH) from++;
     return value == 0 && ends_at_0(settings) && rests(settings, values + from, (int)(run - from)) ? USED : STUCK;
 }
 
@@ -110,7 +111,8 @@ int64_t scan_outliers(const settings_t *settings, const real distance, const int
                       const int64_t rows, const int64_t begun, const int whole, real *values, int64_t *ends,
                       int8_t *verdict) {
     const int64_t runs = find_runs(z, rows, settings->repeats_are_one != 0, values, ends);
-    const int64_t decided = stuck > SHORTEST_FILL ? stuck : SHORTEST_FILL; /* rows after which a run may be what it is */
+    const int64_t longest = stuck > 0 ? LONGEST_FILL + 1 : 0; /* of fills, which are told from longer runs */
+    const int64_t decided = stuck > longest ? stuck : longest;
     for (int64_t run = 0; run < runs; run++) {
         const int64_t first = ends[2 * run], last = ends[2 * run + 1];
         int found = verdict[first];
@@ -121,7 +123,7 @@ int64_t scan_outliers(const settings_t *settings, const real distance, const int
             const int64_t measured = count_measured(z, first, last);
             if (missing && !whole && rows - 1 - first < REACH) return first;
             if (run == runs - 1 && measured < decided && !whole && rows - 1 - last < REACH) return first;
-            found = judge_run(settings, distance, stuck, values, run, measured, neighbours, count);
+            found = judge_run(settings, distance, stuck, values, ends, run, measured, neighbours, count);
         }
         for (int64_t row = first > begun ? first : begun; found && row <= last; row++)
             verdict[row] = (int8_t)(isnan(z[row]) ? USED : found);

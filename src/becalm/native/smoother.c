@@ -4,11 +4,17 @@
    had settled; any other block is filtered again from that state. Equations are numbered as in core/reference.py. */
 #include "filter.h"
 #include "gap.h"
+#include "information.h"
 #include "pack.h"
 
 enum { LONGEST_WAIT = 50 }; /* missing rows after a reject, beyond which it is a spike for good */
 
-#define MUCH ((real)1e-3) /* of a variance: where later rows leave less of it, P - P M P has lost its digits */
+#define MUCH ((real)1e-3)    /* of a variance: where later rows leave less of it, P - P M P loses its digits */
+#define HARDLY ((real)1e-10) /* of a variance: and where they leave less than that, it has lost them */
+#define BLOWN_UP ((real)1e4) /* times what a row knows: then F^-1 of the next says nothing of it */
+
+enum { SKIPPED = 2 }; /* of `only_future`: not even the last rows are smoothed */
+enum { NOTHING_LATER = 0, COVARIANCE_ONLY = 1, STATE_TOO = 2 }; /* what `later` tells of the row after */
 
 /* A gain that was lost within a block has not settled again at its end: so one that has settled, for as many rows as
    before the block, was used for all of them. */
@@ -166,6 +172,27 @@ static void notice_future(const int n, future_t *future, const int64_t rows) {
     copy(n * n, future->M, future->M_then);
 }
 
+/* Write P - P M P (10); return how little it leaves of a variance at the least, as a share. It is L (I - L' M L) L' with
+   P = L L': where states are known by their sum alone, P M P has no digits. */
+INLINE real smooth_covariance(const int n, const real *P, const real *M, real *smoothed) {
+    real L[NN_MAX], ML[NN_MAX], left[NN_MAX], least = 1;
+    covariance_root(n, P, L);
+    multiply(n, M, L, ML);
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j < n; j++) {
+            left[i * n + j] = i == j;
+            for (int k = i; k < n; k++) left[i * n + j] -= L[k * n + i] * ML[k * n + j];
+        }
+    multiply(n, L, left, ML);
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j <= i; j++) smoothed[i * n + j] = smoothed[j * n + i] = dot(n, ML + i * n, L + j * n);
+    for (int i = 0; i < n; i++) {
+        const real share = P[i * n + i] > 0 ? smoothed[i * n + i] / P[i * n + i] : 1;
+        least = share < least ? share : least;
+    }
+    return least;
+}
+
 /* Smooth a block whose gain had settled before it. */
 INLINE void smooth_settled(const int n, const coefficients_t *model, const filter_t *state, const real *F,
                            const block_t *part, future_t *future, const estimate_t *estimate, const int only_future) {
@@ -198,97 +225,171 @@ INLINE void smooth_settled(const int n, const coefficients_t *model, const filte
             sigma = left > 0 ? sqrt(left) : 0;
         }
         if (!only_future) estimate->sigma[row] = sigma;
+        if (row == 0)
+            future->later =
+                smooth_covariance(n, state->P, future->M, future->P) > HARDLY ? COVARIANCE_ONLY : NOTHING_LATER;
         if (!future->settled) pull_back(n, A, hF, weight, future->M); /* (12) */
     }
     if (!future->settled) notice_future(n, future, part->rows);
-    future->later = 0;
 }
 
-/* Write the smoothed state and covariance of a row from those of the row after, one step later: given that, the noise w
-   of the step is known by G (W x' - b), where W = U F^-1, G = Q W' (I + W Q W')^-1, and its own covariance is
-   V = (I - G W) Q (I - G W)' + G G'. So x = F^-1 (x' - w). U and b are the row's information. */
-static int from_later(const int n, const real *U, const real *b, future_t *future) {
-    const real *F = future->F, *Q = future->Q;
-    real W[NN_MAX], T[NN_MAX], G[NN_MAX], V[NN_MAX], J[NN_MAX], back[NN_MAX], x[N_MAX], Gb[N_MAX];
-    if (!invert(n, F, back)) return 0;
-    multiply(n, U, back, W);
-    multiply(n, W, Q, G); /* (Q W')' */
-    for (int i = 0; i < n; i++)
-        for (int j = 0; j < n; j++) {
-            T[i * n + j] = dot(n, G + i * n, W + j * n) + (i == j);
-            if (i == j && !(T[i * n + i] < LOST_DIGITS)) return 0;
+/* Given what later rows say of x', write u = R^-1 (d - S x'), of which joint equations (R S; 0 ..) are, as A x' + g,
+   and Z = R^-1, whose square is its own covariance. */
+static void solve_joint(const int n, const real *joint, const real *right, real *A, real *g, real *Z) {
+    for (int j = 0; j < n; j++)
+        for (int i = n - 1; i >= 0; i--) {
+            real s = i == j;
+            for (int k = i + 1; k <= j; k++) s -= joint[i * 2 * n + k] * Z[k * n + j];
+            Z[i * n + j] = i > j ? 0 : s / joint[i * 2 * n + i];
         }
-    if (!solve(n, T, G)) return 0; /* G' = T^-1 W Q */
     for (int i = 0; i < n; i++) {
-        Gb[i] = 0;
-        for (int k = 0; k < n; k++) Gb[i] += G[k * n + i] * b[k];
+        g[i] = 0;
+        for (int k = i; k < n; k++) g[i] += Z[i * n + k] * right[k];
         for (int j = 0; j < n; j++) {
-            J[i * n + j] = i == j;
-            for (int k = 0; k < n; k++) J[i * n + j] -= G[k * n + i] * W[k * n + j]; /* I - G W */
+            A[i * n + j] = 0;
+            for (int k = i; k < n; k++) A[i * n + j] -= Z[i * n + k] * joint[k * 2 * n + n + j];
         }
     }
-    for (int i = 0; i < n; i++)
+}
+
+/* Join what is known of a state, U x = b + e, with the next one, L^-1 (x' - F x) = e, in the unknowns (x, x'): where so
+   much has faded that F^-1 is of no use. */
+static int join_next(const int n, const real *F, const real *L, const real *U, const real *b, real *joint,
+                     real *right) {
+    real back[NN_MAX];
+    memset(joint, 0, sizeof(real) * (size_t)(4 * n * n));
+    memset(right, 0, sizeof(real) * (size_t)(2 * n));
+    if (!invert(n, L, back)) return 0;
+    for (int i = 0; i < 2 * n; i++) {
+        real a[2 * N_MAX];
         for (int j = 0; j < n; j++) {
-            V[i * n + j] = 0;
-            for (int k = 0; k < n; k++) V[i * n + j] += G[k * n + i] * G[k * n + j];
+            a[j] = i < n ? U[i * n + j] : 0, a[n + j] = i < n ? 0 : -back[(i - n) * n + j];
+            for (int k = 0; i >= n && k <= i - n; k++) a[j] += back[(i - n) * n + k] * F[k * n + j];
         }
-    copy(n * n, Q, T);
-    propagate(n, J, V, T); /* T = (I - G W) Q (I - G W)' + G G' */
-    propagate(n, J, T, future->P);
-    for (int i = 0; i < n * n; i++) V[i] = 0;
-    propagate(n, back, V, future->P);
-    times(n, J, future->x, x);
-    for (int i = 0; i < n; i++) x[i] += Gb[i];
-    times(n, back, x, future->x);
+        add_equation(2 * n, a, i < n ? b[i] : 0, joint, right);
+    }
+    for (int i = 0; i < n; i++)
+        if (joint[i * 2 * n + i] == 0) return 0;
+    return 1;
+}
+
+/* Write the smoothed state and covariance of a row that gathers information, U x = b + e, from those of the row after:
+   given x', the noise w of the step is known, and x = F^-1 (x' - L w); or x itself is. */
+static int from_later(const int n, const real *U, const real *b, future_t *future) {
+    real L[NN_MAX], back[NN_MAX], joint[4 * NN_MAX], right[2 * N_MAX];
+    real A[NN_MAX], Z[NN_MAX], g[N_MAX], J[NN_MAX], V[NN_MAX], LZ[NN_MAX], x[N_MAX];
+    covariance_root(n, future->Q, L);
+    const int by_noise = join_step(n, future->F, L, U, b, back, joint, right);
+    if (!by_noise && !join_next(n, future->F, L, U, b, joint, right)) return 0;
+    solve_joint(n, joint, right, A, g, Z);
+    if (by_noise) { /* x = F^-1 (J x' - L g) + F^-1 L Z e, J = I - L A */
+        multiply(n, L, A, J);
+        multiply(n, L, Z, LZ);
+        for (int i = 0; i < n * n; i++) J[i] = (i % (n + 1) == 0) - J[i];
+        times(n, L, g, x);
+        multiply(n, back, J, A);
+        multiply(n, back, LZ, Z);
+        times(n, back, x, g);
+        for (int i = 0; i < n; i++) g[i] = -g[i];
+    }
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j < n; j++) V[i * n + j] = dot(n, Z + i * n, Z + j * n);
+    propagate(n, A, V, future->P);
+    times(n, A, future->x, x);
+    for (int i = 0; i < n; i++) future->x[i] = x[i] + g[i];
+    return 1;
+}
+
+/* Return whether F^-1, which is written, keeps what a row knows: what has faded it blows up, with its rounding. */
+static int goes_back(const int n, const real *F, const real *P, const real *M, real *back) {
+    if (!invert(n, F, back)) return 0;
+    for (int i = 0; i < n; i++) {
+        real blown_up = 0;
+        for (int j = 0; j < n; j++) blown_up += fabs(back[i * n + j]) * sqrt(M[j * n + j]);
+        if (!(blown_up < BLOWN_UP * sqrt(P[i * n + i]))) return 0;
+    }
     return 1;
 }
 
 /* The same where the row has a covariance, which P - P M P would lose the digits of: with M = F P F' + Q and
-   C = F^-1 (I - Q M^-1), it is C P' C' + C Q F'^-1 (Anderson and Moore 1979, chapter 10). */
+   C = F^-1 (I - Q M^-1), it is C P' C' + C Q F'^-1 (Anderson and Moore 1979, chapter 10). Where F^-1 is of no use, it
+   is (I - K F) P (I - K F)' + K (Q + P') K' with K = P F' M^-1, the same in Joseph's form. */
 static int covariance_from_later(const int n, const real *P, future_t *future) {
     const real *F = future->F, *Q = future->Q;
     real A[NN_MAX], M[NN_MAX], C[NN_MAX], D[NN_MAX], back[NN_MAX], V[NN_MAX];
     copy(n * n, P, M);
     propagate(n, F, Q, M);
-    copy(n * n, Q, D);
-    if (!invert(n, F, back) || !solve(n, M, D)) return 0; /* D = M^-1 Q */
+    const int by_inverse = goes_back(n, F, P, M, back);
+    if (by_inverse)
+        copy(n * n, Q, D);
+    else
+        multiply(n, F, P, D);
+    if (!solve(n, M, D)) return 0; /* D = M^-1 Q, or K' */
+    if (by_inverse) {
+        for (int i = 0; i < n; i++)
+            for (int j = 0; j < n; j++) A[i * n + j] = (i == j) - D[j * n + i]; /* I - Q M^-1 */
+        multiply(n, back, A, C);
+        multiply(n, C, Q, A);
+        for (int i = 0; i < n; i++)
+            for (int j = 0; j <= i; j++) V[i * n + j] = V[j * n + i] = dot(n, A + i * n, back + j * n);
+        propagate(n, C, V, future->P);
+        return 1;
+    }
+    for (int i = 0; i < n * n; i++) future->P[i] += Q[i], V[i] = 0;
     for (int i = 0; i < n; i++)
-        for (int j = 0; j < n; j++) A[i * n + j] = (i == j) - D[j * n + i]; /* I - Q M^-1 */
-    multiply(n, back, A, C);
-    multiply(n, C, Q, A);
-    for (int i = 0; i < n; i++)
-        for (int j = 0; j <= i; j++) V[i * n + j] = V[j * n + i] = dot(n, A + i * n, back + j * n);
+        for (int j = 0; j < n; j++) {
+            C[i * n + j] = D[j * n + i], A[i * n + j] = i == j;
+            for (int k = 0; k < n; k++) A[i * n + j] -= D[k * n + i] * F[k * n + j];
+        }
     propagate(n, C, V, future->P);
+    copy(n * n, P, D);
+    propagate(n, A, future->P, D);
+    copy(n * n, D, future->P);
     return 1;
+}
+
+/* Return a smoothed variance of c x, never 0: where its digits are lost, that of the pass forward. */
+INLINE real smoothed_variance(const int n, const real *c, const real *P, const real *M, const real *recomputed) {
+    real Pc[N_MAX];
+    times(n, P, c, Pc);
+    const real variance = dot(n, c, Pc);
+    real left = variance;
+    for (int i = 0; i < n; i++) left -= Pc[i] * dot(n, M + i * n, Pc);
+    if (recomputed && left < MUCH * variance) {
+        times(n, recomputed, c, Pc);
+        const real told = dot(n, c, Pc);
+        return told > 0 ? told : variance;
+    }
+    return left > HARDLY * variance ? left : variance;
 }
 
 /* Smooth one row that was filtered again. */
 INLINE void smooth_row(const int n, const coefficients_t *model, const filter_t *row, future_t *future, real *signal,
                        real *sigma) {
-    const real level = row->phase == UNKNOWN ? future->level : row->level;
+    const real *c = model->c;
+    real variance;
     if (row->phase != DETERMINED) {
         const real nothing[N_MAX] = {0};
         const int unknown = row->phase == UNKNOWN;
         const real *U = unknown ? model->prior : row->P, *b = unknown ? nothing : row->x;
-        future->later = future->later && from_later(n, U, b, future);
+        real Pc[N_MAX];
+        future->later = future->later == STATE_TOO && from_later(n, U, b, future) ? STATE_TOO : NOTHING_LATER;
         if (!future->later) return;
+        if (!unknown) future->level = row->level;
+        times(n, future->P, c, Pc);
+        variance = dot(n, c, Pc);
+        if (!(variance > 0)) return;
     } else {
-        real PM[NN_MAX], smoothed[NN_MAX], Pr[N_MAX];
-        int lost = 0;
-        multiply(n, row->P, future->M, PM);
-        multiply(n, PM, row->P, smoothed);
-        for (int i = 0; i < n * n; i++) smoothed[i] = row->P[i] - smoothed[i]; /* (10) */
-        for (int i = 0; i < n; i++) lost |= smoothed[i * n + i] < MUCH * row->P[i * n + i];
-        if (!(lost && future->later && covariance_from_later(n, row->P, future))) copy(n * n, smoothed, future->P);
+        real smoothed[NN_MAX], Pr[N_MAX];
+        const real share = smooth_covariance(n, row->P, future->M, smoothed);
+        const int recomputed = share < MUCH && future->later && covariance_from_later(n, row->P, future);
+        if (!recomputed) copy(n * n, share > HARDLY ? smoothed : row->P, future->P);
+        variance = smoothed_variance(n, c, row->P, future->M, recomputed ? future->P : NULL);
         times(n, row->P, future->r, Pr);
         for (int i = 0; i < n; i++) future->x[i] = row->x[i] + Pr[i]; /* (9) */
-        future->later = 1;
+        future->later = STATE_TOO, future->level = row->level;
     }
-    real Pc[N_MAX];
-    times(n, future->P, model->c, Pc);
-    const real variance = dot(n, model->c, Pc);
-    future->level = level;
-    *signal = dot(n, model->c, future->x) + level;
+    *signal = dot(n, c, future->x) + future->level;
     *sigma = variance > 0 ? sqrt(variance) : 0;
 }
 
@@ -327,13 +428,16 @@ INLINE void smooth_again(const int n, const settings_t *settings, const coeffici
     for (int64_t row = part->rows - 1; row >= 0; row--) {
         const real *F = part->F + (int64_t)part->step[row] * n * n, *Q = part->Q + (int64_t)part->step[row] * n * n;
         unpack(n, room + row * packed_size(n), state);
-        if (!only_future) {
-            smooth_row(n, model, state, future, estimate->signal + row, estimate->sigma + row);
-            if (estimate->x && future->later) copy(n, future->x, estimate->x + row * n);
-        }
+        if (only_future != SKIPPED) {
+            real signal = estimate->signal[row], sigma = estimate->sigma[row];
+            smooth_row(n, model, state, future, &signal, &sigma);
+            if (!only_future) estimate->signal[row] = signal, estimate->sigma[row] = sigma;
+            if (!only_future && estimate->x && future->later) copy(n, future->x, estimate->x + row * n);
+        } else
+            future->later = NOTHING_LATER;
         if (state->phase == DETERMINED) step_back(n, model->h, state, F, estimate->innovation[row], future);
         if (starts[row] == ANEW) forget_future(n, future); /* rows before it know nothing of it */
-        if (estimate->verdict[row] == STEP) future->later = 0; /* Q is not all that lies between */
+        if (estimate->verdict[row] == STEP) future->later = NOTHING_LATER; /* Q is not all that lies between */
         copy(n * n, F, future->F), copy(n * n, Q, future->Q);
     }
 }
@@ -355,7 +459,7 @@ INLINE void backward_rows(const int n, const settings_t *settings, const coeffic
             copy(n * n, part.F + at, future->F), copy(n * n, part.Q + at, future->Q);
         } else
             smooth_again(n, settings, model, &state, &part, future, &out, starts + k * SMOOTHED, room,
-                         only_future);
+                         only_future && k ? SKIPPED : only_future);
     }
 }
 
@@ -363,5 +467,4 @@ void smoother_backward(const settings_t *settings, const coefficients_t *model, 
                        const block_t *block, const estimate_t *estimate, real *room, const int8_t *starts,
                        const int only_future) {
     FOR_STATES(settings->states, backward_rows, settings, model, future, block, estimate, room, starts, only_future)
-    future->later &= !only_future;
 }
