@@ -76,12 +76,12 @@ def kalman_smoother(  # noqa: PLR0913  (what is wanted, each by its name)
 
 def run_smoother(model: Model, timeline: Timeline, z: Floats, wanted: Wanted = EVERYTHING) -> Estimate:
     """Smooth z (N, m) over a timeline; see `kalman_smoother`."""
-    how = forward_pass(wanted)
+    how = _forward_pass(wanted)
     run = start_filter(model, timeline, z, how)
     if run.opening is not None and not run.opening.known:
         return run_filter(model, timeline, z, wanted).estimate
-    trace = room_to_return(model, run, wanted)
-    go_back(Task(model, timeline, z, run.begun), run, how, new_future(model.states), trace)
+    trace = _room_to_return(model, run, wanted)
+    _go_back(Task(model, timeline, z, run.begun), run, how, new_future(model.states), trace)
     return replace(
         run.estimate,
         signal=trace.signal.T,
@@ -91,19 +91,19 @@ def run_smoother(model: Model, timeline: Timeline, z: Floats, wanted: Wanted = E
     )
 
 
-def forward_pass(wanted: Wanted) -> Pass:
+def _forward_pass(wanted: Wanted) -> Pass:
     """Say how the forward pass is made whose backward pass shall give what is wanted."""
     forward = Wanted(signal=False, sigma=False, innovations=wanted.innovations, predictions=True)
     return Pass(forward, COVARIANCE if wanted.covariances else GAIN, remember=True)
 
 
-def room_to_return(model: Model, run: Run, wanted: Wanted) -> Trace:
+def _room_to_return(model: Model, run: Run, wanted: Wanted) -> Trace:
     """Make room for what a backward pass writes, the signal in the place of the predictions."""
     room = new_trace(model, run.prediction.shape[1], wanted._replace(innovations=False, signal=False))
     return room._replace(prediction=run.prediction, signal=run.prediction if wanted.signal else room.signal)
 
 
-def go_back(task: Task, run: Run, how: Pass, future: Future, trace: Trace) -> None:
+def _go_back(task: Task, run: Run, how: Pass, future: Future, trace: Trace) -> None:
     """Smooth the rows that were filtered; `future`, what later rows say, is carried back before them."""
     model, timeline, z, begun = task
     rows = np.empty((BLOCK, run.memory.shape[1]))
