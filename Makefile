@@ -50,6 +50,7 @@ site: .venv/tested
 bench: .venv/tested
 	$(BIN)/python benchmarks/accuracy.py -o docs/accuracy.md
 	$(BIN)/python benchmarks/honest_sigma.py -o docs/honest-sigma.md
+	$(BIN)/python benchmarks/kernel.py -o docs/kernel.md
 	$(BIN)/python benchmarks/speed.py -o docs/speed.md
 	$(BIN)/python benchmarks/large_files.py -o docs/large-files.md
 	$(BIN)/python benchmarks/reporting.py -o docs/reporting.md

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from math import factorial
+from functools import lru_cache
+from math import factorial, isqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +13,7 @@ from becalm.core.arrays import Floats
 from becalm.errors import ModelError
 
 _TERMS = 24  # of a series whose argument is 1 at the most
+_FEW = 1 << 13  # numbers of matrices that are remembered
 _WHOLE = 1e-9  # of a step, or of the number of steps: what rounding of times leaves
 
 
@@ -46,7 +48,17 @@ def discretise(A: Floats, W: Floats, steps_s: Floats) -> tuple[Floats, Floats]:
         return _integrate_polynomial(A, W, steps_s)
     if _turns(A, W):
         return _integrate_turn(A, W, steps_s)
-    return _integrate_series(A, W, steps_s)
+    if len(steps_s) * A.size > _FEW:
+        return _integrate_series(A, W, steps_s)
+    F, Q = _remembered(A.tobytes(), W.tobytes(), steps_s.tobytes())
+    return F.copy(), Q.copy()
+
+
+@lru_cache(maxsize=256)
+def _remembered(A: bytes, W: bytes, steps_s: bytes) -> tuple[Floats, Floats]:
+    """Integrate over a few lengths: tuning asks for the same steps of the same motion hundreds of times."""
+    n = isqrt(len(A) // np.dtype(np.float64).itemsize)
+    return _integrate_series(np.frombuffer(A).reshape(n, n), np.frombuffer(W).reshape(n, n), np.frombuffer(steps_s))
 
 
 def repeat(one: Recursion, steps_s: Floats) -> tuple[Floats, Floats]:
