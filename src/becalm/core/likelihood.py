@@ -1,4 +1,4 @@
-"""The likelihood of a record of a model and nothing else; of one channel `becalm.core.record.Record.score` tells it."""
+"""The likelihood of a record of a model and nothing else; of one channel `ChannelRecord.score` has it."""
 
 from __future__ import annotations
 

@@ -108,9 +108,8 @@ class SmoothedFlow:
             elapsed = np.concatenate([[1.0], elapsed[1:]])  # the first row comes when it is due
             self._begun = True
         judged = judge_readings(z, self._largest)
-        self._few.append(
-            Rows(judged.readings.copy(), elapsed.copy(), judged.verdicts)
-        )  # a caller may write into its own
+        readings, steps = judged.readings.copy(), elapsed.copy()  # a caller may write into its own
+        self._few.append(Rows(readings, steps, judged.verdicts))
         self._count += len(z)
         told = list[Told]()
         while self._count >= self._wanted:

@@ -6,8 +6,8 @@
 
 #include "linear.h"
 
-#define LOST_DIGITS ((real)1e10) /* noise of a step over what is known: beyond, six digits are lost */
-#define NOTHING ((real)1e-15)       /* of a variance: less is rounding */
+#define LOST_DIGITS ((real)1e10) /* noise of a step over what is known: beyond, fewer than six digits are left */
+#define NOTHING ((real)1e-15)     /* of a variance: less is rounding */
 
 /* Add an equation, a x = b, by rotations; `a` is used up. */
 static inline void add_equation(const int n, real *a, real right, real *U, real *b) {
@@ -44,8 +44,8 @@ static inline void covariance_root(const int n, const real *Q, real *L) {
 /* Join what is known of a state, U x = b + e, with the step after it, x' = F x + L w: with W = U F^-1 the equations for
    (w, x') are w = e and W x' - W L w = b + e. They are made triangular, which takes no square of W L (Bierman 1977).
    Return whether they keep their digits: after a step so long that all has faded they do not. */
-static inline int join_step(const int n, const real *F, const real *L, const real *U, const real *b, real *back, real *joint,
-                     real *right) {
+static inline int join_step(const int n, const real *F, const real *L, const real *U, const real *b, real *back,
+                            real *joint, real *right) {
     real W[NN_MAX], a[2 * N_MAX];
     if (!invert(n, F, back)) return 0;
     multiply(n, U, back, W);
