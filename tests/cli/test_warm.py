@@ -19,7 +19,7 @@ ROOT = Path(__file__).parents[2]
 SOURCE = ROOT / "src" / "becalm"
 COMPILED_BY_MAKE = ROOT / ".venv" / "kernels"
 
-OF_MOTIONS = ("forward", "backward", "gate", "late", "live run", "live step")
+OF_MOTIONS = ("forward", "backward")
 TWO_MODES, FIVE_MODES = (
     tuple(f"{modes} modes {what}" for what in ("forward", "backward", "late", "run", "step")) for modes in (2, 5)
 )
@@ -110,11 +110,11 @@ def test_warm_leaves_nothing_to_compile(fresh: Run, drive: Path, levels: Path, w
 
 @pytest.mark.slow
 def test_warm_names_what_it_compiles(fresh: Run, warmed: Path) -> None:
-    for kernel in warmed.glob("*kernel_gate.find_outliers*"):
+    for kernel in warmed.glob("*kernels.forward*"):
         kernel.unlink()
     *compiled, where = fresh("warm").stderr.splitlines()
     assert sorted(line.partition(":")[0] for line in compiled) == [
-        f"gate, {states} state{'s' * (states > 1)}" for states in range(1, 7)
+        f"forward, {states} state{'s' * (states > 1)}" for states in range(1, 7)
     ]
     assert str(warmed) in where
 

@@ -5,10 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from becalm.core.arrays import Codes, Floats
-from becalm.core.components import motion
-from becalm.core.gates import Gate
+from becalm.core.components import Component, motion
+from becalm.core.filtering import Wanted, run_filter
+from becalm.core.gates import WIDE, Gate
 from becalm.core.model import Model
 from becalm.core.online import Online
+from becalm.core.steps import Steps
+from becalm.core.system import System
+from becalm.core.timeline import Timeline
+from becalm.core.verdict import Verdict
 
 GATE = Gate(5.0)
 PARTS = {order: motion(order, (2 * np.pi * 0.01) ** (2 * order)) for order in (1, 2, 3)}
@@ -16,6 +21,31 @@ PARTS = {order: motion(order, (2 * np.pi * 0.01) ** (2 * order)) for order in (1
 
 def model_of(order: int) -> Model:
     return PARTS[order].to_model(1.0, 1.0)
+
+
+def with_jumps(component: Component, elapsed: Floats, z: Floats, verdicts: Codes) -> Timeline:
+    """Return the timeline of a record (N,) of decided readings, in which each row that jumps follows a step of its own.
+
+    What makes the innovation likely, rounded up to a power of 4, is added to the variance of the level; soon after
+    another jump to those of all states, in proportion.
+    """
+    model, n = component.to_model(1.0, 1.0), len(component.drift)
+    F, Q = (matrices.copy() for matrices in Steps(component).over(elapsed))
+    step, since = np.append(-1, np.arange(1, len(z))), 0
+    for row in range(n, len(z)):
+        if verdicts[row] == Verdict.STEP:
+            line = Timeline(System(F, Q, model.H, model.R), np.arange(row + 1), step[:row], elapsed)
+            told = run_filter(model, line, z[:row, np.newaxis], Wanted(states=True, covariances=True)).estimate
+            assert told.mean is not None and told.cov is not None  # noqa: PT018
+            x, P = F[row] @ told.mean[-1], F[row] @ told.cov[-1] @ F[row].T + Q[row]
+            square, hPh = (z[row] - (model.H @ x)[0]) ** 2, (model.H @ P @ model.H.T)[0, 0]
+            level = since >= GATE.at_most
+            added = square * (np.arange(n) == 0) if level else min(square, WIDE) * np.diag(P) / hPh
+            Q[row] += np.diag(np.where(added > 0, 4.0 ** np.ceil(np.log2(np.maximum(added, 1e-300)) / 2), 0.0))
+            since = 0 if level else 1 - n
+        elif verdicts[row] == Verdict.USED:
+            since += 1
+    return Timeline(System(F, Q, model.H, model.R), np.arange(len(z) + 1), step, elapsed)
 
 
 def in_chunks(online: Online, z: Floats, cuts: list[int]) -> tuple[Floats, Floats, Codes]:

@@ -10,9 +10,7 @@ from scipy.stats import norm, poisson
 
 from becalm.core.arrays import Codes, Floats
 from becalm.core.components import Component, motion, oscillator
-from becalm.core.gatekeeper import Gatekeeper
 from becalm.core.gates import LEAST_THRESHOLD, Gate, threshold_for
-from becalm.core.model import Model
 from becalm.core.told import Told
 from becalm.core.verdict import Verdict
 from becalm.errors import ModelError
@@ -85,12 +83,6 @@ def test_what_is_no_rate_is_refused(rates: tuple[float, float]) -> None:
 def test_what_is_no_gate_is_refused(gate: tuple[float, int, int]) -> None:
     with pytest.raises(ModelError, match=r"came|no gate"):
         Gate(*gate)
-
-
-def test_two_channels_are_refused() -> None:
-    model = Model(F=np.eye(2), H=np.eye(2), Q=np.eye(2), R=np.eye(2))
-    with pytest.raises(ModelError, match="one channel"):
-        Gatekeeper(model, GATE)
 
 
 @pytest.mark.parametrize("causal", [True, False])

@@ -8,18 +8,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from becalm.core.arrays import Codes, Floats
-from becalm.core.gatekeeper import Gatekeeper, with_jumps
 from becalm.core.gates import Gate
 from becalm.core.lagged_flow import LaggedFlow
 from becalm.core.model import Model
 from becalm.core.online import Online
 from becalm.core.smoothing import run_smoother
-from becalm.core.starting import open_record
-from becalm.core.timeline import elapsed_timeline
 from becalm.core.verdict import Verdict
 from becalm.errors import ModelError
 from flows import flow_of
-from gated_streams import GATE, PARTS, in_chunks, model_of
+from gated_streams import GATE, PARTS, in_chunks, model_of, with_jumps
 
 ROWS, LAG = 900, 7
 cuts = st.lists(st.integers(0, ROWS), max_size=6).map(sorted)
@@ -57,23 +54,14 @@ def test_a_row_is_that_of_the_decided_record_cut_after_the_lag(order: int, kind:
     """What is decided while reading makes a record with holes and jumps, and that is what is smoothed."""
     elapsed, model = stamps(kind), model_of(order)
     signal, sigma, verdicts, _ = file(order, LAG, elapsed, [])
-    line = elapsed_timeline(PARTS[order], 1.0, elapsed)
-    usable = np.where(np.abs(readings(order)) < 1e100, readings(order), np.nan)[:, np.newaxis]
-    usable -= usable[0]
-    opening = open_record(line, usable, model)
-    belief = np.concatenate([opening.x, opening.P.ravel()])
-    gated = Gatekeeper(model, GATE).judge(line, usable, opening.rows, belief)
-    assert {Verdict.SPIKE, Verdict.STEP} <= set(gated.verdicts)
-    assert np.array_equal(verdicts >= Verdict.SPIKE, gated.verdicts >= Verdict.SPIKE)
-    z = gated.readings(usable)
-    first = readings(order)[0]
+    assert {Verdict.SPIKE, Verdict.STEP} <= set(verdicts)
+    z, first = np.where(np.isin(verdicts, (Verdict.USED, Verdict.STEP)), readings(order), np.nan), readings(order)[0]
+    z -= first
+    jumping = with_jumps(PARTS[order], elapsed, z, verdicts)
     for k in range(0, ROWS, 13):
         until = min(k + LAG + 1, ROWS)
-        early = gated.rows < until
-        jumping = with_jumps(
-            elapsed_timeline(PARTS[order], 1.0, elapsed[:until]), gated.rows[early], gated.jumps[early]
-        )
-        cut = run_smoother(model, jumping, z[:until])
+        line = jumping._replace(first=jumping.first[: until + 1], step=jumping.step[:until])
+        cut = run_smoother(model, line, z[:until, np.newaxis])
         assert signal[k] - first == pytest.approx(cut.signal[k, 0], rel=1e-9, abs=1e-9)
         assert sigma[k] == pytest.approx(cut.sigma[k, 0], rel=1e-9)
 

@@ -181,7 +181,7 @@ def test_bytes_that_are_no_snapshot_are_refused(name: str) -> None:
 
 
 def test_a_snapshot_of_another_version_is_refused() -> None:
-    with pytest.raises(ModelError, match="version 99; this becalm reads 3"):
+    with pytest.raises(ModelError, match="version 99; this becalm reads 4"):
         Online.resume(archive(version=99))
 
 

@@ -15,7 +15,7 @@ import pytest
 from blocks import DOCS, PAGES, ROOT, has_blocks, rewritten
 
 from becalm.cleaning import judging, steps
-from becalm.core import arrays, clock, gates, kernel_gate, noise_change, reach, starting, verdict
+from becalm.core import arrays, clock, gates, noise_change, reach, starting, verdict
 from becalm.files import opening
 from becalm.native import scans
 from becalm.noise import banks, lines, risk, switching
@@ -59,7 +59,7 @@ def spelt(number: float) -> str:
     ("page", "said"),
     [
         ("design", f"{WORDS[verdict.AT_MOST].capitalize()} rejects in a row are motion"),
-        ("design", f"for {kernel_gate.GOES_ON:g} readings a reject is believed at once"),
+        ("design", f"for {gates.GOES_ON} readings a reject is believed at once"),
         ("design", f"Up to {WORDS[steps.SOON]} readings of lag"),
         ("design", f"tuned on {WORDS[opening.STRETCHES]} stretches"),
         ("design", f"blocks of {arrays.BLOCK}"),
@@ -73,8 +73,8 @@ def spelt(number: float) -> str:
         ("design", f"need bring {lines._GAIN_NAMED:.0f} only"),
         ("design", f"more than {judging.PREDICTABLE:.0%} of the innovation power".replace("%", " %")),
         ("design", f"in more than {judging.UNEVEN:.0%} of the record".replace("%", " %")),
-        ("design", f"P0 over {spelt(starting._WIDE)} times R"),
-        ("conventions", f"over {spelt(starting._WIDE)} times R"),
+        ("design", f"P0 over {spelt(starting.WIDE)} times R"),
+        ("conventions", f"over {spelt(starting.WIDE)} times R"),
         ("conventions", f"magnitudes over {spelt(verdict.BEYOND_ANY_SENSOR)}"),
         ("conventions", f"More than {clock.GAP_STEPS:g} median steps is a gap"),
         ("decisions/0002-risk", f"more than {risk.MISFIT:.0%} of the innovation power".replace("%", " %")),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Mapping
 from typing import Any
 
@@ -17,8 +16,6 @@ from becalm.core.channel import Channel, Estimates
 from becalm.core.channel_settings import Settings, Widening
 from becalm.core.rhythm import LONGEST, Rhythm
 from becalm.core.standing import Before
-from becalm.errors import ModelError
-from becalm.native import STATE
 
 
 def is_causal(recipe: ChannelRecipe, lag: int | None) -> bool:
@@ -90,9 +87,8 @@ class CausalChannel:
 
     def state_dict(self) -> dict[str, Any]:
         """Return all that later rows depend on, as arrays."""
-        state = zlib.compress(self.filter.state_dict()["state"].tobytes(), level=1)  # most of it is 0
         offsets = self._rhythm.offsets if not self._rhythm.undisturbed else self._rhythm.offsets[:0]
-        return {"state": np.frombuffer(state, np.int8), "rhythm": offsets, "begun": np.array([int(self._begun)])}
+        return self.filter.state_dict() | {"rhythm": offsets, "begun": np.array([int(self._begun)])}
 
     def load_state_dict(self, arrays: Mapping[str, Any]) -> None:
         """Take over what `state_dict` returned.
@@ -102,12 +98,7 @@ class CausalChannel:
         ModelError
             If these are not the bytes of such a channel.
         """
-        packed = np.asarray(arrays["state"], np.int8).tobytes()
-        try:
-            state = zlib.decompressobj().decompress(packed, max_length=STATE.itemsize + 1)
-        except zlib.error as cause:
-            raise ModelError(f"The state of a snapshot cannot be unpacked: {cause}.") from cause
-        self.filter.load_state_dict({"state": np.frombuffer(state, np.int8)})
+        self.filter.load_state_dict(arrays)
         self._rhythm.offsets[:] = arrays["rhythm"] if len(arrays["rhythm"]) else 0
         self._begun = bool(arrays["begun"][0])
 

@@ -73,17 +73,20 @@ class Filter:
             self.reach = reach_of(self.tuning.component, self.noise_variance)
         self.largest = largest_beside(self.noise_variance)
 
-    def opened(self, judge: Judge | None = None, *, split: bool = False) -> PartedFlow | SmoothedFlow:
+    def opened(self, judge: Judge | None = None, *, split: bool = False) -> PartedFlow | SmoothedFlow | LaggedFlow:
         """Return it at the start of a record; a judge is shown its innovations, split tells its parts too.
 
         A causal filter without modes is a `CausalChannel`, or a `CausalFlow`.
         """
-        if self.lag is None and self.modes is None:
-            part = self.tuning.component
-            return SmoothedFlow(part, self.noise_variance, judge=judge, split=split, gate=self.gate)
-        return PartedFlow(partial(self._part, judge, split), self.reach, self.largest)
+        if self.modes is not None:
+            return PartedFlow(partial(self._part, self.modes, judge, split), self.reach, self.largest)
+        part, variance = self.tuning.component, self.noise_variance
+        if self.lag is None:
+            return SmoothedFlow(part, variance, judge=judge, split=split, gate=self.gate)
+        assert self.lag, "a causal filter without modes is a `CausalChannel`"
+        return LaggedFlow(part, variance, lag=self.lag, judge=judge, split=split, gate=self.gate)
 
-    def alone(self) -> PartedFlow | SmoothedFlow | CausalFlow:
+    def alone(self) -> PartedFlow | SmoothedFlow | LaggedFlow | CausalFlow:
         """Return it at the start of a record, where nothing but its signal is asked for."""
         if self.lag == 0 and self.modes is None:
             return CausalFlow(self.tuning.component, self.noise_variance, self.gate)
@@ -102,15 +105,10 @@ class Filter:
         models = [one.component.to_model(1.0, one.noise_variance) for one in self.modes.modes]
         return max(rows_until(FORGOTTEN, model) for model in models)
 
-    def _part(self, judge: Judge | None, split: bool) -> PartialFlow:
-        lag, modes = self.lag, self.modes
-        if modes is not None:
-            if lag:
-                return LaggedSwitchingFlow(modes, lag=lag, judge=judge, split=split)
-            return SwitchingFlow(modes, causal=lag == 0, judge=judge, split=split)
-        assert lag, "a filter without modes and lag is one in C"
-        part, variance = self.tuning.component, self.noise_variance
-        return LaggedFlow(part, variance, lag=lag, judge=judge, split=split, gate=self.gate)
+    def _part(self, modes: Switching, judge: Judge | None, split: bool) -> PartialFlow:
+        if self.lag:
+            return LaggedSwitchingFlow(modes, lag=self.lag, judge=judge, split=split)
+        return SwitchingFlow(modes, causal=self.lag == 0, judge=judge, split=split)
 
 
 def _reach_of_modes(modes: Switching) -> Reach:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
+from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -14,6 +15,7 @@ from becalm.cleaning.recipe import ChannelRecipe
 from becalm.core.arrays import Floats
 from becalm.core.lagged_flow import LaggedFlow
 from becalm.core.live_parted import LiveFlow, LiveParted
+from becalm.core.switching import Switching
 from becalm.core.switching_flow import SwitchingFlow
 from becalm.core.switching_lag import LaggedSwitchingFlow
 from becalm.core.told import Told
@@ -51,15 +53,19 @@ class LiveMotion(FilteredChannel):
 
     def __init__(self, recipe: ChannelRecipe, step_s: float, lag: int) -> None:
         super().__init__(recipe, step_s, lag)
-        self._flow = LiveParted(self._opened, self._runs.reach, self._runs.largest)
+        runs, look = self._runs, self.sensor.look
+        self._flow: LiveFlow
+        if runs.modes is None:
+            part, variance = runs.tuning.component, runs.noise_variance
+            self._flow = LaggedFlow(part, variance, lag=lag, judge=look, gate=runs.gate)
+        else:
+            self._flow = LiveParted(partial(self._opened, runs.modes), runs.reach, runs.largest)
 
-    def _opened(self) -> LiveFlow:
-        runs, lag, look = self._runs, self._runs.lag, self.sensor.look
-        if runs.modes is not None and lag:
-            return LaggedSwitchingFlow(runs.modes, lag=lag, judge=look, tells_modes=True)
-        if runs.modes is not None:
-            return SwitchingFlow(runs.modes, causal=True, judge=look, tells_modes=True)
-        return LaggedFlow(runs.tuning.component, runs.noise_variance, lag=lag or 0, judge=look, gate=runs.gate)
+    def _opened(self, modes: Switching) -> LiveFlow:
+        lag, look = self._runs.lag, self.sensor.look
+        if lag:
+            return LaggedSwitchingFlow(modes, lag=lag, judge=look, tells_modes=True)
+        return SwitchingFlow(modes, causal=True, judge=look, tells_modes=True)
 
     def push(self, z: Floats, elapsed: Floats) -> list[Told]:
         """Take readings (B,) and the steps before them; return what is clean, in order."""

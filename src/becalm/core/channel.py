@@ -19,8 +19,7 @@ from becalm.core.monitor import HOPS
 from becalm.core.standing import Before
 from becalm.core.told import Told
 from becalm.core.verdict import Verdict
-from becalm.errors import ModelError
-from becalm.native import STATE, begin_after, forget_counts, is_sound, process, reduced, start
+from becalm.native import begin_after, forget_counts, loaded, process, reduced, saved, start
 
 
 class Estimates(NamedTuple):
@@ -194,7 +193,7 @@ class Channel:
 
     def state_dict(self) -> dict[str, Codes]:
         """Return all that later rows depend on, as plain bytes."""
-        return {"state": np.frombuffer(self._state.tobytes(), np.int8)}
+        return {"state": saved(self._settings, self._state)}
 
     def load_state_dict(self, arrays: Mapping[str, Any]) -> None:
         """Take over what `state_dict` returned.
@@ -206,10 +205,4 @@ class Channel:
         KeyError
             If there is no "state" among them.
         """
-        state = np.asarray(arrays["state"])
-        if state.dtype != np.int8 or state.shape != (STATE.itemsize,):
-            raise ModelError(f"The state of a snapshot is {state.dtype} of shape {state.shape}, not that of a channel.")
-        loaded = np.frombuffer(bytearray(state.tobytes()), STATE).reshape(())
-        if not is_sound(self._settings, loaded):
-            raise ModelError("The state of a snapshot says what none can say; pass what snapshot() returned.")
-        self._state = loaded
+        self._state = loaded(self._settings, np.asarray(arrays["state"]))

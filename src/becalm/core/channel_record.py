@@ -16,7 +16,9 @@ from becalm.core.channel_settings import packed_coefficients
 from becalm.core.components import Component
 from becalm.core.possible import largest_beside
 from becalm.core.sums import Sums
-from becalm.native import SETTINGS, Smoother, score
+from becalm.native import score
+from becalm.native.rows import SETTINGS
+from becalm.native.smoothers import Smoother
 
 
 class ChannelRecord:

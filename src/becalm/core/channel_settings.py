@@ -11,6 +11,7 @@ from becalm.core.arrays import Floats
 from becalm.core.components import Component
 from becalm.core.gates import Gate, level_of
 from becalm.core.limits import Limits
+from becalm.core.model import Model
 from becalm.core.monitor import NEVER, NO_ALARMS, Alarms
 from becalm.core.possible import largest_beside
 from becalm.core.reach import reach_of
@@ -18,13 +19,14 @@ from becalm.core.starting import known_before, refuse_singular, root_of
 from becalm.core.steps import Steps
 from becalm.core.timeline import model_system
 from becalm.errors import ModelError
-from becalm.native import COEFFICIENTS, MOST_STATES
+from becalm.native.rows import COEFFICIENTS, MOST_STATES
 from becalm.native.scans import PARTS
 
 _OF_LIMITS = {
     *("low", "high", "largest", "stuck", "outlier_distance", "plausible_low", "plausible_high"),
     *("repeats_are_one", "blank"),
 }
+_OF_GATE = {"states", "largest_accepted", "gated", "gate_threshold", "gate_agree", "gate_most", "gate_level"}
 
 
 class Widening(NamedTuple):
@@ -84,20 +86,14 @@ class StepTable:
 
 def packed_settings(settings: Settings) -> NDArray[np.void]:
     """Return the settings of a channel as C's struct."""
-    packed, gate, widening = settings.limits.packed(), settings.gate, settings.widening
-    reach = reach_of(settings.component, settings.noise_variance)
+    packed, component, widening = settings.limits.packed(), settings.component, settings.widening
+    reach = reach_of(component, settings.noise_variance)
     timed, calibrated = widening.time_std_s is not None, widening.calibration is not None
+    _fill_in_gate(packed, settings.gate, component.to_model(1.0, settings.noise_variance))
     values = {
-        "states": len(settings.component.drift),
-        "largest_accepted": largest_beside(settings.noise_variance),
         "longest_gap": reach.longest,
         "gap_spans": reach.spans,
         "gap_measurements": reach.readings,
-        "gated": gate is not None,
-        "gate_threshold": gate.threshold if gate else np.inf,
-        "gate_agree": gate.agree if gate else 0,
-        "gate_most": gate.at_most if gate else 0,
-        "gate_level": level_of(settings.component.to_model(1.0, settings.noise_variance)) if gate else -1,
         "drift_threshold": int(np.ceil(min(settings.alarms.drift_threshold, NEVER) * PARTS)),
         "dead_variance": settings.alarms.dead_variance,
         "timed": timed,
@@ -110,10 +106,36 @@ def packed_settings(settings: Settings) -> NDArray[np.void]:
         "offset_std": widening.calibration[1] if widening.calibration else 0.0,
         "unknown_from": settings.unknown_from,
     }
-    assert set(values) | _OF_LIMITS == set(packed.dtype.names or ()), "every field of C's settings is filled in"
+    assert set(values) | _OF_LIMITS | _OF_GATE == set(packed.dtype.names or ()), "every field of C's settings is filled"
     for name, value in values.items():
         packed[name] = value
     return packed
+
+
+def model_settings(model: Model, gate: Gate | None) -> NDArray[np.void]:
+    """Return settings of a channel that is a model's only one, and is not watched, as C's struct."""
+    packed = Limits().packed()
+    packed["longest_gap"] = packed["gap_spans"] = packed["unknown_from"] = np.inf
+    packed["factor"], packed["drift_threshold"] = 1.0, int(NEVER * PARTS)
+    _fill_in_gate(packed, gate, model)
+    if gate is None:
+        packed["largest_accepted"] = np.inf
+    return packed
+
+
+def _fill_in_gate(packed: NDArray[np.void], gate: Gate | None, model: Model) -> None:
+    values = {
+        "states": model.states,
+        "largest_accepted": largest_beside(float(model.R[0, 0])),
+        "gated": gate is not None,
+        "gate_threshold": gate.threshold if gate else np.inf,
+        "gate_agree": gate.agree if gate else 0,
+        "gate_most": gate.at_most if gate else 0,
+        "gate_level": level_of(model) if gate else -1,
+    }
+    assert set(values) == _OF_GATE, "no other field is filled in here"
+    for name, value in values.items():
+        packed[name] = value
 
 
 def packed_coefficients(component: Component, noise_variance: float, *, disturbed: bool) -> NDArray[np.void]:
@@ -135,13 +157,25 @@ def packed_coefficients(component: Component, noise_variance: float, *, disturbe
     """
     model = component.to_model(1.0, noise_variance)
     refuse_singular(model_system(model))
+    coefficients = model_coefficients(model)
+    coefficients["c"][: model.states] = (component.signal_output if disturbed else component.output)[0]
+    coefficients["keeps_level"], coefficients["disturbed"] = component.keeps_level, disturbed
+    return coefficients
+
+
+def model_coefficients(model: Model) -> NDArray[np.void]:
+    """Return the coefficients of a channel that is a model's only one, and tells what is measured, as C's struct.
+
+    Raises
+    ------
+    ModelError
+        If it has too many states.
+    """
     n = model.states
     if n > MOST_STATES:
         raise ModelError(f"A channel has up to {MOST_STATES} states; this one has {n}. Leave a tone out.")
     coefficients = np.zeros((), COEFFICIENTS)
-    coefficients["h"][:n] = model.H[0]
-    coefficients["c"][:n] = (component.signal_output if disturbed else component.output)[0]
-    coefficients["R"] = model.R[0, 0]
+    coefficients["h"][:n] = coefficients["c"][:n] = model.H[0]
+    coefficients["R"], coefficients["widest"] = model.R[0, 0], np.inf
     coefficients["prior"][: n * n] = root_of(known_before(model).Y).ravel()
-    coefficients["keeps_level"], coefficients["disturbed"] = component.keeps_level, disturbed
     return coefficients

@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike
 
 from becalm.core.arrays import Floats
 from becalm.core.filtering import Wanted, checked_readings, kalman_filter, new_trace, sizes_of
-from becalm.core.gatekeeper import Gated, Gatekeeper, with_jumps
 from becalm.core.kernel_lag import open_window, run_late, run_out
 from becalm.core.kernel_lag_window import PLACE, ROWS, WEIGHED, Window, new_window, newest_taken
 from becalm.core.kernel_settling import GAIN, new_memory, rename_last_step
@@ -22,10 +21,11 @@ from becalm.core.kernels import Trace
 from becalm.core.lag_opening import LagOpening, Taken
 from becalm.core.lags import checked_lag
 from becalm.core.model import Model
+from becalm.core.online_channel import OnlineChannel
 from becalm.core.sized import Size, Sizes, size
 from becalm.core.starting import arrived, first_reading, refuse_singular, wide_prior
 from becalm.core.sums import Sums
-from becalm.core.system import Record, Step, System
+from becalm.core.system import Step
 from becalm.core.timeline import Timeline, even_timeline, model_system
 from becalm.errors import ModelError
 
@@ -41,7 +41,6 @@ class Late(NamedTuple):
     innovation_sigma: Floats  # (m, B)
     sums: Sums
     settled_row: int | None
-    gated: Gated | None  # what the gate says of them; None without one, or while the state is not known
 
 
 def fixed_lag_smoother(model: Model, z: ArrayLike, lag: int) -> tuple[Floats, Floats]:
@@ -70,11 +69,20 @@ def fixed_lag_smoother(model: Model, z: ArrayLike, lag: int) -> tuple[Floats, Fl
     if checked_lag(lag) == 0:
         found = kalman_filter(model, readings, innovations=False)
         return found.signal, found.sigma
+    if model.channels == 1:
+        return _single(OnlineChannel(model, checked_lag(lag), None), readings)
     smoother = FixedLag(model, lag)
     late = smoother.push(even_timeline(model, len(readings)), readings)
     signal, sigma = smoother.rest()
     waited = min(smoother.lag, len(readings))
     return np.hstack([late.signal[:, waited:], signal]).T, np.hstack([late.sigma[:, waited:], sigma]).T
+
+
+def _single(channel: OnlineChannel, z: Floats) -> tuple[Floats, Floats]:
+    told, rest = channel.run(z), channel.finish()
+    waited = min(channel.lag, len(z))
+    signal, sigma = (np.concatenate([one[waited:], last]) for one, last in zip(told, rest, strict=True))
+    return signal, sigma
 
 
 class FixedLag:
@@ -90,8 +98,6 @@ class FixedLag:
         The rows that make the outputs from the states; H by default.
     enough : float
         What has to settle before a gain is used again, GAIN or COVARIANCE.
-    gate : Gatekeeper, optional
-        What leaves spikes out, and follows steps, as rows come; by default every reading is believed.
 
     Raises
     ------
@@ -105,15 +111,13 @@ class FixedLag:
         lag: int,
         output: Floats | None = None,
         enough: float = GAIN,
-        gate: Gatekeeper | None = None,
     ) -> None:
-        self.model, self.lag, self._enough, self._gate = model, checked_lag(lag), enough, gate
+        self.model, self.lag, self._enough = model, checked_lag(lag), enough
         self._C = np.array(model.H if output is None else output)
         self._system = model_system(model)
         self._window = new_window(len(self._C), model.states, model.channels, self.lag)
         self._memory: Floats | None = None  # of the filter, once the state is known
         self._last_step = np.nan  # length of the step before the last row, if that was complete
-        self._single: tuple[Floats, tuple[tuple[Size, Sizes], Floats, System, Record], Trace] | None = None
         self._opening = LagOpening(model, self._C, self.lag)
         if model.x0 is not None and model.P0 is not None and wide_prior(model) is None:
             self._memory = new_memory(model.x0, model.P0, model.channels)[0]
@@ -143,9 +147,6 @@ class FixedLag:
             same = np.flatnonzero(timeline.lengths == self._last_step)
             number = int(same[0]) if len(same) else None
             rename_last_step(self._memory, self.model.states, self.model.channels, number)
-        gated = self._judged(timeline, z, row)
-        if gated is not None and gated.rejects:
-            timeline, z = with_jumps(timeline, gated.rows, gated.jumps), gated.readings(z)
         total, settled, begun = Sums(), None, row
         while row < len(z):
             stop = row + 1 if self._opening.waiting else len(z)
@@ -159,22 +160,7 @@ class FixedLag:
             step = timeline.step_before(len(z) - 1)
             goes_on = step >= 0 and arrived(z[-1]).all()
             self._last_step = float(timeline.lengths[step]) if goes_on else np.nan
-        return Late(trace.signal, trace.sigma, trace.innovation, trace.innovation_sigma, total, settled, gated)
-
-    def step(self, timeline: Timeline, reading: Floats) -> tuple[Floats, Floats]:
-        """Take one row (m,) over a timeline of one row, the same each time; return outputs and sigma, (p,) each."""
-        if self._memory is None or self._opening.waiting or self._gate is not None:
-            late = self.push(timeline, reading[np.newaxis])
-            return late.signal[:, 0], late.sigma[:, 0]
-        if self._single is None:
-            z = np.empty((1, len(reading)))
-            told = self._sizes, self._C, timeline.system, timeline.record(z)
-            self._single = z, told, self._room(1, innovations=False)
-        z, (sizes, C, system, record), trace = self._single
-        z[0] = reading
-        run_late(*sizes, C, system, record, 0, 1, self._enough, self._memory, self._window, trace)
-        self._last_step = float(timeline.lengths[0]) if arrived(reading).all() else np.nan
-        return trace.signal[:, 0].copy(), trace.sigma[:, 0].copy()
+        return Late(trace.signal, trace.sigma, trace.innovation, trace.innovation_sigma, total, settled)
 
     def rest(self) -> tuple[Floats, Floats]:
         """Return outputs and sigma, (p, rows) each, of the rows that wait, with what there is after them."""
@@ -242,12 +228,6 @@ class FixedLag:
         told = self._opening.tell(self._rows)
         if told is not None:
             trace.signal[:, row], trace.sigma[:, row] = told[0], np.sqrt(np.maximum(told[1], 0.0))
-
-    def _judged(self, timeline: Timeline, z: Floats, begun: int) -> Gated | None:
-        """Ask the gate, if there is one, about the rows from `begun` on, by what is believed before them."""
-        if self._gate is None or self._memory is None:
-            return None
-        return self._gate.judge(timeline, z, begun, self._memory)
 
     def _run(self, timeline: Timeline, z: Floats, rows: slice, trace: Trace) -> tuple[Sums, int | None]:
         assert self._memory is not None, "rows follow an opening whose state is known"

@@ -10,6 +10,11 @@ from scipy.special import ndtri
 from becalm.core.model import Model
 from becalm.core.verdict import AGREE, AT_MOST
 from becalm.errors import ModelError
+from becalm.native.library import CONSTANTS
+
+GOES_ON, WIDE = CONSTANTS["GOES_ON"], float(CONSTANTS["WIDE"])
+"""Readings used since a jump, before which a reject is the same motion that goes on, and believed at once; and how many
+times R a jump adds at the most: a covariance beyond loses the digits of the readings."""
 
 LEAST_THRESHOLD = 4.0
 """Where readings are so few that a narrower gate would do: it would cost more good readings than bad ones."""

@@ -1,31 +1,132 @@
-"""A channel of any length, smoothed with a fixed lag, a stretch of rows at a time, in constant memory.
+"""A channel smoothed with a fixed lag, any rows at a time, in constant memory; the same bits however rows are cut.
 
-Rows go one by one, as in a stream, so that a channel in stretches is the whole one to the bit, wherever it is cut.
+What is told of row k is what `SmoothedFlow` says of it on the record that ends L rows later, but for the gate, which
+decides as a causal filter does. The filter is `native/fixed_lag.c`: rows that wait go through it again, from the state
+before them, once later ones are there.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Iterator, Mapping
+from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
-from becalm.core.arrays import Codes, Floats
+from becalm.core.arrays import BLOCK, Floats, input_of
+from becalm.core.channel import Estimates, log_densities, parts_of
+from becalm.core.channel_settings import Settings, StepTable, packed_coefficients, packed_settings
 from becalm.core.components import Component
-from becalm.core.fixed_lag import FixedLag
-from becalm.core.gatekeeper import Gatekeeper
 from becalm.core.gates import Gate
-from becalm.core.kernel_settling import COVARIANCE, GAIN
-from becalm.core.possible import largest_beside, level_by
-from becalm.core.starting import first_reading
-from becalm.core.steps import Steps
-from becalm.core.timeline import elapsed_timeline
-from becalm.core.told import Judge, Told
+from becalm.core.lags import checked_lag
+from becalm.core.possible import largest_beside
+from becalm.core.told import Judge, Rows, Told
+from becalm.core.verdict import Verdict
 from becalm.core.verdict import judge as judge_readings
+from becalm.errors import ModelError
+from becalm.native.smoothers import LateSmoother
+
+_MOST_NUMBERS = 1 << 19  # of the states of rows that are taken at once
+_FEW = 8 * BLOCK  # rows that are
+
+
+class _Steps(Protocol):
+    def before(self, elapsed: Floats) -> dict[str, Any]:
+        """Return which step each of some rows follows, and the matrices of these steps."""
+        ...
+
+
+class LateRows:
+    """Rows of one channel, each told by those up to a lag after it.
+
+    Parameters
+    ----------
+    settings, coefficients : () structured array
+        Of the channel, as C takes them.
+    steps : object
+        Its `before` gives the matrices of steps.
+    lag : int
+        Later rows that are waited for, 1 or more.
+    split : bool
+        Whether the smoothed states are wanted, too.
+
+    Attributes
+    ----------
+    settled_row : int or None
+        The first row with a settled gain.
+    """
+
+    def __init__(
+        self,
+        settings: NDArray[np.void],
+        coefficients: NDArray[np.void],
+        steps: _Steps,
+        lag: int,
+        *,
+        split: bool = False,
+    ) -> None:
+        self._smoother, self._steps, self.lag = LateSmoother(settings, coefficients), steps, lag
+        self._waiting = Rows.nothing()
+        states = int(settings["states"])
+        self._at_once = max(_FEW, _MOST_NUMBERS // states**2)
+        self._states = states if split else 0
+        self.settled_row: int | None = None
+
+    @property
+    def state(self) -> NDArray[np.void]:
+        """What is known before the rows that wait."""
+        return self._smoother.state
+
+    def begin_after(self, reading: float, readings: int, steps: float) -> None:
+        """Say what went before: the first reading of all, how many came, and how many steps went by."""
+        self._smoother.begin_after(reading, readings, steps)
+
+    def take(self, rows: Rows) -> Iterator[tuple[Estimates, Estimates]]:
+        """Take the next rows, a part at a time; give what is told of rows that have waited, and the newest filtered."""
+        for at in range(0, len(rows.z), self._at_once):
+            waited = len(self._waiting.z)
+            all_rows = Rows.joined([self._waiting, rows.part(slice(at, at + self._at_once))])
+            count = max(0, len(all_rows.z) - self.lag)
+            found = self._smoothed(all_rows, count)
+            left = all_rows.part(slice(count, None))
+            self._waiting = Rows(left.z.copy(), left.elapsed.copy(), left.verdicts.copy())
+            yield found.rows(slice(count)), found.rows(slice(waited, None))
+
+    def rest(self) -> Estimates:
+        """Return the rows that wait, with what there is after them; nothing changes by it."""
+        kept, settled = self._smoother.state_dict(), self.settled_row
+        found = self._smoothed(self._waiting, len(self._waiting.z))
+        self._smoother.load_state_dict(kept)
+        self.settled_row = settled
+        return found
+
+    def saved(self) -> dict[str, Any]:
+        """Return what later rows depend on, as arrays."""
+        waiting = {f"lag_{name}": array for name, array in self._waiting._asdict().items()}
+        return self._smoother.state_dict() | waiting
+
+    def restore(self, arrays: Mapping[str, Any]) -> None:
+        """Take over what `saved` returned; raises a ModelError if it is not that of such a filter and lag."""
+        z, elapsed, verdicts = (np.array(arrays[f"lag_{name}"]) for name in Rows._fields)
+        alike = z.dtype == elapsed.dtype == np.float64 and verdicts.dtype == np.int8
+        if not (alike and z.shape == elapsed.shape == verdicts.shape == (z.size,)) or z.size > self.lag:
+            raise ModelError("The snapshot's rows that wait are not those of this lag; pass what snapshot() returned.")
+        if not ((elapsed >= 0).all() and np.isin(verdicts, list(Verdict)).all()):
+            raise ModelError("The snapshot's rows that wait go back in time, or have no verdict; it is damaged.")
+        self._smoother.load_state_dict(arrays)
+        self._waiting = Rows(z, elapsed, verdicts)
+
+    def _smoothed(self, rows: Rows, count: int) -> Estimates:
+        """Filter rows that wait, and new ones; smooth the first of them."""
+        found = Estimates.room(len(rows.z), self._states)
+        arrays = found.outputs() | self._steps.before(rows.elapsed) | {"z": rows.z, "elapsed": rows.elapsed}
+        settled = self._smoother.smooth(self.lag, count, **arrays)
+        self.settled_row = settled if self.settled_row is None else self.settled_row
+        return found._replace(verdict=np.where(found.verdict == Verdict.USED, rows.verdicts, found.verdict))
 
 
 class LaggedFlow:
-    """A fixed-lag smoother of one channel that is fed a stretch of rows at a time.
+    """A fixed-lag smoother of one channel that is fed any rows at a time.
 
     Parameters
     ----------
@@ -36,7 +137,7 @@ class LaggedFlow:
     lag : int
         Later rows that are waited for, 1 or more, however far apart; with a *small* one more noise is left.
     judge : callable, optional
-        Shown the innovations of each stretch.
+        Shown the innovations of each push.
     split : bool
         Whether to tell the share of each part of the component, disturbances among them, too.
     gate : Gate, optional
@@ -45,7 +146,7 @@ class LaggedFlow:
     Raises
     ------
     ModelError
-        If the lag is no whole number.
+        If the lag is no whole number, or the filter cannot start from measurements alone.
     """
 
     def __init__(  # noqa: PLR0913  (each by its name)
@@ -58,69 +159,55 @@ class LaggedFlow:
         split: bool = False,
         gate: Gate | None = None,
     ) -> None:
-        self._variance, self._judge = noise_variance, judge
-        disturbed = any(part.disturbance for part in component.parts)
-        shares = [output for _, output in component.outputs()] if split else []
-        output = np.vstack([component.signal_output if disturbed else component.output, *shares])
-        self._split = split
-        model = component.to_model(1.0, noise_variance)
-        self._keeper = None if gate is None else Gatekeeper(model, gate)
-        self._steps = Steps(component)
-        self._late = FixedLag(model, lag, output, COVARIANCE if disturbed else GAIN, self._keeper)
-        self._level: float | None = None if component.keeps_level else 0.0  # what all readings are told from
-        self._verdicts: Codes = np.empty(0, np.int8)  # of rows that wait
-        self.rows = 0
+        settings = Settings(component, noise_variance, gate=gate)
+        coefficients = packed_coefficients(component, noise_variance, disturbed=settings.disturbed)
+        steps = StepTable(component, nearest=False)
+        self._late = LateRows(packed_settings(settings), coefficients, steps, checked_lag(lag), split=split)
+        self._component, self._judge, self._split = component, judge, split
+        self._largest, self._begun = largest_beside(noise_variance), False
         self.log_likelihood = 0.0
-        self.settled_row: int | None = None
+
+    @property
+    def settled_row(self) -> int | None:
+        """The first row with a settled gain."""
+        return self._late.settled_row
+
+    @property
+    def shares(self) -> dict[str, float]:
+        """Of modes, which it has not."""
+        return {}
 
     def push(self, z: Floats, elapsed: Floats) -> list[Told]:
         """Take the next rows, readings (B,) and the steps before them; return the rows that have waited for them."""
-        if not len(z):
-            return []
-        judged = judge_readings(z, largest_beside(self._variance))
-        z = judged.readings
-        if self._level is None and (row := first_reading(z[:, np.newaxis])) < len(z):
-            self._level = level_by(float(z[row]), self._variance)
-        readings = (z - self._level if self._level else z)[:, np.newaxis]
-        timeline = elapsed_timeline(self._steps, self._variance, elapsed, goes_on=self.rows > 0)
-        late = self._late.push(timeline, readings, innovations=self._judge is not None)
-        verdicts = judged.verdicts if late.gated is None else late.gated.beside(judged.verdicts)
-        self._verdicts = np.concatenate([self._verdicts, verdicts])
-        if self._judge is not None:
-            self._judge(late.innovations[0], late.innovation_sigma[0])
-        self.log_likelihood += late.sums.log_likelihood
-        if self.settled_row is None and late.settled_row is not None:
-            self.settled_row = self.rows + late.settled_row
-        unwaited = max(0, self._late.lag - self.rows)  # rows that came with none so long before them
-        self.rows += len(z)
-        return [self._told(late.signal[:, unwaited:], late.sigma[:, unwaited:])]
+        z, elapsed = input_of(z), input_of(elapsed)
+        if len(z) and not self._begun:
+            elapsed, self._begun = np.concatenate([[1.0], elapsed[1:]]), True  # the first row comes when it is due
+        judged, told = judge_readings(z, self._largest), list[Told]()
+        for found, newest in self._late.take(Rows(judged.readings, elapsed, judged.verdicts)):
+            self.log_likelihood += float(np.nansum(log_densities(newest.innovation, newest.deviation)))
+            if self._judge is not None:
+                self._judge(newest.innovation, newest.deviation)
+            told.append(self._told(found))
+        return told
 
     def finish(self) -> list[Told]:
-        """Say that no more rows will come; return the last ones, with what there is after them."""
-        return [self._told(*self._late.rest())]
+        """Return the last rows, with what there is after them; nothing changes by it: more rows may follow."""
+        return [self._told(self._late.rest())]
+
+    def begin_after(self, reading: float, readings: int, steps: float) -> None:
+        """Say what went before: the first reading of all, how many came, and how many steps went by."""
+        self._late.begin_after(reading, readings, steps)
+        self._begun = readings > 0
 
     def saved(self) -> dict[str, Any]:
         """Return what rows depend on, as arrays."""
-        level = np.nan if self._level is None else self._level
-        moves = {"flow_told": np.array([level, float(self.rows)]), "flow_verdicts": self._verdicts}
-        counters = {} if self._keeper is None else {"flow_gate": self._keeper.counters}
-        return self._late.snapshot() | moves | counters
+        return self._late.saved() | {"lag_begun": np.array(self._begun)}
 
     def restore(self, arrays: Mapping[str, Any]) -> None:
         """Take over what `saved` returned; raises a ModelError if it is not that of such a filter and lag."""
         self._late.restore(arrays)
-        level, rows = arrays["flow_told"].tolist()
-        self._level, self.rows = None if np.isnan(level) else level, int(rows)
-        self._verdicts = arrays["flow_verdicts"]
-        if self._keeper is not None:
-            self._keeper.counters = arrays["flow_gate"]
+        self._begun = bool(arrays["lag_begun"])
 
-    def tell_from(self, reading: float) -> None:
-        """Tell all readings from one that came first, before those that will be pushed."""
-        self._level = level_by(reading, self._variance) if self._level is None else self._level
-
-    def _told(self, output: Floats, sigma: Floats) -> Told:
-        output[: 1 + self._split] += self._level or 0.0  # the signal, and the motion, which is the first part
-        rows = output.shape[1]
-        verdicts, self._verdicts = self._verdicts[:rows], self._verdicts[rows:]
-        return Told(np.ascontiguousarray(output[0]), np.ascontiguousarray(sigma[0]), output[1:], verdicts)
+    def _told(self, found: Estimates) -> Told:
+        told = found.told()
+        return told._replace(parts=parts_of(self._component, found)) if self._split else told

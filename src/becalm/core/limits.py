@@ -22,7 +22,7 @@ from becalm.core.possible import find_largest
 from becalm.core.rails import Rails, find_rails, is_noisy
 from becalm.core.verdict import BEYOND_ANY_SENSOR
 from becalm.errors import UsageError
-from becalm.native import SETTINGS
+from becalm.native.rows import SETTINGS
 from becalm.native.scans import EVERY_REPEAT, NEAR_REST
 
 _MARGIN = 2.0  # of a limit over what the record itself shows

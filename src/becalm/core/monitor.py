@@ -19,7 +19,7 @@ from becalm.core.faults import Found, require_steps
 from becalm.core.noise_change import NoiseHistory
 from becalm.core.verdict import Verdict
 from becalm.errors import ModelError, UsageError
-from becalm.native import SETTINGS
+from becalm.native.rows import SETTINGS
 from becalm.native.scans import HOP, KEPT_HOPS, PARTS, WATCHED, WINDOW, Hops, new_watched, restored, scan_innovations
 
 HOPS = "hops"

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from becalm.core.arrays import Booleans, Codes, Floats, input_of
 from becalm.core.blank import find_blank
 from becalm.core.verdict import Verdict
-from becalm.native import SETTINGS
+from becalm.native.rows import SETTINGS
 from becalm.native.scans import (
     SHORTEST_FILL,
     SPREADS,

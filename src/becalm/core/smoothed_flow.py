@@ -20,12 +20,13 @@ from becalm.core.channel import Estimates, log_densities, parts_of
 from becalm.core.channel_settings import Settings, StepTable, packed_coefficients, packed_settings
 from becalm.core.components import Component
 from becalm.core.gates import Gate
-from becalm.core.possible import largest_beside, level_by
+from becalm.core.possible import largest_beside
 from becalm.core.steady import FORGOTTEN, rows_until
 from becalm.core.told import Judge, Rows, Told
 from becalm.core.verdict import Verdict
 from becalm.core.verdict import judge as judge_readings
-from becalm.native import DETERMINED, Passed, Smoother
+from becalm.native import DETERMINED
+from becalm.native.smoothers import Passed, Smoother
 
 _LONGEST = 1 << 14  # rows of a stretch
 _MOST_NUMBERS = 1 << 21  # of the matrices of its steps, where each row has some of its own
@@ -131,12 +132,7 @@ class SmoothedFlow:
 
     def begin_after(self, reading: float, readings: int, steps: float) -> None:
         """Say what went before: the first reading of all, how many came, and how many steps went by."""
-        state = self._smoother.state
-        state["now"] = state["last"] = steps
-        state["measurements"] = readings
-        if np.isfinite(reading):
-            state["level"] = level_by(reading, self._variance) if self._component.keeps_level else 0.0
-            state["has_level"] = 1
+        self._smoother.begin_after(reading, readings, steps)
         self._begun = readings > 0
 
     def _filter(self, rows: Rows, *, ends: bool) -> Rows:

@@ -22,7 +22,7 @@ from becalm.errors import ModelError
 _WELL_DETERMINED = 1e-6  # smallest eigenvalue of the information, scaled to a unit diagonal
 _IN_RANGE = 1e-9
 _FAR_MORE = 1e6  # of what readings tell to what the next state tells
-_WIDE = 1e9  # of P0 over R: P - K S K' keeps less than seven digits
+WIDE = 1e9  # of P0 over R: P - K S K' keeps less than seven digits
 _INVERTIBLE = 1e14
 _STRETCH = 4096
 
@@ -159,7 +159,7 @@ def is_determined(Y: Floats) -> bool:
 def is_narrow(now: Information, system: System) -> bool:
     """Whether the next reading is predicted well enough for the covariance form to keep its digits."""
     ahead = system.F[0] @ known_state(now)[1] @ system.F[0].T + system.Q[0]
-    return bool((np.diag(system.H @ ahead @ system.H.T) <= _WIDE * np.diag(system.R)).all())
+    return bool((np.diag(system.H @ ahead @ system.H.T) <= WIDE * np.diag(system.R)).all())
 
 
 def wide_prior(model: Model) -> Information | None:
@@ -171,7 +171,7 @@ def wide_prior(model: Model) -> Information | None:
     for _ in range(model.states):
         gathered = model.F @ gathered @ model.F.T + model.process_covariance
     moves = np.diag(model.H @ gathered @ model.H.T)
-    if not (told > _WIDE * np.diag(model.R)).any() or (moves > 0.1 * _WIDE * np.diag(model.R)).any():
+    if not (told > WIDE * np.diag(model.R)).any() or (moves > 0.1 * WIDE * np.diag(model.R)).any():
         return None
     if any(not np.linalg.cond(matrix) < _INVERTIBLE for matrix in (model.P0, model.F, model.R)):
         return None

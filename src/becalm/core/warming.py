@@ -19,26 +19,18 @@ import numpy as np
 
 from becalm.core.compiling import compile_quickly, save_trouble, times_compiled
 from becalm.core.components import HIGHEST_ORDER, Component, motion, returning_motion
-from becalm.core.filtering import kalman_filter, sizes_of
-from becalm.core.fixed_lag import fixed_lag_smoother
-from becalm.core.gatekeeper import Gatekeeper
-from becalm.core.gates import LEAST_THRESHOLD, Gate
+from becalm.core.filtering import kalman_filter
 from becalm.core.itself import MODULE, environment
 from becalm.core.kernel_backward import backward
-from becalm.core.kernel_gate import find_outliers
-from becalm.core.kernel_lag import run_late
-from becalm.core.kernel_online import live_kernels
 from becalm.core.kernel_switching import switch_forward
 from becalm.core.kernel_switching_online import live_bank_kernels
 from becalm.core.kernel_switching_return import switch_backward, switch_late
 from becalm.core.kernels import forward
-from becalm.core.model import Model
 from becalm.core.online import Online
 from becalm.core.smoothing import kalman_smoother
 from becalm.core.switching import Mode, Switching
 from becalm.core.switching_flow import SwitchingFlow
 from becalm.core.switching_lag import LaggedSwitchingFlow
-from becalm.core.timeline import even_timeline
 from becalm.errors import UsageError
 
 EVERY_SIZE = tuple(range(1, HIGHEST_ORDER + 2))
@@ -50,7 +42,7 @@ _BANKS = {2: EVERY_SIZE, 5: (1,)}
 _OF_BANKS = tuple(
     f"{modes} modes {what}" for modes in _BANKS for what in ("forward", "backward", "late", "run", "step")
 )
-KERNELS = ("forward", "backward", "gate", "late", "live run", "live step", *_OF_BANKS)
+KERNELS = ("forward", "backward", *_OF_BANKS)
 
 Use = tuple[object, Callable[[], object]]
 
@@ -128,15 +120,9 @@ def _motion(states: int) -> Component:
 
 def _uses_of_motion(states: int) -> dict[str, Use]:
     model = _motion(states).to_model(step_s=1.0, noise_variance=1.0)
-    online = Online(model)
-    live = live_kernels(*sizes_of(model))
     return {
         "forward": (forward, partial(kalman_filter, model, _READINGS)),
         "backward": (backward, partial(kalman_smoother, model, _READINGS)),
-        "gate": (find_outliers, partial(_judge, model)),
-        "late": (run_late, partial(fixed_lag_smoother, model, _READINGS, 1)),
-        "live run": (live.run, partial(online.run, _READINGS)),
-        "live step": (live.step, partial(online.step, 1.0)),
     }
 
 
@@ -157,12 +143,6 @@ def _uses_of_bank(states: int, modes: int) -> dict[str, Use]:
 def _run(flow: SwitchingFlow | LaggedSwitchingFlow) -> None:
     flow.push(_READINGS, np.ones(len(_READINGS)))
     flow.finish()
-
-
-def _judge(model: Model) -> None:
-    belief = np.concatenate([np.zeros(model.states), np.eye(model.states).ravel()])
-    timeline = even_timeline(model, len(_READINGS))
-    Gatekeeper(model, Gate(LEAST_THRESHOLD)).judge(timeline, _READINGS[:, np.newaxis], 0, belief)
 
 
 def _warmed(name: str, states: int, kernel: object, use: Callable[[], object]) -> Warmed:

@@ -75,6 +75,7 @@ typedef struct {
     real h[N_MAX];       /* what is measured of the state */
     real c[N_MAX];       /* what of the state is the signal */
     real R;              /* variance of a measurement, in unit^2 */
+    real widest;         /* variance of the next measurement's prediction, in R: beyond, the state is not known yet */
     real prior[NN_MAX];  /* upper triangular root of the information that the model itself has; mostly 0 */
     int64_t keeps_level; /* whether a constant added to the measurements is added to the signal */
     int64_t disturbed;   /* whether c is not h: the signal is less than what is measured */
@@ -152,7 +153,7 @@ typedef struct {
 
 enum { LAYOUT = 3 }; /* of a state: raise it with every change, for a checkpoint of another one is refused */
 
-/* All that later rows depend on. Its bytes are a checkpoint. */
+/* All that later rows depend on. */
 typedef struct {
     int64_t layout, states;
     limits_t limits;
@@ -172,7 +173,7 @@ enum { UNKNOWN, GATHERING, DETERMINED };
 /* A block of rows. */
 typedef struct {
     const real *z;        /* measurements, in unit; NaN where missing */
-    const real *elapsed;  /* steps since the row before */
+    const real *elapsed;  /* steps since the row before; of 0 the state is that of the row before, whatever F and Q are */
     const int32_t *step;  /* which step that is */
     const real *F, *Q;    /* of the steps, (n, n) each */
     int64_t rows;
@@ -214,7 +215,7 @@ typedef struct {
 } score_t;
 
 void channel_start(const settings_t *settings, state_t *state);
-/* Say, before the first row, what went before: the first measurement, and how many rows and steps, all measured. */
+/* Say, before the first row, what went before, as of a smoother; and the least and the most that was measured. */
 void channel_begin_after(const settings_t *settings, const coefficients_t *model, state_t *state, real first,
                          int64_t rows, real steps, real least, real most);
 /* Leave of a state only what later estimates depend on: where these bytes are the same, so are they. Of a sensor that is
@@ -225,18 +226,50 @@ int channel_is_sound(const settings_t *settings, const state_t *state);
 void channel_process(const settings_t *settings, const coefficients_t *model, state_t *state, const block_t *block,
                      const estimate_t *estimate);
 
+/* Without the room that its arrays do not need, a state has so many bytes; they are a checkpoint. */
+int64_t channel_packed_size(int64_t states);
+void channel_pack(const state_t *state, char *packed);
+void channel_unpack(int64_t states, const char *packed, state_t *state);
+int64_t smoother_packed_size(int64_t states);
+void smoother_pack(int64_t states, const forward_t *forward, char *packed);
+void smoother_unpack(int64_t states, const char *packed, forward_t *forward);
+
+/* A call of `channel_process`, in one argument: from Python each costs time. */
+typedef struct {
+    const settings_t *settings;
+    const coefficients_t *model;
+    state_t *state;
+    const block_t *block;
+    const estimate_t *estimate;
+} call_t;
+
+void channel_call(const call_t *call);
+
+/* Return whether what a pass forward knows, which may come from a file, can be. */
+int smoother_is_sound(const settings_t *settings, const forward_t *forward);
+
 /* A smoother passes forward, then back. `z` of its block holds NaN where no measurement may enter; `verdict` is 0.
    Between the passes it needs room for so many reals, and for where the filter starts anew, or jumps. Where measurements
    that are rejected turn out to be a jump, the first of them is, and all are used; so the last rows of a block may be
    left for the next. Return how many rows were taken: a multiple of SMOOTHED, or all of them where the record ends. */
 int64_t smoother_room(int64_t states, int64_t rows);
 void smoother_start(forward_t *forward, future_t *future);
+/* Say, before the first row, what went before: the first measurement, and how many rows and steps, all measured. */
+void smoother_begin_after(const settings_t *settings, const coefficients_t *model, forward_t *forward, real first,
+                          int64_t rows, real steps);
 int64_t smoother_forward(const settings_t *settings, const coefficients_t *model, forward_t *forward,
                          const block_t *block, const estimate_t *estimate, real *room, int8_t *starts, int ends);
 /* Come back over a block. With `only_future` its estimates stay those of the pass forward. */
 void smoother_backward(const settings_t *settings, const coefficients_t *model, future_t *future,
                        const block_t *block, const estimate_t *estimate, real *room, const int8_t *starts,
                        int only_future);
+
+/* A fixed lag: rows that wait come again, before the new ones; `forward` is what was known before them. The first `told`
+   rows are smoothed by those up to `lag` after each, and do not come again. z and verdict as of a smoother. `room` has so
+   many reals, `places` two a row, `starts` one. Return the first row, of all that came, with a settled gain; or -1. */
+int64_t lag_room(int64_t states, int64_t rows, int64_t lag);
+int64_t lag_smooth(const settings_t *settings, const coefficients_t *model, forward_t *forward, const block_t *block,
+                   const estimate_t *estimate, int64_t lag, int64_t told, real *room, int64_t *places, int8_t *starts);
 
 void scan_start(limits_t *limits, watched_t *watched);
 /* Return whether what is remembered, which may come from a file, can be. */

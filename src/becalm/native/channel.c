@@ -7,6 +7,7 @@
 #include <string.h>
 
 #include "filter.h"
+#include "pack.h"
 #include "gap.h"
 #include "limits.h"
 #include "linear.h"
@@ -88,8 +89,7 @@ void channel_start(const settings_t *settings, state_t *state) {
 
 void channel_begin_after(const settings_t *settings, const coefficients_t *model, state_t *state, const real first,
                          const int64_t rows, const real steps, const real least, const real most) {
-    if (isfinite(first)) state->filter.level = filter_level(settings, model, first), state->filter.has_level = 1;
-    state->limits.now = state->limits.last = steps, state->limits.measurements = rows;
+    filter_begin_after(settings, model, &state->limits, &state->filter, first, rows, steps);
     state->limits.least = least, state->limits.most = most;
     state->monitor.rows = state->faults.rows = rows, state->faults.steps = steps;
     state->monitor.hop_count = rows % HOP;
@@ -141,15 +141,10 @@ static int are_finite(const real *numbers, const int count) {
     return 1;
 }
 
-/* Return whether a state, which may come from a file, is one that this channel can have: then no place is outside of
-   its array, no counter overflows, and no number is NaN for good. */
-int channel_is_sound(const settings_t *settings, const state_t *state) {
-    const filter_t *filter = &state->filter;
-    const int n = (int)state->states;
-    int sound = state->layout == LAYOUT && state->states == settings->states && n >= 1 && n <= N_MAX;
-    sound = sound && limits_are_sound(&state->limits) && monitor_is_sound(&state->monitor);
-    sound = sound && filter->phase >= UNKNOWN && filter->phase <= DETERMINED && are_finite(filter->x, n) &&
-            are_finite(filter->P, n * n) && isfinite(filter->level);
+/* Return whether what a filter knows can be: no counter overflows, and no number is NaN for good. */
+static int filter_is_sound(const int n, const filter_t *filter) {
+    int sound = filter->phase >= UNKNOWN && filter->phase <= DETERMINED && are_finite(filter->x, n) &&
+                are_finite(filter->P, n * n) && isfinite(filter->level);
     if (sound && filter->phase == DETERMINED)
         sound = are_finite(filter->K, n) && are_finite(filter->L, n) && are_finite(filter->ahead, n) &&
                 isfinite(filter->S) && isfinite(filter->sigma) && filter->S >= 0 && filter->sigma >= 0;
@@ -157,6 +152,20 @@ int channel_is_sound(const settings_t *settings, const state_t *state) {
     const int64_t counts[] = {filter->rows, filter->steady, filter->next_check, filter->agreed,
                               filter->rejected, filter->agreeing, filter->since_jump};
     for (int k = 0; k < 7; k++) sound = sound && is_count(counts[k], EVER);
+    return sound;
+}
+
+int smoother_is_sound(const settings_t *settings, const forward_t *forward) {
+    return limits_are_sound(&forward->limits) && filter_is_sound((int)settings->states, &forward->filter);
+}
+
+/* Return whether a state, which may come from a file, is one that this channel can have: then no place is outside of
+   its array, either. */
+int channel_is_sound(const settings_t *settings, const state_t *state) {
+    const int n = (int)state->states;
+    int sound = state->layout == LAYOUT && state->states == settings->states && n >= 1 && n <= N_MAX;
+    sound = sound && limits_are_sound(&state->limits) && monitor_is_sound(&state->monitor);
+    sound = sound && filter_is_sound(n, &state->filter);
     for (int k = 0; k < VERDICTS; k++)
         sound = sound && is_count(state->counts[k], EVER) && is_count(state->faults.met[k], EVER);
     sound = sound && is_count(state->faults.rows, EVER) && isfinite(state->faults.steps);
@@ -174,12 +183,32 @@ static void process(const settings_t *settings, const coefficients_t *model, sta
 void channel_process(const settings_t *settings, const coefficients_t *model, state_t *state, const block_t *block,
                      const estimate_t *estimate) {
     for (int64_t row = 0; row < block->rows; row += BLOCK) {
-        block_t part = *block;
-        const estimate_t out = {estimate->signal + row, estimate->sigma + row, estimate->verdict + row,
-                                estimate->innovation + row, estimate->deviation + row,
-                                estimate->x ? estimate->x + row * settings->states : NULL};
-        part.z += row, part.elapsed += row, part.step += row;
-        part.rows = block->rows - row < BLOCK ? block->rows - row : BLOCK;
+        const block_t part = rows_from(block, row, BLOCK);
+        const estimate_t out = estimate_from(estimate, row, settings->states);
         process(settings, model, state, &part, &out);
     }
+}
+
+void channel_call(const call_t *call) {
+    channel_process(call->settings, call->model, call->state, call->block, call->estimate);
+}
+
+int64_t channel_packed_size(const int64_t states) { return size_around(states, sizeof(state_t)); }
+
+void channel_pack(const state_t *state, char *packed) {
+    pack_around(state->states, (const char *)state, sizeof *state, offsetof(state_t, filter), packed);
+}
+
+void channel_unpack(const int64_t states, const char *packed, state_t *state) {
+    unpack_around(states, packed, sizeof *state, offsetof(state_t, filter), (char *)state);
+}
+
+int64_t smoother_packed_size(const int64_t states) { return size_around(states, sizeof(forward_t)); }
+
+void smoother_pack(const int64_t states, const forward_t *forward, char *packed) {
+    pack_around(states, (const char *)forward, sizeof *forward, offsetof(forward_t, filter), packed);
+}
+
+void smoother_unpack(const int64_t states, const char *packed, forward_t *forward) {
+    unpack_around(states, packed, sizeof *forward, offsetof(forward_t, filter), (char *)forward);
 }

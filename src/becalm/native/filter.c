@@ -19,9 +19,12 @@ INLINE int filter_row(const int n, const settings_t *settings, const coefficient
     const real *h = model->h;
     real x[N_MAX], Ph[N_MAX];
     int verdict = USED;
-    if (state->agreeing > 0) state->wandered += wander(n, h, F, Q, state->P);
-    times(n, F, state->x, x); /* (1) */
-    propagate(n, F, Q, state->P);
+    if (state->agreeing > 0 && elapsed > 0) state->wandered += wander(n, h, F, Q, state->P);
+    if (elapsed > 0) {
+        times(n, F, state->x, x); /* (1) */
+        propagate(n, F, Q, state->P);
+    } else
+        for (int i = 0; i < n; i++) x[i] = state->x[i];
     for (int i = 0; i < n; i++) {
         state->x[i] = x[i] < -LARGEST ? -LARGEST : x[i] > LARGEST ? LARGEST : x[i];
         if (state->P[i * n + i] > LARGEST) {
@@ -121,9 +124,15 @@ real filter_level(const settings_t *settings, const coefficients_t *model, const
     return model->keeps_level && fabs(first) <= settings->largest_accepted / 1000 ? first : 0;
 }
 
+void filter_begin_after(const settings_t *settings, const coefficients_t *model, limits_t *limits, filter_t *state,
+                        const real first, const int64_t rows, const real steps) {
+    if (isfinite(first)) state->level = filter_level(settings, model, first), state->has_level = 1;
+    limits->now = limits->last = steps, limits->measurements = rows;
+}
+
 /* Take one row while measurements do not determine the state: their information is gathered. */
 static void open_row(const int n, const settings_t *settings, const coefficients_t *model, filter_t *state,
-                     const real *F, const real *Q, const real z, real *signal, real *sigma) {
+                     const real *F, const real *Q, const real elapsed, const real z, real *signal, real *sigma) {
     *signal = NOT_A_NUMBER, *sigma = INFINITE;
     const int arrived = fabs(z) <= BEYOND_ANY_SENSOR;
     if (state->phase == UNKNOWN) {
@@ -131,11 +140,11 @@ static void open_row(const int n, const settings_t *settings, const coefficients
         state->phase = GATHERING;
         if (!state->has_level) state->level = filter_level(settings, model, z), state->has_level = 1;
         begin_information(n, model->prior, state->P, state->x);
-    } else
+    } else if (elapsed > 0)
         carry_information(n, F, Q, model->prior, state->P, state->x);
     if (arrived) add_information(n, model->h, model->R, z - state->level, state->P, state->x);
     if (!model->disturbed) estimate_from_information(n, model->h, state->P, state->x, signal, sigma);
-    if (try_to_determine(n, model->R, Q, state->P, state->x)) {
+    if (try_to_determine(n, model, F, Q, state->P, state->x)) {
         state->phase = DETERMINED;
         if (model->disturbed) {
             real Pc[N_MAX];
@@ -164,7 +173,8 @@ INLINE void filter_rows(const int n, const settings_t *settings, const coefficie
         }
         if (state->phase != DETERMINED) {
             estimate->innovation[row] = estimate->deviation[row] = NOT_A_NUMBER;
-            open_row(n, settings, model, state, F, Q, pass->usable[row], estimate->signal + row, estimate->sigma + row);
+            open_row(n, settings, model, state, F, Q, block->elapsed[row], pass->usable[row], estimate->signal + row,
+                     estimate->sigma + row);
         } else {
             const real z = pass->usable[row] - state->level;
             const int verdict = filter_row(n, settings, model, state, F, Q, block->elapsed[row], z,
@@ -184,4 +194,12 @@ INLINE void filter_rows(const int n, const settings_t *settings, const coefficie
 void filter_block(const settings_t *settings, const coefficients_t *model, filter_t *state, const block_t *block,
                   const estimate_t *estimate, pass_t *pass) {
     FOR_STATES(settings->states, filter_rows, settings, model, state, block, estimate, pass)
+}
+
+void filter_part(const settings_t *settings, const coefficients_t *model, filter_t *state, const block_t *part,
+                 const estimate_t *estimate, const int8_t *starts) {
+    pass_t pass;
+    memcpy(pass.usable, part->z, sizeof(real) * (size_t)part->rows);
+    memcpy(pass.starts, starts, (size_t)part->rows);
+    filter_block(settings, model, state, part, estimate, &pass);
 }

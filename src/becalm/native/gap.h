@@ -2,6 +2,7 @@
 #ifndef BECALM_GAP_H
 #define BECALM_GAP_H
 
+#include "filter.h"
 #include "linear.h"
 
 /* Follow the time since the last measurement; return whether the gap before this one is longer than the filter can be
@@ -19,6 +20,16 @@ static int check_gap(const settings_t *settings, limits_t *state, const real ela
     state->last = state->now;
     state->measurements++;
     return anew;
+}
+
+/* Find where a filter starts anew, of the first rows of a block. */
+static inline void find_starts(const settings_t *settings, limits_t *limits, const block_t *block, const int64_t rows,
+                               int8_t *starts) {
+    for (int64_t row = 0; row < rows; row++) {
+        const int usable = fabs(block->z[row]) <= BEYOND_ANY_SENSOR;
+        const int anew = check_gap(settings, limits, block->elapsed[row], usable);
+        if (anew) starts[row] = ANEW;
+    }
 }
 
 #endif

@@ -5,8 +5,6 @@
 #include "filter.h"
 #include "linear.h"
 
-#define WIDE ((real)1e9) /* times R, the most that a jump adds: a measurement then keeps some digits */
-
 /* Return by how much a prediction's error may change over a step, one standard deviation. */
 static real wander(const int n, const real *h, const real *F, const real *Q, const real *P) {
     real g[N_MAX], s = 0;

@@ -1,7 +1,7 @@
 /* Where the fields of a channel's structs are, for languages that cannot read the header. All have 8 bytes a number. */
 #include <stddef.h>
 
-#include "becalm.h"
+#include "filter.h"
 
 typedef struct {
     const char *name;     /* NULL: the end of a struct, whose size is the offset */
@@ -41,7 +41,7 @@ const field_t *channel_settings_fields(void) {
 const field_t *channel_coefficients_fields(void) {
 #define R_(name) REALS(coefficients_t, name)
     static const field_t fields[] = {
-        R_(h), R_(c), R_(R), R_(prior), WHOLE(coefficients_t, keeps_level), WHOLE(coefficients_t, disturbed),
+        R_(h), R_(c), R_(R), R_(widest), R_(prior), WHOLE(coefficients_t, keeps_level), WHOLE(coefficients_t, disturbed),
         END(coefficients_t),
     };
 #undef R_
@@ -51,7 +51,7 @@ const field_t *channel_coefficients_fields(void) {
 const field_t *channel_state_fields(void) {
 #define IN(part, name, whole) {#name, offsetof(state_t, part.name), sizeof(((state_t *)0)->part.name), whole}
     static const field_t fields[] = {
-        WHOLE(state_t, layout), WHOLE(state_t, states), IN(limits, at, 1), IN(filter, phase, 1), IN(filter, x, 0),
+        WHOLE(state_t, layout), WHOLE(state_t, states), IN(limits, at, 1), IN(filter, phase, 1), IN(filter, has_level, 1), IN(filter, x, 0),
         IN(filter, P, 0), IN(filter, settled_row, 1), IN(monitor, hops, 1), IN(monitor, powers, 0),
         IN(monitor, drift_since, 1), IN(monitor, silent, 1), WHOLE(state_t, counts), IN(faults, met, 1), IN(faults, first_row, 1),
         IN(faults, first_step, 0), REALS(state_t, timing_share), END(state_t),
@@ -63,8 +63,8 @@ const field_t *channel_state_fields(void) {
 const field_t *channel_forward_fields(void) {
 #define IN(part, name, whole) {#name, offsetof(forward_t, part.name), sizeof(((forward_t *)0)->part.name), whole}
     static const field_t fields[] = {
-        IN(limits, now, 0), IN(limits, last, 0), IN(limits, measurements, 1), IN(filter, phase, 1), IN(filter, level, 0),
-        IN(filter, has_level, 1), IN(filter, P, 0), IN(filter, settled_row, 1), END(forward_t),
+        IN(filter, phase, 1), IN(filter, has_level, 1), IN(filter, x, 0), IN(filter, P, 0), IN(filter, settled_row, 1),
+        END(forward_t),
     };
 #undef IN
     return fields;
@@ -96,7 +96,7 @@ const field_t *channel_constants(void) {
     static const field_t values[] = {
         VALUE(NEIGHBOURS), VALUE(REACH), VALUE(SHORTEST_FILL), VALUE(SMOOTHED), VALUE(EVERY_REPEAT), VALUE(PARTS),
         VALUE(SPREADS), VALUE(REST_PARTS), VALUE(MOST_SIGMA),
-        VALUE(HOP), VALUE(WINDOW_HOPS), VALUE(KEPT_HOPS), VALUE(DETERMINED), VALUE(N_MAX), {0, 0, 0, 0},
+        VALUE(HOP), VALUE(WINDOW_HOPS), VALUE(KEPT_HOPS), VALUE(GATHERING), VALUE(GOES_ON), VALUE(WIDE), VALUE(DETERMINED), VALUE(N_MAX), {0, 0, 0, 0},
     };
 #undef VALUE
     return values;

@@ -24,10 +24,8 @@ void likelihood_add(const settings_t *settings, const coefficients_t *model, con
     memset(&state, 0, sizeof state);
     filter_forget(&state);
     for (int64_t at = 0; at < block->rows; at += BLOCK) {
-        block_t part = *block;
+        const block_t part = rows_from(block, at, BLOCK);
         pass_t pass = {{0}, {0}};
-        part.z += at, part.elapsed += at, part.step += at;
-        part.rows = block->rows - at < BLOCK ? block->rows - at : BLOCK;
         memcpy(pass.usable, part.z, sizeof(real) * (size_t)part.rows);
         filter_block(settings, model, &state, &part, &estimate, &pass);
         for (int64_t row = from > at ? from - at : 0; row < part.rows; row++) {

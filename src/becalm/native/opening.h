@@ -11,20 +11,20 @@
 #define FAR ((real)1e15)             /* times R, or Q: a covariance that holds so much keeps no digit of R */
 #define LIVE ((real)3e-5)            /* of a column: a diagonal element of U that says something */
 
-static void add_information(const int n, const real *h, const real R, const real z, real *U, real *b) {
+static inline void add_information(const int n, const real *h, const real R, const real z, real *U, real *b) {
     real a[N_MAX];
     for (int i = 0; i < n; i++) a[i] = h[i] / sqrt(R);
     add_equation(n, a, z / sqrt(R), U, b);
 }
 
 /* Begin with what the model itself knows. */
-static void begin_information(const int n, const real *prior, real *U, real *b) {
+static inline void begin_information(const int n, const real *prior, real *U, real *b) {
     for (int i = 0; i < n * n; i++) U[i] = prior[i];
     for (int i = 0; i < n; i++) b[i] = 0;
 }
 
 /* Predict one step. Where that leaves no digits, only what the model itself knows is left. */
-static void carry_information(const int n, const real *F, const real *Q, const real *prior, real *U, real *b) {
+static inline void carry_information(const int n, const real *F, const real *Q, const real *prior, real *U, real *b) {
     real back[NN_MAX], L[NN_MAX], joint[4 * NN_MAX], right[2 * N_MAX];
     covariance_root(n, Q, L);
     if (!join_step(n, F, L, U, b, back, joint, right)) {
@@ -45,8 +45,8 @@ static real column(const int n, const real *U, const int j) {
 }
 
 /* Estimate h x and its standard deviation from what is known; NaN and inf where that does not tell. */
-static void estimate_from_information(const int n, const real *h, const real *U, const real *b, real *signal,
-                                      real *sigma) {
+static inline void estimate_from_information(const int n, const real *h, const real *U, const real *b, real *signal,
+                                             real *sigma) {
     real w[N_MAX], most = 0, variance = 0, value = 0;
     for (int j = 0; j < n; j++) {
         const real scaled = fabs(h[j]) / (column(n, U, j) > 0 ? column(n, U, j) : 1);
@@ -66,31 +66,60 @@ static void estimate_from_information(const int n, const real *h, const real *U,
     *signal = value, *sigma = sqrt(variance);
 }
 
-/* Turn information into a state and its covariance, in place; return whether it determines them. */
-static int try_to_determine(const int n, const real R, const real *Q, real *P, real *x) {
-    real V[NN_MAX], state[N_MAX], squares = 0, usual = R; /* V = U^-1 */
+/* Return the variance of the prediction of h x after a step from a state of covariance V V'. */
+static inline real predicted_variance(const int n, const real *h, const real *F, const real *Q, const real *V) {
+    real hF[N_MAX], variance = 0;
     for (int j = 0; j < n; j++) {
-        if (!(fabs(P[j * n + j]) > LIVE * column(n, P, j))) return 0;
+        hF[j] = 0;
+        for (int i = 0; i < n; i++) hF[j] += h[i] * F[i * n + j], variance += h[i] * Q[i * n + j] * h[j];
+    }
+    for (int j = 0; j < n; j++) {
+        real s = 0;
+        for (int i = 0; i < n; i++) s += hF[i] * V[i * n + j];
+        variance += s * s;
+    }
+    return variance;
+}
+
+/* Write the inverse of a root of information, V = U^-1; return whether it determines the state, with some digits. */
+static inline int invert_root(const int n, const real R, const real *Q, const real *U, real *V) {
+    real squares = 0, usual = R;
+    for (int j = 0; j < n; j++) {
+        if (!(fabs(U[j * n + j]) > LIVE * column(n, U, j))) return 0;
         for (int i = n - 1; i >= 0; i--) {
             real s = i == j;
-            for (int k = i + 1; k <= j; k++) s -= P[i * n + k] * V[k * n + j];
-            V[i * n + j] = i > j ? 0 : s / P[i * n + i];
+            for (int k = i + 1; k <= j; k++) s -= U[i * n + k] * V[k * n + j];
+            V[i * n + j] = i > j ? 0 : s / U[i * n + i];
         }
     }
     for (int i = 0; i < n; i++)
         for (int j = i; j < n; j++) {
-            const real scaled = V[i * n + j] * column(n, P, i);
+            const real scaled = V[i * n + j] * column(n, U, i);
             squares += scaled * scaled;
         }
     if (!(squares * WELL_DETERMINED < 1)) return 0;
     for (int i = 0; i < n; i++) usual = Q[i * n + i] > usual ? Q[i * n + i] : usual;
     for (int i = 0; i < n; i++)
         if (!(dot(n, V + i * n, V + i * n) < FAR * usual)) return 0;
-    times(n, V, x, state);
+    return 1;
+}
+
+/* Write the state and covariance of information U x = b + e, with V = U^-1; they may be in the place of b and U. */
+static inline void state_from_root(const int n, const real *V, const real *b, real *x, real *P) {
+    real state[N_MAX];
+    times(n, V, b, state);
     for (int i = 0; i < n; i++) {
         x[i] = state[i];
         for (int j = 0; j < n; j++) P[i * n + j] = dot(n, V + i * n, V + j * n);
     }
+}
+
+/* Turn information into a state and its covariance, in place; return whether it determines them. */
+static inline int try_to_determine(const int n, const coefficients_t *model, const real *F, const real *Q, real *P, real *x) {
+    real V[NN_MAX];
+    if (!invert_root(n, model->R, Q, P, V)) return 0;
+    if (!(predicted_variance(n, model->h, F, Q, V) <= model->widest * model->R)) return 0;
+    state_from_root(n, V, x, x, P);
     return 1;
 }
 

@@ -27,4 +27,37 @@ INLINE void unpack(const int n, const real *packed, filter_t *state) {
     copy(n * n, packed + HEAD + 6 * n, state->P);
 }
 
+/* Pack a struct that holds a filter at a place, or unpack it. */
+static inline void pack_around(const int64_t n, const char *whole, const size_t size, const size_t at, char *packed) {
+    const size_t filter = (size_t)packed_size(n) * sizeof(real);
+    memcpy(packed, whole, at);
+    pack((int)n, (const filter_t *)(const void *)(whole + at), (real *)(void *)(packed + at));
+    memcpy(packed + at + filter, whole + at + sizeof(filter_t), size - at - sizeof(filter_t));
+}
+
+static inline void unpack_around(const int64_t n, const char *packed, const size_t size, const size_t at, char *whole) {
+    const size_t filter = (size_t)packed_size(n) * sizeof(real);
+    memset(whole, 0, size);
+    memcpy(whole, packed, at);
+    unpack((int)n, (const real *)(const void *)(packed + at), (filter_t *)(void *)(whole + at));
+    memcpy(whole + at + sizeof(filter_t), packed + at + filter, size - at - sizeof(filter_t));
+}
+
+static inline int64_t size_around(const int64_t n, const size_t size) {
+    return (int64_t)(size - sizeof(filter_t)) + packed_size(n) * (int64_t)sizeof(real);
+}
+
+/* What is read of a packed state as it is. */
+static inline int64_t packed_phase(const real *packed) {
+    int64_t phase;
+    memcpy(&phase, packed + offsetof(filter_t, phase) / sizeof(real), sizeof phase);
+    return phase;
+}
+
+static inline real packed_S(const real *packed) { return packed[offsetof(filter_t, S) / sizeof(real)]; }
+
+static inline const real *packed_K(const int64_t n, const real *packed) { return packed + HEAD + 2 * n; }
+
+static inline const real *packed_P(const int64_t n, const real *packed) { return packed + HEAD + 6 * n; }
+
 #endif

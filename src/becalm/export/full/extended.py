@@ -12,8 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Codes, Floats, Integers
-from becalm.core.gates import level_of
-from becalm.core.kernel_gate import WIDE
+from becalm.core.gates import WIDE, level_of
 from becalm.core.verdict import Verdict
 from becalm.export.design import Design
 from becalm.export.factors import factors_of
@@ -113,7 +112,7 @@ class Extended:
         self._since, self._rows = self._since + 1, self._rows + 1
 
     def _jump(self, nu: float) -> None:
-        """Add what makes an innovation likely, as `kernel_gate.jump`."""
+        """Add what makes an innovation likely, as `native/gate.h`."""
         gate, level = self._design.gate, level_of(self._design.model)
         assert gate is not None, "only a gate sees a step"
         if level >= 0 and self._since >= gate.at_most:

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.core.gates import level_of
-from becalm.core.kernel_gate import GOES_ON, WIDE
+from becalm.core.gates import GOES_ON, WIDE, level_of
 from becalm.core.possible import largest_level
 from becalm.export.design import Design
 from becalm.export.expressions import Cost, in_lines
@@ -171,7 +170,7 @@ def _gate(design: Design, number: NumberType) -> dict[str, Any]:
         "threshold2": DOUBLE.literal(gate.threshold**2),
         "agree": gate.agree,
         "at_most": gate.at_most,
-        "goes_on": int(GOES_ON),
+        "goes_on": GOES_ON,
         "least_since": min(gate.at_most, (1 << 31) - 1),
         "level": level if level >= 0 else None,
         "level_variance": DOUBLE.literal(R / float(H[0, level]) ** 2) if level >= 0 else None,

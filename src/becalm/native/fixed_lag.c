@@ -1,0 +1,182 @@
+/* Fixed-lag smoother of one channel: each row is smoothed by those up to a lag after it.
+
+   Rows that wait are filtered again from the state before them when later ones come, so that this state is all that is
+   kept. While one gain holds, what later rows say is a weighted sum of their innovations. Equations are numbered as in
+   core/reference.py. */
+#include "backward.h"
+#include "gap.h"
+
+/* Rows, how they were filtered, and what is estimated of them. */
+typedef struct {
+    const settings_t *settings;
+    const coefficients_t *model;
+    const block_t *block;
+    const estimate_t *estimate;
+    const int8_t *starts;
+    real *states;    /* packed, one a row */
+    int64_t *place;  /* of each row: which of them has its gain and covariance */
+    int64_t *alike;  /* rows up to each that one settled gain was used for, without a break */
+} rows_t;
+
+/* What later rows say of one whose gain, and theirs, is that of one stretch. */
+typedef struct {
+    int64_t stretch; /* rows before its first; -1: none */
+    real sigma;
+    real Pc[N_MAX], P[NN_MAX];
+    real *weights;   /* of their innovations, n each: r = sum of weight nu */
+} steady_t;
+
+int64_t lag_room(const int64_t states, const int64_t rows, const int64_t lag) {
+    return rows * packed_size(states) + lag * states;
+}
+
+INLINE const real *steps_of(const int n, const block_t *block, const real *matrices, const int64_t row) {
+    return matrices + (int64_t)block->step[row] * n * n;
+}
+
+/* Filter one row, and keep its state. */
+INLINE void filter_one(const int n, const rows_t *rows, filter_t *state, const int64_t row) {
+    const block_t one = rows_from(rows->block, row, 1);
+    const estimate_t out = estimate_from(rows->estimate, row, n);
+    const int64_t settled = state->settled, steady = state->steady;
+    filter_part(rows->settings, rows->model, state, &one, &out, rows->starts + row);
+    pack(n, state, rows->states + row * packed_size(n));
+    const int goes_on = settled && state->settled && steady == state->steady && row;
+    rows->place[row] = row;
+    rows->alike[row] = state->settled ? 1 + (goes_on ? rows->alike[row - 1] : 0) : 0;
+}
+
+/* Filter the rows from one up to another. */
+INLINE void filter_until(const int n, const rows_t *rows, filter_t *state, int64_t row, const int64_t until) {
+    while (row < until) {
+        const int64_t count = !state->settled ? 1 : until - row < SMOOTHED ? until - row : SMOOTHED;
+        const block_t part = rows_from(rows->block, row, count);
+        const estimate_t out = estimate_from(rows->estimate, row, n);
+        real *before = rows->states + row * packed_size(n);
+        const int64_t steady = state->steady;
+        if (count > 1) {
+            pack(n, state, before);
+            filter_part(rows->settings, rows->model, state, &part, &out, rows->starts + row);
+        }
+        if (count > 1 && state->settled && state->steady == steady) { /* one gain for all rows */
+            for (int64_t k = row; k < row + count; k++)
+                rows->place[k] = row, rows->alike[k] = 1 + (k ? rows->alike[k - 1] : 0);
+        } else {
+            if (count > 1) unpack(n, before, state);
+            for (int64_t k = row; k < row + count; k++) filter_one(n, rows, state, k);
+        }
+        row += count;
+    }
+}
+
+/* Come back from the last row that one may know, and smooth it; with `all` the rows between are smoothed, too, which
+   keeps digits. Return 0 where that is needed. */
+INLINE int smooth_late(const int n, const rows_t *rows, const int64_t row, const int64_t last, const int all,
+                       const real *x, future_t *future, real *signal, real *sigma) {
+    const real *h = rows->model->h;
+    forget_future(n, future);
+    for (int64_t k = last; k > row; k--) {
+        const real *packed = rows->states + rows->place[k] * packed_size(n);
+        const real *F = steps_of(n, rows->block, rows->block->F, k), *Q = steps_of(n, rows->block, rows->block->Q, k);
+        const real innovation = rows->estimate->innovation[k];
+        if (all) {
+            filter_t state;
+            real ignored[2] = {0, 0};
+            unpack(n, packed, &state);
+            smooth_row(n, rows->model, &state, Q, future, ignored, ignored + 1);
+            leave_row(n, rows->model, &state, F, Q, innovation, rows->estimate->verdict[k], rows->starts[k], future);
+        } else {
+            if (packed_phase(packed) == DETERMINED)
+                step_back(n, h, packed_S(packed), packed_K(n, packed), F, innovation, future);
+            if (rows->starts[k] == ANEW) forget_future(n, future);
+        }
+    }
+    filter_t state;
+    unpack(n, rows->states + rows->place[row] * packed_size(n), &state);
+    if (x && state.phase == DETERMINED) copy(n, x, state.x); /* its own, not that of its place */
+    return smooth_row(n, rows->model, &state, steps_of(n, rows->block, rows->block->Q, row), future, signal, sigma);
+}
+
+/* Smooth a row by those up to another. */
+INLINE void smooth_by(const int n, const rows_t *rows, const int64_t row, const int64_t last, real *signal,
+                      real *sigma, real *x) {
+    future_t future;
+    const real filtered[2] = {*signal, *sigma};
+    const int gathers = packed_phase(rows->states + rows->place[row] * packed_size(n)) != DETERMINED;
+    if (gathers || !smooth_late(n, rows, row, last, 0, x, &future, signal, sigma)) {
+        *signal = filtered[0], *sigma = filtered[1];
+        smooth_late(n, rows, row, last, 1, x, &future, signal, sigma);
+    }
+    if (x && future.later) copy(n, future.x, x);
+}
+
+/* Note what a stretch has in common: sigma, and how much of each later innovation is added to a state. */
+INLINE void note_stretch(const int n, const rows_t *rows, const int64_t row, const int64_t lag, steady_t *steady) {
+    const real *packed = rows->states + rows->place[row] * packed_size(n);
+    const real *F = steps_of(n, rows->block, rows->block->F, row);
+    const real *K = packed_K(n, packed), *h = rows->model->h;
+    real A[NN_MAX], g[N_MAX], signal = 0; /* A = (I - K h) F, g = F' h' */
+    steady->stretch = row + 1 - rows->alike[row];
+    smooth_by(n, rows, row, row + lag, &signal, &steady->sigma, NULL);
+    copy(n * n, packed_P(n, packed), steady->P);
+    times(n, steady->P, rows->model->c, steady->Pc);
+    for (int j = 0; j < n; j++) {
+        g[j] = 0;
+        for (int i = 0; i < n; i++) g[j] += h[i] * F[i * n + j];
+    }
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j < n; j++) A[i * n + j] = F[i * n + j] - K[i] * g[j];
+    for (int i = 0; i < n; i++) steady->weights[i] = g[i] / packed_S(packed);
+    for (int64_t k = 1; k < lag; k++)
+        for (int j = 0; j < n; j++) {
+            real s = 0;
+            for (int i = 0; i < n; i++) s += A[i * n + j] * steady->weights[(k - 1) * n + i];
+            steady->weights[k * n + j] = s;
+        }
+}
+
+INLINE void smooth_rows(const int n, const rows_t *rows, const int64_t lag, const int64_t told, steady_t *steady) {
+    const estimate_t *out = rows->estimate;
+    for (int64_t row = 0; row < told; row++) {
+        const int64_t last = rows->block->rows - row > lag ? row + lag : rows->block->rows - 1;
+        real *x = out->x ? out->x + row * n : NULL;
+        if (last - row < lag || rows->alike[last] <= lag) {
+            smooth_by(n, rows, row, last, out->signal + row, out->sigma + row, x);
+            continue;
+        }
+        real r[N_MAX];
+        if (steady->stretch != last + 1 - rows->alike[last]) note_stretch(n, rows, row, lag, steady);
+        for (int i = 0; i < n; i++) r[i] = 0;
+        for (int64_t k = 0; k < lag; k++)
+            for (int i = 0; i < n; i++) r[i] += steady->weights[k * n + i] * out->innovation[row + 1 + k];
+        out->signal[row] += dot(n, steady->Pc, r); /* (9) */
+        out->sigma[row] = steady->sigma;
+        if (x)
+            for (int i = 0; i < n; i++) x[i] += dot(n, steady->P + i * n, r);
+    }
+}
+
+INLINE void lag_rows(const int n, rows_t *rows, filter_t *state, const int64_t lag, const int64_t told,
+                     int64_t *settled_row) {
+    steady_t steady;
+    filter_t newest;
+    steady.stretch = -1, steady.weights = rows->states + rows->block->rows * packed_size(n);
+    filter_until(n, rows, state, 0, told);
+    memcpy(&newest, state, sizeof newest);
+    filter_until(n, rows, &newest, told, rows->block->rows);
+    *settled_row = newest.settled_row;
+    smooth_rows(n, rows, lag, told, &steady);
+}
+
+int64_t lag_smooth(const settings_t *settings, const coefficients_t *model, forward_t *forward, const block_t *block,
+                   const estimate_t *estimate, const int64_t lag, const int64_t told, real *room, int64_t *places,
+                   int8_t *starts) {
+    rows_t rows = {settings, model, block, estimate, starts, room, places, places + block->rows};
+    limits_t limits = forward->limits;
+    int64_t settled_row = -1;
+    memset(starts, 0, (size_t)block->rows);
+    find_starts(settings, &limits, block, block->rows, starts);
+    FOR_STATES(settings->states, lag_rows, &rows, &forward->filter, lag, told, &settled_row)
+    find_starts(settings, &forward->limits, block, told, starts);
+    return settled_row;
+}

@@ -1,0 +1,51 @@
+"""Blocks of rows as C takes them, checked: C would read, or write, beyond the ends of arrays that do not fit."""
+
+from __future__ import annotations
+
+import ctypes
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from becalm.native.library import CONSTANTS, layout_of
+
+SETTINGS, COEFFICIENTS = map(layout_of, ("settings", "coefficients"))
+MOST_STATES = CONSTANTS["N_MAX"]
+_ROWS = ("z", "elapsed", "step", "F", "Q")
+_ESTIMATES = ("signal", "sigma", "verdict", "innovation", "deviation", "x")
+
+
+class Block(ctypes.Structure):
+    """A block of rows; see `block_t`."""
+
+    _fields_ = (*((name, ctypes.c_void_p) for name in _ROWS), ("rows", ctypes.c_int64))
+
+
+class Estimate(ctypes.Structure):
+    """What is estimated of it; see `estimate_t`."""
+
+    _fields_ = tuple((name, ctypes.c_void_p) for name in _ESTIMATES)
+
+
+def checked(settings: NDArray[np.void], rows: dict[str, Any], *, writes: bool = True) -> tuple[Block, Estimate]:
+    """Return rows as C takes them, and where it writes to, if it does."""
+    n, count = int(settings["states"]), len(rows["z"])
+    if settings.dtype != SETTINGS or not 1 <= n <= MOST_STATES:
+        raise ValueError(f"A channel of {n} states came; 1 to {MOST_STATES} are needed.")
+    shapes = {"step": ("i4", (count,)), "verdict": ("i1", (count,)), "x": ("f8", (count, n))}
+    shapes |= dict.fromkeys(("F", "Q"), ("f8", (len(rows["F"]), n, n)))
+    names = *_ROWS, *(name for name in _ESTIMATES if writes and (name != "x" or name in rows))
+    wanted = {name: shapes.get(name, ("f8", (count,))) for name in names}
+    for name, (kind, shape) in wanted.items():
+        array = rows[name]
+        if array.dtype != kind or array.shape != shape or not (array.flags.c_contiguous and array.flags.aligned):
+            raise ValueError(f"{name} is {array.dtype} of shape {array.shape}, not {kind} of {shape} in one piece.")
+    if count and not (rows["step"].min() >= 0 and rows["step"].max() < len(rows["F"])):
+        raise ValueError(f"step goes from {rows['step'].min()} to {rows['step'].max()} of {len(rows['F'])} steps.")
+    if not (rows["elapsed"] >= 0).all():
+        raise ValueError("elapsed is NaN or below 0 somewhere; time only goes on.")
+    at = {name: rows[name].ctypes.data for name in wanted}
+    block = Block(at["z"], at["elapsed"], at["step"], at["F"], at["Q"], count)
+    estimate = Estimate(*(at.get(name) for name in _ESTIMATES))
+    return block, estimate

@@ -1,0 +1,189 @@
+"""Smoothers of one channel in C: by all later rows, or by those up to a lag after each."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from becalm.errors import ModelError
+from becalm.native.library import CONSTANTS, kernel, layout_of
+from becalm.native.rows import checked
+
+kernel.smoother_start.argtypes, kernel.smoother_start.restype = [ctypes.c_void_p] * 2, None
+kernel.smoother_forward.argtypes = [*[ctypes.c_void_p] * 7, ctypes.c_int]
+kernel.smoother_forward.restype = ctypes.c_int64
+kernel.smoother_backward.argtypes = [*[ctypes.c_void_p] * 7, ctypes.c_int]
+kernel.smoother_backward.restype = None
+kernel.smoother_room.argtypes, kernel.smoother_room.restype = [ctypes.c_int64] * 2, ctypes.c_int64
+kernel.smoother_begin_after.argtypes = [*[ctypes.c_void_p] * 3, ctypes.c_double, ctypes.c_int64, ctypes.c_double]
+kernel.smoother_begin_after.restype = None
+kernel.smoother_is_sound.argtypes, kernel.smoother_is_sound.restype = [ctypes.c_void_p] * 2, ctypes.c_int
+kernel.smoother_packed_size.argtypes, kernel.smoother_packed_size.restype = [ctypes.c_int64], ctypes.c_int64
+kernel.smoother_pack.argtypes, kernel.smoother_pack.restype = [ctypes.c_int64, *[ctypes.c_void_p] * 2], None
+kernel.smoother_unpack.argtypes, kernel.smoother_unpack.restype = [ctypes.c_int64, *[ctypes.c_void_p] * 2], None
+kernel.lag_room.argtypes, kernel.lag_room.restype = [ctypes.c_int64] * 3, ctypes.c_int64
+kernel.lag_smooth.argtypes = [*[ctypes.c_void_p] * 5, *[ctypes.c_int64] * 2, *[ctypes.c_void_p] * 3]
+kernel.lag_smooth.restype = ctypes.c_int64
+
+_FORWARD, _FUTURE = map(layout_of, ("forward", "future"))
+
+
+class _Forward:
+    """What passes forward.
+
+    Parameters
+    ----------
+    settings, coefficients : () structured array
+        Of the channel.
+
+    Attributes
+    ----------
+    state : () structured array
+        After the rows that were taken.
+    """
+
+    def __init__(self, settings: NDArray[np.void], coefficients: NDArray[np.void]) -> None:
+        self._settings, self._coefficients = settings, coefficients
+        self.state, self._nothing = np.zeros((), _FORWARD), np.zeros((), _FUTURE)
+        kernel.smoother_start(self.state.ctypes.data, self._nothing.ctypes.data)
+
+    def begin_after(self, first: float, rows: int, steps: float) -> None:
+        """Say what went before the first row: the first measurement, rows, and steps."""
+        kernel.smoother_begin_after(*self._channel, self.state.ctypes.data, first, rows, steps)
+
+    @property
+    def _channel(self) -> tuple[int, int]:
+        return self._settings.ctypes.data, self._coefficients.ctypes.data
+
+
+class Passed(NamedTuple):
+    """What a pass forward leaves for the way back."""
+
+    taken: int  # rows
+    room: NDArray[np.float64]
+    starts: NDArray[np.int8]
+    rows: dict[str, Any]  # all that came in
+
+
+class Smoother(_Forward):
+    """A filter that passes over blocks of rows, and comes back with what later rows say; see `_Forward`."""
+
+    def forward(self, *, ends: bool, **rows: Any) -> Passed:
+        """Filter the next block, or as much of it as is decided; the rest has to come again.
+
+        Parameters
+        ----------
+        ends : bool
+            Whether the record ends with it; else it is of a multiple of 64 rows, and so is what is taken.
+        **rows : array
+            As of `process`; z holds NaN where no measurement may enter, and verdict 0.
+
+        Raises
+        ------
+        ValueError
+            If the arrays do not fit each other.
+        """
+        block, estimate = checked(self._settings, rows)
+        room = np.empty(kernel.smoother_room(int(self._settings["states"]), block.rows))
+        starts = np.empty(block.rows, np.int8)
+        memory = room.ctypes.data, starts.ctypes.data
+        taken = kernel.smoother_forward(
+            *self._channel, self.state.ctypes.data, ctypes.byref(block), ctypes.byref(estimate), *memory, ends
+        )
+        return Passed(taken, room, starts, rows)
+
+    def nothing(self) -> NDArray[np.void]:
+        """Return what is known of the future at the end of a record."""
+        return np.frombuffer(bytearray(self._nothing.tobytes()), _FUTURE).reshape(())
+
+    def backward(self, passed: Passed, future: NDArray[np.void]) -> None:
+        """Come back over a block with what all rows after it say, which changes; signal and sigma become smoothed.
+
+        Parameters
+        ----------
+        passed : Passed
+            Of this smoother; what `forward` returned.
+        future : () structured array
+            What all later rows say; afterwards its own rows, too.
+        """
+        self._come_back(passed, future, passed.taken, only_future=False)
+
+    def look_back(self, passed: Passed, future: NDArray[np.void], count: int) -> None:
+        """Take into a future what the first rows of a block say: a multiple of 64, or all. Nothing is smoothed."""
+        self._come_back(passed, future, count, only_future=True)
+
+    def _come_back(self, passed: Passed, future: NDArray[np.void], count: int, *, only_future: bool) -> None:
+        if count != passed.taken and count % CONSTANTS["SMOOTHED"]:
+            raise ValueError(f"{count} rows are wanted; of {passed.taken} that were taken give all, or whole blocks.")
+        block, estimate = checked(self._settings, passed.rows)
+        block.rows = count
+        memory = passed.room.ctypes.data, passed.starts.ctypes.data
+        kernel.smoother_backward(
+            *self._channel, future.ctypes.data, ctypes.byref(block), ctypes.byref(estimate), *memory, only_future
+        )
+
+
+class LateSmoother(_Forward):
+    """A filter whose rows are smoothed by those up to a lag after each; see `_Forward`."""
+
+    def smooth(self, lag: int, told: int, **rows: Any) -> int | None:
+        """Filter rows that wait, and new ones; smooth the first of them, which do not come again.
+
+        Parameters
+        ----------
+        lag : int
+            Later rows that each row knows, 1 or more.
+        told : int
+            Rows that are smoothed: all that have so many after them, or all.
+        **rows : array
+            As of `Smoother.forward`.
+
+        Returns
+        -------
+        int or None
+            The first row of all, from the first that came, with a settled gain.
+
+        Raises
+        ------
+        ValueError
+            If the arrays do not fit each other, or the numbers do not fit the rows.
+        """
+        block, estimate = checked(self._settings, rows)
+        if not (lag >= 1 and 0 <= told <= block.rows):
+            raise ValueError(
+                f"A lag of {lag} and {told} rows to tell came; 1 or more, and 0 to {block.rows} are needed."
+            )
+        lag = min(lag, block.rows + 1)
+        room = np.empty(kernel.lag_room(int(self._settings["states"]), block.rows, lag))
+        places, starts = np.empty(2 * block.rows, np.int64), np.empty(block.rows, np.int8)
+        memory = room.ctypes.data, places.ctypes.data, starts.ctypes.data
+        rows_in = self.state.ctypes.data, ctypes.byref(block), ctypes.byref(estimate)
+        row = kernel.lag_smooth(*self._channel, *rows_in, lag, told, *memory)
+        return None if row < 0 else int(row)
+
+    def state_dict(self) -> dict[str, NDArray[np.int8]]:
+        """Return what is known before the rows that wait, as plain bytes."""
+        states = int(self._settings["states"])
+        kept = np.empty(kernel.smoother_packed_size(states), np.int8)
+        kernel.smoother_pack(states, self.state.ctypes.data, kept.ctypes.data)
+        return {"lag_state": kept}
+
+    def load_state_dict(self, arrays: Mapping[str, Any]) -> None:
+        """Take over what `state_dict` returned.
+
+        Raises
+        ------
+        ModelError
+            If these are not the bytes of such a filter.
+        """
+        kept, states, state = np.array(arrays["lag_state"]), int(self._settings["states"]), np.zeros((), _FORWARD)
+        if kept.dtype != np.int8 or kept.shape != (kernel.smoother_packed_size(states),):
+            raise ModelError(f"The state of a snapshot is {kept.dtype} of shape {kept.shape}, not that of a fixed lag.")
+        kernel.smoother_unpack(states, kept.ctypes.data, state.ctypes.data)
+        if not kernel.smoother_is_sound(self._settings.ctypes.data, state.ctypes.data):
+            raise ModelError("The state of a snapshot says what none can say; pass what snapshot() returned.")
+        self.state = state
