@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -48,6 +49,7 @@ def in_seconds(name: str, unit: str, tuning: Tuning, step_s: float, spread: floa
     )
 
 
+@lru_cache(maxsize=256)  # a channel is opened again and again while it is tuned
 def in_steps(tuned: TunedMotion, step_s: float) -> Tuning:
     """Return the numbers of a recipe in steps.
 

@@ -7,12 +7,14 @@ the density q of the noise on the n-th derivative in unit^2/step^(2n-1).
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
+from math import factorial
 from typing import NamedTuple
 
 import numpy as np
 from scipy.special import zeta
 
-from becalm.core.arrays import Floats
+from becalm.core.arrays import Floats, frozen
 from becalm.core.steady_filter import Complexes
 
 _FINE = 0.05  # between logarithms of frequencies
@@ -36,12 +38,25 @@ def motion_power(order: int, angle: Floats) -> Floats:
     Notes
     -----
     White noise integrated `order` times has the power w^-2n; reading it once a step folds all
-    frequencies w + 2 pi k onto w, a sum of Hurwitz zeta functions. The smoother passes
-    G = S / (S + R) of a motion with the power S.
+    frequencies w + 2 pi k onto w. As the sum of 1 / (x + k) is pi cot(pi x), that of powers is a derivative of it, a
+    polynomial in the cotangent. The smoother passes G = S / (S + R) of a motion with the power S.
     """
-    turns = angle / (2 * np.pi)
-    folded: Floats = (zeta(2 * order, turns) + zeta(2 * order, 1 - turns)) * (2 * np.pi) ** (-2 * order)
+    *lower, highest = _folded(order).tolist()
+    folded = np.full(np.shape(angle), highest)
+    with np.errstate(divide="ignore", over="ignore"):
+        cotangent_squared = np.tan(angle / 2) ** -2.0
+        for coefficient in reversed(lower):
+            folded = folded * cotangent_squared + coefficient
     return folded
+
+
+@lru_cache
+def _folded(order: int) -> Floats:
+    """Return the sum over k of (w + 2 pi k)^-2n by powers of cot^2(w / 2): d cot(x) / dx = -(1 + cot^2(x))."""
+    cotangent = np.polynomial.Polynomial([0.0, 1.0])
+    for _ in range(2 * order - 1):
+        cotangent = np.polynomial.Polynomial([1.0, 0.0, 1.0]) * cotangent.deriv()
+    return frozen(cotangent.coef[::2] / (factorial(2 * order - 1) * 4**order))
 
 
 def returning_power(order: int, damping: float, level_rate: float, angle: Floats) -> Floats:

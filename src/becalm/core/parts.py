@@ -8,6 +8,7 @@ A part may instead be a recursion over even steps, which has no continuous time.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 from itertools import pairwise
 from typing import Literal
 
@@ -88,7 +89,7 @@ class Component:
         """The output without the disturbances, (1, n)."""
         return sum((output for part, output in self.outputs() if not part.disturbance), np.zeros_like(self.output))
 
-    @property
+    @cached_property
     def level_direction(self) -> Floats | None:
         """What is added to the states (n,) when a constant is added to y, and stays; None where none does."""
         states, n = self._slices()[0], len(self.drift)
@@ -116,7 +117,7 @@ class Component:
         """Whether a part is known at whole steps only."""
         return any(part.recursion is not None for part in self.parts)
 
-    @property
+    @cached_property
     def known(self) -> Floats | None:
         """What is known of the states before any reading, as an inverse covariance (n, n); None where nothing is.
 
@@ -189,6 +190,7 @@ class Component:
                 F[own], Q[own] = discretise(self.drift[states, states], W[states, states], steps_s)
         return F, Q
 
+    @lru_cache(maxsize=256)  # noqa: B019  (a few hundred small matrices; a filter, its gate and its reach ask alike)
     def to_model(
         self, step_s: float, noise_variance: float, discretisation: Literal["exact", "euler"] = "exact"
     ) -> Model:

@@ -9,6 +9,7 @@ then say next to nothing of those after it, so that a filter that starts with th
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from math import comb
 from typing import NamedTuple
 
@@ -30,6 +31,7 @@ class Reach(NamedTuple):
     readings: int = 1  # as many tell it
 
 
+@lru_cache(maxsize=256)
 def reach_of(component: Component, noise_variance: float) -> Reach:
     """Return which gaps a filter of a component may be carried across.
 

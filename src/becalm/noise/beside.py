@@ -119,7 +119,7 @@ def _smoothers(evidence: Evidence, R: float) -> list[Tuning]:
     orders = EVERY_ORDER[: len(evidence.z) - 3]
     even = [evidence.z[part, 0] for part in lasting(evidence)]
     if even:
-        roads = [read_residuals(order, even) for order in orders]
+        roads = list(map(read_residuals(even), orders))
         found = [_least_risk(order, *road, evidence, R) for order, road in zip(orders, roads, strict=True)]
         best = simplest(found)
         foretold, _ = roads[best.order - 1][0](best.ratio)

@@ -77,7 +77,7 @@ def tune_smoother(evidence: Evidence) -> tuple[Tuning, ...]:
         One for each order from 1 to 5 that can be told, `loss` their criterion; none where no smoother removes noise.
     """
     even = [evidence.z[part, 0] for part in _complete(evidence)]
-    found = _tuned(evidence, lambda order: read_residuals(order, even)) if even else ()
+    found = _tuned(evidence, read_residuals(even)) if even else ()
     if not lasting(evidence):
         found = _tuned(evidence, lambda order: smooth_residuals(order, evidence), found)
     elif not found or not _confirmed(min(found, key=lambda tuning: tuning.loss), evidence):
@@ -132,39 +132,41 @@ def _least(order: int, steps: float, road: tuple[Residuals, int], near: float | 
     return Tuning(order, found.ratio, squares / (1 - weight), count, loss=found.cost, at_edge=found.at_edge)
 
 
-def read_residuals(order: int, stretches: Sequence[Floats]) -> tuple[Residuals, int]:
-    """Read the residuals of a smoother off spectra, without smoothing.
+def read_residuals(stretches: Sequence[Floats]) -> Callable[[int], tuple[Residuals, int]]:
+    """Read the residuals of smoothers off spectra, without smoothing.
 
     Parameters
     ----------
-    order : int
-        Of the motion, 1 to 5.
     stretches : sequence of (n,) float array
         Readings in even time, in unit.
 
     Returns
     -------
-    residuals : callable
-        At a ratio q/r: the mean squared residual, in unit^2, and the mean weight of a reading in its own estimate.
-    count : int
-        Readings that they are of.
+    callable
+        Of the order of the motion, 1 to 5: returns residuals, a function of the ratio q/r that gives the mean squared
+        residual, in unit^2, and the mean weight of a reading in its own estimate; and how many readings they are of.
 
     Notes
     -----
     The line that the transform takes off is followed by every order but the first, which bends away at both ends,
     by s / sqrt(q/r) exp(-sqrt(q/r) k) where the slope is s.
     """
-    spectrum, fixed = pooled([sine_spectrum(z) for z in stretches]), order * len(stretches)
-    slopes = float(sum(slope_between_ends(z) ** 2 for z in stretches)) if order == 1 else 0.0
-    power, readings = motion_power(order, spectrum.angle), int(spectrum.weight.sum())
+    spectrum = pooled([sine_spectrum(z) for z in stretches])
+    readings = int(spectrum.weight.sum())
 
-    def residuals(ratio: float) -> tuple[float, float]:
-        passed = ratio * power / (1 + ratio * power)
-        lost = spectrum.weight * (1 - passed)
-        squares = float(lost @ ((1 - passed) * spectrum.power)) + slopes * ratio**-1.5
-        return squares / readings, 1 - (float(lost.sum()) - fixed) / readings
+    def of_order(order: int) -> tuple[Residuals, int]:
+        fixed, power = order * len(stretches), motion_power(order, spectrum.angle)
+        slopes = float(sum(slope_between_ends(z) ** 2 for z in stretches)) if order == 1 else 0.0
 
-    return residuals, readings
+        def residuals(ratio: float) -> tuple[float, float]:
+            passed = ratio * power / (1 + ratio * power)
+            lost = spectrum.weight * (1 - passed)
+            squares = float(lost @ ((1 - passed) * spectrum.power)) + slopes * ratio**-1.5
+            return squares / readings, 1 - (float(lost.sum()) - fixed) / readings
+
+        return residuals, readings
+
+    return of_order
 
 
 def _parts(evidence: Evidence, states: int) -> list[slice]:

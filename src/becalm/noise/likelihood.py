@@ -114,7 +114,7 @@ class Tuning:
         ratio = self.ratio * steps ** (2 * self.order - 1)
         return replace(self, ratio=ratio, lines=lines, damping=self.damping * steps)
 
-    @property
+    @cached_property
     def component(self) -> Component:
         """The signal and what disturbs it, in steps."""
         return sum(self.companions, self.motion)
@@ -127,7 +127,7 @@ class Tuning:
             return tones
         return [*tones, autoregressive(self.coloured.coefficients, float(np.sqrt(self.coloured.variance)))]
 
-    @property
+    @cached_property
     def motion(self) -> Component:
         """The motion alone, in steps."""
         density = self.ratio * self.noise_variance
