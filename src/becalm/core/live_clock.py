@@ -12,28 +12,19 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Booleans, Codes, Floats
-from becalm.core.kernel_clock import (
-    AGREEING,
-    COARSE,
-    FAR,
-    FARTHEST,
-    LAST,
-    LATE,
-    OPENED,
-    PACE,
-    REPEATED,
-    RESET,
-    SLACK,
-    STARTED,
-    STEP,
-    TAKEN,
-    UNTIMED,
-    WORDS,
-    walk_stamps,
-)
 from becalm.errors import ModelError, TimeError
+from becalm.native.library import CONSTANTS
+from becalm.native.scans import CLOCK, walk_stamps
 
 __all__ = ["AGREEING", "FAR", "LATE", "REPEATED", "RESET", "TAKEN", "UNTIMED", "LiveClock", "Passed"]
+
+TAKEN, LATE, REPEATED, FAR, RESET, UNTIMED = (
+    CONSTANTS[name] for name in ("TAKEN_STAMP", "LATE_STAMP", "REPEATED_STAMP", "FAR_STAMP", "CLOCK_RESET", "NO_STAMP")
+)
+"""What became of a row: taken; before or at the row before; far ahead; taken, though the clock jumped; no stamp."""
+
+AGREEING = CONSTANTS["AGREEING"]
+"""Stamps in a row, behind or far ahead of the clock, that ascend: then it is the clock that jumped."""
 
 _SLACK, _ROUNDING = 0.02, 1.05  # of a step; of a last digit
 _MANY_DIGITS, _HALF, _WHOLE = 50, 0.5, 1e-3  # last digits in a step
@@ -66,13 +57,13 @@ class LiveClock:
     def __init__(self, step_s: float, resolution_s: float = 0.0) -> None:
         if not 0.0 < step_s < np.inf:
             raise TimeError(f"step_s = {step_s!r} is no time between two rows; give a positive number of seconds.")
-        self._state = np.zeros(WORDS)
-        self._state[STEP], self._state[PACE] = step_s, 1.0
+        self._state = np.zeros((), CLOCK)
+        self._state["step"], self._state["pace"] = step_s, 1.0
         digits = step_s / resolution_s if resolution_s > 0 else np.inf
         on_digits = digits > _MANY_DIGITS or (digits > _HALF and abs(digits - round(digits)) < _WHOLE)
-        self._state[SLACK] = _SLACK if on_digits else max(_SLACK, _ROUNDING / digits)
-        self._state[COARSE] = float(digits < 2)
-        self._state[FARTHEST] = max(_DAY_S, _MANY_STEPS * step_s)
+        self._state["slack"] = _SLACK if on_digits else max(_SLACK, _ROUNDING / digits)
+        self._state["coarse"] = float(digits < 2)
+        self._state["farthest"] = max(_DAY_S, _MANY_STEPS * step_s)
 
     def passed(self, stamps_s: Floats, doubled: Booleans | None = None) -> Passed:
         """Take the stamps (B,) of the next rows, in seconds; the result is the same for any blocks.
@@ -85,22 +76,23 @@ class LiveClock:
         """
         stamps = np.ascontiguousarray(stamps_s, dtype=np.float64)
         told = Passed(np.empty(len(stamps)), np.empty(len(stamps), np.int8))
-        walk_stamps(self._state, stamps, np.zeros(len(stamps), np.bool_) if doubled is None else doubled, *told)
+        again = np.zeros(len(stamps), np.int8) if doubled is None else np.ascontiguousarray(doubled, np.int8)
+        walk_stamps(self._state, stamps, again, *told)
         return told
 
     def opened(self) -> None:
         """Hear that the stream was away, here or there: its next stamp may be as late as it likes."""
-        self._state[OPENED] = 1.0
+        self._state["opened"] = 1.0
 
     @property
     def last_s(self) -> float:
         """The stamp that was taken last, in seconds; -inf before the first."""
-        return float(self._state[LAST]) if self._state[STARTED] else -np.inf
+        return float(self._state["last"]) if self._state["started"] else -np.inf
 
     @property
     def state(self) -> Floats:
         """All that moves, (11,), for a snapshot."""
-        return self._state.copy()
+        return self._state.reshape(1).view(np.float64).copy()
 
     @classmethod
     def resumed(cls, state: Floats) -> LiveClock:
@@ -111,8 +103,10 @@ class LiveClock:
         ModelError
             If it is none.
         """
-        if state.shape != (WORDS,) or state.dtype != np.float64 or not np.isfinite(state).all() or state[STEP] <= 0:
+        fits = state.shape == (CLOCK.itemsize // 8,) and state.dtype == np.float64 and np.isfinite(state).all()
+        kept = np.ascontiguousarray(state).view(CLOCK).reshape(()) if fits else np.zeros((), CLOCK)
+        if kept["step"] <= 0:
             raise ModelError("This is no state of a stream's clock; pass what `LiveClock.state` returned.")
-        clock = cls(float(state[STEP]))
-        clock._state = state.copy()
+        clock = cls(float(kept["step"]))
+        clock._state = kept.copy()
         return clock

@@ -271,6 +271,26 @@ int64_t lag_room(int64_t states, int64_t rows, int64_t lag);
 int64_t lag_smooth(const settings_t *settings, const coefficients_t *model, forward_t *forward, const block_t *block,
                    const estimate_t *estimate, int64_t lag, int64_t told, real *room, int64_t *places, int8_t *starts);
 
+/* What became of a stamp: taken; before or at the row before; far ahead; taken, though the clock jumped; none. */
+enum { TAKEN_STAMP = 0, LATE_STAMP = 1, REPEATED_STAMP = 2, FAR_STAMP = 3, CLOCK_RESET = 4, NO_STAMP = 5 };
+enum { AGREEING = 8 }; /* stamps in a row, behind or far ahead of the clock, that ascend: then it is the clock that jumped */
+
+/* The clock of a stream. */
+typedef struct {
+    real grid, last, started; /* where the even grid stands, and the last stamp, in s; whether there was one */
+    real step;                /* in s */
+    real slack;               /* how far off the grid a stamp may lie, in steps */
+    real farthest;            /* longest gap that one stamp is believed, in s */
+    real pace;                /* steps of the sender's clock in one of ours */
+    real held, held_last;     /* stamps held back in a row; the last of them, in s */
+    real opened;              /* whether the source was opened anew since */
+    real coarse;              /* whether rows may share a stamp */
+} stamps_t;
+
+/* Write the steps before each row, 0 of the first, and what becomes of it; `doubled` says which rows have the very
+   measurements of the row before. */
+void clock_walk(stamps_t *state, const real *stamps, const int8_t *doubled, int64_t rows, real *elapsed, int8_t *codes);
+
 void scan_start(limits_t *limits, watched_t *watched);
 /* Return whether what is remembered, which may come from a file, can be. */
 int scan_is_sound(const limits_t *limits, const watched_t *watched);

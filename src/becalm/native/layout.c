@@ -21,6 +21,7 @@ const field_t *channel_future_fields(void);
 const field_t *channel_score_fields(void);
 const field_t *channel_limits_fields(void);
 const field_t *channel_watched_fields(void);
+const field_t *channel_stamps_fields(void);
 const field_t *channel_constants(void);
 
 const field_t *channel_settings_fields(void) {
@@ -90,13 +91,25 @@ const field_t *channel_watched_fields(void) {
     return fields;
 }
 
+const field_t *channel_stamps_fields(void) {
+#define R_(name) REALS(stamps_t, name)
+    static const field_t fields[] = {
+        R_(grid), R_(last), R_(started), R_(step), R_(slack), R_(farthest), R_(pace), R_(held), R_(held_last),
+        R_(opened), R_(coarse), END(stamps_t),
+    };
+#undef R_
+    return fields;
+}
+
 /* Return whole numbers that Python uses, too, each as the size of a field. */
 const field_t *channel_constants(void) {
 #define VALUE(name) {#name, 0, name, 1}
     static const field_t values[] = {
         VALUE(NEIGHBOURS), VALUE(REACH), VALUE(SHORTEST_FILL), VALUE(SMOOTHED), VALUE(EVERY_REPEAT), VALUE(PARTS),
         VALUE(SPREADS), VALUE(REST_PARTS), VALUE(MOST_SIGMA),
-        VALUE(HOP), VALUE(WINDOW_HOPS), VALUE(KEPT_HOPS), VALUE(GATHERING), VALUE(GOES_ON), VALUE(WIDE), VALUE(DETERMINED), VALUE(N_MAX), {0, 0, 0, 0},
+        VALUE(HOP), VALUE(WINDOW_HOPS), VALUE(KEPT_HOPS), VALUE(TAKEN_STAMP),
+        VALUE(LATE_STAMP), VALUE(REPEATED_STAMP), VALUE(FAR_STAMP), VALUE(CLOCK_RESET), VALUE(NO_STAMP), VALUE(AGREEING),
+        VALUE(GATHERING), VALUE(GOES_ON), VALUE(WIDE), VALUE(DETERMINED), VALUE(N_MAX), {0, 0, 0, 0},
     };
 #undef VALUE
     return values;

@@ -1,4 +1,4 @@
-"""Passes over a record that ask no filter, in C: what is wrong with measurements themselves, and with innovations."""
+"""Passes over a record that ask no filter, in C: what is wrong with measurements, stamps, and innovations."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Floats = NDArray[np.float64]
 Codes = NDArray[np.int8]
 Whole = NDArray[np.int64]
 
-LIMITS, WATCHED = map(layout_of, ("limits", "watched"))
+LIMITS, WATCHED, CLOCK = map(layout_of, ("limits", "watched", "stamps"))
 NEIGHBOURS, SPREADS, REACH = (CONSTANTS[name] for name in ("NEIGHBOURS", "SPREADS", "REACH"))
 SHORTEST_FILL, EVERY_REPEAT = CONSTANTS["SHORTEST_FILL"], CONSTANTS["EVERY_REPEAT"]
 NEAR_REST = 1 / CONSTANTS["REST_PARTS"]
@@ -35,6 +35,10 @@ kernel.scan_outliers.argtypes = [_PLACE, ctypes.c_double, _COUNT, _PLACE, _COUNT
 kernel.scan_outliers.restype = ctypes.c_int64
 kernel.measure_distances.argtypes = [ctypes.c_void_p, ctypes.c_int64, *[ctypes.c_void_p] * 3]
 kernel.measure_distances.restype = None
+kernel.clock_walk.argtypes, kernel.clock_walk.restype = (
+    [*[ctypes.c_void_p] * 3, ctypes.c_int64, *[ctypes.c_void_p] * 2],
+    None,
+)
 kernel.measure_jumps.argtypes = [ctypes.c_void_p, ctypes.c_int64, ctypes.c_void_p]
 kernel.measure_jumps.restype = None
 
@@ -158,6 +162,13 @@ def measure_jumps(z: Floats) -> Floats:
     jumps = np.empty(max(len(z) - NEIGHBOURS, 0))
     kernel.measure_jumps(z.ctypes.data, len(z), jumps.ctypes.data)
     return jumps
+
+
+def walk_stamps(clock: NDArray[np.void], stamps: Floats, doubled: Codes, elapsed: Floats, codes: Codes) -> None:
+    """Fill in the steps before each row (B,) of a stream, and what becomes of its stamp, in s; the clock changes."""
+    _check(stamps, (stamps, elapsed), (doubled, codes))
+    into = elapsed.ctypes.data, codes.ctypes.data
+    kernel.clock_walk(clock.ctypes.data, stamps.ctypes.data, doubled.ctypes.data, len(stamps), *into)
 
 
 def _check(rows: Floats, reals: tuple[Floats, ...], codes: tuple[Codes, ...]) -> None:
