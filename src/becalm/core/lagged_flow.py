@@ -201,7 +201,7 @@ class LaggedFlow:
 
     def saved(self) -> dict[str, Any]:
         """Return what rows depend on, as arrays."""
-        return self._late.saved() | {"lag_begun": np.array(self._begun)}
+        return self._late.saved() | {"lag_begun": np.array(int(self._begun))}
 
     def restore(self, arrays: Mapping[str, Any]) -> None:
         """Take over what `saved` returned; raises a ModelError if it is not that of such a filter and lag."""

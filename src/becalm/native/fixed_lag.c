@@ -160,7 +160,9 @@ INLINE void lag_rows(const int n, rows_t *rows, filter_t *state, const int64_t l
                      int64_t *settled_row) {
     steady_t steady;
     filter_t newest;
-    steady.stretch = -1, steady.weights = rows->states + rows->block->rows * packed_size(n);
+    for (int i = 0; i < n; i++) steady.Pc[i] = 0;
+    for (int i = 0; i < n * n; i++) steady.P[i] = 0;
+    steady.stretch = -1, steady.sigma = 0, steady.weights = rows->states + rows->block->rows * packed_size(n);
     filter_until(n, rows, state, 0, told);
     memcpy(&newest, state, sizeof newest);
     filter_until(n, rows, &newest, told, rows->block->rows);
