@@ -11,9 +11,9 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Codes, Floats, Integers
-from becalm.core.filtering import sizes_of
 from becalm.core.gates import Gate, level_of
 from becalm.core.kernel_gate import COUNTERS, Rule, find_outliers
+from becalm.core.kernels import sizes_of
 from becalm.core.model import Model
 from becalm.core.timeline import Timeline
 from becalm.core.verdict import Verdict

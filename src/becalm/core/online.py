@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from becalm.core.arrays import Codes, Floats
-from becalm.core.filtering import checked_readings, numbers, sizes_of
+from becalm.core.filtering import checked_readings, numbers
 from becalm.core.fixed_lag import FixedLag
 from becalm.core.gates import Gate
 from becalm.core.kernel_online import live_kernels, new_live
+from becalm.core.kernels import sizes_of
 from becalm.core.lags import checked_lag
 from becalm.core.live_gate import LiveGate, saved_gate
 from becalm.core.live_switching import LiveSwitching

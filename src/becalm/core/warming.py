@@ -1,4 +1,4 @@
-"""The kernels of lags, of modes that switch and of `becalm.kalman_filter`, for one channel, compiled ahead.
+"""The kernels of lags, of streams and of modes that switch, for one channel, compiled ahead.
 
 Compiling is slow, and one process compiles one kernel at a time; so each number of states has a process of its own.
 """
@@ -19,22 +19,19 @@ import numpy as np
 
 from becalm.core.compiling import compile_quickly, save_trouble, times_compiled
 from becalm.core.components import HIGHEST_ORDER, Component, motion, returning_motion
-from becalm.core.filtering import kalman_filter, sizes_of
 from becalm.core.fixed_lag import fixed_lag_smoother
 from becalm.core.gatekeeper import Gatekeeper
 from becalm.core.gates import LEAST_THRESHOLD, Gate
 from becalm.core.itself import MODULE, environment
-from becalm.core.kernel_backward import backward
 from becalm.core.kernel_gate import find_outliers
 from becalm.core.kernel_lag import run_late
 from becalm.core.kernel_online import live_kernels
 from becalm.core.kernel_switching import switch_forward
 from becalm.core.kernel_switching_online import live_bank_kernels
 from becalm.core.kernel_switching_return import switch_backward, switch_late
-from becalm.core.kernels import forward
+from becalm.core.kernels import sizes_of
 from becalm.core.model import Model
 from becalm.core.online import Online
-from becalm.core.smoothing import kalman_smoother
 from becalm.core.switching import Mode, Switching
 from becalm.core.switching_flow import SwitchingFlow
 from becalm.core.switching_lag import LaggedSwitchingFlow
@@ -50,7 +47,7 @@ _BANKS = {2: EVERY_SIZE, 5: (1,)}
 _OF_BANKS = tuple(
     f"{modes} modes {what}" for modes in _BANKS for what in ("forward", "backward", "late", "run", "step")
 )
-KERNELS = ("forward", "backward", "gate", "late", "live run", "live step", *_OF_BANKS)
+KERNELS = ("gate", "late", "live run", "live step", *_OF_BANKS)
 
 Use = tuple[object, Callable[[], object]]
 
@@ -131,8 +128,6 @@ def _uses_of_motion(states: int) -> dict[str, Use]:
     online = Online(model)
     live = live_kernels(*sizes_of(model))
     return {
-        "forward": (forward, partial(kalman_filter, model, _READINGS)),
-        "backward": (backward, partial(kalman_smoother, model, _READINGS)),
         "gate": (find_outliers, partial(_judge, model)),
         "late": (run_late, partial(fixed_lag_smoother, model, _READINGS, 1)),
         "live run": (live.run, partial(online.run, _READINGS)),

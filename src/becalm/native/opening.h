@@ -11,20 +11,20 @@
 #define FAR ((real)1e15)             /* times R, or Q: a covariance that holds so much keeps no digit of R */
 #define LIVE ((real)3e-5)            /* of a column: a diagonal element of U that says something */
 
-static void add_information(const int n, const real *h, const real R, const real z, real *U, real *b) {
+static inline void add_information(const int n, const real *h, const real R, const real z, real *U, real *b) {
     real a[N_MAX];
     for (int i = 0; i < n; i++) a[i] = h[i] / sqrt(R);
     add_equation(n, a, z / sqrt(R), U, b);
 }
 
 /* Begin with what the model itself knows. */
-static void begin_information(const int n, const real *prior, real *U, real *b) {
+static inline void begin_information(const int n, const real *prior, real *U, real *b) {
     for (int i = 0; i < n * n; i++) U[i] = prior[i];
     for (int i = 0; i < n; i++) b[i] = 0;
 }
 
 /* Predict one step. Where that leaves no digits, only what the model itself knows is left. */
-static void carry_information(const int n, const real *F, const real *Q, const real *prior, real *U, real *b) {
+static inline void carry_information(const int n, const real *F, const real *Q, const real *prior, real *U, real *b) {
     real back[NN_MAX], L[NN_MAX], joint[4 * NN_MAX], right[2 * N_MAX];
     covariance_root(n, Q, L);
     if (!join_step(n, F, L, U, b, back, joint, right)) {
@@ -38,14 +38,14 @@ static void carry_information(const int n, const real *F, const real *Q, const r
 }
 
 /* Return the length of a column of U. */
-static real column(const int n, const real *U, const int j) {
+static inline real column(const int n, const real *U, const int j) {
     real s = 0;
     for (int i = 0; i <= j; i++) s += U[i * n + j] * U[i * n + j];
     return sqrt(s);
 }
 
 /* Estimate h x and its standard deviation from what is known; NaN and inf where that does not tell. */
-static void estimate_from_information(const int n, const real *h, const real *U, const real *b, real *signal,
+static inline void estimate_from_information(const int n, const real *h, const real *U, const real *b, real *signal,
                                       real *sigma) {
     real w[N_MAX], most = 0, variance = 0, value = 0;
     for (int j = 0; j < n; j++) {
@@ -66,31 +66,50 @@ static void estimate_from_information(const int n, const real *h, const real *U,
     *signal = value, *sigma = sqrt(variance);
 }
 
-/* Turn information into a state and its covariance, in place; return whether it determines them. */
-static int try_to_determine(const int n, const real R, const real *Q, real *P, real *x) {
-    real V[NN_MAX], state[N_MAX], squares = 0, usual = R; /* V = U^-1 */
+/* Write V = U^-1; return whether there is one. */
+static inline int invert_root(const int n, const real *U, real *V) {
     for (int j = 0; j < n; j++) {
-        if (!(fabs(P[j * n + j]) > LIVE * column(n, P, j))) return 0;
+        if (U[j * n + j] == 0) return 0;
         for (int i = n - 1; i >= 0; i--) {
             real s = i == j;
-            for (int k = i + 1; k <= j; k++) s -= P[i * n + k] * V[k * n + j];
-            V[i * n + j] = i > j ? 0 : s / P[i * n + i];
+            for (int k = i + 1; k <= j; k++) s -= U[i * n + k] * V[k * n + j];
+            V[i * n + j] = i > j ? 0 : s / U[i * n + i];
         }
     }
-    for (int i = 0; i < n; i++)
+    return 1;
+}
+
+/* Return whether information, and its V, determine all states. */
+static inline int is_determined(const int n, const real *U, const real *V) {
+    real squares = 0;
+    for (int i = 0; i < n; i++) {
+        if (!(fabs(U[i * n + i]) > LIVE * column(n, U, i))) return 0;
         for (int j = i; j < n; j++) {
-            const real scaled = V[i * n + j] * column(n, P, i);
+            const real scaled = V[i * n + j] * column(n, U, i);
             squares += scaled * scaled;
         }
-    if (!(squares * WELL_DETERMINED < 1)) return 0;
-    for (int i = 0; i < n; i++) usual = Q[i * n + i] > usual ? Q[i * n + i] : usual;
-    for (int i = 0; i < n; i++)
-        if (!(dot(n, V + i * n, V + i * n) < FAR * usual)) return 0;
+    }
+    return squares * WELL_DETERMINED < 1;
+}
+
+/* Turn information into a state and its covariance, in place, given V. */
+static inline void determine(const int n, const real *V, real *P, real *x) {
+    real state[N_MAX];
     times(n, V, x, state);
     for (int i = 0; i < n; i++) {
         x[i] = state[i];
         for (int j = 0; j < n; j++) P[i * n + j] = dot(n, V + i * n, V + j * n);
     }
+}
+
+/* Do so unless the covariance is too wide for its digits; return whether the state is determined. */
+static inline int try_to_determine(const int n, const real R, const real *Q, real *P, real *x) {
+    real V[NN_MAX], usual = R;
+    if (!invert_root(n, P, V) || !is_determined(n, P, V)) return 0;
+    for (int i = 0; i < n; i++) usual = Q[i * n + i] > usual ? Q[i * n + i] : usual;
+    for (int i = 0; i < n; i++)
+        if (!(dot(n, V + i * n, V + i * n) < FAR * usual)) return 0;
+    determine(n, V, P, x);
     return 1;
 }
 
