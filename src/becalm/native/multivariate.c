@@ -15,6 +15,18 @@
 #define DEAD_PIVOT ((real)1e-15) /* of a variance: what rounding alone has left */
 #define WIDE ((real)1e9)        /* of a variance to R: P - K S K' would keep less than seven digits */
 
+/* Call a function whose first arguments are the numbers of states and of channels: of the smallest models constants. */
+#define SIZE(n, m) ((n) * (M_MAX + 1) + (m))
+#define FOR_SMALL(n, m, function, ...)                        \
+    switch (SIZE(n, m)) {                                     \
+    case SIZE(1, 1): function(1, 1, __VA_ARGS__); break;      \
+    case SIZE(2, 1): function(2, 1, __VA_ARGS__); break;      \
+    case SIZE(2, 2): function(2, 2, __VA_ARGS__); break;      \
+    case SIZE(3, 1): function(3, 1, __VA_ARGS__); break;      \
+    case SIZE(3, 3): function(3, 3, __VA_ARGS__); break;      \
+    default: function((int)(n), (int)(m), __VA_ARGS__);       \
+    }
+
 /* Where the numbers of a state are. */
 typedef struct {
     real *x, *P;         /* (n), (n, n); while GATHERING right-hand side and root of the information */
@@ -184,11 +196,13 @@ INLINE void joseph_of(const int n, const int m, const real *H, const real *R, co
     for (int i = 0; i < n; i++) {
         for (int j = 0; j < n; j++) {
             real s = P[i * n + j];
+            UNROLL
             for (int a = 0; a < m; a++) s -= K[i * m + a] * PH[j * m + a];
             B[i * n + j] = s;
         }
         for (int a = 0; a < m; a++) {
             real s = -dot(n, B + i * n, H + a * n);
+            UNROLL
             for (int b = 0; b < m; b++) s += K[i * m + b] * R[b * m + a];
             C[i * m + a] = s;
         }
@@ -196,6 +210,7 @@ INLINE void joseph_of(const int n, const int m, const real *H, const real *R, co
     for (int i = 0; i < n; i++)
         for (int j = 0; j <= i; j++) {
             real s = B[i * n + j];
+            UNROLL
             for (int a = 0; a < m; a++) s += C[i * m + a] * K[j * m + a];
             P[i * n + j] = P[j * n + i] = s;
         }
@@ -228,6 +243,7 @@ INLINE void filter_row(const int n, const int m, const multivariate_t *model, kn
         for (int i = 0; i < n; i++) PH[i * m + a] = arrived ? dot(n, p->P + i * n, H + a * n) : 0;
         for (int b = 0; b <= a; b++) {
             real s = 0;
+            UNROLL
             for (int i = 0; i < n; i++) s += H[a * n + i] * PH[i * m + b];
             S[a * m + b] = arrived && has_arrived(z[b]) ? s + R[a * m + b] : a == b; /* (4) */
         }
@@ -246,7 +262,7 @@ INLINE void filter_row(const int n, const int m, const multivariate_t *model, kn
 }
 
 /* How long a column is where four numbers are computed side by side: few are computed one by one. */
-INLINE int padded(const int n) { return n < 4 ? n : (n + 3) & ~3; }
+INLINE int padded(const int n) { return n < 3 ? n : (n + 3) & ~3; }
 
 /* Write the columns of A (rows, columns), each padded by 0. */
 INLINE void lay_out(const int rows, const int columns, const real *A, const real sign, real *B) {
@@ -258,12 +274,16 @@ INLINE void lay_out(const int rows, const int columns, const real *A, const real
 /* y += A v, of which B has the columns. */
 INLINE void accumulate(const int rows, const int columns, const real *B, const real *v, real *y) {
     const int wide = padded(rows);
-    if (wide < 4)
-        for (int i = 0; i < rows; i++)
+    if (wide < 3) {
+        UNROLL
+        for (int i = 0; i < rows; i++) {
+            UNROLL
             for (int j = 0; j < columns; j++) y[i] += B[j * wide + i] * v[j];
-    else
+        }
+    } else
         for (int i = 0; i < wide; i += 4) {
             real a = y[i], b = y[i + 1], c = y[i + 2], d = y[i + 3];
+            UNROLL
             for (int j = 0; j < columns; j++) {
                 const real *at = B + j * wide + i;
                 a += at[0] * v[j], b += at[1] * v[j], c += at[2] * v[j], d += at[3] * v[j];
@@ -294,29 +314,40 @@ INLINE int64_t take_settled(const int n, const int m, const multivariate_t *mode
         const real *z = record->z + row * m;
         real next[N_MAX], e[M_MAX], signal[M_MAX], squares = 0;
         int possible = 1;
+        UNROLL
         for (int a = 0; a < m; a++) possible &= has_arrived(z[a]);
+        UNROLL
         for (int a = 0; a < padded(m); a++) e[a] = a < m ? z[a] : 0, signal[a] = 0;
+        UNROLL
         for (int i = 0; i < padded(n); i++) next[i] = 0;
         accumulate(m, n, g, x, e); /* (3) */
         accumulate(n, m, K, z, next);
         accumulate(n, n, A, x, next); /* (1), (6) */
+        UNROLL
         for (int i = 0; i < n; i++) possible &= fabs(next[i]) <= LARGEST;
         if (!possible) break;
+        UNROLL
         for (int i = 0; i < n; i++) x[i] = next[i];
         if (beliefs->signal) {
             accumulate(m, n, H, x, signal);
+            UNROLL
             for (int a = 0; a < m; a++) beliefs->signal[row * m + a] = signal[a];
         }
         if (beliefs->sigma)
+            UNROLL
             for (int a = 0; a < m; a++) beliefs->sigma[row * m + a] = sigma[a];
         if (beliefs->innovation)
+            UNROLL
             for (int a = 0; a < m; a++) beliefs->innovation[row * m + a] = e[a];
         if (beliefs->deviation)
+            UNROLL
             for (int a = 0; a < m; a++) beliefs->deviation[row * m + a] = deviation[a];
         if (beliefs->x) copy(n, x, beliefs->x + row * n);
         if (beliefs->P) copy(n * n, p->P, beliefs->P + row * n * n);
+        UNROLL
         for (int a = 0; a < m; a++) {
             nu[a] = e[a];
+            UNROLL
             for (int c = 0; c < a; c++) e[a] -= L[a * m + c] * e[c];
             squares += e[a] * e[a] * weight[a];
         }
@@ -331,21 +362,17 @@ INLINE int64_t take_settled(const int n, const int m, const multivariate_t *mode
     return row - from;
 }
 
-/* The same, of few channels with constant numbers. */
-INLINE int64_t filter_settled(const int n, const int m, const multivariate_t *model, knowledge_t *state,
+static int64_t filter_settled(const int n, const int m, const multivariate_t *model, knowledge_t *state,
                               const parts_t *p, const real *F, const record_t *record, const int64_t from,
                               const int64_t to, const beliefs_t *beliefs) {
+    int64_t taken = 0;
     if (!state->closed) {
         see_through(n, m, model->H, F, p->g);
         close_loop(n, m, F, p->K, p->g, p->A);
         state->closed = 1;
     }
-    switch (m) {
-    case 1: return take_settled(n, 1, model, state, p, record, from, to, beliefs);
-    case 2: return take_settled(n, 2, model, state, p, record, from, to, beliefs);
-    case 3: return take_settled(n, 3, model, state, p, record, from, to, beliefs);
-    default: return take_settled(n, m, model, state, p, record, from, to, beliefs);
-    }
+    FOR_SMALL(n, m, taken = take_settled, model, state, p, record, from, to, beliefs)
+    return taken;
 }
 
 /* Add what the channels that arrived tell: of the lower root of their R, R = C C', the equations C^-1 (z - H x) = e. */
@@ -491,20 +518,9 @@ INLINE void filter_rows(const int n, const int m, const multivariate_t *model, k
     }
 }
 
-/* Call `rows_of`, whose first arguments are the numbers of states and of channels: of a few states a constant. */
-#define FOR_SIZES(...)                                                              \
-    switch (model->states) {                                                        \
-    case 1: rows_of(1, (int)model->channels, __VA_ARGS__); break;                   \
-    case 2: rows_of(2, (int)model->channels, __VA_ARGS__); break;                   \
-    case 3: rows_of(3, (int)model->channels, __VA_ARGS__); break;                   \
-    default: rows_of((int)model->states, (int)model->channels, __VA_ARGS__);        \
-    }
-
 static void filter_part(const multivariate_t *model, knowledge_t *state, const record_t *record, const int64_t row,
                         const int64_t to, int64_t *run, const beliefs_t *beliefs) {
-#define rows_of filter_rows
-    FOR_SIZES(model, state, record, row, to, run, beliefs)
-#undef rows_of
+    FOR_SMALL(model->states, model->channels, filter_rows, model, state, record, row, to, run, beliefs)
 }
 
 void multivariate_filter(const multivariate_t *model, knowledge_t *state, const record_t *record,
@@ -543,12 +559,19 @@ INLINE void return_settled(const int n, const int m, const multivariate_t *model
             accumulate(n, n, P, r, change);
             copy(n, change, beliefs->x + row * n);
         }
+        UNROLL
         for (int i = 0; i < padded(n); i++) before[i] = 0;
         accumulate(n, m, G, beliefs->innovation + row * m, before);
         accumulate(n, n, back, r, before);
+        UNROLL
         for (int i = 0; i < n; i++) r[i] = before[i];
     }
     copy(n, r, r_);
+}
+
+static void return_block(const int n, const int m, const multivariate_t *model, const parts_t *p, const real *A,
+                         const real *G, const int64_t from, const int64_t to, const beliefs_t *beliefs, real *r) {
+    FOR_SMALL(n, m, return_settled, model, p, A, G, from, to, beliefs, r)
 }
 
 /* Smooth a block whose gain had settled before it. */
@@ -563,12 +586,7 @@ INLINE void smooth_settled(const int n, const int m, const multivariate_t *model
         for (int c = 0; c < m; c++) G[i * m + c] = g[c * n + i];
         divide(m, p.L, p.D, G + i * m);
     }
-    switch (m) {
-    case 1: return_settled(n, 1, model, &p, A, G, from, to, beliefs, future->r); break;
-    case 2: return_settled(n, 2, model, &p, A, G, from, to, beliefs, future->r); break;
-    case 3: return_settled(n, 3, model, &p, A, G, from, to, beliefs, future->r); break;
-    default: return_settled(n, m, model, &p, A, G, from, to, beliefs, future->r);
-    }
+    return_block(n, m, model, &p, A, G, from, to, beliefs, future->r);
     future->later = NOTHING_LATER;
     for (int64_t row = to - 1; spread && row >= from; row--) {
         if (!future->settled || row == to - 1) {
@@ -697,8 +715,6 @@ void multivariate_smooth(const multivariate_t *model, knowledge_t *state, const 
                     &ahead);
     }
     save(model, state, before);
-#define rows_of backward_rows
-    FOR_SIZES(model, state, record, beliefs, future, own)
-#undef rows_of
+    FOR_SMALL(model->states, model->channels, backward_rows, model, state, record, beliefs, future, own)
     load(model, before, state);
 }
