@@ -19,7 +19,7 @@ ROOT = Path(__file__).parents[2]
 SOURCE = ROOT / "src" / "becalm"
 COMPILED_BY_MAKE = ROOT / ".venv" / "kernels"
 
-OF_MOTIONS = ("forward", "backward", "gate", "late", "live run", "live step")
+OF_MOTIONS = ("gate", "late", "live run", "live step")
 TWO_MODES, FIVE_MODES = (
     tuple(f"{modes} modes {what}" for what in ("forward", "backward", "late", "run", "step")) for modes in (2, 5)
 )

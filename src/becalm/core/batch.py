@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from becalm.core.arrays import Floats, Integers
-from becalm.core.filtering import Beliefs, Wanted, new_beliefs, new_kernel, numbers, rows_of, sums_of
+from becalm.core.filtering import Wanted, new_beliefs, new_kernel, numbers, rows_of, sums_of
 from becalm.core.model import Model
 from becalm.core.timeline import even_timeline
 from becalm.errors import ModelError
+from becalm.native.multivariate import Beliefs
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,7 @@ def filter_batch(model: Model, z: ArrayLike, *, states: bool = False, innovation
     ModelError
         If z does not fit the model, or the model cannot start without x0 and P0.
     """
-    readings = np.require(numbers(z), requirements="CA")
+    readings = np.require(numbers(z), requirements=["C", "A"])
     if readings.ndim != 3 or readings.shape[2] != model.channels:
         raise ModelError(f"z has shape {np.shape(z)}; (records, N, {model.channels}) is needed.")
     wanted, records, count = Wanted(states=states, innovations=innovations), *readings.shape[:2]

@@ -179,27 +179,26 @@ def new_kernel(model: Model, timeline: Timeline, wanted: Wanted) -> Multivariate
             f"The model has {n} states and {m} channels; up to {MOST_STATES} states and {MOST_CHANNELS} channels are"
             " filtered together. Leave some out, or filter independent channels by models of their own."
         )
-    H, R = timeline.system.H, timeline.system.R
-    enough = COVARIANCE if wanted.covariances else GAIN
-    prior = starting.wide_prior(model)
-    if model.x0 is not None and model.P0 is not None and prior is None:
+    H, R = (np.require(array, np.float64, ["C", "A"]) for array in (timeline.system.H, timeline.system.R))
+    x0, P0 = model.x0, model.P0
+    enough, prior = COVARIANCE if wanted.covariances else GAIN, starting.wide_prior(model)
+    if x0 is not None and P0 is not None and prior is None:
         kernel = Multivariate(H, R, np.zeros((n, n)), np.zeros(n), enough=enough)
-        kernel.start(model.x0, model.P0)
+        kernel.start(x0, P0)
         return kernel
     starting.refuse_singular(timeline.system)
-    if prior is None:
-        return Multivariate(H, R, starting.root_of(starting.known_before(model).Y), np.zeros(n), enough=enough)
-    root = starting.root_of(prior.Y)
-    return Multivariate(H, R, root, root @ model.x0, foretells=True, enough=enough)
+    root = starting.root_of((prior or starting.known_before(model)).Y)
+    if x0 is None:
+        return Multivariate(H, R, root, np.zeros(n), enough=enough)
+    return Multivariate(H, R, root, root @ x0, foretells=True, enough=enough)
 
 
 def rows_of(timeline: Timeline, z: Floats) -> Rows:
     """Lay z (N, m) out for the filter in C, beside the steps."""
     F, Q = timeline.system.F, timeline.system.Q
     lengths = timeline.lengths if len(timeline.lengths) == len(F) else np.arange(float(len(F)))
-    arrays = (np.require(array, np.float64, "CA") for array in (z, F, Q, lengths))
-    readings, F, Q, lengths = arrays
-    return Rows(readings, timeline.first, timeline.step, F, Q, lengths)
+    z, F, Q, lengths = (np.require(array, np.float64, ["C", "A"]) for array in (z, F, Q, lengths))
+    return Rows(z, timeline.first, timeline.step, F, Q, lengths)
 
 
 def new_beliefs(model: Model, count: int, wanted: Wanted) -> Beliefs:
