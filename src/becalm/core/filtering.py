@@ -9,14 +9,20 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from becalm.core import starting
-from becalm.core.arrays import BLOCK, Floats, real
-from becalm.core.kernel_settling import COVARIANCE, GAIN, new_memory
-from becalm.core.kernels import Trace, forward
+from becalm.core.arrays import Floats, real
 from becalm.core.model import Model
-from becalm.core.sized import Sizes, size
 from becalm.core.sums import Sums
 from becalm.core.timeline import Timeline, even_timeline
 from becalm.errors import ModelError
+from becalm.native.multivariate import (
+    COVARIANCE,
+    GAIN,
+    MOST_CHANNELS,
+    MOST_STATES,
+    Beliefs,
+    Multivariate,
+    Rows,
+)
 
 
 @dataclass(frozen=True)
@@ -69,7 +75,6 @@ class Wanted(NamedTuple):
     sigma: bool = True
     innovations: bool = True
     signal: bool = True
-    predictions: bool = False  # of the readings, which a backward pass needs
 
 
 EVERYTHING = Wanted()
@@ -146,131 +151,84 @@ def kalman_filter(  # noqa: PLR0913  (what is wanted, each by its name)
 
 
 class Run(NamedTuple):
-    """A forward pass, with what a backward pass, or the rows that follow, need of it."""
+    """A forward pass."""
 
     estimate: Estimate
-    opening: starting.Opening | None  # of a start as information: no prior, or a wide one
-    begun: int  # the first row after the opening
-    memory: Floats  # (1, M), or with room for one more each block, as `forward` leaves it
-    prediction: Floats  # (m, N) where wanted
-
-
-class Pass(NamedTuple):
-    """How a forward pass is made."""
-
-    wanted: Wanted = EVERYTHING
-    enough: float = GAIN  # what has to settle before a gain is used again
-    remember: bool = False  # what a backward pass needs
+    begun: int  # the first row after those that were needed to know the state
+    cov: Floats  # (n, n) of the state after the last row, if it is known
 
 
 def run_filter(model: Model, timeline: Timeline, z: Floats, wanted: Wanted = EVERYTHING) -> Run:
     """Filter z (N, m) over a timeline; see `kalman_filter`."""
-    return start_filter(model, timeline, z, Pass(wanted, COVARIANCE if wanted.covariances else GAIN))
+    kernel, beliefs = new_kernel(model, timeline, wanted), new_beliefs(model, len(z), wanted)
+    kernel.filter(rows_of(timeline, z), beliefs)
+    return Run(estimate_of(kernel, beliefs), int(kernel.head["opened"]), kernel.covariance.copy())
 
 
-def start_filter(model: Model, timeline: Timeline, z: Floats, how: Pass) -> Run:
-    """Filter a record from its first row on."""
-    prior = starting.wide_prior(model)
-    if model.x0 is not None and model.P0 is not None and prior is None:
-        memory = new_memory(model.x0, model.P0, model.channels, _rows_to_remember(z, how))
-        return _run(Task(model, timeline, z, 0), memory, how, new_trace(model, len(z), how.wanted), Sums())
-    opening = starting.open_record(timeline, z, model, prior)
-    trace = new_trace(model, len(z), how.wanted)
-    write_opening(model, opening, trace)
-    before = Sums() if prior is None else score_opening(timeline, z, prior, opening, trace)
-    memory = new_memory(opening.x, opening.P, model.channels, _rows_to_remember(z, how))
-    return _run(Task(model, timeline, z, opening.rows), memory, how, trace, before)._replace(opening=opening)
+def new_kernel(model: Model, timeline: Timeline, wanted: Wanted) -> Multivariate:
+    """Return a filter before the first row: at x0 and P0, or with what is known without them.
 
-
-def _rows_to_remember(z: Floats, how: Pass) -> int:
-    return 2 + len(z) // BLOCK if how.remember else 1
-
-
-class Task(NamedTuple):
-    """What is to be filtered."""
-
-    model: Model
-    timeline: Timeline
-    z: Floats  # (N, m)
-    begun: int  # rows before are done
-
-
-def _run(task: Task, memory: Floats, how: Pass, trace: Trace, before: Sums) -> Run:
-    model, timeline, z, begun = task
-    found = forward(sizes_of(model), timeline.system, timeline.record(z), begun, how.enough, memory, trace)
-    total, settled = before.plus(Sums(*found[:3])), found[3]
-    estimate = Estimate(
-        signal=trace.signal.T,
-        sigma=trace.sigma.T,
-        log_likelihood=total.log_likelihood,
-        innovations=trace.innovation.T,
-        innovation_sigma=trace.innovation_sigma.T,
-        mean=trace.mean.T if how.wanted.states else None,
-        cov=np.moveaxis(trace.cov, 2, 0) if how.wanted.covariances else None,
-        used=int(total.used),
-        settled_row=None if settled < 0 else int(settled),
-    )
-    return Run(estimate, None, begun, memory, trace.prediction)
-
-
-def sizes_of(model: Model) -> Sizes:
-    """Return the sizes that kernels are specialised for."""
-    return Sizes(size(model.states), size(model.channels))
-
-
-def score_opening(
-    timeline: Timeline, z: Floats, prior: starting.Information, opening: starting.Opening, trace: Trace
-) -> Sums:
-    """Predict each reading of an opening that had a prior, (3), (4) and (8), and write the innovations."""
-    F, Q, H, R = timeline.system
-    (x, P), total = starting.known_state(prior), Sums()
-    for k, known in enumerate(opening.information):
-        if k:
-            step = timeline.step_before(k)
-            x, P = F[step] @ x, F[step] @ P @ F[step].T + Q[step]
-        arrived = starting.arrived(z[k])
-        nu = (z[k] - H @ x)[arrived]
-        S = (H @ P @ H.T + R)[np.ix_(arrived, arrived)]
-        if trace.innovation.size:
-            trace.innovation[arrived, k], trace.innovation_sigma[arrived, k] = nu, np.sqrt(np.diag(S))
-        if arrived.any():
-            total = total.plus(Sums(float(nu @ np.linalg.solve(S, nu)), float(np.linalg.slogdet(S)[1]), len(nu)))
-        x, P = starting.known_state(known)
-        if trace.mean.size:
-            trace.mean[:, k] = x
-        if trace.cov.size:
-            trace.cov[:, :, k] = P
-    return total
-
-
-def new_trace(model: Model, count: int, wanted: Wanted) -> Trace:
-    """Make room for the results of `count` rows."""
+    Raises
+    ------
+    ModelError
+        If the model is too large, or cannot start without x0 and P0.
+    """
     n, m = model.states, model.channels
-    return Trace(
-        signal=np.empty((m, count if wanted.signal else 0)),
-        sigma=np.empty((m, count if wanted.sigma else 0)),
-        innovation=np.empty((m, count if wanted.innovations else 0)),
-        innovation_sigma=np.empty((m, count if wanted.innovations else 0)),
-        prediction=np.empty((m, count if wanted.predictions else 0)),
-        mean=np.empty((n, count if wanted.states else 0)),
-        cov=np.empty((n, n, count if wanted.covariances else 0)),
+    if n > MOST_STATES or m > MOST_CHANNELS:
+        raise ModelError(
+            f"The model has {n} states and {m} channels; up to {MOST_STATES} states and {MOST_CHANNELS} channels are"
+            " filtered together. Leave some out, or filter independent channels by models of their own."
+        )
+    H, R = (np.require(array, np.float64, ["C", "A"]) for array in (timeline.system.H, timeline.system.R))
+    x0, P0 = model.x0, model.P0
+    enough, prior = COVARIANCE if wanted.covariances else GAIN, starting.wide_prior(model)
+    if x0 is not None and P0 is not None and prior is None:
+        kernel = Multivariate(H, R, np.zeros((n, n)), np.zeros(n), enough=enough)
+        kernel.start(x0, P0)
+        return kernel
+    starting.refuse_singular(timeline.system)
+    root = starting.root_of((prior or starting.known_before(model)).Y)
+    if x0 is None:
+        return Multivariate(H, R, root, np.zeros(n), enough=enough)
+    return Multivariate(H, R, root, root @ x0, foretells=True, enough=enough)
+
+
+def rows_of(timeline: Timeline, z: Floats) -> Rows:
+    """Lay z (N, m) out for the filter in C, beside the steps."""
+    F, Q = timeline.system.F, timeline.system.Q
+    lengths = timeline.lengths if len(timeline.lengths) == len(F) else np.arange(float(len(F)))
+    z, F, Q, lengths = (np.require(array, np.float64, ["C", "A"]) for array in (z, F, Q, lengths))
+    return Rows(z, timeline.first, timeline.step, F, Q, lengths)
+
+
+def new_beliefs(model: Model, count: int, wanted: Wanted) -> Beliefs:
+    """Make room for what is wanted of `count` rows."""
+    n, m = model.states, model.channels
+    asked = (wanted.signal, wanted.sigma, wanted.innovations, wanted.innovations, wanted.states, wanted.covariances)
+    shapes = ((count, m),) * 4 + ((count, n), (count, n, n))
+    return Beliefs(*(np.empty(shape) if asks else None for asks, shape in zip(asked, shapes, strict=True)))
+
+
+def sums_of(kernel: Multivariate) -> Sums:
+    """Return what makes the log-likelihood of the rows that were filtered."""
+    head = kernel.head
+    log_det = np.log(head["product"]) + head["exponent"] * np.log(2.0)
+    return Sums(float(head["squares"]), float(log_det), int(head["used"]))
+
+
+def estimate_of(kernel: Multivariate, beliefs: Beliefs) -> Estimate:
+    """Return what was found; what was not wanted has no rows, or is None."""
+    head = kernel.head
+    signal, sigma, innovation, deviation, mean, cov = beliefs
+    nothing = np.empty((0, kernel.channels))
+    return Estimate(
+        signal=nothing if signal is None else signal,
+        sigma=nothing if sigma is None else sigma,
+        log_likelihood=sums_of(kernel).log_likelihood,
+        innovations=nothing if innovation is None else innovation,
+        innovation_sigma=nothing if deviation is None else deviation,
+        mean=mean,
+        cov=cov,
+        used=int(head["used"]),
+        settled_row=None if head["settled_row"] < 0 else int(head["settled_row"]),
     )
-
-
-def write_opening(model: Model, opening: starting.Opening, trace: Trace) -> None:
-    """Write the rows of a start as information; NaN and inf where nothing is known yet."""
-    rows = opening.rows
-    trace.signal[:, :rows], trace.sigma[:, :rows] = np.nan, np.inf
-    trace.mean[:, :rows], trace.cov[:, :, :rows] = np.nan, np.inf
-    for missing in (trace.innovation, trace.innovation_sigma, trace.prediction):
-        missing[:, :rows] = np.nan
-    for k, now in enumerate(opening.information, start=opening.first):
-        signal, variance = starting.estimable(now, model.H)
-        if trace.signal.size:
-            trace.signal[:, k] = signal
-        if trace.sigma.size:
-            trace.sigma[:, k] = np.sqrt(variance)
-    if opening.known:
-        last = rows - 1
-        trace.mean[:, last:rows] = opening.x[:, np.newaxis]
-        trace.cov[:, :, last:rows] = opening.P[:, :, np.newaxis]

@@ -17,7 +17,7 @@ from becalm.core.filtering import Wanted, checked_readings, kalman_filter, new_t
 from becalm.core.kernel_lag import open_window, run_late, run_out
 from becalm.core.kernel_lag_window import PLACE, ROWS, WEIGHED, Window, new_window, newest_taken
 from becalm.core.kernel_settling import GAIN, new_memory, rename_last_step
-from becalm.core.kernels import Trace
+from becalm.core.kernels import Trace, new_trace, sizes_of
 from becalm.core.lag_opening import LagOpening, Taken
 from becalm.core.lags import checked_lag
 from becalm.core.model import Model
@@ -202,7 +202,7 @@ class FixedLag:
         self._opening.restore(arrays)
 
     def _room(self, count: int, innovations: bool) -> Trace:
-        trace = new_trace(self.model, count, Wanted(signal=False, sigma=False, innovations=innovations))
+        trace = new_trace(self.model, count, innovations=innovations)
         trace.innovation[:], trace.innovation_sigma[:] = np.nan, np.nan
         p = len(self._C)
         return trace._replace(signal=np.full((p, count), np.nan), sigma=np.full((p, count), np.inf))

@@ -1,4 +1,4 @@
-"""The kernels of lags, of modes that switch and of `becalm.kalman_filter`, for one channel, compiled ahead.
+"""The kernels of lags, of streams and of modes that switch, for one channel, compiled ahead.
 
 Compiling is slow, and one process compiles one kernel at a time; so each number of states has a process of its own.
 """
@@ -27,7 +27,6 @@ from becalm.core.kernel_switching_online import live_bank_kernels
 from becalm.core.kernel_switching_return import switch_backward, switch_late
 from becalm.core.kernels import forward
 from becalm.core.online import Online
-from becalm.core.smoothing import kalman_smoother
 from becalm.core.switching import Mode, Switching
 from becalm.core.switching_flow import SwitchingFlow
 from becalm.core.switching_lag import LaggedSwitchingFlow

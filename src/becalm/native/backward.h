@@ -1,193 +1,10 @@
-/* What later rows say of a row, and what becomes of it then: smoothing in the form of Bryson and Frazier (1963) and
-   Bierman (1973). Equations are numbered as in core/reference.py. */
+/* What later rows say of a row of one channel. Equations are numbered as in core/reference.py. */
 #ifndef BECALM_BACKWARD_H
 #define BECALM_BACKWARD_H
 
-#include "filter.h"
+#include "future.h"
 #include "opening.h"
 #include "pack.h"
-
-#define MUCH ((real)1e-2)    /* of a variance: where later rows leave less of it, P - P M P loses its digits */
-#define HARDLY ((real)1e-10) /* of a variance: and where they leave less than that, it has lost them */
-#define BLOWN_UP ((real)1e4) /* times what a row knows: then F^-1 of the next says nothing of it */
-
-enum { NOTHING_LATER = 0, COVARIANCE_ONLY = 1, STATE_TOO = 2 }; /* what `later` tells of the row after */
-
-static void unsettle_future(future_t *future) {
-    future->settled = future->steady = 0;
-    future->next_check = FIRST_CHECK;
-    future->M_then[0] = -1;
-}
-
-static void forget_future(const int n, future_t *future) {
-    future->later = 0;
-    for (int i = 0; i < n; i++) future->r[i] = 0;
-    for (int i = 0; i < n * n; i++) future->M[i] = 0;
-    unsettle_future(future);
-}
-
-/* M = A' M A + g g' / S */
-INLINE void pull_back(const int n, const real *A, const real *g, const real weight, real *M) {
-    real MA[NN_MAX];
-    multiply(n, M, A, MA);
-    for (int i = 0; i < n; i++)
-        for (int j = 0; j <= i; j++) {
-            real s = weight * g[i] * g[j];
-            for (int k = 0; k < n; k++) s += A[k * n + i] * MA[k * n + j];
-            M[i * n + j] = M[j * n + i] = s;
-        }
-}
-
-/* Write P - P M P (10); return how little it leaves of a variance at the least, as a share. It is L (I - L' M L) L' with
-   P = L L': where states are known by their sum alone, P M P has no digits. */
-INLINE real smooth_covariance(const int n, const real *P, const real *M, real *smoothed) {
-    real L[NN_MAX], ML[NN_MAX], left[NN_MAX], least = 1;
-    covariance_root(n, P, L);
-    multiply(n, M, L, ML);
-    for (int i = 0; i < n; i++)
-        for (int j = 0; j < n; j++) {
-            left[i * n + j] = i == j;
-            for (int k = i; k < n; k++) left[i * n + j] -= L[k * n + i] * ML[k * n + j];
-        }
-    multiply(n, L, left, ML);
-    for (int i = 0; i < n; i++)
-        for (int j = 0; j <= i; j++) smoothed[i * n + j] = smoothed[j * n + i] = dot(n, ML + i * n, L + j * n);
-    for (int i = 0; i < n; i++) {
-        const real share = P[i * n + i] > 0 ? smoothed[i * n + i] / P[i * n + i] : 1;
-        least = share < least ? share : least;
-    }
-    return least;
-}
-
-/* Given what later rows say of x', write u = R^-1 (d - S x'), of which joint equations (R S; 0 ..) are, as A x' + g,
-   and Z = R^-1, whose square is its own covariance. */
-static void solve_joint(const int n, const real *joint, const real *right, real *A, real *g, real *Z) {
-    for (int j = 0; j < n; j++)
-        for (int i = n - 1; i >= 0; i--) {
-            real s = i == j;
-            for (int k = i + 1; k <= j; k++) s -= joint[i * 2 * n + k] * Z[k * n + j];
-            Z[i * n + j] = i > j ? 0 : s / joint[i * 2 * n + i];
-        }
-    for (int i = 0; i < n; i++) {
-        g[i] = 0;
-        for (int k = i; k < n; k++) g[i] += Z[i * n + k] * right[k];
-        for (int j = 0; j < n; j++) {
-            A[i * n + j] = 0;
-            for (int k = i; k < n; k++) A[i * n + j] -= Z[i * n + k] * joint[k * 2 * n + n + j];
-        }
-    }
-}
-
-/* Join what is known of a state, U x = b + e, with the next one, L^-1 (x' - F x) = e, in the unknowns (x, x'): where so
-   much has faded that F^-1 is of no use. */
-static int join_next(const int n, const real *F, const real *L, const real *U, const real *b, real *joint,
-                     real *right) {
-    real back[NN_MAX];
-    memset(joint, 0, sizeof(real) * (size_t)(4 * n * n));
-    memset(right, 0, sizeof(real) * (size_t)(2 * n));
-    if (!invert(n, L, back)) return 0;
-    for (int i = 0; i < 2 * n; i++) {
-        real a[2 * N_MAX];
-        for (int j = 0; j < n; j++) {
-            a[j] = i < n ? U[i * n + j] : 0, a[n + j] = i < n ? 0 : -back[(i - n) * n + j];
-            for (int k = 0; i >= n && k <= i - n; k++) a[j] += back[(i - n) * n + k] * F[k * n + j];
-        }
-        add_equation(2 * n, a, i < n ? b[i] : 0, joint, right);
-    }
-    for (int i = 0; i < n; i++)
-        if (joint[i * 2 * n + i] == 0) return 0;
-    return 1;
-}
-
-/* Write the smoothed state and covariance of a row that gathers information, U x = b + e, from those of the row after:
-   given x', the noise w of the step is known, and x = F^-1 (x' - L w); or x itself is. */
-static int from_later(const int n, const real *U, const real *b, future_t *future) {
-    real L[NN_MAX], back[NN_MAX], joint[4 * NN_MAX], right[2 * N_MAX];
-    real A[NN_MAX], Z[NN_MAX], g[N_MAX], J[NN_MAX], V[NN_MAX], LZ[NN_MAX], x[N_MAX];
-    covariance_root(n, future->Q, L);
-    const int by_noise = join_step(n, future->F, L, U, b, back, joint, right);
-    if (!by_noise && !join_next(n, future->F, L, U, b, joint, right)) return 0;
-    solve_joint(n, joint, right, A, g, Z);
-    if (by_noise) { /* x = F^-1 (J x' - L g) + F^-1 L Z e, J = I - L A */
-        multiply(n, L, A, J);
-        multiply(n, L, Z, LZ);
-        for (int i = 0; i < n * n; i++) J[i] = (i % (n + 1) == 0) - J[i];
-        times(n, L, g, x);
-        multiply(n, back, J, A);
-        multiply(n, back, LZ, Z);
-        times(n, back, x, g);
-        for (int i = 0; i < n; i++) g[i] = -g[i];
-    }
-    for (int i = 0; i < n; i++)
-        for (int j = 0; j < n; j++) V[i * n + j] = dot(n, Z + i * n, Z + j * n);
-    propagate(n, A, V, future->P);
-    times(n, A, future->x, x);
-    for (int i = 0; i < n; i++) future->x[i] = x[i] + g[i];
-    return 1;
-}
-
-/* Return whether F^-1, which is written, keeps what a row knows: what has faded it blows up, with its rounding. */
-static int goes_back(const int n, const real *F, const real *P, const real *M, real *back) {
-    if (!invert(n, F, back)) return 0;
-    for (int i = 0; i < n; i++) {
-        real blown_up = 0;
-        for (int j = 0; j < n; j++) blown_up += fabs(back[i * n + j]) * sqrt(M[j * n + j]);
-        if (!(blown_up < BLOWN_UP * sqrt(P[i * n + i]))) return 0;
-    }
-    return 1;
-}
-
-/* The same where the row has a covariance, which P - P M P would lose the digits of: with M = F P F' + Q and
-   C = F^-1 (I - Q M^-1), it is C P' C' + C Q F'^-1 (Anderson and Moore 1979, chapter 10). Where F^-1 is of no use, it
-   is (I - K F) P (I - K F)' + K (Q + P') K' with K = P F' M^-1, the same in Joseph's form. */
-static int covariance_from_later(const int n, const real *P, future_t *future) {
-    const real *F = future->F, *Q = future->Q;
-    real A[NN_MAX], M[NN_MAX], C[NN_MAX], D[NN_MAX], back[NN_MAX], V[NN_MAX];
-    copy(n * n, P, M);
-    propagate(n, F, Q, M);
-    const int by_inverse = goes_back(n, F, P, M, back);
-    if (by_inverse)
-        copy(n * n, Q, D);
-    else
-        multiply(n, F, P, D);
-    if (!solve(n, M, D)) return 0; /* D = M^-1 Q, or K' */
-    if (by_inverse) {
-        for (int i = 0; i < n; i++)
-            for (int j = 0; j < n; j++) A[i * n + j] = (i == j) - D[j * n + i]; /* I - Q M^-1 */
-        multiply(n, back, A, C);
-        multiply(n, C, Q, A);
-        for (int i = 0; i < n; i++)
-            for (int j = 0; j <= i; j++) V[i * n + j] = V[j * n + i] = dot(n, A + i * n, back + j * n);
-        propagate(n, C, V, future->P);
-        return 1;
-    }
-    for (int i = 0; i < n * n; i++) future->P[i] += Q[i], V[i] = 0;
-    for (int i = 0; i < n; i++)
-        for (int j = 0; j < n; j++) {
-            C[i * n + j] = D[j * n + i], A[i * n + j] = i == j;
-            for (int k = 0; k < n; k++) A[i * n + j] -= D[k * n + i] * F[k * n + j];
-        }
-    propagate(n, C, V, future->P);
-    copy(n * n, P, D);
-    propagate(n, A, future->P, D);
-    copy(n * n, D, future->P);
-    return 1;
-}
-
-/* Return a smoothed variance of c x, never 0: where its digits are lost, that of the pass forward. */
-INLINE real smoothed_variance(const int n, const real *c, const real *P, const real *M, const real *recomputed) {
-    real Pc[N_MAX];
-    times(n, P, c, Pc);
-    const real variance = dot(n, c, Pc);
-    real left = variance;
-    for (int i = 0; i < n; i++) left -= Pc[i] * dot(n, M + i * n, Pc);
-    if (recomputed && left < MUCH * variance) {
-        times(n, recomputed, c, Pc);
-        const real told = dot(n, c, Pc);
-        return told > 0 ? told : variance;
-    }
-    return left > HARDLY * variance ? left : variance;
-}
 
 /* Smooth a row that gathers information, by the row after it; or, of the last one, by itself. Return 0 where that does
    not tell it. */
@@ -199,8 +16,9 @@ INLINE int smooth_gathering(const int n, const coefficients_t *model, const filt
     real Pc[N_MAX], V[NN_MAX];
     if (!(future->later == STATE_TOO && from_later(n, U, b, future))) {
         future->later = NOTHING_LATER;
-        if (unknown || !invert_root(n, model->R, Q, U, V)) return 0;
-        state_from_root(n, V, b, future->x, future->P);
+        if (unknown || !tells_state(n, model->R, Q, U, V)) return 0;
+        copy(n, b, future->x);
+        determine(n, V, future->P, future->x);
         future->later = STATE_TOO;
     }
     if (!unknown) future->level = row->level;
@@ -231,24 +49,20 @@ INLINE int smooth_row(const int n, const coefficients_t *model, const filter_t *
     return !lost || known;
 }
 
-/* Carry what later rows say through the update of a row, and through the step before it (11), (12). */
+/* Carry what later rows say through the update of a row, and through the step before it. */
 INLINE void step_back(const int n, const real *h, const real S, const real *K, const real *F, const real innovation,
                       future_t *future) {
-    real A[NN_MAX], g[N_MAX], r[N_MAX];
+    real A[NN_MAX], g[N_MAX], G[N_MAX];
     const int used = !isnan(innovation);
-    const real weight = used ? 1 / S : 0;
-    for (int j = 0; j < n; j++) {
-        g[j] = 0;
-        for (int i = 0; i < n; i++) g[j] += h[i] * F[i * n + j];
-    }
-    for (int i = 0; i < n; i++)
-        for (int j = 0; j < n; j++) A[i * n + j] = F[i * n + j] - (used ? K[i] * g[j] : 0);
-    for (int j = 0; j < n; j++) {
-        r[j] = used ? g[j] * weight * innovation : 0;
-        for (int i = 0; i < n; i++) r[j] += A[i * n + j] * future->r[i];
-    }
-    copy(n, r, future->r);
-    pull_back(n, A, g, weight, future->M);
+    const real nu = used ? innovation : 0;
+    see_through(n, 1, h, F, g);
+    for (int i = 0; i < n; i++) G[i] = used ? g[i] * (1 / S) : 0;
+    if (used)
+        close_loop(n, 1, F, K, g, A);
+    else
+        copy(n * n, F, A);
+    pull_back_state(n, 1, A, G, &nu, future->r);
+    pull_back(n, 1, A, G, g, future->M);
 }
 
 /* Go on to the row before one that was smoothed. */

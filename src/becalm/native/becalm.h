@@ -13,7 +13,8 @@ typedef double real;
 #define INFINITE ((real)INFINITY)
 
 enum { SMOOTHED = 64 }; /* rows that a smoother filters again at once */
-enum { N_MAX = 72, NN_MAX = N_MAX * N_MAX }; /* states that a channel has at the most */
+enum { N_MAX = 72, NN_MAX = N_MAX * N_MAX }; /* states that a filter has at the most */
+enum { M_MAX = 32 }; /* channels of one state that are filtered together, at the most */
 
 /* What became of a measurement; the values of `becalm.core.verdict.Verdict`. */
 enum {

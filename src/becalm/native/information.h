@@ -28,6 +28,7 @@ static inline void add_equation(const int n, real *a, real right, real *U, real 
 
 /* Write the root of a covariance, Q = L L' with L lower triangular; columns of what does not move are 0. */
 static inline void covariance_root(const int n, const real *Q, real *L) {
+    L[0] = 0;
     for (int j = 0; j < n; j++)
         for (int i = 0; i < n; i++) {
             real s = Q[i * n + j];

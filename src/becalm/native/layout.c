@@ -2,6 +2,7 @@
 #include <stddef.h>
 
 #include "filter.h"
+#include "multivariate.h"
 
 typedef struct {
     const char *name;     /* NULL: the end of a struct, whose size is the offset */
@@ -22,6 +23,7 @@ const field_t *channel_score_fields(void);
 const field_t *channel_limits_fields(void);
 const field_t *channel_watched_fields(void);
 const field_t *channel_stamps_fields(void);
+const field_t *channel_knowledge_fields(void);
 const field_t *channel_constants(void);
 
 const field_t *channel_settings_fields(void) {
@@ -101,6 +103,18 @@ const field_t *channel_stamps_fields(void) {
     return fields;
 }
 
+const field_t *channel_knowledge_fields(void) {
+#define W(name) WHOLE(knowledge_t, name)
+#define IN(name, whole) {#name, offsetof(knowledge_t, score.name), sizeof(((knowledge_t *)0)->score.name), whole}
+    static const field_t fields[] = {
+        W(phase), W(rows), W(opened), W(settled_row), IN(squares, 0), IN(product, 0), IN(exponent, 1), IN(used, 1),
+        END(knowledge_t),
+    };
+#undef W
+#undef IN
+    return fields;
+}
+
 /* Return whole numbers that Python uses, too, each as the size of a field. */
 const field_t *channel_constants(void) {
 #define VALUE(name) {#name, 0, name, 1}
@@ -109,7 +123,8 @@ const field_t *channel_constants(void) {
         VALUE(SPREADS), VALUE(REST_PARTS), VALUE(MOST_SIGMA),
         VALUE(HOP), VALUE(WINDOW_HOPS), VALUE(KEPT_HOPS), VALUE(TAKEN_STAMP),
         VALUE(LATE_STAMP), VALUE(REPEATED_STAMP), VALUE(FAR_STAMP), VALUE(CLOCK_RESET), VALUE(NO_STAMP), VALUE(AGREEING),
-        VALUE(GATHERING), VALUE(GOES_ON), VALUE(WIDE), VALUE(DETERMINED), VALUE(N_MAX), {0, 0, 0, 0},
+        VALUE(GATHERING), VALUE(GOES_ON), VALUE(WIDE), VALUE(DETERMINED), VALUE(N_MAX),
+        VALUE(M_MAX), VALUE(GAIN), VALUE(COVARIANCE), {0, 0, 0, 0},
     };
 #undef VALUE
     return values;

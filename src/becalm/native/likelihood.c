@@ -1,19 +1,9 @@
 /* The likelihood of a record and nothing else: what tuning asks for, dozens of times a channel. Source: Schweppe, IEEE
    TIT-11 (1965) 61; equation (8) of core/reference.py. No logarithm is needed: what it is taken of is multiplied. */
-#include "filter.h"
-
 #include <string.h>
 
-enum { POWER = 60 };
-
-#define LARGE ((real)1152921504606846976) /* 2^POWER: products are kept between it and its inverse */
-
-/* Return a factor without powers of two that are counted in an exponent. */
-static real near_one(real factor, int64_t *exponent) {
-    for (; factor > LARGE; *exponent += POWER) factor *= 1 / LARGE;
-    for (; factor < 1 / LARGE; *exponent -= POWER) factor *= LARGE;
-    return factor;
-}
+#include "filter.h"
+#include "score.h"
 
 void likelihood_add(const settings_t *settings, const coefficients_t *model, const block_t *block, const int64_t from,
                     score_t *score) {
@@ -31,9 +21,7 @@ void likelihood_add(const settings_t *settings, const coefficients_t *model, con
         for (int64_t row = from > at ? from - at : 0; row < part.rows; row++) {
             const real S = deviation[row] * deviation[row];
             if (!(S > 0 && S < INFINITE)) continue; /* missing, or without a prediction */
-            score->squares += innovation[row] * innovation[row] / S;
-            score->used++;
-            score->product = near_one(score->product * near_one(S, &score->exponent), &score->exponent);
+            add_score(score, innovation[row], S);
         }
     }
 }

@@ -3,6 +3,7 @@
 #define BECALM_LINEAR_H
 
 #include <math.h>
+#include <string.h>
 
 #include "becalm.h"
 
@@ -27,6 +28,8 @@ INLINE int near(const real now, const real then, const real scale) { return fabs
 
 /* Return whether a number, which may come from a file, is one that counting can give. */
 static inline int is_count(const int64_t count, const int64_t most) { return count >= -most && count <= most; }
+
+INLINE void copy(const int count, const real *from, real *to) { memcpy(to, from, sizeof(real) * (size_t)count); }
 
 INLINE real dot(const int n, const real *a, const real *b) {
     real s = 0;
@@ -71,6 +74,26 @@ INLINE void joseph(const int n, const real *h, const real R, const real *K, cons
         for (int j = 0; j <= i; j++) {
             const real s = B[i * n + j] - Bh[i] * K[j] + K[i] * R * K[j];
             P[i * n + j] = P[j * n + i] = s;
+        }
+}
+
+/* g = H F (m, n): what measurements say of the state one step before */
+INLINE void see_through(const int n, const int m, const real *H, const real *F, real *g) {
+    for (int c = 0; c < m; c++)
+        for (int j = 0; j < n; j++) {
+            real s = 0;
+            for (int i = 0; i < n; i++) s += H[c * n + i] * F[i * n + j];
+            g[c * n + j] = s;
+        }
+}
+
+/* A = F - K g = (I - K H) F, with K (n, m) */
+INLINE void close_loop(const int n, const int m, const real *F, const real *K, const real *g, real *A) {
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j < n; j++) {
+            real s = F[i * n + j];
+            for (int c = 0; c < m; c++) s -= K[i * m + c] * g[c * n + j];
+            A[i * n + j] = s;
         }
 }
 

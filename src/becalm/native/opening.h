@@ -38,7 +38,7 @@ static inline void carry_information(const int n, const real *F, const real *Q, 
 }
 
 /* Return the length of a column of U. */
-static real column(const int n, const real *U, const int j) {
+static inline real column(const int n, const real *U, const int j) {
     real s = 0;
     for (int i = 0; i <= j; i++) s += U[i * n + j] * U[i * n + j];
     return sqrt(s);
@@ -46,7 +46,7 @@ static real column(const int n, const real *U, const int j) {
 
 /* Estimate h x and its standard deviation from what is known; NaN and inf where that does not tell. */
 static inline void estimate_from_information(const int n, const real *h, const real *U, const real *b, real *signal,
-                                             real *sigma) {
+                                      real *sigma) {
     real w[N_MAX], most = 0, variance = 0, value = 0;
     for (int j = 0; j < n; j++) {
         const real scaled = fabs(h[j]) / (column(n, U, j) > 0 ? column(n, U, j) : 1);
@@ -66,60 +66,71 @@ static inline void estimate_from_information(const int n, const real *h, const r
     *signal = value, *sigma = sqrt(variance);
 }
 
-/* Return the variance of the prediction of h x after a step from a state of covariance V V'. */
-static inline real predicted_variance(const int n, const real *h, const real *F, const real *Q, const real *V) {
-    real hF[N_MAX], variance = 0;
+/* Write V = U^-1; return whether there is one. */
+static inline int invert_root(const int n, const real *U, real *V) {
     for (int j = 0; j < n; j++) {
-        hF[j] = 0;
-        for (int i = 0; i < n; i++) hF[j] += h[i] * F[i * n + j], variance += h[i] * Q[i * n + j] * h[j];
-    }
-    for (int j = 0; j < n; j++) {
-        real s = 0;
-        for (int i = 0; i < n; i++) s += hF[i] * V[i * n + j];
-        variance += s * s;
-    }
-    return variance;
-}
-
-/* Write the inverse of a root of information, V = U^-1; return whether it determines the state, with some digits. */
-static inline int invert_root(const int n, const real R, const real *Q, const real *U, real *V) {
-    real squares = 0, usual = R;
-    for (int j = 0; j < n; j++) {
-        if (!(fabs(U[j * n + j]) > LIVE * column(n, U, j))) return 0;
+        if (U[j * n + j] == 0) return 0;
         for (int i = n - 1; i >= 0; i--) {
             real s = i == j;
             for (int k = i + 1; k <= j; k++) s -= U[i * n + k] * V[k * n + j];
             V[i * n + j] = i > j ? 0 : s / U[i * n + i];
         }
     }
-    for (int i = 0; i < n; i++)
+    return 1;
+}
+
+/* Return whether information, and its V, determine all states. */
+static inline int is_determined(const int n, const real *U, const real *V) {
+    real squares = 0;
+    for (int i = 0; i < n; i++) {
+        if (!(fabs(U[i * n + i]) > LIVE * column(n, U, i))) return 0;
         for (int j = i; j < n; j++) {
             const real scaled = V[i * n + j] * column(n, U, i);
             squares += scaled * scaled;
         }
-    if (!(squares * WELL_DETERMINED < 1)) return 0;
+    }
+    return squares * WELL_DETERMINED < 1;
+}
+
+/* Write V = U^-1; return whether information determines the state, with some digits of R or Q. */
+static inline int tells_state(const int n, const real R, const real *Q, const real *U, real *V) {
+    real usual = R;
+    if (!invert_root(n, U, V) || !is_determined(n, U, V)) return 0;
     for (int i = 0; i < n; i++) usual = Q[i * n + i] > usual ? Q[i * n + i] : usual;
     for (int i = 0; i < n; i++)
         if (!(dot(n, V + i * n, V + i * n) < FAR * usual)) return 0;
     return 1;
 }
 
-/* Write the state and covariance of information U x = b + e, with V = U^-1; they may be in the place of b and U. */
-static inline void state_from_root(const int n, const real *V, const real *b, real *x, real *P) {
+/* Turn information into a state and its covariance, in place, given V. */
+static inline void determine(const int n, const real *V, real *P, real *x) {
     real state[N_MAX];
-    times(n, V, b, state);
+    times(n, V, x, state);
     for (int i = 0; i < n; i++) {
         x[i] = state[i];
         for (int j = 0; j < n; j++) P[i * n + j] = dot(n, V + i * n, V + j * n);
     }
 }
 
-/* Turn information into a state and its covariance, in place; return whether it determines them. */
-static inline int try_to_determine(const int n, const coefficients_t *model, const real *F, const real *Q, real *P, real *x) {
+/* Return the variance of the prediction of h x after a step from a state of covariance V V'. */
+static inline real predicted_variance(const int n, const real *h, const real *F, const real *Q, const real *V) {
+    real hF[N_MAX], variance = 0;
+    see_through(n, 1, h, F, hF);
+    for (int j = 0; j < n; j++) {
+        real s = 0;
+        for (int i = 0; i < n; i++) s += hF[i] * V[i * n + j], variance += h[i] * Q[i * n + j] * h[j];
+        variance += s * s;
+    }
+    return variance;
+}
+
+/* Do so where the next measurement is predicted as well as asked; return whether the state is determined. */
+static inline int try_to_determine(const int n, const coefficients_t *model, const real *F, const real *Q, real *P,
+                                   real *x) {
     real V[NN_MAX];
-    if (!invert_root(n, model->R, Q, P, V)) return 0;
+    if (!tells_state(n, model->R, Q, P, V)) return 0;
     if (!(predicted_variance(n, model->h, F, Q, V) <= model->widest * model->R)) return 0;
-    state_from_root(n, V, x, x, P);
+    determine(n, V, P, x);
     return 1;
 }
 

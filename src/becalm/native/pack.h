@@ -11,8 +11,6 @@ enum { HEAD = offsetof(filter_t, x) / sizeof(real) };
 
 static int64_t packed_size(const int64_t n) { return HEAD + 6 * n + n * n; }
 
-INLINE void copy(const int count, const real *from, real *to) { memcpy(to, from, sizeof(real) * (size_t)count); }
-
 INLINE void pack(const int n, const filter_t *state, real *packed) {
     const real *arrays[] = {state->x, state->ahead, state->K, state->L, state->K_then, state->variance_then};
     memcpy(packed, state, offsetof(filter_t, x));

@@ -2,7 +2,6 @@
 #ifndef BECALM_SETTLING_H
 #define BECALM_SETTLING_H
 
-#include <string.h>
 #include "filter.h"
 #include "linear.h"
 
@@ -10,7 +9,7 @@
 #define FORGOTTEN ((real)0.9)  /* what the last eighth of a stretch may leave of the spread before it */
 
 /* Compare gain and sigma with those of the last check, and keep them for the next; return whether they have settled. */
-static int check_gain(const int n, filter_t *state) {
+static inline int check_gain(const int n, filter_t *state) {
     int settled = near(state->S, state->S_then, state->S) & near(state->sigma, state->sigma_then, state->sigma);
     for (int i = 0; i < n; i++) {
         const real variance = state->P[i * n + i];
@@ -24,29 +23,29 @@ static int check_gain(const int n, filter_t *state) {
 }
 
 /* Return whether the filter forgets a tenth at least of what was before some rows: a slow gain only creeps. */
-static int forgets(const int n, const real *h, const real *F, const filter_t *state, real rows) {
-    real A[NN_MAX], squared[NN_MAX], hF[N_MAX], before = 0, left = 0;
-    for (int j = 0; j < n; j++) {
-        hF[j] = 0;
-        for (int i = 0; i < n; i++) hF[j] += h[i] * F[i * n + j];
-    }
-    for (int i = 0; i < n; i++)
-        for (int j = 0; j < n; j++) A[i * n + j] = F[i * n + j] - state->K[i] * hF[j];
+static inline int forgets(const int n, const int m, const real *H, const real *F, const real *K, const real *P, real rows) {
+    real A[NN_MAX], squared[NN_MAX], g[M_MAX * N_MAX];
+    see_through(n, m, H, F, g);
+    close_loop(n, m, F, K, g, A);
     for (; rows >= 2; rows *= (real)0.5) {
         multiply(n, A, A, squared);
-        memcpy(A, squared, sizeof(real) * (size_t)(n * n));
+        copy(n * n, squared, A);
     }
-    for (int j = 0; j < n; j++) {
-        const real spread = sqrt(state->P[j * n + j]);
-        real s = 0;
-        for (int i = 0; i < n; i++) s += h[i] * A[i * n + j];
-        before += fabs(h[j]) * spread;
-        left += fabs(s) * spread;
+    for (int c = 0; c < m; c++) {
+        real before = 0, left = 0;
+        for (int j = 0; j < n; j++) {
+            const real spread = sqrt(P[j * n + j]);
+            real s = 0;
+            for (int i = 0; i < n; i++) s += H[c * n + i] * A[i * n + j];
+            before += fabs(H[c * n + j]) * spread;
+            left += fabs(s) * spread;
+        }
+        if (!(left <= FORGOTTEN * before)) return 0;
     }
-    return left <= FORGOTTEN * before;
+    return 1;
 }
 
-static void unsettle(filter_t *state) {
+static inline void unsettle(filter_t *state) {
     state->settled = state->agreed = state->predicted = 0;
     state->steady = -1, state->next_check = FIRST_CHECK;
     state->last_step = -1, state->S_then = -1;
@@ -61,7 +60,7 @@ INLINE void notice(const int n, const real *h, const real *F, filter_t *state, c
     }
     state->predicted = 0;
     if (++state->steady < state->next_check) return;
-    const int settled = check_gain(n, state) && forgets(n, h, F, state, (real)0.125 * (real)state->steady);
+    const int settled = check_gain(n, state) && forgets(n, 1, h, F, state->K, state->P, (real)0.125 * (real)state->steady);
     state->agreed = settled ? state->agreed + 1 : 0;
     if (0 < state->agreed && state->agreed <= n) {
         state->next_check = state->steady + 1;

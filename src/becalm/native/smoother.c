@@ -9,10 +9,6 @@ enum { LONGEST_WAIT = 50 }; /* missing rows after a reject, beyond which it is a
 
 enum { SKIPPED = 2 }; /* of `only_future`: not even the last rows are smoothed */
 
-/* A gain that was lost within a block has not settled again at its end: so one that has settled, for as many rows as
-   before the block, was used for all of them. */
-typedef char settles_late[2 * FIRST_CHECK >= SMOOTHED ? 1 : -1];
-
 int64_t smoother_room(const int64_t states, const int64_t rows) {
     return ((rows + SMOOTHED - 1) / SMOOTHED + 1 + SMOOTHED) * packed_size(states);
 }
@@ -98,31 +94,17 @@ int64_t smoother_forward(const settings_t *settings, const coefficients_t *model
     return taken;
 }
 
-/* Notice that M is the same as an eighth of the stretch before. */
-static void notice_future(const int n, future_t *future, const int64_t rows) {
-    future->steady += rows;
-    if (future->steady < future->next_check) return;
-    future->next_check = future->steady + (future->steady / 8 > FIRST_CHECK ? future->steady / 8 : FIRST_CHECK);
-    future->settled = 1;
-    for (int i = 0; i < n; i++)
-        for (int j = 0; j < n; j++) {
-            const real scale = sqrt(future->M[i * n + i]) * sqrt(future->M[j * n + j]);
-            future->settled &= near(future->M[i * n + j], future->M_then[i * n + j], scale);
-        }
-    copy(n * n, future->M, future->M_then);
-}
-
 /* Smooth a block whose gain had settled before it. */
 INLINE void smooth_settled(const int n, const coefficients_t *model, const filter_t *state, const real *F,
                            const block_t *part, future_t *future, const estimate_t *estimate, const int only_future) {
-    real A[NN_MAX], B[NN_MAX], hF[N_MAX], Pc[N_MAX], r[N_MAX], sigma = 0; /* B = A' */
+    real A[NN_MAX], B[NN_MAX], hF[N_MAX], G[N_MAX], Pc[N_MAX], r[N_MAX], sigma = 0; /* B = A' */
     const real weight = 1 / state->S, variance = state->sigma * state->sigma;
-    for (int j = 0; j < n; j++) {
-        hF[j] = 0;
-        for (int i = 0; i < n; i++) hF[j] += model->h[i] * F[i * n + j];
+    see_through(n, 1, model->h, F, hF);
+    close_loop(n, 1, F, state->K, hF, A);
+    for (int i = 0; i < n; i++) {
+        G[i] = weight * hF[i];
+        for (int j = 0; j < n; j++) B[j * n + i] = A[i * n + j];
     }
-    for (int i = 0; i < n; i++)
-        for (int j = 0; j < n; j++) A[i * n + j] = B[j * n + i] = F[i * n + j] - state->K[i] * hF[j]; /* (I - K h) F */
     times(n, state->P, model->c, Pc);
     for (int i = 0; i < n; i++) r[i] = future->r[i];
     for (int64_t row = part->rows - 1; row >= 0; row--) {
@@ -147,7 +129,7 @@ INLINE void smooth_settled(const int n, const coefficients_t *model, const filte
         if (row == 0)
             future->later =
                 smooth_covariance(n, state->P, future->M, future->P) > HARDLY ? COVARIANCE_ONLY : NOTHING_LATER;
-        if (!future->settled) pull_back(n, A, hF, weight, future->M); /* (12) */
+        if (!future->settled) pull_back(n, 1, A, G, hF, future->M); /* (12) */
     }
     if (!future->settled) notice_future(n, future, part->rows);
 }

@@ -15,13 +15,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from becalm.core.arrays import Booleans, Floats
-from becalm.core.filtering import checked_readings, new_trace, run_filter, sizes_of
-from becalm.core.kernel_settling import GAIN, new_memory
-from becalm.core.kernels import forward
+from becalm.core.filtering import checked_readings, run_filter
 from becalm.core.likelihood import NOTHING
 from becalm.core.model import Model
-from becalm.core.starting import arrived, wide_prior
-from becalm.core.sums import Sums
+from becalm.core.starting import arrived
 from becalm.core.timeline import even_timeline
 from becalm.errors import ModelError, RecordingError
 from becalm.noise.autocovariances import Autocovariances, autocovariances
@@ -135,23 +132,13 @@ class RecordLikelihood:
 
     def __init__(self, model: Model, z: Floats) -> None:
         self.model, self.z, self._timeline = model, z, even_timeline(model, len(z))
-        self._memory = None
-        if model.x0 is not None and model.P0 is not None and wide_prior(model) is None:
-            self._memory = new_memory(model.x0, model.P0, model.channels)
-        self._sizes, self._record = sizes_of(model), self._timeline.record(z)
-        self._trace = new_trace(model, len(z), NOTHING)
 
     def __call__(self, Q: Floats, R: Floats) -> tuple[float, int]:
         """Return the log-likelihood at Q and R, and of how many readings."""
         model, G = self.model, self.model.G
         timeline = self._timeline._replace(system=self._timeline.system._replace(Q=(G @ Q @ G.T)[np.newaxis], R=R))
-        if self._memory is None:
-            found = run_filter(model, timeline, self.z, NOTHING).estimate
-            return found.log_likelihood, found.used
-        squares, log_det, used, _ = forward(
-            self._sizes, timeline.system, self._record, 0, GAIN, self._memory.copy(), self._trace
-        )
-        return Sums(squares, log_det, used).log_likelihood, used
+        found = run_filter(model, timeline, self.z, NOTHING).estimate
+        return found.log_likelihood, found.used
 
 
 class JointLikelihood:

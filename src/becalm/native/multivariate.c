@@ -1,0 +1,719 @@
+/* The filter and the smoother of several channels of one state. Equations are numbered as in core/reference.py.
+
+   A channel that is missing keeps its place: its row of H counts as zero, its variance as one and its innovation as
+   zero. */
+#include "multivariate.h"
+
+#include <stddef.h>
+
+#include "future.h"
+#include "opening.h"
+#include "score.h"
+#include "settling.h"
+
+#define LARGEST ((real)1e200)   /* a state that no measurement sees saturates here, and cannot spoil the others */
+#define DEAD_PIVOT ((real)1e-15) /* of a variance: what rounding alone has left */
+
+/* Call a function whose first arguments are the numbers of states and of channels: of the smallest models constants. */
+#define SIZE(n, m) ((n) * (M_MAX + 1) + (m))
+#define FOR_SMALL(n, m, function, ...)                        \
+    switch (SIZE(n, m)) {                                     \
+    case SIZE(1, 1): function(1, 1, __VA_ARGS__); break;      \
+    case SIZE(2, 1): function(2, 1, __VA_ARGS__); break;      \
+    case SIZE(2, 2): function(2, 2, __VA_ARGS__); break;      \
+    case SIZE(3, 1): function(3, 1, __VA_ARGS__); break;      \
+    case SIZE(3, 3): function(3, 3, __VA_ARGS__); break;      \
+    default: function((int)(n), (int)(m), __VA_ARGS__);       \
+    }
+
+/* Where the numbers of a state are. */
+typedef struct {
+    real *x, *P;         /* (n), (n, n); while GATHERING right-hand side and root of the information */
+    real *K;             /* (n, m) gain; zero columns for channels that are missing */
+    real *L, *D;         /* (m, m), (m) innovation covariance S = L D L'; a pivot of 0 carries no information */
+    real *nu, *deviation; /* (m) innovations, 0 where missing, and what is expected of them, NaN where missing */
+    real *K_then, *L_then, *D_then, *P_then; /* at the last check */
+    real *A, *g;         /* (n, n) closed loop (I - K H) F, and H F (m, n): they can be found again */
+} parts_t;
+
+INLINE int64_t kept(const int64_t n, const int64_t m) { return n + 2 * n * n + 2 * n * m + 2 * m * m + 4 * m; }
+
+INLINE parts_t parts_of(const int n, const int m, knowledge_t *state) {
+    parts_t p;
+    p.x = state->numbers, p.P = p.x + n, p.K = p.P + n * n, p.L = p.K + n * m, p.D = p.L + m * m, p.nu = p.D + m;
+    p.deviation = p.nu + m, p.K_then = p.deviation + m, p.L_then = p.K_then + n * m, p.D_then = p.L_then + m * m;
+    p.P_then = p.D_then + m, p.A = p.P_then + n * n, p.g = p.A + n * n;
+    return p;
+}
+
+static int64_t packed(const int64_t n, const int64_t m) {
+    return (int64_t)offsetof(knowledge_t, numbers) + (int64_t)sizeof(real) * kept(n, m);
+}
+
+int64_t multivariate_size(const int64_t states, const int64_t channels) {
+    return packed(states, channels) + (int64_t)sizeof(real) * (states * states + channels * states);
+}
+
+/* Save a state without what can be found again. */
+static void save(const multivariate_t *model, const knowledge_t *state, void *room) {
+    memcpy(room, state, (size_t)packed(model->states, model->channels));
+}
+
+static void load(const multivariate_t *model, const void *room, knowledge_t *state) {
+    memcpy(state, room, (size_t)packed(model->states, model->channels));
+    state->closed = 0;
+}
+
+static void lose_gain(knowledge_t *state, real *D_then) {
+    state->settled = state->agreed = state->closed = 0;
+    state->steady = -1, state->next_check = FIRST_CHECK, state->last_step = -1;
+    D_then[0] = -1; /* a check must not find what another stretch has left */
+}
+
+void multivariate_start(const multivariate_t *model, const real *x, const real *P, knowledge_t *state) {
+    const int n = (int)model->states, m = (int)model->channels;
+    memset(state, 0, (size_t)multivariate_size(n, m));
+    const parts_t p = parts_of(n, m, state);
+    state->settled_row = -1, state->score.product = 1;
+    lose_gain(state, p.D_then);
+    state->steady = 0;
+    if (!x) return;
+    state->phase = DETERMINED;
+    copy(n, x, p.x), copy(n * n, P, p.P);
+}
+
+/* Factor S = L D L'. */
+INLINE void factor(const int m, const real *S, real *L, real *D) {
+    for (int a = 0; a < m; a++) {
+        real d = S[a * m + a];
+        for (int c = 0; c < a; c++) d -= L[a * m + c] * L[a * m + c] * D[c];
+        D[a] = d > DEAD_PIVOT * S[a * m + a] ? d : 0;
+        for (int b = a + 1; b < m; b++) {
+            real s = S[b * m + a];
+            for (int c = 0; c < a; c++) s -= L[b * m + c] * L[a * m + c] * D[c];
+            L[b * m + a] = D[a] > 0 ? s / D[a] : 0;
+        }
+    }
+}
+
+/* Replace v by S^-1 v. */
+INLINE void divide(const int m, const real *L, const real *D, real *v) {
+    for (int a = 0; a < m; a++)
+        for (int c = 0; c < a; c++) v[a] -= L[a * m + c] * v[c];
+    for (int a = 0; a < m; a++) v[a] = D[a] > 0 ? v[a] / D[a] : 0;
+    for (int a = m - 1; a >= 0; a--)
+        for (int c = a + 1; c < m; c++) v[a] -= L[c * m + a] * v[c];
+}
+
+/* Add to the likelihood (8): e = L^-1 nu has the variances D. */
+INLINE void score_row(const int m, const parts_t *p, score_t *score) {
+    real e[M_MAX];
+    for (int a = 0; a < m; a++) {
+        e[a] = p->nu[a];
+        for (int c = 0; c < a; c++) e[a] -= p->L[a * m + c] * e[c];
+        if (p->D[a] > 0 && p->D[a] < INFINITE && !isnan(p->deviation[a])) add_score(score, e[a], p->D[a]);
+    }
+}
+
+/* Compare with the last check, and keep for the next; return what has settled. */
+static int compare(const int n, const int m, const parts_t *p) {
+    int gain = 1, covariance = 1;
+    for (int a = 0; a < m; a++) {
+        gain &= near(p->D[a], p->D_then[a], p->D[a]);
+        p->D_then[a] = p->D[a];
+        for (int b = 0; b < a; b++) {
+            gain &= near(p->L[a * m + b], p->L_then[a * m + b], 1 + fabs(p->L[a * m + b]));
+            p->L_then[a * m + b] = p->L[a * m + b];
+        }
+        for (int i = 0; i < n; i++) {
+            const real variance = p->P[i * n + i], K = p->K[i * m + a];
+            const int steady = fabs(variance - p->P_then[i * n + i]) <= STEADY * variance; /* else a gain may grow */
+            const real spread = steady && p->D[a] > 0 ? sqrt(variance / p->D[a]) : 0;
+            gain &= near(K, p->K_then[i * m + a], spread + fabs(K));
+            p->K_then[i * m + a] = K;
+        }
+    }
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j < n; j++) {
+            const real scale = sqrt(p->P[i * n + i]) * sqrt(p->P[j * n + j]);
+            covariance &= near(p->P[i * n + j], p->P_then[i * n + j], scale);
+        }
+    copy(n * n, p->P, p->P_then);
+    return gain ? covariance ? COVARIANCE : GAIN : 0;
+}
+
+/* Notice, after a row, what has settled; see settling.h. */
+INLINE void notice_row(const int n, const int m, const multivariate_t *model, knowledge_t *state, const parts_t *p,
+                       const real *F, const real length, const int complete) {
+    if (!complete || length != state->last_step || !F) {
+        lose_gain(state, p->D_then);
+        if (complete && F) state->last_step = length;
+    }
+    if (++state->steady < state->next_check || !F) return;
+    int same = compare(n, m, p);
+    if (same && !forgets(n, m, model->H, F, p->K, p->P, (real)0.125 * (real)state->steady)) same = 0;
+    state->proven = state->agreed && state->proven < same ? state->proven : same;
+    state->agreed = same ? state->agreed + 1 : 0;
+    if (0 < state->agreed && state->agreed <= n) {
+        state->next_check = state->steady + 1;
+        return;
+    }
+    state->settled = state->proven, state->agreed = 0;
+    if (state->settled >= model->enough && state->settled_row < 0) state->settled_row = state->rows;
+    state->next_check = state->steady + (state->steady / 8 > FIRST_CHECK ? state->steady / 8 : FIRST_CHECK);
+}
+
+/* Write (H P H') of each channel's signal as a standard deviation. */
+INLINE void spread_of(const int n, const int m, const real *H, const real *P, real *sigma) {
+    for (int c = 0; c < m; c++) {
+        real Ph[N_MAX];
+        times(n, P, H + c * n, Ph);
+        const real variance = dot(n, H + c * n, Ph);
+        sigma[c] = variance > 0 ? sqrt(variance) : 0;
+    }
+}
+
+INLINE void write_belief(const int n, const int m, const multivariate_t *model, const real *x, const real *P,
+                         const beliefs_t *beliefs, const int64_t row) {
+    for (int c = 0; c < m && beliefs->signal; c++) beliefs->signal[row * m + c] = dot(n, model->H + c * n, x);
+    if (beliefs->sigma) spread_of(n, m, model->H, P, beliefs->sigma + row * m);
+    if (beliefs->x) copy(n, x, beliefs->x + row * n);
+    if (beliefs->P) copy(n * n, P, beliefs->P + row * n * n);
+}
+
+INLINE void write_innovation(const int m, const parts_t *p, const beliefs_t *beliefs, const int64_t row) {
+    for (int c = 0; c < m && beliefs->innovation; c++)
+        beliefs->innovation[row * m + c] = isnan(p->deviation[c]) ? NOT_A_NUMBER : p->nu[c];
+    for (int c = 0; c < m && beliefs->deviation; c++) beliefs->deviation[row * m + c] = p->deviation[c];
+}
+
+INLINE int has_arrived(const real z) { return fabs(z) <= BEYOND_ANY_SENSOR; }
+
+/* P = (I - K H) P (I - K H)' + K R K', Joseph's form (7); PH is P H' (n, m). */
+INLINE void joseph_of(const int n, const int m, const real *H, const real *R, const real *K, const real *PH, real *P) {
+    real B[NN_MAX], C[N_MAX * M_MAX];
+    for (int i = 0; i < n; i++) {
+        for (int j = 0; j < n; j++) {
+            real s = P[i * n + j];
+            UNROLL
+            for (int a = 0; a < m; a++) s -= K[i * m + a] * PH[j * m + a];
+            B[i * n + j] = s;
+        }
+        for (int a = 0; a < m; a++) {
+            real s = -dot(n, B + i * n, H + a * n);
+            UNROLL
+            for (int b = 0; b < m; b++) s += K[i * m + b] * R[b * m + a];
+            C[i * m + a] = s;
+        }
+    }
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j <= i; j++) {
+            real s = B[i * n + j];
+            UNROLL
+            for (int a = 0; a < m; a++) s += C[i * m + a] * K[j * m + a];
+            P[i * n + j] = P[j * n + i] = s;
+        }
+}
+
+/* Predict: (1), (2). */
+INLINE void predict(const int n, const real *F, const real *Q, real *x, real *P) {
+    real Fx[N_MAX];
+    times(n, F, x, Fx);
+    propagate(n, F, Q, P);
+    for (int i = 0; i < n; i++) {
+        x[i] = Fx[i] < -LARGEST ? -LARGEST : Fx[i] > LARGEST ? LARGEST : Fx[i];
+        if (P[i * n + i] > LARGEST) {
+            const real shrink = sqrt(LARGEST / P[i * n + i]);
+            for (int j = 0; j < n; j++) P[i * n + j] *= shrink, P[j * n + i] *= shrink;
+        }
+    }
+}
+
+/* Take one row with its covariance; F is NULL where no step precedes it. */
+INLINE void filter_row(const int n, const int m, const multivariate_t *model, knowledge_t *state, const parts_t *p,
+                       const real *F, const real *Q, const real length, const real *z) {
+    const real *H = model->H, *R = model->R;
+    real PH[N_MAX * M_MAX], S[M_MAX * M_MAX];
+    int count = 0;
+    if (F) predict(n, F, Q, p->x, p->P);
+    for (int a = 0; a < m; a++) {
+        const int arrived = has_arrived(z[a]);
+        count += arrived;
+        for (int i = 0; i < n; i++) PH[i * m + a] = arrived ? dot(n, p->P + i * n, H + a * n) : 0;
+        for (int b = 0; b <= a; b++) {
+            real s = 0;
+            UNROLL
+            for (int i = 0; i < n; i++) s += H[a * n + i] * PH[i * m + b];
+            S[a * m + b] = arrived && has_arrived(z[b]) ? s + R[a * m + b] : a == b; /* (4) */
+        }
+        p->nu[a] = arrived ? z[a] - dot(n, H + a * n, p->x) : 0; /* (3) */
+        p->deviation[a] = arrived ? sqrt(S[a * m + a]) : NOT_A_NUMBER;
+    }
+    factor(m, S, p->L, p->D);
+    for (int i = 0; i < n; i++) {
+        copy(m, PH + i * m, p->K + i * m);
+        divide(m, p->L, p->D, p->K + i * m);                           /* (5) */
+        p->x[i] += dot(m, p->K + i * m, p->nu);                        /* (6) */
+    }
+    if (count) joseph_of(n, m, H, R, p->K, PH, p->P);
+    score_row(m, p, &state->score);
+    notice_row(n, m, model, state, p, F, length, count == m);
+}
+
+/* How long a column is where four numbers are computed side by side: few are computed one by one. */
+INLINE int padded(const int n) { return n < 3 ? n : (n + 3) & ~3; }
+
+/* Write the columns of A (rows, columns), each padded by 0. */
+INLINE void lay_out(const int rows, const int columns, const real *A, const real sign, real *B) {
+    const int wide = padded(rows);
+    for (int j = 0; j < columns; j++)
+        for (int i = 0; i < wide; i++) B[j * wide + i] = i < rows ? sign * A[i * columns + j] : 0;
+}
+
+/* y += A v, of which B has the columns. */
+INLINE void accumulate(const int rows, const int columns, const real *B, const real *v, real *y) {
+    const int wide = padded(rows);
+    if (wide < 3) {
+        UNROLL
+        for (int i = 0; i < rows; i++) {
+            UNROLL
+            for (int j = 0; j < columns; j++) y[i] += B[j * wide + i] * v[j];
+        }
+    } else
+        for (int i = 0; i < wide; i += 4) {
+            real a = y[i], b = y[i + 1], c = y[i + 2], d = y[i + 3];
+            UNROLL
+            for (int j = 0; j < columns; j++) {
+                const real *at = B + j * wide + i;
+                a += at[0] * v[j], b += at[1] * v[j], c += at[2] * v[j], d += at[3] * v[j];
+            }
+            y[i] = a, y[i + 1] = b, y[i + 2] = c, y[i + 3] = d;
+        }
+}
+
+/* Take rows up to another one with the gain that has settled, until one is missing or a state runs away; return how
+   many were taken. */
+INLINE int64_t take_settled(const int n, const int m, const multivariate_t *model, knowledge_t *state,
+                            const parts_t *p, const record_t *record, const int64_t from, const int64_t to,
+                            const beliefs_t *beliefs) {
+    real A[NN_MAX], K[N_MAX * M_MAX], g[N_MAX * M_MAX], H[N_MAX * M_MAX], L[M_MAX * M_MAX], weight[M_MAX];
+    real sigma[M_MAX] = {0}, deviation[M_MAX], x[N_MAX], nu[M_MAX];
+    lay_out(n, n, p->A, 1, A), lay_out(n, m, p->K, 1, K), lay_out(m, n, p->g, -1, g), lay_out(m, n, model->H, 1, H);
+    copy(m * m, p->L, L), copy(n, p->x, x), copy(m, p->deviation, deviation), copy(m, p->nu, nu);
+    if (beliefs->sigma) spread_of(n, m, model->H, p->P, sigma);
+    score_t score = state->score;
+    int64_t scale = 0, live = 0, row = from;
+    real determinant = 1;
+    for (int a = 0; a < m; a++) {
+        const int alive = p->D[a] > 0 && p->D[a] < INFINITE;
+        weight[a] = alive ? 1 / p->D[a] : 0, live += alive;
+        if (alive) determinant = near_one(determinant * near_one(p->D[a], &scale), &scale);
+    }
+    for (; row < to; row++) {
+        const real *z = record->z + row * m;
+        real next[N_MAX], e[M_MAX], signal[M_MAX], squares = 0;
+        int possible = 1;
+        UNROLL
+        for (int a = 0; a < m; a++) possible &= has_arrived(z[a]);
+        UNROLL
+        for (int a = 0; a < padded(m); a++) e[a] = a < m ? z[a] : 0, signal[a] = 0;
+        UNROLL
+        for (int i = 0; i < padded(n); i++) next[i] = 0;
+        accumulate(m, n, g, x, e); /* (3) */
+        accumulate(n, m, K, z, next);
+        accumulate(n, n, A, x, next); /* (1), (6) */
+        UNROLL
+        for (int i = 0; i < n; i++) possible &= fabs(next[i]) <= LARGEST;
+        if (!possible) break;
+        UNROLL
+        for (int i = 0; i < n; i++) x[i] = next[i];
+        if (beliefs->signal) {
+            accumulate(m, n, H, x, signal);
+            UNROLL
+            for (int a = 0; a < m; a++) beliefs->signal[row * m + a] = signal[a];
+        }
+        if (beliefs->sigma)
+            UNROLL
+            for (int a = 0; a < m; a++) beliefs->sigma[row * m + a] = sigma[a];
+        if (beliefs->innovation)
+            UNROLL
+            for (int a = 0; a < m; a++) beliefs->innovation[row * m + a] = e[a];
+        if (beliefs->deviation)
+            UNROLL
+            for (int a = 0; a < m; a++) beliefs->deviation[row * m + a] = deviation[a];
+        if (beliefs->x) copy(n, x, beliefs->x + row * n);
+        if (beliefs->P) copy(n * n, p->P, beliefs->P + row * n * n);
+        UNROLL
+        for (int a = 0; a < m; a++) {
+            nu[a] = e[a];
+            UNROLL
+            for (int c = 0; c < a; c++) e[a] -= L[a * m + c] * e[c];
+            squares += e[a] * e[a] * weight[a];
+        }
+        score.squares += squares; /* (8) */
+        score.product *= determinant;
+        if (!(score.product <= LARGE && score.product >= 1 / LARGE))
+            score.product = near_one(score.product, &score.exponent);
+    }
+    copy(n, x, p->x), copy(m, nu, p->nu);
+    score.exponent += scale * (row - from), score.used += live * (row - from);
+    state->score = score;
+    return row - from;
+}
+
+static int64_t filter_settled(const int n, const int m, const multivariate_t *model, knowledge_t *state,
+                              const parts_t *p, const real *F, const record_t *record, const int64_t from,
+                              const int64_t to, const beliefs_t *beliefs) {
+    int64_t taken = 0;
+    if (!state->closed) {
+        see_through(n, m, model->H, F, p->g);
+        close_loop(n, m, F, p->K, p->g, p->A);
+        state->closed = 1;
+    }
+    FOR_SMALL(n, m, taken = take_settled, model, state, p, record, from, to, beliefs)
+    return taken;
+}
+
+/* Add what the channels that arrived tell: of the lower root of their R, R = C C', the equations C^-1 (z - H x) = e. */
+static void learn(const int n, const int m, const multivariate_t *model, const real *z, real *U, real *b) {
+    real C[M_MAX * M_MAX], a[M_MAX * N_MAX], right[M_MAX];
+    int seen[M_MAX], count = 0;
+    for (int c = 0; c < m; c++)
+        if (has_arrived(z[c])) seen[count++] = c;
+    for (int c = 0; c < count; c++) {
+        copy(n, model->H + seen[c] * n, a + c * n);
+        right[c] = z[seen[c]];
+        for (int d = 0; d <= c; d++) {
+            real s = model->R[seen[c] * m + seen[d]];
+            for (int k = 0; k < d; k++) s -= C[c * m + k] * C[d * m + k];
+            C[c * m + d] = d < c ? s / C[d * m + d] : sqrt(s);
+            const real part = d < c ? C[c * m + d] : 0;
+            for (int i = 0; i < n; i++) a[c * n + i] -= part * a[d * n + i];
+            right[c] -= part * right[d];
+        }
+        for (int i = 0; i < n; i++) a[c * n + i] /= C[c * m + c];
+        right[c] /= C[c * m + c];
+    }
+    for (int c = 0; c < count; c++) add_equation(n, a + c * n, right[c], U, b);
+}
+
+/* Predict a row by information that determines the state, U' w = h: (3), (4), (8). */
+static void foretell(const int n, const int m, const multivariate_t *model, const real *z, const parts_t *p,
+                     score_t *score) {
+    real S[M_MAX * M_MAX], w[M_MAX * N_MAX];
+    for (int a = 0; a < m; a++) {
+        const int arrived = has_arrived(z[a]);
+        for (int j = 0; j < n; j++) {
+            real s = model->H[a * n + j];
+            for (int i = 0; i < j; i++) s -= w[a * n + i] * p->P[i * n + j];
+            w[a * n + j] = s / p->P[j * n + j];
+        }
+        for (int b = 0; b <= a; b++)
+            S[a * m + b] = arrived && has_arrived(z[b]) ? dot(n, w + a * n, w + b * n) + model->R[a * m + b] : a == b;
+        p->nu[a] = arrived ? z[a] - dot(n, w + a * n, p->x) : 0;
+        p->deviation[a] = arrived ? sqrt(S[a * m + a]) : NOT_A_NUMBER;
+    }
+    factor(m, S, p->L, p->D);
+    score_row(m, p, score);
+}
+
+/* Return whether the next measurement is predicted so well that the covariance form keeps its digits. */
+static int is_narrow(const int n, const int m, const multivariate_t *model, const record_t *record, const real *P) {
+    real ahead[NN_MAX], Ph[N_MAX];
+    copy(n * n, P, ahead);
+    propagate(n, record->F, record->Q, ahead);
+    for (int c = 0; c < m; c++) {
+        times(n, ahead, model->H + c * n, Ph);
+        if (!(dot(n, model->H + c * n, Ph) <= WIDE * model->R[c * m + c])) return 0;
+    }
+    return 1;
+}
+
+/* Write what information tells of a row, perhaps not all; of the states nothing. */
+static void write_opening(const int n, const int m, const multivariate_t *model, const knowledge_t *state,
+                          const parts_t *p, const beliefs_t *beliefs, const int64_t row) {
+    for (int c = 0; c < m; c++) {
+        real signal = NOT_A_NUMBER, sigma = INFINITE;
+        if (state->phase == GATHERING) estimate_from_information(n, model->H + c * n, p->P, p->x, &signal, &sigma);
+        if (beliefs->signal) beliefs->signal[row * m + c] = signal;
+        if (beliefs->sigma) beliefs->sigma[row * m + c] = sigma;
+    }
+    for (int i = 0; i < n && beliefs->x; i++) beliefs->x[row * n + i] = NOT_A_NUMBER;
+    for (int i = 0; i < n * n && beliefs->P; i++) beliefs->P[row * n * n + i] = INFINITE;
+}
+
+/* Take one row while measurements do not determine the state: their information is gathered. */
+static void open_row(const int n, const int m, const multivariate_t *model, knowledge_t *state, const parts_t *p,
+                     const record_t *record, const real *F, const real *Q, const int64_t row,
+                     const beliefs_t *beliefs) {
+    const real *z = record->z + row * m;
+    real V[NN_MAX], P[NN_MAX], x[N_MAX];
+    int count = 0;
+    for (int c = 0; c < m; c++) {
+        count += has_arrived(z[c]);
+        p->nu[c] = 0, p->deviation[c] = NOT_A_NUMBER;
+    }
+    if (state->phase == GATHERING && F)
+        carry_information(n, F, Q, model->prior, p->P, p->x);
+    else if (state->phase == UNKNOWN && (count || model->foretells)) {
+        state->phase = GATHERING;
+        copy(n * n, model->prior, p->P), copy(n, model->right, p->x);
+    }
+    state->opened++;
+    if (state->phase == GATHERING) {
+        if (model->foretells) foretell(n, m, model, z, p, &state->score);
+        learn(n, m, model, z, p->P, p->x);
+    }
+    write_opening(n, m, model, state, p, beliefs, row);
+    if (state->phase == GATHERING) {
+        const int inverted = invert_root(n, p->P, V), determined = inverted && is_determined(n, p->P, V);
+        if (inverted && (determined || model->foretells)) {
+            copy(n * n, p->P, P), copy(n, p->x, x);
+            determine(n, V, P, x);
+            if (beliefs->x) copy(n, x, beliefs->x + row * n);
+            if (beliefs->P) copy(n * n, P, beliefs->P + row * n * n);
+            if (determined && (!model->foretells || is_narrow(n, m, model, record, P))) {
+                copy(n * n, P, p->P), copy(n, x, p->x);
+                state->phase = DETERMINED;
+            }
+        }
+    }
+    write_innovation(m, p, beliefs, row);
+}
+
+/* Return the run of a row, looked for from a near one on. */
+static int64_t run_of(const record_t *record, const int64_t row, int64_t run) {
+    while (record->first[run + 1] <= row) run++;
+    while (record->first[run] > row) run--;
+    return run;
+}
+
+/* Filter rows of a record. */
+INLINE void filter_rows(const int n, const int m, const multivariate_t *model, knowledge_t *state,
+                        const record_t *record, int64_t row, const int64_t to, int64_t *run,
+                        const beliefs_t *beliefs) {
+    const parts_t p = parts_of(n, m, state);
+    while (row < to) {
+        *run = run_of(record, row, *run);
+        const int64_t step = record->step[*run];
+        const real *F = step < 0 ? NULL : record->F + step * n * n, *Q = step < 0 ? NULL : record->Q + step * n * n;
+        const real length = step < 0 ? -1 : record->lengths[step];
+        if (state->settled >= model->enough) {
+            const int64_t end = record->first[*run + 1] < to ? record->first[*run + 1] : to;
+            const int64_t taken = F && length == state->last_step
+                                      ? filter_settled(n, m, model, state, &p, F, record, row, end, beliefs)
+                                      : 0;
+            state->rows += taken, row += taken;
+            if (taken) continue;
+            lose_gain(state, p.D_then); /* so that what follows does not depend on when the gain has settled */
+        }
+        if (state->phase == DETERMINED) {
+            filter_row(n, m, model, state, &p, F, Q, length, record->z + row * m);
+            write_innovation(m, &p, beliefs, row);
+            write_belief(n, m, model, p.x, p.P, beliefs, row);
+        } else
+            open_row(n, m, model, state, &p, record, F, Q, row, beliefs);
+        state->rows++, row++;
+    }
+}
+
+static void filter_rows_of(const multivariate_t *model, knowledge_t *state, const record_t *record, const int64_t row,
+                        const int64_t to, int64_t *run, const beliefs_t *beliefs) {
+    FOR_SMALL(model->states, model->channels, filter_rows, model, state, record, row, to, run, beliefs)
+}
+
+void multivariate_filter(const multivariate_t *model, knowledge_t *state, const record_t *record,
+                         const beliefs_t *beliefs) {
+    int64_t run = 0;
+    filter_rows_of(model, state, record, 0, record->rows, &run, beliefs);
+}
+
+int64_t multivariate_room(const int64_t states, const int64_t channels, const int64_t rows) {
+    return ((rows + SMOOTHED - 1) / SMOOTHED + 1 + SMOOTHED) * packed(states, channels);
+}
+
+void multivariate_end(const multivariate_t *model, future_t *future) {
+    memset(future, 0, sizeof *future);
+    forget_future((int)model->states, future);
+}
+
+/* Carry r back through a block whose gain had settled (11), and add what it says of each row (9). */
+INLINE void return_settled(const int n, const int m, const multivariate_t *model, const parts_t *p, const real *A,
+                           const real *G_, const int64_t from, const int64_t to, const beliefs_t *beliefs, real *r_) {
+    real B[NN_MAX], back[NN_MAX], P[NN_MAX], G[N_MAX * M_MAX], HP[M_MAX * N_MAX], seen[M_MAX * N_MAX], r[N_MAX];
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j < n; j++) B[j * n + i] = A[i * n + j];
+    for (int c = 0; c < m; c++) times(n, p->P, model->H + c * n, seen + c * n);
+    lay_out(n, n, B, 1, back), lay_out(n, n, p->P, 1, P), lay_out(n, m, G_, 1, G), lay_out(m, n, seen, 1, HP);
+    copy(n, r_, r);
+    for (int64_t row = to - 1; row >= from; row--) {
+        real before[N_MAX], change[N_MAX];
+        if (beliefs->signal) {
+            for (int c = 0; c < padded(m); c++) change[c] = c < m ? beliefs->signal[row * m + c] : 0;
+            accumulate(m, n, HP, r, change);
+            for (int c = 0; c < m; c++) beliefs->signal[row * m + c] = change[c];
+        }
+        if (beliefs->x) {
+            for (int i = 0; i < padded(n); i++) change[i] = i < n ? beliefs->x[row * n + i] : 0;
+            accumulate(n, n, P, r, change);
+            copy(n, change, beliefs->x + row * n);
+        }
+        UNROLL
+        for (int i = 0; i < padded(n); i++) before[i] = 0;
+        accumulate(n, m, G, beliefs->innovation + row * m, before);
+        accumulate(n, n, back, r, before);
+        UNROLL
+        for (int i = 0; i < n; i++) r[i] = before[i];
+    }
+    copy(n, r, r_);
+}
+
+static void return_block(const int n, const int m, const multivariate_t *model, const parts_t *p, const real *A,
+                         const real *G, const int64_t from, const int64_t to, const beliefs_t *beliefs, real *r) {
+    FOR_SMALL(n, m, return_settled, model, p, A, G, from, to, beliefs, r)
+}
+
+/* Smooth a block whose gain had settled before it. */
+INLINE void smooth_settled(const int n, const int m, const multivariate_t *model, knowledge_t *state, const real *F,
+                           const int64_t from, const int64_t to, const beliefs_t *beliefs, future_t *future) {
+    const parts_t p = parts_of(n, m, state);
+    const int spread = beliefs->sigma || beliefs->P;
+    real A[NN_MAX], g[M_MAX * N_MAX], G[N_MAX * M_MAX], sigma[M_MAX] = {0};
+    see_through(n, m, model->H, F, g);
+    close_loop(n, m, F, p.K, g, A);
+    for (int i = 0; i < n; i++) {
+        for (int c = 0; c < m; c++) G[i * m + c] = g[c * n + i];
+        divide(m, p.L, p.D, G + i * m);
+    }
+    return_block(n, m, model, &p, A, G, from, to, beliefs, future->r);
+    future->later = NOTHING_LATER;
+    for (int64_t row = to - 1; spread && row >= from; row--) {
+        if (!future->settled || row == to - 1) {
+            for (int c = 0; c < m; c++)
+                sigma[c] = sqrt(smoothed_variance(n, model->H + c * n, p.P, future->M, NULL)); /* (10) */
+            if (beliefs->P && !(smooth_covariance(n, p.P, future->M, future->P) > HARDLY))
+                copy(n * n, p.P, future->P);
+        }
+        if (beliefs->sigma) copy(m, sigma, beliefs->sigma + row * m);
+        if (beliefs->P) copy(n * n, future->P, beliefs->P + row * n * n);
+        if (row == from && smooth_covariance(n, p.P, future->M, future->P) > HARDLY) future->later = COVARIANCE_ONLY;
+        if (!future->settled) pull_back(n, m, A, G, g, future->M); /* (12) */
+    }
+    if (spread && !future->settled) notice_future(n, future, to - from);
+}
+
+/* Write what later rows say of a row that was filtered again, over x and P of the row after. */
+INLINE void smooth_row(const int n, const int m, const multivariate_t *model, const knowledge_t *state,
+                       const parts_t *p, const beliefs_t *beliefs, const int64_t row, future_t *future) {
+    const int spread = beliefs->sigma || beliefs->P;
+    real change[N_MAX];
+    if (state->phase != DETERMINED) {
+        const int unknown = state->phase == UNKNOWN;
+        const real *U = unknown ? model->prior : p->P, *b = unknown ? model->right : p->x;
+        if (future->later == STATE_TOO)
+            future->later = from_later(n, U, b, future) ? STATE_TOO : NOTHING_LATER;
+        else {
+            real V[NN_MAX];
+            future->later = model->foretells && invert_root(n, U, V) ? STATE_TOO : NOTHING_LATER;
+            if (future->later) {
+                copy(n * n, U, future->P), copy(n, b, future->x);
+                determine(n, V, future->P, future->x);
+            }
+        }
+        if (!future->later) {
+            write_opening(n, m, model, state, p, beliefs, row);
+            return;
+        }
+    } else {
+        times(n, p->P, future->r, change);
+        for (int i = 0; i < n; i++) future->x[i] = p->x[i] + change[i]; /* (9) */
+        if (spread) {
+            real smoothed[NN_MAX];
+            const real share = smooth_covariance(n, p->P, future->M, smoothed);
+            const int recomputed = share < MUCH && future->later && covariance_from_later(n, p->P, future);
+            if (!recomputed) copy(n * n, share > HARDLY ? smoothed : p->P, future->P);
+        }
+        future->later = STATE_TOO;
+    }
+    for (int c = 0; c < m && beliefs->signal; c++) beliefs->signal[row * m + c] = dot(n, model->H + c * n, future->x);
+    if (beliefs->sigma) spread_of(n, m, model->H, future->P, beliefs->sigma + row * m);
+    if (beliefs->x) copy(n, future->x, beliefs->x + row * n);
+    if (beliefs->P) copy(n * n, future->P, beliefs->P + row * n * n);
+}
+
+/* Carry what later rows say through the update of a row, and through the step before it. */
+INLINE void step_back(const int n, const int m, const multivariate_t *model, const parts_t *p, const real *F,
+                      const int spread, future_t *future) {
+    real A[NN_MAX], g[M_MAX * N_MAX], G[N_MAX * M_MAX];
+    see_through(n, m, model->H, F, g);
+    close_loop(n, m, F, p->K, g, A);
+    for (int i = 0; i < n; i++) {
+        for (int c = 0; c < m; c++) G[i * m + c] = isnan(p->deviation[c]) ? 0 : g[c * n + i];
+        divide(m, p->L, p->D, G + i * m);
+    }
+    pull_back_state(n, m, A, G, p->nu, future->r);
+    if (spread) pull_back(n, m, A, G, g, future->M);
+}
+
+/* Filter a block again, row by row, and smooth it. */
+INLINE void smooth_again(const int n, const int m, const multivariate_t *model, knowledge_t *state,
+                         const record_t *record, const int64_t from, const int64_t to, int64_t *run,
+                         const beliefs_t *beliefs, future_t *future, char *room) {
+    const beliefs_t nothing = {NULL, NULL, NULL, NULL, NULL, NULL};
+    const parts_t p = parts_of(n, m, state);
+    const int64_t size = packed(n, m);
+    for (int64_t row = from; row < to; row++) {
+        filter_rows_of(model, state, record, row, row + 1, run, &nothing);
+        save(model, state, room + (row - from) * size);
+    }
+    unsettle_future(future);
+    for (int64_t row = to - 1; row >= from; row--) {
+        *run = run_of(record, row, *run);
+        const int64_t step = record->step[*run];
+        load(model, room + (row - from) * size, state);
+        smooth_row(n, m, model, state, &p, beliefs, row, future);
+        if (step < 0) {
+            future->later = NOTHING_LATER;
+            continue;
+        }
+        const real *F = record->F + step * n * n, *Q = record->Q + step * n * n;
+        if (state->phase == DETERMINED)
+            step_back(n, m, model, &p, F, beliefs->sigma || beliefs->P, future);
+        copy(n * n, F, future->F), copy(n * n, Q, future->Q);
+    }
+}
+
+INLINE void backward_rows(const int n, const int m, const multivariate_t *model, knowledge_t *state,
+                          const record_t *record, const beliefs_t *beliefs, future_t *future, char *room) {
+    const int64_t size = packed(n, m);
+    int64_t run = 0;
+    for (int64_t k = (record->rows + SMOOTHED - 1) / SMOOTHED - 1; k >= 0; k--) {
+        const int64_t from = k * SMOOTHED, to = from + SMOOTHED < record->rows ? from + SMOOTHED : record->rows;
+        load(model, room + (SMOOTHED + k + 1) * size, state);
+        const int64_t settled = state->settled >= model->enough, steady = state->steady;
+        load(model, room + (SMOOTHED + k) * size, state);
+        run = run_of(record, from, run);
+        if (settled && state->settled >= model->enough && steady == state->steady) { /* one gain for all rows */
+            const int64_t at = record->step[run] * n * n;
+            smooth_settled(n, m, model, state, record->F + at, from, to, beliefs, future);
+            copy(n * n, record->F + at, future->F), copy(n * n, record->Q + at, future->Q);
+        } else
+            smooth_again(n, m, model, state, record, from, to, &run, beliefs, future, room);
+    }
+}
+
+void multivariate_smooth(const multivariate_t *model, knowledge_t *state, const record_t *record,
+                         const beliefs_t *beliefs, future_t *future, void *room) {
+    const int64_t size = packed(model->states, model->channels);
+    char *own = room, *before = own + SMOOTHED * size;
+    const beliefs_t ahead = {beliefs->signal, NULL, beliefs->innovation, beliefs->deviation, beliefs->x, NULL};
+    int64_t run = 0;
+    for (int64_t row = 0; row < record->rows; row += SMOOTHED, before += size) {
+        save(model, state, before);
+        filter_rows_of(model, state, record, row, row + SMOOTHED < record->rows ? row + SMOOTHED : record->rows, &run,
+                    &ahead);
+    }
+    save(model, state, before);
+    FOR_SMALL(model->states, model->channels, backward_rows, model, state, record, beliefs, future, own)
+    load(model, before, state);
+}

@@ -1,0 +1,194 @@
+"""The filter and the smoother of any model in C, its channels together. `multivariate.h` describes the structs."""
+
+from __future__ import annotations
+
+import ctypes
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from becalm.native.library import CONSTANTS, kernel, layout_of
+
+Floats = NDArray[np.float64]
+Whole = NDArray[np.int64]
+
+MOST_STATES, MOST_CHANNELS = CONSTANTS["N_MAX"], CONSTANTS["M_MAX"]
+GAIN, COVARIANCE = CONSTANTS["GAIN"], CONSTANTS["COVARIANCE"]
+"""What has to settle before a gain is used again: the gain alone, or the covariance, too."""
+
+_HEAD, _FUTURE = layout_of("knowledge"), layout_of("future")
+
+
+class _Model(ctypes.Structure):
+    _fields_ = (
+        *((name, ctypes.c_int64) for name in ("states", "channels", "enough", "foretells")),
+        *((name, ctypes.c_void_p) for name in ("H", "R", "prior", "right")),
+    )
+
+
+class _Record(ctypes.Structure):
+    _fields_ = (
+        *((name, ctypes.c_void_p) for name in ("z", "first", "step", "F", "Q", "lengths")),
+        ("rows", ctypes.c_int64),
+    )
+
+
+class _Beliefs(ctypes.Structure):
+    _fields_ = tuple((name, ctypes.c_void_p) for name in ("signal", "sigma", "innovation", "deviation", "x", "P"))
+
+
+kernel.multivariate_size.argtypes, kernel.multivariate_size.restype = [ctypes.c_int64] * 2, ctypes.c_int64
+kernel.multivariate_room.argtypes, kernel.multivariate_room.restype = [ctypes.c_int64] * 3, ctypes.c_int64
+kernel.multivariate_start.argtypes, kernel.multivariate_start.restype = [ctypes.c_void_p] * 4, None
+kernel.multivariate_filter.argtypes, kernel.multivariate_filter.restype = [ctypes.c_void_p] * 4, None
+kernel.multivariate_smooth.argtypes, kernel.multivariate_smooth.restype = [ctypes.c_void_p] * 6, None
+kernel.multivariate_end.argtypes, kernel.multivariate_end.restype = [ctypes.c_void_p] * 2, None
+
+
+class Rows(NamedTuple):
+    """Measurements, and the steps before them: rows first[s] to first[s + 1] - 1 follow step[s] each."""
+
+    z: Floats  # (N, m) NaN where missing
+    first: Whole  # (runs + 1,)
+    step: Whole  # (runs,) which of the steps; -1: none
+    F: Floats  # (u, n, n)
+    Q: Floats  # (u, n, n)
+    lengths: Floats  # (u,) equal ones are the same step
+
+
+class Beliefs(NamedTuple):
+    """Where estimates go; None where they are not wanted."""
+
+    signal: Floats | None = None  # (N, m)
+    sigma: Floats | None = None  # (N, m)
+    innovation: Floats | None = None  # (N, m)
+    deviation: Floats | None = None  # (N, m)
+    x: Floats | None = None  # (N, n)
+    P: Floats | None = None  # (N, n, n)
+
+
+class Multivariate:
+    """A filter of several channels of one state.
+
+    Parameters
+    ----------
+    H, R : (m, n), (m, m) float array
+        How channels see the states, and the covariance of their noise.
+    prior, right : (n, n), (n,) float array
+        What is known before the first measurement, U x = b + e with e ~ N(0, I): U upper triangular, and b.
+    foretells : bool
+        Whether that determines the state, so that the first measurements are predicted by it.
+    enough : int
+        GAIN or COVARIANCE.
+
+    Raises
+    ------
+    ValueError
+        If the arrays do not fit each other, or are too large.
+
+    Attributes
+    ----------
+    state : (S,) uint8 array
+        All that later rows depend on; its bytes are a checkpoint.
+    channels : int
+        m.
+    """
+
+    def __init__(  # noqa: PLR0913  (each by its name)
+        self, H: Floats, R: Floats, prior: Floats, right: Floats, *, foretells: bool = False, enough: int = GAIN
+    ) -> None:
+        m, n = self._size = H.shape
+        self.channels = m
+        if not (1 <= n <= MOST_STATES and 1 <= m <= MOST_CHANNELS):
+            raise ValueError(f"{n} states and {m} channels came; 1 to {MOST_STATES}, 1 to {MOST_CHANNELS} are needed.")
+        self._arrays = {
+            name: _checked(name, array, shape)
+            for name, array, shape in (
+                ("H", H, (m, n)),
+                ("R", R, (m, m)),
+                ("prior", prior, (n, n)),
+                ("right", right, (n,)),
+            )
+        }
+        self._model = _Model(n, m, enough, foretells, *(array.ctypes.data for array in self._arrays.values()))
+        self.state = np.zeros(kernel.multivariate_size(n, m) // 8).view(np.uint8)
+        kernel.multivariate_start(ctypes.byref(self._model), None, None, self.state.ctypes.data)
+
+    def start(self, x: Floats, P: Floats) -> None:
+        """Begin with a state (n,) before the first row, and its covariance (n, n)."""
+        n = self._size[1]
+        x, P = _checked("x", x, (n,)), _checked("P", P, (n, n))
+        kernel.multivariate_start(ctypes.byref(self._model), x.ctypes.data, P.ctypes.data, self.state.ctypes.data)
+
+    @property
+    def head(self) -> Any:
+        """The fields of the state that Python reads."""
+        return self.state[: _HEAD.itemsize].view(_HEAD)[0]
+
+    @property
+    def covariance(self) -> Floats:
+        """Covariance (n, n) of the state after the last row, once it is determined."""
+        n = self._size[1]
+        return self.state[_HEAD.itemsize :].view(np.float64)[n : n + n * n].reshape(n, n)
+
+    def filter(self, rows: Rows, beliefs: Beliefs) -> None:
+        """Filter rows.
+
+        Raises
+        ------
+        ValueError
+            If the arrays do not fit each other: C would read beyond their ends.
+        """
+        record, into = self._given(rows, beliefs)
+        model = ctypes.byref(self._model)
+        kernel.multivariate_filter(model, self.state.ctypes.data, ctypes.byref(record), ctypes.byref(into))
+
+    def smooth(self, rows: Rows, beliefs: Beliefs) -> None:
+        """Filter rows, which end the record, and come back over them; innovations, which are needed, stay the filter's.
+
+        Raises
+        ------
+        ValueError
+            If the arrays do not fit each other.
+        """
+        if beliefs.innovation is None:
+            raise ValueError("Smoothing needs room for innovations.")
+        record, into = self._given(rows, beliefs)
+        future = np.zeros((), _FUTURE)
+        room = np.empty(kernel.multivariate_room(self._model.states, self._model.channels, record.rows) // 8)
+        model = ctypes.byref(self._model)
+        kernel.multivariate_end(model, future.ctypes.data)
+        moves = self.state.ctypes.data, ctypes.byref(record), ctypes.byref(into), future.ctypes.data, room.ctypes.data
+        kernel.multivariate_smooth(model, *moves)
+
+    def _given(self, rows: Rows, beliefs: Beliefs) -> tuple[_Record, _Beliefs]:
+        (m, n), count, runs, steps = self._size, len(rows.z), len(rows.step), len(rows.F)
+        shapes: dict[str, tuple[int, ...]] = {"z": (count, m), "F": (steps, n, n), "Q": (steps, n, n)}
+        shapes |= {"lengths": (steps,), "first": (runs + 1,), "step": (runs,)}
+        for name, array in rows._asdict().items():
+            _checked(name, array, shapes[name], np.int64 if name in ("first", "step") else np.float64)
+        if not steps:
+            raise ValueError("There are no steps; one at least is needed.")
+        first, step = rows.first, rows.step
+        if first[0] != 0 or first[-1] != count or (first[1:] <= first[:-1]).any():
+            raise ValueError(f"Runs of steps begin at {first.tolist()[:9]}; from 0 on to {count} rows are needed.")
+        if runs and not (step.min() >= -1 and step.max() < steps):
+            raise ValueError(f"step goes from {step.min()} to {step.max()} of {steps} steps.")
+        wanted: dict[str, tuple[int, ...]] = {"x": (count, n), "P": (count, n, n)}
+        for name, array in beliefs._asdict().items():
+            if array is not None:
+                _checked(name, array, wanted.get(name, (count, m)))
+                if not array.flags.writeable:
+                    raise ValueError(f"{name} cannot be written.")
+        record = _Record(*(array.ctypes.data for array in rows), count)
+        return record, _Beliefs(*(None if array is None else array.ctypes.data for array in beliefs))
+
+
+def _checked(name: str, array: Any, shape: tuple[int, ...], kind: Any = np.float64) -> NDArray[Any]:
+    """Return an array that C can read, or raise a ValueError."""
+    if array.dtype != kind or array.shape != shape or not (array.flags.c_contiguous and array.flags.aligned):
+        raise ValueError(
+            f"{name} is {array.dtype} of shape {array.shape}, not {np.dtype(kind)} of {shape} in one piece."
+        )
+    return np.asarray(array)
