@@ -59,7 +59,7 @@ class FetchError(Exception):
 
 
 NATIVE = Path("src/becalm/native")
-SOURCES = ("channel.c", "filter.c", "smoother.c", "likelihood.c", "scans.c", "layout.c")
+SOURCES = ("channel.c", "filter.c", "smoother.c", "likelihood.c", "imm.c", "imm_smoother.c", "scans.c", "layout.c")
 KERNEL = "kernel.dll" if sys.platform == "win32" else "kernel.so"
 C_FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared")  # no contraction: the same bits everywhere
 ZIG = "ziglang"  # a C compiler from PyPI, for machines that have none

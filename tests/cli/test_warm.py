@@ -20,9 +20,6 @@ SOURCE = ROOT / "src" / "becalm"
 COMPILED_BY_MAKE = ROOT / ".venv" / "kernels"
 
 OF_MOTIONS = ("forward", "backward", "gate", "late", "live run", "live step")
-TWO_MODES, FIVE_MODES = (
-    tuple(f"{modes} modes {what}" for what in ("forward", "backward", "late", "run", "step")) for modes in (2, 5)
-)
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
@@ -124,11 +121,7 @@ def test_every_kernel_of_a_channel_is_warmed() -> None:
     assert [(kernel.name, kernel.states) for kernel in warm()] == [
         (kernel, states)
         for states in (1, 2, 3, 4, 5, 6)
-        for kernel in (
-            *OF_MOTIONS,
-            *TWO_MODES,
-            *(FIVE_MODES if states == 1 else ()),
-        )
+        for kernel in OF_MOTIONS
     ]
 
 

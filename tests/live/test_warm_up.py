@@ -10,19 +10,10 @@ import numpy as np
 import pytest
 
 from becalm.cleaning import stream, warm_up
-from becalm.core import (
-    kernel_gate,
-    kernel_lag,
-    kernel_switching,
-    kernel_switching_return,
-)
+from becalm.core import kernel_gate, kernel_lag
 from stream_recipes import CAUSAL, KINDS, LAGGED, RATE_HZ, recipe_of, rough, streamed
 
-KERNELS: list[Any] = [
-    kernel_gate.find_outliers, kernel_lag.open_window, kernel_lag.run_late,
-    kernel_lag.run_out, kernel_switching.switch_forward,
-    kernel_switching_return.switch_late,
-]  # fmt: skip
+KERNELS: list[Any] = [kernel_gate.find_outliers, kernel_lag.open_window, kernel_lag.run_late, kernel_lag.run_out]
 
 
 @pytest.mark.parametrize("how", [CAUSAL, LAGGED], ids=["causal", "lagged"])

@@ -38,7 +38,7 @@ from becalm.core.timeline import even_timeline, model_system
 from becalm.core.verdict import Verdict
 from becalm.errors import ModelError
 
-_VERSION = 3
+_VERSION = 4
 _FLOAT64 = np.dtype(np.float64)
 _NOT_A_SNAPSHOT = "These bytes are not a snapshot of becalm.Online; pass what snapshot() returned."
 

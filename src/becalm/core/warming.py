@@ -1,4 +1,4 @@
-"""The kernels of lags, of modes that switch and of `becalm.kalman_filter`, for one channel, compiled ahead.
+"""The kernels of lags and of `becalm.kalman_filter`, for one channel, compiled ahead.
 
 Compiling is slow, and one process compiles one kernel at a time; so each number of states has a process of its own.
 """
@@ -28,29 +28,17 @@ from becalm.core.kernel_backward import backward
 from becalm.core.kernel_gate import find_outliers
 from becalm.core.kernel_lag import run_late
 from becalm.core.kernel_online import live_kernels
-from becalm.core.kernel_switching import switch_forward
-from becalm.core.kernel_switching_online import live_bank_kernels
-from becalm.core.kernel_switching_return import switch_backward, switch_late
 from becalm.core.kernels import forward
 from becalm.core.model import Model
 from becalm.core.online import Online
 from becalm.core.smoothing import kalman_smoother
-from becalm.core.switching import Mode, Switching
-from becalm.core.switching_flow import SwitchingFlow
-from becalm.core.switching_lag import LaggedSwitchingFlow
 from becalm.core.timeline import even_timeline
 from becalm.errors import UsageError
 
 EVERY_SIZE = tuple(range(1, HIGHEST_ORDER + 2))
 """Numbers of states of a motion: its order, and one more where it returns to a level."""
 
-_BANKS = {2: EVERY_SIZE, 5: (1,)}
-"""Numbers of states for which so many modes are found in records."""
-
-_OF_BANKS = tuple(
-    f"{modes} modes {what}" for modes in _BANKS for what in ("forward", "backward", "late", "run", "step")
-)
-KERNELS = ("forward", "backward", "gate", "late", "live run", "live step", *_OF_BANKS)
+KERNELS = ("forward", "backward", "gate", "late", "live run", "live step")
 
 Use = tuple[object, Callable[[], object]]
 
@@ -68,7 +56,7 @@ class Warmed(NamedTuple):
 
 
 def warm(names: Sequence[str] = KERNELS, sizes: Sequence[int] = EVERY_SIZE) -> Iterator[Warmed]:
-    """Compile the kernels for motions of some numbers of states with one channel, and for banks of them, side by side.
+    """Compile the kernels for motions of some numbers of states with one channel, side by side.
 
     A tone counts as two states more.
 
@@ -115,8 +103,6 @@ def _start(states: int, names: Sequence[str]) -> subprocess.Popen[str]:
 def warm_size(states: int, names: Sequence[str]) -> Iterator[Warmed]:
     """Compile kernels for a motion of so many states in this process, one after the other."""
     uses = _uses_of_motion(states)
-    for modes in (count for count, sizes in _BANKS.items() if states in sizes):
-        uses |= _uses_of_bank(states, modes)
     for name in names:
         if name in uses:
             yield _warmed(name, states, *uses[name])
@@ -138,25 +124,6 @@ def _uses_of_motion(states: int) -> dict[str, Use]:
         "live run": (live.run, partial(online.run, _READINGS)),
         "live step": (live.step, partial(online.step, 1.0)),
     }
-
-
-def _uses_of_bank(states: int, modes: int) -> dict[str, Use]:
-    bank = Switching(tuple(Mode(str(count), _motion(states), 1.0, 10.0) for count in range(modes)))
-    online, live = Online(bank), live_bank_kernels(bank.states, modes)
-    flows = (
-        ("forward", switch_forward, SwitchingFlow(bank, causal=True)),
-        ("backward", switch_backward, SwitchingFlow(bank, causal=False)),
-        ("late", switch_late, LaggedSwitchingFlow(bank, lag=1)),
-    )
-    uses: dict[str, Use] = {f"{modes} modes {way}": (kernel, partial(_run, flow)) for way, kernel, flow in flows}
-    uses[f"{modes} modes run"] = live.run, partial(online.run, _READINGS)
-    uses[f"{modes} modes step"] = live.step, partial(online.step, 1.0)
-    return uses
-
-
-def _run(flow: SwitchingFlow | LaggedSwitchingFlow) -> None:
-    flow.push(_READINGS, np.ones(len(_READINGS)))
-    flow.finish()
 
 
 def _judge(model: Model) -> None:

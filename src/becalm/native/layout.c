@@ -2,6 +2,7 @@
 #include <stddef.h>
 
 #include "becalm.h"
+#include "imm.h"
 
 typedef struct {
     const char *name;     /* NULL: the end of a struct, whose size is the offset */
@@ -96,7 +97,8 @@ const field_t *channel_constants(void) {
     static const field_t values[] = {
         VALUE(NEIGHBOURS), VALUE(REACH), VALUE(SHORTEST_FILL), VALUE(SMOOTHED), VALUE(EVERY_REPEAT), VALUE(PARTS),
         VALUE(SPREADS), VALUE(REST_PARTS), VALUE(MOST_SIGMA),
-        VALUE(HOP), VALUE(WINDOW_HOPS), VALUE(KEPT_HOPS), VALUE(DETERMINED), VALUE(N_MAX), {0, 0, 0, 0},
+        VALUE(HOP), VALUE(WINDOW_HOPS), VALUE(KEPT_HOPS), VALUE(DETERMINED), VALUE(N_MAX),
+        VALUE(MODES_MAX), VALUE(IMM_BLOCK), VALUE(IMM_LAYOUT), {0, 0, 0, 0},
     };
 #undef VALUE
     return values;

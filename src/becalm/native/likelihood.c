@@ -4,16 +4,7 @@
 
 #include <string.h>
 
-enum { POWER = 60 };
-
-#define LARGE ((real)1152921504606846976) /* 2^POWER: products are kept between it and its inverse */
-
-/* Return a factor without powers of two that are counted in an exponent. */
-static real near_one(real factor, int64_t *exponent) {
-    for (; factor > LARGE; *exponent += POWER) factor *= 1 / LARGE;
-    for (; factor < 1 / LARGE; *exponent -= POWER) factor *= LARGE;
-    return factor;
-}
+#include "product.h"
 
 void likelihood_add(const settings_t *settings, const coefficients_t *model, const block_t *block, const int64_t from,
                     score_t *score) {
