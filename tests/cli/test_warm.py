@@ -119,9 +119,7 @@ def test_warm_names_what_it_compiles(fresh: Run, warmed: Path) -> None:
 @pytest.mark.slow
 def test_every_kernel_of_a_channel_is_warmed() -> None:
     assert [(kernel.name, kernel.states) for kernel in warm()] == [
-        (kernel, states)
-        for states in (1, 2, 3, 4, 5, 6)
-        for kernel in OF_MOTIONS
+        (kernel, states) for states in (1, 2, 3, 4, 5, 6) for kernel in OF_MOTIONS
     ]
 
 

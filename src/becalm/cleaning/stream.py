@@ -25,7 +25,7 @@ from becalm.core.told import Told
 from becalm.core.verdict import Verdict
 from becalm.errors import ModelError, RecipeError
 
-_VERSION = 4  # 1 knew no gross outliers, 2 was of other filters, 3 laid states out otherwise
+_VERSION = 5  # 1 knew no gross outliers, 2 was of other filters, 3 laid states out otherwise, and 4 those of modes
 _LONGEST = 2.0**52  # steps: more than a clock can count
 _NO_SNAPSHOT = "These bytes are no snapshot of a stream"
 

@@ -27,7 +27,7 @@ class LateSwitching(LiveSwitching):
         Readings that each estimate waits for, and of which it knows at least three quarters; 1 or more.
     """
 
-    def __init__(self, model: Model, names: list[str], bank: Bank, state: State, lag: int) -> None:  # noqa: PLR0913
+    def __init__(self, model: Model, names: list[str], bank: Bank, state: State, lag: int) -> None:
         super().__init__(model, names, bank, state)
         self._waiting = WaitingRows(model.states, len(names), lag)
         self._unwaited = lag  # rows at the start that come with none so long before them

@@ -71,7 +71,7 @@ class SwitchingFilter:
             self.state["has_level"] = 1
             self.state["level"] = level_by(reading, self.switching.least_noise_variance)
 
-    def run(  # noqa: PLR0913  (each by its name)
+    def run(
         self,
         z: Floats,
         bank: Bank,

@@ -51,10 +51,10 @@ class WaitingRows:
         """Return how many rows wait."""
         return len(self._notes)
 
-    def take(self, notes: Floats, bank: Bank, state: State, steps: Steps, room: Trace) -> int:  # noqa: PLR0913
+    def take(self, notes: Floats, bank: Bank, state: State, steps: Steps, room: Trace) -> int:
         """Take rows, (B, K), as `filter_rows` noted them; write what can be told, and return of how many rows.
 
-        `bank` and `steps` are of all rows that wait, and then of these; `room` is for as many. `state` is that after them.
+        `bank` and `steps` are of all rows that wait, and then of these; `room` is for as many; `state` is after them.
         """
         notes = np.vstack([self._notes, notes])
         if self._turn > len(notes):

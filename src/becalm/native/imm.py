@@ -284,7 +284,8 @@ def _layout(bank: Bank) -> np.dtype[np.void]:
     n, modes = _sizes(bank)
     fields: Any = [(name, "i8") for name in ("layout", "states", "modes", "has_level")]
     fields += [("level", "f8"), ("mu", "f8", (modes,)), ("x", "f8", (modes, n)), ("P", "f8", (modes, n, n))]
-    return np.dtype(fields)
+    layout: np.dtype[np.void] = np.dtype(fields)
+    return layout
 
 
 def _pointed(bank: Bank) -> _Bank:
@@ -292,7 +293,8 @@ def _pointed(bank: Bank) -> _Bank:
     (n, modes), steps = _sizes(bank), len(bank.T)
     if not (1 <= n <= MOST_STATES and 1 <= modes <= MOST_MODES):
         raise ValueError(f"{modes} modes of {n} states came; 1 to {MOST_MODES} of 1 to {MOST_STATES} are needed.")
-    shapes = dict.fromkeys(("F", "Q"), (steps * modes, n, n)) | dict.fromkeys(("H", "C"), (1, n))
+    shapes: dict[str, tuple[int, ...]] = dict.fromkeys(("F", "Q"), (steps * modes, n, n))
+    shapes |= dict.fromkeys(("H", "C"), (1, n))
     shapes |= dict.fromkeys(("R", "tail"), (modes,)) | dict.fromkeys(("wild", "largest"), (2,))
     shapes |= {"T": (steps, modes, modes), "start": (modes, 1 + n)}
     _check(**{name: (getattr(bank, name), "f8", shape) for name, shape in shapes.items()})

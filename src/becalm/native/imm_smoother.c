@@ -348,7 +348,7 @@ void imm_smooth(const imm_t *imm, const real level, const imm_block_t *block, co
     rooms_t rooms = rooms_in(n, m, room);
     later_t known = later_in(n, m, later);
     real *beliefs = rooms.rest, *notes = beliefs + size, *rest = notes + IMM_BLOCK * imm_note_size(n, m);
-    for (int64_t k = (block->rows - 1) / IMM_BLOCK; k >= 0; k--) {
+    for (int64_t k = (block->rows + IMM_BLOCK - 1) / IMM_BLOCK - 1; k >= 0; k--) {
         const int64_t from = k * IMM_BLOCK, left = block->rows - from;
         const imm_block_t some = {block->z + from, block->step + from, left < IMM_BLOCK ? left : IMM_BLOCK};
         const imm_estimate_t nothing = {NULL, NULL, NULL, NULL, NULL, NULL, NULL, 0};
