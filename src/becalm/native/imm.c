@@ -47,7 +47,8 @@ typedef struct {
 
 /* The modes over one step, and their sensors. */
 typedef struct {
-    pair_t T[PAIRS * MODES_MAX], R[PAIRS], *F, *Q; /* (pairs, M), (pairs), (pairs, n, n) */
+    pair_t T[PAIRS * MODES_MAX], R[PAIRS], tail[PAIRS], *F, *Q; /* (pairs, M), (pairs), (pairs), (pairs, n, n) */
+    int tails;                                                  /* whether any is above 0 */
 } step_t;
 
 /* Return the first of the numbers of one mode, of `rows` of each mode; they are two apart. */
@@ -159,24 +160,21 @@ INLINE void expect(const int n, const real *h, const pair_t R, const pair_t *x, 
 }
 
 /* Write how likely a measurement is to each mode, but for a factor that all have (6). */
-INLINE void judge_modes(const int m, const imm_t *imm, const real z, look_t *look) {
-    real half[MODES_MAX], half_wild[MODES_MAX], tail[MODES_MAX + 1], least = FARTHEST; /* of squares over variances */
-    int tails = 0;
-    for (int j = 0; j < m; j++) tail[j] = imm->tail[j], tails |= tail[j] > 0;
-    tail[m] = 0;
+INLINE void judge_modes(const int m, const imm_t *imm, const step_t *step, const real z, look_t *look) {
+    real half[MODES_MAX], half_wild[MODES_MAX], least = FARTHEST; /* of squares over variances */
     for (int j = 0; j < m; j += 2) {
         const pair_t nu = z - *at(look->y + j), square = (real)0.5 * nu * nu;
         *at(half + j) = square / *at(look->S + j);
-        *at(half_wild + j) = square / (*at(look->S + j) + imm->V);
+        if (step->tails) *at(half_wild + j) = square / (*at(look->S + j) + imm->V);
     }
     for (int j = 0; j < m; j++) {
         least = half[j] < least ? half[j] : least;
-        if (tails && tail[j] > 0) least = half_wild[j] < least ? half_wild[j] : least;
+        if (step->tails && imm->tail[j] > 0) least = half_wild[j] < least ? half_wild[j] : least;
     }
     for (int j = 0; j < m; j += 2) {
-        const pair_t S = *at(look->S + j), t = *at(tail + j);
+        const pair_t S = *at(look->S + j), t = step->tail[j / 2];
         pair_t weight = (1 - t) / roots(S) * exponentials(least - *at(half + j)), share = both(0);
-        if (tails) {
+        if (step->tails) {
             const pair_t wild = t / roots(S + imm->V) * exponentials(least - *at(half_wild + j));
             weight += wild, share = choose(wild > both(0), wild / weight, both(0));
         }
@@ -303,7 +301,7 @@ INLINE real update(const int n, const int m, const imm_t *imm, const step_t *ste
         expect(n, imm->h, step->R[q], now->x + q * n, now->P + q * n * n, Ph + q * n, at(look->y + 2 * q),
                at(look->S + 2 * q));
     for (int j = 0; j < m; j++) look->prior[j] = now->mu[j];
-    judge_modes(m, imm, z, look);
+    judge_modes(m, imm, step, z, look);
     for (int q = 0; 2 * q < m; q++) {
         const pair_t nu = z - *at(look->y + 2 * q);
         pair_t believed = both(1);
@@ -319,11 +317,11 @@ INLINE void lay_out(const int n, const int m, const imm_t *imm, const int64_t nu
     put(n * n, m, imm->F + number * m * n * n, step->F);
     put(n * n, m, imm->Q + number * m * n * n, step->Q);
     for (int q = 0; 2 * q < m; q++) {
-        step->R[q] = both(1);
+        step->R[q] = both(1), step->tail[q] = both(0);
         for (int i = 0; i < m; i++) step->T[q * m + i] = both(0);
     }
     for (int j = 0; j < m; j++) {
-        step->R[j / 2][j % 2] = imm->R[j];
+        step->R[j / 2][j % 2] = imm->R[j], step->tail[j / 2][j % 2] = imm->tail[j], step->tails |= imm->tail[j] > 0;
         for (int i = 0; i < m; i++) step->T[j / 2 * m + i][j % 2] = imm->T[(number * m + i) * m + j];
     }
 }

@@ -7,7 +7,7 @@
 #define SIDE_BY_SIDE __attribute__((vector_size(2 * sizeof(real)), aligned(sizeof(real)), may_alias))
 
 typedef real pair_t SIDE_BY_SIDE;
-typedef int64_t mask_t SIDE_BY_SIDE;
+typedef int64_t mask_t SIDE_BY_SIDE; /* what comparing pairs gives */
 typedef uint64_t bits_t SIDE_BY_SIDE;
 
 /* Return two numbers of an array as a pair. */
@@ -19,7 +19,7 @@ INLINE pair_t second_of(const pair_t pair) { return (pair_t){pair[1], pair[1]}; 
 INLINE pair_t roots(const pair_t pair) { return (pair_t){sqrt(pair[0]), sqrt(pair[1])}; }
 
 INLINE pair_t choose(const mask_t which, const pair_t a, const pair_t b) {
-    return (pair_t)((which & (mask_t)a) | (~which & (mask_t)b));
+    return (pair_t){which[0] ? a[0] : b[0], which[1] ? a[1] : b[1]};
 }
 
 #endif
