@@ -105,7 +105,8 @@ INLINE real factor_beside_one(const int n, const real *G, const real *YG, real *
             for (int c = 0; c < a; c++) s -= L[b * n + c] * L[a * n + c] * D[c];
             if (a == b) {
                 D[a] = s > 1 ? s : 1;
-                product = near_one(product * near_one(D[a], exponent), exponent);
+                product *= D[a];
+                if (product > LARGE) product = near_one(product, exponent);
             } else
                 L[b * n + a] = s / D[a];
         }
