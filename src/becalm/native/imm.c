@@ -51,23 +51,6 @@ typedef struct {
     int tails;                                                  /* whether any is above 0 */
 } step_t;
 
-/* Return the first of the numbers of one mode, of `rows` of each mode; they are two apart. */
-INLINE real *numbers_of(pair_t *numbers, const int rows, const int mode) {
-    return (real *)(numbers + mode / 2 * rows) + mode % 2;
-}
-
-/* Write numbers of all modes, (M, rows), side by side, or back. */
-INLINE void put(const int rows, const int m, const real *from, pair_t *to) {
-    for (int i = 0; i < (m + 1) / 2 * rows; i++) to[i] = both(0);
-    for (int j = 0; j < m; j++)
-        for (int i = 0; i < rows; i++) numbers_of(to, rows, j)[2 * i] = from[j * rows + i];
-}
-
-INLINE void get(const int rows, const int m, pair_t *from, real *to) {
-    for (int j = 0; j < m; j++)
-        for (int i = 0; i < rows; i++) to[j * rows + i] = numbers_of(from, rows, j)[2 * i];
-}
-
 INLINE void load(const int n, const int m, const real *beliefs, pairs_t *now) {
     for (int j = 0; j < m; j++) now->mu[j] = beliefs[j];
     put(n, m, beliefs + m, now->x);

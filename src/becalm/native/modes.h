@@ -3,7 +3,7 @@
 #define BECALM_MODES_H
 
 #include "imm.h"
-#include "linear.h"
+#include "pair.h"
 
 #define UNLIKELY ((real)1e-100) /* no mode becomes less probable than this: none is ever locked out */
 
@@ -14,6 +14,23 @@ typedef struct {
 INLINE beliefs_t beliefs_in(const int n, const int m, real *memory) {
     const beliefs_t beliefs = {memory, memory + m, memory + m + m * n};
     return beliefs;
+}
+
+/* Return the first of the numbers of one mode, of `rows` of each mode; they are two apart. */
+INLINE real *numbers_of(pair_t *numbers, const int rows, const int mode) {
+    return (real *)(numbers + mode / 2 * rows) + mode % 2;
+}
+
+/* Write numbers of all modes, (M, rows), side by side, or back. */
+INLINE void put(const int rows, const int m, const real *from, pair_t *to) {
+    for (int i = 0; i < (m + 1) / 2 * rows; i++) to[i] = both(0);
+    for (int j = 0; j < m; j++)
+        for (int i = 0; i < rows; i++) numbers_of(to, rows, j)[2 * i] = from[j * rows + i];
+}
+
+INLINE void get(const int rows, const int m, pair_t *from, real *to) {
+    for (int j = 0; j < m; j++)
+        for (int i = 0; i < rows; i++) to[j * rows + i] = numbers_of(from, rows, j)[2 * i];
 }
 
 /* Write what is estimated of a row. */

@@ -27,21 +27,21 @@ INLINE pair_t exponentials(const pair_t x) {
 
 INLINE real exponential(const real x) { return exponentials(both(x))[0]; }
 
-/* Return log x of a normal number, 0 or infinity. x = 2^k m, and log m = 2 artanh f with f = (m - 1) / (m + 1). */
-INLINE real logarithm(const real x) {
+/* Return log x of two normal numbers, 0 or infinity. x = 2^k m, and log m = 2 artanh f with f = (m - 1) / (m + 1). */
+INLINE pair_t logarithms(const pair_t x) {
     const uint64_t root_half = 0x3FE6A09E667F3BCDu, one = 0x3FF0000000000000u;
-    uint64_t bits;
-    real m, p = 0;
-    if (!(x > 0 && x < INFINITE)) return x > 0 ? x : -INFINITE;
-    memcpy(&bits, &x, sizeof bits);
-    const int64_t k = (int64_t)((bits + one - root_half) >> 52) - 1023;
-    bits -= (uint64_t)k << 52;
-    memcpy(&m, &bits, sizeof m);
-    const real f = (m - 1) / (m + 1), s = f * f;
+    const bits_t bits = (bits_t)x, powers = (bits + (one - root_half)) >> 52;
+    const pair_t m = (pair_t)(bits - ((powers - 1023) << 52)), k = {(real)powers[0] - 1023, (real)powers[1] - 1023};
+    const pair_t f = (m - 1) / (m + 1), s = f * f;
+    pair_t p = both(0);
     UNROLL
     for (int i = 21; i >= 3; i -= 2) p = s * ((real)1 / i + p);
-    return (real)k * LN_2_HIGH + (2 * f + (2 * f * p + (real)k * LN_2_LOW));
+    const pair_t found = k * LN_2_HIGH + (2 * f + (2 * f * p + k * LN_2_LOW));
+    if (x[0] > 0 && x[0] < INFINITE && x[1] > 0 && x[1] < INFINITE) return found;
+    return choose(x < both(INFINITE), choose(x > both(0), found, both(-INFINITE)), x);
 }
+
+INLINE real logarithm(const real x) { return logarithms(both(x))[0]; }
 
 INLINE real polynomial(const int n, const real *coefficients, const real x) {
     real s = 0;
