@@ -1,16 +1,13 @@
-"""What tests of banks share: banks, records, and running the kernels over them."""
+"""What tests of banks share: banks, records, and running the filter and the smoother over them."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from becalm.core.arrays import Floats, Integers
+from becalm.core.arrays import Floats
 from becalm.core.components import motion, oscillator
-from becalm.core.kernel_switching import SwitchingTrace, note_length, switch_forward
-from becalm.core.kernel_switching_ahead import outlook_length
-from becalm.core.kernel_switching_return import switch_backward
-from becalm.core.kernel_switching_row import Bank, memory_length
 from becalm.core.switching import Mode, Switching, numbered_steps
+from becalm.native.imm import Bank, Steps, Trace, blocks_before, filter_rows, new_state, nothing_later, smooth_rows
 
 NONE: Floats = np.empty(0)
 
@@ -56,27 +53,24 @@ def record(rows: int, kind: str = "even") -> tuple[Floats, Floats]:
     return z, elapsed
 
 
-def laid_out(switching: Switching, elapsed: Floats) -> tuple[Bank, Integers]:
-    """Return the bank and the steps as the kernels take them."""
-    lengths, steps = numbered_steps(elapsed, goes_on=False)
+def laid_out(switching: Switching, elapsed: Floats) -> tuple[Bank, Steps]:
+    """Return the bank and the steps as they take them."""
+    lengths, steps = numbered_steps(elapsed)
     return switching.bank(lengths), steps
 
 
-def new_trace(switching: Switching, rows: int) -> SwitchingTrace:
+def new_trace(switching: Switching, rows: int) -> Trace:
     nan = [np.full(rows, np.nan) for _ in range(5)]
     modes = np.full((len(switching.modes), rows), np.nan)
-    return SwitchingTrace(nan[0], nan[1], nan[2], nan[3], modes, nan[4], np.full((switching.states, rows), np.nan))
+    return Trace(nan[0], nan[1], nan[2], nan[3], modes, nan[4], np.full((switching.states, rows), np.nan))
 
 
-def kernels(switching: Switching, z: Floats, elapsed: Floats) -> tuple[SwitchingTrace, SwitchingTrace, float]:
+def kernels(switching: Switching, z: Floats, elapsed: Floats) -> tuple[Trace, Trace, float]:
     """Filter and smooth; return what is written of each, and the log-likelihood."""
     bank, steps = laid_out(switching, elapsed)
-    sizes, n, count = switching.sizes, switching.states, len(switching.modes)
-    memory = np.zeros((1 + len(z), note_length(n, count)))
+    state, before = new_state(bank, keeps_level=False), blocks_before(bank, len(z))
     forward, back = new_trace(switching, len(z)), new_trace(switching, len(z))
-    total, _ = switch_forward(sizes, bank, z, steps, switching.start, memory, forward)
-    switch_backward(sizes, bank, np.append(steps, -1), memory[1:], np.zeros(outlook_length(n, count)), 0, back)
-    alone = np.zeros((1, memory_length(n, count)))
-    again, _ = switch_forward(sizes, bank, z, steps, switching.start, alone, new_trace(switching, len(z)))
-    assert again == total
+    total = filter_rows(bank, state, z, steps, forward, before=before)
+    smooth_rows(bank, state, z, steps, before, nothing_later(bank), back)
+    assert filter_rows(bank, new_state(bank, keeps_level=False), z, steps) == total
     return forward, back, total

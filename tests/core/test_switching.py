@@ -12,14 +12,13 @@ from banks import bank_of, kernels, laid_out, record, tones
 from becalm.core.arrays import Floats
 from becalm.core.components import motion
 from becalm.core.filtering import run_filter
-from becalm.core.kernel_switching import SwitchingTrace
-from becalm.core.kernel_switching_row import Bank
 from becalm.core.model import Model
 from becalm.core.smoothing import run_smoother
 from becalm.core.switching import Mode, Switching
 from becalm.core.switching_flow import SwitchingFlow
 from becalm.core.timeline import elapsed_timeline
 from becalm.metrics.truth import coverage, rms_error
+from becalm.native.imm import Bank, Trace
 
 
 def alike(switching: Switching) -> Switching:
@@ -131,7 +130,7 @@ def test_the_bank_is_near_all_sequences_of_modes(name: str) -> None:
     assert (np.mean(off, axis=0) < NEAR[name]).all(), np.mean(off, axis=0)
 
 
-def apart(got: SwitchingTrace, exact: Exact) -> list[float]:
+def apart(got: Trace, exact: Exact) -> list[float]:
     """Return how far they are apart, as `NEAR` counts it."""
     rows = slice(len(exact.signal))
     signal = np.abs(got.signal[rows] - exact.signal) / exact.sigma

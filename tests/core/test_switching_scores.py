@@ -4,21 +4,30 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numba import njit
 from scipy.special import ndtri
 
+from banks import new_trace
 from becalm.core.arrays import Floats
 from becalm.core.components import motion
-from becalm.core.kernel_switching_score import normal_score
 from becalm.core.switching import Mode, Switching
 from becalm.core.switching_flow import SwitchingFlow
+from becalm.native.imm import filter_rows, new_state
 
 
 def test_a_normal_score_is_the_normal_quantile() -> None:
-    score = njit(lambda below, above: normal_score(below, above))
-    for tail in [*np.logspace(-299, -1, 50), 0.3, 0.5]:
-        assert score(tail, 1 - tail) == pytest.approx(ndtri(tail), rel=1e-12, abs=1e-12)
-        assert score(1 - tail, tail) == pytest.approx(-ndtri(tail), rel=1e-12, abs=1e-12)
+    """Of one mode the innovation is what the measurement differs by; of two that expect alike, so far as they go."""
+    scores = np.concatenate([-ndtri(np.logspace(-299, -1, 50)), [0.5, 1e-3, 0.0]])
+    for one in (motion(1, 1e-12), motion(2, 1e-12)):
+        alike = [Mode(name, one, 1.0, 100.0) for name in ("one", "other")]
+        for modes in (alike[:1], alike):
+            bank = Switching(tuple(modes)).bank(np.ones(1))
+            for score in [*scores, *-scores]:
+                trace = new_trace(Switching(tuple(modes)), 2)
+                filter_rows(bank, new_state(bank, keeps_level=False), np.zeros(2), np.zeros(2, np.int32), trace)
+                sigma = trace.innovation_sigma[1]
+                z = np.array([0.0, score * sigma])
+                filter_rows(bank, new_state(bank, keeps_level=False), z, np.zeros(2, np.int32), trace)
+                assert trace.innovation[1] == pytest.approx(score * sigma, rel=1e-12, abs=1e-12)
 
 
 def test_scores_are_standard_normal_though_levels_jump_and_readings_are_wild() -> None:

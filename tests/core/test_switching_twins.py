@@ -1,4 +1,4 @@
-"""The kernels of a bank that switches are the twins of `switching_reference`."""
+"""The filter and the smoother of several modes, in C, are the twins of `switching_reference`."""
 
 from __future__ import annotations
 
@@ -9,9 +9,8 @@ from banks import bank_of, kernels, laid_out, record, tones
 from becalm.core import switching_reference as reference
 from becalm.core.arrays import Floats
 from becalm.core.components import motion
-from becalm.core.kernel_switching import SwitchingTrace
-from becalm.core.kernel_switching_row import Bank
 from becalm.core.switching import Mode, Switching
+from becalm.native.imm import Bank, Trace
 
 TWIN = 1e-10
 LONG = 1e-10
@@ -32,7 +31,7 @@ def told(switching: Switching, beliefs: list[reference.Beliefs]) -> dict[str, Fl
     }
 
 
-def assert_twin(trace: SwitchingTrace, expected: dict[str, Floats], within: float) -> None:
+def assert_twin(trace: Trace, expected: dict[str, Floats], within: float) -> None:
     for name, values in expected.items():
         got = getattr(trace, name)
         size = np.nanmax(np.abs(values), axis=-1, initial=0.0, keepdims=True)

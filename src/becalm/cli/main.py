@@ -261,7 +261,7 @@ app.add_typer(fleet)
 
 @app.command()
 def warm() -> None:
-    """Compile ahead, once, what filters with a lag or with modes would compile when they are first used."""
+    """Compile ahead, once, what filters with a lag would compile when they are first used."""
     from becalm.cli.warm import run
 
     run()

@@ -3,20 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.core.kernel_switching_online import (
-    BELIEFS,
-    live_bank_kernels,
-    live_bank_length,
-)
 from becalm.core.model import Model
-from becalm.core.switching import MOST_MODES
-from becalm.errors import ModelError
+from becalm.native.imm import NOTHING_WANTED, Bank, State, Stepper, filter_rows
 
 
 class LiveSwitching:
@@ -28,32 +21,21 @@ class LiveSwitching:
         The richest mode's, over one step.
     names : list of str
         Of the modes.
-    live : (live_bank_length(n, M),) float array
-        All that the kernels need; it is changed in place.
-
-    Raises
-    ------
-    ModelError
-        If the array is not one of a bank of that many modes and states.
+    bank : Bank
+        The modes, over one step.
+    state : () structured array
+        Of them; it changes in place.
     """
 
-    def __init__(self, model: Model, names: list[str], live: Floats) -> None:
-        self.model, self._names, self._live = model, names, live
-        fits = 1 <= len(names) <= MOST_MODES and live.shape == (live_bank_length(model.states, len(names)),)
-        if not fits or live.dtype != np.float64 or not np.isfinite(live).all():
-            raise ModelError(
-                f"{len(names)} modes of {model.states} states do not fit {live.dtype} of {live.shape};"
-                " pass what snapshot() returned."
-            )
-        self._kernels = live_bank_kernels(model.states, len(names))
-        self._begins = live[-len(names) * (1 + model.states) :: 1 + model.states].copy()
-        self.step: Callable[[float], tuple[float, float]] = partial(self._kernels.step, live)
+    def __init__(self, model: Model, names: list[str], bank: Bank, state: State) -> None:
+        self.model, self._names, self._bank, self._state = model, names, bank, state
+        self.step: Callable[[float], tuple[float, float]] = Stepper(bank, state).step
 
     def run(self, z: Floats) -> tuple[Floats, Floats]:
         """Take a block, (B, 1); return signal and sigma, (B, 1) each."""
-        out = np.empty((2, len(z), 1))
-        self._kernels.run(self._live, z.flatten(), out)
-        return out[0], out[1]
+        trace = NOTHING_WANTED._replace(signal=np.full(len(z), np.nan), sigma=np.full(len(z), np.inf))
+        filter_rows(self._bank, self._state, z.flatten(), np.zeros(len(z), np.int32), trace)
+        return trace.signal[:, np.newaxis], trace.sigma[:, np.newaxis]
 
     def finish(self) -> tuple[Floats, Floats]:
         """Return signal and sigma, (rows, 1) each, of the readings that wait: none."""
@@ -62,9 +44,11 @@ class LiveSwitching:
     @property
     def modes(self) -> dict[str, float]:
         """How probable each mode is after the last reading; before the first, what was given."""
-        mu = self._live[BELIEFS : BELIEFS + len(self._names)]
-        return dict(zip(self._names, (mu if mu[0] > 0 else self._begins).tolist(), strict=True))
+        mu: Floats = self._state["mu"]
+        told = mu if mu[0] > 0 else self._bank.start[:, 0]
+        return dict(zip(self._names, told.tolist(), strict=True))
 
     def saved(self) -> dict[str, Any]:
         """Return what `saved_switching` needs, besides the model."""
-        return {"bank_names": np.array(self._names), "bank_live": self._live}
+        modes = {"bank_names": np.array(self._names), "bank_state": np.frombuffer(self._state.tobytes(), np.int8)}
+        return modes | {f"bank_{name}": array for name, array in self._bank._asdict().items()}

@@ -8,24 +8,12 @@ from typing import Any
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.core.kernel_switching import NOTHING_WANTED, SwitchingTrace, switch_forward
-from becalm.core.kernel_switching_online import (
-    BELIEFS,
-    KEEPS_LEVEL,
-    LARGEST,
-    LEVEL,
-    LEVEL_KNOWN,
-    live_bank,
-    new_live_bank,
-)
-from becalm.core.kernel_switching_row import bank_sizes, memory_length
 from becalm.core.live_switching import LiveSwitching
 from becalm.core.model import Model
-from becalm.core.possible import level_by
-from becalm.core.starting import first_reading
 from becalm.core.switching import Switching
 from becalm.core.switching_lag import PIECE, WaitingRows
 from becalm.errors import ModelError
+from becalm.native.imm import NOTHING_WANTED, Bank, State, Trace, filter_rows, new_state, restored
 
 
 class LateSwitching(LiveSwitching):
@@ -33,23 +21,15 @@ class LateSwitching(LiveSwitching):
 
     Parameters
     ----------
-    model, names, live
+    model, names, bank, state
         As of `LiveSwitching`.
     lag : int
         Readings that each estimate waits for, and of which it knows at least three quarters; 1 or more.
-
-    Raises
-    ------
-    ModelError
-        If the array is not one of a bank of that many modes and states.
     """
 
-    def __init__(self, model: Model, names: list[str], live: Floats, lag: int) -> None:
-        super().__init__(model, names, live)
-        self._sizes = bank_sizes(model.states, len(names))
-        self._bank, self._start = live_bank.py_func(self._sizes, live)  # type: ignore[attr-defined]
-        self._beliefs = live[BELIEFS : BELIEFS + memory_length(model.states, len(names))]
-        self._waiting = WaitingRows(self._sizes, lag)
+    def __init__(self, model: Model, names: list[str], bank: Bank, state: State, lag: int) -> None:
+        super().__init__(model, names, bank, state)
+        self._waiting = WaitingRows(model.states, len(names), lag)
         self._unwaited = lag  # rows at the start that come with none so long before them
         self._due = np.empty((2, 0))  # signal and sigma that were told, and are asked for later
         self.step = self._step
@@ -67,8 +47,8 @@ class LateSwitching(LiveSwitching):
     def finish(self) -> tuple[Floats, Floats]:
         """Return signal and sigma, (rows, 1) each, of the readings that wait, with what there is after them."""
         room = self._room(len(self._waiting))
-        self._waiting.tell_all(self._bank, np.zeros(len(self._waiting), np.int64), room)
-        signal, sigma = np.hstack([self._due, self._told(room, len(self._waiting))])
+        self._waiting.tell_all(self._bank, self._state, np.zeros(len(self._waiting), np.int32), room)
+        signal, sigma = np.hstack([self._due, [room.signal, room.sigma]])
         return signal[:, np.newaxis], sigma[:, np.newaxis]
 
     def saved(self) -> dict[str, Any]:
@@ -92,41 +72,46 @@ class LateSwitching(LiveSwitching):
 
     def _take(self, z: Floats) -> Floats:
         """Filter readings (B,); return signal and sigma of those that have waited, (2, rows)."""
-        live = self._live
-        z = np.where(np.abs(z) <= live[LARGEST], z, np.nan)
-        if live[KEEPS_LEVEL] and not live[LEVEL_KNOWN] and (row := first_reading(z[:, np.newaxis])) < len(z):
-            live[LEVEL_KNOWN], live[LEVEL] = 1.0, level_by(float(z[row]), float(self._bank.R.min()))
-        steps = np.zeros(len(self._waiting) + len(z), np.int64)
-        memory = np.zeros((1 + len(z), self._waiting.width))
-        memory[0, : len(self._beliefs)] = self._beliefs
-        level = np.ascontiguousarray(z - live[LEVEL])
-        switch_forward(self._sizes, self._bank, level, steps[: len(z)], self._start, memory, NOTHING_WANTED)
-        self._beliefs[:] = memory[0, : len(self._beliefs)]
+        steps = np.zeros(len(self._waiting) + len(z), np.int32)
+        notes = np.empty((len(z), self._waiting.width))
+        filter_rows(self._bank, self._state, np.ascontiguousarray(z), steps[: len(z)], notes=notes)
         room = self._room(len(steps))
-        return self._told(room, self._waiting.take(memory[1:], self._bank, steps, room))
+        count = self._waiting.take(notes, self._bank, self._state, steps, room)
+        return np.array([room.signal[:count], room.sigma[:count]])
 
-    def _room(self, rows: int) -> SwitchingTrace:
+    def _room(self, rows: int) -> Trace:
         return NOTHING_WANTED._replace(signal=np.full(rows, np.nan), sigma=np.full(rows, np.inf))
-
-    def _told(self, room: SwitchingTrace, count: int) -> Floats:
-        return np.array([room.signal[:count] + self._live[LEVEL], room.sigma[:count]])
 
 
 def new_live_switching(switching: Switching, lag: int) -> LiveSwitching:
     """Make a live bank that has read nothing yet."""
-    live = new_live_bank(switching.bank(np.ones(1)), switching.start, keeps_level=switching.component.keeps_level)
+    bank = switching.bank(np.ones(1))
+    state = new_state(bank, keeps_level=switching.component.keeps_level)
     model = switching.component.to_model(1.0, switching.modes[0].noise_variance)
     names = [mode.name for mode in switching.modes]
-    return LateSwitching(model, names, live, lag) if lag else LiveSwitching(model, names, live)
+    return LateSwitching(model, names, bank, state, lag) if lag else LiveSwitching(model, names, bank, state)
 
 
 def saved_switching(model: Model, arrays: Mapping[str, Any]) -> LiveSwitching | None:
-    """Return the bank of a snapshot; None where there is none."""
-    if "bank_live" not in arrays:
+    """Return the bank of a snapshot; None where there is none.
+
+    Raises
+    ------
+    ModelError
+        If the arrays are not those of a bank of the model's states.
+    """
+    if "bank_state" not in arrays:
         return None
-    names, live = [str(name) for name in arrays["bank_names"]], arrays["bank_live"].copy()
+    names, bank = arrays["bank_names"].tolist(), Bank(*(arrays[f"bank_{name}"] for name in Bank._fields))
+    fits = bank.H.shape == (1, model.states) and len(names) == len(bank.R) and len(bank.T) == 1
+    finite = all(np.isfinite(array).all() for array in bank)
+    state = restored(bank, arrays["bank_state"]) if fits and finite else None
+    if state is None:
+        raise ModelError(
+            f"{len(names)} modes of {model.states} states do not fit the state; pass what snapshot() returned."
+        )
     if "lag" not in arrays:
-        return LiveSwitching(model, names, live)
-    late = LateSwitching(model, names, live, int(arrays["lag"]))
+        return LiveSwitching(model, names, bank, state)
+    late = LateSwitching(model, names, bank, state, int(arrays["lag"]))
     late.restore(arrays)
     return late

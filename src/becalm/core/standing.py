@@ -39,8 +39,7 @@ def standing(saved: Mapping[str, Any], reach: Reach) -> dict[str, Floats]:
         Which gaps it is carried across.
     """
     return {
-        "filter": saved["flow_beliefs"],
-        "flow": saved["flow_told"][:1],
+        "filter": saved["flow_modes"],
         "gaps": _of_gaps(saved["parted_gaps"], reach),
     }
 

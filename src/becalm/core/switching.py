@@ -12,13 +12,12 @@ from functools import cached_property
 
 import numpy as np
 
-from becalm.core.arrays import Floats, Integers
+from becalm.core.arrays import Floats
 from becalm.core.components import Component
-from becalm.core.kernel_switching_row import Bank, BankSizes, bank_sizes
+from becalm.core.possible import largest_beside, largest_level
 from becalm.core.steady import steady
 from becalm.errors import ModelError
-
-MOST_MODES = 8
+from becalm.native.imm import MOST_MODES, Bank, Steps
 
 _WIDE = 1e6  # times the variance of a settled filter's slopes: what is known of them before the first readings
 _ASLEEP = 1e-6  # times the process noise of one step, which a state has that sleeps
@@ -110,11 +109,6 @@ class Switching:
         """R of the mode that is read most finely, in unit^2."""
         return min(mode.noise_variance for mode in self.modes)
 
-    @property
-    def sizes(self) -> BankSizes:
-        """What kernels are specialised for."""
-        return bank_sizes(self.states, len(self.modes))
-
     @cached_property
     def start(self) -> Floats:
         """How modes begin with the first reading: each one's probability, and variances of its states, (M, 1 + n)."""
@@ -137,7 +131,7 @@ class Switching:
         return variances if len(variances) == self.states else np.full(self.states, mode.noise_variance)
 
     def bank(self, lengths: Floats) -> Bank:
-        """Lay the modes out for the kernels, which only read, for steps of several lengths (u,)."""
+        """Lay the modes out, for steps of several lengths (u,)."""
         key, known = lengths.tobytes(), self._banks
         if key not in known:
             if len(known) >= _MOST_BANKS:
@@ -164,6 +158,8 @@ class Switching:
             np.array([mode.noise_variance for mode in self.modes]),
             np.array([mode.wild_share if self.wild_variance > 0 else 0.0 for mode in self.modes]),
             np.array([self.wild_variance, float(self.rejects)]),
+            self.start,
+            np.array([largest_beside(self.least_noise_variance), largest_level(self.least_noise_variance)]),
         )
 
     def _over(self, mode: Mode, lengths: Floats) -> tuple[Floats, Floats]:
@@ -211,13 +207,9 @@ def _exponentials(rates: Floats, lengths: Floats) -> Floats:
     return np.ascontiguousarray(found / found.sum(axis=2, keepdims=True))
 
 
-def numbered_steps(elapsed: Floats, *, goes_on: bool) -> tuple[Floats, Integers]:
-    """Return the lengths of all steps (u,), and which of them precedes each row (N,); -1 for none."""
+def numbered_steps(elapsed: Floats) -> tuple[Floats, Steps]:
+    """Return the lengths of all steps (u,), and which of them precedes each row (N,)."""
     if len(elapsed) and (elapsed == elapsed[0]).all():  # no need to sort
-        lengths, step = elapsed[:1].copy(), np.zeros(len(elapsed), np.int64)
-    else:
-        lengths, step = np.unique(elapsed, return_inverse=True)
-    step = step.astype(np.int64)
-    if not goes_on:
-        step[:1] = -1
-    return lengths if len(lengths) else np.ones(1), step
+        return elapsed[:1].copy(), np.zeros(len(elapsed), np.int32)
+    lengths, steps = np.unique(elapsed, return_inverse=True)
+    return lengths if len(lengths) else np.ones(1), steps.astype(np.int32)

@@ -7,15 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from becalm.core.arrays import Codes, Floats, Integers
-from becalm.core.kernel_switching import SwitchingTrace, switch_forward
-from becalm.core.kernel_switching_row import Bank, memory_length
+from becalm.core.arrays import Codes, Floats
 from becalm.core.possible import largest_beside, level_by
-from becalm.core.starting import first_reading
 from becalm.core.switching import Switching
 from becalm.core.told import Judge, Told
 from becalm.core.verdict import Judged, Verdict, judge
 from becalm.errors import ModelError
+from becalm.native.imm import Bank, Steps, Trace, filter_rows, new_state, restored
 
 
 class SwitchingFilter:
@@ -31,16 +29,19 @@ class SwitchingFilter:
         Whether to tell the share of each part of the component, and then the probability of each mode.
     tells_modes : bool
         Whether to tell the probabilities alone, where nothing is split.
+
+    Attributes
+    ----------
+    state : () structured array
+        Of the modes, after the rows so far.
     """
 
     def __init__(
         self, switching: Switching, judge: Judge | None, *, split: bool = False, tells_modes: bool = False
     ) -> None:
         self.switching, self._judge, self._split, self._tells_modes = switching, judge, split, tells_modes
-        self._beliefs = np.zeros(memory_length(switching.states, len(switching.modes)))
-        self._level: float | None = None if switching.component.keeps_level else 0.0
+        self.state = new_state(switching.bank(np.ones(1)), keeps_level=switching.component.keeps_level)
         self._shares = np.zeros(len(switching.modes))
-        self.rows = 0
         self.log_likelihood = 0.0
 
     @property
@@ -49,17 +50,16 @@ class SwitchingFilter:
         total = max(float(self._shares.sum()), 1.0)
         return {mode.name: float(share) / total for mode, share in zip(self.switching.modes, self._shares, strict=True)}
 
-    def saved(self) -> dict[str, Floats]:
+    def saved(self) -> dict[str, Any]:
         """Return what rows depend on, as arrays."""
-        level = np.nan if self._level is None else self._level
-        return {"flow_beliefs": self._beliefs, "flow_told": np.array([level, float(self.rows)])}
+        return {"flow_modes": np.frombuffer(self.state.tobytes(), np.int8)}
 
-    def restore(self, arrays: Mapping[str, Floats]) -> None:
+    def restore(self, arrays: Mapping[str, Any]) -> None:
         """Take over what `saved` returned; raises a ModelError if it is not that of such a bank."""
-        level, rows = arrays["flow_told"].tolist()
-        if arrays["flow_beliefs"].shape != self._beliefs.shape:
-            raise ModelError("The snapshot's beliefs are not those of its bank; pass what snapshot() returned.")
-        self._beliefs, self._level, self.rows = arrays["flow_beliefs"], None if np.isnan(level) else level, int(rows)
+        state = restored(self.switching.bank(np.ones(1)), arrays["flow_modes"])
+        if state is None:
+            raise ModelError("The snapshot's modes are not those of its bank; pass what snapshot() returned.")
+        self.state = state
 
     def judged(self, z: Floats) -> Judged:
         """Let only possible readings (B,) through."""
@@ -67,32 +67,32 @@ class SwitchingFilter:
 
     def tell_from(self, reading: float) -> None:
         """Tell all readings from one that came first, before those that will be pushed."""
-        self._level = level_by(reading, self.switching.least_noise_variance) if self._level is None else self._level
+        if not self.state["has_level"]:
+            self.state["has_level"] = 1
+            self.state["level"] = level_by(reading, self.switching.least_noise_variance)
 
-    def levelled(self, z: Floats) -> Floats:
-        """Return readings (B,) less the first one of all, where the bank keeps a level."""
-        if self._level is None and (row := first_reading(z[:, np.newaxis])) < len(z):
-            self._level = level_by(float(z[row]), self.switching.least_noise_variance)
-        return np.ascontiguousarray(z - (self._level or 0.0))
-
-    def run(self, z: Floats, bank: Bank, steps: Integers, memory: Floats) -> SwitchingTrace:
-        """Filter levelled readings (B,); `memory` is filled as `switch_forward` says."""
-        memory[0, : len(self._beliefs)] = self._beliefs
+    def run(
+        self,
+        z: Floats,
+        bank: Bank,
+        steps: Steps,
+        *,
+        before: Floats | None = None,
+        notes: Floats | None = None,
+    ) -> Trace:
+        """Filter readings (B,); the room that is given is filled as `filter_rows` says."""
         trace = self.room(len(z), innovations=self._judge is not None)
-        total, _ = switch_forward(self.switching.sizes, bank, z, steps, self.switching.start, memory, trace)
-        self._beliefs = memory[0, : len(self._beliefs)].copy()
-        self.log_likelihood += total
-        self.rows += len(z)
+        self.log_likelihood += filter_rows(bank, self.state, z, steps, trace, before=before, notes=notes)
         self._shares += trace.probability.sum(axis=1)
         if self._judge is not None:
             self._judge(trace.innovation, trace.innovation_sigma)
         return trace
 
-    def room(self, rows: int, *, innovations: bool = False) -> SwitchingTrace:
+    def room(self, rows: int, *, innovations: bool = False) -> Trace:
         """Make room for what is told of some rows; where nothing is known yet, sigma is inf."""
         modes, means = len(self.switching.modes), (self.switching.states if self._split else 0, rows)
         wanted = rows if innovations else 0
-        return SwitchingTrace(
+        return Trace(
             signal=np.full(rows, np.nan),
             sigma=np.full(rows, np.inf),
             innovation=np.full(wanted, np.nan),
@@ -102,16 +102,16 @@ class SwitchingFilter:
             mean=np.full(means, np.nan),
         )
 
-    def told(self, trace: SwitchingTrace, verdicts: Codes) -> Told:
-        """Return what was found of some rows, with the level, and what became of their readings."""
-        level, parts = self._level or 0.0, np.empty((0, len(trace.signal)))
+    def told(self, trace: Trace, verdicts: Codes) -> Told:
+        """Return what was found of some rows, and what became of their readings."""
+        parts = np.empty((0, len(trace.signal)))
         if self._split:
             shares = np.array([output[0] @ trace.mean for _, output in self.switching.component.outputs()])
-            shares[0] += level
+            shares[0] += self.state["level"]
             parts = np.vstack([shares, trace.probability])
         elif self._tells_modes:
             parts = trace.probability
-        return Told(trace.signal + level if level else trace.signal, trace.sigma, parts, verdicts)
+        return Told(trace.signal, trace.sigma, parts, verdicts)
 
 
 class ByModes:
@@ -157,7 +157,7 @@ class ByModes:
         self._filter.tell_from(reading)
 
 
-def with_spikes(verdicts: Codes, trace: SwitchingTrace) -> Codes:
+def with_spikes(verdicts: Codes, trace: Trace) -> Codes:
     """Return verdicts of some rows, with the readings that were more probably wild than not, and left out."""
     if not len(trace.wild):
         return verdicts

@@ -11,16 +11,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from becalm.core.arrays import BLOCK, Codes, Floats, Integers
-from becalm.core.kernel_switching import NOTHING_WANTED, note_length, switch_forward
-from becalm.core.kernel_switching_ahead import outlook_length
-from becalm.core.kernel_switching_return import switch_backward
-from becalm.core.kernel_switching_row import Bank, memory_length
+from becalm.core.arrays import Codes, Floats
 from becalm.core.steady import FORGOTTEN, steady
 from becalm.core.switching import Switching, numbered_steps
 from becalm.core.switching_filter import ByModes, SwitchingFilter, with_spikes
 from becalm.core.told import Judge, Rows, Told
 from becalm.errors import ModelError
+from becalm.native.imm import (
+    BLOCK,
+    NOTHING_WANTED,
+    Bank,
+    Steps,
+    blocks_before,
+    nothing_later,
+    smooth_rows,
+)
 
 _LEAST_GROUP = 64 * BLOCK
 _MOST_GROUP = 1 << 22  # rows: a calmer mode than these tell is all but a constant
@@ -31,8 +36,8 @@ class _Stretch(NamedTuple):
 
     bank: Bank
     z: Floats  # (B,)
-    steps: Integers  # (B,)
-    memory: Floats  # (1 + blocks, K) beliefs after the stretch, then before each block
+    steps: Steps  # (B,)
+    before: Floats  # (blocks, K) beliefs before each block
     verdicts: Codes  # (B,)
 
 
@@ -64,8 +69,6 @@ class SwitchingFlow(ByModes):
     ) -> None:
         self._causal = causal
         super().__init__(SwitchingFilter(switching, judge, split=split, tells_modes=tells_modes))
-        self._numbers = memory_length(switching.states, len(switching.modes))
-        self._nothing_later = np.zeros(outlook_length(switching.states, len(switching.modes)))
         self._group = _LEAST_GROUP if causal else _group_rows(switching)
         self._few = Rows.nothing()
         self._held: _Stretch | None = None
@@ -87,7 +90,7 @@ class SwitchingFlow(ByModes):
         told = self._take_group(self._few) if len(self._few.z) else []
         self._few = Rows.nothing()
         if self._held is not None:
-            told.append(self._smooth(self._held, self._nothing_later, -1)[0])
+            told.append(self._smooth(self._held, nothing_later(self._held.bank)))
             self._held = None
         return told
 
@@ -97,46 +100,23 @@ class SwitchingFlow(ByModes):
         before, self._held = self._held, stretch
         if before is None:
             return []
-        _, later = self._smooth(stretch, self._nothing_later, -1)
-        return [self._smooth(before, later, int(stretch.steps[0]), stretch.bank)[0]]
+        later = nothing_later(stretch.bank)
+        smooth_rows(stretch.bank, self._filter.state, stretch.z, stretch.steps, stretch.before, later, NOTHING_WANTED)
+        return [self._smooth(before, later)]
 
     def _take(self, rows: Rows) -> tuple[_Stretch, Told]:
-        z = self._filter.levelled(rows.z)
-        lengths, steps = numbered_steps(rows.elapsed, goes_on=self._filter.rows > 0)
-        bank = self.switching.bank(lengths)
-        blocks = 0 if self._causal else -(-len(z) // BLOCK)
-        memory = np.zeros((1 + blocks, self._numbers))
-        trace = self._filter.run(z, bank, steps, memory)
+        lengths, steps = numbered_steps(rows.elapsed)
+        bank, z = self.switching.bank(lengths), np.ascontiguousarray(rows.z)
+        before = blocks_before(bank, 0 if self._causal else len(z))
+        trace = self._filter.run(z, bank, steps, before=None if self._causal else before)
         verdicts = with_spikes(rows.verdicts, trace)
-        return _Stretch(bank, z, steps, memory, verdicts), self._filter.told(trace, verdicts)
+        return _Stretch(bank, z, steps, before, verdicts), self._filter.told(trace, verdicts)
 
-    def _smooth(
-        self, stretch: _Stretch, later: Floats, step_after: int, bank_after: Bank | None = None
-    ) -> tuple[Told, Floats]:
-        """Come back over a stretch from the beliefs of the row after it; return its rows, and those of its first."""
+    def _smooth(self, stretch: _Stretch, later: Floats) -> Told:
+        """Come back over a stretch with what the rows after it say."""
         trace = self._filter.room(len(stretch.z))
-        sizes, later = self.switching.sizes, later.copy()
-        for block in range(len(stretch.memory) - 2, -1, -1):
-            rows = slice(block * BLOCK, min((block + 1) * BLOCK, len(stretch.z)))
-            filtered = self._filtered_again(stretch, block, rows)
-            bank = stretch.bank
-            if rows.stop == len(stretch.z):
-                steps = np.append(stretch.steps[rows], step_after)
-                if bank_after is not None:  # the last row alone comes back over a step of the stretch after it
-                    switch_backward(sizes, bank_after, steps[-2:], filtered[-1:], later, rows.stop - 1, trace)
-                    steps, filtered = steps[:-1], filtered[:-1]
-            else:
-                steps = stretch.steps[rows.start : rows.stop + 1]
-            switch_backward(sizes, bank, steps, filtered, later, rows.start, trace)
-        return self._filter.told(trace, stretch.verdicts), later
-
-    def _filtered_again(self, stretch: _Stretch, block: int, rows: slice) -> Floats:
-        """Filter a block again from the beliefs before it; return those after each of its rows."""
-        z, steps = stretch.z[rows], stretch.steps[rows]
-        memory = np.zeros((1 + len(z), note_length(self.switching.states, len(self.switching.modes))))
-        memory[0, : self._numbers] = stretch.memory[1 + block]
-        switch_forward(self.switching.sizes, stretch.bank, z, steps, self.switching.start, memory, NOTHING_WANTED)
-        return memory[1:]
+        smooth_rows(stretch.bank, self._filter.state, stretch.z, stretch.steps, stretch.before, later, trace)
+        return self._filter.told(trace, stretch.verdicts)
 
 
 def _group_rows(switching: Switching) -> int:

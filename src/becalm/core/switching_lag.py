@@ -12,15 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from becalm.core.arrays import Codes, Floats, Integers
-from becalm.core.kernel_switching import SwitchingTrace, note_length
-from becalm.core.kernel_switching_return import switch_late
-from becalm.core.kernel_switching_row import Bank, BankSizes
+from becalm.core.arrays import Codes, Floats
 from becalm.core.lags import checked_lag
 from becalm.core.switching import Switching, numbered_steps
 from becalm.core.switching_filter import ByModes, SwitchingFilter, with_spikes
 from becalm.core.told import Judge, Told
 from becalm.errors import ModelError
+from becalm.native.imm import Bank, State, Steps, Trace, note_size, smooth_late
 
 _WAYS_BACK = 4  # in the time of one lag
 PIECE = 4096  # rows whose beliefs are kept at once
@@ -36,16 +34,16 @@ class WaitingRows:
 
     Parameters
     ----------
-    sizes : BankSizes
+    states, modes : int
         Of the bank.
     lag : int
         Rows that each waits for, 1 or more; with a *small* one the signal comes soon, and noisier.
     """
 
-    def __init__(self, sizes: BankSizes, lag: int) -> None:
-        self._sizes, self.lag = sizes, lag
+    def __init__(self, states: int, modes: int, lag: int) -> None:
+        self.lag = lag
         self.every = rows_between(lag)
-        self.width = note_length(len(sizes.states), len(sizes.modes))  # numbers that are kept of a row, K
+        self.width = note_size(states, modes)  # numbers that are kept of a row, K
         self._notes = np.empty((0, self.width))
         self._turn = self.every  # rows from the first that waits to the next from which the way back is gone
 
@@ -53,25 +51,26 @@ class WaitingRows:
         """Return how many rows wait."""
         return len(self._notes)
 
-    def take(self, notes: Floats, bank: Bank, steps: Integers, room: SwitchingTrace) -> int:
-        """Take rows, (B, K), as `switch_forward` noted them; write what can be told, and return of how many rows.
+    def take(self, notes: Floats, bank: Bank, state: State, steps: Steps, room: Trace) -> int:
+        """Take rows, (B, K), as `filter_rows` noted them; write what can be told, and return of how many rows.
 
-        `bank` and `steps` are of all rows that wait, and then of these; `room` is for as many.
+        `bank` and `steps` are of all rows that wait, and then of these; `room` is for as many; `state` is after them.
         """
         notes = np.vstack([self._notes, notes])
         if self._turn > len(notes):
             self._notes = notes
             return 0
-        switch_late(self._sizes, bank, np.append(steps, -1), notes, self._turn, self.every, self.lag, room)
+        smooth_late(bank, state, steps, notes, room, turn=self._turn, every=self.every, lag=self.lag)
         last = self._turn + (len(notes) - self._turn) // self.every * self.every
         told = max(0, last - 1 - self.lag + self.every)
         self._notes, self._turn = notes[told:].copy(), last + self.every - told
         return told
 
-    def tell_all(self, bank: Bank, steps: Integers, room: SwitchingTrace) -> None:
+    def tell_all(self, bank: Bank, state: State, steps: Steps, room: Trace) -> None:
         """Write what is told of all rows that wait, by what there is after them; they go on waiting."""
         count = len(self._notes)
-        switch_late(self._sizes, bank, np.append(steps, -1), self._notes, count, self.every, count, room)
+        if count:
+            smooth_late(bank, state, steps, self._notes, room, turn=count, every=count, lag=count)
 
     def snapshot(self) -> dict[str, Floats]:
         """Return what moves, as arrays."""
@@ -124,7 +123,7 @@ class LaggedSwitchingFlow(ByModes):
         tells_modes: bool = False,
     ) -> None:
         super().__init__(SwitchingFilter(switching, judge, split=split, tells_modes=tells_modes))
-        self._waiting = WaitingRows(switching.sizes, checked_lag(lag))
+        self._waiting = WaitingRows(switching.states, len(switching.modes), checked_lag(lag))
         self._elapsed: Floats = np.empty(0)  # steps before the rows that wait
         self._verdicts: Codes = np.empty(0, np.int8)
 
@@ -138,9 +137,9 @@ class LaggedSwitchingFlow(ByModes):
 
     def finish(self) -> list[Told]:
         """Say that no more rows will come; return the last ones, with what there is after them."""
-        bank, steps = self._laid_out(self._elapsed, len(self._waiting))
+        lengths, steps = numbered_steps(self._elapsed)
         room = self._filter.room(len(self._waiting))
-        self._waiting.tell_all(bank, steps, room)
+        self._waiting.tell_all(self.switching.bank(lengths), self._filter.state, steps, room)
         return [self._filter.told(room, self._verdicts)]
 
     def saved(self) -> dict[str, Any]:
@@ -156,21 +155,16 @@ class LaggedSwitchingFlow(ByModes):
 
     def _take(self, z: Floats, elapsed: Floats, verdicts: Codes) -> Told:
         elapsed, waited = np.concatenate([self._elapsed, elapsed]), len(self._waiting)
-        bank, steps = self._laid_out(elapsed, waited)
-        memory = np.zeros((1 + len(z), self._waiting.width))
-        trace = self._filter.run(self._filter.levelled(z), bank, steps[waited:], memory)
+        lengths, steps = numbered_steps(elapsed)
+        bank, notes = self.switching.bank(lengths), np.empty((len(z), self._waiting.width))
+        trace = self._filter.run(np.ascontiguousarray(z), bank, steps[waited:], notes=notes)
         room = self._filter.room(len(elapsed))
-        count = self._waiting.take(memory[1:], bank, steps, room)
+        count = self._waiting.take(notes, bank, self._filter.state, steps, room)
         verdicts = np.concatenate([self._verdicts, with_spikes(verdicts, trace)])
         self._elapsed, self._verdicts = elapsed[count:], verdicts[count:]
         return self._filter.told(first_rows(room, count), verdicts[:count])
 
-    def _laid_out(self, elapsed: Floats, waited: int) -> tuple[Bank, Integers]:
-        """Lay out the steps before the rows that waited and those that came."""
-        lengths, steps = numbered_steps(elapsed, goes_on=self._filter.rows > waited)
-        return self.switching.bank(lengths), steps
 
-
-def first_rows(trace: SwitchingTrace, count: int) -> SwitchingTrace:
+def first_rows(trace: Trace, count: int) -> Trace:
     """Return what is written of the first rows."""
-    return SwitchingTrace(*(np.ascontiguousarray(array[..., :count]) for array in trace))
+    return Trace(*(np.ascontiguousarray(array[..., :count]) for array in trace))

@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from becalm.core.arrays import Floats, Integers
-from becalm.core.kernel_switching_row import Bank
+from becalm.core.arrays import Floats
+from becalm.native.imm import Bank, Steps
 
 _READABLE = 1e100  # no sensor reads more
 _UNLIKELY = 1e-100  # no mode becomes less probable
@@ -145,7 +145,7 @@ def normal(nu: Floats, S: Floats) -> Floats:
     return density
 
 
-def filter_readings(bank: Bank, start: Floats, z: Floats, steps: Integers) -> list[Row]:
+def filter_readings(bank: Bank, start: Floats, z: Floats, steps: Steps) -> list[Row]:
     """Run over z (N,); `steps` (N,) says which step precedes each row, -1 for none."""
     rows: list[Row] = []
     beliefs: Beliefs | None = None
@@ -212,7 +212,7 @@ def before_step(F: Floats, Q: Floats, x: Floats, ahead: Outlook, i: int) -> Outl
     return Outlook(x, F.T @ A @ (r - Y @ (F @ x - c)), F.T @ A @ Y @ F, np.array(own))  # (10), (11)
 
 
-def smooth(bank: Bank, rows: list[Row], steps: Integers) -> list[Beliefs]:
+def smooth(bank: Bank, rows: list[Row], steps: Steps) -> list[Beliefs]:
     """Go back over a filtered record; each belief then knows the later readings too."""
     smoothed: list[Beliefs] = []
     ahead: Outlook | None = None

@@ -2,6 +2,7 @@
 #include <stddef.h>
 
 #include "filter.h"
+#include "imm.h"
 #include "multivariate.h"
 
 typedef struct {
@@ -123,8 +124,8 @@ const field_t *channel_constants(void) {
         VALUE(SPREADS), VALUE(REST_PARTS), VALUE(MOST_SIGMA),
         VALUE(HOP), VALUE(WINDOW_HOPS), VALUE(KEPT_HOPS), VALUE(TAKEN_STAMP),
         VALUE(LATE_STAMP), VALUE(REPEATED_STAMP), VALUE(FAR_STAMP), VALUE(CLOCK_RESET), VALUE(NO_STAMP), VALUE(AGREEING),
-        VALUE(GATHERING), VALUE(GOES_ON), VALUE(WIDE), VALUE(DETERMINED), VALUE(N_MAX),
-        VALUE(M_MAX), VALUE(GAIN), VALUE(COVARIANCE), {0, 0, 0, 0},
+        VALUE(GATHERING), VALUE(GOES_ON), VALUE(WIDE), VALUE(DETERMINED), VALUE(N_MAX), VALUE(M_MAX), VALUE(GAIN),
+        VALUE(COVARIANCE), VALUE(MODES_MAX), VALUE(IMM_BLOCK), VALUE(IMM_LAYOUT), {0, 0, 0, 0},
     };
 #undef VALUE
     return values;

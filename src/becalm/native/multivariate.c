@@ -82,6 +82,18 @@ void multivariate_start(const multivariate_t *model, const real *x, const real *
     copy(n, x, p.x), copy(n * n, P, p.P);
 }
 
+int multivariate_is_sound(const multivariate_t *model, const knowledge_t *state) {
+    const int64_t n = model->states, m = model->channels;
+    const int64_t counts[] = {state->rows, state->opened, state->settled_row, state->steady, state->next_check,
+                              state->agreed, state->score.used};
+    int sound = state->phase >= UNKNOWN && state->phase <= DETERMINED && state->settled >= 0 &&
+                state->settled <= COVARIANCE && state->proven >= 0 && state->proven <= COVARIANCE;
+    for (int k = 0; k < 7; k++) sound = sound && is_count(counts[k], EVER);
+    sound = sound && is_count(state->score.exponent, EVER);
+    for (int64_t k = 0; sound && k < n + n * n + n * m + m * m + 2 * m; k++) sound = isfinite(state->numbers[k]) != 0;
+    return sound; /* x, P, K, L, D and nu; a deviation may be NaN */
+}
+
 /* Factor S = L D L'. */
 INLINE void factor(const int m, const real *S, real *L, real *D) {
     for (int a = 0; a < m; a++) {
@@ -716,4 +728,31 @@ void multivariate_smooth(const multivariate_t *model, knowledge_t *state, const 
     save(model, state, before);
     FOR_SMALL(model->states, model->channels, backward_rows, model, state, record, beliefs, future, own)
     load(model, before, state);
+}
+
+int64_t multivariate_lag_room(const int64_t states, const int64_t channels, const int64_t lag) {
+    return multivariate_size(states, channels) + multivariate_room(states, channels, lag + 1) +
+           (int64_t)sizeof(future_t) + 4 * (lag + 1) * channels * (int64_t)sizeof(real);
+}
+
+void multivariate_lag(const multivariate_t *model, knowledge_t *state, const record_t *record, const int64_t lag,
+                      const int64_t told, real *signal, real *sigma, void *room) {
+    const int64_t m = model->channels, most = (lag + 1) * m, size = multivariate_size(model->states, m);
+    const beliefs_t nothing = {NULL, NULL, NULL, NULL, NULL, NULL};
+    knowledge_t *ahead = room;
+    real *rows = (real *)(void *)((char *)room + size);
+    future_t *future = (future_t *)(void *)(rows + 4 * most);
+    for (int64_t row = 0; row < told; row++) {
+        const int64_t count = record->rows - row > lag ? lag + 1 : record->rows - row, fresh = state->rows == 0;
+        const int64_t first[] = {0, fresh ? 1 : count, count}, step[] = {fresh ? -1 : 0, 0};
+        record_t window = *record;
+        window.z += row * m, window.first = first, window.step = step, window.rows = count;
+        const beliefs_t beliefs = {rows, rows + most, rows + 2 * most, rows + 3 * most, NULL, NULL};
+        memcpy(ahead, state, (size_t)size);
+        multivariate_end(model, future);
+        multivariate_smooth(model, ahead, &window, &beliefs, future, future + 1);
+        copy((int)m, beliefs.signal, signal + row * m), copy((int)m, beliefs.sigma, sigma + row * m);
+        window.rows = 1;
+        multivariate_filter(model, state, &window, &nothing);
+    }
 }

@@ -47,6 +47,8 @@ typedef struct {
 
 /* Bytes of a state. */
 int64_t multivariate_size(int64_t states, int64_t channels);
+/* Return whether a state, which may come from a file, is one that such a model can have. */
+int multivariate_is_sound(const multivariate_t *model, const knowledge_t *state);
 /* Begin with the state before the first row: x (n) and P (n, n), or nothing but the model's prior, where they are NULL. */
 void multivariate_start(const multivariate_t *model, const real *x, const real *P, knowledge_t *state);
 void multivariate_filter(const multivariate_t *model, knowledge_t *state, const record_t *record,
@@ -57,6 +59,12 @@ int64_t multivariate_room(int64_t states, int64_t channels, int64_t rows);
    say, too. Innovations stay those of the filter, and are needed. */
 void multivariate_smooth(const multivariate_t *model, knowledge_t *state, const record_t *record,
                          const beliefs_t *beliefs, future_t *future, void *room);
+/* Bytes of room that a fixed lag takes. */
+int64_t multivariate_lag_room(int64_t states, int64_t channels, int64_t lag);
+/* Smooth the first `told` rows, whose steps are all alike, by those up to `lag` after each, from the state before them,
+   which becomes that after them; no step precedes the first row of all. `signal` and `sigma` are (told, m). */
+void multivariate_lag(const multivariate_t *model, knowledge_t *state, const record_t *record, int64_t lag,
+                      int64_t told, real *signal, real *sigma, void *room);
 /* What is known of the future at the end of a record. */
 void multivariate_end(const multivariate_t *model, future_t *future);
 

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from becalm.errors import ModelError
 from becalm.native.library import CONSTANTS, kernel, layout_of
 
 Floats = NDArray[np.float64]
@@ -43,6 +44,10 @@ kernel.multivariate_room.argtypes, kernel.multivariate_room.restype = [ctypes.c_
 kernel.multivariate_start.argtypes, kernel.multivariate_start.restype = [ctypes.c_void_p] * 4, None
 kernel.multivariate_filter.argtypes, kernel.multivariate_filter.restype = [ctypes.c_void_p] * 4, None
 kernel.multivariate_smooth.argtypes, kernel.multivariate_smooth.restype = [ctypes.c_void_p] * 6, None
+kernel.multivariate_lag_room.argtypes, kernel.multivariate_lag_room.restype = [ctypes.c_int64] * 3, ctypes.c_int64
+kernel.multivariate_lag.argtypes = [*[ctypes.c_void_p] * 3, *[ctypes.c_int64] * 2, *[ctypes.c_void_p] * 3]
+kernel.multivariate_lag.restype = None
+kernel.multivariate_is_sound.argtypes, kernel.multivariate_is_sound.restype = [ctypes.c_void_p] * 2, ctypes.c_int
 kernel.multivariate_end.argtypes, kernel.multivariate_end.restype = [ctypes.c_void_p] * 2, None
 
 
@@ -161,6 +166,42 @@ class Multivariate:
         kernel.multivariate_end(model, future.ctypes.data)
         moves = self.state.ctypes.data, ctypes.byref(record), ctypes.byref(into), future.ctypes.data, room.ctypes.data
         kernel.multivariate_smooth(model, *moves)
+
+    def smooth_late(self, rows: Rows, lag: int, told: int) -> tuple[Floats, Floats]:
+        """Smooth the first rows by those up to a lag after each, from the state before them; it becomes that after them.
+
+        Returns signal and sigma, (told, m) each. The steps of all rows are alike, and none precedes the first row of all.
+
+        Raises
+        ------
+        ValueError
+            If the arrays do not fit each other, or the numbers do not fit the rows.
+        """
+        record, _ = self._given(rows, Beliefs())
+        if not (lag >= 0 and 0 <= told <= record.rows):
+            raise ValueError(f"A lag of {lag} and {told} rows to tell came; 0 or more, 0 to {record.rows} are needed.")
+        signal, sigma = np.empty((2, told, self.channels))
+        lag = min(lag, record.rows)
+        room = np.empty(kernel.multivariate_lag_room(self._model.states, self._model.channels, lag) // 8)
+        into = signal.ctypes.data, sigma.ctypes.data, room.ctypes.data
+        model = ctypes.byref(self._model)
+        kernel.multivariate_lag(model, self.state.ctypes.data, ctypes.byref(record), lag, told, *into)
+        return signal, sigma
+
+    def load(self, state: NDArray[np.uint8]) -> None:
+        """Take over the bytes of a state.
+
+        Raises
+        ------
+        ModelError
+            If these are not the bytes of a state of such a model.
+        """
+        if state.dtype != np.uint8 or state.shape != self.state.shape:
+            raise ModelError(f"The state of a snapshot is {state.dtype} of shape {state.shape}, not that of this model.")
+        kept = np.frombuffer(bytearray(state.tobytes()), np.float64).view(np.uint8)
+        if not kernel.multivariate_is_sound(ctypes.byref(self._model), kept.ctypes.data):
+            raise ModelError("The state of a snapshot says what none can say; pass what snapshot() returned.")
+        self.state = kept
 
     def _given(self, rows: Rows, beliefs: Beliefs) -> tuple[_Record, _Beliefs]:
         (m, n), count, runs, steps = self._size, len(rows.z), len(rows.step), len(rows.F)

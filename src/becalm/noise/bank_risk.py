@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from becalm.core.arrays import Booleans, Floats
-from becalm.core.kernel_switching import NOTHING_WANTED, switch_forward
-from becalm.core.kernel_switching_row import memory_length
 from becalm.core.smoothed_flow import SmoothedFlow
 from becalm.core.switching import Switching, numbered_steps
 from becalm.core.switching_flow import SwitchingFlow
+from becalm.native.imm import NOTHING_WANTED, filter_rows, new_state
 from becalm.noise.likelihood import Evidence, Tuning
 from becalm.noise.risk import estimated_risk, long_pieces
 
@@ -25,13 +24,13 @@ _PIECE = 1 << 15  # rows
 
 def find_wild(switching: Switching, readings: Floats, elapsed: Floats) -> Booleans:
     """Tell which readings (N,) a filter took for wild, as they came."""
-    memory, wild = np.zeros((1, memory_length(switching.states, len(switching.modes)))), np.zeros(len(readings))
+    wild = np.zeros(len(readings))
+    state = new_state(switching.bank(np.ones(1)), keeps_level=False)
     for start in range(0, len(readings), _PIECE):
         rows = slice(start, start + _PIECE)
-        lengths, steps = numbered_steps(elapsed[rows], goes_on=start > 0)
+        lengths, steps = numbered_steps(elapsed[rows])
         trace = NOTHING_WANTED._replace(wild=wild[rows])
-        bank, z = switching.bank(lengths), np.ascontiguousarray(readings[rows])
-        switch_forward(switching.sizes, bank, z, steps, switching.start, memory, trace)
+        filter_rows(switching.bank(lengths), state, np.ascontiguousarray(readings[rows]), steps, trace)
     told: Booleans = wild > _LIKELY
     return told
 

@@ -16,11 +16,10 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from becalm.core.arrays import Floats, Integers
+from becalm.core.arrays import Floats
 from becalm.core.components import motion, with_walking_level
-from becalm.core.kernel_switching import NOTHING_WANTED, switch_forward
-from becalm.core.kernel_switching_row import memory_length
 from becalm.core.switching import Mode, Switching, numbered_steps
+from becalm.native.imm import Steps, filter_rows, new_state
 from becalm.noise.likelihood import Evidence, Tuning
 from becalm.noise.running_median import WINDOW, running_median
 
@@ -69,11 +68,11 @@ class Bank(NamedTuple):
 
 
 class Piece(NamedTuple):
-    """A part of a record, laid out for the kernels."""
+    """A part of a record, laid out for the filter."""
 
     z: Floats  # (N,)
     lengths: Floats  # (u,) of steps
-    steps: Integers  # (N,) which of them precedes each reading
+    steps: Steps  # (N,) which of them precedes each reading
 
 
 def resting(tuning: Tuning, evidence: Evidence) -> Bank:
@@ -247,9 +246,8 @@ def log_likelihood(switching: Switching, pieces: Sequence[Piece]) -> float:
     """Return the log-likelihood of pieces of a record, each begun anew."""
     total = 0.0
     for piece in pieces:
-        memory = np.zeros((1, memory_length(switching.states, len(switching.modes))))
         bank = switching.bank(piece.lengths)
-        total += switch_forward(switching.sizes, bank, piece.z, piece.steps, switching.start, memory, NOTHING_WANTED)[0]
+        total += filter_rows(bank, new_state(bank, keeps_level=False), piece.z, piece.steps)
     return total if np.isfinite(total) else -np.inf
 
 
@@ -262,7 +260,7 @@ def pieces_of(evidence: Evidence, row: int) -> list[Piece]:
     pieces = []
     for part in parts:
         elapsed = _few_lengths(evidence.elapsed[part])
-        pieces.append(Piece(np.ascontiguousarray(evidence.z[part, 0]), *numbered_steps(elapsed, goes_on=False)))
+        pieces.append(Piece(np.ascontiguousarray(evidence.z[part, 0]), *numbered_steps(elapsed)))
     return pieces
 
 

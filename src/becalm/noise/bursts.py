@@ -26,9 +26,7 @@ _ROUNDS = 2  # of finding what is violent, and of tuning what is calm
 _MOST = 0.3  # share of violent readings, from which on the calm is no exception to tune on
 _BESIDE = 10  # readings on each side that count to it as well: its ends are not told from calm motion
 _LIKELY = 0.5  # probability of a burst, from which a reading counts to it
-_MOST_STATES = (
-    HIGHEST_ORDER + 1
-)  # of a filter whose bank is compiled ahead (`core/warming`): others keep a person waiting
+_MOST_STATES = HIGHEST_ORDER + 1  # of a filter for which a bank is looked for: more keep a person waiting
 
 
 class Bursting(NamedTuple):

@@ -1,0 +1,393 @@
+/* The filter of several modes. Before each row their beliefs are mixed by how likely a switch is, then each predicts and
+   updates, and the likelihood of the measurement weighs them anew. Source: Blom and Bar-Shalom, IEEE TAC-33 (1988) 780. */
+#include "imm.h"
+
+#include <string.h>
+
+#include "filter.h"
+#include "modes.h"
+#include "normal.h"
+#include "pair.h"
+#include "product.h"
+
+#define SELDOM ((real)1e-8)  /* of a mixture: one Gaussian cannot hold what is so far out and so rare */
+#define LARGEST ((real)1e200) /* a state that no measurement sees saturates here, and cannot spoil the others */
+#define FARTHEST ((real)1e300) /* half a square, beyond which no measurement says anything of the modes */
+
+int64_t imm_beliefs_size(const int64_t states, const int64_t modes) { return modes * (1 + states + states * states); }
+int64_t imm_note_size(const int64_t states, const int64_t modes) { return imm_beliefs_size(states, modes) + NOTED * modes; }
+int64_t imm_filter_room(const int64_t states, const int64_t modes) {
+    const int64_t n = states, pairs = (modes + 1) / 2;
+    return 2 * (pairs * (4 * n * n + 3 * n) + n * n);
+}
+
+enum { PAIRS = MODES_MAX / 2 };
+
+INLINE pair_t within(const pair_t value) {
+    const mask_t above = value > both(LARGEST), below = value < both(-LARGEST);
+    return above[0] | above[1] | below[0] | below[1] ? choose(above, both(LARGEST), choose(below, both(-LARGEST), value))
+                                                     : value;
+}
+
+/* What all modes believe of a row, two modes side by side. Beyond the last mode numbers are 0 in F and Q, 1 in R, and are
+   not looked at elsewhere. */
+typedef struct {
+    real mu[MODES_MAX];
+    pair_t *x, *P; /* (pairs, n), (pairs, n, n) */
+} pairs_t;
+
+/* What each mode makes of a measurement. */
+typedef struct {
+    real prior[MODES_MAX];           /* how probable the mode was before it */
+    real y[MODES_MAX], S[MODES_MAX]; /* what it expected, and the variance of that */
+    real weight[MODES_MAX];          /* density, but for a factor that all have */
+    real wild[MODES_MAX];            /* share of it that wild measurements have */
+    real square;                     /* the factor is exp(-square / 2) over the root of 2 pi */
+} look_t;
+
+/* The modes over one step, and their sensors. */
+typedef struct {
+    pair_t T[PAIRS * MODES_MAX], R[PAIRS], tail[PAIRS], *F, *Q; /* (pairs, M), (pairs), (pairs), (pairs, n, n) */
+    int tails;                                                  /* whether any is above 0 */
+} step_t;
+
+INLINE void load(const int n, const int m, const real *beliefs, pairs_t *now) {
+    for (int j = 0; j < m; j++) now->mu[j] = beliefs[j];
+    put(n, m, beliefs + m, now->x);
+    put(n * n, m, beliefs + m + m * n, now->P);
+}
+
+INLINE void save(const int n, const int m, const pairs_t *now, real *beliefs) {
+    for (int j = 0; j < m; j++) beliefs[j] = now->mu[j];
+    get(n, m, now->x, beliefs + m);
+    get(n * n, m, now->P, beliefs + m + m * n);
+}
+
+/* Write how probable each mode was before one that is of these two now, without what is rare; return how probable the
+   two are (1). */
+INLINE pair_t come_from(const int m, const real *mu, const pair_t *T, pair_t *w) {
+    pair_t c = both(0), kept = both(0);
+    for (int i = 0; i < m; i++) w[i] = mu[i] * T[i], c += w[i];
+    const mask_t reached = c > both(UNLIKELY); /* else no way leads to it: from whatever is believed */
+    if (!(reached[0] & reached[1]))
+        for (int i = 0; i < m; i++) w[i] = choose(reached, w[i], both(mu[i]));
+    for (int i = 0; i < m; i++) w[i] = choose(w[i] > SELDOM * c, w[i], both(0)), kept += w[i];
+    kept = 1 / kept;
+    for (int i = 0; i < m; i++) w[i] *= kept;
+    w[m] = both(0); /* of an odd number of modes the last has none beside it */
+    return choose(reached, c, both(UNLIKELY));
+}
+
+/* Mix what each of two modes starts a step from, had it just been switched to or stayed (2), (3), and predict it (4). */
+INLINE void step_pair(const int n, const int m, const pair_t *w, const pairs_t *now, const pair_t *F, const pair_t *Q,
+                      pair_t *x, pair_t *P, pair_t *room) {
+    pair_t mixed[N_MAX], FP[N_MAX];
+    UNROLL
+    for (int a = 0; a < n; a++) {
+        pair_t s = both(0);
+        for (int i = 0; i < m; i += 2) {
+            const pair_t x_a = now->x[i / 2 * n + a];
+            s += w[i] * first_of(x_a), s += w[i + 1] * second_of(x_a);
+        }
+        mixed[a] = s;
+    }
+    UNROLL
+    for (int a = 0; a < n; a++) {
+        UNROLL
+        for (int b = 0; b <= a; b++) {
+            pair_t s = both(0);
+            for (int i = 0; i < m; i += 2) {
+                const pair_t *x_i = now->x + i / 2 * n, P_i = now->P[i / 2 * n * n + a * n + b];
+                s += w[i] * (first_of(P_i) + (first_of(x_i[a]) - mixed[a]) * (first_of(x_i[b]) - mixed[b]));
+                s += w[i + 1] * (second_of(P_i) + (second_of(x_i[a]) - mixed[a]) * (second_of(x_i[b]) - mixed[b]));
+            }
+            room[a * n + b] = room[b * n + a] = within(s);
+        }
+    }
+    UNROLL
+    for (int a = 0; a < n; a++) {
+        pair_t s = both(0);
+        for (int b = 0; b < n; b++) s += F[a * n + b] * mixed[b];
+        x[a] = within(s);
+    }
+    UNROLL
+    for (int a = 0; a < n; a++) {
+        UNROLL
+        for (int b = 0; b < n; b++) {
+            pair_t s = both(0);
+            UNROLL
+            for (int c = 0; c < n; c++) s += F[a * n + c] * room[c * n + b];
+            FP[b] = s;
+        }
+        UNROLL
+        for (int b = 0; b <= a; b++) {
+            pair_t s = both(0);
+            UNROLL
+            for (int c = 0; c < n; c++) s += FP[c] * F[b * n + c];
+            P[a * n + b] = P[b * n + a] = Q[a * n + b] + s;
+        }
+    }
+}
+
+/* Write what each of two modes expects, the variance of that (5), and P h. */
+INLINE void expect(const int n, const real *h, const pair_t R, const pair_t *x, const pair_t *P, pair_t *Ph, pair_t *y,
+                   pair_t *S) {
+    *y = both(0), *S = R;
+    UNROLL
+    for (int a = 0; a < n; a++) {
+        pair_t s = both(0);
+        UNROLL
+        for (int b = 0; b < n; b++) s += P[a * n + b] * h[b];
+        Ph[a] = s, *S += h[a] * s, *y += h[a] * x[a];
+    }
+}
+
+/* Write how likely a measurement is to each mode, but for a factor that all have (6). */
+INLINE void judge_modes(const int m, const imm_t *imm, const step_t *step, const real z, look_t *look) {
+    real half[MODES_MAX], half_wild[MODES_MAX], least = FARTHEST; /* of squares over variances */
+    for (int j = 0; j < m; j += 2) {
+        const pair_t nu = z - *at(look->y + j), square = (real)0.5 * nu * nu;
+        *at(half + j) = square / *at(look->S + j);
+        if (step->tails) *at(half_wild + j) = square / (*at(look->S + j) + imm->V);
+    }
+    for (int j = 0; j < m; j++) {
+        least = half[j] < least ? half[j] : least;
+        if (step->tails && imm->tail[j] > 0) least = half_wild[j] < least ? half_wild[j] : least;
+    }
+    for (int j = 0; j < m; j += 2) {
+        const pair_t S = *at(look->S + j), t = step->tail[j / 2];
+        pair_t weight = (1 - t) / roots(S) * exponentials(least - *at(half + j)), share = both(0);
+        if (step->tails) {
+            const pair_t wild = t / roots(S + imm->V) * exponentials(least - *at(half_wild + j));
+            weight += wild, share = choose(wild > both(0), wild / weight, both(0));
+        }
+        *at(look->weight + j) = weight, *at(look->wild + j) = share;
+    }
+    look->square = 2 * least;
+}
+
+/* Update two modes (7), in Joseph's form, B - (B h) K' + K R K' with B = P - K (P h)'; of a measurement that may be wild,
+   each believes the mixture of both outcomes. */
+INLINE void correct_pair(const int n, const real *h, const int rejects, const pair_t R, const pair_t S, const pair_t nu,
+                         const pair_t believed, const pair_t *Ph, pair_t *x, pair_t *P) {
+    pair_t K[N_MAX], B[N_MAX];
+    const pair_t share = 1 / S;
+    UNROLL
+    for (int a = 0; a < n; a++) K[a] = Ph[a] * share, x[a] += believed * K[a] * nu;
+    UNROLL
+    for (int a = 0; a < n; a++) {
+        pair_t Bh = both(0);
+        UNROLL
+        for (int b = 0; b < n; b++) B[b] = P[a * n + b] - K[a] * Ph[b], Bh += B[b] * h[b];
+        UNROLL
+        for (int b = 0; b <= a; b++) {
+            const pair_t KK = K[a] * K[b], updated = B[b] - Bh * K[b] + R * KK;
+            pair_t mixed = updated;
+            if (rejects) mixed = believed * updated + (1 - believed) * (P[a * n + b] + believed * nu * nu * KK);
+            P[a * n + b] = P[b * n + a] = mixed;
+        }
+    }
+}
+
+/* Write how probable each mode is after a measurement (8); return its density, but for a factor. */
+INLINE real weigh(const int m, const look_t *look, real *mu) {
+    real total = 0;
+    for (int j = 0; j < m; j++) mu[j] = look->prior[j] * look->weight[j], total += mu[j];
+    const int possible = total > 1 / FARTHEST; /* what no mode can explain tells nothing of them */
+    const real share = possible ? 1 / total : 1;
+    for (int j = 0; j < m; j++) {
+        const real own = possible ? mu[j] * share : look->prior[j];
+        mu[j] = own > UNLIKELY ? own : UNLIKELY;
+    }
+    return possible ? total : 1 / FARTHEST;
+}
+
+/* Begin with the first measurement. */
+INLINE void begin(const int n, const int m, const imm_t *imm, const real z, pairs_t *now) {
+    for (int j = 0; j < m; j++) {
+        const real *start = imm->start + j * (1 + n);
+        real *x = numbers_of(now->x, n, j), *P = numbers_of(now->P, n * n, j);
+        now->mu[j] = start[0];
+        for (int a = 0; a < n; a++) {
+            x[2 * a] = a == 0 ? z : 0;
+            for (int b = 0; b < n; b++) P[2 * (a * n + b)] = a == b ? start[1 + a] : 0;
+        }
+    }
+}
+
+/* Write what is estimated of a row. */
+INLINE void write_pairs(const int n, const int m, const real *c, const real level, const pairs_t *now, const int64_t row,
+                        const imm_estimate_t *estimate) {
+    if (estimate->signal) {
+        pair_t own[PAIRS], spread[PAIRS], Pc[N_MAX];
+        real y = 0, v = 0;
+        for (int q = 0; 2 * q < m; q++)
+            expect(n, c, both(0), now->x + q * n, now->P + q * n * n, Pc, own + q, spread + q);
+        for (int j = 0; j < m; j++) y += now->mu[j] * own[j / 2][j % 2];
+        for (int j = 0; j < m; j++) {
+            const real apart = own[j / 2][j % 2] - y;
+            v += now->mu[j] * (spread[j / 2][j % 2] + apart * apart);
+        }
+        estimate->signal[row] = y + level, estimate->sigma[row] = v > 0 ? sqrt(v) : 0;
+    }
+    if (estimate->probability)
+        for (int j = 0; j < m; j++) estimate->probability[j * estimate->rows + row] = now->mu[j];
+    if (estimate->mean)
+        for (int a = 0; a < n; a++) {
+            real s = 0;
+            for (int j = 0; j < m; j++) s += now->mu[j] * numbers_of(now->x, n, j)[2 * a];
+            estimate->mean[a * estimate->rows + row] = s;
+        }
+}
+
+/* Write the innovation of the mixture. Its distribution is no Gaussian, but the probability of a smaller measurement is
+   uniform, and the normal quantile of that, the score, standard normal and white. Source: Rosenblatt, Annals of
+   Mathematical Statistics 23 (1952) 470. */
+static void write_innovation(const int m, const imm_t *imm, const real z, const look_t *look, const int64_t row,
+                             const imm_estimate_t *estimate) {
+    real y = 0, v = 0, sides[2] = {0, 0}; /* probability of smaller measurements, of larger ones */
+    for (int j = 0; j < m; j++) y += look->prior[j] * look->y[j];
+    for (int j = 0; j < m; j++) {
+        const real t = imm->tail[j], nu = z - look->y[j];
+        const int larger = nu > 0;
+        v += look->prior[j] * (look->S[j] + (look->y[j] - y) * (look->y[j] - y));
+        real beyond = (1 - t) * upper_tail(fabs(nu) / sqrt(look->S[j]));
+        if (t > 0) beyond += t * upper_tail(fabs(nu) / sqrt(look->S[j] + imm->V));
+        sides[larger] += look->prior[j] * beyond, sides[!larger] += look->prior[j] * (1 - beyond);
+    }
+    const real sigma = sqrt(v);
+    estimate->innovation[row] = sigma * normal_score(sides[0], sides[1]), estimate->innovation_sigma[row] = sigma;
+}
+
+/* Note what a measurement said to each mode: exp(g + p h d - W (h d)^2 / 2), d from its mean. W is w / R, p is
+   W (z - h x) with x after the measurement, and g is such that the whole is as likely, to what the mode expected, as it
+   was weighed (9): w < 1 is the share of a measurement that may be wild. */
+INLINE void note(const int n, const int m, const imm_t *imm, const real z, const look_t *look, const pairs_t *now,
+                 real *noted) {
+    for (int j = 0; j < m; j++, noted += NOTED) {
+        const real t = imm->tail[j], R = imm->R[j], s = look->S[j] - R, nu = z - look->y[j];
+        const real W = (imm->rejects ? 1 - look->wild[j] : 1) / R;
+        real y = z;
+        for (int a = 0; a < n; a++) y -= imm->h[a] * numbers_of(now->x, n, j)[2 * a];
+        const real weight = look->weight[j] > 1 / FARTHEST /* else it has lost its digits */
+                                ? logarithm(look->weight[j])
+                                : (real)0.5 * (look->square - nu * nu / look->S[j]) + logarithm((1 - t) / sqrt(look->S[j]));
+        noted[0] = W * y, noted[1] = W;
+        noted[2] = weight + (real)0.5 * (logarithm(1 + W * s) + W * nu * nu / (1 + W * s) - W * y * y);
+    }
+}
+
+/* Take a measurement; return its density, but for a factor. */
+INLINE real update(const int n, const int m, const imm_t *imm, const step_t *step, const real z, pairs_t *now, pair_t *Ph,
+                   look_t *look) {
+    for (int q = 0; 2 * q < m; q++)
+        expect(n, imm->h, step->R[q], now->x + q * n, now->P + q * n * n, Ph + q * n, at(look->y + 2 * q),
+               at(look->S + 2 * q));
+    for (int j = 0; j < m; j++) look->prior[j] = now->mu[j];
+    judge_modes(m, imm, step, z, look);
+    for (int q = 0; 2 * q < m; q++) {
+        const pair_t nu = z - *at(look->y + 2 * q);
+        pair_t believed = both(1);
+        if (imm->rejects) believed -= *at(look->wild + 2 * q);
+        correct_pair(n, imm->h, imm->rejects != 0, step->R[q], *at(look->S + 2 * q), nu, believed, Ph + q * n,
+                     now->x + q * n, now->P + q * n * n);
+    }
+    return weigh(m, look, now->mu);
+}
+
+/* Lay a step out. */
+INLINE void lay_out(const int n, const int m, const imm_t *imm, const int64_t number, step_t *step) {
+    put(n * n, m, imm->F + number * m * n * n, step->F);
+    put(n * n, m, imm->Q + number * m * n * n, step->Q);
+    for (int q = 0; 2 * q < m; q++) {
+        step->R[q] = both(1), step->tail[q] = both(0);
+        for (int i = 0; i < m; i++) step->T[q * m + i] = both(0);
+    }
+    for (int j = 0; j < m; j++) {
+        step->R[j / 2][j % 2] = imm->R[j], step->tail[j / 2][j % 2] = imm->tail[j], step->tails |= imm->tail[j] > 0;
+        for (int i = 0; i < m; i++) step->T[j / 2 * m + i][j % 2] = imm->T[(number * m + i) * m + j];
+    }
+}
+
+INLINE void filter_rows(const int n, const imm_t *imm, real *beliefs, const real level, const imm_block_t *block,
+                        const imm_estimate_t *estimate, const imm_passed_t *passed, real *memory, score_t *score) {
+    const int m = (int)imm->modes, nn = n * n, pairs = (m + 1) / 2;
+    const int64_t size = imm_beliefs_size(n, m), noted = imm_note_size(n, m);
+    pair_t *room = (pair_t *)memory;
+    pairs_t now = {{0}, room, room + pairs * n}, next = {{0}, now.P + pairs * nn, now.P + pairs * (nn + n)};
+    pair_t *Ph = next.P + pairs * nn, *rest = Ph + pairs * n;
+    step_t step = {.F = rest, .Q = rest + pairs * nn};
+    int32_t laid_out = -1;
+    rest = step.Q + pairs * nn;
+    load(n, m, beliefs, &now);
+    for (int64_t row = 0; row < block->rows; row++) {
+        const real z = block->z[row] - level;
+        const int arrived = fabs(block->z[row]) <= imm->largest;
+        int judged = 0;
+        look_t look;
+        if (passed->before && row % IMM_BLOCK == 0) save(n, m, &now, passed->before + row / IMM_BLOCK * size);
+        if (now.mu[0] > 0) {
+            if (block->step[row] != laid_out) laid_out = block->step[row], lay_out(n, m, imm, laid_out, &step);
+            for (int q = 0; q < pairs; q++) {
+                pair_t w[MODES_MAX + 1];
+                const pair_t c = come_from(m, now.mu, step.T + q * m, w);
+                for (int j = 2 * q; j < m && j < 2 * q + 2; j++) next.mu[j] = c[j % 2];
+                step_pair(n, m, w, &now, step.F + q * nn, step.Q + q * nn, next.x + q * n, next.P + q * nn, rest);
+            }
+            const pairs_t last = now;
+            now = next, next = last;
+            if (arrived) {
+                const real density = update(n, m, imm, &step, z, &now, Ph, &look);
+                judged = 1;
+                score->squares += look.square, score->used++;
+                score->product = near_one(score->product * near_one(density, &score->exponent), &score->exponent);
+            }
+        } else if (arrived)
+            begin(n, m, imm, z, &now);
+        if (now.mu[0] > 0) write_pairs(n, m, imm->c, level, &now, row, estimate);
+        if (judged && estimate->innovation) write_innovation(m, imm, z, &look, row, estimate);
+        if (judged && estimate->wild) {
+            estimate->wild[row] = 0;
+            for (int j = 0; j < m; j++) estimate->wild[row] += now.mu[j] * look.wild[j];
+        }
+        if (passed->notes) {
+            real *noted_row = passed->notes + row * noted;
+            save(n, m, &now, noted_row);
+            if (judged)
+                note(n, m, imm, z, &look, &now, noted_row + size);
+            else
+                memset(noted_row + size, 0, sizeof(real) * (size_t)(noted - size));
+        }
+    }
+    save(n, m, &now, beliefs);
+}
+
+void filter_modes(const imm_t *imm, real *beliefs, const real level, const imm_block_t *block,
+                  const imm_estimate_t *estimate, const imm_passed_t *passed, real *room, score_t *score) {
+    FOR_FEW_STATES(imm->states, filter_rows, imm, beliefs, level, block, estimate, passed, room, score)
+}
+
+void imm_filter(const imm_t *imm, imm_state_t *state, const imm_block_t *block, const imm_estimate_t *estimate,
+                const imm_passed_t *passed, real *room, score_t *score) {
+    for (int64_t row = 0; row < block->rows && !state->has_level; row++) {
+        const real first = block->z[row];
+        if (!(fabs(first) <= imm->largest)) continue;
+        state->level = fabs(first) <= imm->largest_level ? first : 0, state->has_level = 1;
+    }
+    filter_modes(imm, state->beliefs, state->level, block, estimate, passed, room, score);
+}
+
+int imm_is_sound(const imm_t *imm, const imm_state_t *state) {
+    const int64_t n = imm->states, m = imm->modes, size = imm_beliefs_size(n, m);
+    const real *mu = state->beliefs, *P = mu + m + m * n;
+    if (state->layout != IMM_LAYOUT || state->states != n || state->modes != m) return 0;
+    if ((state->has_level != 0 && state->has_level != 1) || !(fabs(state->level) <= BEYOND_ANY_SENSOR)) return 0;
+    for (int64_t i = 0; i < size; i++)
+        if (!(fabs(mu[i]) < INFINITE)) return 0;
+    for (int64_t j = 0; j < m; j++) {
+        if (mu[0] > 0 ? !(mu[j] > 0 && mu[j] <= 2) : mu[j] != 0) return 0;
+        for (int64_t a = 0; a < n; a++)
+            if (!(P[(j * n + a) * n + a] >= 0)) return 0;
+    }
+    return 1;
+}

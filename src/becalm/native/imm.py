@@ -1,0 +1,335 @@
+"""Several modes, one of which is in force at a time, in C: interacting multiple models (`imm.h`).
+
+Buffers go in and out; nothing is kept.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from becalm.native.library import CONSTANTS, kernel, layout_of
+
+Floats = NDArray[np.float64]
+Steps = NDArray[np.int32]
+State = NDArray[np.void]
+
+MOST_STATES, MOST_MODES, BLOCK = (CONSTANTS[name] for name in ("N_MAX", "MODES_MAX", "IMM_BLOCK"))
+
+_SCORE = layout_of("score")
+_PLACE, _COUNT, _REAL = ctypes.c_void_p, ctypes.c_int64, ctypes.c_double
+for _name in ("beliefs_size", "note_size", "later_size", "filter_room", "smooth_room"):
+    _size = getattr(kernel, f"imm_{_name}")
+    _size.argtypes, _size.restype = [_COUNT] * 2, _COUNT
+kernel.imm_is_sound.argtypes, kernel.imm_is_sound.restype = [_PLACE] * 2, ctypes.c_int
+kernel.imm_filter.argtypes, kernel.imm_filter.restype = [_PLACE] * 7, None
+kernel.imm_smooth.argtypes, kernel.imm_smooth.restype = [_PLACE, _REAL, *[_PLACE] * 5], None
+kernel.imm_smooth_late.argtypes = [_PLACE, _REAL, *[_PLACE] * 2, *[_COUNT] * 4, *[_PLACE] * 2]
+kernel.imm_smooth_late.restype = None
+
+
+class Bank(NamedTuple):
+    """The modes over steps of u different lengths, and their sensor."""
+
+    F: Floats  # (u M, n, n) the modes of one length side by side
+    Q: Floats  # (u M, n, n)
+    T: Floats  # (u, M, M) probability of going from mode i to mode j over the step
+    H: Floats  # (1, n)
+    C: Floats  # (1, n) what of the state is signal
+    R: Floats  # (M,) in unit^2
+    tail: Floats  # (M,) share of measurements that are wild
+    wild: Floats  # (2,) variance of wild measurements, in unit^2, and 1 where they are not believed, else 0
+    start: Floats  # (M, 1 + n) how modes begin with the first measurement: probability, and variances of states
+    largest: Floats  # (2,) magnitudes, in unit, beyond which a value is no measurement, and no level
+
+
+class Trace(NamedTuple):
+    """What is written of each row, from the first measurement on; an array of no columns is not wanted."""
+
+    signal: Floats  # (N,) in unit
+    sigma: Floats  # (N,) in unit
+    innovation: Floats  # (N,) of the mixture: the normal score of the measurement times innovation_sigma, in unit
+    innovation_sigma: Floats  # (N,) in unit
+    probability: Floats  # (M, N) of each mode
+    wild: Floats  # (N,) probability that the measurement is wild
+    mean: Floats  # (n, N) of the mixture, without the level
+
+
+_NONE: Floats = np.empty(0)
+NOTHING_WANTED = Trace(_NONE, _NONE, _NONE, _NONE, np.empty((0, 0)), _NONE, np.empty((0, 0)))
+
+
+class _Bank(ctypes.Structure):
+    _fields_ = (
+        ("states", _COUNT),
+        ("modes", _COUNT),
+        *((name, _PLACE) for name in ("F", "Q", "T", "h", "c", "R", "tail", "start")),
+        ("V", _REAL),
+        ("rejects", _COUNT),
+        ("largest", _REAL),
+        ("largest_level", _REAL),
+    )
+
+
+class _Block(ctypes.Structure):
+    _fields_ = (("z", _PLACE), ("step", _PLACE), ("rows", _COUNT))
+
+
+class _Estimate(ctypes.Structure):
+    _fields_ = (*((name, _PLACE) for name in Trace._fields), ("rows", _COUNT))
+
+
+class _Passed(ctypes.Structure):
+    _fields_ = (("before", _PLACE), ("notes", _PLACE))
+
+
+def new_state(bank: Bank, *, keeps_level: bool) -> State:
+    """Return the state before the first row, () with mu (M,), x (M, n) and P (M, n, n) of the modes among its fields.
+
+    Parameters
+    ----------
+    bank : Bank
+        The modes.
+    keeps_level : bool
+        Whether the first measurement is subtracted from all, as it may where a constant added to them is added to the
+        signal.
+    """
+    state = np.zeros((), _layout(bank))
+    state["layout"], state["states"], state["modes"] = CONSTANTS["IMM_LAYOUT"], *_sizes(bank)
+    state["has_level"] = not keeps_level
+    return state
+
+
+def restored(bank: Bank, kept: NDArray[np.int8]) -> State | None:
+    """Return a state from its bytes (B,); None where they are not one that such a bank can have."""
+    layout = _layout(bank)
+    if kept.dtype != np.int8 or kept.shape != (layout.itemsize,):
+        return None
+    state = np.frombuffer(bytearray(kept.tobytes()), layout).reshape(())
+    return state if kernel.imm_is_sound(ctypes.byref(_pointed(bank)), state.ctypes.data) else None
+
+
+def note_size(states: int, modes: int) -> int:
+    """Return how many numbers hold what is noted of a row: the beliefs after it, and what its measurement said."""
+    return int(kernel.imm_note_size(states, modes))
+
+
+def blocks_before(bank: Bank, rows: int) -> Floats:
+    """Make room for the beliefs before each block of rows."""
+    return np.empty((-(-rows // BLOCK), kernel.imm_beliefs_size(*_sizes(bank))))
+
+
+def nothing_later(bank: Bank) -> Floats:
+    """Return what rows after the last one of a record say."""
+    return np.zeros(kernel.imm_later_size(*_sizes(bank)))
+
+
+def filter_rows(  # noqa: PLR0913  (each by its name)
+    bank: Bank,
+    state: State,
+    z: Floats,
+    steps: Steps,
+    trace: Trace = NOTHING_WANTED,
+    *,
+    before: Floats | None = None,
+    notes: Floats | None = None,
+) -> float:
+    """Filter rows; the state changes.
+
+    Parameters
+    ----------
+    bank : Bank
+        The modes.
+    state : () structured array
+        Of the modes, as `new_state` makes it.
+    z : (N,) float array
+        Measurements, in unit; NaN where missing.
+    steps : (N,) int32 array
+        Which step precedes each.
+    trace : Trace
+        What is written.
+    before : (blocks, K) float array, optional
+        Filled with the beliefs before each block of rows, see `blocks_before`.
+    notes : (N, K) float array, optional
+        Filled with what is noted of each row, see `note_size`.
+
+    Returns
+    -------
+    float
+        The log-likelihood of all measurements but the first.
+
+    Raises
+    ------
+    ValueError
+        If the arrays do not fit each other: C would read beyond their ends.
+    """
+    if state.dtype != _layout(bank):
+        raise ValueError(f"The state of {state.dtype.itemsize} bytes is not one of {_sizes(bank)} states and modes.")
+    block, estimate = _pointed_rows(bank, z, steps), _pointed_trace(bank, trace, len(z))
+    if before is not None:
+        _check(before=(before, "f8", (-(-len(z) // BLOCK), kernel.imm_beliefs_size(*_sizes(bank)))))
+    if notes is not None:
+        _check(notes=(notes, "f8", (len(z), note_size(*_sizes(bank)))))
+    passed = _Passed(*(None if array is None else array.ctypes.data for array in (before, notes)))
+    room, score = np.empty(kernel.imm_filter_room(*_sizes(bank))), np.zeros((), _SCORE)
+    score["product"] = 1.0
+    places = *map(ctypes.byref, (block, estimate, passed)), room.ctypes.data, score.ctypes.data
+    kernel.imm_filter(ctypes.byref(_pointed(bank)), state.ctypes.data, *places)
+    log_density = np.log(score["product"]) + score["exponent"] * np.log(2.0) - 0.5 * score["squares"]
+    return float(log_density - 0.5 * np.log(2 * np.pi) * score["used"])
+
+
+def smooth_rows(  # noqa: PLR0913  (each by its name)
+    bank: Bank, state: State, z: Floats, steps: Steps, before: Floats, later: Floats, trace: Trace
+) -> None:
+    """Come back over rows that were filtered; write what they are with those after them.
+
+    Parameters
+    ----------
+    bank, z, steps, before
+        As of `filter_rows`, which has filled the last one.
+    state : () structured array
+        After these rows, or later ones.
+    later : (K,) float array
+        What all rows after these say, see `nothing_later`; afterwards what these say, too.
+    trace : Trace
+        What is written; no innovations.
+
+    Raises
+    ------
+    ValueError
+        If the arrays do not fit each other.
+    """
+    block, estimate = _pointed_rows(bank, z, steps), _pointed_trace(bank, trace, len(z))
+    sizes = _sizes(bank)
+    _check(
+        before=(before, "f8", (-(-len(z) // BLOCK), kernel.imm_beliefs_size(*sizes))),
+        later=(later, "f8", (kernel.imm_later_size(*sizes),)),
+    )
+    room = np.empty(kernel.imm_smooth_room(*sizes))
+    places = ctypes.byref(block), before.ctypes.data, ctypes.byref(estimate), later.ctypes.data, room.ctypes.data
+    kernel.imm_smooth(ctypes.byref(_pointed(bank)), float(state["level"]), *places)
+
+
+def smooth_late(  # noqa: PLR0913  (each by its name)
+    bank: Bank, state: State, steps: Steps, notes: Floats, trace: Trace, *, turn: int, every: int, lag: int
+) -> None:
+    """Smooth noted rows with a fixed lag: come back from row `turn` - 1, and each `every` rows later.
+
+    Parameters
+    ----------
+    bank, steps, notes
+        As of `filter_rows`, which has filled the last one.
+    state : () structured array
+        After these rows.
+    trace : Trace
+        What is written, of a row more than once; no innovations. The last time it knows no more than `lag` rows after
+        it, and no fewer than `lag` - `every` + 1.
+    turn, every, lag : int
+        Rows; all 1 or more.
+
+    Raises
+    ------
+    ValueError
+        If the arrays do not fit each other, or a number is below 1.
+    """
+    if not (turn > 0 and every > 0 and lag > 0):
+        raise ValueError(f"turn = {turn}, every = {every} and lag = {lag} are not all 1 or more.")
+    sizes, estimate = _sizes(bank), _pointed_trace(bank, trace, len(notes))
+    _check(notes=(notes, "f8", (len(notes), note_size(*sizes))))
+    _check_steps(bank, steps, len(notes))
+    room = np.empty(kernel.imm_smooth_room(*sizes))
+    rows = steps.ctypes.data, notes.ctypes.data, len(notes), turn, every, lag
+    level = float(state["level"])
+    kernel.imm_smooth_late(ctypes.byref(_pointed(bank)), level, *rows, ctypes.byref(estimate), room.ctypes.data)
+
+
+class Stepper:
+    """Filters one measurement at a time, one step of the bank apart.
+
+    Parameters
+    ----------
+    bank : Bank
+        The modes, over one step.
+    state : () structured array
+        Of them; it changes in place.
+    """
+
+    def __init__(self, bank: Bank, state: State) -> None:
+        self._row, self._told = np.empty(1), np.empty(2)
+        step, score, room = np.zeros(1, np.int32), np.zeros((), _SCORE), np.empty(kernel.imm_filter_room(*_sizes(bank)))
+        trace = NOTHING_WANTED._replace(signal=self._told[:1], sigma=self._told[1:])
+        self._held = bank, state, step, score, room  # as long as C points to them
+        self._structs = _pointed(bank), _pointed_rows(bank, self._row, step), _pointed_trace(bank, trace, 1), _Passed()
+        bank_at, *rest = map(ctypes.byref, self._structs)
+        self._places = bank_at, state.ctypes.data, *rest, room.ctypes.data, score.ctypes.data
+
+    def step(self, z: float) -> tuple[float, float]:
+        """Take a measurement, in unit; return signal and sigma, NaN and inf where nothing is known yet."""
+        self._row[0], self._told[:] = z, (np.nan, np.inf)
+        kernel.imm_filter(*self._places)
+        signal, sigma = self._told.tolist()
+        return signal, sigma
+
+
+def _sizes(bank: Bank) -> tuple[int, int]:
+    return bank.H.shape[-1], len(bank.R)
+
+
+def _layout(bank: Bank) -> np.dtype[np.void]:
+    """Return `imm_state_t` as NumPy's."""
+    n, modes = _sizes(bank)
+    fields: Any = [(name, "i8") for name in ("layout", "states", "modes", "has_level")]
+    fields += [("level", "f8"), ("mu", "f8", (modes,)), ("x", "f8", (modes, n)), ("P", "f8", (modes, n, n))]
+    layout: np.dtype[np.void] = np.dtype(fields)
+    return layout
+
+
+def _pointed(bank: Bank) -> _Bank:
+    """Return a bank as C takes it; it has to live as long."""
+    (n, modes), steps = _sizes(bank), len(bank.T)
+    if not (1 <= n <= MOST_STATES and 1 <= modes <= MOST_MODES):
+        raise ValueError(f"{modes} modes of {n} states came; 1 to {MOST_MODES} of 1 to {MOST_STATES} are needed.")
+    shapes: dict[str, tuple[int, ...]] = dict.fromkeys(("F", "Q"), (steps * modes, n, n))
+    shapes |= dict.fromkeys(("H", "C"), (1, n))
+    shapes |= dict.fromkeys(("R", "tail"), (modes,)) | dict.fromkeys(("wild", "largest"), (2,))
+    shapes |= {"T": (steps, modes, modes), "start": (modes, 1 + n)}
+    _check(**{name: (getattr(bank, name), "f8", shape) for name, shape in shapes.items()})
+    (V, rejects), (largest, largest_level) = bank.wild.tolist(), bank.largest.tolist()
+    arrays = bank.F, bank.Q, bank.T, bank.H, bank.C, bank.R, bank.tail, bank.start
+    places = (array.ctypes.data for array in arrays)
+    return _Bank(n, modes, *places, V, int(rejects), largest, largest_level)
+
+
+def _pointed_rows(bank: Bank, z: Floats, steps: Steps) -> _Block:
+    _check(z=(z, "f8", (len(z),)))
+    _check_steps(bank, steps, len(z))
+    return _Block(z.ctypes.data, steps.ctypes.data, len(z))
+
+
+def _pointed_trace(bank: Bank, trace: Trace, rows: int) -> _Estimate:
+    n, modes = _sizes(bank)
+    leading = {"probability": (modes,), "mean": (n,)}
+    wanted = {name: array for name, array in trace._asdict().items() if array.size}
+    _check(**{name: (array, "f8", (*leading.get(name, ()), rows)) for name, array in wanted.items()})
+    for one, other in (("signal", "sigma"), ("innovation", "innovation_sigma")):
+        if (one in wanted) != (other in wanted):
+            raise ValueError(f"{one} and {other} are written together; give room for both, or none.")
+    return _Estimate(*(wanted[name].ctypes.data if name in wanted else None for name in Trace._fields), rows)
+
+
+def _check_steps(bank: Bank, steps: Steps, rows: int) -> None:
+    _check(steps=(steps, "i4", (rows,)))
+    if rows and not (steps.min() >= 0 and steps.max() < len(bank.T)):
+        raise ValueError(f"steps go from {steps.min()} to {steps.max()} of {len(bank.T)}.")
+
+
+def _check(**arrays: tuple[NDArray[Any], str, tuple[int, ...]]) -> None:
+    """Raise a ValueError if arrays do not fit: C would read, or write, beyond their ends."""
+    for name, (array, kind, shape) in arrays.items():
+        in_place = array.flags.c_contiguous and array.flags.aligned
+        if array.dtype != kind or array.shape != shape or not in_place:
+            raise ValueError(f"{name} is {array.dtype} of shape {array.shape}, not {kind} of {shape} in one piece.")

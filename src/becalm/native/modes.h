@@ -1,0 +1,71 @@
+/* What all modes believe of a row: mu is how probable each is, x and P its state and covariance. */
+#ifndef BECALM_MODES_H
+#define BECALM_MODES_H
+
+#include "imm.h"
+#include "pair.h"
+
+#define UNLIKELY ((real)1e-100) /* no mode becomes less probable than this: none is ever locked out */
+
+typedef struct {
+    real *mu, *x, *P; /* (M,), (M, n), (M, n, n) */
+} beliefs_t;
+
+INLINE beliefs_t beliefs_in(const int n, const int m, real *memory) {
+    const beliefs_t beliefs = {memory, memory + m, memory + m + m * n};
+    return beliefs;
+}
+
+/* Return the first of the numbers of one mode, of `rows` of each mode; they are two apart. */
+INLINE real *numbers_of(pair_t *numbers, const int rows, const int mode) {
+    return (real *)(numbers + mode / 2 * rows) + mode % 2;
+}
+
+/* Write numbers of all modes, (M, rows), side by side, or back. */
+INLINE void put(const int rows, const int m, const real *from, pair_t *to) {
+    for (int i = 0; i < (m + 1) / 2 * rows; i++) to[i] = both(0);
+    for (int j = 0; j < m; j++)
+        for (int i = 0; i < rows; i++) numbers_of(to, rows, j)[2 * i] = from[j * rows + i];
+}
+
+INLINE void get(const int rows, const int m, pair_t *from, real *to) {
+    for (int j = 0; j < m; j++)
+        for (int i = 0; i < rows; i++) to[j * rows + i] = numbers_of(from, rows, j)[2 * i];
+}
+
+/* Write what is estimated of a row. */
+INLINE void write_estimate(const int n, const int m, const real *c, const real level, const beliefs_t now,
+                           const int64_t row, const imm_estimate_t *estimate) {
+    if (estimate->signal) {
+        real own[MODES_MAX], y = 0, v = 0, Pc[N_MAX];
+        for (int j = 0; j < m; j++) own[j] = dot(n, c, now.x + j * n), y += now.mu[j] * own[j];
+        for (int j = 0; j < m; j++) {
+            times(n, now.P + j * n * n, c, Pc);
+            v += now.mu[j] * (dot(n, c, Pc) + (own[j] - y) * (own[j] - y));
+        }
+        estimate->signal[row] = y + level, estimate->sigma[row] = v > 0 ? sqrt(v) : 0;
+    }
+    if (estimate->probability)
+        for (int j = 0; j < m; j++) estimate->probability[j * estimate->rows + row] = now.mu[j];
+    if (estimate->mean)
+        for (int a = 0; a < n; a++) {
+            real s = 0;
+            for (int j = 0; j < m; j++) s += now.mu[j] * now.x[j * n + a];
+            estimate->mean[a * estimate->rows + row] = s;
+        }
+}
+
+/* Call a function whose first argument is the number of states: a constant up to 3. */
+#define FOR_FEW_STATES(n, function, ...)                   \
+    switch (n) {                                           \
+    case 1: function(1, __VA_ARGS__); break;               \
+    case 2: function(2, __VA_ARGS__); break;               \
+    case 3: function(3, __VA_ARGS__); break;               \
+    default: function((int)(n), __VA_ARGS__);              \
+    }
+
+/* Filter rows from beliefs, which change, with a level that is known. */
+void filter_modes(const imm_t *imm, real *beliefs, real level, const imm_block_t *block, const imm_estimate_t *estimate,
+                  const imm_passed_t *passed, real *room, score_t *score);
+
+#endif

@@ -1,0 +1,18 @@
+/* Products of many factors that stay in range: no logarithm is needed of each, only of the whole. */
+#ifndef BECALM_PRODUCT_H
+#define BECALM_PRODUCT_H
+
+#include "becalm.h"
+
+enum { POWER = 60 };
+
+#define LARGE ((real)1152921504606846976) /* 2^POWER: products are kept between it and its inverse */
+
+/* Return a factor without powers of two that are counted in an exponent; 0 and infinity stay. */
+static inline real near_one(real factor, int64_t *exponent) {
+    for (; factor > LARGE && factor < INFINITE; *exponent += POWER) factor *= 1 / LARGE;
+    for (; factor < 1 / LARGE && factor > 0; *exponent -= POWER) factor *= LARGE;
+    return factor;
+}
+
+#endif
