@@ -10,9 +10,6 @@ ZIG := $(shell test -n "$$CC" || command -v cc >/dev/null 2>&1 || echo -r requir
 LOCK := $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-annotate --no-header
 LOCK += --no-emit-index-url --no-emit-find-links
 
-KERNELS := src/becalm/core/__pycache__
-COMPILED := $(addprefix src/becalm/core/,sized.py small.py compiling.py warming.py) $(wildcard src/becalm/core/kernel*.py)
-
 .PHONY: demo test lint types arrows fast slow bench site lock clean
 
 demo: .venv/installed
@@ -20,7 +17,7 @@ demo: .venv/installed
 	$(BIN)/becalm demo -o demo
 
 test: .venv/tested
-	$(MAKE) -j 2 lint types arrows .venv/kernels
+	$(MAKE) -j 2 lint types arrows
 	$(MAKE) fast slow
 
 lint: .venv/tested
@@ -35,11 +32,11 @@ arrows: .venv/tested
 	$(BIN)/lint-imports
 
 # What was edited in C since is compiled.
-fast: .venv/kernels
+fast: .venv/tested
 	$(BIN)/python hatch_build.py
 	$(BIN)/pytest -n $(WORKERS) --dist worksteal -m "not slow"
 
-slow: .venv/kernels
+slow: .venv/tested
 	$(BIN)/python hatch_build.py
 	$(BIN)/pytest -n $(WORKERS) --dist worksteal -m slow
 
@@ -95,13 +92,6 @@ bench: .venv/tested
 	$(BIN)/python -m pip install --quiet --require-hashes -r requirements-test.lock $(NODE) $(ZIG)
 	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --editable .
 	touch $@
-
-# Compiled ahead, so that workers do not compile the same; kept apart as well, for the test of what `warm` leaves.
-.venv/kernels: .venv/tested $(COMPILED)
-	rm -rf $@ $(KERNELS)/*.nbc
-	env -u NUMBA_CACHE_DIR $(BIN)/becalm warm
-	mkdir $@
-	cp $(KERNELS)/*.nbc $@
 
 # The locks hold names, versions and hashes, no addresses.
 lock: .venv/bin/python

@@ -33,11 +33,10 @@ ONE_THREAD = {
     "OMP_NUM_THREADS": "1",
     "MKL_NUM_THREADS": "1",
     "OPENBLAS_NUM_THREADS": "1",
-    "NUMBA_NUM_THREADS": "1",
     "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1",
     "JAX_PLATFORMS": "cpu",
 }
-LIBRARIES = ("becalm", "numpy", "scipy", "numba")
+LIBRARIES = ("becalm", "numpy", "scipy")
 """What becalm itself stands on; the peers' versions come after them."""
 
 

@@ -247,7 +247,7 @@ def test_noise_of_very_different_densities_keeps_its_digits() -> None:
         (lambda: gauss_markov(1e-320), "Gauss-Markov noise leave the range of float64"),
         (lambda: gauss_markov(1.0, None), "std = None"),  # type: ignore[arg-type]
         (lambda: level(10**400), "noise_density = 1000"),
-        (lambda: level().to_model("1", 1.0), "step_s = '1' is not a step"),  # type: ignore[arg-type]
+        (lambda: level().to_model("1", 1.0), "step_s = '1' is not a step"),
     ],
 )
 def test_impossible_numbers_are_refused(make: Any, says: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from becalm.core.arrays import Floats
 from becalm.core.components import motion, oscillator
 from becalm.core.dials import motion_filter
 from becalm.core.filtering import kalman_filter
-from becalm.core.fixed_lag import FixedLag, fixed_lag_smoother
+from becalm.core.fixed_lag import fixed_lag_smoother
 from becalm.core.model import Model
 from becalm.core.online import Online
 from becalm.core.smoothing import kalman_smoother
@@ -217,9 +218,16 @@ def test_a_lag_that_is_no_number_of_readings_is_refused(lag: Any) -> None:
         Online(MODELS["order 2"], lag)
 
 
-def test_a_snapshot_whose_places_lie_outside_is_refused() -> None:
-    late = FixedLag(MODELS["prior"], 3)
-    arrays = late.snapshot()
-    for name, wrong in (("place", np.full(4, 99)), ("counters", np.array([0.0, 0.0, 99.0, 0.0])), ("y", np.ones(3))):
-        with pytest.raises(ModelError, match="not that of its model"):
-            late.restore(arrays | {f"window_{name}": wrong})
+@pytest.mark.parametrize("name", ["prior", "two channels"])
+def test_a_snapshot_of_another_lag_is_refused(name: str) -> None:
+    model = MODELS[name]
+    online = Online(model, 3)
+    online.run(readings(model)[:50])
+    with np.load(io.BytesIO(online.snapshot())) as stored:
+        arrays = {key: stored[key] for key in stored.files}
+    waits = "waiting" if "waiting" in arrays else "lag_z"
+    for wrong in (np.ones((9, model.channels)), arrays[waits][:, None], arrays[waits].astype(np.float32)):
+        buffer = io.BytesIO()
+        np.savez(buffer, **{**arrays, waits: wrong})
+        with pytest.raises(ModelError, match="snapshot"):
+            Online.resume(buffer.getvalue())

@@ -52,7 +52,6 @@ def settings(folder: Path, secret: str) -> dict[str, str]:
     assert "REPLACE-ME" in text
     folder.mkdir()
     here = text.replace("REPLACE-ME", secret).replace("/opt/becalm/bin", str(PLACE))
-    here = re.sub(r"^spark\.executorEnv\.NUMBA_CACHE_DIR.*$", "", here, flags=re.M)  # filters are compiled already
     (folder / "spark-defaults.conf").write_text(here, encoding="utf-8")
     around = {"SPARK_CONF_DIR": str(folder), "PYSPARK_PYTHON": sys.executable, "SPARK_LOCAL_IP": "127.0.0.1"}
     return {name: value for name, value in os.environ.items() if not name.startswith("SPARK")} | around

@@ -18,7 +18,7 @@ ROOT = Path(__file__).parents[2]
 ROOMS = ("src", "tests", "benchmarks", "docs")
 SOURCES = sorted([*ROOT.glob("*.py"), *(path for room in ROOMS for path in (ROOT / room).rglob("*.py"))])
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-HEAVY = ["numba", "scipy.signal", "scipy.linalg", "pyarrow", "pydantic", "matplotlib", "numpy"]
+HEAVY = ["scipy.signal", "scipy.linalg", "pyarrow", "pydantic", "matplotlib", "numpy"]
 
 
 def loaded_by(code: str) -> set[str]:

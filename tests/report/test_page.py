@@ -99,7 +99,7 @@ def test_what_was_done_is_told(drawn: Drawn) -> None:
     page = Elements(drawn.page())
     assert drawn.facts.sha256[:16] in "".join(page.text["dd"])
     assert "".join(page.text["pre"]) == drawn.recipe.to_toml()
-    for library in ("becalm", "numpy", "scipy", "numba"):
+    for library in ("becalm", "numpy", "scipy"):
         assert f"{library} {version(library)}" in "".join(page.text["p"])
     for report in drawn.pictures.reports:
         assert report.says in "".join(page.text["p"])

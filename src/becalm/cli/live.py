@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import signal
-import threading
-from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from functools import partial
 from pathlib import Path
@@ -118,7 +116,6 @@ def run(source: str, sinks: list[str], asking: Asking, settings: Settings, watch
                 recipe,
                 learner,
                 learned=partial(_save, path=_learned_path(names), log=log),
-                ready=_warming(recipe),
                 timed=None if recipe is not None else lambda had: _opened(_timed(source, had), gather_s),
             ),
             settings=settings,
@@ -199,21 +196,6 @@ def _say(text: str) -> None:
     """Tell a person, if anyone is there: a terminal that is gone stops no stream."""
     with suppress(OSError):
         typer.echo(text, err=True)
-
-
-def _warming(recipe: Recipe | None) -> Callable[[], None]:
-    """Load or compile kernels beside the opening of the source; return what waits for that."""
-    if recipe is None:
-        return lambda: None
-    from becalm.cleaning.warm_up import warm_up
-
-    def warm() -> None:
-        with suppress(BecalmError):  # what makes no filter is told where one is made
-            warm_up(recipe, 1 / recipe.nominal_rate_hz)
-
-    thread = threading.Thread(target=warm, daemon=True)
-    thread.start()
-    return thread.join
 
 
 def _hear_signals(runner: Runner, recipe: Path | None) -> None:

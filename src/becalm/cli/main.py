@@ -1,4 +1,4 @@
-"""The commands, from inspect and clean to warm; rooms are loaded inside them."""
+"""The commands, from inspect and clean to journal; rooms are loaded inside them."""
 
 from __future__ import annotations
 
@@ -257,14 +257,6 @@ app.command("app")(open_app)
 for command in (live, journal, export):
     app.command()(command)
 app.add_typer(fleet)
-
-
-@app.command()
-def warm() -> None:
-    """Compile ahead, once, what filters with a lag would compile when they are first used."""
-    from becalm.cli.warm import run
-
-    run()
 
 
 def main() -> None:

@@ -53,8 +53,6 @@ class Beginning:
         Learns where nobody says what to do.
     learned : callable
         Is given a recipe that was learned, to save it.
-    ready : callable
-        Returns once kernels may run; called beside the opening of the source.
     timed : callable or None
         Makes the source anew by the recipe that a stream had, which may tell how its rows are timed.
     """
@@ -62,7 +60,6 @@ class Beginning:
     recipe: Recipe | None
     learner: Learner
     learned: Callable[[Recipe], None] = lambda _: None
-    ready: Callable[[], object] = lambda: None
     timed: Callable[[Recipe], Source] | None = None
 
     def resumed(self, last: Checkpoint, address: str) -> Begun:
@@ -79,7 +76,6 @@ class Beginning:
             raise UsageError(
                 f"What is kept there is the stream {last.source}, not {address}; name another place for this one."
             )
-        self.ready()
         stream = Stream.resumed(last)
         head = stream.head  # that it had
         if self.recipe is not None and self.recipe != stream.recipe:
@@ -137,7 +133,6 @@ class Beginning:
         """Make a stream of what came; None where that is not enough yet."""
         if self.recipe is not None and early.rows:
             first = next(one for one in early.blocks if len(one))
-            self.ready()
             resolution_s = 0.0 if first.elapsed is not None else resolution_of(first.time_s)
             return Stream(self.recipe, 1 / (rate_hz or self.recipe.nominal_rate_hz), resolution_s)
         if self.recipe is None and ((ended and early.rows) or self.learner.is_enough(early, rate_hz)):

@@ -168,9 +168,9 @@ class Multivariate:
         kernel.multivariate_smooth(model, *moves)
 
     def smooth_late(self, rows: Rows, lag: int, told: int) -> tuple[Floats, Floats]:
-        """Smooth the first rows by those up to a lag after each, from the state before them; it becomes that after them.
+        """Smooth the first rows by those up to a lag after each; return signal and sigma, (told, m) each.
 
-        Returns signal and sigma, (told, m) each. The steps of all rows are alike, and none precedes the first row of all.
+        The state before them becomes that after them. The steps of all rows are alike; none precedes the first of all.
 
         Raises
         ------
@@ -197,7 +197,9 @@ class Multivariate:
             If these are not the bytes of a state of such a model.
         """
         if state.dtype != np.uint8 or state.shape != self.state.shape:
-            raise ModelError(f"The state of a snapshot is {state.dtype} of shape {state.shape}, not that of this model.")
+            raise ModelError(
+                f"The state of a snapshot is {state.dtype} of shape {state.shape}, not that of this model."
+            )
         kept = np.frombuffer(bytearray(state.tobytes()), np.float64).view(np.uint8)
         if not kernel.multivariate_is_sound(ctypes.byref(self._model), kept.ctypes.data):
             raise ModelError("The state of a snapshot says what none can say; pass what snapshot() returned.")

@@ -253,5 +253,5 @@ def _element(svg: bytes) -> bytes:
 
 
 def _versions() -> str:
-    libraries = ", ".join(f"{name} {metadata.version(name)}" for name in ("numpy", "scipy", "numba"))
+    libraries = ", ".join(f"{name} {metadata.version(name)}" for name in ("numpy", "scipy"))
     return f"Made with becalm {version()}, {libraries}, Python {platform.python_version()}."

@@ -11,7 +11,6 @@ from becalm.cleaning.calibrating import calibrated
 from becalm.cleaning.pipeline import clean
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.tuning import tune
-from becalm.core.compiling import compile_quickly
 from becalm.core.recording import Recording
 from becalm.files.opening import OpenSource, open_source
 from becalm.files.portions import rows_to_tune_on
@@ -57,7 +56,6 @@ def judge_sensor(job: Job, sensor: Sensor) -> Outcome:
 
 def _tuned(place: Path, causal: bool, name: str) -> Found:
     began = monotonic()
-    compile_quickly()
     with open_source(place) as source:
         sample = source.sample(rows_to_tune_on(source))
         recipe = _with_origin(tune(sample, causal=causal), source)
