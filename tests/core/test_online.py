@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from becalm.core.arrays import Floats
 from becalm.core.components import motion
 from becalm.core.filtering import kalman_filter
+from becalm.core.gates import Gate
 from becalm.core.model import Model
 from becalm.core.online import Online
 from becalm.errors import ModelError
@@ -209,3 +210,36 @@ def test_a_snapshot_of_other_shapes_is_refused(name: str) -> None:
         np.savez(buffer, **{**arrays, name: wrong})
         with pytest.raises(ModelError, match="snapshot"):
             Online.resume(buffer.getvalue())
+
+
+PAUSED = {
+    "single": Online(MODELS["acceleration, flat"]),
+    "single, gated": Online(MODELS["acceleration, flat"], gate=Gate(4.0)),
+    "single, late": Online(MODELS["acceleration, flat"], 5),
+    "several": Online(MODELS["two channels, flat"]),
+    "several, late": Online(MODELS["two channels, flat"], 5),
+}
+
+
+@given(st.sampled_from(sorted(PAUSED)), st.integers(0, 60), st.integers(0, 1 << 16), st.binary(min_size=1, max_size=9))
+@settings(max_examples=300, deadline=None)
+def test_a_damaged_state_is_refused_or_does_no_harm(kind: str, rows: int, at: int, flips: bytes) -> None:
+    online = Online.resume(PAUSED[kind].snapshot())
+    z = np.random.default_rng(3).normal(size=(200, online.model.channels))
+    online.run(z[:rows])
+    with np.load(io.BytesIO(online.snapshot())) as stored:
+        arrays = {key: stored[key] for key in stored.files}
+    name = "live" if "live" in arrays else "lag_state"
+    state = arrays[name].view(np.uint8).copy()
+    at %= len(state)
+    part = state[at : at + len(flips)]
+    part ^= np.frombuffer(flips, np.uint8)[: len(part)]
+    buffer = io.BytesIO()
+    np.savez(buffer, **{**arrays, name: state.view(arrays[name].dtype)})
+    try:
+        damaged = Online.resume(buffer.getvalue())
+    except ModelError:
+        return
+    with np.errstate(all="ignore"):
+        damaged.run(z[rows:])
+        damaged.finish()

@@ -94,10 +94,10 @@ class LateRows:
 
     def rest(self) -> Estimates:
         """Return the rows that wait, with what there is after them; nothing changes by it."""
-        kept, settled = self._smoother.state_dict(), self.settled_row
+        state, settled = self._smoother.state, self.settled_row
+        self._smoother.state = np.frombuffer(bytearray(state.tobytes()), state.dtype).reshape(())
         found = self._smoothed(self._waiting, len(self._waiting.z))
-        self._smoother.load_state_dict(kept)
-        self.settled_row = settled
+        self._smoother.state, self.settled_row = state, settled
         return found
 
     def saved(self) -> dict[str, Any]:
