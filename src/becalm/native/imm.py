@@ -58,6 +58,7 @@ class Trace(NamedTuple):
     mean: Floats  # (n, N) of the mixture, without the level
 
 
+_WRITTEN = {*Trace._fields, "before", "notes", "later"}
 _NONE: Floats = np.empty(0)
 NOTHING_WANTED = Trace(_NONE, _NONE, _NONE, _NONE, np.empty((0, 0)), _NONE, np.empty((0, 0)))
 
@@ -330,6 +331,6 @@ def _check_steps(bank: Bank, steps: Steps, rows: int) -> None:
 def _check(**arrays: tuple[NDArray[Any], str, tuple[int, ...]]) -> None:
     """Raise a ValueError if arrays do not fit: C would read, or write, beyond their ends."""
     for name, (array, kind, shape) in arrays.items():
-        in_place = array.flags.c_contiguous and array.flags.aligned
+        in_place = array.flags.c_contiguous and array.flags.aligned and (name not in _WRITTEN or array.flags.writeable)
         if array.dtype != kind or array.shape != shape or not in_place:
             raise ValueError(f"{name} is {array.dtype} of shape {array.shape}, not {kind} of {shape} in one piece.")
