@@ -34,7 +34,7 @@ def test_arrays_that_do_not_fit_are_refused() -> None:
     alone = NOTHING_WANTED._replace(signal=np.empty(ROWS))
     for refused in (
         lambda: filter_rows(BANK, state, Z[::2], STEPS),
-        lambda: filter_rows(BANK, state, Z, STEPS.astype(np.int64)),  # type: ignore[arg-type]
+        lambda: filter_rows(BANK, state, Z, STEPS.astype(np.int64)),
         lambda: filter_rows(BANK, state, Z, STEPS + 1),
         lambda: filter_rows(BANK, state, Z, STEPS - 1),
         lambda: filter_rows(BANK, state, Z, STEPS, short),
