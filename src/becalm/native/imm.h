@@ -7,7 +7,8 @@
 
 #include "becalm.h"
 
-enum { MODES_MAX = 8, IMM_LAYOUT = 1 };
+enum { MODES_MAX = 8 };
+enum { IMM_LAYOUT = 1 };   /* of a state: raise it with every change, for a checkpoint of another one is refused */
 enum { IMM_BLOCK = 256 };  /* rows that a smoother filters again at once */
 enum { NOTED = 3 };        /* numbers that are noted of a measurement, of each mode */
 

@@ -58,6 +58,7 @@ class Trace(NamedTuple):
     mean: Floats  # (n, N) of the mixture, without the level
 
 
+_WRITTEN = {*Trace._fields, "before", "notes", "later"}
 _NONE: Floats = np.empty(0)
 NOTHING_WANTED = Trace(_NONE, _NONE, _NONE, _NONE, np.empty((0, 0)), _NONE, np.empty((0, 0)))
 
@@ -259,17 +260,17 @@ class Stepper:
     """
 
     def __init__(self, bank: Bank, state: State) -> None:
-        self._row, self._told = np.empty(1), np.empty(2)
+        self._row, self._told = np.empty(1), np.array([np.nan, np.inf])  # which C leaves so while nothing is known
         step, score, room = np.zeros(1, np.int32), np.zeros((), _SCORE), np.empty(kernel.imm_filter_room(*_sizes(bank)))
         trace = NOTHING_WANTED._replace(signal=self._told[:1], sigma=self._told[1:])
         self._held = bank, state, step, score, room  # as long as C points to them
         self._structs = _pointed(bank), _pointed_rows(bank, self._row, step), _pointed_trace(bank, trace, 1), _Passed()
-        bank_at, *rest = map(ctypes.byref, self._structs)
+        bank_at, *rest = map(ctypes.addressof, self._structs)
         self._places = bank_at, state.ctypes.data, *rest, room.ctypes.data, score.ctypes.data
 
     def step(self, z: float) -> tuple[float, float]:
         """Take a measurement, in unit; return signal and sigma, NaN and inf where nothing is known yet."""
-        self._row[0], self._told[:] = z, (np.nan, np.inf)
+        self._row[0] = z
         kernel.imm_filter(*self._places)
         signal, sigma = self._told.tolist()
         return signal, sigma
@@ -330,6 +331,6 @@ def _check_steps(bank: Bank, steps: Steps, rows: int) -> None:
 def _check(**arrays: tuple[NDArray[Any], str, tuple[int, ...]]) -> None:
     """Raise a ValueError if arrays do not fit: C would read, or write, beyond their ends."""
     for name, (array, kind, shape) in arrays.items():
-        in_place = array.flags.c_contiguous and array.flags.aligned
+        in_place = array.flags.c_contiguous and array.flags.aligned and (name not in _WRITTEN or array.flags.writeable)
         if array.dtype != kind or array.shape != shape or not in_place:
             raise ValueError(f"{name} is {array.dtype} of shape {array.shape}, not {kind} of {shape} in one piece.")

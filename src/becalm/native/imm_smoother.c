@@ -355,8 +355,8 @@ INLINE pair_t pool(const int n, const int m, const int q, const pair_t *share, c
     return agree(n, rooms->G + q * nn, Y, r, both(1), YG, L, D, v);
 }
 
-/* Come back over the step after a row: write its smoothed beliefs, and what later rows say of it. */
-INLINE void smooth_row(const int n, const int m, const beliefs_t now, later_t *later, rooms_t *rooms) {
+/* Come back over the step after a row: write its smoothed beliefs, if they are wanted, and what later rows say of it. */
+INLINE void smooth_row(const int n, const int m, const beliefs_t now, const int wanted, later_t *later, rooms_t *rooms) {
     const int nn = n * n;
     const beliefs_t own = beliefs_in(n, m, rooms->beliefs);
     real fit[MODES_MAX * MODES_MAX], highest[MODES_MAX], best = LEAST, every = 0;
@@ -386,13 +386,13 @@ INLINE void smooth_row(const int n, const int m, const beliefs_t now, later_t *l
             share[q * m + i] /= sum[q];
             looked_at[i] = choose(share[q * m + i] * mu > both(NEGLIGIBLE), share[q * m + i], both(0));
         }
-        smooth_pair(n, m, q, looked_at, rooms, x, P);
+        if (wanted) smooth_pair(n, m, q, looked_at, rooms, x, P);
         const pair_t pooled = pool(n, m, q, share + q * m, rooms, r, Y);
         const pair_t evidence = top[q] + logarithms(sum[q] / (pair_t){now.mu[first], now.mu[second]}) - pooled;
         for (int j = first; j <= second; j++) {
             const real likely = j == first ? mu[0] : mu[1], *x_j = (real *)x + j % 2, *P_j = (real *)P + j % 2;
             const real *r_j = (real *)r + j % 2, *Y_j = (real *)Y + j % 2;
-            const int told = likely > NEGLIGIBLE;
+            const int told = wanted && likely > NEGLIGIBLE;
             own.mu[j] = likely > UNLIKELY ? likely : UNLIKELY;
             later->g[j] = j == first ? evidence[0] : evidence[1];
             for (int a = 0; a < n; a++)
@@ -424,14 +424,14 @@ INLINE void take_back(const int n, const int m, const real *h, const beliefs_t n
 INLINE void smooth_rows(const int n, const imm_t *imm, const real level, const int32_t *step, real *notes,
                         const int64_t rows, const int64_t first, later_t *later, rooms_t *rooms,
                         const imm_estimate_t *estimate) {
-    const int m = (int)imm->modes, nn = n * n;
+    const int m = (int)imm->modes, nn = n * n, wanted = estimate->signal || estimate->probability || estimate->mean;
     const int64_t size = imm_beliefs_size(n, m), noted = imm_note_size(n, m);
     for (int64_t row = rows - 1; row >= 0; row--) {
         const beliefs_t now = beliefs_in(n, m, notes + row * noted);
         const int64_t at = (int64_t)step[row] * m;
         if (!(now.mu[0] > 0)) break; /* before the first measurement */
         if (later->known)
-            smooth_row(n, m, now, later, rooms);
+            smooth_row(n, m, now, wanted, later, rooms);
         else /* nothing follows, and nothing is said of it */
             for (int k = 0; k < m * nn; k++) later->g[k / nn] = later->r[k / n] = later->Y[k] = 0;
         write_estimate(n, m, imm->c, level, later->known ? beliefs_in(n, m, rooms->beliefs) : now, first + row, estimate);

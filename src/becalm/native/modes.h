@@ -55,12 +55,13 @@ INLINE void write_estimate(const int n, const int m, const real *c, const real l
         }
 }
 
-/* Call a function whose first argument is the number of states: a constant up to 3. */
+/* Call a function whose first argument is the number of states: a constant up to 4. */
 #define FOR_FEW_STATES(n, function, ...)                   \
     switch (n) {                                           \
     case 1: function(1, __VA_ARGS__); break;               \
     case 2: function(2, __VA_ARGS__); break;               \
     case 3: function(3, __VA_ARGS__); break;               \
+    case 4: function(4, __VA_ARGS__); break;               \
     default: function((int)(n), __VA_ARGS__);              \
     }
 
