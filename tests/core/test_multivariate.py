@@ -91,7 +91,7 @@ def given(**changes: Any) -> tuple[Rows, Beliefs]:
     return Rows(**rows), Beliefs(**room)
 
 
-UNFIT = {
+UNFIT: dict[str, list[Any]] = {
     "z": [np.zeros((4, 3)), np.zeros((4, 2), np.float32), np.zeros((2, 4)).T, np.zeros((3, 2))],
     "first": [np.array([0, 1, 5]), np.array([1, 2, 4]), np.array([0, 3, 3]), np.array([0, 4]), np.array([0, 5, 4])],
     "step": [np.array([-2, 0]), np.array([0, 1]), np.array([0, 0], np.int32)],
