@@ -15,7 +15,7 @@ import pytest
 from blocks import DOCS, PAGES, ROOT, has_blocks, rewritten
 
 from becalm.cleaning import judging, steps
-from becalm.core import arrays, clock, gates, noise_change, reach, starting, verdict
+from becalm.core import clock, gates, noise_change, reach, starting, verdict
 from becalm.files import opening
 from becalm.native import scans
 from becalm.noise import banks, lines, risk, switching
@@ -62,7 +62,6 @@ def spelt(number: float) -> str:
         ("design", f"for {gates.GOES_ON} readings a reject is believed at once"),
         ("design", f"Up to {WORDS[steps.SOON]} readings of lag"),
         ("design", f"tuned on {WORDS[opening.STRETCHES]} stretches"),
-        ("design", f"blocks of {arrays.BLOCK}"),
         ("design", f"at 500 Hz, {gates.threshold_for(1, 10_000):.2f} at 10 kHz"),
         ("design", f"({gates.threshold_for(1, 500):.1f} at 500 Hz"),
         ("design", f"under {gates.LEAST_THRESHOLD:.0f})"),

@@ -23,6 +23,8 @@
     case SIZE(2, 2): function(2, 2, __VA_ARGS__); break;      \
     case SIZE(3, 1): function(3, 1, __VA_ARGS__); break;      \
     case SIZE(3, 3): function(3, 3, __VA_ARGS__); break;      \
+    case SIZE(4, 2): function(4, 2, __VA_ARGS__); break;      \
+    case SIZE(6, 3): function(6, 3, __VA_ARGS__); break;      \
     default: function((int)(n), (int)(m), __VA_ARGS__);       \
     }
 
@@ -409,17 +411,22 @@ static void learn(const int n, const int m, const multivariate_t *model, const r
     for (int c = 0; c < count; c++) add_equation(n, a + c * n, right[c], U, b);
 }
 
-/* Predict a row by information that determines the state, U' w = h: (3), (4), (8). */
+/* Write w of U' w = h: where information determines the state, h x is w b, of variance w' w. */
+static void weigh(const int n, const real *h, const real *U, real *w) {
+    for (int j = 0; j < n; j++) {
+        real s = h[j];
+        for (int i = 0; i < j; i++) s -= w[i] * U[i * n + j];
+        w[j] = s / U[j * n + j];
+    }
+}
+
+/* Predict a row by information that determines the state: (3), (4), (8). */
 static void foretell(const int n, const int m, const multivariate_t *model, const real *z, const parts_t *p,
                      score_t *score) {
     real S[M_MAX * M_MAX], w[M_MAX * N_MAX];
     for (int a = 0; a < m; a++) {
         const int arrived = has_arrived(z[a]);
-        for (int j = 0; j < n; j++) {
-            real s = model->H[a * n + j];
-            for (int i = 0; i < j; i++) s -= w[a * n + i] * p->P[i * n + j];
-            w[a * n + j] = s / p->P[j * n + j];
-        }
+        weigh(n, model->H + a * n, p->P, w + a * n);
         for (int b = 0; b <= a; b++)
             S[a * m + b] = arrived && has_arrived(z[b]) ? dot(n, w + a * n, w + b * n) + model->R[a * m + b] : a == b;
         p->nu[a] = arrived ? z[a] - dot(n, w + a * n, p->x) : 0;
@@ -446,7 +453,12 @@ static void write_opening(const int n, const int m, const multivariate_t *model,
                           const parts_t *p, const beliefs_t *beliefs, const int64_t row) {
     for (int c = 0; c < m; c++) {
         real signal = NOT_A_NUMBER, sigma = INFINITE;
-        if (state->phase == GATHERING) estimate_from_information(n, model->H + c * n, p->P, p->x, &signal, &sigma);
+        if (model->foretells) {
+            real w[N_MAX];
+            weigh(n, model->H + c * n, p->P, w);
+            signal = dot(n, w, p->x), sigma = sqrt(dot(n, w, w));
+        } else if (state->phase == GATHERING)
+            estimate_from_information(n, model->H + c * n, p->P, p->x, &signal, &sigma);
         if (beliefs->signal) beliefs->signal[row * m + c] = signal;
         if (beliefs->sigma) beliefs->sigma[row * m + c] = sigma;
     }
