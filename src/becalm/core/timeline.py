@@ -6,11 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from becalm.core.arrays import Floats, Integers, input_of, read_only
+from becalm.core.arrays import Floats, Integers
 from becalm.core.components import Component
 from becalm.core.model import Model
 from becalm.core.steps import Steps
-from becalm.core.system import Record, System
+from becalm.core.system import System
 
 
 class Timeline(NamedTuple):
@@ -24,10 +24,6 @@ class Timeline(NamedTuple):
     def step_before(self, row: int) -> int:
         """Return which step precedes a row; -1 for none."""
         return int(self.step[np.searchsorted(self.first, row, side="right") - 1])
-
-    def record(self, z: Floats) -> Record:
-        """Lay readings (N, m) out for the kernels, beside their steps."""
-        return Record(input_of(z), read_only(self.first), read_only(self.step))
 
 
 def model_system(model: Model) -> System:
