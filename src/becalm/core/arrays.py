@@ -32,14 +32,14 @@ def real(values: ArrayLike) -> ArrayLike:
 
 
 def read_only(values: NDArray[Number]) -> NDArray[Number]:
-    """Return a read-only view: kernels get no other inputs, so that they are compiled once."""
+    """Return a read-only view."""
     view = values.view()
     view.flags.writeable = False
     return view
 
 
 def input_of(values: Floats) -> Floats:
-    """Return the one kind of array that kernels take from anywhere: float64, contiguous, read-only."""
+    """Return the one kind of array that filters take from anywhere: float64, contiguous, read-only."""
     return read_only(np.ascontiguousarray(values, dtype=np.float64))
 
 

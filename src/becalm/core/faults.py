@@ -142,7 +142,7 @@ class Faults:
 
 
 def require_steps(elapsed: Floats, rows: int) -> None:
-    """Raise a UsageError unless there is one step before each row: kernels would read beyond the last."""
+    """Raise a UsageError unless there is one step before each row: C would read beyond the last."""
     if len(elapsed) != rows:
         raise UsageError(
             f"{len(elapsed)} elapsed steps came with {rows} rows; each row needs the steps since the one before it, as"
