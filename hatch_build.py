@@ -13,7 +13,8 @@ import sys
 import sysconfig
 import tarfile
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 from textwrap import shorten
@@ -64,7 +65,7 @@ SOURCES = (
     *("multivariate.c", "imm.c", "imm_smoother.c", "scans.c", "clock.c", "layout.c"),
 )
 KERNEL = "kernel.dll" if sys.platform == "win32" else "kernel.so"
-C_FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared")  # no contraction: the same bits everywhere
+C_FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC")  # no contraction: the same bits everywhere
 ZIG = "ziglang"  # a C compiler from PyPI, for machines that have none
 
 
@@ -116,17 +117,22 @@ def compile_kernel(root: Path) -> None:
     compiler = own_compiler() or [sys.executable, "-m", ZIG, "cc", "-mcpu=baseline"]  # else for this very processor
     with tempfile.TemporaryDirectory() as elsewhere:
         built, beside = Path(elsewhere) / KERNEL, folder / f".{KERNEL}.{os.getpid()}"
-        command = [*compiler, *C_FLAGS, *(str(folder / name) for name in SOURCES), "-o", str(built), "-lm"]
-        try:
-            ran = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
-        except OSError as error:
-            raise BuildError(_not_compiled(str(error))) from error
-        if ran.returncode:
-            raise BuildError(
-                _not_compiled(shorten(ran.stderr, 300, placeholder=" ...") or f"exit code {ran.returncode}")
-            )
+        objects = [str(Path(elsewhere) / f"{name}.o") for name in SOURCES]
+        sources = [[str(folder / name), "-c", "-o", one] for name, one in zip(SOURCES, objects, strict=True)]
+        with ThreadPoolExecutor() as side_by_side:
+            list(side_by_side.map(partial(_compile, [*compiler, *C_FLAGS]), sources))
+        _compile([*compiler, "-shared"], [*objects, "-o", str(built), "-lm"])
         shutil.copy2(built, beside)
         beside.replace(folder / KERNEL)
+
+
+def _compile(compiler: Sequence[str], words: Sequence[str]) -> None:
+    try:
+        ran = subprocess.run([*compiler, *words], stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
+    except OSError as error:
+        raise BuildError(_not_compiled(str(error))) from error
+    if ran.returncode:
+        raise BuildError(_not_compiled(shorten(ran.stderr, 300, placeholder=" ...") or f"exit code {ran.returncode}"))
 
 
 def is_compiled(root: Path) -> bool:

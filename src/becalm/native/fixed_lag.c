@@ -35,7 +35,7 @@ INLINE const real *steps_of(const int n, const block_t *block, const real *matri
 }
 
 /* Filter one row, and keep its state. */
-INLINE void filter_one(const int n, const rows_t *rows, filter_t *state, const int64_t row) {
+static void filter_one(const int n, const rows_t *rows, filter_t *state, const int64_t row) {
     const block_t one = rows_from(rows->block, row, 1);
     const estimate_t out = estimate_from(rows->estimate, row, n);
     const int64_t settled = state->settled, steady = state->steady;
@@ -47,7 +47,7 @@ INLINE void filter_one(const int n, const rows_t *rows, filter_t *state, const i
 }
 
 /* Filter the rows from one up to another. */
-INLINE void filter_until(const int n, const rows_t *rows, filter_t *state, int64_t row, const int64_t until) {
+static void filter_until(const int n, const rows_t *rows, filter_t *state, int64_t row, const int64_t until) {
     while (row < until) {
         const int64_t count = !state->settled ? 1 : until - row < SMOOTHED ? until - row : SMOOTHED;
         const block_t part = rows_from(rows->block, row, count);
@@ -69,63 +69,65 @@ INLINE void filter_until(const int n, const rows_t *rows, filter_t *state, int64
     }
 }
 
-/* Come back from the last row that one may know, and smooth it; with `all` the rows between are smoothed, too, which
-   keeps digits. Return 0 where that is needed. */
-INLINE int smooth_late(const int n, const rows_t *rows, const int64_t row, const int64_t last, const int all,
-                       const real *x, future_t *future, real *signal, real *sigma) {
-    const real *h = rows->model->h;
-    forget_future(n, future);
-    for (int64_t k = last; k > row; k--) {
-        const real *packed = rows->states + rows->place[k] * packed_size(n);
-        const real *F = steps_of(n, rows->block, rows->block->F, k), *Q = steps_of(n, rows->block, rows->block->Q, k);
-        const real innovation = rows->estimate->innovation[k];
-        if (all) {
-            filter_t state;
-            real ignored[2] = {0, 0};
-            unpack(n, packed, &state);
-            smooth_row(n, rows->model, &state, Q, future, ignored, ignored + 1);
-            leave_row(n, rows->model, &state, F, Q, innovation, rows->estimate->verdict[k], rows->starts[k], future);
-        } else {
-            if (packed_phase(packed) == DETERMINED)
-                step_back(n, h, packed_S(packed), packed_K(n, packed), F, innovation, future);
-            if (rows->starts[k] == ANEW) forget_future(n, future);
-        }
-    }
+/* Smooth a row, of which all that later ones say is known. */
+INLINE int smooth_at(const int n, const rows_t *rows, const int64_t row, future_t *future, real *signal, real *sigma,
+                     real *x) {
     filter_t state;
     unpack(n, rows->states + rows->place[row] * packed_size(n), &state);
     if (x && state.phase == DETERMINED) copy(n, x, state.x); /* its own, not that of its place */
-    return smooth_row(n, rows->model, &state, steps_of(n, rows->block, rows->block->Q, row), future, signal, sigma);
+    const real *Q = steps_of(n, rows->block, rows->block->Q, row);
+    const int kept = smooth_row(n, rows->model, &state, Q, future, signal, sigma);
+    if (x && kept && future->later) copy(n, future->x, x);
+    return kept;
+}
+
+/* Smooth a row by those up to another, all of which are smoothed for it: that keeps digits. */
+static void smooth_all(const int n, const rows_t *rows, const int64_t row, const int64_t last, real *signal,
+                       real *sigma, real *x) {
+    future_t future;
+    forget_future(n, &future);
+    for (int64_t k = last; k > row; k--) {
+        const real *F = steps_of(n, rows->block, rows->block->F, k), *Q = steps_of(n, rows->block, rows->block->Q, k);
+        filter_t state;
+        real ignored[2] = {0, 0};
+        unpack(n, rows->states + rows->place[k] * packed_size(n), &state);
+        smooth_row(n, rows->model, &state, Q, &future, ignored, ignored + 1);
+        leave_row(n, rows->model, &state, F, Q, rows->estimate->innovation[k], rows->estimate->verdict[k],
+                  rows->starts[k], &future);
+    }
+    smooth_at(n, rows, row, &future, signal, sigma, x);
 }
 
 /* Smooth a row by those up to another. */
 INLINE void smooth_by(const int n, const rows_t *rows, const int64_t row, const int64_t last, real *signal,
                       real *sigma, real *x) {
-    future_t future;
-    const real filtered[2] = {*signal, *sigma};
     const int gathers = packed_phase(rows->states + rows->place[row] * packed_size(n)) != DETERMINED;
-    if (gathers || !smooth_late(n, rows, row, last, 0, x, &future, signal, sigma)) {
-        *signal = filtered[0], *sigma = filtered[1];
-        smooth_late(n, rows, row, last, 1, x, &future, signal, sigma);
+    const real filtered[2] = {*signal, *sigma};
+    future_t future;
+    forget_future(n, &future);
+    for (int64_t k = last; k > row && !gathers; k--) {
+        const real *packed = rows->states + rows->place[k] * packed_size(n);
+        if (packed_phase(packed) == DETERMINED)
+            step_back(n, rows->model->h, packed_S(packed), packed_K(n, packed),
+                      steps_of(n, rows->block, rows->block->F, k), rows->estimate->innovation[k], &future);
+        if (rows->starts[k] == ANEW) forget_future(n, &future);
     }
-    if (x && future.later) copy(n, future.x, x);
+    if (!gathers && smooth_at(n, rows, row, &future, signal, sigma, x)) return;
+    *signal = filtered[0], *sigma = filtered[1];
+    smooth_all(n, rows, row, last, signal, sigma, x);
 }
 
 /* Note what a stretch has in common: sigma, and how much of each later innovation is added to a state. */
-INLINE void note_stretch(const int n, const rows_t *rows, const int64_t row, const int64_t lag, steady_t *steady) {
+static void note_stretch(const int n, const rows_t *rows, const int64_t row, const int64_t lag, steady_t *steady) {
     const real *packed = rows->states + rows->place[row] * packed_size(n);
     const real *F = steps_of(n, rows->block, rows->block->F, row);
-    const real *K = packed_K(n, packed), *h = rows->model->h;
     real A[NN_MAX], g[N_MAX], signal = 0; /* A = (I - K h) F, g = F' h' */
     steady->stretch = row + 1 - rows->alike[row];
     smooth_by(n, rows, row, row + lag, &signal, &steady->sigma, NULL);
     copy(n * n, packed_P(n, packed), steady->P);
     times(n, steady->P, rows->model->c, steady->Pc);
-    for (int j = 0; j < n; j++) {
-        g[j] = 0;
-        for (int i = 0; i < n; i++) g[j] += h[i] * F[i * n + j];
-    }
-    for (int i = 0; i < n; i++)
-        for (int j = 0; j < n; j++) A[i * n + j] = F[i * n + j] - K[i] * g[j];
+    see_through(n, 1, rows->model->h, F, g);
+    close_loop(n, 1, F, packed_K(n, packed), g, A);
     for (int i = 0; i < n; i++) steady->weights[i] = g[i] / packed_S(packed);
     for (int64_t k = 1; k < lag; k++)
         for (int j = 0; j < n; j++) {
