@@ -91,7 +91,7 @@ def lake_table(work: Path, sensors: int, repeats: int) -> tuple[list[str], float
 
 
 def plain_apart(places: Places) -> Ran:
-    """Run `plain` in a process of its own, pinned, once its kernels are loaded."""
+    """Run `plain` in a process of its own, pinned."""
     program = (
         "import json, os, sys; os.sched_setaffinity(0, {int(sys.argv[4])}); from pathlib import Path;"
         "import fleet_batch as b; lake, recipe, out = map(Path, sys.argv[1:4]);"

@@ -5,7 +5,7 @@ N = 1001, started from a known state. All six entries of Q and R are unknown, an
 identities. Beside it, from the same records, is unweighted least squares on the readings' autocovariances.
 Then the car: three channels at 500 Hz, F = [[1, T, 0], [0, 1, 0], [0, 0, 1]], G = [[T^2/2, 0], [T, 0], [0, T]],
 H = I, two variances of Q and three of R unknown, and no start known. Times are of the processor, one
-thread, after compilation.
+thread.
 
 Run: python benchmarks/full_noise.py [-o docs/full-noise.md] [--runs 500]
 """

@@ -1,4 +1,4 @@
-"""becalm's kernels beside copying, scipy and other Kalman libraries: nanoseconds a sample.
+"""becalm's filters beside copying, scipy and other Kalman libraries: nanoseconds a sample.
 
 float64, one thread, all in one process. The rivals of a job take turns; medians of seven turns are
 told, of wall-clock and of CPU time: where they differ, the machine had other work. N counts the

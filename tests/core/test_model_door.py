@@ -116,7 +116,7 @@ def test_the_callers_matrices_are_copied_and_untouched(wrap: Any) -> None:
         assert np.array_equal(value, before[name])
         assert np.array_equal(own, before[name])
         assert not own.flags.writeable
-        assert own.flags.c_contiguous  # another layout would compile every kernel anew
+        assert own.flags.c_contiguous  # as C reads it
         assert not np.shares_memory(own, np.asarray(value))
         if isinstance(value, np.ndarray):
             assert value.flags.writeable

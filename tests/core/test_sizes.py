@@ -1,4 +1,4 @@
-"""Every size of model has kernels of its own: each is the reference, in blocks, across gaps, at any scale."""
+"""Every size of model: each is the reference, in blocks, across gaps, at any scale."""
 
 from __future__ import annotations
 

@@ -140,7 +140,7 @@ class TestPage:
 
     @pytest.mark.slow
     def test_page_and_figures_are_written(self, tmp_path: Path) -> None:
-        """Channel by channel too, whose kernels take the better part of a minute to compile."""
+        """Channel by channel too."""
         text = run(tmp_path / "made", tmp_path)
         assert (tmp_path / "made" / "car.md").read_text(encoding="utf-8") == text
         assert "channel by channel" in text

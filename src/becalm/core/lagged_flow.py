@@ -7,7 +7,7 @@ before them, once later ones are there.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Protocol
 
 import numpy as np
@@ -21,7 +21,7 @@ from becalm.core.gates import Gate
 from becalm.core.lags import checked_lag
 from becalm.core.possible import largest_beside
 from becalm.core.told import Judge, Rows, Told
-from becalm.core.verdict import Verdict
+from becalm.core.verdict import BEYOND_ANY_SENSOR, Verdict
 from becalm.core.verdict import judge as judge_readings
 from becalm.errors import ModelError
 from becalm.native.smoothers import LateSmoother
@@ -77,6 +77,11 @@ class LateRows:
         """What is known before the rows that wait."""
         return self._smoother.state
 
+    @property
+    def waiting(self) -> int:
+        """Rows that wait."""
+        return len(self._waiting.z)
+
     def begin_after(self, reading: float, readings: int, steps: float) -> None:
         """Say what went before: the first reading of all, how many came, and how many steps went by."""
         self._smoother.begin_after(reading, readings, steps)
@@ -91,6 +96,28 @@ class LateRows:
             left = all_rows.part(slice(count, None))
             self._waiting = Rows(left.z.copy(), left.elapsed.copy(), left.verdicts.copy())
             yield found.rows(slice(count)), found.rows(slice(waited, None))
+
+    def stepper(self) -> Callable[[float], tuple[float, float]]:
+        """Return what takes a reading one step after the last, and returns signal and sigma of the first that waits.
+
+        Nothing is checked anew; so many rows have to wait as the lag has, and there is no gate.
+        """
+        now = self._waiting
+        z, elapsed, verdicts = np.append(now.z, 0.0), np.append(now.elapsed, 1.0), np.append(now.verdicts, np.int8(0))
+        found, waiting = Estimates.room(len(z)), Rows(z[:-1], elapsed[:-1], verdicts[:-1])
+        arrays = found.outputs() | self._steps.before(elapsed) | {"z": z, "elapsed": elapsed}
+        call, self._waiting = self._smoother.caller(self.lag, **arrays), waiting
+
+        def step(reading: float) -> tuple[float, float]:
+            if self._waiting is not waiting:  # rows came another way meanwhile
+                return self.stepper()(reading)
+            z[-1] = reading if abs(reading) <= BEYOND_ANY_SENSOR else np.nan
+            call()
+            for array in (z, elapsed, verdicts):
+                array[:-1] = array[1:]
+            return found.signal.item(0), found.sigma.item(0)
+
+        return step
 
     def rest(self) -> Estimates:
         """Return the rows that wait, with what there is after them; nothing changes by it."""

@@ -54,7 +54,7 @@ class LateSwitching(LiveSwitching):
     def saved(self) -> dict[str, Any]:
         """Return what `saved_switching` needs, besides the model."""
         moves = {"waiting_due": self._due, "waiting_unwaited": np.array(float(self._unwaited))}
-        return super().saved() | {"lag": np.array(self._waiting.lag)} | self._waiting.snapshot() | moves
+        return super().saved() | self._waiting.snapshot() | moves
 
     def restore(self, arrays: Mapping[str, Floats]) -> None:
         """Take over what waits; raises a ModelError if it is not that of such a bank and lag."""
@@ -110,8 +110,9 @@ def saved_switching(model: Model, arrays: Mapping[str, Any]) -> LiveSwitching | 
         raise ModelError(
             f"{len(names)} modes of {model.states} states do not fit the state; pass what snapshot() returned."
         )
-    if "lag" not in arrays:
+    lag = int(arrays["lag"])
+    if not lag:
         return LiveSwitching(model, names, bank, state)
-    late = LateSwitching(model, names, bank, state, int(arrays["lag"]))
+    late = LateSwitching(model, names, bank, state, lag)
     late.restore(arrays)
     return late

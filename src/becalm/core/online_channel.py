@@ -21,6 +21,7 @@ from becalm.core.timeline import model_system
 from becalm.core.told import Rows
 from becalm.core.verdict import BEYOND_ANY_SENSOR, Verdict
 from becalm.core.verdict import judge as judge_readings
+from becalm.errors import ModelError
 from becalm.native import DETERMINED, GATHERING, caller, loaded, process, saved, start
 
 
@@ -85,9 +86,11 @@ class OnlineChannel:
         return found.signal, found.sigma
 
     def stepper(self) -> Callable[[float], tuple[float, float]] | None:
-        """Return what takes a number, and returns signal and sigma; None before the first, with a lag or a gate."""
-        if not self._begun or self._late is not None or self.gate is not None:
+        """Return what takes a number, and returns signal and sigma; None at first, and with a gate."""
+        if not self._begun or self._unwaited or self.gate is not None:
             return None
+        if self._late is not None:
+            return self._late.stepper()
         found, z = Estimates.room(1), np.zeros(1)
         rows = found.outputs() | self._steps.before(z) | {"z": z, "elapsed": np.ones(1)}
         call = caller(self._settings, self._coefficients, self._state, **rows)
@@ -126,6 +129,8 @@ class OnlineChannel:
         self._begun, self._unwaited = bool(arrays["begun"]), int(arrays["unwaited"])
         if self._late is not None:
             self._late.restore(arrays)
+            if self._unwaited < 0 or self._unwaited + self._late.waiting != self.lag:
+                raise ModelError("The snapshot's rows that wait do not fit its lag; pass what snapshot() returned.")
         else:
             self._state = loaded(self._settings, np.asarray(arrays["live"]))
 

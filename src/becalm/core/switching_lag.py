@@ -77,7 +77,7 @@ class WaitingRows:
         return {"waiting_notes": self._notes, "waiting_turn": np.array(float(self._turn))}
 
     def restore(self, arrays: Mapping[str, Floats]) -> None:
-        """Take over what moves, of the right shapes and types only: kernels trust them.
+        """Take over what moves, of the right shapes and types only: C trusts them.
 
         Raises
         ------

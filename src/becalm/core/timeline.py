@@ -27,10 +27,8 @@ class Timeline(NamedTuple):
 
 
 def model_system(model: Model) -> System:
-    """Lay a model out for the kernels, in copies: of arrays that may be written kernels know one kind."""
-    return System(
-        model.F[np.newaxis].copy(), model.process_covariance[np.newaxis].copy(), model.H.copy(), model.R.copy()
-    )
+    """Return the matrices of a model of even steps."""
+    return System(model.F[np.newaxis], model.process_covariance[np.newaxis], model.H, model.R)
 
 
 def even_timeline(model: Model, count: int, *, goes_on: bool = False) -> Timeline:

@@ -8,10 +8,8 @@
 /* Return by how much a prediction's error may change over a step, one standard deviation. */
 static real wander(const int n, const real *h, const real *F, const real *Q, const real *P) {
     real g[N_MAX], s = 0;
-    for (int j = 0; j < n; j++) {
-        g[j] = -h[j];
-        for (int i = 0; i < n; i++) g[j] += h[i] * F[i * n + j];
-    }
+    see_through(n, 1, h, F, g);
+    for (int j = 0; j < n; j++) g[j] -= h[j];
     for (int i = 0; i < n; i++)
         for (int j = 0; j < n; j++) s += g[i] * P[i * n + j] * g[j] + h[i] * Q[i * n + j] * h[j];
     return s > 0 ? sqrt(s) : 0;

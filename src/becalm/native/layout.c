@@ -108,7 +108,7 @@ const field_t *channel_knowledge_fields(void) {
 #define W(name) WHOLE(knowledge_t, name)
 #define IN(name, whole) {#name, offsetof(knowledge_t, score.name), sizeof(((knowledge_t *)0)->score.name), whole}
     static const field_t fields[] = {
-        W(phase), W(rows), W(opened), W(settled_row), IN(squares, 0), IN(product, 0), IN(exponent, 1), IN(used, 1),
+        W(phase), W(rows), W(opened), W(settled_row), W(closed), IN(squares, 0), IN(product, 0), IN(exponent, 1), IN(used, 1),
         END(knowledge_t),
     };
 #undef W

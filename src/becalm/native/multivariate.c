@@ -93,7 +93,8 @@ int multivariate_is_sound(const multivariate_t *model, const knowledge_t *state)
     for (int k = 0; k < 7; k++) sound = sound && is_count(counts[k], EVER);
     sound = sound && is_count(state->score.exponent, EVER);
     for (int64_t k = 0; sound && k < n + n * n + n * m + m * m + 2 * m; k++) sound = isfinite(state->numbers[k]) != 0;
-    return sound; /* x, P, K, L, D and nu; a deviation may be NaN */
+    for (int64_t i = 0; sound && state->phase == DETERMINED && i < n; i++) sound = state->numbers[n + i * (n + 1)] >= 0;
+    return sound && isfinite(state->score.squares); /* x, P, K, L, D and nu; a deviation may be NaN */
 }
 
 /* Factor S = L D L'. */
@@ -437,10 +438,10 @@ static void foretell(const int n, const int m, const multivariate_t *model, cons
 }
 
 /* Return whether the next measurement is predicted so well that the covariance form keeps its digits. */
-static int is_narrow(const int n, const int m, const multivariate_t *model, const record_t *record, const real *P) {
+static int is_narrow(const int n, const int m, const multivariate_t *model, const real *F, const real *Q, const real *P) {
     real ahead[NN_MAX], Ph[N_MAX];
     copy(n * n, P, ahead);
-    propagate(n, record->F, record->Q, ahead);
+    propagate(n, F, Q, ahead);
     for (int c = 0; c < m; c++) {
         times(n, ahead, model->H + c * n, Ph);
         if (!(dot(n, model->H + c * n, Ph) <= WIDE * model->R[c * m + c])) return 0;
@@ -496,7 +497,7 @@ static void open_row(const int n, const int m, const multivariate_t *model, know
             determine(n, V, P, x);
             if (beliefs->x) copy(n, x, beliefs->x + row * n);
             if (beliefs->P) copy(n * n, P, beliefs->P + row * n * n);
-            if (determined && (!model->foretells || is_narrow(n, m, model, record, P))) {
+            if (determined && (!model->foretells || is_narrow(n, m, model, F ? F : record->F, F ? Q : record->Q, P))) {
                 copy(n * n, P, p->P), copy(n, x, p->x);
                 state->phase = DETERMINED;
             }

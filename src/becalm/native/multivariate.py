@@ -203,6 +203,7 @@ class Multivariate:
         kept = np.frombuffer(bytearray(state.tobytes()), np.float64).view(np.uint8)
         if not kernel.multivariate_is_sound(ctypes.byref(self._model), kept.ctypes.data):
             raise ModelError("The state of a snapshot says what none can say; pass what snapshot() returned.")
+        kept[: _HEAD.itemsize].view(_HEAD)["closed"] = 0  # A and g are found again
         self.state = kept
 
     def _given(self, rows: Rows, beliefs: Beliefs) -> tuple[_Record, _Beliefs]:

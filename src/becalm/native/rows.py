@@ -39,7 +39,9 @@ def checked(settings: NDArray[np.void], rows: dict[str, Any], *, writes: bool = 
     wanted = {name: shapes.get(name, ("f8", (count,))) for name in names}
     for name, (kind, shape) in wanted.items():
         array = rows[name]
-        if array.dtype != kind or array.shape != shape or not (array.flags.c_contiguous and array.flags.aligned):
+        flags = array.flags
+        in_place = flags.c_contiguous and flags.aligned and (flags.writeable or name in _ROWS)
+        if array.dtype != kind or array.shape != shape or not in_place:
             raise ValueError(f"{name} is {array.dtype} of shape {array.shape}, not {kind} of {shape} in one piece.")
     if count and not (rows["step"].min() >= 0 and rows["step"].max() < len(rows["F"])):
         raise ValueError(f"step goes from {rows['step'].min()} to {rows['step'].max()} of {len(rows['F'])} steps.")

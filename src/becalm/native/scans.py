@@ -167,6 +167,8 @@ def measure_jumps(z: Floats) -> Floats:
 def walk_stamps(clock: NDArray[np.void], stamps: Floats, doubled: Codes, elapsed: Floats, codes: Codes) -> None:
     """Fill in the steps before each row (B,) of a stream, and what becomes of its stamp, in s; the clock changes."""
     _check(stamps, (stamps, elapsed), (doubled, codes))
+    if not elapsed.flags.writeable:
+        raise ValueError("elapsed cannot be written.")
     into = elapsed.ctypes.data, codes.ctypes.data
     kernel.clock_walk(clock.ctypes.data, stamps.ctypes.data, doubled.ctypes.data, len(stamps), *into)
 

@@ -98,7 +98,7 @@ int64_t smoother_forward(const settings_t *settings, const coefficients_t *model
 INLINE void smooth_settled(const int n, const coefficients_t *model, const filter_t *state, const real *F,
                            const block_t *part, future_t *future, const estimate_t *estimate, const int only_future) {
     real A[NN_MAX], B[NN_MAX], hF[N_MAX], G[N_MAX], Pc[N_MAX], r[N_MAX], sigma = 0; /* B = A' */
-    const real weight = 1 / state->S, variance = state->sigma * state->sigma;
+    const real weight = 1 / state->S;
     see_through(n, 1, model->h, F, hF);
     close_loop(n, 1, F, state->K, hF, A);
     for (int i = 0; i < n; i++) {
@@ -121,9 +121,7 @@ INLINE void smooth_settled(const int n, const coefficients_t *model, const filte
     for (int i = 0; i < n; i++) future->r[i] = r[i];
     for (int64_t row = part->rows - 1; row >= 0; row--) {
         if (!only_future && (!future->settled || row == part->rows - 1)) {
-            real left = variance;
-            for (int i = 0; i < n; i++) left -= Pc[i] * dot(n, future->M + i * n, Pc); /* (10) */
-            sigma = left > 0 ? sqrt(left) : 0;
+            sigma = sqrt(smoothed_variance(n, model->c, state->P, future->M, NULL)); /* (10) */
         }
         if (!only_future) estimate->sigma[row] = sigma;
         if (row == 0)

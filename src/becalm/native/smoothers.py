@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -164,6 +164,23 @@ class LateSmoother(_Forward):
         rows_in = self.state.ctypes.data, ctypes.byref(block), ctypes.byref(estimate)
         row = kernel.lag_smooth(*self._channel, *rows_in, lag, told, *memory)
         return None if row < 0 else int(row)
+
+    def caller(self, lag: int, **rows: Any) -> Callable[[], None]:
+        """Return what filters the same arrays again, as they are then, and smooths the first row; as of `smooth`.
+
+        Nothing is checked anew: rows, and what is estimated, may change in place, and nothing else.
+        """
+        block, estimate = checked(self._settings, rows)
+        room = np.empty(kernel.lag_room(int(self._settings["states"]), block.rows, lag))
+        places, starts = np.empty(2 * block.rows, np.int64), np.empty(block.rows, np.int8)
+        memory = room.ctypes.data, places.ctypes.data, starts.ctypes.data
+        filtering = *self._channel, self.state.ctypes.data, ctypes.byref(block), ctypes.byref(estimate)
+        kept = room, places, starts, rows, self.state
+
+        def call(_kept: Any = kept) -> None:
+            kernel.lag_smooth(*filtering, lag, 1, *memory)
+
+        return call
 
     def state_dict(self) -> dict[str, NDArray[np.int8]]:
         """Return what is known before the rows that wait, as plain bytes."""

@@ -83,7 +83,7 @@ def _find_bursting(tuning: Tuning, evidence: Evidence, pieces: list[Piece], caus
 
 
 def _chosen(calm: Evidence, causal: bool) -> Tuning | None:
-    """Choose the filter of calm motion; without its tones, if a bank of them would not be compiled ahead."""
+    """Choose the filter of calm motion; without its tones, if a bank of them would have too many states."""
     choice = choose(calm.z[:, 0], calm.elapsed, causal)
     alone = None if choice.motion is None else damped(choice.motion, calm)
     fitting = (one for one in (choice.tuning, alone) if one is not None and one.ratio > 0)

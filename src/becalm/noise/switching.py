@@ -177,6 +177,5 @@ def find_surprise(z: Floats) -> int | None:
 
 
 def _alone(tuning: Tuning) -> Switching:
-    """Return a fixed filter as a bank: two modes that are alike, so that no other kernel is compiled."""
-    one = Mode("fixed", tuning.component, tuning.noise_variance, 1.0)
-    return Switching((one, replace(one, name="the same")))
+    """Return a fixed filter as a bank of one mode."""
+    return Switching((Mode("fixed", tuning.component, tuning.noise_variance, 1.0),))
