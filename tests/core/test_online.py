@@ -16,6 +16,7 @@ from becalm.core.filtering import kalman_filter
 from becalm.core.gates import Gate
 from becalm.core.model import Model
 from becalm.core.online import Online
+from becalm.core.smoothing import kalman_smoother
 from becalm.errors import ModelError
 from bits import assert_same_bits
 
@@ -243,3 +244,26 @@ def test_a_damaged_state_is_refused_or_does_no_harm(kind: str, rows: int, at: in
     with np.errstate(all="ignore"):
         damaged.run(z[rows:])
         damaged.finish()
+
+
+@pytest.mark.parametrize("lag", [0, 2, 5])
+@pytest.mark.parametrize("n", [1, 2])
+def test_what_is_known_exactly_stays_known(n: int, lag: int) -> None:
+    """No noise at all: sigma is 0, and a snapshot, whose variances rounding leaves about 0, is taken."""
+    model = Model(np.eye(n) + np.eye(n, k=1), np.eye(1, n), np.zeros((n, n)), [[0.0]], x0=np.zeros(n), P0=np.eye(n))
+    online, told = Online(model, lag), list[tuple[Any, Any]]()
+    for k in range(9):
+        told.append(online.step(float(k)))
+        online = Online.resume(online.snapshot())
+    signal = [one for one, _ in told][lag:] + online.finish()[0][:, 0].tolist()
+    expected = (
+        kalman_smoother(model, np.arange(9.0)).signal[:, 0] if lag else kalman_filter(model, np.arange(9.0)).signal
+    )
+    np.testing.assert_allclose(signal[2 : -lag or None], np.ravel(expected)[2 : -lag or None], atol=1e-12)
+
+
+def test_sigma_of_exact_readings_is_a_number_throughout() -> None:
+    H = [[1.0309217445385483, 1.8178460987289433]]
+    Q = np.diag([0.08245130993450477, 38.57787580730414])
+    model = Model(np.eye(2), H, Q, [[0.0]], x0=[-0.1096, -1.1679], P0=1e-6 * np.eye(2))
+    assert np.isfinite(kalman_smoother(model, np.zeros(300)).sigma).all()

@@ -58,7 +58,7 @@ class OnlineChannel:
         self.model, self.gate, self.lag = model, gate, lag
         self._settings, self._coefficients = model_settings(model, gate), model_coefficients(model)
         self._largest = BEYOND_ANY_SENSOR if gate is None else largest_beside(float(model.R[0, 0]))
-        self._steps = _ModelSteps(*(np.ascontiguousarray(A[:1]) for A in model_system(model)[:2]))
+        self._steps = _ModelSteps(*(np.require(A[:1], np.float64, ["C", "A"]) for A in model_system(model)[:2]))
         self._begun, self._unwaited = False, lag
         self.verdicts: Codes = np.empty(0, np.int8)
         begins = self._first_state()
@@ -68,7 +68,7 @@ class OnlineChannel:
 
     def run(self, z: Floats) -> tuple[Floats, Floats]:
         """Take a block, (B, 1); return signal and sigma, (B, 1) each, of the readings a lag before them."""
-        signal, sigma = self._run(np.ascontiguousarray(z[:, 0]))
+        signal, sigma = self._run(np.require(z[:, 0], np.float64, ["C", "A"]))
         return signal[:, np.newaxis], sigma[:, np.newaxis]
 
     def _run(self, z: Floats) -> tuple[Floats, Floats]:

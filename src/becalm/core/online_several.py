@@ -61,7 +61,7 @@ class OnlineSeveral:
 
     def saved(self) -> dict[str, Any]:
         """Return what moves, as arrays."""
-        return {"live": self._kernel.state, "waiting": self._waiting, "unwaited": np.array(self._unwaited)}
+        return {"live": self._kernel.saved(), "waiting": self._waiting, "unwaited": np.array(self._unwaited)}
 
     def restore(self, arrays: Mapping[str, Any]) -> None:
         """Take over what `saved` returned.

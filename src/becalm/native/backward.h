@@ -56,7 +56,7 @@ INLINE void step_back(const int n, const real *h, const real S, const real *K, c
     const int used = !isnan(innovation);
     const real nu = used ? innovation : 0;
     see_through(n, 1, h, F, g);
-    for (int i = 0; i < n; i++) G[i] = used ? g[i] * (1 / S) : 0;
+    for (int i = 0; i < n; i++) G[i] = used && S > 0 ? g[i] * (1 / S) : 0; /* what is known exactly tells nothing new */
     if (used)
         close_loop(n, 1, F, K, g, A);
     else
@@ -65,10 +65,9 @@ INLINE void step_back(const int n, const real *h, const real S, const real *K, c
     pull_back(n, 1, A, G, g, future->M);
 }
 
-/* Go on to the row before one that was smoothed. */
-INLINE void leave_row(const int n, const coefficients_t *model, const filter_t *row, const real *F, const real *Q,
-                      const real innovation, const int8_t verdict, const int8_t start, future_t *future) {
-    if (row->phase == DETERMINED) step_back(n, model->h, row->S, row->K, F, innovation, future);
+/* Go on to the row before one that was smoothed, once it was stepped back over. */
+INLINE void leave_row(const int n, const real *F, const real *Q, const int8_t verdict, const int8_t start,
+                      future_t *future) {
     if (start == ANEW) forget_future(n, future);         /* rows before it know nothing of it */
     if (verdict == STEP) future->later = NOTHING_LATER; /* Q is not all that lies between */
     copy(n * n, F, future->F), copy(n * n, Q, future->Q);

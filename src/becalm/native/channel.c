@@ -148,7 +148,6 @@ static int filter_is_sound(const int n, const filter_t *filter) {
     if (sound && filter->phase == DETERMINED)
         sound = are_finite(filter->K, n) && are_finite(filter->L, n) && are_finite(filter->ahead, n) &&
                 isfinite(filter->S) && isfinite(filter->sigma) && filter->S >= 0 && filter->sigma >= 0;
-    for (int i = 0; sound && i < n; i++) sound = filter->phase != DETERMINED || filter->P[i * n + i] >= 0;
     const int64_t counts[] = {filter->rows, filter->steady, filter->next_check, filter->agreed,
                               filter->rejected, filter->agreeing, filter->since_jump};
     for (int k = 0; k < 7; k++) sound = sound && is_count(counts[k], EVER);

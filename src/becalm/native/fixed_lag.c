@@ -81,21 +81,27 @@ INLINE int smooth_at(const int n, const rows_t *rows, const int64_t row, future_
     return kept;
 }
 
-/* Smooth a row by those up to another, all of which are smoothed for it: that keeps digits. */
-static void smooth_all(const int n, const rows_t *rows, const int64_t row, const int64_t last, real *signal,
-                       real *sigma, real *x) {
+/* Smooth a row by those up to another, all of which are smoothed for it: that keeps digits. With `every` they are told,
+   too. */
+static void smooth_all(const int n, const rows_t *rows, const int64_t from, const int64_t last, const int every,
+                       real *signal, real *sigma, real *x) {
+    const estimate_t *out = rows->estimate;
     future_t future;
     forget_future(n, &future);
-    for (int64_t k = last; k > row; k--) {
+    for (int64_t k = last; k >= from; k--) {
         const real *F = steps_of(n, rows->block, rows->block->F, k), *Q = steps_of(n, rows->block, rows->block->Q, k);
-        filter_t state;
+        const real *packed = rows->states + rows->place[k] * packed_size(n);
         real ignored[2] = {0, 0};
-        unpack(n, rows->states + rows->place[k] * packed_size(n), &state);
-        smooth_row(n, rows->model, &state, Q, &future, ignored, ignored + 1);
-        leave_row(n, rows->model, &state, F, Q, rows->estimate->innovation[k], rows->estimate->verdict[k],
-                  rows->starts[k], &future);
+        if (every)
+            smooth_at(n, rows, k, &future, out->signal + k, out->sigma + k, out->x ? out->x + k * n : NULL);
+        else if (k == from)
+            smooth_at(n, rows, k, &future, signal, sigma, x);
+        else
+            smooth_at(n, rows, k, &future, ignored, ignored + 1, NULL);
+        if (packed_phase(packed) == DETERMINED)
+            step_back(n, rows->model->h, packed_S(packed), packed_K(n, packed), F, out->innovation[k], &future);
+        leave_row(n, F, Q, out->verdict[k], rows->starts[k], &future);
     }
-    smooth_at(n, rows, row, &future, signal, sigma, x);
 }
 
 /* Smooth a row by those up to another. */
@@ -114,7 +120,7 @@ INLINE void smooth_by(const int n, const rows_t *rows, const int64_t row, const 
     }
     if (!gathers && smooth_at(n, rows, row, &future, signal, sigma, x)) return;
     *signal = filtered[0], *sigma = filtered[1];
-    smooth_all(n, rows, row, last, signal, sigma, x);
+    smooth_all(n, rows, row, last, 0, signal, sigma, x);
 }
 
 /* Note what a stretch has in common: sigma, and how much of each later innovation is added to a state. */
@@ -128,7 +134,7 @@ static void note_stretch(const int n, const rows_t *rows, const int64_t row, con
     times(n, steady->P, rows->model->c, steady->Pc);
     see_through(n, 1, rows->model->h, F, g);
     close_loop(n, 1, F, packed_K(n, packed), g, A);
-    for (int i = 0; i < n; i++) steady->weights[i] = g[i] / packed_S(packed);
+    for (int i = 0; i < n; i++) steady->weights[i] = packed_S(packed) > 0 ? g[i] / packed_S(packed) : 0;
     for (int64_t k = 1; k < lag; k++)
         for (int j = 0; j < n; j++) {
             real s = 0;
@@ -139,10 +145,12 @@ static void note_stretch(const int n, const rows_t *rows, const int64_t row, con
 
 INLINE void smooth_rows(const int n, const rows_t *rows, const int64_t lag, const int64_t told, steady_t *steady) {
     const estimate_t *out = rows->estimate;
-    for (int64_t row = 0; row < told; row++) {
-        const int64_t last = rows->block->rows - row > lag ? row + lag : rows->block->rows - 1;
+    const int64_t whole = rows->block->rows > lag ? rows->block->rows - lag : 0; /* rows with so many after them */
+    if (told > whole) smooth_all(n, rows, whole, rows->block->rows - 1, 1, NULL, NULL, NULL);
+    for (int64_t row = 0; row < told && row < whole; row++) {
+        const int64_t last = row + lag;
         real *x = out->x ? out->x + row * n : NULL;
-        if (last - row < lag || rows->alike[last] <= lag) {
+        if (rows->alike[last] <= lag) {
             smooth_by(n, rows, row, last, out->signal + row, out->sigma + row, x);
             continue;
         }
@@ -158,7 +166,24 @@ INLINE void smooth_rows(const int n, const rows_t *rows, const int64_t lag, cons
     }
 }
 
-INLINE void lag_rows(const int n, rows_t *rows, filter_t *state, const int64_t lag, const int64_t told,
+#define OF_SIZE(n)                                                                                             \
+    NOINLINE static void smooth_rows_##n(const rows_t *rows, const int64_t lag, const int64_t told, steady_t *steady) { \
+        smooth_rows(n, rows, lag, told, steady);                                                               \
+    }
+OF_SIZE(1)
+OF_SIZE(2)
+OF_SIZE(3)
+OF_SIZE(4)
+OF_SIZE(5)
+OF_SIZE(6)
+OF_SIZE(7)
+
+NOINLINE static void smooth_rows_n(const int n, const rows_t *rows, const int64_t lag, const int64_t told,
+                                   steady_t *steady) {
+    smooth_rows(n, rows, lag, told, steady);
+}
+
+static void lag_rows(const int n, rows_t *rows, filter_t *state, const int64_t lag, const int64_t told,
                      int64_t *settled_row) {
     steady_t steady;
     filter_t newest;
@@ -169,7 +194,16 @@ INLINE void lag_rows(const int n, rows_t *rows, filter_t *state, const int64_t l
     memcpy(&newest, state, sizeof newest);
     filter_until(n, rows, &newest, told, rows->block->rows);
     *settled_row = newest.settled_row;
-    smooth_rows(n, rows, lag, told, &steady);
+    switch (n) { /* each size has a frame of its own: together they would take megabytes of a thread's stack */
+    case 1: smooth_rows_1(rows, lag, told, &steady); break;
+    case 2: smooth_rows_2(rows, lag, told, &steady); break;
+    case 3: smooth_rows_3(rows, lag, told, &steady); break;
+    case 4: smooth_rows_4(rows, lag, told, &steady); break;
+    case 5: smooth_rows_5(rows, lag, told, &steady); break;
+    case 6: smooth_rows_6(rows, lag, told, &steady); break;
+    case 7: smooth_rows_7(rows, lag, told, &steady); break;
+    default: smooth_rows_n(n, rows, lag, told, &steady);
+    }
 }
 
 int64_t lag_smooth(const settings_t *settings, const coefficients_t *model, forward_t *forward, const block_t *block,
@@ -180,7 +214,7 @@ int64_t lag_smooth(const settings_t *settings, const coefficients_t *model, forw
     int64_t settled_row = -1;
     memset(starts, 0, (size_t)block->rows);
     find_starts(settings, &limits, block, block->rows, starts);
-    FOR_STATES(settings->states, lag_rows, &rows, &forward->filter, lag, told, &settled_row)
+    lag_rows((int)settings->states, &rows, &forward->filter, lag, told, &settled_row);
     find_starts(settings, &forward->limits, block, told, starts);
     return settled_row;
 }

@@ -215,7 +215,7 @@ INLINE real smoothed_variance(const int n, const real *c, const real *P, const r
         const real told = dot(n, c, Pc);
         return told > 0 ? told : variance;
     }
-    return left > HARDLY * variance ? left : variance;
+    return left > HARDLY * variance && left > 0 ? left : variance > 0 ? variance : 0;
 }
 
 #endif

@@ -93,7 +93,6 @@ int multivariate_is_sound(const multivariate_t *model, const knowledge_t *state)
     for (int k = 0; k < 7; k++) sound = sound && is_count(counts[k], EVER);
     sound = sound && is_count(state->score.exponent, EVER);
     for (int64_t k = 0; sound && k < n + n * n + n * m + m * m + 2 * m; k++) sound = isfinite(state->numbers[k]) != 0;
-    for (int64_t i = 0; sound && state->phase == DETERMINED && i < n; i++) sound = state->numbers[n + i * (n + 1)] >= 0;
     return sound && isfinite(state->score.squares); /* x, P, K, L, D and nu; a deviation may be NaN */
 }
 

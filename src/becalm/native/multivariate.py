@@ -188,23 +188,30 @@ class Multivariate:
         kernel.multivariate_lag(model, self.state.ctypes.data, ctypes.byref(record), lag, told, *into)
         return signal, sigma
 
-    def load(self, state: NDArray[np.uint8]) -> None:
-        """Take over the bytes of a state.
+    def saved(self) -> NDArray[np.uint8]:
+        """Return the bytes of the state, without what can be found again: the closed loop, A and g."""
+        m, n = self._size
+        kept = self.state[: -8 * n * (n + m)].copy()
+        kept[: _HEAD.itemsize].view(_HEAD)["closed"] = 0
+        return kept
+
+    def load(self, kept: NDArray[np.uint8]) -> None:
+        """Take over what `saved` returned.
 
         Raises
         ------
         ModelError
             If these are not the bytes of a state of such a model.
         """
-        if state.dtype != np.uint8 or state.shape != self.state.shape:
-            raise ModelError(
-                f"The state of a snapshot is {state.dtype} of shape {state.shape}, not that of this model."
-            )
-        kept = np.frombuffer(bytearray(state.tobytes()), np.float64).view(np.uint8)
-        if not kernel.multivariate_is_sound(ctypes.byref(self._model), kept.ctypes.data):
+        (m, n), state = self._size, np.zeros(len(self.state) // 8).view(np.uint8)
+        own = state[: -8 * n * (n + m)]
+        if kept.dtype != np.uint8 or kept.shape != own.shape:
+            raise ModelError(f"The state of a snapshot is {kept.dtype} of shape {kept.shape}, not that of this model.")
+        own[:] = kept
+        own[: _HEAD.itemsize].view(_HEAD)["closed"] = 0
+        if not kernel.multivariate_is_sound(ctypes.byref(self._model), state.ctypes.data):
             raise ModelError("The state of a snapshot says what none can say; pass what snapshot() returned.")
-        kept[: _HEAD.itemsize].view(_HEAD)["closed"] = 0  # A and g are found again
-        self.state = kept
+        self.state = state
 
     def _given(self, rows: Rows, beliefs: Beliefs) -> tuple[_Record, _Beliefs]:
         (m, n), count, runs, steps = self._size, len(rows.z), len(rows.step), len(rows.F)

@@ -98,7 +98,7 @@ int64_t smoother_forward(const settings_t *settings, const coefficients_t *model
 INLINE void smooth_settled(const int n, const coefficients_t *model, const filter_t *state, const real *F,
                            const block_t *part, future_t *future, const estimate_t *estimate, const int only_future) {
     real A[NN_MAX], B[NN_MAX], hF[N_MAX], G[N_MAX], Pc[N_MAX], r[N_MAX], sigma = 0; /* B = A' */
-    const real weight = 1 / state->S;
+    const real weight = state->S > 0 ? 1 / state->S : 0;
     see_through(n, 1, model->h, F, hF);
     close_loop(n, 1, F, state->K, hF, A);
     for (int i = 0; i < n; i++) {
@@ -153,7 +153,9 @@ INLINE void smooth_again(const int n, const settings_t *settings, const coeffici
             if (!only_future && estimate->x && future->later) copy(n, future->x, estimate->x + row * n);
         } else
             future->later = NOTHING_LATER;
-        leave_row(n, model, state, F, Q, estimate->innovation[row], estimate->verdict[row], starts[row], future);
+        if (state->phase == DETERMINED)
+            step_back(n, model->h, state->S, state->K, F, estimate->innovation[row], future);
+        leave_row(n, F, Q, estimate->verdict[row], starts[row], future);
     }
 }
 
