@@ -117,7 +117,8 @@ def test_it_begins_anew_where_becalm_does(banks: Banks, read: int) -> None:
         told, want = held.steps(rows), expected(told_of("nervous"), held.one, rows)
         anew = missed + 1 > min(reach.longest, reach.spans * (read - 1) if read >= reach.readings else np.inf)
         assert (want.signal[-6] == z[-6]) == anew
-        np.testing.assert_allclose(told.signal[-6:], want.signal[-6:], rtol=0, atol=1e-13 if anew else 1e-8)
+        # anew: of three states the order of sums is worth 2e-11 in the first rows, on either side of the exact numbers
+        np.testing.assert_allclose(told.signal[-6:], want.signal[-6:], rtol=0, atol=1e-10 if anew else 1e-8)
         if anew:
             held.init()
             np.testing.assert_array_equal(told.modes[-6:], held.steps(z[-6:]).modes)

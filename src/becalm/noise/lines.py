@@ -13,7 +13,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 
 from becalm.core.arrays import Floats
 from becalm.core.closed_forms import cutoff_to_ratio, motion_power, ratio_to_cutoff
@@ -135,6 +134,8 @@ def _peak(left: Floats, spectrum: Spectrum, width: int, stands_out: float) -> Pe
     """Return the frequency whose neighbourhood of some width stands out of what lies around it."""
     if len(left) < _FEWEST_WIDTHS * width:
         return None
+    from scipy.ndimage import uniform_filter1d  # loaded where tones are looked for
+
     raised = uniform_filter1d(left, width, mode="nearest")
     spacing = float(spectrum.angle[1] - spectrum.angle[0])
     raised[np.minimum(spectrum.angle, np.pi - spectrum.angle) < max(_CYCLES, width) * spacing] = 0.0

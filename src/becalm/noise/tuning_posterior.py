@@ -14,7 +14,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from becalm.core.arrays import Floats
 from becalm.core.channel import Estimates
@@ -91,6 +90,8 @@ def _likelihoods(candidate: Candidate) -> _Likelihoods | None:
     beside = coarse[best] + step * np.linspace(-1, 1, _FINE + 2)[1:-1]
     beside = beside[(beside > coarse[0]) & (beside < coarse[-1]) & (np.arange(_FINE) != _FINE // 2)]
     at, values = np.concatenate([coarse, beside]), np.concatenate([first, scored(beside)])
+    from scipy.interpolate import CubicSpline  # loaded for short records alone
+
     upwards, every = np.argsort(at), np.linspace(coarse[0], coarse[-1], _EVERY)
     return _Likelihoods(every, CubicSpline(at[upwards], values[upwards])(every))
 
