@@ -6,7 +6,7 @@
 #include "filter.h"
 #include "information.h"
 
-#define MUCH ((real)1e-2)    /* of a variance: where later rows leave less of it, P - P M P loses its digits */
+#define MUCH ((real)2e-3)    /* of a variance: where later rows leave less of it, P - P M P loses its digits */
 #define HARDLY ((real)1e-10) /* of a variance: and where they leave less than that, it has lost them */
 #define BLOWN_UP ((real)1e4) /* times what a row knows: then F^-1 of the next says nothing of it */
 
