@@ -42,8 +42,8 @@ class Bank(Floating):
         signal, sigma = _extrapolated(vector, opened) if rows else (0.0, 0.0)
         sigma *= max(sigma / design.noise_std, 1.0) if self.number.is_double else 1.0
         gathered = 2.0**-self.number.bits * (float(rows) * signal + _TIMES * sigma)
-        moved = written.start_error + _BOTH * _TIMES * self._moved(vector, opened)
-        return super().most_error(vector, design, written, opened) + moved + gathered
+        moved = written.start_error + _TIMES * self._moved(vector, opened)
+        return super().most_error(vector, design, written, opened) + _BOTH * (moved + gathered)
 
     def most_power(self, vector: Vector, design: Design, most_error: float) -> float:
         """Return what the power of the difference may be, in parts of that of the signal: a fourth of its greatest."""
