@@ -13,7 +13,7 @@ from becalm.export.vectors import Reference, Vector, expected
 from becalm.export.written import Written
 
 _SEED, _TRIES = 20261124, 4
-_ORDERS = 3.0  # becalm, C and -ffast-math add up in orders of their own: each is off by as much
+_BOTH = 2.0  # becalm and C add up in orders of their own: each is off by as much
 _TIMES = 16.0  # what a last digit of readings moves: covariances lose some too, and tell as much
 
 
@@ -43,7 +43,7 @@ class Bank(Floating):
         sigma *= max(sigma / design.noise_std, 1.0) if self.number.is_double else 1.0
         gathered = 2.0**-self.number.bits * (float(rows) * signal + _TIMES * sigma)
         moved = written.start_error + _TIMES * self._moved(vector, opened)
-        return super().most_error(vector, design, written, opened) + _ORDERS * (moved + gathered)
+        return _BOTH * (super().most_error(vector, design, written, opened) + moved + gathered)
 
     def most_power(self, vector: Vector, design: Design, most_error: float) -> float:
         """Return what the power of the difference may be, in parts of that of the signal: a fourth of its greatest."""
