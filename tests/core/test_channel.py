@@ -23,6 +23,8 @@ from becalm.core.limits import Limits
 from becalm.core.monitor import Alarms
 from becalm.core.outliers import find_outlier_rule
 from becalm.core.smoothed_flow import SmoothedFlow
+from becalm.core.smoothing import run_smoother
+from becalm.core.timeline import elapsed_timeline
 from becalm.core.told import Told
 from becalm.core.verdict import LOST, Verdict
 from becalm.errors import ModelError
@@ -190,6 +192,20 @@ def test_its_smoother_is_the_specification(kind: str) -> None:
     signal, sigma = smoothed(COMPONENTS[kind], z, elapsed)
     assert np.abs((signal - expected) / spread).max() < SMOOTHER
     assert np.abs(sigma / spread - 1).max() < SMOOTHER
+
+
+@pytest.mark.parametrize("gap", [1e-3, 1.0, 4.0])
+@pytest.mark.parametrize("order", range(1, 6))
+def test_first_rows_before_a_gap_are_smoothed_with_their_digits(order: int, gap: float) -> None:
+    """As many readings as there are states come before it, or one fewer: of a model, which never starts anew."""
+    part = COMPONENTS[f"order {order}"]
+    for early in {order, max(order - 1, 1)}:
+        z, elapsed = np.random.default_rng(order).normal(size=early + order + 3), np.ones(early + order + 3)
+        elapsed[early] = gap
+        expected, spread = exact_smoothed(part, z, elapsed)
+        found = run_smoother(part.to_model(1.0, R), elapsed_timeline(part, R, elapsed), z[:, np.newaxis])
+        assert np.abs((found.signal[:, 0] - expected) / spread).max() < OPENING
+        assert np.abs(found.sigma[:, 0] / spread - 1).max() < OPENING
 
 
 @KINDS

@@ -169,6 +169,19 @@ def test_a_stream_is_the_record_so_much_later(name: str) -> None:
     assert_same_bits(np.vstack([spread[lag:], last[1]]), sigma)
 
 
+@pytest.mark.parametrize("name", ["order 2", "prior"])
+def test_numbers_and_blocks_take_turns(name: str) -> None:
+    model = MODELS[name]
+    z, online = readings(model), Online(model, 7)
+    told = [np.array([online.step(float(row[0])) for row in z[:40]]).T]
+    told.append(np.array(online.run(z[40:90]))[:, :, 0])
+    told.append(np.array([online.step(float(row[0])) for row in z[90:120]]).T)
+    told.append(np.array(online.finish())[:, :, 0])
+    whole = Online(model, 7)
+    expected = np.hstack([np.array(whole.run(z[:120]))[:, :, 0], np.array(whole.finish())[:, :, 0]])
+    assert_same_bits(np.hstack(told), expected)
+
+
 @given(name=names, lag=lags, cut=st.integers(0, 12) | st.integers(0, ROWS))
 @settings(max_examples=60)
 def test_a_paused_stream_forgets_nothing(name: str, lag: int, cut: int) -> None:

@@ -242,8 +242,9 @@ def test_a_damaged_state_is_refused_or_does_no_harm(kind: str, rows: int, at: in
     except ModelError:
         return
     with np.errstate(all="ignore"):
-        damaged.run(z[rows:])
-        damaged.finish()
+        for signal, sigma in (damaged.run(z[rows:]), damaged.finish()):
+            assert signal.shape == sigma.shape
+            assert not (sigma < 0).any()
 
 
 @pytest.mark.parametrize("lag", [0, 2, 5])

@@ -100,17 +100,15 @@ class LateRows:
     def stepper(self) -> Callable[[float], tuple[float, float]]:
         """Return what takes a reading one step after the last, and returns signal and sigma of the first that waits.
 
-        Nothing is checked anew; so many rows have to wait as the lag has, and there is no gate.
+        Nothing is checked anew. As many rows have to wait as the lag has, without a gate; none may come another way.
         """
         now = self._waiting
         z, elapsed, verdicts = np.append(now.z, 0.0), np.append(now.elapsed, 1.0), np.append(now.verdicts, np.int8(0))
-        found, waiting = Estimates.room(len(z)), Rows(z[:-1], elapsed[:-1], verdicts[:-1])
+        found, self._waiting = Estimates.room(len(z)), Rows(z[:-1], elapsed[:-1], verdicts[:-1])
         arrays = found.outputs() | self._steps.before(elapsed) | {"z": z, "elapsed": elapsed}
-        call, self._waiting = self._smoother.caller(self.lag, **arrays), waiting
+        call = self._smoother.caller(self.lag, **arrays)
 
         def step(reading: float) -> tuple[float, float]:
-            if self._waiting is not waiting:  # rows came another way meanwhile
-                return self.stepper()(reading)
             z[-1] = reading if abs(reading) <= BEYOND_ANY_SENSOR else np.nan
             call()
             for array in (z, elapsed, verdicts):

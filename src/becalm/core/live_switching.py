@@ -37,6 +37,10 @@ class LiveSwitching:
         filter_rows(self._bank, self._state, z.flatten(), np.zeros(len(z), np.int32), trace)
         return trace.signal[:, np.newaxis], trace.sigma[:, np.newaxis]
 
+    def stepper(self) -> Callable[[float], tuple[float, float]]:
+        """Return what takes a number, and returns signal and sigma."""
+        return self.step
+
     def finish(self) -> tuple[Floats, Floats]:
         """Return signal and sigma, (rows, 1) each, of the readings that wait: none."""
         return np.empty((0, 1)), np.empty((0, 1))
