@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from decimal import Decimal, localcontext
+from decimal import localcontext
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pytest
@@ -31,6 +31,7 @@ from becalm.errors import ModelError
 from becalm.native import STATE
 from becalm.native.rows import COEFFICIENTS, MOST_STATES, SETTINGS
 from bits import assert_same_bits
+from hundred_digits import exact, exact_smoothed
 
 ALARMS = Alarms(drift_threshold=10.0, quiet_variance=0.5, loud_variance=2.0)
 COMPONENTS = {
@@ -80,82 +81,6 @@ def uneven(rows: int) -> Floats:
     return np.where(rng.random(rows) < 0.1, rng.choice([0.0, 0.5, 2.0, 7.0], rows), 1.0)
 
 
-class Exact(NamedTuple):
-    """One row in a hundred digits."""
-
-    F: Any  # of the step before it
-    x: Any
-    P: Any
-    K: Any  # 0 where no reading came
-    S: Decimal
-    nu: Decimal
-
-
-def exact_rows(component: Component, z: Floats, elapsed: Floats) -> list[Exact]:
-    """Return the rows of a record by the recursion in a hundred digits, from a prior that is as good as none."""
-    model, wide = component.to_model(1.0, R), Decimal(10) ** 40
-    x, P, H = decimals(np.zeros(model.states)), decimals(np.eye(model.states)) * wide, decimals(model.H[0])
-    if model.known is not None:
-        left = decimals(model.known)  # = sum of d l l': what the model knows is a reading of 0 of variance 1/d
-        for k in range(model.states):
-            if left[k, k] > 0:
-                weight, row = left[k, k], left[k] / left[k, k]
-                left = left - weight * np.outer(row, row)
-                x, P = learnt(x, P, row, Decimal(0), 1 / weight)
-    rows: list[Exact] = []
-    steps: dict[float, tuple[Any, Any]] = {}
-    for k, reading in enumerate(z):
-        F = decimals(np.eye(model.states))
-        if k:
-            if elapsed[k] not in steps:
-                (F,), (Q,) = component.over(elapsed[k : k + 1])
-                steps[elapsed[k]] = decimals(F), decimals(Q)
-            F, Q = steps[elapsed[k]]
-            x, P = F @ x, F @ P @ F.T + Q
-        K, S, nu = decimals(np.zeros(model.states)), Decimal(1), Decimal(0)
-        if np.isfinite(reading):
-            nu, S = Decimal(float(reading)) - H @ x, H @ P @ H + Decimal(R)
-            K = P @ H / S
-            x, P = learnt(x, P, H, Decimal(float(reading)), Decimal(R))
-        rows.append(Exact(F, x, P, K, S, nu))
-    return rows
-
-
-def exact(component: Component, z: Floats, elapsed: Floats) -> tuple[Floats, ...]:
-    """Return signal, sigma, innovations and their deviations, in a hundred digits."""
-    rows, C = exact_rows(component, z, elapsed), decimals(component.signal_output[0])
-    signal = np.array([float(C @ row.x) for row in rows])
-    sigma = np.array([float((C @ row.P @ C).sqrt()) for row in rows])
-    innovation = np.where(np.isfinite(z), [float(row.nu) for row in rows], np.nan)
-    return signal, sigma, innovation, np.where(np.isfinite(z), [float(row.S.sqrt()) for row in rows], np.nan)
-
-
-def exact_smoothed(component: Component, z: Floats, elapsed: Floats) -> tuple[Floats, Floats]:
-    """Return signal and sigma of a smoother, equations (9) to (12) of the specification, in a hundred digits."""
-    rows, C = exact_rows(component, z, elapsed), decimals(component.signal_output[0])
-    H, n = decimals(component.to_model(1.0, R).H[0]), len(C)
-    r, N = decimals(np.zeros(n)), decimals(np.zeros((n, n)))
-    signal, sigma = np.empty(len(z)), np.empty(len(z))
-    for k in range(len(z) - 1, -1, -1):
-        row = rows[k]
-        P = row.P - row.P @ N @ row.P
-        signal[k], sigma[k] = float(C @ (row.x + row.P @ r)), float((C @ P @ C).sqrt())
-        A = decimals(np.eye(n)) - np.outer(row.K, H)
-        seen = Decimal(int(np.isfinite(z[k])))
-        r = row.F.T @ (H * (seen * row.nu / row.S) + A.T @ r)
-        N = row.F.T @ (np.outer(H, H) * (seen / row.S) + A.T @ N @ A) @ row.F
-    return signal, sigma
-
-
-def learnt(x: Any, P: Any, h: Any, reading: Decimal, variance: Decimal) -> tuple[Any, Any]:
-    K = P @ h / (h @ P @ h + variance)
-    return x + K * (reading - h @ x), P - np.outer(K, h @ P)
-
-
-def decimals(values: Floats) -> Any:
-    return np.vectorize(Decimal, otypes=[object])(values)
-
-
 @pytest.fixture(autouse=True)
 def _digits() -> Iterator[None]:
     with localcontext() as context:
@@ -168,7 +93,7 @@ def test_it_is_the_specification(kind: str) -> None:
     """From the first rows, settled or not, across gaps and uneven steps."""
     z, elapsed = rough(900), np.ones(900)
     elapsed[600:] = uneven(300)
-    expected, spread, innovation, deviation = exact(COMPONENTS[kind], z, elapsed)
+    expected, spread, innovation, deviation = exact(COMPONENTS[kind], R, z, elapsed)
     one = channel(COMPONENTS[kind])
     signal, sigma, _, nu, S = one.process(z, elapsed)[:5]
     assert one.settled_row is None or one.settled_row < 300
@@ -188,7 +113,7 @@ def test_its_smoother_is_the_specification(kind: str) -> None:
     z, elapsed = rough(900), np.ones(900)
     z[:5] = np.nan
     elapsed[600:] = uneven(300)
-    expected, spread = exact_smoothed(COMPONENTS[kind], z, elapsed)
+    expected, spread = exact_smoothed(COMPONENTS[kind], R, z, elapsed)
     signal, sigma = smoothed(COMPONENTS[kind], z, elapsed)
     assert np.abs((signal - expected) / spread).max() < SMOOTHER
     assert np.abs(sigma / spread - 1).max() < SMOOTHER
@@ -202,7 +127,7 @@ def test_first_rows_before_a_gap_are_smoothed_with_their_digits(order: int, gap:
     for early in {order, max(order - 1, 1)}:
         z, elapsed = np.random.default_rng(order).normal(size=early + order + 3), np.ones(early + order + 3)
         elapsed[early] = gap
-        expected, spread = exact_smoothed(part, z, elapsed)
+        expected, spread = exact_smoothed(part, R, z, elapsed)
         found = run_smoother(part.to_model(1.0, R), elapsed_timeline(part, R, elapsed), z[:, np.newaxis])
         assert np.abs((found.signal[:, 0] - expected) / spread).max() < OPENING
         assert np.abs(found.sigma[:, 0] / spread - 1).max() < OPENING
@@ -213,7 +138,7 @@ def test_its_likelihood_is_the_specification(kind: str) -> None:
     """From any row on, of any scale: beyond what a product of so many variances could be."""
     z, elapsed = rough(900), np.ones(900)
     elapsed[600:] = uneven(300)
-    *_, innovation, deviation = exact(COMPONENTS[kind], z, elapsed)
+    *_, innovation, deviation = exact(COMPONENTS[kind], R, z, elapsed)
     for begin in (0, 20, 300, 899, 2000):
         foretold = np.isfinite(innovation) & (deviation < 1e6) & (np.arange(900) >= begin)
         found = ChannelRecord(COMPONENTS[kind], R, z, elapsed).score(begin)
@@ -236,7 +161,7 @@ def test_a_likelihood_has_any_unit(scale: float) -> None:
 def test_its_first_rows_are_exact_at_uneven_steps(kind: str, seed: int) -> None:
     z, elapsed = rough(24, seed), uneven(24 + seed)[:24] + 0.1
     z[:seed] = np.nan
-    expected, spread, *_ = exact(COMPONENTS[kind], z, elapsed)
+    expected, spread, *_ = exact(COMPONENTS[kind], R, z, elapsed)
     signal, sigma, _ = run(channel(COMPONENTS[kind]), z, elapsed)
     told = np.isfinite(sigma)
     assert told.sum() > 8
