@@ -61,7 +61,7 @@ class FetchError(Exception):
 
 NATIVE = Path("src/becalm/native")
 SOURCES = (
-    *("channel.c", "filter.c", "smoother.c", "fixed_lag.c", "likelihood.c"),
+    *("channel.c", "checkpoint.c", "filter.c", "smoother.c", "fixed_lag.c", "likelihood.c"),
     *("multivariate.c", "imm.c", "imm_smoother.c", "scans.c", "clock.c", "layout.c"),
 )
 KERNEL = "kernel.dll" if sys.platform == "win32" else "kernel.so"

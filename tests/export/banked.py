@@ -45,7 +45,7 @@ def bundle_of_bank(name: str, precision: str) -> Bundle:
 
 def expected(told: ChannelRecipe, one: Exported, readings: Floats) -> Told:
     """Return what becalm's own stream tells of readings (N,)."""
-    limits = (told.limits or LimitsRecipe()).model_copy(update={"largest": one.written.largest})
+    limits = (told.limits or LimitsRecipe()).model_copy(update={"largest": one.kind.number.greatest})
     recipe = recipe_of(told.model_copy(update={"limits": limits}), rate_hz=RATE_HZ)
     found = StreamCleaner(recipe, 1 / RATE_HZ).push(readings[:, np.newaxis], np.ones(len(readings)))
     return Told(np.nan_to_num(found.signal[:, 0], nan=0.0), found.verdicts[:, 0], found.modes)

@@ -1,4 +1,4 @@
-"""Filters that carry their covariance: channels that try them, and what becalm makes of their readings."""
+"""Filters that are the library's own channel: recipes that try them, and what becalm makes of their readings."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.recipe_parts import ColouredNoiseRecipe, GateRecipe
 from becalm.core.arrays import Codes, Floats
 from becalm.core.autoregressive import from_partial_autocorrelations
-from becalm.export.full.reference import FullReference
 from becalm.export.number_type import DOUBLE, FLOAT
+from becalm.export.vectors import Reference
 from driven import Driven
 from exported import HUM, LIMITS, TONE, channel
 
@@ -45,15 +45,14 @@ NUMBERS = {"float64": DOUBLE, "float32": FLOAT}
 USUAL = ("level", "slope", "gated bend", "gated snap", "gated never", "gated hum", "gated coloured", "gated railed")
 
 
-def reference_of(told: ChannelRecipe, held: Driven) -> FullReference:
+def reference_of(told: ChannelRecipe, held: Driven) -> Reference:
     """Return what a filter is held against, at the start."""
-    return FullReference(told, held.one.design, held.one.written.largest)
+    return held.one.kind.reference(told, held.one.design, held.one.written)
 
 
 def expected(told: ChannelRecipe, held: Driven, readings: Floats) -> tuple[Floats, Codes]:
-    """Return what becalm makes of readings (N,) that C is given, in its own digits."""
-    signal, _, codes = reference_of(told, held).both(held.rounded(readings))
-    return signal, codes
+    """Return what becalm makes of readings (N,) that C is given."""
+    return reference_of(told, held).run(held.rounded(readings))
 
 
 def rough(told: ChannelRecipe, rows: int = 3000, seed: int = 1) -> Floats:

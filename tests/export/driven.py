@@ -19,6 +19,7 @@ from becalm.export.bundle import Bundle, Exported
 from becalm.export.kind import Raw
 from becalm.export.proof.compiling import STRICT
 from becalm.export.proof.verifying import unpacked
+from becalm.export.written import FOLDER
 from exported import need
 
 UNDEFINED = ("-O1", "-fsanitize=undefined", "-fno-sanitize-recover=all")
@@ -80,9 +81,9 @@ class Driven:
         return self._state.raw
 
     @property
-    def variance(self) -> float:
-        """Of its signal, where it carries a covariance."""
-        return float(self._function("variance", self._real, ctypes.c_void_p)(self._state))
+    def sigma(self) -> float:
+        """Of its signal, where it is the library's channel."""
+        return float(self._function("sigma", self._real, ctypes.c_void_p)(self._state))
 
     def block(self, raw: ArrayLike) -> tuple[Raw, Codes]:
         """Take numbers (N,) as C is given them; return what it tells, and the statuses."""
@@ -127,20 +128,22 @@ def library(made: Bundle, folder: Path, *flags: str, more: str = "", compiler: s
     ]
     (place / "driven.c").write_text(f'#include "{made.stem}.c"\n{"".join(sizes)}{more}', encoding="utf-8")
     loaded = [flag for flag in flags if flag != "-ffast-math"]  # linked with it, all of this process would round so
-    words = [[*STRICT, *flags, "-fPIC", "-c", "driven.c", "-o", "driven.o"], [*loaded, "-shared", "driven.o"]]
-    words[1] += ["-o", "driven.so"]
+    texts = ["driven.c", *(f"{FOLDER}/{path.name}" for path in sorted(place.glob(f"{FOLDER}/*.c")))]
+    objects = [text.replace("/", "-").replace(".c", ".o") for text in texts]
+    words = [[*STRICT, *flags, "-fPIC", "-c", text, "-o", one] for text, one in zip(texts, objects, strict=True)]
+    words += [[*loaded, "-shared", *objects, "-o", "driven.so", "-lm"]]
     for each in words:
         subprocess.run([compiler, *each], cwd=place, check=True)
     return ctypes.CDLL(str(place / "driven.so"))
 
 
-def driven(made: Bundle, folder: Path, *flags: str, more: str = "") -> dict[str, Driven]:
+def driven(made: Bundle, folder: Path, *flags: str, more: str = "", compiler: str = "cc") -> dict[str, Driven]:
     """Compile a bundle, at -O2 unless said otherwise; return its filters by the names of their channels."""
-    c = library(made, folder, *(flags or ("-O2",)), more=more)
+    c = library(made, folder, *(flags or ("-O2",)), more=more, compiler=compiler)
     return {one.name: Driven(c, one) for one in made.channels}
 
 
-def driven_one(made: Bundle, folder: Path, *flags: str, more: str = "") -> Driven:
+def driven_one(made: Bundle, folder: Path, *flags: str, more: str = "", compiler: str = "cc") -> Driven:
     """Compile a bundle of one filter; return that."""
-    (one,) = driven(made, folder, *flags, more=more).values()
+    (one,) = driven(made, folder, *flags, more=more, compiler=compiler).values()
     return one

@@ -1,4 +1,4 @@
-"""A switching bank in C: the numbers of becalm's own stream, in double to its last digits, in float to 120 dB."""
+"""Modes that switch in C: the bits and the decisions of becalm's own stream."""
 
 from __future__ import annotations
 
@@ -10,17 +10,16 @@ import numpy as np
 import pytest
 
 from banked import KINDS, NAMES, RATE_HZ, bundle_of_bank, expected, nervous, one_noise, record, spoilt, told_of
+from becalm.cleaning.filters import Filter
 from becalm.cleaning.tuning import tune
 from becalm.core.arrays import Floats
 from becalm.core.recording import Recording
 from becalm.core.verdict import Verdict
 from becalm.errors import RecipeError
-from becalm.export.bank.text import reach_of_bank
 from becalm.export.bundle import Bundle
-from becalm.export.number_type import DOUBLE, FLOAT, NumberType
 from becalm.export.proof.compiling import OPTIMISED, SANITIZED, run
-from driven import UNDEFINED, Driven, driven_one
-from exported import EVERY_BUILD, built, bundle, through
+from driven import UNDEFINED, Driven, Told, driven_one
+from exported import built, bundle, through
 
 PRECISIONS = ("float64", "float32")
 Banks = Callable[[str, str], Driven]
@@ -43,35 +42,25 @@ def banks(tmp_path_factory: pytest.TempPathFactory) -> Banks:
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("order", [1, 3])
 @pytest.mark.parametrize("made_of", [record, spoilt])
-def test_double_tells_the_numbers_of_becalm(
-    banks: Banks, kind: str, order: int, made_of: Callable[[int, int], Floats]
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_it_tells_the_numbers_of_becalm(
+    banks: Banks, kind: str, order: int, made_of: Callable[[int, int], Floats], precision: str
 ) -> None:
     name = f"{kind} {order}"
-    held, z = banks(name, "float64"), made_of(3000, 5 if made_of is record else 7)
+    held = banks(name, precision)
+    z = held.rounded(made_of(3000, 5 if made_of is record else 7))
     told, want = held.steps(z), expected(told_of(name), held.one, z)
-    largest = np.abs(want.signal).max()
-    assert np.abs(told.signal - want.signal).max() <= 1e-12 * largest
-    np.testing.assert_array_equal(told.codes, want.codes)
-    np.testing.assert_allclose(told.modes, want.modes, rtol=0, atol=1e-9)
+    check_same(precision, told, want)
     if kind == "spiky" and made_of is spoilt:
         assert (told.codes == Verdict.SPIKE).sum() > 5
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("order", [1, 3])
-@pytest.mark.parametrize("level", [0.0, 1e5])
-def test_float_keeps_120_decibels(banks: Banks, kind: str, order: int, level: float) -> None:
-    name = f"{kind} {order}"
-    held = banks(name, "float32")
-    z = held.rounded(spoilt(3000, 7) + level)
-    told, want = held.steps(z), expected(told_of(name), held.one, z)
-    signal, off = want.signal - level * (want.signal != 0), told.signal - want.signal
+def check_same(precision: str, told: Told, want: Told) -> None:
+    """Check that these are the same bits, but for what a float is rounded to."""
+    number = np.float64 if precision == "float64" else np.float32
+    np.testing.assert_array_equal(told.signal, want.signal.astype(number))
     np.testing.assert_array_equal(told.codes, want.codes)
-    assert np.sum(off**2) <= 1e-12 * np.sum(want.signal**2)
-    if level:  # and its own last digit is all that is lost beside a large level
-        assert np.sqrt(np.mean(off**2)) < np.spacing(np.float32(level))
-        assert np.abs(signal).max() < 1e3
-    np.testing.assert_allclose(told.modes, want.modes, rtol=0, atol=1e-2)
+    np.testing.assert_array_equal(told.modes, want.modes.astype(number))
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
@@ -80,7 +69,7 @@ def test_limits_are_kept(banks: Banks, precision: str) -> None:
     z[100:110], z[200], z[300] = z[100], 300.0, -1e4
     z = held.rounded(z)
     told, want = held.steps(z), expected(told_of("limited"), held.one, z)
-    np.testing.assert_array_equal(told.codes, want.codes)
+    check_same(precision, told, want)
     assert {Verdict.STUCK, Verdict.CLIPPED, Verdict.SPIKE} <= set(told.codes.tolist())
 
 
@@ -94,7 +83,7 @@ def test_the_state_is_as_large_as_said(banks: Banks, name: str, precision: str) 
 @pytest.mark.parametrize("precision", PRECISIONS)
 def test_a_gap_is_as_many_missing_readings(banks: Banks, precision: str) -> None:
     held, z = banks("spiky 3", precision), one_noise(400)
-    for rows in (1, 7, 500):
+    for rows in (1, 7, 500, 1000):
         held.init()
         held.run(z[:200])
         held.gap(rows)
@@ -105,20 +94,33 @@ def test_a_gap_is_as_many_missing_readings(banks: Banks, precision: str) -> None
         np.testing.assert_array_equal(at_once[1], each[1][200 + rows :])
 
 
+def test_a_long_gap_leaves_modes_as_probable_as_in_the_long_run(banks: Banks) -> None:
+    held, z = banks("noisy 3", "float64"), one_noise(400)
+    held.run(z)
+    held.gap(40_000)
+    at_once = held.steps(np.full(1, np.nan))
+    held.init()
+    held.run(z)
+    for _ in range(40):
+        held.gap(1000)
+    each = held.steps(np.full(1, np.nan))
+    np.testing.assert_allclose(at_once.modes, each.modes, atol=1e-9)
+    np.testing.assert_allclose(at_once.signal, each.signal, rtol=1e-6)
+
+
 @pytest.mark.parametrize("read", [1, 2, 3, 5, 200])
 def test_it_begins_anew_where_becalm_does(banks: Banks, read: int) -> None:
     """After a gap beyond reach: of the slowest growth, and of what a few first readings told."""
     held, z = banks("nervous", "float64"), one_noise(read + 6)
     assert held.one.design.modes is not None
-    reach = reach_of_bank(held.one.design.modes)
+    reach = Filter(told_of("nervous"), 1 / RATE_HZ, 0).reach
     for missed in (int(reach.longest) - 1, int(reach.longest), int(reach.spans) * (read - 1) + 300):
         rows = np.concatenate([z[:read], np.full(missed, np.nan), z[read:]])
         held.init()
         told, want = held.steps(rows), expected(told_of("nervous"), held.one, rows)
         anew = missed + 1 > min(reach.longest, reach.spans * (read - 1) if read >= reach.readings else np.inf)
         assert (want.signal[-6] == z[-6]) == anew
-        # anew: of three states the order of sums is worth 2e-11 in the first rows, on either side of the exact numbers
-        np.testing.assert_allclose(told.signal[-6:], want.signal[-6:], rtol=0, atol=1e-10 if anew else 1e-8)
+        check_same("float64", told, want)
         if anew:
             held.init()
             np.testing.assert_array_equal(told.modes[-6:], held.steps(z[-6:]).modes)
@@ -138,30 +140,7 @@ def test_reset_begins_as_with_a_reading(banks: Banks) -> None:
     np.testing.assert_array_equal(anew.signal, held.steps(z).signal)
 
 
-@pytest.mark.parametrize("number", [DOUBLE, FLOAT], ids=PRECISIONS)
-@pytest.mark.parametrize("flags", OPTIMISED, ids="".join)
-def test_exp_and_root_are_right_to_two_last_digits(number: NumberType, flags: tuple[str, ...], tmp_path: Path) -> None:
-    made, real = bundle_of_bank("noisy 1", number.precision), number.name
-    prefix = made.channels[0].prefix
-    shown = "".join(
-        f"{real} {prefix}_shown_{name}({real} y);\n"
-        f"{real} {prefix}_shown_{name}({real} y) {{ return {prefix}_{name}(y); }}\n"
-        for name in ("decay", "per_root")
-    )
-    held = driven_one(made, tmp_path, *flags, more=shown)
-    decay, per_root = (held.called(f"shown_{name}") for name in ("decay", "per_root"))
-    rng, cut = np.random.default_rng(1), 708.0 if number.is_double else 87.0
-    y = np.concatenate([rng.uniform(0, cut, 4000), rng.uniform(0, 1, 1000), 10.0 ** rng.uniform(-30, 1, 1000)])
-    y = y.astype(number.dtype).astype(np.float64)
-    got = np.array([[decay(value), per_root(value)] for value in y.tolist()])
-    exact = y.astype(np.longdouble)
-    digit = 2.0 ** (1 - number.bits)
-    assert np.max(np.abs(got[:, 0] / np.exp(-exact) - 1)) <= 2 * digit
-    assert np.max(np.abs(got[:, 1] * np.sqrt(exact) - 1)) <= 2 * digit
-    assert [decay(end) for end in (0.0, cut, 1e30)] == [1.0, 0.0, 0.0]
-
-
-@pytest.mark.parametrize("noise_std", [1e-25, 1e20])
+@pytest.mark.parametrize("noise_std", [1e-35, 1e20])
 def test_float_refuses_what_it_cannot_hold(noise_std: float) -> None:
     with pytest.raises(RecipeError, match="float64"):
         bundle(nervous(1, noise_std), rate_hz=RATE_HZ)
@@ -170,7 +149,8 @@ def test_float_refuses_what_it_cannot_hold(noise_std: float) -> None:
 
 
 @pytest.mark.slow
-@EVERY_BUILD
+@pytest.mark.parametrize("compiler", ["gcc", "clang"])
+@pytest.mark.parametrize("flags", [*OPTIMISED[:3], SANITIZED], ids="".join)
 @pytest.mark.parametrize("precision", PRECISIONS)
 def test_golden_vectors_pass_with_every_compiler(
     precision: str, compiler: str, flags: tuple[str, ...], tmp_path: Path
@@ -210,10 +190,7 @@ def test_a_tuned_recipe_is_followed(precision: str, tmp_path: Path) -> None:
     truth = np.repeat(4 * np.random.default_rng(1).normal(size=10), 600)
     z = truth + np.random.default_rng(2).normal(size=6000)
     (tuned,) = tune(Recording(z, names=["a"], units=["V"], rate_hz=RATE_HZ), causal=True).channel
-    channel = tuned.model_copy(update={"tuning_spread": 0.0})
-    held = driven_one(bundle(channel, rate_hz=RATE_HZ, precision=precision), tmp_path)
+    held = driven_one(bundle(tuned, rate_hz=RATE_HZ, precision=precision), tmp_path)
     z = held.rounded(z)
-    told, want = held.steps(z), expected(channel, held.one, z)
-    off = told.signal - want.signal
-    assert np.sum(off**2) <= (1e-24 if precision == "float64" else 1e-12) * np.sum(want.signal**2)
-    np.testing.assert_array_equal(told.codes, want.codes)
+    told, want = held.steps(z), expected(tuned, held.one, z)
+    check_same(precision, told, want)

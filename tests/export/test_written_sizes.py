@@ -22,14 +22,14 @@ FLOATING: dict[str, tuple[str, ChannelRecipe, dict[str, Any]]] = {
     "settled, with limits, exact": ("Settled", channel("ax", 2, 0.05, limits=LIMITS), {}),
     "thinned": ("Settled", channel("ax", 2, 2e-3), {"gain": "settled"}),
     "thinned, with limits": ("Settled", channel("ax", 2, 2e-3, limits=LIMITS), {"gain": "settled"}),
-    "full": ("Full", channel("ax", 2, 0.05), {"gain": "full"}),
-    "full, with limits": ("Full", channel("ax", 3, 0.05, limits=LIMITS), {"gain": "full"}),
-    "full, with a disturbance": ("Full", channel("ax", 1, 0.05, tone=(HUM,)), {"gain": "full"}),
-    "gate": ("Full", GATED, {}),
-    "gate and limits": ("Full", GATED.model_copy(update={"limits": LIMITS}), {}),
-    "never settled": ("Full", channel("ax", 2, 0.0), {}),
-    "bank": ("Bank", channel("ax", 2, 0.05, switching=MODES), {}),
-    "bank, with limits": ("Bank", channel("ax", 2, 0.05, switching=MODES, limits=LIMITS), {}),
+    "full": ("Whole", channel("ax", 2, 0.05), {"gain": "full"}),
+    "full, with limits": ("Whole", channel("ax", 3, 0.05, limits=LIMITS), {"gain": "full"}),
+    "full, with a disturbance": ("Whole", channel("ax", 1, 0.05, tone=(HUM,)), {"gain": "full"}),
+    "gate": ("Whole", GATED, {}),
+    "gate and limits": ("Whole", GATED.model_copy(update={"limits": LIMITS}), {}),
+    "never settled": ("Whole", channel("ax", 2, 0.0), {}),
+    "bank": ("Whole", channel("ax", 2, 0.05, switching=MODES), {}),
+    "bank, with limits": ("Whole", channel("ax", 2, 0.05, switching=MODES, limits=LIMITS), {}),
 }
 COUNTED = {
     name: FLOATING[name][1]

@@ -19,7 +19,7 @@ from becalm.cli.talk import stderr
 from becalm.core.arrays import Floats
 from becalm.errors import UsageError
 from becalm.export.bundle import Asked, Bundle, bundle_of
-from becalm.export.facts import which_row
+from becalm.export.facts import cost_words
 from becalm.export.kind import Span
 from becalm.files.plain import make_folder, refuse_unwritable, write_folder, write_text
 from becalm.files.waiting import in_waiting
@@ -208,7 +208,7 @@ def _summary(bundle: Bundle) -> dict[str, Any]:
                 "functions": f"{one.prefix}_*",
                 "state_bytes": one.written.state_bytes,
                 "table_bytes": one.written.table_bytes,
-                "cost": f"{one.written.cost}, {which_row(one.design)}",
+                "cost": cost_words(one.design, one.written),
                 "word": None if one.written.word is None else one.written.word._asdict(),
             }
             for one in bundle.channels
@@ -223,7 +223,7 @@ def _say(bundle: Bundle, told: dict[str, Any]) -> None:
         word, unit = one.written.word, one.design.unit_after
         stderr.print(
             f"{one.name}: {one.prefix}_*, state {one.written.state_bytes} bytes, tables"
-            f" {one.written.table_bytes} bytes, {one.written.cost} {which_row(one.design)}."
+            f" {one.written.table_bytes} bytes, {cost_words(one.design, one.written)}."
         )
         if word is not None:
             stderr.print(

@@ -14,7 +14,7 @@ from becalm.core.limits import Limits
 from becalm.core.model import Model
 from becalm.core.monitor import NEVER, NO_ALARMS, Alarms
 from becalm.core.possible import largest_beside
-from becalm.core.reach import reach_of
+from becalm.core.reach import Reach, reach_of
 from becalm.core.starting import known_before, refuse_singular, root_of
 from becalm.core.steps import Steps
 from becalm.core.timeline import model_system
@@ -71,6 +71,11 @@ class StepTable:
         self._steps, self._in_steps = Steps(component), component.goes_in_steps and nearest
         self._lengths, self._matrices = np.ones(1), self._steps.over(np.ones(1))
 
+    @property
+    def matrices(self) -> tuple[Floats, Floats]:
+        """F and Q (u, n, n) of the steps that were asked for last; at first of one step."""
+        return self._matrices
+
     def before(self, elapsed: Floats) -> dict[str, NDArray[np.int32] | Floats]:
         """Return which step each of some rows follows, and the matrices of these steps; those of the last are kept."""
         lengths, step = elapsed[:1], np.zeros(len(elapsed), np.int32)
@@ -84,10 +89,10 @@ class StepTable:
         return {"step": step, "F": F, "Q": Q}
 
 
-def packed_settings(settings: Settings) -> NDArray[np.void]:
-    """Return the settings of a channel as C's struct."""
+def packed_settings(settings: Settings, reach: Reach | None = None) -> NDArray[np.void]:
+    """Return the settings of a channel as C's struct; `reach` is by default that of its component."""
     packed, component, widening = settings.limits.packed(), settings.component, settings.widening
-    reach = reach_of(component, settings.noise_variance)
+    reach = reach or reach_of(component, settings.noise_variance)
     timed, calibrated = widening.time_std_s is not None, widening.calibration is not None
     _fill_in_gate(packed, settings.gate, component.to_model(1.0, settings.noise_variance))
     values = {

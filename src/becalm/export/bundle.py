@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -13,8 +14,10 @@ from becalm.cleaning.recipe import ChannelRecipe, Recipe
 from becalm.core.arrays import Floats
 from becalm.core.itself import version
 from becalm.errors import RecipeError, UsageError
+from becalm.export.channel.kind import Sizes, Whole
+from becalm.export.channel.shipped import shipped
 from becalm.export.design import Design, design_of
-from becalm.export.facts import facts_of, reset_words, which_row
+from becalm.export.facts import cost_words, facts_of, reset_words
 from becalm.export.kind import Kind, Opened, Raw, Span
 from becalm.export.kinds import kind_of
 from becalm.export.layouts import layouts
@@ -86,6 +89,11 @@ class Bundle(NamedTuple):
     channels: list[Exported]
     notes: list[str]
 
+    @property
+    def needs_nan(self) -> bool:
+        """Whether it does not compile with -ffast-math, which forgets what NaN is."""
+        return any(isinstance(one.kind, Whole) for one in self.channels)
+
 
 def bundle_of(recipe: Recipe, name: str, asked: Asked) -> Bundle:
     """Write a recipe's filters as C.
@@ -108,10 +116,14 @@ def bundle_of(recipe: Recipe, name: str, asked: Asked) -> Bundle:
     """
     stem, (found, notes) = identifier(name, "filters"), chosen(recipe, asked.channels)
     prefixes = identifiers((f"{stem}_{channel.name}" for channel, _ in found), stem)
+    kinds = [kind_of(channel, design, asked.precision, asked.gain) for channel, design in found]
+    sizes = Sizes.of(design for (_, design), kind in zip(found, kinds, strict=True) if isinstance(kind, Whole))
     channels = [
-        _exported(channel, design, prefix, asked) for (channel, design), prefix in zip(found, prefixes, strict=True)
+        _exported(channel, design, prefix, replace(kind, sizes=sizes) if isinstance(kind, Whole) else kind, asked)
+        for (channel, design), prefix, kind in zip(found, prefixes, kinds, strict=True)
     ]
-    return Bundle(stem, _files(recipe, name, stem, asked, channels, notes), channels, notes)
+    texts = _files(recipe, name, stem, asked, channels, notes, shipped(sizes))
+    return Bundle(stem, texts, channels, notes)
 
 
 def chosen(recipe: Recipe, channels: Sequence[str] | None) -> tuple[list[tuple[ChannelRecipe, Design]], list[str]]:
@@ -146,8 +158,7 @@ def chosen(recipe: Recipe, channels: Sequence[str] | None) -> tuple[list[tuple[C
     return found, notes
 
 
-def _exported(channel: ChannelRecipe, design: Design, prefix: str, asked: Asked) -> Exported:
-    kind = kind_of(design, asked.precision, asked.gain)
+def _exported(channel: ChannelRecipe, design: Design, prefix: str, kind: Kind, asked: Asked) -> Exported:
     low, high = design.limits.rails
     span = asked.spans.get(channel.name, (low, high) if np.isfinite(high - low) else None)
     if span is not None and kind.number is FLOAT:
@@ -164,9 +175,17 @@ def _exported(channel: ChannelRecipe, design: Design, prefix: str, asked: Asked)
 
 
 def _files(  # noqa: PLR0913
-    recipe: Recipe, name: str, stem: str, asked: Asked, channels: Sequence[Exported], notes: Sequence[str]
+    recipe: Recipe,
+    name: str,
+    stem: str,
+    asked: Asked,
+    channels: Sequence[Exported],
+    notes: Sequence[str],
+    native: Mapping[str, str],
 ) -> dict[str, str]:
     context = _context(recipe, name, stem, asked, channels, notes)
+    context["native"] = [path for path in native if path.endswith(".c")]
+    context["native_headers"] = [path for path in native if path.endswith(".h")]
     vectors = render("vectors.h.jinja", context)
     context["vectors_hash"] = hashlib.sha256(vectors.encode()).hexdigest()
     made = {
@@ -178,7 +197,7 @@ def _files(  # noqa: PLR0913
         "README.md": "README.md.jinja",
     }
     texts = {f"{stem}_vectors.h": vectors} | {path: render(template, context) for path, template in made.items()}
-    return texts | layouts(context)
+    return texts | layouts(context, native) | dict(native)
 
 
 def _context(  # noqa: PLR0913
@@ -215,8 +234,11 @@ def _channel(one: Exported, recipe: Recipe) -> dict[str, Any]:
         "source": one.written.source,
         "state_bytes": one.written.state_bytes,
         "table_bytes": one.written.table_bytes,
-        "cost": one.written.cost,
-        "which_row": which_row(one.design),
+        "cost": cost_words(one.design, one.written),
+        "whole": isinstance(one.kind, Whole),
+        "settles": one.design.settles,
+        "forgets": not isinstance(one.kind, Whole) or one.design.is_reached,
+        "switches": one.design.modes is not None,
         "bits": one.kind.bits,
         "told": one.kind.told,
         "thrown": bits_of(one.thrown),

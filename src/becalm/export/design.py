@@ -149,6 +149,11 @@ class Design:
         """Whether its gain is what it will be after rows that can be counted."""
         return self.steady is not None and self.settled_rows < _COUNTABLE
 
+    @property
+    def is_reached(self) -> bool:
+        """Whether some gap is so long that it begins anew."""
+        return self.longest_gap < _COUNTABLE
+
     @cached_property
     def coasts(self) -> int:
         """Rows without a reading after which what is predicted is worth less than one reading; 1 at the least.

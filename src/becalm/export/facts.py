@@ -21,8 +21,7 @@ def facts_of(recipe: ChannelRecipe, design: Design, written: Written) -> list[st
         f"readings: those beyond +-{written.largest:.6g}{design.unit_after} are none",
         f"calibration: {_calibration(recipe)}",
         *_word(design, written),
-        f"cost: {written.cost}, {which_row(design)}; state {written.state_bytes} bytes, tables"
-        f" {written.table_bytes} bytes",
+        f"cost: {cost_words(design, written)}; state {written.state_bytes} bytes, tables {written.table_bytes} bytes",
         *_numbers(design),
     ]
 
@@ -49,11 +48,11 @@ def _filter(design: Design) -> list[str]:
     ]
 
 
-def which_row(design: Design) -> str:
-    """Say of which row a cost is told."""
-    if design.modes is not None:
-        return "a row of all modes"
-    return "a settled row" if design.settles else "a row that carries the covariance"
+def cost_words(design: Design, written: Written) -> str:
+    """Say what a row costs."""
+    if written.cost is None:
+        return "that of the library's channel; make cortex-m-count counts a settled row"
+    return f"{written.cost}, {'a settled row' if design.modes is None else 'a row of all modes'}"
 
 
 def _calibration(recipe: ChannelRecipe) -> str:
@@ -66,7 +65,7 @@ def _calibration(recipe: ChannelRecipe) -> str:
 def _word(design: Design, written: Written) -> list[str]:
     word, unit = written.word, design.unit_after
     if word is None:
-        return ["word: its covariance is in double, whatever readings are"] if design.modes is None else []
+        return ["word: it computes in double, whatever readings are"] if design.modes is None else []
     level = "stays at the first reading" if word.quantum is None else f"moves by {word.quantum:.6g}{unit}"
     return [
         f"word: stalls {word.stall:.3g}{unit} off at the most, rounding adds {word.noise:.3g}{unit}:"

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from typing import get_args
 
+from becalm.cleaning.recipe import ChannelRecipe
+from becalm.core.outliers import NO_OUTLIERS
 from becalm.errors import RecipeError, UsageError
-from becalm.export.bank.kind import Bank
+from becalm.export.channel.kind import Whole
 from becalm.export.design import Design
 from becalm.export.fixed.kind import Fixed
-from becalm.export.full.kind import Full
 from becalm.export.kind import Kind
 from becalm.export.number_type import DOUBLE, FLOAT, NumberType, Precision
 from becalm.export.settled.kind import Settled
@@ -21,19 +22,21 @@ _STARTED = 1e-3  # of a reading's noise: what rounding may leave of first signal
 _HIGHEST_IN_FLOAT = 3  # order of a motion: above, rounded derivatives leave less than 120 dB of a signal that moves
 
 
-def kind_of(design: Design, precision: Precision, gain: str) -> Kind:
+def kind_of(recipe: ChannelRecipe, design: Design, precision: Precision, gain: str) -> Kind:
     """Choose how a channel is written.
 
     Parameters
     ----------
+    recipe : ChannelRecipe
+        What was decided for it.
     design : Design
         Its filter.
     precision : {"float32", "float64", "q31"}
         What it computes in.
     gain : {"auto", "settled", "full"}
-        Whether a covariance is carried; "auto" carries one where the recipe needs it, in float64 where a table of
-        gains that is exact from the first reading on would be too long, and in float32 from order 4 on, and where the
-        first readings hardly tell its state.
+        Whether a covariance is carried, as the library's own channel does; "auto" carries one where the recipe needs
+        it, or says what is no reading; in float64 where a table of gains that is exact from the first reading on would
+        be too long, and in float32 from order 4 on, and where the first readings hardly tell its state.
 
     Raises
     ------
@@ -57,10 +60,8 @@ def kind_of(design: Design, precision: Precision, gain: str) -> Kind:
             raise UsageError("Fixed point carries no covariance; leave --gain full out, or use --precision float32.")
         return Fixed()
     number = DOUBLE if precision == "float64" else FLOAT
-    if design.modes is not None:
-        return Bank(number)
-    if needs or gain == "full" or (gain == "auto" and _is_better_full(design, number)):
-        return Full(number)
+    if needs or gain == "full" or (gain == "auto" and _is_better_whole(design, number)):
+        return Whole.alone(number, recipe, design)
     if not number.is_double and _is_lost_at_first(design, number):
         raise RecipeError(
             f"{design.name}: its first readings hardly tell its state, and float would lose the digits; leave --gain"
@@ -69,11 +70,13 @@ def kind_of(design: Design, precision: Precision, gain: str) -> Kind:
     return Settled(number)
 
 
-def _is_better_full(design: Design, number: NumberType) -> bool:
-    """Whether a covariance serves where none is needed: its table would be thinned in double, its states lost in float.
+def _is_better_whole(design: Design, number: NumberType) -> bool:
+    """Whether the library's channel serves where no covariance is needed.
 
-    A full filter of an order above 3 has its states in double; see `full.text`.
+    It looks for gross outliers; a table would be thinned in double, and states lost in float.
     """
+    if design.limits.outliers != NO_OUTLIERS:
+        return True
     if number.is_double:
         return not schedule_in(design, number).exact
     return design.motion_order > _HIGHEST_IN_FLOAT or _is_lost_at_first(design, number)

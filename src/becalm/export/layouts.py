@@ -15,13 +15,15 @@ _ALIKE = {
 }
 
 
-def layouts(context: Mapping[str, Any]) -> dict[str, str]:
+def layouts(context: Mapping[str, Any], native: Mapping[str, str]) -> dict[str, str]:
     """Return the texts of all layouts by their paths within a bundle.
 
     Parameters
     ----------
     context : mapping
         What the bundle's own templates are filled in with, `vectors_hash` among it.
+    native : mapping of str to str
+        Files of the library's channel, where a filter is one.
     """
     library = library_name(context["stem"])
     within = {**context, "library": library, "library_version": _library_version(context["version"])}
@@ -34,7 +36,9 @@ def layouts(context: Mapping[str, Any]) -> dict[str, str]:
         f"{root}/src/{stem}.c": "source.c.jinja",
         f"{root}/examples/{library}Live/{library}Live.ino": "arduino/live.ino.jinja",
     }
-    return {path: render(template, within) for path, template in (_ALIKE | arduino).items()}
+    return {path: render(template, within) for path, template in (_ALIKE | arduino).items()} | {
+        f"{root}/src/{path}": text for path, text in native.items()
+    }
 
 
 def library_name(stem: str) -> str:

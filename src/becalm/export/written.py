@@ -16,6 +16,9 @@ from becalm.export.word_length import WordLength
 
 _SPELT = (("/", " per "), ("%", " percent "), ("°", " deg "), ("^", ""), ("²", "2"), ("³", "3"), ("√", " sqrt "))
 
+FOLDER = "native"
+"""Where files of the library lie in a bundle."""
+
 
 class Written(NamedTuple):
     """One channel in C.
@@ -24,12 +27,12 @@ class Written(NamedTuple):
     ----------
     header, source : str
         The type of its state, and its functions.
-    cost : Cost
-        Of a settled row; of a whole one where none settles, or all modes run.
+    cost : Cost or None
+        Of a settled row, or of one of all modes; None of the library's channel, whose rows differ.
     state_bytes, table_bytes : int
         Of its state in memory, and of its gains in program memory.
     word : WordLength or None
-        What its word length costs; None of a bank, and of a filter that carries its covariance and its state in double.
+        What its word length costs; None of a bank, and of the library's channel, which is in double.
     largest : float
         Magnitude beyond which a value is no reading, in unit.
     exact : bool
@@ -44,7 +47,7 @@ class Written(NamedTuple):
 
     header: str
     source: str
-    cost: Cost
+    cost: Cost | None
     state_bytes: int
     table_bytes: int
     word: WordLength | None

@@ -1,6 +1,6 @@
 """The filter in C99, compiled when becalm is built, and the door to it.
 
-`becalm.h` describes the structs; here they are NumPy's. Buffers go in and out; nothing is kept.
+`kernel.h` describes the structs; here they are NumPy's. Buffers go in and out; nothing is kept.
 """
 
 from __future__ import annotations
@@ -117,9 +117,14 @@ def caller(
     return partial(kernel.channel_call, place)
 
 
+def packed_size(states: int) -> int:
+    """Return the bytes of a channel's state, without the room that its arrays do not need."""
+    return int(kernel.channel_packed_size(states))
+
+
 def saved(settings: NDArray[np.void], state: NDArray[np.void]) -> NDArray[np.int8]:
     """Return the bytes of a channel's state, as few as it needs."""
-    kept = np.empty(kernel.channel_packed_size(int(settings["states"])), np.int8)
+    kept = np.empty(packed_size(int(settings["states"])), np.int8)
     kernel.channel_pack(state.ctypes.data, kept.ctypes.data)
     return kept
 
@@ -133,7 +138,7 @@ def loaded(settings: NDArray[np.void], kept: NDArray[np.int8]) -> NDArray[np.voi
         If these are not the bytes of such a channel.
     """
     states = int(settings["states"])
-    if kept.dtype != np.int8 or kept.shape != (kernel.channel_packed_size(states),):
+    if kept.dtype != np.int8 or kept.shape != (packed_size(states),):
         raise ModelError(f"The state of a snapshot is {kept.dtype} of shape {kept.shape}, not that of a channel.")
     bytes_in_one_piece, state = kept.copy(), np.zeros((), STATE)
     kernel.channel_unpack(states, bytes_in_one_piece.ctypes.data, state.ctypes.data)

@@ -1,6 +1,6 @@
 /* The clock of a stream: how many steps passed before each row, and which stamps cannot be. Row by row, so that no cut
    matters. */
-#include "becalm.h"
+#include "kernel.h"
 
 #define PULL ((real)0.75)     /* of a stamp's distance from the even grid, by which that follows it */
 #define PULL_PACE ((real)0.1) /* and the sender's pace */

@@ -4,7 +4,7 @@
 
 #include <stddef.h>
 
-#include "becalm.h"
+#include "kernel.h"
 
 enum { BLOCK = SMOOTHED, FIRST_CHECK = 32 }; /* rows; rows until a gain may have settled */
 

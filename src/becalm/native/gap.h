@@ -7,7 +7,7 @@
 
 /* Follow the time since the last measurement; return whether the gap before this one is longer than the filter can be
    carried across. */
-static int check_gap(const settings_t *settings, limits_t *state, const real elapsed, const int usable) {
+static inline int check_gap(const settings_t *settings, limits_t *state, const real elapsed, const int usable) {
     if (state->measurements) state->now += elapsed;
     if (!usable) return 0;
     real longest = settings->longest_gap;

@@ -6,7 +6,7 @@
 #include "linear.h"
 
 /* Return by how much a prediction's error may change over a step, one standard deviation. */
-static real wander(const int n, const real *h, const real *F, const real *Q, const real *P) {
+static inline real wander(const int n, const real *h, const real *F, const real *Q, const real *P) {
     real g[N_MAX], s = 0;
     see_through(n, 1, h, F, g);
     for (int j = 0; j < n; j++) g[j] -= h[j];
@@ -16,7 +16,7 @@ static real wander(const int n, const real *h, const real *F, const real *Q, con
 }
 
 /* Return the next power of four, which a last digit seldom changes. */
-static real round_up(real variance) {
+static inline real round_up(real variance) {
     real power = 1;
     if (!(variance > 0)) return 0;
     variance = variance < (real)1e-290 ? (real)1e-290 : variance > (real)1e200 ? (real)1e200 : variance;
@@ -26,7 +26,7 @@ static real round_up(real variance) {
 }
 
 /* Add to a predicted covariance what makes an innovation likely: to the level alone, or to all states alike. */
-static void jump(const int n, const settings_t *settings, const coefficients_t *model, filter_t *state, const real nu,
+static inline void jump(const int n, const settings_t *settings, const coefficients_t *model, filter_t *state, const real nu,
                  const real hPh) {
     const int64_t level = state->since_jump >= settings->gate_most ? settings->gate_level : -1;
     const real most = WIDE * model->R, square = nu * nu < most ? nu * nu : most;
@@ -43,7 +43,7 @@ static void jump(const int n, const settings_t *settings, const coefficients_t *
 
 /* Count a measurement that is rejected; return whether it is accepted after all: so many in a row are motion, and so is
    one soon after a jump. */
-static int reject(const settings_t *settings, const coefficients_t *model, filter_t *state, const real nu) {
+static inline int reject(const settings_t *settings, const coefficients_t *model, filter_t *state, const real nu) {
     const real noise = sqrt(2 * model->R + state->wandered * state->wandered);
     const int agrees = state->agreeing > 0 && fabs(nu - state->last_rejected) <= settings->gate_threshold * noise;
     state->agreeing = agrees ? state->agreeing + 1 : 1;

@@ -5,9 +5,8 @@
 #ifndef BECALM_IMM_H
 #define BECALM_IMM_H
 
-#include "becalm.h"
+#include "kernel.h"
 
-enum { MODES_MAX = 8 };
 enum { IMM_LAYOUT = 1 };   /* of a state: raise it with every change, for a checkpoint of another one is refused */
 enum { IMM_BLOCK = 256 };  /* rows that a smoother filters again at once */
 enum { NOTED = 3 };        /* numbers that are noted of a measurement, of each mode */

@@ -55,10 +55,11 @@ const field_t *channel_coefficients_fields(void) {
 const field_t *channel_state_fields(void) {
 #define IN(part, name, whole) {#name, offsetof(state_t, part.name), sizeof(((state_t *)0)->part.name), whole}
     static const field_t fields[] = {
-        WHOLE(state_t, layout), WHOLE(state_t, states), IN(limits, at, 1), IN(filter, phase, 1), IN(filter, has_level, 1), IN(filter, x, 0),
-        IN(filter, P, 0), IN(filter, settled_row, 1), IN(monitor, hops, 1), IN(monitor, powers, 0),
-        IN(monitor, drift_since, 1), IN(monitor, silent, 1), WHOLE(state_t, counts), IN(faults, met, 1), IN(faults, first_row, 1),
-        IN(faults, first_step, 0), REALS(state_t, timing_share), END(state_t),
+        WHOLE(state_t, layout), WHOLE(state_t, states), IN(sensor.limits, at, 1), IN(filter, phase, 1),
+        IN(filter, has_level, 1), IN(filter, x, 0), IN(filter, P, 0), IN(filter, settled_row, 1),
+        IN(sensor.monitor, hops, 1), IN(sensor.monitor, powers, 0), IN(sensor.monitor, drift_since, 1),
+        IN(sensor.monitor, silent, 1), IN(sensor, counts, 1), IN(sensor.faults, met, 1),
+        IN(sensor.faults, first_row, 1), IN(sensor.faults, first_step, 0), IN(sensor, timing_share, 0), END(state_t),
     };
 #undef IN
     return fields;
@@ -125,7 +126,8 @@ const field_t *channel_constants(void) {
         VALUE(HOP), VALUE(WINDOW_HOPS), VALUE(KEPT_HOPS), VALUE(TAKEN_STAMP),
         VALUE(LATE_STAMP), VALUE(REPEATED_STAMP), VALUE(FAR_STAMP), VALUE(CLOCK_RESET), VALUE(NO_STAMP), VALUE(AGREEING),
         VALUE(GATHERING), VALUE(GOES_ON), VALUE(WIDE), VALUE(DETERMINED), VALUE(N_MAX), VALUE(M_MAX), VALUE(GAIN),
-        VALUE(COVARIANCE), VALUE(MODES_MAX), VALUE(IMM_BLOCK), VALUE(IMM_LAYOUT), {0, 0, 0, 0},
+        VALUE(COVARIANCE), VALUE(MODES_MAX), VALUE(IMM_BLOCK), VALUE(IMM_LAYOUT),
+        {"SENSOR_SIZE", 0, sizeof(sensor_t), 1}, {"IMM_HEAD_SIZE", 0, sizeof(imm_state_t), 1}, {0, 0, 0, 0},
     };
 #undef VALUE
     return values;

@@ -36,7 +36,7 @@ kernel = _loaded()
 
 
 def layout_of(struct: str) -> np.dtype[np.void]:
-    """Return a struct of `becalm.h` as NumPy's, with the fields that Python reads or writes."""
+    """Return a struct of `kernel.h` as NumPy's, with the fields that Python reads or writes."""
     *fields, end = _told(f"channel_{struct}_fields")
     counts = [field.size // 8 for field in fields]
     layout: Any = {
@@ -65,4 +65,4 @@ def _told(name: str) -> list[Any]:
 
 
 CONSTANTS: dict[str, int] = {value.name.decode(): value.size for value in _told("channel_constants")[:-1]}
-"""Whole numbers that C and Python both use, by their names in `becalm.h`."""
+"""Whole numbers that C and Python both use, by their names in `kernel.h`."""

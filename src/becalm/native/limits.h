@@ -20,7 +20,7 @@ static inline void start_limits(limits_t *state) {
 }
 
 /* Collect the measurements before; return how many there are. */
-static int recall(const real *past, real *neighbours) {
+static inline int recall(const real *past, real *neighbours) {
     int count = 0;
     for (int k = 0; k < NEIGHBOURS; k++)
         if (!isnan(past[k])) neighbours[count++] = past[k];
@@ -40,14 +40,14 @@ static inline real median_of(real *neighbours, const int count, real *spread) {
 }
 
 /* Return whether a measurement is far from the median of some neighbours, and so many of their spreads. */
-static int is_far(const real z, real *neighbours, const int count, const real distance, const real spreads) {
+static inline int is_far(const real z, real *neighbours, const int count, const real distance, const real spreads) {
     real spread;
     const real median = median_of(neighbours, count, &spread);
     return fabs(z - median) > (spreads * spread > distance ? spreads * spread : distance);
 }
 
 /* Return whether a measurement is far from the six before it; of the first ones, from what is plausible. */
-static int is_far_from_past(const settings_t *settings, const limits_t *state, const real z) {
+static inline int is_far_from_past(const settings_t *settings, const limits_t *state, const real z) {
     const real distance = settings->outlier_distance, *past = state->past;
     real neighbours[NEIGHBOURS], low = past[0], high = past[0];
     UNROLL
@@ -63,14 +63,14 @@ static int is_far_from_past(const settings_t *settings, const limits_t *state, c
 }
 
 /* Return whether a measurement that repeats the one before fills in for one that did not come. */
-static int fills_in(const settings_t *settings, const real z, const real *past) {
+static inline int fills_in(const settings_t *settings, const real z, const real *past) {
     real neighbours[NEIGHBOURS];
     const int count = recall(past, neighbours);
     return count == NEIGHBOURS && is_far(z, neighbours, count, settings->outlier_distance / NEARER, SPREADS);
 }
 
 /* Return whether a 0 among some measurements is one at which a channel rests, as speeds and loads do. */
-static int rests(const settings_t *settings, const real *measured, const int count) {
+static inline int rests(const settings_t *settings, const real *measured, const int count) {
     real nearest = INFINITE;
     for (int k = 0; k < count; k++)
         if (measured[k] != 0 && fabs(measured[k]) < nearest) nearest = fabs(measured[k]);
@@ -78,7 +78,7 @@ static int rests(const settings_t *settings, const real *measured, const int cou
 }
 
 /* Return whether a 0 that ends the range so far is a rest. */
-static int is_rest(const settings_t *settings, const limits_t *state) {
+static inline int is_rest(const settings_t *settings, const limits_t *state) {
     if (state->least != 0 && state->most != 0) return 0;
     if (!(settings->repeats_are_one && settings->outlier_distance < INFINITE)) return 1;
     real neighbours[NEIGHBOURS];
@@ -87,7 +87,7 @@ static int is_rest(const settings_t *settings, const limits_t *state) {
 }
 
 /* Return why a value is no measurement of the sensor, 0 where it may be one. */
-static int no_measurement(const settings_t *settings, const real z) {
+static inline int no_measurement(const settings_t *settings, const real z) {
     if (isnan(z)) return MISSING;
     if (isinf(z)) return NONFINITE;
     if (fabs(z) > settings->largest) return OVERRANGE;
@@ -95,7 +95,7 @@ static int no_measurement(const settings_t *settings, const real z) {
 }
 
 /* Forget the measurements before one that comes much later than they did: the signal has moved on. */
-static void forget_past(limits_t *state) {
+static inline void forget_past(limits_t *state) {
     real longest = 1;
     for (int k = 0; k < NEIGHBOURS; k++) longest = state->waits[k] > longest ? state->waits[k] : longest;
     if (state->since <= LATE * longest) return;
@@ -104,7 +104,7 @@ static void forget_past(limits_t *state) {
 }
 
 /* Return what is wrong with one measurement. One without a time of its own says nothing new, unless it is the first. */
-static int judge(const settings_t *settings, limits_t *state, const real z, const real elapsed) {
+static inline int judge(const settings_t *settings, limits_t *state, const real z, const real elapsed) {
     const int moved = elapsed > 0;
     int verdict = no_measurement(settings, z);
     state->since += elapsed;
@@ -146,7 +146,7 @@ static inline int limits_are_sound(const limits_t *limits) {
 }
 
 /* Reduce what the limits remember. */
-static void reduce_limits(const settings_t *settings, limits_t *limits) {
+static inline void reduce_limits(const settings_t *settings, limits_t *limits) {
     limits_t own = *limits;
     for (int k = 0; k < NEIGHBOURS; k++) {
         const int64_t from = (limits->at + k) % NEIGHBOURS;

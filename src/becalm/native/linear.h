@@ -5,7 +5,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "becalm.h"
+#include "kernel.h"
 
 #if defined(__GNUC__)
 #define INLINE static inline __attribute__((always_inline))
@@ -132,18 +132,5 @@ static inline int invert(const int n, const real *A, real *inverse) {
         for (int j = 0; j < n; j++) B[i * n + j] = A[i * n + j], inverse[i * n + j] = i == j;
     return solve(n, B, inverse);
 }
-
-/* Call a function whose first argument is the number of states: a constant up to 7. */
-#define FOR_STATES(n, function, ...)                       \
-    switch (n) {                                           \
-    case 1: function(1, __VA_ARGS__); break;               \
-    case 2: function(2, __VA_ARGS__); break;               \
-    case 3: function(3, __VA_ARGS__); break;               \
-    case 4: function(4, __VA_ARGS__); break;               \
-    case 5: function(5, __VA_ARGS__); break;               \
-    case 6: function(6, __VA_ARGS__); break;               \
-    case 7: function(7, __VA_ARGS__); break;               \
-    default: function((int)(n), __VA_ARGS__);              \
-    }
 
 #endif

@@ -55,16 +55,6 @@ INLINE void write_estimate(const int n, const int m, const real *c, const real l
         }
 }
 
-/* Call a function whose first argument is the number of states: a constant up to 4. */
-#define FOR_FEW_STATES(n, function, ...)                   \
-    switch (n) {                                           \
-    case 1: function(1, __VA_ARGS__); break;               \
-    case 2: function(2, __VA_ARGS__); break;               \
-    case 3: function(3, __VA_ARGS__); break;               \
-    case 4: function(4, __VA_ARGS__); break;               \
-    default: function((int)(n), __VA_ARGS__);              \
-    }
-
 /* Filter rows from beliefs, which change, with a level that is known. */
 void filter_modes(const imm_t *imm, real *beliefs, real level, const imm_block_t *block, const imm_estimate_t *estimate,
                   const imm_passed_t *passed, real *room, score_t *score);

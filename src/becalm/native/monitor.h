@@ -10,7 +10,7 @@
 enum { SLACK = PARTS / 2 };
 
 /* Close a hop of innovations: look at the window that ends with it. */
-static void end_hop(const settings_t *settings, monitor_t *state) {
+static inline void end_hop(const settings_t *settings, monitor_t *state) {
     enum { BEFORE = WINDOW_HOPS - 1, WINDOW = WINDOW_HOPS * HOP };
     int64_t total = state->hop_total, squares = state->hop_squares;
     for (int k = 0; k < BEFORE; k++) total += state->totals[k], squares += state->squares[k];
@@ -27,7 +27,7 @@ static void end_hop(const settings_t *settings, monitor_t *state) {
 
 /* Return what a normalised innovation says, NaN where there is none: Page's cumulative sums on either side (1954), and
    windows too quiet for a sensor that lives. */
-static int watch(const settings_t *settings, monitor_t *state, real nu) {
+static inline int watch(const settings_t *settings, monitor_t *state, real nu) {
     const int64_t row = state->rows++;
     int64_t since = -1;
     if (isnan(nu)) return USED;

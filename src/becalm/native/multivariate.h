@@ -5,7 +5,7 @@
 #ifndef BECALM_MULTIVARIATE_H
 #define BECALM_MULTIVARIATE_H
 
-#include "becalm.h"
+#include "kernel.h"
 
 enum { GAIN = 1, COVARIANCE = 2 }; /* what has settled: the gain, or the covariance, too */
 

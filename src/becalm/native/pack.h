@@ -9,7 +9,7 @@
 
 enum { HEAD = offsetof(filter_t, x) / sizeof(real) };
 
-static int64_t packed_size(const int64_t n) { return HEAD + 6 * n + n * n; }
+static inline int64_t packed_size(const int64_t n) { return HEAD + 6 * n + n * n; }
 
 INLINE void pack(const int n, const filter_t *state, real *packed) {
     const real *arrays[] = {state->x, state->ahead, state->K, state->L, state->K_then, state->variance_then};
@@ -25,24 +25,19 @@ INLINE void unpack(const int n, const real *packed, filter_t *state) {
     copy(n * n, packed + HEAD + 6 * n, state->P);
 }
 
-/* Pack a struct that holds a filter at a place, or unpack it. */
-static inline void pack_around(const int64_t n, const char *whole, const size_t size, const size_t at, char *packed) {
-    const size_t filter = (size_t)packed_size(n) * sizeof(real);
+/* Pack a struct whose last field is a filter, at a place, or unpack it. */
+static inline void pack_after(const int64_t n, const void *whole, const size_t at, char *packed) {
     memcpy(packed, whole, at);
-    pack((int)n, (const filter_t *)(const void *)(whole + at), (real *)(void *)(packed + at));
-    memcpy(packed + at + filter, whole + at + sizeof(filter_t), size - at - sizeof(filter_t));
+    pack((int)n, (const filter_t *)(const void *)((const char *)whole + at), (real *)(void *)(packed + at));
 }
 
-static inline void unpack_around(const int64_t n, const char *packed, const size_t size, const size_t at, char *whole) {
-    const size_t filter = (size_t)packed_size(n) * sizeof(real);
-    memset(whole, 0, size);
+static inline void unpack_after(const int64_t n, const char *packed, const size_t at, void *whole) {
     memcpy(whole, packed, at);
-    unpack((int)n, (const real *)(const void *)(packed + at), (filter_t *)(void *)(whole + at));
-    memcpy(whole + at + sizeof(filter_t), packed + at + filter, size - at - sizeof(filter_t));
+    unpack((int)n, (const real *)(const void *)(packed + at), (filter_t *)(void *)((char *)whole + at));
 }
 
-static inline int64_t size_around(const int64_t n, const size_t size) {
-    return (int64_t)(size - sizeof(filter_t)) + packed_size(n) * (int64_t)sizeof(real);
+static inline int64_t size_after(const int64_t n, const size_t at) {
+    return (int64_t)at + packed_size(n) * (int64_t)sizeof(real);
 }
 
 /* What is read of a packed state as it is. */

@@ -2,7 +2,7 @@
 #ifndef BECALM_PRODUCT_H
 #define BECALM_PRODUCT_H
 
-#include "becalm.h"
+#include "kernel.h"
 
 enum { POWER = 60 };
 

@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 from becalm.errors import BecalmError, UsageError
+from becalm.export.written import FOLDER
 
-STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Werror")
+STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Werror", "-ffp-contract=off")
 """Under which the filters compile without a word."""
 
 OPTIMISED = (("-O0",), ("-O2",), ("-O3",), ("-O3", "-ffast-math"))
@@ -83,11 +84,13 @@ def build(folder: Path, stem: str, compiler: str, flags: Sequence[str]) -> Build
         If it does not compile without a warning.
     """
     mark = f"{compiler}{''.join(flags)}".replace("=", "").replace(",", "")
-    objects = [folder / f"{mark}-{name}.o" for name in (stem, "main")]
-    for name, extra, made in ((stem, STRICT, objects[0]), ("main", STRICT[:1], objects[1])):
-        _ran([compiler, *extra, *flags, "-c", str(folder / f"{name}.c"), "-o", str(made)], f"{name}.c")
+    texts = [folder / f"{stem}.c", *sorted(folder.glob(f"{FOLDER}/*.c")), folder / "main.c"]
+    objects = [folder / f"{mark}-{text.stem}.o" for text in texts]
+    for text, made in zip(texts, objects, strict=True):
+        extra = STRICT[:1] if text.stem == "main" else STRICT
+        _ran([compiler, *extra, *flags, "-c", str(text), "-o", str(made)], text.name)
     program = folder / f"{mark}-check"
-    _ran([compiler, *flags, *map(str, objects), "-o", str(program)], "the program")
+    _ran([compiler, *flags, *map(str, objects), "-o", str(program), "-lm"], "the program")
     return Build(compiler, tuple(flags), program)
 
 

@@ -1,20 +1,24 @@
 /* becalm's filter in C99: no heap, no globals, of libm only sqrt and fabs.
 
    A channel is one sensor signal: z = h x + v, x' = F x + w. Times are in steps, values in the channel's unit. */
-#ifndef BECALM_H
-#define BECALM_H
+#ifndef BECALM_KERNEL_H
+#define BECALM_KERNEL_H
 
 #include <math.h>
 #include <stdint.h>
+
+#include "sizes.h"
+
+#if defined(__FAST_MATH__)
+#error "becalm's filter tells what is missing by NaN, which -ffast-math forgets: leave that out."
+#endif
 
 typedef double real;
 
 #define NOT_A_NUMBER ((real)NAN)
 #define INFINITE ((real)INFINITY)
 
-enum { SMOOTHED = 64 }; /* rows that a smoother filters again at once */
-enum { N_MAX = 72, NN_MAX = N_MAX * N_MAX }; /* states that a filter has at the most */
-enum { M_MAX = 32 }; /* channels of one state that are filtered together, at the most */
+enum { NN_MAX = N_MAX * N_MAX };
 
 /* What became of a measurement; the values of `becalm.core.verdict.Verdict`. */
 enum {
@@ -152,13 +156,9 @@ typedef struct {
     real first_step[VERDICTS];    /* steps from the first row to there */
 } faults_t;
 
-enum { LAYOUT = 3 }; /* of a state: raise it with every change, for a checkpoint of another one is refused */
-
-/* All that later rows depend on. */
+/* What is remembered around a filter: of measurements, and of innovations. */
 typedef struct {
-    int64_t layout, states;
     limits_t limits;
-    filter_t filter;
     monitor_t monitor;
     real last_signal, slope; /* in unit, and in unit/s */
     real entered;            /* the last measurement that entered */
@@ -167,6 +167,15 @@ typedef struct {
     int64_t counts[VERDICTS];
     faults_t faults;
     real timing_share;       /* the largest share that uncertain times have added to sigma */
+} sensor_t;
+
+enum { LAYOUT = 4 }; /* of a state: raise it with every change, for a checkpoint of another one is refused */
+
+/* All that later rows depend on. */
+typedef struct {
+    int64_t layout, states;
+    sensor_t sensor;
+    filter_t filter;
 } state_t;
 
 enum { UNKNOWN, GATHERING, DETERMINED };

@@ -1,1 +1,0 @@
-"""Modes, one of which is in force at a time."""

@@ -1,0 +1,105 @@
+"""The library's own channel: one filter, perhaps gated, or several modes that it switches between."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from becalm.cleaning.causal_channel import CausalChannel
+from becalm.cleaning.filters import Filter
+from becalm.cleaning.recipe import ChannelRecipe
+from becalm.cleaning.recipe_parts import LimitsRecipe
+from becalm.core.channel_settings import Settings
+from becalm.errors import RecipeError
+from becalm.export.channel.modes_text import modes_door
+from becalm.export.channel.reference import ChannelReference, ModesReference
+from becalm.export.channel.text import channel_door, written_door
+from becalm.export.design import Design
+from becalm.export.kind import Floating, Span
+from becalm.export.number_type import NumberType
+from becalm.export.vectors import Reference
+from becalm.export.written import Written
+
+_LEAST_IN_FLOAT, _MOST_IN_FLOAT = 1e-30, 1e15  # of a noise, in unit
+
+
+class Sizes(NamedTuple):
+    """How large the arrays of filters are that are written together."""
+
+    states: frozenset[int]  # of single filters
+    mode_states: frozenset[int]  # of filters that switch
+    modes: int  # the most; even, for two run side by side
+
+    @property
+    def most_states(self) -> int:
+        """Of the largest filter."""
+        return max(self.states | self.mode_states)
+
+    @classmethod
+    def of(cls, designs: Iterable[Design]) -> Sizes:
+        """Return those of some filters."""
+        all_of_them = list(designs)
+        modes = [len(one.modes.modes) for one in all_of_them if one.modes is not None]
+        return cls(
+            frozenset(one.states for one in all_of_them if one.modes is None),
+            frozenset(one.states for one in all_of_them if one.modes is not None),
+            2 * ((max(modes, default=1) + 1) // 2),
+        )
+
+
+@dataclass(frozen=True)
+class Whole(Floating):
+    """The library's own channel: its limits, its gate or its modes, its covariance, and what watches the sensor.
+
+    Attributes
+    ----------
+    recipe : ChannelRecipe
+        Of the channel.
+    sizes : Sizes
+        Of all filters that are written with it.
+    """
+
+    recipe: ChannelRecipe
+    sizes: Sizes
+
+    @classmethod
+    def alone(cls, number: NumberType, recipe: ChannelRecipe, design: Design) -> Whole:
+        """Return the kind of a filter that none is written beside."""
+        return cls(number, recipe, Sizes.of([design]))
+
+    def write(self, design: Design, prefix: str, span: Span | None) -> Written:
+        """Write a filter.
+
+        Raises
+        ------
+        RecipeError
+            If float cannot hold its readings.
+        """
+        if not self.number.is_double and not _LEAST_IN_FLOAT <= design.noise_std <= _MOST_IN_FLOAT:
+            raise RecipeError(
+                f"{design.name}: its noise is {design.noise_std:.3g}{design.unit_after}, and readings in float are of"
+                f" {_LEAST_IN_FLOAT:g} to {_MOST_IN_FLOAT:g}; use --precision float64."
+            )
+        settings, most_states = self._settings(design), self.sizes.most_states
+        largest = min(design.largest, settings.limits.largest)
+        if design.modes is None:
+            door = channel_door(design, settings, most_states)
+        else:
+            reach = Filter(self.recipe, design.step_s, 0).reach
+            door = modes_door(design.modes, settings, reach, prefix, (most_states, self.sizes.modes))
+        return written_door(door, design, prefix, self.number, largest)
+
+    def reference(self, recipe: ChannelRecipe, design: Design, written: Written) -> Reference:
+        """Return what it is held against, at the start."""
+        if design.modes is None:
+            return ChannelReference(self._settings(design))
+        limits = recipe.limits or LimitsRecipe()
+        largest = min(limits.largest or self.number.greatest, self.number.greatest)
+        limits = limits.model_copy(update={"largest": largest})
+        return ModesReference(recipe.model_copy(update={"limits": limits}), design.step_s)
+
+    def _settings(self, design: Design) -> Settings:
+        settings = CausalChannel(self.recipe, design.step_s).settings
+        largest = min(settings.limits.largest, self.number.greatest)
+        return settings._replace(limits=settings.limits._replace(largest=largest))

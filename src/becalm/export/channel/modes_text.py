@@ -1,0 +1,52 @@
+"""A channel of the library that switches between modes, as constants in C."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from becalm.core.channel_settings import Settings, packed_settings
+from becalm.core.reach import Reach
+from becalm.core.switching import Switching
+from becalm.export.channel.text import NUMBER, Door, of_array, of_number, of_struct
+from becalm.export.naming import identifiers
+from becalm.native.library import CONSTANTS
+from becalm.native.rows import SETTINGS
+
+
+def modes_door(modes: Switching, settings: Settings, reach: Reach, prefix: str, sizes: tuple[int, int]) -> Door:
+    """Return the door to a filter that switches.
+
+    Parameters
+    ----------
+    modes : Switching
+        The modes, in steps.
+    settings : Settings
+        What the recipe says of the channel.
+    reach : Reach
+        Which gaps it is carried across.
+    prefix : str
+        What its names in C begin with.
+    sizes : (int, int)
+        States and modes of the largest filters that are written beside it, or itself; the second is even.
+    """
+    bank, (n, m) = modes.bank(np.ones(1)), sizes
+    settings = settings._replace(component=modes.component, noise_variance=modes.least_noise_variance, gate=None)
+    numbers = {
+        "modes": len(modes.modes),
+        "keeps_level": int(modes.component.keeps_level),
+        "rejects": int(bank.wild[1]),
+        "largest_level": bank.largest[1].item(),
+        "noise_variance": modes.modes[0].noise_variance,
+        "V": bank.wild[0].item(),
+    }
+    arrays = {"F": bank.F, "Q": bank.Q, "T": bank.T, "h": bank.H, "c": bank.C}
+    arrays |= {"R": bank.R, "tail": bank.tail, "start": bank.start}
+    fields = [
+        ("settings", of_struct(packed_settings(settings, reach))),
+        *((name, of_number(value)) for name, value in numbers.items()),
+        *((name, of_array(values)) for name, values in arrays.items()),
+    ]
+    beliefs, own = m * (1 + n + n * n), 2 * m * n * n + m * m + 2 * n + 2 * m + m * (1 + n)
+    state_bytes = CONSTANTS["SENSOR_SIZE"] + CONSTANTS["IMM_HEAD_SIZE"] + NUMBER * (beliefs + 1)
+    names = [f"{prefix}_{name}".upper() for name in identifiers([mode.name for mode in modes.modes], "mode")]
+    return Door("device_modes", fields, state_bytes, SETTINGS.itemsize + NUMBER * (len(numbers) + own), names)

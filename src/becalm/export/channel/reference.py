@@ -1,0 +1,99 @@
+"""What an exported channel is held against: the library's own, and what a controller is told where that is silent."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+
+from becalm.cleaning.live_channel import LiveChannel, open_live
+from becalm.cleaning.recipe import ChannelRecipe
+from becalm.core.arrays import Codes, Floats
+from becalm.core.channel import Channel
+from becalm.core.channel_settings import Settings
+from becalm.core.told import Told
+from becalm.core.verdict import LOST, Verdict
+from becalm.export.vectors import STARTING
+
+_SINGLE = 1000  # rows of a gap that modes take one by one; see `native/device_modes.c`
+
+
+class _Spoken(ABC):
+    """Tells something of every row."""
+
+    def __init__(self) -> None:
+        self._entered = 0.0
+
+    def run(self, readings: Floats) -> tuple[Floats, Codes]:
+        """Take readings (B,); return the signal and what became of each."""
+        (found, verdicts), across = self._push(readings, np.ones(len(readings)))
+        codes = np.where((verdicts == Verdict.USED) & np.isnan(found), STARTING, verdicts)
+        signal = np.where(verdicts == Verdict.HOLE, across, found)
+        return np.where(np.isnan(signal), self._held(readings, verdicts), signal), codes.astype(np.int8)
+
+    @abstractmethod
+    def _push(self, z: Floats, elapsed: Floats) -> tuple[tuple[Floats, Codes], Floats]:
+        """Take rows; return the signal and its verdicts, and the signal that is told in any hole."""
+
+    def _held(self, readings: Floats, verdicts: Codes) -> Floats:
+        """Return the last reading (B,) that was used, up to each row; 0 before the first."""
+        entered = np.concatenate([[self._entered], np.where(LOST[verdicts] | np.isnan(readings), np.nan, readings)])
+        last = np.maximum.accumulate(np.where(np.isnan(entered), 0, np.arange(len(entered))))
+        self._entered = float(entered[last[-1]])
+        return np.asarray(entered[last[1:]], dtype=np.float64)
+
+
+class ChannelReference(_Spoken):
+    """One channel.
+
+    Parameters
+    ----------
+    settings : Settings
+        What it is made of.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        super().__init__()
+        self._channel, self._across = Channel(settings), Channel(settings._replace(unknown_from=np.inf))
+
+    def gap(self, rows: int) -> None:
+        """Go on for some rows without a reading, as one step."""
+        if rows:
+            self._push(np.full(1, np.nan), np.full(1, float(rows)))
+
+    def _push(self, z: Floats, elapsed: Floats) -> tuple[tuple[Floats, Codes], Floats]:
+        found = self._channel.process(z, elapsed)
+        return (found.signal, found.verdict), self._across.process(z, elapsed).signal
+
+
+class ModesReference(_Spoken):
+    """One channel that switches.
+
+    Parameters
+    ----------
+    recipe : ChannelRecipe
+        In seconds and units.
+    step_s : float
+        One step, in seconds.
+    """
+
+    def __init__(self, recipe: ChannelRecipe, step_s: float) -> None:
+        super().__init__()
+        self._channel = open_live(recipe, step_s, 0)
+        self._across = open_live(recipe.model_copy(update={"fill": True}), step_s, 0)
+
+    def gap(self, rows: int) -> None:
+        """Go on for some rows without a reading: one by one up to a thousand, the rest as one step."""
+        single = min(rows, _SINGLE)
+        if single:
+            self.run(np.full(single, np.nan))
+        if rows > single:
+            self._push(np.full(1, np.nan), np.full(1, float(rows - single)))
+
+    def _push(self, z: Floats, elapsed: Floats) -> tuple[tuple[Floats, Codes], Floats]:
+        found, across = _told(self._channel, z, elapsed), _told(self._across, z, elapsed)
+        return (found.signal, found.verdicts), across.signal
+
+
+def _told(channel: LiveChannel, z: Floats, elapsed: Floats) -> Told:
+    return Told.joined(channel.push(z, elapsed))

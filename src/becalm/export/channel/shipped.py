@@ -1,0 +1,29 @@
+"""The library's own C as an export ships it: the files as they are, but for the one that says how large arrays are."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from becalm import native
+from becalm.export.channel.kind import Sizes
+from becalm.export.templates import render
+from becalm.export.written import FOLDER
+
+_FILTER, _MODES = ("channel.c", "device.c", "filter.c"), ("device_modes.c", "imm.c")
+_SIZES = "sizes.h"
+
+
+def shipped(sizes: Sizes) -> dict[str, str]:
+    """Return the texts of the files that filters are compiled from, by their paths in a bundle; none for no filters."""
+    wanted = [*(_FILTER if sizes.states else ()), *(_MODES if sizes.mode_states else ())]
+    texts = dict[str, str]()
+    while wanted:
+        name = wanted.pop()
+        if name not in texts and name != _SIZES:
+            texts[name] = (Path(native.__file__).parent / name).read_text(encoding="utf-8")
+            wanted += re.findall(r'^#include "(.+)"', texts[name], re.M)
+            wanted += [name.replace(".c", ".h")] if name.startswith("device") else []
+    if texts:
+        texts[_SIZES] = render("sizes.h.jinja", {**sizes._asdict(), "most_states": sizes.most_states})
+    return {f"{FOLDER}/{name}": text for name, text in sorted(texts.items())}

@@ -1,1 +1,0 @@
-"""A filter that carries its covariance, and may have a gate."""

@@ -1,0 +1,62 @@
+/* A channel at its own rate, one row at a time. It filters nothing itself: see channel.c. */
+#include "device.h"
+
+#include <string.h>
+
+#include "filter.h"
+#include "leap.h"
+#include "linear.h"
+
+void device_start(const device_t *device, device_state_t *state) {
+    channel_start(&device->settings, &state->channel);
+    state->sigma = INFINITE;
+}
+
+void device_start_at(const device_t *device, device_state_t *state, const real signal) {
+    const settings_t *settings = &device->settings;
+    const coefficients_t *model = &device->model;
+    filter_t *filter = &state->channel.filter;
+    const int n = (int)settings->states;
+    real Pc[N_MAX];
+    device_start(device, state);
+    if (!(fabs(signal) <= settings->largest)) return;
+    filter->phase = DETERMINED;
+    filter->level = filter_level(settings, model, signal), filter->has_level = 1;
+    for (int i = 0; i < n; i++) filter->x[i] = (signal - filter->level) * device->still[i];
+    copy(n * n, device->P, filter->P);
+    times(n, filter->P, model->c, Pc);
+    filter->sigma = sqrt(dot(n, model->c, Pc));
+    state->channel.sensor.entered = signal;
+    state->sigma = settings->factor * filter->sigma;
+}
+
+/* Take a row after a step; return what the filter makes of it, NaN where that is nothing. */
+static real take(const device_t *device, device_state_t *state, const real z, const real elapsed, const real *F,
+                 const real *Q, int8_t *verdict) {
+    const int32_t step = 0;
+    real signal, innovation, deviation;
+    const block_t block = {&z, &elapsed, &step, F, Q, 1};
+    const estimate_t estimate = {&signal, &state->sigma, verdict, &innovation, &deviation, NULL};
+    channel_process(&device->settings, &device->model, &state->channel, &block, &estimate);
+    if (isnan(signal)) state->sigma = INFINITE;
+    return signal;
+}
+
+int device_step(const device_t *device, device_state_t *state, const real z, real *signal) {
+    const filter_t *filter = &state->channel.filter;
+    int8_t verdict = USED;
+    *signal = take(device, state, z, 1, device->F, device->Q, &verdict);
+    if (!isnan(*signal)) return verdict;
+    const real entered = state->channel.sensor.entered;
+    *signal = isnan(entered) ? 0 : entered;
+    if (verdict == HOLE) *signal = dot((int)device->settings.states, device->model.c, filter->x) + filter->level;
+    return verdict == USED ? STARTING : verdict;
+}
+
+void device_gap(const device_t *device, device_state_t *state, const uint32_t rows) {
+    real F[NN_MAX], Q[NN_MAX];
+    int8_t verdict = USED;
+    if (rows == 0) return;
+    leap((int)device->settings.states, device->F, device->Q, rows, F, Q);
+    (void)take(device, state, NOT_A_NUMBER, rows, F, Q, &verdict);
+}

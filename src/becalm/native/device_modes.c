@@ -1,0 +1,100 @@
+/* Several modes of a channel at its own rate, one row at a time. It filters nothing itself: see imm.c. */
+#include "device_modes.h"
+
+#include <string.h>
+
+#include "leap.h"
+#include "sensor.h"
+
+enum { SINGLE = 1000 }; /* rows of a gap that are taken one by one: by then the modes are as probable as in the long run */
+enum { ROOM = 2 * ((MODES_MAX + 1) / 2 * (4 * NN_MAX + 3 * N_MAX) + NN_MAX) };
+
+static imm_state_t *modes_of(device_modes_state_t *state) { return (imm_state_t *)(void *)state->now; }
+
+static const real *probabilities(const device_modes_state_t *state) {
+    return ((const imm_state_t *)(const void *)state->now)->beliefs;
+}
+
+/* Forget all that was measured. */
+static void forget(const device_modes_t *device, device_modes_state_t *state) {
+    imm_state_t *now = modes_of(state);
+    memset(state->now, 0, sizeof state->now);
+    now->layout = IMM_LAYOUT, now->states = device->settings.states, now->modes = device->modes;
+    now->has_level = !device->keeps_level;
+}
+
+void device_modes_start(const device_modes_t *device, device_modes_state_t *state) {
+    start_sensor(&state->sensor);
+    forget(device, state);
+    state->sigma = INFINITE;
+}
+
+/* Take a row after a step; return what the modes make of it, NaN where that is nothing, and what they believe of it. */
+static real take(const device_modes_t *device, device_modes_state_t *state, const real z, const real elapsed,
+                 const real *F, const real *Q, const real *T, int8_t *verdict, real *believed) {
+    const settings_t *settings = &device->settings;
+    const int32_t step = 0;
+    const imm_t imm = {settings->states, device->modes, F, Q, T, device->h, device->c, device->R, device->tail,
+                       device->start, device->V, device->rejects, settings->largest_accepted, device->largest_level};
+    const imm_passed_t nothing = {NULL, NULL};
+    real signal = NOT_A_NUMBER, innovation = NOT_A_NUMBER, deviation = NOT_A_NUMBER, wild = 0, room[ROOM];
+    score_t score = {.product = 1};
+    const block_t block = {&z, &elapsed, &step, F, Q, 1};
+    const estimate_t estimate = {&signal, &state->sigma, verdict, &innovation, &deviation, NULL};
+    const imm_estimate_t told = {&signal, &state->sigma, &innovation, &deviation, NULL, &wild, NULL, 1};
+    pass_t pass;
+    state->sigma = INFINITE;
+    judge_rows(settings, &state->sensor, &block, verdict, &pass);
+    if (pass.starts[0] == ANEW) forget(device, state);
+    const imm_block_t row = {pass.usable, &step, 1};
+    imm_filter(&imm, modes_of(state), &row, &told, &nothing, room, &score);
+    if (device->rejects && wild > (real)0.5 && *verdict == USED) *verdict = SPIKE;
+    *believed = signal;
+    watch_rows(settings, device->noise_variance, &state->sensor, &block, &estimate, &pass);
+    if (isnan(signal)) state->sigma = INFINITE;
+    return signal;
+}
+
+int device_modes_step(const device_modes_t *device, device_modes_state_t *state, const real z, real *signal) {
+    int8_t verdict = USED;
+    real believed;
+    *signal = take(device, state, z, 1, device->F, device->Q, device->T, &verdict, &believed);
+    if (isnan(*signal)) *signal = verdict == HOLE ? believed : isnan(state->sensor.entered) ? 0 : state->sensor.entered;
+    return verdict;
+}
+
+void device_modes_start_at(const device_modes_t *device, device_modes_state_t *state, const real signal) {
+    real told;
+    device_modes_start(device, state);
+    (void)device_modes_step(device, state, signal, &told);
+}
+
+/* Write T^rows: how probable modes are after so many steps. */
+static void switch_often(const int m, const real *T, uint32_t rows, real *power) {
+    real B[MODES_MAX * MODES_MAX], more[MODES_MAX * MODES_MAX];
+    copy(m * m, T, B);
+    for (int i = 0; i < m * m; i++) power[i] = i % (m + 1) == 0;
+    for (; rows; rows >>= 1) {
+        multiply(m, B, power, more);
+        if (rows & 1) copy(m * m, more, power);
+        multiply(m, B, B, more);
+        copy(m * m, more, B);
+    }
+}
+
+void device_modes_gap(const device_modes_t *device, device_modes_state_t *state, const uint32_t rows) {
+    const int n = (int)device->settings.states, m = (int)device->modes;
+    const uint32_t single = rows < SINGLE ? rows : SINGLE;
+    real F[MODES_MAX * NN_MAX], Q[MODES_MAX * NN_MAX], T[MODES_MAX * MODES_MAX], told;
+    int8_t verdict = USED;
+    for (uint32_t row = 0; row < single; row++) (void)device_modes_step(device, state, NOT_A_NUMBER, &told);
+    if (rows == single) return;
+    for (int j = 0; j < m; j++)
+        leap(n, device->F + j * n * n, device->Q + j * n * n, rows - single, F + j * n * n, Q + j * n * n);
+    switch_often(m, device->T, rows - single, T);
+    (void)take(device, state, NOT_A_NUMBER, rows - single, F, Q, T, &verdict, &told);
+}
+
+real device_modes_probability(const device_modes_t *device, const device_modes_state_t *state, const uint32_t mode) {
+    return mode < device->modes ? probabilities(state)[mode] : 0;
+}
