@@ -65,6 +65,7 @@ SOURCES = (
     *("multivariate.c", "imm.c", "imm_smoother.c", "scans.c", "clock.c", "layout.c"),
 )
 KERNEL = "kernel.dll" if sys.platform == "win32" else "kernel.so"
+KEPT = Path("build/native")  # what each source was compiled to, by the command
 C_FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC")  # no contraction: the same bits everywhere
 ZIG = "ziglang"  # a C compiler from PyPI, for machines that have none
 
@@ -115,15 +116,36 @@ def compile_kernel(root: Path) -> None:
     if is_compiled(root):
         return
     compiler = own_compiler() or [sys.executable, "-m", ZIG, "cc", "-mcpu=baseline"]  # else for this very processor
-    with tempfile.TemporaryDirectory() as elsewhere:
-        built, beside = Path(elsewhere) / KERNEL, folder / f".{KERNEL}.{os.getpid()}"
-        objects = [str(Path(elsewhere) / f"{name}.o") for name in SOURCES]
-        sources = [[str(folder / name), "-c", "-o", one] for name, one in zip(SOURCES, objects, strict=True)]
-        with ThreadPoolExecutor() as side_by_side:
-            list(side_by_side.map(partial(_compile, [*compiler, *C_FLAGS]), sources))
-        _compile([*compiler, "-shared"], [*objects, "-o", str(built), "-lm"])
-        shutil.copy2(built, beside)
+    command = [*compiler, *C_FLAGS]
+    kept = root / KEPT / hashlib.sha256(shlex.join(command).encode()).hexdigest()[:12]
+    kept.mkdir(parents=True, exist_ok=True)
+    with ThreadPoolExecutor() as side_by_side:
+        objects = list(side_by_side.map(partial(_object, command, kept), [folder / name for name in SOURCES]))
+    beside = folder / f".{KERNEL}.{os.getpid()}"
+    try:
+        _compile([*compiler, "-shared"], [*objects, "-o", str(beside), "-lm"])
         beside.replace(folder / KERNEL)
+    finally:
+        beside.unlink(missing_ok=True)
+
+
+def _object(command: Sequence[str], kept: Path, source: Path) -> str:
+    """Return where a source is compiled; it is not again until one of the files that it is made of was edited."""
+    made, needs = kept / f"{source.stem}.o", kept / f"{source.stem}.d"
+    if not _is_fresh(made, needs):
+        with tempfile.TemporaryDirectory(dir=kept) as unready:
+            built, named = Path(unready) / made.name, Path(unready) / needs.name
+            _compile(command, [str(source), "-c", "-MMD", "-MF", str(named), "-o", str(built)])
+            named.replace(needs)
+            built.replace(made)
+    return str(made)
+
+
+def _is_fresh(made: Path, needs: Path) -> bool:
+    if not (made.is_file() and needs.is_file()):
+        return False
+    names = needs.read_text(encoding="utf-8").partition(": ")[2].replace("\\\n", " ").split()
+    return all(Path(name).is_file() and Path(name).stat().st_mtime <= made.stat().st_mtime for name in names)
 
 
 def _compile(compiler: Sequence[str], words: Sequence[str]) -> None:

@@ -235,6 +235,7 @@ def test_counts_are_readings_and_back() -> None:
 
 def test_a_settled_row_costs_what_is_said() -> None:
     (one,) = fixed(CHANNELS["level"]).channels
+    assert one.written.cost is not None
     assert one.written.cost.multiplications == 4  # C K nu and F K nu, each in two
     assert one.written.cost.divisions == 0
     assert " / " not in one.written.source.split("becalm_status drive_level_step(")[1]

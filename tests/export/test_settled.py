@@ -248,6 +248,7 @@ def test_another_rate_does_not_compile(precision: str, tmp_path: Path) -> None:
 def test_a_two_state_filter_is_small() -> None:
     (one,) = bundle(CHANNELS["slope"]).channels
     assert one.written.state_bytes == 16
+    assert one.written.cost is not None
     assert (one.written.cost.multiplications, one.written.cost.divisions) == (3, 0)
 
 

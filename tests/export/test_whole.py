@@ -6,6 +6,7 @@ import subprocess
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -345,7 +346,7 @@ def test_what_is_shipped_is_the_library() -> None:
 
 
 def test_outliers_ask_for_the_whole_channel() -> None:
-    def kind(**asked: str) -> str:
+    def kind(**asked: Any) -> str:
         return type(bundle(WATCHED.model_copy(update={"gate": None}), **asked).channels[0].kind).__name__
 
     assert kind() == "Whole"

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Floats
+from becalm.core.covariances import covariance_after, covariance_ahead
 from becalm.core.model import Model
 from becalm.core.starting import known_before, refuse_singular, root_of
 from becalm.core.timeline import model_system
@@ -105,15 +106,14 @@ def gains_after(opening: Opening, model: Model, most: int) -> Gains:
     most : int
         Rows after which it is given up.
     """
-    F, Q, h, R = model.F, model.process_covariance, model.H[0], float(model.R[0, 0])
+    h, R = model.H[0], float(model.R[0, 0])
     P, alike = opening.P, 0
     found: list[Floats] = []
     while len(found) < most and alike <= model.states:
-        P = F @ P @ F.T + Q  # (2)
+        P = covariance_ahead(P, model)
         Ph = P @ h
         K = Ph / (h @ Ph + R)  # (4), (5)
-        rest = np.eye(model.states) - np.outer(K, h)
-        P = rest @ P @ rest.T + R * np.outer(K, K)  # (7)
+        P = covariance_after(P, K[:, np.newaxis], model)
         found.append(K)
         then = found[len(found) * 7 // 8 - 1]  # a slow gain hardly changes from one row to the next
         unchanged = np.abs(K - then) <= _UNCHANGED * (np.sqrt(np.diag(P) / R) + np.abs(K))
@@ -143,10 +143,3 @@ class Leap(NamedTuple):
 def leap_of(model: Model) -> Leap:
     """Return the leap of one step of a model of one channel."""
     return Leap(model.F, model.H.T @ model.H / model.R[0, 0], model.process_covariance)
-
-
-def gain_before(P: Floats, model: Model) -> Floats:
-    """Return the gain (n,) of a reading before which the covariance is P (n, n)."""
-    S = float((model.H @ P @ model.H.T)[0, 0]) + float(model.R[0, 0])
-    gain: Floats = (P @ model.H.T)[:, 0] / S
-    return gain

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Booleans, Floats
+from becalm.core.covariances import covariance_ahead
 from becalm.core.model import Model
 from becalm.core.system import System
 from becalm.core.verdict import BEYOND_ANY_SENSOR
@@ -48,7 +49,7 @@ def wide_prior(model: Model) -> Information | None:
     told = np.diag(model.H @ model.P0 @ model.H.T)
     gathered = np.zeros_like(model.P0)
     for _ in range(model.states):
-        gathered = model.F @ gathered @ model.F.T + model.process_covariance
+        gathered = covariance_ahead(gathered, model)
     moves = np.diag(model.H @ gathered @ model.H.T)
     if not (told > WIDE * np.diag(model.R)).any() or (moves > 0.1 * WIDE * np.diag(model.R)).any():
         return None

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from becalm.core.arrays import Floats
+from becalm.core.covariances import covariance_after
 from becalm.core.model import Model
 
 Complexes = NDArray[np.complex128]
@@ -68,7 +69,7 @@ class SteadyFilter:
         D = self._scale
         F, H, K = self.model.F / D[:, np.newaxis] * D, self.model.H * D, self.gain / D[:, np.newaxis]
         rest = np.eye(len(F)) - K @ H
-        P_plus = rest @ (self.predicted_cov / np.outer(D, D)) @ rest.T + K @ self.model.R @ K.T
+        P_plus = covariance_after(self.predicted_cov, self.gain, self.model) / np.outer(D, D)
         return Loop(F, H, K, rest @ F, F @ rest, P_plus)
 
     @cached_property

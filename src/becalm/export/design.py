@@ -16,6 +16,7 @@ from becalm.cleaning.filters import Filter
 from becalm.cleaning.limits_entry import limits_of
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.core.arrays import Floats
+from becalm.core.covariances import covariance_ahead
 from becalm.core.gains import Opening, open_at
 from becalm.core.gates import Gate
 from becalm.core.limits import Limits
@@ -162,12 +163,11 @@ class Design:
         """
         if self.steady is None:
             return _MOST_COASTED
-        P, F, H = self.steady.predicted_cov, self.model.F, self.model.H
-        Q, R = self.model.process_covariance, float(self.model.R[0, 0])
+        P, H, R = self.steady.predicted_cov, self.model.H, float(self.model.R[0, 0])
         worth, rows = max(R, 2 * float((H @ P @ H.T)[0, 0])), 0
         P_plus = P - self.steady.gain @ (H @ P)
         while rows < _MOST_COASTED:
-            P_plus = F @ P_plus @ F.T + Q
+            P_plus = covariance_ahead(P_plus, self.model)
             if float((H @ P_plus @ H.T)[0, 0]) > worth:
                 break
             rows += 1

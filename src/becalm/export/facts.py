@@ -51,7 +51,7 @@ def _filter(design: Design) -> list[str]:
 def cost_words(design: Design, written: Written) -> str:
     """Say what a row costs."""
     if written.cost is None:
-        return "that of the library's channel; make cortex-m-count counts a settled row"
+        return "a row as becalm itself runs it: make cortex-m-count counts its instructions"
     return f"{written.cost}, {'a settled row' if design.modes is None else 'a row of all modes'}"
 
 

@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Floats, Integers
-from becalm.core.gains import Leap, gain_before, gains_after, leap_of
+from becalm.core.covariances import covariance_ahead, gain_before
+from becalm.core.gains import Leap, gains_after, leap_of
 from becalm.errors import RecipeError
 from becalm.export.design import Design, spread_of
 
@@ -88,7 +89,7 @@ def _thinned(design: Design, first: Floats, settled: Floats, spread: Floats) -> 
     while row < _MOST_ROWS:
         count = min(max(row // _ALIKE, 1), _MOST_ALIKE)
         half = _leap(leaps, P, count // 2)
-        gain = gain_before(half, design.model)
+        gain = gain_before(half, design.model)[:, 0]
         if (np.abs(gain - settled) <= _NEAR * (spread + np.abs(settled))).all():
             break
         K.append(gain)
@@ -99,8 +100,7 @@ def _thinned(design: Design, first: Floats, settled: Floats, spread: Floats) -> 
 
 def _after(design: Design, rows: int) -> Floats:
     """Return the covariance before the reading of row `rows` after the opening."""
-    F, Q = design.model.F, design.model.process_covariance
-    P, leap = F @ design.opening.P @ F.T + Q, leap_of(design.model)
+    P, leap = covariance_ahead(design.opening.P, design.model), leap_of(design.model)
     for _ in range(rows):
         P = leap.over(P)
     return P

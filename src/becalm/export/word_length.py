@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.core.gains import gain_before
+from becalm.core.covariances import covariance_ahead, gain_before
 from becalm.errors import RecipeError
 from becalm.export.design import Design, spread_of
 from becalm.export.number_type import NumberType
@@ -140,8 +140,8 @@ def start_of(design: Design, number: NumberType) -> float:
     number : NumberType
         Of its states in C.
     """
-    F, P = design.model.F, design.opening.P
-    gain = float(np.abs(gain_before(F @ P @ F.T + design.model.process_covariance, design.model)).max())
+    P = design.opening.P
+    gain = float(np.abs(gain_before(covariance_ahead(P, design.model), design.model)).max())
     return float(2.0**-number.bits * np.sqrt(np.diag(P).max()) * max(1.0, gain))
 
 

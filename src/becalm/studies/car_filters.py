@@ -9,6 +9,7 @@ from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
 
 from becalm.core import reference
 from becalm.core.arrays import Floats
+from becalm.core.covariances import covariance_ahead, gain_before
 from becalm.core.filtering import kalman_filter
 from becalm.core.model import Model
 from becalm.core.steady_filter import Complexes
@@ -79,7 +80,7 @@ def compare_forms(model: Model, z: Floats) -> Apart:
     one, got = run_one_step(model, z), kalman_filter(model, z, states=True, covariances=True)
     assert got.mean is not None
     assert got.cov is not None
-    ahead, ahead_cov = got.mean @ model.F.T, model.F @ got.cov @ model.F.T + model.process_covariance
+    ahead, ahead_cov = got.mean @ model.F.T, covariance_ahead(got.cov, model)
     state = np.abs(one.ahead - ahead) / np.abs(one.ahead).max(axis=0)
     return Apart(float(state.max()), _apart(one.filtered_cov, got.cov), _apart(one.ahead_cov, ahead_cov))
 
@@ -91,7 +92,7 @@ def _apart(P: Floats, other: Floats) -> float:
 def settled_gain(model: Model) -> Floats:
     """Return the settled gain (n, m) of the filtered form, from the Riccati equation."""
     P = solve_discrete_are(model.F.T, model.H.T, model.process_covariance, model.R)
-    return np.asarray(np.linalg.solve(model.H @ P @ model.H.T + model.R, model.H @ P).T, dtype=np.float64)
+    return gain_before(np.asarray(P, dtype=np.float64), model)
 
 
 def white_noise_left(model: Model) -> Floats:

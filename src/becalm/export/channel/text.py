@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from becalm.core.arrays import Floats
 from becalm.core.channel_settings import Settings, StepTable, packed_coefficients, packed_settings
+from becalm.core.covariances import covariance_after
 from becalm.export.design import Design
 from becalm.export.number_type import DOUBLE, NumberType
 from becalm.export.templates import render
@@ -137,6 +138,4 @@ def _settled_covariance(design: Design) -> Floats:
     """Return the covariance after a reading, once settled, by (7); of a filter that never settles, after the first."""
     if design.steady is None or not design.settles:
         return design.opening.P
-    P, K, R = design.steady.predicted_cov, design.steady.gain, design.noise_variance
-    A = np.eye(design.states) - K @ design.model.H
-    return np.asarray(A @ P @ A.T + R * K @ K.T, dtype=np.float64)
+    return covariance_after(design.steady.predicted_cov, design.steady.gain, design.model)
