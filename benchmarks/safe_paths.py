@@ -13,16 +13,18 @@ import numpy as np
 
 import becalm
 from becalm.cleaning.stream import StreamCleaner, Streamed
-from becalm.core.verdict import Verdict
+from becalm.core.verdict import LOST, Verdict
 from becalm.export.bundle import Asked, bundle_of
 from becalm.export.proof.compiling import build
 from becalm.export.proof.verifying import streamed, unpacked
+from becalm.export.vectors import STARTING
 from safe_bounds import Estimate
 from safe_signals import RATE_HZ, Floats
 
 LAG_ROWS = 20
 _BLOCK = 50  # rows that come together
 _SPIKES = [Verdict.SPIKE, Verdict.OUTLIER]
+_TELLS_NOTHING = [Verdict.HOLE, Verdict.RUNAWAY]  # statuses of C with which a number is told that is no estimate
 
 Path_ = Callable[[Floats], Estimate]
 """Takes readings (N,), and returns an estimate of them."""
@@ -83,7 +85,8 @@ class Exported(AbstractContextManager["Exported"]):
         """Run readings (N,) through the program."""
         one = self._channel
         out, codes = streamed(self._program, one, one.kind.raw(z, one.written))
-        signal = one.kind.in_unit(out, one.written)
+        told = np.cumsum(~LOST[np.where(codes == STARTING, Verdict.USED, codes)]) > 0  # from the first reading used
+        signal = np.where(told & ~np.isin(codes, _TELLS_NOTHING), one.kind.in_unit(out, one.written), np.nan)
         return Estimate(signal, np.full(len(z), np.nan), np.isin(codes, _SPIKES))
 
     def __enter__(self) -> Self:

@@ -20,10 +20,10 @@ from becalm.cleaning.stream import StreamCleaner
 from becalm.core.arrays import Codes, Floats
 from becalm.core.autoregressive import from_partial_autocorrelations
 from becalm.core.verdict import Verdict
-from becalm.export.bundle import Bundle
+from becalm.export.bundle import Asked, Bundle, bundle_of
 from becalm.export.channel.kind import Sizes
 from becalm.export.channel.shipped import shipped
-from becalm.export.proof.compiling import OPTIMISED, SANITIZED, run
+from becalm.export.proof.compiling import OPTIMISED, SANITIZED, STRICT, run
 from becalm.export.proof.verifying import unpacked
 from becalm.export.vectors import STARTING
 from becalm.export.written import FOLDER
@@ -331,7 +331,7 @@ def test_it_is_not_compiled_where_nan_is_forgotten(tmp_path: Path) -> None:
 
 def test_what_is_shipped_is_the_library() -> None:
     """Every file but the one that says how large arrays are; and every file that one of them includes."""
-    texts, sources = shipped(Sizes(frozenset({2, 3}), frozenset({2}), 4)), Path(native.__file__).parent
+    texts, sources = shipped(Sizes(frozenset({2, 3}), frozenset({2}), 4), "drive"), Path(native.__file__).parent
     for path, text in texts.items():
         folder, name = path.split("/")
         assert folder == FOLDER
@@ -343,6 +343,39 @@ def test_what_is_shipped_is_the_library() -> None:
     assert f"{FOLDER}/imm.c" not in files
     assert f"{FOLDER}/filter.c" in files
     assert not any(path.startswith(FOLDER) for path in bundle(CHANNELS["slope"], gain="settled").files)
+
+
+FIFTY = """{
+    STEM_a_state s;
+    double y;
+    STEM_a_init(&s);
+    for (int k = 0; k < 50; k++) STEM_a_step(&s, k * 0.1, &y);
+    printf("%.17g\\n", y);
+}
+"""
+
+
+def test_two_exports_are_linked_into_one_program(tmp_path: Path) -> None:
+    """Their arrays are of other sizes: neither may call the other's functions."""
+    need("gcc")
+    told = {"one": channel("a", 2, 0.05, gate=GATE), "other": channel("a", 5, 0.3, gate=GATE)}
+    main = ["#include <stdio.h>"]
+    for stem, recipe in told.items():
+        folder = tmp_path / stem
+        folder.mkdir()
+        made = bundle_of(recipe_of(recipe), stem, Asked(precision="float64"))
+        texts = [f"{stem}.c", *(path for path in made.files if path.startswith(FOLDER) and path.endswith(".c"))]
+        subprocess.run(["gcc", *STRICT, "-c", *texts], cwd=unpacked(made, folder), check=True)
+        main.append(f'#include "{stem}/{stem}.h"')
+    calls = "".join(FIFTY.replace("STEM", stem) for stem in told)
+    (tmp_path / "main.c").write_text("\n".join([*main, f"int main(void) {{ {calls} return 0; }}"]))
+    objects = [str(path) for path in tmp_path.glob("*/*.o")]
+    subprocess.run(["gcc", "main.c", *objects, "-o", "main", "-lm"], cwd=tmp_path, check=True)
+    said = subprocess.run([tmp_path / "main"], capture_output=True, text=True, check=True).stdout.split()
+    z, elapsed = np.arange(50) * 0.1, np.ones(50)
+    for recipe, signal in zip(told.values(), said, strict=True):
+        stream = StreamCleaner(recipe_of(recipe), STEP_S)
+        assert float(signal) == stream.push(z[:, np.newaxis], elapsed).signal[-1, 0]
 
 
 def test_outliers_ask_for_the_whole_channel() -> None:

@@ -122,7 +122,7 @@ def bundle_of(recipe: Recipe, name: str, asked: Asked) -> Bundle:
         _exported(channel, design, prefix, replace(kind, sizes=sizes) if isinstance(kind, Whole) else kind, asked)
         for (channel, design), prefix, kind in zip(found, prefixes, kinds, strict=True)
     ]
-    texts = _files(recipe, name, stem, asked, channels, notes, shipped(sizes))
+    texts = _files(recipe, name, stem, asked, channels, notes, shipped(sizes, stem))
     return Bundle(stem, texts, channels, notes)
 
 

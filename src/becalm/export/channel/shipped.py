@@ -12,10 +12,20 @@ from becalm.export.written import FOLDER
 
 _FILTER, _MODES = ("channel.c", "device.c", "filter.c"), ("device_modes.c", "imm.c")
 _SIZES = "sizes.h"
+_LINKED = re.compile(r"^(?:void|int|int64_t|real) (\w+)\(", re.M)
 
 
-def shipped(sizes: Sizes) -> dict[str, str]:
-    """Return the texts of the files that filters are compiled from, by their paths in a bundle; none for no filters."""
+def shipped(sizes: Sizes, stem: str) -> dict[str, str]:
+    """Return the texts of the files that filters are compiled from, by their paths in a bundle; none for no filters.
+
+    Parameters
+    ----------
+    sizes : Sizes
+        Of the filters.
+    stem : str
+        What names begin with: those of functions begin with it when they are linked, for another export, whose arrays
+        are of other sizes, may be linked beside it.
+    """
     wanted = [*(_FILTER if sizes.states else ()), *(_MODES if sizes.mode_states else ())]
     texts = dict[str, str]()
     while wanted:
@@ -25,5 +35,7 @@ def shipped(sizes: Sizes) -> dict[str, str]:
             wanted += re.findall(r'^#include "(.+)"', texts[name], re.M)
             wanted += [name.replace(".c", ".h")] if name.startswith("device") else []
     if texts:
-        texts[_SIZES] = render("sizes.h.jinja", {**sizes._asdict(), "most_states": sizes.most_states})
+        names = sorted({name for text in texts.values() for name in _LINKED.findall(text)})
+        context = {**sizes._asdict(), "most_states": sizes.most_states, "stem": stem, "names": names}
+        texts[_SIZES] = render("sizes.h.jinja", context)
     return {f"{FOLDER}/{name}": text for name, text in sorted(texts.items())}
