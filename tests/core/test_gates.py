@@ -227,6 +227,18 @@ def test_a_spike_in_the_first_readings_is_overcome(order: int, causal: bool) -> 
         assert np.abs(told_of(component_of(order), z, causal=causal).signal[100:]).max() < 2.0
 
 
+@pytest.mark.parametrize("order", [1, 2, 3])
+@pytest.mark.parametrize("later", [6, 9, 14])
+def test_a_spike_beside_a_step_is_a_spike(order: int, later: int) -> None:
+    """It is far beyond the step: motion that goes on grows from reading to reading."""
+    z = noise(3)
+    z[2000:] += 30.0
+    z[2000 + 4 + later] += 5000.0
+    told = told_of(component_of(order), z, causal=True)
+    assert told.verdicts[2000 + 4 + later] == Verdict.SPIKE
+    assert np.abs(told.signal[2100:] - 30.0).max() < 5.0
+
+
 @pytest.mark.parametrize("causal", [True, False])
 def test_a_step_leaves_a_tone_alone(causal: bool) -> None:
     k = np.arange(ROWS)

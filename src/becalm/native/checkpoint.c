@@ -11,7 +11,7 @@
 static void reduce_filter(const settings_t *settings, filter_t *filter) {
     const int64_t longest = settings->gate_most > GOES_ON ? settings->gate_most : GOES_ON;
     filter->rows = filter->settled_row = 0;
-    if (filter->since_jump >= longest) filter->since_jump = longest, filter->jumped = 0;
+    if (filter->since_jump >= longest) filter->since_jump = longest, filter->jumped = 0, filter->burst = 0;
     if (!filter->rejected) filter->last_rejected = filter->wandered = 0;
     if (!filter->predicted) memset(filter->ahead, 0, sizeof filter->ahead), memset(filter->L, 0, sizeof filter->L);
     if (!filter->settled) return;

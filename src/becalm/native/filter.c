@@ -51,7 +51,10 @@ INLINE int filter_row(const int n, const settings_t *settings, const coefficient
                 times(n, state->P, h, Ph);
                 state->S = dot(n, h, Ph) + model->R;
             }
-            if (verdict != SPIKE) state->rejected = state->agreeing = 0, state->since_jump++;
+            if (verdict != SPIKE) {
+                if (state->jumped && fabs(nu) > state->burst) state->burst = fabs(nu);
+                state->rejected = state->agreeing = 0, state->since_jump++;
+            }
         }
         if (verdict != SPIKE) {
             for (int i = 0; i < n; i++) state->K[i] = state->S > 0 ? Ph[i] / state->S : 0; /* (5) */
@@ -115,7 +118,7 @@ void filter_forget(filter_t *state) {
     state->phase = UNKNOWN;
     state->level = 0, state->has_level = 0;
     state->rejected = state->agreeing = state->since_jump = state->jumped = 0;
-    state->last_rejected = state->wandered = 0;
+    state->last_rejected = state->wandered = state->burst = 0;
     unsettle(state);
     state->steady = 0;
 }

@@ -5,6 +5,8 @@
 #include "filter.h"
 #include "linear.h"
 
+#define GROWS ((real)4) /* times the innovations of a jump so far: one that is larger is no part of it yet */
+
 /* Return by how much a prediction's error may change over a step, one standard deviation. */
 static inline real wander(const int n, const real *h, const real *F, const real *Q, const real *P) {
     real g[N_MAX], s = 0;
@@ -38,18 +40,18 @@ static inline void jump(const int n, const settings_t *settings, const coefficie
             *P += round_up(nu * nu / (model->h[i] * model->h[i]));
     }
     state->since_jump = level < 0 ? -n : -1;
-    state->jumped = 1;
+    state->jumped = 1, state->burst = fabs(nu);
 }
 
 /* Count a measurement that is rejected; return whether it is accepted after all: so many in a row are motion, and so is
-   one soon after a jump. */
+   one soon after a jump that is not far beyond it. */
 static inline int reject(const settings_t *settings, const coefficients_t *model, filter_t *state, const real nu) {
     const real noise = sqrt(2 * model->R + state->wandered * state->wandered);
     const int agrees = state->agreeing > 0 && fabs(nu - state->last_rejected) <= settings->gate_threshold * noise;
     state->agreeing = agrees ? state->agreeing + 1 : 1;
     state->rejected++;
     state->last_rejected = nu, state->wandered = 0;
-    const int goes_on = state->jumped && state->since_jump < GOES_ON;
+    const int goes_on = state->jumped && state->since_jump < GOES_ON && fabs(nu) <= GROWS * state->burst;
     return goes_on || state->agreeing >= settings->gate_agree || state->rejected >= settings->gate_most;
 }
 

@@ -119,6 +119,7 @@ typedef struct {
     real last_rejected, wandered; /* innovation, and how far predictions may have moved since */
     int64_t since_jump;       /* measurements used since; below 0 all are believed */
     int64_t jumped;
+    real burst;               /* largest innovation since the jump, in unit */
     real x[N_MAX];            /* state; while GATHERING right-hand side of the information */
     real ahead[N_MAX];        /* predicted state, of a filter that has settled */
     real K[N_MAX], L[N_MAX];  /* gains of the filtered and of the predicted state */
