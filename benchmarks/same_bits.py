@@ -1,0 +1,222 @@
+"""The same filter, the same bits: exported C beside becalm's stream, and whatever compiled it.
+
+*Recordings*: every channel of every recording is tuned as a causal filter (on its first 20 000 rows), exported whole as
+float64, compiled by `cc -O2`, and run over the record beside becalm's own stream, which goes in blocks of 50 rows, and
+over a causal `clean` of it; bytes are compared, where the stream tells a signal.
+*Compilers*: one export of many filters (orders 1 to 5 with a gate, a tone, coloured noise, modes that switch) is
+compiled in each way that this machine can, and run over 20 000 readings with spikes, steps and holes. zig is that of
+the package ziglang; what it makes for aarch64 runs under qemu-aarch64.
+
+Run: python benchmarks/same_bits.py [-o docs/same-bits.md] [NAME ...]; needs `pip install 'becalm[formats]'`.
+The recordings lie in ../shared/data; with names, only files whose path holds one of them are taken.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from importlib.util import find_spec
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+import becalm
+from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
+from becalm.cleaning.recipe_parts import ColouredNoiseRecipe, GateRecipe, ToneRecipe
+from becalm.cleaning.stream import StreamCleaner
+from becalm.core.arrays import Floats
+from becalm.errors import BecalmError
+from becalm.export.bundle import Asked, Bundle, bundle_of
+from becalm.export.proof.compiling import STRICT, build
+from becalm.export.proof.verifying import streamed, unpacked
+from pages import page_parser, publish
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "docs"))
+from real_recordings import DATA, files, parts
+
+_TUNED_ON = 20_000
+_ROWS, _BLOCK = 20_000, 50
+_RATE_HZ = 100.0
+_OPTIMISED = ("-O1", "-O2", "-O3")
+_AARCH64 = ("-target", "aarch64-linux-musl", "-static")
+
+
+class Way(NamedTuple):
+    """A way to compile, and to run what was compiled."""
+
+    name: str
+    compiler: tuple[str, ...]
+    runs: tuple[str, ...] = ()
+
+
+def ways() -> list[Way]:
+    """Return those that this machine can."""
+    found = [Way(f"{name} {how}", (name, how)) for name in ("gcc", "clang") if shutil.which(name) for how in _OPTIMISED]
+    if find_spec("ziglang"):
+        zig = (sys.executable, "-m", "ziglang", "cc")
+        found.append(Way("zig cc -O2", (*zig, "-mcpu=baseline", "-O2")))
+        if shutil.which("qemu-aarch64"):
+            found.append(Way("zig cc -O2, aarch64", (*zig, *_AARCH64, "-O2"), ("qemu-aarch64",)))
+    return found
+
+
+def many_filters() -> Recipe:
+    """Return a recipe of filters of all kinds."""
+    tone = ToneRecipe(frequency_hz=17.0, bandwidth_hz=0.2, process_noise_density=1.0)
+    coloured = ColouredNoiseRecipe(rate_hz=_RATE_HZ, coefficients=(0.6, 0.1), std=2.0)
+    cutoffs = (0.2, 0.05, 0.05, 0.1, 0.3)
+    gated = [_channel(f"order {k}", k, cutoff, gate=GateRecipe()) for k, cutoff in enumerate(cutoffs, start=1)]
+    others = [_channel("tone", 2, 0.05, tone=(tone,)), _channel("coloured", 2, 0.05, coloured_noise=coloured)]
+    stairs = np.repeat(4 * np.random.default_rng(1).normal(size=10), 600)
+    readings = stairs + np.random.default_rng(2).normal(size=len(stairs))
+    (switching,) = becalm.tune(becalm.Recording(readings, names=["modes"], rate_hz=_RATE_HZ), causal=True).channel
+    assert switching.switching is not None, "stairs are modes"
+    return Recipe(mode="causal", tuned_on=Origin(rate_hz=_RATE_HZ), channel=(*gated, *others, switching))
+
+
+def _channel(name: str, order: int, cutoff: float, **more: object) -> ChannelRecipe:
+    density = cutoff ** (2 * order) * _RATE_HZ ** (2 * order - 1)
+    told = {"name": name, "model": "motion", "order": order, "process_noise_density": density, "noise_std": 1.0, **more}
+    return ChannelRecipe.model_validate(told)
+
+
+def rough() -> Floats:
+    """Return readings with spikes, steps and holes."""
+    rng = np.random.default_rng(3)
+    z = 12 * np.sin(np.arange(_ROWS) / 40) + rng.normal(size=_ROWS)
+    for row in rng.integers(100, _ROWS - 100, 30).tolist():
+        z[row:] += rng.normal() * 20
+        z[row + 50 : row + 50 + int(rng.integers(2, 80))] = np.nan
+    z[rng.random(_ROWS) < 0.01] += 200.0
+    z[rng.random(_ROWS) < 0.02] = np.nan
+    return z
+
+
+def by_compilers() -> str:
+    """Return the table of compilers."""
+    recipe, readings = many_filters(), rough()
+    bundle = bundle_of(recipe, "many", Asked(precision="float64", gain="full"))
+    own = hashlib.sha256()
+    for channel in recipe.channel:
+        own.update(_told(_stream(channel, _RATE_HZ, readings)))
+    lines = ["| compiled by | SHA-256 of all signals |", "|---|---|", f"| becalm's stream | `{own.hexdigest()[:16]}` |"]
+    for way in ways():
+        print(way.name, file=sys.stderr)
+        lines.append(f"| {way.name} | `{_by(way, bundle, recipe, readings)[:16]}` |")
+    return "\n".join(lines) + "\n"
+
+
+def _by(way: Way, bundle: Bundle, recipe: Recipe, readings: Floats) -> str:
+    """Compile and run all filters; return the hash of what they tell where becalm's stream does."""
+    found = hashlib.sha256()
+    with tempfile.TemporaryDirectory() as place:
+        folder = unpacked(bundle, Path(place))
+        texts = [path for path in bundle.files if path.endswith(".c") and path.count("/") == path.startswith("native/")]
+        words = [*way.compiler, *STRICT[:1], STRICT[-1], *texts, "-o", "check", "-lm"]
+        subprocess.run(words, cwd=folder, check=True, capture_output=True)
+        (folder / "in").write_bytes(readings.tobytes())
+        for one, channel in zip(bundle.channels, recipe.channel, strict=True):
+            subprocess.run([*way.runs, "./check", one.prefix, "in", "out", "status"], cwd=folder, check=True)
+            told = np.frombuffer((folder / "out").read_bytes(), np.float64)
+            found.update(_told(np.where(np.isnan(_stream(channel, _RATE_HZ, readings)), np.nan, told)))
+    return found.hexdigest()
+
+
+def _told(signal: Floats) -> bytes:
+    return signal[~np.isnan(signal)].tobytes()
+
+
+def _stream(channel: ChannelRecipe, rate_hz: float, readings: Floats) -> Floats:
+    """Return what becalm's stream tells of readings that come in blocks."""
+    alone = Recipe(mode="causal", tuned_on=Origin(rate_hz=rate_hz), channel=(channel,))
+    stream = StreamCleaner(alone, 1 / rate_hz)
+    told = [
+        stream.push(np.ascontiguousarray(readings[k : k + _BLOCK, np.newaxis]), np.ones(len(readings[k : k + _BLOCK])))
+        for k in range(0, len(readings), _BLOCK)
+    ]
+    return np.concatenate([part.signal[:, 0] for part in told])
+
+
+class Compared(NamedTuple):
+    """What was found of one recording."""
+
+    record: str
+    channels: int
+    rows: int
+    beside_stream: int  # signals of C that differ from the stream's
+    beside_clean: int  # signals of the stream that differ from those of `clean`
+    refused: int
+
+
+def by_recording(names: Sequence[str]) -> Iterator[Compared]:
+    """Compare every channel of every recording."""
+    for path in files():
+        if names and not any(name in str(path) for name in names):
+            continue
+        for part in parts(path):
+            if part.recording is not None:
+                title = f"{path.relative_to(DATA)}{': ' if part.title else ''}{part.title}"
+                began = time.perf_counter()
+                yield _compared(title, part.recording)
+                print(f"{title}: {time.perf_counter() - began:.0f} s", file=sys.stderr)
+
+
+def _compared(title: str, recording: becalm.Recording) -> Compared:
+    first = slice(0, _TUNED_ON)
+    head = becalm.Recording(
+        recording.samples[first], names=recording.names, units=recording.units, times_s=recording.times_s[first]
+    )
+    rate_hz, counted, beside_stream, beside_clean, refused = recording.timebase.rate_hz, 0, 0, 0, 0
+    for channel in becalm.tune(head, causal=True).channel:
+        if channel.motion is None:
+            continue
+        readings = np.ascontiguousarray(recording.samples[:, recording.names.index(channel.name)])
+        alone = Recipe(mode="causal", tuned_on=Origin(rate_hz=rate_hz), channel=(channel,))
+        try:
+            bundle = bundle_of(alone, "record", Asked(precision="float64", gain="full"))
+        except BecalmError:
+            refused += 1
+            continue
+        with tempfile.TemporaryDirectory() as place:
+            program = build(unpacked(bundle, Path(place)), bundle.stem, "cc", ("-O2",))
+            (one,) = bundle.channels
+            signal, _ = streamed(program, one, one.kind.raw(readings, one.written))
+        even = becalm.Recording(readings, names=[channel.name], units=[channel.unit], rate_hz=rate_hz)
+        cleaned = becalm.clean(even, alone).signal.samples[:, 0]
+        told = _stream(channel, rate_hz, readings)
+        counted += 1
+        beside_stream += int(np.count_nonzero((signal != told) & ~np.isnan(told)))
+        beside_clean += int(np.count_nonzero((cleaned != told) & ~(np.isnan(told) & np.isnan(cleaned))))
+    return Compared(title, counted, len(recording), beside_stream, beside_clean, refused)
+
+
+def page(names: Sequence[str]) -> str:
+    """Return both tables."""
+    lines = ["## Compilers", "", by_compilers(), "## Recordings", ""]
+    lines += ["| recording | rows | channels | C beside the stream: differ | stream beside `clean`: differ | refused |"]
+    lines += ["|---|---|---|---|---|---|"]
+    every = []
+    for one in by_recording(names):
+        every.append(one)
+        lines.append(f"| {' | '.join(map(str, (one.record, one.rows, one.channels, *one[3:])))} |")
+    total = [sum(column) for column in zip(*(one[1:] for one in every), strict=True)] or [0] * 5
+    lines.append(f"| all | {total[1]} | {total[0]} | {' | '.join(map(str, total[2:]))} |")
+    return "\n".join(lines) + "\n"
+
+
+def main() -> None:
+    """Print the tables; with -o, write them as a page."""
+    parser = page_parser(__doc__)
+    parser.add_argument("names", nargs="*")
+    words = parser.parse_args()
+    publish("The same bits", __doc__, page(words.names), words.output)
+
+
+if __name__ == "__main__":
+    main()
