@@ -15,7 +15,7 @@ from becalm.cleaning.stream import StreamCleaner
 from becalm.core.arrays import Codes, Floats
 from becalm.errors import ModelError, RecipeError
 from becalm.export.bundle import Exported
-from becalm.export.channel.kind import Whole
+from becalm.export.channel.kind import WholeChannel
 from becalm.export.number_type import Precision
 from becalm.export.vectors import STARTING
 from exported import built, bundle, channel, recipe_of, through
@@ -165,7 +165,7 @@ def check_is_becalm(one: Exported, told: ChannelRecipe, given_it: Floats, want: 
     rate_hz, known = 1 / one.design.step_s, became != STARTING
     signal, verdicts = told_by_becalm(told, rate_hz, given_it)
     np.testing.assert_array_equal(became[known], verdicts[known])
-    if isinstance(one.kind, Whole):
+    if isinstance(one.kind, WholeChannel):
         np.testing.assert_array_equal(want[known], signal[known])
         return
     others = [told_by_becalm(in_unit(told, unit), rate_hz, given_it * unit)[0] / unit for unit in OTHER_UNITS]
@@ -207,7 +207,7 @@ def test_any_recipe_exports_and_agrees(
     assert np.isfinite(signal).all()
     known = codes != STARTING
     assert known.sum() > ROWS // 2
-    if isinstance(one.kind, Whole):
+    if isinstance(one.kind, WholeChannel):
         np.testing.assert_array_equal(signal, want.astype(one.kind.number.dtype))
     elif precision == "float64":
         assert np.abs(signal - want)[known].max() <= 1e-12 * np.abs(want[known]).max()

@@ -22,14 +22,14 @@ FLOATING: dict[str, tuple[str, ChannelRecipe, dict[str, Any]]] = {
     "settled, with limits, exact": ("Settled", channel("ax", 2, 0.05, limits=LIMITS), {}),
     "thinned": ("Settled", channel("ax", 2, 2e-3), {"gain": "settled"}),
     "thinned, with limits": ("Settled", channel("ax", 2, 2e-3, limits=LIMITS), {"gain": "settled"}),
-    "full": ("Whole", channel("ax", 2, 0.05), {"gain": "full"}),
-    "full, with limits": ("Whole", channel("ax", 3, 0.05, limits=LIMITS), {"gain": "full"}),
-    "full, with a disturbance": ("Whole", channel("ax", 1, 0.05, tone=(HUM,)), {"gain": "full"}),
-    "gate": ("Whole", GATED, {}),
-    "gate and limits": ("Whole", GATED.model_copy(update={"limits": LIMITS}), {}),
-    "never settled": ("Whole", channel("ax", 2, 0.0), {}),
-    "bank": ("Whole", channel("ax", 2, 0.05, switching=MODES), {}),
-    "bank, with limits": ("Whole", channel("ax", 2, 0.05, switching=MODES, limits=LIMITS), {}),
+    "full": ("WholeChannel", channel("ax", 2, 0.05), {"gain": "full"}),
+    "full, with limits": ("WholeChannel", channel("ax", 3, 0.05, limits=LIMITS), {"gain": "full"}),
+    "full, with a disturbance": ("WholeChannel", channel("ax", 1, 0.05, tone=(HUM,)), {"gain": "full"}),
+    "gate": ("WholeChannel", GATED, {}),
+    "gate and limits": ("WholeChannel", GATED.model_copy(update={"limits": LIMITS}), {}),
+    "never settled": ("WholeChannel", channel("ax", 2, 0.0), {}),
+    "bank": ("WholeChannel", channel("ax", 2, 0.05, switching=MODES), {}),
+    "bank, with limits": ("WholeChannel", channel("ax", 2, 0.05, switching=MODES, limits=LIMITS), {}),
 }
 COUNTED = {
     name: FLOATING[name][1]

@@ -14,8 +14,8 @@ from becalm.cleaning.recipe import ChannelRecipe, Recipe
 from becalm.core.arrays import Floats
 from becalm.core.itself import version
 from becalm.errors import RecipeError, UsageError
-from becalm.export.channel.kind import Sizes, Whole
-from becalm.export.channel.shipped import shipped
+from becalm.export.channel.kind import Sizes, WholeChannel
+from becalm.export.channel.sources import sources_of
 from becalm.export.design import Design, design_of
 from becalm.export.facts import cost_words, facts_of, reset_words
 from becalm.export.kind import Kind, Opened, Raw, Span
@@ -92,7 +92,7 @@ class Bundle(NamedTuple):
     @property
     def needs_nan(self) -> bool:
         """Whether it does not compile with -ffast-math, which forgets what NaN is."""
-        return any(isinstance(one.kind, Whole) for one in self.channels)
+        return any(isinstance(one.kind, WholeChannel) for one in self.channels)
 
 
 def bundle_of(recipe: Recipe, name: str, asked: Asked) -> Bundle:
@@ -117,12 +117,14 @@ def bundle_of(recipe: Recipe, name: str, asked: Asked) -> Bundle:
     stem, (found, notes) = identifier(name, "filters"), chosen(recipe, asked.channels)
     prefixes = identifiers((f"{stem}_{channel.name}" for channel, _ in found), stem)
     kinds = [kind_of(channel, design, asked.precision, asked.gain) for channel, design in found]
-    sizes = Sizes.of(design for (_, design), kind in zip(found, kinds, strict=True) if isinstance(kind, Whole))
+    sizes = Sizes.of(design for (_, design), kind in zip(found, kinds, strict=True) if isinstance(kind, WholeChannel))
     channels = [
-        _exported(channel, design, prefix, replace(kind, sizes=sizes) if isinstance(kind, Whole) else kind, asked)
+        _exported(
+            channel, design, prefix, replace(kind, sizes=sizes) if isinstance(kind, WholeChannel) else kind, asked
+        )
         for (channel, design), prefix, kind in zip(found, prefixes, kinds, strict=True)
     ]
-    texts = _files(recipe, name, stem, asked, channels, notes, shipped(sizes, stem))
+    texts = _files(recipe, name, stem, asked, channels, notes, sources_of(sizes, stem))
     return Bundle(stem, texts, channels, notes)
 
 
@@ -235,9 +237,9 @@ def _channel(one: Exported, recipe: Recipe) -> dict[str, Any]:
         "state_bytes": one.written.state_bytes,
         "table_bytes": one.written.table_bytes,
         "cost": cost_words(one.design, one.written),
-        "whole": isinstance(one.kind, Whole),
+        "whole": isinstance(one.kind, WholeChannel),
         "settles": one.design.settles,
-        "forgets": not isinstance(one.kind, Whole) or one.design.is_reached,
+        "forgets": not isinstance(one.kind, WholeChannel) or one.design.is_reached,
         "switches": one.design.modes is not None,
         "bits": one.kind.bits,
         "told": one.kind.told,

@@ -7,7 +7,7 @@ from typing import get_args
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.core.outliers import NO_OUTLIERS
 from becalm.errors import RecipeError, UsageError
-from becalm.export.channel.kind import Whole
+from becalm.export.channel.kind import WholeChannel
 from becalm.export.design import Design
 from becalm.export.fixed.kind import Fixed
 from becalm.export.kind import Kind
@@ -61,7 +61,7 @@ def kind_of(recipe: ChannelRecipe, design: Design, precision: Precision, gain: s
         return Fixed()
     number = DOUBLE if precision == "float64" else FLOAT
     if needs or gain == "full" or (gain == "auto" and _is_better_whole(design, number)):
-        return Whole.alone(number, recipe, design)
+        return WholeChannel.alone(number, recipe, design)
     if not number.is_double and _is_lost_at_first(design, number):
         raise RecipeError(
             f"{design.name}: its first readings hardly tell its state, and float would lose the digits; leave --gain"

@@ -4,7 +4,7 @@
 #include <string.h>
 
 #include "filter.h"
-#include "leap.h"
+#include "doubling.h"
 #include "linear.h"
 
 void device_start(const device_t *device, device_state_t *state) {
@@ -57,6 +57,6 @@ void device_gap(const device_t *device, device_state_t *state, const uint32_t ro
     real F[NN_MAX], Q[NN_MAX];
     int8_t verdict = USED;
     if (rows == 0) return;
-    leap((int)device->settings.states, device->F, device->Q, rows, F, Q);
+    many_steps((int)device->settings.states, device->F, device->Q, rows, F, Q);
     (void)take(device, state, NOT_A_NUMBER, rows, F, Q, &verdict);
 }

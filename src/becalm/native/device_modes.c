@@ -3,7 +3,7 @@
 
 #include <string.h>
 
-#include "leap.h"
+#include "doubling.h"
 #include "sensor.h"
 
 enum { SINGLE = 1000 }; /* rows of a gap that are taken one by one: by then the modes are as probable as in the long run */
@@ -90,7 +90,7 @@ void device_modes_gap(const device_modes_t *device, device_modes_state_t *state,
     for (uint32_t row = 0; row < single; row++) (void)device_modes_step(device, state, NOT_A_NUMBER, &told);
     if (rows == single) return;
     for (int j = 0; j < m; j++)
-        leap(n, device->F + j * n * n, device->Q + j * n * n, rows - single, F + j * n * n, Q + j * n * n);
+        many_steps(n, device->F + j * n * n, device->Q + j * n * n, rows - single, F + j * n * n, Q + j * n * n);
     switch_often(m, device->T, rows - single, T);
     (void)take(device, state, NOT_A_NUMBER, rows - single, F, Q, T, &verdict, &told);
 }

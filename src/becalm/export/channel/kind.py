@@ -49,7 +49,7 @@ class Sizes(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Whole(Floating):
+class WholeChannel(Floating):
     """The library's own channel: its limits, its gate or its modes, its covariance, and what watches the sensor.
 
     Attributes
@@ -64,7 +64,7 @@ class Whole(Floating):
     sizes: Sizes
 
     @classmethod
-    def alone(cls, number: NumberType, recipe: ChannelRecipe, design: Design) -> Whole:
+    def alone(cls, number: NumberType, recipe: ChannelRecipe, design: Design) -> WholeChannel:
         """Return the kind of a filter that none is written beside."""
         return cls(number, recipe, Sizes.of([design]))
 

@@ -18,7 +18,7 @@ from becalm.export.vectors import STARTING
 _SINGLE = 1000  # rows of a gap that modes take one by one; see `native/device_modes.c`
 
 
-class _Spoken(ABC):
+class _ControllerReference(ABC):
     """Tells something of every row."""
 
     def __init__(self) -> None:
@@ -43,7 +43,7 @@ class _Spoken(ABC):
         return np.asarray(entered[last[1:]], dtype=np.float64)
 
 
-class ChannelReference(_Spoken):
+class ChannelReference(_ControllerReference):
     """One channel.
 
     Parameters
@@ -66,7 +66,7 @@ class ChannelReference(_Spoken):
         return (found.signal, found.verdict), self._across.process(z, elapsed).signal
 
 
-class ModesReference(_Spoken):
+class ModesReference(_ControllerReference):
     """One channel that switches.
 
     Parameters

@@ -14,7 +14,7 @@ from becalm.cleaning.stream import StreamCleaner
 from becalm.core.arrays import Codes, Floats
 from becalm.core.verdict import LOST
 from becalm.export.bundle import Bundle, Exported
-from becalm.export.channel.kind import Whole
+from becalm.export.channel.kind import WholeChannel
 from becalm.export.design import NOT_IN_C
 from becalm.export.kind import Raw
 from becalm.export.proof.compiling import OPTIMISED, SANITIZED, Build, CompileError, build, compilers, run
@@ -216,7 +216,7 @@ def _as_exported(one: Exported, channel: ChannelRecipe) -> ChannelRecipe:
     But for the library's own channel it believes gross outliers, and has no last sentinel.
     """
     limits = channel.limits
-    if limits is not None and not isinstance(one.kind, Whole):
+    if limits is not None and not isinstance(one.kind, WholeChannel):
         limits = limits.model_copy(update=dict.fromkeys(NOT_IN_C))
     return channel.model_copy(update={"limits": limits, "fill": True})
 

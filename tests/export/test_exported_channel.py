@@ -22,7 +22,7 @@ from becalm.core.autoregressive import from_partial_autocorrelations
 from becalm.core.verdict import Verdict
 from becalm.export.bundle import Asked, Bundle, bundle_of
 from becalm.export.channel.kind import Sizes
-from becalm.export.channel.shipped import shipped
+from becalm.export.channel.sources import sources_of
 from becalm.export.proof.compiling import OPTIMISED, SANITIZED, STRICT, run
 from becalm.export.proof.verifying import unpacked
 from becalm.export.vectors import STARTING
@@ -331,7 +331,7 @@ def test_it_is_not_compiled_where_nan_is_forgotten(tmp_path: Path) -> None:
 
 def test_what_is_shipped_is_the_library() -> None:
     """Every file but the one that says how large arrays are; and every file that one of them includes."""
-    texts, sources = shipped(Sizes(frozenset({2, 3}), frozenset({2}), 4), "drive"), Path(native.__file__).parent
+    texts, sources = sources_of(Sizes(frozenset({2, 3}), frozenset({2}), 4), "drive"), Path(native.__file__).parent
     for path, text in texts.items():
         folder, name = path.split("/")
         assert folder == FOLDER
@@ -372,15 +372,15 @@ def test_two_exports_are_linked_into_one_program(tmp_path: Path) -> None:
     objects = [str(path) for path in tmp_path.glob("*/*.o")]
     subprocess.run(["gcc", "main.c", *objects, "-o", "main", "-lm"], cwd=tmp_path, check=True)
     said = subprocess.run([tmp_path / "main"], capture_output=True, text=True, check=True).stdout.split()
-    z, elapsed = np.arange(50) * 0.1, np.ones(50)
+    z: Floats = np.arange(50, dtype=np.float64) * 0.1
     for recipe, signal in zip(told.values(), said, strict=True):
         stream = StreamCleaner(recipe_of(recipe), STEP_S)
-        assert float(signal) == stream.push(z[:, np.newaxis], elapsed).signal[-1, 0]
+        assert float(signal) == stream.push(np.asarray(z[:, np.newaxis], np.float64), np.ones(50)).signal[-1, 0]
 
 
 def test_outliers_ask_for_the_whole_channel() -> None:
     def kind(**asked: Any) -> str:
         return type(bundle(WATCHED.model_copy(update={"gate": None}), **asked).channels[0].kind).__name__
 
-    assert kind() == "Whole"
+    assert kind() == "WholeChannel"
     assert kind(gain="settled") == "Settled"

@@ -15,7 +15,7 @@ _SIZES = "sizes.h"
 _LINKED = re.compile(r"^(?:void|int|int64_t|real) (\w+)\(", re.M)
 
 
-def shipped(sizes: Sizes, stem: str) -> dict[str, str]:
+def sources_of(sizes: Sizes, stem: str) -> dict[str, str]:
     """Return the texts of the files that filters are compiled from, by their paths in a bundle; none for no filters.
 
     Parameters

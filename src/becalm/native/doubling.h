@@ -1,11 +1,11 @@
 /* Many steps as one, by doubling. */
-#ifndef BECALM_LEAP_H
-#define BECALM_LEAP_H
+#ifndef BECALM_DOUBLING_H
+#define BECALM_DOUBLING_H
 
 #include "linear.h"
 
 /* Write the step, A and W, that is so many of another, F and Q. */
-static inline void leap(const int n, const real *F, const real *Q, uint32_t rows, real *A, real *W) {
+static inline void many_steps(const int n, const real *F, const real *Q, uint32_t rows, real *A, real *W) {
     real B[NN_MAX], V[NN_MAX], BB[NN_MAX], more[NN_MAX];
     copy(n * n, F, B), copy(n * n, Q, V);
     for (int i = 0; i < n * n; i++) A[i] = i % (n + 1) == 0, W[i] = 0;
