@@ -174,3 +174,14 @@ def test_files_that_no_export_wrote_stay_and_an_old_certificate_goes(recipe: Pat
     (tmp_path / "out" / "certificate.md").write_text("of another", encoding="utf-8")
     assert run("export", recipe, "-o", "out").returncode == 0
     assert not (tmp_path / "out" / "certificate.md").exists()
+
+
+def test_files_of_the_library_that_an_older_export_needed_go(recipe: Path, run: Run, tmp_path: Path) -> None:
+    """A compiler that takes all that lies there, as Arduino's does, would stumble on them."""
+    assert run("export", recipe, "-o", "out", "--gain", "full").returncode == 0
+    assert (tmp_path / "out/native/filter.c").exists()
+    mine = tmp_path / "out/native/mine.txt"
+    mine.write_text("a person's own", encoding="utf-8")
+    assert run("export", recipe, "-o", "out", "--gain", "settled").returncode == 0
+    assert not list((tmp_path / "out").rglob("filter.[ch]"))
+    assert mine.exists()

@@ -23,7 +23,7 @@ from becalm.core.verdict import Verdict
 from becalm.export.bundle import Asked, Bundle, bundle_of
 from becalm.export.channel.kind import Sizes
 from becalm.export.channel.sources import sources_of
-from becalm.export.proof.compiling import OPTIMISED, SANITIZED, STRICT, run
+from becalm.export.proof.compiling import OPTIMISED, SANITIZED, STRICT, build, run
 from becalm.export.proof.verifying import unpacked
 from becalm.export.vectors import STARTING
 from becalm.export.written import FOLDER
@@ -224,6 +224,37 @@ def test_endless_gaps_leave_numbers(precision: str, carries: Carries) -> None:
             assert abs(signal[-1] - 1.0) < 1e-3
 
 
+@pytest.mark.parametrize("name", ["bend", "snap"])
+@pytest.mark.parametrize("rows", [1 << 18, (1 << 32) - 1])
+def test_a_reset_is_forgotten_over_a_gap_beyond_reach(name: str, rows: int, carries: Carries) -> None:
+    program = carries(CHANNELS[name], "float64")
+    program.reset(1000.0)
+    program.gap(rows)
+    signal, _ = program.run(1000 + np.random.default_rng(2).normal(size=3000))
+    assert np.abs(signal - 1000).max() < 10
+
+
+@pytest.mark.parametrize("signal", [60.1, -1e3, 1e50, 1e99, np.inf])
+def test_a_reset_to_what_is_no_reading_is_none(signal: float, carries: Carries) -> None:
+    program = carries(BOTH["gated railed"], "float64")
+    program.reset(signal)
+    assert program.sigma == np.inf
+    told, codes = program.run(np.array([np.nan, 1.0]))
+    assert told.tolist() == [0.0, 1.0]
+    assert codes[0] == Verdict.MISSING
+
+
+def test_a_reading_that_is_none_does_not_stand_in_for_an_estimate_that_ran_away(carries: Carries) -> None:
+    limits = LimitsRecipe(low=-100.0, high=100.0, plausible_low=-10.0, plausible_high=10.0)
+    told = channel("ax", 2, 0.05, gate=GATE, limits=limits)
+    program, readings = carries(told, "float64"), np.minimum(np.arange(400) / 10, 30.0)
+    readings[330:360] = np.nan
+    readings[[340, 345, 350]] = 4095.0, np.inf, np.nan
+    signal, codes = program.run(readings)
+    check_same("float64", signal, codes, *expected(told, program, readings))
+    assert np.abs(signal).max() < 200
+
+
 @pytest.mark.parametrize("name", ["slope", "never", "returning", "watched"])
 def test_a_reset_knows_the_level(name: str, carries: Carries) -> None:
     for precision in NUMBERS:
@@ -376,6 +407,24 @@ def test_two_exports_are_linked_into_one_program(tmp_path: Path) -> None:
     for recipe, signal in zip(told.values(), said, strict=True):
         stream = StreamCleaner(recipe_of(recipe), STEP_S)
         assert float(signal) == stream.push(np.asarray(z[:, np.newaxis], np.float64), np.ones(50)).signal[-1, 0]
+
+
+@pytest.mark.parametrize("stem", ["filter", "device", "channel", "becalm", "becalm_sizes", "imm"])
+def test_a_recipe_may_be_called_as_a_part_of_the_library(stem: str, tmp_path: Path) -> None:
+    need("gcc")
+    made = bundle_of(recipe_of(WATCHED.model_copy(update={"name": "加速度"})), stem, Asked())
+    ran = run(build(unpacked(made, tmp_path), made.stem, "gcc", ("-O1",)))
+    assert ran.returncode == 0, ran.stdout
+
+
+def test_a_channel_far_from_0_is_tried_where_it_is(tmp_path: Path) -> None:
+    limits = LimitsRecipe(outlier_distance=5.0, causal_outlier_distance=5.0, plausible_low=13.0, plausible_high=90.0)
+    made = bundle(channel("volt", 2, 0.05, limits=limits, gate=GATE), precision="float64")
+    (one,) = made.channels
+    ran = run(built(made, tmp_path))
+    assert ran.returncode == 0, ran.stdout
+    used = {vector.name: np.isin(vector.codes, [Verdict.USED, Verdict.STEP]).mean() for vector in one.vectors}
+    assert min(used.values()) > 0.5
 
 
 def test_outliers_ask_for_the_whole_channel() -> None:

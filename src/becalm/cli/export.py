@@ -21,6 +21,7 @@ from becalm.errors import UsageError
 from becalm.export.bundle import Asked, Bundle, bundle_of
 from becalm.export.facts import cost_words
 from becalm.export.kind import Span
+from becalm.export.written import FOLDER
 from becalm.files.plain import make_folder, refuse_unwritable, write_folder, write_text
 from becalm.files.waiting import in_waiting
 
@@ -96,11 +97,21 @@ def _to_c(recipe: Recipe, path: Path, output: Path, wanted: Wanted) -> dict[str,
         files[_CERTIFICATE] = certificate(bundle, verified)
         told["compared"] = [_told(one) for one in verified.compared]
     write_folder(output, files)
-    if not wanted.verify:
-        (output / _CERTIFICATE).unlink(missing_ok=True)  # of what stood here before
+    stood = {_CERTIFICATE, *_native_in(output)}
+    for path in stood - set(files):  # of an export that stood here before
+        (output / path).unlink(missing_ok=True)
     _say(bundle, told)
     typer.echo(f"Wrote {output}. Try it with: make -C {output} check", err=True)
     return told
+
+
+def _native_in(output: Path) -> set[str]:
+    """Return the library's files in an export, wherever a compiler would find them."""
+    return {
+        path.relative_to(output).as_posix()
+        for folder in (FOLDER, f"arduino/*/src/{FOLDER}")
+        for path in output.glob(f"{folder}/*.[ch]")
+    }
 
 
 @contextmanager

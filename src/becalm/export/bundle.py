@@ -15,7 +15,7 @@ from becalm.core.arrays import Floats
 from becalm.core.itself import version
 from becalm.errors import RecipeError, UsageError
 from becalm.export.channel.kind import Sizes, WholeChannel
-from becalm.export.channel.sources import sources_of
+from becalm.export.channel.sources import OWN_NAMES, sources_of
 from becalm.export.design import Design, design_of
 from becalm.export.facts import cost_words, facts_of, reset_words
 from becalm.export.kind import Kind, Opened, Raw, Span
@@ -114,7 +114,7 @@ def bundle_of(recipe: Recipe, name: str, asked: Asked) -> Bundle:
     UsageError
         If a channel is not in the recipe.
     """
-    stem, (found, notes) = identifier(name, "filters"), chosen(recipe, asked.channels)
+    stem, (found, notes) = stem_of(name), chosen(recipe, asked.channels)
     prefixes = identifiers((f"{stem}_{channel.name}" for channel, _ in found), stem)
     kinds = [kind_of(channel, design, asked.precision, asked.gain) for channel, design in found]
     sizes = Sizes.of(design for (_, design), kind in zip(found, kinds, strict=True) if isinstance(kind, WholeChannel))
@@ -126,6 +126,12 @@ def bundle_of(recipe: Recipe, name: str, asked: Asked) -> Bundle:
     ]
     texts = _files(recipe, name, stem, asked, channels, notes, sources_of(sizes, stem))
     return Bundle(stem, texts, channels, notes)
+
+
+def stem_of(name: str) -> str:
+    """Return what files and names in C begin with; none is one of the library's own."""
+    stem = identifier(name, "filters")
+    return f"{stem}_filters" if stem in OWN_NAMES else stem
 
 
 def chosen(recipe: Recipe, channels: Sequence[str] | None) -> tuple[list[tuple[ChannelRecipe, Design]], list[str]]:

@@ -114,8 +114,14 @@ def _calm(design: Design) -> dict[str, Floats]:
     }
 
 
+def _range(design: Design) -> tuple[float, float]:
+    """Return between what readings lie: the rails, and what is plausible, as far as they are known."""
+    limits = design.limits
+    return max(limits.low, limits.outliers.low), min(limits.high, limits.outliers.high)
+
+
 def _centre(design: Design) -> float:
-    low, high = design.limits.rails
+    low, high = _range(design)
     inside = 100 * design.noise_std
     if np.isfinite(low):
         return (low + high) / 2 if np.isfinite(high) else low + inside
@@ -123,7 +129,7 @@ def _centre(design: Design) -> float:
 
 
 def _size(design: Design) -> float:
-    low, high = design.limits.rails
+    low, high = _range(design)
     noises = 10 if design.modes is not None else 40  # what lies far from all modes makes their probabilities toss
     return float(min(noises * design.noise_std, 0.4 * (high - low)))
 

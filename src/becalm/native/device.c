@@ -7,6 +7,8 @@
 #include "doubling.h"
 #include "linear.h"
 
+#define LONG ((real)1e9) /* steps: a filter that was reset has been so for as long */
+
 void device_start(const device_t *device, device_state_t *state) {
     channel_start(&device->settings, &state->channel);
     state->sigma = INFINITE;
@@ -19,9 +21,10 @@ void device_start_at(const device_t *device, device_state_t *state, const real s
     const int n = (int)settings->states;
     real Pc[N_MAX];
     device_start(device, state);
-    if (!(fabs(signal) <= settings->largest)) return;
+    const int possible = fabs(signal) <= settings->largest && fabs(signal) <= settings->largest_accepted;
+    if (!possible || signal < settings->low || signal > settings->high || signal == settings->blank) return;
+    filter_begin_after(settings, model, &state->channel.sensor.limits, filter, signal, settings->gap_measurements, LONG);
     filter->phase = DETERMINED;
-    filter->level = filter_level(settings, model, signal), filter->has_level = 1;
     for (int i = 0; i < n; i++) filter->x[i] = (signal - filter->level) * device->still[i];
     copy(n * n, device->P, filter->P);
     times(n, filter->P, model->c, Pc);

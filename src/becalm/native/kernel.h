@@ -9,7 +9,7 @@
 
 #include "sizes.h"
 
-#if defined(__FAST_MATH__)
+#if defined(__FAST_MATH__) || defined(__ASSOCIATIVE_MATH__) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__)
 #error "becalm's filter tells what is missing by NaN, which -ffast-math forgets: leave that out."
 #endif
 

@@ -6,11 +6,14 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
+from becalm.cleaning.limits_entry import limits_of
 from becalm.cleaning.live_channel import LiveChannel, open_live
 from becalm.cleaning.recipe import ChannelRecipe
-from becalm.core.arrays import Codes, Floats
+from becalm.core.arrays import Booleans, Codes, Floats
 from becalm.core.channel import Channel
 from becalm.core.channel_settings import Settings
+from becalm.core.faults import Faults
+from becalm.core.limits import Limits
 from becalm.core.told import Told
 from becalm.core.verdict import LOST, Verdict
 from becalm.export.vectors import STARTING
@@ -21,23 +24,31 @@ _SINGLE = 1000  # rows of a gap that modes take one by one; see `native/device_m
 class _ControllerReference(ABC):
     """Tells something of every row."""
 
-    def __init__(self) -> None:
-        self._entered = 0.0
+    def __init__(self, limits: Limits) -> None:
+        self._faults, self._entered = Faults(limits), 0.0
 
     def run(self, readings: Floats) -> tuple[Floats, Codes]:
         """Take readings (B,); return the signal and what became of each."""
-        (found, verdicts), across = self._push(readings, np.ones(len(readings)))
+        steps = np.ones(len(readings))
+        (found, verdicts), across = self._push(readings, steps)
+        came = ~LOST[self._faults.push(readings, steps)] & (verdicts != Verdict.SPIKE)
         codes = np.where((verdicts == Verdict.USED) & np.isnan(found), STARTING, verdicts)
         signal = np.where(verdicts == Verdict.HOLE, across, found)
-        return np.where(np.isnan(signal), self._held(readings, verdicts), signal), codes.astype(np.int8)
+        return np.where(np.isnan(signal), self._held(readings, came), signal), codes.astype(np.int8)
 
     @abstractmethod
     def _push(self, z: Floats, elapsed: Floats) -> tuple[tuple[Floats, Codes], Floats]:
         """Take rows; return the signal and its verdicts, and the signal that is told in any hole."""
 
-    def _held(self, readings: Floats, verdicts: Codes) -> Floats:
-        """Return the last reading (B,) that was used, up to each row; 0 before the first."""
-        entered = np.concatenate([[self._entered], np.where(LOST[verdicts] | np.isnan(readings), np.nan, readings)])
+    def _across_gap(self, rows: int) -> None:
+        """Go on for some rows without a reading, as one step."""
+        missing, step = np.full(1, np.nan), np.full(1, float(rows))
+        self._push(missing, step)
+        self._faults.push(missing, step)
+
+    def _held(self, readings: Floats, came: Booleans) -> Floats:
+        """Return the last reading (B,) that came and was used, up to each row; 0 before the first."""
+        entered = np.concatenate([[self._entered], np.where(came, readings, np.nan)])
         last = np.maximum.accumulate(np.where(np.isnan(entered), 0, np.arange(len(entered))))
         self._entered = float(entered[last[-1]])
         return np.asarray(entered[last[1:]], dtype=np.float64)
@@ -53,13 +64,13 @@ class ChannelReference(_ControllerReference):
     """
 
     def __init__(self, settings: Settings) -> None:
-        super().__init__()
+        super().__init__(settings.limits)
         self._channel, self._across = Channel(settings), Channel(settings._replace(unknown_from=np.inf))
 
     def gap(self, rows: int) -> None:
         """Go on for some rows without a reading, as one step."""
         if rows:
-            self._push(np.full(1, np.nan), np.full(1, float(rows)))
+            self._across_gap(rows)
 
     def _push(self, z: Floats, elapsed: Floats) -> tuple[tuple[Floats, Codes], Floats]:
         found = self._channel.process(z, elapsed)
@@ -78,7 +89,7 @@ class ModesReference(_ControllerReference):
     """
 
     def __init__(self, recipe: ChannelRecipe, step_s: float) -> None:
-        super().__init__()
+        super().__init__(limits_of(recipe.limits))
         self._channel = open_live(recipe, step_s, 0)
         self._across = open_live(recipe.model_copy(update={"fill": True}), step_s, 0)
 
@@ -88,7 +99,7 @@ class ModesReference(_ControllerReference):
         if single:
             self.run(np.full(single, np.nan))
         if rows > single:
-            self._push(np.full(1, np.nan), np.full(1, float(rows - single)))
+            self._across_gap(rows - single)
 
     def _push(self, z: Floats, elapsed: Floats) -> tuple[tuple[Floats, Codes], Floats]:
         found, across = _told(self._channel, z, elapsed), _told(self._across, z, elapsed)

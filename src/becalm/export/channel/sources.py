@@ -12,6 +12,9 @@ from becalm.export.written import FOLDER
 
 _FILTER, _MODES = ("channel.c", "device.c", "filter.c"), ("device_modes.c", "imm.c")
 _SIZES = "sizes.h"
+OWN_NAMES = frozenset({"channel", "device", "device_modes", "filter", "filter_modes", "imm", "becalm"})
+"""What names of functions and types of the library begin with."""
+
 _LINKED = re.compile(r"^(?:void|int|int64_t|real) (\w+)\(", re.M)
 
 

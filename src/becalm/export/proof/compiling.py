@@ -85,9 +85,9 @@ def build(folder: Path, stem: str, compiler: str, flags: Sequence[str]) -> Build
     """
     mark = f"{compiler}{''.join(flags)}".replace("=", "").replace(",", "")
     texts = [folder / f"{stem}.c", *sorted(folder.glob(f"{FOLDER}/*.c")), folder / "main.c"]
-    objects = [folder / f"{mark}-{text.stem}.o" for text in texts]
+    objects = [folder / f"{mark}-{text.parent.name if text.parent != folder else ''}-{text.stem}.o" for text in texts]
     for text, made in zip(texts, objects, strict=True):
-        extra = STRICT[:1] if text.stem == "main" else STRICT
+        extra = STRICT[:1] if text == texts[-1] else STRICT
         _ran([compiler, *extra, *flags, "-c", str(text), "-o", str(made)], text.name)
     program = folder / f"{mark}-check"
     _ran([compiler, *flags, *map(str, objects), "-o", str(program), "-lm"], "the program")
