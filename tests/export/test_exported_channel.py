@@ -224,6 +224,30 @@ def test_endless_gaps_leave_numbers(precision: str, carries: Carries) -> None:
             assert abs(signal[-1] - 1.0) < 1e-3
 
 
+SLOW_TONE = HARD["slow tone"].model_copy(update={"spread_std": 1.5, "gate": GATE})
+
+
+@pytest.mark.parametrize("first", [1, 3, 5, 9])
+def test_a_hole_among_the_first_readings_is_told_as_becalm_predicts(first: int, carries: Carries) -> None:
+    """While the state is gathered as information it is no state yet."""
+    program = carries(SLOW_TONE, "float64")
+    readings = np.concatenate([20 + np.random.default_rng(first).normal(size=first), np.full(60, np.nan)])
+    check_same("float64", *program.run(readings), *expected(SLOW_TONE, program, readings))
+
+
+def test_a_reset_is_as_if_it_had_been_so_for_ever(carries: Carries) -> None:
+    """A jump soon after moves the level alone, and sigma knows of the calibration."""
+    told = CHANNELS["slope"].model_copy(update={"gate": GATE, "calibration": CalibrationRecipe(offset_std=0.5)})
+    program = carries(told, "float64")
+    long, jumped = np.zeros(5000), np.full(30, 50.0)
+    after_long = program.run(np.concatenate([long, jumped]))[0][len(long) :]
+    sigma = program.sigma
+    program.reset(0.0)
+    assert program.sigma > 0.5
+    np.testing.assert_allclose(program.run(jumped)[0], after_long, atol=1e-9)
+    assert program.sigma == pytest.approx(sigma, rel=1e-9)
+
+
 @pytest.mark.parametrize("name", ["bend", "snap"])
 @pytest.mark.parametrize("rows", [1 << 18, (1 << 32) - 1])
 def test_a_reset_is_forgotten_over_a_gap_beyond_reach(name: str, rows: int, carries: Carries) -> None:

@@ -19,8 +19,10 @@ from becalm.cli.talk import stderr
 from becalm.core.arrays import Floats
 from becalm.errors import UsageError
 from becalm.export.bundle import Asked, Bundle, bundle_of
+from becalm.export.channel.sources import own_files
 from becalm.export.facts import cost_words
 from becalm.export.kind import Span
+from becalm.export.layouts import library_name
 from becalm.export.written import FOLDER
 from becalm.files.plain import make_folder, refuse_unwritable, write_folder, write_text
 from becalm.files.waiting import in_waiting
@@ -97,21 +99,18 @@ def _to_c(recipe: Recipe, path: Path, output: Path, wanted: Wanted) -> dict[str,
         files[_CERTIFICATE] = certificate(bundle, verified)
         told["compared"] = [_told(one) for one in verified.compared]
     write_folder(output, files)
-    stood = {_CERTIFICATE, *_native_in(output)}
-    for path in stood - set(files):  # of an export that stood here before
-        (output / path).unlink(missing_ok=True)
+    stood = {_CERTIFICATE, *_library_in(output, bundle.stem)}
+    for name in stood - set(files):  # of an export that stood here before
+        (output / name).unlink(missing_ok=True)
     _say(bundle, told)
     typer.echo(f"Wrote {output}. Try it with: make -C {output} check", err=True)
     return told
 
 
-def _native_in(output: Path) -> set[str]:
-    """Return the library's files in an export, wherever a compiler would find them."""
-    return {
-        path.relative_to(output).as_posix()
-        for folder in (FOLDER, f"arduino/*/src/{FOLDER}")
-        for path in output.glob(f"{folder}/*.[ch]")
-    }
+def _library_in(output: Path, stem: str) -> set[str]:
+    """Return the library's files in an export of this name, wherever a compiler would find them."""
+    folders = FOLDER, f"arduino/{library_name(stem)}/src/{FOLDER}"
+    return {f"{folder}/{name}" for folder in folders for name in own_files() if (output / folder / name).exists()}
 
 
 @contextmanager
@@ -219,7 +218,7 @@ def _summary(bundle: Bundle) -> dict[str, Any]:
                 "functions": f"{one.prefix}_*",
                 "state_bytes": one.written.state_bytes,
                 "table_bytes": one.written.table_bytes,
-                "cost": cost_words(one.design, one.written),
+                "cost": cost_words(one.written),
                 "word": None if one.written.word is None else one.written.word._asdict(),
             }
             for one in bundle.channels
@@ -234,7 +233,7 @@ def _say(bundle: Bundle, told: dict[str, Any]) -> None:
         word, unit = one.written.word, one.design.unit_after
         stderr.print(
             f"{one.name}: {one.prefix}_*, state {one.written.state_bytes} bytes, tables"
-            f" {one.written.table_bytes} bytes, {cost_words(one.design, one.written)}."
+            f" {one.written.table_bytes} bytes, {cost_words(one.written)}."
         )
         if word is not None:
             stderr.print(

@@ -242,7 +242,7 @@ def _channel(one: Exported, recipe: Recipe) -> dict[str, Any]:
         "source": one.written.source,
         "state_bytes": one.written.state_bytes,
         "table_bytes": one.written.table_bytes,
-        "cost": cost_words(one.design, one.written),
+        "cost": cost_words(one.written),
         "whole": isinstance(one.kind, WholeChannel),
         "settles": one.design.settles,
         "forgets": not isinstance(one.kind, WholeChannel) or one.design.is_reached,

@@ -1,8 +1,7 @@
 """A channel's filter as numbers that another language needs: gains found beforehand, nothing left to decide.
 
 In steps and in the channel's unit, covariances in unit^2. A filter with a settled gain, in floating or fixed point,
-carries the *predicted* state p, so that a settled row is y = C p + C K nu and p = F p + F K nu, with nu = z - H p; one
-with its covariance, or a bank, carries the state after the reading.
+carries the *predicted* state p, so that a settled row is y = C p + C K nu and p = F p + F K nu, with nu = z - H p.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ from becalm.core.switching import Switching
 from becalm.errors import ModelError
 
 NOT_IN_C = ("outlier_distance", "causal_outlier_distance", "blank", "plausible_low", "plausible_high")
-"""Limits of a recipe that no exported filter has: gross outliers, a fill value, and a last sentinel."""
+"""Limits of a recipe that settled and fixed filters have not: gross outliers, a fill value, and a last sentinel."""
 
 _COUNTABLE = (1 << 32) - 1
 _UNMOVED = 1e-8  # of a state: its square is what is left of a covariance, and less than float64 holds beside it

@@ -21,7 +21,7 @@ def facts_of(recipe: ChannelRecipe, design: Design, written: Written) -> list[st
         f"readings: those beyond +-{written.largest:.6g}{design.unit_after} are none",
         f"calibration: {_calibration(recipe)}",
         *_word(design, written),
-        f"cost: {cost_words(design, written)}; state {written.state_bytes} bytes, tables {written.table_bytes} bytes",
+        f"cost: {cost_words(written)}; state {written.state_bytes} bytes, tables {written.table_bytes} bytes",
         *_numbers(design),
     ]
 
@@ -48,11 +48,11 @@ def _filter(design: Design) -> list[str]:
     ]
 
 
-def cost_words(design: Design, written: Written) -> str:
+def cost_words(written: Written) -> str:
     """Say what a row costs."""
     if written.cost is None:
         return "a row as becalm itself runs it: make cortex-m-count counts its instructions"
-    return f"{written.cost}, {'a settled row' if design.modes is None else 'a row of all modes'}"
+    return f"{written.cost}, a settled row"
 
 
 def _calibration(recipe: ChannelRecipe) -> str:
@@ -65,7 +65,7 @@ def _calibration(recipe: ChannelRecipe) -> str:
 def _word(design: Design, written: Written) -> list[str]:
     word, unit = written.word, design.unit_after
     if word is None:
-        return ["word: it computes in double, whatever readings are"] if design.modes is None else []
+        return ["word: it computes in double, whatever readings are"]
     level = "stays at the first reading" if word.quantum is None else f"moves by {word.quantum:.6g}{unit}"
     return [
         f"word: stalls {word.stall:.3g}{unit} off at the most, rounding adds {word.noise:.3g}{unit}:"

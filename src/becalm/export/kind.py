@@ -164,7 +164,6 @@ class Floating:
 def _sure_of(design: Design) -> float:
     """Return the standard deviation of what a filter tells at best, in unit.
 
-    Signals below it are nothing: a bank that takes an impulse for a spike tells 1e-7 of it, and half the digits of that
-    come from an exponential.
+    Signals below it are nothing.
     """
     return design.settled_std if np.isfinite(design.settled_std) else design.noise_std

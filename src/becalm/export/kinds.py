@@ -18,7 +18,7 @@ from becalm.export.word_length import start_of
 
 GAINS = ("auto", "settled", "full")
 
-_STARTED = 1e-3  # of a reading's noise: what rounding may leave of first signals, ten times that beside a covariance
+_STARTED = 1e-3  # of a reading's noise: what rounding may leave of first signals
 _HIGHEST_IN_FLOAT = 3  # order of a motion: above, rounded derivatives leave less than 120 dB of a signal that moves
 
 

@@ -28,11 +28,11 @@ class Written(NamedTuple):
     header, source : str
         The type of its state, and its functions.
     cost : Cost or None
-        Of a settled row, or of one of all modes; None of the library's channel, whose rows differ.
+        Of a settled row; None of the library's channel, whose rows differ.
     state_bytes, table_bytes : int
         Of its state in memory, and of its gains in program memory.
     word : WordLength or None
-        What its word length costs; None of a bank, and of the library's channel, which is in double.
+        What its word length costs; None of the library's channel, which is in double.
     largest : float
         Magnitude beyond which a value is no reading, in unit.
     exact : bool
@@ -41,8 +41,6 @@ class Written(NamedTuple):
         Rows until its gain has settled.
     scale : (float, float) or None
         Offset and step of a count, in unit; None where readings are no counts.
-    start_error : float
-        What rounding leaves of becalm's own first rows, in unit; 0 where it is nothing beside a signal.
     """
 
     header: str
@@ -55,7 +53,6 @@ class Written(NamedTuple):
     exact: bool
     start_rows: int = 0
     scale: tuple[float, float] | None = None
-    start_error: float = 0.0
 
 
 def words_of(design: Design, prefix: str, number: NumberType) -> dict[str, Any]:
@@ -70,7 +67,6 @@ def words_of(design: Design, prefix: str, number: NumberType) -> dict[str, Any]:
         "unit_words": comment(design.unit) or "in the unit of readings",
         "reading": f"reading_{unit}" if unit else "reading",
         "signal": f"signal_{unit}" if unit else "signal",
-        "states": "the level and what moves it" if design.states > 1 else "the level",
     }
     return context | {"block": render("block.c.jinja", context)}
 

@@ -1,11 +1,10 @@
 /* A channel at its own rate, one row at a time. It filters nothing itself: see channel.c. */
 #include "device.h"
 
-#include <string.h>
-
-#include "filter.h"
 #include "doubling.h"
-#include "linear.h"
+#include "gate.h"
+#include "opening.h"
+#include "sensor.h"
 
 #define LONG ((real)1e9) /* steps: a filter that was reset has been so for as long */
 
@@ -21,8 +20,8 @@ void device_start_at(const device_t *device, device_state_t *state, const real s
     const int n = (int)settings->states;
     real Pc[N_MAX];
     device_start(device, state);
-    const int possible = fabs(signal) <= settings->largest && fabs(signal) <= settings->largest_accepted;
-    if (!possible || signal < settings->low || signal > settings->high || signal == settings->blank) return;
+    if (no_measurement(settings, signal) || fabs(signal) > settings->largest_accepted) return;
+    if (signal <= settings->low || signal >= settings->high) return;
     filter_begin_after(settings, model, &state->channel.sensor.limits, filter, signal, settings->gap_measurements, LONG);
     filter->phase = DETERMINED;
     for (int i = 0; i < n; i++) filter->x[i] = (signal - filter->level) * device->still[i];
@@ -30,7 +29,8 @@ void device_start_at(const device_t *device, device_state_t *state, const real s
     times(n, filter->P, model->c, Pc);
     filter->sigma = sqrt(dot(n, model->c, Pc));
     state->channel.sensor.entered = signal;
-    state->sigma = settings->factor * filter->sigma;
+    filter->since_jump = settings->gate_most > GOES_ON ? settings->gate_most : GOES_ON;
+    state->sigma = widened(settings, model->R, &state->channel.sensor, signal, filter->sigma, 1);
 }
 
 /* Take a row after a step; return what the filter makes of it, NaN where that is nothing. */
@@ -45,14 +45,22 @@ static real take(const device_t *device, device_state_t *state, const real z, co
     return signal;
 }
 
+/* Return what the model predicts, whatever that is worth; NaN where nothing tells it. */
+static real predicted(const device_t *device, const filter_t *filter) {
+    const int n = (int)device->settings.states;
+    real signal = NOT_A_NUMBER, sigma;
+    if (filter->phase == DETERMINED) return dot(n, device->model.c, filter->x) + filter->level;
+    estimate_from_information(n, device->model.h, filter->P, filter->x, &signal, &sigma);
+    return signal + filter->level;
+}
+
 int device_step(const device_t *device, device_state_t *state, const real z, real *signal) {
-    const filter_t *filter = &state->channel.filter;
     int8_t verdict = USED;
     *signal = take(device, state, z, 1, device->F, device->Q, &verdict);
     if (!isnan(*signal)) return verdict;
+    if (verdict == HOLE) *signal = predicted(device, &state->channel.filter);
     const real entered = state->channel.sensor.entered;
-    *signal = isnan(entered) ? 0 : entered;
-    if (verdict == HOLE) *signal = dot((int)device->settings.states, device->model.c, filter->x) + filter->level;
+    if (isnan(*signal)) *signal = isnan(entered) ? 0 : entered;
     return verdict == USED ? STARTING : verdict;
 }
 

@@ -65,4 +65,4 @@ def _told(name: str) -> list[Any]:
 
 
 CONSTANTS: dict[str, int] = {value.name.decode(): value.size for value in _told("channel_constants")[:-1]}
-"""WholeChannel numbers that C and Python both use, by their names in `kernel.h`."""
+"""Whole numbers that C and Python both use, by their names in `kernel.h`."""

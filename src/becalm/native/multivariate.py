@@ -12,7 +12,7 @@ from becalm.errors import ModelError
 from becalm.native.library import CONSTANTS, kernel, layout_of
 
 Floats = NDArray[np.float64]
-WholeChannel = NDArray[np.int64]
+Whole = NDArray[np.int64]
 
 MOST_STATES, MOST_CHANNELS = CONSTANTS["N_MAX"], CONSTANTS["M_MAX"]
 GAIN, COVARIANCE = CONSTANTS["GAIN"], CONSTANTS["COVARIANCE"]
@@ -55,8 +55,8 @@ class Rows(NamedTuple):
     """Measurements, and the steps before them: rows first[s] to first[s + 1] - 1 follow step[s] each."""
 
     z: Floats  # (N, m) NaN where missing
-    first: WholeChannel  # (runs + 1,)
-    step: WholeChannel  # (runs,) which of the steps; -1: none
+    first: Whole  # (runs + 1,)
+    step: Whole  # (runs,) which of the steps; -1: none
     F: Floats  # (u, n, n)
     Q: Floats  # (u, n, n)
     lengths: Floats  # (u,) equal ones are the same step

@@ -12,7 +12,7 @@ from becalm.native.library import CONSTANTS, kernel, layout_of
 
 Floats = NDArray[np.float64]
 Codes = NDArray[np.int8]
-WholeChannel = NDArray[np.int64]
+Whole = NDArray[np.int64]
 
 LIMITS, WATCHED, CLOCK = map(layout_of, ("limits", "watched", "stamps"))
 NEIGHBOURS, SPREADS, REACH = (CONSTANTS[name] for name in ("NEIGHBOURS", "SPREADS", "REACH"))
@@ -50,8 +50,8 @@ class _Hops(ctypes.Structure):
 class Hops(NamedTuple):
     """What is told of each whole hop of innovations."""
 
-    totals: WholeChannel  # (H,) in parts of a sigma
-    squares: WholeChannel  # (H,) in parts^2
+    totals: Whole  # (H,) in parts of a sigma
+    squares: Whole  # (H,) in parts^2
     powers: Floats  # (H,) sums of squares, in sigma^2
     steps: Floats  # (H,) from the first row of all to that of its first innovation
 

@@ -78,8 +78,8 @@ class WholeChannel(Floating):
         """
         if not self.number.is_double and not _LEAST_IN_FLOAT <= design.noise_std <= _MOST_IN_FLOAT:
             raise RecipeError(
-                f"{design.name}: its noise is {design.noise_std:.3g}{design.unit_after}, and readings in float are of"
-                f" {_LEAST_IN_FLOAT:g} to {_MOST_IN_FLOAT:g}; use --precision float64."
+                f"{design.name}: its noise is {design.noise_std:.3g}{design.unit_after}, and in float one is from"
+                f" {_LEAST_IN_FLOAT:g} to {_MOST_IN_FLOAT:g}{design.unit_after}; write --precision float64."
             )
         settings, most_states = self._settings(design), self.sizes.most_states
         largest = min(design.largest, settings.limits.largest)

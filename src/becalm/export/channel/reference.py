@@ -30,15 +30,15 @@ class _ControllerReference(ABC):
     def run(self, readings: Floats) -> tuple[Floats, Codes]:
         """Take readings (B,); return the signal and what became of each."""
         steps = np.ones(len(readings))
-        (found, verdicts), across = self._push(readings, steps)
-        came = ~LOST[self._faults.push(readings, steps)] & (verdicts != Verdict.SPIKE)
+        (found, verdicts), across, believed = self._push(readings, steps)
+        came = ~LOST[self._faults.push(readings, steps)] & believed
         codes = np.where((verdicts == Verdict.USED) & np.isnan(found), STARTING, verdicts)
         signal = np.where(verdicts == Verdict.HOLE, across, found)
         return np.where(np.isnan(signal), self._held(readings, came), signal), codes.astype(np.int8)
 
     @abstractmethod
-    def _push(self, z: Floats, elapsed: Floats) -> tuple[tuple[Floats, Codes], Floats]:
-        """Take rows; return the signal and its verdicts, and the signal that is told in any hole."""
+    def _push(self, z: Floats, elapsed: Floats) -> tuple[tuple[Floats, Codes], Floats, Booleans]:
+        """Take rows; return the signal and its verdicts, the signal that is told in any hole, and what is no spike."""
 
     def _across_gap(self, rows: int) -> None:
         """Go on for some rows without a reading, as one step."""
@@ -72,9 +72,11 @@ class ChannelReference(_ControllerReference):
         if rows:
             self._across_gap(rows)
 
-    def _push(self, z: Floats, elapsed: Floats) -> tuple[tuple[Floats, Codes], Floats]:
+    def _push(self, z: Floats, elapsed: Floats) -> tuple[tuple[Floats, Codes], Floats, Booleans]:
         found = self._channel.process(z, elapsed)
-        return (found.signal, found.verdict), self._across.process(z, elapsed).signal
+        gated = (found.verdict == Verdict.RUNAWAY) & np.isnan(found.innovation)  # a verdict stands over another
+        believed = (found.verdict != Verdict.SPIKE) & ~gated
+        return (found.signal, found.verdict), self._across.process(z, elapsed).signal, believed
 
 
 class ModesReference(_ControllerReference):
@@ -101,9 +103,9 @@ class ModesReference(_ControllerReference):
         if rows > single:
             self._across_gap(rows - single)
 
-    def _push(self, z: Floats, elapsed: Floats) -> tuple[tuple[Floats, Codes], Floats]:
+    def _push(self, z: Floats, elapsed: Floats) -> tuple[tuple[Floats, Codes], Floats, Booleans]:
         found, across = _told(self._channel, z, elapsed), _told(self._across, z, elapsed)
-        return (found.signal, found.verdicts), across.signal
+        return (found.signal, found.verdicts), across.signal, found.verdicts != Verdict.SPIKE
 
 
 def _told(channel: LiveChannel, z: Floats, elapsed: Floats) -> Told:

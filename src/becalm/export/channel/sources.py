@@ -18,6 +18,11 @@ OWN_NAMES = frozenset({"channel", "device", "device_modes", "filter", "filter_mo
 _LINKED = re.compile(r"^(?:void|int|int64_t|real) (\w+)\(", re.M)
 
 
+def own_files() -> set[str]:
+    """Return the names of all files in C that the library has."""
+    return {path.name for path in Path(native.__file__).parent.glob("*.[ch]")}
+
+
 def sources_of(sizes: Sizes, stem: str) -> dict[str, str]:
     """Return the texts of the files that filters are compiled from, by their paths in a bundle; none for no filters.
 
@@ -36,7 +41,6 @@ def sources_of(sizes: Sizes, stem: str) -> dict[str, str]:
         if name not in texts and name != _SIZES:
             texts[name] = (Path(native.__file__).parent / name).read_text(encoding="utf-8")
             wanted += re.findall(r'^#include "(.+)"', texts[name], re.M)
-            wanted += [name.replace(".c", ".h")] if name.startswith("device") else []
     if texts:
         names = sorted({name for text in texts.values() for name in _LINKED.findall(text)})
         context = {**sizes._asdict(), "most_states": sizes.most_states, "stem": stem, "names": names}
