@@ -108,7 +108,7 @@ def test_no_library_is_needed_but_memset_memcpy_roots_and_arithmetic(folder: Pat
 def test_every_channel_is_counted(folder: Path, cpu: str) -> None:
     found = counted(folder, cpu)
     assert list(found) == re.findall(r"^void (\w+)_init\(", (folder / "drive.h").read_text(), re.M)
-    assert all(10 < many < 100_000 for many in found.values())
+    assert all(10 < many < 1_000_000 for many in found.values())  # modes, in double by software: 110 000 and more
 
 
 @pytest.mark.parametrize("cpu", ["m0", "m4"])

@@ -47,7 +47,7 @@ static inline real column(const int n, const real *U, const int j) {
 /* Estimate h x and its standard deviation from what is known; NaN and inf where that does not tell. */
 static inline void estimate_from_information(const int n, const real *h, const real *U, const real *b, real *signal,
                                       real *sigma) {
-    real w[N_MAX], most = 0, variance = 0, value = 0;
+    real w[N_MAX] = {0}, most = 0, variance = 0, value = 0;
     for (int j = 0; j < n; j++) {
         const real scaled = fabs(h[j]) / (column(n, U, j) > 0 ? column(n, U, j) : 1);
         most = scaled > most ? scaled : most;
