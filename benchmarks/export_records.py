@@ -132,8 +132,8 @@ def _short(why: str, name: str) -> str:
     return why.replace(name, "it").split(";")[0].split(" (")[0]
 
 
-def records(names: Sequence[str]) -> Iterator[Row]:
-    """Compare every channel of every recording."""
+def recordings(names: Sequence[str]) -> Iterator[tuple[str, becalm.Recording]]:
+    """Give every recording with its title, and say how long it took; with names, only those whose path holds one."""
     for path in files():
         if names and not any(name in str(path) for name in names):
             continue
@@ -141,9 +141,14 @@ def records(names: Sequence[str]) -> Iterator[Row]:
             if part.recording is not None:
                 title = f"{path.relative_to(DATA)}{': ' if part.title else ''}{part.title}"
                 began = time.perf_counter()
-                row = row_of(title, part.recording, tuned(part.recording))
+                yield title, part.recording
                 print(f"{title}: {time.perf_counter() - began:.0f} s", file=sys.stderr)
-                yield row
+
+
+def records(names: Sequence[str]) -> Iterator[Row]:
+    """Compare every channel of every recording."""
+    for title, recording in recordings(names):
+        yield row_of(title, recording, tuned(recording))
 
 
 def long_record(rows: int) -> Row:

@@ -72,7 +72,7 @@ _FIELDS = ("signal", "sigma", "verdicts")
 
 
 class Exported(AbstractContextManager["Exported"]):
-    """A filter in C (float64), tuned on an undamaged record, exported and compiled; it tells no sigma."""
+    """A filter in C (float64), tuned on an undamaged record, exported and compiled; its sigma is not asked for."""
 
     def __init__(self, sound: Floats) -> None:
         self._stack = ExitStack()

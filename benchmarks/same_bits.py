@@ -18,8 +18,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
-import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
@@ -35,12 +34,9 @@ from becalm.errors import BecalmError
 from becalm.export.bundle import Asked, Bundle, bundle_of
 from becalm.export.proof.compiling import STRICT, build
 from becalm.export.proof.verifying import streamed, unpacked
+from export_records import recordings, tuned
 from pages import page_parser, publish
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "docs"))
-from real_recordings import DATA, files, parts
-
-_TUNED_ON = 20_000
 _ROWS, _BLOCK = 20_000, 50
 _RATE_HZ = 100.0
 _OPTIMISED = ("-O1", "-O2", "-O3")
@@ -154,26 +150,9 @@ class Compared(NamedTuple):
     refused: int
 
 
-def by_recording(names: Sequence[str]) -> Iterator[Compared]:
-    """Compare every channel of every recording."""
-    for path in files():
-        if names and not any(name in str(path) for name in names):
-            continue
-        for part in parts(path):
-            if part.recording is not None:
-                title = f"{path.relative_to(DATA)}{': ' if part.title else ''}{part.title}"
-                began = time.perf_counter()
-                yield _compared(title, part.recording)
-                print(f"{title}: {time.perf_counter() - began:.0f} s", file=sys.stderr)
-
-
 def _compared(title: str, recording: becalm.Recording) -> Compared:
-    first = slice(0, _TUNED_ON)
-    head = becalm.Recording(
-        recording.samples[first], names=recording.names, units=recording.units, times_s=recording.times_s[first]
-    )
     rate_hz, counted, beside_stream, beside_clean, refused = recording.timebase.rate_hz, 0, 0, 0, 0
-    for channel in becalm.tune(head, causal=True).channel:
+    for channel in tuned(recording):
         if channel.motion is None:
             continue
         readings = np.ascontiguousarray(recording.samples[:, recording.names.index(channel.name)])
@@ -199,11 +178,11 @@ def _compared(title: str, recording: becalm.Recording) -> Compared:
 def page(names: Sequence[str]) -> str:
     """Return both tables."""
     lines = ["## Compilers", "", by_compilers(), "## Recordings", ""]
+    lines += [f"Of the recordings those whose path holds one of: {', '.join(names)}.", ""] if names else []
     lines += ["| recording | rows | channels | C beside the stream: differ | stream beside `clean`: differ | refused |"]
     lines += ["|---|---|---|---|---|---|"]
-    every = []
-    for one in by_recording(names):
-        every.append(one)
+    every = [_compared(*titled) for titled in recordings(names)]
+    for one in every:
         lines.append(f"| {' | '.join(map(str, (one.record, one.rows, one.channels, *one[3:])))} |")
     total = [sum(column) for column in zip(*(one[1:] for one in every), strict=True)] or [0] * 5
     lines.append(f"| all | {total[1]} | {total[0]} | {' | '.join(map(str, total[2:]))} |")

@@ -22,7 +22,7 @@ typedef struct {
 enum { STARTING = 32 }; /* beside the verdicts: used, and told as it is, for measurements do not tell the signal yet */
 
 void device_start(const device_t *device, device_state_t *state);
-/* Begin at a signal that has been so for long; at one that is no number, at nothing. */
+/* Begin at a signal that has been so for long; at one that is no measurement, at nothing. */
 void device_start_at(const device_t *device, device_state_t *state, real signal);
 /* Take a measurement, NaN where none came; return what became of it. The signal is a number, whatever comes: where none
    is estimated, the last measurement that was used; in a hole, what the model predicts. */

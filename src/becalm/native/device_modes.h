@@ -28,7 +28,7 @@ typedef struct {
 } device_modes_state_t;
 
 void device_modes_start(const device_modes_t *device, device_modes_state_t *state);
-/* Begin as after a first measurement; at one that is no number, at nothing. */
+/* Begin as after a first measurement; at one that is no measurement, at nothing. */
 void device_modes_start_at(const device_modes_t *device, device_modes_state_t *state, real signal);
 /* Take a measurement, NaN where none came; return what became of it. The signal is a number, whatever comes: where none
    is estimated, the last measurement that was used; in a hole, what the modes predict. */

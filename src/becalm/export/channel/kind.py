@@ -94,12 +94,13 @@ class WholeChannel(Floating):
         """Return what it is held against, at the start."""
         if design.modes is None:
             return ChannelReference(self._settings(design))
-        limits = recipe.limits or LimitsRecipe()
-        largest = min(limits.largest or self.number.greatest, self.number.greatest)
-        limits = limits.model_copy(update={"largest": largest})
-        return ModesReference(recipe.model_copy(update={"limits": limits}), design.step_s)
+        return ModesReference(self._in_its_number(), design.step_s)
 
     def _settings(self, design: Design) -> Settings:
-        settings = CausalChannel(self.recipe, design.step_s).settings
-        largest = min(settings.limits.largest, self.number.greatest)
-        return settings._replace(limits=settings.limits._replace(largest=largest))
+        return CausalChannel(self._in_its_number(), design.step_s).settings
+
+    def _in_its_number(self) -> ChannelRecipe:
+        """Return the recipe with the largest reading that its type of number may hold."""
+        limits, greatest = self.recipe.limits or LimitsRecipe(), self.number.greatest
+        held = limits.model_copy(update={"largest": min(limits.largest or greatest, greatest)})
+        return self.recipe.model_copy(update={"limits": held})
