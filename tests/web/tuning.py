@@ -68,8 +68,9 @@ class Visit(NamedTuple):
     foreign: list[str]
 
     def open(self, app: App) -> None:
+        """Open the page, and wait until becalm has said which files there are: then the list is shown, or not."""
         self.page.goto(app.url)
-        self.page.wait_for_function("() => window.becalm && document.body.dataset.state === 'open'")
+        self.page.wait_for_function("() => document.body.dataset.state === 'open' && window.becalm?.desk.run")
 
     def open_file(self, app: App, name: str) -> None:
         """Open a file of the folder, as a person does; one that is open comes by itself."""
