@@ -80,8 +80,10 @@ INLINE int64_t filter_settled(const int n, const settings_t *settings, const coe
     const int64_t from = row;
     real F[NN_MAX], s[N_MAX], before[N_MAX], L[N_MAX], h[N_MAX], c[N_MAX], nu = 0, gain = 0;
     const real deviation = sqrt(state->S);
-    const real threshold = settings->gated ? settings->gate_threshold * deviation : INFINITE;
+    const real limit = settings->gated ? settings->gate_threshold * deviation : INFINITE;
+    const real threshold = limit < BEYOND_ANY_SENSOR ? limit : BEYOND_ANY_SENSOR;
     const real level = state->level, sigma = state->sigma, step = state->last_step;
+    const int disturbed = model->disturbed != 0;
     memcpy(F, F_, sizeof(real) * (size_t)(n * n));
     if (!state->predicted) {
         times(n, F, state->x, state->ahead);
@@ -91,12 +93,11 @@ INLINE int64_t filter_settled(const int n, const settings_t *settings, const coe
     for (int i = 0; i < n; i++) s[i] = before[i] = state->ahead[i], L[i] = state->L[i];
     for (int i = 0; i < n; i++) h[i] = model->h[i], c[i] = model->c[i], gain += c[i] * state->K[i];
     for (; row < block->rows && block->elapsed[row] == step && pass->starts[row] != ANEW; row++) {
-        const real next = pass->usable[row] - level - dot(n, h, s);
-        if (!(fabs(next) <= threshold && fabs(next) < BEYOND_ANY_SENSOR)) break;
+        const real measured = dot(n, h, s), next = pass->usable[row] - level - measured;
+        if (!(fabs(next) <= threshold)) break;
         nu = next;
-        estimate->signal[row] = dot(n, c, s) + gain * nu + level;
-        estimate->sigma[row] = sigma;
-        estimate->innovation[row] = nu, estimate->deviation[row] = deviation;
+        estimate->signal[row] = (disturbed ? dot(n, c, s) : measured) + gain * nu + level;
+        estimate->innovation[row] = nu;
         if (estimate->x)
             for (int i = 0; i < n; i++) estimate->x[row * n + i] = s[i] + state->K[i] * nu;
         real ahead[N_MAX];
@@ -105,6 +106,7 @@ INLINE int64_t filter_settled(const int n, const settings_t *settings, const coe
         UNROLL
         for (int i = 0; i < n; i++) before[i] = s[i], s[i] = ahead[i];
     }
+    for (int64_t k = from; k < row; k++) estimate->sigma[k] = sigma, estimate->deviation[k] = deviation;
     if (row > from) {
         if (state->settled_row < 0) state->settled_row = state->rows;
         for (int i = 0; i < n; i++) state->x[i] = before[i] + state->K[i] * nu, state->ahead[i] = s[i];

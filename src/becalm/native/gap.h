@@ -7,7 +7,7 @@
 
 /* Follow the time since the last measurement; return whether the gap before this one is longer than the filter can be
    carried across. */
-static inline int check_gap(const settings_t *settings, limits_t *state, const real elapsed, const int usable) {
+INLINE int check_gap(const settings_t *settings, limits_t *state, const real elapsed, const int usable) {
     if (state->measurements) state->now += elapsed;
     if (!usable) return 0;
     real longest = settings->longest_gap;
@@ -25,11 +25,13 @@ static inline int check_gap(const settings_t *settings, limits_t *state, const r
 /* Find where a filter starts anew, of the first rows of a block. */
 static inline void find_starts(const settings_t *settings, limits_t *limits, const block_t *block, const int64_t rows,
                                int8_t *starts) {
+    limits_t own = *limits; /* so that it may stay in registers */
     for (int64_t row = 0; row < rows; row++) {
         const int usable = fabs(block->z[row]) <= BEYOND_ANY_SENSOR;
-        const int anew = check_gap(settings, limits, block->elapsed[row], usable);
+        const int anew = check_gap(settings, &own, block->elapsed[row], usable);
         if (anew) starts[row] = ANEW;
     }
+    *limits = own;
 }
 
 #endif

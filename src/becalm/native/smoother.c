@@ -84,13 +84,16 @@ INLINE int64_t forward_rows(const int n, const settings_t *settings, const coeff
 int64_t smoother_forward(const settings_t *settings, const coefficients_t *model, forward_t *forward,
                          const block_t *block, const estimate_t *estimate, real *room, int8_t *starts,
                          const int ends) {
-    limits_t limits = forward->limits;
+    const limits_t before = forward->limits;
     int64_t taken = block->rows;
     memset(starts, 0, (size_t)block->rows);
-    find_starts(settings, &limits, block, block->rows, starts);
+    find_starts(settings, &forward->limits, block, block->rows, starts);
     FOR_STATES(settings->states, taken = forward_rows, settings, model, &forward->filter, block, estimate, room, starts,
                ends)
-    find_starts(settings, &forward->limits, block, taken, starts);
+    if (taken < block->rows) { /* the others come again */
+        forward->limits = before;
+        find_starts(settings, &forward->limits, block, taken, starts);
+    }
     return taken;
 }
 
