@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
@@ -22,7 +21,7 @@ from becalm.core.told import Rows
 from becalm.core.verdict import BEYOND_ANY_SENSOR, Verdict
 from becalm.core.verdict import judge as judge_readings
 from becalm.errors import ModelError
-from becalm.native import DETERMINED, GATHERING, caller, loaded, process, saved, start
+from becalm.native import DETERMINED, GATHERING, loaded, process, saved, start, stepper
 
 
 class _ModelSteps(NamedTuple):
@@ -91,18 +90,7 @@ class OnlineChannel:
             return None
         if self._late is not None:
             return self._late.stepper()
-        found, z = Estimates.room(1), np.zeros(1)
-        rows = found.outputs() | self._steps.before(z) | {"z": z, "elapsed": np.ones(1)}
-        call = caller(self._settings, self._coefficients, self._state, **rows)
-        reading, signal, sigma = (ctypes.c_double.from_address(a.ctypes.data) for a in (z, found.signal, found.sigma))
-        verdict = ctypes.c_int8.from_address(found.verdict.ctypes.data)
-
-        def step(z_k: float) -> tuple[float, float]:
-            reading.value, verdict.value = z_k, 0
-            call()
-            return signal.value, sigma.value
-
-        return step
+        return stepper(self._settings, self._coefficients, self._state, *self._steps)
 
     def finish(self) -> tuple[Floats, Floats]:
         """Return signal and sigma, (rows, 1) each, of the readings that wait; nothing changes by it."""

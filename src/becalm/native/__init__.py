@@ -6,15 +6,15 @@
 from __future__ import annotations
 
 import ctypes
+from array import array
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from becalm.errors import ModelError
-from becalm.native.library import CONSTANTS, kernel, layout_of
+from becalm.native.library import CONSTANTS, LIBRARY, kernel, layout_of
 from becalm.native.rows import checked
 
 kernel.channel_start.argtypes, kernel.channel_start.restype = [ctypes.c_void_p] * 2, None
@@ -22,7 +22,6 @@ kernel.channel_process.argtypes, kernel.channel_process.restype = [ctypes.c_void
 kernel.channel_packed_size.argtypes, kernel.channel_packed_size.restype = [ctypes.c_int64], ctypes.c_int64
 kernel.channel_pack.argtypes, kernel.channel_pack.restype = [ctypes.c_void_p] * 2, None
 kernel.channel_unpack.argtypes, kernel.channel_unpack.restype = [ctypes.c_int64, *[ctypes.c_void_p] * 2], None
-kernel.channel_call.restype = None
 kernel.channel_begin_after.argtypes = [
     *[ctypes.c_void_p] * 3,
     ctypes.c_double,
@@ -35,7 +34,8 @@ kernel.channel_forget_counts.argtypes, kernel.channel_forget_counts.restype = [c
 kernel.channel_is_sound.argtypes, kernel.channel_is_sound.restype = [ctypes.c_void_p] * 2, ctypes.c_int
 kernel.likelihood_add.argtypes = [*[ctypes.c_void_p] * 3, ctypes.c_int64, ctypes.c_void_p]
 kernel.likelihood_add.restype = None
-
+_holding = ctypes.PyDLL(str(LIBRARY))  # holds Python's lock: one row takes less time than to let others in
+_holding.channel_call.restype = None
 
 STATE, _SCORE = map(layout_of, ("state", "score"))
 GATHERING, DETERMINED = CONSTANTS["GATHERING"], CONSTANTS["DETERMINED"]
@@ -102,19 +102,37 @@ class _Call(ctypes.Structure):
     _fields_ = tuple((name, ctypes.c_void_p) for name in ("settings", "model", "state", "block", "estimate"))
 
 
-def caller(
-    settings: NDArray[np.void], coefficients: NDArray[np.void], state: NDArray[np.void], **rows: Any
-) -> Callable[[], None]:
-    """Return what processes the same arrays again, as they are then; parameters as of `process`.
+def stepper(
+    settings: NDArray[np.void],
+    coefficients: NDArray[np.void],
+    state: NDArray[np.void],
+    F: NDArray[np.float64],
+    Q: NDArray[np.float64],
+) -> Callable[[float], tuple[float, float]]:
+    """Return what takes a reading, one step after the last, and returns signal and sigma; the state changes.
 
-    Nothing is checked anew: z, and what is estimated, may change in place, and nothing else.
+    Parameters
+    ----------
+    settings, coefficients, state : () structured array
+        Of the channel.
+    F, Q : (1, n, n) float64 array
+        Of the step.
     """
+    numbers = array("d", [0.0, 1.0, 0.0, 0.0, 0.0, 0.0])  # an array of Python is read and written sooner than NumPy's
+    names = "z", "elapsed", "signal", "sigma", "innovation", "deviation"
+    rows = {name: np.frombuffer(numbers)[k : k + 1] for k, name in enumerate(names)}
+    rows |= {"step": np.zeros(1, np.int32), "verdict": np.zeros(1, np.int8), "F": F, "Q": Q}
     block, estimate = checked(settings, rows)
-    of_channel = (array.ctypes.data for array in (settings, coefficients, state))
-    call = _Call(*of_channel, ctypes.addressof(block), ctypes.addressof(estimate))
-    place = ctypes.pointer(call)
-    place.kept = block, estimate, settings, coefficients, state, rows  # type: ignore[attr-defined]  # they live as long
-    return partial(kernel.channel_call, place)
+    of_channel = (one.ctypes.data for one in (settings, coefficients, state))
+    call = ctypes.pointer(_Call(*of_channel, ctypes.addressof(block), ctypes.addressof(estimate)))
+    kept, run = (block, estimate, settings, coefficients, state, rows), _holding.channel_call
+
+    def step(reading: float, _kept: Any = kept) -> tuple[float, float]:
+        numbers[0] = reading
+        run(call)
+        return numbers[2], numbers[3]
+
+    return step
 
 
 def packed_size(states: int) -> int:

@@ -43,5 +43,6 @@ void channel_process(const settings_t *settings, const coefficients_t *model, st
 }
 
 void channel_call(const call_t *call) {
+    memset(call->estimate->verdict, USED, (size_t)call->block->rows);
     channel_process(call->settings, call->model, call->state, call->block, call->estimate);
 }
