@@ -10,7 +10,7 @@ ZIG := $(shell test -n "$$CC" || command -v cc >/dev/null 2>&1 || echo -r requir
 LOCK := $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-annotate --no-header
 LOCK += --no-emit-index-url --no-emit-find-links
 
-.PHONY: demo test lint types arrows fast slow bench site lock clean
+.PHONY: demo test lint types arrows fast slow wheels bench site lock clean
 
 demo: .venv/installed
 	$(BIN)/python hatch_build.py
@@ -39,6 +39,12 @@ fast: .venv/tested
 slow: .venv/tested
 	$(BIN)/python hatch_build.py
 	$(BIN)/pytest -n $(WORKERS) --dist worksteal -m slow
+
+# For every platform, on any machine: ziglang compiles for all of them.
+wheels: .venv/tested
+	$(BIN)/python -m pip install --quiet --require-hashes -r requirements-zig.lock
+	for platform in $$($(BIN)/python -c 'import hatch_build; print(*hatch_build.PLATFORMS)'); do \
+		BECALM_PLATFORM=$$platform $(BIN)/python -m hatchling build -t wheel -d dist || exit 1; done
 
 site: .venv/tested
 	$(BIN)/python docs/blocks.py

@@ -64,6 +64,14 @@ SOURCES = (
     *("channel.c", "checkpoint.c", "filter.c", "smoother.c", "fixed_lag.c", "likelihood.c"),
     *("multivariate.c", "imm.c", "imm_smoother.c", "scans.c", "clock.c", "layout.c"),
 )
+PLATFORMS = {  # of wheels that are built on any machine, and what ziglang calls them
+    "manylinux_2_17_x86_64": "x86_64-linux-gnu.2.17",
+    "manylinux_2_17_aarch64": "aarch64-linux-gnu.2.17",
+    "macosx_11_0_arm64": "aarch64-macos.11.0",
+    "macosx_11_0_x86_64": "x86_64-macos.11.0",
+    "win_amd64": "x86_64-windows-gnu",
+}
+PLATFORM = "BECALM_PLATFORM"  # the variable that names one of them; by default a wheel is for this machine
 KERNEL = "kernel.dll" if sys.platform == "win32" else "kernel.so"
 KEPT = Path("build/native")  # what each source was compiled to, by the command
 C_FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC")  # no contraction: the same bits everywhere
@@ -81,16 +89,17 @@ class BuildHook(BuildHookInterface[Any]):
     def dependencies(self) -> list[str]:
         """Ask for an npm, and for a C compiler, where there is none and one is needed."""
         npm = [] if shutil.which("npm") or is_there(Path(self.root)) else [f"{NODE}>=22"]
-        return npm if own_compiler() else [*npm, f"{ZIG}>=0.15"]
+        return npm if own_compiler() and PLATFORM not in os.environ else [*npm, f"{ZIG}>=0.15"]
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         """Fetch uPlot and compile the filter, or end the build with a sentence."""
         try:
             provide(Path(self.root))
             if self.target_name == "wheel":
-                compile_kernel(Path(self.root))
-                build_data["pure_python"] = False
-                build_data["tag"] = f"py3-none-{sysconfig.get_platform().replace('-', '_').replace('.', '_')}"
+                platform = os.environ.get(PLATFORM) or sysconfig.get_platform().replace("-", "_").replace(".", "_")
+                kernel = kernel_for(Path(self.root), os.environ.get(PLATFORM))
+                build_data["pure_python"], build_data["tag"] = False, f"py3-none-{platform}"
+                build_data["force_include"][str(kernel)] = f"becalm/native/{kernel.name}"
         except (FetchError, BuildError, OSError) as error:
             self.app.abort(f"becalm was not built. {error}")
 
@@ -98,6 +107,23 @@ class BuildHook(BuildHookInterface[Any]):
 def own_compiler() -> list[str]:
     """Return the command of this machine's C compiler; empty where there is none."""
     return shlex.split(os.environ.get("CC", "")) or ([found] if (found := shutil.which("cc")) else [])
+
+
+def kernel_for(root: Path, platform: str | None) -> Path:
+    """Return the compiled filter for a wheel's platform; None is this machine, for which it stays in the sources.
+
+    Raises
+    ------
+    BuildError
+        If there is no such platform, no compiler, or it failed.
+    """
+    if not platform:
+        compile_kernel(root)
+        return root / NATIVE / KERNEL
+    if platform not in PLATFORMS:
+        raise BuildError(f"{PLATFORM} is {platform!r}; it may be {', '.join(PLATFORMS)}.")
+    name = "kernel.dll" if platform.startswith("win") else "kernel.so"
+    return _linked(root, [*_zig(), "-target", PLATFORMS[platform], "-s"], root / KEPT / platform / name)
 
 
 def compile_kernel(root: Path) -> None:
@@ -113,21 +139,28 @@ def compile_kernel(root: Path) -> None:
     BuildError
         If there is no compiler, or it failed.
     """
-    folder = root / NATIVE
-    if is_compiled(root):
-        return
-    compiler = own_compiler() or [sys.executable, "-m", ZIG, "cc", "-mcpu=baseline"]  # else for this very processor
+    if not is_compiled(root):
+        _linked(root, own_compiler() or _zig(), root / NATIVE / KERNEL)
+
+
+def _zig() -> list[str]:
+    return [sys.executable, "-m", ZIG, "cc", "-mcpu=baseline"]  # else for this very processor
+
+
+def _linked(root: Path, compiler: Sequence[str], kernel: Path) -> Path:
     command = [*compiler, *C_FLAGS]
     kept = root / KEPT / hashlib.sha256(shlex.join(command).encode()).hexdigest()[:12]
-    kept.mkdir(parents=True, exist_ok=True)
+    for folder in (kept, kernel.parent):
+        folder.mkdir(parents=True, exist_ok=True)
     with ThreadPoolExecutor() as side_by_side:
-        objects = list(side_by_side.map(partial(_object, command, kept), [folder / name for name in SOURCES]))
-    beside = folder / f".{KERNEL}.{os.getpid()}"
+        objects = list(side_by_side.map(partial(_object, command, kept), [root / NATIVE / name for name in SOURCES]))
+    beside = kernel.with_name(f".{kernel.name}.{os.getpid()}")
     try:
         _compile([*compiler, "-shared"], [*objects, "-o", str(beside), "-lm"])
-        beside.replace(folder / KERNEL)
+        beside.replace(kernel)
     finally:
         beside.unlink(missing_ok=True)
+    return kernel
 
 
 def _object(command: Sequence[str], kept: Path, source: Path) -> str:

@@ -62,6 +62,34 @@ def test_without_a_compiler_that_of_pypi_is_asked_for(project: Path, monkeypatch
         hatch_build.compile_kernel(project)
 
 
+STAND_IN = """
+import sys
+from pathlib import Path
+words = sys.argv[1:]
+Path(words[words.index("-o") + 1]).write_text(" ".join(words))
+if "-MF" in words:
+    Path(words[words.index("-MF") + 1]).write_text("object: " + words[words.index("-c") - 1])
+"""
+
+
+@pytest.mark.parametrize("platform", hatch_build.PLATFORMS)
+def test_a_wheel_for_another_machine_has_a_filter_of_its_own(
+    project: Path, monkeypatch: pytest.MonkeyPatch, platform: str
+) -> None:
+    before = files(project)
+    (project / "ziglang.py").write_text(STAND_IN, encoding="utf-8")
+    monkeypatch.setenv("PYTHONPATH", str(project))
+    kernel = hatch_build.kernel_for(project, platform)
+    assert kernel.name == ("kernel.dll" if platform == "win_amd64" else "kernel.so")
+    assert f"-target {hatch_build.PLATFORMS[platform]}" in kernel.read_text(encoding="utf-8")
+    assert files(project) == before
+
+
+def test_a_platform_that_is_none_is_refused_with_those_there_are(project: Path) -> None:
+    with pytest.raises(hatch_build.BuildError, match=r"BECALM_PLATFORM is 'amiga'; it may be manylinux.*win_amd64"):
+        hatch_build.kernel_for(project, "amiga")
+
+
 @pytest.mark.parametrize("source", hatch_build.SOURCES)
 @pytest.mark.parametrize("optimised", ["-O2", *(pytest.param(how, marks=pytest.mark.slow) for how in ("-O0", "-O3"))])
 @pytest.mark.parametrize("compiler", ["gcc", "clang"])
