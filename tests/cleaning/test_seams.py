@@ -154,3 +154,18 @@ def test_a_smoother_cannot_be_cut_so() -> None:
 
 def _between(z: Floats) -> tuple[float, float]:
     return float(np.nanmin(z, initial=np.inf)), float(np.nanmax(z, initial=-np.inf))
+
+
+@pytest.mark.parametrize("lag", [0, 5, None])
+@pytest.mark.parametrize("name", CHANNELS)
+def test_steps_that_no_clock_gives_are_counted_alike(name: str, lag: int | None) -> None:
+    """One where they are no number, none below 0, and at most 2^31."""
+    z, odd, usual = np.random.default_rng(3).normal(size=400), np.ones(400), np.ones(400)
+    odd[[0, 100, 200, 300]] = np.nan, np.nan, -3.0, np.inf
+    usual[[200, 300]] = 0.0, float(1 << 31)
+    told = []
+    for elapsed in (odd, usual):
+        channel = open_channel(CHANNELS[name], STEP_S, lag)
+        told.append([*channel.push(z, elapsed), *channel.finish()])
+    for one, other in zip(*told, strict=True):
+        assert same(one, other)

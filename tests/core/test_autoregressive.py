@@ -142,7 +142,7 @@ def test_lengths_are_whole_up_to_rounding() -> None:
     component = autoregressive((0.9,), step_s=0.1)
     F, _ = component.over(np.array([0.1 + 0.2, 1e6 * 0.1]))
     assert F[0, 0, 0] == pytest.approx(0.9**3, rel=1e-12)
-    for wrong in (0.05, 0.1 * (3 + 1e-6)):
+    for wrong in (0.05, 0.1 * (3 + 1e-6), -0.1, np.inf, np.nan, 1e300):
         with pytest.raises(
             ModelError, match=r"no whole number of steps\. Give readings in even time, or use gauss_markov"
         ):

@@ -14,7 +14,7 @@ from becalm.cleaning.uncertainty import lasting_std
 from becalm.core.arrays import Floats, input_of
 from becalm.core.channel import Channel, Estimates
 from becalm.core.channel_settings import Settings, Widening
-from becalm.core.rhythm import LONGEST, Rhythm
+from becalm.core.rhythm import Rhythm, possible_steps
 from becalm.core.standing import Before
 
 
@@ -66,7 +66,7 @@ class CausalChannel:
         z, elapsed = input_of(z), input_of(elapsed)
         even = bool((elapsed[0 if self._begun else 1 :] == 1.0).all())
         if not even or not self._begun:
-            elapsed = np.clip(np.nan_to_num(elapsed, nan=1.0), 0.0, LONGEST)
+            elapsed = possible_steps(elapsed).copy()
             elapsed[: 0 if self._begun else 1] = 1.0  # the first row comes when it is due
         self._begun = self._begun or len(z) > 0
         if even and self._rhythm.undisturbed:

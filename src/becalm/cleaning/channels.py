@@ -23,6 +23,7 @@ from becalm.core.arrays import Floats
 from becalm.core.channel import log_densities, parts_of
 from becalm.core.monitor import InnovationMonitor
 from becalm.core.parted_flow import PartedFlow
+from becalm.core.rhythm import possible_steps
 from becalm.core.standing import Before, standing
 from becalm.core.told import Judge, Told
 from becalm.core.verdict import Verdict, counted
@@ -112,6 +113,7 @@ class MotionChannel(FilteredChannel):
 
     def push(self, z: Floats, elapsed: Floats) -> list[Told]:
         """Take readings (B,) and the steps before them; return what is clean, in order."""
+        elapsed = possible_steps(elapsed)
         if self._timing is not None:
             self._timing.push(elapsed)
         if self._holes is not None:

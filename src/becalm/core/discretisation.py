@@ -14,6 +14,7 @@ from becalm.errors import ModelError
 
 _TERMS = 24  # of a series whose argument is 1 at the most
 _FEW = 1 << 13  # numbers of matrices that are remembered
+_MOST_STEPS = 2.0**53  # that a number still counts
 _WHOLE = 1e-9  # of a step, or of the number of steps: what rounding of times leaves
 
 
@@ -81,14 +82,16 @@ def repeat(one: Recursion, steps_s: Floats) -> tuple[Floats, Floats]:
     Raises
     ------
     ModelError
-        If a length is no whole number of steps.
+        If a length is no whole number of steps, 0 to 2^53.
 
     Notes
     -----
     By doubling, F <- F F and Q <- F Q F' + Q, along the binary digits of k.
     """
     counts = np.round(steps_s / one.step_s)
-    beside = np.abs(steps_s / one.step_s - counts) > _WHOLE * np.maximum(counts, 1.0)
+    with np.errstate(invalid="ignore"):  # of a length without end
+        whole = np.abs(steps_s / one.step_s - counts) <= _WHOLE * np.maximum(counts, 1.0)
+    beside = ~(whole & (counts >= 0.0) & (counts <= _MOST_STEPS))
     if beside.any():
         raise ModelError(
             f"Noise that is known at every {one.step_s:.6g} s cannot be told over {steps_s[beside][0]:.6g} s, which is "

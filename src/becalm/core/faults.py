@@ -13,7 +13,7 @@ import numpy as np
 
 from becalm.core.arrays import Codes, Floats, Integers, input_of
 from becalm.core.limits import Limits
-from becalm.core.rhythm import LONGEST, Rhythm
+from becalm.core.rhythm import Rhythm, possible_steps
 from becalm.core.verdict import ADVICE, Verdict
 from becalm.errors import ModelError, UsageError
 from becalm.native.scans import LIMITS, new_limits, reduced_limits, restored, scan_faults
@@ -89,7 +89,7 @@ class Faults:
             return codes
         even = bool((elapsed[0 if self._rows else 1 :] == 1.0).all())
         if not even or not self._rows:
-            elapsed = np.clip(np.nan_to_num(elapsed, nan=1.0), 0.0, LONGEST)
+            elapsed = possible_steps(elapsed).copy()
             elapsed[0] = elapsed[0] if self._rows else 1.0  # it came when it was due
         if not even or not self._rhythm.undisturbed:
             self._rhythm.write(codes, elapsed)

@@ -21,6 +21,14 @@ _REFERENCES = (16, 32, 48)  # rows before, whose median is the even time
 _ON_TIME = 0.1  # steps off a whole one: there a row stands in a place of even time, if not its own
 
 
+def possible_steps(elapsed: Floats) -> Floats:
+    """Return steps between rows (B,) as they are counted: one where they are no number, none below 0, at most LONGEST."""
+    if ((elapsed >= 0.0) & (elapsed <= LONGEST)).all():
+        return elapsed
+    steps: Floats = np.clip(np.nan_to_num(elapsed, nan=1.0), 0.0, LONGEST)
+    return steps
+
+
 class Rhythm:
     """Watches when rows come, in constant memory.
 
