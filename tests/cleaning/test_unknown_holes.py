@@ -48,6 +48,16 @@ def test_of_a_hole_too_long_nothing_is_told_but_at_its_ends(causal: bool) -> Non
     assert out.reports[0].verdicts["hole"] == holes.sum()
 
 
+def test_before_the_first_reading_of_all_the_first_row_too_is_unknown() -> None:
+    z = band_noise(10.0) + 0.05 * np.random.default_rng(1).normal(size=ROWS)
+    z[:400] = np.nan
+    out = becalm.clean(becalm.Recording(z, names=["a"], rate_hz=RATE_HZ))
+    told = np.isfinite(out.signal.samples[:400, 0])
+    assert not told[:300].any()
+    assert told[399]
+    assert (out.verdicts["a"][:300] == Verdict.HOLE).all()
+
+
 @pytest.mark.parametrize("causal", [False, True])
 def test_its_guess_is_within_what_was_read_and_its_sigma_is_the_spread(causal: bool) -> None:
     recording = holed(10.0)

@@ -3,7 +3,8 @@
 The first is an alarm for faults that nobody has thought of. An estimate is called a runaway where it lies outside of
 what is plausible, which is a range of readings beyond both ends of the record that the filter was tuned on, and, for a
 sensor that was zeroed since, as far from the last reading that entered as these bounds are apart. A hole begins with
-its second row: of one reading that is missing the model knows, where motion is violent, all that can be known.
+its second row: of one reading that is missing the model knows, where motion is violent, all that can be known. Before
+the first row of all none was read.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ class Sentinel:
 
     def __init__(self, limits: Limits, unknown_from: float = np.inf) -> None:
         self._low, self._high, self._unknown_from = limits.outliers.low, limits.outliers.high, unknown_from
-        self._read, self._missed, self._waiting = np.nan, False, np.empty(0)
+        self._read, self._missed, self._waiting = np.nan, True, np.empty(0)
 
     def push(self, usable: Floats) -> None:
         """Take the readings of rows that will be told, (B,), NaN where none may enter the filter."""

@@ -13,7 +13,7 @@
 static inline void start_sensor(sensor_t *state) {
     memset(state, 0, sizeof *state);
     start_limits(&state->limits);
-    state->last_signal = state->entered = NOT_A_NUMBER;
+    state->last_signal = state->entered = NOT_A_NUMBER, state->missed = 1;
     state->monitor.drift_since = -1;
 }
 
