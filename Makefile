@@ -78,6 +78,7 @@ bench: .venv/tested
 	$(BIN)/python benchmarks/export_speed.py -o docs/export-speed.md
 	$(BIN)/python benchmarks/export_cortex.py -o docs/export-cortex.md
 	$(BIN)/python benchmarks/same_bits.py -o docs/same-bits.md
+	$(BIN)/python benchmarks/sanitized.py -o docs/sanitized.md
 	$(BIN)/python benchmarks/export_records.py -o docs/export-records.md
 	$(BIN)/python benchmarks/fleet_report.py -o docs/fleet-report.md
 	$(BIN)/python benchmarks/fleet_batch.py -o docs/fleet-batch.md
