@@ -96,10 +96,13 @@ class BuildHook(BuildHookInterface[Any]):
         try:
             provide(Path(self.root))
             if self.target_name == "wheel":
-                platform = os.environ.get(PLATFORM) or sysconfig.get_platform().replace("-", "_").replace(".", "_")
-                kernel = kernel_for(Path(self.root), os.environ.get(PLATFORM))
+                editable = version == "editable"  # it is for this machine, and finds the filter in the sources
+                wanted = None if editable else os.environ.get(PLATFORM)
+                kernel = kernel_for(Path(self.root), wanted)
+                platform = wanted or sysconfig.get_platform().replace("-", "_").replace(".", "_")
                 build_data["pure_python"], build_data["tag"] = False, f"py3-none-{platform}"
-                build_data["force_include"][str(kernel)] = f"becalm/native/{kernel.name}"
+                if not editable:
+                    build_data["force_include"][str(kernel)] = f"becalm/native/{kernel.name}"
         except (FetchError, BuildError, OSError) as error:
             self.app.abort(f"becalm was not built. {error}")
 

@@ -6,6 +6,7 @@ import os
 import shutil
 import subprocess
 from pathlib import Path
+from typing import Any, cast
 
 import pytest
 
@@ -83,6 +84,21 @@ def test_a_wheel_for_another_machine_has_a_filter_of_its_own(
     assert kernel.name == ("kernel.dll" if platform == "win_amd64" else "kernel.so")
     assert f"-target {hatch_build.PLATFORMS[platform]}" in kernel.read_text(encoding="utf-8")
     assert files(project) == before
+
+
+@pytest.mark.parametrize(("version", "tag"), [("standard", "py3-none-win_amd64"), ("editable", "py3-none-linux")])
+def test_a_wheel_holds_the_filter_of_its_platform_and_an_editable_install_none(
+    project: Path, monkeypatch: pytest.MonkeyPatch, version: str, tag: str
+) -> None:
+    (project / "ziglang.py").write_text(STAND_IN, encoding="utf-8")
+    monkeypatch.setenv("PYTHONPATH", str(project))
+    monkeypatch.setenv(hatch_build.PLATFORM, "win_amd64")
+    monkeypatch.setattr(hatch_build, "provide", lambda root: None)
+    monkeypatch.setattr(hatch_build, "compile_kernel", lambda root: None)
+    nothing, built = cast(Any, None), {"force_include": dict[str, str]()}
+    hatch_build.BuildHook(str(project), {}, nothing, nothing, "", "wheel").initialize(version, built)
+    assert str(cast(Any, built)["tag"]).startswith(tag)
+    assert list(built["force_include"].values()) == (["becalm/native/kernel.dll"] if version == "standard" else [])
 
 
 def test_a_platform_that_is_none_is_refused_with_those_there_are(project: Path) -> None:
