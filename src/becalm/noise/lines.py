@@ -134,9 +134,7 @@ def _peak(left: Floats, spectrum: Spectrum, width: int, stands_out: float) -> Pe
     """Return the frequency whose neighbourhood of some width stands out of what lies around it."""
     if len(left) < _FEWEST_WIDTHS * width:
         return None
-    from scipy.ndimage import uniform_filter1d  # loaded where tones are looked for
-
-    raised = uniform_filter1d(left, width, mode="nearest")
+    raised = np.convolve(left, np.full(width, 1 / width), mode="same")  # at the ends, where it is less, is no tone
     spacing = float(spectrum.angle[1] - spectrum.angle[0])
     raised[np.minimum(spectrum.angle, np.pi - spectrum.angle) < max(_CYCLES, width) * spacing] = 0.0
     reach, apart = _AROUND * width, _APART * width
