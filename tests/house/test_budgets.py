@@ -49,6 +49,11 @@ def test_help_is_light() -> None:
     assert not heavy & set(HEAVY)
 
 
+@pytest.mark.parametrize("module", ["becalm.core.online", "becalm.cleaning.pipeline", "becalm.files.reading"])
+def test_scipy_is_loaded_by_what_needs_it_alone(module: str) -> None:
+    assert "scipy" not in loaded_by(f"import {module}")
+
+
 def test_configuration_names_only_paths_that_exist() -> None:
     assert all((ROOT / path).exists() for path in PYPROJECT["tool"]["pytest"]["ini_options"]["testpaths"])
     assert all((ROOT / path).exists() for path in PYPROJECT["tool"]["mypy"]["files"])

@@ -43,6 +43,13 @@ def input_of(values: Floats) -> Floats:
     return read_only(np.ascontiguousarray(values, dtype=np.float64))
 
 
+def block_diagonal(first: Floats, second: Floats) -> Floats:
+    """Return a matrix of two blocks, (k, l) and (m, n), with zeros beside them, (k + m, l + n)."""
+    (rows, columns), joined = first.shape, np.zeros(np.add(first.shape, second.shape))
+    joined[:rows, :columns], joined[rows:, columns:] = first, second
+    return joined
+
+
 def frozen(values: ArrayLike) -> Floats:
     """Return our own read-only float64 copy; the caller's array stays as it was."""
     own = np.array(values, dtype=np.float64, order="C")

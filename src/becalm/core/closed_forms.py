@@ -12,7 +12,6 @@ from math import factorial
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import zeta
 
 from becalm.core.arrays import Floats, frozen
 from becalm.core.steady_filter import Complexes
@@ -80,6 +79,8 @@ def returning_power(order: int, damping: float, level_rate: float, angle: Floats
     """
     if not damping:
         return motion_power(order, angle)
+    from scipy.special import zeta
+
     turns, near = angle / (2 * np.pi), 2 * np.pi * np.arange(-_FOLDS, _FOLDS + 1)[:, np.newaxis]
     squares = (angle + near) ** 2
     folded = ((1 + level_rate**2 / squares) / (squares**order + damping ** (2 * order))).sum(axis=0)

@@ -8,9 +8,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.linalg import block_diag
 
-from becalm.core.arrays import frozen
+from becalm.core.arrays import block_diagonal, frozen
 from becalm.core.autoregressive import autoregressive
 from becalm.core.closed_forms import butterworth_poles
 from becalm.core.parts import Component, Part, checked_number, checked_whole
@@ -247,7 +246,7 @@ def with_walking_level(component: Component, noise_density: float) -> Component:
     return replace(
         component,
         noise_input=frozen(np.hstack([component.noise_input, level])),
-        noise_density=frozen(block_diag(component.noise_density, np.full((1, 1), _density(noise_density)))),
+        noise_density=frozen(block_diagonal(component.noise_density, np.full((1, 1), _density(noise_density)))),
     )
 
 

@@ -9,7 +9,6 @@ from collections.abc import Callable
 from typing import NoReturn
 
 import numpy as np
-from scipy.optimize import brentq
 
 from becalm.core.closed_forms import cutoff_to_ratio, motion_power
 from becalm.core.components import motion
@@ -167,6 +166,8 @@ def _solve(
     told: Callable[[SteadyFilter], float],
 ) -> float:
     """Find q/r where an excess, which grows with it, is 0; `told` is what was asked for, in its unit."""
+    from scipy.optimize import brentq
+
     low, high = np.log(_SLOWEST[order]), np.log(_FASTEST) / (2 * order)
 
     def ratio_at(log_cutoff: float) -> float:

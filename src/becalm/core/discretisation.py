@@ -7,7 +7,6 @@ from math import factorial, isqrt
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import matrix_balance
 
 from becalm.core.arrays import Floats
 from becalm.errors import ModelError
@@ -140,6 +139,8 @@ def _integrate_turn(A: Floats, W: Floats, steps_s: Floats) -> tuple[Floats, Floa
 
 def balancing(A: Floats) -> Floats:
     """Return the scale (n,) of each state by which the numbers of A (n, n) come nearest to each other."""
+    from scipy.linalg import matrix_balance
+
     with np.errstate(invalid="ignore"):  # it also tells a permutation, which far scales are none of
         _, (scale, _) = matrix_balance(A, permute=False, separate=True)
     return np.asarray(scale)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import ndtri
 
 from becalm.core.model import Model
 from becalm.core.verdict import AGREE, AT_MOST
@@ -46,6 +45,8 @@ def threshold_for(false_alarms_per_hour: float, readings_per_second: float) -> f
     >>> round(threshold_for(1.0, 10_000.0), 2)
     5.55
     """
+    from scipy.special import ndtri
+
     for name, value in (("false_alarms_per_hour", false_alarms_per_hour), ("readings_per_second", readings_per_second)):
         if not 0 < value < np.inf:
             raise ModelError(f"{name} = {value} is no rate; give a positive number.")

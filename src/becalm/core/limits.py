@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr, ndtri
 
 from becalm.core.arrays import Floats, Integers
 from becalm.core.clock import GAP_STEPS
@@ -244,6 +243,8 @@ def _longest_hold(z: Floats, alarms: float) -> float:
 
     A code's edges lie LSB / sigma apart in the quantiles of a normal law; what moves only makes them closer.
     """
+    from scipy.special import ndtr, ndtri
+
     _, counts = np.unique(z, return_counts=True)
     below = np.cumsum(counts)[:-1]
     edges = below[(below >= _FEWEST_OF_A_SIDE) & (below <= len(z) - _FEWEST_OF_A_SIDE)]

@@ -10,7 +10,6 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.special import gammainccinv, gammaincinv
 
 from becalm.core.aliveness import Aliveness
 from becalm.core.arrays import Codes, Floats, Integers, input_of
@@ -95,6 +94,8 @@ def find_alarms(false_alarms_per_hour: float, step_s: float, healthy: Floats | N
     The variance of a window about its mean is chi-square of WINDOW - 1 degrees of freedom; windows that
     overlap are counted as if they did not, which only makes false alarms fewer.
     """
+    from scipy.special import gammainccinv, gammaincinv
+
     if not (0 < false_alarms_per_hour < np.inf and 0 < step_s < np.inf):
         raise UsageError(
             f"false_alarms_per_hour = {false_alarms_per_hour!r} and step_s = {step_s!r} came; both must be above 0,"

@@ -13,9 +13,8 @@ from itertools import pairwise
 from typing import Literal
 
 import numpy as np
-from scipy.linalg import block_diag, solve_continuous_lyapunov, solve_discrete_lyapunov
 
-from becalm.core.arrays import Floats, frozen
+from becalm.core.arrays import Floats, block_diagonal, frozen
 from becalm.core.discretisation import Recursion, balancing, discretise, repeat
 from becalm.core.model import Model
 from becalm.errors import ModelError
@@ -129,6 +128,8 @@ class Component:
         Y = np.zeros_like(self.drift)
         for part, states in zip(self.parts, self._slices(), strict=True):
             if part.recursion is not None:
+                from scipy.linalg import solve_discrete_lyapunov
+
                 Y[states, states] = np.linalg.inv(solve_discrete_lyapunov(part.recursion.F, part.recursion.Q))
         if self.returns:
             states = self._slices()[0]
@@ -163,9 +164,9 @@ class Component:
     def __add__(self, other: Component) -> Component:
         """Join two independent components; their outputs add."""
         return Component(
-            frozen(block_diag(self.drift, other.drift)),
-            frozen(block_diag(self.noise_input, other.noise_input)),
-            frozen(block_diag(self.noise_density, other.noise_density)),
+            frozen(block_diagonal(self.drift, other.drift)),
+            frozen(block_diagonal(self.noise_input, other.noise_input)),
+            frozen(block_diagonal(self.noise_density, other.noise_density)),
             frozen(np.hstack([self.output, other.output])),
             self.parts + other.parts,
         )
@@ -227,6 +228,8 @@ class Component:
 
 def _about_level(A: Floats, W: Floats) -> Floats:
     """Return what is known, (n + 1, n + 1), of a motion that is stationary about its last state, an unknown level."""
+    from scipy.linalg import solve_continuous_lyapunov
+
     n = len(A) - 1
     apart, together = np.eye(n + 1), np.eye(n + 1)
     apart[0, n], together[0, n] = -1.0, 1.0  # to the distance from the level, and back

@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.optimize import brentq, minimize_scalar
 
 from becalm.core.arrays import Floats
 from becalm.core.closed_forms import butterworth_delay, butterworth_noise_gain, butterworth_response
@@ -176,6 +175,8 @@ class _Passing(NamedTuple):
 
 
 def _find_passing(respond: Callable[[ArrayLike], Complexes], f: Floats) -> _Passing:
+    from scipy.optimize import brentq, minimize_scalar
+
     def power(x: float) -> float:
         return float(np.abs(respond([x])[0]) ** 2)
 

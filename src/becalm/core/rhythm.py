@@ -22,7 +22,7 @@ _ON_TIME = 0.1  # steps off a whole one: there a row stands in a place of even t
 
 
 def possible_steps(elapsed: Floats) -> Floats:
-    """Return steps between rows (B,) as they are counted: one where they are no number, none below 0, at most LONGEST."""
+    """Return steps between rows (B,) as they are counted: one where they are no number, 0 to LONGEST otherwise."""
     if ((elapsed >= 0.0) & (elapsed <= LONGEST)).all():
         return elapsed
     steps: Floats = np.clip(np.nan_to_num(elapsed, nan=1.0), 0.0, LONGEST)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft
 
 from becalm.core.arrays import Floats, Integers
 
@@ -17,6 +16,8 @@ def lag_of(signal: Floats, truth: Floats) -> float:
     least value and its neighbours tells parts of a sample; beside noise, or of a slow truth, it is told badly. Lags of
     up to half of the record are looked at. NaN where one of them does not change, or the farthest lag differs least.
     """
+    from scipy.fft import irfft, next_fast_len, rfft
+
     known = np.isfinite(signal) & np.isfinite(truth)
     a, b = (np.where(known, values - values[known].mean(), 0.0) for values in (signal, truth))
     if not (np.ptp(a) > 0 and np.ptp(b) > 0):

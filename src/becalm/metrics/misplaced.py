@@ -9,7 +9,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import ndtr
 
 from becalm.core.arrays import Floats
 
@@ -28,6 +27,8 @@ class ScoreCount(NamedTuple):
 
     def share(self) -> float:
         """Return the share of probability that is misplaced; 0.16 where every score is 1.4 times too large."""
+        from scipy.special import ndtr
+
         if not self.seen:
             return 0.0
         return float(np.abs(self.below / self.seen - (2 * ndtr(_EDGES) - 1)).max())

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import gammaincc
 
 from becalm.core.arrays import Floats
 from becalm.core.closed_forms import autoregressive_power
@@ -105,6 +104,8 @@ def judge_whiteness(sums: LaggedSums) -> Whiteness:
     -----
     Ljung and Box, Biometrika 65 (1978) 297. The predictors are those of Levinson and Durbin.
     """
+    from scipy.special import gammaincc
+
     n = sums.seen
     tested, foreseen = min(LAGS, n // _READINGS_PER_LAG), min(_PREDICTOR_LAGS, n // _READINGS_PER_LAG)
     if foreseen < 1 or not sums.varies:

@@ -17,7 +17,6 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import gammaincinv
 
 from becalm.core.arrays import Floats, Integers, frozen, real
 from becalm.core.clock import FASTEST_HZ, SLOWEST_HZ
@@ -250,4 +249,6 @@ def _freedom(exponent: int, m: int, count: int) -> float:
 
 def _chi_square(freedom: Floats, probability: float) -> Floats:
     """Return the quantile of chi-square."""
+    from scipy.special import gammaincinv
+
     return np.asarray(2 * gammaincinv(freedom / 2, probability), dtype=np.float64)

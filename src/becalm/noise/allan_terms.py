@@ -17,7 +17,6 @@ from itertools import combinations
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.optimize import nnls
 
 from becalm.core.arrays import Floats
 from becalm.errors import RecordingError, UsageError
@@ -194,6 +193,8 @@ class _Fit:
 
     def solve(self, kept: list[int]) -> Floats:
         """Return the squares (4,) that fit, of the kept terms; 0 for the others."""
+        from scipy.optimize import nnls
+
         squares, sigma = np.zeros(4), self.variance
         for _ in range(_ROUNDS):
             before = squares.copy()

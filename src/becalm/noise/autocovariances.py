@@ -16,7 +16,6 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import qr, solve_triangular
 
 from becalm.core.arrays import Booleans, Floats, Integers
 from becalm.core.model import Model
@@ -82,6 +81,8 @@ class Autocovariances:
     @cached_property
     def confounded(self) -> list[Confounded]:
         """Unknowns that are seen, but look like mixtures of others."""
+        from scipy.linalg import solve_triangular
+
         triangle, order = self._factors
         first, rest = order[: self.rank], order[self.rank :]
         mixtures = solve_triangular(triangle[: self.rank, : self.rank], triangle[: self.rank, self.rank :])
@@ -127,6 +128,8 @@ class Autocovariances:
     @cached_property
     def _factors(self) -> tuple[Floats, Integers]:
         """Return the triangle of the scaled map and the order of its columns, the plainest first."""
+        from scipy.linalg import qr
+
         lengths = np.where(self.unseen, np.inf, self.lengths)
         triangle, order = qr(self.slopes / lengths, mode="r", pivoting=True)
         k = len(order)

@@ -16,7 +16,6 @@ from functools import partial
 from itertools import pairwise, product
 
 import numpy as np
-from scipy.optimize import minimize
 
 from becalm.core.arrays import Floats
 from becalm.core.autoregressive import Coloured, from_partial_autocorrelations
@@ -149,6 +148,8 @@ def _begins(order: int) -> list[Floats]:
 
 def _fit(cost: Callable[[Floats], float], begins: Sequence[Floats]) -> Floats:
     """Return the theta of the least cost, from the best of several begins."""
+    from scipy.optimize import minimize
+
     begin = min(begins, key=cost)
     bounds = [(-_PARTIAL, _PARTIAL)] * (len(begin) - 2) + [_WHITES] * (len(begin) > 1) + [_DRIFTS]
     return np.asarray(minimize(cost, begin, method="L-BFGS-B", bounds=bounds, options={"ftol": 1e-7}).x)

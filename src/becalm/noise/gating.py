@@ -10,7 +10,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import ndtr
 
 from becalm.core.arrays import Booleans, Floats, input_of
 from becalm.core.channel import Channel
@@ -130,6 +129,8 @@ def foretells_better(tuning: Tuning, readings: Floats, elapsed: Floats, gate: Ga
 
 def has_shoulders(found: Forecasts, threshold: float) -> bool:
     """Whether innovations are heavier than Gaussian below the threshold too: rejects are no kind of their own then."""
+    from scipy.special import ndtr
+
     seen = np.abs(found.normalised[np.isfinite(found.normalised)])
     near = np.count_nonzero((seen > SHOULDER * threshold) & (seen <= threshold))
     expected = 2 * len(seen) * float(ndtr(-SHOULDER * threshold) - ndtr(-threshold))

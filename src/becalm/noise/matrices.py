@@ -13,8 +13,6 @@ from functools import cached_property
 from typing import Literal, get_args
 
 import numpy as np
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
 
 from becalm.core.arrays import Booleans, Floats, Integers
 from becalm.errors import ModelError
@@ -170,6 +168,9 @@ def _unit(d: int, i: int, j: int) -> Floats:
 
 def _blocks(covariance: Floats) -> list[Integers]:
     """Return the rows of each independent block; those of nothing but zeros are none."""
+    from scipy.sparse import csr_array
+    from scipy.sparse.csgraph import connected_components
+
     number, labels = connected_components(csr_array(covariance != 0), directed=False)
     blocks = [np.flatnonzero(labels == label) for label in range(number)]
     return [block for block in blocks if covariance[block[0]].any()]

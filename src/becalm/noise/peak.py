@@ -11,7 +11,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import minimize
 
 from becalm.core.arrays import Booleans, Floats
 
@@ -105,6 +104,7 @@ def climb(log_likelihood: LogLikelihood, theta: Floats, readings: int) -> Peak:
 
 def _descend(cost: Callable[[Floats], float], theta: Floats, ways: Floats, near: float) -> Floats:
     """Go down from theta (k,) by BFGS along `ways` (k, k); return where it ends."""
+    from scipy.optimize import minimize
 
     def moved(at: Floats) -> float:
         return cost(theta + ways @ at)

@@ -12,7 +12,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from becalm.core.arrays import Floats
 from becalm.core.channel_record import ChannelRecord
@@ -47,6 +46,8 @@ def retune(tuning: Tuning, evidence: Evidence) -> Tuning:
         The readings it was tuned on; at least 2048 in even time but for jitter and short holes, otherwise the tuning
         stays.
     """
+    from scipy.optimize import minimize_scalar
+
     readings, evidence = len(evidence.z), completed(evidence, tuning)
     if not _is_whole(evidence) or len(evidence.z) < readings:
         return tuning

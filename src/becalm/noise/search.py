@@ -13,7 +13,6 @@ from collections.abc import Callable, Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from becalm.core.arrays import Floats
 from becalm.core.closed_forms import cutoff_to_ratio, ratio_to_cutoff
@@ -114,6 +113,8 @@ def find_least(
     enough : callable, optional
         Told the costs so far, whether the rest of the grid may be left out; by default all is tried.
     """
+    from scipy.optimize import minimize_scalar
+
     costs: list[float] = []
     for point in grid.tolist():
         costs.append(cost(point))

@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.fft import dst, rfft
 
 from becalm.core.arrays import Floats
 
@@ -56,6 +55,8 @@ def sine_spectrum(z: Floats) -> Spectrum:
     kinks that were not there; white noise stays white, and every reading counts alike. So the residual
     of a smoother is read off it as its sum of (1 - G)^2 times the power.
     """
+    from scipy.fft import dst
+
     place = np.arange(len(z)) - (_ENDS - 1) / 2
     power = dst(z - (z[:_ENDS].mean() + slope_between_ends(z) * place), type=1, norm="ortho") ** 2
     angle = np.pi * np.arange(1, len(z) + 1) / (len(z) + 1)
@@ -74,6 +75,8 @@ def pooled(spectra: Sequence[Spectrum]) -> Spectrum:
 
 def periodogram(z: Floats) -> Spectrum:
     """Return the power of a record (N,) in a Hann window, every frequency for itself; the lowest are left out."""
+    from scipy.fft import rfft
+
     window = np.hanning(len(z) + 2)[1:-1]
     power = np.abs(np.asarray(rfft((z - z.mean()) * window))) ** 2 / (window**2).sum()
     angle = 2 * np.pi * np.arange(len(power)) / len(z)

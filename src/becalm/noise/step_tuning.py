@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import minimize
 
 from becalm.core.arrays import Floats
 from becalm.errors import ModelError
@@ -92,6 +91,8 @@ def tune_by_simplex(trial: StepTrial, noise_variance: float, process_variance: f
     Nelder and Mead, Computer Journal 7 (1965) 308, in the logarithms of R and Q, so that both stay
     positive.
     """
+    from scipy.optimize import minimize
+
     if not (0 < noise_variance < np.inf and 0 < process_variance < np.inf):
         raise ModelError(f"R = {noise_variance} and Q = {process_variance}; the search starts from positive ones.")
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import chdtri
 
 from becalm.core.arrays import Floats
 from becalm.metrics.lagged import MOST_LAGS, LaggedSums
@@ -90,6 +89,8 @@ def _spectrum(title: Title, sums: LaggedSums, correlations: Floats, rate_hz: flo
 
 
 def _nis(title: Title, times: Envelope, nis: Means) -> Figure:
+    from scipy.special import chdtri
+
     seen, mean = nis.seen, nis.result()
     known = np.maximum(seen, 1)
     upper, lower = (np.where(seen > 0, chdtri(known, share) / known, np.nan) for share in (_SHARE, 1 - _SHARE))

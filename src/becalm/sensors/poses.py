@@ -11,7 +11,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from becalm.core.arrays import Floats
 from becalm.errors import SensorError
@@ -127,6 +126,8 @@ def calibrate_by_length(rests: Rests, gravity: float = STANDARD_GRAVITY) -> Pose
 
 def _fitted(p: Floats, u: Floats, weight: Floats) -> Floats:
     """Return the unknowns (9,) by which lengths are nearest to 1, from a first guess."""
+    from scipy.optimize import least_squares
+
     w = weight / weight.mean()
 
     def left(p: Floats) -> Floats:

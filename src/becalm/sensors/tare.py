@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import fdtrc
 
 from becalm.core.arrays import Floats
 from becalm.core.verdict import BEYOND_ANY_SENSOR
@@ -90,6 +89,8 @@ def zero_of(stretch: Floats) -> Zero:
     Eight blocks are compared by analysis of variance: their means with the noise within them, and the power of the
     loudest with that of the others. Refused is what is both significant (one in a thousand) and large.
     """
+    from scipy.special import fdtrc
+
     seen = stretch[np.abs(stretch) <= BEYOND_ANY_SENSOR]
     if len(seen) < FEWEST:
         raise SensorError(f"The stretch has {len(seen)} readings; a zero needs {FEWEST}. Give a longer one.")
@@ -123,6 +124,8 @@ def _refuse_bursts(squares: Floats, sizes: Floats) -> None:
     sizes : (8,) int array
         Readings in each.
     """
+    from scipy.special import fdtrc
+
     loudest = int(np.argmax(squares / sizes))
     free, others = float(sizes[loudest] - 1), float(sizes.sum() - sizes[loudest] - (BLOCKS - 1))
     loud, calm = squares[loudest] / free, (squares.sum() - squares[loudest]) / others
