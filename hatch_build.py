@@ -75,7 +75,7 @@ PLATFORM = "BECALM_PLATFORM"  # the variable that names one of them; by default 
 KERNEL = "kernel.dll" if sys.platform == "win32" else "kernel.so"
 KEPT = Path("build/native")  # what each source was compiled to, by the command
 C_FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC")  # no contraction: the same bits everywhere
-OPTIMISED = ("filter.c",)  # further, where every row passes: it takes twice as long to compile
+OPTIMISED, MORE_FLAGS = ("filter.c",), ("-O3",)  # where every row passes: it takes twice as long to compile
 ZIG = "ziglang"  # a C compiler from PyPI, for machines that have none
 
 
@@ -89,7 +89,7 @@ class BuildHook(BuildHookInterface[Any]):
     def dependencies(self) -> list[str]:
         """Ask for an npm, and for a C compiler, where there is none and one is needed."""
         npm = [] if shutil.which("npm") or is_there(Path(self.root)) else [f"{NODE}>=22"]
-        return npm if own_compiler() and PLATFORM not in os.environ else [*npm, f"{ZIG}>=0.15"]
+        return npm if own_compiler() and not os.environ.get(PLATFORM) else [*npm, f"{ZIG}>=0.15"]
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         """Fetch uPlot and compile the filter, or end the build with a sentence."""
@@ -152,7 +152,7 @@ def _zig() -> list[str]:
 
 def _linked(root: Path, compiler: Sequence[str], kernel: Path) -> Path:
     command = [*compiler, *C_FLAGS]
-    kept = root / KEPT / hashlib.sha256(shlex.join(command).encode()).hexdigest()[:12]
+    kept = root / KEPT / hashlib.sha256(shlex.join([*command, *OPTIMISED, *MORE_FLAGS]).encode()).hexdigest()[:12]
     for folder in (kept, kernel.parent):
         folder.mkdir(parents=True, exist_ok=True)
     with ThreadPoolExecutor() as side_by_side:
@@ -172,8 +172,8 @@ def _object(command: Sequence[str], kept: Path, source: Path) -> str:
     if not _is_fresh(made, needs):
         with tempfile.TemporaryDirectory(dir=kept) as unready:
             built, named = Path(unready) / made.name, Path(unready) / needs.name
-            further = ["-O3"] if source.name in OPTIMISED else []
-            _compile([*command, *further], [str(source), "-c", "-MMD", "-MF", str(named), "-o", str(built)])
+            flags = MORE_FLAGS if source.name in OPTIMISED else ()
+            _compile([*command, *flags], [str(source), "-c", "-MMD", "-MF", str(named), "-o", str(built)])
             named.replace(needs)
             built.replace(made)
     return str(made)

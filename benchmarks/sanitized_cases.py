@@ -183,7 +183,7 @@ def channel(draw: st.DataObject) -> None:
     recipe, step_s = draw.draw(recipes())
     lag = draw.draw(st.sampled_from([0, 0, None, None, 1, 6, 40]))
     given_it = draw.draw(rows(recipe.noise_std or 1.0))
-    noted(recipe.model_dump_json(), step_s, lag, given_it)
+    watch(recipe.model_dump_json(), step_s, lag, given_it)
     try:
         whole, cut = (pushed(open_channel(recipe, step_s, lag), given_it, cuts) for cuts in ([], given_it.cuts))
     except BecalmError:
@@ -228,7 +228,7 @@ def model(draw: st.DataObject) -> None:
         z[at, at % m] = value
     lag = draw.draw(st.sampled_from([0, 0, 1, 9]))
     gate = Gate(4.0, 3, 6) if m == 1 and draw.draw(st.booleans()) else None
-    noted("model", F.tolist(), own, z.tolist(), lag, gate)
+    watch("model", F.tolist(), own, z.tolist(), lag, gate)
     try:
         online = becalm.Online(own, lag, gate)
         half = count // 2
@@ -262,7 +262,7 @@ def clock(draw: st.DataObject) -> None:
     jumps = st.sampled_from([-1e9, -5.0, 0.3, 4.0, 1e7, 1e300, np.nan, np.inf, -np.inf])
     for at, jump in draw.draw(st.lists(st.tuples(places, jumps), max_size=6)):
         stamps[at : at + int(draw.draw(st.sampled_from([1, 9, count])))] += step_s * jump
-    noted("clock", step_s, stamps.tolist())
+    watch("clock", step_s, stamps.tolist())
     told.passed(stamps)
     COUNTED["clock"] += 1
 
@@ -272,7 +272,7 @@ def tuned(draw: st.DataObject) -> None:
     unit = draw.draw(magnitudes)
     given_it = draw.draw(rows(unit))
     z = given_it.z[:500]
-    noted("tuned", z.tolist())
+    watch("tuned", z.tolist())
     try:
         record = becalm.Recording(z[:, np.newaxis], names=["a"], rate_hz=100.0)
         becalm.clean(record, causal=draw.draw(st.booleans()))
@@ -281,8 +281,8 @@ def tuned(draw: st.DataObject) -> None:
         COUNTED["tuned, refused"] += 1
 
 
-def noted(*what: object) -> None:
-    """Keep the case that runs now: a sanitizer ends the program; and so does a case that does not end."""
+def watch(*what: object) -> None:
+    """Write the next case down, and end the program if it takes too long: a sanitizer ends it, too."""
     faulthandler.dump_traceback_later(LONGEST_S, exit=True)
     Path(sys.argv[2]).write_text(repr(what), encoding="utf-8")
 

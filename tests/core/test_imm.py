@@ -66,7 +66,7 @@ def test_states_that_cannot_be_are_refused() -> None:
     assert whole.tobytes() == state.tobytes()
     for name, value in (
         ("layout", 99), ("states", 1), ("modes", 2), ("has_level", 2), ("level", np.nan), ("level", np.inf),
-        ("mu", 0.0), ("mu", 3.0), ("mu", np.nan), ("x", np.inf), ("P", np.nan), ("P", -1.0),
+        ("mu", 0.0), ("mu", 3.0), ("mu", np.nan), ("x", np.inf), ("P", np.nan), ("P", np.inf),
     ):  # fmt: skip
         spoilt = restored(BANK, kept(**{name: value}))
         assert spoilt is None or (name, value) == ("mu", 0.0), name  # nothing was read yet

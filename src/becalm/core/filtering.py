@@ -104,7 +104,7 @@ def numbers(z: ArrayLike) -> Floats:
     """Return float64 numbers, or say that these are none."""
     try:
         return np.asarray(real(z), dtype=np.float64)
-    except (TypeError, ValueError) as cause:
+    except (TypeError, ValueError, OverflowError) as cause:
         raise ModelError(f"z is not an array of numbers ({cause}).") from cause
 
 

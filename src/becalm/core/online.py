@@ -65,7 +65,7 @@ class Online:
         else:
             raise ModelError(f"A gate judges one channel; this model has {model.channels}. Leave the gate out.")
         self.model, self._lag, self._gate = self._runs.model, lag, gate
-        self._quick: Callable[[float], tuple[float, float]] = self._find_quick  # the shortest way of a number
+        self._quick: Callable[[float], tuple[float, float]] | None = None  # the shortest way of a number
 
     def step(self, z_k: ArrayLike) -> tuple[Floats, Floats] | tuple[float, float]:
         """Take one reading; return signal and sigma.
@@ -82,18 +82,10 @@ class Online:
             If the reading is not m real numbers.
         """
         if isinstance(z_k, float):
-            return self._quick(z_k)
-        return self._checked_step(z_k)
-
-    def _find_quick(self, z_k: float) -> tuple[float, float]:
-        quick = self._runs.stepper()
-        if quick is None:
-            signal, sigma = self._checked_step(z_k)
-            return float(signal), float(sigma)
-        self._quick = quick
-        return quick(z_k)
-
-    def _checked_step(self, z_k: ArrayLike) -> tuple[Floats, Floats] | tuple[float, float]:
+            quick = self._quick or self._runs.stepper()
+            if quick is not None:
+                self._quick = quick
+                return quick(z_k)
         row = np.ravel(z_k)
         if len(row) != self.model.channels:
             raise ModelError(f"z_k has {len(row)} values; this model has {self.model.channels} channels.")
@@ -112,7 +104,7 @@ class Online:
         """
         z = checked_readings(self.model, block)
         if self._lag:
-            self._quick = self._find_quick  # it holds the rows that wait
+            self._quick = None  # it holds the rows that wait
         return self._runs.run(z)
 
     @property
@@ -150,6 +142,10 @@ class Online:
         buffer = io.BytesIO()
         np.savez(buffer, version=np.array(_VERSION), **arrays, **self._runs.saved())
         return buffer.getvalue()
+
+    def __reduce__(self) -> tuple[Callable[[bytes], Self], tuple[bytes]]:
+        """Copy and pickle by a snapshot: a copy goes on from there by itself, without the last block's verdicts."""
+        return type(self).resume, (self.snapshot(),)
 
     @classmethod
     def resume(cls, blob: bytes) -> Self:

@@ -1,6 +1,6 @@
 """The filter in C99, compiled when becalm is built, and the door to it.
 
-`kernel.h` describes the structs; here they are NumPy's. Buffers go in and out; nothing is kept.
+`kernel.h` describes the structs; here they are NumPy's. Buffers go in and out; only a stepper keeps its own.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ kernel.channel_forget_counts.argtypes, kernel.channel_forget_counts.restype = [c
 kernel.channel_is_sound.argtypes, kernel.channel_is_sound.restype = [ctypes.c_void_p] * 2, ctypes.c_int
 kernel.likelihood_add.argtypes = [*[ctypes.c_void_p] * 3, ctypes.c_int64, ctypes.c_void_p]
 kernel.likelihood_add.restype = None
-_holding = ctypes.PyDLL(str(LIBRARY))  # holds Python's lock: one row takes less time than to let others in
-_holding.channel_call.restype = None
+_locked = ctypes.PyDLL(str(LIBRARY))  # holds Python's lock: one row takes less time than to let others in
+_locked.channel_call.restype = None
 
 STATE, _SCORE = map(layout_of, ("state", "score"))
 GATHERING, DETERMINED = CONSTANTS["GATHERING"], CONSTANTS["DETERMINED"]
@@ -125,7 +125,7 @@ def stepper(
     block, estimate = checked(settings, rows)
     of_channel = (one.ctypes.data for one in (settings, coefficients, state))
     call = ctypes.pointer(_Call(*of_channel, ctypes.addressof(block), ctypes.addressof(estimate)))
-    kept, run = (block, estimate, settings, coefficients, state, rows), _holding.channel_call
+    kept, run = (block, estimate, settings, coefficients, state, rows), _locked.channel_call
 
     def step(reading: float, _kept: Any = kept) -> tuple[float, float]:
         numbers[0] = reading

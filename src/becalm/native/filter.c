@@ -81,7 +81,7 @@ INLINE int64_t filter_settled(const int n, const settings_t *settings, const coe
     real F[NN_MAX], s[N_MAX], before[N_MAX], L[N_MAX], h[N_MAX], c[N_MAX], nu = 0, gain = 0;
     const real deviation = sqrt(state->S);
     const real limit = settings->gated ? settings->gate_threshold * deviation : INFINITE;
-    const real threshold = limit < BEYOND_ANY_SENSOR ? limit : BEYOND_ANY_SENSOR;
+    const real threshold = limit > BEYOND_ANY_SENSOR ? BEYOND_ANY_SENSOR : limit;
     const real level = state->level, sigma = state->sigma, step = state->last_step;
     const int disturbed = model->disturbed != 0;
     memcpy(F, F_, sizeof(real) * (size_t)(n * n));

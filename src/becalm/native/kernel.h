@@ -245,7 +245,7 @@ int64_t smoother_packed_size(int64_t states);
 void smoother_pack(int64_t states, const forward_t *forward, char *packed);
 void smoother_unpack(int64_t states, const char *packed, forward_t *forward);
 
-/* A call of `channel_process`, in one argument: from Python each costs time. No row's time is wrong. */
+/* A call of `channel_process`, in one argument: from Python each costs time. Verdicts begin as USED. */
 typedef struct {
     const settings_t *settings;
     const coefficients_t *model;
