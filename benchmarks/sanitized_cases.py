@@ -10,7 +10,7 @@ import warnings
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 from hypothesis import HealthCheck, Phase, given, seed, settings
@@ -34,6 +34,7 @@ from becalm.core.live_clock import LiveClock
 from becalm.core.model import Model
 from becalm.core.told import Told
 from becalm.errors import BecalmError
+from becalm.noise.banks import Kind
 
 COUNTED: Counter[str] = Counter()
 EXAMPLES, MOST_ROWS, LONGEST_S = 60, 1200, 300.0
@@ -98,7 +99,7 @@ def recipes(draw: st.DrawFn) -> tuple[ChannelRecipe, float]:
     damped = draw(st.none() | st.floats(1e-5, 0.2).map(lambda share: share * rate_hz))
     modes, switching = draw(st.sampled_from([0, 0, 0, 1, 2, 3, 4, 6])), None
     if modes:
-        kind = draw(st.sampled_from(["resting", "jumping", "noisy", "spiky", "bursting"]))
+        kind: Kind = draw(st.sampled_from(get_args(Kind)))
         made = tuple(
             ModeRecipe(
                 name=f"mode {k}",
