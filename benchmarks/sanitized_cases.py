@@ -201,6 +201,7 @@ def channel(draw: st.DataObject) -> None:
     places = draw.draw(st.lists(st.tuples(st.integers(0, 1 << 14), st.integers(0, 255)), max_size=3))
     if held is None:
         return
+    second.restore(held)  # what was not damaged is taken
     try:
         second.restore(damaged(held, places))
         second.push(given_it.z, given_it.elapsed)
@@ -243,6 +244,7 @@ def model(draw: st.DataObject) -> None:
         COUNTED["model, refused"] += 1
         return
     COUNTED[f"model of {'one channel' if m == 1 else 'several channels'}"] += 1
+    becalm.Online.resume(online.snapshot())  # what was not damaged is taken
     blob = bytearray(online.snapshot())
     for at, value in draw.draw(st.lists(st.tuples(st.integers(0, 1 << 14), st.integers(0, 255)), max_size=3)):
         blob[at % len(blob)] = value
