@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from becalm.core.smoothing import kalman_smoother
+from becalm.core.filter.smoothing import kalman_smoother
 from becalm.metrics.truth import rms_error
 from becalm.noise.choose import choose
 from pages import page_parser, publish

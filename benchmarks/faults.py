@@ -20,9 +20,9 @@ from scipy.stats import poisson
 
 from becalm.cleaning.pipeline import Cleaned, clean
 from becalm.cleaning.tuning import Wishes, tune
-from becalm.core.causal_flow import CausalFlow
-from becalm.core.components import motion
-from becalm.core.gates import Gate, threshold_for
+from becalm.core.filter.causal_flow import CausalFlow
+from becalm.core.filter.gate import Gate, threshold_for
+from becalm.core.model.components import motion
 from becalm.core.recording import Recording
 from becalm.core.verdict import Verdict
 from becalm.metrics.truth import rms_error

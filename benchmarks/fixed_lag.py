@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 import becalm
 from accuracy import COUNT, NOISES, RATE_HZ, SEED, SIGNALS
-from becalm.core.components import ORDERS, motion
+from becalm.core.filter.smoothing import kalman_smoother
 from becalm.core.fixed_lag import fixed_lag_smoother
-from becalm.core.smoothing import kalman_smoother
+from becalm.core.model.components import ORDERS, motion
 from becalm.metrics.truth import rms_error
 from becalm.noise.cross_validation import simplest, tune_smoother
 from becalm.noise.likelihood import Evidence, Tuning, tune_motion

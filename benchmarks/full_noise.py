@@ -19,8 +19,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from becalm.core.components import motion
-from becalm.core.model import Model
+from becalm.core.model.components import motion
+from becalm.core.model.model import Model
 from becalm.noise.autocovariances import autocovariances
 from becalm.noise.joint import TunedModel, tune_model
 from becalm.noise.matrices import patterns_of

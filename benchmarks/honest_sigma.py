@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 import becalm
-from becalm.core.components import motion
+from becalm.core.model.components import motion
 from becalm.metrics.truth import coverage
 from drawn import draw
 from pages import page_parser, publish

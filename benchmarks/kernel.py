@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import butter, lfilter, sosfiltfilt
 
-from becalm.core.channel import Channel
-from becalm.core.channel_record import ChannelRecord
-from becalm.core.channel_settings import Settings
-from becalm.core.components import EVERY_ORDER, motion
+from becalm.core.filter.channel import Channel
+from becalm.core.filter.channel_record import ChannelRecord
+from becalm.core.filter.channel_settings import Settings
+from becalm.core.model.components import EVERY_ORDER, motion
 from pages import page_parser, publish
 from stopwatch import nanoseconds
 

@@ -11,9 +11,9 @@ import numpy as np
 from scipy import signal
 
 import becalm
-from becalm.core.batch import filter_batch
-from becalm.core.likelihood import log_likelihood
-from becalm.core.steady import steady
+from becalm.core.filter.batch import filter_batch
+from becalm.core.filter.likelihood import log_likelihood
+from becalm.core.steady.steady_gain import steady
 from peers_adapters import (
     BATCH_PEERS,
     PEERS,

@@ -29,10 +29,10 @@ from becalm.cleaning.recipe_parts import (
     ToneRecipe,
 )
 from becalm.core.arrays import Floats
-from becalm.core.gates import Gate
-from becalm.core.live_clock import LiveClock
-from becalm.core.model import Model
-from becalm.core.told import Told
+from becalm.core.filter.gate import Gate
+from becalm.core.model.model import Model
+from becalm.core.rows import EstimatedRows
+from becalm.core.time.live_clock import LiveClock
 from becalm.errors import BecalmError
 from becalm.noise.banks import Kind
 
@@ -154,14 +154,14 @@ def recipes(draw: st.DrawFn) -> tuple[ChannelRecipe, float]:
     return made_of, 1 / rate_hz
 
 
-def pushed(channel: Channel, given_it: Rows, cuts: list[int]) -> Told:
+def pushed(channel: Channel, given_it: Rows, cuts: list[int]) -> EstimatedRows:
     """Return all that a channel tells of rows that come in blocks."""
     ends = [*cuts, len(given_it.z)]
-    told = [Told.nothing()]
+    told = [EstimatedRows.nothing()]
     for begin, end in zip([0, *ends], ends, strict=False):
         told += channel.push(given_it.z[begin:end], given_it.elapsed[begin:end])
     told += channel.finish()
-    return Told(*(np.concatenate(arrays, axis=-1) for arrays in zip(*told, strict=True)))
+    return EstimatedRows(*(np.concatenate(arrays, axis=-1) for arrays in zip(*told, strict=True)))
 
 
 def damaged(arrays: Any, places: list[tuple[int, int]]) -> Any:

@@ -13,8 +13,8 @@ from collections import Counter
 import numpy as np
 
 import becalm
-from becalm.core.faults import said
-from becalm.core.limits import find_limits, run_lengths
+from becalm.core.health.faults import said
+from becalm.core.health.limits import find_limits, run_lengths
 from pages import page_parser, publish
 from sensor_faults_jobs import Score, clipped, dead, drift, dropout, false_alarms, monitor_alarms, stuck, watched
 from sensor_faults_records import ALARMS_PER_HOUR, DATA, RATES_HZ, REAL, SIGNALS, STEPS

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import becalm
-from becalm.core.components import motion
+from becalm.core.model.components import motion
 from becalm.noise.front import noise_lag_front
 from becalm.report.description import Axis, Curve, Figure, Layer, Look
 from becalm.report.printing import Kind, printed, refuse_unprintable

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 import becalm
-from becalm.core.components import motion
-from becalm.core.filtering import kalman_filter
-from becalm.core.smoothing import kalman_smoother
-from becalm.core.switching import Mode, Switching
-from becalm.core.switching_flow import SwitchingFlow
+from becalm.core.filter.filtering import kalman_filter
+from becalm.core.filter.smoothing import kalman_smoother
+from becalm.core.imm.flow import ImmFlow
+from becalm.core.imm.modes import InteractingModels, Mode
+from becalm.core.model.components import motion
 from pages import page_parser, publish
 from stopwatch import nanoseconds, step_through
 
@@ -28,9 +28,9 @@ SIZES = [(states, modes) for states in (1, 2, 3) for modes in (1, 2, 3, 4)]
 DENSITIES, NAMES = (1e-6, 1e-3, 1e-1, 1e1), ("still", "gentle", "quick", "abrupt")
 
 
-def bank(states: int, modes: int) -> Switching:
+def bank(states: int, modes: int) -> InteractingModels:
     """Return modes of one order, from still to abrupt."""
-    return Switching(tuple(Mode(NAMES[j], motion(states, DENSITIES[j]), 1.0, 100.0) for j in range(modes)))
+    return InteractingModels(tuple(Mode(NAMES[j], motion(states, DENSITIES[j]), 1.0, 100.0) for j in range(modes)))
 
 
 def readings() -> Floats:
@@ -40,9 +40,9 @@ def readings() -> Floats:
     return z
 
 
-def flow(switching: Switching, z: Floats, *, causal: bool) -> object:
+def flow(switching: InteractingModels, z: Floats, *, causal: bool) -> object:
     """Run over a whole record."""
-    made = SwitchingFlow(switching, causal=causal)
+    made = ImmFlow(switching, causal=causal)
     return made.push(z, np.ones(len(z))), made.finish()
 
 

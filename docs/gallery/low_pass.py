@@ -11,8 +11,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from becalm.core.closed_forms import butterworth_response, order_one
-from becalm.core.dials import motion_filter, ratio_for_bandwidth
-from becalm.core.response import describe
+from becalm.core.steady.dials import motion_filter, ratio_for_bandwidth
+from becalm.core.steady.response import describe
 
 rate_hz, bandwidth_hz = 500.0, 5.0
 ratio = ratio_for_bandwidth(1, bandwidth_hz, 1 / rate_hz)

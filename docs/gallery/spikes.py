@@ -10,7 +10,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import becalm
-from becalm.core.gates import Gate, threshold_for
+from becalm.core.filter.gate import Gate, threshold_for
 from becalm.core.verdict import AT_MOST, Verdict
 
 rate_hz = 100.0

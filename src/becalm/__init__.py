@@ -17,12 +17,12 @@ if TYPE_CHECKING:
     from becalm.cleaning.pipeline import clean
     from becalm.cleaning.recipe import Recipe
     from becalm.cleaning.tuning import Wishes, tune
-    from becalm.core import components
-    from becalm.core.filtering import kalman_filter
-    from becalm.core.model import Model
+    from becalm.core.filter.filtering import kalman_filter
+    from becalm.core.filter.smoothing import kalman_smoother
+    from becalm.core.model import components
+    from becalm.core.model.model import Model
     from becalm.core.online import Online
     from becalm.core.recording import Recording
-    from becalm.core.smoothing import kalman_smoother
     from becalm.files.reading import read
     from becalm.files.writing import write
 
@@ -42,14 +42,14 @@ __all__ = [
 ]
 
 _HOMES = {
-    "Model": "becalm.core.model",
+    "Model": "becalm.core.model.model",
     "Online": "becalm.core.online",
     "Recipe": "becalm.cleaning.recipe",
     "Recording": "becalm.core.recording",
     "Wishes": "becalm.cleaning.tuning",
     "clean": "becalm.cleaning.pipeline",
-    "kalman_filter": "becalm.core.filtering",
-    "kalman_smoother": "becalm.core.smoothing",
+    "kalman_filter": "becalm.core.filter.filtering",
+    "kalman_smoother": "becalm.core.filter.smoothing",
     "read": "becalm.files.reading",
     "tune": "becalm.cleaning.tuning",
     "write": "becalm.files.writing",
@@ -59,7 +59,7 @@ _HOMES = {
 def __getattr__(name: str) -> object:
     """Load a public name when it is first asked for, so that `import becalm` stays light."""
     if name == "components":
-        return import_module("becalm.core.components")
+        return import_module("becalm.core.model.components")
     if name in _HOMES:
         return getattr(import_module(_HOMES[name]), name)
     raise AttributeError(f"module 'becalm' has no attribute {name!r}")

@@ -10,9 +10,9 @@ from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.steps import in_steps
 from becalm.cleaning.tuning import Wishes, tune
 from becalm.core.arrays import Floats
-from becalm.core.filtering import kalman_filter
+from becalm.core.filter.filtering import kalman_filter
+from becalm.core.filter.smoothing import kalman_smoother
 from becalm.core.recording import Recording
-from becalm.core.smoothing import kalman_smoother
 from becalm.core.verdict import Verdict
 from becalm.noise.dial import Dial
 

@@ -13,7 +13,7 @@ from becalm.cleaning.holes import Holes
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.recipe_parts import HoleRecipe
 from becalm.core.arrays import Floats
-from becalm.core.told import Told
+from becalm.core.rows import EstimatedRows
 from becalm.core.verdict import Verdict
 
 RATE_HZ = 200.0
@@ -23,23 +23,23 @@ SHOWN = (
 )
 
 
-def told(missing: list[bool], seed: int = 0) -> Told:
+def told(missing: list[bool], seed: int = 0) -> EstimatedRows:
     rng, rows = np.random.default_rng(seed), len(missing)
     lost = np.array(missing, bool)
     sigma = np.where(lost, 2.0 + rng.random(rows), 1.0)
     verdicts = np.where(lost, np.int8(Verdict.MISSING), np.int8(Verdict.USED))
     parts = rng.normal(size=(2, rows))
-    return Told(parts.sum(axis=0), sigma, parts, verdicts)
+    return EstimatedRows(parts.sum(axis=0), sigma, parts, verdicts)
 
 
-def bridged(rows: Told, cuts: list[int], shown: tuple[HoleRecipe, ...] = SHOWN) -> Told:
+def bridged(rows: EstimatedRows, cuts: list[int], shown: tuple[HoleRecipe, ...] = SHOWN) -> EstimatedRows:
     holes, found = Holes(shown, 1.0), []
     for start, stop in zip([0, *cuts], [*cuts, len(rows.signal)], strict=True):
         part = rows.rows(slice(start, stop))
         holes.push(np.ones(stop - start))
         found += holes.bridged([part])
     found += holes.finish()
-    return Told(*(np.concatenate(field, axis=-1) for field in zip(*found, strict=True)))
+    return EstimatedRows(*(np.concatenate(field, axis=-1) for field in zip(*found, strict=True)))
 
 
 @given(st.lists(st.booleans(), min_size=1, max_size=60), st.data())

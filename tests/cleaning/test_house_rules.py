@@ -16,10 +16,10 @@ from becalm.cleaning.pipeline import Cleaned, clean
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.tuning import tune
 from becalm.core.arrays import Floats
-from becalm.core.components import motion, returning_motion
+from becalm.core.filter.smoothing import kalman_smoother
+from becalm.core.model.components import motion, returning_motion
 from becalm.core.recording import Recording
-from becalm.core.smoothing import kalman_smoother
-from becalm.core.told import Told
+from becalm.core.rows import EstimatedRows
 from becalm.core.verdict import Verdict
 from becalm.errors import RecipeError, RecordingError
 
@@ -238,9 +238,9 @@ def test_every_channel_is_finished_before_it_reports(causal: bool, monkeypatch: 
     finished: list[Any] = []
     finish, report = kind.finish, kind.report
 
-    def finish_and_tell(channel: Any) -> list[Told]:
+    def finish_and_tell(channel: Any) -> list[EstimatedRows]:
         finished.append(channel)
-        told: list[Told] = finish(channel)
+        told: list[EstimatedRows] = finish(channel)
         return told
 
     def report_once_finished(channel: Any) -> Any:

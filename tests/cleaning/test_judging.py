@@ -13,9 +13,9 @@ from scipy.signal import lfilter
 
 from becalm.cleaning.judging import DESCRIBED, InnovationJudge, Judgement
 from becalm.core.arrays import Floats
-from becalm.core.components import motion
-from becalm.core.filtering import run_filter
-from becalm.core.timeline import elapsed_timeline
+from becalm.core.filter.filtering import run_filter
+from becalm.core.model.components import motion
+from becalm.core.model.timeline import elapsed_timeline
 from becalm.metrics.evenness import uneven_share
 from becalm.metrics.whiteness import mean_nis, whiteness
 

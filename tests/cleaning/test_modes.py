@@ -13,10 +13,10 @@ from becalm.cleaning.steps import in_steps
 from becalm.cleaning.tuning import Wishes, tune
 from becalm.core.arrays import Floats
 from becalm.core.closed_forms import order_one
+from becalm.core.imm.modes import InteractingModels
 from becalm.core.online import Online
 from becalm.core.recording import Recording
-from becalm.core.steady import steady
-from becalm.core.switching import Switching
+from becalm.core.steady.steady_gain import steady
 from becalm.errors import RecipeError, UsageError
 from becalm.metrics.truth import rms_error
 
@@ -42,7 +42,7 @@ def recipe(recording: Recording) -> Recipe:
     return tune(recording, causal=True)
 
 
-def switching_of(recipe: Recipe) -> Switching:
+def switching_of(recipe: Recipe) -> InteractingModels:
     """Return the modes of the only channel, in steps."""
     (channel,) = recipe.channel
     assert channel.switching is not None

@@ -14,9 +14,10 @@ from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.recipe_modes import ModeRecipe, SwitchingRecipe
 from becalm.cleaning.recipe_parts import ColouredNoiseRecipe, GateRecipe, LimitsRecipe, TimingRecipe, ToneRecipe
 from becalm.core.arrays import Floats
-from becalm.core.monitor import HOPS
-from becalm.core.standing import Before, alike
-from becalm.core.told import Told
+from becalm.core.filter.channel import History
+from becalm.core.health.monitor import HOPS
+from becalm.core.imm.comparable_state import same_state
+from becalm.core.rows import EstimatedRows
 
 STEP_S = 0.01
 CUT = 4096  # rows that are pushed at once
@@ -64,12 +65,12 @@ def readings(seed: int, rows: int) -> tuple[Floats, Floats]:
     return z, elapsed
 
 
-def pushed(channel: Channel, z: Floats, elapsed: Floats) -> Told:
+def pushed(channel: Channel, z: Floats, elapsed: Floats) -> EstimatedRows:
     told = [part for at in range(0, len(z), CUT) for part in channel.push(z[at : at + CUT], elapsed[at : at + CUT])]
-    return Told(*(np.concatenate(arrays, axis=-1) for arrays in zip(*told, strict=True)))
+    return EstimatedRows(*(np.concatenate(arrays, axis=-1) for arrays in zip(*told, strict=True)))
 
 
-def same(one: Told, other: Told) -> bool:
+def same(one: EstimatedRows, other: EstimatedRows) -> bool:
     told = [(getattr(one, name), getattr(other, name)) for name in ("signal", "sigma", "verdicts")]
     return all(np.array_equal(mine, its, equal_nan=True) for mine, its in told)
 
@@ -81,14 +82,14 @@ def test_what_is_saved_goes_on_to_the_bit(name: str, seed: int) -> None:
     z, elapsed = readings(seed, 4 * CUT)
     whole = open_channel(CHANNELS[name], STEP_S, 0)
     pushed(whole, z[: 2 * CUT], elapsed[: 2 * CUT])
-    held, stood = whole.saved(), whole.standing()
+    held, stood = whole.saved(), whole.comparable_state()
     other = open_channel(CHANNELS[name], STEP_S, 0)
     assert held is not None
     assert stood is not None
     other.restore(held)
-    restored = other.standing()
+    restored = other.comparable_state()
     assert restored is not None
-    assert alike(stood, restored, alive=False)
+    assert same_state(stood, restored, alive=False)
     assert same(pushed(whole, z[2 * CUT :], elapsed[2 * CUT :]), pushed(other, z[2 * CUT :], elapsed[2 * CUT :]))
 
 
@@ -103,11 +104,11 @@ def test_filters_that_stand_alike_say_the_same(name: str, seed: int, warm: int) 
     whole, later = open_channel(CHANNELS[name], STEP_S, 0), open_channel(CHANNELS[name], STEP_S, 0)
     pushed(whole, z[:seam], elapsed[:seam])
     known = z[np.isfinite(z)]
-    later.begin_after(Before(float(known[0]), begin, begin, float(elapsed[1:begin].sum()), *_between(z[:begin])))
+    later.begin_after(History(float(known[0]), begin, begin, float(elapsed[1:begin].sum()), *_between(z[:begin])))
     pushed(later, z[begin:seam], elapsed[begin:seam])
-    stood, stands = whole.standing(), later.standing()
+    stood, stands = whole.comparable_state(), later.comparable_state()
     one, other = pushed(whole, z[seam:], elapsed[seam:]), pushed(later, z[seam:], elapsed[seam:])
-    if stood is not None and stands is not None and alike(stood, stands, alive=later.surely_alive):
+    if stood is not None and stands is not None and same_state(stood, stands, alive=later.surely_alive):
         assert same(one, other)
 
 
@@ -118,9 +119,9 @@ def test_after_long_enough_they_do_stand_alike(name: str) -> None:
     whole, later = open_channel(CHANNELS[name], STEP_S, 0), open_channel(CHANNELS[name], STEP_S, 0)
     seam, begin = 5 * CUT, 2 * CUT
     pushed(whole, z[:seam], elapsed[:seam])
-    later.begin_after(Before(float(z[np.isfinite(z)][0]), begin, begin, float(begin), *_between(z[:begin])))
+    later.begin_after(History(float(z[np.isfinite(z)][0]), begin, begin, float(begin), *_between(z[:begin])))
     pushed(later, z[begin:seam], elapsed[begin:seam])
-    stood, stands = whole.standing(), later.standing()
+    stood, stands = whole.comparable_state(), later.comparable_state()
     assert stood is not None
     assert stands is not None
     assert [one for one in stood if not np.array_equal(stood[one], stands[one], equal_nan=True)] in ([], [HOPS])

@@ -13,9 +13,9 @@ from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
 from becalm.cleaning.recipe_parts import LimitsRecipe
 from becalm.cleaning.tuning import Wishes, tune
 from becalm.core.arrays import Floats
-from becalm.core.limits import Limits
+from becalm.core.health.limits import Limits
 from becalm.core.recording import Recording
-from becalm.core.told import Told
+from becalm.core.rows import EstimatedRows
 from becalm.core.verdict import Verdict
 
 RATE_HZ, ROWS = 100.0, 6000
@@ -94,8 +94,8 @@ def test_any_cuts_give_the_same_rows_and_the_same_report(mode: str) -> None:
     assert gap.first_s == pytest.approx(45.06)
 
 
-def joined(parts: list[Told]) -> Told:
-    return Told(*(np.concatenate(arrays, axis=-1) for arrays in zip(*parts, strict=True)))
+def joined(parts: list[EstimatedRows]) -> EstimatedRows:
+    return EstimatedRows(*(np.concatenate(arrays, axis=-1) for arrays in zip(*parts, strict=True)))
 
 
 @pytest.mark.parametrize(

@@ -11,18 +11,18 @@ import becalm
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.stream import StreamCleaner
 from becalm.core.arrays import Floats
-from becalm.core.limits import Limits
-from becalm.core.outliers import Outliers
-from becalm.core.sentinel import Sentinel
-from becalm.core.told import Told
+from becalm.core.health.limits import Limits
+from becalm.core.health.outliers import Outliers
+from becalm.core.health.sentinel import Sentinel
+from becalm.core.rows import EstimatedRows
 from becalm.core.verdict import Verdict
 
 LIMITS = Limits(outliers=Outliers(low=-10.0, high=10.0))
 ROWS, RATE_HZ = 600, 100.0
 
 
-def told(signal: Floats, verdicts: Floats) -> Told:
-    return Told(signal, np.ones(len(signal)), np.empty((0, len(signal))), verdicts.astype(np.int8))
+def told(signal: Floats, verdicts: Floats) -> EstimatedRows:
+    return EstimatedRows(signal, np.ones(len(signal)), np.empty((0, len(signal))), verdicts.astype(np.int8))
 
 
 @given(st.lists(st.tuples(st.floats(-60, 60), st.floats(-60, 60), st.booleans()), max_size=40), st.integers(0, 40))
@@ -49,7 +49,7 @@ def test_an_estimate_is_told_where_it_is_plausible_or_near_what_was_read(
 @given(st.lists(st.tuples(st.floats(0.5, 1.5), st.sampled_from([0, 0, 1, 4, 6])), max_size=40), st.integers(0, 40))
 def test_a_hole_begins_with_its_second_row_or_the_first_of_all(rows: list[tuple[float, int]], cut: int) -> None:
     sigma, verdicts = np.array(rows, float).reshape(-1, 2).T
-    all_rows = Told(np.zeros(len(sigma)), sigma, np.empty((0, len(sigma))), verdicts.astype(np.int8))
+    all_rows = EstimatedRows(np.zeros(len(sigma)), sigma, np.empty((0, len(sigma))), verdicts.astype(np.int8))
     watch, found = Sentinel(LIMITS, unknown_from=1.0), []
     watch.push(np.where(verdicts > 0, np.nan, 0.0))
     for part in (slice(None, cut), slice(cut, None)):
@@ -65,7 +65,7 @@ def test_a_hole_begins_with_its_second_row_or_the_first_of_all(rows: list[tuple[
 
 def test_a_hole_goes_on_behind_an_estimate_that_ran_away() -> None:
     verdicts = np.array([Verdict.USED, Verdict.MISSING, Verdict.MISSING, Verdict.MISSING], np.int8)
-    rows = Told(np.array([0.0, 1.0, 60.0, 9.0]), np.full(4, 2.0), np.empty((0, 4)), verdicts)
+    rows = EstimatedRows(np.array([0.0, 1.0, 60.0, 9.0]), np.full(4, 2.0), np.empty((0, 4)), verdicts)
     for cut in range(5):
         watch = Sentinel(LIMITS, unknown_from=1.0)
         watch.push(np.array([0.0, np.nan, np.nan, np.nan]))

@@ -13,8 +13,8 @@ from becalm.cleaning.slopes import Slopes, TimingNoise
 from becalm.cleaning.timing import time_std_of, timed
 from becalm.cleaning.tuning import Wishes, tune
 from becalm.core.arrays import Booleans, Floats
-from becalm.core.timebase import Timebase
-from becalm.core.told import Told
+from becalm.core.rows import EstimatedRows
+from becalm.core.time.timebase import Timebase
 
 RATE_HZ, COUNT, JITTER_S = 200.0, 6000, 1e-3
 EVEN = np.arange(COUNT) / RATE_HZ
@@ -91,7 +91,7 @@ def test_chunks_and_a_recipe_from_its_text_give_the_same_bits() -> None:
 def test_rows_that_are_told_later_meet_their_own_times(late: int) -> None:
     rng = np.random.default_rng(5)
     elapsed, signal = rng.uniform(0.5, 1.5, COUNT), np.cumsum(rng.normal(size=COUNT))
-    rows = Told(signal, np.ones(COUNT), np.empty((0, COUNT)), np.zeros(COUNT, np.int8))
+    rows = EstimatedRows(signal, np.ones(COUNT), np.empty((0, COUNT)), np.zeros(COUNT, np.int8))
     timing = TimingRecipe(std_s=0.01)
     whole, cut = TimingNoise(timing, 0.1, 0.5), TimingNoise(timing, 0.1, 0.5)
     whole.push(elapsed)

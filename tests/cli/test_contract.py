@@ -12,7 +12,7 @@ import pyarrow.csv
 import pyarrow.parquet
 import pytest
 
-from becalm.core.itself import version
+from becalm.core.installation import version
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 

@@ -7,14 +7,14 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from becalm.core import reference
 from becalm.core.arrays import Floats
-from becalm.core.filtering import Estimate, kalman_filter
-from becalm.core.likelihood import log_likelihood
-from becalm.core.model import Model
+from becalm.core.filter.filtering import Estimate, kalman_filter
+from becalm.core.filter.likelihood import log_likelihood
+from becalm.core.filter.smoothing import kalman_smoother
+from becalm.core.model.model import Model
 from becalm.core.online import Online
-from becalm.core.smoothing import kalman_smoother
-from becalm.core.steady import steady
+from becalm.core.reference import kalman as reference
+from becalm.core.steady.steady_gain import steady
 
 TWIN = 1e-12
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.core.components import motion, oscillator
-from becalm.core.switching import Mode, Switching, numbered_steps
+from becalm.core.imm.modes import InteractingModels, Mode, numbered_steps
+from becalm.core.model.components import motion, oscillator
 from becalm.native.imm import Bank, Steps, Trace, blocks_before, filter_rows, new_state, nothing_later, smooth_rows
 
 NONE: Floats = np.empty(0)
@@ -17,21 +17,23 @@ LASTING = (40.0, 15.0, 25.0, 8.0)
 NAMES = ("still", "moving", "quick", "loud")
 
 
-def bank_of(order: int, modes: int, *, share: float = 0.0, rejects: bool = False, alike: bool = False) -> Switching:
+def bank_of(
+    order: int, modes: int, *, share: float = 0.0, rejects: bool = False, alike: bool = False
+) -> InteractingModels:
     """Return a bank; the still mode has one state, unless all are alike."""
     own = []
     for j in range(modes):
         part = motion(1 if j == 0 and not alike else order, DENSITIES[0 if alike else j])
         own.append(Mode(NAMES[j], part, VARIANCES[0 if alike else j], LASTING[j], wild_share=share))
-    return Switching(tuple(own), wild_variance=400.0 if share else 0.0, rejects=rejects)
+    return InteractingModels(tuple(own), wild_variance=400.0 if share else 0.0, rejects=rejects)
 
 
-def tones(count: int) -> Switching:
+def tones(count: int) -> InteractingModels:
     """Return a bank whose moving mode has tones beside its motion."""
     moving = motion(1, 0.01)
     for k in range(count):
         moving = moving + oscillator(0.05 * (k + 1), 1e-3, 1e-3)
-    return Switching((Mode("still", motion(1, 1e-6), 1.0, 20.0), Mode("moving", moving, 1.0, 50.0)))
+    return InteractingModels((Mode("still", motion(1, 1e-6), 1.0, 20.0), Mode("moving", moving, 1.0, 50.0)))
 
 
 def record(rows: int, kind: str = "even") -> tuple[Floats, Floats]:
@@ -53,19 +55,19 @@ def record(rows: int, kind: str = "even") -> tuple[Floats, Floats]:
     return z, elapsed
 
 
-def laid_out(switching: Switching, elapsed: Floats) -> tuple[Bank, Steps]:
+def laid_out(switching: InteractingModels, elapsed: Floats) -> tuple[Bank, Steps]:
     """Return the bank and the steps as they take them."""
     lengths, steps = numbered_steps(elapsed)
     return switching.bank(lengths), steps
 
 
-def new_trace(switching: Switching, rows: int) -> Trace:
+def new_trace(switching: InteractingModels, rows: int) -> Trace:
     nan = [np.full(rows, np.nan) for _ in range(5)]
     modes = np.full((len(switching.modes), rows), np.nan)
     return Trace(nan[0], nan[1], nan[2], nan[3], modes, nan[4], np.full((switching.states, rows), np.nan))
 
 
-def kernels(switching: Switching, z: Floats, elapsed: Floats) -> tuple[Trace, Trace, float]:
+def kernels(switching: InteractingModels, z: Floats, elapsed: Floats) -> tuple[Trace, Trace, float]:
     """Filter and smooth; return what is written of each, and the log-likelihood."""
     bank, steps = laid_out(switching, elapsed)
     state, before = new_state(bank, keeps_level=False), blocks_before(bank, len(z))

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from becalm.core.causal_flow import CausalFlow
-from becalm.core.components import Component
-from becalm.core.gates import Gate
-from becalm.core.smoothed_flow import SmoothedFlow
+from becalm.core.filter.causal_flow import CausalFlow
+from becalm.core.filter.gate import Gate
+from becalm.core.filter.smoothed_flow import SmoothedFlow
+from becalm.core.model.components import Component
 
 
 def flow_of(

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from becalm.core.arrays import Codes, Floats
-from becalm.core.components import Component, motion
-from becalm.core.filtering import Wanted, run_filter
-from becalm.core.gates import WIDE, Gate
-from becalm.core.model import Model
+from becalm.core.filter.filtering import Wanted, run_filter
+from becalm.core.filter.gate import WIDE, Gate
+from becalm.core.model.components import Component, motion
+from becalm.core.model.model import Model
+from becalm.core.model.step_matrices import StepMatrices
+from becalm.core.model.system import System
+from becalm.core.model.timeline import Timeline
 from becalm.core.online import Online
-from becalm.core.steps import Steps
-from becalm.core.system import System
-from becalm.core.timeline import Timeline
 from becalm.core.verdict import Verdict
 
 GATE = Gate(5.0)
@@ -30,7 +30,7 @@ def with_jumps(component: Component, elapsed: Floats, z: Floats, verdicts: Codes
     another jump to those of all states, in proportion.
     """
     model, n = component.to_model(1.0, 1.0), len(component.drift)
-    F, Q = (matrices.copy() for matrices in Steps(component).over(elapsed))
+    F, Q = (matrices.copy() for matrices in StepMatrices(component).over(elapsed))
     step, since = np.append(-1, np.arange(1, len(z))), 0
     for row in range(n, len(z)):
         if verdicts[row] == Verdict.STEP:

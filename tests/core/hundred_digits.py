@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.core.components import Component
+from becalm.core.model.components import Component
 
 
 class Exact(NamedTuple):

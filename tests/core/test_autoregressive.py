@@ -9,17 +9,17 @@ import pytest
 from scipy.linalg import solve_discrete_lyapunov, toeplitz
 
 from becalm.core.arrays import Floats
-from becalm.core.autoregressive import (
+from becalm.core.filter.filtering import EVERYTHING
+from becalm.core.filter.smoothing import run_smoother
+from becalm.core.model.autoregressive import (
     Coloured,
     autoregressive,
     from_partial_autocorrelations,
     partial_autocorrelations,
 )
-from becalm.core.components import gauss_markov, level, motion
-from becalm.core.filtering import EVERYTHING
-from becalm.core.model import Model
-from becalm.core.smoothing import run_smoother
-from becalm.core.timeline import elapsed_timeline
+from becalm.core.model.components import gauss_markov, level, motion
+from becalm.core.model.model import Model
+from becalm.core.model.timeline import elapsed_timeline
 from becalm.errors import ModelError
 
 NOISES = {"AR(1)": (0.9,), "AR(2)": (1.6, -0.9), "AR(3)": (0.5, 0.2, -0.3), "alternating": (-0.7,), "slow": (0.99999,)}

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from becalm.core.arrays import Floats
-from becalm.core.batch import filter_batch
-from becalm.core.filtering import kalman_filter
-from becalm.core.model import Model
+from becalm.core.filter.batch import filter_batch
+from becalm.core.filter.filtering import kalman_filter
+from becalm.core.model.model import Model
 from becalm.errors import ModelError
 
 T = 1e-4

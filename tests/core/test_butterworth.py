@@ -7,11 +7,11 @@ import pytest
 from scipy.signal import butter, group_delay, sosfilt, sosfreqz
 
 from becalm.core.closed_forms import butterworth_noise_gain, butterworth_response
-from becalm.core.components import motion
-from becalm.core.dials import ratio_for_bandwidth
-from becalm.core.filtering import kalman_filter
-from becalm.core.model import Model
-from becalm.core.response import describe
+from becalm.core.filter.filtering import kalman_filter
+from becalm.core.model.components import motion
+from becalm.core.model.model import Model
+from becalm.core.steady.dials import ratio_for_bandwidth
+from becalm.core.steady.response import describe
 
 ORDERS = [1, 2, 3, 4, 5]
 

@@ -13,19 +13,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from becalm.core.arrays import Codes, Floats
-from becalm.core.channel import Channel, Estimates
-from becalm.core.channel_record import ChannelRecord
-from becalm.core.channel_settings import Settings
-from becalm.core.components import Component, bias, motion, oscillator, returning_motion
-from becalm.core.faults import Found
-from becalm.core.gates import Gate
-from becalm.core.limits import Limits
-from becalm.core.monitor import Alarms
-from becalm.core.outliers import find_outlier_rule
-from becalm.core.smoothed_flow import SmoothedFlow
-from becalm.core.smoothing import run_smoother
-from becalm.core.timeline import elapsed_timeline
-from becalm.core.told import Told
+from becalm.core.filter.channel import Channel, Estimates
+from becalm.core.filter.channel_record import ChannelRecord
+from becalm.core.filter.channel_settings import Settings
+from becalm.core.filter.gate import Gate
+from becalm.core.filter.smoothed_flow import SmoothedFlow
+from becalm.core.filter.smoothing import run_smoother
+from becalm.core.health.faults import Found
+from becalm.core.health.limits import Limits
+from becalm.core.health.monitor import Alarms
+from becalm.core.health.outliers import find_outlier_rule
+from becalm.core.model.components import Component, bias, motion, oscillator, returning_motion
+from becalm.core.model.timeline import elapsed_timeline
+from becalm.core.rows import EstimatedRows
 from becalm.core.verdict import LOST, Verdict
 from becalm.errors import ModelError
 from becalm.native import STATE
@@ -58,7 +58,7 @@ def run(one: Channel, z: Floats, elapsed: Floats) -> tuple[Floats, Floats, Codes
 
 def smoothed(component: Component, z: Floats, elapsed: Floats) -> tuple[Floats, Floats]:
     flow = SmoothedFlow(component, R)
-    told = Told.joined([*flow.push(z, elapsed), *flow.finish()])
+    told = EstimatedRows.joined([*flow.push(z, elapsed), *flow.finish()])
     return told.signal, told.sigma
 
 

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from becalm.core.arrays import Floats
-from becalm.core.components import motion
-from becalm.core.filtering import kalman_filter
-from becalm.core.model import Model
-from becalm.core.response import describe
-from becalm.core.smoothing import kalman_smoother
-from becalm.core.steady import steady
-from becalm.core.steady_filter import SteadyFilter
+from becalm.core.filter.filtering import kalman_filter
+from becalm.core.filter.smoothing import kalman_smoother
+from becalm.core.model.components import motion
+from becalm.core.model.model import Model
+from becalm.core.steady.response import describe
+from becalm.core.steady.steady_filter import SteadyFilter
+from becalm.core.steady.steady_gain import steady
 
 CLOSED = 1e-10
 SIX_DIGITS = 5e-6  # of numbers printed with six

@@ -10,10 +10,10 @@ import pytest
 from scipy.integrate import quad_vec
 from scipy.linalg import expm, solve_discrete_lyapunov
 
-from becalm.core import discretisation
 from becalm.core.arrays import Floats
-from becalm.core.components import Component, Part, bias, gauss_markov, hum, level, motion
-from becalm.core.components import oscillator as tone
+from becalm.core.model import discretisation
+from becalm.core.model.components import Component, Part, bias, gauss_markov, hum, level, motion
+from becalm.core.model.components import oscillator as tone
 from becalm.errors import ModelError
 
 STEPS = [1e-4, 0.01, 1.0, 30.0]

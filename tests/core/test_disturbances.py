@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 from becalm.core.arrays import Floats
-from becalm.core.channel import Channel, parts_of
-from becalm.core.channel_settings import Settings
-from becalm.core.components import Component, autoregressive, hum, motion
-from becalm.core.filtering import kalman_filter
-from becalm.core.limits import Limits
-from becalm.core.model import Model
-from becalm.core.monitor import NO_ALARMS
-from becalm.core.smoothed_flow import SmoothedFlow
-from becalm.core.smoothing import kalman_smoother
-from becalm.core.told import Told
+from becalm.core.filter.channel import Channel, parts_of
+from becalm.core.filter.channel_settings import Settings
+from becalm.core.filter.filtering import kalman_filter
+from becalm.core.filter.smoothed_flow import SmoothedFlow
+from becalm.core.filter.smoothing import kalman_smoother
+from becalm.core.health.limits import Limits
+from becalm.core.health.monitor import NO_ALARMS
+from becalm.core.model.components import Component, autoregressive, hum, motion
+from becalm.core.model.model import Model
+from becalm.core.rows import EstimatedRows
 
 ROWS = 3000
 COMPONENTS = {
@@ -33,15 +33,15 @@ def readings(missing: bool) -> Floats:
     return z
 
 
-def flow(component: Component, z: Floats, causal: bool, rows: int) -> Told:
+def flow(component: Component, z: Floats, causal: bool, rows: int) -> EstimatedRows:
     pieces = [z[start : start + rows] for start in range(0, len(z), rows)]
     if causal:
         channel = Channel(Settings(component, 1.0, 1.0, Limits(), NO_ALARMS))
         found = [channel.process(piece, np.ones(len(piece)), states=True) for piece in pieces]
-        return Told.joined([each.told()._replace(parts=parts_of(component, each)) for each in found])
+        return EstimatedRows.joined([each.told()._replace(parts=parts_of(component, each)) for each in found])
     made = SmoothedFlow(component, 1.0, split=True)
     told = [part for piece in pieces for part in made.push(piece, np.ones(len(piece)))]
-    return Told.joined([*told, *made.finish()])
+    return EstimatedRows.joined([*told, *made.finish()])
 
 
 def beside_a_blind_sensor(component: Component) -> Model:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from becalm.core.arrays import Floats
-from becalm.core.even_grid import BURSTS, JITTER, Grid, even_grid
+from becalm.core.time.even_grid import BURSTS, JITTER, Grid, even_grid
 
 SEEDS = 200
 

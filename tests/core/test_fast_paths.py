@@ -22,14 +22,14 @@ from against_reference import (
     settled_by,
     slowest_pole,
 )
-from becalm.core import reference
 from becalm.core.arrays import Floats
-from becalm.core.components import motion
-from becalm.core.filtering import Estimate, Wanted, kalman_filter, run_filter
-from becalm.core.model import Model
+from becalm.core.filter.filtering import Estimate, Wanted, kalman_filter, run_filter
+from becalm.core.filter.smoothing import kalman_smoother, run_smoother
+from becalm.core.model.components import motion
+from becalm.core.model.model import Model
+from becalm.core.model.timeline import elapsed_timeline
 from becalm.core.online import Online
-from becalm.core.smoothing import kalman_smoother, run_smoother
-from becalm.core.timeline import elapsed_timeline
+from becalm.core.reference import kalman as reference
 
 SLOPE: dict[str, Any] = {"F": [[0.95, 0.5], [0, 0.9]], "H": [[1, 0]], "Q": [[0.1, 0], [0, 0.2]], "R": [[1]]}
 PAIR: dict[str, Any] = SLOPE | {"H": [[1, 0], [0.5, 1]], "R": [[1, 0.4], [0.4, 0.8]]}

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from becalm.core.arrays import Codes, Floats
-from becalm.core.faults import Faults, said
-from becalm.core.limits import Limits, find_limits
+from becalm.core.health.faults import Faults, said
+from becalm.core.health.limits import Limits, find_limits
 from becalm.core.verdict import ADVICE, Verdict
 from becalm.errors import UsageError
 from sensor_faults_records import ALARMS_PER_HOUR, LEARNT, SIGNALS, STEPS, digitised, record

@@ -11,13 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from becalm.core.arrays import Floats
-from becalm.core.components import motion, oscillator
-from becalm.core.dials import motion_filter
-from becalm.core.filtering import kalman_filter
+from becalm.core.filter.filtering import kalman_filter
+from becalm.core.filter.smoothing import kalman_smoother
 from becalm.core.fixed_lag import fixed_lag_smoother
-from becalm.core.model import Model
+from becalm.core.model.components import motion, oscillator
+from becalm.core.model.model import Model
 from becalm.core.online import Online
-from becalm.core.smoothing import kalman_smoother
+from becalm.core.steady.dials import motion_filter
 from becalm.errors import ModelError
 from bits import assert_same_bits
 

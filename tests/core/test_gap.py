@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from becalm.core.arrays import Floats
-from becalm.core.components import motion
-from becalm.core.filtering import Estimate
-from becalm.core.model import Model
-from becalm.core.smoothing import kalman_smoother
+from becalm.core.filter.filtering import Estimate
+from becalm.core.filter.smoothing import kalman_smoother
+from becalm.core.model.components import motion
+from becalm.core.model.model import Model
 from flows import flow_of
 
 EDGE = 3000

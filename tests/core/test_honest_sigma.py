@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from becalm.core.components import motion
-from becalm.core.filtering import Estimate, kalman_filter, run_filter
-from becalm.core.model import Model
-from becalm.core.smoothing import kalman_smoother, run_smoother
-from becalm.core.timeline import elapsed_timeline
+from becalm.core.filter.filtering import Estimate, kalman_filter, run_filter
+from becalm.core.filter.smoothing import kalman_smoother, run_smoother
+from becalm.core.model.components import motion
+from becalm.core.model.model import Model
+from becalm.core.model.timeline import elapsed_timeline
 from becalm.metrics.truth import coverage, rms_error
 from becalm.metrics.whiteness import mean_nis, whiteness
 from drawn import draw

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from becalm.core.arrays import Floats
-from becalm.core.components import motion
-from becalm.core.filtering import kalman_filter, run_filter
-from becalm.core.model import Model
-from becalm.core.smoothing import kalman_smoother, run_smoother
-from becalm.core.timeline import elapsed_timeline, even_timeline
+from becalm.core.filter.filtering import kalman_filter, run_filter
+from becalm.core.filter.smoothing import kalman_smoother, run_smoother
+from becalm.core.model.components import motion
+from becalm.core.model.model import Model
+from becalm.core.model.timeline import elapsed_timeline, even_timeline
 
 GRID = 1e-10
 

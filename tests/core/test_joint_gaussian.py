@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 from becalm.core.arrays import Floats
-from becalm.core.filtering import kalman_filter
-from becalm.core.model import Model
-from becalm.core.smoothing import kalman_smoother
+from becalm.core.filter.filtering import kalman_filter
+from becalm.core.filter.smoothing import kalman_smoother
+from becalm.core.model.model import Model
 
 ROWS = 24
 ORACLE = 1e-9

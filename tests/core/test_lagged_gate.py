@@ -8,11 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from becalm.core.arrays import Codes, Floats
-from becalm.core.gates import Gate
-from becalm.core.lagged_flow import LaggedFlow
-from becalm.core.model import Model
+from becalm.core.filter.fixed_lag_flow import FixedLagFlow
+from becalm.core.filter.gate import Gate
+from becalm.core.filter.smoothing import run_smoother
+from becalm.core.model.model import Model
 from becalm.core.online import Online
-from becalm.core.smoothing import run_smoother
 from becalm.core.verdict import Verdict
 from becalm.errors import ModelError
 from flows import flow_of
@@ -40,7 +40,7 @@ def stamps(kind: str) -> Floats:
 
 
 def file(order: int, lag: int, elapsed: Floats, at: list[int]) -> tuple[Floats, Floats, Codes, int | None]:
-    made, z, told = LaggedFlow(PARTS[order], 1.0, lag=lag, gate=GATE), readings(order), []
+    made, z, told = FixedLagFlow(PARTS[order], 1.0, lag=lag, gate=GATE), readings(order), []
     for start, stop in zip([0, *at], [*at, ROWS], strict=True):
         told += made.push(z[start:stop], elapsed[start:stop])
     told += made.finish()

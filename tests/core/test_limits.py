@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from becalm.core.arrays import Floats
-from becalm.core.limits import Limits, find_limits, find_resolution, run_lengths, stuck_at_once
-from becalm.core.outliers import beside_others
-from becalm.core.rails import Rails, find_rails
+from becalm.core.health.limits import Limits, find_limits, find_resolution, run_lengths, stuck_at_once
+from becalm.core.health.outliers import beside_others
+from becalm.core.health.saturation import SaturationLimits, find_saturation
 from becalm.core.verdict import Verdict
 from becalm.errors import UsageError
 from becalm.files.reading import read
@@ -65,8 +65,8 @@ def test_runs_are_counted() -> None:
 def test_rails_that_clip_a_noisy_signal_are_found(lsb: float, seed: int) -> None:
     z = 100 * np.sin(T / 300) + noise(seed)
     z = np.clip(lsb * np.round(z / lsb) if lsb else z, -60.0, 81.0)
-    assert find_rails(z, lsb) == Rails(-60.0, 81.0)
-    assert find_rails(np.minimum(z, 60.0), lsb) == Rails(-60.0, 60.0)
+    assert find_saturation(z, lsb) == SaturationLimits(-60.0, 81.0)
+    assert find_saturation(np.minimum(z, 60.0), lsb) == SaturationLimits(-60.0, 60.0)
 
 
 NO_RAILS = {
@@ -90,7 +90,7 @@ NO_RAILS = {
 @pytest.mark.parametrize("name", NO_RAILS)
 def test_what_a_signal_does_itself_is_no_rail(name: str) -> None:
     z = NO_RAILS[name]
-    assert find_rails(z, find_resolution(z)) == Rails()
+    assert find_saturation(z, find_resolution(z)) == SaturationLimits()
 
 
 def test_a_range_that_is_given_is_used_as_it_is() -> None:
@@ -194,7 +194,7 @@ def test_no_healthy_channel_is_stuck_or_has_rails(file: str) -> None:
     recording = read(DATA / file, rate_hz=REAL[file])
     for name, z in zip(recording.names, recording.samples.T, strict=True):
         limits = find_limits(z, recording.timebase.elapsed_steps, 1.0, recording.timebase.step_s)
-        assert limits.rails == Rails()
+        assert limits.rails == SaturationLimits()
         if name.startswith("Magnetometer"):  # a new reading comes every five rows
             assert limits.stuck_readings == EVERY_REPEAT
             continue

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from numpy.typing import ArrayLike
 
 from becalm.core.arrays import Floats
-from becalm.core.live_clock import FAR, LATE, REPEATED, RESET, TAKEN, UNTIMED, LiveClock
-from becalm.core.timebase import Timebase
+from becalm.core.time.live_clock import FAR, LATE, REPEATED, RESET, TAKEN, UNTIMED, LiveClock
+from becalm.core.time.timebase import Timebase
 from becalm.errors import ModelError, TimeError
 
 

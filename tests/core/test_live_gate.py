@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from becalm.core.arrays import Floats
-from becalm.core.gates import Gate
-from becalm.core.model import Model
+from becalm.core.filter.gate import Gate
+from becalm.core.model.model import Model
 from becalm.core.online import Online
 from becalm.core.verdict import Verdict
 from becalm.errors import ModelError

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from becalm.core.filtering import kalman_filter
-from becalm.core.model import Model
-from becalm.core.smoothing import kalman_smoother
-from becalm.core.starting import refuse_singular
-from becalm.core.timeline import model_system
+from becalm.core.filter.filtering import kalman_filter
+from becalm.core.filter.smoothing import kalman_smoother
+from becalm.core.model.model import Model
+from becalm.core.model.prior import refuse_singular
+from becalm.core.model.timeline import model_system
 from becalm.errors import BecalmError, ModelError
 
 GOOD: dict[str, Any] = {

@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from scipy.stats import chi2, poisson
 
 from becalm.core.arrays import Floats
-from becalm.core.cusum import SLACK, cusum_delay, cusum_threshold
-from becalm.core.filtering import kalman_filter
-from becalm.core.model import Model
-from becalm.core.monitor import InnovationMonitor, find_alarms
+from becalm.core.filter.filtering import kalman_filter
+from becalm.core.health.cusum import SLACK, cusum_delay, cusum_threshold
+from becalm.core.health.monitor import InnovationMonitor, find_alarms
+from becalm.core.model.model import Model
 from becalm.core.verdict import Verdict
 from becalm.errors import UsageError
 from becalm.native.scans import HOP, WINDOW

@@ -13,13 +13,13 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from becalm.core import reference
 from becalm.core.arrays import Floats
-from becalm.core.components import motion
-from becalm.core.filtering import Wanted, run_filter
-from becalm.core.model import Model
-from becalm.core.smoothing import run_smoother
-from becalm.core.timeline import Timeline, elapsed_timeline, model_system
+from becalm.core.filter.filtering import Wanted, run_filter
+from becalm.core.filter.smoothing import run_smoother
+from becalm.core.model.components import motion
+from becalm.core.model.model import Model
+from becalm.core.model.timeline import Timeline, elapsed_timeline, model_system
+from becalm.core.reference import kalman as reference
 
 TWIN = 1e-12
 BLOCK, ROWS = 256, 4 * 256 + 50

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from becalm.core.arrays import Floats
-from becalm.core.filtering import Wanted, kalman_filter, new_beliefs, new_kernel, rows_of
-from becalm.core.model import Model
-from becalm.core.smoothing import kalman_smoother
-from becalm.core.timeline import even_timeline
+from becalm.core.filter.filtering import Wanted, kalman_filter, new_beliefs, new_kernel, rows_of
+from becalm.core.filter.smoothing import kalman_smoother
+from becalm.core.model.model import Model
+from becalm.core.model.timeline import even_timeline
 from becalm.errors import ModelError
 from becalm.native.multivariate import Beliefs, Multivariate, Rows
 

@@ -11,12 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from becalm.core.arrays import Floats
-from becalm.core.components import motion
-from becalm.core.filtering import kalman_filter
-from becalm.core.gates import Gate
-from becalm.core.model import Model
+from becalm.core.filter.filtering import kalman_filter
+from becalm.core.filter.gate import Gate
+from becalm.core.filter.smoothing import kalman_smoother
+from becalm.core.model.components import motion
+from becalm.core.model.model import Model
 from becalm.core.online import Online
-from becalm.core.smoothing import kalman_smoother
 from becalm.errors import ModelError
 from bits import assert_same_bits
 

@@ -11,11 +11,11 @@ import pytest
 
 from banks import bank_of
 from becalm.core.arrays import Floats
-from becalm.core.components import motion, oscillator
-from becalm.core.gates import Gate
-from becalm.core.model import Model
+from becalm.core.filter.gate import Gate
+from becalm.core.imm.modes import InteractingModels, Mode
+from becalm.core.model.components import motion, oscillator
+from becalm.core.model.model import Model
 from becalm.core.online import Online
-from becalm.core.switching import Mode, Switching
 from becalm.errors import ModelError
 
 SLOPE = Model([[1.0, 1.0], [0.0, 1.0]], [[1.0, 0.0]], np.diag([1e-4, 1e-5]), [[0.25]])
@@ -55,7 +55,7 @@ def test_a_copy_goes_on_and_moves_nothing_else(kind: str, way: str) -> None:
 def test_modes_go_on_from_a_snapshot_whatever_was_measured() -> None:
     """A measurement of 1e12 sigma leaves a variance without digits, perhaps below 0."""
     moving = Mode("moving", motion(1, 0.01) + oscillator(0.05, 1e-3, 1e-3), 1.0, 50.0)
-    switching = Switching((Mode("still", motion(1, 1e-6), 1.0, 20.0), moving))
+    switching = InteractingModels((Mode("still", motion(1, 1e-6), 1.0, 20.0), moving))
     for seed in range(8):
         rng, online = np.random.default_rng(seed), Online(switching)
         z = rng.normal(size=(120, 1))

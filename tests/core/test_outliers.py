@@ -11,10 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from becalm.core.arrays import Floats
-from becalm.core.faults import Faults
-from becalm.core.limits import Limits, find_limits, stuck_at_once
-from becalm.core.look_ahead import LookAhead
-from becalm.core.outliers import NO_OUTLIERS, Outliers, beside_others, find_outlier_rule, is_outlier
+from becalm.core.health.faults import Faults
+from becalm.core.health.limits import Limits, find_limits, stuck_at_once
+from becalm.core.health.look_ahead import LookAhead
+from becalm.core.health.outliers import NO_OUTLIERS, Outliers, beside_others, find_outlier_rule, is_outlier
 from becalm.core.verdict import Verdict
 from becalm.native.scans import REACH
 

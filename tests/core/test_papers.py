@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from becalm.classic.causal import butterworth, moving_average
-from becalm.core import reference
 from becalm.core.arrays import Floats
-from becalm.core.components import Component, Part
-from becalm.core.filtering import kalman_filter
-from becalm.core.model import Model
+from becalm.core.filter.filtering import kalman_filter
+from becalm.core.model.components import Component, Part
+from becalm.core.model.model import Model
 from becalm.core.online import Online
+from becalm.core.reference import kalman as reference
 from becalm.metrics.truth import rms_error
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from becalm.core.arrays import Floats
-from becalm.core.quantisation import converter_step, residual_std, rounding_left
+from becalm.core.health.quantisation import converter_step, residual_std, rounding_left
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.05, 0.1, 0.2, 0.3])

@@ -14,14 +14,14 @@ from becalm.core.closed_forms import (
     continuous_motion,
     order_one,
 )
-from becalm.core.components import gauss_markov, level, motion, oscillator
-from becalm.core.dials import motion_filter, ratio_for_bandwidth, ratio_for_lag, ratio_for_noise_gain
-from becalm.core.filtering import kalman_filter
-from becalm.core.model import Model
-from becalm.core.response import describe
-from becalm.core.smoothing import kalman_smoother
-from becalm.core.steady import steady
-from becalm.core.step_response import lag_steps
+from becalm.core.filter.filtering import kalman_filter
+from becalm.core.filter.smoothing import kalman_smoother
+from becalm.core.model.components import gauss_markov, level, motion, oscillator
+from becalm.core.model.model import Model
+from becalm.core.steady.dials import motion_filter, ratio_for_bandwidth, ratio_for_lag, ratio_for_noise_gain
+from becalm.core.steady.response import describe
+from becalm.core.steady.steady_gain import steady
+from becalm.core.steady.step_response import lag_steps
 from becalm.errors import ModelError, UsageError
 
 ORDERS = [1, 2, 3, 4, 5]

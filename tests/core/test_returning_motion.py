@@ -7,9 +7,9 @@ import pytest
 from scipy.linalg import expm, solve_discrete_lyapunov
 
 from becalm.core.closed_forms import motion_power, returning_power
-from becalm.core.components import LEVEL_RATE, bias, motion, oscillator, returning_motion, with_walking_level
-from becalm.core.filtering import kalman_filter
-from becalm.core.smoothing import kalman_smoother
+from becalm.core.filter.filtering import kalman_filter
+from becalm.core.filter.smoothing import kalman_smoother
+from becalm.core.model.components import LEVEL_RATE, bias, motion, oscillator, returning_motion, with_walking_level
 from becalm.errors import ModelError
 
 ORDERS = (1, 2, 3, 4, 5)

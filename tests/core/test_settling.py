@@ -19,13 +19,13 @@ from against_reference import (
     settled_by,
     slowest_pole,
 )
-from becalm.core import reference
-from becalm.core.components import motion
-from becalm.core.filtering import kalman_filter
-from becalm.core.model import Model
+from becalm.core.filter.filtering import kalman_filter
+from becalm.core.filter.smoothing import kalman_smoother
+from becalm.core.model.components import motion
+from becalm.core.model.model import Model
 from becalm.core.online import Online
-from becalm.core.smoothing import kalman_smoother
-from becalm.core.steady import steady
+from becalm.core.reference import kalman as reference
+from becalm.core.steady.steady_gain import steady
 
 
 def imu(Q: float, R: float) -> Model:

@@ -11,11 +11,11 @@ import pytest
 
 from against_reference import TWIN, Known, assert_filter, assert_online, assert_smoother, assert_twins, known
 from becalm.core.arrays import Floats
-from becalm.core.filtering import kalman_filter
-from becalm.core.likelihood import log_likelihood
-from becalm.core.model import Model
+from becalm.core.filter.filtering import kalman_filter
+from becalm.core.filter.likelihood import log_likelihood
+from becalm.core.filter.smoothing import kalman_smoother
+from becalm.core.model.model import Model
 from becalm.core.online import Online
-from becalm.core.smoothing import kalman_smoother
 
 ROWS = 1500
 QUICK = [(1, 1), (2, 1), (3, 1), (4, 1), (1, 3), (2, 2), (4, 2)]  # one channel and up to four states look ahead

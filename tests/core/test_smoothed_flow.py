@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from becalm.core.arrays import Floats
-from becalm.core.components import motion, oscillator, returning_motion
-from becalm.core.filtering import run_filter
-from becalm.core.gates import Gate
-from becalm.core.smoothed_flow import SmoothedFlow
-from becalm.core.smoothing import run_smoother
-from becalm.core.timeline import elapsed_timeline
-from becalm.core.told import Told
+from becalm.core.filter.filtering import run_filter
+from becalm.core.filter.gate import Gate
+from becalm.core.filter.smoothed_flow import SmoothedFlow
+from becalm.core.filter.smoothing import run_smoother
+from becalm.core.model.components import motion, oscillator, returning_motion
+from becalm.core.model.timeline import elapsed_timeline
+from becalm.core.rows import EstimatedRows
 from becalm.core.verdict import Verdict
 
 ROWS = 200_000  # of which several stretches are told before the record ends
@@ -127,7 +127,7 @@ def test_a_channel_in_which_nothing_arrives_stays_untold() -> None:
 
 def test_a_buffer_may_be_written_into_again() -> None:
     z, elapsed = record("none")
-    made, buffer, told = SmoothedFlow(motion(1, 0.1), 1.0), np.empty(1000), list[Told]()
+    made, buffer, told = SmoothedFlow(motion(1, 0.1), 1.0), np.empty(1000), list[EstimatedRows]()
     for start in range(0, ROWS, 1000):
         buffer[:] = z[start : start + 1000]
         told += made.push(buffer, np.ones(1000))
@@ -148,7 +148,7 @@ def test_sigma_where_a_reading_came_is_that_of_a_reading_at_the_most_and_never_0
         z[rng.random(40) < 0.15] += 80 * rng.normal()
     z[rng.random(40) < 0.1] = np.nan
     made = SmoothedFlow(part, 1.0, gate=Gate(5.0) if seed % 4 < 2 else None)
-    told = Told.joined([*made.push(z, elapsed), *made.finish()])
+    told = EstimatedRows.joined([*made.push(z, elapsed), *made.finish()])
     used = np.isfinite(z) & np.isfinite(told.signal) & (told.verdicts == Verdict.USED)
     assert used.sum() > 10
     assert (told.sigma[used] > 1e-3).all()
@@ -160,7 +160,7 @@ def test_rejects_at_the_end_of_a_stretch_wait_for_what_follows() -> None:
     z, elapsed = record("none")
     z[16384 - 3 :] += 60.0
     made = SmoothedFlow(motion(2, 1e-4), 1.0, gate=Gate(5.0))
-    told = Told.joined([*made.push(z, elapsed), *made.finish()])
+    told = EstimatedRows.joined([*made.push(z, elapsed), *made.finish()])
     assert told.verdicts[16384 - 3] == Verdict.STEP
     assert not told.verdicts[16384 - 2 : 20_000].any()
     assert len(told.signal) == ROWS

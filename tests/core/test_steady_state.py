@@ -10,12 +10,12 @@ from scipy.linalg import solve_discrete_are
 from scipy.signal import butter, sosfiltfilt
 
 from becalm.core.arrays import Floats
-from becalm.core.components import motion
-from becalm.core.filtering import kalman_filter
-from becalm.core.model import Model
-from becalm.core.response import describe
-from becalm.core.smoothing import kalman_smoother
-from becalm.core.steady import steady
+from becalm.core.filter.filtering import kalman_filter
+from becalm.core.filter.smoothing import kalman_smoother
+from becalm.core.model.components import motion
+from becalm.core.model.model import Model
+from becalm.core.steady.response import describe
+from becalm.core.steady.steady_gain import steady
 from becalm.errors import ModelError
 
 SETTLED: dict[str, dict[str, Any]] = {

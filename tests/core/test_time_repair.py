@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from becalm.core.arrays import Floats
-from becalm.core.time_repair import COUNTERS, HOUR_S, Steps, one_clock, unwrapped
+from becalm.core.time.repair import COUNTERS, HOUR_S, Steps, one_clock, unwrapped
 
 SUNDAY_IN_MARCH = float(np.datetime64("2024-03-31T01:30:00", "s").astype(int))
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from becalm.core.timebase import Timebase
+from becalm.core.time.timebase import Timebase
 from becalm.errors import TimeError
 
 

@@ -9,9 +9,9 @@ import pytest
 
 from against_reference import assert_filter, assert_smoother, assert_twins, known
 from becalm.core.arrays import Floats
-from becalm.core.filtering import kalman_filter
-from becalm.core.model import Model
-from becalm.core.smoothing import kalman_smoother
+from becalm.core.filter.filtering import kalman_filter
+from becalm.core.filter.smoothing import kalman_smoother
+from becalm.core.model.model import Model
 
 ROWS = 300
 DAMPED = 0.9 * (np.eye(4) + np.eye(4, k=1) * 0.1 + np.eye(4, k=2) * 0.005)

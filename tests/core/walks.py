@@ -6,10 +6,10 @@ import numpy as np
 
 import drawn
 from becalm.core.arrays import Floats
-from becalm.core.components import motion
-from becalm.core.filtering import run_filter
-from becalm.core.smoothing import run_smoother
-from becalm.core.timeline import elapsed_timeline
+from becalm.core.filter.filtering import run_filter
+from becalm.core.filter.smoothing import run_smoother
+from becalm.core.model.components import motion
+from becalm.core.model.timeline import elapsed_timeline
 from becalm.noise.likelihood import Tuning
 
 

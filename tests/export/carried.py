@@ -7,7 +7,7 @@ import numpy as np
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.recipe_parts import ColouredNoiseRecipe, GateRecipe
 from becalm.core.arrays import Codes, Floats
-from becalm.core.autoregressive import from_partial_autocorrelations
+from becalm.core.model.autoregressive import from_partial_autocorrelations
 from becalm.export.number_type import DOUBLE, FLOAT
 from becalm.export.vectors import Reference
 from driven import Driven

@@ -18,7 +18,7 @@ from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.recipe_parts import CalibrationRecipe, ColouredNoiseRecipe, LimitsRecipe
 from becalm.cleaning.stream import StreamCleaner
 from becalm.core.arrays import Codes, Floats
-from becalm.core.autoregressive import from_partial_autocorrelations
+from becalm.core.model.autoregressive import from_partial_autocorrelations
 from becalm.core.verdict import Verdict
 from becalm.export.bundle import Asked, Bundle, bundle_of
 from becalm.export.channel.kind import Sizes

@@ -113,12 +113,12 @@ def test_it_begins_anew_where_becalm_does(banks: Banks, read: int) -> None:
     """After a gap beyond reach: of the slowest growth, and of what a few first readings told."""
     held, z = banks("nervous", "float64"), one_noise(read + 6)
     assert held.one.design.modes is not None
-    reach = Filter(told_of("nervous"), 1 / RATE_HZ, 0).reach
-    for missed in (int(reach.longest) - 1, int(reach.longest), int(reach.spans) * (read - 1) + 300):
+    limit = Filter(told_of("nervous"), 1 / RATE_HZ, 0).gap_limit
+    for missed in (int(limit.longest) - 1, int(limit.longest), int(limit.spans) * (read - 1) + 300):
         rows = np.concatenate([z[:read], np.full(missed, np.nan), z[read:]])
         held.init()
         told, want = held.steps(rows), expected(told_of("nervous"), held.one, rows)
-        anew = missed + 1 > min(reach.longest, reach.spans * (read - 1) if read >= reach.readings else np.inf)
+        anew = missed + 1 > min(limit.longest, limit.spans * (read - 1) if read >= limit.readings else np.inf)
         assert (want.signal[-6] == z[-6]) == anew
         check_same("float64", told, want)
         if anew:

@@ -12,7 +12,7 @@ import pytest
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.recipe_parts import GateRecipe, ToneRecipe
 from becalm.core.arrays import Floats
-from becalm.core.starting import known_before
+from becalm.core.model.prior import known_before
 from becalm.errors import RecipeError
 from becalm.export.design import Design
 from becalm.export.number_type import FLOAT

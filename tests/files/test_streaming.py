@@ -14,8 +14,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from becalm.core.clock import Clock
-from becalm.core.timebase import Timebase
+from becalm.core.time.clock import Clock
+from becalm.core.time.timebase import Timebase
 from becalm.errors import BecalmError, InputError, OutputError
 from becalm.files import ReadOptions, SourceFile, open_source, read_source, roles, rows
 from becalm.files.text import text_blocks

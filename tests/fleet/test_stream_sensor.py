@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from becalm.cleaning.pipeline import clean
 from becalm.cleaning.recipe import Origin
 from becalm.core.recording import Recording
-from becalm.core.timebase import Timebase
+from becalm.core.time.timebase import Timebase
 from becalm.errors import ModelError, UsageError
 from becalm.fleet.stream.blocks import Garbled, Rows
 from becalm.fleet.stream.plan import FIRST_ROWS, SensorPlan, StreamPlan

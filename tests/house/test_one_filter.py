@@ -14,7 +14,7 @@ IN_PYTHON = re.compile(
 )
 IN_C = re.compile(r"\b(?:propagate|joseph|joseph_of|add_equation)\(|\bFP\[")
 IN_A_TEMPLATE = re.compile(r"\* nu\b|becalm_times\(nu\b")
-NO_FILTER = {"core/discretisation.py", "core/steady_filter.py"}
+NO_FILTER = {"core/model/discretisation.py", "core/steady/steady_filter.py"}
 """The noise of a step is that of its two halves; an error is what noise adds up to: products alike, of no state."""
 
 

@@ -15,7 +15,11 @@ import pytest
 from blocks import DOCS, PAGES, ROOT, has_blocks, rewritten
 
 from becalm.cleaning import judging, steps
-from becalm.core import clock, gates, noise_change, reach, starting, verdict
+from becalm.core import verdict
+from becalm.core.filter import gap_limit, gate
+from becalm.core.health import noise_change
+from becalm.core.model import prior
+from becalm.core.time import clock
 from becalm.files import opening
 from becalm.native import scans
 from becalm.noise import banks, lines, risk, switching
@@ -59,21 +63,21 @@ def spelt(number: float) -> str:
     ("page", "said"),
     [
         ("design", f"{WORDS[verdict.AT_MOST].capitalize()} rejects in a row are motion"),
-        ("design", f"for {gates.GOES_ON} readings a reject is believed at once"),
+        ("design", f"for {gate.GOES_ON} readings a reject is believed at once"),
         ("design", f"Up to {WORDS[steps.SOON]} readings of lag"),
         ("design", f"tuned on {WORDS[opening.STRETCHES]} stretches"),
-        ("design", f"at 500 Hz, {gates.threshold_for(1, 10_000):.2f} at 10 kHz"),
-        ("design", f"({gates.threshold_for(1, 500):.1f} at 500 Hz"),
-        ("design", f"under {gates.LEAST_THRESHOLD:.0f})"),
-        ("design", f"grows to {spelt(reach._FORGOTTEN)} R ({spelt(reach._CARRIED)} where"),
+        ("design", f"at 500 Hz, {gate.threshold_for(1, 10_000):.2f} at 10 kHz"),
+        ("design", f"({gate.threshold_for(1, 500):.1f} at 500 Hz"),
+        ("design", f"under {gate.LEAST_THRESHOLD:.0f})"),
+        ("design", f"grows to {spelt(gap_limit._FORGOTTEN)} R ({spelt(gap_limit._CARRIED)} where"),
         ("design", f"blocks of {scans.WINDOW} innovations and more"),
         ("design", f"by {noise_change._RATIO:g} between them"),
         ("design", f"{lines._GAIN:.0f} in log-likelihood"),
         ("design", f"need bring {lines._GAIN_NAMED:.0f} only"),
         ("design", f"more than {judging.PREDICTABLE:.0%} of the innovation power".replace("%", " %")),
         ("design", f"in more than {judging.UNEVEN:.0%} of the record".replace("%", " %")),
-        ("design", f"P0 over {spelt(starting.WIDE)} times R"),
-        ("conventions", f"over {spelt(starting.WIDE)} times R"),
+        ("design", f"P0 over {spelt(prior.WIDE)} times R"),
+        ("conventions", f"over {spelt(prior.WIDE)} times R"),
         ("conventions", f"magnitudes over {spelt(verdict.BEYOND_ANY_SENSOR)}"),
         ("conventions", f"More than {clock.GAP_STEPS:g} median steps is a gap"),
         ("decisions/0002-risk", f"more than {risk.MISFIT:.0%} of the innovation power".replace("%", " %")),

@@ -15,7 +15,7 @@ from becalm.cleaning.recipe_parts import GateRecipe, TimingRecipe
 from becalm.cleaning.stream import StreamCleaner, Streamed
 from becalm.core.arrays import Floats
 from becalm.core.recording import Recording
-from becalm.core.told import Told
+from becalm.core.rows import EstimatedRows
 from becalm.files import ReadOptions
 from becalm.files.every_time import open_file
 from becalm.files.opening import OpenSource
@@ -139,13 +139,14 @@ def replayed(source: ReplaySource, recipe: Recipe) -> Streamed:
 
 def filed(source: OpenSource, recipe: Recipe) -> Streamed:
     """Send all of a file through the file's way, a chunk at a time."""
-    told: list[list[Told]] = []
+    told: list[list[EstimatedRows]] = []
     with Cleaner(recipe, source.clock.step_s) as cleaner:
         for chunk in source.chunks(rows_of_chunks(source, len(source.names))):
             told += cleaner.push([chunk.channel(k) for k in range(len(source.names))], chunk.elapsed_steps)
         told += cleaner.finish()
     columns = [
-        Told(*(np.concatenate(parts, axis=-1) for parts in zip(*one, strict=True))) for one in zip(*told, strict=True)
+        EstimatedRows(*(np.concatenate(parts, axis=-1) for parts in zip(*one, strict=True)))
+        for one in zip(*told, strict=True)
     ]
     return Streamed(
         np.column_stack([one.signal for one in columns]),
@@ -154,5 +155,5 @@ def filed(source: OpenSource, recipe: Recipe) -> Streamed:
     )
 
 
-def _joined(chunks: tuple[Told, ...]) -> Told:
-    return Told(*(np.concatenate(parts, axis=-1) for parts in zip(*chunks, strict=True)))
+def _joined(chunks: tuple[EstimatedRows, ...]) -> EstimatedRows:
+    return EstimatedRows(*(np.concatenate(parts, axis=-1) for parts in zip(*chunks, strict=True)))

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.stream import StreamCleaner, Streamed
 from becalm.core.arrays import Floats
-from becalm.core.components import motion as motion_of
-from becalm.core.components import oscillator
+from becalm.core.model.components import motion as motion_of
+from becalm.core.model.components import oscillator
+from becalm.core.model.step_matrices import StepMatrices
 from becalm.core.packing import packed, unpacked
-from becalm.core.steps import Steps
 from becalm.errors import ModelError, RecipeError
 from bits import same_bits
 from stream_recipes import (
@@ -246,14 +246,14 @@ def test_health_tells_of_drift_and_death(how: dict[str, Any]) -> None:
 @settings(deadline=None)
 def test_steps_are_the_same_alone_and_in_company(lengths: list[float]) -> None:
     for component in (motion_of(5), motion_of(3) + oscillator(0.1, 0.01), motion_of(2) + oscillator(0.2)):
-        together = Steps(component).over(np.array(lengths, dtype=np.float64))
-        alone = [Steps(component).over(np.array([length])) for length in lengths]
+        together = StepMatrices(component).over(np.array(lengths, dtype=np.float64))
+        alone = [StepMatrices(component).over(np.array([length])) for length in lengths]
         for k, matrices in enumerate(together):
             assert same_bits(matrices, np.concatenate([one[k] for one in alone]))
 
 
 def test_steps_are_forgotten_when_they_are_too_many() -> None:
-    steps, component = Steps(motion_of(2)), motion_of(2)
+    steps, component = StepMatrices(motion_of(2)), motion_of(2)
     for k in range(30):
         lengths = np.linspace(1.0, 1.1, 100) + 0.1 * k
         for got, expected in zip(steps.over(lengths), component.over(lengths), strict=True):

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from becalm.core.arrays import Floats
-from becalm.core.components import level
+from becalm.core.model.components import level
 from becalm.errors import RecordingError, UsageError
 from becalm.noise.allan import allan_deviation
 from becalm.noise.allan_covariance import shapes, spreads

@@ -9,11 +9,11 @@ import pytest
 from scipy.signal import lfilter
 
 from becalm.core.arrays import Floats
-from becalm.core.autoregressive import Coloured
 from becalm.core.closed_forms import cutoff_to_ratio
-from becalm.core.components import ORDERS, motion
-from becalm.core.filtering import kalman_filter
-from becalm.core.smoothing import kalman_smoother
+from becalm.core.filter.filtering import kalman_filter
+from becalm.core.filter.smoothing import kalman_smoother
+from becalm.core.model.autoregressive import Coloured
+from becalm.core.model.components import ORDERS, motion
 from becalm.errors import ModelError, RecordingError
 from becalm.metrics.truth import rms_error
 from becalm.noise.beside import _beside_white, foretold_square, tune_beside

@@ -9,9 +9,9 @@ import pytest
 from scipy.signal import lfilter
 
 from becalm.core.arrays import Floats
-from becalm.core.autoregressive import Coloured
 from becalm.core.closed_forms import autoregressive_power
-from becalm.core.components import motion
+from becalm.core.model.autoregressive import Coloured
+from becalm.core.model.components import motion
 from becalm.errors import RecordingError
 from becalm.noise.coloured import FORGETS, LEAST_WHITE, NoiseModel, fit_noise
 from becalm.noise.coloured_likelihood import Shape, _squared, exact_misfit, spectral_misfit

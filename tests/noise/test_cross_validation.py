@@ -7,9 +7,9 @@ import pytest
 
 from becalm.core.arrays import Floats
 from becalm.core.closed_forms import cutoff_to_ratio
-from becalm.core.components import motion
-from becalm.core.smoothing import run_smoother
-from becalm.core.timeline import elapsed_timeline
+from becalm.core.filter.smoothing import run_smoother
+from becalm.core.model.components import motion
+from becalm.core.model.timeline import elapsed_timeline
 from becalm.metrics.truth import rms_error
 from becalm.noise.cross_validation import LONG, criterion, lasting, simplest, tune_smoother
 from becalm.noise.likelihood import Evidence, Tuning

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 import becalm
 from becalm.core.arrays import Floats
-from becalm.core.components import LEVEL_RATE
+from becalm.core.model.components import LEVEL_RATE
 from becalm.noise.choose import choose
 from becalm.noise.damping import damped, spread_about_level
 from becalm.noise.likelihood import Evidence, Tuning

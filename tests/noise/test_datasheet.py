@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.signal import welch
 
-from becalm.core.components import level
+from becalm.core.model.components import level
 from becalm.errors import UsageError
 from becalm.noise.allan import allan_deviation
 from becalm.noise.allan_terms import noise_terms

@@ -10,11 +10,11 @@ from becalm.cleaning.pipeline import clean
 from becalm.cleaning.tuning import Wishes, tune
 from becalm.core.arrays import Floats
 from becalm.core.closed_forms import motion_power, ratio_to_cutoff
-from becalm.core.components import motion
-from becalm.core.dials import motion_filter
-from becalm.core.filtering import kalman_filter
+from becalm.core.filter.filtering import kalman_filter
+from becalm.core.filter.smoothing import kalman_smoother
+from becalm.core.model.components import motion
 from becalm.core.recording import Recording
-from becalm.core.smoothing import kalman_smoother
+from becalm.core.steady.dials import motion_filter
 from becalm.errors import UsageError
 from becalm.noise.dial import Dial, ratio_for, turn
 from becalm.noise.likelihood import Tuning

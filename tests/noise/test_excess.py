@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from becalm.core.arrays import Floats
-from becalm.core.filtering import run_filter
-from becalm.core.smoothing import run_smoother
-from becalm.core.timeline import elapsed_timeline
+from becalm.core.filter.filtering import run_filter
+from becalm.core.filter.smoothing import run_smoother
+from becalm.core.model.timeline import elapsed_timeline
 from becalm.metrics.whiteness import whiteness
 from becalm.noise.excess import excess_error, powers
 from becalm.noise.likelihood import Tuning

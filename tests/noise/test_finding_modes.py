@@ -7,7 +7,7 @@ import pytest
 
 import becalm
 from becalm.core.arrays import Booleans, Floats
-from becalm.core.switching_flow import SwitchingFlow
+from becalm.core.imm.flow import ImmFlow
 from becalm.noise.banks import middle_variance, quiet_variance
 from becalm.noise.choose import choose
 from becalm.noise.likelihood import Evidence
@@ -41,7 +41,7 @@ def found(z: Floats, causal: bool = True) -> Switched | None:
 
 
 def filtered(switched: Switched, z: Floats, causal: bool = True) -> Floats:
-    flow = SwitchingFlow(switched.switching, causal=causal)
+    flow = ImmFlow(switched.switching, causal=causal)
     return np.concatenate([told.signal for told in [*flow.push(z, np.ones(len(z))), *flow.finish()]])
 
 
@@ -127,7 +127,7 @@ def test_noise_that_changes_is_told_from_motion() -> None:
     assert switched.kind == "noisy"
     quiet, other = (np.sqrt(mode.noise_variance) for mode in switched.switching.modes)
     assert (quiet, other) == pytest.approx((1.0, 4.0), rel=0.1)
-    flow = SwitchingFlow(switched.switching, causal=True, split=True)
+    flow = ImmFlow(switched.switching, causal=True, split=True)
     told = flow.push(z, np.ones(COUNT))[0]
     assert np.mean((told.parts[-1] > 0.5) == loud) > 0.98
 

@@ -7,10 +7,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from becalm.core.components import motion
-from becalm.core.dials import motion_filter
-from becalm.core.filtering import kalman_filter
-from becalm.core.smoothing import kalman_smoother
+from becalm.core.filter.filtering import kalman_filter
+from becalm.core.filter.smoothing import kalman_smoother
+from becalm.core.model.components import motion
+from becalm.core.steady.dials import motion_filter
 from becalm.errors import ModelError, UsageError
 from becalm.noise.front import Front, noise_lag_front, pick
 from becalm.noise.likelihood import Evidence, tune_motion

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from becalm.core.arrays import Booleans, Floats
-from becalm.core.gates import Gate, threshold_for
+from becalm.core.filter.gate import Gate, threshold_for
 from becalm.noise.choose import choose
 from becalm.noise.gating import choose_gated, foretells_better
 from becalm.noise.imputation import imputed

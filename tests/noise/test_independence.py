@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from becalm.core.response import describe
+from becalm.core.steady.response import describe
 from becalm.noise.independence import independence_steps
 from becalm.noise.likelihood import Tuning
 from becalm.noise.waiting import waiting_curve

@@ -7,9 +7,9 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from becalm.core.arrays import Floats
-from becalm.core.components import autoregressive, motion
-from becalm.core.likelihood import log_likelihood
-from becalm.core.model import Model
+from becalm.core.filter.likelihood import log_likelihood
+from becalm.core.model.components import autoregressive, motion
+from becalm.core.model.model import Model
 from becalm.errors import ModelError, RecordingError
 from becalm.noise.joint import TunedModel, tune_model
 from becalm.noise.matrices import Freedom

@@ -12,10 +12,10 @@ from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.tuning import tune
 from becalm.core.arrays import Floats
 from becalm.core.closed_forms import motion_power
-from becalm.core.components import Component, motion, oscillator
-from becalm.core.filtering import kalman_filter
+from becalm.core.filter.filtering import kalman_filter
+from becalm.core.filter.smoothing import kalman_smoother
+from becalm.core.model.components import Component, motion, oscillator
 from becalm.core.recording import Recording
-from becalm.core.smoothing import kalman_smoother
 from becalm.errors import RecipeError
 from becalm.metrics.truth import coverage, rms_error
 from becalm.noise import lines

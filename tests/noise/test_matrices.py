@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from becalm.core.arrays import Floats
-from becalm.core.components import motion
-from becalm.core.likelihood import log_likelihood
-from becalm.core.model import Model
+from becalm.core.filter.likelihood import log_likelihood
+from becalm.core.model.components import motion
+from becalm.core.model.model import Model
 from becalm.errors import ModelError
 from becalm.noise.autocovariances import Autocovariances, autocovariances
 from becalm.noise.matrices import Freedom, FreeMatrix, patterns_of

@@ -9,8 +9,8 @@ import pytest
 
 from becalm.core.arrays import Floats
 from becalm.core.closed_forms import cutoff_to_ratio
-from becalm.core.components import motion
-from becalm.core.filtering import kalman_filter
+from becalm.core.filter.filtering import kalman_filter
+from becalm.core.model.components import motion
 from becalm.metrics.whiteness import Whiteness, whiteness
 from becalm.noise.likelihood import Evidence, tune_motion
 

@@ -8,8 +8,8 @@ from scipy.signal import welch
 
 from becalm.core.arrays import Floats
 from becalm.core.closed_forms import motion_power
-from becalm.core.components import Component, motion, oscillator
-from becalm.core.smoothing import kalman_smoother
+from becalm.core.filter.smoothing import kalman_smoother
+from becalm.core.model.components import Component, motion, oscillator
 from becalm.noise.cross_validation import read_residuals
 from becalm.noise.spectrum import Line, binned, line_power, periodogram, pooled, sine_spectrum, welch_power
 

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from becalm.core import reference
 from becalm.core.arrays import Floats
+from becalm.core.reference import kalman as reference
 from becalm.errors import ModelError, RecordingError
 from becalm.noise.step_spectrum import SEGMENT, Sensor, SpectrumKind, StepTrial, imu_component
 from becalm.noise.step_tuning import tune_by_simplex, tune_by_step

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from becalm.core.arrays import Floats
 from becalm.core.closed_forms import cutoff_to_ratio
-from becalm.core.components import ORDERS, motion
-from becalm.core.filtering import run_filter
-from becalm.core.timeline import elapsed_timeline
+from becalm.core.filter.filtering import run_filter
+from becalm.core.model.components import ORDERS, motion
+from becalm.core.model.timeline import elapsed_timeline
 from becalm.noise.choose import choose
 from becalm.noise.likelihood import UNSCORED, Candidate, Evidence, Tuning, tune_motion
 from becalm.noise.risk import retune

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from becalm.core.arrays import Booleans, Floats
-from becalm.core.components import motion, oscillator, with_walking_level
-from becalm.core.switching import Mode, Switching
-from becalm.core.switching_flow import SwitchingFlow
+from becalm.core.imm.flow import ImmFlow
+from becalm.core.imm.modes import InteractingModels, Mode
+from becalm.core.model.components import motion, oscillator, with_walking_level
 from becalm.errors import ModelError
 from becalm.noise import banks
 from becalm.noise.bank_risk import find_wild
@@ -34,7 +34,7 @@ def robust_error(z: Floats, truth: Floats, causal: bool) -> float:
     elapsed = np.ones(ROWS)
     tuning = choose(z, elapsed, causal).tuning
     assert tuning is not None
-    flow = SwitchingFlow(choose_robust(tuning, Evidence.of(z, elapsed), causal).switching, causal=causal)
+    flow = ImmFlow(choose_robust(tuning, Evidence.of(z, elapsed), causal).switching, causal=causal)
     signal = np.concatenate([told.signal for told in [*flow.push(z, elapsed), *flow.finish()]])
     return float(np.sqrt(np.mean((signal - truth)[STARTING:] ** 2)))
 
@@ -73,7 +73,7 @@ def test_a_jump_moves_the_level_and_leaves_the_tone() -> None:
     tuning = choose(good, elapsed, True).tuning
     assert tuning is not None
     switching = robust_filter(tuning, Evidence.of(z, elapsed)).switching
-    signal = SwitchingFlow(switching, causal=True).push(z, elapsed)[0].signal
+    signal = ImmFlow(switching, causal=True).push(z, elapsed)[0].signal
     assert np.abs(signal - truth - 50)[4015:4100].max() < 3.0
     assert np.abs(signal - truth)[3900:4000].max() < 3.0
 
@@ -96,9 +96,9 @@ def test_from_minus_infinity_to_minus_infinity_is_no_gain(monkeypatch: pytest.Mo
     monkeypatch.setattr(banks, "log_likelihood", lambda switching, pieces: -np.inf)
     one, made = Mode("one", motion(1, 1.0), 1.0, 1.0), list[float]()
 
-    def make(r: float) -> Switching:
+    def make(r: float) -> InteractingModels:
         made.append(r)
-        return Switching((one,))
+        return InteractingModels((one,))
 
     banks.searched(banks.Bank([banks.Number(1.0, 1e-4, 1e4)], make), [])
     assert made[-1] == 1.0

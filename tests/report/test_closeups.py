@@ -9,22 +9,22 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from becalm.core.arrays import Floats
-from becalm.core.told import Told
+from becalm.core.rows import EstimatedRows
 from becalm.report.closeup import Closeup, Farthest, Middle
 
 SHOWN = 600
 
 
-def rows_of(rows: int, wild: int | None = None) -> tuple[Floats, Floats, Told]:
+def rows_of(rows: int, wild: int | None = None) -> tuple[Floats, Floats, EstimatedRows]:
     rng = np.random.default_rng(rows)
     signal, noise = np.cumsum(rng.normal(size=rows)), rng.normal(size=rows)
     if wild is not None:
         noise[wild] = 30.0
-    told = Told(signal, np.full(rows, 0.5), np.empty((0, rows)), np.zeros(rows, np.int8))
+    told = EstimatedRows(signal, np.full(rows, 0.5), np.empty((0, rows)), np.zeros(rows, np.int8))
     return np.arange(rows) / 10, signal + noise, told
 
 
-def shown(closeup: Closeup, rows: tuple[Floats, Floats, Told], cuts: list[int]) -> Floats:
+def shown(closeup: Closeup, rows: tuple[Floats, Floats, EstimatedRows], cuts: list[int]) -> Floats:
     times_s, z, told = rows
     places = [0, *sorted(min(cut, len(z)) for cut in cuts), len(z)]
     for start, stop in itertools.pairwise(places):
@@ -33,7 +33,7 @@ def shown(closeup: Closeup, rows: tuple[Floats, Floats, Told], cuts: list[int]) 
     return closeup.kept
 
 
-def expected(rows: tuple[Floats, Floats, Told], first: int, after: int) -> Floats:
+def expected(rows: tuple[Floats, Floats, EstimatedRows], first: int, after: int) -> Floats:
     times_s, z, told = rows
     return np.vstack([times_s, z, told.signal, told.sigma])[:, first:after]
 

@@ -7,16 +7,16 @@ import pytest
 
 from becalm.core.arrays import Floats
 from becalm.core.recording import Recording
-from becalm.core.told import Told
+from becalm.core.rows import EstimatedRows
 from becalm.core.verdict import Verdict
 from becalm.report.envelope import Envelope, Means
 from becalm.report.gathering import WIDTH, ChannelGathering, Gathering
 from drawing import draw
 
 
-def told_of(signal: Floats, sigma: float = 0.5) -> Told:
+def told_of(signal: Floats, sigma: float = 0.5) -> EstimatedRows:
     rows = len(signal)
-    return Told(signal, np.full(rows, sigma), np.empty((0, rows)), np.zeros(rows, np.int8))
+    return EstimatedRows(signal, np.full(rows, sigma), np.empty((0, rows)), np.zeros(rows, np.int8))
 
 
 def arrays_of(held: object, seen: set[int]) -> int:

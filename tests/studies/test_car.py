@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from becalm.core.filtering import kalman_filter
+from becalm.core.filter.filtering import kalman_filter
 from becalm.metrics.truth import rms_error
 from becalm.noise.joint import tune_model
 from becalm.report.description import Curve, Figure

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from becalm.core.arrays import Floats
-from becalm.core.filtering import kalman_filter
+from becalm.core.filter.filtering import kalman_filter
 from becalm.studies.recordings import RECORDINGS
 from becalm.studies.sheets import NOT_DRAWN, draw
 from becalm.studies.strain import NOISES, SHOWN, SLOPE, Measured, Shown, Study, measure, ramps, records, simulate

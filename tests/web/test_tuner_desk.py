@@ -11,7 +11,7 @@ from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.recipe_parts import TimingRecipe
 from becalm.cleaning.steps import in_steps
 from becalm.cleaning.tuning import Found, explore, tune
-from becalm.core.likelihood import log_likelihood
+from becalm.core.filter.likelihood import log_likelihood
 from becalm.errors import RecipeError, UsageError
 from becalm.noise.choose import Choice
 from becalm.noise.likelihood import Evidence, Tuning

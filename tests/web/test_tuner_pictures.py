@@ -17,7 +17,7 @@ from becalm.cleaning.recipe import ChannelRecipe, Recipe
 from becalm.cleaning.steps import lag_in_rows
 from becalm.core.arrays import Floats
 from becalm.core.recording import Recording
-from becalm.core.told import Told
+from becalm.core.rows import EstimatedRows
 from becalm.core.verdict import Verdict
 from becalm.web.tuner import picture
 from becalm.web.tuner.picture import Clean, View, clean_of, raw_of, view_of
@@ -58,10 +58,10 @@ def lag_of(recipe: Recipe) -> int | None:
     return None if recipe.mode == "smoothed" else 0
 
 
-def told(case: Case, first: int, stop: int) -> Told:
+def told(case: Case, first: int, stop: int) -> EstimatedRows:
     run = Run(rows_of(case.recording), case.recipe.channel[0], lag_of(case.recipe))
     parts = list(run.told(first, stop))
-    return Told(*(np.concatenate(arrays, axis=-1) for arrays in zip(*parts, strict=True)))
+    return EstimatedRows(*(np.concatenate(arrays, axis=-1) for arrays in zip(*parts, strict=True)))
 
 
 @pytest.mark.parametrize("part", PARTS)

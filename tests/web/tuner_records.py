@@ -18,7 +18,7 @@ from becalm.cleaning.recipe_parts import (
 )
 from becalm.core.arrays import Floats
 from becalm.core.recording import Recording
-from becalm.core.timebase import Timebase
+from becalm.core.time.timebase import Timebase
 
 ROWS, RATE_HZ = 30_000, 1000.0
 

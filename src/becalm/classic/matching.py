@@ -38,7 +38,7 @@ def noise_gain(classic: Classic, cutoff: float) -> float:
 def lag(classic: Classic, cutoff: float) -> float:
     """Return how far the output trails, in samples: of a slow signal or of a step at half height, the longer delay.
 
-    That is how the lag of a Kalman filter is told, see `becalm.core.response.Response`.
+    That is how the lag of a Kalman filter is told, see `becalm.core.steady.response.Response`.
     """
     if not classic.causal:
         return 0.0

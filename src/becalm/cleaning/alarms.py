@@ -10,8 +10,8 @@ from becalm.cleaning.faults import FALSE_ALARMS_PER_HOUR
 from becalm.cleaning.judging import InnovationJudge
 from becalm.cleaning.recipe_parts import LimitsRecipe
 from becalm.core.arrays import Floats
-from becalm.core.cusum import SLACK
-from becalm.core.monitor import find_alarms
+from becalm.core.health.cusum import SLACK
+from becalm.core.health.monitor import find_alarms
 from becalm.native.scans import MOST_SIGMA
 from becalm.noise.excess import excess_error
 from becalm.noise.likelihood import Tuning

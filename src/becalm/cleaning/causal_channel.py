@@ -12,10 +12,9 @@ from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.steps import gate_of, in_steps
 from becalm.cleaning.uncertainty import lasting_std
 from becalm.core.arrays import Floats, input_of
-from becalm.core.channel import Channel, Estimates
-from becalm.core.channel_settings import Settings, Widening
-from becalm.core.rhythm import Rhythm, possible_steps
-from becalm.core.standing import Before
+from becalm.core.filter.channel import Channel, Estimates, History
+from becalm.core.filter.channel_settings import Settings, Widening
+from becalm.core.health.time_faults import TimeFaults, possible_steps
 
 
 def is_causal(recipe: ChannelRecipe, lag: int | None) -> bool:
@@ -49,7 +48,7 @@ class CausalChannel:
     def __init__(self, recipe: ChannelRecipe, step_s: float) -> None:
         self.settings = _settings(recipe, step_s)
         self.filter = Channel(self.settings)
-        self._rhythm, self._begun = Rhythm(self.settings.limits), False
+        self._rhythm, self._begun = TimeFaults(self.settings.limits), False
 
     def process(self, z: Floats, elapsed: Floats, *, states: bool = False) -> Estimates:
         """Process the next rows.
@@ -75,15 +74,15 @@ class CausalChannel:
         self._rhythm.write(timing, elapsed)
         return self.filter.process(z, elapsed, timing, states=states)
 
-    def begin_after(self, before: Before) -> None:
+    def begin_after(self, before: History) -> None:
         """Say, before the first row, what went before it."""
         self.filter.begin_after(before)
         self._begun = before.rows > 0
 
-    def standing(self) -> dict[str, Any]:
-        """Return only what later rows depend on; see `Channel.standing`."""
+    def comparable_state(self) -> dict[str, Any]:
+        """Return only what later rows depend on; see `Channel.comparable_state`."""
         offsets = self._rhythm.offsets
-        return self.filter.standing() | {"rhythm": offsets - offsets[-1]}
+        return self.filter.comparable_state() | {"rhythm": offsets - offsets[-1]}
 
     def state_dict(self) -> dict[str, Any]:
         """Return all that later rows depend on, as arrays."""

@@ -20,12 +20,12 @@ from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.report import ChannelReport
 from becalm.cleaning.uncertainty import Uncertainty
 from becalm.core.arrays import Floats
-from becalm.core.channel import log_densities, parts_of
-from becalm.core.monitor import InnovationMonitor
-from becalm.core.parted_flow import PartedFlow
-from becalm.core.rhythm import possible_steps
-from becalm.core.standing import Before, standing
-from becalm.core.told import Judge, Told
+from becalm.core.filter.channel import History, log_densities, parts_of
+from becalm.core.filter.restarting_flow import RestartingFlow
+from becalm.core.health.monitor import InnovationMonitor
+from becalm.core.health.time_faults import possible_steps
+from becalm.core.imm.comparable_state import comparable_state
+from becalm.core.rows import EstimatedRows, Judge
 from becalm.core.verdict import Verdict, counted
 from becalm.metrics.running import PIECE, Running
 from becalm.noise.choose import FEWEST_READINGS
@@ -34,11 +34,11 @@ from becalm.noise.choose import FEWEST_READINGS
 class Channel(Protocol):
     """What takes the rows of one channel, and gives clean ones back, perhaps later."""
 
-    def push(self, z: Floats, elapsed: Floats) -> list[Told]:
+    def push(self, z: Floats, elapsed: Floats) -> list[EstimatedRows]:
         """Take readings (B,) and the steps before them; return what is clean, in order."""
         ...
 
-    def finish(self) -> list[Told]:
+    def finish(self) -> list[EstimatedRows]:
         """Return the rest."""
         ...
 
@@ -46,7 +46,7 @@ class Channel(Protocol):
         """Say what was found, once finished."""
         ...
 
-    def begin_after(self, before: Before) -> None:
+    def begin_after(self, before: History) -> None:
         """Say what went before the rows that will be pushed."""
         ...
 
@@ -58,7 +58,7 @@ class Channel(Protocol):
         """Take over what `saved` returned."""
         ...
 
-    def standing(self) -> dict[str, Floats] | None:
+    def comparable_state(self) -> dict[str, Floats] | None:
         """Return what later rows depend on and nothing else, so that it can be compared; None where `saved` is."""
         ...
 
@@ -111,7 +111,7 @@ class MotionChannel(FilteredChannel):
         self._flow = self._runs.opened(self._look, split=split)
         self._holes = Holes(recipe.hole, self._own) if lag is None and recipe.hole else None
 
-    def push(self, z: Floats, elapsed: Floats) -> list[Told]:
+    def push(self, z: Floats, elapsed: Floats) -> list[EstimatedRows]:
         """Take readings (B,) and the steps before them; return what is clean, in order."""
         elapsed = possible_steps(elapsed)
         if self._timing is not None:
@@ -123,21 +123,21 @@ class MotionChannel(FilteredChannel):
         told = self._flow.push(usable, steps)
         return self._counted(told if self._holes is None else self._holes.bridged(told))
 
-    def finish(self) -> list[Told]:
+    def finish(self) -> list[EstimatedRows]:
         """Return the rest."""
         usable, steps = self.sensor.finish()
         self._sentinel.push(usable)
         told = [*self._flow.push(usable, steps), *self._flow.finish()]
         return self._counted(told if self._holes is None else [*self._holes.bridged(told), *self._holes.finish()])
 
-    def begin_after(self, before: Before) -> None:
+    def begin_after(self, before: History) -> None:
         """Say what went before the rows that will be pushed."""
         self._flow.begin_after(before.reading, before.readings, before.steps)
         self.sensor.begin_after(before)
 
     def saved(self) -> dict[str, Any] | None:
         """Return what later rows of a causal filter depend on, as arrays; None where rows wait, and of any other."""
-        held = self._flow.saved() if self._lag == 0 and isinstance(self._flow, PartedFlow) else None
+        held = self._flow.saved() if self._lag == 0 and isinstance(self._flow, RestartingFlow) else None
         if held is None:
             return None
         timing = {} if self._timing is None else self._timing.saved()
@@ -145,20 +145,25 @@ class MotionChannel(FilteredChannel):
 
     def restore(self, arrays: Mapping[str, Any]) -> None:
         """Take over what `saved` returned."""
-        assert isinstance(self._flow, PartedFlow), "nothing else is saved"
+        assert isinstance(self._flow, RestartingFlow), "nothing else is saved"
         self._flow.restore(arrays)
         self.sensor.restore(arrays)
         self._sentinel.restore(arrays)
         if self._timing is not None:
             self._timing.restore(arrays)
 
-    def standing(self) -> dict[str, Floats] | None:
+    def comparable_state(self) -> dict[str, Floats] | None:
         """Return what later rows depend on and nothing else, so that it can be compared; None where `saved` is."""
         held = self.saved()
         if held is None:
             return None
         timing = {} if self._timing is None else {"timing": held["timing_slopes"]}
-        return standing(held, self._runs.reach) | self.sensor.standing() | {"sentinel": held["sentinel"]} | timing
+        return (
+            comparable_state(held, self._runs.gap_limit)
+            | self.sensor.comparable_state()
+            | {"sentinel": held["sentinel"]}
+            | timing
+        )
 
     @property
     def surely_alive(self) -> bool:
@@ -199,7 +204,7 @@ class CausalMotion:
         self._uncertainty = Uncertainty(recipe.tuning_spread, recipe.calibration, recipe.limits)
         self._counts, self._rows = Counter[Verdict](), 0
 
-    def push(self, z: Floats, elapsed: Floats) -> list[Told]:
+    def push(self, z: Floats, elapsed: Floats) -> list[EstimatedRows]:
         """Take readings (B,) and the steps before them; return what is clean, in order."""
         found = self._channel.process(z, elapsed, states=self._split)
         for start in range(0, len(z), PIECE):
@@ -211,11 +216,11 @@ class CausalMotion:
         parts = parts_of(self._channel.settings.component, found) if self._split else found.told().parts
         return [found.told()._replace(parts=parts)]
 
-    def finish(self) -> list[Told]:
+    def finish(self) -> list[EstimatedRows]:
         """Return nothing: all was given back."""
         return []
 
-    def begin_after(self, before: Before) -> None:
+    def begin_after(self, before: History) -> None:
         """Say what went before the rows that will be pushed."""
         self._channel.begin_after(before)
         self._monitor.begin_after(before.readings, before.rows, before.steps)
@@ -230,9 +235,9 @@ class CausalMotion:
         self._channel.filter.forget_counts()
         self._monitor.restore(arrays)
 
-    def standing(self) -> dict[str, Any]:
+    def comparable_state(self) -> dict[str, Any]:
         """Return what later rows depend on and nothing else, so that it can be compared."""
-        return self._channel.standing()
+        return self._channel.comparable_state()
 
     @property
     def surely_alive(self) -> bool:
@@ -274,7 +279,7 @@ class UnchangedChannel:
         self._first: float | None = None
         self._varies = False
 
-    def push(self, z: Floats, elapsed: Floats) -> list[Told]:
+    def push(self, z: Floats, elapsed: Floats) -> list[EstimatedRows]:
         """Take readings (B,) and give them back."""
         readings, _ = self._sensor.push(z, elapsed)
         seen = readings[np.isfinite(readings)]
@@ -284,15 +289,15 @@ class UnchangedChannel:
             self._varies = self._varies or bool(np.any(seen != self._first))
         unknown = np.full(len(z), np.nan)
         parts = np.tile(readings, (int(self._split), 1))
-        told = self._sensor.named([Told(readings, unknown, parts, np.zeros(len(z), np.int8))])
+        told = self._sensor.named([EstimatedRows(readings, unknown, parts, np.zeros(len(z), np.int8))])
         self._counts.update(counted(told[0].verdicts))
         return told
 
-    def finish(self) -> list[Told]:
+    def finish(self) -> list[EstimatedRows]:
         """Return nothing: all was given back."""
         return []
 
-    def begin_after(self, before: Before) -> None:
+    def begin_after(self, before: History) -> None:
         """Say what went before the rows that will be pushed."""
         self._sensor.begin_after(before)
 
@@ -304,9 +309,9 @@ class UnchangedChannel:
         """Take over what `saved` returned."""
         self._sensor.restore(arrays)
 
-    def standing(self) -> dict[str, Floats]:
+    def comparable_state(self) -> dict[str, Floats]:
         """Return what verdicts of later rows depend on and nothing else, so that it can be compared."""
-        return self._sensor.standing()
+        return self._sensor.comparable_state()
 
     surely_alive = True
     """No filter is asked."""

@@ -16,8 +16,8 @@ from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.report import ChannelReport
 from becalm.cleaning.steps import lag_in_rows
 from becalm.core.arrays import Floats
-from becalm.core.standing import Before
-from becalm.core.told import Judge, Told
+from becalm.core.filter.channel import History
+from becalm.core.rows import EstimatedRows, Judge
 
 
 class Cleaner:
@@ -54,7 +54,7 @@ class Cleaner:
         self._sizes: deque[int] = deque()  # of pushes that were not answered yet
         self._pool = ThreadPoolExecutor(os.cpu_count())  # more would wait for each other at every small step
 
-    def push(self, columns: Sequence[Floats], elapsed: Floats) -> list[list[Told]]:
+    def push(self, columns: Sequence[Floats], elapsed: Floats) -> list[list[EstimatedRows]]:
         """Take the next rows of all channels.
 
         Parameters
@@ -73,11 +73,11 @@ class Cleaner:
         told = self._pool.map(lambda channel, z: channel.push(z, elapsed), self._channels, columns)
         return self._answers(list(told))
 
-    def finish(self) -> list[list[Told]]:
+    def finish(self) -> list[list[EstimatedRows]]:
         """Say that no more rows will come; answer the pushes that are left."""
         return self._answers(list(self._pool.map(lambda channel: channel.finish(), self._channels)))
 
-    def begin_after(self, before: Sequence[Before]) -> None:
+    def begin_after(self, before: Sequence[History]) -> None:
         """Say what went before the rows that will be pushed, of each channel: they begin amid a recording."""
         for channel, own in zip(self._channels, before, strict=True):
             channel.begin_after(own)
@@ -91,9 +91,9 @@ class Cleaner:
         for channel, own in zip(self._channels, arrays, strict=True):
             channel.restore(own)
 
-    def standing(self) -> list[dict[str, Floats]] | None:
+    def comparable_state(self) -> list[dict[str, Floats]] | None:
         """Return what later rows depend on and nothing else, of each channel; None where `saved` is."""
-        return _of_all([channel.standing() for channel in self._channels])
+        return _of_all([channel.comparable_state() for channel in self._channels])
 
     def surely_alive(self) -> list[bool]:
         """Say of each channel whether where its hops began does not matter: see `core.aliveness`."""
@@ -103,7 +103,7 @@ class Cleaner:
         """Say what was found for each channel, once finished."""
         return tuple(self._pool.map(lambda channel: channel.report(), self._channels))
 
-    def _answers(self, told: list[list[Told]]) -> list[list[Told]]:
+    def _answers(self, told: list[list[EstimatedRows]]) -> list[list[EstimatedRows]]:
         for rows, parts in zip(self._ready, told, strict=True):
             rows.add(parts)
         answers = []
@@ -133,26 +133,26 @@ class ReadyRows:
 
     def __init__(self) -> None:
         self.count = 0
-        self._parts: deque[Told] = deque()
+        self._parts: deque[EstimatedRows] = deque()
 
-    def add(self, parts: list[Told]) -> None:
+    def add(self, parts: list[EstimatedRows]) -> None:
         """Take what was told of the next rows."""
         self._parts.extend(parts)
         self.count += sum(len(part.signal) for part in parts)
 
-    def held(self) -> Told:
+    def held(self) -> EstimatedRows:
         """Return all rows that are held; they stay."""
         told = self.take(self.count)
         if len(told.signal):
             self.add([told])
         return told
 
-    def take(self, count: int) -> Told:
+    def take(self, count: int) -> EstimatedRows:
         """Return the first `count` rows; a part of that length as it is."""
-        taken: list[Told] = []
+        taken: list[EstimatedRows] = []
         self.count -= count
         while count or not taken:
-            part = self._parts.popleft() if self._parts else Told.nothing()
+            part = self._parts.popleft() if self._parts else EstimatedRows.nothing()
             if len(part.signal) > count:
                 self._parts.appendleft(part.rows(slice(count, None)))
                 part = part.rows(slice(count))
@@ -160,4 +160,4 @@ class ReadyRows:
             taken.append(part)
         if len(taken) == 1:
             return taken[0]
-        return Told(*(np.concatenate(arrays, axis=-1) for arrays in zip(*taken, strict=True)))
+        return EstimatedRows(*(np.concatenate(arrays, axis=-1) for arrays in zip(*taken, strict=True)))

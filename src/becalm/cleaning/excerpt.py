@@ -14,7 +14,7 @@ from becalm.cleaning.recipe_parts import LimitsRecipe
 from becalm.cleaning.slopes import TimingNoise
 from becalm.cleaning.uncertainty import Uncertainty
 from becalm.core.arrays import BLOCK, Codes, Floats, Integers
-from becalm.core.told import Told
+from becalm.core.rows import EstimatedRows
 from becalm.core.verdict import Verdict
 
 _PUSHED = 1 << 19
@@ -64,7 +64,9 @@ class ChannelRows:
             watch = SensorWatch(plain[0], self.step_s, shown=False, waits=waits)
             readings = np.concatenate([watch.push(self.z, self.elapsed)[0], watch.finish()[0]])
             nothing = np.empty(len(self.z))
-            (told,) = watch.named([Told(nothing, nothing, nothing[np.newaxis], np.zeros(len(self.z), np.int8))])
+            (told,) = watch.named(
+                [EstimatedRows(nothing, nothing, nothing[np.newaxis], np.zeros(len(self.z), np.int8))]
+            )
             found = Healthy(readings, told.verdicts, self._longest_gap(readings))
             self._healthy = {**({} if len(self._healthy) > 1 else self._healthy), plain: found}
         return found
@@ -134,7 +136,7 @@ class Run:
         """How many rows before those that are wanted are filtered, at the least; the record's length where all are."""
         return min(self._margin if self._bridges_all() else len(self._rows), len(self._rows))
 
-    def told(self, first: int, stop: int) -> Iterator[Told]:
+    def told(self, first: int, stop: int) -> Iterator[EstimatedRows]:
         """Give what is told of rows first to stop, in parts: the filter begins so much before them as it needs."""
         recipe, rows = self._recipe, self._rows
         begin, end = self._begun(first), self._ended(stop)
@@ -157,7 +159,7 @@ class Run:
                     before = self.healthy.verdicts[at - len(one.signal) :][wanted]
                     yield from self._widened(uncertainty, wider.rows(wanted), before)
 
-    def _widened(self, uncertainty: Uncertainty, told: Told, before: Codes) -> list[Told]:
+    def _widened(self, uncertainty: Uncertainty, told: EstimatedRows, before: Codes) -> list[EstimatedRows]:
         return uncertainty.widened([told._replace(verdicts=beside_filter(told.verdicts, before))])
 
     def _begun(self, first: int) -> int:
@@ -190,5 +192,5 @@ class Run:
 
     def _bridges_all(self) -> bool:
         """Whether the filter never starts anew within the record, wherever it begins."""
-        reach, gap = self.filter.reach, self.healthy.longest_gap
-        return bool(gap <= min(reach.longest, reach.spans * self._margin))
+        limit, gap = self.filter.gap_limit, self.healthy.longest_gap
+        return bool(gap <= min(limit.longest, limit.spans * self._margin))

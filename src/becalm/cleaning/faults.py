@@ -11,14 +11,14 @@ import numpy as np
 from becalm.cleaning.limits_entry import alarms_of, limits_of, written
 from becalm.cleaning.recipe_parts import LimitsRecipe
 from becalm.core.arrays import Codes, Floats
-from becalm.core.faults import Faults, Found, said
-from becalm.core.limits import Limits, find_limits, stuck_at_once
-from becalm.core.look_ahead import LookAhead
-from becalm.core.monitor import InnovationMonitor
-from becalm.core.noise_change import said_of_change
-from becalm.core.outliers import NO_OUTLIERS, beside_others
-from becalm.core.standing import Before
-from becalm.core.told import Told
+from becalm.core.filter.channel import History
+from becalm.core.health.faults import Faults, Found, said
+from becalm.core.health.limits import Limits, find_limits, stuck_at_once
+from becalm.core.health.look_ahead import LookAhead
+from becalm.core.health.monitor import InnovationMonitor
+from becalm.core.health.noise_change import said_of_change
+from becalm.core.health.outliers import NO_OUTLIERS, beside_others
+from becalm.core.rows import EstimatedRows
 from becalm.core.verdict import ADVICE, LOST, Verdict
 from becalm.native.scans import EVERY_REPEAT
 
@@ -233,7 +233,7 @@ class SensorWatch:
         self.rows += len(z)
         return np.where(LOST[verdicts], np.nan, z) if verdicts.any() else z
 
-    def begin_after(self, before: Before) -> None:
+    def begin_after(self, before: History) -> None:
         """Say what went before the rows that will come."""
         self._faults.begin_after(before.rows, before.steps, before.least, before.most)
         self.monitor.begin_after(before.readings, before.rows, before.steps)
@@ -248,7 +248,7 @@ class SensorWatch:
             alarms.append(self.monitor.push(normalised, elapsed))
         self._alarms = np.concatenate(alarms)
 
-    def named(self, told: list[Told]) -> list[Told]:
+    def named(self, told: list[EstimatedRows]) -> list[EstimatedRows]:
         """Return what a filter tells of the next rows, with what else became of their readings."""
         return [part._replace(verdicts=self._beside(part.verdicts)) for part in told]
 
@@ -264,9 +264,9 @@ class SensorWatch:
         self._verdicts, self._alarms = arrays["watch_verdicts"], arrays["watch_alarms"]
         self._elapsed = arrays["watch_elapsed"]
 
-    def standing(self) -> dict[str, Any]:
+    def comparable_state(self) -> dict[str, Any]:
         """Return what later verdicts depend on and nothing else, so that it can be compared."""
-        return self._faults.standing() | (self.monitor.standing() if self._shown else {})
+        return self._faults.comparable_state() | (self.monitor.comparable_state() if self._shown else {})
 
     def _beside(self, verdicts: Codes) -> Codes:
         rows = len(verdicts)

@@ -10,9 +10,9 @@ from becalm.cleaning.modes import modes_in_steps
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.report import ChannelReport, ModeReport
 from becalm.cleaning.steps import in_steps
-from becalm.core.components import Component
-from becalm.core.response import Response, describe
-from becalm.core.switching import Switching
+from becalm.core.imm.modes import InteractingModels
+from becalm.core.model.components import Component
+from becalm.core.steady.response import Response, describe
 from becalm.errors import ModelError
 from becalm.noise.independence import independence_steps
 from becalm.noise.likelihood import Tuning
@@ -54,7 +54,7 @@ def fixed_figures(tuning: Tuning, step_s: float, lag: int | None) -> Figures:
     return Figures(response.bandwidth_hz, response.lag_s, independent, noise_gain=gain)
 
 
-def mode_figures(switching: Switching, shares: dict[str, float], step_s: float, lag: int | None) -> Figures:
+def mode_figures(switching: InteractingModels, shares: dict[str, float], step_s: float, lag: int | None) -> Figures:
     """Describe each mode of a filter that switches, and say which share of the rows it was in force."""
     modes = {}
     for mode in switching.modes:

@@ -10,8 +10,8 @@ from becalm.cleaning.limits_entry import limits_of
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.slopes import TimingNoise
 from becalm.cleaning.uncertainty import Uncertainty
-from becalm.core.sentinel import Sentinel
-from becalm.core.told import Told
+from becalm.core.health.sentinel import Sentinel
+from becalm.core.rows import EstimatedRows
 from becalm.core.verdict import Verdict, counted
 
 
@@ -49,7 +49,7 @@ class FilteredChannel:
         timing = recipe.timing
         self._timing = None if timing is None else TimingNoise(timing, self._runs.noise_std, step_s)
 
-    def _counted(self, told: list[Told]) -> list[Told]:
+    def _counted(self, told: list[EstimatedRows]) -> list[EstimatedRows]:
         """Return what a filter tells, with what else became of readings, and sigma as wide as it has to be."""
         told = [self._sentinel.told(part) for part in self.sensor.named(told)]
         for part in told:

@@ -10,17 +10,17 @@ from becalm.cleaning.modes import modes_in_steps
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.steps import gate_of, in_steps
 from becalm.core.arrays import BLOCK
-from becalm.core.causal_flow import CausalFlow
-from becalm.core.lagged_flow import LaggedFlow
-from becalm.core.parted_flow import PartedFlow, PartialFlow
-from becalm.core.possible import largest_beside
-from becalm.core.reach import Reach, least_reach, reach_of
-from becalm.core.smoothed_flow import SmoothedFlow
-from becalm.core.steady import FORGOTTEN, rows_until
-from becalm.core.switching import Switching
-from becalm.core.switching_flow import SwitchingFlow
-from becalm.core.switching_lag import LaggedSwitchingFlow, rows_between
-from becalm.core.told import Judge
+from becalm.core.filter.causal_flow import CausalFlow
+from becalm.core.filter.fixed_lag_flow import FixedLagFlow
+from becalm.core.filter.gap_limit import GapLimit, gap_limit_of, least_gap_limit
+from becalm.core.filter.restarting_flow import PartialFlow, RestartingFlow
+from becalm.core.filter.smoothed_flow import SmoothedFlow
+from becalm.core.imm.fixed_lag_flow import FixedLagImmFlow, rows_between
+from becalm.core.imm.flow import ImmFlow
+from becalm.core.imm.modes import InteractingModels
+from becalm.core.model.magnitudes import largest_beside
+from becalm.core.rows import Judge
+from becalm.core.steady.steady_gain import FORGOTTEN, rows_until
 from becalm.noise.likelihood import Tuning
 
 
@@ -48,7 +48,7 @@ class Filter:
         What leaves spikes out.
     noise_std : float
         Of a reading, in unit; of a bank that of its calmest mode.
-    reach : Reach
+    gap_limit : GapLimit
         Which gaps it is carried across.
     largest : float
         Magnitude beyond which a value is no reading, in unit.
@@ -66,27 +66,29 @@ class Filter:
         self.lag = lag
         self.gate = None if recipe.gate is None else gate_of(recipe.gate, step_s)
         if self.modes is not None:
-            self.noise_variance, self.reach = self.modes.least_noise_variance, _reach_of_modes(self.modes)
+            self.noise_variance, self.gap_limit = self.modes.least_noise_variance, _reach_of_modes(self.modes)
             self.noise_std = float(np.sqrt(self.modes.modes[0].noise_variance))
         else:
             self.noise_variance, self.noise_std = self.tuning.noise_variance, recipe.motion.noise_std
-            self.reach = reach_of(self.tuning.component, self.noise_variance)
+            self.gap_limit = gap_limit_of(self.tuning.component, self.noise_variance)
         self.largest = largest_beside(self.noise_variance)
 
-    def opened(self, judge: Judge | None = None, *, split: bool = False) -> PartedFlow | SmoothedFlow | LaggedFlow:
+    def opened(
+        self, judge: Judge | None = None, *, split: bool = False
+    ) -> RestartingFlow | SmoothedFlow | FixedLagFlow:
         """Return it at the start of a record; a judge is shown its innovations, split tells its parts too.
 
         A causal filter without modes is a `CausalChannel`, or a `CausalFlow`.
         """
         if self.modes is not None:
-            return PartedFlow(partial(self._part, self.modes, judge, split), self.reach, self.largest)
+            return RestartingFlow(partial(self._part, self.modes, judge, split), self.gap_limit, self.largest)
         part, variance = self.tuning.component, self.noise_variance
         if self.lag is None:
             return SmoothedFlow(part, variance, judge=judge, split=split, gate=self.gate)
         assert self.lag, "a causal filter without modes is a `CausalChannel`"
-        return LaggedFlow(part, variance, lag=self.lag, judge=judge, split=split, gate=self.gate)
+        return FixedLagFlow(part, variance, lag=self.lag, judge=judge, split=split, gate=self.gate)
 
-    def alone(self) -> PartedFlow | SmoothedFlow | LaggedFlow | CausalFlow:
+    def alone(self) -> RestartingFlow | SmoothedFlow | FixedLagFlow | CausalFlow:
         """Return it at the start of a record, where nothing but its signal is asked for."""
         if self.lag == 0 and self.modes is None:
             return CausalFlow(self.tuning.component, self.noise_variance, self.gate)
@@ -105,12 +107,12 @@ class Filter:
         models = [one.component.to_model(1.0, one.noise_variance) for one in self.modes.modes]
         return max(rows_until(FORGOTTEN, model) for model in models)
 
-    def _part(self, modes: Switching, judge: Judge | None, split: bool) -> PartialFlow:
+    def _part(self, modes: InteractingModels, judge: Judge | None, split: bool) -> PartialFlow:
         if self.lag:
-            return LaggedSwitchingFlow(modes, lag=self.lag, judge=judge, split=split)
-        return SwitchingFlow(modes, causal=self.lag == 0, judge=judge, split=split)
+            return FixedLagImmFlow(modes, lag=self.lag, judge=judge, split=split)
+        return ImmFlow(modes, causal=self.lag == 0, judge=judge, split=split)
 
 
-def _reach_of_modes(modes: Switching) -> Reach:
+def _reach_of_modes(modes: InteractingModels) -> GapLimit:
     """Return which gaps a bank may be carried across."""
-    return least_reach([reach_of(mode.component, mode.noise_variance) for mode in modes.modes])
+    return least_gap_limit([gap_limit_of(mode.component, mode.noise_variance) for mode in modes.modes])

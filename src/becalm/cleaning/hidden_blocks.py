@@ -11,7 +11,7 @@ from becalm.cleaning.holes import across, has_reading, widening
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.recipe_parts import HoleRecipe
 from becalm.core.arrays import Booleans, Floats
-from becalm.core.told import Told
+from becalm.core.rows import EstimatedRows
 from becalm.core.verdict import LOST
 from becalm.noise.likelihood import Evidence
 
@@ -78,7 +78,7 @@ def _is_less(some: Floats, others: Floats, length: int) -> bool:
     return bool(less.mean() > less.std() / np.sqrt(count))
 
 
-def _hidden(recipe: ChannelRecipe, rows: Evidence, full: Told, step_s: float, length: int) -> Hidden:
+def _hidden(recipe: ChannelRecipe, rows: Evidence, full: EstimatedRows, step_s: float, length: int) -> Hidden:
     """Hide readings in blocks of one length, and tell them by all others; those that the filter left out are none."""
     hidden = hidden_rows(len(full.signal), length)
     told = _smoothed(recipe, np.where(hidden, np.nan, rows.z[:, 0]), rows.elapsed, step_s)
@@ -100,10 +100,10 @@ def hidden_rows(count: int, length: int) -> Booleans:
     return hidden
 
 
-def _smoothed(recipe: ChannelRecipe, z: Floats, elapsed: Floats, step_s: float) -> Told:
+def _smoothed(recipe: ChannelRecipe, z: Floats, elapsed: Floats, step_s: float) -> EstimatedRows:
     """Smooth readings (N,), NaN where they are hidden."""
     channel = open_channel(recipe, step_s, None)
-    return Told.joined([*channel.push(z, elapsed), *channel.finish()])
+    return EstimatedRows.joined([*channel.push(z, elapsed), *channel.finish()])
 
 
 def _growth(sigma: Floats, wider: Floats, left: float) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 
 from becalm.cleaning.recipe_parts import HoleRecipe
 from becalm.core.arrays import Booleans, Floats
-from becalm.core.told import Told
+from becalm.core.rows import EstimatedRows
 from becalm.core.verdict import LOST
 
 
@@ -37,7 +37,7 @@ class Row(NamedTuple):
 NO_ROW = Row(np.nan, np.nan, np.nan)
 
 
-def across(times: Floats, told: Told, used: Booleans, own_steps: float, before: Row = NO_ROW) -> Across:
+def across(times: Floats, told: EstimatedRows, used: Booleans, own_steps: float, before: Row = NO_ROW) -> Across:
     """Return what lies across the holes of a record.
 
     Parameters
@@ -84,7 +84,7 @@ class Holes:
         self._growth = [0.0, *(one.sigma_growth for one in in_order)]
         self._before, self._time = NO_ROW, 0.0
         self._times: list[Floats] = []
-        self._waiting: list[Told] = []
+        self._waiting: list[EstimatedRows] = []
 
     def push(self, elapsed: Floats) -> None:
         """Take the steps before rows that will be told, (B,)."""
@@ -92,19 +92,19 @@ class Holes:
         self._times.append(times)
         self._time = float(times[-1]) if len(times) else self._time
 
-    def bridged(self, told: Sequence[Told]) -> list[Told]:
+    def bridged(self, told: Sequence[EstimatedRows]) -> list[EstimatedRows]:
         """Return rows with what is told in holes; those of a hole that goes on wait."""
         self._waiting += told
-        rows = Told.joined(self._waiting)
+        rows = EstimatedRows.joined(self._waiting)
         ends = np.flatnonzero(has_reading(rows))
         return self._told(rows, int(ends[-1]) + 1) if len(ends) else []
 
-    def finish(self) -> list[Told]:
+    def finish(self) -> list[EstimatedRows]:
         """Return the rest."""
-        rows = Told.joined(self._waiting)
+        rows = EstimatedRows.joined(self._waiting)
         return self._told(rows, len(rows.signal)) if len(rows.signal) else []
 
-    def _told(self, rows: Told, count: int) -> list[Told]:
+    def _told(self, rows: EstimatedRows, count: int) -> list[EstimatedRows]:
         """Tell the first rows; the others wait on."""
         now, self._waiting = rows.rows(slice(count)), [rows.rows(slice(count, None))]
         times = np.concatenate(self._times)
@@ -116,7 +116,7 @@ class Holes:
             self._before = Row(float(times[last]), float(now.signal[last]), float(now.sigma[last]))
         return [now if used.all() else self._in_holes(now, used, hole)]
 
-    def _in_holes(self, rows: Told, used: Booleans, hole: Across) -> Told:
+    def _in_holes(self, rows: EstimatedRows, used: Booleans, hole: Across) -> EstimatedRows:
         length = np.log(np.maximum(np.nan_to_num(hole.missing, nan=np.inf), 1.0))
         fading, growth = (np.interp(length, self._lengths, of) for of in (self._fading, self._growth))
         wider = widening(rows.sigma, hole.edge)
@@ -127,7 +127,7 @@ class Holes:
         if len(parts):
             parts = parts.copy()
             parts[0] += signal - rows.signal
-        return Told(signal, sigma, parts, rows.verdicts)
+        return EstimatedRows(signal, sigma, parts, rows.verdicts)
 
 
 def widening(sigma: Floats, edge: Floats) -> Floats:
@@ -137,6 +137,6 @@ def widening(sigma: Floats, edge: Floats) -> Floats:
     return np.where((wider > 1.0) & np.isfinite(wider), wider, 1.0)
 
 
-def has_reading(rows: Told) -> Booleans:
+def has_reading(rows: EstimatedRows) -> Booleans:
     """Return which rows have a reading that entered, and an estimate (N,)."""
     return ~LOST[rows.verdicts] & np.isfinite(rows.signal)

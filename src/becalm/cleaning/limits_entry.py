@@ -6,11 +6,11 @@ import numpy as np
 
 from becalm.cleaning.recipe_parts import LimitsRecipe
 from becalm.core.arrays import Floats
-from becalm.core.clock import GAP_STEPS
-from becalm.core.limits import Limits
-from becalm.core.monitor import NEVER, Alarms
-from becalm.core.outliers import Outliers
-from becalm.core.quantisation import rounding_left
+from becalm.core.health.limits import Limits
+from becalm.core.health.monitor import NEVER, Alarms
+from becalm.core.health.outliers import Outliers
+from becalm.core.health.quantisation import rounding_left
+from becalm.core.time.clock import GAP_STEPS
 from becalm.core.verdict import BEYOND_ANY_SENSOR
 from becalm.noise.independence import independence_steps
 from becalm.noise.likelihood import Tuning

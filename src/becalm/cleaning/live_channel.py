@@ -13,12 +13,12 @@ from becalm.cleaning.faults import SensorWatch
 from becalm.cleaning.filtered import FilteredChannel
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.core.arrays import Floats
-from becalm.core.lagged_flow import LaggedFlow
-from becalm.core.live_parted import LiveFlow, LiveParted
-from becalm.core.switching import Switching
-from becalm.core.switching_flow import SwitchingFlow
-from becalm.core.switching_lag import LaggedSwitchingFlow
-from becalm.core.told import Told
+from becalm.core.filter.fixed_lag_flow import FixedLagFlow
+from becalm.core.filter.live_restarting import LiveFlow, LiveRestarting
+from becalm.core.imm.fixed_lag_flow import FixedLagImmFlow
+from becalm.core.imm.flow import ImmFlow
+from becalm.core.imm.modes import InteractingModels
+from becalm.core.rows import EstimatedRows
 from becalm.core.verdict import Verdict, counted
 from becalm.native.scans import HOP
 
@@ -31,11 +31,11 @@ class LiveChannel(Protocol):
 
     sensor: SensorWatch
 
-    def push(self, z: Floats, elapsed: Floats) -> list[Told]:
+    def push(self, z: Floats, elapsed: Floats) -> list[EstimatedRows]:
         """Take readings (B,) and the steps before them; return what is clean, in order."""
         ...
 
-    def finish(self) -> list[Told]:
+    def finish(self) -> list[EstimatedRows]:
         """Return the rest; only a snapshot taken before brings the channel back."""
         ...
 
@@ -57,17 +57,17 @@ class LiveMotion(FilteredChannel):
         self._flow: LiveFlow
         if runs.modes is None:
             part, variance = runs.tuning.component, runs.noise_variance
-            self._flow = LaggedFlow(part, variance, lag=lag, judge=look, gate=runs.gate)
+            self._flow = FixedLagFlow(part, variance, lag=lag, judge=look, gate=runs.gate)
         else:
-            self._flow = LiveParted(partial(self._opened, runs.modes), runs.reach, runs.largest)
+            self._flow = LiveRestarting(partial(self._opened, runs.modes), runs.gap_limit, runs.largest)
 
-    def _opened(self, modes: Switching) -> LiveFlow:
+    def _opened(self, modes: InteractingModels) -> LiveFlow:
         lag, look = self._runs.lag, self.sensor.look
         if lag:
-            return LaggedSwitchingFlow(modes, lag=lag, judge=look, tells_modes=True)
-        return SwitchingFlow(modes, causal=True, judge=look, tells_modes=True)
+            return FixedLagImmFlow(modes, lag=lag, judge=look, tells_modes=True)
+        return ImmFlow(modes, causal=True, judge=look, tells_modes=True)
 
-    def push(self, z: Floats, elapsed: Floats) -> list[Told]:
+    def push(self, z: Floats, elapsed: Floats) -> list[EstimatedRows]:
         """Take readings (B,) and the steps before them; return what is clean, in order."""
         if self._timing is not None:
             self._timing.push(elapsed)
@@ -76,11 +76,11 @@ class LiveMotion(FilteredChannel):
         steps = np.round(elapsed) if self._runs.tuning.component.goes_in_steps else elapsed
         return self._counted(self._flow.push(usable, steps))
 
-    def finish(self) -> list[Told]:
+    def finish(self) -> list[EstimatedRows]:
         """Return the rest; only a snapshot taken before brings the channel back."""
         return self._counted(self._flow.finish())
 
-    def _counted(self, told: list[Told]) -> list[Told]:
+    def _counted(self, told: list[EstimatedRows]) -> list[EstimatedRows]:
         return super()._counted([part for part in told if len(part.signal)])
 
     def saved(self) -> dict[str, Any]:
@@ -105,15 +105,15 @@ class LiveUnchanged:
     def __init__(self, recipe: ChannelRecipe, step_s: float) -> None:
         self.sensor, self.counts = SensorWatch(recipe.limits, step_s, shown=False), Counter[Verdict]()
 
-    def push(self, z: Floats, elapsed: Floats) -> list[Told]:
+    def push(self, z: Floats, elapsed: Floats) -> list[EstimatedRows]:
         """Take readings (B,) and give them back."""
         (readings, _), count = self.sensor.push(z, elapsed), len(z)
-        nothing = Told(readings, np.full(count, np.nan), np.empty((0, count)), np.zeros(count, np.int8))
+        nothing = EstimatedRows(readings, np.full(count, np.nan), np.empty((0, count)), np.zeros(count, np.int8))
         told = self.sensor.named([nothing])
         self.counts.update(counted(told[0].verdicts))
         return told
 
-    def finish(self) -> list[Told]:
+    def finish(self) -> list[EstimatedRows]:
         """Return nothing: all was given back."""
         return []
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from becalm.cleaning.recipe_modes import ModeRecipe, SwitchingRecipe
-from becalm.core.components import LEVEL_RATE, Component, motion, returning_motion, with_walking_level
-from becalm.core.switching import Mode, Switching
+from becalm.core.imm.modes import InteractingModels, Mode
+from becalm.core.model.components import LEVEL_RATE, Component, motion, returning_motion, with_walking_level
 from becalm.errors import ModelError, RecipeError
 from becalm.noise.banks import Kind
 from becalm.noise.likelihood import Tuning
@@ -15,7 +15,7 @@ _LEAST, _GREATEST = 1e-250, 1e250  # of variances, unit^2: beyond, their product
 _GREATEST_RATIO = 1e30  # of q/r: beyond, what is known of a state is lost to rounding
 
 
-def modes_in_seconds(kind: Kind, bank: Switching, step_s: float) -> SwitchingRecipe:
+def modes_in_seconds(kind: Kind, bank: InteractingModels, step_s: float) -> SwitchingRecipe:
     """Return the modes of a channel, in steps of so many seconds, as its recipe tells them."""
     return SwitchingRecipe(
         kind=kind,
@@ -25,7 +25,7 @@ def modes_in_seconds(kind: Kind, bank: Switching, step_s: float) -> SwitchingRec
     )
 
 
-def modes_in_steps(told: SwitchingRecipe, tuning: Tuning, step_s: float) -> Switching:
+def modes_in_steps(told: SwitchingRecipe, tuning: Tuning, step_s: float) -> InteractingModels:
     """Return the modes of a recipe in steps.
 
     Parameters
@@ -45,7 +45,7 @@ def modes_in_steps(told: SwitchingRecipe, tuning: Tuning, step_s: float) -> Swit
     try:
         with np.errstate(all="ignore"):
             modes = tuple(_mode_in_steps(mode, tuning, step_s) for mode in told.mode)
-            return Switching(modes, float(np.float64(told.wild_std) ** 2), told.rejects)
+            return InteractingModels(modes, float(np.float64(told.wild_std) ** 2), told.rejects)
     except ModelError as cause:
         raise RecipeError(f"The recipe's modes make no filter at {1 / step_s:.6g} Hz: {cause}") from cause
 

@@ -10,7 +10,7 @@ import numpy as np
 from becalm.cleaning.allan_figures import AllanNoise, allan_noise
 from becalm.core.arrays import Floats
 from becalm.core.recording import Recording
-from becalm.core.timebase import GAP_STEPS
+from becalm.core.time.timebase import GAP_STEPS
 from becalm.core.verdict import BEYOND_ANY_SENSOR
 from becalm.errors import RecordingError, UsageError
 from becalm.noise.allan import allan_deviation

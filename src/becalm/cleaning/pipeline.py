@@ -13,7 +13,7 @@ from becalm.cleaning.report import ChannelReport
 from becalm.cleaning.tuning import Wishes, listed, refuse_causal_lag, refuse_empty, tune
 from becalm.core.arrays import Codes
 from becalm.core.recording import Recording
-from becalm.core.told import Told
+from becalm.core.rows import EstimatedRows
 from becalm.errors import RecipeError
 
 
@@ -109,7 +109,7 @@ def clean(  # noqa: PLR0913  (what is wanted, each by its name)
     )
 
 
-def _parts(recording: Recording, recipe: Recipe, told: Sequence[Told]) -> Recording:
+def _parts(recording: Recording, recipe: Recipe, told: Sequence[EstimatedRows]) -> Recording:
     """Lay out the parts of each channel, as channels of their own."""
     names = [(channel.name, part) for channel in recipe.channel for part in channel.parts]
     units = dict(zip(recording.names, recording.units, strict=True))

@@ -6,7 +6,7 @@ from typing import Annotated, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from becalm.core.clock import GAP_STEPS
+from becalm.core.time.clock import GAP_STEPS
 from becalm.core.verdict import AGREE, AT_MOST
 
 # Strict: neither true nor "1.0" is a number.

@@ -8,7 +8,7 @@ import numpy as np
 
 from becalm.cleaning.recipe_parts import TimingRecipe
 from becalm.core.arrays import Floats
-from becalm.core.told import Told
+from becalm.core.rows import EstimatedRows
 
 _WORTH_SAYING = 0.001
 
@@ -77,7 +77,7 @@ class TimingNoise:
         """Take the steps before rows that will be told, (B,)."""
         self._elapsed.append(elapsed)
 
-    def widened(self, told: Told) -> Told:
+    def widened(self, told: EstimatedRows) -> EstimatedRows:
         """Return rows with the sigma that they have."""
         slopes = self._slopes.of(told.signal, self._taken(len(told.signal)))
         more = (slopes * self._timing.std_s) ** 2 - self._timing.included_std**2

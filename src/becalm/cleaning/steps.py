@@ -10,9 +10,9 @@ import numpy as np
 
 from becalm.cleaning.recipe import ChannelRecipe, TunedMotion
 from becalm.cleaning.recipe_parts import ColouredNoiseRecipe, GateRecipe, ToneRecipe
-from becalm.core.autoregressive import Coloured
-from becalm.core.gates import Gate, threshold_for
-from becalm.core.lags import LONGEST_LAG
+from becalm.core.filter.gate import Gate, threshold_for
+from becalm.core.filter.lag import LONGEST_LAG
+from becalm.core.model.autoregressive import Coloured
 from becalm.errors import ModelError, RecipeError, UsageError
 from becalm.noise.likelihood import Tuning
 from becalm.noise.spectrum import Line

@@ -21,7 +21,7 @@ from becalm.cleaning.steps import lag_in_rows
 from becalm.cleaning.stream_modes import NO_MODES, modes_in, modes_of, with_modes
 from becalm.core.arrays import Codes, Floats, input_of
 from becalm.core.packing import packed, unpacked
-from becalm.core.told import Told
+from becalm.core.rows import EstimatedRows
 from becalm.core.verdict import Verdict
 from becalm.errors import ModelError, RecipeError
 
@@ -202,7 +202,7 @@ class StreamCleaner:
         for c, channel in self._apart.items():
             channel.restore(_under(f"channel{c}.", arrays))
             if self.lag_rows:
-                waiting = Told(**_under(f"ready{c}.", arrays))
+                waiting = EstimatedRows(**_under(f"ready{c}.", arrays))
                 self._ready[c].add(with_modes(waiting, self._modes[c]))
 
     def _checked(self, values: Floats, elapsed: Floats) -> tuple[Floats, Floats]:
@@ -220,7 +220,7 @@ class StreamCleaner:
             raise ModelError(f"elapsed has {elapsed[~(elapsed >= 0.0)][0]:.6g} steps; time only goes on: 0 or more.")
         return values, np.minimum(elapsed, _LONGEST)
 
-    def _answer(self, causal: Mapping[int, Told]) -> Streamed:
+    def _answer(self, causal: Mapping[int, EstimatedRows]) -> Streamed:
         """Return what is ready of all channels, given what is told of those that wait for nothing."""
         found = dict(causal)
         if self._apart:

@@ -8,7 +8,7 @@ import numpy as np
 
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.core.arrays import Floats
-from becalm.core.told import Told
+from becalm.core.rows import EstimatedRows
 
 NO_MODES: Floats = np.empty((0, 0))
 """What is told where no channel switches, of any number of rows."""
@@ -19,13 +19,13 @@ def modes_in(channel: ChannelRecipe) -> int:
     return 0 if channel.switching is None or channel.motion is None else len(channel.switching.mode)
 
 
-def with_modes(told: Told, modes: int) -> list[Told]:
+def with_modes(told: EstimatedRows, modes: int) -> list[EstimatedRows]:
     """Return rows that wait with so many modes, if any wait; of those that an older becalm kept none is known."""
     unknown = np.full((modes, len(told.signal)), np.nan)
     return [told if len(told.parts) == modes else told._replace(parts=unknown)] if len(told.signal) else []
 
 
-def modes_of(told: Mapping[int, Told], modes: Sequence[int]) -> Floats:
+def modes_of(told: Mapping[int, EstimatedRows], modes: Sequence[int]) -> Floats:
     """Return (R, K) of rows of channels that have so many modes each; no channel is no row."""
     if not any(modes):
         return NO_MODES

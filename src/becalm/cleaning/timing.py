@@ -17,7 +17,7 @@ from becalm.cleaning.recipe_parts import TimingRecipe
 from becalm.cleaning.slopes import Slopes
 from becalm.core.arrays import Floats
 from becalm.core.recording import Recording
-from becalm.core.timebase import Timebase
+from becalm.core.time.timebase import Timebase
 
 _WORTH = 0.01  # of a step: a smaller rounding of stamps is not
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from becalm.cleaning.recipe_parts import CalibrationRecipe, LimitsRecipe
 from becalm.core.arrays import Floats
-from becalm.core.told import Told
+from becalm.core.rows import EstimatedRows
 
 
 class Uncertainty:
@@ -37,7 +37,7 @@ class Uncertainty:
         self._lasting = lasting_std(calibration, limits)
         self._magnitudes, self._rows = 0.0, 0
 
-    def widened(self, told: Sequence[Told]) -> list[Told]:
+    def widened(self, told: Sequence[EstimatedRows]) -> list[EstimatedRows]:
         """Return rows with their whole uncertainty."""
         if self._factor == 1.0 and self._lasting is None:
             return list(told)
@@ -57,7 +57,7 @@ class Uncertainty:
             seen = np.abs(signal[np.isfinite(signal)])
             self._magnitudes, self._rows = self._magnitudes + float(seen.sum()), self._rows + len(seen)
 
-    def _widened(self, told: Told) -> Told:
+    def _widened(self, told: EstimatedRows) -> EstimatedRows:
         sigma = self._factor * told.sigma
         self.see(told.signal)
         if self._lasting is not None:

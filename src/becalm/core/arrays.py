@@ -12,6 +12,7 @@ Integers = NDArray[np.int64]
 Number = TypeVar("Number", np.float64, np.int64)
 Booleans = NDArray[np.bool_]
 Codes = NDArray[np.int8]
+Complexes = NDArray[np.complex128]
 
 BLOCK = 256
 """Rows a block, at whose multiples a run over a part of a record has to begin."""

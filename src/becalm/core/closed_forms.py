@@ -13,8 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from becalm.core.arrays import Floats, frozen
-from becalm.core.steady_filter import Complexes
+from becalm.core.arrays import Complexes, Floats, frozen
 
 _FINE = 0.05  # between logarithms of frequencies
 _FOLDS = 16  # frequencies on each side

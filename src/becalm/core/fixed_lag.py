@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from becalm.core.arrays import Floats
-from becalm.core.filtering import checked_readings, kalman_filter
-from becalm.core.lags import checked_lag
-from becalm.core.model import Model
+from becalm.core.filter.filtering import checked_readings, kalman_filter
+from becalm.core.filter.lag import checked_lag
+from becalm.core.model.model import Model
 from becalm.core.online import Online
 
 

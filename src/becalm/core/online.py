@@ -13,15 +13,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from becalm.core.arrays import Codes, Floats
-from becalm.core.filtering import checked_readings
-from becalm.core.gates import Gate
-from becalm.core.lags import checked_lag
-from becalm.core.live_switching import LiveSwitching
-from becalm.core.live_switching_lag import new_live_switching, saved_switching
-from becalm.core.model import Model
-from becalm.core.online_channel import OnlineChannel
-from becalm.core.online_several import OnlineSeveral
-from becalm.core.switching import Switching
+from becalm.core.filter.filtering import checked_readings
+from becalm.core.filter.gate import Gate
+from becalm.core.filter.lag import checked_lag
+from becalm.core.filter.online_channel import OnlineChannel
+from becalm.core.filter.online_multivariate import OnlineMultivariate
+from becalm.core.imm.live import LiveImm
+from becalm.core.imm.live_fixed_lag import new_live_imm, restored_imm
+from becalm.core.imm.modes import InteractingModels
+from becalm.core.model.model import Model
 from becalm.core.verdict import Verdict
 from becalm.errors import ModelError
 
@@ -51,17 +51,17 @@ class Online:
         and more than one channel, or a gate and modes to switch between.
     """
 
-    def __init__(self, model: Model | Switching | LiveSwitching, lag: int = 0, gate: Gate | None = None) -> None:
+    def __init__(self, model: Model | InteractingModels | LiveImm, lag: int = 0, gate: Gate | None = None) -> None:
         lag = checked_lag(lag)
-        self._runs: LiveSwitching | OnlineChannel | OnlineSeveral
+        self._runs: LiveImm | OnlineChannel | OnlineMultivariate
         if not isinstance(model, Model):
             if gate is not None:
                 raise ModelError("A filter that switches tells wild readings by its modes; leave the gate out.")
-            self._runs = new_live_switching(model, lag) if isinstance(model, Switching) else model
+            self._runs = new_live_imm(model, lag) if isinstance(model, InteractingModels) else model
         elif model.channels == 1:
             self._runs = OnlineChannel(model, lag, gate)
         elif gate is None:
-            self._runs = OnlineSeveral(model, lag)
+            self._runs = OnlineMultivariate(model, lag)
         else:
             raise ModelError(f"A gate judges one channel; this model has {model.channels}. Leave the gate out.")
         self.model, self._lag, self._gate = self._runs.model, lag, gate
@@ -110,7 +110,7 @@ class Online:
     @property
     def modes(self) -> dict[str, float]:
         """How probable each mode is after the last reading, of a filter that switches; otherwise empty."""
-        return self._runs.modes if isinstance(self._runs, LiveSwitching) else {}
+        return self._runs.modes if isinstance(self._runs, LiveImm) else {}
 
     @property
     def verdicts(self) -> Codes | None:
@@ -173,8 +173,8 @@ class Online:
         if "gate" in arrays:
             threshold, agree, at_most = arrays["gate"].tolist()
             gate = Gate(threshold, int(agree), int(at_most))
-        bank = saved_switching(model, arrays)
+        bank = restored_imm(model, arrays)
         online = cls(bank or model, int(arrays["lag"]), gate)
-        if not isinstance(online._runs, LiveSwitching):
+        if not isinstance(online._runs, LiveImm):
             online._runs.restore(arrays)
         return online

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from becalm.core.arrays import Floats, frozen, real
-from becalm.core.timebase import Timebase
+from becalm.core.time.timebase import Timebase
 from becalm.errors import RecordingError
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from becalm.cleaning.recipe import ChannelRecipe, Recipe
 from becalm.core.arrays import Floats
-from becalm.core.itself import version
+from becalm.core.installation import version
 from becalm.errors import RecipeError, UsageError
 from becalm.export.channel.kind import Sizes, WholeChannel
 from becalm.export.channel.sources import OWN_NAMES, sources_of

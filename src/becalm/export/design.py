@@ -15,17 +15,17 @@ from becalm.cleaning.filters import Filter
 from becalm.cleaning.limits_entry import limits_of
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.core.arrays import Floats
-from becalm.core.covariances import covariance_ahead
-from becalm.core.gains import Opening, open_at
-from becalm.core.gates import Gate
-from becalm.core.limits import Limits
-from becalm.core.model import Model
-from becalm.core.parts import Component
-from becalm.core.possible import largest_beside
-from becalm.core.response import Response, describe
-from becalm.core.steady import rows_until, steady
-from becalm.core.steady_filter import SteadyFilter
-from becalm.core.switching import Switching
+from becalm.core.filter.gate import Gate
+from becalm.core.health.limits import Limits
+from becalm.core.imm.modes import InteractingModels
+from becalm.core.model.covariances import covariance_ahead
+from becalm.core.model.magnitudes import largest_beside
+from becalm.core.model.model import Model
+from becalm.core.model.parts import Component
+from becalm.core.steady.opening_gains import Opening, open_at
+from becalm.core.steady.response import Response, describe
+from becalm.core.steady.steady_filter import SteadyFilter
+from becalm.core.steady.steady_gain import rows_until, steady
 from becalm.errors import ModelError
 
 NOT_IN_C = ("outlier_distance", "causal_outlier_distance", "blank", "plausible_low", "plausible_high")
@@ -67,7 +67,7 @@ class Design:
     model: Model
     limits: Limits
     gate: Gate | None
-    modes: Switching | None
+    modes: InteractingModels | None
     longest_gap: int
 
     @property
@@ -206,5 +206,5 @@ def design_of(recipe: ChannelRecipe, step_s: float) -> Design | None:
         limits_of(recipe.limits),
         runs.gate,
         runs.modes,
-        int(min(runs.reach.longest, _COUNTABLE)),
+        int(min(runs.gap_limit.longest, _COUNTABLE)),
     )

@@ -11,7 +11,7 @@ import numpy as np
 
 from becalm.cleaning.recipe import Recipe
 from becalm.core.arrays import Floats
-from becalm.core.itself import version
+from becalm.core.installation import version
 from becalm.errors import RecipeError
 from becalm.export.bundle import chosen
 from becalm.export.design import Design

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Floats, Integers
-from becalm.core.covariances import covariance_ahead, gain_before
-from becalm.core.gains import Leap, gains_after, leap_of
+from becalm.core.model.covariances import covariance_ahead, gain_before
+from becalm.core.steady.opening_gains import Leap, gains_after, leap_of
 from becalm.errors import RecipeError
 from becalm.export.design import Design, spread_of
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.core.covariances import covariance_ahead, gain_before
+from becalm.core.model.covariances import covariance_ahead, gain_before
 from becalm.errors import RecipeError
 from becalm.export.design import Design, spread_of
 from becalm.export.number_type import NumberType

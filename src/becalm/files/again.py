@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 
 from becalm.core.arrays import Floats
-from becalm.core.clock import Clock
+from becalm.core.time.clock import Clock
 from becalm.files.chunk import Chunk
 from becalm.files.opening import OpenSource
 from becalm.files.rows import rebatched

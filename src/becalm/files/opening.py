@@ -14,9 +14,9 @@ import numpy as np
 import pyarrow as pa
 
 from becalm.core.arrays import Floats
-from becalm.core.clock import Clock
 from becalm.core.recording import Recording
-from becalm.core.timebase import Timebase
+from becalm.core.time.clock import Clock
+from becalm.core.time.timebase import Timebase
 from becalm.errors import InputError, TimeError
 from becalm.files.asked import ReadOptions, refuse_impossible
 from becalm.files.choosing import chosen_table

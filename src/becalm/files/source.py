@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 
 import pyarrow as pa
 
-from becalm.core.clock import Clock
 from becalm.core.recording import Recording
+from becalm.core.time.clock import Clock
 from becalm.files.identity import Original
 from becalm.files.rows import Rows, block_rows, rebatched
 from becalm.sensors.record import Calibration

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from becalm.cleaning.recipe import ChannelRecipe, Recipe
     from becalm.cleaning.report import ChannelReport
     from becalm.core.arrays import Floats
-    from becalm.core.clock import Clock
-    from becalm.core.told import Judge, Told
+    from becalm.core.rows import EstimatedRows, Judge
+    from becalm.core.time.clock import Clock
     from becalm.files.chunk import Chunk
     from becalm.files.opening import OpenSource
 
@@ -38,7 +38,7 @@ class Gathering(Protocol):
         """One a channel, which is given its innovations and their standard deviations."""
         ...
 
-    def add(self, columns: Sequence[Floats], elapsed: Floats, told: Sequence[Told]) -> None:
+    def add(self, columns: Sequence[Floats], elapsed: Floats, told: Sequence[EstimatedRows]) -> None:
         """Take some rows of all channels, and what was told of them."""
         ...
 
@@ -102,7 +102,7 @@ class Answer(NamedTuple):
     """A chunk of rows that is clean."""
 
     chunk: Chunk
-    told: list[Told]  # of each channel
+    told: list[EstimatedRows]  # of each channel
 
     def output(self, recipe: Recipe, *, verdicts: bool = False) -> pa.Table:
         """Return its table with clean channels; with verdicts, what became of each reading too."""
@@ -114,7 +114,7 @@ def answered(cleaner: Cleaner, recipe: Recipe, chunks: Iterable[Chunk], *, ends:
     """Give each chunk of rows as soon as it is clean; unless they are the last, what waits for later ones stays."""
     waiting: deque[Chunk] = deque()
 
-    def ready(told: list[list[Told]]) -> Iterator[Answer]:
+    def ready(told: list[list[EstimatedRows]]) -> Iterator[Answer]:
         return (Answer(waiting.popleft(), channels) for channels in told)
 
     for chunk in chunks:
@@ -136,7 +136,7 @@ class _Behind:
         self._gathering, self._pool = gathering, ThreadPoolExecutor(1)
         self._last: Future[None] | None = None
 
-    def add(self, columns: list[Floats], elapsed: Floats, told: list[Told]) -> None:
+    def add(self, columns: list[Floats], elapsed: Floats, told: list[EstimatedRows]) -> None:
         """Gather some rows, once those before them are."""
         self._wait()
         self._last = self._pool.submit(self._gathering.add, columns, elapsed, told)
@@ -158,6 +158,6 @@ class _Behind:
             self._wait()
 
 
-def _clean_channel(channel: ChannelRecipe, told: Told, verdicts: bool) -> CleanChannel:
+def _clean_channel(channel: ChannelRecipe, told: EstimatedRows, verdicts: bool) -> CleanChannel:
     parts = {part: np.ascontiguousarray(values) for part, values in zip(channel.parts, told.parts, strict=False)}
     return CleanChannel(told.signal, told.sigma, channel.unit, parts, told.verdicts if verdicts else None)

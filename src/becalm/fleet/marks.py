@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from becalm.core.itself import version
+from becalm.core.installation import version
 from becalm.errors import InputError
 from becalm.files.lake.marks import FILES
 from becalm.files.plain import write_text

@@ -10,9 +10,9 @@ import numpy as np
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.tuning import Wishes, tune
 from becalm.core.arrays import Floats, Integers
-from becalm.core.clock import last_digit
 from becalm.core.recording import Recording
-from becalm.core.timebase import Timebase
+from becalm.core.time.clock import last_digit
+from becalm.core.time.timebase import Timebase
 from becalm.errors import InputError, TimeError
 from becalm.live.address import advising_addresses
 from becalm.live.block import Block

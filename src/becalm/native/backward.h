@@ -1,4 +1,4 @@
-/* What later rows say of a row of one channel. Equations are numbered as in core/reference.py. */
+/* What later rows say of a row of one channel. Equations are numbered as in core/reference/kalman.py. */
 #ifndef BECALM_BACKWARD_H
 #define BECALM_BACKWARD_H
 

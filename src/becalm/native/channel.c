@@ -3,7 +3,7 @@
    A block passes three times: its measurements are judged, filtered, and their innovations watched. No pass knows what
    is in the block but by its rows, so that a stream gives the same bits wherever it is cut.
 
-   Equations are numbered as in core/reference.py. */
+   Equations are numbered as in core/reference/kalman.py. */
 #include <string.h>
 
 #include "sensor.h"

@@ -1,6 +1,6 @@
 /* The filter of one channel: rows whose measurements were judged, and whose starts were found.
 
-   Equations are numbered as in core/reference.py. */
+   Equations are numbered as in core/reference/kalman.py. */
 #include "filter.h"
 
 #include <string.h>

@@ -2,7 +2,7 @@
 
    Rows that wait are filtered again from the state before them when later ones come, so that this state is all that is
    kept. While one gain holds, what later rows say is a weighted sum of their innovations. Equations are numbered as in
-   core/reference.py. */
+   core/reference/kalman.py. */
 #include "backward.h"
 #include "gap.h"
 

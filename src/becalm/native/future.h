@@ -1,5 +1,5 @@
 /* What later rows say of a state (Bryson and Frazier 1963, Bierman 1973), and where that alone keeps its digits: the same
-   of one channel and of several. Equations are numbered as in core/reference.py. */
+   of one channel and of several. Equations are numbered as in core/reference/kalman.py. */
 #ifndef BECALM_FUTURE_H
 #define BECALM_FUTURE_H
 

@@ -1,7 +1,7 @@
 /* Several modes, one of which is in force at a time: interacting multiple models (IMM).
 
    Every mode j is a model of its own of the same n states, x' = F_j x + w_j, z = h x + v_j. Equations are numbered as in
-   core/switching_reference.py. Times are in steps, values in the channel's unit. */
+   core/reference/imm.py. Times are in steps, values in the channel's unit. */
 #ifndef BECALM_IMM_H
 #define BECALM_IMM_H
 

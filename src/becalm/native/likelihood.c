@@ -1,5 +1,5 @@
 /* The likelihood of a record and nothing else: what tuning asks for, dozens of times a channel. Source: Schweppe, IEEE
-   TIT-11 (1965) 61; equation (8) of core/reference.py. No logarithm is needed: what it is taken of is multiplied. */
+   TIT-11 (1965) 61; equation (8) of core/reference/kalman.py. No logarithm is needed: what it is taken of is multiplied. */
 #include <string.h>
 
 #include "filter.h"

@@ -1,4 +1,4 @@
-/* The filter and the smoother of several channels of one state. Equations are numbered as in core/reference.py.
+/* The filter and the smoother of several channels of one state. Equations are numbered as in core/reference/kalman.py.
 
    A channel that is missing keeps its place: its row of H counts as zero, its variance as one and its innovation as
    zero. */

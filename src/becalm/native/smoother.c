@@ -1,7 +1,7 @@
 /* Fixed-interval smoother of one channel, in the form of Bryson and Frazier (1963) and Bierman (1973).
 
    The pass forward leaves its state before every block. The way back needs only the innovations of a block whose gain
-   had settled; any other block is filtered again from that state. Equations are numbered as in core/reference.py. */
+   had settled; any other block is filtered again from that state. Equations are numbered as in core/reference/kalman.py. */
 #include "backward.h"
 #include "gap.h"
 

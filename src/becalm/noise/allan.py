@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from becalm.core.arrays import Floats, Integers, frozen, real
-from becalm.core.clock import FASTEST_HZ, SLOWEST_HZ
+from becalm.core.time.clock import FASTEST_HZ, SLOWEST_HZ
 from becalm.errors import RecordingError, UsageError
 
 _FEWEST_CLUSTERS = 128  # below which the lag-1 autocorrelation takes chance for another type of noise

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Booleans, Floats, Integers
-from becalm.core.model import Model
+from becalm.core.model.model import Model
 from becalm.noise.matrices import Patterns
 
 _RANK = 1e-9  # of columns scaled to length one

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from becalm.core.arrays import Booleans, Floats
-from becalm.core.smoothed_flow import SmoothedFlow
-from becalm.core.switching import Switching, numbered_steps
-from becalm.core.switching_flow import SwitchingFlow
+from becalm.core.filter.smoothed_flow import SmoothedFlow
+from becalm.core.imm.flow import ImmFlow
+from becalm.core.imm.modes import InteractingModels, numbered_steps
 from becalm.native.imm import NOTHING_WANTED, filter_rows, new_state
 from becalm.noise.likelihood import Evidence, Tuning
 from becalm.noise.risk import estimated_risk, long_pieces
@@ -22,7 +22,7 @@ _LIKELY = 0.5  # probability from which a reading is taken for a wild one
 _PIECE = 1 << 15  # rows
 
 
-def find_wild(switching: Switching, readings: Floats, elapsed: Floats) -> Booleans:
+def find_wild(switching: InteractingModels, readings: Floats, elapsed: Floats) -> Booleans:
     """Tell which readings (N,) a filter took for wild, as they came."""
     wild = np.zeros(len(readings))
     state = new_state(switching.bank(np.ones(1)), keeps_level=False)
@@ -35,7 +35,7 @@ def find_wild(switching: Switching, readings: Floats, elapsed: Floats) -> Boolea
     return told
 
 
-def _tame(switching: Switching, evidence: Evidence) -> Evidence:
+def _tame(switching: InteractingModels, evidence: Evidence) -> Evidence:
     """Return evidence with draws of what a bank believes in place of the readings that it takes for wild."""
     if not switching.rejects:
         return evidence
@@ -43,12 +43,12 @@ def _tame(switching: Switching, evidence: Evidence) -> Evidence:
     wild = find_wild(switching, z, evidence.elapsed)
     if not wild.any():
         return evidence
-    smooth = _smoothed(SwitchingFlow(switching, causal=False), z, evidence.elapsed)
+    smooth = _smoothed(ImmFlow(switching, causal=False), z, evidence.elapsed)
     z[wild] = smooth[wild] + np.sqrt(noise) * np.random.default_rng(len(z)).normal(size=int(wild.sum()))
     return Evidence.of(z, evidence.elapsed)
 
 
-def errs_less(switching: Switching, tuning: Tuning, evidence: Evidence) -> bool:
+def errs_less(switching: InteractingModels, tuning: Tuning, evidence: Evidence) -> bool:
     """Whether a smoother that switches errs less than the fixed one: clearly where readings are hidden, or by its risk.
 
     What little is gained where a record rests drowns in the noise of hidden readings; then the risk tells it, and
@@ -58,7 +58,7 @@ def errs_less(switching: Switching, tuning: Tuning, evidence: Evidence) -> bool:
     """
     evidence = _tame(switching, evidence)
     alone = SmoothedFlow(tuning.component, tuning.noise_variance)
-    more = hidden_errors(SwitchingFlow(switching, causal=False), evidence) - hidden_errors(alone, evidence)
+    more = hidden_errors(ImmFlow(switching, causal=False), evidence) - hidden_errors(alone, evidence)
     if not len(more):
         return False
     chance = float(more.std()) / np.sqrt(len(more))
@@ -70,7 +70,7 @@ def errs_less(switching: Switching, tuning: Tuning, evidence: Evidence) -> bool:
     return bool(more.mean() <= _BY_CHANCE * chance and _risk(switching, evidence, R) < share * fixed)
 
 
-def hidden_errors(flow: SmoothedFlow | SwitchingFlow, evidence: Evidence) -> Floats:
+def hidden_errors(flow: SmoothedFlow | ImmFlow, evidence: Evidence) -> Floats:
     """Return the squared errors of a smoother at every tenth reading, which it is not shown; none of few readings."""
     part = max(long_pieces(evidence), key=lambda piece: piece.stop - piece.start)
     z, elapsed = evidence.z[part, 0], evidence.elapsed[part]
@@ -78,21 +78,19 @@ def hidden_errors(flow: SmoothedFlow | SwitchingFlow, evidence: Evidence) -> Flo
     return np.asarray((_smoothed(flow, np.where(hidden, np.nan, z), elapsed) - z)[hidden] ** 2)
 
 
-def _risk(switching: Switching, evidence: Evidence, noise_variance: float) -> float:
+def _risk(switching: InteractingModels, evidence: Evidence, noise_variance: float) -> float:
     """Estimate the mean squared error of a smoother that switches, by how it answers a small probe."""
     squares, answers, count = 0.0, 0.0, 0
     size = _PROBE * float(np.sqrt(noise_variance))
     for part in long_pieces(evidence):
         z, elapsed = evidence.z[part, 0], evidence.elapsed[part]
         probe = np.random.default_rng(len(z)).choice([-1.0, 1.0], len(z))
-        smooth, answer = (
-            _smoothed(SwitchingFlow(switching, causal=False), read, elapsed) for read in (z, z + size * probe)
-        )
+        smooth, answer = (_smoothed(ImmFlow(switching, causal=False), read, elapsed) for read in (z, z + size * probe))
         squares += float(np.sum((z - smooth) ** 2))
         answers += float(np.sum(probe * (answer - smooth))) / size
         count += len(z)
     return squares / count + noise_variance * (2 * answers / count - 1)
 
 
-def _smoothed(flow: SmoothedFlow | SwitchingFlow, z: Floats, elapsed: Floats) -> Floats:
+def _smoothed(flow: SmoothedFlow | ImmFlow, z: Floats, elapsed: Floats) -> Floats:
     return np.concatenate([told.signal for told in [*flow.push(z, elapsed), *flow.finish()]])

@@ -17,8 +17,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.core.components import motion, with_walking_level
-from becalm.core.switching import Mode, Switching, numbered_steps
+from becalm.core.imm.modes import InteractingModels, Mode, numbered_steps
+from becalm.core.model.components import motion, with_walking_level
 from becalm.native.imm import Steps, filter_rows, new_state
 from becalm.noise.likelihood import Evidence, Tuning
 from becalm.noise.running_median import WINDOW, running_median
@@ -64,7 +64,7 @@ class Bank(NamedTuple):
     """A family of banks: its numbers, and how they make one."""
 
     numbers: list[Number]
-    make: Callable[..., Switching]
+    make: Callable[..., InteractingModels]
 
 
 class Piece(NamedTuple):
@@ -83,9 +83,9 @@ def resting(tuning: Tuning, evidence: Evidence) -> Bank:
     spread = float(np.ptp(evidence.z)) ** 2
     moving = Mode("moving", replace(tuning, damping=0.0).component, tuning.noise_variance, 1.0, wild_share=_SURPRISED)
 
-    def make(r: float, ratio: float, rests: float, moves: float) -> Switching:
+    def make(r: float, ratio: float, rests: float, moves: float) -> InteractingModels:
         still = Mode("still", motion(1, ratio * r), r, rests)
-        return Switching((still, replace(moving, lasts=moves)), spread)
+        return InteractingModels((still, replace(moving, lasts=moves)), spread)
 
     return Bank([_variance(evidence), Number(1e-6, 1e-12, 1e-3), *2 * [Number(300.0, 50.0, 1e6)]], make)
 
@@ -98,14 +98,14 @@ def jumping(evidence: Evidence, wild: float = _WILD) -> Bank:
     """
     spread = float(np.ptp(evidence.z)) ** 2
 
-    def make(r: float, still: float, others: float, wild: float, *ratios: float) -> Switching:
+    def make(r: float, still: float, others: float, wild: float, *ratios: float) -> InteractingModels:
         lasts = (still, others, others, _AT_ONCE)
         walks = [
             Mode(name, motion(1, ratio * r), r, last, "quick" if name == "abrupt" else "", wild)
             for name, ratio, last in zip(_WALKS, ratios, lasts, strict=True)
         ]
         leap = Mode("leap", motion(1, _FARTHER * spread), r, _AT_ONCE, "quick")
-        return Switching((*walks, leap), spread, rejects=True)
+        return InteractingModels((*walks, leap), spread, rejects=True)
 
     numbers = [
         _variance(evidence),
@@ -119,15 +119,15 @@ def noisy(tuning: Tuning) -> Bank:
     """Return banks of a fixed filter with quiet and with loud noise: of Q and R, only R changes."""
     r = tuning.noise_variance
 
-    def make(quiet: float, louder: float, calms: float, storms: float) -> Switching:
+    def make(quiet: float, louder: float, calms: float, storms: float) -> InteractingModels:
         one = Mode("quiet", tuning.component, quiet, calms)
-        return Switching((one, replace(one, name="loud", noise_variance=quiet * louder, lasts=storms)))
+        return InteractingModels((one, replace(one, name="loud", noise_variance=quiet * louder, lasts=storms)))
 
     own = Number(r / 3, r * 1e-4, r * 20, 1.0, _SOME)
     return Bank([own, Number(10.0, 1.5, 1e6), *2 * [Number(1000.0, 50.0, 1e6)]], make)
 
 
-def bursting(tuning: Tuning, evidence: Evidence, like: Switching | None = None) -> Bank:
+def bursting(tuning: Tuning, evidence: Evidence, like: InteractingModels | None = None) -> Bank:
     """Return banks of a fixed filter with calm and with violent motion: of Q and R, only Q changes.
 
     With a bank that it is to be `like`, perhaps of another order, the calm motion is that of `tuning`; it stays.
@@ -136,13 +136,13 @@ def bursting(tuning: Tuning, evidence: Evidence, like: Switching | None = None) 
     own = [Number(r, r * 1e-4, r * 20, 1.0, _SOME), Number(ratio, 1e-14, 1e6, gain=_SOME)]
     apart = max(outstanding_variance(evidence.z[:, 0], r), _APART * r)
 
-    def make(noise: float, ratio: float, violent: float, share: float, *lasts: float) -> Switching:
+    def make(noise: float, ratio: float, violent: float, share: float, *lasts: float) -> InteractingModels:
         ratios = (ratio, max(violent, ratio))
         modes = (
             Mode(name, replace(tuning, ratio=q, noise_variance=noise).component, noise, last, wild_share=share)
             for name, q, last in zip(("calm", "burst"), ratios, lasts, strict=True)
         )
-        return Switching(tuple(modes), apart, rejects=True)
+        return InteractingModels(tuple(modes), apart, rejects=True)
 
     if like is not None:
         own = [Number(one.default, one.default, one.default) for one in own]
@@ -159,11 +159,11 @@ def spiky(tuning: Tuning, evidence: Evidence) -> Bank:
     """Return banks of a fixed filter, tuned anew, with wild readings; where they agree, it was a jump."""
     r, spread = max(middle_variance(evidence.z[:, 0]), _least(evidence)), float(np.ptp(evidence.z)) ** 2
 
-    def make(noise: float, ratio: float, share: float, wild: float) -> Switching:
+    def make(noise: float, ratio: float, share: float, wild: float) -> InteractingModels:
         own = replace(tuning, ratio=ratio, noise_variance=noise).component
         steady = Mode("steady", own, noise, _UNMOVED, wild_share=share)
         abrupt = Mode("abrupt", with_walking_level(own, wild), noise, _AT_ONCE, "steady", share)
-        return Switching((steady, abrupt), wild, rejects=True)
+        return InteractingModels((steady, abrupt), wild, rejects=True)
 
     fastest = (1e-12, 1e6)
     return Bank(
@@ -195,20 +195,20 @@ def _least(evidence: Evidence) -> float:
     return max(evidence.smallest_variance, finest**2)
 
 
-def of_first_mode(tuning: Tuning, switching: Switching) -> Tuning:
+def of_first_mode(tuning: Tuning, switching: InteractingModels) -> Tuning:
     """Return a tuning with the noise, and the process noise, of the first mode of a bank that was made of it."""
     first = switching.modes[0]
     ratio = float(first.component.noise_density[0, 0]) / first.noise_variance
     return replace(tuning, ratio=ratio, noise_variance=first.noise_variance)
 
 
-def with_wild_share(switching: Switching, share: float) -> Switching:
+def with_wild_share(switching: InteractingModels, share: float) -> InteractingModels:
     """Return a bank of which so many readings are wild in every mode; with a share of 0 it believes all of them."""
     modes = tuple(replace(mode, wild_share=share) for mode in switching.modes)
     return replace(switching, modes=modes, rejects=share > 0)
 
 
-def searched(bank: Bank, pieces: Sequence[Piece]) -> tuple[Switching, float]:
+def searched(bank: Bank, pieces: Sequence[Piece]) -> tuple[InteractingModels, float]:
     """Search a bank's numbers one after the other, with strides that halve; return it and its log-likelihood."""
     at, strides = [float(np.log(number.default)) for number in bank.numbers], [number.stride for number in bank.numbers]
     best = log_likelihood(_made(bank, at), pieces)
@@ -238,11 +238,11 @@ def _best_move(  # noqa: PLR0913
     return at, best
 
 
-def _made(bank: Bank, logs: Sequence[float]) -> Switching:
+def _made(bank: Bank, logs: Sequence[float]) -> InteractingModels:
     return bank.make(*np.exp(logs).tolist())
 
 
-def log_likelihood(switching: Switching, pieces: Sequence[Piece]) -> float:
+def log_likelihood(switching: InteractingModels, pieces: Sequence[Piece]) -> float:
     """Return the log-likelihood of pieces of a record, each begun anew."""
     total = 0.0
     for piece in pieces:

@@ -16,9 +16,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from becalm.core.autoregressive import Coloured
-from becalm.core.components import EVERY_ORDER, ORDERS
-from becalm.core.sums import Sums
+from becalm.core.filter.likelihood_sums import Sums
+from becalm.core.model.autoregressive import Coloured
+from becalm.core.model.components import EVERY_ORDER, ORDERS
 from becalm.errors import RecordingError
 from becalm.noise.coloured_likelihood import first_in_a_row, score_coloured
 from becalm.noise.cross_validation import Residuals, cautious, lasting, read_residuals, simplest, smooth_residuals

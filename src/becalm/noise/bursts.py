@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Booleans
-from becalm.core.components import HIGHEST_ORDER, ORDERS
-from becalm.core.switching import Switching
-from becalm.core.switching_flow import SwitchingFlow
+from becalm.core.imm.flow import ImmFlow
+from becalm.core.imm.modes import InteractingModels
+from becalm.core.model.components import HIGHEST_ORDER, ORDERS
 from becalm.noise.bank_risk import hidden_errors
 from becalm.noise.banks import Bank, Piece, bursting, log_likelihood, of_first_mode, searched, with_wild_share
 from becalm.noise.choose import choose
@@ -33,7 +33,7 @@ class Bursting(NamedTuple):
     """A filter for calm motion, and the bank of it and of violent motion."""
 
     tuning: Tuning
-    switching: Switching
+    switching: InteractingModels
     log_likelihood: float
 
 
@@ -78,7 +78,7 @@ def _find_bursting(tuning: Tuning, evidence: Evidence, pieces: list[Piece], caus
     other = _searched(chosen, bursting(chosen, evidence, found.switching), pieces)
     if causal:
         return max(found, other, key=lambda one: one.log_likelihood)
-    errors = [hidden_errors(SwitchingFlow(one.switching, causal=False), evidence) for one in (found, other)]
+    errors = [hidden_errors(ImmFlow(one.switching, causal=False), evidence) for one in (found, other)]
     return other if errors[1].sum() <= errors[0].sum() else found  # what foretells best need not smooth best
 
 
@@ -98,9 +98,9 @@ def _searched(tuning: Tuning, bank: Bank, pieces: list[Piece]) -> Bursting:
     return Bursting(tuning, *searched(bank, pieces))
 
 
-def _find_violent(switching: Switching, evidence: Evidence) -> Booleans:
+def _find_violent(switching: InteractingModels, evidence: Evidence) -> Booleans:
     """Tell which readings (N,) belong to violent motion, as a smoother sees it."""
-    flow = SwitchingFlow(switching, causal=False, tells_modes=True)
+    flow = ImmFlow(switching, causal=False, tells_modes=True)
     told = [*flow.push(evidence.z[:, 0], evidence.elapsed), *flow.finish()]
     violent = np.concatenate([one.parts[-1] for one in told]) > _LIKELY
     near: Booleans = np.convolve(violent, np.ones(2 * _BESIDE + 1), "same") > 0.5

@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.core.components import ORDERS
+from becalm.core.model.components import ORDERS
 from becalm.noise.beside import tune_beside
 from becalm.noise.coloured import NoiseModel
 from becalm.noise.cross_validation import simplest, tune_smoother

@@ -18,7 +18,7 @@ from itertools import pairwise, product
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.core.autoregressive import Coloured, from_partial_autocorrelations
+from becalm.core.model.autoregressive import Coloured, from_partial_autocorrelations
 from becalm.errors import RecordingError
 from becalm.noise.coloured_likelihood import HIGHEST_ORDER, Misfit, Shape, exact_misfit, spectral_misfit
 

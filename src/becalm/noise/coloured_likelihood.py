@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.core.autoregressive import Coloured, autoregressive
-from becalm.core.channel_record import ChannelRecord
-from becalm.core.components import motion
-from becalm.core.parts import Component
-from becalm.core.sums import Sums
+from becalm.core.filter.channel_record import ChannelRecord
+from becalm.core.filter.likelihood_sums import Sums
+from becalm.core.model.autoregressive import Coloured, autoregressive
+from becalm.core.model.components import motion
+from becalm.core.model.parts import Component
 from becalm.noise.spectrum import pooled, sine_spectrum
 
 HIGHEST_ORDER = 3

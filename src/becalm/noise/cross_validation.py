@@ -17,9 +17,9 @@ from dataclasses import replace
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.core.channel_record import ChannelRecord
 from becalm.core.closed_forms import motion_power
-from becalm.core.components import EVERY_ORDER, motion
+from becalm.core.filter.channel_record import ChannelRecord
+from becalm.core.model.components import EVERY_ORDER, motion
 from becalm.noise.likelihood import Evidence, Tuning
 from becalm.noise.search import find_ratio
 from becalm.noise.spectrum import pooled, sine_spectrum, slope_between_ends

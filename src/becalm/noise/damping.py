@@ -15,10 +15,10 @@ from dataclasses import replace
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.core.channel_record import ChannelRecord
 from becalm.core.closed_forms import ratio_to_cutoff
-from becalm.core.components import LEVEL_RATE
-from becalm.core.sums import Sums
+from becalm.core.filter.channel_record import ChannelRecord
+from becalm.core.filter.likelihood_sums import Sums
+from becalm.core.model.components import LEVEL_RATE
 from becalm.noise.likelihood import Evidence, Tuning
 
 _LEAST = 1e-250  # of a noise variance: of less, or of more than one over it, no recipe is made

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from becalm.core.closed_forms import cutoff_to_ratio
-from becalm.core.components import ORDERS
-from becalm.core.dials import motion_filter
-from becalm.core.response import describe
+from becalm.core.model.components import ORDERS
+from becalm.core.steady.dials import motion_filter
+from becalm.core.steady.response import describe
 from becalm.errors import UsageError
 from becalm.noise.dial import Dial, Kind, ratio_for
 from becalm.noise.waiting import refuse_variance

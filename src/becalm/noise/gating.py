@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Booleans, Floats, input_of
-from becalm.core.channel import Channel
-from becalm.core.channel_settings import Settings
-from becalm.core.gates import Gate
+from becalm.core.filter.channel import Channel
+from becalm.core.filter.channel_settings import Settings
+from becalm.core.filter.gate import Gate
 from becalm.core.verdict import Verdict
 from becalm.noise.choose import NOTHING_KNOWN, Choice, Known, choose
 from becalm.noise.imputation import imputed

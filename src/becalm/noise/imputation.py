@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 
 from becalm.core.arrays import Booleans, Floats
-from becalm.core.smoothed_flow import SmoothedFlow
-from becalm.core.told import Told
+from becalm.core.filter.smoothed_flow import SmoothedFlow
+from becalm.core.rows import EstimatedRows
 from becalm.noise.likelihood import JITTER, LASTING, Evidence, Tuning, keeps_time
 
 LONGEST_HOLE = 32
@@ -27,7 +27,7 @@ def imputed(tuning: Tuning, readings: Floats, elapsed: Floats, rejected: Boolean
     """
     left = np.where(rejected, np.nan, readings)
     flow = SmoothedFlow(tuning.component, tuning.noise_variance, split=True)
-    told = Told.joined([*flow.push(left, elapsed), *flow.finish()])
+    told = EstimatedRows.joined([*flow.push(left, elapsed), *flow.finish()])
     mean, spread = told.parts.sum(axis=0), np.sqrt(told.sigma**2 + tuning.noise_variance)
     draws = np.random.default_rng(len(readings)).normal(size=len(readings))
     return np.where(rejected, mean + spread * draws, readings)

@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from becalm.core.arrays import Booleans, Floats
-from becalm.core.filtering import checked_readings, run_filter
-from becalm.core.likelihood import NOTHING
-from becalm.core.model import Model
-from becalm.core.starting import arrived
-from becalm.core.timeline import even_timeline
+from becalm.core.filter.filtering import checked_readings, run_filter
+from becalm.core.filter.likelihood import NOTHING
+from becalm.core.model.model import Model
+from becalm.core.model.prior import arrived
+from becalm.core.model.timeline import even_timeline
 from becalm.errors import ModelError, RecordingError
 from becalm.noise.autocovariances import Autocovariances, autocovariances
 from becalm.noise.certainty import Certainty, judge
@@ -42,7 +42,7 @@ class TunedModel:
     noise_error : (m, m) float array
         The same of R.
     log_likelihood : float
-        Exact, at the maximum; see `becalm.core.filtering.Estimate`.
+        Exact, at the maximum; see `becalm.core.filter.filtering.Estimate`.
     used : int
         Readings, channels counted one by one, that entered it.
     not_identifiable : tuple of str

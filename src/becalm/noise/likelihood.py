@@ -16,12 +16,12 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.core.autoregressive import Coloured, autoregressive
-from becalm.core.channel_record import ChannelRecord
 from becalm.core.closed_forms import returning_power
-from becalm.core.components import LEVEL_RATE, Component, motion, oscillator, returning_motion
-from becalm.core.quantisation import converter_step
-from becalm.core.sums import Sums
+from becalm.core.filter.channel_record import ChannelRecord
+from becalm.core.filter.likelihood_sums import Sums
+from becalm.core.health.quantisation import converter_step
+from becalm.core.model.autoregressive import Coloured, autoregressive
+from becalm.core.model.components import LEVEL_RATE, Component, motion, oscillator, returning_motion
 from becalm.noise.search import Edge, find_ratio
 from becalm.noise.spectrum import Line
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.core.recording import Recording
-from becalm.core.timebase import GAP_STEPS
+from becalm.core.time.timebase import GAP_STEPS
 from becalm.errors import RecordingError
 from becalm.noise.still import Stretch
 from becalm.noise.still_windows import FEWEST, quantum, window_size

@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.core.channel_record import ChannelRecord
 from becalm.core.closed_forms import cutoff_to_ratio, ratio_to_cutoff
+from becalm.core.filter.channel_record import ChannelRecord
 from becalm.metrics.whiteness import whiteness
 from becalm.noise.imputation import completed
 from becalm.noise.likelihood import Candidate, Evidence, Tuning

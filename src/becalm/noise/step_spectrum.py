@@ -16,9 +16,9 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Floats, frozen
-from becalm.core.components import Component, Part
-from becalm.core.filtering import kalman_filter
-from becalm.core.model import Model
+from becalm.core.filter.filtering import kalman_filter
+from becalm.core.model.components import Component, Part
+from becalm.core.model.model import Model
 from becalm.errors import ModelError, RecordingError
 from becalm.noise.spectrum import welch_power
 

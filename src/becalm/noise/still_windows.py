@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from becalm.core.arrays import Booleans, Floats
 from becalm.core.recording import Recording
-from becalm.core.timebase import GAP_STEPS
+from becalm.core.time.timebase import GAP_STEPS
 from becalm.metrics.whiteness import whiteness
 
 Value = TypeVar("Value", bound=np.generic)

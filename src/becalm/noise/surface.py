@@ -17,8 +17,8 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.core.channel_record import ChannelRecord
-from becalm.core.sums import Sums
+from becalm.core.filter.channel_record import ChannelRecord
+from becalm.core.filter.likelihood_sums import Sums
 from becalm.noise.likelihood import FEWEST_READINGS, UNSCORED, Evidence, Tuning
 
 _NOISES, _DENSITIES = 41, 61

@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.core.components import ORDERS, with_walking_level
-from becalm.core.switching import Mode, Switching
+from becalm.core.imm.modes import InteractingModels, Mode
+from becalm.core.model.components import ORDERS, with_walking_level
 from becalm.noise.bank_risk import errs_less, find_wild
 from becalm.noise.banks import Bank, Kind, Piece, jumping, log_likelihood, noisy, pieces_of, resting, searched, spiky
 from becalm.noise.bursts import find_bursting
@@ -49,7 +49,7 @@ class Switched:
     """
 
     kind: Kind
-    switching: Switching
+    switching: InteractingModels
     log_likelihood: float
     fixed_log_likelihood: float
     tuning: Tuning
@@ -110,7 +110,7 @@ def _knowing_outliers(found: Switched, tuning: Tuning, evidence: Evidence, wild:
     return replace(found, switching=known) if _follows_motion(known, evidence, at_jumps=True) else found
 
 
-def _with_wild(tuning: Tuning, like: Switching) -> Switching:
+def _with_wild(tuning: Tuning, like: InteractingModels) -> InteractingModels:
     """Return a fixed filter with the wild readings, and the jumps, of a bank: what a gate makes of it."""
     own, noise = tuning.component, tuning.noise_variance
     steady, abrupt = (replace(mode, noise_variance=noise) for mode in like.modes)
@@ -136,7 +136,7 @@ def _best(found: list[Switched], evidence: Evidence, smoothed: Tuning | None, al
     return None
 
 
-def _follows_motion(switching: Switching, evidence: Evidence, *, at_jumps: bool = False) -> bool:
+def _follows_motion(switching: InteractingModels, evidence: Evidence, *, at_jumps: bool = False) -> bool:
     """Return whether a bank leaves out outliers only, if anything, and perhaps first readings after jumps."""
     if not switching.rejects:
         return True
@@ -176,6 +176,6 @@ def find_surprise(z: Floats) -> int | None:
     return row
 
 
-def _alone(tuning: Tuning) -> Switching:
+def _alone(tuning: Tuning) -> InteractingModels:
     """Return a fixed filter as a bank of one mode."""
-    return Switching((Mode("fixed", tuning.component, tuning.noise_variance, 1.0),))
+    return InteractingModels((Mode("fixed", tuning.component, tuning.noise_variance, 1.0),))

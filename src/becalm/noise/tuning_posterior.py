@@ -16,9 +16,9 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.core.channel import Estimates
-from becalm.core.channel_record import ChannelRecord
 from becalm.core.closed_forms import cutoff_to_ratio
+from becalm.core.filter.channel import Estimates
+from becalm.core.filter.channel_record import ChannelRecord
 from becalm.metrics.whiteness import whiteness
 from becalm.noise.likelihood import Candidate, Evidence, Tuning
 

@@ -23,8 +23,8 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.core.steady import steady
-from becalm.core.steady_filter import SteadyFilter
+from becalm.core.steady.steady_filter import SteadyFilter
+from becalm.core.steady.steady_gain import steady
 from becalm.errors import ModelError
 from becalm.noise.excess import powers
 from becalm.noise.likelihood import Evidence, Tuning

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from becalm.core.closed_forms import ratio_to_cutoff
-from becalm.core.components import Component
-from becalm.core.dials import motion_filter
-from becalm.core.parts import checked_step
-from becalm.core.response import decibels
-from becalm.core.steady import steady
+from becalm.core.model.components import Component
+from becalm.core.model.parts import checked_step
+from becalm.core.steady.dials import motion_filter
+from becalm.core.steady.response import decibels
+from becalm.core.steady.steady_gain import steady
 from becalm.errors import ModelError, UsageError
 from becalm.noise.likelihood import Tuning
 

@@ -13,7 +13,7 @@ from becalm.cleaning.recipe import ChannelRecipe, Recipe
 from becalm.cleaning.report import ChannelReport
 from becalm.core.closed_forms import cutoff_to_ratio
 from becalm.core.recording import Recording
-from becalm.core.response import Response
+from becalm.core.steady.response import Response
 from becalm.noise.front import Front, noise_lag_front
 from becalm.noise.waiting import Wait, waiting_curve
 from becalm.report.description import Axis, Curve, Figure, Layer

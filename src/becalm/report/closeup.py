@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.core.told import Told
+from becalm.core.rows import EstimatedRows
 from becalm.metrics.running import PIECE
 
 _ROWS = 600
@@ -27,7 +27,7 @@ class Closeup(Protocol):
     title: str
     kept: Floats
 
-    def add(self, times_s: Floats, z: Floats, told: Told) -> None:
+    def add(self, times_s: Floats, z: Floats, told: EstimatedRows) -> None:
         """Take the next rows: times (B,), readings (B,), and what is told of them."""
         ...
 
@@ -42,7 +42,7 @@ class Middle:
         self._from = max(0, (rows - _ROWS) // 2)
         self._at = 0
 
-    def add(self, times_s: Floats, z: Floats, told: Told) -> None:
+    def add(self, times_s: Floats, z: Floats, told: EstimatedRows) -> None:
         """Take the next rows."""
         start, stop = max(0, self._from - self._at), self._from + _ROWS - self._at
         self._at += len(z)
@@ -59,7 +59,7 @@ class Farthest:
         self.kept = np.empty((4, 0))
         self._farthest = -1.0
 
-    def add(self, times_s: Floats, z: Floats, told: Told) -> None:
+    def add(self, times_s: Floats, z: Floats, told: EstimatedRows) -> None:
         """Take the next rows; what is kept does not reach beyond a block of them."""
         for first in range(0, len(z), PIECE):  # which stay in the cache
             part = slice(first, first + PIECE)
@@ -73,5 +73,5 @@ class Farthest:
                 self.kept = _stack(times_s, z, told, slice(start, start + _ROWS))
 
 
-def _stack(times_s: Floats, z: Floats, told: Told, rows: slice) -> Floats:
+def _stack(times_s: Floats, z: Floats, told: EstimatedRows, rows: slice) -> Floats:
     return np.vstack([times_s[rows], z[rows], told.signal[rows], told.sigma[rows]])

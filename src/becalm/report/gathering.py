@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.core.told import Judge, Told
+from becalm.core.rows import EstimatedRows, Judge
 from becalm.core.verdict import Verdict
 from becalm.metrics.running import PIECE
 from becalm.report.closeup import Closeup, Farthest, Middle
@@ -28,7 +28,7 @@ class Rows(NamedTuple):
 
     times_s: Floats  # (B,) since the first row
     readings: Floats  # (B,) NaN where missing or impossible
-    told: Told
+    told: EstimatedRows
 
 
 class Gathering:
@@ -69,7 +69,7 @@ class Gathering:
         """What takes the innovations of each channel."""
         return [channel.look for channel in self.channels]
 
-    def add(self, columns: Sequence[Floats], elapsed: Floats, told: Sequence[Told]) -> None:
+    def add(self, columns: Sequence[Floats], elapsed: Floats, told: Sequence[EstimatedRows]) -> None:
         """Take the next rows of all channels.
 
         Parameters
@@ -138,7 +138,7 @@ class ChannelGathering:
         for closeup in self.closeups:
             closeup.add(times_s, z, told)
 
-    def _enclose(self, z: Floats, told: Told, cut: Cut) -> None:
+    def _enclose(self, z: Floats, told: EstimatedRows, cut: Cut) -> None:
         half = WIDTH * np.where(np.isfinite(told.sigma), told.sigma, np.nan)
         self.readings.add(*cut, z, z)
         self.clean.add(*cut, told.signal, told.signal)
@@ -157,7 +157,7 @@ def _parts(rows: int) -> list[slice]:
     return [slice(start, min(start + PIECE, rows)) for start in range(0, rows, PIECE)]
 
 
-def _possible(z: Floats, told: Told) -> Floats:
+def _possible(z: Floats, told: EstimatedRows) -> Floats:
     """Return readings to draw: without what no sensor gives, which would leave no room for the others."""
     if not told.verdicts.any():
         return z

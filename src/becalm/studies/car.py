@@ -15,10 +15,10 @@ from becalm.classic.canceller import cancel
 from becalm.cleaning.pipeline import clean
 from becalm.cleaning.tuning import tune
 from becalm.core.arrays import Floats
-from becalm.core.filtering import kalman_filter
-from becalm.core.model import Model
+from becalm.core.filter.filtering import kalman_filter
+from becalm.core.model.model import Model
 from becalm.core.recording import Recording
-from becalm.core.response import describe
+from becalm.core.steady.response import describe
 from becalm.files.plain import make_folder, write_text
 from becalm.metrics.decibels import snr_db, snr_paper_db
 from becalm.metrics.delay import lag_of

@@ -7,12 +7,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
 
-from becalm.core import reference
-from becalm.core.arrays import Floats
-from becalm.core.covariances import covariance_ahead, gain_before
-from becalm.core.filtering import kalman_filter
-from becalm.core.model import Model
-from becalm.core.steady_filter import Complexes
+from becalm.core.arrays import Complexes, Floats
+from becalm.core.filter.filtering import kalman_filter
+from becalm.core.model.covariances import covariance_ahead, gain_before
+from becalm.core.model.model import Model
+from becalm.core.reference import kalman as reference
 from becalm.studies.drive import RATE_HZ
 
 T = 1 / RATE_HZ

@@ -13,10 +13,10 @@ import numpy as np
 from scipy.optimize import minimize
 
 from becalm.core.arrays import Floats, frozen
-from becalm.core.components import Component, Part
-from becalm.core.filtering import Estimate, Wanted, run_filter
-from becalm.core.model import Model
-from becalm.core.timeline import elapsed_timeline
+from becalm.core.filter.filtering import Estimate, Wanted, run_filter
+from becalm.core.model.components import Component, Part
+from becalm.core.model.model import Model
+from becalm.core.model.timeline import elapsed_timeline
 from becalm.files.reading import read
 
 FOLDER = "comma2k19"

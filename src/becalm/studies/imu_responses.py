@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.core.filtering import kalman_filter
-from becalm.core.response import describe
+from becalm.core.filter.filtering import kalman_filter
+from becalm.core.steady.response import describe
 from becalm.noise.step_spectrum import Sensor, StepTrial
 from becalm.studies.imu_records import PRINTED, RATE_HZ
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from becalm.cleaning.pipeline import clean
 from becalm.core.arrays import Floats
-from becalm.core.filtering import kalman_filter
+from becalm.core.filter.filtering import kalman_filter
 from becalm.core.recording import Recording
 from becalm.noise.front import noise_lag_front
 from becalm.noise.step_spectrum import Sensor, StepTrial

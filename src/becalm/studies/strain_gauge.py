@@ -10,7 +10,7 @@ import numpy as np
 from becalm.cleaning.judging import InnovationJudge, Judgement
 from becalm.cleaning.pipeline import clean
 from becalm.core.arrays import Floats
-from becalm.core.filtering import kalman_filter
+from becalm.core.filter.filtering import kalman_filter
 from becalm.core.recording import Recording
 from becalm.files.reading import read
 from becalm.noise.rest_noise import split_at_cutoff

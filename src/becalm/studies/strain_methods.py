@@ -12,10 +12,10 @@ from becalm.classic.causal import butterworth, moving_average
 from becalm.cleaning.pipeline import clean
 from becalm.cleaning.steps import in_steps
 from becalm.core.arrays import Floats
-from becalm.core.filtering import kalman_filter
-from becalm.core.model import Model
+from becalm.core.filter.filtering import kalman_filter
+from becalm.core.filter.smoothing import kalman_smoother
+from becalm.core.model.model import Model
 from becalm.core.recording import Recording
-from becalm.core.smoothing import kalman_smoother
 from becalm.studies.strain_model import Noise, likeliest, strain_model
 
 STEP_S = 0.1

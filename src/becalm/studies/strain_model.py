@@ -8,8 +8,8 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from becalm.core.arrays import Floats
-from becalm.core.filtering import kalman_filter
-from becalm.core.model import Model
+from becalm.core.filter.filtering import kalman_filter
+from becalm.core.model.model import Model
 
 _RATIOS = np.arange(-14.0, 5.0)  # decimal logarithms of G T^6 / R that a search begins from
 _NEAR = 0.01  # of a decade

@@ -10,7 +10,7 @@ from becalm.cleaning.causal_channel import CausalChannel
 from becalm.cleaning.filters import Filter
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.recipe_parts import LimitsRecipe
-from becalm.core.channel_settings import Settings
+from becalm.core.filter.channel_settings import Settings
 from becalm.errors import RecipeError
 from becalm.export.channel.modes_text import modes_door
 from becalm.export.channel.reference import ChannelReference, ModesReference
@@ -86,8 +86,8 @@ class WholeChannel(Floating):
         if design.modes is None:
             door = channel_door(design, settings, most_states)
         else:
-            reach = Filter(self.recipe, design.step_s, 0).reach
-            door = modes_door(design.modes, settings, reach, prefix, (most_states, self.sizes.modes))
+            gap_limit = Filter(self.recipe, design.step_s, 0).gap_limit
+            door = modes_door(design.modes, settings, gap_limit, prefix, (most_states, self.sizes.modes))
         return written_door(door, design, prefix, self.number, largest)
 
     def reference(self, recipe: ChannelRecipe, design: Design, written: Written) -> Reference:

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from becalm.core.channel_settings import Settings, packed_settings
-from becalm.core.reach import Reach
-from becalm.core.switching import Switching
+from becalm.core.filter.channel_settings import Settings, packed_settings
+from becalm.core.filter.gap_limit import GapLimit
+from becalm.core.imm.modes import InteractingModels
 from becalm.export.channel.text import NUMBER, Door, of_array, of_number, of_struct
 from becalm.export.naming import identifiers
 from becalm.native.library import CONSTANTS
 from becalm.native.rows import SETTINGS
 
 
-def modes_door(modes: Switching, settings: Settings, reach: Reach, prefix: str, sizes: tuple[int, int]) -> Door:
+def modes_door(
+    modes: InteractingModels, settings: Settings, gap_limit: GapLimit, prefix: str, sizes: tuple[int, int]
+) -> Door:
     """Return the door to a filter that switches.
 
     Parameters
@@ -22,7 +24,7 @@ def modes_door(modes: Switching, settings: Settings, reach: Reach, prefix: str, 
         The modes, in steps.
     settings : Settings
         What the recipe says of the channel.
-    reach : Reach
+    gap_limit : GapLimit
         Which gaps it is carried across.
     prefix : str
         What its names in C begin with.
@@ -42,7 +44,7 @@ def modes_door(modes: Switching, settings: Settings, reach: Reach, prefix: str, 
     arrays = {"F": bank.F, "Q": bank.Q, "T": bank.T, "h": bank.H, "c": bank.C}
     arrays |= {"R": bank.R, "tail": bank.tail, "start": bank.start}
     fields = [
-        ("settings", of_struct(packed_settings(settings, reach))),
+        ("settings", of_struct(packed_settings(settings, gap_limit))),
         *((name, of_number(value)) for name, value in numbers.items()),
         *((name, of_array(values)) for name, values in arrays.items()),
     ]

@@ -10,11 +10,11 @@ from becalm.cleaning.limits_entry import limits_of
 from becalm.cleaning.live_channel import LiveChannel, open_live
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.core.arrays import Booleans, Codes, Floats
-from becalm.core.channel import Channel
-from becalm.core.channel_settings import Settings
-from becalm.core.faults import Faults
-from becalm.core.limits import Limits
-from becalm.core.told import Told
+from becalm.core.filter.channel import Channel
+from becalm.core.filter.channel_settings import Settings
+from becalm.core.health.faults import Faults
+from becalm.core.health.limits import Limits
+from becalm.core.rows import EstimatedRows
 from becalm.core.verdict import LOST, Verdict
 from becalm.export.vectors import STARTING
 
@@ -108,5 +108,5 @@ class ModesReference(_ControllerReference):
         return (found.signal, found.verdicts), across.signal, found.verdicts != Verdict.SPIKE
 
 
-def _told(channel: LiveChannel, z: Floats, elapsed: Floats) -> Told:
-    return Told.joined(channel.push(z, elapsed))
+def _told(channel: LiveChannel, z: Floats, elapsed: Floats) -> EstimatedRows:
+    return EstimatedRows.joined(channel.push(z, elapsed))

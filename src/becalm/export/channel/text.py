@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from becalm.core.arrays import Floats
-from becalm.core.channel_settings import Settings, StepTable, packed_coefficients, packed_settings
-from becalm.core.covariances import covariance_after
+from becalm.core.filter.channel_settings import Settings, StepTable, packed_coefficients, packed_settings
+from becalm.core.model.covariances import covariance_after
 from becalm.export.design import Design
 from becalm.export.number_type import DOUBLE, NumberType
 from becalm.export.templates import render

@@ -6,7 +6,7 @@ import numpy as np
 
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.core.arrays import Floats
-from becalm.core.faults import Faults
+from becalm.core.health.faults import Faults
 from becalm.errors import RecipeError
 from becalm.export.design import Design
 from becalm.export.fixed.text import GREATEST, Scale, kept_of, rails_of, schedule_in, written_fixed

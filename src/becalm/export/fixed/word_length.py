@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.core.steady_filter import SteadyFilter
+from becalm.core.steady.steady_filter import SteadyFilter
 from becalm.errors import RecipeError
 from becalm.export.design import Design, spread_of
 from becalm.export.schedule import Schedule

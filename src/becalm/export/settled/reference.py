@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from becalm.core.arrays import Codes, Floats
-from becalm.core.faults import Faults
-from becalm.core.limits import Limits
+from becalm.core.health.faults import Faults
+from becalm.core.health.limits import Limits
 from becalm.core.verdict import Verdict
 from becalm.export.design import Design
 from becalm.export.schedule import Schedule

@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 
-from becalm.core.clock import FASTEST_HZ, SLOWEST_HZ
+from becalm.core.time.clock import FASTEST_HZ, SLOWEST_HZ
 from becalm.files.arrays.arrays import Found, Leaf, Path
 from becalm.files.units import parse_header, tidy_unit
 

@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from becalm.core.arrays import Booleans, Floats
-from becalm.core.time_repair import Steps
+from becalm.core.time.repair import Steps
 from becalm.errors import TimeError
 from becalm.files.source import HEAD_ROWS, RawTable
 from becalm.files.timing import clock

@@ -12,7 +12,7 @@ from xml.sax.saxutils import escape, quoteattr
 
 import pyarrow as pa
 
-from becalm.core.itself import version
+from becalm.core.installation import version
 from becalm.errors import OutputError
 from becalm.files.arrays.array_labels import OF_TABLE
 from becalm.files.column_arrays import refuse_strange_types, told_of

@@ -9,9 +9,9 @@ from typing import Protocol
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.core.clock import Clock
-from becalm.core.even_grid import BURSTS, JITTER, equal_bursts, even_grid
-from becalm.core.time_repair import Steps, one_clock, unwrapped
+from becalm.core.time.clock import Clock
+from becalm.core.time.even_grid import BURSTS, JITTER, equal_bursts, even_grid
+from becalm.core.time.repair import Steps, one_clock, unwrapped
 from becalm.errors import TimeError
 from becalm.files.rows import Spool
 from becalm.files.source import TimeLayout

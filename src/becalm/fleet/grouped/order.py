@@ -11,7 +11,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from becalm.core.time_repair import Steps
+from becalm.core.time.repair import Steps
 from becalm.errors import TimeError, UsageError
 from becalm.files.lake.order import instants_of
 from becalm.files.source import HEAD_ROWS, RawTable

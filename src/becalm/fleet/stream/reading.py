@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Booleans, Floats
-from becalm.core.live_clock import AGREEING
+from becalm.core.time.live_clock import AGREEING
 from becalm.fleet.stream.blocks import Garbled, Rows
 from becalm.live.address import Address
 from becalm.live.block import Block, Loss, LossKind

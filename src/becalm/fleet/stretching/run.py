@@ -15,8 +15,8 @@ from becalm.cleaning.cleaner import Cleaner
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.report import ChannelReport
 from becalm.core.arrays import Floats
+from becalm.core.filter.channel import History
 from becalm.core.packing import packed, unpacked
-from becalm.core.standing import Before
 from becalm.core.verdict import Verdict, counted
 from becalm.files.again import KnownSource
 from becalm.files.asked import asked_by
@@ -132,7 +132,7 @@ def _causal(work: _Work, write: Write) -> tuple[Seams | None, tuple[ChannelRepor
         with Cleaner(work.recipe, work.source.clock.step_s) as before:
             if not _warmed_up(work, before):
                 return None, ()
-            start, left = before.standing(), before.saved()
+            start, left = before.comparable_state(), before.saved()
         if start is None or left is None:
             return None, ()
     with Cleaner(work.recipe, work.source.clock.step_s) as own:
@@ -141,7 +141,7 @@ def _causal(work: _Work, write: Write) -> tuple[Seams | None, tuple[ChannelRepor
         _, first, stop, _ = work.stretch
         for answer in answered(own, work.recipe, work.source.chunks(first, stop, work.rows), ends=work.is_last):
             write(answer)
-        seams = Seams(_packed(start), _packed(own.standing()), _packed(own.saved()), tuple(own.surely_alive()))
+        seams = Seams(_packed(start), _packed(own.comparable_state()), _packed(own.saved()), tuple(own.surely_alive()))
         return seams, own.reports()
 
 
@@ -190,7 +190,7 @@ def _overlap(answers: list[Answer]) -> Floats | None:
     return np.array([[told.signal[:OVERLAP], told.sigma[:OVERLAP]] for told in answers[0].told])
 
 
-def _before(work: _Work, begin: int) -> list[Before]:
+def _before(work: _Work, begin: int) -> list[History]:
     """Return what went before the row that a stretch begins to warm up with."""
     known = [one for one in work.long.extremes if one.row <= begin]
     steps = work.source.steps_before(begin)
@@ -198,7 +198,7 @@ def _before(work: _Work, begin: int) -> list[Before]:
     least = known[-1].least if known else nothing
     most = known[-1].most if known else tuple(-one for one in nothing)
     return [
-        Before(reading, begin, begin, steps, *between)
+        History(reading, begin, begin, steps, *between)
         for reading, *between in zip(work.long.first, least, most, strict=True)
     ]
 

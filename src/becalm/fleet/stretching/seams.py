@@ -12,8 +12,8 @@ from itertools import pairwise
 
 import numpy as np
 
+from becalm.core.imm.comparable_state import same_state
 from becalm.core.packing import unpacked
-from becalm.core.standing import alike
 from becalm.fleet.stretching.long import State, Stretch
 from becalm.fleet.stretching.run import Told
 
@@ -58,7 +58,7 @@ def _fits(end: State, start: State | None, alive: Sequence[bool]) -> bool:
     if start is None:
         return False
     pairs = zip(end, start, alive, strict=True)
-    return all(alike(unpacked(one), unpacked(other), alive=sure) for one, other, sure in pairs)
+    return all(same_state(unpacked(one), unpacked(other), alive=sure) for one, other, sure in pairs)
 
 
 def _agree(one: np.ndarray | None, other: np.ndarray | None) -> bool:

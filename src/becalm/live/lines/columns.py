@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from becalm.core.clock import FASTEST_HZ, SLOWEST_HZ
+from becalm.core.time.clock import FASTEST_HZ, SLOWEST_HZ
 from becalm.errors import UsageError
 from becalm.files.text.cells import TIME, kind_of
 from becalm.files.timing.time_column import is_time_name

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from becalm.core.clock import FASTEST_HZ, SLOWEST_HZ
+from becalm.core.time.clock import FASTEST_HZ, SLOWEST_HZ
 from becalm.errors import UsageError
 from becalm.files.conversion import conversion
 from becalm.files.text.csv_header import unique_names

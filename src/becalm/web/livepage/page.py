@@ -9,7 +9,7 @@ import time
 from collections.abc import Awaitable, Callable
 from typing import TYPE_CHECKING, NamedTuple
 
-from becalm.core.itself import version
+from becalm.core.installation import version
 from becalm.errors import BecalmError, UsageError
 from becalm.live.retuning import Retune
 from becalm.live.watching.meter import Meter

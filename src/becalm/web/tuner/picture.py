@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from becalm.cleaning.excerpt import ChannelRows, Run
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.core.arrays import Floats, Integers
-from becalm.core.told import Told
+from becalm.core.rows import EstimatedRows
 from becalm.core.verdict import Verdict
 from becalm.report.envelope import Envelope, Kinds, Stretches
 from becalm.report.gathering import WIDTH
@@ -124,7 +124,7 @@ class _Enclosing:
         """Return what all rows were."""
         return Clean(self.signal, self.band, self.kinds.met, np.concatenate(self._spikes))
 
-    def add(self, told: Told) -> None:
+    def add(self, told: EstimatedRows) -> None:
         """Take the next rows."""
         for start in range(0, len(told.signal), _PIECE):
             part = told.rows(slice(start, start + _PIECE))
@@ -135,7 +135,7 @@ class _Enclosing:
                 self._spikes.append(self._row + np.flatnonzero(part.verdicts == Verdict.SPIKE))
             self._row += len(part.signal)
 
-    def _enclose(self, told: Told, touched: slice, begins: NDArray[np.intp]) -> None:
+    def _enclose(self, told: EstimatedRows, touched: slice, begins: NDArray[np.intp]) -> None:
         low, high = np.fmin.reduceat(told.signal, begins), np.fmax.reduceat(told.signal, begins)
         each = np.arange(len(low))
         self.signal.add(touched, each, low, high)
@@ -159,7 +159,7 @@ def _unchanged(rows: ChannelRows, recipe: ChannelRecipe, view: View) -> Clean:
     healthy, enclosing = rows.healthy(recipe.limits), _Enclosing(view, view.rows_each)
     part = slice(view.first, view.stop)
     unknown = np.full(view.stop - view.first, np.nan)
-    enclosing.add(Told(healthy.readings[part], unknown, unknown[np.newaxis], healthy.verdicts[part]))
+    enclosing.add(EstimatedRows(healthy.readings[part], unknown, unknown[np.newaxis], healthy.verdicts[part]))
     return enclosing.clean()
 
 

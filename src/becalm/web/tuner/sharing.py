@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, TypeVar
 
-from becalm.core.itself import version
+from becalm.core.installation import version
 from becalm.errors import BecalmError, InputError, UsageError
 from becalm.files.asked import ReadOptions
 from becalm.files.registry import endings_here

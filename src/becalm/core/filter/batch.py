@@ -1,0 +1,79 @@
+"""Many records of one model, one after the other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from becalm.core.arrays import Floats, Integers
+from becalm.core.filter.filtering import Wanted, new_beliefs, new_kernel, numbers, rows_of, sums_of
+from becalm.core.model.model import Model
+from becalm.core.model.timeline import even_timeline
+from becalm.errors import ModelError
+from becalm.native.multivariate import Beliefs
+
+
+@dataclass(frozen=True)
+class Batch:
+    """What a filter found in B records of N readings, m channels, n states.
+
+    Attributes
+    ----------
+    signal, sigma : (B, N, m) float array
+        H x and its standard uncertainty, in the channels' units.
+    innovations, innovation_sigma : (B, N, m) float array
+        Reading minus its prediction, and the standard deviation expected of it; no rows if not asked for.
+    mean : (B, N, n) float array or None
+        States, on request.
+    log_likelihood : (B,) float array
+        Exact Gaussian log-likelihood of each record.
+    used : (B,) int array
+        Readings that entered it.
+    """
+
+    signal: Floats
+    sigma: Floats
+    innovations: Floats
+    innovation_sigma: Floats
+    mean: Floats | None
+    log_likelihood: Floats
+    used: Integers
+
+
+def filter_batch(model: Model, z: ArrayLike, *, states: bool = False, innovations: bool = True) -> Batch:
+    """Filter many records causally, each as `kalman_filter` would.
+
+    Parameters
+    ----------
+    model : Model
+        The signal and its sensors, one step a row, the same for all records.
+    z : (B, N, m) array_like
+        Readings in the channels' units, NaN where one did not arrive. Never modified.
+    states, innovations : bool
+        Whether to return `mean`, and `innovations` with `innovation_sigma`.
+
+    Raises
+    ------
+    ModelError
+        If z does not fit the model, or the model cannot start without x0 and P0.
+    """
+    readings = np.require(numbers(z), requirements=["C", "A"])
+    if readings.ndim != 3 or readings.shape[2] != model.channels:
+        raise ModelError(f"z has shape {np.shape(z)}; (records, N, {model.channels}) is needed.")
+    wanted, records, count = Wanted(states=states, innovations=innovations), *readings.shape[:2]
+    timeline = even_timeline(model, count)
+    kernel = new_kernel(model, timeline, wanted)
+    start, likelihoods, used = kernel.state.copy(), np.empty(records), np.empty(records, np.int64)
+    whole = Beliefs(
+        *(None if room is None else np.empty((records, *room.shape)) for room in new_beliefs(model, count, wanted))
+    )
+    for record, z_k in enumerate(readings):
+        kernel.state[:] = start
+        kernel.filter(rows_of(timeline, z_k), Beliefs(*(None if room is None else room[record] for room in whole)))
+        sums = sums_of(kernel)
+        likelihoods[record], used[record] = sums.log_likelihood, sums.used
+    nothing = np.empty((records, 0, model.channels))
+    signal, sigma, innovation, deviation, mean, _ = (nothing if room is None else room for room in whole)
+    return Batch(signal, sigma, innovation, deviation, mean if states else None, likelihoods, used)

@@ -1,0 +1,186 @@
+"""What one channel is made of, as the kernel in C takes it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from becalm.core.arrays import Floats
+from becalm.core.filter.gap_limit import GapLimit, gap_limit_of
+from becalm.core.filter.gate import Gate, level_of
+from becalm.core.health.limits import Limits
+from becalm.core.health.monitor import NEVER, NO_ALARMS, Alarms
+from becalm.core.model.components import Component
+from becalm.core.model.magnitudes import largest_beside
+from becalm.core.model.model import Model
+from becalm.core.model.prior import known_before, refuse_singular, root_of
+from becalm.core.model.step_matrices import StepMatrices
+from becalm.core.model.timeline import model_system
+from becalm.errors import ModelError
+from becalm.native.rows import COEFFICIENTS, MOST_STATES
+from becalm.native.scans import PARTS
+
+_OF_LIMITS = {
+    *("low", "high", "largest", "stuck", "outlier_distance", "plausible_low", "plausible_high"),
+    *("repeats_are_one", "blank"),
+}
+_OF_GATE = {"states", "largest_accepted", "gated", "gate_threshold", "gate_agree", "gate_most", "gate_level"}
+
+
+class Widening(NamedTuple):
+    """What makes the sigma of a signal larger than its filter's: by a share, by times, and by a calibration."""
+
+    factor: float = 1.0
+    time_std_s: float | None = None  # standard uncertainty of a measurement's time
+    included_std: float = 0.0  # what of it the noise holds already
+    calibration: tuple[float, float] | None = None  # standard uncertainties of sensitivity, as a share, and of zero
+
+
+class Settings(NamedTuple):
+    """What a recipe says of one channel."""
+
+    component: Component  # in steps
+    noise_variance: float  # R, in unit^2
+    step_s: float = 1.0
+    limits: Limits = Limits()
+    alarms: Alarms = NO_ALARMS
+    gate: Gate | None = None
+    widening: Widening = Widening()
+    unknown_from: float = np.inf  # sigma from which on a row without a measurement is a hole, in unit
+
+    @property
+    def disturbed(self) -> bool:
+        """Whether its signal is less than what is measured."""
+        return any(part.disturbance for part in self.component.parts)
+
+
+class StepTable:
+    """The matrices of steps, for the kernel.
+
+    Parameters
+    ----------
+    component : Component
+        In steps.
+    nearest : bool
+        Whether coloured noise, which goes in whole steps, takes the nearest to any other: no stream ends by a late row.
+    """
+
+    def __init__(self, component: Component, *, nearest: bool = True) -> None:
+        self._steps, self._in_steps = StepMatrices(component), component.goes_in_steps and nearest
+        self._lengths, self._matrices = np.ones(1), self._steps.over(np.ones(1))
+
+    @property
+    def matrices(self) -> tuple[Floats, Floats]:
+        """F and Q (u, n, n) of the steps that were asked for last; at first of one step."""
+        return self._matrices
+
+    def before(self, elapsed: Floats) -> dict[str, NDArray[np.int32] | Floats]:
+        """Return which step each of some rows follows, and the matrices of these steps; those of the last are kept."""
+        lengths, step = elapsed[:1], np.zeros(len(elapsed), np.int32)
+        if not (elapsed == lengths).all():
+            lengths, rows = np.unique(elapsed, return_inverse=True)
+            step = rows.astype(np.int32)
+        if not np.array_equal(lengths, self._lengths) and len(lengths):
+            wanted = np.round(lengths) if self._in_steps else lengths
+            self._lengths, self._matrices = lengths.copy(), self._steps.over(wanted)
+        F, Q = self._matrices
+        return {"step": step, "F": F, "Q": Q}
+
+
+def packed_settings(settings: Settings, gap_limit: GapLimit | None = None) -> NDArray[np.void]:
+    """Return the settings of a channel as C's struct; `gap_limit` is by default that of its component."""
+    packed, component, widening = settings.limits.packed(), settings.component, settings.widening
+    gap_limit = gap_limit or gap_limit_of(component, settings.noise_variance)
+    timed, calibrated = widening.time_std_s is not None, widening.calibration is not None
+    _fill_in_gate(packed, settings.gate, component.to_model(1.0, settings.noise_variance))
+    values = {
+        "longest_gap": gap_limit.longest,
+        "gap_spans": gap_limit.spans,
+        "gap_measurements": gap_limit.readings,
+        "drift_threshold": int(np.ceil(min(settings.alarms.drift_threshold, NEVER) * PARTS)),
+        "dead_variance": settings.alarms.dead_variance,
+        "timed": timed,
+        "step_s": settings.step_s,
+        "time_std_s": widening.time_std_s if timed else 0.0,
+        "time_variance": widening.included_std**2,
+        "factor": widening.factor,
+        "calibrated": calibrated,
+        "relative_std": widening.calibration[0] if widening.calibration else 0.0,
+        "offset_std": widening.calibration[1] if widening.calibration else 0.0,
+        "unknown_from": settings.unknown_from,
+    }
+    assert set(values) | _OF_LIMITS | _OF_GATE == set(packed.dtype.names or ()), "every field of C's settings is filled"
+    for name, value in values.items():
+        packed[name] = value
+    return packed
+
+
+def model_settings(model: Model, gate: Gate | None) -> NDArray[np.void]:
+    """Return settings of a channel that is a model's only one, and is not watched, as C's struct."""
+    packed = Limits().packed()
+    packed["longest_gap"] = packed["gap_spans"] = packed["unknown_from"] = np.inf
+    packed["factor"], packed["drift_threshold"] = 1.0, int(NEVER * PARTS)
+    _fill_in_gate(packed, gate, model)
+    if gate is None:
+        packed["largest_accepted"] = np.inf
+    return packed
+
+
+def _fill_in_gate(packed: NDArray[np.void], gate: Gate | None, model: Model) -> None:
+    values = {
+        "states": model.states,
+        "largest_accepted": largest_beside(float(model.R[0, 0])),
+        "gated": gate is not None,
+        "gate_threshold": gate.threshold if gate else np.inf,
+        "gate_agree": gate.agree if gate else 0,
+        "gate_most": gate.at_most if gate else 0,
+        "gate_level": level_of(model) if gate else -1,
+    }
+    assert set(values) == _OF_GATE, "no other field is filled in here"
+    for name, value in values.items():
+        packed[name] = value
+
+
+def packed_coefficients(component: Component, noise_variance: float, *, disturbed: bool) -> NDArray[np.void]:
+    """Return the coefficients of a channel as C's struct.
+
+    Parameters
+    ----------
+    component : Component
+        In steps.
+    noise_variance : float
+        R, in unit^2.
+    disturbed : bool
+        Whether its signal leaves the disturbances out.
+
+    Raises
+    ------
+    ModelError
+        If it has too many states, or cannot start from measurements alone.
+    """
+    model = component.to_model(1.0, noise_variance)
+    refuse_singular(model_system(model))
+    coefficients = model_coefficients(model)
+    coefficients["c"][: model.states] = (component.signal_output if disturbed else component.output)[0]
+    coefficients["keeps_level"], coefficients["disturbed"] = component.keeps_level, disturbed
+    return coefficients
+
+
+def model_coefficients(model: Model) -> NDArray[np.void]:
+    """Return the coefficients of a channel that is a model's only one, and tells what is measured, as C's struct.
+
+    Raises
+    ------
+    ModelError
+        If it has too many states.
+    """
+    n = model.states
+    if n > MOST_STATES:
+        raise ModelError(f"A channel has up to {MOST_STATES} states; this one has {n}. Leave a tone out.")
+    coefficients = np.zeros((), COEFFICIENTS)
+    coefficients["h"][:n] = coefficients["c"][:n] = model.H[0]
+    coefficients["R"], coefficients["widest"] = model.R[0, 0], np.inf
+    coefficients["prior"][: n * n] = root_of(known_before(model).Y).ravel()
+    return coefficients

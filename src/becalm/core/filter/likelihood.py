@@ -1,0 +1,34 @@
+"""The likelihood of a record of a model and nothing else; of one channel `ChannelRecord.score` has it."""
+
+from __future__ import annotations
+
+from numpy.typing import ArrayLike
+
+from becalm.core.filter.filtering import Wanted, checked_readings, run_filter
+from becalm.core.model.model import Model
+from becalm.core.model.timeline import even_timeline
+
+NOTHING = Wanted(sigma=False, innovations=False, signal=False)
+
+
+def log_likelihood(model: Model, z: ArrayLike) -> float:
+    """Return the exact Gaussian log-likelihood of readings; see `kalman_filter`.
+
+    Parameters
+    ----------
+    model : Model
+        The signal and its sensors, one step a row.
+    z : (N,) or (N, m) array_like
+        Readings in the channels' units, NaN where one did not arrive.
+
+    Raises
+    ------
+    ModelError
+        If z does not fit the model, or the model cannot start without x0 and P0.
+
+    Notes
+    -----
+    Schweppe, IEEE TIT-11 (1965) 61; equation (8) of `becalm.core.reference.kalman`.
+    """
+    readings = checked_readings(model, z)
+    return run_filter(model, even_timeline(model, len(readings)), readings, NOTHING).estimate.log_likelihood

@@ -1,0 +1,155 @@
+"""A stream of one channel of a model, one step a reading: the filter of files, row by row, with or without a lag."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from becalm.core.arrays import Codes, Floats
+from becalm.core.filter.channel import Estimates
+from becalm.core.filter.channel_settings import model_coefficients, model_settings
+from becalm.core.filter.fixed_lag_flow import LateRows
+from becalm.core.filter.gate import Gate
+from becalm.core.model.magnitudes import largest_beside
+from becalm.core.model.model import Model
+from becalm.core.model.prior import WIDE, refuse_singular, root_of, wide_prior
+from becalm.core.model.timeline import model_system
+from becalm.core.rows import Rows
+from becalm.core.verdict import BEYOND_ANY_SENSOR, Verdict
+from becalm.core.verdict import judge as judge_readings
+from becalm.errors import ModelError
+from becalm.native import DETERMINED, GATHERING, loaded, process, saved, start, stepper
+
+
+class _ModelSteps(NamedTuple):
+    """The matrices of a model's steps, which are all alike."""
+
+    F: Floats  # (1, n, n)
+    Q: Floats  # (1, n, n)
+
+    def before(self, elapsed: Floats) -> dict[str, NDArray[np.int32] | Floats]:
+        """Return which step each of some rows follows, and the matrices."""
+        return {"step": np.zeros(len(elapsed), np.int32), "F": self.F, "Q": self.Q}
+
+
+class OnlineChannel:
+    """Takes readings one step apart.
+
+    Parameters
+    ----------
+    model : Model
+        Of one channel.
+    lag : int
+        Readings that each estimate waits for; 0 filters.
+    gate : Gate, optional
+        What leaves spikes out, and follows steps; by default every reading is believed.
+
+    Raises
+    ------
+    ModelError
+        If the model cannot start without x0 and P0.
+    """
+
+    def __init__(self, model: Model, lag: int, gate: Gate | None) -> None:
+        self.model, self.gate, self.lag = model, gate, lag
+        self._settings, self._coefficients = model_settings(model, gate), model_coefficients(model)
+        self._largest = BEYOND_ANY_SENSOR if gate is None else largest_beside(float(model.R[0, 0]))
+        self._steps = _ModelSteps(*(np.require(A[:1], np.float64, ["C", "A"]) for A in model_system(model)[:2]))
+        self._begun, self._unwaited = False, lag
+        self.verdicts: Codes = np.empty(0, np.int8)
+        begins = self._first_state()
+        self._late = LateRows(self._settings, self._coefficients, self._steps, lag) if lag else None
+        self._state = start(self._settings)
+        _begin(self._state if self._late is None else self._late.state, begins)
+
+    def run(self, z: Floats) -> tuple[Floats, Floats]:
+        """Take a block, (B, 1); return signal and sigma, (B, 1) each, of the readings a lag before them."""
+        signal, sigma = self._run(np.require(z[:, 0], np.float64, ["C", "A"]))
+        return signal[:, np.newaxis], sigma[:, np.newaxis]
+
+    def _run(self, z: Floats) -> tuple[Floats, Floats]:
+        elapsed = np.ones(len(z))
+        if not self._begun:
+            elapsed[:1] = 0.0
+        self._begun = self._begun or len(z) > 0
+        judged = judge_readings(z, self._largest)
+        if self._late is not None:
+            return self._run_late(Rows(judged.readings, elapsed, judged.verdicts), self._late)
+        found = Estimates.room(len(z))
+        rows = found.outputs() | self._steps.before(elapsed) | {"z": judged.readings, "elapsed": elapsed}
+        process(self._settings, self._coefficients, self._state, **rows)
+        self.verdicts = np.where(found.verdict > Verdict.MISSING, found.verdict, judged.verdicts)
+        return found.signal, found.sigma
+
+    def stepper(self) -> Callable[[float], tuple[float, float]] | None:
+        """Return what takes a number, and returns signal and sigma; None at first, and with a gate."""
+        if not self._begun or self._unwaited or self.gate is not None:
+            return None
+        if self._late is not None:
+            return self._late.stepper()
+        return stepper(self._settings, self._coefficients, self._state, *self._steps)
+
+    def finish(self) -> tuple[Floats, Floats]:
+        """Return signal and sigma, (rows, 1) each, of the readings that wait; nothing changes by it."""
+        if self._late is None:
+            return np.empty((0, 1)), np.empty((0, 1))
+        found = self._late.rest()
+        return found.signal[:, np.newaxis], found.sigma[:, np.newaxis]
+
+    def saved(self) -> dict[str, Any]:
+        """Return what moves, as arrays."""
+        moves = {"begun": np.array(self._begun), "unwaited": np.array(self._unwaited)}
+        if self._late is not None:
+            return moves | self._late.saved()
+        return moves | {"live": saved(self._settings, self._state)}
+
+    def restore(self, arrays: Mapping[str, Any]) -> None:
+        """Take over what `saved` returned.
+
+        Raises
+        ------
+        ModelError
+            If these are not the arrays of such a filter.
+        """
+        self._begun, self._unwaited = bool(arrays["begun"]), int(arrays["unwaited"])
+        if self._late is not None:
+            self._late.restore(arrays)
+            if self._unwaited < 0 or self._unwaited + self._late.waiting != self.lag:
+                raise ModelError("The snapshot's rows that wait do not fit its lag; pass what snapshot() returned.")
+        else:
+            self._state = loaded(self._settings, np.asarray(arrays["live"]))
+
+    def _run_late(self, rows: Rows, late: LateRows) -> tuple[Floats, Floats]:
+        count, newest = len(rows.z), list[Codes]()
+        signal, sigma = np.full(count, np.nan), np.full(count, np.inf)
+        at = min(self._unwaited, count)
+        self._unwaited -= at
+        for told, new in late.take(rows):
+            signal[at : at + len(told.signal)], sigma[at : at + len(told.signal)] = told.signal, told.sigma
+            at += len(told.signal)
+            newest.append(new.verdict)
+        self.verdicts = np.concatenate([np.empty(0, np.int8), *newest])
+        return signal, sigma
+
+    def _first_state(self) -> tuple[int, Floats, Floats] | None:
+        """Return what is known before the first reading: how, and x and P, or the root of information; else None."""
+        model, wide = self.model, wide_prior(self.model)
+        if wide is not None and model.x0 is not None:
+            self._coefficients["widest"] = WIDE
+            root = root_of(wide.Y)
+            return GATHERING, root @ model.x0, root
+        if model.x0 is not None and model.P0 is not None:
+            return DETERMINED, model.x0, model.P0
+        refuse_singular(model_system(model))
+        return None
+
+
+def _begin(state: NDArray[np.void], begins: tuple[int, Floats, Floats] | None) -> None:
+    if begins is None:
+        return
+    phase, x, P = begins
+    state["phase"], state["has_level"] = phase, 1
+    state["x"][: len(x)], state["P"][: P.size] = x, P.ravel()

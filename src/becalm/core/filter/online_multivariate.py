@@ -1,0 +1,85 @@
+"""A stream of several channels of a model, one step a reading: the filter of `kalman_filter`, with or without a lag."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from becalm.core.arrays import Floats
+from becalm.core.filter.filtering import EVERYTHING, new_kernel, rows_of
+from becalm.core.model.model import Model
+from becalm.core.model.timeline import even_timeline
+from becalm.errors import ModelError
+from becalm.native.multivariate import Beliefs
+
+
+class OnlineMultivariate:
+    """Takes readings one step apart.
+
+    Parameters
+    ----------
+    model : Model
+        Of several channels.
+    lag : int
+        Readings that each estimate waits for; 0 filters.
+
+    Raises
+    ------
+    ModelError
+        If the model is too large, or cannot start without x0 and P0.
+    """
+
+    def __init__(self, model: Model, lag: int) -> None:
+        self.model, self.lag = model, lag
+        self._kernel = new_kernel(model, even_timeline(model, 1), EVERYTHING)
+        self._waiting, self._unwaited = np.empty((0, model.channels)), lag
+
+    def run(self, z: Floats) -> tuple[Floats, Floats]:
+        """Take a block, (B, m); return signal and sigma, (B, m) each, of the readings a lag before them."""
+        if not self.lag:
+            signal, sigma = np.empty((2, *z.shape))
+            self._kernel.filter(rows_of(self._timeline(len(z)), z), Beliefs(signal, sigma))
+            return signal, sigma
+        rows, at = np.concatenate([self._waiting, z]), min(self._unwaited, len(z))
+        signal, sigma = np.full(z.shape, np.nan), np.full(z.shape, np.inf)
+        signal[at:], sigma[at:] = self._smoothed(rows, len(z) - at)
+        self._waiting, self._unwaited = rows[len(z) - at :].copy(), self._unwaited - at
+        return signal, sigma
+
+    def stepper(self) -> Callable[[float], tuple[float, float]] | None:
+        """Return nothing: readings are no numbers."""
+        return None
+
+    def finish(self) -> tuple[Floats, Floats]:
+        """Return signal and sigma, (rows, m) each, of the readings that wait; nothing changes by it."""
+        state = self._kernel.state.copy()
+        told = self._smoothed(self._waiting, len(self._waiting))
+        self._kernel.state = state
+        return told
+
+    def saved(self) -> dict[str, Any]:
+        """Return what moves, as arrays."""
+        return {"live": self._kernel.saved(), "waiting": self._waiting, "unwaited": np.array(self._unwaited)}
+
+    def restore(self, arrays: Mapping[str, Any]) -> None:
+        """Take over what `saved` returned.
+
+        Raises
+        ------
+        ModelError
+            If these are not the arrays of such a filter.
+        """
+        waiting, unwaited = np.array(arrays["waiting"]), int(arrays["unwaited"])
+        fits = waiting.dtype == np.float64 and waiting.ndim == 2 and waiting.shape[1] == self.model.channels
+        if not fits or not 0 <= unwaited <= self.lag or len(waiting) + unwaited != self.lag:
+            raise ModelError("The snapshot's rows that wait are not those of this lag; pass what snapshot() returned.")
+        self._kernel.load(np.asarray(arrays["live"]))
+        self._waiting, self._unwaited = waiting, unwaited
+
+    def _smoothed(self, rows: Floats, count: int) -> tuple[Floats, Floats]:
+        return self._kernel.smooth_late(rows_of(self._timeline(len(rows)), rows), self.lag, count)
+
+    def _timeline(self, count: int) -> Any:
+        return even_timeline(self.model, count, goes_on=bool(self._kernel.head["rows"]))

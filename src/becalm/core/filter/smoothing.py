@@ -1,0 +1,72 @@
+"""The backward pass over a record: every estimate knows all readings."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from becalm.core.arrays import Floats
+from becalm.core.filter.filtering import (
+    EVERYTHING,
+    Estimate,
+    Wanted,
+    checked_readings,
+    estimate_of,
+    new_beliefs,
+    new_kernel,
+    rows_of,
+)
+from becalm.core.model.model import Model
+from becalm.core.model.timeline import Timeline, even_timeline
+
+
+def kalman_smoother(  # noqa: PLR0913  (what is wanted, each by its name)
+    model: Model,
+    z: ArrayLike,
+    *,
+    states: bool = False,
+    covariances: bool = False,
+    sigma: bool = True,
+    innovations: bool = True,
+) -> Estimate:
+    """Smooth readings: each estimate knows the whole record, before and after its own time.
+
+    Parameters
+    ----------
+    model : Model
+        The signal and its sensors, one step a row.
+    z : (N,) or (N, m) array_like
+        Readings in the channels' units; NaN or Inf where one did not arrive. Never modified.
+    states, covariances : bool
+        Whether to return `mean` (N, n) and `cov` (N, n, n).
+    sigma, innovations : bool
+        Whether to return `sigma`, and `innovations` with `innovation_sigma`; without them less is done.
+        Covariances bring `sigma` with them.
+
+    Returns
+    -------
+    Estimate
+        Innovations and likelihood are those of the forward pass.
+
+    Raises
+    ------
+    ModelError
+        If z does not fit the model, or the model cannot start without x0 and P0.
+
+    Notes
+    -----
+    Bryson and Frazier (1963) in Bierman's form (1973), which gives the same as Rauch, Tung and
+    Striebel (1965) without inverting a covariance; equations (9) to (12) of
+    `becalm.core.reference.kalman`. With a flat start the mean is that of penalised least squares.
+    """
+    readings = checked_readings(model, z)
+    wanted = Wanted(states, covariances, sigma or covariances, innovations)
+    return run_smoother(model, even_timeline(model, len(readings)), readings, wanted)
+
+
+def run_smoother(model: Model, timeline: Timeline, z: Floats, wanted: Wanted = EVERYTHING) -> Estimate:
+    """Smooth z (N, m) over a timeline; see `kalman_smoother`."""
+    kernel, beliefs = new_kernel(model, timeline, wanted), new_beliefs(model, len(z), wanted)
+    innovation = np.empty(z.shape) if beliefs.innovation is None else beliefs.innovation
+    kernel.smooth(rows_of(timeline, z), beliefs._replace(innovation=innovation))
+    return estimate_of(kernel, beliefs)

@@ -1,0 +1,1 @@
+"""What is wrong with a sensor, its measurements and its noise."""

@@ -1,0 +1,203 @@
+"""What is wrong with readings themselves, told as they come: clipped, stuck, late, repeated, after a gap.
+
+No filter is asked, only the limits of the channel. Time since the first row is counted in whole parts of a step, so
+that sums are exact, and the verdicts those of the whole record wherever it is cut.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from becalm.core.arrays import Codes, Floats, Integers, input_of
+from becalm.core.health.limits import Limits
+from becalm.core.health.time_faults import TimeFaults, possible_steps
+from becalm.core.verdict import ADVICE, Verdict
+from becalm.errors import ModelError, UsageError
+from becalm.native.scans import LIMITS, new_limits, reduced_limits, restored, scan_faults
+
+_TIME = 1 << 10  # of a step, for the time since the first row
+
+
+class Found(NamedTuple):
+    """How often a fault was found."""
+
+    readings: int
+    first_row: int  # 0 is the first row pushed
+    first_step: float  # steps from the first row to there
+
+
+class Faults:
+    """Watches the readings of one channel, in constant memory.
+
+    Parameters
+    ----------
+    limits : Limits
+        What the channel keeps to.
+
+    Attributes
+    ----------
+    found : dict
+        `Found` of each verdict but `USED` that was given so far.
+
+    Notes
+    -----
+    A reading of 0 that is the least, or the greatest, so far is not stuck however long it is held: speeds
+    and loads rest there.
+    """
+
+    def __init__(self, limits: Limits) -> None:
+        self.limits = limits
+        self.found: dict[Verdict, Found] = {}
+        self._settings, self._state = limits.packed(), new_limits()
+        self._rows = 0
+        self._ticks = 0  # from the first row
+        self._rhythm = TimeFaults(limits)
+
+    @property
+    def stuck_delay(self) -> int | None:
+        """How many readings a channel is stuck before it is told, itself among them; None: never."""
+        return self.limits.stuck_readings
+
+    def push(self, z: Floats, elapsed: Floats, beside: Codes | None = None) -> Codes:
+        """Take the next rows and tell what is wrong with each.
+
+        Parameters
+        ----------
+        z : (B,) float array
+            Readings, in unit; NaN where missing.
+        elapsed : (B,) float array
+            Steps since the row before; not looked at for the first row of all.
+        beside : (B,) int8 array, optional
+            What is wrong with each reading by those on both sides of it; 0 for nothing.
+
+        Returns
+        -------
+        (B,) int8 array
+            `USED` where nothing is. What is wrong with the reading goes before what is wrong with its time.
+
+        Raises
+        ------
+        UsageError
+            If there are not as many steps as readings.
+        """
+        require_steps(elapsed, len(z))
+        codes = np.zeros(len(z), dtype=np.int8)
+        if not len(z):
+            return codes
+        even = bool((elapsed[0 if self._rows else 1 :] == 1.0).all())
+        if not even or not self._rows:
+            elapsed = possible_steps(elapsed).copy()
+            elapsed[0] = elapsed[0] if self._rows else 1.0  # it came when it was due
+        if not even or not self._rhythm.undisturbed:
+            self._rhythm.write(codes, elapsed)
+        found = scan_faults(self._settings, self._state, input_of(z), input_of(elapsed), codes)
+        if beside is not None and beside.any():
+            worse = (beside > 0) & (codes != Verdict.CLIPPED)
+            codes[worse] = beside[worse]
+            found = 1
+        ticks = np.full(1, _TIME) if even else np.rint(elapsed * _TIME).astype(np.int64)
+        self._count(codes if found else codes[:0], np.broadcast_to(ticks, z.shape))
+        return codes
+
+    def begin_after(self, rows: int, steps: float, least: float, most: float) -> None:
+        """Say how many rows, and steps, went before those that will come, and between what their readings lay."""
+        self._rows, self._ticks = rows, round(steps * _TIME)
+        self._state["least"], self._state["most"] = least, most
+
+    def saved(self) -> dict[str, Any]:
+        """Return what verdicts depend on, as arrays; what was found so far is not among it."""
+        told, state = np.array([self._rows, self._ticks]), np.frombuffer(self._state.tobytes(), np.int8)
+        return {"faults_state": state, "faults_told": told, "faults_offsets": self._rhythm.offsets}
+
+    def restore(self, arrays: Mapping[str, Any]) -> None:
+        """Take over what `saved` returned."""
+        state = restored(arrays["faults_state"], LIMITS)
+        if state is None:
+            raise ModelError("What a snapshot remembers of readings is not valid: pass what snapshot() returned.")
+        self._state, self._rhythm.offsets[:] = state, arrays["faults_offsets"]
+        self._rows, self._ticks = arrays["faults_told"].tolist()
+
+    def comparable_state(self) -> dict[str, Any]:
+        """Return what later verdicts depend on and nothing else, so that it can be compared."""
+        offsets = self._rhythm.offsets
+        readings = np.frombuffer(reduced_limits(self._settings, self._state), np.int8)
+        return {"readings": readings, "rhythm": np.asarray(offsets - offsets[-1], np.float64)}
+
+    def _count(self, codes: Codes, ticks: Integers) -> None:
+        """Remember how often each verdict was given, and where first; time begins with the first row of all."""
+        begun = 0 if self._rows else -int(ticks[0])
+        counts = np.bincount(codes, minlength=len(Verdict))
+        for code in np.flatnonzero(counts[1:]) + 1:
+            verdict = Verdict(int(code))
+            before = self.found.get(verdict)
+            if before is None:
+                at = int(np.argmax(codes == verdict))
+                before = Found(0, self._rows + at, (self._ticks + begun + int(ticks[: at + 1].sum())) / _TIME)
+            self.found[verdict] = before._replace(readings=before.readings + int(counts[verdict]))
+        self._ticks += begun + int(ticks.sum())
+        self._rows += len(ticks)
+
+
+def require_steps(elapsed: Floats, rows: int) -> None:
+    """Raise a UsageError unless there is one step before each row: C would read beyond the last."""
+    if len(elapsed) != rows:
+        raise UsageError(
+            f"{len(elapsed)} elapsed steps came with {rows} rows; each row needs the steps since the one before it, as"
+            f" in elapsed = np.ones({rows})."
+        )
+
+
+def said(found: Mapping[Verdict, Found], limits: Limits, step_s: float) -> list[str]:
+    """Say what was found, where first, and what to do about it: a sentence or two for each verdict.
+
+    Parameters
+    ----------
+    found : mapping
+        As `Faults.found`, with `InnovationMonitor.found` joined in where there is one.
+    limits : Limits
+        What the channel was held against.
+    step_s : float
+        One step, in seconds.
+
+    Returns
+    -------
+    list of str
+        In the order of the verdicts.
+    """
+    return [
+        f"{_what(verdict, found[verdict].readings, limits)}, first at {found[verdict].first_step * step_s:.6g} s"
+        f" (row {found[verdict].first_row + 1}). {ADVICE.get(verdict, '')}".rstrip()
+        for verdict in sorted(found)
+    ]
+
+
+def _what(verdict: Verdict, count: int, limits: Limits) -> str:
+    readings = f"{count} reading{'s' if count != 1 else ''}"
+    if verdict == Verdict.CLIPPED:
+        return f"{readings} at a rail or beyond ({_range(limits)})"
+    if verdict == Verdict.OVERRANGE:
+        return f"{readings} beyond {f'{limits.largest:.3g}'.replace('e+', 'e')}"
+    if verdict == Verdict.OUTLIER:
+        return f"{readings} far from all readings beside {'it' if count == 1 else 'them'}"
+    if verdict == Verdict.STUCK:
+        return f"{readings} in runs of {limits.stuck_readings} equal ones or more"
+    if verdict == Verdict.GAP:
+        return f"{count} gap{'s' if count != 1 else ''} of more than {limits.gap_steps:.3g} steps"
+    return f"{readings} {_WORDS.get(verdict, verdict.name.lower())}"
+
+
+def _range(limits: Limits) -> str:
+    if np.isfinite(limits.rails).all():
+        return f"{limits.low:.6g} to {limits.high:.6g}"
+    return f"{limits.low:.6g} and less" if np.isfinite(limits.low) else f"{limits.high:.6g} and more"
+
+
+_WORDS = {
+    Verdict.NONFINITE: "not finite",
+    Verdict.DEAD: "of a dead channel",
+    Verdict.DRIFT: "at which a drift was seen",
+    Verdict.REPEATED: "at the time of the row before",
+}

@@ -1,0 +1,278 @@
+"""What a healthy channel does, found from a record of it: its rails, its codes, how long it holds one of them.
+
+Of runs of equal readings the tail is geometric: of a noise each reading has the chance p to be as the one
+before, about LSB / (2 sqrt(pi) sigma), and a slow signal leaves its code at about one rate. So runs beyond a
+threshold tell p, and p^n how rare a run of n is. Coarse codes hide the worst of it: a level in the middle of a
+code is left more seldom than one at its edge. How far the codes reach tells sigma, and sigma the worst.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from becalm.core.arrays import Floats, Integers
+from becalm.core.health.outliers import NO_OUTLIERS, Outliers, find_outlier_rule, is_outlier
+from becalm.core.health.repeated_readings import repeats_readings
+from becalm.core.health.saturation import SaturationLimits, find_saturation, is_noisy
+from becalm.core.model.magnitudes import find_largest
+from becalm.core.time.clock import GAP_STEPS
+from becalm.core.verdict import BEYOND_ANY_SENSOR
+from becalm.errors import UsageError
+from becalm.native.rows import SETTINGS
+from becalm.native.scans import EVERY_REPEAT, NEAR_REST
+
+_MARGIN = 2.0  # of a limit over what the record itself shows
+_WIDE_MARGIN = 10.0  # where only the signal ends a run
+_FEWEST_RUNS = 50  # of equal readings: fewer tell no law
+_MOST_FAULTS = 10  # stretches of a record in which a channel was stuck
+_TAIL, _FEWEST_IN_TAIL = 0.05, 20
+_UNSEEN = 3.0  # what never happened may come so often: the 95 % limit of Poisson's law
+_FEWEST_OF_A_SIDE = 5  # readings beyond the edge of a code, for its place to be told
+_LATTICE = 1e-5  # of a step: how far text and arithmetic may round a reading off its code
+_ROUNDED = 1e-4  # of a step: what is left of a distance by that, before the step itself is known well
+_FEWEST_CODES = 3  # two lie on any lattice
+_MOST_CODES = 1 << 16  # differences that a lattice is looked for in
+_EVEN, _EVEN_SHARE = 0.1, 0.95  # steps off whole ones, of so many rows
+_SLOW = 1e-3  # of a step
+_ENDLESS = 1 << 53  # equal readings in a row: no record has so many
+
+
+class Limits(NamedTuple):
+    """What a channel keeps to while it is healthy.
+
+    Attributes
+    ----------
+    low, high : float
+        The rails, in unit: readings there or beyond are clipped. -inf, inf: none is known.
+    resolution : float
+        The step between two codes, in unit; 0 where readings lie on no lattice.
+    stuck_readings : int or None
+        So many equal readings in a row, and the channel is stuck; None: never. A *small* one finds it
+        sooner, and calls slow signals stuck.
+    gap_steps : float
+        More steps than this since the row before are a gap.
+    even : bool
+        Whether rows come in even time, so that one can be late.
+    largest : float
+        Readings of a greater magnitude, in unit, are impossible.
+    outliers : Outliers
+        How far readings jump; those that are farther out are gross outliers.
+    """
+
+    low: float = -np.inf
+    high: float = np.inf
+    resolution: float = 0.0
+    stuck_readings: int | None = None
+    gap_steps: float = GAP_STEPS
+    even: bool = True
+    largest: float = BEYOND_ANY_SENSOR
+    outliers: Outliers = NO_OUTLIERS
+
+    @property
+    def rails(self) -> SaturationLimits:
+        """The rails alone."""
+        return SaturationLimits(self.low, self.high)
+
+    def packed(self) -> NDArray[np.void]:
+        """Return them as C's settings, in which nothing else is set."""
+        settings, rule = np.zeros((), SETTINGS), self.outliers
+        settings["low"], settings["high"], settings["largest"] = self.low, self.high, self.largest
+        settings["largest_accepted"] = np.inf
+        settings["stuck"] = min(self.stuck_readings or 0, _ENDLESS)
+        settings["outlier_distance"], settings["repeats_are_one"] = rule.causal_distance, rule.repeats_are_one
+        settings["plausible_low"], settings["plausible_high"], settings["blank"] = rule.low, rule.high, rule.blank
+        return settings
+
+
+def find_limits(
+    z: Floats,
+    elapsed: Floats,
+    false_alarms_per_hour: float,
+    step_s: float,
+    sensor_range: tuple[float, float] | None = None,
+) -> Limits:
+    """Find what a channel keeps to, from a record that may hold a few stuck stretches itself.
+
+    Parameters
+    ----------
+    z : (N,) float array
+        Readings, in unit; NaN where missing.
+    elapsed : (N,) float array
+        Steps since the row before; 0 for the first.
+    false_alarms_per_hour : float
+        Healthy stretches that may be called stuck; a *small* one trusts the sensor.
+    step_s : float
+        One step, in seconds.
+    sensor_range : (float, float), optional
+        The rails as a person knows them, in unit; used as they are.
+
+    Returns
+    -------
+    Limits
+        No rails, and no limit of equal readings, where the record cannot tell. It cannot tell of holds
+        far longer than those in it: it should show the slowest that the signal does.
+
+    Raises
+    ------
+    UsageError
+        If the rate or the step is not above 0, or the range is not from low to high.
+    """
+    if not (0 < false_alarms_per_hour < np.inf and 0 < step_s < np.inf):
+        raise UsageError(
+            f"false_alarms_per_hour = {false_alarms_per_hour!r} and step_s = {step_s!r} came; both must be above 0,"
+            " as in find_limits(z, elapsed, 1.0, 0.002)."
+        )
+    if sensor_range is not None and not sensor_range[0] < sensor_range[1]:
+        raise UsageError(f"sensor_range = {sensor_range!r} is not a range; give (low, high), as in (-50.0, 50.0).")
+    largest = find_largest(z)
+    kept = (np.abs(z) <= largest) & ((elapsed != 0) | (np.arange(len(z)) == 0))  # possible, and of a time of its own
+    readings = np.asarray(z[kept])
+    resolution = find_resolution(readings)
+    outliers = find_outlier_rule(readings, held=repeats_readings(readings, resolution))
+    rails = (
+        find_saturation(readings[readings != outliers.blank], resolution)
+        if sensor_range is None
+        else SaturationLimits(*sensor_range)
+    )
+    hours = float(elapsed[kept].sum()) * step_s / 3600
+    plain = readings[~rails.reached(readings) & ~is_outlier(readings, outliers)]
+    held = repeats_readings(plain, resolution)
+    stuck = EVERY_REPEAT if held else _stuck_readings(plain, resolution, false_alarms_per_hour * hours, outliers)
+    gap_steps, even = _rhythm(elapsed[1:])
+    return Limits(rails.low, rails.high, resolution, stuck, gap_steps, even, largest, outliers)
+
+
+def stuck_at_once(limits: Limits) -> int:
+    """Return how many equal readings in a row count as stuck from the first on, where rows may wait; 0 for none.
+
+    They do where a channel hardly repeats a reading; where others do, the first of them may be good.
+    """
+    stuck = limits.stuck_readings or 0
+    return stuck if limits.outliers.repeats_are_one and stuck > EVERY_REPEAT else 0
+
+
+def find_resolution(z: Floats) -> float:
+    """Return the step of the lattice that finite readings (N,) lie on, in unit; 0 if they lie on none.
+
+    Euclid's algorithm on the distances of neighbouring values. Steps below a billionth of the largest
+    reading are not told from rounding.
+    """
+    values = np.unique(z)
+    values = values[:: -(-len(values) // _MOST_CODES) or 1]
+    if len(values) < _FEWEST_CODES:
+        return 0.0
+    distances = np.diff(values)
+    least = 1e-9 * float(np.abs(values[[0, -1]]).max())
+    step = float(distances.min())
+    while step > least:
+        codes = np.round(distances / step)
+        near = np.abs(distances - step * codes) <= _ROUNDED * step * codes
+        step = float(distances[near].sum() / codes[near].sum()) if near.any() else step
+        off = np.abs(distances - step * codes)
+        off = off[off > _ROUNDED * step]
+        if not len(off):
+            place = (values - values[0]) / step
+            return step if np.abs(place - np.round(place)).max() <= _LATTICE else 0.0
+        step = float(off.min())
+    return 0.0
+
+
+def run_lengths(z: Floats) -> Integers:
+    """Return how many readings (N,) in a row are equal, for each run of them."""
+    ends = np.flatnonzero(np.append(z[1:] != z[:-1], True)) if len(z) else np.empty(0, dtype=np.int64)
+    return np.diff(ends, prepend=-1)
+
+
+def _stuck_readings(z: Floats, resolution: float, alarms: float, outliers: Outliers) -> int | None:
+    """Return the run of equal readings (N,) that comes less than `alarms` times in as many readings; None if unknown.
+
+    A few of the longest runs are held against the others first: far beyond them they are faults, and not of them.
+    Where no noise is seen above the codes, only the signal ends a run, and no law holds for that: the margin is wider.
+    """
+    runs = run_lengths(z)
+    if len(runs) < _FEWEST_RUNS or not alarms > 0:
+        return None
+    order = np.argsort(runs, kind="stable")
+    few = np.isin(np.arange(len(runs)), order[-_MOST_FAULTS:])
+    noisy = is_noisy(z[np.repeat(~few, runs)], resolution)
+    margin, most = (_MARGIN, _MOST_FAULTS) if noisy else (_WIDE_MARGIN, 1)
+    hold, lengths = _longest_hold(z, alarms), runs[order]
+    limits = [margin * max(hold, _longest_run(lengths[: len(runs) - k], alarms)) for k in range(most + 1)]
+    last = np.cumsum(runs)[order] - 1
+    faults = max(
+        k
+        for k in range(most + 1)
+        if not k or (lengths[-k] > limits[k] and _are_faults(z, last[-k:], lengths[-k:], noisy, outliers))
+    )
+    return int(np.ceil(limits[faults])) if limits[faults] <= len(z) else None
+
+
+def _are_faults(z: Floats, last: Integers, lengths: Integers, noisy: bool, outliers: Outliers) -> bool:
+    """Whether runs of equal readings, by their last rows (k,), are no rest: the 0 a channel ends at, or what repeats.
+
+    A value that repeats fills in for readings all the same, if noise leaves it by jumps.
+    """
+    held = z[last]
+    if 0.0 in held and (z.min() == 0 or z.max() == 0) and _rests_at_0(z, outliers):
+        return False
+    beside = np.maximum(last - lengths, 0), np.minimum(last + 1, len(z) - 1)
+    jumps = np.min([np.abs(z[rows] - held) for rows in beside], axis=0)
+    leaves = noisy and bool(np.median(jumps) > NEAR_REST * (outliers.high - outliers.low))
+    return leaves or len(np.unique(held)) == len(held)
+
+
+def _rests_at_0(z: Floats, outliers: Outliers) -> bool:
+    """Whether readings (N,), some of them 0, come near to it; otherwise a 0 fills in for a reading."""
+    others = np.abs(z[z != 0])
+    return not len(others) or bool(others.min() <= NEAR_REST * (outliers.high - outliers.low))
+
+
+def _longest_run(runs: Integers, alarms: float) -> float:
+    """Return the length that sorted runs pass `alarms` times in as many, by the tail of their geometric law."""
+    count = max(_FEWEST_IN_TAIL, int(_TAIL * len(runs)))
+    threshold = int(runs[-count])
+    tail = runs[np.searchsorted(runs, threshold) :]
+    beyond = float((tail - threshold).sum()) + _UNSEEN
+    p = beyond / (beyond + len(tail))
+    return max(float(runs[-1]), threshold + _times(p, len(tail) / alarms))
+
+
+def _longest_hold(z: Floats, alarms: float) -> float:
+    """Return how long noise on a level in the middle of a code keeps to it, but `alarms` times; inf if unknown.
+
+    A code's edges lie LSB / sigma apart in the quantiles of a normal law; what moves only makes them closer.
+    """
+    from scipy.special import ndtr, ndtri
+
+    _, counts = np.unique(z, return_counts=True)
+    below = np.cumsum(counts)[:-1]
+    edges = below[(below >= _FEWEST_OF_A_SIDE) & (below <= len(z) - _FEWEST_OF_A_SIDE)]
+    if len(edges) < _FEWEST_CODES - 1:
+        return np.inf
+    first, last = ndtri(edges[[0, -1]] / len(z))
+    width = (last - first) / (len(edges) - 1)
+    return _times(float(2 * ndtr(width / 2) - 1), len(z) / alarms)
+
+
+def _times(p: float, count: float) -> float:
+    """Return n with p^n of `count` left: one."""
+    if count <= 1 or p <= 0:
+        return 0.0
+    return float(np.log(count) / -np.log(p)) if p < 1 else np.inf
+
+
+def _rhythm(elapsed: Floats) -> tuple[float, bool]:
+    """Return the steps beyond which rows were lost, and whether time is even; uneven time has gaps of its own.
+
+    In even time nearly all rows come a whole step after the one before, and what others lose is made up for.
+    """
+    off = elapsed - np.maximum(np.round(elapsed), 1.0)
+    near = np.abs(off[elapsed > 0])
+    if not len(near):
+        return GAP_STEPS, True
+    if np.mean(near <= _EVEN) >= _EVEN_SHARE and abs(float(off[elapsed > 0].mean())) <= _SLOW:
+        return GAP_STEPS, True
+    return max(GAP_STEPS, _MARGIN * float(np.quantile(elapsed, 0.99))), False

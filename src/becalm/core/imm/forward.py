@@ -1,0 +1,165 @@
+"""One channel on its way forward through a bank that switches, a stretch of rows at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from becalm.core.arrays import Codes, Floats
+from becalm.core.imm.modes import InteractingModels
+from becalm.core.model.magnitudes import largest_beside, level_by
+from becalm.core.rows import EstimatedRows, Judge
+from becalm.core.verdict import Judged, Verdict, judge
+from becalm.errors import ModelError
+from becalm.native.imm import Bank, Steps, Trace, filter_rows, new_state, restored
+
+
+class ForwardImm:
+    """The forward pass, which goes on from the beliefs after the stretch before.
+
+    Parameters
+    ----------
+    switching : Switching
+        The modes, in steps.
+    judge : callable, optional
+        Shown the innovations of each stretch, of the mixture of all modes.
+    split : bool
+        Whether to tell the share of each part of the component, and then the probability of each mode.
+    tells_modes : bool
+        Whether to tell the probabilities alone, where nothing is split.
+
+    Attributes
+    ----------
+    state : () structured array
+        Of the modes, after the rows so far.
+    """
+
+    def __init__(
+        self, switching: InteractingModels, judge: Judge | None, *, split: bool = False, tells_modes: bool = False
+    ) -> None:
+        self.switching, self._judge, self._split, self._tells_modes = switching, judge, split, tells_modes
+        self.state = new_state(switching.bank(np.ones(1)), keeps_level=switching.component.keeps_level)
+        self._shares = np.zeros(len(switching.modes))
+        self.log_likelihood = 0.0
+
+    @property
+    def shares(self) -> dict[str, float]:
+        """What share of the rows so far each mode was in force, as the filter believed at the time."""
+        total = max(float(self._shares.sum()), 1.0)
+        return {mode.name: float(share) / total for mode, share in zip(self.switching.modes, self._shares, strict=True)}
+
+    def saved(self) -> dict[str, Any]:
+        """Return what rows depend on, as arrays."""
+        return {"flow_modes": np.frombuffer(self.state.tobytes(), np.int8)}
+
+    def restore(self, arrays: Mapping[str, Any]) -> None:
+        """Take over what `saved` returned; raises a ModelError if it is not that of such a bank."""
+        state = restored(self.switching.bank(np.ones(1)), arrays["flow_modes"])
+        if state is None:
+            raise ModelError("The snapshot's modes are not those of its bank; pass what snapshot() returned.")
+        self.state = state
+
+    def judged(self, z: Floats) -> Judged:
+        """Let only possible readings (B,) through."""
+        return judge(z, largest_beside(self.switching.least_noise_variance))
+
+    def tell_from(self, reading: float) -> None:
+        """Tell all readings from one that came first, before those that will be pushed."""
+        if not self.state["has_level"]:
+            self.state["has_level"] = 1
+            self.state["level"] = level_by(reading, self.switching.least_noise_variance)
+
+    def run(
+        self,
+        z: Floats,
+        bank: Bank,
+        steps: Steps,
+        *,
+        before: Floats | None = None,
+        notes: Floats | None = None,
+    ) -> Trace:
+        """Filter readings (B,); the room that is given is filled as `filter_rows` says."""
+        trace = self.room(len(z), innovations=self._judge is not None)
+        self.log_likelihood += filter_rows(bank, self.state, z, steps, trace, before=before, notes=notes)
+        self._shares += trace.probability.sum(axis=1)
+        if self._judge is not None:
+            self._judge(trace.innovation, trace.innovation_sigma)
+        return trace
+
+    def room(self, rows: int, *, innovations: bool = False) -> Trace:
+        """Make room for what is told of some rows; where nothing is known yet, sigma is inf."""
+        modes, means = len(self.switching.modes), (self.switching.states if self._split else 0, rows)
+        wanted = rows if innovations else 0
+        return Trace(
+            signal=np.full(rows, np.nan),
+            sigma=np.full(rows, np.inf),
+            innovation=np.full(wanted, np.nan),
+            innovation_sigma=np.full(wanted, np.nan),
+            probability=np.zeros((modes, rows)),
+            wild=np.zeros(rows if self.switching.rejects else 0),
+            mean=np.full(means, np.nan),
+        )
+
+    def told(self, trace: Trace, verdicts: Codes) -> EstimatedRows:
+        """Return what was found of some rows, and what became of their readings."""
+        parts = np.empty((0, len(trace.signal)))
+        if self._split:
+            shares = np.array([output[0] @ trace.mean for _, output in self.switching.component.outputs()])
+            shares[0] += self.state["level"]
+            parts = np.vstack([shares, trace.probability])
+        elif self._tells_modes:
+            parts = trace.probability
+        return EstimatedRows(trace.signal, trace.sigma, parts, verdicts)
+
+
+class ByModes:
+    """What every flow through a bank tells of it.
+
+    Parameters
+    ----------
+    passes : SwitchingFilter
+        The forward pass.
+    """
+
+    settled_row: int | None = None
+    """None: a bank has no one gain that settles."""
+
+    def __init__(self, passes: ForwardImm) -> None:
+        self._filter = passes
+
+    @property
+    def switching(self) -> InteractingModels:
+        """The modes, in steps."""
+        return self._filter.switching
+
+    @property
+    def shares(self) -> dict[str, float]:
+        """What share of the rows so far each mode was in force, as the filter believed at the time."""
+        return self._filter.shares
+
+    @property
+    def log_likelihood(self) -> float:
+        """Of all readings so far but the first."""
+        return self._filter.log_likelihood
+
+    def saved(self) -> dict[str, Any]:
+        """Return what rows depend on, as arrays, of one that tells rows at once or with a lag."""
+        return dict(self._filter.saved())
+
+    def restore(self, arrays: Mapping[str, Any]) -> None:
+        """Take over what `saved` returned; raises a ModelError if it is not that of such a bank."""
+        self._filter.restore(arrays)
+
+    def tell_from(self, reading: float) -> None:
+        """Tell all readings from one that came first, before those that will be pushed."""
+        self._filter.tell_from(reading)
+
+
+def with_spikes(verdicts: Codes, trace: Trace) -> Codes:
+    """Return verdicts of some rows, with the readings that were more probably wild than not, and left out."""
+    if not len(trace.wild):
+        return verdicts
+    spikes = (trace.wild > 0.5) & (verdicts == Verdict.USED)
+    return np.where(spikes, Verdict.SPIKE, verdicts).astype(verdicts.dtype)

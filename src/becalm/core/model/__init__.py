@@ -1,0 +1,1 @@
+"""Models of signals in state space, and what is made of them."""

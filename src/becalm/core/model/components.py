@@ -1,0 +1,254 @@
+"""The catalogue of signals and disturbances: motion, tones, hum, coloured noise, bias; `+` joins them.
+
+Each is a `Component`, a model in continuous time driven by white noise; see `becalm.core.model.parts`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from becalm.core.arrays import block_diagonal, frozen
+from becalm.core.closed_forms import butterworth_poles
+from becalm.core.model.autoregressive import autoregressive
+from becalm.core.model.parts import Component, Part, checked_number, checked_whole
+
+__all__ = [
+    "EVERY_ORDER",
+    "HIGHEST_ORDER",
+    "LEVEL_RATE",
+    "ORDERS",
+    "Component",
+    "Part",
+    "autoregressive",
+    "bias",
+    "gauss_markov",
+    "hum",
+    "level",
+    "motion",
+    "oscillator",
+    "returning_motion",
+    "with_walking_level",
+]
+
+HIGHEST_ORDER = 5
+
+LEVEL_RATE = 0.1
+"""Of a returning motion's damping, how fast its level follows."""
+
+ORDERS = (1, 2, 3)
+"""Orders of motion that a causal filter is chosen from."""
+
+EVERY_ORDER = tuple(range(1, HIGHEST_ORDER + 1))
+"""Orders of motion that a smoother is chosen from."""
+
+
+def level(noise_density: float = 1.0) -> Component:
+    """Return a level that wanders: a random walk.
+
+    Parameters
+    ----------
+    noise_density : float
+        Variance that it gathers, in unit^2/s; a *small* one trusts the level to stay and smooths more.
+
+    Raises
+    ------
+    ModelError
+        If the density is negative or not finite.
+    """
+    return motion(1, noise_density)
+
+
+def motion(order: int, noise_density: float = 1.0) -> Component:
+    """Return n-th order motion: white noise on the n-th derivative of the signal.
+
+    Parameters
+    ----------
+    order : int
+        1 is a random walk, 2 a walking slope (constant velocity), 3 constant acceleration; to 5.
+    noise_density : float
+        Two-sided density of the noise on the n-th derivative, in unit^2/s^(2n-1); a *small* one
+        trusts the polynomial and smooths more.
+
+    Raises
+    ------
+    ModelError
+        If the order is not 1 to 5 or the density is negative or not finite.
+
+    Notes
+    -----
+    The steady filter is a Butterworth low-pass with slopes kept, of cut-off
+    (density / (R T))^(1/2n) rad/s. Not to be confused with the piecewise-constant noise of
+    Kalata's alpha-beta filter (IEEE TAES-20, 1984), whose process covariance has rank one.
+    """
+    refusal = f"is not offered; choose 1 (level) to {HIGHEST_ORDER}."
+    order, noise_density = checked_whole("order", order, refusal, HIGHEST_ORDER), _density(noise_density)
+    drift = np.eye(order, k=1)
+    enters, sees = np.zeros((order, 1)), np.zeros((1, order))
+    enters[-1, 0] = sees[0, 0] = 1.0
+    part = Part("motion", ("level", "velocity", "acceleration", "jerk", "snap")[:order])
+    return Component(frozen(drift), frozen(enters), frozen([[noise_density]]), frozen(sees), (part,))
+
+
+def returning_motion(order: int, noise_density: float, damping: float) -> Component:
+    """Return n-th order motion that is damped towards a level of its own, a mean of what it was.
+
+    Without readings the signal returns to the level, and its variance to that of the motion: predictions are bounded.
+
+    Parameters
+    ----------
+    order : int
+        n, how often white noise is integrated, 1 to 5.
+    noise_density : float
+        Two-sided density of that noise, in unit^2/s^(2n-1); a *small* one trusts the model and smooths more.
+    damping : float
+        a, in rad/s: slower motion than that is damped; with a *small* one the signal returns late. `motion` is the
+        limit of none.
+
+    Raises
+    ------
+    ModelError
+        If the order is not 1 to 5, the density is negative or not finite, or the damping is not positive.
+
+    Notes
+    -----
+    Its power is q (w^2 + b^2) / (w^2 (w^2n + a^2n)): about its level it is white noise behind a Butterworth low-pass.
+    Beyond a it is that of `motion`, so that a smoother smooths alike. The level goes towards the signal with the rate
+    b = a / 10: it is the mean of what the signal was, with weights that fade ten times as slowly as a.
+    """
+    kinematic = motion(order, noise_density)
+    damping = checked_number("damping", damping, "a damping", "a positive number")
+    n, level_rate = len(kinematic.drift), LEVEL_RATE * damping
+    drift, enters, sees = np.zeros((n + 1, n + 1)), np.zeros((n + 1, 1)), np.zeros((1, n + 1))
+    drift[:n, :n] = np.eye(n, k=1)
+    drift[n - 1, :n] = -(np.poly(butterworth_poles(n)).real[:0:-1] * damping ** np.arange(n, 0, -1))
+    drift[n - 1, n] = -drift[n - 1, 0]
+    drift[[0, n], 0] += level_rate
+    drift[[0, n], n] -= level_rate
+    enters[n - 1, 0] = sees[0, 0] = 1.0
+    part = Part("motion", (*kinematic.state_names, "level that it returns to"))
+    return Component(frozen(drift), frozen(enters), kinematic.noise_density, frozen(sees), (part,))
+
+
+def oscillator(frequency_hz: float, bandwidth_hz: float = 0.0, noise_density: float = 1.0) -> Component:
+    """Return a damped oscillation whose amplitude and phase are driven by white noise: noise of a narrow band.
+
+    Parameters
+    ----------
+    frequency_hz : float
+        Where it oscillates, in hertz.
+    bandwidth_hz : float
+        Width of the resonance at half its power, in hertz; 0 is undamped: a tone that wanders. A *small*
+        one trusts the tone to keep its phase.
+    noise_density : float
+        Two-sided density of the noise on each of its two states, in unit^2/s; a *small* one trusts
+        the tone and lets amplitude and phase change slowly. A damped one has the standard deviation
+        sqrt(noise_density / (2 pi bandwidth_hz)).
+
+    Raises
+    ------
+    ModelError
+        If the frequency is not positive, or the width or the density is negative or not finite.
+
+    Notes
+    -----
+    The stochastic cycle of Harvey (1989), section 2.3, in continuous time: (x, x*) turns by
+    2 pi f a second and shrinks by pi B a second.
+    """
+    frequency_hz = checked_number("frequency_hz", frequency_hz, "a frequency", "a positive number of hertz")
+    bandwidth_hz = checked_number("bandwidth_hz", bandwidth_hz, "a width", "a positive number of hertz", zero=True)
+    noise_density = _density(noise_density)
+    turning, shrinking = 2 * np.pi * frequency_hz, np.pi * bandwidth_hz
+    drift = [[-shrinking, turning], [-turning, -shrinking]]
+    part = Part(f"oscillator at {frequency_hz:.4g} Hz", ("in phase", "in quadrature"))
+    return Component(frozen(drift), frozen(np.eye(2)), frozen(noise_density * np.eye(2)), frozen([[1.0, 0.0]]), (part,))
+
+
+def hum(mains_hz: float = 50.0, harmonics: int = 3, noise_density: float = 1.0) -> Component:
+    """Return mains hum, a disturbance: undamped oscillators at the mains frequency and its harmonics.
+
+    Parameters
+    ----------
+    mains_hz : float
+        50 or 60, or as measured, in hertz.
+    harmonics : int
+        How many tones, the fundamental among them.
+    noise_density : float
+        As of each `oscillator`, in unit^2/s; a *small* one trusts the tones to be steady.
+
+    Raises
+    ------
+    ModelError
+        If there is no tone, or an oscillator would refuse its numbers.
+    """
+    mains_hz = checked_number("mains_hz", mains_hz, "a frequency", "a positive number of hertz")
+    harmonics = checked_whole("harmonics", harmonics, "is no number of tones; give a whole number, 1 or more.")
+    tones = [oscillator(mains_hz * k, 0.0, noise_density) for k in range(1, harmonics + 1)]
+    return sum(tones[1:], tones[0]).as_disturbance()
+
+
+def gauss_markov(correlation_s: float, std: float = 1.0) -> Component:
+    """Return noise that forgets exponentially (first-order Gauss-Markov, Ornstein-Uhlenbeck).
+
+    Parameters
+    ----------
+    correlation_s : float
+        Time after which 1/e of it is left, in seconds.
+    std : float
+        Its standard deviation, in unit; a *small* one leaves more to the other components.
+
+    Raises
+    ------
+    ModelError
+        If the time is not positive or the standard deviation is negative or not finite.
+    """
+    correlation_s = checked_number("correlation_s", correlation_s, "a time", "a positive number of seconds")
+    std = checked_number("std", std, "a standard deviation", "a positive number", zero=True)
+    one, density = frozen([[1.0]]), frozen([[2 * std * std / correlation_s]])
+    return Component(frozen([[-1 / correlation_s]]), one, density, one, (Part("Gauss-Markov noise", ("level",)),))
+
+
+def bias(noise_density: float = 1.0) -> Component:
+    """Return a sensor's bias, a disturbance that walks randomly.
+
+    Parameters
+    ----------
+    noise_density : float
+        Variance that it gathers, in unit^2/s; a *small* one trusts the bias to stay.
+
+    Raises
+    ------
+    ModelError
+        If the density is negative or not finite.
+    """
+    part = Part("bias", ("bias",), disturbance=True)
+    return replace(motion(1, noise_density), parts=(part,))
+
+
+def with_walking_level(component: Component, noise_density: float) -> Component:
+    """Return a component whose first state, a motion's level, walks randomly besides; all other states go on.
+
+    Parameters
+    ----------
+    component : Component
+        A motion, perhaps with tones.
+    noise_density : float
+        Variance that the level gathers by it, in unit^2/s; a *small* one trusts the slope to say where it goes.
+
+    Raises
+    ------
+    ModelError
+        If the density is negative or not finite.
+    """
+    level = component.level_direction
+    level = np.eye(len(component.drift))[:, :1] if level is None else level[:, np.newaxis]
+    return replace(
+        component,
+        noise_input=frozen(np.hstack([component.noise_input, level])),
+        noise_density=frozen(block_diagonal(component.noise_density, np.full((1, 1), _density(noise_density)))),
+    )
+
+
+def _density(noise_density: float) -> float:
+    return checked_number("noise_density", noise_density, "a density", "a positive number", zero=True)

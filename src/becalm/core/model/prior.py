@@ -1,0 +1,91 @@
+"""A start from the first readings alone: what is known before them, as information.
+
+Information is Y = P^-1 and y = P^-1 x; nothing known is Y = 0, exactly. The filter gathers more of it until the
+readings determine the state (`native/opening.h`). Source of the information form: Fraser and Potter, IEEE TAC-14 (1969)
+387; Anderson and Moore 1979, section 6.3.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from becalm.core.arrays import Booleans, Floats
+from becalm.core.model.covariances import covariance_ahead
+from becalm.core.model.model import Model
+from becalm.core.model.system import System
+from becalm.core.verdict import BEYOND_ANY_SENSOR
+from becalm.errors import ModelError
+
+WIDE = 1e9  # of P0 over R: P - K S K' keeps less than seven digits
+_INVERTIBLE = 1e14
+
+
+class PriorInformation(NamedTuple):
+    """What is known of the state, possibly nothing in some directions."""
+
+    Y: Floats  # (n, n) inverse covariance
+    y: Floats  # (n,)
+
+
+def arrived(readings: Floats) -> Booleans:
+    """Tell which readings can be used: what is NaN or infinite, or what no sensor reads, did not arrive."""
+    with np.errstate(invalid="ignore"):
+        usable: Booleans = np.abs(readings) <= BEYOND_ANY_SENSOR
+    return usable
+
+
+def known_before(model: Model) -> PriorInformation:
+    """Return a flat prior, but for what the model knows; what no reading sees starts at zero, with unit variance."""
+    Y = model.unobservable @ model.unobservable.T
+    return PriorInformation(Y if model.known is None else Y + model.known, np.zeros(len(Y)))
+
+
+def wide_prior(model: Model) -> PriorInformation | None:
+    """Return x0 and P0 as information where P0 is so wide that covariances would lose the readings' digits."""
+    if model.x0 is None or model.P0 is None or model.unobservable.size:
+        return None
+    told = np.diag(model.H @ model.P0 @ model.H.T)
+    gathered = np.zeros_like(model.P0)
+    for _ in range(model.states):
+        gathered = covariance_ahead(gathered, model)
+    moves = np.diag(model.H @ gathered @ model.H.T)
+    if not (told > WIDE * np.diag(model.R)).any() or (moves > 0.1 * WIDE * np.diag(model.R)).any():
+        return None
+    if any(not np.linalg.cond(matrix) < _INVERTIBLE for matrix in (model.P0, model.F, model.R)):
+        return None
+    Y = _symmetric_inverse(model.P0)
+    return PriorInformation(Y, Y @ model.x0)
+
+
+def root_of(Y: Floats) -> Floats:
+    """Return the upper triangular root of a semidefinite matrix, whatever the scales of its rows."""
+    scale = np.sqrt(np.diag(Y))
+    scale[scale == 0] = 1.0
+    values, vectors = np.linalg.eigh(Y / np.outer(scale, scale))
+    root = np.linalg.qr((vectors * np.sqrt(np.maximum(values, 0.0))).T, mode="r") * scale
+    return np.asarray(root * np.where(np.diag(root) < 0, -1.0, 1.0)[:, np.newaxis])
+
+
+def _symmetric_inverse(Y: Floats) -> Floats:
+    scale = 1 / np.sqrt(np.diag(Y))
+    P = np.linalg.inv(Y * np.outer(scale, scale)) * np.outer(scale, scale)
+    return (P + P.T) / 2
+
+
+def refuse_singular(system: System) -> None:
+    """Raise a ModelError if F or R has no inverse, which a flat start needs."""
+    for name, matrix in (("F", system.F[0]), ("R", _unit_diagonal(system.R))):
+        if not (np.linalg.cond(matrix) < _INVERTIBLE):
+            raise ModelError(
+                f"{name} has no inverse, so the filter cannot start from the first readings alone. "
+                "Give x0 and P0, the state expected before the first reading and its covariance."
+            )
+
+
+def _unit_diagonal(R: Floats) -> Floats:
+    """Return R as correlations, which no choice of units changes; a reading without noise stays a row of zeros."""
+    sigma = np.sqrt(np.diag(R))
+    scale = np.divide(1.0, sigma, out=np.zeros_like(sigma), where=sigma > 0)
+    return R * scale[:, np.newaxis] * scale

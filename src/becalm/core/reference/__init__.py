@@ -1,0 +1,1 @@
+"""The specification: numbered equations in plain NumPy, never optimised."""

@@ -1,0 +1,1 @@
+"""Filters whose gain has settled, in an engineer's words."""

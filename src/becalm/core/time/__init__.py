@@ -1,0 +1,1 @@
+"""When measurements were taken: clocks, stamps, and what loggers do to them."""

@@ -1,0 +1,285 @@
+"""The clock behind stamps of any number: understood in passes over blocks, in constant memory."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from becalm.core.arrays import Booleans, Floats
+from becalm.core.time.moments import Moments, Thinned
+from becalm.errors import TimeError
+
+GAP_STEPS = 1.5
+"""A distance of more than this many median steps is a gap."""
+
+SLOWEST_HZ, FASTEST_HZ = 1e-9, 1e12
+"""Rates outside are typing errors: a sample in thirty years, or a million in a microsecond."""
+
+Blocks = Callable[[], Iterable[Floats]]
+"""Gives the stamps in blocks, none of them empty, as often as it is called."""
+
+_FINEST_DIGIT = 9
+_ROUNDING = 0.55  # half a last digit, and a little for the fit
+_WAY_OUT = "Mend the column, name another with --time, or give --rate HZ to count rows instead."
+_CLOCK = 1e-6  # of a step: what floating-point stamps lose without being rounded on purpose
+
+
+@dataclass(frozen=True)
+class Clock:
+    """How the times of `count` samples run, without the times themselves.
+
+    Attributes
+    ----------
+    count : int
+        Number of samples.
+    step_s : float
+        One step in seconds: the slope of stamps that lie on a line, else the median distance of two.
+    start_s : float
+        Time of the first sample, in seconds.
+    uniform : bool
+        Whether every distance is a whole number of steps.
+    jitter_s : float
+        As in `Timebase`.
+    near_s : float
+        The distance that elapsed steps are counted in: the mean of those that are no gaps where the
+        time is uniform, since rounding moves the median; the median otherwise.
+    duration_s : float
+        Time from the first sample to the last, in seconds.
+    gaps : int
+        Rows before which more than 1.5 steps passed.
+    repeats : int
+        Rows with the same time as the row before.
+    resolution_s : float
+        As in `Timebase`.
+    """
+
+    count: int
+    step_s: float
+    start_s: float = 0.0
+    uniform: bool = True
+    jitter_s: float = 0.0
+    near_s: float = 0.0
+    duration_s: float = 0.0
+    gaps: int = 0
+    repeats: int = 0
+    resolution_s: float = 0.0
+
+    @classmethod
+    def counted(cls, count: int, rate_hz: float, start_s: float = 0.0) -> Clock:
+        """Make the clock of rows that come at `rate_hz`, none missing.
+
+        Raises
+        ------
+        TimeError
+            If the rate is not a positive number.
+        """
+        try:
+            possible = SLOWEST_HZ <= float(rate_hz) <= FASTEST_HZ and not isinstance(rate_hz, str)
+        except (TypeError, ValueError):
+            possible = False
+        if not possible:
+            raise TimeError(f"rate_hz = {rate_hz!r} is not a rate; give hertz, {SLOWEST_HZ:g} to {FASTEST_HZ:g}.")
+        step = 1.0 / float(rate_hz)
+        return cls(count, step, float(start_s), near_s=step, duration_s=step * max(0, count - 1))
+
+    @classmethod
+    def from_stamps(cls, count: int, blocks: Blocks) -> Clock:
+        """Understand stamps in seconds; a few passes over them, each in constant memory.
+
+        Parameters
+        ----------
+        count : int
+            How many stamps there are.
+        blocks : callable
+            Gives an iterator over (n,) float arrays that together are the stamps, in order; called
+            for each pass. Beyond a million stamps, the median is that of evenly spread runs of them.
+
+        Raises
+        ------
+        TimeError
+            If a stamp is missing, time goes backwards, or too few stamps differ to tell a rate.
+        """
+        seen = _look(count, blocks)
+        offsets, gaps, repeats = _offsets(seen, blocks)
+        near = seen.step + offsets.mean
+        tolerance = max(_ROUNDING * seen.digit, _CLOCK * seen.step) + 2 * np.spacing(
+            max(abs(seen.first), abs(seen.last))
+        )
+        line = _fit(near, seen, blocks)
+        if line is not None:
+            residual, worst = _residual(line, near, seen, blocks)
+            if worst <= tolerance:
+                step = _twelve_digits(near + line.slope)
+                told = (residual.std, near, step * line.length, line.gaps, 0, seen.digit)
+                return cls(count, step, seen.first, True, *told)
+        jitter = offsets.std / np.sqrt(2)
+        told = (jitter, seen.step, seen.last - seen.first, gaps, repeats, seen.digit)
+        return cls(count, seen.step, seen.first, False, *told)
+
+    @property
+    def rate_hz(self) -> float:
+        """Samples per second, 1 over the step."""
+        return 1.0 / self.step_s
+
+    @property
+    def even(self) -> bool:
+        """Whether every row comes exactly one step after the row before, so that rows can be counted."""
+        return self.uniform and not self.gaps
+
+    def elapsed(self, stamps: Floats, before: float | None = None) -> Floats:
+        """Return the steps before each of some following stamps, (n,); `before` is the stamp before the first."""
+        out = np.empty(len(stamps))
+        if len(stamps):
+            out[0] = 0.0 if before is None else stamps[0] - before
+            np.subtract(stamps[1:], stamps[:-1], out=out[1:])
+        out /= self.near_s
+        return np.round(out, out=out) if self.uniform else out
+
+    def elapsed_rows(self, first: int, count: int, before: int | None = None) -> Floats:
+        """Return the steps before each of `count` rows of even time; `before` is the row read before, if not the last.
+
+        0 for row 0 of the file.
+        """
+        out = np.ones(count)
+        out[:1] = first - (max(0, first - 1) if before is None else before)
+        return out
+
+
+class _Look(NamedTuple):
+    step: float
+    first: float
+    last: float
+    digit: float
+
+
+class _Line(NamedTuple):
+    slope: float  # what the mean near distance lacks of the slope
+    at: float
+    residual: float
+    length: float
+    gaps: int
+
+
+def _walk(blocks: Blocks) -> Iterator[tuple[Floats, Floats]]:
+    """Give each block and the distances before its stamps; the first of all has none."""
+    before: float | None = None
+    for stamps in blocks():
+        if before is None:
+            yield stamps, np.diff(stamps)
+        else:
+            distances = np.empty(len(stamps))
+            distances[0] = stamps[0] - before
+            np.subtract(stamps[1:], stamps[:-1], out=distances[1:])
+            yield stamps, distances
+        before = float(stamps[-1])
+
+
+def _look(count: int, blocks: Blocks) -> _Look:
+    """See what range, digits and median distance the stamps have; refuse what cannot be time."""
+    if count < 2:
+        rows = "One row has" if count else "No rows have"
+        raise TimeError(f"{rows} no rate; two or more are needed. Give a rate: --rate HZ, or rate_hz=.")
+    seen, some = Thinned(count - 1), []
+    first, last, row, every = np.nan, np.nan, 0, max(1, count // 1000)
+    with np.errstate(invalid="ignore"):
+        for stamps, distances in _walk(blocks):
+            if row == 0:
+                first = float(stamps[0])
+            last = float(stamps[-1])
+            if not (np.isfinite(last) and distances.min(initial=0.0) >= 0.0):  # NaN fails
+                _refuse(blocks)
+            some.append(stamps[-row % every :: every].copy())  # a view would keep the block
+            seen.add(distances)
+            row += len(stamps)
+    step = float(np.median(seen.values))
+    if not (np.isfinite(first) and step > 0):
+        _refuse(blocks)
+    return _Look(step, first, last, last_digit(np.concatenate(some)))
+
+
+def _refuse(blocks: Blocks) -> None:
+    """Say what is wrong with the stamps."""
+    row, count, told = 0, 0, ""
+    with np.errstate(invalid="ignore"):
+        for stamps, distances in _walk(blocks):
+            if not np.isfinite(stamps).all():
+                missing = row + _first(~np.isfinite(stamps))
+                raise TimeError(f"The time of row {missing + 1} is missing or not finite. {_WAY_OUT}")
+            back = distances < 0
+            if back.any() and not count:
+                at = _first(back) + len(stamps) - len(distances)
+                told = f"row {row + at + 1}, from {stamps[at] - distances[_first(back)]:.9g} s to {stamps[at]:.9g} s"
+            count += int(back.sum())
+            row += len(stamps)
+    if count:
+        rows = f"{count} such row{'s' if count > 1 else ''}"
+        raise TimeError(f"Time goes backwards at {told} ({rows}). {_WAY_OUT}")
+    raise TimeError(f"More than half of the rows repeat the time of the row before. {_WAY_OUT}")
+
+
+def _first(where: Booleans) -> int:
+    return int(np.flatnonzero(where)[0])
+
+
+def _offsets(seen: _Look, blocks: Blocks) -> tuple[Moments, int, int]:
+    """Measure how the distances that are no gaps lie about the median one; count gaps and repeats."""
+    offsets, gaps, repeats = Moments(), 0, 0
+    for _, distances in _walk(blocks):
+        steps = distances / seen.step
+        far = steps > GAP_STEPS
+        gaps += int(np.count_nonzero(far))
+        repeats += int(len(distances) - np.count_nonzero(distances))
+        offsets.add((distances if not far.any() else distances[~far]) - seen.step)
+    return offsets, gaps, repeats
+
+
+def _grid(near: float, seen: _Look, blocks: Blocks) -> Iterator[tuple[Floats, Floats, Floats]]:
+    """Give the whole steps, where they lead to, and how far the stamps lie from there."""
+    at = 0.0
+    for stamps, distances in _walk(blocks):
+        steps = np.round(distances / near)
+        grid = np.empty(len(stamps))
+        grid[: len(stamps) - len(steps)] = 0.0
+        np.cumsum(steps, out=grid[len(stamps) - len(steps) :])
+        grid += at
+        at = float(grid[-1])
+        yield steps, grid, (stamps - seen.first) - near * grid
+
+
+def _fit(near: float, seen: _Look, blocks: Blocks) -> _Line | None:
+    """Fit a line through the stamps over their grid; None where a step is shorter than one."""
+    sums, gaps, end = Moments(), 0, 0.0
+    for steps, grid, offset in _grid(near, seen, blocks):
+        if steps.min(initial=1.0) < 1:
+            return None
+        gaps += int(np.count_nonzero(steps > GAP_STEPS))
+        sums.add(grid, offset)
+        end = float(grid[-1])
+    return _Line(sums.product / sums.scatter, sums.mean, sums.other, end, gaps)
+
+
+def _residual(line: _Line, near: float, seen: _Look, blocks: Blocks) -> tuple[Moments, float]:
+    residuals, worst = Moments(), 0.0
+    for _, grid, offset in _grid(near, seen, blocks):
+        residual = (offset - line.residual) - line.slope * (grid - line.at)
+        worst = max(worst, float(np.abs(residual).max()))
+        residuals.add(residual)
+    return residuals, worst
+
+
+def _twelve_digits(step_s: float) -> float:
+    """Round the rate to what stamps can tell, so that 100 Hz is not 99.9999999999997 Hz."""
+    return 1.0 / float(f"{1.0 / step_s:.12g}")
+
+
+def last_digit(some: Floats) -> float:
+    """Find the decimal place that the stamps are rounded to, in seconds; 0 if none is seen."""
+    for place in range(_FINEST_DIGIT + 1):
+        scaled = some * 10.0**place
+        slack = 1e-3 + 4e-16 * np.abs(scaled)
+        if np.all(np.abs(scaled - np.round(scaled)) <= slack):
+            return float(10.0**-place)
+    return 0.0

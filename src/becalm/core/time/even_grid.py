@@ -1,0 +1,262 @@
+"""Stamps that a driver made: the even grid on which the samples were taken, where the stamps show it.
+
+Two kinds are clear. *Jitter*: every stamp lies near its own place on a line, and how far off it is says
+nothing about its neighbours. *Bursts*: a driver fetches several samples at once and stamps them at nearly
+one instant, after all of them were taken; so the line bounds the first stamps of bursts from below, as a
+clock's skew is found from delays that are never negative (Moon, Skelly and Towsley, 1999).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from becalm.core.arrays import Floats, Integers
+from becalm.core.time.burst_gaps import rows_lost_between
+from becalm.core.time.clock import Blocks, last_digit
+from becalm.core.time.moments import Moments, Thinned
+
+JITTER, BURSTS = "jitter", "bursts"
+
+FEWEST_ROWS = 100
+"""Fewer stamps show no kind."""
+
+_LEAST_JITTER, _MOST_JITTER = 0.02, 0.15  # std in steps: less is not worth being wrong, more may be the sampling
+_FARTHEST = 0.45  # steps: beyond half a step a lost row would look alike
+_LAGS = 16
+_CORRELATED = 0.1  # more correlation, where it is also four sigma, is no jitter
+_APART = 0.4  # steps between two bursts; in one, stamps are closer
+_LATEST = 1.1  # steps: the fetching waits up to one step for a sample, and a little
+_PARTS, _TOUCHING = 8, 0.25  # in every eighth of the record a burst is later by no more steps: no row is lost
+_FEWEST_BURSTS = 128
+_SEVERAL = 1.5  # rows in the mean burst
+_SIZES = 65  # bursts of up to 64 rows
+_UNLIKE = 0.05  # share of bursts of unusual size, so that the time between bursts is seen to grow with their size
+_COARSE = 0.75  # last digit of stamps, in times between bursts
+_SEGMENTS = 64
+
+
+class Grid(NamedTuple):
+    """An even grid of samples.
+
+    Attributes
+    ----------
+    kind : str
+        "jitter" or "bursts".
+    start_s, step_s : float
+        The first sample and the time to the next, in seconds.
+    jitter_s : float
+        Standard deviation of the stamps about the grid, a steady delay left aside, in seconds.
+    """
+
+    kind: str
+    start_s: float
+    step_s: float
+    jitter_s: float
+
+
+def even_grid(count: int, blocks: Blocks) -> Grid | None:
+    """Find the even grid behind stamps of which no row is lost; three passes over them, in constant memory.
+
+    Parameters
+    ----------
+    count : int
+        How many stamps there are.
+    blocks : callable
+        Gives the stamps in seconds, in (n,) blocks; called for each pass.
+
+    Returns
+    -------
+    Grid or None
+        None where the stamps show no grid, or are no time.
+    """
+    ends = _ends(blocks) if count >= FEWEST_ROWS else None
+    if ends is None:
+        return None
+    first, mean_s = ends[0], (ends[1] - ends[0]) / (count - 1)
+    sums, bursts = Moments(), _Bursts(first, mean_s)
+    for rows, offsets in _offsets(blocks, first, mean_s):
+        sums.add(rows, offsets)
+        bursts.add(rows, offsets + mean_s * rows)
+    slope = sums.product / sums.scatter
+    line = _Line(mean_s + slope, first + sums.other - slope * sums.mean)
+    return _bursts(count, blocks, bursts) if bursts.clear else _jitter(blocks, line)
+
+
+class EqualBursts(NamedTuple):
+    """Bursts of one size, of which stamps alone do not tell whether a driver made them."""
+
+    rows: int
+    rate_hz: float
+
+
+def equal_bursts(count: int, blocks: Blocks) -> EqualBursts | None:
+    """Find bursts of one size, and the mean rate of their rows; None where stamps do not come so.
+
+    Parameters
+    ----------
+    count : int
+        How many stamps there are.
+    blocks : callable
+        Gives the stamps in seconds, in (n,) blocks; called for each pass.
+    """
+    ends = _ends(blocks) if count >= FEWEST_ROWS else None
+    if ends is None:
+        return None
+    mean_s = (ends[1] - ends[0]) / (count - 1)
+    bursts = _Bursts(ends[0], mean_s)
+    for rows, offsets in _offsets(blocks, ends[0], mean_s):
+        bursts.add(rows, offsets + mean_s * rows)
+    return bursts.equal
+
+
+def _ends(blocks: Blocks) -> tuple[float, float] | None:
+    """Return the first and the last stamp; None where one is missing or time falls or stands still."""
+    first = last = None
+    for stamps in blocks():
+        first = float(stamps[0]) if first is None else first
+        if not np.diff(stamps, prepend=first if last is None else last).min() >= 0.0:  # NaN fails
+            return None
+        last = float(stamps[-1])
+    return None if first is None or last is None or first == last else (first, last)
+
+
+class _Line(NamedTuple):
+    step: float
+    start: float
+
+
+def _offsets(blocks: Blocks, start: float, step: float) -> Iterator[tuple[Floats, Floats]]:
+    """Give rows and how much later than a line their stamps are."""
+    row = 0
+    for stamps in blocks():
+        rows = np.arange(row, row + len(stamps), dtype=np.float64)
+        yield rows, (stamps - start) - step * rows
+        row += len(stamps)
+
+
+def _jitter(blocks: Blocks, line: _Line) -> Grid | None:
+    about, products, farthest = Moments(), np.zeros(_LAGS + 1), 0.0
+    tail = np.empty(0)
+    for _, offsets in _offsets(blocks, line.start, line.step):
+        farthest = max(farthest, float(np.abs(offsets).max()))
+        if not farthest <= _FARTHEST * line.step:
+            return None
+        about.add(offsets)
+        joined = np.concatenate([tail, offsets])
+        for lag in range(min(_LAGS + 1, len(joined))):
+            products[lag] += float(joined[max(0, len(tail) - lag) : len(joined) - lag] @ joined[max(len(tail), lag) :])
+        tail = joined[-_LAGS:]
+    white = max(_CORRELATED, 4.0 / np.sqrt(about.count)) * products[0]
+    fits = _LEAST_JITTER * line.step <= about.std <= _MOST_JITTER * line.step
+    if not fits or not np.all(np.abs(products[1:]) <= white):
+        return None
+    return Grid(JITTER, line.start, line.step, about.std)
+
+
+class _Bursts:
+    """Parts stamps into bursts: the first stamp of each, and the row of its last.
+
+    Of each part of a block, the least delayed burst is kept, for the line below.
+    """
+
+    def __init__(self, first: float, mean: float) -> None:
+        self._first, self.mean = first, mean
+        self._open: float | None = None  # the first stamp of the burst that may go on
+        self._before = -np.inf
+        self._rows: list[float] = []
+        self._stamps: list[float] = []
+        self._sizes = np.zeros(_SIZES + 1, np.int64)
+        self._ended = -1.0
+        self.count = 0
+
+    def add(self, rows: Floats, stamps: Floats) -> None:
+        """Look at the next rows, (n,), and their stamps since the first."""
+        self._keep(*self.parted(rows, stamps))
+
+    def parted(self, rows: Floats, stamps: Floats) -> tuple[Floats, Floats]:
+        """Return the last row and the first stamp of the bursts that ended meanwhile; the last of all is left open."""
+        begins = np.flatnonzero(np.diff(stamps, prepend=self._before) > _APART * self.mean)
+        self._before = float(stamps[-1])
+        ends, firsts = rows[begins] - 1.0, stamps[begins]
+        if self._open is None:
+            ends, closed = ends[1:], firsts[:-1]
+        else:
+            closed = np.concatenate([[self._open], firsts])[: len(ends)]
+        self._open = float(firsts[-1]) if len(begins) else self._open
+        return ends, closed
+
+    def _keep(self, ends: Floats, firsts: Floats) -> None:
+        if not len(ends):
+            return
+        sizes = np.diff(ends, prepend=self._ended).astype(np.int64)
+        self._sizes += np.bincount(np.minimum(sizes, _SIZES), minlength=_SIZES + 1)
+        self._ended = float(ends[-1])
+        self.count += len(ends)
+        late = firsts - self.mean * ends
+        for part in np.array_split(np.arange(len(ends)), min(_SEGMENTS, len(ends))):
+            least = part[np.argmin(late[part])]
+            self._rows.append(float(ends[least]))
+            self._stamps.append(float(firsts[least]))
+
+    @property
+    def clear(self) -> bool:
+        """Whether there are bursts of different sizes; those of one size may be sampled so, or several sensors."""
+        rows = self._ended + 1.0
+        if self.count < _FEWEST_BURSTS or self._sizes[_SIZES] or rows < _SEVERAL * self.count:
+            return False
+        if last_digit(np.array(self._stamps)) >= _COARSE * self.mean * rows / self.count:
+            return False  # cut to whole seconds, say: those come before their samples
+        return self.count - int(self._sizes.max()) >= _UNLIKE * self.count
+
+    @property
+    def equal(self) -> EqualBursts | None:
+        """What bursts of one size are like, if nearly all of them are of it."""
+        size = int(np.argmax(self._sizes))
+        unlike = self.count - int(self._sizes[size])
+        if self.count < _FEWEST_BURSTS or not 1 < size < _SIZES or unlike >= _UNLIKE * self.count or not self._open:
+            return None
+        return EqualBursts(size, float(f"{(self._ended + 1.0) / self._open:.6g}"))
+
+    def below(self) -> _Line:
+        """Return the line below all first stamps that is nearest to them: the edge of their hull in the middle."""
+        rows, stamps = np.array(self._rows), np.array(self._stamps)
+        hull = _lower_hull(rows, stamps)
+        edge = int(np.clip(np.searchsorted(rows[hull], rows.mean()), 1, len(hull) - 1))
+        left, right = hull[edge - 1], hull[edge]
+        step = float((stamps[right] - stamps[left]) / (rows[right] - rows[left]))
+        return _Line(step, self._first + float(stamps[left] - step * rows[left]))
+
+
+def _lower_hull(x: Floats, y: Floats) -> Integers:
+    """Return which points make the lower convex hull; x rises (Andrew's monotone chain)."""
+    hull: list[int] = []
+    for point in range(len(x)):
+        while len(hull) > 1:
+            a, b = hull[-2], hull[-1]
+            if (x[b] - x[a]) * (y[point] - y[a]) > (y[b] - y[a]) * (x[point] - x[a]):
+                break
+            hull.pop()
+        hull.append(point)
+    return np.array(hull)
+
+
+def _bursts(count: int, blocks: Blocks, seen: _Bursts) -> Grid | None:
+    line = seen.below()
+    about, again, least = Moments(), _Bursts(0.0, seen.mean), np.full(_PARTS, np.inf)
+    steps, before = Thinned(count), 0.0
+    for rows, offsets in _offsets(blocks, line.start, line.step):
+        stamps = offsets + line.step * rows
+        steps.add(np.diff(stamps, prepend=before))
+        before = float(stamps[-1])
+        ends, firsts = again.parted(rows, stamps)
+        late = (firsts - line.step * ends) / line.step
+        if not late.max(initial=0.0) <= _LATEST:
+            return None
+        np.minimum.at(least, (ends * _PARTS / count).astype(np.int64), late)
+        about.add(offsets)
+    if not np.all(least <= _TOUCHING) or rows_lost_between(steps.values[1:], _APART * seen.mean):
+        return None
+    return Grid(BURSTS, line.start, line.step, about.std)

@@ -1,0 +1,118 @@
+"""When the samples were taken: the rate, jitter, gaps, repeats.
+
+Stamps that lie on a straight line but for the rounding of their last digit are *uniform*
+(with whole steps missing where there are gaps); all others are *stamped* and used as they are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from becalm.core.arrays import Floats, Integers, frozen, read_only, real
+from becalm.core.time.clock import FASTEST_HZ, GAP_STEPS, SLOWEST_HZ, Clock
+from becalm.errors import TimeError
+
+__all__ = ["FASTEST_HZ", "GAP_STEPS", "SLOWEST_HZ", "Clock", "Timebase"]
+
+_BLOCK = 1 << 16
+
+
+@dataclass(frozen=True)
+class Timebase:
+    """Times of N samples.
+
+    Attributes
+    ----------
+    elapsed_steps : (N,) float array
+        Time since the sample before, in steps of `step_s`; 0 for the first. Whole numbers when
+        the time is uniform.
+    step_s : float
+        One step in seconds: the slope of stamps that lie on a line, else the median distance of two.
+    start_s : float
+        Time of the first sample, in seconds.
+    uniform : bool
+        Whether every distance is a whole number of steps.
+    jitter_s : float
+        Standard deviation of one stamp about its place, in seconds: about the even grid of uniform
+        time; of the distances over the root of two otherwise, gaps left aside.
+    resolution_s : float
+        Last digit that stamps are rounded to, in seconds; 0 if none is seen, or rows are counted.
+    """
+
+    elapsed_steps: Floats
+    step_s: float
+    start_s: float = 0.0
+    uniform: bool = True
+    jitter_s: float = 0.0
+    resolution_s: float = 0.0
+
+    @classmethod
+    def even(cls, count: int, rate_hz: float, start_s: float = 0.0) -> Timebase:
+        """Make the time of `count` samples at `rate_hz`, none missing.
+
+        Raises
+        ------
+        TimeError
+            If the rate is not a positive number.
+        """
+        clock = Clock.counted(count, rate_hz, start_s)
+        return cls.of(clock, clock.elapsed_rows(0, count))
+
+    @classmethod
+    def from_stamps(cls, times_s: ArrayLike) -> Timebase:
+        """Understand a column of stamps, in seconds.
+
+        Raises
+        ------
+        TimeError
+            If a stamp is missing, time goes backwards, or too few stamps differ to tell a rate.
+        """
+        try:
+            stamps = np.asarray(real(times_s), dtype=np.float64)
+        except (TypeError, ValueError) as cause:
+            raise TimeError(f"times_s is not numbers of seconds ({cause}).") from cause
+        if stamps.ndim != 1:
+            raise TimeError(f"times_s has shape {stamps.shape}; one stamp a sample, (N,), is needed.")
+        starts = range(0, len(stamps), _BLOCK)
+        clock = Clock.from_stamps(len(stamps), lambda: (stamps[start : start + _BLOCK] for start in starts))
+        return cls.of(clock, clock.elapsed(stamps))
+
+    @classmethod
+    def of(cls, clock: Clock, elapsed_steps: Floats) -> Timebase:
+        """Put together what a clock knows and the steps between some of its rows; the array is kept, not copied."""
+        told = (clock.step_s, clock.start_s, clock.uniform, clock.jitter_s, clock.resolution_s)
+        return cls(read_only(elapsed_steps), *told)
+
+    @property
+    def count(self) -> int:
+        """Number of samples."""
+        return len(self.elapsed_steps)
+
+    @property
+    def rate_hz(self) -> float:
+        """Samples per second, 1 over the step."""
+        return 1.0 / self.step_s
+
+    @cached_property
+    def times_s(self) -> Floats:
+        """Time of each sample, (N,), in seconds."""
+        return frozen(self.start_s + self.step_s * np.cumsum(self.elapsed_steps))
+
+    @property
+    def duration_s(self) -> float:
+        """Time from the first sample to the last, in seconds."""
+        return float(self.step_s * self.elapsed_steps.sum())
+
+    @property
+    def gaps(self) -> Integers:
+        """Rows before which more than 1.5 steps passed."""
+        return np.flatnonzero(self.elapsed_steps > GAP_STEPS).astype(np.int64)
+
+    @property
+    def repeats(self) -> Integers:
+        """Rows with the same time as the row before."""
+        return (np.flatnonzero(self.elapsed_steps[1:] == 0.0) + 1).astype(np.int64)
