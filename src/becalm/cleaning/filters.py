@@ -40,7 +40,7 @@ class Filter:
     ----------
     tuning : Tuning
         Its numbers in steps.
-    modes : Switching or None
+    modes : InteractingModels or None
         Its modes, where it switches.
     lag : int or None
         As it came.

@@ -34,7 +34,7 @@ class Online:
 
     Parameters
     ----------
-    model : Model or Switching
+    model : Model or InteractingModels
         The signal and its sensors, one step a reading. Without x0 and P0 it starts from the first
         readings; until they tell, the signal is NaN and sigma inf. A bank that switches has one channel.
     lag : int

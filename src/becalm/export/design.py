@@ -54,7 +54,7 @@ class Design:
         What readings keep to.
     gate : Gate or None
         What leaves spikes out.
-    modes : Switching or None
+    modes : InteractingModels or None
         The bank, where the recipe switches.
     longest_gap : int
         Steps across which a filter with a covariance is carried; the largest number for any.

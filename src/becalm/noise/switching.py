@@ -38,7 +38,7 @@ class Switched:
     ----------
     kind : {"resting", "jumping", "noisy", "spiky", "bursting"}
         See `becalm.noise.banks`.
-    switching : Switching
+    switching : InteractingModels
         The modes, in steps.
     log_likelihood : float
         Of the readings that banks were compared on.

@@ -96,7 +96,7 @@ class FixedLagImmFlow(ByModes):
 
     Parameters
     ----------
-    switching : Switching
+    switching : InteractingModels
         The modes, in steps.
     lag : int
         Later rows that are waited for, 1 or more, however far apart; with a *small* one more noise is left.

@@ -46,7 +46,7 @@ class ImmFlow(ByModes):
 
     Parameters
     ----------
-    switching : Switching
+    switching : InteractingModels
         The modes, in steps.
     causal : bool
         Whether to filter (True) or to smooth.

@@ -21,7 +21,7 @@ class ForwardImm:
 
     Parameters
     ----------
-    switching : Switching
+    switching : InteractingModels
         The modes, in steps.
     judge : callable, optional
         Shown the innovations of each stretch, of the mixture of all modes.

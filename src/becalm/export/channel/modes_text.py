@@ -20,7 +20,7 @@ def modes_door(
 
     Parameters
     ----------
-    modes : Switching
+    modes : InteractingModels
         The modes, in steps.
     settings : Settings
         What the recipe says of the channel.
