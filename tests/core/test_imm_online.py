@@ -1,4 +1,4 @@
-"""Online of a bank: the numbers of SwitchingFlow; the same bits for any chunks, and after any pause."""
+"""Online of a bank: the numbers of ImmFlow; the same bits for any chunks, and after any pause."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""PartedFlow: after a gap beyond what float64 holds the rest is a record of its own, and nothing else changes."""
+"""RestartingFlow: after a gap beyond what float64 holds the rest is a record of its own, and nothing else changes."""
 
 from __future__ import annotations
 

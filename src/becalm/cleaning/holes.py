@@ -44,7 +44,7 @@ def across(times: Floats, told: EstimatedRows, used: Booleans, own_steps: float,
     ----------
     times : (N,) float array
         Of the rows, in steps.
-    told : Told
+    told : EstimatedRows
         Of the same rows.
     used : (N,) bool array
         Which rows have a reading that entered.

@@ -1,4 +1,4 @@
-"""Rows on their way into a filter, and what is told of them."""
+"""Rows of a channel before a filter, and after it."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Rows(NamedTuple):
 
 
 class EstimatedRows(NamedTuple):
-    """The result of some rows."""
+    """Some rows of one channel, after a filter or a smoother."""
 
     signal: Floats  # (B,)
     sigma: Floats  # (B,)
@@ -50,7 +50,7 @@ class EstimatedRows(NamedTuple):
         return EstimatedRows(self.signal[which], self.sigma[which], self.parts[:, which], self.verdicts[which])
 
     def without(self, which: Booleans, verdict: Verdict) -> EstimatedRows:
-        """Return the same with nothing told of some rows (B,), which get a verdict."""
+        """Return the same without estimates in some rows (B,), which get a verdict."""
         if not which.any():
             return self
         signal, sigma, parts = (np.where(which, np.nan, one) for one in self[:3])

@@ -78,7 +78,7 @@ class Gathering:
             Readings as they came, one array a channel.
         elapsed : (B,) float array
             Steps since the row before.
-        told : sequence of Told
+        told : sequence of EstimatedRows
             What the filters say of these rows.
         """
         if not len(elapsed):

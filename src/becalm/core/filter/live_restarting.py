@@ -35,7 +35,7 @@ class LiveFlow(Protocol):
 
 
 class LiveRestarting:
-    """A filter of one channel of a stream; parameters as of `PartedFlow`."""
+    """A filter of one channel of a stream; parameters as of `RestartingFlow`."""
 
     def __init__(self, open_flow: Callable[[], LiveFlow], gap_limit: GapLimit, largest: float) -> None:
         self._open_flow, self._largest = open_flow, largest

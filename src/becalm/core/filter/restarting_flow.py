@@ -18,7 +18,7 @@ _SHORTEST = 1e-300  # steps: no time at all, of which inf times is no number
 
 
 class PartialFlow(Protocol):
-    """What filters or smooths one part of a record, such as `SwitchingFlow`."""
+    """What filters or smooths one part of a record, such as `ImmFlow`."""
 
     @property
     def log_likelihood(self) -> float:

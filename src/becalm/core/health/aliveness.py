@@ -1,4 +1,4 @@
-"""Whether a channel is surely alive: no window of its innovations, wherever it begins, is as quiet as a dead one's.
+"""Whether a channel is surely alive: no window of its innovations is as quiet as that of a dead one.
 
 A monitor looks at windows that begin with every hop, and where hops begin depends on all innovations before. Any window
 of 64 in a row holds three whole hops, 48 of them, whose squares about their own mean are no more than those of the

@@ -1,8 +1,7 @@
-"""Where a causal bank stands between two rows: all that later rows depend on, and nothing else.
+"""The part of a causal filter's state that later estimates depend on, so that two filters can be compared.
 
-Two filters that began in different rows of a record stand alike if these numbers are the same to the bit: then every
-later row is told the same. What is saved to go on from holds more: counts since the first row, of which only matters
-whether they are large.
+Two filters that began in different rows of a record estimate every later row alike if these numbers are bitwise equal.
+A checkpoint holds more: counts since the first row, which matter only until they are large.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from becalm.core.health.monitor import HOPS
 
 
 def comparable_state(saved: Mapping[str, Any], gap_limit: GapLimit) -> dict[str, Floats]:
-    """Return what later rows depend on, of what a `PartedFlow` of a `SwitchingFlow` has saved.
+    """Return what later rows depend on, of what a `RestartingFlow` of an `ImmFlow` has saved.
 
     Parameters
     ----------
@@ -34,7 +33,10 @@ def comparable_state(saved: Mapping[str, Any], gap_limit: GapLimit) -> dict[str,
 
 
 def same_state(one: Mapping[str, Floats], other: Mapping[str, Floats], *, alive: bool) -> bool:
-    """Whether two filters stand alike, to the bit; of one that is surely alive later on, hops may begin elsewhere."""
+    """Return whether two filter states are bitwise equal.
+
+    The phase of the dead-sensor window is ignored for channels that are known to be alive.
+    """
     asked = [name for name in one if not (alive and name == HOPS)]
     return all(np.array_equal(one[name], other[name], equal_nan=True) for name in asked)
 
