@@ -72,19 +72,27 @@ INLINE int filter_row(const int n, const settings_t *settings, const coefficient
     return verdict;
 }
 
+/* Return one number of A s + L z, added in the order in which it waits the least for s. */
+INLINE real onward(const int n, const real *A, const real *s, const real Lz) {
+    real sum = Lz + A[0] * s[0];
+    UNROLL
+    for (int j = 1; j + 1 < n; j += 2) sum += A[j] * s[j] + A[j + 1] * s[j + 1];
+    return n % 2 ? sum : sum + A[n - 1] * s[n - 1];
+}
+
 /* Take rows with the gain that has settled, until one is missing, rejected, or comes after another step; return how
-   many were taken. What moves is the predicted state: s = F s + L nu (14), the least that a row waits for. */
+   many were taken. What moves is the predicted state, F s + L nu (14) with its loop closed: s = A s + L z, A = F - L h.
+   That is the least that a row waits for. */
 INLINE int64_t filter_settled(const int n, const settings_t *settings, const coefficients_t *model, filter_t *state,
-                              const real *F_, const block_t *block, int64_t row, const pass_t *pass,
+                              const real *F, const block_t *block, int64_t row, const pass_t *pass,
                               const estimate_t *estimate) {
     const int64_t from = row;
-    real F[NN_MAX], s[N_MAX], before[N_MAX], L[N_MAX], h[N_MAX], c[N_MAX], nu = 0, gain = 0;
+    real A[NN_MAX], s[N_MAX], before[N_MAX], L[N_MAX], h[N_MAX], c[N_MAX], nu = 0, gain = 0;
     const real deviation = sqrt(state->S);
     const real limit = settings->gated ? settings->gate_threshold * deviation : INFINITE;
     const real threshold = limit > BEYOND_ANY_SENSOR ? BEYOND_ANY_SENSOR : limit;
     const real level = state->level, sigma = state->sigma, step = state->last_step;
     const int disturbed = model->disturbed != 0;
-    memcpy(F, F_, sizeof(real) * (size_t)(n * n));
     if (!state->predicted) {
         times(n, F, state->x, state->ahead);
         times(n, F, state->K, state->L); /* (13) */
@@ -92,8 +100,10 @@ INLINE int64_t filter_settled(const int n, const settings_t *settings, const coe
     }
     for (int i = 0; i < n; i++) s[i] = before[i] = state->ahead[i], L[i] = state->L[i];
     for (int i = 0; i < n; i++) h[i] = model->h[i], c[i] = model->c[i], gain += c[i] * state->K[i];
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j < n; j++) A[i * n + j] = F[i * n + j] - L[i] * h[j];
     for (; row < block->rows && block->elapsed[row] == step && pass->starts[row] != ANEW; row++) {
-        const real measured = dot(n, h, s), next = pass->usable[row] - level - measured;
+        const real z = pass->usable[row] - level, measured = dot(n, h, s), next = z - measured;
         if (!(fabs(next) <= threshold)) break;
         nu = next;
         estimate->signal[row] = (disturbed ? dot(n, c, s) : measured) + gain * nu + level;
@@ -102,7 +112,7 @@ INLINE int64_t filter_settled(const int n, const settings_t *settings, const coe
             for (int i = 0; i < n; i++) estimate->x[row * n + i] = s[i] + state->K[i] * nu;
         real ahead[N_MAX];
         UNROLL
-        for (int i = 0; i < n; i++) ahead[i] = dot(n, F + i * n, s) + L[i] * nu;
+        for (int i = 0; i < n; i++) ahead[i] = onward(n, A + i * n, s, L[i] * z);
         UNROLL
         for (int i = 0; i < n; i++) before[i] = s[i], s[i] = ahead[i];
     }
