@@ -12,7 +12,7 @@ import pyarrow.csv
 import pyarrow.parquet
 import pytest
 
-from becalm.core.installation import version
+from becalm.installation import version
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 

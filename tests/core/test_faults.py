@@ -42,7 +42,7 @@ def test_the_numbers_of_the_verdicts_are_fixed() -> None:
 def test_a_run_of_equal_readings_is_stuck_from_the_stated_one_on() -> None:
     z = [1.0, 2, 2, 2, 2, 2, 1, 1, 1, 2]
     assert codes_of(z) == ["USED"] * 4 + ["STUCK"] * 2 + ["USED"] * 4
-    assert Faults(LIMITS).stuck_delay == 4
+    assert LIMITS.stuck_readings == 4
     assert set(codes_of([2.0] * 50, limits=Limits())) == {"USED"}
 
 
@@ -139,8 +139,8 @@ def test_a_stuck_channel_is_told_within_the_stated_delay(name: str, lsb: float) 
         z[40_000:] = z[40_000]
         faults = Faults(limits)
         faults.push(z, elapsed)
-        assert faults.stuck_delay is not None
-        assert 40_000 <= faults.found[Verdict.STUCK].first_row < 40_000 + faults.stuck_delay < 42_500
+        assert limits.stuck_readings is not None
+        assert 40_000 <= faults.found[Verdict.STUCK].first_row < 40_000 + limits.stuck_readings < 42_500
         assert set(faults.found) == {Verdict.STUCK}
 
 

@@ -7,13 +7,7 @@ import pytest
 from scipy.optimize import brentq
 
 from becalm.core.arrays import Floats
-from becalm.core.closed_forms import (
-    alpha_beta,
-    alpha_beta_continuous,
-    alpha_beta_gamma,
-    continuous_motion,
-    order_one,
-)
+from becalm.core.closed_forms import order_one
 from becalm.core.filter.filtering import kalman_filter
 from becalm.core.filter.smoothing import kalman_smoother
 from becalm.core.model.components import gauss_markov, level, motion, oscillator
@@ -23,6 +17,7 @@ from becalm.core.steady.response import describe
 from becalm.core.steady.steady_gain import steady
 from becalm.core.steady.step_response import lag_steps
 from becalm.errors import ModelError, UsageError
+from tracking_gains import alpha_beta, alpha_beta_continuous, alpha_beta_gamma, continuous_motion
 
 ORDERS = [1, 2, 3, 4, 5]
 COUNT = 20_000

@@ -96,7 +96,7 @@ class Cleaner:
         return _of_all([channel.comparable_state() for channel in self._channels])
 
     def surely_alive(self) -> list[bool]:
-        """Say of each channel whether where its hops began does not matter: see `core.aliveness`."""
+        """Say of each channel whether where its hops began does not matter: see `core.health.aliveness`."""
         return [channel.surely_alive for channel in self._channels]
 
     def reports(self) -> tuple[ChannelReport, ...]:

@@ -18,10 +18,10 @@ from becalm.cleaning.recipe import ChannelRecipe, Mode, Origin, Recipe
 from becalm.cleaning.recipe_parts import GateRecipe
 from becalm.cleaning.steps import SOON, gate_of, in_seconds, lag_in_rows
 from becalm.cleaning.timing import time_std_of, timed
-from becalm.core.installation import version
 from becalm.core.recording import Recording
 from becalm.core.verdict import judge
 from becalm.errors import RecordingError, UsageError
+from becalm.installation import version
 from becalm.noise.choose import Choice, Known
 from becalm.noise.coloured import NoiseModel, fit_noise
 from becalm.noise.damping import spread_std

@@ -21,8 +21,8 @@ from becalm.cli.journal_command import journal
 from becalm.cli.live_command import live
 from becalm.cli.said import load, open_as, open_every, refuse_overwriting, said_of, tuned
 from becalm.cli.stopping import stop_cleanly
-from becalm.core.installation import version
 from becalm.errors import NOT_DESCRIBED, BecalmError, UsageError
+from becalm.installation import version
 
 app = typer.Typer(
     help="Make noisy sensor signals calm: a recording goes in, the signal comes out with its uncertainty.",

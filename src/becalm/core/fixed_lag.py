@@ -1,7 +1,7 @@
-"""Fixed-lag smoothing: each row is told when the L rows after it are there, and knows them.
+"""Fixed-lag smoothing: each row is estimated from all rows up to L after it.
 
-Between the filter (L = 0) and the smoother (all rows): a little delay buys much noise. What is told of row k
-is what `kalman_smoother` says of it on the record that ends with row k + L.
+Between the filter (L = 0) and the smoother (all rows): a little delay buys much noise. The estimate of row k
+is that of `kalman_smoother` on the record that ends with row k + L.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ AGREE, AT_MOST = 4, 4
 """Rejects in a row that are believed after all: where they agree with each other, and whatever they are. A spike stands
 alone, or two or three do; what lasts longer is motion: a shock, a reversal, an impact.
 
-They stand here and not beside `gates.Gate`, so that a recipe can name them without loading a kernel."""
+They are defined here and not in `core/filter/gate.py`, so that a recipe can name them without loading a kernel."""
 
 
 class Verdict(IntEnum):

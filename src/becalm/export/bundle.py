@@ -12,7 +12,6 @@ import numpy as np
 
 from becalm.cleaning.recipe import ChannelRecipe, Recipe
 from becalm.core.arrays import Floats
-from becalm.core.installation import version
 from becalm.errors import RecipeError, UsageError
 from becalm.export.channel.kind import Sizes, WholeChannel
 from becalm.export.channel.sources import OWN_NAMES, sources_of
@@ -28,6 +27,7 @@ from becalm.export.vector_text import bits_of, vector_texts
 from becalm.export.vectors import Vector, extremes, golden_vectors
 from becalm.export.word_length import refuse_coarse
 from becalm.export.written import Written, words_of
+from becalm.installation import version
 
 _HIGHEST_UHZ = (1 << 62) - 1
 

@@ -11,11 +11,11 @@ import numpy as np
 
 from becalm.cleaning.recipe import Recipe
 from becalm.core.arrays import Floats
-from becalm.core.installation import version
 from becalm.errors import RecipeError
 from becalm.export.bundle import chosen
 from becalm.export.design import Design
 from becalm.export.templates import render
+from becalm.installation import version
 
 
 def written_as(recipe: Recipe, form: str, channels: Sequence[str] | None) -> tuple[str, list[str]]:

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from becalm.core.installation import version
 from becalm.errors import InputError
 from becalm.files.lake.marks import FILES
 from becalm.files.plain import write_text
 from becalm.files.text.text import PARQUET
 from becalm.fleet.outcome import Outcome
+from becalm.installation import version
 
 _LENGTH = 4  # bytes of the length of a Parquet file's footer, before the four that end it
 _HELD, _SIZES, _JOB = "held", "sizes", "job"

@@ -10,7 +10,6 @@
 #include "opening.h"
 #include "settling.h"
 
-#define LARGEST ((real)1e200) /* a state that no measurement sees saturates here, and cannot spoil the others */
 
 /* Take one row with its covariance; return what the gate says of its measurement. */
 INLINE int filter_row(const int n, const settings_t *settings, const coefficients_t *model, filter_t *state,

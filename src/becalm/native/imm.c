@@ -11,7 +11,6 @@
 #include "product.h"
 
 #define SELDOM ((real)1e-8)  /* of a mixture: one Gaussian cannot hold what is so far out and so rare */
-#define LARGEST ((real)1e200) /* a state that no measurement sees saturates here, and cannot spoil the others */
 #define FARTHEST ((real)1e300) /* half a square, beyond which no measurement says anything of the modes */
 
 int64_t imm_beliefs_size(const int64_t states, const int64_t modes) { return modes * (1 + states + states * states); }

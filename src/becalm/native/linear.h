@@ -22,6 +22,7 @@
 #define UNROLL
 #endif
 
+#define LARGEST ((real)1e200) /* a state that no measurement sees saturates here, and cannot spoil the others */
 #define UNCHANGED ((real)1e-13)
 
 INLINE int near(const real now, const real then, const real scale) { return fabs(now - then) <= UNCHANGED * scale; }

@@ -11,7 +11,6 @@
 #include "score.h"
 #include "settling.h"
 
-#define LARGEST ((real)1e200)   /* a state that no measurement sees saturates here, and cannot spoil the others */
 #define DEAD_PIVOT ((real)1e-15) /* of a variance: what rounding alone has left */
 
 /* Call a function whose first arguments are the numbers of states and of channels: of the smallest models constants. */

@@ -18,7 +18,7 @@ LIMITS, WATCHED, CLOCK = map(layout_of, ("limits", "watched", "stamps"))
 NEIGHBOURS, SPREADS, REACH = (CONSTANTS[name] for name in ("NEIGHBOURS", "SPREADS", "REACH"))
 SHORTEST_FILL, EVERY_REPEAT = CONSTANTS["SHORTEST_FILL"], CONSTANTS["EVERY_REPEAT"]
 NEAR_REST = 1 / CONSTANTS["REST_PARTS"]
-"""Of what is plausible: so near to 0 is a channel before it rests there."""
+"""Share of the plausible range: a channel that rests at 0 came at least so near before."""
 HOP, KEPT_HOPS, PARTS, MOST_SIGMA = (CONSTANTS[name] for name in ("HOP", "KEPT_HOPS", "PARTS", "MOST_SIGMA"))
 WINDOW = HOP * CONSTANTS["WINDOW_HOPS"]
 """Innovations whose variance is looked at together."""

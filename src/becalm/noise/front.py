@@ -38,7 +38,7 @@ class Point:
     noise_gain_db : float
         Its power over that of a reading's noise, in dB, below 0.
     lag_s, step_50_s, step_90_s : float
-        How far the output trails, and a step at half and at nine tenths of its height; see `core.response`.
+        How far the output trails, and a step at half and at nine tenths of its height; see `core.steady.response`.
     bandwidth_hz, noise_bandwidth_hz : float
         -3 dB, and noise-equivalent, one-sided.
     overshoot_percent : float

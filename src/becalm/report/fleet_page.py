@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from jinja2 import Environment
 
-from becalm.core.installation import version
+from becalm.installation import version
 from becalm.report.embedding import asset, packed, script
 from becalm.report.fleet_order import TRAITS, summary, worst_first
 from becalm.report.fleet_rows import FleetRow, spaced

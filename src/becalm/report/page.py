@@ -13,7 +13,7 @@ from jinja2 import Environment
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.report import ChannelReport
 from becalm.cleaning.words import amount, cells
-from becalm.core.installation import version
+from becalm.installation import version
 from becalm.report.channel import Cleaned, Pictured, Pictures
 from becalm.report.description import Figure
 from becalm.report.embedding import asset, packed, script

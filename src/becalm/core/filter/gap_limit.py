@@ -81,7 +81,7 @@ def longest_gap(component: Component, noise_variance: float) -> float:
     return max(_LEAST, float(_LENGTHS[max(beyond[0] - 1, 0)])) if len(beyond) else np.inf
 
 
-def least_gap_limit(reaches: Sequence[GapLimit]) -> GapLimit:
+def least_gap_limit(limits: Sequence[GapLimit]) -> GapLimit:
     """Return the limit of several modes: which gaps all of them bridge."""
-    longest, spans, readings = zip(*reaches, strict=True)
+    longest, spans, readings = zip(*limits, strict=True)
     return GapLimit(min(longest), min(spans), max(readings))

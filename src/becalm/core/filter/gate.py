@@ -16,7 +16,7 @@ GOES_ON, WIDE = CONSTANTS["GOES_ON"], float(CONSTANTS["WIDE"])
 times R a jump adds at the most: a covariance beyond loses the digits of the readings."""
 
 LEAST_THRESHOLD = 4.0
-"""Where readings are so few that a narrower gate would do: it would cost more good readings than bad ones."""
+"""Smallest threshold: a narrower gate would reject more good measurements than bad ones."""
 
 
 def threshold_for(false_alarms_per_hour: float, readings_per_second: float) -> float:

@@ -36,7 +36,7 @@ class _ModelSteps(NamedTuple):
 
 
 class OnlineChannel:
-    """Takes readings one step apart.
+    """A stream filter of a model of one channel, one step a measurement.
 
     Parameters
     ----------

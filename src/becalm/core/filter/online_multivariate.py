@@ -16,7 +16,7 @@ from becalm.native.multivariate import Beliefs
 
 
 class OnlineMultivariate:
-    """Takes readings one step apart.
+    """A stream filter of a model of several channels, one step a row.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ class OnlineMultivariate:
         return signal, sigma
 
     def stepper(self) -> Callable[[float], tuple[float, float]] | None:
-        """Return nothing: readings are no numbers."""
+        """Return None: a row of several channels is not one number."""
         return None
 
     def finish(self) -> tuple[Floats, Floats]:

@@ -22,12 +22,12 @@ class PartialFlow(Protocol):
 
     @property
     def log_likelihood(self) -> float:
-        """Of its readings so far."""
+        """Log-likelihood of its measurements so far."""
         ...
 
     @property
     def settled_row(self) -> int | None:
-        """From which of its rows on the gain is settled."""
+        """The first of its rows with a settled gain; None if there is none."""
         ...
 
     def push(self, z: Floats, elapsed: Floats) -> list[EstimatedRows]:
@@ -133,7 +133,7 @@ class RestartingFlow:
 
     @property
     def log_likelihood(self) -> float:
-        """Of all readings so far but the first of each part."""
+        """Log-likelihood of all measurements so far but the first of each part."""
         return sum(part.log_likelihood for part in self._parts())
 
     @property
@@ -188,7 +188,7 @@ class Gaps:
     """
 
     def __init__(self, gap_limit: GapLimit) -> None:
-        self._reach = gap_limit
+        self._limit = gap_limit
         self._now = self._last = 0.0  # steps from the first reading since the start to the last row, and last reading
         self._readings = 0
 
@@ -219,9 +219,9 @@ class Gaps:
 
     def _bridges(self, rows: int) -> bool:
         """Take rows of which none is missing in even time at once, as mostly; say whether they were taken."""
-        near = min(self._reach.longest, self._reach.spans * self._last) >= 1.0 and self._now.is_integer()
+        near = min(self._limit.longest, self._limit.spans * self._last) >= 1.0 and self._now.is_integer()
         waits = self._now != self._last  # rows without a reading came last
-        if waits or not (near and self._readings >= self._reach.readings):
+        if waits or not (near and self._readings >= self._limit.readings):
             return False
         self._now += rows
         self._last, self._readings = self._now, self._readings + rows
@@ -236,9 +236,9 @@ class Gaps:
         times = np.cumsum(times)[1:]
         spans = np.append(self._last, times[rows[:-1]])[: len(rows)]
         gaps, before = times[rows] - spans, self._readings + np.arange(len(rows))
-        told = (before >= self._reach.readings) & (spans > 0)
-        carried = np.where(told, self._reach.spans * np.maximum(spans, _SHORTEST), np.inf)
-        beyond = np.flatnonzero((gaps > np.minimum(self._reach.longest, carried)) & (before > 0))
+        told = (before >= self._limit.readings) & (spans > 0)
+        carried = np.where(told, self._limit.spans * np.maximum(spans, _SHORTEST), np.inf)
+        beyond = np.flatnonzero((gaps > np.minimum(self._limit.longest, carried)) & (before > 0))
         if len(beyond):
             self._now, self._last, self._readings = 0.0, 0.0, 1
             return int(rows[beyond[0]])

@@ -99,7 +99,7 @@ class SmoothedFlow:
 
     @property
     def shares(self) -> dict[str, float]:
-        """Of modes, which it has not."""
+        """Share of the rows in each mode; empty, for there are no modes."""
         return {}
 
     def push(self, z: Floats, elapsed: Floats) -> list[EstimatedRows]:

@@ -17,7 +17,7 @@ _WHOLE = WINDOW // HOP - 1
 
 
 class Aliveness:
-    """Looks at the hops of one channel.
+    """Checks that no window of a channel's innovations can have been one of a dead sensor.
 
     Parameters
     ----------

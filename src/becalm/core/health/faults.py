@@ -56,11 +56,6 @@ class Faults:
         self._ticks = 0  # from the first row
         self._rhythm = TimeFaults(limits)
 
-    @property
-    def stuck_delay(self) -> int | None:
-        """How many readings a channel is stuck before it is told, itself among them; None: never."""
-        return self.limits.stuck_readings
-
     def push(self, z: Floats, elapsed: Floats, beside: Codes | None = None) -> Codes:
         """Take the next rows and tell what is wrong with each.
 
@@ -113,7 +108,7 @@ class Faults:
         return {"faults_state": state, "faults_told": told, "faults_offsets": self._rhythm.offsets}
 
     def restore(self, arrays: Mapping[str, Any]) -> None:
-        """Take over what `saved` returned."""
+        """Take over what `saved` returned; raises a ModelError if it is not that of such a channel."""
         state = restored(arrays["faults_state"], LIMITS)
         if state is None:
             raise ModelError("What a snapshot remembers of readings is not valid: pass what snapshot() returned.")

@@ -211,7 +211,7 @@ def _stuck_readings(z: Floats, resolution: float, alarms: float, outliers: Outli
 
 
 def _are_faults(z: Floats, last: Integers, lengths: Integers, noisy: bool, outliers: Outliers) -> bool:
-    """Whether runs of equal readings, by their last rows (k,), are no rest: the 0 a channel ends at, or what repeats.
+    """Return whether equal readings in a row, up to rows (k,), are no rest: the 0 a channel ends at, or what repeats.
 
     A value that repeats fills in for readings all the same, if noise leaves it by jumps.
     """
@@ -225,7 +225,7 @@ def _are_faults(z: Floats, last: Integers, lengths: Integers, noisy: bool, outli
 
 
 def _rests_at_0(z: Floats, outliers: Outliers) -> bool:
-    """Whether readings (N,), some of them 0, come near to it; otherwise a 0 fills in for a reading."""
+    """Return whether readings (N,), some of them 0, come near to it; otherwise a 0 fills in for a reading."""
     others = np.abs(z[z != 0])
     return not len(others) or bool(others.min() <= NEAR_REST * (outliers.high - outliers.low))
 

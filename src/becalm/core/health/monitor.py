@@ -22,10 +22,10 @@ from becalm.native.rows import SETTINGS
 from becalm.native.scans import HOP, KEPT_HOPS, PARTS, WATCHED, WINDOW, Hops, new_watched, restored, scan_innovations
 
 HOPS = "hops"
-"""What only matters to a channel that may be dead."""
+"""Key in `comparable_state` of what matters only to a channel that may be dead."""
 
 NEVER = 1e12
-"""Of a cumulative sum, in sigma: none gets there."""
+"""Threshold, in sigma, that no cumulative sum reaches."""
 
 _DEAD = 0.05  # of the variance that was expected; what is quieter than chance but above only rests
 _THAN_REST = 0.25  # of the quietest window of a healthy record
@@ -63,7 +63,7 @@ class Alarms(NamedTuple):
 
 
 NO_ALARMS = Alarms(NEVER, 0.0, np.inf, 0.0)
-"""Of what nobody watches."""
+"""Thresholds that no innovation reaches: nothing is watched."""
 
 
 def find_alarms(false_alarms_per_hour: float, step_s: float, healthy: Floats | None = None) -> Alarms:
@@ -258,7 +258,7 @@ class InnovationMonitor:
         return watched | {"monitor_hops": self._hops, "monitor_told": told, "monitor_powers": self.powers}
 
     def restore(self, arrays: Mapping[str, Any]) -> None:
-        """Take over what `saved` returned."""
+        """Take over what `saved` returned; raises a ModelError if it is not that of such a channel."""
         state = restored(arrays["monitor_state"], WATCHED)
         hops = arrays["monitor_hops"]
         if (

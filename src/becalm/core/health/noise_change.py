@@ -72,7 +72,7 @@ class NoiseHistory:
         return NoiseChanged(float(self._starts[k]), ratio) if told else None
 
     def _is_even(self, means: Floats) -> bool:
-        """Whether blocks differ by no more than mean squares of noise do."""
+        """Return whether blocks differ by no more than mean squares of noise do."""
         return bool(means.var(ddof=1) <= _UNEVEN * 2 / (self._size * HOP) * means.mean() ** 2)
 
 

@@ -36,7 +36,7 @@ class Outliers(NamedTuple):
 
 
 NO_OUTLIERS = Outliers()
-"""What finds none."""
+"""A rule that finds no outlier."""
 
 _FEWEST = 8  # readings that tell how far they jump
 _NOISES = 30.0  # standard deviations of the noise that a gross outlier is away, at the least

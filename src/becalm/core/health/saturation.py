@@ -46,7 +46,7 @@ def find_saturation(z: Floats, resolution: float) -> SaturationLimits:
 
     Returns
     -------
-    Rails
+    SaturationLimits
         Those that were reached at least twice in the record. A clipping that is smooth, or has noise of its
         own behind it, repeats no reading and is not found; nor is one at 0, where speeds and loads rest.
     """
@@ -61,19 +61,19 @@ def find_saturation(z: Floats, resolution: float) -> SaturationLimits:
 
 
 def _is_piled_up(counts: Integers) -> bool:
-    """Whether the first of the counts of different readings is far above those beside it."""
+    """Return whether the first of the counts of different readings is far above those beside it."""
     beside = counts[1 : 1 + _BESIDE]
     return bool(counts[0] >= max(_OFTENER * beside.mean(), _THAN_NEXT * beside[0]))
 
 
 def _comes_back(there: Booleans) -> bool:
-    """Whether an extreme is held for two readings or more, and reached more than once."""
+    """Return whether an extreme is held for two readings or more, and reached more than once."""
     visits = int(there[0]) + int(np.count_nonzero(there[1:] & ~there[:-1]))
     return 1 < visits < int(np.count_nonzero(there))
 
 
 def is_noisy(z: Floats, resolution: float) -> bool:
-    """Whether readings (N,) show a noise that no level, and no code, would be kept through.
+    """Return whether readings (N,) show a noise that no level, and no code, would be kept through.
 
     Noise turns back; where a signal moves faster than that, its fourth differences are rougher than rounding.
     """

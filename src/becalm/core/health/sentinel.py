@@ -22,7 +22,7 @@ _NO_ROW = -1
 
 
 class Sentinel:
-    """Stands behind a filter of one channel.
+    """Removes runaway estimates, and those within long holes, from the output of a filter.
 
     Parameters
     ----------

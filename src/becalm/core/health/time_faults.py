@@ -13,7 +13,7 @@ from becalm.core.health.limits import Limits
 from becalm.core.verdict import Verdict
 
 LONGEST = float(1 << 31)
-"""Steps between two rows; beyond, time is not told."""
+"""Longest step between two rows that is counted; longer ones are cut to it."""
 
 _TICKS = 1 << 20  # of a step, for what a row is off its time
 _LATEST = 0.75  # of a step after it was due: a row that comes later is the next one, and the one due was lost

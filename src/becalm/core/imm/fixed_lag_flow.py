@@ -1,4 +1,4 @@
-"""Fixed-lag smoothing of a bank that switches: each row is told when the L rows after it are there.
+"""Fixed-lag smoothing by interacting multiple models: each row is estimated once the L rows after it are there.
 
 What later readings say to a mode has no recursion forward, so the way back is gone again, over L rows, each time
 that a quarter of L came: a row then knows at least three quarters of the L rows after it, at four times the cost

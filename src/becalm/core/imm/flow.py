@@ -1,4 +1,4 @@
-"""A channel of any length through a bank that switches, a stretch of rows at a time, in constant memory.
+"""A channel of any length through interacting multiple models, a stretch of rows at a time, in constant memory.
 
 Causal, each stretch goes on from the beliefs after the one before. Smoothed, rows come in groups whose bounds
 are counted from the start, so that cuts change no bit; a group is smoothed when the next one is complete, and

@@ -1,4 +1,4 @@
-"""One channel on its way forward through a bank that switches, a stretch of rows at a time."""
+"""The forward pass of one channel through interacting multiple models, a stretch of rows at a time."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ class ByModes:
 
     Parameters
     ----------
-    passes : SwitchingFilter
+    passes : ForwardImm
         The forward pass.
     """
 
@@ -141,7 +141,7 @@ class ByModes:
 
     @property
     def log_likelihood(self) -> float:
-        """Of all readings so far but the first."""
+        """Log-likelihood of all measurements so far but the first."""
         return self._filter.log_likelihood
 
     def saved(self) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""A live bank that switches: all that `Online` needs of it."""
+"""Interacting multiple models, live: all that `Online` needs of them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from becalm.native.imm import NOTHING_WANTED, Bank, State, Stepper, filter_rows
 
 
 class LiveImm:
-    """Takes readings one step apart.
+    """A stream filter of interacting multiple models, one step a measurement.
 
     Parameters
     ----------
@@ -53,6 +53,6 @@ class LiveImm:
         return dict(zip(self._names, told.tolist(), strict=True))
 
     def saved(self) -> dict[str, Any]:
-        """Return what `saved_switching` needs, besides the model."""
+        """Return the state as arrays; `restored_imm` takes them, with the model."""
         modes = {"bank_names": np.array(self._names), "bank_state": np.frombuffer(self._state.tobytes(), np.int8)}
         return modes | {f"bank_{name}": array for name, array in self._bank._asdict().items()}

@@ -1,4 +1,4 @@
-"""A live bank that switches with a fixed lag, and the doors to live banks of either kind."""
+"""Interacting multiple models, live, with a fixed lag; and the doors to live ones of either kind."""
 
 from __future__ import annotations
 

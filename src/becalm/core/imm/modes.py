@@ -1,4 +1,4 @@
-"""A filter that switches: several modes, each a model of its own, one of which is in force at a time.
+"""Interacting multiple models: several modes, each a model of its own, one of which is in force at a time.
 
 Still when it is still, quick when it moves: a fixed gain must trade noise against lag, a gain that follows
 the mode need not. Each mode has its component, its measurement noise, and how long it lasts on average;
@@ -57,7 +57,7 @@ class Mode:
 
 @dataclass(frozen=True)
 class InteractingModels:
-    """A bank of modes.
+    """Interacting multiple models: the modes, and how wild measurements are treated.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Coloured noise: each reading's noise remembers that of the readings before it.
+"""Coloured noise: the noise of a measurement is correlated with that of the measurements before it.
 
 Autoregressive noise of order p is e[k] = phi_1 e[k-1] + ... + phi_p e[k-p] + w[k], w white. It is known
 where the sensor reads and nowhere between, so it goes in even steps; readings that are missing are

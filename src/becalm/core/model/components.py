@@ -35,7 +35,7 @@ __all__ = [
 HIGHEST_ORDER = 5
 
 LEVEL_RATE = 0.1
-"""Of a returning motion's damping, how fast its level follows."""
+"""Rate at which a returning motion's level follows the signal, as a share of its damping."""
 
 ORDERS = (1, 2, 3)
 """Orders of motion that a causal filter is chosen from."""

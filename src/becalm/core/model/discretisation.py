@@ -120,7 +120,7 @@ def _integrate_polynomial(A: Floats, W: Floats, steps_s: Floats) -> tuple[Floats
 
 
 def _turns(A: Floats, W: Floats) -> bool:
-    """Whether a state fades, or a pair of them turns and fades, in noise that knows no direction: a tone."""
+    """Return whether a state fades, or a pair of them turns and fades, in noise that knows no direction: a tone."""
     if len(A) == 1:
         return True
     pair = len(A) == 2 and A[0, 0] == A[1, 1] and A[0, 1] == -A[1, 0]

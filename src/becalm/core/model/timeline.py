@@ -43,7 +43,7 @@ def elapsed_timeline(
 
     Parameters
     ----------
-    component : Component or Steps
+    component : Component or StepMatrices
         The signal's model, in the time unit of `elapsed`, or what remembers its steps.
     noise_variance : float
         R, in unit^2.

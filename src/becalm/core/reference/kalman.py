@@ -54,7 +54,7 @@ def update(belief: Belief, H: Floats, R: Floats, reading: Floats) -> Step:
 
 
 def _log_density(nu: Floats, S: Floats, S_inverse: Floats) -> float:
-    """Log of the normal density; directions without variance carry no information (8)."""
+    """Return the log of the normal density; directions without variance carry no information (8)."""
     eigenvalues = np.linalg.eigvalsh(S)
     live = eigenvalues[eigenvalues > 1e-15 * eigenvalues.max(initial=0.0)]
     return float(-0.5 * (np.log(2 * np.pi * live).sum() + nu @ S_inverse @ nu))

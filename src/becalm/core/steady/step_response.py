@@ -42,7 +42,7 @@ def lag_steps(found: SteadyFilter) -> float:
 
 
 def _has_tones(found: SteadyFilter) -> bool:
-    """Whether the model turns by itself; a motion's eigenvalues are 1."""
+    """Return whether the model turns by itself; a motion's eigenvalues are 1."""
     return bool(np.abs(np.linalg.eigvals(found.model.F).imag).max() > _TURNS)
 
 

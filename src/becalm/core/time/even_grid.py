@@ -21,7 +21,7 @@ from becalm.core.time.moments import Moments, Thinned
 JITTER, BURSTS = "jitter", "bursts"
 
 FEWEST_ROWS = 100
-"""Fewer stamps show no kind."""
+"""Smallest number of stamps in which a grid is looked for."""
 
 _LEAST_JITTER, _MOST_JITTER = 0.02, 0.15  # std in steps: less is not worth being wrong, more may be the sampling
 _FARTHEST = 0.45  # steps: beyond half a step a lost row would look alike

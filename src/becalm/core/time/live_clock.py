@@ -1,8 +1,8 @@
 """The clock of a stream: true time between rows, where stamps come one after the other and none can be looked up later.
 
-A file's clock is understood from all of its stamps (`core/clock`); a stream's is known beforehand, by its step, and is
-followed: a stamp within a fiftieth of a step of where the sender's even grid leads is one step after the row before,
-and any other is as far from it as it says.
+A file's clock is understood from all of its stamps (`core/time/clock`); a stream's is known beforehand, by its step,
+and is followed: a stamp within a fiftieth of a step of where the sender's even grid leads is one step after the row
+before, and any other is as far from it as it says.
 """
 
 from __future__ import annotations

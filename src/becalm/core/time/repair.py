@@ -66,7 +66,7 @@ class Steps:
 
     @property
     def falls_an_hour(self) -> bool:
-        """Whether all falls of stamps in seconds are those of an hour put back."""
+        """Return whether all falls of stamps in seconds are those of an hour put back."""
         return bool(self.falls) and self._mended_by(HOUR_S)
 
     @property
@@ -142,7 +142,7 @@ def _alike(steps: Floats, step_s: float) -> Booleans:
 
 
 def _put_forth(before_s: float, after_s: float) -> bool:
-    """Whether just the hour before a full one of a Sunday night in spring has no reading."""
+    """Return whether just the hour before a full one of a Sunday night in spring has no reading."""
     hour = np.floor(after_s / HOUR_S)
     day, of_day = divmod(int(hour), 24)
     month = np.datetime64(day, "D").astype("datetime64[M]").astype(int) % 12 + 1

@@ -15,8 +15,8 @@ from typing import Any, Literal
 import numpy as np
 
 from becalm.core.arrays import Floats, Integers
-from becalm.core.installation import version
 from becalm.core.verdict import Verdict
+from becalm.installation import version
 from becalm.live.block import Block, Loss, LossKind, Output
 from becalm.live.watching.memory import resident_bytes
 

@@ -9,8 +9,8 @@ import time
 from collections.abc import Awaitable, Callable
 from typing import TYPE_CHECKING, NamedTuple
 
-from becalm.core.installation import version
 from becalm.errors import BecalmError, UsageError
+from becalm.installation import version
 from becalm.live.retuning import Retune
 from becalm.live.watching.meter import Meter
 from becalm.live.watching.secrets import Scrubber

@@ -9,9 +9,9 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import NamedTuple
 
-from becalm.core.installation import MODULE, environment
 from becalm.errors import NOT_DESCRIBED, OutputError
 from becalm.files.registry import ENDINGS
+from becalm.installation import MODULE, environment
 from becalm.web.tuner.naming import stem_of
 
 _BLOCK = 1 << 18

@@ -9,10 +9,10 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, TypeVar
 
-from becalm.core.installation import version
 from becalm.errors import BecalmError, InputError, UsageError
 from becalm.files.asked import ReadOptions
 from becalm.files.registry import endings_here
+from becalm.installation import version
 from becalm.web.tuner.conversation import Conversation, Telling
 from becalm.web.tuner.desk import Desk
 from becalm.web.tuner.folder import READ_ENDINGS, Folder

@@ -11,7 +11,7 @@ from pathlib import Path
 MODULE = (sys.executable, "-P", "-m")
 """What runs a module: -P, for nothing in the folder where becalm was started is a part of it."""
 
-_SOURCES = Path(__file__).parents[2]
+_SOURCES = Path(__file__).parents[1]
 
 
 @cache
