@@ -71,14 +71,6 @@ INLINE int filter_row(const int n, const settings_t *settings, const coefficient
     return verdict;
 }
 
-/* Return one number of A s + L z, added in the order in which it waits the least for s. */
-INLINE real onward(const int n, const real *A, const real *s, const real Lz) {
-    real sum = Lz + A[0] * s[0];
-    UNROLL
-    for (int j = 1; j + 1 < n; j += 2) sum += A[j] * s[j] + A[j + 1] * s[j + 1];
-    return n % 2 ? sum : sum + A[n - 1] * s[n - 1];
-}
-
 /* Take rows with the gain that has settled, until one is missing, rejected, or comes after another step; return how
    many were taken. What moves is the predicted state, F s + L nu (14) with its loop closed: s = A s + L z, A = F - L h.
    That is the least that a row waits for. */

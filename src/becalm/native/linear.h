@@ -41,6 +41,14 @@ INLINE real dot(const int n, const real *a, const real *b) {
     return s;
 }
 
+/* Return one number of A x + b, added in the order in which it waits the least for x. */
+INLINE real onward(const int n, const real *row, const real *x, const real b) {
+    real sum = b + row[0] * x[0];
+    UNROLL
+    for (int j = 1; j + 1 < n; j += 2) sum += row[j] * x[j] + row[j + 1] * x[j + 1];
+    return n % 2 ? sum : sum + row[n - 1] * x[n - 1];
+}
+
 /* y = A x */
 INLINE void times(const int n, const real *A, const real *x, real *y) {
     for (int i = 0; i < n; i++) y[i] = dot(n, A + i * n, x);
