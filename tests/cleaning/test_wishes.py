@@ -121,13 +121,13 @@ def test_a_channel_that_does_not_move_at_rest_is_tuned_as_ever(coloured: Recordi
 
 def test_hum_in_uneven_time_is_not_looked_for(humming: Recording) -> None:
     times = TIME_S + np.random.default_rng(3).uniform(0, 0.3, ROWS) / RATE_HZ
-    with pytest.raises(UsageError, match="2048 rows in even time without a gap are needed; no stretch is so even"):
+    with pytest.raises(UsageError, match="256 rows in even time without a gap are needed; no stretch is so even"):
         tune(Recording(humming.samples, times_s=times), wishes=Wishes(removed_hz=(50.0,)))
 
 
 def test_a_short_record_cannot_lose_its_hum(humming: Recording) -> None:
-    with pytest.raises(UsageError, match="2048 rows in even time without a gap are needed; 2000 rows came"):
-        tune(Recording(humming.samples[:2000], rate_hz=RATE_HZ), wishes=Wishes(removed_hz=(50.0,)))
+    with pytest.raises(UsageError, match="256 rows in even time without a gap are needed; 200 rows came"):
+        tune(Recording(humming.samples[:200], rate_hz=RATE_HZ), wishes=Wishes(removed_hz=(50.0,)))
 
 
 def test_a_nearly_empty_channel_keeps_no_other_from_its_rest(coloured: Recording) -> None:

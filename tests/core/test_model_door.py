@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 
+from becalm.core.filter.batch import filter_batch
 from becalm.core.filter.filtering import kalman_filter
 from becalm.core.filter.smoothing import kalman_smoother
+from becalm.core.model.components import level
 from becalm.core.model.model import Model
 from becalm.core.model.prior import refuse_singular
 from becalm.core.model.timeline import model_system
-from becalm.errors import BecalmError, ModelError
+from becalm.core.online import Online
+from becalm.core.recording import Recording
+from becalm.errors import BecalmError, ModelError, TimeError
 
+ONE = Model(F=1.0, H=1.0, Q=1.0, R=1.0, x0=[0.0], P0=[[1.0]])
 GOOD: dict[str, Any] = {
     "F": [[1.0, 0.1], [0.0, 1.0]],
     "H": [[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]],
@@ -242,3 +248,30 @@ def test_observable_states(F: Any, H: Any, expected: tuple[bool, ...]) -> None:
 
 def test_a_model_says_its_size() -> None:
     assert repr(Model(**GOOD)) == "Model(2 states, 3 channels)"
+
+
+def test_what_a_mask_hides_is_missing() -> None:
+    hidden = np.ma.masked_array([0.0, 1e6, 0.0], mask=[False, True, False])
+    seen, model = np.array([0.0, np.nan, 0.0]), Model(F=1.0, H=1.0, Q=1.0, R=1.0, x0=[0.0], P0=[[1.0]])
+    np.testing.assert_array_equal(Recording(hidden, rate_hz=1.0).samples[:, 0], seen)
+    np.testing.assert_array_equal(kalman_filter(model, hidden).sigma, kalman_filter(model, seen).sigma)
+    assert Online(model).step(np.ma.masked)[1] == Online(model).step(np.nan)[1]
+    with pytest.raises(TimeError, match="row 2 is missing"):
+        Recording([1.0, 2.0, 3.0], times_s=np.ma.masked_array([0.0, 1.0, 2.0], mask=[False, True, False]))
+
+
+@pytest.mark.parametrize(
+    ("call", "says"),
+    [
+        (lambda: Online(None), "A Model is needed; NoneType came"),  # type: ignore[arg-type]
+        (lambda: Online(level()), "A Model is needed; Component came"),  # type: ignore[arg-type]
+        (lambda: Online(ONE, gate=3.0), "A Gate is needed; float came"),  # type: ignore[arg-type]
+        (lambda: Online(ONE).step([[1.0], [2.0, 3.0]]), "not an array of numbers"),
+        (lambda: filter_batch(None, [[[1.0]]]), "A Model is needed; NoneType came"),  # type: ignore[arg-type]
+        (lambda: Model(F=10**400, H=1, Q=1, R=1), "F is not an array of real numbers"),
+        (lambda: Recording([10**400, 1.0], rate_hz=1.0), "not an array of numbers"),
+    ],
+)
+def test_a_mistake_is_a_sentence(call: Callable[[], object], says: str) -> None:
+    with pytest.raises(BecalmError, match=says):
+        call()

@@ -132,9 +132,28 @@ def test_motion_is_no_outlier(name: str) -> None:
 def test_motion_that_was_never_seen_costs_two_readings_and_locks_nothing_out() -> None:
     """Two that agree are believed: the third reading at a new level is used, and all after it."""
     rule = find_outlier_rule(noise())
-    z = np.where(np.arange(ROWS) < 2000, 0.0, 1e6) + noise(1)
+    z = np.where(np.arange(ROWS) < 2000, 0.0, 1e4) + noise(1)
     assert found_causally(z, rule) == [2000, 2001]
-    assert found_causally(1e6 + noise(1), rule) == [0], "nor at the beginning"
+    assert found_causally(1e4 + noise(1), rule) == [0], "nor at the beginning"
+
+
+@pytest.mark.parametrize("size", [1e6, -1e12])
+@pytest.mark.parametrize("rows", [1, 3, 6, 50])
+def test_values_that_are_no_motion_are_outliers_though_they_agree(rows: int, size: float) -> None:
+    """A thousand ranges away two that agree are no evidence; fifty are, for nothing is locked out."""
+    rule, z = find_outlier_rule(noise()), noise(1)
+    z[2000 : 2000 + rows] += size
+    assert found_causally(z, rule) == list(range(2000, 2000 + rows))
+    alone = rule.without_neighbours
+    assert found_causally(z, alone) == list(range(2000, 2000 + rows)), "nor where both sides tell the rest"
+    z[2000:] = size + noise(2)[2000:]
+    assert found_causally(z, rule)[:50] == list(range(2000, 2050))
+    assert not set(found_causally(z, rule)) & set(range(2056, ROWS))
+
+
+def test_a_walk_that_leaves_what_is_plausible_step_by_step_is_motion() -> None:
+    rule = find_outlier_rule(noise())
+    assert found_causally(1e7 * np.linspace(0.0, 1.0, ROWS) ** 3 + noise(1), rule) == []
 
 
 def test_a_wild_beginning_is_no_reading_to_judge_others_by() -> None:
@@ -306,7 +325,7 @@ def test_a_causal_rule_tells_the_same_wherever_the_record_is_cut(z: Floats, as_o
 @given(records())
 def test_nothing_is_locked_out(z: Floats) -> None:
     """Of readings that differ, one in three is believed where they agree with the two before them."""
-    rule = Outliers(30.0, 60.0, -99.0, 99.0, False)
+    rule = Outliers(30.0, 60.0, -1e12, 1e12, False)
     codes = Faults(Limits(outliers=rule)).push(z, np.ones(len(z)))
     seen = z[np.isfinite(z)]
     told = codes[np.isfinite(z)] == Verdict.OUTLIER

@@ -21,8 +21,8 @@ from becalm.metrics.truth import coverage, rms_error
 from becalm.noise import lines
 from becalm.noise.choose import choose
 from becalm.noise.damping import damped
-from becalm.noise.likelihood import Evidence
-from becalm.noise.lines import FEWEST_FOR_TONES, Fit, _turned, fit_spectrum
+from becalm.noise.likelihood import FEWEST_FOR_TONES, Evidence
+from becalm.noise.lines import Fit, _turned, fit_spectrum
 from becalm.noise.spectrum import Line, Spectrum, line_power
 
 ROWS = 8192

@@ -17,7 +17,7 @@ from becalm.core.health.limits import Limits, find_limits, stuck_at_once
 from becalm.core.health.look_ahead import LookAhead
 from becalm.core.health.monitor import InnovationMonitor
 from becalm.core.health.noise_change import said_of_change
-from becalm.core.health.outliers import NO_OUTLIERS, beside_others
+from becalm.core.health.outliers import beside_others
 from becalm.core.rows import EstimatedRows
 from becalm.core.verdict import ADVICE, LOST, Verdict
 from becalm.native.scans import EVERY_REPEAT
@@ -156,7 +156,7 @@ def find_healthy(z: Floats, elapsed: Floats, step_s: float, *, causal: bool = Fa
         The readings as they came where all are usable.
     """
     limits = find_limits(z, elapsed, FALSE_ALARMS_PER_HOUR, step_s)
-    codes = Faults(limits if causal else limits._replace(outliers=NO_OUTLIERS)).push(z, elapsed)
+    codes = Faults(limits if causal else limits._replace(outliers=limits.outliers.without_neighbours)).push(z, elapsed)
     rule = limits.outliers
     if not causal:
         possible = np.where(np.isfinite(z) & (np.abs(z) <= limits.largest) & (z != rule.blank), z, np.nan)
@@ -196,7 +196,7 @@ class SensorWatch:
         limits = limits_of(told)
         self._ahead = LookAhead(limits) if waits and limits.outliers.distance < np.inf else None
         if waits:
-            limits = limits._replace(outliers=NO_OUTLIERS._replace(blank=limits.outliers.blank))
+            limits = limits._replace(outliers=limits.outliers.without_neighbours)
         self._faults, self.monitor, self._shown = Faults(limits), InnovationMonitor(alarms_of(told)), shown
         self._verdicts: Codes = np.empty(0, np.int8)  # of rows that the filter still holds
         self._alarms: Codes = np.empty(0, np.int8)  # of rows whose innovations it has told before the rows themselves

@@ -28,8 +28,8 @@ from becalm.noise.damping import spread_std
 from becalm.noise.dial import Dial, may_judge, turn
 from becalm.noise.gating import choose_gated, forecasts
 from becalm.noise.imputation import nearly_complete
-from becalm.noise.likelihood import Evidence, Tuning
-from becalm.noise.lines import FEWEST_FOR_TONES, MOST_TONES
+from becalm.noise.likelihood import FEWEST_FOR_TONES, Evidence, Tuning
+from becalm.noise.lines import MOST_TONES
 from becalm.noise.still import said_still
 from becalm.noise.switching import Switched, find_switching
 from becalm.noise.tuning_spread import tuning_spread
@@ -253,7 +253,7 @@ def _refuse_contradictions(wishes: Wishes, recording: Recording) -> None:
 def _longest_even(recording: Recording) -> int:
     """Return how many rows come in even time, but for short holes, at the most."""
     rows = Evidence.of(np.zeros(len(recording)), recording.timebase.elapsed_steps)
-    return max(len(rows.z[part]) for part in (nearly_complete(rows), *rows.complete))
+    return max(len(rows.z[part]) for part in (nearly_complete(rows), *rows.even))
 
 
 def tuned_as_filter(causal: bool, lag_s: float | None, step_s: float) -> bool:

@@ -19,7 +19,7 @@ BLOCK = 256
 
 
 def real(values: ArrayLike) -> ArrayLike:
-    """Return values as they came, if they are real numbers.
+    """Return values as they came, if they are real numbers; of a masked array NaN where it is masked.
 
     Raises
     ------
@@ -29,7 +29,7 @@ def real(values: ArrayLike) -> ArrayLike:
     kind = np.asarray(values).dtype.kind
     if kind in "cSUMm":
         raise TypeError(f"real numbers are needed, {np.asarray(values).dtype} came")
-    return values
+    return np.ma.filled(np.ma.asarray(values, dtype=np.float64), np.nan) if np.ma.isMaskedArray(values) else values
 
 
 def read_only(values: NDArray[Number]) -> NDArray[Number]:

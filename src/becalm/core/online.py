@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from becalm.core.arrays import Codes, Floats
-from becalm.core.filter.filtering import checked_readings
+from becalm.core.filter.filtering import checked_readings, numbers, require_model
 from becalm.core.filter.gate import Gate
 from becalm.core.filter.lag import checked_lag
 from becalm.core.filter.online_channel import OnlineChannel
@@ -53,17 +53,7 @@ class Online:
 
     def __init__(self, model: Model | InteractingModels | LiveImm, lag: int = 0, gate: Gate | None = None) -> None:
         lag = checked_lag(lag)
-        self._runs: LiveImm | OnlineChannel | OnlineMultivariate
-        if not isinstance(model, Model):
-            if gate is not None:
-                raise ModelError("A filter that switches tells wild readings by its modes; leave the gate out.")
-            self._runs = new_live_imm(model, lag) if isinstance(model, InteractingModels) else model
-        elif model.channels == 1:
-            self._runs = OnlineChannel(model, lag, gate)
-        elif gate is None:
-            self._runs = OnlineMultivariate(model, lag)
-        else:
-            raise ModelError(f"A gate judges one channel; this model has {model.channels}. Leave the gate out.")
+        self._runs = _new_filter(model, lag, gate)
         self.model, self._lag, self._gate = self._runs.model, lag, gate
         self._quick: Callable[[float], tuple[float, float]] | None = None  # the shortest way of a number
 
@@ -86,7 +76,7 @@ class Online:
             if quick is not None:
                 self._quick = quick
                 return quick(z_k)
-        row = np.ravel(z_k)
+        row = np.ravel(numbers(z_k))
         if len(row) != self.model.channels:
             raise ModelError(f"z_k has {len(row)} values; this model has {self.model.channels} channels.")
         signal, sigma = self.run(row[np.newaxis])
@@ -178,3 +168,21 @@ class Online:
         if not isinstance(online._runs, LiveImm):
             online._runs.restore(arrays)
         return online
+
+
+def _new_filter(
+    model: Model | InteractingModels | LiveImm, lag: int, gate: Gate | None
+) -> LiveImm | OnlineChannel | OnlineMultivariate:
+    """Return the stream filter of a model."""
+    if gate is not None and not isinstance(gate, Gate):
+        raise ModelError(f"A Gate is needed; {type(gate).__name__} came. Make one: Gate(threshold).")
+    if isinstance(model, InteractingModels | LiveImm):
+        if gate is not None:
+            raise ModelError("A filter that switches tells wild readings by its modes; leave the gate out.")
+        return new_live_imm(model, lag) if isinstance(model, InteractingModels) else model
+    require_model(model)
+    if model.channels == 1:
+        return OnlineChannel(model, lag, gate)
+    if gate is not None:
+        raise ModelError(f"A gate judges one channel; this model has {model.channels}. Leave the gate out.")
+    return OnlineMultivariate(model, lag)

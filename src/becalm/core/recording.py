@@ -108,7 +108,7 @@ class Recording:
 def _checked_samples(samples: ArrayLike) -> Floats:
     try:
         own = frozen(real(samples))
-    except (TypeError, ValueError) as cause:
+    except (TypeError, ValueError, OverflowError) as cause:
         raise RecordingError(f"The samples are not an array of numbers ({cause}).") from cause
     if own.ndim == 1:
         own = own[:, np.newaxis]

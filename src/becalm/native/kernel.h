@@ -98,6 +98,7 @@ typedef struct {
     real since;            /* steps since the last measurement */
     real now, last;        /* steps from the first measurement since a start to the last row, and measurement */
     int64_t measurements;  /* since the start */
+    int64_t impossible;    /* values in a row that are no motion of this channel */
 } limits_t;
 
 /* What the filter and its gate know. Of each array the first n, or n * n, count; they come last, see pack.h. */

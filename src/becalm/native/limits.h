@@ -9,6 +9,8 @@
 #define IMPLAUSIBLE_SPREADS ((real)3) /* for a value that is not plausible: beside a jump it spreads its neighbours */
 #define LATE ((real)2.5)        /* times the longest wait before: then the measurements before are no neighbours */
 #define NEARER ((real)4)        /* times that a value which fills in for measurements is nearer */
+#define FARTHEST ((real)1000)   /* times the range of what is plausible: farther away is no motion of the channel, ... */
+#define LOST 50                 /* ... unless so many values in a row are: then it is another channel */
 #define AMID ((real)0.01)       /* of what was measured: nearer to an end of it is no value amid */
 
 /* Begin before the first measurement. */
@@ -94,6 +96,12 @@ static inline int no_measurement(const settings_t *settings, const real z) {
     return z == settings->blank ? OUTLIER : USED;
 }
 
+/* Return whether a value is no motion of the channel, by what is plausible and by the last measurement. */
+static inline int is_impossible(const settings_t *settings, const limits_t *state, const real z) {
+    const real low = settings->plausible_low, high = settings->plausible_high, farthest = FARTHEST * (high - low);
+    return farthest > 0 && (z < low - farthest || z > high + farthest) && !(fabs(z - state->last_value) <= farthest);
+}
+
 /* Forget the measurements before one that comes much later than they did: the signal has moved on. */
 static inline void forget_past(limits_t *state) {
     real longest = 1;
@@ -109,6 +117,8 @@ static inline int judge(const settings_t *settings, limits_t *state, const real 
     int verdict = no_measurement(settings, z);
     state->since += elapsed;
     if (verdict) return verdict;
+    state->impossible = is_impossible(settings, state, z) ? state->impossible + 1 : 0;
+    if (state->impossible > 0 && state->impossible <= LOST) return OUTLIER;
     if (state->since > LATE) forget_past(state);
     const int counts = moved || state->run == 0;
     if (settings->outlier_distance < INFINITE) {
@@ -141,7 +151,8 @@ static inline int judge(const settings_t *settings, limits_t *state, const real 
 /* Return whether what is remembered, which may come from a file, can be. */
 static inline int limits_are_sound(const limits_t *limits) {
     return isfinite(limits->since) && limits->at >= 0 && limits->at < NEIGHBOURS && is_count(limits->run, EVER) &&
-           limits->measurements >= 0 && is_count(limits->measurements, EVER) && isfinite(limits->now) &&
+           limits->measurements >= 0 && is_count(limits->measurements, EVER) && limits->impossible >= 0 &&
+           is_count(limits->impossible, EVER) && isfinite(limits->now) &&
            isfinite(limits->last);
 }
 

@@ -10,7 +10,7 @@ import numpy as np
 from becalm.core.arrays import Booleans, Floats
 from becalm.core.filter.smoothed_flow import SmoothedFlow
 from becalm.core.rows import EstimatedRows
-from becalm.noise.likelihood import JITTER, LASTING, Evidence, Tuning, keeps_time
+from becalm.noise.likelihood import FEWEST_FOR_TONES, JITTER, Evidence, Tuning, keeps_time
 
 LONGEST_HOLE = 32
 """Steps without a reading, across which a spectrum goes on."""
@@ -44,8 +44,8 @@ def completed(evidence: Evidence, tuning: Tuning) -> Evidence:
         The model of the draws.
     """
     part = nearly_complete(evidence)
-    longest = max((one.stop - one.start for one in evidence.complete), default=0)
-    if part.stop - part.start < LASTING or part.stop - part.start <= longest:
+    longest = max((one.stop - one.start for one in evidence.even), default=0)
+    if part.stop - part.start < FEWEST_FOR_TONES or part.stop - part.start <= longest:
         return evidence
     steps = np.round(evidence.elapsed[part][1:]).astype(int)
     rows = np.concatenate([[0], np.cumsum(steps)])

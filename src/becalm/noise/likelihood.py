@@ -34,6 +34,9 @@ UNSCORED = 3
 LONG_GAP = 1000.0
 """Steps across which a motion is not followed for tuning: what it would predict says next to nothing."""
 
+FEWEST_FOR_TONES = 256
+"""Readings in even time, none missing, that tones are looked for in."""
+
 LASTING = 1024
 """Readings in even time, none missing, whose spectrum is worth looking at."""
 
@@ -208,9 +211,14 @@ class Evidence:
     @cached_property
     def complete(self) -> list[slice]:
         """Long stretches of rows in even time but for a little jitter, none missing."""
+        return [run for run in self.even if run.stop - run.start >= LASTING]
+
+    @cached_property
+    def even(self) -> list[slice]:
+        """Stretches, long enough for tones, of rows in even time but for a little jitter, none missing."""
         uneven = np.abs(self.elapsed[1:] - 1.0) > JITTER
         bounds = np.flatnonzero(np.concatenate([[True], uneven, [True]]))
-        runs = [slice(start, stop) for start, stop in pairwise(bounds.tolist()) if stop - start >= LASTING]
+        runs = [slice(start, stop) for start, stop in pairwise(bounds.tolist()) if stop - start >= FEWEST_FOR_TONES]
         return [run for run in runs if keeps_time(self.elapsed[run][1:], np.ones(run.stop - run.start - 1))]
 
     def mean_step(self, part: slice) -> float:

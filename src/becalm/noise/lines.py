@@ -17,14 +17,11 @@ import numpy as np
 from becalm.core.arrays import Floats
 from becalm.core.closed_forms import cutoff_to_ratio, motion_power, ratio_to_cutoff
 from becalm.noise.imputation import completed
-from becalm.noise.likelihood import Evidence, Tuning
+from becalm.noise.likelihood import FEWEST_FOR_TONES, Evidence, Tuning
 from becalm.noise.spectrum import Line, Spectrum, binned, line_power, periodogram
 
 MOST_TONES = 5
 """Tones that are looked for."""
-
-FEWEST_FOR_TONES = 2048
-"""Readings in even time, none missing, that tones are looked for in."""
 
 _CYCLES = 8  # in the record: what is slower belongs to the motion, and as near to half the rate it is mirrored
 _PARTS = 8  # of the band, the quietest of which bounds the noise
@@ -74,7 +71,7 @@ def add_lines(tuning: Tuning, evidence: Evidence, removed: Sequence[float] = ())
     tuning : Tuning
         The best motion alone.
     evidence : Evidence
-        What it was tuned on; of fewer than 2048 readings in even time, but for short holes, the tuning stays.
+        What it was tuned on; of fewer than 256 readings in even time, but for short holes, the tuning stays.
     removed : sequence of float
         Angles, radians a step, near which a tone is a disturbance; a weaker one is found there.
     """
@@ -87,7 +84,7 @@ def add_lines(tuning: Tuning, evidence: Evidence, removed: Sequence[float] = ())
 
 def _with_tones(tuning: Tuning, evidence: Evidence, removed: Sequence[float]) -> Tuning:
     """Put tones beside a motion by the spectrum of the longest complete stretch."""
-    longest = max(evidence.complete, key=lambda part: part.stop - part.start, default=slice(0))
+    longest = max(evidence.even, key=lambda part: part.stop - part.start, default=slice(0))
     z = evidence.z[longest, 0]
     if len(z) < FEWEST_FOR_TONES or not np.var(z) > 0:
         return tuning

@@ -118,7 +118,7 @@ def less_risky(tuning: Tuning, other: Tuning, evidence: Evidence, causal: bool) 
     tenth: it asks how a reading is told by the others, and its own word counts for much in the first.
     """
     whole = completed(evidence, tuning)
-    longest = max(whole.complete, key=lambda part: part.stop - part.start, default=slice(0))
+    longest = max(whole.even, key=lambda part: part.stop - part.start, default=slice(0))
     floors = [floor_between_lines(whole.z[longest, 0])] if longest.stop else []
     if floors and tuning.noise_variance < floors[0] / _EXPLAINED:
         return other

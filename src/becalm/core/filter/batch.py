@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from becalm.core.arrays import Floats, Integers
-from becalm.core.filter.filtering import Wanted, new_beliefs, new_kernel, numbers, rows_of, sums_of
+from becalm.core.filter.filtering import Wanted, new_beliefs, new_kernel, numbers, require_model, rows_of, sums_of
 from becalm.core.model.model import Model
 from becalm.core.model.timeline import even_timeline
 from becalm.errors import ModelError
@@ -59,6 +59,7 @@ def filter_batch(model: Model, z: ArrayLike, *, states: bool = False, innovation
     ModelError
         If z does not fit the model, or the model cannot start without x0 and P0.
     """
+    require_model(model)
     readings = np.require(numbers(z), requirements=["C", "A"])
     if readings.ndim != 3 or readings.shape[2] != model.channels:
         raise ModelError(f"z has shape {np.shape(z)}; (records, N, {model.channels}) is needed.")

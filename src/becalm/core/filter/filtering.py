@@ -80,6 +80,12 @@ class Wanted(NamedTuple):
 EVERYTHING = Wanted()
 
 
+def require_model(model: object) -> None:
+    """Refuse what is no Model."""
+    if not isinstance(model, Model):
+        raise ModelError(f"A Model is needed; {type(model).__name__} came. Make one: becalm.Model(F=, H=, Q=, R=).")
+
+
 def checked_readings(model: Model, z: ArrayLike) -> Floats:
     """Return z as (N, m) float64 in rows.
 
@@ -88,9 +94,8 @@ def checked_readings(model: Model, z: ArrayLike) -> Floats:
     ModelError
         If z is not numbers or does not have the model's channels.
     """
-    if not isinstance(model, Model):
-        raise ModelError(f"A Model is needed; {type(model).__name__} came. Make one: becalm.Model(F=, H=, Q=, R=).")
-    readings = z if isinstance(z, np.ndarray) and z.dtype == np.float64 else numbers(z)
+    require_model(model)
+    readings = z if type(z) is np.ndarray and z.dtype == np.float64 else numbers(z)
     if readings.ndim == 1 and model.channels == 1:
         readings = readings[:, np.newaxis]
     if readings.ndim != 2 or readings.shape[1] != model.channels:

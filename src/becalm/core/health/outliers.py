@@ -34,6 +34,11 @@ class Outliers(NamedTuple):
     repeats_are_one: bool = False  # whether equal readings in a row count as one
     blank: float = np.inf  # what is written where there is no reading, in unit; inf where nothing is
 
+    @property
+    def without_neighbours(self) -> Outliers:
+        """Return what it says of a reading by itself: what is plausible, and what is written for none."""
+        return NO_OUTLIERS._replace(low=self.low, high=self.high, blank=self.blank)
+
 
 NO_OUTLIERS = Outliers()
 """A rule that finds no outlier."""

@@ -155,7 +155,7 @@ def _vector(name: str, values: ArrayLike, size: int) -> Floats:
 def _numbers(name: str, values: ArrayLike) -> Floats:
     try:
         own = frozen(real(values))
-    except (TypeError, ValueError) as cause:
+    except (TypeError, ValueError, OverflowError) as cause:
         raise ModelError(f"{name} is not an array of real numbers ({cause}).") from cause
     if not np.isfinite(own).all():
         raise ModelError(f"{name} holds a number that is not finite: {own.tolist()}.")
