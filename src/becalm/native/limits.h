@@ -118,7 +118,8 @@ static inline int judge(const settings_t *settings, limits_t *state, const real 
     state->since += elapsed;
     if (verdict) return verdict;
     state->impossible = is_impossible(settings, state, z) ? state->impossible + 1 : 0;
-    if (state->impossible > 0 && state->impossible <= LOST) return OUTLIER;
+    if (state->impossible > 0 && state->impossible <= LOST)
+        return z <= settings->low || z >= settings->high ? CLIPPED : OUTLIER;
     if (state->since > LATE) forget_past(state);
     const int counts = moved || state->run == 0;
     if (settings->outlier_distance < INFINITE) {
