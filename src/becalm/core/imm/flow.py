@@ -15,8 +15,7 @@ from becalm.core.arrays import Codes, Floats
 from becalm.core.imm.forward import ByModes, ForwardImm, with_spikes
 from becalm.core.imm.modes import InteractingModels, numbered_steps
 from becalm.core.rows import EstimatedRows, Judge, Rows
-from becalm.core.steady.steady_gain import FORGOTTEN, steady
-from becalm.errors import ModelError
+from becalm.core.steady.steady_gain import FORGOTTEN, rows_until
 from becalm.native.imm import (
     BLOCK,
     NOTHING_WANTED,
@@ -121,13 +120,6 @@ class ImmFlow(ByModes):
 
 def _group_rows(switching: InteractingModels) -> int:
     """Return how many rows later the calmest mode has forgotten, in whole blocks."""
-    longest = 0.0
-    for mode in switching.modes:
-        try:
-            loop = steady(mode.component.to_model(1.0, mode.noise_variance)).closed_loop
-            radius = float(np.abs(np.linalg.eigvals(loop)).max())
-            rows = np.log(1 / FORGOTTEN) / -np.log(radius) if 0 < radius < 1 else _MOST_GROUP * float(radius >= 1)
-        except ModelError:  # it never forgets
-            rows = float(_MOST_GROUP)
-        longest = max(longest, rows)
+    models = [mode.component.to_model(1.0, mode.noise_variance) for mode in switching.modes]
+    longest = max(rows_until(FORGOTTEN, model) for model in models)
     return max(_LEAST_GROUP, int(min(longest, _MOST_GROUP)) // BLOCK * BLOCK)
