@@ -1,4 +1,4 @@
-"""Which becalm this is, and how it starts another process of itself."""
+"""Which becalm this is, how it starts another process of itself, and what it loads before threads."""
 
 from __future__ import annotations
 
@@ -21,6 +21,11 @@ def version() -> str:
         return metadata.version("becalm")
     except metadata.PackageNotFoundError:
         return ""
+
+
+def load_scipy() -> None:
+    """Load what of SciPy its parts share, before threads load them: each would find what another has half loaded."""
+    import scipy.optimize  # noqa: F401
 
 
 def environment() -> dict[str, str]:

@@ -54,6 +54,28 @@ def test_scipy_is_loaded_by_what_needs_it_alone(module: str) -> None:
     assert "scipy" not in loaded_by(f"import {module}")
 
 
+@pytest.mark.parametrize("call", ["tune(record)", "clean(record, recipe)"])
+def test_scipy_is_loaded_before_threads_would(call: str) -> None:
+    """Two threads that load it at once find parts of it half loaded."""
+    made = """
+import concurrent.futures as futures, numpy as np
+from becalm import Recording, clean, tune
+from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
+class Pool(futures.ThreadPoolExecutor):
+    def __init__(self, *args, **kwargs):
+        assert "scipy.optimize" in sys.modules
+        super().__init__(*args, **kwargs)
+        print("a pool")
+import becalm.cleaning.cleaner, becalm.cleaning.tuning
+becalm.cleaning.cleaner.ThreadPoolExecutor = becalm.cleaning.tuning.ThreadPoolExecutor = Pool
+record = Recording(np.random.default_rng(0).normal(size=(500, 2)), rate_hz=100.0)
+one = dict(model="motion", order=1, process_noise_density=1.0, noise_std=1.0)
+recipe = Recipe(tuned_on=Origin(rate_hz=100.0), channel=tuple(ChannelRecipe(name=n, **one) for n in record.names))
+assert "scipy.optimize" not in sys.modules
+"""
+    assert "scipy.optimize" in loaded_by(made + call)
+
+
 def test_configuration_names_only_paths_that_exist() -> None:
     assert all((ROOT / path).exists() for path in PYPROJECT["tool"]["pytest"]["ini_options"]["testpaths"])
     assert all((ROOT / path).exists() for path in PYPROJECT["tool"]["mypy"]["files"])

@@ -18,6 +18,7 @@ from becalm.cleaning.steps import lag_in_rows
 from becalm.core.arrays import Floats
 from becalm.core.filter.channel import History
 from becalm.core.rows import EstimatedRows, Judge
+from becalm.installation import load_scipy
 
 
 class Cleaner:
@@ -52,6 +53,7 @@ class Cleaner:
         ]
         self._ready = [ReadyRows() for _ in self._channels]
         self._sizes: deque[int] = deque()  # of pushes that were not answered yet
+        load_scipy()
         self._pool = ThreadPoolExecutor(os.cpu_count())  # more would wait for each other at every small step
 
     def push(self, columns: Sequence[Floats], elapsed: Floats) -> list[list[EstimatedRows]]:

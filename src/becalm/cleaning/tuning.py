@@ -21,7 +21,7 @@ from becalm.cleaning.timing import time_std_of, timed
 from becalm.core.recording import Recording
 from becalm.core.verdict import judge
 from becalm.errors import RecordingError, UsageError
-from becalm.installation import version
+from becalm.installation import load_scipy, version
 from becalm.noise.choose import Choice, Known
 from becalm.noise.coloured import NoiseModel, fit_noise
 from becalm.noise.damping import spread_std
@@ -141,6 +141,7 @@ def explore(
     _refuse_contradictions(wishes, chosen)
     as_filter = tuned_as_filter(causal, wishes.lag_s, chosen.timebase.step_s)
     one = partial(_tune_channel, chosen, as_filter, wishes, progress or _silent)
+    load_scipy()
     pool = ThreadPoolExecutor()
     try:
         found = tuple(pool.map(one, chosen.names))

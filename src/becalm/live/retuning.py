@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 from becalm.cleaning.recipe import Recipe
 from becalm.errors import BecalmError
+from becalm.installation import load_scipy
 from becalm.live.stream import Prepared, Stream
 from becalm.live.watching.watch import Watch
 
@@ -73,4 +74,5 @@ class Retuning:
             except Exception as cause:  # the stream's thread says it
                 making.set_exception(cause)
 
+        load_scipy()
         threading.Thread(target=make, name="retuning", daemon=True).start()

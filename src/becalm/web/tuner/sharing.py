@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 from becalm.errors import BecalmError, InputError, UsageError
 from becalm.files.asked import ReadOptions
 from becalm.files.registry import endings_here
-from becalm.installation import version
+from becalm.installation import load_scipy, version
 from becalm.web.tuner.conversation import Conversation, Telling
 from becalm.web.tuner.desk import Desk
 from becalm.web.tuner.folder import READ_ENDINGS, Folder
@@ -43,6 +43,7 @@ class Shared:
         self._options = options
         self.folder = Folder(folder, file)
         self.uploads = Uploads(upload_limit)
+        load_scipy()
         self.halves = ThreadPoolExecutor(_HALVES, thread_name_prefix="becalm-half")
         self.workers = ThreadPoolExecutor(_WORKERS, thread_name_prefix="becalm-tuner")
         self.pages: set[Conversation] = set()
