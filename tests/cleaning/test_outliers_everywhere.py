@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -89,3 +91,30 @@ def test_a_smoother_whose_outliers_are_found_on_both_sides_loses_no_reading_at_a
     jumps = np.flatnonzero(np.diff(truth)) + 1
     near = np.isin(jumps, [row + k for row in rows for k in range(-3, 4)])
     assert error[jumps[~near]].max() < 0.5
+
+
+@pytest.mark.parametrize("how", [{}, {"causal": True}, {"lag_s": 0.1}])
+@pytest.mark.parametrize("rows", [1, 3, 10])
+def test_modes_are_not_misled_by_a_few_values_that_are_no_motion(rows: int, how: dict[str, Any]) -> None:
+    """A tone that comes and goes: its oscillator rang for seconds after the third of some wild values."""
+    time = np.arange(3000) / 100
+    truth = np.where(time % 20 < 10, 0.0, 5 * np.sin(9 * time))
+    z = truth + np.random.default_rng(1).normal(0, 0.1, 3000)
+    recipe = tune(Recording(z, rate_hz=100.0), causal=bool(how))
+    assert recipe.channel[0].switching is not None
+    damaged = z.copy()
+    damaged[1500 : 1500 + rows] += 1e6
+    one, other = (clean(Recording(of, rate_hz=100.0), recipe, **how).signal.samples[:, 0] for of in (z, damaged))
+    away = np.r_[0:1400, 1500 + rows : 3000]
+    assert np.abs(one - other)[away].max() < 1.0, "NaN is none either"
+    assert np.nanmax(np.abs(one - other)) < 10.0
+
+
+@pytest.mark.parametrize("causal", [True, False])
+@pytest.mark.parametrize("rows", [300, 1000])
+@pytest.mark.parametrize("share", [0.25, 0.4])
+def test_a_fast_tone_in_a_short_record_is_signal(share: float, rows: int, causal: bool) -> None:
+    truth = 3 * np.sin(2 * np.pi * share * np.arange(rows))
+    z = truth + np.random.default_rng(0).normal(0, 0.5, rows)
+    out = clean(Recording(z, rate_hz=100.0), causal=causal).signal.samples[:, 0]
+    assert np.sqrt(np.mean((out - truth) ** 2)) < 0.5 * 0.6

@@ -66,7 +66,7 @@ class Filter:
         self.lag = lag
         self.gate = None if recipe.gate is None else gate_of(recipe.gate, step_s)
         if self.modes is not None:
-            self.noise_variance, self.gap_limit = self.modes.least_noise_variance, _reach_of_modes(self.modes)
+            self.noise_variance, self.gap_limit = self.modes.least_noise_variance, _gap_limit_of_modes(self.modes)
             self.noise_std = float(np.sqrt(self.modes.modes[0].noise_variance))
         else:
             self.noise_variance, self.noise_std = self.tuning.noise_variance, recipe.motion.noise_std
@@ -113,6 +113,6 @@ class Filter:
         return ImmFlow(modes, causal=self.lag == 0, judge=judge, split=split)
 
 
-def _reach_of_modes(modes: InteractingModels) -> GapLimit:
+def _gap_limit_of_modes(modes: InteractingModels) -> GapLimit:
     """Return which gaps a bank may be carried across."""
     return least_gap_limit([gap_limit_of(mode.component, mode.noise_variance) for mode in modes.modes])

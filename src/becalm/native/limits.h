@@ -9,8 +9,8 @@
 #define IMPLAUSIBLE_SPREADS ((real)3) /* for a value that is not plausible: beside a jump it spreads its neighbours */
 #define LATE ((real)2.5)        /* times the longest wait before: then the measurements before are no neighbours */
 #define NEARER ((real)4)        /* times that a value which fills in for measurements is nearer */
-#define FARTHEST ((real)1000)   /* times the range of what is plausible: farther away is no motion of the channel, ... */
-#define LOST 50                 /* ... unless so many values in a row are: then it is another channel */
+#define FARTHEST ((real)1000)   /* times the range of what is plausible: farther away is no motion of the channel */
+#define MOST_IMPOSSIBLE 50      /* values in a row that are so far away; those after them are believed */
 #define AMID ((real)0.01)       /* of what was measured: nearer to an end of it is no value amid */
 
 /* Begin before the first measurement. */
@@ -117,9 +117,12 @@ static inline int judge(const settings_t *settings, limits_t *state, const real 
     int verdict = no_measurement(settings, z);
     state->since += elapsed;
     if (verdict) return verdict;
-    state->impossible = is_impossible(settings, state, z) ? state->impossible + 1 : 0;
-    if (state->impossible > 0 && state->impossible <= LOST)
+    if (!is_impossible(settings, state, z))
+        state->impossible = 0;
+    else if (state->impossible < MOST_IMPOSSIBLE) {
+        state->impossible++;
         return z <= settings->low || z >= settings->high ? CLIPPED : OUTLIER;
+    }
     if (state->since > LATE) forget_past(state);
     const int counts = moved || state->run == 0;
     if (settings->outlier_distance < INFINITE) {
@@ -153,8 +156,7 @@ static inline int judge(const settings_t *settings, limits_t *state, const real 
 static inline int limits_are_sound(const limits_t *limits) {
     return isfinite(limits->since) && limits->at >= 0 && limits->at < NEIGHBOURS && is_count(limits->run, EVER) &&
            limits->measurements >= 0 && is_count(limits->measurements, EVER) && limits->impossible >= 0 &&
-           is_count(limits->impossible, EVER) && isfinite(limits->now) &&
-           isfinite(limits->last);
+           limits->impossible <= MOST_IMPOSSIBLE && isfinite(limits->now) && isfinite(limits->last);
 }
 
 /* Reduce what the limits remember. */

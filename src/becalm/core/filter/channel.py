@@ -22,7 +22,7 @@ from becalm.native import begin_after, forget_counts, loaded, process, reduced, 
 
 
 class History(NamedTuple):
-    """What went before a run that begins amid a record, as far as it matters to what is told of its rows."""
+    """What went before a run that begins amid a record, as far as its estimates depend on it."""
 
     reading: float  # the first of all, in unit
     readings: int  # that came

@@ -191,7 +191,7 @@ class Component:
                 F[own], Q[own] = discretise(self.drift[states, states], W[states, states], steps_s)
         return F, Q
 
-    @lru_cache(maxsize=256)  # noqa: B019  (a few hundred small matrices; a filter, its gate and its reach ask alike)
+    @lru_cache(maxsize=256)  # noqa: B019  (a few hundred small matrices; a filter, its gate and its gap limit ask alike)
     def to_model(
         self, step_s: float, noise_variance: float, discretisation: Literal["exact", "euler"] = "exact"
     ) -> Model:
