@@ -14,9 +14,16 @@ from becalm.core.arrays import Floats
 from becalm.core.health.faults import Faults
 from becalm.core.health.limits import Limits, find_limits, stuck_at_once
 from becalm.core.health.look_ahead import LookAhead
-from becalm.core.health.outliers import NO_OUTLIERS, Outliers, beside_others, find_outlier_rule, is_outlier
+from becalm.core.health.outliers import (
+    NO_OUTLIERS,
+    Outliers,
+    beside_others,
+    distances_of,
+    find_outlier_rule,
+    is_outlier,
+)
 from becalm.core.verdict import Verdict
-from becalm.native.scans import REACH
+from becalm.native.scans import REACH, SPREADS
 
 DATA = Path(__file__).parents[3] / "shared" / "data"
 ROWS = 4000
@@ -310,6 +317,17 @@ def test_equal_readings_after_seldom_ones_are_the_same_wherever_rows_are_cut(cut
     parts = [ahead.push(z[a:b], np.ones(b - a)) for a, b in pairwise(bounds)]
     codes = np.concatenate([part[2] for part in [*parts, ahead.finish()]])
     assert np.array_equal(codes, beside_others(z, limits.outliers, stuck_at_once(limits)))
+
+
+@given(
+    st.lists(st.sampled_from([0.0, 0.5, 1.0, 3.0, 4.0, 40.0, -50.0]), min_size=7, max_size=60),
+    st.floats(0.5, 20.0),
+)
+def test_an_outlier_is_far_from_the_median_of_its_neighbours(values: list[float], distance: float) -> None:
+    z = np.array(values)
+    distances, spreads = distances_of(z)
+    far = (distances > distance) & (distances > SPREADS * spreads)
+    assert np.array_equal(is_outlier(z, Outliers(distance)), far)
 
 
 @given(records(), st.booleans(), st.integers(0, 1500))

@@ -90,6 +90,20 @@ static int64_t count_measured(const real *z, const int64_t first, const int64_t 
     return count;
 }
 
+/* Return whether a measurement alone is as near to each of three on either side as no outlier is: most are, and need no
+   median. */
+static int is_amid(const settings_t *settings, const real distance, const real *values, const int64_t *ends,
+                   const int64_t run, const int64_t runs) {
+    if (run < SIDE || run + SIDE >= runs || ends[2 * run] != ends[2 * run + 1]) return 0;
+    const real z = values[run];
+    if (ends[2 * run] - ends[2 * (run - SIDE) + 1] > REACH || ends[2 * (run + SIDE)] - ends[2 * run] > REACH) return 0;
+    int near = z >= settings->plausible_low && z <= settings->plausible_high;
+    UNROLL
+    for (int k = 1; k <= SIDE; k++)
+        near &= (fabs(z - values[run - k]) <= distance) & (fabs(z - values[run + k]) <= distance);
+    return near;
+}
+
 /* Return what the measurements of a run are, by those on both sides of it. */
 static int judge_run(const settings_t *settings, const real distance, const int64_t stuck, const real *values,
                      const int64_t *ends, const int64_t run, const int64_t rows, real *neighbours, const int count) {
@@ -116,7 +130,7 @@ int64_t scan_outliers(const settings_t *settings, const real distance, const int
     for (int64_t run = 0; run < runs; run++) {
         const int64_t first = ends[2 * run], last = ends[2 * run + 1];
         int found = verdict[first];
-        if (first >= begun) {
+        if (first >= begun && (stuck == 1 || !is_amid(settings, distance, values, ends, run, runs))) {
             real neighbours[NEIGHBOURS];
             int missing;
             const int count = gather(values, ends, run, runs, neighbours, &missing);

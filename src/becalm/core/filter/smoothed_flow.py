@@ -113,14 +113,17 @@ class SmoothedFlow:
         self._few.append(Rows(readings, steps, judged.verdicts))
         self._count += len(z)
         told = list[EstimatedRows]()
+        if self._count < self._wanted:
+            return told
+        rows, at = Rows.joined(self._few), 0
         while self._count >= self._wanted:
-            rows = Rows.joined(self._few)
-            left = self._filter(rows.part(slice(self._wanted)), ends=False)
-            self._few = [left, rows.part(slice(self._wanted, None))]
+            left = self._filter(rows.part(slice(at, at + self._wanted)), ends=False)
             taken = self._wanted - len(left.z)
+            at += taken
             self._count -= taken
             self._wanted = self._length if taken else 2 * self._wanted
             told += self._told_for_good()
+        self._few = [rows.part(slice(at, None))]
         return told
 
     def finish(self) -> list[EstimatedRows]:
