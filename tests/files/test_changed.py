@@ -12,8 +12,8 @@ import pytest
 
 from becalm.errors import InputError
 from becalm.files import open_source, registry
+from becalm.files.csv.reader import read_csv
 from becalm.files.source import RawTable
-from becalm.files.text.csv_reader import read_csv
 
 CHANGED = "log.* changed while it was read; wait until it is complete, and repeat"
 

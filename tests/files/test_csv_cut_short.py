@@ -14,8 +14,8 @@ from typer.testing import CliRunner
 from becalm.cli.main import app
 from becalm.errors import BecalmError, InputError
 from becalm.files import read_source, rows
+from becalm.files.csv import blocks as csv_blocks
 from becalm.files.registry import read_tables
-from becalm.files.text import text_blocks
 
 ROWS = 60
 ENOUGH_ROWS = 12
@@ -64,8 +64,8 @@ def road(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str
     if request.param == "spooled":
         monkeypatch.setattr(rows, "BLOCK_ROWS", 7)
         monkeypatch.setattr(rows, "HELD_ROWS", 0)
-        monkeypatch.setattr(text_blocks, "WHOLE_BYTES", 0)
-        monkeypatch.setattr(text_blocks, "BLOCK_BYTES", 300)
+        monkeypatch.setattr(csv_blocks, "WHOLE_BYTES", 0)
+        monkeypatch.setattr(csv_blocks, "BLOCK_BYTES", 300)
     return str(request.param)
 
 

@@ -130,7 +130,7 @@ def test_times_count_more_than_a_rate_above(tmp_path: Path) -> None:
 def test_a_large_file_takes_its_rate_as_a_small_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "log.csv"
     path.write_text("Sample rate: 100 Hz\n\na (V);b (g)\n" + pair(";"))
-    monkeypatch.setattr("becalm.files.text.text_blocks.WHOLE_BYTES", 100)
+    monkeypatch.setattr("becalm.files.csv.blocks.WHOLE_BYTES", 100)
     with open_source(path) as source:
         assert source.rate_hz == pytest.approx(100)
         assert [chunk.table.column("time_s")[0].as_py() for chunk in source.chunks(25)] == [0.0, 0.25, 0.5]

@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 
 from becalm.errors import InputError
 from becalm.files import open_source, read
-from becalm.files.text import text_blocks, text_rows
+from becalm.files.csv import blocks as csv_blocks
+from becalm.files.csv import broken_rows
 
 ROWS = [[f"{i / 100:.2f}", f"{i % 7}.25", f"ok {i}"] for i in range(3000)]
 HEADS = ("t", "a", "note")
@@ -38,9 +39,9 @@ def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     """Read whole, and in blocks of several sizes."""
     name = str(request.param)
     if name != "whole":
-        monkeypatch.setattr(text_blocks, "WHOLE_BYTES", 0)
+        monkeypatch.setattr(csv_blocks, "WHOLE_BYTES", 0)
     if name.endswith("bytes"):
-        monkeypatch.setattr(text_blocks, "BLOCK_BYTES", int(name.split()[2]))
+        monkeypatch.setattr(csv_blocks, "BLOCK_BYTES", int(name.split()[2]))
     return name
 
 
@@ -116,12 +117,12 @@ def test_a_last_cell_that_is_never_closed_is_refused(last: str, way: str, tmp_pa
 
 def test_a_cell_without_end_is_not_held_for_ever(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Beyond a length a cell counts as never closed, even if a quote comes at last."""
-    monkeypatch.setattr(text_blocks, "WHOLE_BYTES", 0)
-    monkeypatch.setattr(text_blocks, "BLOCK_BYTES", 1000)
+    monkeypatch.setattr(csv_blocks, "WHOLE_BYTES", 0)
+    monkeypatch.setattr(csv_blocks, "BLOCK_BYTES", 1000)
     path = tmp_path / "log.csv"
     path.write_text(written(with_cells({2001: '"hello' + ("\n" + "x" * 500) * 12 + '"'})))
     assert len(cells_of(path, "note")) == 3000
-    monkeypatch.setattr(text_rows, "_LONGEST_CELL", 5000)
+    monkeypatch.setattr(broken_rows, "_LONGEST_CELL", 5000)
     assert f"Row 2001 (line 2002) of {path} opens a quoted cell that is never closed" in refusal(path)
 
 
@@ -234,8 +235,8 @@ def test_without_some_quotes_a_file_is_refused_or_no_row_is_lost(
     path.write_bytes("".join(sign for at, sign in enumerate(text) if at not in gone).encode())
     with pytest.MonkeyPatch.context() as patched:
         if block:
-            patched.setattr(text_blocks, "WHOLE_BYTES", 0)
-            patched.setattr(text_blocks, "BLOCK_BYTES", block)
+            patched.setattr(csv_blocks, "WHOLE_BYTES", 0)
+            patched.setattr(csv_blocks, "BLOCK_BYTES", block)
         try:
             stamps = cells_of(path, "t")
         except InputError:

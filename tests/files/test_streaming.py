@@ -18,7 +18,7 @@ from becalm.core.time.clock import Clock
 from becalm.core.time.timebase import Timebase
 from becalm.errors import BecalmError, InputError, OutputError
 from becalm.files import ReadOptions, SourceFile, open_source, read_source, roles, rows
-from becalm.files.text import text_blocks
+from becalm.files.csv import blocks as csv_blocks
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"
 
@@ -66,8 +66,8 @@ def small_blocks(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
     monkeypatch.setattr(rows, "HELD_ROWS", 0)
     monkeypatch.setattr(rows, "_STAMPS", 5)
     monkeypatch.setattr(roles, "_FIRST_ROWS", 3)
-    monkeypatch.setattr(text_blocks, "WHOLE_BYTES", 0)
-    monkeypatch.setattr(text_blocks, "BLOCK_BYTES", 900)
+    monkeypatch.setattr(csv_blocks, "WHOLE_BYTES", 0)
+    monkeypatch.setattr(csv_blocks, "BLOCK_BYTES", 900)
     return monkeypatch
 
 
@@ -122,7 +122,7 @@ def test_encodings_in_blocks(codec: str, tmp_path: Path, request: pytest.Fixture
     assert isinstance(whole, SourceFile)
     small = request.getfixturevalue("small_blocks")
     assert_same(read_or_refused(path), whole)
-    small.setattr(text_blocks, "BLOCK_BYTES", 1001)
+    small.setattr(csv_blocks, "BLOCK_BYTES", 1001)
     assert_same(read_or_refused(path), whole)
 
 
@@ -155,7 +155,7 @@ def test_real_files_in_blocks(
     if not path.exists():
         pytest.skip(f"the recordings are not beside the project ({name})")
     small_blocks.setattr(rows, "BLOCK_ROWS", 997)
-    small_blocks.setattr(text_blocks, "BLOCK_BYTES", 100_003)
+    small_blocks.setattr(csv_blocks, "BLOCK_BYTES", 100_003)
     in_blocks = read_or_refused(path, options)
     monkeypatch.undo()
     assert_same(in_blocks, read_or_refused(path, options))

@@ -210,7 +210,7 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(
 
 
 def test_an_interrupted_write_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import becalm.files.text.csv_writer as csv_writer
+    import becalm.files.csv.writer as csv_writer
 
     def interrupt(table: pa.Table, file: IO[bytes]) -> None:
         file.write(b"half")

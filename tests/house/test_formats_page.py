@@ -9,8 +9,8 @@ import pytest
 from format_samples import RATE_HZ, SAMPLES, Sample, signal
 
 from becalm.files import open_source
+from becalm.files.decoding import read_bytes
 from becalm.files.registry import FOREIGNERS
-from becalm.files.text.text import read_bytes
 
 ROWS = 60
 NO_WRITER = {"recorders.ide"}  # nothing here writes it; its sample is real

@@ -12,7 +12,7 @@ import pytest
 from becalm.core.closed_forms import butterworth_noise_gain
 from becalm.noise.step_spectrum import Sensor
 from becalm.report import printing
-from becalm.studies import imu, imu_switching, imu_valley
+from becalm.studies import imu, imu_page, imu_switching, imu_valley
 from becalm.studies.imu_records import HARMONICS_HZ, PRINTED, RATE_HZ, SENSORS, find_rests, identify, makeup, motionless
 from becalm.studies.imu_responses import Answer, reached_ms
 from becalm.studies.recordings import RECORDINGS
@@ -163,10 +163,10 @@ def test_the_page_tells_the_numbers_and_shows_the_figures(
     contest: imu_switching.Contest,
 ) -> None:
     held = imu.Study(studied, (imu_valley.Coloured("white", 92.0),), *find_rests(tmp_path), contest)
-    monkeypatch.setattr(imu, "study", lambda data: held)
+    monkeypatch.setattr(imu_page, "study", lambda data: held)
     with monkeypatch.context() as alone:
         alone.setattr(printing, "find_spec", lambda name: None)
-        page = imu.run(tmp_path / "plain", tmp_path)
+        page = imu_page.run(tmp_path / "plain", tmp_path)
     assert NOT_DRAWN in page
     assert "](imu-" not in page
     assert f"**{studied['accelerometer'].optimum.paper_reached_ms:.0f} ms**" in page
@@ -174,7 +174,7 @@ def test_the_page_tells_the_numbers_and_shows_the_figures(
     assert "nan" not in page.lower().split()
 
     pytest.importorskip("matplotlib")
-    page = imu.run(tmp_path / "drawn", tmp_path)
+    page = imu_page.run(tmp_path / "drawn", tmp_path)
     named = re.findall(r"\]\((imu-\w+\.svg)\)", page)
     assert len(named) == 7
     assert sorted(named) == sorted(file.name for file in (tmp_path / "drawn").glob("*.svg"))

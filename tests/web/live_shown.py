@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,7 @@ from becalm.live.retuning import Heard
 from becalm.live.watching.meter import Meter
 from becalm.web.access import LOOPBACK, Access
 from becalm.web.frames import unframed
+from becalm.web.livepage.conversation import converse
 from becalm.web.livepage.feed import Feed
 from becalm.web.livepage.page import LivePage
 from becalm.web.serving import Server, listen
@@ -197,7 +199,7 @@ def shown() -> Iterator[Shown]:
     asked = Asked(meter)
     warned: list[str] = []
     page = LivePage(Feed(warned.append), meter, asked.retune)
-    with Server(listener, site(Page("", page.wire, page.routes), access)):
+    with Server(listener, site(Page("", partial(converse, page), page.routes), access)):
         yield Shown(page, meter, asked, access)
         page.close()
     assert warned == []

@@ -31,20 +31,13 @@ from becalm.live.watching.meter import Meter
 from becalm.live.watching.metrics import MetricsServer
 from becalm.live.watching.status import StatusFile
 from becalm.live.watching.watch import Watch
+from becalm.web.access import PageAsked
 
 DEFAULT_SINK = "journal:becalm-journal"
 POLICIES = get_args(Policy)
 _TIMED_BY_RECIPE = ("replay", "stdin", "serial")
 _GATHER_S, _GATHER_SHARE = 0.05, 0.05  # how long datagrams may gather, also as a share of what a commit waits for
 _LEARNED = "learned.recipe.toml"
-
-
-class PageAsked(NamedTuple):
-    """Where the live page shall be."""
-
-    port: int
-    host: str
-    token_file: Path | None
 
 
 class Watching(NamedTuple):

@@ -83,7 +83,8 @@ def live(  # noqa: PLR0913  (the contract's options)
     log: LogTo = "-",
 ) -> None:
     """Filter a stream while it comes, for weeks; what was kept outlives a power cut."""
-    from becalm.cli.live import Asking, PageAsked, Watching, run, settings_of
+    from becalm.cli.live import Asking, Watching, run, settings_of
+    from becalm.web.access import PageAsked
 
     named = () if channels is None else o.split_names(channels)
     asking = Asking(recipe, learn, o.lag_of(lag), named)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import sys
 from contextlib import ExitStack
+from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 from becalm.live.retuning import Retune
 from becalm.live.watching.meter import Meter
-from becalm.web.access import Access, Options, token_of
+from becalm.web.access import Access, Options, PageAsked, token_of
+from becalm.web.livepage.conversation import converse
 from becalm.web.livepage.feed import Feed
 from becalm.web.livepage.page import LivePage
 from becalm.web.serving import Server, listen
@@ -16,8 +18,6 @@ from becalm.web.site import Page, html_of, site
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-
-    from becalm.cli.live import PageAsked
 
 
 _OPTIONS = Options("--page-host", "--page")
@@ -48,7 +48,8 @@ def serve(asked: PageAsked, meter: Meter, retune: Retune, warn: Callable[[str], 
     token = token_of(asked.token_file)
     listener = listen(asked.host, asked.port, _OPTIONS)
     access = Access(asked.host, listener.getsockname()[1], token, _OPTIONS)
-    opened.enter_context(Server(listener, site(Page(html_of("live.html"), page.wire, page.routes), access)))
+    shown = Page(html_of("live.html"), partial(converse, page), page.routes)
+    opened.enter_context(Server(listener, site(shown, access)))
     opened.callback(page.close)
     warning = () if access.warning is None else (access.warning,)
     return Served(page.feed, (f"The stream is shown at {access.url}", *warning))

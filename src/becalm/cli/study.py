@@ -25,4 +25,4 @@ def run(paper: str, folder: Path) -> None:
         raise UsageError(f"There is no paper {paper!r}; write becalm study {' or '.join(PAPERS)}.")
     make_folder(folder)
     refuse_unwritable(folder / f"{paper}.md")
-    print(import_module(f"becalm.studies.{paper}").run(folder))  # noqa: T201  (the page is the data)
+    print(import_module(f"becalm.studies.{paper}_page").run(folder))  # noqa: T201  (the page is the data)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from becalm.errors import InputError
-from becalm.files.text.text import told
+from becalm.files.decoding import told
 
 
 class _Facts(NamedTuple):

@@ -13,11 +13,11 @@ import pyarrow as pa
 
 from becalm.errors import InputError
 from becalm.files.columns import least_bytes
+from becalm.files.decoding import PARQUET
 from becalm.files.foreign import refuse_claim
 from becalm.files.identity import Original
 from becalm.files.source import RawTable
 from becalm.files.text.csv_header import unique_names
-from becalm.files.text.text import PARQUET
 
 _READ_BYTES = 1 << 20
 

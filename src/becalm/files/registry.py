@@ -15,14 +15,14 @@ from becalm.files.arrays.hdf5 import is_hdf5
 from becalm.files.arrays.mat import is_mat
 from becalm.files.arrays.mat73 import is_mat73
 from becalm.files.arrays.npz import is_npz
+from becalm.files.csv.blocks import is_large
+from becalm.files.csv.reader import read_csv
+from becalm.files.csv.spool import spool_csv
+from becalm.files.decoding import PARQUET, read_bytes, told
 from becalm.files.identity import Original
 from becalm.files.lake.folder import read_folder
 from becalm.files.parquet import read_parquet
 from becalm.files.source import RawTable
-from becalm.files.text.csv_reader import read_csv
-from becalm.files.text.csv_spool import spool_csv
-from becalm.files.text.text import PARQUET, read_bytes, told
-from becalm.files.text.text_blocks import is_large
 
 CSV, CSV_GZ, HDF5, MAT, MF4, NPZ, TDMS = "csv", "csv.gz", "hdf5", "mat", "mf4", "npz", "tdms"
 PARQUET_FORMAT = "parquet"

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from becalm.errors import InputError
+from becalm.files.decoding import PARQUET
 from becalm.files.lake.marks import FILES
 from becalm.files.plain import write_text
-from becalm.files.text.text import PARQUET
 from becalm.fleet.outcome import Outcome
 from becalm.installation import version
 

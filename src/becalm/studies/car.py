@@ -19,7 +19,6 @@ from becalm.core.filter.filtering import kalman_filter
 from becalm.core.model.model import Model
 from becalm.core.recording import Recording
 from becalm.core.steady.response import describe
-from becalm.files.plain import make_folder, write_text
 from becalm.metrics.decibels import snr_db, snr_paper_db
 from becalm.metrics.delay import lag_of
 from becalm.metrics.spectrum import VEHICLE_BANDS_HZ, band_powers, welch
@@ -218,24 +217,3 @@ def _bands(samples: Floats) -> tuple[dict[str, float], dict[str, float]]:
     told = samples[np.isfinite(samples).all(axis=1)]
     along, up = (band_powers(welch(told[:, axis], RATE_HZ, _SEGMENT), VEHICLE_BANDS_HZ) for axis in (1, 2))
     return along, up
-
-
-def run(folder: Path, recordings: Path = RECORDINGS) -> str:
-    """Write the page `car.md` and, where matplotlib is installed, its figures into a folder; return the page's text.
-
-    Parameters
-    ----------
-    folder : Path
-        Made where it is not there.
-    recordings : Path
-        Folder of real recordings.
-    """
-    from becalm.studies.car_figures import sheets
-    from becalm.studies.car_page import page
-    from becalm.studies.sheets import draw
-
-    make_folder(folder)
-    found = study(recordings)
-    text = page(found, draw(sheets(found), folder))
-    write_text(folder / "car.md", text)
-    return text

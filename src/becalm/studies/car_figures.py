@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.metrics.spectrum import spectrogram
 from becalm.report.description import Axis, Curve, Figure, Role, Surface
+from becalm.studies.car import MEASURED, OWN, PRINTED, TRUTH, CarStudy
 from becalm.studies.sheets import Sheet
-
-if TYPE_CHECKING:
-    from becalm.studies.car import CarStudy
 
 _CLOSE_S = (20.0, 25.0)  # of the vertical acceleration, which is too quick for a minute across a figure
 _SEGMENT = 512
@@ -23,8 +19,6 @@ _ALONG, _UP = Axis("longitudinal acceleration (m/s²)"), Axis("vertical accelera
 
 def sheets(found: CarStudy) -> tuple[Sheet, ...]:
     """Say what the figures show, from the numbers of the study; the real car's only where it was there."""
-    from becalm.studies.car import MEASURED, OWN, PRINTED, TRUTH
-
     times, drawn = found.drive.truth.times_s, found.estimates
     roles: dict[str, Role] = {MEASURED: "readings", PRINTED: "other", OWN: "clean", TRUTH: "truth"}
     whole, close = slice(None), slice(*np.searchsorted(times, _CLOSE_S))

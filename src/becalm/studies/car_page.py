@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from becalm.files.plain import make_folder, write_text
 from becalm.metrics.decibels import snr_db
 from becalm.metrics.spectrum import VEHICLE_BANDS_HZ
+from becalm.studies.car import ALONE, PRINTED, TOLD, CarStudy, Score, study
 from becalm.studies.car_drive import (
     BODY_HZ,
     COLOURED_HZ,
@@ -22,11 +23,10 @@ from becalm.studies.car_drive import (
     SPEED_NOISE_MPS,
     TRANSVERSE,
 )
+from becalm.studies.car_figures import sheets
 from becalm.studies.drive import RATE_HZ
-from becalm.studies.sheets import NOT_DRAWN
-
-if TYPE_CHECKING:
-    from becalm.studies.car import CarStudy, Score
+from becalm.studies.recordings import RECORDINGS
+from becalm.studies.sheets import NOT_DRAWN, draw
 
 
 def page(found: CarStudy, drawn: Sequence[Path] = ()) -> str:
@@ -148,7 +148,6 @@ def _others(found: CarStudy) -> str:
 
 
 def _alone(found: CarStudy) -> str:
-    from becalm.studies.car import ALONE, PRINTED, TOLD
 
     if ALONE not in found.estimates:
         return ""
@@ -262,3 +261,20 @@ def _figures(drawn: Sequence[Path]) -> str:
     if not drawn:
         return f"## Figures\n\n{NOT_DRAWN}"
     return "## Figures\n\n" + "\n\n".join(f"![{path.stem}]({path.name})" for path in drawn)
+
+
+def run(folder: Path, recordings: Path = RECORDINGS) -> str:
+    """Write the page `car.md` and, where matplotlib is installed, its figures into a folder; return the page's text.
+
+    Parameters
+    ----------
+    folder : Path
+        Made where it is not there.
+    recordings : Path
+        Folder of real recordings.
+    """
+    make_folder(folder)
+    found = study(recordings)
+    text = page(found, draw(sheets(found), folder))
+    write_text(folder / "car.md", text)
+    return text

@@ -1,6 +1,6 @@
 """The IMU paper (Kownacki 2010) re-run: what a motionless record tells, why that is too slow, and what is not.
 
-`study` computes, `write_page` tells, `becalm.studies.imu_figures` shows; `run` does all three.
+`study` computes, `becalm.studies.imu_figures` shows, and `becalm.studies.imu_page` writes the page.
 """
 
 from __future__ import annotations
@@ -11,10 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.files.plain import make_folder, write_text
 from becalm.metrics.spectrum import Spectrum, welch
 from becalm.noise.step_spectrum import Sensor
-from becalm.studies.imu_page import write_page
 from becalm.studies.imu_records import (
     PRINTED,
     RATE_HZ,
@@ -104,15 +102,3 @@ def study_sensor(sensor: Sensor) -> SensorStudy:
     tuned = tuple(answer(sensor, record, setting) for setting in (paper, own))
     shown = welch(np.asarray(record - record.mean()), RATE_HZ, _FINE)
     return SensorStudy(record, shown, found, answers(sensor, record), optimum, tuned)
-
-
-def run(folder: Path, recordings: Path = RECORDINGS) -> str:
-    """Write the page `imu.md` and, where matplotlib is installed, its figures into a folder; return the page."""
-    from becalm.studies.imu_figures import sheets
-    from becalm.studies.sheets import draw
-
-    found = study(recordings)
-    make_folder(folder)
-    text = write_page(found, draw(sheets(found), folder))
-    write_text(folder / "imu.md", text)
-    return text

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.noise.step_spectrum import Sensor
 from becalm.report.description import Axis, Band, Curve, Figure, Layer, Look, Role, Surface
+from becalm.studies.imu import SensorStudy, Study
 from becalm.studies.imu_records import PRINTED, RATE_HZ
 from becalm.studies.imu_responses import EVERY, STEP, STEP_AT_S, Answer
+from becalm.studies.imu_switching import Contest
 from becalm.studies.sheets import Sheet
-
-if TYPE_CHECKING:
-    from becalm.studies.imu import SensorStudy, Study
-    from becalm.studies.imu_switching import Contest
 
 _BLOCK = 100  # readings, of which a mean is drawn
 _QUICKEST_MS = 1e3 / RATE_HZ

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from becalm.core.closed_forms import butterworth_noise_gain
+from becalm.files.plain import make_folder, write_text
 from becalm.noise.step_spectrum import Sensor
 from becalm.studies import imu_switching
+from becalm.studies.imu import Study, study
+from becalm.studies.imu_figures import sheets
 from becalm.studies.imu_records import PRINTED, RATE_HZ, RECORD_S, SPLIT_HZ, SPLIT_ORDER, makeup
 from becalm.studies.imu_responses import STEP, Answer
 from becalm.studies.imu_valley import least_ratio
-from becalm.studies.sheets import NOT_DRAWN
-
-if TYPE_CHECKING:
-    from becalm.studies.imu import Study
+from becalm.studies.recordings import RECORDINGS
+from becalm.studies.sheets import NOT_DRAWN, draw
 
 _FIGURE: dict[Sensor, int] = {"accelerometer": 5, "gyroscope": 6}
 
@@ -231,3 +231,12 @@ The paper's optimum on the same records; the last two columns are in each sensor
 
 {_table(["sensor", "nine tenths after", "noise at rest", "in unit", "switching, in unit"], fixed)}
 """
+
+
+def run(folder: Path, recordings: Path = RECORDINGS) -> str:
+    """Write the page `imu.md` and, where matplotlib is installed, its figures into a folder; return the page."""
+    found = study(recordings)
+    make_folder(folder)
+    text = write_page(found, draw(sheets(found), folder))
+    write_text(folder / "imu.md", text)
+    return text

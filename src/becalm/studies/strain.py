@@ -12,7 +12,6 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.files.plain import make_folder, write_text
 from becalm.metrics.delay import lag_of
 from becalm.studies.recordings import RECORDINGS
 from becalm.studies.strain_gauge import Gauge, absent, measure_gauge
@@ -134,29 +133,3 @@ def study(runs: int = RUNS, recordings: Path = RECORDINGS) -> Study:
     measured, shown = simulate(runs)
     why = absent(recordings)
     return Study(measured, shown, None if why else measure_gauge(recordings), why)
-
-
-def run(folder: Path) -> str:
-    """Re-run the paper and write its page into a folder, with figures where matplotlib is installed.
-
-    Parameters
-    ----------
-    folder : Path
-        Where `strain.md` and its figures go; made where it is not there.
-
-    Returns
-    -------
-    str
-        The text of the page.
-    """
-    from becalm.studies.sheets import draw
-    from becalm.studies.strain_figures import sheets
-    from becalm.studies.strain_page import page
-
-    make_folder(folder)
-    found = study()
-    planned = sheets(found)
-    drawn = {sheet.figures[0].title: path.name for sheet, path in zip(planned, draw(planned, folder), strict=False)}
-    text = page(found, drawn)
-    write_text(folder / "strain.md", text)
-    return text

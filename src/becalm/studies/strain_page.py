@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 
-from becalm.studies.sheets import NOT_DRAWN
-from becalm.studies.strain import NOISES, RUNS, SHOWN, SLOPE, Study
+from becalm.files.plain import make_folder, write_text
+from becalm.studies.sheets import NOT_DRAWN, draw
+from becalm.studies.strain import NOISES, RUNS, SHOWN, SLOPE, Study, study
+from becalm.studies.strain_figures import sheets
 from becalm.studies.strain_gauge import CUTOFF_HZ, DRIFT_S, Gauge, Trial
 from becalm.studies.strain_methods import (
     AVERAGE,
@@ -233,3 +236,25 @@ def _listed(values: Sequence[float]) -> str:
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     lines = [head, ["---", *["---:"] * (len(head) - 1)], *rows]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def run(folder: Path) -> str:
+    """Re-run the paper and write its page into a folder, with figures where matplotlib is installed.
+
+    Parameters
+    ----------
+    folder : Path
+        Where `strain.md` and its figures go; made where it is not there.
+
+    Returns
+    -------
+    str
+        The text of the page.
+    """
+    make_folder(folder)
+    found = study()
+    planned = sheets(found)
+    drawn = {sheet.figures[0].title: path.name for sheet, path in zip(planned, draw(planned, folder), strict=False)}
+    text = page(found, drawn)
+    write_text(folder / "strain.md", text)
+    return text

@@ -35,6 +35,14 @@ class Options(NamedTuple):
     port: str
 
 
+class PageAsked(NamedTuple):
+    """Where a page shall be."""
+
+    port: int
+    host: str
+    token_file: Path | None
+
+
 OPTIONS = Options("--host", "--port")
 """Of a command that is there for its page."""
 

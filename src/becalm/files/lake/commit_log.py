@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Collection
 from pathlib import Path
 
+from becalm.files.decoding import told
 from becalm.files.lake import delta_log, marks, spark_log
-from becalm.files.text.text import told
 
 Parts = tuple[str, ...]
 

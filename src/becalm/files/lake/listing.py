@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from becalm.errors import InputError
+from becalm.files.decoding import PARQUET, told
 from becalm.files.lake.commit_log import CommitLog, Parts, log_of
-from becalm.files.text.text import PARQUET, told
 
 ENDINGS = (".parquet", ".pq")
 """Of files that hold rows."""

@@ -6,7 +6,7 @@ import json
 from pathlib import Path, PurePosixPath
 
 from becalm.errors import InputError
-from becalm.files.text.text import told
+from becalm.files.decoding import told
 
 MARK = "becalm.json"
 """Ends its name: `_becalm.json` in the folder of a sensor, or `_NAME.becalm.json` of one that is one file."""

@@ -9,7 +9,7 @@ from pathlib import Path, PurePosixPath
 from urllib.parse import unquote, urlsplit
 
 from becalm.errors import InputError
-from becalm.files.text.text import told
+from becalm.files.decoding import told
 
 NAME = "_spark_metadata"
 """The folder that holds it, in the folder that the stream writes to."""

@@ -1,1 +1,1 @@
-"""Delimited text: bytes to text, text to cells, cells to columns."""
+"""What text says: cells as numbers, headers as names and units, and what cannot be understood."""

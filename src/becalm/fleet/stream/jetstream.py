@@ -17,8 +17,8 @@ from pyspark.sql.datasource import DataSource, DataSourceStreamReader, InputPart
 from pyspark.sql.streaming.datasource import ReadLimit, ReadMaxRows, SupportsTriggerAvailableNow
 
 from becalm.fleet.stream.jetstream_range import Found, found_in, messages_of
+from becalm.fleet.stream.plan import START, most_of
 from becalm.fleet.stream.shape import MESSAGE
-from becalm.fleet.stream.sources import START, most_of
 from becalm.live.address import Address
 from becalm.live.protocols import AwayError
 

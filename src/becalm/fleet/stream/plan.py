@@ -15,6 +15,15 @@ from becalm.live.learning import FEW_STAMPS
 FIRST_ROWS = FEW_STAMPS
 """So many rows of a sensor are waited for before the first is told: they tell the last digit of its stamps."""
 
+START, MOST = "start", "most"
+"""Options of brokers: where a new stream begins, and how many messages a micro-batch takes at most."""
+_MESSAGES = 100_000  # in a micro-batch, where nobody says
+
+
+def most_of(address: Address) -> int:
+    """Return how many messages a micro-batch takes at most."""
+    return int(address.number(MOST, _MESSAGES, least=1))
+
 
 class Book(Protocol):
     """Tells the recipe of each sensor. It can be pickled; workers ask it anew in every micro-batch."""

@@ -17,7 +17,7 @@ from becalm.errors import OutputError, UsageError
 from becalm.files.lake.listing import ENDINGS
 from becalm.fleet.stream.frames import blocks_of
 from becalm.fleet.stream.lake import lake_shape, read_files
-from becalm.fleet.stream.plan import SensorPlan, StreamPlan
+from becalm.fleet.stream.plan import MOST, START, SensorPlan, StreamPlan, most_of
 from becalm.fleet.stream.shape import BATCH, MESSAGE, Shape
 from becalm.live.address import Address
 from becalm.live.messages.stream import MessageStream
@@ -25,11 +25,8 @@ from becalm.live.messages.stream import MessageStream
 if TYPE_CHECKING:
     from pyspark.sql import DataFrame, SparkSession
 
-START, MOST = "start", "most"
-"""Options of brokers: where a new stream begins, and how many messages a micro-batch takes at most."""
-
 _EVER = "36500d"  # else a file is left out, without a word, whose last change is a week before the newest one's
-_LAKE_BYTES, _MESSAGES = 256 << 20, 100_000  # in a micro-batch, where nobody says: its rows are put in order in memory
+_LAKE_BYTES = 256 << 20  # in a micro-batch: its rows are put in order in memory
 _FILE = "path string, modificationTime timestamp, length bigint, content binary"  # of which only the path is read
 _PATTERN = re.compile(r"[][*?{}\\]")  # Spark takes a folder with these in its name for a pattern
 _KAFKA_START = {"first": "earliest", "now": "latest"}
@@ -57,11 +54,6 @@ def opened(spark: SparkSession, plan: StreamPlan) -> tuple[Shape, DataFrame, Sen
     address.refuse_unknown(_options(address.kind))
     sensors = replace(sensors, messages=address)
     return *blocks_of(_messages(spark, address, sensors.key), sensors), sensors
-
-
-def most_of(address: Address) -> int:
-    """Return how many messages a micro-batch takes at most."""
-    return int(address.number(MOST, _MESSAGES, least=1))
 
 
 def _refuse_circle(plan: StreamPlan) -> None:

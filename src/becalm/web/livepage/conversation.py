@@ -12,11 +12,10 @@ from becalm.web.frames import text
 from becalm.web.hearing import heard, number_of
 from becalm.web.livepage.desk import NOT_BEGUN
 from becalm.web.livepage.messages import MOST_BINS, From, Message, Past, Turn, understood
+from becalm.web.livepage.page import LivePage
 
 if TYPE_CHECKING:
     from starlette.websockets import WebSocket
-
-    from becalm.web.livepage.page import LivePage
 
 UPDATES_PER_S = 30
 _MOST_ANSWERS = 16  # that wait, or are waited for, before no more is heard
@@ -155,3 +154,10 @@ class Viewer:
                 self._next, picture = found
                 news.append(picture)
         return news
+
+
+async def converse(page: LivePage, websocket: WebSocket) -> None:
+    """Speak with one who looks on until it hangs up."""
+    await websocket.accept()
+    async with page.looked_at():
+        await Viewer(page, websocket).converse()

@@ -6,7 +6,8 @@ import asyncio
 import logging
 import secrets
 import time
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
 from typing import TYPE_CHECKING, NamedTuple
 
 from becalm.errors import BecalmError, UsageError
@@ -15,7 +16,6 @@ from becalm.live.retuning import Retune
 from becalm.live.watching.meter import Meter
 from becalm.live.watching.secrets import Scrubber
 from becalm.web.frames import text
-from becalm.web.livepage.conversation import Viewer
 from becalm.web.livepage.desk import NOT_BEGUN, Desk, facts
 from becalm.web.livepage.feed import Feed
 from becalm.web.livepage.pictures import Pictures
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from starlette.requests import Request
     from starlette.responses import Response
     from starlette.routing import BaseRoute
-    from starlette.websockets import WebSocket
 
 _HEALTH_S, _LOOK_S = 1.0, 0.1
 _GOODBYE_S = 2.0  # for the last bins to be told when a stream ends
@@ -72,15 +71,15 @@ class LivePage:
 
         return [Route("/save/recipe", self._save)]
 
-    async def wire(self, websocket: WebSocket) -> None:
-        """Speak with one page until it hangs up."""
-        await websocket.accept()
+    @asynccontextmanager
+    async def looked_at(self) -> AsyncIterator[None]:
+        """Keep up what is shown while somebody looks on."""
         self._viewers += 1
         try:
             if not self._clocks:
                 self._look()
                 self._clocks = [asyncio.create_task(_again_and_again(each)) for each in (self._keep_up, self._describe)]
-            await Viewer(self, websocket).converse()
+            yield
         finally:
             self._viewers -= 1
             if not self._viewers:  # nobody looks on: nothing need be kept up

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Coroutine, Mapping
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
@@ -13,14 +13,9 @@ from becalm.errors import BecalmError
 from becalm.web.hearing import heard, number_of
 from becalm.web.tuner import messages
 from becalm.web.tuner.messages import understood
+from becalm.web.tuner.sharing import Shared, Telling
 from becalm.web.tuner.showing import Showing
 from becalm.web.tuner.telling import Wire
-
-if TYPE_CHECKING:
-    from becalm.web.tuner.sharing import Shared
-
-Telling = Callable[["Conversation"], Coroutine[Any, Any, None]]
-"""Tells a page something."""
 
 
 class Conversation:

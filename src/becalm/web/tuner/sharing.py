@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import asyncio
 import secrets
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 from becalm.errors import BecalmError, InputError, UsageError
 from becalm.files.asked import ReadOptions
 from becalm.files.registry import endings_here
 from becalm.installation import load_scipy, version
-from becalm.web.tuner.conversation import Conversation, Telling
 from becalm.web.tuner.desk import Desk
 from becalm.web.tuner.folder import READ_ENDINGS, Folder
 from becalm.web.tuner.opened import AS_IT_IS, Opened
@@ -22,6 +21,16 @@ from becalm.web.uploads import Uploads
 _HALVES, _WORKERS = 2, 6
 
 T = TypeVar("T")
+Telling = Callable[[Any], Coroutine[Any, Any, None]]
+"""Tells a page something."""
+
+
+class Hearer(Protocol):
+    """A page that is open."""
+
+    def tell(self, what: Telling) -> None:
+        """Tell it something beside all else."""
+        ...
 
 
 class Shared:
@@ -46,7 +55,7 @@ class Shared:
         load_scipy()
         self.halves = ThreadPoolExecutor(_HALVES, thread_name_prefix="becalm-half")
         self.workers = ThreadPoolExecutor(_WORKERS, thread_name_prefix="becalm-tuner")
-        self.pages: set[Conversation] = set()
+        self.pages: set[Hearer] = set()
         self.desk: Desk | None = None
         self._opening = asyncio.Lock()
         self._openings: set[asyncio.Task[None]] = set()
@@ -134,7 +143,7 @@ class Shared:
                 await self.working("")
                 raise
 
-    async def tell_all(self, what: Telling, asker: Conversation | None) -> None:
+    async def tell_all(self, what: Telling, asker: Hearer | None) -> None:
         """Tell every page something; only the one that asked for it is waited for."""
         for page in tuple(self.pages):
             if page is not asker:

@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import IO, cast
 
 from becalm.errors import InputError
-from becalm.files.foreign import refuse_claim
-from becalm.files.text.text import (
+from becalm.files.decoding import (
     BOMS,
     CUT_ARCHIVE,
     CUT_CHARACTER,
@@ -26,6 +25,7 @@ from becalm.files.text.text import (
     told,
     without_open_line,
 )
+from becalm.files.foreign import refuse_claim
 
 WHOLE_BYTES = 64 << 20
 """Text files up to this size are held in memory."""

@@ -6,10 +6,10 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
+from becalm.files.csv.sniffing import Dialect
+from becalm.files.decoding import without_open_line
 from becalm.files.source import RawTable
 from becalm.files.text.cells import GONE, WORDS, is_left_open, kind_of, split
-from becalm.files.text.csv_sniffing import Dialect
-from becalm.files.text.text import without_open_line
 
 _WINDOW_BYTES = 1 << 20
 _COMPARED_ROWS = 1000

@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from becalm.errors import InputError
+from becalm.files.csv.rates import rate_above
 from becalm.files.text.cells import GONE, NUMBER, TIME, WORDS, decimal_of, is_left_open, kind_of, split
 from becalm.files.text.csv_header import Header, find_header
-from becalm.files.text.csv_rates import rate_above
 
 _SEPARATORS = (";", "\t", ",", "|", "", " ")  # in a draw the earlier one wins; "" is a file of one column
 _HEAD_BYTES = 65_536

@@ -11,16 +11,16 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from becalm.files.csv.blocks import rows_of_text
+from becalm.files.csv.broken_rows import ragged, refuse_strays, spans_lines
+from becalm.files.csv.last_line import LastLine, with_end_told
+from becalm.files.csv.rates import with_rate
+from becalm.files.csv.sniffing import Dialect, sniff
+from becalm.files.decoding import decode
 from becalm.files.rows import HeldRows
 from becalm.files.source import RawTable, TextLayout
 from becalm.files.text.cells import COMMA, GONE, MISSING, NUMBER, TIME, to_numbers
 from becalm.files.text.csv_header import unique_names
-from becalm.files.text.csv_rates import with_rate
-from becalm.files.text.csv_sniffing import Dialect, sniff
-from becalm.files.text.text import decode
-from becalm.files.text.text_blocks import rows_of_text
-from becalm.files.text.text_ends import LastLine, with_end_told
-from becalm.files.text.text_rows import ragged, refuse_strays, spans_lines
 
 _EXACT_DIGITS = 15  # float64 keeps whole numbers of this many digits
 

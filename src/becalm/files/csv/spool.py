@@ -11,12 +11,11 @@ from typing import Any
 import pyarrow as pa
 
 from becalm.errors import InputError
-from becalm.files.rows import SpooledRows
-from becalm.files.source import RawTable
-from becalm.files.text.cells import NUMBER, TIME
-from becalm.files.text.csv_header import unique_names
-from becalm.files.text.csv_rates import with_rate
-from becalm.files.text.csv_reader import (
+from becalm.files.csv.blocks import OtherEncodingError, TextFile, rows_of_text
+from becalm.files.csv.broken_rows import ragged, refuse_strays, spans_lines
+from becalm.files.csv.last_line import LastLine, with_end_told
+from becalm.files.csv.rates import with_rate
+from becalm.files.csv.reader import (
     TextNumbers,
     arrow_options,
     column_types,
@@ -28,10 +27,11 @@ from becalm.files.text.csv_reader import (
     units_of,
     without_padding,
 )
-from becalm.files.text.csv_sniffing import Dialect, sniff
-from becalm.files.text.text_blocks import OtherEncodingError, TextFile, rows_of_text
-from becalm.files.text.text_ends import LastLine, with_end_told
-from becalm.files.text.text_rows import ragged, refuse_strays, spans_lines
+from becalm.files.csv.sniffing import Dialect, sniff
+from becalm.files.rows import SpooledRows
+from becalm.files.source import RawTable
+from becalm.files.text.cells import NUMBER, TIME
+from becalm.files.text.csv_header import unique_names
 
 _PARSED_BYTES = 1 << 20
 _HEAD_BYTES = 8 << 20

@@ -13,8 +13,8 @@ import numpy as np
 import pyarrow as pa
 
 from becalm.errors import InputError
+from becalm.files.csv.sniffing import Dialect
 from becalm.files.text.cells import is_row
-from becalm.files.text.csv_sniffing import Dialect
 
 Body = Callable[[], Iterable[bytes]]
 """Gives the rows of data, in blocks of whole lines, as often as asked."""

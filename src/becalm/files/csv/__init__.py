@@ -1,0 +1,1 @@
+"""CSV: which delimiter, which columns, which rates; whole or block by block."""
