@@ -31,7 +31,7 @@ _COLUMNS = "110"
 
 def has_blocks(page: Path) -> bool:
     """Whether there is something to run on a page."""
-    return any(_runs(page, block) for block in _BLOCK.finditer(page.read_text(encoding="utf-8")))
+    return any(_runs(block) for block in _BLOCK.finditer(page.read_text(encoding="utf-8")))
 
 
 def rewritten(page: Path, folder: Path) -> str:
@@ -45,7 +45,7 @@ def rewritten(page: Path, folder: Path) -> str:
     names: dict[str, Any] = {"__name__": "__main__"}
 
     def told(block: re.Match[str]) -> str:
-        if not _runs(page, block):
+        if not _runs(block):
             return block[0]
         printed = _python(block["code"], names, page) if block["kind"] == "python" else _commands(block["code"])
         if block["told"] is None:
@@ -56,11 +56,9 @@ def rewritten(page: Path, folder: Path) -> str:
         return _BLOCK.sub(told, page.read_text(encoding="utf-8"))
 
 
-def _runs(page: Path, block: re.Match[str]) -> bool:
-    """Python always; commands where all are becalm's, and the page makes the files they name: README does not."""
-    if block["kind"] == "python":
-        return True
-    return page.parent == DOCS and all(line.startswith("becalm ") for line in block["code"].splitlines())
+def _runs(block: re.Match[str]) -> bool:
+    """Python always; commands where all are becalm's. Where a page names files that it does not make, it has `bash`."""
+    return block["kind"] == "python" or all(line.startswith("becalm ") for line in block["code"].splitlines())
 
 
 def _python(code: str, names: dict[str, Any], page: Path) -> str:

@@ -13,6 +13,7 @@ from urllib.parse import unquote, urlsplit
 
 import pytest
 from blocks import DOCS, PAGES, ROOT, has_blocks, rewritten
+from commands import PAGE, written
 
 from becalm.cleaning import judging, steps
 from becalm.core import verdict
@@ -38,6 +39,10 @@ RUN = [
 @pytest.mark.parametrize("page", RUN)
 def test_documented_code_runs_and_prints_what_the_page_says(page: Path, tmp_path: Path) -> None:
     assert rewritten(page, tmp_path) == page.read_text(encoding="utf-8"), "write it anew: python docs/blocks.py"
+
+
+def test_the_page_of_commands_is_that_of_the_command_line() -> None:
+    assert written() == PAGE.read_text(encoding="utf-8"), "write it anew: python docs/commands.py"
 
 
 def test_a_page_that_says_what_its_code_does_not_print_is_written_anew(tmp_path: Path) -> None:
@@ -136,7 +141,6 @@ def test_the_site_is_built_without_a_warning_and_no_link_leads_nowhere(tmp_path:
     """Building it runs the gallery, whose scripts compare with the books' numbers."""
     docs, site = tmp_path / "docs", (tmp_path / "site").resolve()
     shutil.copytree(DOCS, docs, ignore=shutil.ignore_patterns("gallery_pages", "__pycache__"))
-    shutil.copy(ROOT / "README.md", tmp_path)
     command = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", str(docs), str(site)]
     ran = subprocess.run(command, capture_output=True, text=True, check=False)
     assert ran.returncode == 0, ran.stdout + ran.stderr

@@ -1,0 +1,24 @@
+"""The page of all commands, as the command line has them.
+
+    python docs/commands.py    # write docs/commands.md anew
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+PAGE = Path(__file__).parent / "commands.md"
+
+
+def written() -> str:
+    """Return the page as it should be."""
+    typer = [sys.executable, "-m", "typer", "becalm.cli.main", "utils", "docs"]
+    command = [*typer, "--name", "becalm", "--title", "Commands"]
+    ran = subprocess.run(command, capture_output=True, text=True, encoding="utf-8", check=True)
+    return ran.stdout.rstrip() + "\n"
+
+
+if __name__ == "__main__":
+    PAGE.write_text(written(), encoding="utf-8")
