@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from becalm.core.filter.smoothing import kalman_smoother
+from becalm.identification.choose import choose
 from becalm.metrics.truth import rms_error
-from becalm.noise.choose import choose
 from pages import page_parser, publish
 
 Floats = NDArray[np.float64]

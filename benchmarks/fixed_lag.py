@@ -20,11 +20,11 @@ from accuracy import COUNT, NOISES, RATE_HZ, SEED, SIGNALS
 from becalm.core.filter.smoothing import kalman_smoother
 from becalm.core.fixed_lag import fixed_lag_smoother
 from becalm.core.model.components import ORDERS, motion
+from becalm.identification.cross_validation import simplest, tune_smoother
+from becalm.identification.likelihood import Evidence, Tuning, tune_motion
+from becalm.identification.risk import retune
+from becalm.identification.wishes.waiting import delay_curve
 from becalm.metrics.truth import rms_error
-from becalm.noise.cross_validation import simplest, tune_smoother
-from becalm.noise.likelihood import Evidence, Tuning, tune_motion
-from becalm.noise.risk import retune
-from becalm.noise.waiting import delay_curve
 from pages import page_parser, publish
 from stopwatch import nanoseconds, step_through
 

@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 
 from becalm.core.model.components import motion
 from becalm.core.model.model import Model
-from becalm.noise.autocovariances import autocovariances
-from becalm.noise.joint import TunedModel, tune_model
-from becalm.noise.matrices import patterns_of
+from becalm.identification.several.autocovariances import autocovariances
+from becalm.identification.several.joint import TunedModel, tune_model
+from becalm.identification.several.matrices import patterns_of
 from pages import page_parser, publish
 
 Floats = NDArray[np.float64]

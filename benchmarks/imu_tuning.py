@@ -14,8 +14,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from becalm.noise.step_spectrum import Sensor, StepTrial
-from becalm.noise.step_tuning import StepTuning, tune_by_simplex, tune_by_step
+from becalm.identification.several.step_spectrum import Sensor, StepTrial
+from becalm.identification.several.step_tuning import StepTuning, tune_by_simplex, tune_by_step
 from becalm.studies.imu_records import HARMONICS_HZ, PRINTED, RATE_HZ
 from pages import page_parser, publish
 

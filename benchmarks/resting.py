@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.io import loadmat
 
 import becalm
-from becalm.noise.likelihood import Evidence, tune_motion
+from becalm.identification.likelihood import Evidence, tune_motion
 from pages import page_parser, publish
 
 Floats = NDArray[np.float64]

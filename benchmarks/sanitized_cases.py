@@ -34,7 +34,7 @@ from becalm.core.model.model import Model
 from becalm.core.rows import EstimatedRows
 from becalm.core.time.live_clock import LiveClock
 from becalm.errors import BecalmError
-from becalm.noise.banks import Kind
+from becalm.identification.modes.banks import Kind
 
 COUNTED: Counter[str] = Counter()
 EXAMPLES, MOST_ROWS, LONGEST_S = 60, 1200, 300.0

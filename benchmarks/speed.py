@@ -26,7 +26,7 @@ import pyarrow as pa
 from pyarrow import csv
 
 import becalm
-from becalm.noise.choose import choose
+from becalm.identification.choose import choose
 from pages import page_parser, publish
 
 ROWS, CHANNELS, REPEATS = 100_000, 6, 5

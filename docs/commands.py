@@ -1,6 +1,6 @@
 """The page of all commands, as the command line has them.
 
-    python docs/commands.py    # write docs/commands.md anew
+python docs/commands.py    # write docs/commands.md anew
 """
 
 from __future__ import annotations

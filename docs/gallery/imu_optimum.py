@@ -11,8 +11,8 @@ stand in.
 import matplotlib.pyplot as plt
 import numpy as np
 
-from becalm.noise.step_spectrum import StepTrial
-from becalm.noise.step_tuning import tune_by_step
+from becalm.identification.several.step_spectrum import StepTrial
+from becalm.identification.several.step_tuning import tune_by_step
 from becalm.studies.imu_records import PRINTED, RATE_HZ, white
 from becalm.studies.imu_responses import EVERY, STEP, STEP_AT_S, Setting, answer
 

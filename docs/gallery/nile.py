@@ -11,7 +11,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import becalm
-from becalm.noise.joint import tune_model
+from becalm.identification.several.joint import tune_model
 
 # %%
 # In 10\ :sup:`8` m³, as in the book (and in R's ``datasets::Nile``).

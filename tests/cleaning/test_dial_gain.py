@@ -14,7 +14,7 @@ from becalm.core.filter.filtering import kalman_filter
 from becalm.core.filter.smoothing import kalman_smoother
 from becalm.core.recording import Recording
 from becalm.core.verdict import Verdict
-from becalm.noise.dial import Dial
+from becalm.identification.wishes.dial import Dial
 
 RATE_HZ, ROWS, BANDWIDTH_HZ, LAG_S = 100.0, 12_000, 0.5, 0.2
 TIME_S = np.arange(ROWS) / RATE_HZ

@@ -10,7 +10,7 @@ from becalm.cleaning.recipe import VERSION, Recipe
 from becalm.cleaning.recipe_parts import CalibrationRecipe
 from becalm.cleaning.tuning import Wishes, tune
 from becalm.core.arrays import Floats
-from becalm.noise.dial import Dial
+from becalm.identification.wishes.dial import Dial
 
 
 @pytest.fixture(scope="module")

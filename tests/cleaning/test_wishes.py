@@ -13,7 +13,7 @@ from becalm.cleaning.tuning import Wishes, tune
 from becalm.core.arrays import Floats
 from becalm.core.recording import Recording
 from becalm.errors import RecipeError, RecordingError, UsageError
-from becalm.noise.dial import Dial
+from becalm.identification.wishes.dial import Dial
 
 ROWS, RATE_HZ = 12_000, 1000.0
 REST_S = 4.0

@@ -10,7 +10,7 @@ from becalm.core.filter.filtering import run_filter
 from becalm.core.filter.smoothing import run_smoother
 from becalm.core.model.components import motion
 from becalm.core.model.timeline import elapsed_timeline
-from becalm.noise.likelihood import Tuning
+from becalm.identification.likelihood import Tuning
 
 
 def draw(order: int, ratio: float, rows: int, rng: np.random.Generator) -> tuple[Floats, Floats]:

@@ -14,8 +14,8 @@ from becalm.cleaning.steps import in_seconds
 from becalm.cleaning.stream import StreamCleaner
 from becalm.core.arrays import Floats
 from becalm.export.bundle import Bundle, Exported
-from becalm.noise.banks import bursting, jumping, noisy, resting, spiky
-from becalm.noise.likelihood import Evidence, tune_motion
+from becalm.identification.likelihood import Evidence, tune_motion
+from becalm.identification.modes.banks import bursting, jumping, noisy, resting, spiky
 from driven import Told
 from exported import WIDE_LIMITS, bundle, recipe_of
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from becalm.errors import UsageError
 from becalm.files.conversion import conversion
 from becalm.files.unit_definitions import QUANTITIES
-from becalm.noise.datasheet import convert
+from becalm.identification.rest.datasheet import convert
 
 G0 = 9.80665
 

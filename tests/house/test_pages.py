@@ -22,8 +22,9 @@ from becalm.core.health import noise_change
 from becalm.core.model import prior
 from becalm.core.time import clock
 from becalm.files import opening
+from becalm.identification import lines, risk
+from becalm.identification.modes import banks, switching
 from becalm.native import scans
-from becalm.noise import banks, lines, risk, switching
 
 NAMED = {page: str(page.relative_to(ROOT)) for page in PAGES}
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from becalm.core.filter.filtering import kalman_filter
+from becalm.identification.several.joint import tune_model
 from becalm.metrics.truth import rms_error
-from becalm.noise.joint import tune_model
 from becalm.report.description import Curve, Figure
 from becalm.studies.car import CANCELLER, MEASURED, OWN, PRINTED, TRUTH, CarStudy, study
 from becalm.studies.car_drive import SENSITIVITY_V_PER_G, SHARES, simulate

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from becalm.core.closed_forms import butterworth_noise_gain
-from becalm.noise.step_spectrum import Sensor
+from becalm.identification.several.step_spectrum import Sensor
 from becalm.report import printing
 from becalm.studies import imu, imu_page, imu_switching, imu_valley
 from becalm.studies.imu_records import HARMONICS_HZ, PRINTED, RATE_HZ, SENSORS, find_rests, identify, makeup, motionless

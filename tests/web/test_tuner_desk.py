@@ -13,8 +13,8 @@ from becalm.cleaning.steps import in_steps
 from becalm.cleaning.tuning import Found, explore, tune
 from becalm.core.filter.likelihood import log_likelihood
 from becalm.errors import RecipeError, UsageError
-from becalm.noise.choose import Choice
-from becalm.noise.likelihood import Evidence, Tuning
+from becalm.identification.choose import Choice
+from becalm.identification.likelihood import Evidence, Tuning
 from becalm.web.tuner.costs import cost_map
 from becalm.web.tuner.desk import Desk
 from becalm.web.tuner.evidence import beside_best, described

@@ -12,9 +12,9 @@ from becalm.cleaning.recipe_parts import LimitsRecipe
 from becalm.core.arrays import Floats
 from becalm.core.health.cusum import SLACK
 from becalm.core.health.monitor import find_alarms
+from becalm.identification.likelihood import Tuning
+from becalm.identification.trust.excess import excess_error
 from becalm.native.scans import MOST_SIGMA
-from becalm.noise.excess import excess_error
-from becalm.noise.likelihood import Tuning
 
 MARGIN = 2.0
 """Of the threshold over what the sums of the record itself reached."""

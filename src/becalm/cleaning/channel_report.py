@@ -18,7 +18,7 @@ from becalm.cleaning.report import ChannelReport
 from becalm.cleaning.slopes import said_of_times
 from becalm.cleaning.steps import SOON
 from becalm.core.verdict import ADVICE, Verdict
-from becalm.noise.excess import excess_error
+from becalm.identification.trust.excess import excess_error
 
 _NOTHING_REMOVED = "Next to nothing was removed: noise cannot be told from motion here, so noise_std is a guess."
 

@@ -27,8 +27,8 @@ from becalm.core.health.time_faults import possible_steps
 from becalm.core.imm.comparable_state import comparable_state
 from becalm.core.rows import EstimatedRows, Judge
 from becalm.core.verdict import Verdict, counted
+from becalm.identification.choose import FEWEST_READINGS
 from becalm.metrics.running import PIECE, Running
-from becalm.noise.choose import FEWEST_READINGS
 
 
 class Channel(Protocol):

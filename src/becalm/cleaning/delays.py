@@ -10,7 +10,7 @@ from becalm.cleaning.modes import modes_in_steps
 from becalm.cleaning.recipe import ChannelRecipe, Recipe
 from becalm.cleaning.steps import in_steps
 from becalm.errors import ModelError
-from becalm.noise.waiting import Delay, delay_curve, delays_of
+from becalm.identification.wishes.waiting import Delay, delay_curve, delays_of
 
 
 def delays(recipe: Recipe) -> dict[str, tuple[Delay, ...]]:

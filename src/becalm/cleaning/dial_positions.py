@@ -15,7 +15,7 @@ from becalm.core.closed_forms import cutoff_to_ratio
 from becalm.core.steady.response import decibels
 from becalm.core.steady.steady_gain import steady
 from becalm.errors import ModelError
-from becalm.noise.likelihood import Tuning
+from becalm.identification.likelihood import Tuning
 
 POSITIONS = 81
 """Of a dial, at even ratios of the cut-off."""

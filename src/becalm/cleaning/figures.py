@@ -14,8 +14,8 @@ from becalm.core.imm.modes import InteractingModels
 from becalm.core.model.components import Component
 from becalm.core.steady.response import Response, describe
 from becalm.errors import ModelError
-from becalm.noise.independence import independence_steps
-from becalm.noise.likelihood import Tuning
+from becalm.identification.likelihood import Tuning
+from becalm.identification.trust.independence import independence_steps
 
 _NOTHING_REMOVED = 0.8
 """Noise gain above which a filter has found next to no noise to remove."""

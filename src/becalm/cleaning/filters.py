@@ -21,7 +21,7 @@ from becalm.core.imm.modes import InteractingModels
 from becalm.core.model.magnitudes import largest_beside
 from becalm.core.rows import Judge
 from becalm.core.steady.steady_gain import FORGOTTEN, rows_until
-from becalm.noise.likelihood import Tuning
+from becalm.identification.likelihood import Tuning
 
 
 class Filter:

@@ -13,7 +13,7 @@ from becalm.cleaning.recipe_parts import HoleRecipe
 from becalm.core.arrays import Booleans, Floats
 from becalm.core.rows import EstimatedRows
 from becalm.core.verdict import LOST
-from becalm.noise.likelihood import Evidence
+from becalm.identification.likelihood import Evidence
 
 LENGTHS = (8, 40, 200)
 """Readings in a block."""

@@ -9,12 +9,12 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Floats
+from becalm.identification.trust.excess import Colour
 from becalm.metrics.evenness import BlockCount
 from becalm.metrics.lagged import LaggedSums
 from becalm.metrics.misplaced import ScoreCount
 from becalm.metrics.running import PIECE, Running
 from becalm.metrics.whiteness import Power, Whiteness, judge_whiteness
-from becalm.noise.excess import Colour
 
 PREDICTABLE = 0.10
 """Share of the innovation power that may still be predictable: 10 % costs 5 % in rms prediction."""
@@ -150,7 +150,8 @@ class InnovationJudge:
         ----------
         excess_of : callable, optional
             Takes the colour of the innovations and returns the excess of the rms error, as
-            `becalm.noise.excess.excess_error` does for a smoother; by default that of a prediction is taken.
+            `excess_error` of `identification/trust/excess.py` does for a smoother; by default that of a prediction is
+            taken.
         """
         sums = self._running.sums()
         if sums.power.seen < FEWEST_INNOVATIONS:

@@ -12,8 +12,8 @@ from becalm.core.health.outliers import Outliers
 from becalm.core.health.quantisation import rounding_left
 from becalm.core.time.clock import GAP_STEPS
 from becalm.core.verdict import BEYOND_ANY_SENSOR
-from becalm.noise.independence import independence_steps
-from becalm.noise.likelihood import Tuning
+from becalm.identification.likelihood import Tuning
+from becalm.identification.trust.independence import independence_steps
 
 _LEAST_ROUNDING = 1e-3  # of a step; less is not worth a number
 

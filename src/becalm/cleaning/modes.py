@@ -8,8 +8,8 @@ from becalm.cleaning.recipe_modes import ModeRecipe, SwitchingRecipe
 from becalm.core.imm.modes import InteractingModels, Mode
 from becalm.core.model.components import LEVEL_RATE, Component, motion, returning_motion, with_walking_level
 from becalm.errors import ModelError, RecipeError
-from becalm.noise.banks import Kind
-from becalm.noise.likelihood import Tuning
+from becalm.identification.likelihood import Tuning
+from becalm.identification.modes.banks import Kind
 
 _LEAST, _GREATEST = 1e-250, 1e250  # of variances, unit^2: beyond, their products leave float64
 _GREATEST_RATIO = 1e30  # of q/r: beyond, what is known of a state is lost to rounding

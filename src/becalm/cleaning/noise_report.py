@@ -13,11 +13,11 @@ from becalm.core.recording import Recording
 from becalm.core.time.timebase import GAP_STEPS
 from becalm.core.verdict import BEYOND_ANY_SENSOR
 from becalm.errors import RecordingError, UsageError
-from becalm.noise.allan import allan_deviation
-from becalm.noise.allan_terms import noise_terms
-from becalm.noise.rest_noise import RestNoise, noise_at_rest, split_at_cutoff
-from becalm.noise.still import Stretch, find_still, said_still
-from becalm.noise.still_windows import quantum, runs_of
+from becalm.identification.rest.allan import allan_deviation
+from becalm.identification.rest.allan_terms import noise_terms
+from becalm.identification.rest.rest_noise import RestNoise, noise_at_rest, split_at_cutoff
+from becalm.identification.rest.still import Stretch, find_still, said_still
+from becalm.identification.rest.still_windows import quantum, runs_of
 
 MOST_SLOW = 1.5
 """Variance over half a second, over R, above which the noise is said to be slower than the readings."""
@@ -46,7 +46,7 @@ class ChannelNoise:
     noise_std, noise_std_error : float or None
         Square root of R, from differences of neighbours, and its standard error if the noise is white, in unit.
     slowness : float or None
-        Variance over half a second over R; see `becalm.noise.rest_noise.RestNoise`.
+        Variance over half a second over R; see `becalm.identification.rest.rest_noise.RestNoise`.
     spikes : int
         Jumps beyond six standard deviations; they do not count in `noise_std`.
     cutoff_hz : float

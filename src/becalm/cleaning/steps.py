@@ -14,8 +14,8 @@ from becalm.core.filter.gate import Gate, threshold_for
 from becalm.core.filter.lag import LONGEST_LAG
 from becalm.core.model.autoregressive import Coloured
 from becalm.errors import ModelError, RecipeError, UsageError
-from becalm.noise.likelihood import Tuning
-from becalm.noise.spectrum import Line
+from becalm.identification.likelihood import Tuning
+from becalm.identification.spectrum import Line
 
 _SLOWEST, _QUICKEST, _WIDEST = 1e-8, 0.5, 1.0  # cycles a step
 _LEAST_DAMPING = 1e-12  # cycles a step: less is none

@@ -21,19 +21,19 @@ from becalm.cleaning.timing import time_std_of, timed
 from becalm.core.recording import Recording
 from becalm.core.verdict import judge
 from becalm.errors import RecordingError, UsageError
+from becalm.identification.choose import Choice, Known
+from becalm.identification.coloured import NoiseModel, fit_noise
+from becalm.identification.damping import spread_std
+from becalm.identification.gating import choose_gated, forecasts
+from becalm.identification.imputation import nearly_complete
+from becalm.identification.likelihood import FEWEST_FOR_TONES, Evidence, Tuning
+from becalm.identification.lines import MOST_TONES
+from becalm.identification.modes.switching import Switched, find_switching
+from becalm.identification.modes.wild import choose_robust
+from becalm.identification.rest.still import said_still
+from becalm.identification.trust.tuning_spread import tuning_spread
+from becalm.identification.wishes.dial import Dial, may_judge, turn
 from becalm.installation import load_scipy, version
-from becalm.noise.choose import Choice, Known
-from becalm.noise.coloured import NoiseModel, fit_noise
-from becalm.noise.damping import spread_std
-from becalm.noise.dial import Dial, may_judge, turn
-from becalm.noise.gating import choose_gated, forecasts
-from becalm.noise.imputation import nearly_complete
-from becalm.noise.likelihood import FEWEST_FOR_TONES, Evidence, Tuning
-from becalm.noise.lines import MOST_TONES
-from becalm.noise.still import said_still
-from becalm.noise.switching import Switched, find_switching
-from becalm.noise.tuning_spread import tuning_spread
-from becalm.noise.wild import choose_robust
 
 _NEARLY_EMPTY = 64  # readings, below which a channel need not tell its noise at rest
 

@@ -14,7 +14,7 @@ from becalm.cleaning.stretches import stretch_s
 from becalm.errors import UsageError
 
 if TYPE_CHECKING:
-    from becalm.noise.dial import Dial, Kind
+    from becalm.identification.wishes.dial import Dial, Kind
 
 _READ = "CSV, Parquet, MF4, TDMS, UFF58, MAT, HDF5, NPZ, WAV, ROS bag, MCAP, ULog or IDE"
 Source = Annotated[Path, typer.Argument(metavar="FILE", help=f"Recording: {_READ}.")]
@@ -247,7 +247,7 @@ def dial_of(max_lag: str | None, bandwidth: str | None, noise_gain: str | None) 
         return None
     if len(turned) > 1:
         raise UsageError("Turn one of --max-lag, --bandwidth and --noise-gain: each of them decides the others.")
-    from becalm.noise.dial import Dial
+    from becalm.identification.wishes.dial import Dial
 
     ((kind, text),) = turned.items()
     value = _quantity(text, kind)

@@ -8,7 +8,7 @@ from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.report import ChannelReport
 from becalm.cleaning.words import amount
 from becalm.core.steady.response import decibels
-from becalm.noise.front import Front
+from becalm.identification.wishes.front import Front
 from becalm.report.behaviour import Behaviour, behaviour_of, front_figure, front_of, step_figure
 from becalm.report.description import Figure
 from becalm.report.gathering import Gathering

@@ -19,11 +19,11 @@ from becalm.core.filter.filtering import kalman_filter
 from becalm.core.model.model import Model
 from becalm.core.recording import Recording
 from becalm.core.steady.response import describe
+from becalm.identification.several.joint import TunedModel, tune_model
 from becalm.metrics.decibels import snr_db, snr_paper_db
 from becalm.metrics.delay import lag_of
 from becalm.metrics.spectrum import VEHICLE_BANDS_HZ, band_powers, welch
 from becalm.metrics.truth import rms_error
-from becalm.noise.joint import TunedModel, tune_model
 from becalm.studies.car_drive import BODY_HZ, INPUT_SNR_PAPER_DB, OTHER_SHARES, OUTPUT_SNR_PAPER_DB, CarDrive, simulate
 from becalm.studies.car_filters import (
     CHECKED_GAIN,

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from becalm.core.arrays import Floats
+from becalm.identification.several.step_spectrum import Sensor
 from becalm.metrics.spectrum import Spectrum, welch
-from becalm.noise.step_spectrum import Sensor
 from becalm.studies.imu_records import (
     PRINTED,
     RATE_HZ,

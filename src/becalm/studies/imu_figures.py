@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.noise.step_spectrum import Sensor
+from becalm.identification.several.step_spectrum import Sensor
 from becalm.report.description import Axis, Band, Curve, Figure, Layer, Look, Role, Surface
 from becalm.studies.imu import SensorStudy, Study
 from becalm.studies.imu_records import PRINTED, RATE_HZ

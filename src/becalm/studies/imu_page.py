@@ -9,7 +9,7 @@ import numpy as np
 
 from becalm.core.closed_forms import butterworth_noise_gain
 from becalm.files.plain import make_folder, write_text
-from becalm.noise.step_spectrum import Sensor
+from becalm.identification.several.step_spectrum import Sensor
 from becalm.studies import imu_switching
 from becalm.studies.imu import Study, study
 from becalm.studies.imu_figures import sheets

@@ -17,8 +17,8 @@ import numpy as np
 from becalm.core.arrays import Floats
 from becalm.core.closed_forms import butterworth_noise_gain
 from becalm.core.recording import Recording
-from becalm.noise.step_spectrum import Sensor
-from becalm.noise.still import find_still
+from becalm.identification.rest.still import find_still
+from becalm.identification.several.step_spectrum import Sensor
 
 RATE_HZ = 1e4
 SENSORS: tuple[Sensor, ...] = ("accelerometer", "gyroscope")

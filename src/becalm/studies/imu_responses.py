@@ -9,7 +9,7 @@ import numpy as np
 from becalm.core.arrays import Floats
 from becalm.core.filter.filtering import kalman_filter
 from becalm.core.steady.response import describe
-from becalm.noise.step_spectrum import Sensor, StepTrial
+from becalm.identification.several.step_spectrum import Sensor, StepTrial
 from becalm.studies.imu_records import PRINTED, RATE_HZ
 
 STEP = 0.2

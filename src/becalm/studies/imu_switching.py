@@ -14,8 +14,8 @@ from becalm.cleaning.pipeline import clean
 from becalm.core.arrays import Floats
 from becalm.core.filter.filtering import kalman_filter
 from becalm.core.recording import Recording
-from becalm.noise.front import noise_lag_front
-from becalm.noise.step_spectrum import Sensor, StepTrial
+from becalm.identification.several.step_spectrum import Sensor, StepTrial
+from becalm.identification.wishes.front import noise_lag_front
 from becalm.studies.imu_records import PRINTED, RATE_HZ, SENSORS
 from becalm.studies.imu_responses import reached_ms
 

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.noise.step_spectrum import Sensor, StepTrial
-from becalm.noise.step_tuning import StepTuning, tune_by_simplex, tune_by_step
+from becalm.identification.several.step_spectrum import Sensor, StepTrial
+from becalm.identification.several.step_tuning import StepTuning, tune_by_simplex, tune_by_step
 from becalm.studies.imu_records import PRINTED, RATE_HZ, harmonics, makeup, motionless, white
 from becalm.studies.imu_responses import reached_ms
 

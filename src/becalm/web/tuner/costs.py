@@ -11,9 +11,9 @@ from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.steps import gate_of, in_steps
 from becalm.core.arrays import Floats
 from becalm.errors import UsageError
-from becalm.noise.gating import forecasts
-from becalm.noise.likelihood import UNSCORED, Evidence, Tuning
-from becalm.noise.surface import surface
+from becalm.identification.gating import forecasts
+from becalm.identification.likelihood import UNSCORED, Evidence, Tuning
+from becalm.identification.surface import surface
 
 MOST_READINGS = 20_000
 

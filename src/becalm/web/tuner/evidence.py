@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from becalm.cleaning.recipe import ChannelRecipe
-from becalm.noise.likelihood import Tuning
+from becalm.identification.likelihood import Tuning
 
 _ALIKE = 5e-4  # of an error: less is not worth telling
 _ROUND = 0.1  # from there on in whole percent

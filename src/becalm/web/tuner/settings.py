@@ -9,8 +9,8 @@ from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.steps import in_seconds, in_steps
 from becalm.cleaning.tuning import Found
 from becalm.errors import UsageError
-from becalm.noise.dial import may_judge
-from becalm.noise.tuning_spread import tuning_spread
+from becalm.identification.trust.tuning_spread import tuning_spread
+from becalm.identification.wishes.dial import may_judge
 from becalm.web.tuner.evidence import beside_best, described
 from becalm.web.tuner.messages import Turned
 

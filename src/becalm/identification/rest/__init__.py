@@ -1,0 +1,1 @@
+"""Noise at rest: found by itself, by Allan deviations, and as data sheets say it."""

@@ -1,0 +1,173 @@
+"""The noise of a sensor at rest: from differences of neighbours, or split at a cut-off as in the IMU paper."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from becalm.core.arrays import Floats
+from becalm.core.recording import Recording
+from becalm.core.time.timebase import GAP_STEPS
+from becalm.errors import RecordingError
+from becalm.identification.rest.still import Stretch
+from becalm.identification.rest.still_windows import FEWEST, quantum, window_size
+
+_SPIKE = 6.0  # standard deviations
+_KEPT = 0.9
+_NORMAL_KEPT = 0.6230  # mean square of the nine tenths of a normal variable that are nearest to zero
+_FEWEST_CYCLES = 10.0  # of a cut-off
+_SPLIT_ORDER = 2
+
+
+@dataclass(frozen=True)
+class RestNoise:
+    """The noise of one channel at rest.
+
+    Attributes
+    ----------
+    name : str
+        Of the channel.
+    variance : float
+        R, half of the mean squared difference of neighbours, in unit^2; NaN if under 32 came.
+    standard_error : float
+        Of `variance` if the noise is white, in unit^2.
+    slowness : float
+        Variance over half a second over `variance`: 1 for white noise; above it, the noise is slower
+        than the readings, and `variance` is only that of its fastest part; below it, it alternates.
+    differences, spikes : int
+        Differences that counted, and those beyond six standard deviations, which did not.
+    """
+
+    name: str
+    variance: float
+    standard_error: float
+    slowness: float
+    differences: int
+    spikes: int
+
+
+class Split(NamedTuple):
+    """A motionless record below and above a cut-off, both in unit^2.
+
+    Attributes
+    ----------
+    noise_variance : float
+        R, the variance above the cut-off.
+    process_variance : float
+        Q, the variance below it.
+    """
+
+    noise_variance: float
+    process_variance: float
+
+
+def noise_at_rest(recording: Recording, stretches: Sequence[Stretch]) -> tuple[RestNoise, ...]:
+    """Measure the noise of each channel where it is still.
+
+    Parameters
+    ----------
+    recording : Recording
+        Any channels.
+    stretches : sequence of Stretch
+        Where they are still, from `find_still` or `said_still`.
+
+    Raises
+    ------
+    RecordingError
+        If there is no stretch.
+
+    Notes
+    -----
+    A drift of b units a step adds b^2 / 2 to the variance: nothing. Squared differences of white noise
+    are correlated with their neighbours alone, whence the standard error, variance * sqrt(3 / N) for
+    normal noise (von Neumann and others, Annals of Mathematical Statistics 12 (1941) 153).
+    """
+    if not stretches:
+        raise RecordingError("There is no rest to measure noise in; name one, as 0:30 for the first half minute.")
+    return tuple(_channel_noise(recording, name, stretches) for name in recording.names)
+
+
+def split_at_cutoff(readings: Floats, rate_hz: float, cutoff_hz: float = 1.0) -> Split:
+    """Split a motionless record into measurement noise above a cut-off and process noise below it.
+
+    Parameters
+    ----------
+    readings : (N,) float array
+        Of one stretch, in unit, none missing.
+    rate_hz : float
+        Readings per second.
+    cutoff_hz : float
+        A *small* one calls more of the record measurement noise.
+
+    Raises
+    ------
+    RecordingError
+        If a reading is missing, or the stretch has under ten cycles of the cut-off or no such frequency.
+
+    Notes
+    -----
+    Kownacki (2010), table 1, which names no filter: here a causal
+    Butterworth filter of order 2, started at the mean. Of white noise, a share of 2.22 cutoff / rate
+    is called process noise. The variances make a far slower filter than a person wants, as the paper
+    says: what moves at rest is not what moves in use.
+    """
+    from scipy.signal import butter, sosfilt
+
+    if not np.isfinite(readings).all():
+        raise RecordingError("A record is split at a cut-off without gaps; give a stretch with no reading missing.")
+    if not 0 < cutoff_hz < rate_hz / 2:
+        raise RecordingError(f"cutoff_hz = {cutoff_hz:g} is no cut-off at {rate_hz:g} Hz; stay below half of the rate.")
+    if len(readings) * cutoff_hz < _FEWEST_CYCLES * rate_hz:
+        raise RecordingError(
+            f"{len(readings) / rate_hz:.3g} s are too short to be split at {cutoff_hz:g} Hz; "
+            f"{_FEWEST_CYCLES / cutoff_hz:g} s are needed, or a higher cut-off."
+        )
+    centred = readings - readings.mean()
+    above, below = (
+        float(np.var(sosfilt(butter(_SPLIT_ORDER, cutoff_hz, kind, fs=rate_hz, output="sos"), centred)))
+        for kind in ("highpass", "lowpass")
+    )
+    return Split(above, below)
+
+
+def _channel_noise(recording: Recording, name: str, stretches: Sequence[Stretch]) -> RestNoise:
+    channel, elapsed = recording.channel(name), recording.timebase.elapsed_steps
+    steps = [_differences(channel[a:b], elapsed[a:b]) for a, b in stretches]
+    square = np.concatenate([part**2 / 2 for step in steps for part in (step, np.array([np.nan]))])
+    seen = np.isfinite(square)
+    count = int(np.count_nonzero(seen))
+    if count < FEWEST:
+        return RestNoise(name, np.nan, np.nan, np.nan, count, 0)
+    kept = np.sort(square[seen])[: int(np.ceil(_KEPT * count))]
+    most = _SPIKE**2 * max(kept.mean() / _NORMAL_KEPT, quantum(channel) ** 2)
+    square[square > most] = np.nan
+    used = int(np.count_nonzero(np.isfinite(square)))
+    variance = float(np.nanmean(square))
+    slow = _variance_within([channel[a:b] for a, b in stretches], window_size(recording.rate_hz), most)
+    slowness = slow / variance if variance > 0 else np.nan
+    return RestNoise(name, variance, _standard_error(square, used), slowness, used, count - used)
+
+
+def _differences(channel: Floats, elapsed: Floats) -> Floats:
+    """Return the differences of neighbours (n - 1,); NaN across a gap or a missing reading."""
+    return np.where(elapsed[1:] <= GAP_STEPS, np.diff(channel), np.nan)
+
+
+def _standard_error(square: Floats, used: int) -> float:
+    """Return the standard error of the mean of a sequence whose neighbours alone are correlated; NaN is left out."""
+    about = square - np.nanmean(square)
+    power, neighbours = float(np.nansum(about**2)), float(np.nansum(about[1:] * about[:-1]))
+    return float(np.sqrt(max(0.0, power + 2 * neighbours)) / used)
+
+
+def _variance_within(stretches: Sequence[Floats], size: int, most: float) -> float:
+    """Return the mean variance, in unit^2, of windows of `size` readings without a spike, about their mean.
+
+    A spike is where half of the squared difference of neighbours is beyond `most`.
+    """
+    windows = np.concatenate([part[: len(part) // size * size].reshape(-1, size) for part in stretches])
+    whole = windows[(np.diff(windows, axis=1) ** 2 / 2 <= most).all(axis=1)]
+    return float(np.var(whole, axis=1, ddof=1).mean()) if len(whole) else np.nan

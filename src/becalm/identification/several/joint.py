@@ -1,0 +1,245 @@
+"""Maximum likelihood of Q and R of any model, all its channels together, with standard errors.
+
+The likelihood is the filter's own, exact, with a known or a flat start and with readings missing; nothing
+is concentrated out, so that every entry gets its error from the curvature. What readings cannot tell is
+said in sentences. Sources: Schweppe, IEEE TIT-11 (1965) 61; Shumway and Stoffer, Time Series Analysis
+and Its Applications, section 6.3.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from becalm.core.arrays import Booleans, Floats
+from becalm.core.filter.filtering import checked_readings, run_filter
+from becalm.core.filter.likelihood import NOTHING
+from becalm.core.model.model import Model
+from becalm.core.model.prior import arrived
+from becalm.core.model.timeline import even_timeline
+from becalm.errors import ModelError, RecordingError
+from becalm.identification.several.autocovariances import Autocovariances, autocovariances
+from becalm.identification.several.certainty import Certainty, judge
+from becalm.identification.several.matrices import Freedom, FreeMatrix, Patterns, patterns_of
+from becalm.identification.several.peak import climb, walk
+
+_LEAST = 1e-3  # of the strongest noise: where a search begins whose start is at or below zero
+
+
+@dataclass(frozen=True, eq=False)
+class TunedModel:
+    """A model whose Q and R come from readings.
+
+    Attributes
+    ----------
+    model : Model
+        The likeliest. What the readings do not tell keeps the value it started from.
+    process_error : (p, p) float array
+        Standard error of each entry of Q, in its unit; 0 where it was not free, inf where it cannot be told.
+    noise_error : (m, m) float array
+        The same of R.
+    log_likelihood : float
+        Exact, at the maximum; see `becalm.core.filter.filtering.Estimate`.
+    used : int
+        Readings, channels counted one by one, that entered it.
+    not_identifiable : tuple of str
+        A sentence for each thing that the readings do not tell, with the reason; empty if they tell all.
+    """
+
+    model: Model
+    process_error: Floats
+    noise_error: Floats
+    log_likelihood: float
+    used: int
+    not_identifiable: tuple[str, ...]
+
+
+def tune_model(
+    model: Model, z: ArrayLike, free_process: Freedom = "diagonal", free_noise: Freedom = "diagonal"
+) -> TunedModel:
+    """Find the process and measurement covariances of a model by maximum likelihood.
+
+    Parameters
+    ----------
+    model : Model
+        F, G and H are taken as they are, and so are x0 and P0 or their absence. Its Q and R are held,
+        scaled, or a place to start from; the search also begins where the readings' autocovariances point.
+    z : (N,) or (N, m) array_like
+        Readings in the channels' units, one step a row; NaN where one did not arrive. Never modified.
+    free_process, free_noise : {"full", "diagonal", "scale", "fixed"}
+        What of Q and of R is free: every entry; the variances, with all else zero; one factor for each
+        independent block, as of components joined by `+`; nothing.
+
+    Raises
+    ------
+    ModelError
+        If z does not fit the model, nothing is free, or the model cannot start without x0 and P0.
+    RecordingError
+        If there are fewer readings than unknowns and states.
+
+    Notes
+    -----
+    Errors come from the observed information by the delta method. Where a variance cannot be told from
+    zero, its error is how far it may grow until the log-likelihood has fallen by one half.
+
+    What is known of the states before any reading, `Model.known`, is held: that coloured noise is
+    stationary it says at the Q that the model came with.
+    """
+    readings = checked_readings(model, z)
+    process, noise = patterns_of("Q", model.Q, free_process), patterns_of("R", model.R, free_noise)
+    unknowns = len(process.names) + len(noise.names)
+    if not unknowns:
+        raise ModelError('Nothing of Q and R is free; give free_process or free_noise = "diagonal".')
+    seen = arrived(readings)
+    if seen.sum() <= unknowns + model.states:
+        raise RecordingError(
+            f"{seen.sum()} readings came; {unknowns} unknowns of Q and R and {model.states} states need more"
+            f" than {unknowns + model.states}. Give a longer record, or free less of Q and R."
+        )
+    told = autocovariances(model, process, noise, seen.T.astype(float) @ seen > 0, _sizes(readings, seen))
+    free = Free((process, noise), (free_process == "full", free_noise == "full"))
+    joint = _start(RecordLikelihood(model, readings), free, told)
+    peak = climb(joint, walk(joint, np.zeros(unknowns), joint.variances & ~told.unseen), joint.used)
+    return _result(joint, judge(joint, peak, told), peak.theta)
+
+
+class Free(NamedTuple):
+    """What of Q and R is free."""
+
+    patterns: tuple[Patterns, Patterns]  # of Q and of R
+    full: tuple[bool, bool]  # whether every entry is
+
+    @property
+    def variances(self) -> Booleans:
+        """Which amounts are of variances, (k,); their numbers are logarithms."""
+        return np.concatenate([part.variances for part in self.patterns])
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What the amounts are called."""
+        return self.patterns[0].names + self.patterns[1].names
+
+    def amounts(self, Q: Floats, R: Floats) -> Floats:
+        """Return the amounts (k,) of the patterns that Q and R hold."""
+        return np.concatenate([part.amounts(M) for part, M in zip(self.patterns, (Q, R), strict=True)])
+
+
+class RecordLikelihood:
+    """The log-likelihood of readings z (N, m), in the channels' units, as a function of Q and R."""
+
+    def __init__(self, model: Model, z: Floats) -> None:
+        self.model, self.z, self._timeline = model, z, even_timeline(model, len(z))
+
+    def __call__(self, Q: Floats, R: Floats) -> tuple[float, int]:
+        """Return the log-likelihood at Q and R, and of how many readings."""
+        model, G = self.model, self.model.G
+        timeline = self._timeline._replace(system=self._timeline.system._replace(Q=(G @ Q @ G.T)[np.newaxis], R=R))
+        found = run_filter(model, timeline, self.z, NOTHING).estimate
+        return found.log_likelihood, found.used
+
+
+class JointLikelihood:
+    """The log-likelihood of readings as a function of numbers theta (k,) that stand for the free entries of Q and R.
+
+    All numbers are zero at the covariances it is made with.
+    """
+
+    def __init__(self, record: RecordLikelihood, free: Free, Q: Floats, R: Floats) -> None:
+        self.record, self.free = record, free
+        self.process, self.noise = (
+            FreeMatrix(part, M, full) for part, M, full in zip(free.patterns, (Q, R), free.full, strict=True)
+        )
+        self.used = record(Q, R)[1]
+
+    @property
+    def variances(self) -> Booleans:
+        """Which amounts are of variances, (k,); their numbers are logarithms."""
+        return self.free.variances
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What the amounts are called."""
+        return self.free.names
+
+    def __call__(self, theta: Floats) -> float:
+        """Return the log-likelihood at theta (k,); -inf where it does not count the same readings."""
+        try:
+            value, used = self.record(*self.at(theta))
+        except (ModelError, np.linalg.LinAlgError):
+            return -np.inf
+        return value if used == self.used else -np.inf
+
+    def at(self, theta: Floats) -> tuple[Floats, Floats]:
+        """Return Q and R at theta (k,)."""
+        cut = self.process.count
+        return self.process.at(theta[:cut]), self.noise.at(theta[cut:])
+
+    def amounts(self, theta: Floats) -> Floats:
+        """Return the amounts (k,) of the patterns of Q and R at theta (k,)."""
+        return self.free.amounts(*self.at(theta))
+
+    def scales(self, theta: Floats) -> Floats:
+        """Return how large the amounts (k,) could be beside the variances at theta (k,)."""
+        return np.concatenate([part.scales(M) for part, M in zip(self.free.patterns, self.at(theta), strict=True)])
+
+    def slopes(self, theta: Floats) -> Floats:
+        """Return the derivatives of the amounts by theta, (k, k)."""
+        cut, slopes = self.process.count, np.zeros((len(theta), len(theta)))
+        for i, slope in enumerate(self.process.slopes(theta[:cut])):
+            slopes[:cut, i] = self.free.patterns[0].amounts(slope)
+        for i, slope in enumerate(self.noise.slopes(theta[cut:])):
+            slopes[cut:, cut + i] = self.free.patterns[1].amounts(slope)
+        return slopes
+
+
+def _sizes(z: Floats, seen: Booleans) -> Floats:
+    """Return how large the readings (N, m) of each channel are beside the largest, (m,); one where all are zero."""
+    largest = np.abs(np.where(seen, z, 0.0)).max()
+    shares = np.where(seen, z, 0.0) / (largest if largest > 0 else 1.0)
+    sizes = np.sqrt((shares**2).sum(axis=0) / np.maximum(seen.sum(axis=0), 1))
+    return np.where(sizes > 0, sizes, 1.0)
+
+
+def _start(record: RecordLikelihood, free: Free, told: Autocovariances) -> JointLikelihood:
+    """Begin at the model's own Q and R, or where the autocovariances point, whichever is likelier."""
+    own = free.amounts(record.model.Q, record.model.R)
+    begins = [_positive(free, told, own)]
+    pointed = told.estimate(np.where(arrived(record.z), record.z, np.nan))
+    if pointed is not None:
+        begins.append(_positive(free, told, np.where(told.unseen, own, pointed)))
+    return JointLikelihood(record, free, *max(begins, key=lambda matrices: record(*matrices)[0]))
+
+
+def _positive(free: Free, told: Autocovariances, amounts: Floats) -> tuple[Floats, Floats]:
+    """Make covariances of amounts (k,), of which each free variance is above zero as far as readings see it."""
+    strongest = (amounts * told.lengths)[free.variances].max(initial=0.0)
+    least = _LEAST * (strongest if strongest > 0 else 1.0) / np.where(told.unseen, np.inf, told.lengths)
+    amounts = np.where(free.variances, np.maximum(amounts, least), amounts)
+    process, noise = free.patterns
+    cut = len(process.names)
+    Q, R = process.covariance(amounts[:cut]), noise.covariance(amounts[cut:])
+    return _definite(Q) if free.full[0] else Q, _definite(R) if free.full[1] else R
+
+
+def _definite(covariance: Floats) -> Floats:
+    """Return the nearest matrix of the same variances, roughly, whose correlations are well below one."""
+    sigma = np.sqrt(np.diag(covariance))
+    sigma = np.where(sigma > 0, sigma, sigma[sigma > 0].min(initial=1.0))
+    values, vectors = np.linalg.eigh(covariance / np.outer(sigma, sigma))
+    clipped = (vectors * np.maximum(values, 0.05)) @ vectors.T
+    return np.asarray(clipped * np.outer(sigma, sigma))
+
+
+def _result(joint: JointLikelihood, found: Certainty, theta: Floats) -> TunedModel:
+    """Lay out what was found."""
+    given, (Q, R) = joint.record.model, joint.at(theta)
+    tuned = Model(F=given.F, H=given.H, Q=Q, R=R, G=given.G, x0=given.x0, P0=given.P0, known=given.known)
+    cut = len(joint.free.patterns[0].names)
+    process_error, noise_error = (
+        (np.where(part.shapes != 0, each[:, np.newaxis, np.newaxis], 0.0) * np.abs(part.shapes)).sum(axis=0)
+        for part, each in zip(joint.free.patterns, (found.errors[:cut], found.errors[cut:]), strict=True)
+    )
+    return TunedModel(tuned, process_error, noise_error, joint(theta), joint.used, found.sentences)
