@@ -48,6 +48,7 @@ wheels: .venv/tested
 
 site: .venv/tested
 	$(BIN)/python docs/blocks.py
+	$(BIN)/python docs/commands.py
 	$(BIN)/sphinx-build -q -W --keep-going docs build/site
 
 bench: .venv/tested
