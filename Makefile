@@ -10,7 +10,7 @@ ZIG := $(shell test -n "$$CC" || command -v cc >/dev/null 2>&1 || echo -r requir
 LOCK := $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-annotate --no-header
 LOCK += --no-emit-index-url --no-emit-find-links
 
-.PHONY: demo test lint types arrows fast slow wheels bench site lock clean
+.PHONY: demo test check quick lint types arrows fast slow wheels bench site lock clean
 
 demo: .venv/installed
 	$(BIN)/python hatch_build.py
@@ -19,6 +19,15 @@ demo: .venv/installed
 test: .venv/tested
 	$(MAKE) -j 2 lint types arrows
 	$(MAKE) fast slow
+
+# Soon after an edit: lint, types, arrows, and the quick tests of what changed since the last commit.
+check: .venv/tested
+	$(BIN)/python hatch_build.py
+	$(MAKE) -j 2 lint types arrows quick
+
+quick: .venv/tested
+	@files=$$($(BIN)/python tests/changed.py) || exit 1; test -z "$$files" || \
+		$(BIN)/pytest -q -n $(WORKERS) --dist worksteal -m "not slow" $$files
 
 lint: .venv/tested
 	$(BIN)/ruff check .
