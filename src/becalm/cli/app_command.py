@@ -9,27 +9,25 @@ import typer
 
 from becalm.cli import options as o
 
-Opened = Annotated[Path | None, typer.Argument(metavar="FILE", help="Recording to begin with.")]
+Opened = Annotated[Path | None, typer.Argument(metavar="FILE", help="Recording to open first.")]
 Folder = Annotated[
     Path | None,
     typer.Option(
-        "--folder", metavar="DIR", help="Whose files may be opened; FILE's own, or the one becalm is started in."
+        "--folder", metavar="DIR", help="Folder whose files may be opened; by default FILE's, or the current one."
     ),
 ]
 Port = Annotated[
-    int | None, typer.Option("--port", metavar="PORT", help="Where to serve the page; 8765 by default, 0 is any free.")
+    int | None, typer.Option("--port", metavar="PORT", help="Port of the page; 8765 by default, 0 for any free port.")
 ]
 Host = Annotated[
-    str, typer.Option("--host", metavar="HOST", help="Who may ask: this machine only, unless another address is named.")
+    str, typer.Option("--host", metavar="HOST", help="Address to listen on; this machine only by default.")
 ]
 TokenFile = Annotated[
     Path | None,
-    typer.Option("--token-file", metavar="FILE", help="Keep the token there, so that a page outlives a restart."),
+    typer.Option("--token-file", metavar="FILE", help="File of the access token, so that it survives a restart."),
 ]
-UploadLimit = Annotated[
-    str, typer.Option("--upload-limit", metavar="2GB", help="How large a file may be that is dropped onto the page.")
-]
-NoBrowser = Annotated[bool, typer.Option("--no-browser", help="Print the page's address only.")]
+UploadLimit = Annotated[str, typer.Option("--upload-limit", metavar="2GB", help="Largest file that may be uploaded.")]
+NoBrowser = Annotated[bool, typer.Option("--no-browser", help="Do not open a browser; print the address only.")]
 
 
 def open_app(  # noqa: PLR0913  (the contract's options)
@@ -43,7 +41,7 @@ def open_app(  # noqa: PLR0913  (the contract's options)
     upload_limit: UploadLimit = "2GB",
     no_browser: NoBrowser = False,
 ) -> None:
-    """Open a page: see raw and clean, turn one dial between noise and lag, save the recipe."""
+    """Open the tuner in a browser: raw and clean signal, one dial between noise and lag."""
     from becalm.cli.app import Where, bytes_of, place_of, run
     from becalm.files.asked import ReadOptions
 

@@ -9,30 +9,37 @@ import typer
 
 from becalm.cli import options as o
 
-Recipe = Annotated[Path, typer.Argument(metavar="R.toml", help="The recipe, as becalm tune or clean writes it.")]
+Recipe = Annotated[Path, typer.Argument(metavar="R.toml", help="Recipe of becalm tune or becalm clean.")]
 To = Annotated[
     str,
-    typer.Option("--to", metavar="c|sos|json|scipy", help="C and its proof; or sections, numbers, a Python module."),
+    typer.Option(
+        "--to",
+        metavar="c|sos|json|scipy",
+        help="C with its verification; or second-order sections, JSON, a Python module.",
+    ),
 ]
-Where = Annotated[
-    Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for C and what proves it; else a file.")
-]
+Where = Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Output folder for C; else an output file.")]
 PrecisionOf = Annotated[
-    str | None, typer.Option("--precision", metavar="float32|float64|q31", help="What C computes in; float32.")
+    str | None,
+    typer.Option("--precision", metavar="float32|float64|q31", help="Number type of the C code; float32 by default."),
 ]
 GainOf = Annotated[
     str | None,
-    typer.Option("--gain", metavar="settled|full", help="Whether a covariance is carried; where the recipe needs one."),
+    typer.Option(
+        "--gain", metavar="settled|full", help="Settled gain, or full covariance; by default what the recipe needs."
+    ),
 ]
-Channels = Annotated[str | None, typer.Option("--channels", metavar="a,b", help="These channels of the recipe only.")]
+Channels = Annotated[
+    str | None, typer.Option("--channels", metavar="a,b", help="Use these channels of the recipe only.")
+]
 Ranges = Annotated[
     list[str] | None,
-    typer.Option("--range", metavar="NAME=LOW:HIGH", help="How far readings reach, in the unit; may be repeated."),
+    typer.Option("--range", metavar="NAME=LOW:HIGH", help="Range of a channel, in its unit; may be repeated."),
 ]
 Recorded = Annotated[
-    Path | None, typer.Option("--recording", metavar="FILE", help="A recording, for a golden vector and for --verify.")
+    Path | None, typer.Option("--recording", metavar="FILE", help="Recording for test vectors and --verify.")
 ]
-Verify = Annotated[bool, typer.Option("--verify", help="Compile it, run it, compare it, and write a certificate.")]
+Verify = Annotated[bool, typer.Option("--verify", help="Compile, run and compare the C code, and write a certificate.")]
 
 
 def export(  # noqa: PLR0913  (the contract's options)
@@ -47,7 +54,7 @@ def export(  # noqa: PLR0913  (the contract's options)
     verify: Verify = False,
     as_json: o.Json = False,
 ) -> None:
-    """Write a recipe's filters for a microcontroller, with the proof that they are the same."""
+    """Export a recipe's filters as C for a microcontroller, and verify them against becalm."""
     from becalm.cli.export import Wanted, run
 
     run(recipe, output, to, Wanted(precision, gain, channels, ranges, recording, verify), as_json=as_json)

@@ -9,36 +9,34 @@ import typer
 
 from becalm.cli import options as o
 
-fleet = typer.Typer(
-    name="fleet", help="The same filters over a lake of sensors, on Spark.", no_args_is_help=True, rich_markup_mode=None
-)
+fleet = typer.Typer(name="fleet", help="Clean a lake of sensors on Spark.", no_args_is_help=True, rich_markup_mode=None)
 
 Lake = Annotated[
     Path, typer.Argument(metavar="LAKE", help="Folder of Parquet files, as sensor=17/date=2026-01-02/part-0.parquet.")
 ]
-Cleaned = Annotated[
-    Path, typer.Option("-o", "--output", metavar="OUT", help="Folder for as many clean files, of the same names.")
-]
+Cleaned = Annotated[Path, typer.Option("-o", "--output", metavar="OUT", help="Output folder; files keep their names.")]
 Book = Annotated[
     Path | None,
     typer.Option("--recipes", metavar="DIR", help="Recipes laid out as the lake: sensor=17.toml, default.toml."),
 ]
 By = Annotated[
     str,
-    typer.Option("--by", metavar="folder|file|COLUMN", help="What tells a sensor: its folder, each file, or a column."),
+    typer.Option(
+        "--by", metavar="folder|file|COLUMN", help="What identifies a sensor: its folder, each file, or a column."
+    ),
 ]
 Master = Annotated[
     str | None,
     typer.Option(
-        "--master", metavar="URL", help="Where Spark runs: local[4], spark://HOST:7077, yarn; else this machine."
+        "--master", metavar="URL", help="Spark master: local[4], spark://HOST:7077, yarn; this machine by default."
     ),
 ]
 Settings = Annotated[
-    list[str] | None, typer.Option("--conf", metavar="NAME=VALUE", help="A setting of Spark; may be repeated.")
+    list[str] | None, typer.Option("--conf", metavar="NAME=VALUE", help="Spark setting; may be repeated.")
 ]
 StretchRows = Annotated[
     int | None,
-    typer.Option("--stretch", metavar="ROWS", help="Cut sensors of twice as many rows in time, into such stretches."),
+    typer.Option("--stretch", metavar="ROWS", help="Split longer sensors in time, into stretches of so many rows."),
 ]
 
 
@@ -55,7 +53,7 @@ def clean(  # noqa: PLR0913  (the contract's options)
     conf: Settings = None,
     as_json: o.Json = False,
 ) -> None:
-    """Clean every sensor of a lake; finished ones are left as they are, and none stops the others."""
+    """Clean every sensor of a lake; finished sensors are skipped, and a failure stops no other sensor."""
     from becalm.cli.fleet import Asking, Where, clean_lake
 
     asking = Asking(recipe, recipes, by, causal, stretch)
@@ -63,17 +61,18 @@ def clean(  # noqa: PLR0913  (the contract's options)
 
 
 Recipes = Annotated[
-    Path, typer.Option("-o", "--output", metavar="RECIPES", help="Folder for the recipes, laid out as the lake.")
+    Path, typer.Option("-o", "--output", metavar="RECIPES", help="Output folder of the recipes, laid out as the lake.")
 ]
 MostSensors = Annotated[
-    int | None, typer.Option("--sensors", metavar="N", help="Tune so many of each class, evenly spread by name.")
+    int | None,
+    typer.Option("--sensors", metavar="N", help="Number of sensors per class to tune on, evenly spread by name."),
 ]
-Own = Annotated[bool, typer.Option("--own", help="Give sensors that are unlike their class recipes of their own.")]
-Replace = Annotated[bool, typer.Option("--replace", help="Put new recipes in the place of all that are in the folder.")]
+Own = Annotated[bool, typer.Option("--own", help="Write separate recipes for sensors that differ from their class.")]
+Replace = Annotated[bool, typer.Option("--replace", help="Replace all recipes in the folder.")]
 
 
 ClassBy = Annotated[
-    str, typer.Option("--by", metavar="folder|file", help="What tells a sensor: its folder, or each file.")
+    str, typer.Option("--by", metavar="folder|file", help="What identifies a sensor: its folder, or each file.")
 ]
 
 
@@ -90,7 +89,7 @@ def tune(  # noqa: PLR0913  (the contract's options)
     conf: Settings = None,
     as_json: o.Json = False,
 ) -> None:
-    """Find a recipe for each class of sensors, those of one folder, and the sensors that are unlike their class."""
+    """Identify a recipe for each class of sensors, and list sensors that differ from their class."""
     from becalm.cli.fleet import Where
     from becalm.cli.fleet_tune import tune_lake
     from becalm.fleet.tuning import Asked
@@ -100,23 +99,19 @@ def tune(  # noqa: PLR0913  (the contract's options)
     tune_lake(lake, output, asked, Where(master, conf), as_json=as_json)
 
 
-From = Annotated[
-    str, typer.Argument(metavar="SOURCE", help="A lake to which files come, kafka://HOST:PORT/TOPIC or nats://HOST/S.")
-]
-Streamed = Annotated[str, typer.Option("-o", "--output", metavar="OUT", help="Folder for what is told.")]
-Key = Annotated[str, typer.Option("--by", metavar="COLUMN", help="The column that tells whose a row is.")]
-Stamped = Annotated[str, typer.Option("--time", metavar="COLUMN", help="The column of stamps.")]
-Lateness = Annotated[
-    str, typer.Option("--lateness", metavar="5s", help="How long a row waits for earlier ones; s, ms or us.")
-]
+From = Annotated[str, typer.Argument(metavar="SOURCE", help="Growing lake, kafka://HOST:PORT/TOPIC or nats://HOST/S.")]
+Streamed = Annotated[str, typer.Option("-o", "--output", metavar="OUT", help="Output folder.")]
+Key = Annotated[str, typer.Option("--by", metavar="COLUMN", help="Column that identifies the sensor.")]
+Stamped = Annotated[str, typer.Option("--time", metavar="COLUMN", help="Column of time stamps.")]
+Lateness = Annotated[str, typer.Option("--lateness", metavar="5s", help="How long to wait for late rows; s, ms or us.")]
 Silent = Annotated[
     str | None,
-    typer.Option("--silent", metavar="60s", help="Without a row for so long, a sensor is called silent."),
+    typer.Option("--silent", metavar="60s", help="Report a sensor as silent after so long without a row."),
 ]
-Every = Annotated[str, typer.Option("--every", metavar="60s", help="How often rows are taken; s, ms or us.")]
-Once = Annotated[bool, typer.Option("--once", help="End with what is there now.")]
+Every = Annotated[str, typer.Option("--every", metavar="60s", help="Interval of micro-batches; s, ms or us.")]
+Once = Annotated[bool, typer.Option("--once", help="Process what is there now, then stop.")]
 Checkpoint = Annotated[
-    str, typer.Option("--checkpoint", metavar="DIR", help="Where positions and filters are kept; OUT/_checkpoint.")
+    str, typer.Option("--checkpoint", metavar="DIR", help="Checkpoint folder; OUT/_checkpoint by default.")
 ]
 
 
@@ -136,7 +131,7 @@ def stream(  # noqa: PLR0913  (the contract's options)
     master: Master = None,
     conf: Settings = None,
 ) -> None:
-    """Filter the rows of all sensors while they come; begun again, it goes on where it was."""
+    """Filter the rows of all sensors as they arrive; a restart continues from the last commit."""
     from becalm.cli.fleet import Where
     from becalm.cli.fleet_stream import Asking, Times, stream_sensors
 

@@ -13,16 +13,14 @@ Folder = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of becalm li
 Action = Annotated[str, typer.Argument(metavar="list|verify|export|prune", help="What to do.")]
 Exported = Annotated[
     Path | None,
-    typer.Option("-o", "--output", metavar="OUT", help="Where export writes; format by file ending."),
+    typer.Option("-o", "--output", metavar="OUT", help="Output of export; format by file ending."),
 ]
 From = Annotated[
     str | None,
-    typer.Option("--from", metavar="TIME", help="Export from this stamp on: seconds, or a date as 2026-05-01T12:00."),
+    typer.Option("--from", metavar="TIME", help="First time stamp to export: seconds, or a date as 2026-05-01T12:00."),
 ]
-To = Annotated[str | None, typer.Option("--to", metavar="TIME", help="Export what is before this stamp.")]
-Older = Annotated[
-    str | None, typer.Option("--older", metavar="30d", help="Prune files with nothing younger; min, h or d.")
-]
+To = Annotated[str | None, typer.Option("--to", metavar="TIME", help="Time stamp to export up to.")]
+Older = Annotated[str | None, typer.Option("--older", metavar="30d", help="Prune files older than this; min, h or d.")]
 
 
 def journal(  # noqa: PLR0913  (the contract's options)
@@ -34,7 +32,7 @@ def journal(  # noqa: PLR0913  (the contract's options)
     older: Older = None,
     as_json: o.Json = False,
 ) -> None:
-    """Look at what a live stream has kept, check it, export it, remove what is old; the stream may go on meanwhile."""
+    """List, verify, export or prune a stream's journal, also while the stream runs."""
     from becalm.cli.journal import DAMAGED, Asking, run
 
     if not run(folder, action, Asking(output, start, stop, older), as_json=as_json):

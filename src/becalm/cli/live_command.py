@@ -27,40 +27,46 @@ Sinks = Annotated[
         " may be repeated.",
     ),
 ]
-Learn = Annotated[str, typer.Option("--learn", metavar="30s", help="How long to learn where there is no recipe.")]
+Learn = Annotated[str, typer.Option("--learn", metavar="30s", help="Duration of tuning, where there is no recipe.")]
 LiveChannels = Annotated[
-    str | None, typer.Option("--channels", metavar="a,b", help="Learn filters for these channels only.")
+    str | None, typer.Option("--channels", metavar="a,b", help="Tune filters for these channels only.")
 ]
-Queue = Annotated[int, typer.Option("--queue", metavar="64", help="Blocks that may wait for the filters.")]
+Queue = Annotated[
+    int, typer.Option("--queue", metavar="64", help="Largest number of blocks that wait for the filters.")
+]
 WhenFull = Annotated[
     str,
-    typer.Option("--when-full", metavar="block|drop-oldest", help="What becomes of a block that finds the queue full."),
+    typer.Option("--when-full", metavar="block|drop-oldest", help="What to do with a block when the queue is full."),
 ]
 Commit = Annotated[
-    str, typer.Option("--commit", metavar="1s", help="How often rows, filters and position are kept together.")
+    str, typer.Option("--commit", metavar="1s", help="Interval of commits of rows, filters and position.")
 ]
 Silent = Annotated[
-    str, typer.Option("--silent", metavar="10s", help="After how long without a row the source is called silent.")
+    str, typer.Option("--silent", metavar="10s", help="Report the source as silent after so long without a row.")
 ]
 Status = Annotated[
-    Path | None, typer.Option("--status", metavar="FILE", help="Say every second how the stream fares, as JSON.")
+    Path | None, typer.Option("--status", metavar="FILE", help="Write the status every second, as JSON.")
 ]
 Metrics = Annotated[
-    int | None, typer.Option("--metrics", metavar="PORT", help="Tell Prometheus the same, on this machine's port.")
+    int | None,
+    typer.Option("--metrics", metavar="PORT", help="Serve metrics for Prometheus on this port of this machine."),
 ]
 PagePort = Annotated[
-    int | None, typer.Option("--page", metavar="PORT", help="Show the stream on a page of this machine; 0: any port.")
+    int | None,
+    typer.Option("--page", metavar="PORT", help="Show the stream on a page of this machine; 0 for any free port."),
 ]
 PageHost = Annotated[
     str,
-    typer.Option("--page-host", metavar="HOST", help="Who may look on: this machine only, unless another is named."),
+    typer.Option("--page-host", metavar="HOST", help="Address of the page; this machine only by default."),
 ]
 PageToken = Annotated[
     Path | None,
-    typer.Option("--token-file", metavar="FILE", help="Keep the page's token here, so that it outlives a restart."),
+    typer.Option(
+        "--token-file", metavar="FILE", help="File of the page's access token, so that it survives a restart."
+    ),
 ]
 LogTo = Annotated[
-    str, typer.Option("--log", metavar="FILE", help="Where to log; - writes to the error output.", show_default=False)
+    str, typer.Option("--log", metavar="FILE", help="Log file; - for the error output.", show_default=False)
 ]
 
 
@@ -82,7 +88,7 @@ def live(  # noqa: PLR0913  (the contract's options)
     token_file: PageToken = None,
     log: LogTo = "-",
 ) -> None:
-    """Filter a stream while it comes, for weeks; what was kept outlives a power cut."""
+    """Filter a live stream for weeks; committed rows survive a power cut."""
     from becalm.cli.live import Asking, Watching, run, settings_of
     from becalm.web.access import PageAsked
 

@@ -134,7 +134,7 @@ def tune(  # noqa: PLR0913  (the contract's options)
     fill: o.Fill = False,
     as_json: o.Json = False,
 ) -> None:
-    """Find the filter of each channel and write it as a recipe; say what a delay would buy."""
+    """Identify the filter of each channel and write it as a recipe; list what a delay would gain."""
     from becalm.cleaning.delays import delays
     from becalm.cleaning.pipeline import joined
     from becalm.cli.talk import tell_delays, tell_notes
@@ -173,7 +173,7 @@ def compare(  # noqa: PLR0913  (the contract's options)
     output: o.ComparedIn = None,
     as_json: o.Json = False,
 ) -> None:
-    """Hold becalm beside what people use today: at equal noise, at equal lag, and knowing the truth."""
+    """Compare becalm with Butterworth, averages and others, at equal noise and at equal lag."""
     from becalm.cli.compare import Asking, run
 
     given = load(recipe)
@@ -197,7 +197,7 @@ def noise(  # noqa: PLR0913  (the contract's options)
     cutoff: o.Cutoff = None,
     as_json: o.Json = False,
 ) -> None:
-    """Tell the noise of a sensor at rest: R, Allan figures, as data sheets."""
+    """Measure a sensor's noise at rest: R, Allan deviation, data-sheet figures."""
     from becalm.cli.noise import run
 
     cutoff_hz = None if cutoff is None else o.frequency_of("--cutoff", cutoff)
@@ -218,7 +218,7 @@ def calibrate(  # noqa: PLR0913  (the contract's options)
     unit: o.Acceleration = "m/s^2",
     as_json: o.Json = False,
 ) -> None:
-    """Calibrate a triaxial accelerometer that was laid down in ten poses or more; write its sensor file."""
+    """Calibrate a triaxial accelerometer from ten or more static poses; write its sensor file."""
     from becalm.cli.calibrate import run
 
     run(file, said_of(channels, o.When(rate, time, group, stamps), None, None), output, unit, gravity, as_json=as_json)
@@ -226,7 +226,7 @@ def calibrate(  # noqa: PLR0913  (the contract's options)
 
 @app.command()
 def recalibrate(file: o.Clean, output: o.Output, old: o.OldSensors, new: o.NewSensors) -> None:
-    """Give a clean recording another sensitivity and zero, without its readings."""
+    """Apply another calibration to a clean recording, without the raw file."""
     from becalm.cli.recalibrate import Calibrations, run
 
     run(file, output, Calibrations(old, new))
@@ -237,7 +237,7 @@ def study(
     paper: Annotated[str, typer.Argument(metavar="car|imu|strain", help="Which paper.")],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the page.")] = Path("study"),
 ) -> None:
-    """Re-run one of the three papers that becalm grew from: its tables beside ours, its figures redrawn."""
+    """Reproduce one of the three papers that becalm grew from: its tables beside ours, its figures redrawn."""
     from becalm.cli.study import run
 
     run(paper, output)

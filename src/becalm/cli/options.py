@@ -20,9 +20,9 @@ _READ = "CSV, Parquet, MF4, TDMS, UFF58, MAT, HDF5, NPZ, WAV, ROS bag, MCAP, ULo
 Source = Annotated[Path, typer.Argument(metavar="FILE", help=f"Recording: {_READ}.")]
 Output = Annotated[Path, typer.Option("-o", "--output", metavar="OUT", help="Where to write; format by file ending.")]
 RecipeOut = Annotated[Path, typer.Option("-o", "--output", metavar="R.toml", help="Where to write the recipe.")]
-RecipeIn = Annotated[Path | None, typer.Option("--recipe", metavar="R.toml", help="Do as this recipe says.")]
+RecipeIn = Annotated[Path | None, typer.Option("--recipe", metavar="R.toml", help="Use the filters of this recipe.")]
 Truth = Annotated[
-    Path | None, typer.Option("--truth", metavar="FILE", help="What is true: the same channels at the same times.")
+    Path | None, typer.Option("--truth", metavar="FILE", help="True signal: the same channels at the same times.")
 ]
 ComparedIn = Annotated[
     Path | None, typer.Option("-o", "--output", metavar="DIR", help="Folder for a page with the same in pictures.")
@@ -37,7 +37,7 @@ Time = Annotated[str | None, typer.Option("--time", metavar="COLUMN", help="Name
 Stamps = Annotated[
     str | None,
     typer.Option(
-        "--stamps", metavar="as-written|mended", help="Whether stamps that a driver made are mended; they are."
+        "--stamps", metavar="as-written|mended", help="Whether to repair stamps that a driver made; mended by default."
     ),
 ]
 TimeJitter = Annotated[
@@ -45,49 +45,51 @@ TimeJitter = Annotated[
     typer.Option(
         "--time-jitter",
         metavar="50us",
-        help="The sampling jitters by so much (k = 1), which widens sigma; s, ms or us.",
+        help="Standard deviation of the sampling jitter, which widens sigma; s, ms or us.",
     ),
 ]
 Group = Annotated[
-    str | None, typer.Option("--group", metavar="NAME", help="Of a file with channels at several times, which of them.")
+    str | None,
+    typer.Option("--group", metavar="NAME", help="Channel group to read, where a file has several time bases."),
 ]
 Units = Annotated[
     list[str] | None,
-    typer.Option("--unit", metavar="NAME=UNIT", help="Have a channel in this unit, as ax=m/s^2; may be repeated."),
+    typer.Option("--unit", metavar="NAME=UNIT", help="Unit of a channel, as ax=m/s^2; may be repeated."),
 ]
 Sensors = Annotated[
-    Path | None, typer.Option("--sensors", metavar="S.toml", help="Turn volts into units by these calibrations first.")
+    Path | None,
+    typer.Option("--sensors", metavar="S.toml", help="Convert volts to units with these calibrations first."),
 ]
 SensorsOut = Annotated[
     Path, typer.Option("-o", "--output", metavar="S.toml", help="Where to write the sensor, for --sensors.")
 ]
 Clean = Annotated[Path, typer.Argument(metavar="CLEAN", help="Output of becalm clean, with its recipe beside it.")]
-OldSensors = Annotated[Path, typer.Option("--from", metavar="OLD.toml", help="The sensors that it was cleaned with.")]
-NewSensors = Annotated[Path, typer.Option("--to", metavar="NEW.toml", help="The same sensors, calibrated anew.")]
+OldSensors = Annotated[Path, typer.Option("--from", metavar="OLD.toml", help="Sensor file that it was cleaned with.")]
+NewSensors = Annotated[Path, typer.Option("--to", metavar="NEW.toml", help="Sensor file of the new calibration.")]
 Axes = Annotated[str | None, typer.Option("--channels", metavar="x,y,z", help="The three axes.")]
 Gravity = Annotated[
-    float | None, typer.Option("--gravity", metavar="9.81", help="Where the sensor lay, in m/s^2; 9.80665 by default.")
+    float | None, typer.Option("--gravity", metavar="9.81", help="Local gravity in m/s^2; 9.80665 by default.")
 ]
-Acceleration = Annotated[str, typer.Option("--unit", metavar="m/s^2|g", help="What to calibrate in.")]
-Causal = Annotated[bool, typer.Option("--causal", help="Let each estimate know only the past, as a live filter does.")]
+Acceleration = Annotated[str, typer.Option("--unit", metavar="m/s^2|g", help="Unit of the calibration.")]
+Causal = Annotated[
+    bool, typer.Option("--causal", help="Filter causally, as a live filter does: no later measurements.")
+]
 MaxLag = Annotated[
     str | None,
-    typer.Option("--max-lag", metavar="5ms", help="Let a causal filter's output trail by no more; s, ms or us."),
+    typer.Option("--max-lag", metavar="5ms", help="Largest delay of a causal filter; s, ms or us."),
 ]
 Lag = Annotated[
     str | None,
-    typer.Option(
-        "--lag", metavar="10ms", help="Tell each row so much later, knowing what was read until then; s, ms or us."
-    ),
+    typer.Option("--lag", metavar="10ms", help="Fixed lag: delay each row to use later measurements; s, ms or us."),
 ]
 Bandwidth = Annotated[
-    str | None, typer.Option("--bandwidth", metavar="40Hz", help="Pass what is slower: -3 dB there; Hz or kHz.")
+    str | None, typer.Option("--bandwidth", metavar="40Hz", help="Bandwidth of the filter at -3 dB; Hz or kHz.")
 ]
 NoiseGain = Annotated[
-    str | None, typer.Option("--noise-gain", metavar="-20dB", help="Leave so much of white noise, in dB.")
+    str | None, typer.Option("--noise-gain", metavar="-20dB", help="Noise power gain for white noise, in dB.")
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
-Looked = Annotated[str | None, typer.Option("--channels", metavar="a,b", help="Look at these channels only.")]
+Looked = Annotated[str | None, typer.Option("--channels", metavar="a,b", help="Use these channels only.")]
 _STILL = "START:STOP in seconds after the first row (0:30 is the first half minute), or 1min:2min; several with commas."
 Rest = Annotated[
     str | None,
@@ -99,25 +101,21 @@ Still = Annotated[
 ]
 Remove = Annotated[
     str | None,
-    typer.Option("--remove", metavar="50Hz,100Hz", help="Take off tones near these frequencies, as of mains hum."),
+    typer.Option("--remove", metavar="50Hz,100Hz", help="Remove tones near these frequencies, such as mains hum."),
 ]
-Robust = Annotated[
-    bool, typer.Option("--robust", help="Leave wild readings out, even where one in ten is wild; jumps are followed.")
-]
-Fill = Annotated[
-    bool, typer.Option("--fill", help="Tell the best guess in holes of which the model knows nothing, too.")
-]
+Robust = Annotated[bool, typer.Option("--robust", help="Reject outliers, even one in ten; jumps are followed.")]
+Fill = Annotated[bool, typer.Option("--fill", help="Fill long holes with the best guess instead of NaN.")]
 Split = Annotated[bool, typer.Option("--split", help="Write the parts of each channel too: motion, tones, noise.")]
 Verdicts = Annotated[
-    bool, typer.Option("--verdicts", help="Write what became of each reading: used, missing, spike, ...")
+    bool, typer.Option("--verdicts", help="Write the verdict on each sample: used, missing, spike, ...")
 ]
 Report = Annotated[
     Path | None,
-    typer.Option("--report", metavar="R.html", help="Write a page with pictures of what was done, and whom to trust."),
+    typer.Option("--report", metavar="R.html", help="Write a report: one HTML page with figures."),
 ]
 Figures = Annotated[
     str | None,
-    typer.Option("--figures", metavar="png|svg|pdf", help="Draw the same pictures into the folder OUT.figures."),
+    typer.Option("--figures", metavar="png|svg|pdf", help="Draw the same figures into the folder OUT.figures."),
 ]
 Cutoff = Annotated[
     str | None,
