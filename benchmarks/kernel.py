@@ -6,6 +6,10 @@ limits and monitor; *channel* is all that a stream does; *smoother* goes there a
 asks for. `lfilter` and `sosfiltfilt` run a Butterworth filter of the same order, and tell no sigma. The shortest of
 five runs, of one thread; ratios are of these.
 
+*Whole* is `becalm.clean` of such a record in memory by a recipe that becalm tuned on it: limits, outliers, filter,
+verdict on every sample, and what the report says. The recipe's motion is damped, as most are: it returns to a level of
+its own, so slowly that its gain goes on changing over the whole record, and every row takes its covariance along.
+
 Run: python benchmarks/kernel.py [-o docs/kernel.md]
 """
 
@@ -18,10 +22,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import butter, lfilter, sosfiltfilt
 
+from becalm.cleaning.pipeline import clean
+from becalm.cleaning.tuning import tune
 from becalm.core.filter.channel import Channel
 from becalm.core.filter.channel_record import ChannelRecord
 from becalm.core.filter.channel_settings import Settings
 from becalm.core.model.components import EVERY_ORDER, motion
+from becalm.core.recording import Recording
 from pages import page_parser, publish
 from stopwatch import nanoseconds
 
@@ -47,6 +54,24 @@ def beside(order: int, z: Floats) -> list[float]:
     return [nanoseconds(job, ROWS) for job in jobs]
 
 
+def whole(order: int) -> list[float]:
+    """Return nanoseconds a row of a recording in memory, cleaned by its recipe: causally, and smoothed."""
+    rng = np.random.default_rng(2)
+    z = 0.05 * rng.normal(size=ROWS)
+    for _ in range(order):
+        z = np.cumsum(z)
+    recording = Recording(z + rng.normal(size=ROWS), rate_hz=1000.0)
+    recipes = [tune(recording, causal=causal) for causal in (True, False)]
+    return [nanoseconds(partial(clean, recording, recipe), ROWS) for recipe in recipes]
+
+
+def whole_table() -> str:
+    """Measure whole channels, and write the rows."""
+    lines = ["## Whole channels", "", "| order | causal | smoothed |", "|---|---|---|"]
+    lines += [f"| {order} | {one:.3g} | {two:.3g} |" for order in (1, 2) for one, two in [whole(order)]]
+    return "\n".join([*lines, ""])
+
+
 def table() -> str:
     """Measure, and write the rows."""
     lines = [
@@ -69,7 +94,7 @@ def table() -> str:
 def main() -> None:
     """Print the table; with -o, write it as a page."""
     output = page_parser(__doc__).parse_args().output
-    publish("The filter in C", __doc__, table(), output)
+    publish("The filter in C", __doc__, table() + "\n" + whole_table(), output)
 
 
 if __name__ == "__main__":
