@@ -28,8 +28,8 @@ from real_recordings import DATA
 
 from becalm.errors import BecalmError
 from becalm.files import registry
-from becalm.files.every_time import open_file
-from becalm.files.foreign import Foreign
+from becalm.files.library_reader import Foreign
+from becalm.files.time_bases import open_file
 
 IDE = "endaq/test1.IDE"
 

@@ -76,7 +76,7 @@ def _server() -> subprocess.Popen[str]:
 def _load() -> None:
     """Load what most commands do, but start no thread: a fork has none."""
     from becalm.cleaning import pipeline  # noqa: F401
-    from becalm.cli import clean, main, talk  # noqa: F401
+    from becalm.cli import clean, main, messages  # noqa: F401
     from becalm.files import source  # noqa: F401
 
     if find_spec("pandas"):

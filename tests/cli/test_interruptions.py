@@ -33,9 +33,9 @@ SLEEPY = """
 import signal, sys, time
 signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGHUP, signal.SIG_DFL)  # who runs this may ignore it
-import becalm.files.through as through
+import becalm.files.chunked_cleaning as chunked_cleaning
 from becalm.cli.main import main
-through.clean_chunks = lambda *_, **__: time.sleep(60)
+chunked_cleaning.clean_chunks = lambda *_, **__: time.sleep(60)
 main()
 """
 

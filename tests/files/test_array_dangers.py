@@ -16,7 +16,7 @@ import pytest
 from scipy.io import savemat
 
 from becalm.errors import BecalmError, InputError
-from becalm.files import foreign
+from becalm.files import library_reader
 from becalm.files.registry import read_tables
 
 COUNT = 60
@@ -128,7 +128,7 @@ def test_a_library_that_is_missing_is_named(tmp_path: Path, monkeypatch: pytest.
         raise ModuleNotFoundError(name) if name == "h5py" else AssertionError(name)
 
     importlib.import_module("becalm.files.arrays.hdf5")
-    monkeypatch.setattr(foreign, "import_module", missing)
+    monkeypatch.setattr(library_reader, "import_module", missing)
     with pytest.raises(InputError, match=r"pip install 'becalm\[formats\]'"):
         read_tables(tmp_path / "a.h5")
 

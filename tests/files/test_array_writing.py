@@ -14,8 +14,8 @@ from scipy.io import loadmat
 from becalm.errors import OutputError
 from becalm.files import open_output
 from becalm.files.arrays import array_writer
-from becalm.files.asked import ReadOptions
 from becalm.files.opening import OpenSource
+from becalm.files.read_options import ReadOptions
 from becalm.files.registry import read_tables
 from becalm.files.tables import in_words
 

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from becalm.errors import InputError, UsageError
-from becalm.files.asked import ReadOptions
-from becalm.files.choosing import chosen_table
 from becalm.files.columns import Column
-from becalm.files.foreign import Foreign
 from becalm.files.groups import TIME, Group, tables
+from becalm.files.library_reader import Foreign
 from becalm.files.opening import OpenSource
+from becalm.files.read_options import ReadOptions
 from becalm.files.source import RawTable, ToldTime
+from becalm.files.time_base_choice import chosen_table
 
 PATH = Path("log.xyz")
 FOREIGN = Foreign(PATH, "XYZ")

@@ -21,8 +21,8 @@ from scipy.io import loadmat
 
 from becalm.errors import OutputError
 from becalm.files import open_output
-from becalm.files.asked import ReadOptions
 from becalm.files.opening import OpenSource
+from becalm.files.read_options import ReadOptions
 from becalm.files.registry import ENDINGS, format_to_write, holds_times, read_tables
 from becalm.files.source import RawTable
 from becalm.files.tables import in_words

@@ -12,10 +12,10 @@ import pytest
 from becalm.cleaning.sensor_file import load_sensors
 from becalm.core.arrays import Floats
 from becalm.errors import SensorError, UsageError
-from becalm.files.asked import ReadOptions
+from becalm.files.calibrated_source import with_sensors
 from becalm.files.opening import OpenSource, open_source
+from becalm.files.read_options import ReadOptions
 from becalm.files.rows import HeldRows
-from becalm.files.sensing import with_sensors
 from becalm.files.source import RawTable
 
 LOT = (-31.8, 2.77, -6.55e-2, 3.28e-4, -3.26e-7)

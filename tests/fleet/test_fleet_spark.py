@@ -20,8 +20,8 @@ import pytest
 import becalm
 from becalm.errors import InputError, UsageError
 from becalm.fleet.recipes import open_book
+from becalm.fleet.sensor_task import clean_whole
 from becalm.fleet.session import session
-from becalm.fleet.whole import clean_whole
 from made import Lake, job_of, read_parts, recipe_of, same, table_of, walk, write_parts
 
 pytestmark = [pytest.mark.slow, pytest.mark.spark]

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from becalm.fleet.class_outliers import FACTOR, FEWEST, class_of, factors_apart, marked, times
 from becalm.fleet.outcome import Outcome, refused
-from becalm.fleet.outlying import FACTOR, FEWEST, class_of, factors_apart, marked, times
 from becalm.report.fleet_rows import FleetRow
 
 

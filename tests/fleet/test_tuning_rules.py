@@ -14,11 +14,11 @@ from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
 from becalm.cleaning.recipe_parts import GateRecipe, LimitsRecipe, ToneRecipe
 from becalm.fleet.lake import Place
 from becalm.fleet.outcome import Outcome, refused
+from becalm.fleet.tuning.class_differences import reasons
+from becalm.fleet.tuning.class_recipe import Typical, medoid, typical
 from becalm.fleet.tuning.classes import chosen_of
 from becalm.fleet.tuning.found import Found, TunedChannel
 from becalm.fleet.tuning.limits import limits_of_class
-from becalm.fleet.tuning.typical import Typical, medoid, typical
-from becalm.fleet.tuning.unlike import reasons
 from becalm.report.fleet_rows import FleetRow
 
 LIMITS = LimitsRecipe(stuck_readings=6, even_time=True, drift_threshold=13.0, dead_variance=0.05)

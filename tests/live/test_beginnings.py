@@ -10,11 +10,11 @@ import pytest
 from becalm.cleaning.recipe import Recipe
 from becalm.core.arrays import Floats
 from becalm.errors import BecalmError, InputError
-from becalm.live.beginning import Beginning
 from becalm.live.block import Block, Loss, LossKind
-from becalm.live.keeping import Outlets
+from becalm.live.commit_thread import Outlets
 from becalm.live.learning import Early, Learner
 from becalm.live.runner import Runner
+from becalm.live.stream_start import Beginning
 from becalm.live.watching.meter import Meter
 from becalm.live.watching.watch import Watch
 from stand_ins import ListSource, MemoryKeeper, blocks_of, drive, recipe_of

@@ -17,9 +17,9 @@ from becalm.core.arrays import Floats
 from becalm.core.recording import Recording
 from becalm.core.rows import EstimatedRows
 from becalm.files import ReadOptions
-from becalm.files.every_time import open_file
+from becalm.files.chunked_cleaning import rows_of_chunks
 from becalm.files.opening import OpenSource
-from becalm.files.through import rows_of_chunks
+from becalm.files.time_bases import open_file
 from becalm.live.address import Address
 from becalm.live.block import Output
 from becalm.live.protocols import EndOfStream

@@ -16,14 +16,14 @@ from hypothesis import strategies as st
 from becalm.cleaning.recipe import Recipe
 from becalm.core.arrays import Floats
 from becalm.errors import InputError, RecipeError, UsageError
-from becalm.live.beginning import Beginning
 from becalm.live.block import Block, Checkpoint, Loss, LossKind, Output
-from becalm.live.keeping import Outlets
+from becalm.live.commit_thread import Outlets
 from becalm.live.learning import Learner
 from becalm.live.outlet import Outlet
 from becalm.live.protocols import AwayError, StorageFullError
 from becalm.live.runner import Runner
 from becalm.live.settings import Settings
+from becalm.live.stream_start import Beginning
 from becalm.live.watching.meter import Meter
 from becalm.live.watching.watch import Watch
 from stand_ins import ListSource, MemoryKeeper, MemorySink, blocks_of, drive, recipe_of

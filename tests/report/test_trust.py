@@ -12,8 +12,8 @@ from becalm.cleaning.report import ChannelReport
 from becalm.metrics.lagged import LaggedSums
 from becalm.report.description import Curve, Figure
 from becalm.report.envelope import Envelope, Means
+from becalm.report.innovation_figures import innovation_figures
 from becalm.report.pictures import Title
-from becalm.report.trust import innovation_figures
 
 
 def drawn(sums: LaggedSums | None) -> tuple[Figure, ...]:

@@ -25,9 +25,9 @@ from becalm.live.retuning import Heard
 from becalm.live.watching.meter import Meter
 from becalm.web.access import LOOPBACK, Access
 from becalm.web.frames import unframed
-from becalm.web.livepage.conversation import converse
 from becalm.web.livepage.feed import Feed
 from becalm.web.livepage.page import LivePage
+from becalm.web.livepage.session import converse
 from becalm.web.serving import Server, listen
 from becalm.web.site import Page, site
 

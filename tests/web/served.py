@@ -19,7 +19,7 @@ from websockets.sync.client import ClientConnection, connect
 from becalm.errors import BecalmError
 from becalm.web.access import LOOPBACK, Access
 from becalm.web.frames import text
-from becalm.web.hearing import heard
+from becalm.web.incoming_messages import heard
 from becalm.web.serving import Server, listen
 from becalm.web.site import Page, site
 from becalm.web.uploads import Uploads

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from becalm.errors import UsageError
-from becalm.web.hearing import heard, number_of
+from becalm.web.incoming_messages import heard, number_of
 from becalm.web.livepage import messages as of_live_pages
 from becalm.web.tuner import messages as of_the_tuner
 

@@ -9,8 +9,8 @@ import pytest
 from becalm.cleaning.recipe import Recipe
 from becalm.errors import UsageError
 from becalm.live.watching.meter import Meter
-from becalm.web.livepage import desk as desks
-from becalm.web.livepage.desk import Desk
+from becalm.web.livepage import live_dial as desks
+from becalm.web.livepage.live_dial import Desk
 from live_shown import NAMES, Asked, recipe_of
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from becalm.live.block import Head, Output
 from becalm.live.watching.meter import Meter
-from becalm.web.livepage import conversation, page
+from becalm.web.livepage import page, session
 from becalm.web.livepage.feed import Feed
 from live_shown import NAMES, Asked, output_of, recipe_of
 
@@ -43,7 +43,7 @@ def test_who_is_let_in_no_more_is_told_no_more() -> None:
     async def end() -> set[str]:
         meter = Meter("replay:drive.csv")
         watched = page.LivePage(Feed(print), meter, Asked(meter).retune)
-        watching = asyncio.create_task(conversation.converse(watched, Watching()))  # type: ignore[arg-type]
+        watching = asyncio.create_task(session.converse(watched, Watching()))  # type: ignore[arg-type]
         while len(asyncio.all_tasks()) < 6:  # itself, hearing and telling, and two clocks
             await asyncio.sleep(0)
         watching.cancel()

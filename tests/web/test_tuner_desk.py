@@ -16,11 +16,11 @@ from becalm.errors import RecipeError, UsageError
 from becalm.identification.choose import Choice
 from becalm.identification.likelihood import Evidence, Tuning
 from becalm.web.tuner.costs import cost_map
-from becalm.web.tuner.desk import Desk
 from becalm.web.tuner.evidence import beside_best, described
 from becalm.web.tuner.messages import Turned
 from becalm.web.tuner.opened import Opened
 from becalm.web.tuner.settings import FOUND, GIVEN, Options, Setting, components
+from becalm.web.tuner.view_model import Desk
 from tuner_records import COLOURED, GATE, LIMITS, RATE_HZ, SWITCHING, TONES, even, motion, walk
 from tuner_served import drive_in
 
@@ -291,7 +291,7 @@ def test_a_map_needs_a_motion() -> None:
 
 def test_a_lag_that_no_page_can_wait_for_is_refused(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
     rows = len(desk.opened.recording)
-    monkeypatch.setattr("becalm.web.tuner.desk._MOST_WAITED", 30 * rows)
+    monkeypatch.setattr("becalm.web.tuner.view_model._MOST_WAITED", 30 * rows)
     desk.put_in_mode("lagged", 30 * desk.opened.step_s)
     with pytest.raises(UsageError, match=r"give at most 0\.06 s.*becalm clean FILE -o OUT --lag 0\.062s"):
         desk.put_in_mode("lagged", 31 * desk.opened.step_s)

@@ -13,7 +13,7 @@ import pytest
 from becalm.cleaning.recipe import Recipe
 from becalm.errors import OutputError
 from becalm.files import registry
-from becalm.files.asked import ReadOptions
+from becalm.files.read_options import ReadOptions
 from becalm.files.writing import write
 from becalm.web.access import LOOPBACK
 from becalm.web.tuner import saving

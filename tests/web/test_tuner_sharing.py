@@ -14,12 +14,12 @@ from starlette.websockets import WebSocketDisconnect
 
 from becalm.errors import InputError
 from becalm.web.frames import frame
-from becalm.web.tuner import sharing, showing
-from becalm.web.tuner.conversation import Conversation
-from becalm.web.tuner.desk import Desk
+from becalm.web.tuner import picture_queue, sharing
 from becalm.web.tuner.messages import Map
 from becalm.web.tuner.painting import Wanted
+from becalm.web.tuner.session import Conversation
 from becalm.web.tuner.sharing import Shared
+from becalm.web.tuner.view_model import Desk
 from served import PATIENCE_S, until
 from tuner_served import drive_in, served
 
@@ -168,7 +168,7 @@ def test_of_two_maps_only_the_newer_is_told(tmp_path: Path, monkeypatch: pytest.
     drive_in(tmp_path)
     with served(tmp_path) as tuner, tuner.talk() as page:
         page.opened("folder/drive.csv")
-        monkeypatch.setattr(showing, "map_frame", draw)
+        monkeypatch.setattr(picture_queue, "map_frame", draw)
         page.ask("map", channel=0)
         assert drawing.wait(PATIENCE_S)
         newer = page.ask("map", channel=0)

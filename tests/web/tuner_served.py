@@ -16,7 +16,7 @@ from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin
 
 from becalm.core.recording import Recording
-from becalm.files.asked import ReadOptions
+from becalm.files.read_options import ReadOptions
 from becalm.files.writing import write
 from becalm.web.access import LOOPBACK, Access
 from becalm.web.frames import unframed

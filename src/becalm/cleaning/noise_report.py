@@ -15,9 +15,9 @@ from becalm.core.verdict import BEYOND_ANY_SENSOR
 from becalm.errors import RecordingError, UsageError
 from becalm.identification.rest.allan import allan_deviation
 from becalm.identification.rest.allan_terms import noise_terms
+from becalm.identification.rest.detection import Stretch, find_still, said_still
 from becalm.identification.rest.rest_noise import RestNoise, noise_at_rest, split_at_cutoff
-from becalm.identification.rest.still import Stretch, find_still, said_still
-from becalm.identification.rest.still_windows import quantum, runs_of
+from becalm.identification.rest.windows import quantum, runs_of
 
 MOST_SLOW = 1.5
 """Variance over half a second, over R, above which the noise is said to be slower than the readings."""

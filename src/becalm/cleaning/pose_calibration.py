@@ -6,7 +6,7 @@ import numpy as np
 
 from becalm.core.recording import Recording
 from becalm.errors import SensorError
-from becalm.identification.rest.still import SHORTEST_S, find_still
+from becalm.identification.rest.detection import SHORTEST_S, find_still
 from becalm.sensors.poses import FEWEST_POSES, Rests
 
 _AXES = 3

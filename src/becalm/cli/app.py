@@ -13,10 +13,10 @@ from pathlib import Path
 from types import FrameType
 from typing import NamedTuple
 
+from becalm.cli.messages import stderr
 from becalm.cli.stopping import beside, stop_cleanly
-from becalm.cli.talk import stderr
 from becalm.errors import InputError, UsageError
-from becalm.files.asked import ReadOptions
+from becalm.files.read_options import ReadOptions
 from becalm.web.extra import need_app
 
 DEFAULT_PORT = 8765

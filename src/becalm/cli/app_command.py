@@ -43,7 +43,7 @@ def open_app(  # noqa: PLR0913  (the contract's options)
 ) -> None:
     """Open the tuner in a browser: raw and clean signal, one dial between noise and lag."""
     from becalm.cli.app import Where, bytes_of, place_of, run
-    from becalm.files.asked import ReadOptions
+    from becalm.files.read_options import ReadOptions
 
     run(
         place_of(file, folder, ReadOptions(time, rate)),

@@ -12,11 +12,11 @@ from rich.table import Table
 
 from becalm.cleaning.pose_entry import LEAST_GRAVITY, MOST_GRAVITY, PoseReport, report_poses
 from becalm.cleaning.sensor_file import to_toml
-from becalm.cli.said import Said, open_as, refuse_overwriting, shown_name
-from becalm.cli.talk import stderr, tell_notes
+from becalm.cli.messages import stderr, tell_notes
+from becalm.cli.opened_file import Said, open_as, refuse_overwriting, shown_name
 from becalm.errors import SensorError, UsageError
-from becalm.files.plain import refuse_unwritable, write_text
 from becalm.files.portions import beginning, cut_short
+from becalm.files.text_file import refuse_unwritable, write_text
 from becalm.sensors.checks import STANDARD_GRAVITY
 from becalm.sensors.record import COVERAGE
 

@@ -10,20 +10,20 @@ import typer
 
 from becalm.cleaning.calibrating import tared_anew
 from becalm.cleaning.pipeline import fitted, in_mode, joined
-from becalm.cli.picturing import Done, Picturing
-from becalm.cli.said import is_same, load, open_every, recipe_beside, refuse_overwriting, refuse_taken, tuned
-from becalm.cli.talk import progress, tell, tell_bands, tell_not_removed
+from becalm.cli.messages import progress, tell, tell_bands, tell_not_removed
+from becalm.cli.opened_file import is_same, load, open_every, recipe_beside, refuse_overwriting, refuse_taken, tuned
+from becalm.cli.report_files import Done, Picturing
 from becalm.cli.times import pass_through, refuse_times, tell_times, timed
 from becalm.errors import UsageError
-from becalm.files.plain import refuse_unwritable, text_in_waiting
+from becalm.files.chunked_cleaning import clean_chunks
 from becalm.files.registry import format_to_write
-from becalm.files.through import clean_chunks
+from becalm.files.text_file import refuse_unwritable, text_in_waiting
 from becalm.files.writing import open_output, refuse_columns
 
 if TYPE_CHECKING:
     from becalm.cleaning.recipe import Recipe
+    from becalm.cli.opened_file import Said
     from becalm.cli.options import Asked
-    from becalm.cli.said import Said
     from becalm.files.opening import OpenSource
 
 

@@ -10,17 +10,17 @@ from rich.console import Console
 from rich.table import Table
 
 from becalm.cleaning.comparison import compare
-from becalm.cleaning.comparison_words import cells, headings
-from becalm.cli.said import AS_WRITTEN, shown_name
-from becalm.cli.talk import stderr, tell_notes
-from becalm.files.asked import Asker, Fitting, ReadOptions
+from becalm.cleaning.comparison_cells import cells, headings
+from becalm.cli.messages import stderr, tell_notes
+from becalm.cli.opened_file import AS_WRITTEN, shown_name
 from becalm.files.opening import open_source
-from becalm.files.plain import make_folder, refuse_unwritable, write_text
 from becalm.files.portions import beginning, cut_short
+from becalm.files.read_options import Asker, Fitting, ReadOptions
+from becalm.files.text_file import make_folder, refuse_unwritable, write_text
 
 if TYPE_CHECKING:
     from becalm.cleaning.comparison import ChannelComparison, Comparison
-    from becalm.cli.said import Said
+    from becalm.cli.opened_file import Said
     from becalm.core.recording import Recording
     from becalm.files.opening import OpenSource
 
@@ -65,7 +65,7 @@ def _page_in(folder: Path) -> Path:
 
 
 def _write(page: Path, source: OpenSource, read: tuple[Recording, Recording | None], found: Comparison) -> None:
-    from becalm.report.beside import beside
+    from becalm.report.classic_figures import beside
     from becalm.report.page import Facts, page_of
     from becalm.report.running import pictures_of
 

@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 def run(folder: Path) -> None:
     """Write the drive and its clean signal into a folder, and print the figures."""
     from becalm.cleaning.pipeline import clean
-    from becalm.cli.said import recipe_beside
-    from becalm.files.plain import make_folder, write_text
+    from becalm.cli.opened_file import recipe_beside
     from becalm.files.reading import read
+    from becalm.files.text_file import make_folder, write_text
     from becalm.files.writing import write
     from becalm.report.page import Facts, page_of
     from becalm.report.running import pictures_of

@@ -13,9 +13,9 @@ import numpy as np
 import typer
 
 from becalm.cleaning.recipe import Recipe
+from becalm.cli.messages import stderr
+from becalm.cli.opened_file import is_same, open_as, said_of
 from becalm.cli.options import split_names
-from becalm.cli.said import is_same, open_as, said_of
-from becalm.cli.talk import stderr
 from becalm.core.arrays import Floats
 from becalm.errors import UsageError
 from becalm.export.bundle import Asked, Bundle, bundle_of
@@ -24,8 +24,8 @@ from becalm.export.facts import cost_words
 from becalm.export.kind import Span
 from becalm.export.layouts import library_name
 from becalm.export.written import FOLDER
-from becalm.files.plain import make_folder, refuse_unwritable, write_folder, write_text
-from becalm.files.waiting import in_waiting
+from becalm.files.temporary_files import in_waiting
+from becalm.files.text_file import make_folder, refuse_unwritable, write_folder, write_text
 
 if TYPE_CHECKING:
     from becalm.export.number_type import Precision

@@ -11,8 +11,8 @@ import typer
 
 from becalm.cli.fleet import spark_at
 from becalm.errors import UsageError
-from becalm.files.plain import make_folder
-from becalm.fleet.alone import alone_at
+from becalm.files.text_file import make_folder
+from becalm.fleet.output_lock import alone_at
 from becalm.fleet.stream import LiveBook, SensorPlan, StreamPlan
 from becalm.live.address import Address, seconds_of
 

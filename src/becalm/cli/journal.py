@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from rich.console import Console
 from rich.table import Table
 
-from becalm.cli.talk import stderr
+from becalm.cli.messages import stderr
 from becalm.errors import UsageError
 from becalm.files.registry import format_to_write
 from becalm.files.writing import open_output

@@ -16,8 +16,7 @@ from becalm.cleaning.recipe import Recipe
 from becalm.cli.stopping import beside, stop_cleanly
 from becalm.errors import BecalmError, UsageError
 from becalm.live.address import Address, seconds_of
-from becalm.live.beginning import Beginning
-from becalm.live.keeping import Outlets
+from becalm.live.commit_thread import Outlets
 from becalm.live.learning import Learner
 from becalm.live.outlet import Outlet
 from becalm.live.protocols import Keeper, Sink, Source
@@ -26,6 +25,7 @@ from becalm.live.registry import open_sink, open_source
 from becalm.live.retuning import Retune
 from becalm.live.runner import Runner
 from becalm.live.settings import Settings
+from becalm.live.stream_start import Beginning
 from becalm.live.watching.logs import Log
 from becalm.live.watching.meter import Meter
 from becalm.live.watching.metrics import MetricsServer
@@ -177,7 +177,7 @@ def _learned_path(sinks: list[str]) -> Path:
 
 
 def _save(recipe: Recipe, *, path: Path, log: Log) -> None:
-    from becalm.files.plain import write_text
+    from becalm.files.text_file import write_text
 
     path.parent.mkdir(parents=True, exist_ok=True)
     write_text(path, recipe.to_toml())

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, NamedTuple
 from becalm.live.retuning import Retune
 from becalm.live.watching.meter import Meter
 from becalm.web.access import Access, Options, PageAsked, token_of
-from becalm.web.livepage.conversation import converse
 from becalm.web.livepage.feed import Feed
 from becalm.web.livepage.page import LivePage
+from becalm.web.livepage.session import converse
 from becalm.web.serving import Server, listen
 from becalm.web.site import Page, html_of, site
 

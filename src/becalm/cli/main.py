@@ -19,7 +19,7 @@ from becalm.cli.export_command import export
 from becalm.cli.fleet_command import fleet
 from becalm.cli.journal_command import journal
 from becalm.cli.live_command import live
-from becalm.cli.said import load, open_as, open_every, refuse_overwriting, said_of, tuned
+from becalm.cli.opened_file import load, open_as, open_every, refuse_overwriting, said_of, tuned
 from becalm.cli.stopping import stop_cleanly
 from becalm.errors import NOT_DESCRIBED, BecalmError, UsageError
 from becalm.installation import version
@@ -62,7 +62,7 @@ def inspect(  # noqa: PLR0913  (the contract's options)
 ) -> None:
     """Show how a file is understood: columns, units, time."""
     from becalm.cli.layouts import show, summary
-    from becalm.cli.talk import tell_bands
+    from becalm.cli.messages import tell_bands
 
     with open_every(file, said_of(channels, o.When(rate, time, group, stamps), unit, sensors)) as opened:
         if as_json:
@@ -137,8 +137,8 @@ def tune(  # noqa: PLR0913  (the contract's options)
     """Identify the filter of each channel and write it as a recipe; list what a delay would gain."""
     from becalm.cleaning.delays import delays
     from becalm.cleaning.pipeline import joined
-    from becalm.cli.talk import tell_delays, tell_notes
-    from becalm.files.plain import refuse_unwritable, write_text
+    from becalm.cli.messages import tell_delays, tell_notes
+    from becalm.files.text_file import refuse_unwritable, write_text
 
     refuse_overwriting(file, output)
     refuse_unwritable(output)

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from becalm.cleaning.noise_report import ChannelNoise, report_noise
-from becalm.cli.talk import progress, stderr, tell_notes
+from becalm.cli.messages import progress, stderr, tell_notes
 from becalm.errors import UsageError
 from becalm.files.portions import beginning, cut_short, rest_within
 

@@ -10,8 +10,8 @@ import typer
 
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.sensor_file import load_sensors
-from becalm.cli.said import recipe_beside, refuse_overwriting
-from becalm.cli.talk import stderr
+from becalm.cli.messages import stderr
+from becalm.cli.opened_file import recipe_beside, refuse_overwriting
 from becalm.cli.times import refuse_times
 from becalm.errors import UsageError
 from becalm.files.opening import close

@@ -40,7 +40,7 @@ def beside(act: Callable[[], None]) -> Callable[[], None]:
 
 def _stop(word: bytes, number: int, _: FrameType | None) -> None:
     """Tidy up and end here: an exception might be raised where the interpreter ignores it, as in a finaliser."""
-    if waiting := sys.modules.get("becalm.files.waiting"):  # not loaded, it has nothing half-written
+    if waiting := sys.modules.get("becalm.files.temporary_files"):  # not loaded, it has nothing half-written
         waiting.abandon()
     with suppress(OSError):
         os.write(2, _SHOW_CURSOR + word if os.isatty(2) else word)

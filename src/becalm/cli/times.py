@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from becalm.cli.talk import stderr, tell_columns, tell_notes
+from becalm.cli.messages import stderr, tell_columns, tell_notes
 from becalm.errors import UsageError
 from becalm.files.added_time import with_time
 from becalm.files.registry import format_to_write, holds_times
@@ -14,8 +14,8 @@ from becalm.files.registry import format_to_write, holds_times
 if TYPE_CHECKING:
     import pyarrow as pa
 
-    from becalm.files.every_time import OpenFile
     from becalm.files.opening import OpenSource
+    from becalm.files.time_bases import OpenFile
 
 _MOST_NAMED = 12
 

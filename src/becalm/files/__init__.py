@@ -1,12 +1,12 @@
 """Files: recordings in, recordings out; of the formats of loggers, found by content and by ending."""
 
-from becalm.files.asked import ReadOptions
+from becalm.files.atomic_file import replace_file
 from becalm.files.chunk import Chunk
 from becalm.files.opening import OpenSource, open_source
+from becalm.files.read_options import ReadOptions
 from becalm.files.reading import read, read_source
 from becalm.files.source import ColumnLayout, Layout, SourceFile
 from becalm.files.tables import CleanChannel, output_block, output_table, recording_table
-from becalm.files.whole import replace_file
 from becalm.files.writing import Output, open_output, write, write_table
 
 __all__ = [

@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from becalm.files.foreign import Foreign
+from becalm.files.library_reader import Foreign
 
 NO_UNIT = "-"
 """Of a column whose name holds no unit either: `range_min` is no range in minutes where a format names its fields."""

@@ -10,12 +10,12 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from becalm.errors import UsageError
-from becalm.files.asked import Asker, Fitting, ReadOptions
-from becalm.files.choosing import holds, listed
 from becalm.files.conversion import Conversion, conversion
+from becalm.files.read_options import Asker, Fitting, ReadOptions
 from becalm.files.roles import SIGMA, unit_of
 from becalm.files.rows import Rows
 from becalm.files.source import RawTable
+from becalm.files.time_base_choice import holds, listed
 from becalm.files.timing.time_column import is_time_name, named_column
 from becalm.files.units import parse_header, tidy_unit
 from becalm.sensors.record import Calibration

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from becalm.errors import InputError
-from becalm.files.foreign import refuse_claim
+from becalm.files.library_reader import refuse_claim
 
 GZIP = b"\x1f\x8b"
 PARQUET = b"PAR1"

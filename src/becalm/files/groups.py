@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 
 from becalm.files.columns import Column, ColumnRows
-from becalm.files.foreign import Foreign
+from becalm.files.library_reader import Foreign
 from becalm.files.source import RawTable, ToldTime
 from becalm.files.text.csv_header import unique_names
 from becalm.files.timing.time_column import is_time_name

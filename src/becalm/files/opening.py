@@ -18,15 +18,15 @@ from becalm.core.recording import Recording
 from becalm.core.time.clock import Clock
 from becalm.core.time.timebase import Timebase
 from becalm.errors import InputError, TimeError
-from becalm.files.asked import ReadOptions, refuse_impossible
-from becalm.files.choosing import chosen_table
+from becalm.files.calibrated_source import with_sensors
 from becalm.files.chunk import Chunk
 from becalm.files.converting import in_units_asked
+from becalm.files.read_options import ReadOptions, refuse_impossible
 from becalm.files.registry import read_tables
 from becalm.files.roles import SIGMA, choose_channels, missing_in, refuse_uncertainties, unit_of, values_of
 from becalm.files.rows import HeldRows, block_rows, rebatched
-from becalm.files.sensing import with_sensors
 from becalm.files.source import Layout, RawTable, TimeLayout, layout_of
+from becalm.files.time_base_choice import chosen_table
 from becalm.files.timing.row_times import row_times
 from becalm.files.timing.time_mending import clock_of
 from becalm.files.timing.times import Stamps

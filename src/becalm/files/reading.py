@@ -6,8 +6,8 @@ import os
 from collections.abc import Mapping, Sequence
 
 from becalm.core.recording import Recording
-from becalm.files.asked import ReadOptions
 from becalm.files.opening import open_source
+from becalm.files.read_options import ReadOptions
 from becalm.files.source import SourceFile
 
 

@@ -18,10 +18,10 @@ from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.recipe_parts import CalibrationRecipe
 from becalm.core.arrays import Floats
 from becalm.errors import UsageError
-from becalm.files.asked import Asker
-from becalm.files.choosing import holds, listed
+from becalm.files.read_options import Asker
 from becalm.files.roles import SIGMA, unit_of, values_of
 from becalm.files.source import RawTable
+from becalm.files.time_base_choice import holds, listed
 from becalm.files.timing.time_column import named_column
 from becalm.files.units import parse_header
 from becalm.sensors.bridge import Bridge

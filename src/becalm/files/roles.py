@@ -10,8 +10,8 @@ import pyarrow.compute as pc
 
 from becalm.core.arrays import Floats
 from becalm.errors import InputError, UsageError
-from becalm.files.asked import COMMAND_LINE, Asker
 from becalm.files.numbers import Signal
+from becalm.files.read_options import COMMAND_LINE, Asker
 from becalm.files.rows import block_rows
 from becalm.files.source import CHANNEL, PASSED, TIME, ColumnLayout, RawTable
 from becalm.files.text.bad_cells import bad_cell, find_bad_cells, is_text

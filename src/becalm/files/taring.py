@@ -9,9 +9,9 @@ import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.errors import SensorError
-from becalm.files.asked import ReadOptions
+from becalm.files.calibrated_rows import Sensed, SensedRows
+from becalm.files.read_options import ReadOptions
 from becalm.files.roles import values_of
-from becalm.files.sensed import Sensed, SensedRows
 from becalm.files.source import RawTable
 from becalm.files.timing.row_times import RowTimes, row_times, rows_between
 from becalm.sensors.curve import Curve

@@ -6,7 +6,7 @@ import bz2
 import zlib
 
 from becalm.errors import BecalmError
-from becalm.files.foreign import Foreign
+from becalm.files.library_reader import Foreign
 
 ZSTD = b"\x28\xb5\x2f\xfd"
 

@@ -16,13 +16,13 @@ import pyarrow as pa
 from becalm.core.recording import Recording
 from becalm.files.arrays.array_writer import MatRows, NpzRows
 from becalm.files.arrays.hdf5_writer import Hdf5Rows
+from becalm.files.atomic_file import refuse_folder, replace_file, replacing, sentences
 from becalm.files.csv.writer import CsvRows
 from becalm.files.parquet_writer import ParquetRows
 from becalm.files.recorders.mf4_writer import Mf4Rows
 from becalm.files.recorders.tdms_writer import TdmsRows
 from becalm.files.registry import CSV, CSV_GZ, HDF5, MAT, MF4, NPZ, PARQUET_FORMAT, TDMS, format_to_write
 from becalm.files.tables import output_table, recording_table
-from becalm.files.whole import refuse_folder, replace_file, replacing, sentences
 
 __all__ = ["Output", "open_output", "output_table", "recording_table", "replace_file", "write", "write_table"]
 

@@ -16,19 +16,19 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from becalm.errors import UsageError
-from becalm.files.plain import make_folder, write_text
-from becalm.fleet.alone import alone_at
+from becalm.files.text_file import make_folder, write_text
+from becalm.fleet.class_outliers import marked
 from becalm.fleet.engine import run_tasks
 from becalm.fleet.grouped.cleaning import clean_grouped
 from becalm.fleet.job import STRETCH_ROWS, Job, Sensor
 from becalm.fleet.lake import FILE, FOLDER, Place, Shared, told_apart
 from becalm.fleet.marks import Mark
 from becalm.fleet.outcome import Outcome, refused
-from becalm.fleet.outlying import marked
+from becalm.fleet.output_lock import alone_at
 from becalm.fleet.recipes import RecipeBook
+from becalm.fleet.sensor_task import all_died, clean_whole
 from becalm.fleet.stretching.cleaning import clean_long
 from becalm.fleet.sweeping import swept
-from becalm.fleet.whole import all_died, clean_whole
 from becalm.report.fleet_order import summary
 from becalm.report.fleet_page import FleetFacts, fleet_page
 from becalm.report.fleet_rows import FleetRow

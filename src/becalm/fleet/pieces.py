@@ -11,10 +11,10 @@ from typing import NamedTuple, Self
 
 import pyarrow as pa
 
-from becalm.files.plain import make_folder
+from becalm.files.atomic_file import sentences, sync_folder
 from becalm.files.registry import PARQUET_FORMAT
-from becalm.files.waiting import in_waiting
-from becalm.files.whole import sentences, sync_folder
+from becalm.files.temporary_files import in_waiting
+from becalm.files.text_file import make_folder
 from becalm.files.writing import Output, open_output
 
 STAGED = ".becalm.*.part"

@@ -8,7 +8,7 @@ import shutil
 from contextlib import suppress
 from pathlib import Path
 
-from becalm.files.whole import UNNAMED
+from becalm.files.atomic_file import UNNAMED
 from becalm.fleet.pieces import STAGED
 
 

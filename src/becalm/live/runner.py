@@ -11,15 +11,15 @@ from math import nan
 
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.stream import ChannelHealth
-from becalm.live.beginning import Beginning, Begun, insist, open_keeper
 from becalm.live.block import Block, Checkpoint, Loss, LossKind, Output
-from becalm.live.keeping import Batch, Keeping, Outlets
+from becalm.live.commit_thread import Batch, Keeping, Outlets
 from becalm.live.protocols import Source
 from becalm.live.queueing import BlockQueue
 from becalm.live.reader import Reader
 from becalm.live.retuning import Heard, Retuning
 from becalm.live.settings import Settings
 from becalm.live.stream import Stream
+from becalm.live.stream_start import Beginning, Begun, insist, open_keeper
 from becalm.live.watching.watch import Watch
 
 _POLL_S = 0.25

@@ -17,7 +17,7 @@ from becalm.core.time.live_clock import FAR, LATE, REPEATED, RESET, TAKEN, UNTIM
 from becalm.errors import BecalmError, ModelError, RecipeError
 from becalm.files.units import parse_header
 from becalm.live.block import Block, Checkpoint, Head, Loss, LossKind, Output
-from becalm.live.waiting import Waiting
+from becalm.live.delayed_rows import Waiting
 
 _VERSION = 1
 _COUNTABLE = 2.0**52  # steps; a stamp that claims more tells nothing of rows

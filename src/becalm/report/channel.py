@@ -6,14 +6,14 @@ from typing import NamedTuple
 
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.report import ChannelReport
-from becalm.cleaning.words import amount
+from becalm.cleaning.table_cells import amount
 from becalm.core.steady.response import decibels
 from becalm.identification.wishes.front import Front
-from becalm.report.behaviour import Behaviour, behaviour_of, front_figure, front_of, step_figure
 from becalm.report.description import Figure
 from becalm.report.gathering import Gathering
+from becalm.report.innovation_figures import innovation_figures
 from becalm.report.pictures import Title, closeup_figures, signal_figures, slug_of, spectrum_figure
-from becalm.report.trust import innovation_figures
+from becalm.report.response_figures import Behaviour, behaviour_of, front_figure, front_of, step_figure
 
 
 class Pictured(NamedTuple):

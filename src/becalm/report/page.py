@@ -12,7 +12,7 @@ from jinja2 import Environment
 
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.report import ChannelReport
-from becalm.cleaning.words import amount, cells
+from becalm.cleaning.table_cells import amount, cells
 from becalm.installation import version
 from becalm.report.channel import Cleaned, Pictured, Pictures
 from becalm.report.description import Figure

@@ -13,8 +13,8 @@ from becalm.core.arrays import Floats
 from becalm.core.filter.filtering import kalman_filter
 from becalm.core.recording import Recording
 from becalm.files.reading import read
+from becalm.identification.rest.detection import find_still
 from becalm.identification.rest.rest_noise import split_at_cutoff
-from becalm.identification.rest.still import find_still
 from becalm.studies.strain_methods import TRIED
 from becalm.studies.strain_model import Noise, likeliest, strain_model
 

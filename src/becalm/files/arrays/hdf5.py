@@ -11,8 +11,8 @@ from becalm.files.arrays.array_groups import Grouping
 from becalm.files.arrays.hdf5_customs import follow_customs
 from becalm.files.arrays.hdf5_opening import SIGNATURE, Opened
 from becalm.files.arrays.hdf5_tree import Tree
-from becalm.files.foreign import Foreign
 from becalm.files.groups import tables
+from becalm.files.library_reader import Foreign
 from becalm.files.source import RawTable
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from becalm.files.arrays.arrays import Found, Key, Leaf, Path, as_text
 from becalm.files.arrays.hdf5_gaps import Written
 from becalm.files.arrays.hdf5_opening import Opened
-from becalm.files.foreign import Foreign
+from becalm.files.library_reader import Foreign
 
 DEEPEST = 64
 """Folder in folder."""

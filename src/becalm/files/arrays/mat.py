@@ -16,8 +16,8 @@ from becalm.files.arrays.array_labels import take_labels
 from becalm.files.arrays.arrays import Found, Leaf
 from becalm.files.arrays.mat_elements import Variable, variables4, variables5
 from becalm.files.arrays.mat_values import Opaque, value_of
-from becalm.files.foreign import Foreign
 from becalm.files.groups import tables
+from becalm.files.library_reader import Foreign
 from becalm.files.source import RawTable
 
 MOST_ELEMENTS = 1024

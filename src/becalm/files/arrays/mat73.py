@@ -17,7 +17,7 @@ from becalm.files.arrays.hdf5_opening import Opened
 from becalm.files.arrays.hdf5_tree import DEEPEST, Tree
 from becalm.files.arrays.mat import MOST_ELEMENTS, SAVE_AS
 from becalm.files.arrays.mat_elements import SPARSE
-from becalm.files.foreign import Foreign
+from becalm.files.library_reader import Foreign
 from becalm.files.source import RawTable
 
 _USER_BLOCK = 512

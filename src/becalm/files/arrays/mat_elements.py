@@ -10,7 +10,7 @@ import zlib
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from becalm.files.foreign import Foreign
+from becalm.files.library_reader import Foreign
 
 MATRIX, _COMPRESSED = 14, 15
 CELL, STRUCT, OBJECT, CHAR, _SPARSE, _FUNCTION, OPAQUE = 1, 2, 3, 4, 5, 16, 17

@@ -15,8 +15,8 @@ from becalm.files.arrays.array_groups import Grouping
 from becalm.files.arrays.array_labels import NAME, VARIABLES, take_labels
 from becalm.files.arrays.arrays import Found, Leaf
 from becalm.files.arrays.npz_members import LOCAL, Member, content, members
-from becalm.files.foreign import Foreign
 from becalm.files.groups import tables
+from becalm.files.library_reader import Foreign
 from becalm.files.source import RawTable
 
 _CUT = "The file ends in the middle of {!r}; {} of {} rows are whole and were read."

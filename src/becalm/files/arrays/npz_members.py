@@ -8,7 +8,7 @@ import zlib
 from pathlib import Path, PurePosixPath
 from typing import BinaryIO, NamedTuple
 
-from becalm.files.foreign import Foreign
+from becalm.files.library_reader import Foreign
 
 LOCAL = b"PK\x03\x04"
 _HEAD = 30  # bytes before the name of a member

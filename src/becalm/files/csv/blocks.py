@@ -25,7 +25,7 @@ from becalm.files.decoding import (
     told,
     without_open_line,
 )
-from becalm.files.foreign import refuse_claim
+from becalm.files.library_reader import refuse_claim
 
 WHOLE_BYTES = 64 << 20
 """Text files up to this size are held in memory."""

@@ -14,13 +14,13 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from becalm.core.arrays import Floats
+from becalm.files.bounded_file import WatchedFile
 from becalm.files.columns import NO_UNIT, Column
-from becalm.files.foreign import Foreign
 from becalm.files.groups import TIME, Group, tables
+from becalm.files.library_reader import Foreign
 from becalm.files.source import RawTable, ToldTime
 from becalm.files.stamps import instant
 from becalm.files.text.csv_header import unique_names
-from becalm.files.watched import WatchedFile
 
 _PER_SECOND = 1e-6  # of the microseconds that the library gives
 

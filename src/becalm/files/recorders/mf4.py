@@ -18,8 +18,8 @@ import pyarrow as pa
 
 from becalm.errors import InputError
 from becalm.files.columns import Column, least_bytes
-from becalm.files.foreign import Foreign
 from becalm.files.groups import TIME, Group, tables
+from becalm.files.library_reader import Foreign
 from becalm.files.recorders.mf4_blocks import looked_through
 from becalm.files.recorders.mf4_columns import NO_START, Channel, MasterTime, columns_of
 from becalm.files.source import RawTable, ToldTime

@@ -11,7 +11,7 @@ from pathlib import Path
 from tempfile import TemporaryFile
 from typing import IO, NamedTuple
 
-from becalm.files.foreign import Foreign
+from becalm.files.library_reader import Foreign
 from becalm.files.unpacking import unpacked
 
 _HEADER_LINKS = 88  # of the file; links of all other blocks begin after 24 bytes

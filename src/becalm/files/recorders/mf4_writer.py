@@ -17,7 +17,7 @@ from becalm.files.arrays.array_labels import OF_TABLE
 from becalm.files.column_arrays import refuse_strange_types, told_of
 from becalm.files.groups import GROUP, START
 from becalm.files.recorders.mf4_tables import MdfTable
-from becalm.files.waiting import in_waiting
+from becalm.files.temporary_files import in_waiting
 from becalm.installation import version
 
 _UTC, _LOCAL = 2, 1  # flags of a header's time

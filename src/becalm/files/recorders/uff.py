@@ -16,8 +16,8 @@ import pyarrow as pa
 from becalm.core.arrays import Floats
 from becalm.errors import InputError
 from becalm.files.columns import Column
-from becalm.files.foreign import Foreign
 from becalm.files.groups import TIME, Group, tables
+from becalm.files.library_reader import Foreign
 from becalm.files.recorders.uff_blocks import Block, Values, blocks_of
 from becalm.files.source import RawTable, ToldTime
 from becalm.files.text.csv_header import unique_names

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from becalm.errors import InputError
 from becalm.files.columns import Column
-from becalm.files.foreign import Foreign
 from becalm.files.groups import Group, tables
+from becalm.files.library_reader import Foreign
 from becalm.files.source import RawTable, ToldTime
 
 _PCM, _FLOAT, _EXTENSIBLE = 1, 3, 0xFFFE

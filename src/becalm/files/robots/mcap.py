@@ -8,13 +8,13 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from becalm.files.foreign import Foreign
+from becalm.files.bounded_file import WatchedFile, watched
 from becalm.files.groups import tables
+from becalm.files.library_reader import Foreign
 from becalm.files.robots.ros_messages import IDL, MSG, Schema
 from becalm.files.robots.topics import Message, gathered
 from becalm.files.source import RawTable
 from becalm.files.unpacking import unpacked
-from becalm.files.watched import WatchedFile, watched
 
 _MAGIC_BYTES = 8
 _HEAD_BYTES, _CHUNK = 9, b"\x06"  # what a record is, and its length

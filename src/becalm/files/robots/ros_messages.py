@@ -8,7 +8,7 @@ from operator import attrgetter
 from types import ModuleType
 from typing import Any, NamedTuple
 
-from becalm.files.foreign import Foreign
+from becalm.files.library_reader import Foreign
 from becalm.files.unpacking import ZSTD, unpacked
 
 UNITS = {

@@ -9,13 +9,13 @@ from pathlib import Path, PurePath
 from typing import Any
 
 from becalm.errors import InputError
-from becalm.files.foreign import Foreign
+from becalm.files.bounded_file import WatchedFile
 from becalm.files.groups import tables
+from becalm.files.library_reader import Foreign
 from becalm.files.registry import BAG
 from becalm.files.robots import mcap, rosbag1, rosbag2
 from becalm.files.robots.topics import Message, few, gathered
 from becalm.files.source import RawTable
-from becalm.files.watched import WatchedFile
 
 _MCAP = b"\x89MCAP0\r\n"
 _BLOCK = 1 << 20

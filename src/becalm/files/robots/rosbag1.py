@@ -6,11 +6,11 @@ from collections.abc import Iterator
 from typing import Any
 
 from becalm.errors import InputError
-from becalm.files.foreign import Foreign
+from becalm.files.bounded_file import WatchedFile, watched
+from becalm.files.library_reader import Foreign
 from becalm.files.robots.ros_messages import MSG, Schema
 from becalm.files.robots.topics import Message
 from becalm.files.unpacking import unpacked
-from becalm.files.watched import WatchedFile, watched
 
 _VERSION = b"#ROSBAG V2.0\n"
 _MESSAGE, _HEADER, _CHUNK, _CONNECTION = 2, 3, 5, 7

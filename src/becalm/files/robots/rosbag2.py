@@ -13,7 +13,7 @@ from typing import Any
 from urllib.parse import quote
 
 from becalm.errors import InputError
-from becalm.files.foreign import Foreign
+from becalm.files.library_reader import Foreign
 from becalm.files.robots.ros_messages import IDL, MSG, Schema
 from becalm.files.robots.topics import Message
 

@@ -14,14 +14,14 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from becalm.core.arrays import Integers
+from becalm.files.bounded_file import WatchedFile
 from becalm.files.columns import NO_UNIT, Column
-from becalm.files.foreign import Foreign
 from becalm.files.groups import TIME, Group, tables
+from becalm.files.library_reader import Foreign
 from becalm.files.robots.topics import few
 from becalm.files.source import RawTable, ToldTime
 from becalm.files.stamps import in_order, seconds_of
 from becalm.files.text.csv_header import unique_names
-from becalm.files.watched import WatchedFile
 
 _STAMP = ("uint64_t", 0, "timestamp")  # type, length of a list, and name
 _PADDING = "_padding"

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.errors import SensorError
-from becalm.files.asked import ReadOptions
+from becalm.files.read_options import ReadOptions
 from becalm.files.source import RawTable, TimeLayout
 from becalm.files.text.blank_rows import without_blank_end
 from becalm.files.timing.time_column import TIME_OPTION, choose_time, find_time, named_column, spoilt_times

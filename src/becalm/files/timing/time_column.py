@@ -9,8 +9,8 @@ import pyarrow as pa
 
 from becalm.core.arrays import Floats
 from becalm.errors import InputError, UsageError
-from becalm.files.asked import Asker
 from becalm.files.numbers import Numbers
+from becalm.files.read_options import Asker
 from becalm.files.source import RawTable
 from becalm.files.text.bad_cells import bad_cell, find_bad_cells, meant_as_numbers
 from becalm.files.timing import clock

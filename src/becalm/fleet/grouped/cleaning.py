@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, NamedTuple
 from becalm.errors import InputError, UsageError
 from becalm.files.identity import Original
 from becalm.files.parquet import read_parquet
-from becalm.files.plain import make_folder
-from becalm.files.waiting import in_waiting
+from becalm.files.temporary_files import in_waiting
+from becalm.files.text_file import make_folder
 from becalm.files.writing import open_output
 from becalm.fleet.engine import run_tasks
 from becalm.fleet.grouped.counting import Count, count_rows, not_counted
@@ -29,8 +29,8 @@ from becalm.fleet.names import listed
 from becalm.fleet.outcome import Outcome, refused
 from becalm.fleet.pieces import open_staging, staging
 from becalm.fleet.recipes import RecipeBook
+from becalm.fleet.sensor_task import all_died, clean_whole, finished, told_by
 from becalm.fleet.stretching.cleaning import clean_long
-from becalm.fleet.whole import all_died, clean_whole, finished, told_by
 
 if TYPE_CHECKING:
     from pyspark.sql import SparkSession

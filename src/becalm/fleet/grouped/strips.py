@@ -13,10 +13,10 @@ import pyarrow as pa
 
 from becalm.core.arrays import Integers
 from becalm.errors import BecalmError, InputError
+from becalm.files.atomic_file import replacing, sentences
 from becalm.files.identity import Original
 from becalm.files.parquet import read_parquet
 from becalm.files.source import RawTable
-from becalm.files.whole import replacing, sentences
 from becalm.fleet.grouped.order import Ranks, is_mended, ranks_of, time_of
 from becalm.fleet.marks import came_of
 from becalm.fleet.names import named, values_in

@@ -12,12 +12,12 @@ from becalm.fleet.engine import run_tasks
 from becalm.fleet.job import Job, Sensor
 from becalm.fleet.marks import Mark
 from becalm.fleet.outcome import Outcome
+from becalm.fleet.sensor_task import all_died, clean_whole, commit, told_by
 from becalm.fleet.stretching.joining import joined_outcome
 from becalm.fleet.stretching.long import Long, Stretch
 from becalm.fleet.stretching.run import Told, run_stretch
 from becalm.fleet.stretching.seams import overlaps_agree, to_run_again
 from becalm.fleet.stretching.survey import survey
-from becalm.fleet.whole import all_died, clean_whole, commit, told_by
 
 if TYPE_CHECKING:
     from pyspark.sql import SparkSession

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from becalm.files.again import Known
+from becalm.files.shared_source import Known
 from becalm.fleet.job import Job, Sensor
 from becalm.fleet.pieces import Piece
 

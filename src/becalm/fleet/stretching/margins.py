@@ -11,8 +11,8 @@ from becalm.cleaning.filters import Filter
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.steps import lag_in_rows
 from becalm.core.arrays import BLOCK, Integers
-from becalm.files.again import KnownSource
-from becalm.files.through import columns_of
+from becalm.files.chunked_cleaning import columns_of
+from becalm.files.shared_source import KnownSource
 from becalm.native.scans import REACH
 
 TIMES = 16

@@ -18,14 +18,14 @@ from becalm.core.arrays import Floats
 from becalm.core.filter.channel import History
 from becalm.core.packing import packed, unpacked
 from becalm.core.verdict import Verdict, counted
-from becalm.files.again import KnownSource
-from becalm.files.asked import asked_by
+from becalm.files.chunked_cleaning import Answer, answered, rows_of_chunks
 from becalm.files.opening import as_asked
-from becalm.files.through import Answer, answered, rows_of_chunks
+from becalm.files.read_options import asked_by
+from becalm.files.shared_source import KnownSource
 from becalm.fleet.pieces import Piece, Pieces
+from becalm.fleet.sensor_task import metadata_of
 from becalm.fleet.stretching.long import Long, State, Stretch
 from becalm.fleet.stretching.margins import begun, ended, margin_of
-from becalm.fleet.whole import metadata_of
 
 OVERLAP = 64
 """Rows that are compared where two smoothed stretches meet."""

@@ -13,14 +13,14 @@ from becalm.cleaning.filters import Filter
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.core.arrays import Floats
 from becalm.core.verdict import judge
-from becalm.files.again import known_of
-from becalm.files.through import columns_of, rows_of_chunks
+from becalm.files.chunked_cleaning import columns_of, rows_of_chunks
+from becalm.files.shared_source import known_of
 from becalm.fleet.job import Job, Sensor
 from becalm.fleet.outcome import Outcome
 from becalm.fleet.pieces import open_staging
+from becalm.fleet.sensor_task import Opened, clean_whole, finished, hash_of, notes_of, opened, refuse_foreign, told_by
 from becalm.fleet.stretching.long import Extremes, Long
 from becalm.fleet.stretching.margins import margin_of
-from becalm.fleet.whole import Opened, clean_whole, finished, hash_of, notes_of, opened, refuse_foreign, told_by
 
 FEWEST = 4
 """Margins that a stretch is long, at least: of a shorter one too much would be done twice."""

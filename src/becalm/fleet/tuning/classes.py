@@ -12,12 +12,12 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.files.lake.listing import natural
+from becalm.fleet.class_outliers import class_of
 from becalm.fleet.lake import Place
 from becalm.fleet.outcome import Outcome
-from becalm.fleet.outlying import class_of
+from becalm.fleet.tuning.class_differences import Key, is_described, reasons, rows_by_key
+from becalm.fleet.tuning.class_recipe import Typical, typical
 from becalm.fleet.tuning.found import Found, TunedChannel
-from becalm.fleet.tuning.typical import Typical, typical
-from becalm.fleet.tuning.unlike import Key, is_described, reasons, rows_by_key
 from becalm.report.fleet_rows import FleetRow, counted, spaced
 
 MOST_SENSORS = 200

@@ -11,17 +11,17 @@ from time import monotonic
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from becalm.errors import InputError, UsageError
-from becalm.files.plain import make_folder, refuse_unwritable
-from becalm.fleet.alone import alone_at
+from becalm.files.text_file import make_folder, refuse_unwritable
 from becalm.fleet.batch import refuse_inside
 from becalm.fleet.engine import run_tasks
 from becalm.fleet.job import Job, Sensor
 from becalm.fleet.lake import FILE, FOLDER, places_in
 from becalm.fleet.outcome import Outcome
+from becalm.fleet.output_lock import alone_at
+from becalm.fleet.sensor_task import all_died
 from becalm.fleet.tuning.classes import MOST_SENSORS, Chosen, TunedClass, chosen_of
 from becalm.fleet.tuning.sensor import judge_sensor, tune_sensor
 from becalm.fleet.tuning.written import REPORT, book_of, named_recipes, refuse_recipes, write_found
-from becalm.fleet.whole import all_died
 from becalm.report.fleet_page import FleetFacts
 from becalm.report.fleet_rows import FleetRow
 

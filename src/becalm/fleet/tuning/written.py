@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 
 from becalm.cleaning.recipe import Recipe
 from becalm.errors import RecipeError, UsageError
-from becalm.files.plain import write_folder
-from becalm.files.whole import sentences
+from becalm.files.atomic_file import sentences
+from becalm.files.text_file import write_folder
 from becalm.fleet.outcome import SHOWN
 from becalm.fleet.recipes import ENDING, RecipeBook, recipes_in
 from becalm.fleet.tuning.classes import TunedClass

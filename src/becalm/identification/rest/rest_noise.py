@@ -12,8 +12,8 @@ from becalm.core.arrays import Floats
 from becalm.core.recording import Recording
 from becalm.core.time.timebase import GAP_STEPS
 from becalm.errors import RecordingError
-from becalm.identification.rest.still import Stretch
-from becalm.identification.rest.still_windows import FEWEST, quantum, window_size
+from becalm.identification.rest.detection import Stretch
+from becalm.identification.rest.windows import FEWEST, quantum, window_size
 
 _SPIKE = 6.0  # standard deviations
 _KEPT = 0.9

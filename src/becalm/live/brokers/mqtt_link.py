@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from becalm.errors import BecalmError, InputError, UsageError
 from becalm.live.brokers.mqtt_session import VERSIONS, Session
 from becalm.live.brokers.remote import Login, Remote, variable
-from becalm.live.extras import wanted
+from becalm.live.optional_libraries import wanted
 
 if TYPE_CHECKING:
     from paho.mqtt.client import Client, ConnectFlags, DisconnectFlags, MQTTMessage

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from becalm.errors import BecalmError, InputError, UsageError
 from becalm.live.brokers.remote import Remote, variable
-from becalm.live.extras import wanted
+from becalm.live.optional_libraries import wanted
 
 if TYPE_CHECKING:
     import ssl

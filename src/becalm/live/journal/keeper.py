@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from becalm.errors import UsageError
-from becalm.files.whole import sentences
+from becalm.files.atomic_file import sentences
 from becalm.live.address import Address
 from becalm.live.block import Checkpoint, Head, Loss, Output
 from becalm.live.journal.database import NAME, connect, get, put, reading, transaction, writing

@@ -16,9 +16,9 @@ from typing import NamedTuple
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from becalm.files.atomic_file import replacing, sentences
 from becalm.files.roles import SIGMA
 from becalm.files.tables import VERDICT
-from becalm.files.whole import replacing, sentences
 from becalm.live.block import Head, Output
 from becalm.live.journal.database import BrokenSealError, get
 from becalm.live.journal.packing import unpacked

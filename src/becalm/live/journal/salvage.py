@@ -6,7 +6,7 @@ import sqlite3
 from contextlib import closing
 from pathlib import Path
 
-from becalm.files.whole import sync_folder
+from becalm.files.atomic_file import sync_folder
 from becalm.live.block import Loss, LossKind
 from becalm.live.journal.checking import Span, database_faults, told
 from becalm.live.journal.database import NAME, JournalError, connect, connect_reading, put, transaction, writing

@@ -15,10 +15,10 @@ from typing import Any
 import pyarrow as pa
 from pyarrow import fs
 
+from becalm.files.atomic_file import sync_folder
 from becalm.files.parquet_writer import ParquetRows
-from becalm.files.whole import sync_folder
-from becalm.live.extras import wanted
 from becalm.live.locking import locked
+from becalm.live.optional_libraries import wanted
 
 BESIDE = "_becalm"
 """Where checkpoints are; readers and cleaners of Delta tables pass by names that begin with an underscore."""

@@ -12,8 +12,8 @@ from itertools import count
 from pathlib import Path
 
 from becalm.errors import OutputError
+from becalm.files.atomic_file import sync_folder
 from becalm.files.parquet_writer import ParquetRows
-from becalm.files.whole import sync_folder
 from becalm.live.block import Head, Output
 from becalm.live.protocols import StorageFullError
 from becalm.live.tables import output_table

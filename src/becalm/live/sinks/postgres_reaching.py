@@ -9,7 +9,7 @@ from urllib.parse import unquote, urlsplit
 
 from becalm.errors import BecalmError, InputError, OutputError, UsageError
 from becalm.live.address import Address
-from becalm.live.extras import wanted
+from becalm.live.optional_libraries import wanted
 from becalm.live.protocols import AwayError, StorageFullError
 
 if TYPE_CHECKING:

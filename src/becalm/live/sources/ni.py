@@ -15,7 +15,7 @@ from becalm.files.text.csv_header import unique_names
 from becalm.files.units import parse_header
 from becalm.live.address import Address
 from becalm.live.block import Block
-from becalm.live.extras import wanted
+from becalm.live.optional_libraries import wanted
 from becalm.live.protocols import AwayError
 
 _OPTIONS = ("rate", "range", "wiring", "columns", "rows")

@@ -8,7 +8,7 @@ from typing import Any
 from becalm.errors import InputError, UsageError
 from becalm.live.address import Address
 from becalm.live.block import Block
-from becalm.live.extras import wanted
+from becalm.live.optional_libraries import wanted
 from becalm.live.protocols import AwayError
 from becalm.live.sources.lined import LineSource
 

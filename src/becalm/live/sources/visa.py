@@ -14,8 +14,8 @@ from becalm.files.text.csv_header import unique_names
 from becalm.files.units import parse_header
 from becalm.live.address import Address
 from becalm.live.block import Block, Loss, LossKind
-from becalm.live.extras import wanted
 from becalm.live.lines.cells import number_of
+from becalm.live.optional_libraries import wanted
 from becalm.live.protocols import AwayError
 
 _OPTIONS = ("query", "interval", "columns", "setup", "backend", "timeout", "end")

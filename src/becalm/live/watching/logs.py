@@ -12,10 +12,10 @@ from logging.handlers import RotatingFileHandler
 from pathlib import Path
 from typing import Any
 
-from becalm.files.plain import refuse_unwritable
+from becalm.files.text_file import refuse_unwritable
 from becalm.live.block import Loss, LossKind
 from becalm.live.closing import Closing
-from becalm.live.extras import wanted
+from becalm.live.optional_libraries import wanted
 from becalm.live.watching.secrets import Scrubber
 
 FILE_BYTES, OLD_FILES = 10_000_000, 5

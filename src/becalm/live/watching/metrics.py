@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, get_args
 
 from becalm.errors import UsageError
 from becalm.live.closing import Closing
-from becalm.live.extras import wanted
+from becalm.live.optional_libraries import wanted
 from becalm.live.watching.meter import Meter, State
 
 if TYPE_CHECKING:

@@ -7,8 +7,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, TypeAdapter
 
-from becalm.web import hearing
-from becalm.web.hearing import Number, Numbered
+from becalm.web import incoming_messages
+from becalm.web.incoming_messages import Number, Numbered
 from becalm.web.livepage.bins import LEVELS
 
 MOST_BINS = 1 << 12
@@ -55,5 +55,5 @@ _ANY: TypeAdapter[Message] = TypeAdapter(Annotated[Message, Field(discriminator=
 
 
 def understood(said: Mapping[str, Any]) -> Message:
-    """Check what a page said, as `hearing.understood` does."""
-    return hearing.understood(_ANY, said)
+    """Check what a page said, as `incoming_messages.understood` does."""
+    return incoming_messages.understood(_ANY, said)

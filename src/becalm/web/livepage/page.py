@@ -16,8 +16,8 @@ from becalm.live.retuning import Retune
 from becalm.live.watching.meter import Meter
 from becalm.live.watching.secrets import Scrubber
 from becalm.web.frames import text
-from becalm.web.livepage.desk import NOT_BEGUN, Desk, facts
 from becalm.web.livepage.feed import Feed
+from becalm.web.livepage.live_dial import NOT_BEGUN, Desk, facts
 from becalm.web.livepage.pictures import Pictures
 
 if TYPE_CHECKING:

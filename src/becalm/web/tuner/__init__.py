@@ -13,12 +13,12 @@ from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket
 
 from becalm.errors import InputError, OutputError
-from becalm.files.asked import ReadOptions
+from becalm.files.read_options import ReadOptions
 from becalm.web.site import as_file
-from becalm.web.tuner.conversation import Conversation
 from becalm.web.tuner.naming import stem_of
 from becalm.web.tuner.opened import AS_IT_IS, Opened
 from becalm.web.tuner.saving import Job, Made, cleaned, reported
+from becalm.web.tuner.session import Conversation
 from becalm.web.tuner.sharing import Shared
 
 __all__ = ["Tuner"]

@@ -8,8 +8,8 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, model_validator
 
 from becalm.cleaning.recipe import Mode
-from becalm.web import hearing
-from becalm.web.hearing import Numbered
+from becalm.web import incoming_messages
+from becalm.web.incoming_messages import Numbered
 
 MOST_STRETCHES = 4000
 """Stretches of a picture."""
@@ -126,5 +126,5 @@ _ANY: TypeAdapter[Message] = TypeAdapter(Annotated[Message, Field(discriminator=
 
 
 def understood(said: Mapping[str, Any]) -> Message:
-    """Check what a page said, as `hearing.understood` does."""
-    return hearing.understood(_ANY, said)
+    """Check what a page said, as `incoming_messages.understood` does."""
+    return incoming_messages.understood(_ANY, said)

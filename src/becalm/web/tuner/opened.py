@@ -14,10 +14,10 @@ from becalm.cleaning.recipe import Origin
 from becalm.cleaning.tuning import Tuned, Wishes, explore, tuned_as_filter
 from becalm.core.arrays import Floats
 from becalm.errors import InputError, UsageError
-from becalm.files.asked import ReadOptions
-from becalm.files.every_time import open_file
 from becalm.files.opening import OpenSource
 from becalm.files.portions import rows_to_tune_on
+from becalm.files.read_options import ReadOptions
+from becalm.files.time_bases import open_file
 from becalm.web.tuner.settings import Options
 
 Progress = Callable[[str], None]

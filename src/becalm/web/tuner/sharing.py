@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 from becalm.errors import BecalmError, InputError, UsageError
-from becalm.files.asked import ReadOptions
+from becalm.files.read_options import ReadOptions
 from becalm.files.registry import endings_here
 from becalm.installation import load_scipy, version
-from becalm.web.tuner.desk import Desk
 from becalm.web.tuner.folder import READ_ENDINGS, Folder
 from becalm.web.tuner.opened import AS_IT_IS, Opened
+from becalm.web.tuner.view_model import Desk
 from becalm.web.uploads import Uploads
 
 _HALVES, _WORKERS = 2, 6

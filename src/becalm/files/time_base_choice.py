@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from becalm.errors import InputError, UsageError
-from becalm.files.asked import ReadOptions
 from becalm.files.groups import TIME
+from becalm.files.read_options import ReadOptions
 from becalm.files.source import RawTable
 from becalm.files.units import parse_header
 

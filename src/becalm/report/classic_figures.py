@@ -6,7 +6,7 @@ import numpy as np
 
 from becalm.classic.register import CLASSICS
 from becalm.cleaning.comparison import BECALM, RULES, ChannelComparison, Comparison, Contender
-from becalm.cleaning.comparison_words import cells, headings
+from becalm.cleaning.comparison_cells import cells, headings
 from becalm.core.arrays import Floats
 from becalm.core.recording import Recording
 from becalm.core.verdict import judge

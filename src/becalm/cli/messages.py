@@ -31,7 +31,7 @@ def progress(title: str, count: int) -> Iterator[Callable[[str, int], None]]:
 def tell(reports: tuple[ChannelReport, ...], causal: bool) -> None:
     """Show what was found for each channel, then whom to trust."""
     from becalm.cleaning.judging import DESCRIBED
-    from becalm.cleaning.words import cells
+    from becalm.cleaning.table_cells import cells
 
     table = Table(box=None, pad_edge=False)
     for heading in ("channel", "model", "noise", "bandwidth", "lag", "trust"):

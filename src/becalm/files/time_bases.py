@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 from becalm.errors import InputError, UsageError
-from becalm.files.asked import ReadOptions, refuse_impossible
-from becalm.files.choosing import chosen_table, holds, listed
+from becalm.files.calibrated_source import with_sensors
 from becalm.files.converting import in_units_asked
 from becalm.files.opening import OpenSource, close, understood
+from becalm.files.read_options import ReadOptions, refuse_impossible
 from becalm.files.registry import read_tables
-from becalm.files.sensing import with_sensors
 from becalm.files.source import RawTable
+from becalm.files.time_base_choice import chosen_table, holds, listed
 
 
 class Passed(NamedTuple):

@@ -15,9 +15,9 @@ from becalm.errors import UsageError
 if TYPE_CHECKING:
     from becalm.cleaning.recipe import Recipe
     from becalm.cli.options import Asked, When
-    from becalm.files.asked import ReadOptions
-    from becalm.files.every_time import OpenFile
     from becalm.files.opening import OpenSource
+    from becalm.files.read_options import ReadOptions
+    from becalm.files.time_bases import OpenFile
     from becalm.sensors.record import SensorRecord
 
 AS_WRITTEN, MENDED = "as-written", "mended"
@@ -77,7 +77,7 @@ def said_of(channels: str | None, when: When, units: list[str] | None, sensors: 
         from datetime import datetime
 
         from becalm.cleaning.sensor_file import due_warnings, load_sensors
-        from becalm.cli.talk import stderr
+        from becalm.cli.messages import stderr
 
         records = load_sensors(sensors)
         for sentence in due_warnings(records, datetime.now().astimezone().date()):
@@ -94,13 +94,13 @@ def open_as(file: Path, said: Said) -> OpenSource:
 
 def open_every(file: Path, said: Said) -> AbstractContextManager[OpenFile]:
     """Open a file as it was said to be, with all its times."""
-    from becalm.files.every_time import open_file
+    from becalm.files.time_bases import open_file
 
     return open_file(file, _options(file, said))
 
 
 def _options(file: Path, said: Said) -> ReadOptions:
-    from becalm.files.asked import COMMAND_LINE, Asker, Fitting, ReadOptions
+    from becalm.files.read_options import COMMAND_LINE, Asker, Fitting, ReadOptions
 
     asker = COMMAND_LINE
     if said.recipe is not None and said.channels is None:
@@ -180,7 +180,7 @@ def tuned(source: OpenSource, causal: bool, asked: Asked, lag_s: float | None = 
     """Tune a recipe on a file, or on evenly spread stretches of a long one."""
     from becalm.cleaning.calibrating import calibrated
     from becalm.cleaning.tuning import Wishes, tune
-    from becalm.cli.talk import progress
+    from becalm.cli.messages import progress
     from becalm.files.portions import beginning, rest_within, rows_to_tune_on
 
     sample = source.sample(rows_to_tune_on(source))

@@ -10,12 +10,12 @@ from typing import Any
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from becalm.errors import BecalmError
-from becalm.web.hearing import heard, number_of
+from becalm.web.incoming_messages import heard, number_of
 from becalm.web.tuner import messages
 from becalm.web.tuner.messages import understood
+from becalm.web.tuner.outgoing_messages import Wire
+from becalm.web.tuner.picture_queue import Showing
 from becalm.web.tuner.sharing import Shared, Telling
-from becalm.web.tuner.showing import Showing
-from becalm.web.tuner.telling import Wire
 
 
 class Conversation:

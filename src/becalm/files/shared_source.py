@@ -11,11 +11,11 @@ import pyarrow as pa
 
 from becalm.core.arrays import Floats
 from becalm.core.time.clock import Clock
+from becalm.files.atomic_file import sentences
 from becalm.files.chunk import Chunk
 from becalm.files.opening import OpenSource
 from becalm.files.rows import rebatched
 from becalm.files.source import RawTable
-from becalm.files.whole import sentences
 
 _AT_ONCE = 1 << 20  # stamps
 

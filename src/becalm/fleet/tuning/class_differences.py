@@ -11,10 +11,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from becalm.cleaning.recipe import ChannelRecipe
+from becalm.fleet.class_outliers import FACTOR, factors_apart, times
 from becalm.fleet.outcome import Outcome
-from becalm.fleet.outlying import FACTOR, factors_apart, times
+from becalm.fleet.tuning.class_recipe import Typical, channels_by_key
 from becalm.fleet.tuning.found import Found, TunedChannel
-from becalm.fleet.tuning.typical import Typical, channels_by_key
 from becalm.report.fleet_order import DOUBTFUL
 from becalm.report.fleet_rows import FleetRow
 

@@ -9,8 +9,8 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from becalm.errors import OutputError
-from becalm.files.waiting import in_waiting
-from becalm.files.whole import refuse_folder, replacing, sentences
+from becalm.files.atomic_file import refuse_folder, replacing, sentences
+from becalm.files.temporary_files import in_waiting
 
 
 def make_folder(path: Path) -> None:

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 from becalm.errors import BecalmError
 from becalm.web.frames import text
-from becalm.web.hearing import heard, number_of
-from becalm.web.livepage.desk import NOT_BEGUN
+from becalm.web.incoming_messages import heard, number_of
+from becalm.web.livepage.live_dial import NOT_BEGUN
 from becalm.web.livepage.messages import MOST_BINS, From, Message, Past, Turn, understood
 from becalm.web.livepage.page import LivePage
 

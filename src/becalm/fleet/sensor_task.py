@@ -14,12 +14,12 @@ from becalm.cleaning.pipeline import fitted
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.report import ChannelReport
 from becalm.errors import BecalmError, InputError, OutputError
-from becalm.files.asked import asked_by
+from becalm.files.atomic_file import sentences
+from becalm.files.chunked_cleaning import clean_chunks
 from becalm.files.lake.folder import FolderRows
 from becalm.files.opening import OpenSource, as_asked, understood
+from becalm.files.read_options import asked_by
 from becalm.files.tables import VERDICT
-from becalm.files.through import clean_chunks
-from becalm.files.whole import sentences
 from becalm.fleet.job import Job, Sensor
 from becalm.fleet.marks import Mark, came_of
 from becalm.fleet.outcome import SHOWN, Outcome, noted, refused

@@ -11,8 +11,8 @@ from becalm.errors import UsageError
 from becalm.web.tuner import messages
 from becalm.web.tuner.judging import judged
 from becalm.web.tuner.messages import Look
+from becalm.web.tuner.outgoing_messages import Wire
 from becalm.web.tuner.painting import Painter, Wanted, dial_frame, map_frame
-from becalm.web.tuner.telling import Wire
 
 if TYPE_CHECKING:
     from becalm.web.tuner.sharing import Shared

@@ -1,7 +1,7 @@
 """Where a record lies still, found by itself or said by a person.
 
 A sensor at rest shows its noise and nothing else, and noise has two marks that need no unit and no
-datasheet: it keeps its power, and it cannot be foretold. See `becalm.identification.rest.still_windows`.
+datasheet: it keeps its power, and it cannot be foretold. See `becalm.identification.rest.windows`.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from becalm.core.arrays import Booleans, Floats
 from becalm.core.recording import Recording
 from becalm.errors import RecordingError
-from becalm.identification.rest.still_windows import FEWEST, MOST_MISSING, Windows, runs_of
+from becalm.identification.rest.windows import FEWEST, MOST_MISSING, Windows, runs_of
 
 SHORTEST_S = 1.0
 """A shorter calm, as between two movements of a hand, is not taken for rest."""

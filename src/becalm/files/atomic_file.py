@@ -14,7 +14,7 @@ from typing import IO
 import pyarrow as pa
 
 from becalm.errors import OutputError
-from becalm.files.waiting import in_waiting
+from becalm.files.temporary_files import in_waiting
 
 UNNAMED = re.compile(r"\..*\.[0-9a-f]{8}\.part", re.DOTALL)
 """Names of files that have none of their own yet."""

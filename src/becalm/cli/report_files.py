@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple, cast, get_args
 
 import typer
 
-from becalm.cli.said import is_same, recipe_beside, shown_name
+from becalm.cli.opened_file import is_same, recipe_beside, shown_name
 from becalm.errors import OutputError, UsageError
 
 if TYPE_CHECKING:
@@ -116,7 +116,7 @@ class Picturing:
         """
         if self._page is None and self._kind is None:
             return {}
-        from becalm.files.plain import write_text
+        from becalm.files.text_file import write_text
         from becalm.report.channel import Cleaned, Pictures
         from becalm.report.page import Facts, page_of
 
@@ -139,7 +139,7 @@ class Picturing:
         return drawn
 
     def _print(self, pictures: Pictures, kind: Kind) -> int:
-        from becalm.files.plain import make_folder, write_bytes
+        from becalm.files.text_file import make_folder, write_bytes
         from becalm.report.printing import printed
 
         make_folder(self._folder)
