@@ -1,4 +1,4 @@
-"""What a comparison found, in the few words that a cell of a table holds."""
+"""Write the results of a comparison as cells of a table."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What was found for a channel, in the few words that a cell of a table holds."""
+"""Write the results of a channel as cells of a table."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is said to a person, on stderr: progress on a terminal, a table, the judgement in words."""
+"""Messages on the error output: progress on a terminal, a table, the verdict in words."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a person said of a file, and the file opened and tuned on as said."""
+"""Open a file with the options of the command line, and tune on it."""
 
 from __future__ import annotations
 

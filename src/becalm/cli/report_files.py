@@ -1,4 +1,4 @@
-"""The pictures of a file that is cleaned: a page, and figures in a folder."""
+"""Write the report and the figures of a file that is being cleaned."""
 
 from __future__ import annotations
 

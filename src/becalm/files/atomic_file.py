@@ -1,4 +1,4 @@
-"""A file appears whole or not at all: a temporary name first, renamed when it is safely on disk."""
+"""Write a file under a temporary name, and rename it once it is safely on disk."""
 
 from __future__ import annotations
 

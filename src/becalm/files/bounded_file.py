@@ -1,4 +1,4 @@
-"""A file that is handed to a library that trusts what the file says of itself."""
+"""A file object for libraries that trust the sizes a file claims: it reads no more than there is."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rows of a file of which some columns are in what sensors measured."""
+"""Rows of a file with some columns converted by their sensors' calibrations."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Columns in what the sensor measured, in the place of the volts it gave."""
+"""A source with columns converted from volts by their sensors' calibrations."""
 
 from __future__ import annotations
 

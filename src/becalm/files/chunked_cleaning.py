@@ -1,4 +1,4 @@
-"""A file through a recipe, chunk by chunk: channels are cleaned side by side, and written beside that."""
+"""Clean a file chunk by chunk with a recipe: channels run side by side, and earlier chunks are written meanwhile."""
 
 from __future__ import annotations
 

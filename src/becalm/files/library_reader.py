@@ -1,4 +1,4 @@
-"""A format that its field's own library reads: the library when it is needed, and its failures in sentences."""
+"""Read a format with its own library: load the library when it is needed, and report its failures in sentences."""
 
 from __future__ import annotations
 

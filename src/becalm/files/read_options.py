@@ -1,4 +1,4 @@
-"""What a person said of a file, on the command line or by a recipe."""
+"""Options of reading a file, from the command line or a recipe."""
 
 from __future__ import annotations
 

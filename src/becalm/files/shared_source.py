@@ -1,4 +1,4 @@
-"""A source that was understood by another process, read again: any of its rows, with the clock of all of them."""
+"""Reopen a source that another process has parsed: any of its rows, with the clock of all of them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files that this process is writing under temporary names, so that they can be removed whatever happens."""
+"""Keep a list of the temporary files of this process, so that they are removed whatever happens."""
 
 from __future__ import annotations
 

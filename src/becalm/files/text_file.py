@@ -1,4 +1,4 @@
-"""Text files, whole or not at all; and whether an output can be written, before the work is done."""
+"""Write text files whole or not at all, and check whether an output can be written before the work is done."""
 
 from __future__ import annotations
 

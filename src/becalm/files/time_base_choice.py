@@ -1,4 +1,4 @@
-"""Which of a file's time bases is meant."""
+"""Choose one of the time bases of a file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A file with all its time bases, each understood by itself."""
+"""Open a file with all its time bases, each parsed by itself."""
 
 from __future__ import annotations
 

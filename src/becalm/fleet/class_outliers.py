@@ -1,4 +1,4 @@
-"""What is unlike the other sensors of its class: by so much that neither chance nor their own spread explains it."""
+"""Find sensors that differ from their class by more than chance and the spread of the class explain."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One job at a time is at work on a folder."""
+"""Lock an output folder, so that one job at a time writes to it."""
 
 from __future__ import annotations
 

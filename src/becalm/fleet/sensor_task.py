@@ -1,4 +1,4 @@
-"""A sensor in one task: read, cleaned and written by the worker itself, chunk by chunk."""
+"""Clean one sensor in one task: the worker reads, filters and writes it chunk by chunk."""
 
 from __future__ import annotations
 

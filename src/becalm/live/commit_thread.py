@@ -1,4 +1,4 @@
-"""The thread that keeps: rows, filters and position for good, beside the filtering of the next rows."""
+"""The thread that commits rows, filters and position, while the next rows are filtered."""
 
 from __future__ import annotations
 

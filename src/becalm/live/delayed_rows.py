@@ -1,4 +1,4 @@
-"""Rows of a stream that were read, and wait in a filter with a lag until they are told."""
+"""Rows of a stream that wait in a fixed-lag filter for later ones."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Libraries that one transport needs, or one way to watch: what to type where it is not here."""
+"""Import the optional library of a transport, or say what to install."""
 
 from __future__ import annotations
 

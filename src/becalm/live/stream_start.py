@@ -1,4 +1,4 @@
-"""How a stream begins: where it stood, by a recipe, or by one that is learned from its first rows."""
+"""Start a stream: from its checkpoint, with a recipe, or with one that is tuned on its first rows."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What stands beside becalm's own in a report: every classic filter, in a table and in two pictures."""
+"""Show every classic filter beside becalm: a table and two figures."""
 
 from __future__ import annotations
 

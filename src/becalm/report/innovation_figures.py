@@ -1,4 +1,4 @@
-"""Whether to trust the filter of a channel, in pictures of its innovations."""
+"""Draw the innovations of a channel, which tell whether its filter can be trusted."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the filter of a channel is, in pictures: noise against lag, and how it follows a step."""
+"""Draw the response of a filter: noise against lag, and a step."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a page says: one JSON object a frame, or it is refused in a sentence."""
+"""Parse what a page sends: one JSON object a frame, or it is refused in a sentence."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Which sensors are unlike their class, and why, in words.
+"""Describe in words how a sensor differs from its class.
 
-A channel is unlike that of its class where its noise is (`fleet.outlying`), or where the class's recipe does not
+A channel is unlike that of its class where its noise is (`fleet.class_outliers`), or where the class's recipe does not
 describe it while it describes most others: by the judge's verdict, or because the mean NIS is not within a factor of
 two of 1. An order, or a process noise, of its own is no reason but is told with one: where the class's recipe does as
 well, it makes no difference.

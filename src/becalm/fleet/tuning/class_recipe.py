@@ -1,4 +1,4 @@
-"""The recipe of a class: for each channel that of its most typical sensor, so that it is right for one at least.
+"""Make the recipe of a class: for each channel that of its most typical sensor, so that it fits one at least.
 
 The rule. A class's recipe has the channels, by name and unit, that more than half of its tuned sensors have. For each
 of them the sensors count whose own filter describes it (else those that have a filter; else all: then it passes

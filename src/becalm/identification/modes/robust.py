@@ -1,4 +1,4 @@
-"""A robust filter: for records of which up to one reading in ten is wild.
+"""Identify a robust filter, for records with up to one outlier in ten samples.
 
 Wild readings inflate the noise, and hide what moves and what hums; so once the bank has told which they are, each is
 replaced by a draw from what all others say of it, the channel's filter is chosen again, and the bank with it.

@@ -1,4 +1,4 @@
-"""Where a record lies still, found by itself or said by a person.
+"""Find where a sensor lies still, or take what a person says of it.
 
 A sensor at rest shows its noise and nothing else, and noise has two marks that need no unit and no
 datasheet: it keeps its power, and it cannot be foretold. See `becalm.identification.rest.windows`.

@@ -1,4 +1,4 @@
-"""A record cut into windows, and whether what they hold is noise.
+"""Cut a record into windows, and test whether a window holds noise alone.
 
 Noise has two marks that need no unit and no datasheet: it keeps its power, and it cannot be foretold.
 The quietest windows that last set a floor for each channel; windows that stay on it are calm.

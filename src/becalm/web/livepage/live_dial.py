@@ -1,4 +1,4 @@
-"""The live dial: a channel's tuning changed amid a stream, taken back again, and what the filters then are."""
+"""The live dial: change the tuning of a channel while a stream runs, undo it, and report the filters in force."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One who looks on: bins as they close, at the screen's pace and no faster than they are taken; and what is asked."""
+"""The session of one viewer: it sends bins as they close, at the pace of the screen, and answers requests."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What goes down to a page: one message after the other, and a sentence where something could not be done."""
+"""Send messages to a page one after the other, and a sentence where something could not be done."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a page sees: the newest picture that it asked for, in a hurry first, and beside it what takes longer."""
+"""Queue the pictures of a page: the newest request first, quick ones before slow ones."""
 
 from __future__ import annotations
 

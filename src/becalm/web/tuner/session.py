@@ -1,4 +1,4 @@
-"""A page and the tuner in conversation: what is asked changes the desk at once; pictures follow, the newest wins."""
+"""The session of one page of the tuner: requests change the view model at once, and the newest picture wins."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a person is working on: the settings of every channel, and how they were before."""
+"""What a person is working on: the settings of every channel, with undo."""
 
 from __future__ import annotations
 
