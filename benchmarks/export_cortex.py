@@ -23,7 +23,7 @@ from typing import NamedTuple, get_args
 
 from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
 from becalm.cleaning.recipe_parts import LimitsRecipe, ToneRecipe
-from becalm.export.bundle import Asked, bundle_of
+from becalm.export.bundle import ExportOptions, bundle_of
 from becalm.export.number_type import Precision
 from becalm.export.proof.verifying import unpacked
 from pages import page_parser, publish
@@ -71,7 +71,7 @@ def counts(precision: Precision) -> Iterator[Count]:
     """
     recipe = Recipe(mode="causal", tuned_on=Origin(rate_hz=RATE_HZ), channel=CHANNELS)
     spans = {one.name: SPAN for one in CHANNELS}
-    bundle = bundle_of(recipe, "bench", Asked(precision, spans=spans))
+    bundle = bundle_of(recipe, "bench", ExportOptions(precision, spans=spans))
     with tempfile.TemporaryDirectory(prefix="becalm-cortex-") as place:
         folder = unpacked(bundle, Path(place))
         for core, name in CORES.items():

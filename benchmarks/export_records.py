@@ -32,7 +32,7 @@ from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
 from becalm.cleaning.stream import StreamCleaner
 from becalm.core.arrays import Floats
 from becalm.errors import BecalmError
-from becalm.export.bundle import Asked, bundle_of
+from becalm.export.bundle import ExportOptions, bundle_of
 from becalm.export.number_type import Precision
 from becalm.export.proof.compiling import build
 from becalm.export.proof.verifying import Compared, compare, specified, unpacked
@@ -85,7 +85,7 @@ def compared(channel: ChannelRecipe, rate_hz: float, readings: Floats, precision
     more = 0.1 * float(np.ptp(seen))  # a reading at the end of the range is clipped
     spans = {channel.name: (float(seen.min()) - more, float(seen.max()) + more)} if more > 0 else {}
     with tempfile.TemporaryDirectory() as place:
-        bundle = bundle_of(recipe, "record", Asked(precision=precision, spans=spans))
+        bundle = bundle_of(recipe, "record", ExportOptions(precision=precision, spans=spans))
         program = build(unpacked(bundle, Path(place)), bundle.stem, "cc", ("-O2",))
         (one,) = bundle.channels
         found = compare(program, one, channel, "record", readings)

@@ -21,7 +21,7 @@ from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
 from becalm.cleaning.recipe_modes import ModeRecipe, SwitchingRecipe
 from becalm.cleaning.recipe_parts import GateRecipe, LimitsRecipe, ToneRecipe
 from becalm.errors import BecalmError
-from becalm.export.bundle import Asked, Bundle, bundle_of
+from becalm.export.bundle import Bundle, ExportOptions, bundle_of
 from becalm.export.number_type import Precision
 from becalm.export.proof.compiling import build, compilers, run
 from becalm.export.proof.verifying import unpacked
@@ -85,7 +85,7 @@ def cost(channel: ChannelRecipe, precision: Precision) -> Cost:
     """Measure one filter."""
     recipe = Recipe(mode="causal", tuned_on=Origin(rate_hz=_RATE_HZ), channel=(channel,))
     spans = {channel.name: (-100.0, 100.0)} if precision == "q31" else {}
-    bundle = bundle_of(recipe, "cost", Asked(precision=precision, spans=spans))
+    bundle = bundle_of(recipe, "cost", ExportOptions(precision=precision, spans=spans))
     (one,) = bundle.channels
     with tempfile.TemporaryDirectory() as place:
         folder = unpacked(bundle, Path(place))

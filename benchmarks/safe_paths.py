@@ -14,7 +14,7 @@ import numpy as np
 import becalm
 from becalm.cleaning.stream import StreamCleaner, Streamed
 from becalm.core.verdict import LOST, Verdict
-from becalm.export.bundle import Asked, bundle_of
+from becalm.export.bundle import ExportOptions, bundle_of
 from becalm.export.proof.compiling import build
 from becalm.export.proof.verifying import streamed, unpacked
 from becalm.export.vectors import STARTING
@@ -77,7 +77,7 @@ class Exported(AbstractContextManager["Exported"]):
     def __init__(self, sound: Floats) -> None:
         self._stack = ExitStack()
         folder = Path(self._stack.enter_context(tempfile.TemporaryDirectory()))
-        bundle = bundle_of(_recipe(sound, "causal"), "safe", Asked(precision="float64"))
+        bundle = bundle_of(_recipe(sound, "causal"), "safe", ExportOptions(precision="float64"))
         self._program = build(unpacked(bundle, folder), bundle.stem, "cc", ("-O2",))
         (self._channel,) = bundle.channels
 

@@ -31,7 +31,7 @@ from becalm.cleaning.recipe_parts import ColouredNoiseRecipe, GateRecipe, ToneRe
 from becalm.cleaning.stream import StreamCleaner
 from becalm.core.arrays import Floats
 from becalm.errors import BecalmError
-from becalm.export.bundle import Asked, Bundle, bundle_of
+from becalm.export.bundle import Bundle, ExportOptions, bundle_of
 from becalm.export.proof.compiling import STRICT, build
 from becalm.export.proof.verifying import streamed, unpacked
 from export_records import recordings, tuned
@@ -97,7 +97,7 @@ def rough() -> Floats:
 def by_compilers() -> str:
     """Return the table of compilers."""
     recipe, readings = many_filters(), rough()
-    bundle = bundle_of(recipe, "many", Asked(precision="float64", gain="full"))
+    bundle = bundle_of(recipe, "many", ExportOptions(precision="float64", gain="full"))
     own = hashlib.sha256()
     for channel in recipe.channel:
         own.update(_told(_stream(channel, _RATE_HZ, readings)))
@@ -158,7 +158,7 @@ def _compared(title: str, recording: becalm.Recording) -> Compared:
         readings = np.ascontiguousarray(recording.samples[:, recording.names.index(channel.name)])
         alone = Recipe(mode="causal", tuned_on=Origin(rate_hz=rate_hz), channel=(channel,))
         try:
-            bundle = bundle_of(alone, "record", Asked(precision="float64", gain="full"))
+            bundle = bundle_of(alone, "record", ExportOptions(precision="float64", gain="full"))
         except BecalmError:
             refused += 1
             continue

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from becalm.core.arrays import Codes, Floats
-from becalm.core.filter.filtering import Wanted, run_filter
+from becalm.core.filter.filtering import WantedResults, run_filter
 from becalm.core.filter.gate import WIDE, Gate
 from becalm.core.model.components import Component, motion
 from becalm.core.model.model import Model
@@ -35,7 +35,7 @@ def with_jumps(component: Component, elapsed: Floats, z: Floats, verdicts: Codes
     for row in range(n, len(z)):
         if verdicts[row] == Verdict.STEP:
             line = Timeline(System(F, Q, model.H, model.R), np.arange(row + 1), step[:row], elapsed)
-            told = run_filter(model, line, z[:row, np.newaxis], Wanted(states=True, covariances=True)).estimate
+            told = run_filter(model, line, z[:row, np.newaxis], WantedResults(states=True, covariances=True)).estimate
             assert told.mean is not None and told.cov is not None  # noqa: PT018
             x, P = F[row] @ told.mean[-1], F[row] @ told.cov[-1] @ F[row].T + Q[row]
             square, hPh = (z[row] - (model.H @ x)[0]) ** 2, (model.H @ P @ model.H.T)[0, 0]

@@ -19,7 +19,7 @@ from becalm.core.filter.channel_settings import Settings
 from becalm.core.filter.gate import Gate
 from becalm.core.filter.smoothed_flow import SmoothedFlow
 from becalm.core.filter.smoothing import run_smoother
-from becalm.core.health.faults import Found
+from becalm.core.health.faults import FaultCount
 from becalm.core.health.limits import Limits
 from becalm.core.health.monitor import Alarms
 from becalm.core.health.outliers import find_outlier_rule
@@ -372,9 +372,9 @@ def test_faults_are_told_of_a_hole_too() -> None:
     found = one.process(z, elapsed, timing)
     assert (found.verdict[112:200] == Verdict.HOLE).all()
     assert one.faults == {
-        Verdict.NONFINITE: Found(1, 300, 305.0),
-        Verdict.STUCK: Found(91, 109, 114.0),
-        Verdict.GAP: Found(1, 50, 55.0),
+        Verdict.NONFINITE: FaultCount(1, 300, 305.0),
+        Verdict.STUCK: FaultCount(91, 109, 114.0),
+        Verdict.GAP: FaultCount(1, 50, 55.0),
     }
     one.forget_counts()
     assert one.faults == {}

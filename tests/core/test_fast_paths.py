@@ -23,7 +23,7 @@ from against_reference import (
     slowest_pole,
 )
 from becalm.core.arrays import Floats
-from becalm.core.filter.filtering import Estimate, Wanted, kalman_filter, run_filter
+from becalm.core.filter.filtering import Estimate, WantedResults, kalman_filter, run_filter
 from becalm.core.filter.smoothing import kalman_smoother, run_smoother
 from becalm.core.model.components import motion
 from becalm.core.model.model import Model
@@ -171,7 +171,7 @@ def test_uneven_time_between_even_stretches() -> None:
     z[900], z[1700:1760], z[2300] = np.nan, np.nan, 1e101
     about = followed(model, *component.over(elapsed), arrived(z))
     timeline = elapsed_timeline(component, 1.0, elapsed)
-    wanted = Wanted(states=True)
+    wanted = WantedResults(states=True)
     got, back = run_filter(model, timeline, z, wanted).estimate, run_smoother(model, timeline, z, wanted)
     assert got.settled_row is not None
     assert got.settled_row <= settled_by(slowest_pole(model) ** 2) + 3  # three checks in a row confirm it

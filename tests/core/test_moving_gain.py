@@ -14,7 +14,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from becalm.core.arrays import Floats
-from becalm.core.filter.filtering import Wanted, run_filter
+from becalm.core.filter.filtering import WantedResults, run_filter
 from becalm.core.filter.smoothing import run_smoother
 from becalm.core.model.components import motion
 from becalm.core.model.model import Model
@@ -78,7 +78,7 @@ def variances(H: Floats, covs: list[Floats]) -> Floats:
 
 
 def assert_filter(model: Model, timeline: Timeline, z: Floats, told: Told, bound: float = TWIN) -> None:
-    run, H, steps = run_filter(model, timeline, z, Wanted(states=True)), model.H, told.steps
+    run, H, steps = run_filter(model, timeline, z, WantedResults(states=True)), model.H, told.steps
     got, there = run.estimate, np.isfinite(z[:, 0])
     S = [step.innovation_cov[0] for step in steps if len(step.innovation_cov)]
     means = [step.filtered.mean for step in steps]
@@ -99,7 +99,7 @@ def assert_smoother(model: Model, timeline: Timeline, z: Floats, told: Told, bou
     H, covs = model.H, [step.filtered.cov for step in told.steps]
     means, before = [belief.mean for belief in told.beliefs], [step.filtered.mean for step in told.steps]
     for states in (False, True):
-        got = run_smoother(model, timeline, z, Wanted(states=states))
+        got = run_smoother(model, timeline, z, WantedResults(states=states))
         assert_twins(got.signal, [H @ mean for mean in means], None, bound)
         assert_twins(got.sigma**2, variances(H, [belief.cov for belief in told.beliefs]), variances(H, covs), bound)
     assert_twins(got.mean, means, means + before, bound)
@@ -194,7 +194,7 @@ def test_steps_of_several_lengths_and_blocks_within_them() -> None:
     timeline = elapsed_timeline(component, 1.0, elapsed, goes_on=True)
     z = np.random.default_rng(5).normal(size=(len(elapsed), 1))
     z[1100], z[1791:1795] = np.nan, np.nan
-    got, singly = (run_smoother(model, timeline, z, Wanted(covariances=asked)) for asked in (False, True))
+    got, singly = (run_smoother(model, timeline, z, WantedResults(covariances=asked)) for asked in (False, True))
     assert got.settled_row is None
     assert_filter(model, timeline, z, Told(filtered(model, timeline, z), []))
     assert_twins(got.signal, singly.signal)
@@ -250,6 +250,6 @@ def test_what_leaves_the_range_of_squares(name: str, covariances: bool) -> None:
     model = LIMITS[name]
     z = np.sqrt(model.R[0, 0]) * np.random.default_rng(9).normal(size=(BLOCK, 1))
     steps = filtered(model, going_on(model, BLOCK), z)
-    got = run_filter(model, going_on(model, BLOCK), z, Wanted(covariances=covariances)).estimate
+    got = run_filter(model, going_on(model, BLOCK), z, WantedResults(covariances=covariances)).estimate
     assert_each(got.innovation_sigma**2, [step.innovation_cov for step in steps])
     assert_each(got.sigma**2, variances(model.H, [step.filtered.cov for step in steps]))

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from becalm.core.arrays import Floats
-from becalm.core.filter.filtering import Wanted, kalman_filter, new_beliefs, new_kernel, rows_of
+from becalm.core.filter.filtering import WantedResults, kalman_filter, new_beliefs, new_kernel, rows_of
 from becalm.core.filter.smoothing import kalman_smoother
 from becalm.core.model.model import Model
 from becalm.core.model.timeline import even_timeline
 from becalm.errors import ModelError
-from becalm.native.multivariate import Beliefs, Multivariate, Rows
+from becalm.native.multivariate import EstimateBuffers, MeasurementRows, Multivariate
 
-WANTED = Wanted(states=True, covariances=True)
+WANTED = WantedResults(states=True, covariances=True)
 SIZES = [(1, 1), (2, 1), (2, 2), (3, 3), (2, 3), (4, 2), (6, 3), (8, 2)]
 
 
@@ -76,7 +76,7 @@ def test_the_largest_model_runs(run: Any) -> None:
     assert (found.sigma > 0).all()
 
 
-def given(**changes: Any) -> tuple[Rows, Beliefs]:
+def given(**changes: Any) -> tuple[MeasurementRows, EstimateBuffers]:
     rows: dict[str, Any] = {
         "z": np.zeros((4, 2)),
         "first": np.array([0, 1, 4]),
@@ -88,7 +88,7 @@ def given(**changes: Any) -> tuple[Rows, Beliefs]:
     room: dict[str, Any] = {"signal": np.empty((4, 2)), "innovation": np.empty((4, 2)), "x": np.empty((4, 3))}
     for name, change in changes.items():
         (rows if name in rows else room)[name] = change
-    return Rows(**rows), Beliefs(**room)
+    return MeasurementRows(**rows), EstimateBuffers(**room)
 
 
 UNFIT: dict[str, list[Any]] = {
@@ -129,4 +129,4 @@ def test_parts_of_a_model_that_do_not_fit_are_refused() -> None:
     with pytest.raises(ValueError, match="in one piece"):
         Multivariate(H, R, prior, right).start(np.zeros(2), np.eye(3))
     with pytest.raises(ValueError, match="innovations"):
-        Multivariate(H, R, prior, right).smooth(given()[0], Beliefs(signal=np.empty((4, 2))))
+        Multivariate(H, R, prior, right).smooth(given()[0], EstimateBuffers(signal=np.empty((4, 2))))

@@ -17,7 +17,7 @@ from becalm.cleaning.recipe_modes import ModeRecipe, SwitchingRecipe
 from becalm.cleaning.recipe_parts import LimitsRecipe, ToneRecipe
 from becalm.cleaning.stream import StreamCleaner
 from becalm.core.arrays import Codes, Floats
-from becalm.export.bundle import Asked, Bundle, Exported, bundle_of
+from becalm.export.bundle import Bundle, Exported, ExportOptions, bundle_of
 from becalm.export.proof.compiling import OPTIMISED, SANITIZED, Build, build, run
 from becalm.export.proof.verifying import unpacked
 
@@ -67,7 +67,7 @@ def recipe_of(*channels: ChannelRecipe, rate_hz: float = 100.0) -> Recipe:
 
 def bundle(*channels: ChannelRecipe, rate_hz: float = 100.0, **asked: Any) -> Bundle:
     """Write these channels as C."""
-    return bundle_of(recipe_of(*channels, rate_hz=rate_hz), "drive", Asked(**asked))
+    return bundle_of(recipe_of(*channels, rate_hz=rate_hz), "drive", ExportOptions(**asked))
 
 
 def fixed(*told: ChannelRecipe, span: tuple[float, float] = (-SPAN, SPAN)) -> Bundle:

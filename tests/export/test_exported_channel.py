@@ -20,7 +20,7 @@ from becalm.cleaning.stream import StreamCleaner
 from becalm.core.arrays import Codes, Floats
 from becalm.core.model.autoregressive import from_partial_autocorrelations
 from becalm.core.verdict import Verdict
-from becalm.export.bundle import Asked, Bundle, bundle_of
+from becalm.export.bundle import Bundle, ExportOptions, bundle_of
 from becalm.export.channel.kind import Sizes
 from becalm.export.channel.sources import sources_of
 from becalm.export.proof.compiling import OPTIMISED, SANITIZED, STRICT, build, run
@@ -424,7 +424,7 @@ def test_two_exports_are_linked_into_one_program(tmp_path: Path) -> None:
     for stem, recipe in told.items():
         folder = tmp_path / stem
         folder.mkdir()
-        made = bundle_of(recipe_of(recipe), stem, Asked(precision="float64"))
+        made = bundle_of(recipe_of(recipe), stem, ExportOptions(precision="float64"))
         texts = [f"{stem}.c", *(path for path in made.files if path.startswith(FOLDER) and path.endswith(".c"))]
         subprocess.run(["gcc", *STRICT, "-c", *texts], cwd=unpacked(made, folder), check=True)
         main.append(f'#include "{stem}/{stem}.h"')
@@ -442,7 +442,7 @@ def test_two_exports_are_linked_into_one_program(tmp_path: Path) -> None:
 @pytest.mark.parametrize("stem", ["filter", "device", "channel", "becalm", "becalm_sizes", "imm"])
 def test_a_recipe_may_be_called_as_a_part_of_the_library(stem: str, tmp_path: Path) -> None:
     need("gcc")
-    made = bundle_of(recipe_of(WATCHED.model_copy(update={"name": "加速度"})), stem, Asked())
+    made = bundle_of(recipe_of(WATCHED.model_copy(update={"name": "加速度"})), stem, ExportOptions())
     ran = run(build(unpacked(made, tmp_path), made.stem, "gcc", ("-O1",)))
     assert ran.returncode == 0, ran.stdout
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from becalm.export.bundle import Asked, bundle_of
+from becalm.export.bundle import ExportOptions, bundle_of
 from becalm.export.proof.verifying import unpacked
 from exported import bundle, channel, need, recipe_of
 
@@ -40,7 +40,7 @@ def test_the_readme_of_an_export_shows_c_that_compiles(precision: str, tmp_path:
 
 def test_the_manual_shows_c_that_compiles(tmp_path: Path) -> None:
     told = channel("load (N)", unit="N")
-    made = bundle_of(recipe_of(told), "cell", Asked())
+    made = bundle_of(recipe_of(told), "cell", ExportOptions())
     for code in blocks((ROOT / "docs" / "export.md").read_text(encoding="utf-8")):
         ran = compiled(code, unpacked(made, tmp_path))
         assert ran.returncode == 0, ran.stderr

@@ -12,13 +12,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from becalm.core.arrays import Integers
-from becalm.fleet.batch import Asked, Fleet, clean
+from becalm.fleet.batch import BatchOptions, Fleet, clean
 from becalm.fleet.recipes import open_book
 from made import Lake, Run, table_of, walk
 
 KEY = "sensor"
 SPARK: Any = None
-BY_SENSOR = Asked(by=KEY)
+BY_SENSOR = BatchOptions(by=KEY)
 
 
 def own_table(seed: int, rows: int) -> pa.Table:
@@ -50,7 +50,7 @@ def write_files(folder: Path, table: pa.Table, files: int = 3, **how: Any) -> Pa
     return folder
 
 
-def cleaned(lake: Lake, asked: Asked = BY_SENSOR) -> Fleet:
+def cleaned(lake: Lake, asked: BatchOptions = BY_SENSOR) -> Fleet:
     """Clean a lake into the folder beside it."""
     return clean(SPARK, lake.root, lake.root.parent / "out", open_book(lake.recipe), asked)
 

@@ -12,7 +12,7 @@ import numpy as np
 from becalm.cleaning.recipe import Recipe
 from becalm.core.arrays import Codes, Floats
 from becalm.errors import RecipeError
-from becalm.fleet.stream.blocks import Event, Rows
+from becalm.fleet.stream.blocks import Event, SensorRows
 from becalm.fleet.stream.plan import FIRST_ROWS, SensorPlan
 from becalm.fleet.stream.reading import Entry
 from becalm.fleet.stream.sensor import SensorWalk, Step
@@ -56,15 +56,15 @@ class Said(NamedTuple):
     verdicts: Codes
 
 
-def rows_of(rows: int, seed: int = 1) -> Rows:
+def rows_of(rows: int, seed: int = 1) -> SensorRows:
     """Return rows of two channels, stretches of which are missing, in microseconds since 1970, with gaps."""
     steps = np.arange(rows) + 30 * (np.arange(rows) > rows // 3) + 400 * (np.arange(rows) > rows // 2)
     values = np.column_stack([walk(seed, rows, holes=3), walk(seed + 1, rows)])
     values[rows // 4] += 300.0
-    return Rows(np.round((BEGINS_S + steps / RATE_HZ) * 1e6) / 1e6, values)
+    return SensorRows(np.round((BEGINS_S + steps / RATE_HZ) * 1e6) / 1e6, values)
 
 
-def by_stream(rows: Rows, recipe: Recipe = RECIPE) -> Said:
+def by_stream(rows: SensorRows, recipe: Recipe = RECIPE) -> Said:
     """Return what a live stream tells of rows."""
     stream = Stream(recipe, 1 / RATE_HZ, resolution_of(rows.time_s[:FIRST_ROWS]))
     told = stream.take(Block(CHANNELS, ("m", "m"), rows.time_s, rows.values))
@@ -85,7 +85,7 @@ class Walker:
         self._walk = SensorWalk(self.plan, CHANNELS)
         self._places: Iterator[int] = count()
 
-    def hear(self, *batches: Rows) -> Step:
+    def hear(self, *batches: SensorRows) -> Step:
         """Take a micro-batch in which these entries come."""
         return self.take([Entry(next(self._places), rows.packed(), 0.0) for rows in batches])
 
@@ -120,12 +120,12 @@ class Walker:
         return [event.kind for event in self.events]
 
 
-def cut(rows: Rows, cuts: Sequence[int]) -> list[Rows]:
+def cut(rows: SensorRows, cuts: Sequence[int]) -> list[SensorRows]:
     """Cut rows into micro-batches."""
     return [part(rows, slice(a, b)) for a, b in pairwise([0, *sorted(cuts), len(rows.time_s)])]
 
 
-def part(rows: Rows, which: slice | Sequence[int]) -> Rows:
+def part(rows: SensorRows, which: slice | Sequence[int]) -> SensorRows:
     """Return some rows."""
     return rows._replace(time_s=rows.time_s[which], values=rows.values[which])
 

@@ -14,7 +14,7 @@ import pytest
 from becalm.core.verdict import Verdict
 from becalm.fleet.session import session
 from becalm.fleet.stream import LiveBook, SensorPlan, StreamPlan, run, wait
-from becalm.fleet.stream.blocks import Rows
+from becalm.fleet.stream.blocks import SensorRows
 from fleet_stream_runs import committed, told_in, write_rows
 from streaming import CHANNELS, RECIPE, Said
 
@@ -50,7 +50,7 @@ class Stage:
         how = {"source": source} if source else {}
         wait(run(self._spark, self.plan(sensors, once=True, **how)))
 
-    def write(self, name: str, rows: Rows, **how: Any) -> None:
+    def write(self, name: str, rows: SensorRows, **how: Any) -> None:
         """Let a file come."""
         channels = {name: rows.values[:, c] for c, name in enumerate(CHANNELS)}
         write_rows(self.lake / name, rows.time_s, channels, **how)

@@ -16,7 +16,7 @@ import pytest
 import becalm
 from becalm.cleaning.recipe import Mode
 from becalm.errors import InputError, UsageError
-from becalm.fleet.batch import Asked, Fleet, clean
+from becalm.fleet.batch import BatchOptions, Fleet, clean
 from becalm.fleet.recipes import open_book
 from becalm.live.locking import locked
 from made import Lake, Run, farthest, read_parts, recipe_of, same, table_of, walk, without_spark, write_parts
@@ -38,7 +38,7 @@ def lake(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Lake:
     return Lake(tmp_path / "lake", recipe)
 
 
-def cleaned(lake: Lake, asked: Asked = Asked()) -> Fleet:  # noqa: B008  (it cannot change)
+def cleaned(lake: Lake, asked: BatchOptions = BatchOptions()) -> Fleet:  # noqa: B008  (it cannot change)
     return clean(SPARK, lake.root, lake.root.parent / "out", open_book(lake.recipe), asked)
 
 
@@ -82,7 +82,7 @@ def test_a_second_run_leaves_what_is_finished(lake: Lake) -> None:
 def test_what_has_changed_is_made_anew(lake: Lake, change: str) -> None:
     cleaned(lake)
     out, place = lake.root.parent / "out" / "sensor=1", lake.root / "sensor=1" / "date=2026-01-02" / "part-8.parquet"
-    asked, changed = Asked(), {"sensor=1"}
+    asked, changed = BatchOptions(), {"sensor=1"}
     if change == "rows":  # of the same size, between the same extremes
         table = pq.read_table(place, partitioning=None)
         flipped = table.set_column(1, table.schema.field(1), table.column(1).take(np.arange(table.num_rows)[::-1]))
@@ -93,7 +93,7 @@ def test_what_has_changed_is_made_anew(lake: Lake, change: str) -> None:
     elif change == "mode":
         lake.recipe.write_text(recipe_of("a", "b", mode="smoothed").to_toml(), encoding="utf-8")
         cleaned(lake)
-        asked, changed = Asked(causal=True), {f"sensor={k}" for k in range(4)}
+        asked, changed = BatchOptions(causal=True), {f"sensor={k}" for k in range(4)}
     elif change == "output gone":
         next(out.rglob("*.parquet")).unlink()
     elif change == "output cut":
@@ -158,11 +158,11 @@ def test_each_file_may_be_a_sensor(tmp_path: Path, lake: Lake) -> None:
     (flat / "deep").mkdir(parents=True)
     for name in ("one", "deep/two"):
         pq.write_table(table_of(np.arange(3000) / 100, a=walk(3, 3000), b=walk(4, 3000)), flat / f"{name}.parquet")
-    fleet = clean(SPARK, flat, tmp_path / "out", open_book(lake.recipe), Asked(by="file"))
+    fleet = clean(SPARK, flat, tmp_path / "out", open_book(lake.recipe), BatchOptions(by="file"))
     assert [one.sensor for one in fleet.outcomes] == ["deep/two.parquet", "one.parquet"]
     one, two = (pq.read_table(tmp_path / "out" / f"{name}.parquet") for name in ("one", "deep/two"))
     assert same(one, two)
-    again = clean(SPARK, flat, tmp_path / "out", open_book(lake.recipe), Asked(by="file"))
+    again = clean(SPARK, flat, tmp_path / "out", open_book(lake.recipe), BatchOptions(by="file"))
     assert {one.state for one in again.outcomes} == {"kept"}
 
 
@@ -197,7 +197,7 @@ def test_a_long_sensor_cut_in_time_is_that_of_a_file(lake: Lake, run: Run, mode:
     table = table_of(times_s, a=walk(77, rows, holes=20), b=walk(78, rows))
     write_parts(lake.root / "sensor=long", table, (10_000, 25_001), row_group_size=8192)
     lake.recipe.write_text(recipe_of("a", "b", mode=mode).to_toml(), encoding="utf-8")
-    fleet = cleaned(lake, Asked(stretch_rows=8192))
+    fleet = cleaned(lake, BatchOptions(stretch_rows=8192))
     (long,) = [one for one in fleet.outcomes if one.sensor == "sensor=long"]
     assert long.seams.startswith("6 stretches" if mode == "causal" else "7 stretches"), long
     assert {row.rows for row in long.channels} == {rows}
@@ -207,7 +207,7 @@ def test_a_long_sensor_cut_in_time_is_that_of_a_file(lake: Lake, run: Run, mode:
     else:
         assert own.column("a_verdict").cast(pa.string()).equals(its.column("a_verdict").cast(pa.string()))
         assert max(farthest(own, its, name) for name in ("a", "a_sigma", "b", "b_sigma")) < 1e-10
-    again = cleaned(lake, Asked(stretch_rows=8192))
+    again = cleaned(lake, BatchOptions(stretch_rows=8192))
     assert {one.state for one in again.outcomes} == {"kept"}
 
 
@@ -215,7 +215,7 @@ def test_a_long_sensor_of_uneven_time_is_that_of_a_file(lake: Lake, run: Run) ->
     rows = 30_000
     times_s = np.cumsum(np.random.default_rng(6).uniform(0.008, 0.012, rows))
     write_parts(lake.root / "sensor=long", table_of(times_s, a=walk(5, rows, 5), b=walk(6, rows)), (7000,))
-    (long,) = [one for one in cleaned(lake, Asked(stretch_rows=8192)).outcomes if one.sensor == "sensor=long"]
+    (long,) = [one for one in cleaned(lake, BatchOptions(stretch_rows=8192)).outcomes if one.sensor == "sensor=long"]
     assert long.seams.startswith("3 stretches"), long
     assert same(read_parts(lake.root.parent / "out" / "sensor=long"), as_a_file(run, lake, "sensor=long"))
 

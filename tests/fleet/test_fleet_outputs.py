@@ -15,7 +15,7 @@ import pytest
 import becalm
 from becalm.errors import OutputError
 from becalm.files.chunked_cleaning import clean_chunks
-from becalm.fleet.batch import Asked, Fleet, clean
+from becalm.fleet.batch import BatchOptions, Fleet, clean
 from becalm.fleet.marks import Mark
 from becalm.fleet.recipes import open_book
 from made import Lake, recipe_of, table_of, walk, without_spark, write_parts
@@ -39,7 +39,7 @@ def out_of(lake: Lake) -> Path:
     return lake.root.parent / "out"
 
 
-def cleaned(lake: Lake, asked: Asked = Asked()) -> Fleet:  # noqa: B008  (it cannot change)
+def cleaned(lake: Lake, asked: BatchOptions = BatchOptions()) -> Fleet:  # noqa: B008  (it cannot change)
     return clean(SPARK, lake.root, out_of(lake), open_book(lake.recipe), asked)
 
 
@@ -47,8 +47,8 @@ def reasons(fleet: Fleet) -> list[str]:
     return [one.reason for one in fleet.outcomes]
 
 
-@pytest.mark.parametrize("asked", [Asked(), Asked(stretch_rows=1024)], ids=["whole", "cut"])
-def test_files_of_others_are_not_written_over(lake: Lake, asked: Asked) -> None:
+@pytest.mark.parametrize("asked", [BatchOptions(), BatchOptions(stretch_rows=1024)], ids=["whole", "cut"])
+def test_files_of_others_are_not_written_over(lake: Lake, asked: BatchOptions) -> None:
     foreign = out_of(lake) / "sensor=1" / "date=2026-01-02" / "part-8.parquet"
     foreign.parent.mkdir(parents=True)
     foreign.write_bytes(b"of somebody else")
@@ -84,8 +84,8 @@ def test_nor_does_one_below_a_sensor(lake: Lake) -> None:
     assert before == sorted((path, path.stat().st_mtime_ns) for path in lake.root.rglob("*"))
 
 
-@pytest.mark.parametrize("asked", [Asked(), Asked(stretch_rows=1024)], ids=["whole", "cut"])
-def test_a_column_in_whose_place_an_uncertainty_is_written_is_named(lake: Lake, asked: Asked) -> None:
+@pytest.mark.parametrize("asked", [BatchOptions(), BatchOptions(stretch_rows=1024)], ids=["whole", "cut"])
+def test_a_column_in_whose_place_an_uncertainty_is_written_is_named(lake: Lake, asked: BatchOptions) -> None:
     (path,) = (lake.root / "sensor=1" / "date=2026-01-01").glob("*.parquet")
     shutil.rmtree(lake.root / "sensor=1" / "date=2026-01-02")
     table = table_of(np.arange(ROWS) / 100, a=walk(1, ROWS))

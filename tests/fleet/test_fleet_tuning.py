@@ -19,7 +19,7 @@ from becalm.core.arrays import Floats
 from becalm.errors import InputError, UsageError
 from becalm.fleet.batch import Fleet, clean
 from becalm.fleet.recipes import open_book
-from becalm.fleet.tuning.lake import Asked, Tuned, tune_by
+from becalm.fleet.tuning.lake import LakeTuningOptions, Tuned, tune_by
 from made import RATE_HZ, Run, table_of, without_spark, write_parts
 
 PUMP, VALVE = "kind=pump", "kind=valve"
@@ -65,7 +65,7 @@ def here(work: Callable[[Any], Any], tasks: Sequence[Any]) -> list[Any]:
     return [work(task) for task in tasks]
 
 
-def tuned_in(lake: Path, asked: Asked = Asked()) -> Tuned:  # noqa: B008  (it cannot change)
+def tuned_in(lake: Path, asked: LakeTuningOptions = LakeTuningOptions()) -> Tuned:  # noqa: B008  (it cannot change)
     return tune_by(here, lake, lake.parent / "recipes", asked)
 
 
@@ -176,7 +176,7 @@ def test_a_sensor_that_is_unlike_its_class_may_have_its_own_recipe(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     lake = small_lake(tmp_path)
-    tuned = tuned_in(lake, Asked(own=True, causal=True))
+    tuned = tuned_in(lake, LakeTuningOptions(own=True, causal=True))
     assert tuned.recipes == ("default", "sensor=3")
     row = next(row for row in tuned.rows if row.sensor == "sensor=3")
     assert (row.verdict, "does not describe it (NIS" in row.outlying) == ("fits", True)
@@ -189,18 +189,18 @@ def test_a_sensor_that_is_unlike_its_class_may_have_its_own_recipe(
 
 def test_recipes_that_are_there_are_replaced_only_where_that_is_asked(tmp_path: Path) -> None:
     lake, recipes = small_lake(tmp_path), tmp_path / "recipes"
-    tuned_in(lake, Asked(own=True))
+    tuned_in(lake, LakeTuningOptions(own=True))
     (recipes / "notes.txt").write_text("mine")
     before = {path.name: path.read_bytes() for path in recipes.iterdir()}
     with pytest.raises(UsageError, match=r"holds recipes already, as default\.toml.*--replace"):
         tuned_in(lake)
     assert {path.name: path.read_bytes() for path in recipes.iterdir()} == before
-    tuned_in(lake, Asked(replace=True))
+    tuned_in(lake, LakeTuningOptions(replace=True))
     assert {path.name for path in recipes.iterdir()} == set(before) - {"sensor=3.toml"}
 
 
 def test_only_so_many_sensors_of_a_class_are_tuned(tmp_path: Path) -> None:
-    tuned = tuned_in(small_lake(tmp_path, (1.0, 1.0, 6.0, 1.0, 1.0)), Asked(most_sensors=2))
+    tuned = tuned_in(small_lake(tmp_path, (1.0, 1.0, 6.0, 1.0, 1.0)), LakeTuningOptions(most_sensors=2))
     assert [row.sensor for row in tuned.rows] == ["sensor=0", "sensor=4"]
     says = tuned.classes[0].says
     assert says.startswith("default: 2 of 2 sensors tuned, spread evenly by name over all 5.")
@@ -238,7 +238,7 @@ def test_files_may_be_sensors(tmp_path: Path) -> None:
         (tmp_path / "lake" / "pumps").mkdir(parents=True, exist_ok=True)
         table = pa.table({"time_s": np.arange(1500) / RATE_HZ, "v": noisy(number, 1.0, rows=1500)})
         pq.write_table(table, tmp_path / "lake" / "pumps" / f"{number}.parquet")
-    tuned = tuned_in(tmp_path / "lake", Asked(by="file"))
+    tuned = tuned_in(tmp_path / "lake", LakeTuningOptions(by="file"))
     assert tuned.recipes == ("pumps",)
     assert [row.sensor for row in tuned.rows] == ["pumps/0.parquet", "pumps/1.parquet"]
 
@@ -246,9 +246,9 @@ def test_files_may_be_sensors(tmp_path: Path) -> None:
 def test_what_cannot_be_is_refused_before_anything_is_read(tmp_path: Path) -> None:
     lake = small_lake(tmp_path, (1.0,))
     with pytest.raises(UsageError, match="--sensors 0 tunes none"):
-        tuned_in(lake, Asked(most_sensors=0))
+        tuned_in(lake, LakeTuningOptions(most_sensors=0))
     with pytest.raises(UsageError, match="--by unit tells sensors apart by a column"):
-        tuned_in(lake, Asked(by="unit"))
+        tuned_in(lake, LakeTuningOptions(by="unit"))
     with pytest.raises(UsageError, match="is not apart from"):
         tune_by(here, lake, lake / "recipes")
     with pytest.raises(InputError, match="is no folder"):

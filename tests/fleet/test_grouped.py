@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from becalm.errors import InputError, UsageError
-from becalm.fleet.batch import Asked, clean
+from becalm.fleet.batch import BatchOptions, clean
 from becalm.fleet.grouped import cleaning
 from becalm.fleet.grouped.strips import part_rows
 from becalm.fleet.recipes import open_book
@@ -100,7 +100,7 @@ def test_several_columns_tell_sensors_apart(tmp_path: Path) -> None:
         keyed(keyed(own_table(10 * plant + k, 500), f"s{k}"), plant, "plant") for plant in (1, 2) for k in range(2)
     ]
     lake = lake_of(tmp_path, shuffled(tables))
-    fleet = cleaned(lake, Asked(by="plant,sensor"))
+    fleet = cleaned(lake, BatchOptions(by="plant,sensor"))
     assert list(states(fleet)) == [f"plant={plant}/sensor=s{k}" for plant in (1, 2) for k in range(2)]
     assert "sensor" not in output_of(lake, "plant=1/sensor=s0").column_names
 
@@ -197,7 +197,7 @@ def test_a_file_that_tells_no_sensor_stops_the_job_before_it_begins(tmp_path: Pa
 def test_the_time_of_rows_tells_no_sensor(tmp_path: Path) -> None:
     lake = four(tmp_path)
     with pytest.raises(UsageError, match="--by 'time_s' names the time of the rows"):
-        cleaned(lake, Asked(by="time_s"))
+        cleaned(lake, BatchOptions(by="time_s"))
 
 
 def test_files_without_rows_are_no_lake(tmp_path: Path) -> None:
@@ -240,16 +240,16 @@ def test_a_file_that_changes_meanwhile_refuses_the_sensors_in_it(
 @pytest.mark.parametrize("by", ["pump", "sensor,plant"])
 def test_a_column_that_is_not_there_is_said_with_those_that_are(tmp_path: Path, by: str) -> None:
     with pytest.raises(UsageError, match=r"there are a, b, note, sensor, time_s\."):
-        cleaned(four(tmp_path), Asked(by=by))
+        cleaned(four(tmp_path), BatchOptions(by=by))
 
 
 def test_a_long_sensor_is_put_together_and_then_cut_in_time(tmp_path: Path, run: Run) -> None:
     long = own_table(3, 30_000)
     lake = lake_of(tmp_path, shuffled([keyed(long, "long"), keyed(own_table(4, 500), "short")]))
-    fleet = cleaned(lake, Asked(by=KEY, stretch_rows=8192))
+    fleet = cleaned(lake, BatchOptions(by=KEY, stretch_rows=8192))
     assert {one.sensor: bool(one.seams) for one in fleet.outcomes} == {"sensor=long": True, "sensor=short": False}
     assert same(read_parts(tmp_path / "out" / "sensor=long"), as_a_file(run, lake, long))
-    assert {*states(cleaned(lake, Asked(by=KEY, stretch_rows=8192))).values()} == {"kept"}
+    assert {*states(cleaned(lake, BatchOptions(by=KEY, stretch_rows=8192))).values()} == {"kept"}
     assert not list((tmp_path / "out").rglob("*.part"))
 
 

@@ -8,7 +8,7 @@ import pyarrow as pa
 import pytest
 
 from becalm.errors import UsageError
-from becalm.fleet.batch import Asked
+from becalm.fleet.batch import BatchOptions
 from becalm.fleet.grouped import cleaning
 from made import Lake, Run, read_parts, recipe_of, same, without_spark
 from shared_lakes import KEY, as_a_file, cleaned, own_table, read_again, states, write_files
@@ -36,7 +36,7 @@ def test_sensors_below_times_are_read_where_they_are(tmp_path: Path, run: Run, m
     tables = {"1": own_table(1, ROWS), "a%2Fb": own_table(2, ROWS)}
     lake = by_date(tmp_path, tables)
     with pytest.raises(UsageError, match=r"--by sensor$"):
-        cleaned(lake, Asked())
+        cleaned(lake, BatchOptions())
     monkeypatch.setattr(cleaning, "part_rows", read_again)
     assert states(cleaned(lake)) == {"sensor=1": "cleaned", "sensor=a%2Fb": "cleaned"}
     for name, table in tables.items():
@@ -53,7 +53,7 @@ def test_sensors_below_times_are_read_where_they_are(tmp_path: Path, run: Run, m
 def test_a_long_sensor_below_times_is_cut_in_time(tmp_path: Path, run: Run) -> None:
     table = own_table(1, 10 * ROWS)
     lake = by_date(tmp_path, {"1": table})
-    (one,) = cleaned(lake, Asked(by=KEY, stretch_rows=8192)).outcomes
+    (one,) = cleaned(lake, BatchOptions(by=KEY, stretch_rows=8192)).outcomes
     assert one.seams
     assert same(read_parts(tmp_path / "out" / "sensor=1"), as_a_file(run, lake, table))
 
@@ -65,5 +65,5 @@ def test_folders_below_times_may_need_several_keys(tmp_path: Path) -> None:
     recipe.write_text(recipe_of("a").to_toml(), encoding="utf-8")
     lake = Lake(tmp_path / "lake", recipe)
     with pytest.raises(UsageError, match=r"--by plant,sensor$"):
-        cleaned(lake, Asked())
-    assert list(states(cleaned(lake, Asked(by="plant,sensor")))) == ["plant=1/sensor=3", "plant=2/sensor=3"]
+        cleaned(lake, BatchOptions())
+    assert list(states(cleaned(lake, BatchOptions(by="plant,sensor")))) == ["plant=1/sensor=3", "plant=2/sensor=3"]

@@ -15,7 +15,7 @@ import pytest
 
 import becalm
 from becalm.fleet import engine
-from becalm.fleet.batch import Asked, clean
+from becalm.fleet.batch import BatchOptions, clean
 from becalm.fleet.grouped import cleaning
 from becalm.fleet.recipes import open_book
 from becalm.fleet.session import session
@@ -101,7 +101,7 @@ def test_killed_workers_change_nothing(
 
     monkeypatch.setattr(cleaning, "run_tasks", run_tasks)
     with session("local[2,4]") as spark:
-        fleet = clean(spark, lake.root, tmp_path / "out", open_book(lake.recipe), Asked(by=KEY))
+        fleet = clean(spark, lake.root, tmp_path / "out", open_book(lake.recipe), BatchOptions(by=KEY))
     assert len(list(tmp_path.glob("killed *"))) == 2
     assert {one.state for one in fleet.outcomes} == {"cleaned"}
     as_of_their_own_files(tmp_path / "out", whole)

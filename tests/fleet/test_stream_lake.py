@@ -13,7 +13,7 @@ import pytest
 
 from becalm.errors import InputError, UsageError
 from becalm.fleet.stream import lake as stream_lake
-from becalm.fleet.stream.blocks import Rows
+from becalm.fleet.stream.blocks import SensorRows
 from becalm.fleet.stream.lake import lake_shape, read_files
 from becalm.fleet.stream.plan import SensorPlan
 from becalm.fleet.stream.shape import Shape
@@ -31,17 +31,17 @@ def written(place: Path, **columns: object) -> Path:
     return place
 
 
-def read(shape: Shape, *paths: Path) -> dict[str, list[Rows]]:
+def read(shape: Shape, *paths: Path) -> dict[str, list[SensorRows]]:
     """Return the blocks of each sensor."""
     batch = pa.RecordBatch.from_pydict({"path": [f"file:{path}" for path in paths]})
-    found: dict[str, list[Rows]] = {}
+    found: dict[str, list[SensorRows]] = {}
     for told in read_files("/", shape, iter([batch])):
         for row in told.to_pylist():
-            found.setdefault(row["sensor"], []).append(Rows.unpacked(row["batch"]))
+            found.setdefault(row["sensor"], []).append(SensorRows.unpacked(row["batch"]))
     return found
 
 
-def says(blocks: list[Rows]) -> list[str]:
+def says(blocks: list[SensorRows]) -> list[str]:
     return [lost.says for block in blocks for lost in block.garbled]
 
 

@@ -16,7 +16,7 @@ from pyspark.sql.streaming.datasource import ReadAllAvailable, ReadMaxRows
 
 from becalm.errors import InputError, UsageError
 from becalm.fleet.stream import jetstream_range
-from becalm.fleet.stream.blocks import Rows
+from becalm.fleet.stream.blocks import SensorRows
 from becalm.fleet.stream.jetstream import _Reader
 from becalm.fleet.stream.plan import SensorPlan
 from becalm.fleet.stream.reading import Entry
@@ -42,12 +42,12 @@ def server(tmp_path: Path) -> Iterator[Broker]:
         yield running
 
 
-def message(rows: Rows, seq: int | None = None, form: str = "arrow") -> bytes:
+def message(rows: SensorRows, seq: int | None = None, form: str = "arrow") -> bytes:
     columns = {"time": rows.time_s} | {name: rows.values[:, c] for c, name in enumerate(CHANNELS)}
     return Encoder(form, UNITS).message(columns, seq)
 
 
-def messages(rows: Rows, size: int, *, numbered: bool = False, form: str = "arrow") -> list[bytes]:
+def messages(rows: SensorRows, size: int, *, numbered: bool = False, form: str = "arrow") -> list[bytes]:
     parts = cut(rows, range(size, len(rows.time_s), size))
     return [message(one, k * size if numbered else None, form) for k, one in enumerate(parts)]
 

@@ -15,7 +15,7 @@ import becalm
 from becalm.cleaning.recipe import Recipe
 from becalm.errors import InputError, OutputError, UsageError
 from becalm.fleet.stream import LiveBook, SensorPlan, StreamPlan, cleaned, run, wait
-from becalm.fleet.stream.blocks import Rows
+from becalm.fleet.stream.blocks import SensorRows
 from becalm.live.address import Address
 from made import recipe_of
 from streaming import (
@@ -97,7 +97,7 @@ def test_another_recipe_takes_over_while_it_runs(stage: Stage) -> None:
 
 def test_rubbish_stops_nobody(stage: Stage) -> None:
     stage.write("sensor=good/0.parquet", rows_of(200))
-    stage.write("sensor=bad/0.parquet", Rows(np.zeros(50), np.full((50, 2), np.inf)))
+    stage.write("sensor=bad/0.parquet", SensorRows(np.zeros(50), np.full((50, 2), np.inf)))
     (stage.lake / "sensor=bad" / "1.parquet").write_bytes(b"rubbish")
     stage.once()
     assert_same_bits(said_in(told_in(stage.out, "good")), by_stream(rows_of(200)))

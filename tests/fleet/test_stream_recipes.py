@@ -7,7 +7,7 @@ import pytest
 
 from becalm.cleaning.handover import rows_to_forget
 from becalm.cleaning.recipe import Recipe
-from becalm.fleet.stream.blocks import Rows
+from becalm.fleet.stream.blocks import SensorRows
 from becalm.fleet.stream.plan import SensorPlan
 from made import RATE_HZ, recipe_of
 from streaming import (
@@ -69,7 +69,7 @@ def test_a_third_recipe_waits_until_the_second_has_taken_over() -> None:
     shelf.recipe = recipe_of(*CHANNELS, density=1.0)
     assert one.hear(third).events == ()
     one.hear(fourth)
-    one.hear(Rows(fourth.time_s + 60.0, fourth.values))
+    one.hear(SensorRows(fourth.time_s + 60.0, fourth.values))
     assert one.kinds().count("recipe") == 2
 
 

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 import becalm.fleet.stream
 from becalm.errors import ModelError, UsageError
 from becalm.fleet.stream import gathering
-from becalm.fleet.stream.blocks import Rows, Told
+from becalm.fleet.stream.blocks import EstimatedBlock, SensorRows
 from becalm.fleet.stream.gathering import gathered
 from becalm.fleet.stream.shape import Shape, shape_of
 from becalm.fleet.stream.state import SensorState
@@ -29,14 +29,14 @@ SCHEMA = pa.schema(
 )
 
 
-def of_sensors(batches: Iterator[pa.RecordBatch]) -> dict[str, Rows]:
+def of_sensors(batches: Iterator[pa.RecordBatch]) -> dict[str, SensorRows]:
     """Return all rows of each sensor, as they came."""
-    found: dict[str, list[Rows]] = {}
+    found: dict[str, list[SensorRows]] = {}
     for batch in batches:
         for row in batch.to_pylist():
-            found.setdefault(row["sensor"], []).append(Rows.unpacked(row["batch"]))
+            found.setdefault(row["sensor"], []).append(SensorRows.unpacked(row["batch"]))
     return {
-        sensor: Rows(
+        sensor: SensorRows(
             np.concatenate([one.time_s for one in parts]),
             np.concatenate([one.values for one in parts]),
             (),
@@ -71,7 +71,7 @@ def test_rows_go_on_before_all_have_come(monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr(gathering, "_HELD_ROWS", 10)
     table = pa.table([["s"] * 25, list(range(25)), np.arange(25.0), np.arange(25.0)], schema=SCHEMA)
     batches = list(gathered(2, iter(table.to_batches(max_chunksize=5))))
-    assert [len(Rows.unpacked(batch["batch"][0].as_py()).time_s) for batch in batches] == [10, 10, 5]
+    assert [len(SensorRows.unpacked(batch["batch"][0].as_py()).time_s) for batch in batches] == [10, 10, 5]
 
 
 def in_lists(sensors: list[str], *columns: Any) -> pa.RecordBatch:
@@ -120,10 +120,12 @@ def answers_of(*rows: dict[str, Any]) -> pa.RecordBatch:
     return pa.RecordBatch.from_pylist([shared | row for row in rows], schema=pa.schema(list(fields.items())))
 
 
-def told_of(rows: int) -> Told:
+def told_of(rows: int) -> EstimatedBlock:
     verdicts = np.arange(2 * rows, dtype=np.int8).reshape(rows, 2) % 13
     numbers = np.random.default_rng(2).normal(size=(2, rows, 2))
-    return Told(np.array([1, 0]), 1.764e9 + np.round(np.arange(rows) * 8000.0) / 1e6, numbers[0], numbers[1], verdicts)
+    return EstimatedBlock(
+        np.array([1, 0]), 1.764e9 + np.round(np.arange(rows) * 8000.0) / 1e6, numbers[0], numbers[1], verdicts
+    )
 
 
 @pytest.mark.parametrize("stamps", ["double", "timestamp", "timestamp_ntz"])

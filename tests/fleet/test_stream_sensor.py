@@ -15,7 +15,7 @@ from becalm.cleaning.recipe import Origin
 from becalm.core.recording import Recording
 from becalm.core.time.timebase import Timebase
 from becalm.errors import ModelError, UsageError
-from becalm.fleet.stream.blocks import Garbled, Rows
+from becalm.fleet.stream.blocks import Garbled, SensorRows
 from becalm.fleet.stream.plan import FIRST_ROWS, SensorPlan, StreamPlan
 from becalm.fleet.stream.sensor import SensorWalk
 from made import RATE_HZ, recipe_of
@@ -93,7 +93,7 @@ def test_rows_late_by_less_than_the_lateness_are_put_in_order(data: st.DataObjec
 
 def test_a_wild_stamp_hurries_nobody_and_is_left_out() -> None:
     rows, one = rows_of(200), walker(lateness_s=0.5)
-    wild = Rows(np.array([BEGINS_S + 1e9]), np.zeros((1, 2)))
+    wild = SensorRows(np.array([BEGINS_S + 1e9]), np.zeros((1, 2)))
     assert one.hear(part(rows, slice(0, 40)), wild).told is None
     one.hear(part(rows, slice(50, 70)))
     one.hear(part(rows, slice(40, 50)), part(rows, slice(70, 200)))
@@ -115,7 +115,7 @@ def test_blocks_that_are_none_are_counted() -> None:
 def test_rows_in_other_units_are_left_out_and_counted() -> None:
     rows, one = rows_of(300), walker()
     first, second, third = (one._replace(units=("m", "m")) for one in cut(rows, [120, 200]))
-    one.hear(first, second._replace(units=("mm", "m")), Rows(np.empty(0), np.empty((0, 2)), ("g", "g")))
+    one.hear(first, second._replace(units=("mm", "m")), SensorRows(np.empty(0), np.empty((0, 2)), ("g", "g")))
     one.hear(third)
     assert ("garbled", 80) in [(event.kind, event.rows) for event in one.events]
     assert_same_bits(one.said, by_stream(part(rows, list(np.r_[0:120, 200:300]))))
@@ -142,7 +142,7 @@ def test_rows_that_wait_go_under_the_channels_that_there_are_now() -> None:
     rows, one = rows_of(40), walker(recipe_of("b"))
     one.hear(part(rows, slice(0, 10)))
     one._walk = SensorWalk(one.plan, ("b", "c"))  # the stream was begun again, with others
-    one.hear(Rows(rows.time_s[10:], rows.values[10:, [1, 0]]))
+    one.hear(SensorRows(rows.time_s[10:], rows.values[10:, [1, 0]]))
     np.testing.assert_array_equal(one.said.signal[:, 0], by_stream(rows).signal[:, 1])
 
 
@@ -150,14 +150,14 @@ def test_so_do_their_units() -> None:
     rows, one = rows_of(40)._replace(units=("m", "m")), walker(recipe_of("b"))
     one.hear(part(rows, slice(0, 10)))
     one._walk = SensorWalk(one.plan, ("b", "c", "a"))
-    step = one.hear(Rows(rows.time_s[10:], rows.values[10:, [1, 0, 0]], ("m", "mm", "m")))
+    step = one.hear(SensorRows(rows.time_s[10:], rows.values[10:, [1, 0, 0]], ("m", "mm", "m")))
     assert {event.kind for event in step.events} == {"gap"}
     np.testing.assert_array_equal(one.said.signal[:, 0], by_stream(rows).signal[:, 1])
 
 
 def test_a_file_of_nobody_that_cannot_be_read_is_one_event() -> None:
     one = Walker(SensorPlan(Shelf()), sensor="")
-    step = one.hear(Rows(np.empty(0), np.empty((0, 2)), (), (Garbled(None, "It is damaged."),)))
+    step = one.hear(SensorRows(np.empty(0), np.empty((0, 2)), (), (Garbled(None, "It is damaged."),)))
     assert [event.kind for event in step.events] == ["garbled"]
     assert step.state is None
 
@@ -232,8 +232,8 @@ def test_a_plan_that_cannot_be_is_refused(how: dict[str, Any]) -> None:
 def test_rows_at_another_rate_than_the_recipe_s_are_said(slower: float, kinds: set[str]) -> None:
     time_s = np.round((BEGINS_S + slower * np.arange(100) / RATE_HZ) * 1e6) / 1e6
     one = walker()
-    one.hear(Rows(time_s[:60], np.ones((60, 2))))
-    one.hear(Rows(time_s[60:], np.ones((40, 2))))
+    one.hear(SensorRows(time_s[:60], np.ones((60, 2))))
+    one.hear(SensorRows(time_s[60:], np.ones((40, 2))))
     assert set(one.kinds()) & {"rate"} == kinds
     assert one.kinds().count("rate") <= 1
 

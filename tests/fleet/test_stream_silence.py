@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from becalm.fleet.stream.blocks import Rows
+from becalm.fleet.stream.blocks import SensorRows
 from becalm.fleet.stream.sensor import SensorWalk
 from streaming import CHANNELS, assert_same_bits, by_stream, part, rows_of, walker
 
@@ -72,6 +72,6 @@ def test_after_silence_stamps_may_be_as_late_as_they_like() -> None:
     one.hear(rows)
     one.now_ms = 5000
     one.wake()
-    later = Rows(rows.time_s + 3 * 86400.0, rows.values)
+    later = SensorRows(rows.time_s + 3 * 86400.0, rows.values)
     one.hear(later)
     assert len(one.said.time_s) == 200

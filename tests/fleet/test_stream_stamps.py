@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from becalm.fleet.stream.blocks import Rows
+from becalm.fleet.stream.blocks import SensorRows
 from made import recipe_of
 from streaming import BEGINS_S, CHANNELS, NOW_MS, RECIPE, assert_same_bits, by_stream, lagged, part, rows_of, walker
 
@@ -39,14 +39,14 @@ def test_rows_that_are_sent_again_are_told_once(behind_s: float, lag_s: float) -
     """However old they are, alone in a micro-batch or not, and also those that a lag holds back."""
     rows, recipe = rows_of(400), lagged(lag_s) if lag_s else RECIPE
     one = walker(recipe, now_ms=NOW_MS + round(behind_s * 1000))
-    old = Rows(rows.time_s[:50], rows.values[:50])
-    new = Rows(rows.time_s + behind_s, rows.values)
+    old = SensorRows(rows.time_s[:50], rows.values[:50])
+    new = SensorRows(rows.time_s + behind_s, rows.values)
     one.hear(old)
     one.hear(part(new, slice(0, 200)))
     one.hear(old)
     one.hear(part(new, slice(185, 200)))
     one.hear(part(new, slice(200, 400)))
-    every = Rows(np.r_[old.time_s, new.time_s], np.vstack([old.values, new.values]))
+    every = SensorRows(np.r_[old.time_s, new.time_s], np.vstack([old.values, new.values]))
     assert_same_bits(one.said, by_stream(every, recipe))
     assert [event.rows for event in one.events if event.kind == "late"] == [50, 14]
 
@@ -55,7 +55,7 @@ def test_a_clock_that_was_wrong_by_years_is_believed_again() -> None:
     rows, one = rows_of(400), walker(now_ms=NOW_MS)
     one.hear(part(rows, slice(0, 100)))
     wrong = part(rows, slice(100, 200))
-    one.hear(Rows(wrong.time_s + 1e8, wrong.values))
+    one.hear(SensorRows(wrong.time_s + 1e8, wrong.values))
     one.hear(part(rows, slice(200, 400)))
     assert [event.kind for event in one.events if event.kind != "gap"] == ["clock", "clock", "late", "clock"]
     assert len(one.said.time_s) == 400 - 14
@@ -63,7 +63,7 @@ def test_a_clock_that_was_wrong_by_years_is_believed_again() -> None:
 
 def test_stamps_that_begin_anew_are_followed() -> None:
     rows, one = rows_of(300), walker()
-    uptime = Rows(rows.time_s - BEGINS_S, rows.values)
+    uptime = SensorRows(rows.time_s - BEGINS_S, rows.values)
     one.hear(uptime)
     one.hear(uptime)
     assert len(one.said.time_s) == 600 - 7
@@ -72,7 +72,7 @@ def test_stamps_that_begin_anew_are_followed() -> None:
 
 def test_rows_without_a_stamp_are_counted() -> None:
     rows, one = rows_of(100), walker()
-    one.hear(Rows(np.append(rows.time_s, [np.nan, np.nan]), np.vstack([rows.values, np.zeros((2, 2))])))
+    one.hear(SensorRows(np.append(rows.time_s, [np.nan, np.nan]), np.vstack([rows.values, np.zeros((2, 2))])))
     assert_same_bits(one.said, by_stream(rows))
     assert ("garbled", 2) in [(event.kind, event.rows) for event in one.events]
 
@@ -80,7 +80,7 @@ def test_rows_without_a_stamp_are_counted() -> None:
 def test_rows_without_stamps_are_not_kept() -> None:
     one = walker()
     for _ in range(3):
-        one.hear(Rows(np.full(1000, np.nan), np.zeros((1000, 2))))
+        one.hear(SensorRows(np.full(1000, np.nan), np.zeros((1000, 2))))
     state = one.steps[-1].state
     assert state is not None
     assert len(state.held) == 0
@@ -89,7 +89,7 @@ def test_rows_without_stamps_are_not_kept() -> None:
 
 def test_rows_that_share_a_stamp_stay_in_their_order() -> None:
     rows = rows_of(400)
-    coarse = Rows(np.floor(rows.time_s), rows.values)
+    coarse = SensorRows(np.floor(rows.time_s), rows.values)
     one = walker(recipe_of(*CHANNELS))
     one.hear(part(coarse, slice(0, 233)), part(coarse, slice(233, 400)))
     assert_same_bits(one.said, by_stream(coarse))

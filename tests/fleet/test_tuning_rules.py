@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 
 from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
 from becalm.cleaning.recipe_parts import GateRecipe, LimitsRecipe, ToneRecipe
-from becalm.fleet.lake import Place
+from becalm.fleet.lake import SensorPlace
 from becalm.fleet.outcome import Outcome, refused
 from becalm.fleet.tuning.class_differences import reasons
 from becalm.fleet.tuning.class_recipe import Typical, medoid, typical
 from becalm.fleet.tuning.classes import chosen_of
-from becalm.fleet.tuning.found import Found, TunedChannel
+from becalm.fleet.tuning.found import SensorTuning, TunedChannel
 from becalm.fleet.tuning.limits import limits_of_class
 from becalm.report.fleet_rows import FleetRow
 
@@ -31,22 +31,22 @@ def channel_of(name: str = "v", unit: str = "V", **told: Any) -> ChannelRecipe:
 
 def found_of(
     sensor: str, *channels: ChannelRecipe, verdict: Any = "fits", span: tuple[float, float] = (-9, 9)
-) -> Found:
+) -> SensorTuning:
     """Return what was found for a sensor whose channels all have one verdict."""
     told = [
         TunedChannel(sensor, one, FleetRow(sensor, one.name, one.unit, verdict=verdict, health=1.0), *span)
         for one in channels
     ]
     recipe = Recipe(mode="causal", tuned_on=Origin(sha256=sensor, rate_hz=100.0), channel=channels)
-    return Found(sensor, recipe, tuple(told))
+    return SensorTuning(sensor, recipe, tuple(told))
 
 
-def fleet_of(noises: Sequence[float], **told: Any) -> list[Found]:
+def fleet_of(noises: Sequence[float], **told: Any) -> list[SensorTuning]:
     """Return sensors that differ by their noise."""
     return [found_of(f"s={k}", channel_of(noise_std=noise, **told)) for k, noise in enumerate(noises)]
 
 
-def recipe_of(found: Sequence[Found]) -> Typical:
+def recipe_of(found: Sequence[SensorTuning]) -> Typical:
     told = typical(found)
     assert told is not None
     return told
@@ -56,7 +56,7 @@ def judged_of(sensor: str, verdict: Any = "fits", health: float = 1.0) -> Outcom
     return Outcome(sensor, "cleaned", (FleetRow(sensor, "v", "V", verdict=verdict, health=health),))
 
 
-def judged_all(found: Sequence[Found]) -> dict[str, Outcome]:
+def judged_all(found: Sequence[SensorTuning]) -> dict[str, Outcome]:
     return {one.sensor: judged_of(one.sensor) for one in found}
 
 
@@ -222,7 +222,7 @@ def test_other_channels_than_those_of_the_class_are_a_reason() -> None:
 
 
 def test_sensors_to_tune_are_spread_by_name() -> None:
-    places = [Place(f"sensor={k}", 1) for k in range(101)] + [Place("kind=pump/sensor=1", 1)]
+    places = [SensorPlace(f"sensor={k}", 1) for k in range(101)] + [SensorPlace("kind=pump/sensor=1", 1)]
     pump, usual = sorted(chosen_of(places, 5), key=lambda one: one.sensors)
     assert (pump.name, pump.sensors, [place.name for place in pump.places]) == ("kind=pump", 1, ["kind=pump/sensor=1"])
     assert (usual.name, usual.sensors) == ("default", 101)

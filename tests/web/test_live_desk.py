@@ -10,7 +10,7 @@ from becalm.cleaning.recipe import Recipe
 from becalm.errors import UsageError
 from becalm.live.watching.meter import Meter
 from becalm.web.livepage import live_dial as desks
-from becalm.web.livepage.live_dial import Desk
+from becalm.web.livepage.live_dial import LiveDial
 from live_shown import NAMES, Asked, recipe_of
 
 
@@ -21,7 +21,7 @@ class Turned:
         self.meter = Meter("replay:drive.csv")
         self.meter.begin(NAMES, recipe_of().to_toml())
         self.asked = Asked(self.meter)
-        self.desk = Desk(lambda: self.meter.recipe, self.asked.retune)
+        self.desk = LiveDial(lambda: self.meter.recipe, self.asked.retune)
         self.heard: list[str | None] = []
 
     def turn(self, density: float) -> None:

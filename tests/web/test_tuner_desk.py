@@ -10,7 +10,7 @@ from becalm.cleaning.excerpt import ChannelRows
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.recipe_parts import TimingRecipe
 from becalm.cleaning.steps import in_steps
-from becalm.cleaning.tuning import Found, explore, tune
+from becalm.cleaning.tuning import ChannelTuning, explore, tune
 from becalm.core.filter.likelihood import log_likelihood
 from becalm.errors import RecipeError, UsageError
 from becalm.identification.choose import Choice
@@ -20,7 +20,7 @@ from becalm.web.tuner.evidence import beside_best, described
 from becalm.web.tuner.messages import Turned
 from becalm.web.tuner.opened import Opened
 from becalm.web.tuner.settings import FOUND, GIVEN, Options, Setting, components
-from becalm.web.tuner.view_model import Desk
+from becalm.web.tuner.view_model import ViewModel
 from tuner_records import COLOURED, GATE, LIMITS, RATE_HZ, SWITCHING, TONES, even, motion, walk
 from tuner_served import drive_in
 
@@ -41,7 +41,9 @@ RIVALS = (Tuning(1, 1e-3, 0.3, 5000, loss=-1.0), Tuning(2, 1e-6, 0.25, 5000, los
 @pytest.fixture
 def options() -> Options:
     evidence = Evidence.of(walk(), np.ones(30_000))
-    return Options(Found(RICH, Choice("motion", RIVALS[1], RIVALS[1], RIVALS), evidence), RICH, 1 / RATE_HZ, False)
+    return Options(
+        ChannelTuning(RICH, Choice("motion", RIVALS[1], RIVALS[1], RIVALS), evidence), RICH, 1 / RATE_HZ, False
+    )
 
 
 @pytest.fixture(scope="module")
@@ -50,8 +52,8 @@ def opened(tmp_path_factory: pytest.TempPathFactory) -> Opened:
 
 
 @pytest.fixture
-def desk(opened: Opened) -> Desk:
-    return Desk(opened)
+def desk(opened: Opened) -> ViewModel:
+    return ViewModel(opened)
 
 
 def test_nothing_set_is_what_was_found(options: Options) -> None:
@@ -110,7 +112,7 @@ def test_another_order_has_the_numbers_that_were_tuned_for_it(options: Options) 
 
 def test_turning_the_dial_of_what_switches_makes_it_one_filter() -> None:
     switching = motion(process_noise_density=0.3, switching=SWITCHING)
-    found = Found(switching, Choice("motion", rivals=RIVALS), Evidence.of(walk(), np.ones(30_000)))
+    found = ChannelTuning(switching, Choice("motion", rivals=RIVALS), Evidence.of(walk(), np.ones(30_000)))
     options = Options(found, switching, 1 / RATE_HZ, False)
     turned = options.changed(Setting(), Turned(noise_std=0.4))
     assert options.recipe(turned).switching is None
@@ -124,7 +126,9 @@ def test_turning_the_dial_of_what_switches_makes_it_one_filter() -> None:
 
 def test_what_passes_unchanged_has_no_dial() -> None:
     constant = ChannelRecipe(name="ax", model="constant")
-    options = Options(Found(constant, Choice("constant"), Evidence.of(walk(), np.ones(30_000))), constant, 1e-3, False)
+    options = Options(
+        ChannelTuning(constant, Choice("constant"), Evidence.of(walk(), np.ones(30_000))), constant, 1e-3, False
+    )
     assert options.told(Setting())["unchanged"]
     with pytest.raises(UsageError, match="passes unchanged"):
         options.changed(Setting(), Turned(noise_std=1.0))
@@ -173,7 +177,7 @@ def test_evidence_is_told_in_words() -> None:
     assert described(RICH) == "order 2 with a tone at 50 Hz, a tone at 120 Hz, coloured noise"
 
 
-def test_steps_are_taken_back_and_done_again(desk: Desk) -> None:
+def test_steps_are_taken_back_and_done_again(desk: ViewModel) -> None:
     recipes = [desk.recipe()]
     for density in (1.0, 2.0):
         desk.turn(0, Turned(process_noise_density=density), final=True)
@@ -195,7 +199,7 @@ def test_steps_are_taken_back_and_done_again(desk: Desk) -> None:
     assert desk.recipe() == recipes[1]
 
 
-def test_what_was_found_is_what_tune_finds(desk: Desk) -> None:
+def test_what_was_found_is_what_tune_finds(desk: ViewModel) -> None:
     found = tune(desk.opened.recording)
     assert desk.recipe().channel == found.channel
     assert explore(desk.opened.recording).recipe == found
@@ -204,7 +208,7 @@ def test_what_was_found_is_what_tune_finds(desk: Desk) -> None:
     assert desk.recipe().mode == "causal"
 
 
-def test_a_channel_that_is_left_as_it_is_is_not_in_the_recipe(desk: Desk) -> None:
+def test_a_channel_that_is_left_as_it_is_is_not_in_the_recipe(desk: ViewModel) -> None:
     desk.turn(0, Turned(unchanged=True), final=True)
     assert [channel.name for channel in desk.recipe().channel] == ["load"]
     text = desk.recipe().to_toml()
@@ -219,7 +223,7 @@ def test_a_channel_that_is_left_as_it_is_is_not_in_the_recipe(desk: Desk) -> Non
     assert len(desk.recipe().channel) == 2
 
 
-def test_a_recipe_of_another_recording_is_refused(desk: Desk) -> None:
+def test_a_recipe_of_another_recording_is_refused(desk: ViewModel) -> None:
     recipe = desk.recipe()
     renamed = recipe.channel[0].model_copy(update={"name": "ay"})
     with pytest.raises(RecipeError, match="does not have"):
@@ -289,7 +293,7 @@ def test_a_map_needs_a_motion() -> None:
         cost_map(rows, ChannelRecipe(name="ax", model="constant"))
 
 
-def test_a_lag_that_no_page_can_wait_for_is_refused(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_lag_that_no_page_can_wait_for_is_refused(desk: ViewModel, monkeypatch: pytest.MonkeyPatch) -> None:
     rows = len(desk.opened.recording)
     monkeypatch.setattr("becalm.web.tuner.view_model._MOST_WAITED", 30 * rows)
     desk.put_in_mode("lagged", 30 * desk.opened.step_s)

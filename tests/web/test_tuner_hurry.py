@@ -16,7 +16,7 @@ from becalm.cleaning.excerpt import ChannelRows
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.core.arrays import Floats
 from becalm.web.tuner import painting
-from becalm.web.tuner.painting import Painted, Painter, Wanted
+from becalm.web.tuner.painting import Painted, Painter, PictureRequest
 from tuner_records import GATE, RATE_HZ, motion, walk, with_gaps, with_spikes
 from tuner_served import drive_in, served
 
@@ -37,9 +37,9 @@ def opened(z: Floats) -> Any:
     return SimpleNamespace(rows=lambda _: rows, times_s=None, step_s=step_s)
 
 
-def wanted(of: Any, recipe: ChannelRecipe = GATED, *, hurried: bool = False, **more: Any) -> Wanted:
+def wanted(of: Any, recipe: ChannelRecipe = GATED, *, hurried: bool = False, **more: Any) -> PictureRequest:
     told: dict[str, Any] = {"lag": None, "span_s": (-inf, inf), "width": 300, "answers": 1} | more
-    return Wanted(opened=of, channel=0, recipe=recipe, hurried=hurried, **told)
+    return PictureRequest(opened=of, channel=0, recipe=recipe, hurried=hurried, **told)
 
 
 def spiky(z: Floats) -> Floats:

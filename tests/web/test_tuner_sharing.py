@@ -16,10 +16,10 @@ from becalm.errors import InputError
 from becalm.web.frames import frame
 from becalm.web.tuner import picture_queue, sharing
 from becalm.web.tuner.messages import Map
-from becalm.web.tuner.painting import Wanted
+from becalm.web.tuner.painting import PictureRequest
 from becalm.web.tuner.session import Conversation
 from becalm.web.tuner.sharing import Shared
-from becalm.web.tuner.view_model import Desk
+from becalm.web.tuner.view_model import ViewModel
 from served import PATIENCE_S, until
 from tuner_served import drive_in, served
 
@@ -93,7 +93,7 @@ def test_an_opening_goes_on_when_the_page_that_asked_is_reloaded(
         return SimpleNamespace(begin=lambda: None)
 
     monkeypatch.setattr(sharing, "Opened", read)
-    monkeypatch.setattr(sharing, "Desk", lambda opened: opened)
+    monkeypatch.setattr(sharing, "ViewModel", lambda opened: opened)
     drive_in(tmp_path)
 
     async def reload() -> object:
@@ -159,7 +159,7 @@ def test_an_opening_that_fails_when_its_page_is_gone_is_no_failure(
 def test_of_two_maps_only_the_newer_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     drawing, go_on = threading.Event(), threading.Event()
 
-    def draw(wanted: Wanted) -> bytes:
+    def draw(wanted: PictureRequest) -> bytes:
         if not drawing.is_set():
             drawing.set()
             assert go_on.wait(PATIENCE_S)
@@ -204,7 +204,7 @@ def test_a_page_that_is_closed_while_it_is_answered_leaves_nothing_in_the_termin
         begun.set()
         assert go_on.wait(PATIENCE_S)
 
-    monkeypatch.setattr(Desk, "put_in_mode", put_in_mode)
+    monkeypatch.setattr(ViewModel, "put_in_mode", put_in_mode)
     drive_in(tmp_path)
     with served(tmp_path) as tuner, tuner.talk() as other:
         with tuner.talk() as page:

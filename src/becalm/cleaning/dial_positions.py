@@ -34,7 +34,7 @@ class Positions(NamedTuple):
     left: Floats  # (k,) standard deviation of the noise that passes
 
 
-class Told(NamedTuple):
+class FilterSummary(NamedTuple):
     """What a filter is, in an engineer's words; None where that is not known."""
 
     bandwidth_hz: float | None = None
@@ -103,7 +103,7 @@ def _told_in_steps(tuning: Tuning, lag: int | None) -> tuple[float, float, float
     return response.bandwidth_hz, response.lag_s, float(np.sqrt(response.noise_gain))
 
 
-def told_of(channel: ChannelRecipe, step_s: float, lag: int | None) -> Told:
+def told_of(channel: ChannelRecipe, step_s: float, lag: int | None) -> FilterSummary:
     """Say what the filter of a channel is.
 
     Parameters
@@ -116,22 +116,24 @@ def told_of(channel: ChannelRecipe, step_s: float, lag: int | None) -> Told:
         Later rows that each row waits for.
     """
     if channel.motion is None:
-        return Told(says="passes unchanged")
+        return FilterSummary(says="passes unchanged")
     order, noise_std = channel.motion.order, channel.motion.noise_std
     if channel.switching is not None:
         modes = ", ".join(mode.name for mode in channel.switching.mode)
-        return Told(noise_std=noise_std, order=order, says=f"a filter for each of its modes: {modes}")
+        return FilterSummary(noise_std=noise_std, order=order, says=f"a filter for each of its modes: {modes}")
     tuning = in_steps(channel.motion, step_s)
     if lag:
         gain = _gain_of_lagged(tuning, lag)
         if gain is None:
-            return Told(None, lag * step_s, noise_std, None, None, order, _UNSETTLED)
+            return FilterSummary(None, lag * step_s, noise_std, None, None, order, _UNSETTLED)
         said = f"told {lag * step_s:.4g} s later, noise down {-decibels(gain):.1f} dB"
-        return Told(None, lag * step_s, noise_std, noise_std * float(np.sqrt(gain)), decibels(gain), order, said)
+        return FilterSummary(
+            None, lag * step_s, noise_std, noise_std * float(np.sqrt(gain)), decibels(gain), order, said
+        )
     response = fixed_response(tuning, step_s, lag == 0)
     if response is None:
-        return Told(noise_std=noise_std, order=order, says=_UNSETTLED)
-    return Told(
+        return FilterSummary(noise_std=noise_std, order=order, says=_UNSETTLED)
+    return FilterSummary(
         response.bandwidth_hz,
         response.lag_s,
         noise_std,

@@ -12,7 +12,7 @@ from becalm.cleaning.limits_entry import alarms_of, limits_of, written
 from becalm.cleaning.recipe_parts import LimitsRecipe
 from becalm.core.arrays import Codes, Floats
 from becalm.core.filter.channel import History
-from becalm.core.health.faults import Faults, Found, said
+from becalm.core.health.faults import FaultCount, Faults, said
 from becalm.core.health.limits import Limits, find_limits, stuck_at_once
 from becalm.core.health.look_ahead import LookAhead
 from becalm.core.health.monitor import InnovationMonitor
@@ -64,11 +64,11 @@ class Findings(NamedTuple):
     limits: Limits  # what its readings were held against
     step_s: float
     rows: int  # so far
-    of_readings: dict[Verdict, Found]  # what is wrong with readings, or with their times
+    of_readings: dict[Verdict, FaultCount]  # what is wrong with readings, or with their times
     monitor: InnovationMonitor  # what is wrong with innovations
 
     @property
-    def found(self) -> dict[Verdict, Found]:
+    def found(self) -> dict[Verdict, FaultCount]:
         """What is wrong with readings, with their time, or with innovations; what is missing is no fault."""
         told = (Verdict.MISSING, Verdict.STUCK) if self._holds else (Verdict.MISSING,)
         found = {verdict: one for verdict, one in self.of_readings.items() if verdict not in told}

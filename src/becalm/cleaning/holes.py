@@ -26,7 +26,7 @@ class Across(NamedTuple):
     missing: Floats  # (N,) readings that are missing in the hole
 
 
-class Row(NamedTuple):
+class ReadingRow(NamedTuple):
     """A row that has a reading: its time in steps, and its signal and sigma in unit."""
 
     time: float
@@ -34,10 +34,10 @@ class Row(NamedTuple):
     sigma: float
 
 
-NO_ROW = Row(np.nan, np.nan, np.nan)
+NO_ROW = ReadingRow(np.nan, np.nan, np.nan)
 
 
-def across(times: Floats, told: EstimatedRows, used: Booleans, own_steps: float, before: Row = NO_ROW) -> Across:
+def across(times: Floats, told: EstimatedRows, used: Booleans, own_steps: float, before: ReadingRow = NO_ROW) -> Across:
     """Return what lies across the holes of a record.
 
     Parameters
@@ -50,7 +50,7 @@ def across(times: Floats, told: EstimatedRows, used: Booleans, own_steps: float,
         Which rows have a reading that entered.
     own_steps : float
         Steps from a reading to the next where none is missing.
-    before : Row
+    before : ReadingRow
         The last row with a reading before these.
     """
     ends = [np.concatenate([[head], of[used], [np.nan]]) for head, of in zip(before, (times, *told[:2]), strict=True)]
@@ -113,7 +113,7 @@ class Holes:
         hole = across(times, now, used, self._own_steps, self._before)
         if used.any():
             last = int(np.flatnonzero(used)[-1])
-            self._before = Row(float(times[last]), float(now.signal[last]), float(now.sigma[last]))
+            self._before = ReadingRow(float(times[last]), float(now.signal[last]), float(now.sigma[last]))
         return [now if used.all() else self._in_holes(now, used, hole)]
 
     def _in_holes(self, rows: EstimatedRows, used: Booleans, hole: Across) -> EstimatedRows:

@@ -21,7 +21,7 @@ from becalm.cleaning.timing import time_std_of, timed
 from becalm.core.recording import Recording
 from becalm.core.verdict import judge
 from becalm.errors import RecordingError, UsageError
-from becalm.identification.choose import Choice, Known
+from becalm.identification.choose import Choice, PriorKnowledge
 from becalm.identification.coloured import NoiseModel, fit_noise
 from becalm.identification.damping import spread_std
 from becalm.identification.gating import choose_gated, forecasts
@@ -77,7 +77,7 @@ class Wishes(NamedTuple):
 NO_WISHES = Wishes()
 
 
-class Found(NamedTuple):
+class ChannelTuning(NamedTuple):
     """What was found for one channel."""
 
     channel: ChannelRecipe  # what was decided
@@ -89,7 +89,7 @@ class Tuned(NamedTuple):
     """A recipe, and what was found for each of its channels on the way."""
 
     recipe: Recipe
-    found: tuple[Found, ...]
+    found: tuple[ChannelTuning, ...]
 
 
 def tune(
@@ -154,7 +154,7 @@ def explore(
     return Tuned(timed(recipe, chosen, std_s, at_rest=bool(wishes.still_s)) if std_s else recipe, found)
 
 
-def _tune_channel(recording: Recording, causal: bool, wishes: Wishes, progress: Progress, name: str) -> Found:
+def _tune_channel(recording: Recording, causal: bool, wishes: Wishes, progress: Progress, name: str) -> ChannelTuning:
     found = _found(recording, causal, wishes, name)
     if not causal and wishes.lag_s is None and found.channel.motion is not None:
         hole = holes_shown(found.channel, found.believed, recording.timebase.step_s)
@@ -163,9 +163,9 @@ def _tune_channel(recording: Recording, causal: bool, wishes: Wishes, progress: 
     return found
 
 
-def _found(recording: Recording, causal: bool, wishes: Wishes, name: str) -> Found:
+def _found(recording: Recording, causal: bool, wishes: Wishes, name: str) -> ChannelTuning:
     time, unit = recording.timebase, recording.units[recording.names.index(name)]
-    known = Known(
+    known = PriorKnowledge(
         _rest_noise(wishes.rest or recording, name, wishes.still_s) if wishes.still_s else None,
         tuple(2 * np.pi * frequency * time.step_s for frequency in wishes.removed_hz),
     )
@@ -175,7 +175,7 @@ def _found(recording: Recording, causal: bool, wishes: Wishes, name: str) -> Fou
     choice, gated = choose_gated(readings, elapsed, gate, causal, known)
     evidence = Evidence.of(readings, elapsed)
     if choice.tuning is None or choice.motion is None:
-        return Found(ChannelRecipe(name=name, unit=unit, model=choice.kind, limits=limits), choice, evidence)
+        return ChannelTuning(ChannelRecipe(name=name, unit=unit, model=choice.kind, limits=limits), choice, evidence)
     found, spread = choice.tuning, 0.0
     if wishes.dial is not None:
         found = turn(choice.motion, wishes.dial, time.step_s, causal)
@@ -194,7 +194,7 @@ def _found(recording: Recording, causal: bool, wishes: Wishes, name: str) -> Fou
                 modes = modes_in_seconds(switched.kind, switched.switching, own * time.step_s)
                 switching = in_seconds(name, unit, switched.tuning.counted_in(1 / own), time.step_s)
                 more = {"switching": modes, "limits": limits, **unknown}
-                return Found(switching.model_copy(update=more), choice, evidence)
+                return ChannelTuning(switching.model_copy(update=more), choice, evidence)
         evidence = Evidence.of(np.where(foretold.rejected, np.nan, readings), elapsed) if gated else evidence
         own = 1.0 if found.coloured else evidence.own_step
         steps = found.counted_in(own), evidence.counted_in(own)
@@ -202,7 +202,7 @@ def _found(recording: Recording, causal: bool, wishes: Wishes, name: str) -> Fou
     limits = with_alarms(limits, found, foretold.normalised, causal=causal, step_s=time.step_s)
     own_hz = 1 / (evidence.own_step * time.step_s) if evidence.own_step > 1 and not found.coloured else None
     beside = {"gate": told if gated else None, "limits": limits, "rate_hz": own_hz, **unknown}
-    return Found(in_seconds(name, unit, found, time.step_s, spread).model_copy(update=beside), choice, evidence)
+    return ChannelTuning(in_seconds(name, unit, found, time.step_s, spread).model_copy(update=beside), choice, evidence)
 
 
 def _switched(tuning: Tuning, evidence: Evidence, causal: bool, spikes: bool | None, wild: Evidence) -> Switched | None:

@@ -25,7 +25,7 @@ _BYTES = {"kb": 1e3, "mb": 1e6, "gb": 1e9, "tb": 1e12}
 _SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 
 
-class Place(NamedTuple):
+class TunerFolder(NamedTuple):
     """Whose files may be opened, which is opened first, and what was said of its time."""
 
     folder: Path
@@ -33,7 +33,7 @@ class Place(NamedTuple):
     options: ReadOptions
 
 
-class Where(NamedTuple):
+class PageAddress(NamedTuple):
     """Where the page is served, and who keeps its token; without a port the usual one, or any if that is taken."""
 
     host: str
@@ -41,7 +41,7 @@ class Where(NamedTuple):
     token_file: Path | None
 
 
-def place_of(file: Path | None, folder: Path | None, options: ReadOptions) -> Place:
+def place_of(file: Path | None, folder: Path | None, options: ReadOptions) -> TunerFolder:
     """Read which files a person wants to work on.
 
     Raises
@@ -58,7 +58,7 @@ def place_of(file: Path | None, folder: Path | None, options: ReadOptions) -> Pl
     chosen = folder or (Path() if file is None else file.parent)
     if not chosen.is_dir():
         raise InputError(f"{chosen} is no folder; name one with --folder.")
-    return Place(chosen, file, options)
+    return TunerFolder(chosen, file, options)
 
 
 def bytes_of(text: str) -> int:
@@ -76,7 +76,7 @@ def bytes_of(text: str) -> int:
     return limit
 
 
-def run(place: Place, where: Where, limit_bytes: int, *, browser: bool) -> None:
+def run(place: TunerFolder, where: PageAddress, limit_bytes: int, *, browser: bool) -> None:
     """Serve the page until a signal comes; a second one ends at once.
 
     Raises
@@ -108,7 +108,7 @@ def run(place: Place, where: Where, limit_bytes: int, *, browser: bool) -> None:
             tuner.close()
 
 
-def _listening(where: Where) -> socket.socket:
+def _listening(where: PageAddress) -> socket.socket:
     from becalm.web.serving import TakenError, listen
 
     if where.port is not None:

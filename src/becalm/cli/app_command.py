@@ -42,12 +42,12 @@ def open_app(  # noqa: PLR0913  (the contract's options)
     no_browser: NoBrowser = False,
 ) -> None:
     """Open the tuner in a browser: raw and clean signal, one dial between noise and lag."""
-    from becalm.cli.app import Where, bytes_of, place_of, run
+    from becalm.cli.app import PageAddress, bytes_of, place_of, run
     from becalm.files.read_options import ReadOptions
 
     run(
         place_of(file, folder, ReadOptions(time, rate)),
-        Where(host, port, token_file),
+        PageAddress(host, port, token_file),
         bytes_of(upload_limit),
         browser=not no_browser,
     )

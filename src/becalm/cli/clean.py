@@ -23,17 +23,17 @@ from becalm.files.writing import open_output, refuse_columns
 if TYPE_CHECKING:
     from becalm.cleaning.recipe import Recipe
     from becalm.cli.opened_file import Said
-    from becalm.cli.options import Asked
+    from becalm.cli.options import FilterOptions
     from becalm.files.opening import OpenSource
 
 
-class Asking(NamedTuple):
+class CleanOptions(NamedTuple):
     """What is asked of the filters."""
 
     recipe: Path | None
     causal: bool
     lag_s: float | None
-    asked: Asked
+    asked: FilterOptions
 
 
 class Outputs(NamedTuple):
@@ -51,7 +51,7 @@ class Outputs(NamedTuple):
         return recipe_beside(self.output)
 
 
-def run(file: Path, said: Said, asking: Asking, outputs: Outputs, *, as_json: bool) -> bool:
+def run(file: Path, said: Said, asking: CleanOptions, outputs: Outputs, *, as_json: bool) -> bool:
     """Clean a file; return whether every channel is described by its model."""
     output, beside, asked = outputs.output, outputs.recipe, asking.asked
     if asking.recipe is not None and asked.anything:
@@ -124,7 +124,7 @@ def run(file: Path, said: Said, asking: Asking, outputs: Outputs, *, as_json: bo
     return describes
 
 
-def _decided(source: OpenSource, said: Said, asking: Asking, given: Recipe | None) -> Recipe:
+def _decided(source: OpenSource, said: Said, asking: CleanOptions, given: Recipe | None) -> Recipe:
     """Return what to do with a file: as the recipe says that was given, or as one says that is found."""
     found = tuned(source, asking.causal, asking.asked, asking.lag_s) if given is None else given
     decided = in_mode(found, asking.causal or None, asking.lag_s)

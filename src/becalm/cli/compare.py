@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 _WORDS = 3  # columns
 
 
-class Asking(NamedTuple):
+class CompareOptions(NamedTuple):
     """What is asked of a comparison."""
 
     truth: Path | None
@@ -35,7 +35,7 @@ class Asking(NamedTuple):
     folder: Path | None
 
 
-def run(source: OpenSource, said: Said, asking: Asking, *, as_json: bool) -> None:
+def run(source: OpenSource, said: Said, asking: CompareOptions, *, as_json: bool) -> None:
     """Compare on a file, or on the beginning of a long one, and show what came out."""
     truth, causal, folder = asking
     page = None if folder is None else _page_in(folder)

@@ -18,7 +18,7 @@ from becalm.cli.opened_file import is_same, open_as, said_of
 from becalm.cli.options import split_names
 from becalm.core.arrays import Floats
 from becalm.errors import UsageError
-from becalm.export.bundle import Asked, Bundle, bundle_of
+from becalm.export.bundle import Bundle, ExportOptions, bundle_of
 from becalm.export.channel.sources import own_files
 from becalm.export.facts import cost_words
 from becalm.export.kind import Span
@@ -36,7 +36,7 @@ _CERTIFICATE = "certificate.md"
 _SHOWN = 2000  # rows of a recording that go into a golden vector
 
 
-class Wanted(NamedTuple):
+class CExportOptions(NamedTuple):
     """What a person asks of an export to C."""
 
     precision: str | None
@@ -47,7 +47,7 @@ class Wanted(NamedTuple):
     verify: bool
 
 
-def run(recipe: Path, output: Path, to: str, wanted: Wanted, *, as_json: bool) -> None:
+def run(recipe: Path, output: Path, to: str, wanted: CExportOptions, *, as_json: bool) -> None:
     """Write a recipe's filters.
 
     Raises
@@ -70,7 +70,7 @@ def run(recipe: Path, output: Path, to: str, wanted: Wanted, *, as_json: bool) -
         print(json.dumps({"recipe": str(recipe), "output": str(output), **told}, indent=2))  # noqa: T201
 
 
-def _to_form(recipe: Recipe, to: str, output: Path, wanted: Wanted) -> dict[str, Any]:
+def _to_form(recipe: Recipe, to: str, output: Path, wanted: CExportOptions) -> dict[str, Any]:
     from becalm.export.forms import written_as
 
     if any(value for name, value in wanted._asdict().items() if name != "channels"):
@@ -85,7 +85,7 @@ def _to_form(recipe: Recipe, to: str, output: Path, wanted: Wanted) -> dict[str,
     return {"to": to, "notes": notes}
 
 
-def _to_c(recipe: Recipe, path: Path, output: Path, wanted: Wanted) -> dict[str, Any]:
+def _to_c(recipe: Recipe, path: Path, output: Path, wanted: CExportOptions) -> dict[str, Any]:
     recorded = {} if wanted.recording is None else _recorded(recipe, wanted.recording, wanted.channels)
     bundle = bundle_of(recipe, path.stem.removesuffix(".recipe"), _asked(recipe, wanted, recorded))
     files, told = dict(bundle.files), _summary(bundle)
@@ -144,13 +144,15 @@ def _told(one: Compared) -> dict[str, Any]:
     return {**one._asdict(), "snr_db": one.snr_db if np.isfinite(one.snr_db) else None}
 
 
-def _asked(recipe: Recipe, wanted: Wanted, recorded: dict[str, Floats]) -> Asked:
+def _asked(recipe: Recipe, wanted: CExportOptions, recorded: dict[str, Floats]) -> ExportOptions:
     channels = None if wanted.channels is None else split_names(wanted.channels)
     spans = spans_of(wanted.ranges or [], [channel.name for channel in recipe.channel])
     shown = {name: readings[:_SHOWN] for name, readings in recorded.items()}
     if wanted.precision != "q31":
         spans = {**_seen(recipe, recorded), **spans}
-    return Asked(cast("Precision", wanted.precision or "float32"), wanted.gain or "auto", channels, spans, shown)
+    return ExportOptions(
+        cast("Precision", wanted.precision or "float32"), wanted.gain or "auto", channels, spans, shown
+    )
 
 
 def _seen(recipe: Recipe, recorded: dict[str, Floats]) -> dict[str, Span]:

@@ -55,6 +55,6 @@ def export(  # noqa: PLR0913  (the contract's options)
     as_json: o.Json = False,
 ) -> None:
     """Export a recipe's filters as C for a microcontroller, and verify them against becalm."""
-    from becalm.cli.export import Wanted, run
+    from becalm.cli.export import CExportOptions, run
 
-    run(recipe, output, to, Wanted(precision, gain, channels, ranges, recording, verify), as_json=as_json)
+    run(recipe, output, to, CExportOptions(precision, gain, channels, ranges, recording, verify), as_json=as_json)

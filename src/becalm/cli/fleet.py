@@ -11,7 +11,7 @@ import typer
 
 from becalm.cli.stopping import stop_cleanly
 from becalm.errors import NOT_DESCRIBED, UsageError
-from becalm.fleet.batch import Asked, Fleet, clean, refuse_inside
+from becalm.fleet.batch import BatchOptions, Fleet, clean, refuse_inside
 from becalm.fleet.job import STRETCH_ROWS
 from becalm.fleet.lake import told_apart
 from becalm.fleet.names import listed
@@ -27,7 +27,7 @@ _MOST_NAMED = 5  # sensors
 _STOPPED = b"becalm: Stopped; what is finished stays, and what was half-written is not read. Repeat, and it goes on.\n"
 
 
-class Asking(NamedTuple):
+class FleetOptions(NamedTuple):
     """What is asked of a lake."""
 
     recipe: Path | None
@@ -37,7 +37,7 @@ class Asking(NamedTuple):
     stretch_rows: int | None
 
 
-class Where(NamedTuple):
+class SparkAddress(NamedTuple):
     """Where Spark runs, and how."""
 
     master: str | None
@@ -62,7 +62,7 @@ class Where(NamedTuple):
 
 
 @contextmanager
-def spark_at(where: Where, *, schedules: bool = True) -> Iterator[SparkSession]:
+def spark_at(where: SparkAddress, *, schedules: bool = True) -> Iterator[SparkSession]:
     """Give Spark; signals still stop at once, and say what becomes of what its workers were at.
 
     Raises
@@ -75,7 +75,7 @@ def spark_at(where: Where, *, schedules: bool = True) -> Iterator[SparkSession]:
         yield spark
 
 
-def clean_lake(lake: Path, output: Path, asking: Asking, where: Where, *, as_json: bool) -> None:
+def clean_lake(lake: Path, output: Path, asking: FleetOptions, where: SparkAddress, *, as_json: bool) -> None:
     """Clean a lake; say what became of it, and where the report is.
 
     Raises
@@ -88,7 +88,7 @@ def clean_lake(lake: Path, output: Path, asking: Asking, where: Where, *, as_jso
     book = open_book(asking.recipe, asking.recipes)
     refuse_inside(lake.resolve(), output.resolve())
     told_apart(lake, asking.by)
-    asked = Asked(asking.by, asking.causal or None, asking.stretch_rows or STRETCH_ROWS)
+    asked = BatchOptions(asking.by, asking.causal or None, asking.stretch_rows or STRETCH_ROWS)
     with spark_at(where) as spark:
         fleet = clean(spark, lake, output, book, asked)
     _tell(fleet, output, as_json=as_json)

@@ -54,10 +54,10 @@ def clean(  # noqa: PLR0913  (the contract's options)
     as_json: o.Json = False,
 ) -> None:
     """Clean every sensor of a lake; finished sensors are skipped, and a failure stops no other sensor."""
-    from becalm.cli.fleet import Asking, Where, clean_lake
+    from becalm.cli.fleet import FleetOptions, SparkAddress, clean_lake
 
-    asking = Asking(recipe, recipes, by, causal, stretch)
-    clean_lake(lake, output, asking, Where(master, conf), as_json=as_json)
+    asking = FleetOptions(recipe, recipes, by, causal, stretch)
+    clean_lake(lake, output, asking, SparkAddress(master, conf), as_json=as_json)
 
 
 Recipes = Annotated[
@@ -90,13 +90,13 @@ def tune(  # noqa: PLR0913  (the contract's options)
     as_json: o.Json = False,
 ) -> None:
     """Identify a recipe for each class of sensors, and list sensors that differ from their class."""
-    from becalm.cli.fleet import Where
+    from becalm.cli.fleet import SparkAddress
     from becalm.cli.fleet_tune import tune_lake
-    from becalm.fleet.tuning import Asked
+    from becalm.fleet.tuning import LakeTuningOptions
     from becalm.fleet.tuning.classes import MOST_SENSORS
 
-    asked = Asked(by, causal, MOST_SENSORS if sensors is None else sensors, own, replace)
-    tune_lake(lake, output, asked, Where(master, conf), as_json=as_json)
+    asked = LakeTuningOptions(by, causal, MOST_SENSORS if sensors is None else sensors, own, replace)
+    tune_lake(lake, output, asked, SparkAddress(master, conf), as_json=as_json)
 
 
 From = Annotated[str, typer.Argument(metavar="SOURCE", help="Growing lake, kafka://HOST:PORT/TOPIC or nats://HOST/S.")]
@@ -132,8 +132,8 @@ def stream(  # noqa: PLR0913  (the contract's options)
     conf: Settings = None,
 ) -> None:
     """Filter the rows of all sensors as they arrive; a restart continues from the last commit."""
-    from becalm.cli.fleet import Where
-    from becalm.cli.fleet_stream import Asking, Times, stream_sensors
+    from becalm.cli.fleet import SparkAddress
+    from becalm.cli.fleet_stream import FleetStreamOptions, Times, stream_sensors
 
-    asking = Asking(recipe, recipes, by, time, Times(lateness, silent, every), checkpoint, once)
-    stream_sensors(source, output, asking, Where(master, conf))
+    asking = FleetStreamOptions(recipe, recipes, by, time, Times(lateness, silent, every), checkpoint, once)
+    stream_sensors(source, output, asking, SparkAddress(master, conf))

@@ -17,7 +17,7 @@ from becalm.fleet.stream import LiveBook, SensorPlan, StreamPlan
 from becalm.live.address import Address, seconds_of
 
 if TYPE_CHECKING:
-    from becalm.cli.fleet import Where
+    from becalm.cli.fleet import SparkAddress
 
 
 class Times(NamedTuple):
@@ -28,7 +28,7 @@ class Times(NamedTuple):
     every: str
 
 
-class Asking(NamedTuple):
+class FleetStreamOptions(NamedTuple):
     """What is asked of a stream."""
 
     recipe: Path | None
@@ -66,7 +66,7 @@ def _alone(plan: StreamPlan) -> Iterator[None]:
         yield
 
 
-def stream_sensors(source: str, output: str, asking: Asking, where: Where) -> None:
+def stream_sensors(source: str, output: str, asking: FleetStreamOptions, where: SparkAddress) -> None:
     """Run a stream to its end.
 
     Raises

@@ -8,15 +8,15 @@ from shlex import quote
 
 import typer
 
-from becalm.cli.fleet import Where, say_some, spark_at
+from becalm.cli.fleet import SparkAddress, say_some, spark_at
 from becalm.errors import NOT_DESCRIBED
 from becalm.fleet.lake import FILE
-from becalm.fleet.tuning.lake import Asked, Tuned, chosen_in, tune
+from becalm.fleet.tuning.lake import LakeTuningOptions, Tuned, chosen_in, tune
 from becalm.fleet.tuning.written import values_of
 from becalm.report.fleet_rows import counted
 
 
-def tune_lake(lake: Path, output: Path, asked: Asked, where: Where, *, as_json: bool) -> None:
+def tune_lake(lake: Path, output: Path, asked: LakeTuningOptions, where: SparkAddress, *, as_json: bool) -> None:
     """Tune a lake; say what was found, and where it is.
 
     Raises
@@ -37,7 +37,7 @@ def tune_lake(lake: Path, output: Path, asked: Asked, where: Where, *, as_json: 
         raise typer.Exit(NOT_DESCRIBED)
 
 
-def _tell(lake: Path, output: Path, asked: Asked, tuned: Tuned) -> None:
+def _tell(lake: Path, output: Path, asked: LakeTuningOptions, tuned: Tuned) -> None:
     for klass in tuned.classes:
         typer.echo(klass.says, err=True)
     say_some([f"{row.sensor}: {row.reason}" for row in tuned.rows if row.state == "refused"])

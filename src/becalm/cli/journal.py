@@ -29,7 +29,7 @@ DAMAGED = 3
 _stdout = Console(highlight=False, soft_wrap=True, markup=False, width=1000)
 
 
-class Asking(NamedTuple):
+class JournalOptions(NamedTuple):
     """What was said beside the folder and what to do."""
 
     output: Path | None
@@ -38,7 +38,7 @@ class Asking(NamedTuple):
     older: str | None
 
 
-def run(folder: Path, action: str, asked: Asking, as_json: bool) -> bool:
+def run(folder: Path, action: str, asked: JournalOptions, as_json: bool) -> bool:
     """Do what is asked, and tell whether all was well.
 
     Raises
@@ -126,7 +126,7 @@ def _verify(folder: Path, as_json: bool) -> bool:
     return not wrong
 
 
-def _export(folder: Path, asked: Asking) -> bool:
+def _export(folder: Path, asked: JournalOptions) -> bool:
     if asked.output is None:
         raise UsageError("becalm journal DIR export needs -o OUT: where to write, as -o rows.parquet.")
     format_to_write(asked.output)

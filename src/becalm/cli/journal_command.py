@@ -33,7 +33,7 @@ def journal(  # noqa: PLR0913  (the contract's options)
     as_json: o.Json = False,
 ) -> None:
     """List, verify, export or prune a stream's journal, also while the stream runs."""
-    from becalm.cli.journal import DAMAGED, Asking, run
+    from becalm.cli.journal import DAMAGED, JournalOptions, run
 
-    if not run(folder, action, Asking(output, start, stop, older), as_json=as_json):
+    if not run(folder, action, JournalOptions(output, start, stop, older), as_json=as_json):
         raise typer.Exit(DAMAGED)

@@ -56,7 +56,7 @@ class StreamError(BecalmError):
     exit_code = 1
 
 
-class Asking(NamedTuple):
+class LiveOptions(NamedTuple):
     """What is asked of the filters."""
 
     recipe: Path | None
@@ -80,7 +80,7 @@ def settings_of(queue_blocks: int, when_full: str, commit: str) -> Settings:
     return Settings(seconds_of("--commit", commit), queue_blocks, cast(Policy, when_full))
 
 
-def run(source: str, sinks: list[str], asking: Asking, settings: Settings, watching: Watching) -> None:
+def run(source: str, sinks: list[str], asking: LiveOptions, settings: Settings, watching: Watching) -> None:
     """Run a stream."""
     recipe = None if asking.recipe is None else Recipe.load(asking.recipe)
     timed = source if recipe is None else _timed(source, recipe)

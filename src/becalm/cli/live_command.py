@@ -89,11 +89,11 @@ def live(  # noqa: PLR0913  (the contract's options)
     log: LogTo = "-",
 ) -> None:
     """Filter a live stream for weeks; committed rows survive a power cut."""
-    from becalm.cli.live import Asking, Watching, run, settings_of
+    from becalm.cli.live import LiveOptions, Watching, run, settings_of
     from becalm.web.access import PageAsked
 
     named = () if channels is None else o.split_names(channels)
-    asking = Asking(recipe, learn, o.lag_of(lag), named)
+    asking = LiveOptions(recipe, learn, o.lag_of(lag), named)
     shown = None if page is None else PageAsked(page, page_host, token_file)
     if shown is None and (token_file is not None or page_host != THIS_MACHINE):
         raise UsageError("--page-host and --token-file are of a page, and none is asked for; give --page PORT too.")

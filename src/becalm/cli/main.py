@@ -102,12 +102,12 @@ def clean(  # noqa: PLR0913  (the contract's options)
     as_json: o.Json = False,
 ) -> None:
     """Remove the noise from a recording; nothing needs to be chosen."""
-    from becalm.cli.clean import Asking, Outputs, run
+    from becalm.cli.clean import CleanOptions, Outputs, run
 
     asked = o.asked_of(o.Dials(max_lag, bandwidth, noise_gain), still, remove, robust, time_jitter)._replace(fill=fill)
     outputs = Outputs(output, split, verdicts, report, figures)
     said = said_of(channels, o.When(rate, time, group, stamps), unit, sensors)
-    if not run(file, said, Asking(recipe, causal, o.lag_of(lag), asked), outputs, as_json=as_json):
+    if not run(file, said, CleanOptions(recipe, causal, o.lag_of(lag), asked), outputs, as_json=as_json):
         raise typer.Exit(NOT_DESCRIBED)
 
 
@@ -174,13 +174,13 @@ def compare(  # noqa: PLR0913  (the contract's options)
     as_json: o.Json = False,
 ) -> None:
     """Compare becalm with Butterworth, averages and others, at equal noise and at equal lag."""
-    from becalm.cli.compare import Asking, run
+    from becalm.cli.compare import CompareOptions, run
 
     given = load(recipe)
     said = said_of(channels, o.When(rate, time, group, stamps), unit, sensors)
     said = said if given is None else said.or_as(given)
     with open_as(file, said) as source:
-        run(source, said, Asking(truth, causal, output), as_json=as_json)
+        run(source, said, CompareOptions(truth, causal, output), as_json=as_json)
 
 
 @app.command()

@@ -14,7 +14,7 @@ from becalm.errors import UsageError
 
 if TYPE_CHECKING:
     from becalm.cleaning.recipe import Recipe
-    from becalm.cli.options import Asked, When
+    from becalm.cli.options import FilterOptions, When
     from becalm.files.opening import OpenSource
     from becalm.files.read_options import ReadOptions
     from becalm.files.time_bases import OpenFile
@@ -176,7 +176,7 @@ def refuse_taken(recipe: Recipe, columns: list[str], *, split: bool, verdicts: b
             )
 
 
-def tuned(source: OpenSource, causal: bool, asked: Asked, lag_s: float | None = None) -> Recipe:
+def tuned(source: OpenSource, causal: bool, asked: FilterOptions, lag_s: float | None = None) -> Recipe:
     """Tune a recipe on a file, or on evenly spread stretches of a long one."""
     from becalm.cleaning.calibrating import calibrated
     from becalm.cleaning.tuning import Wishes, tune

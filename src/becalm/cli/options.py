@@ -133,7 +133,7 @@ _SIZES: dict[Kind, dict[str, float]] = {
 _UNITS: dict[Kind, str] = {"max_lag_s": "s, ms or us", "bandwidth_hz": "Hz or kHz", "noise_gain_db": "dB"}
 
 
-class Asked(NamedTuple):
+class FilterOptions(NamedTuple):
     """What is asked of the filters, or told of the noise."""
 
     dial: Dial | None
@@ -169,7 +169,7 @@ class Dials(NamedTuple):
 
 def asked_of(
     dials: Dials, still: str | None, remove: str | None, robust: bool = False, jitter: str | None = None
-) -> Asked:
+) -> FilterOptions:
     """Read what is asked: --max-lag, --bandwidth or --noise-gain, --still, --remove, --robust and --time-jitter.
 
     Raises
@@ -179,7 +179,7 @@ def asked_of(
     """
     named = [] if remove is None else [part for part in remove.split(",") if part.strip()]
     removed = tuple(frequency_of("--remove", part) for part in named)
-    return Asked(dial_of(*dials), still_of(still) or (), removed, robust, jitter_of(jitter))
+    return FilterOptions(dial_of(*dials), still_of(still) or (), removed, robust, jitter_of(jitter))
 
 
 def units_of(texts: list[str] | None) -> dict[str, str]:

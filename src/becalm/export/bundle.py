@@ -26,13 +26,13 @@ from becalm.export.templates import render
 from becalm.export.vector_text import bits_of, vector_texts
 from becalm.export.vectors import Vector, extremes, golden_vectors
 from becalm.export.word_length import refuse_coarse
-from becalm.export.written import Written, words_of
+from becalm.export.written import WrittenChannel, words_of
 from becalm.installation import version
 
 _HIGHEST_UHZ = (1 << 62) - 1
 
 
-class Asked(NamedTuple):
+class ExportOptions(NamedTuple):
     """What a person asks for.
 
     Attributes
@@ -63,7 +63,7 @@ class Exported(NamedTuple):
     prefix: str
     design: Design
     kind: Kind
-    written: Written
+    written: WrittenChannel
     vectors: list[Vector]
     opened: Opened
     thrown: Raw
@@ -95,7 +95,7 @@ class Bundle(NamedTuple):
         return any(isinstance(one.kind, WholeChannel) for one in self.channels)
 
 
-def bundle_of(recipe: Recipe, name: str, asked: Asked) -> Bundle:
+def bundle_of(recipe: Recipe, name: str, asked: ExportOptions) -> Bundle:
     """Write a recipe's filters as C.
 
     Parameters
@@ -104,7 +104,7 @@ def bundle_of(recipe: Recipe, name: str, asked: Asked) -> Bundle:
         What was decided for each channel.
     name : str
         What a person calls it; file names follow from it.
-    asked : Asked
+    asked : ExportOptions
         What a person asks for.
 
     Raises
@@ -166,7 +166,7 @@ def chosen(recipe: Recipe, channels: Sequence[str] | None) -> tuple[list[tuple[C
     return found, notes
 
 
-def _exported(channel: ChannelRecipe, design: Design, prefix: str, kind: Kind, asked: Asked) -> Exported:
+def _exported(channel: ChannelRecipe, design: Design, prefix: str, kind: Kind, asked: ExportOptions) -> Exported:
     low, high = design.limits.rails
     span = asked.spans.get(channel.name, (low, high) if np.isfinite(high - low) else None)
     if span is not None and kind.number is FLOAT:
@@ -186,7 +186,7 @@ def _files(  # noqa: PLR0913
     recipe: Recipe,
     name: str,
     stem: str,
-    asked: Asked,
+    asked: ExportOptions,
     channels: Sequence[Exported],
     notes: Sequence[str],
     native: Mapping[str, str],
@@ -209,7 +209,7 @@ def _files(  # noqa: PLR0913
 
 
 def _context(  # noqa: PLR0913
-    recipe: Recipe, name: str, stem: str, asked: Asked, channels: Sequence[Exported], notes: Sequence[str]
+    recipe: Recipe, name: str, stem: str, asked: ExportOptions, channels: Sequence[Exported], notes: Sequence[str]
 ) -> dict[str, Any]:
     rate_hz = recipe.nominal_rate_hz
     return {

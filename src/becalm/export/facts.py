@@ -9,12 +9,12 @@ import numpy as np
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.core.arrays import Floats
 from becalm.export.design import Design
-from becalm.export.written import Written
+from becalm.export.written import WrittenChannel
 
 _MOST_WRITTEN = 36  # numbers of a matrix
 
 
-def facts_of(recipe: ChannelRecipe, design: Design, written: Written) -> list[str]:
+def facts_of(recipe: ChannelRecipe, design: Design, written: WrittenChannel) -> list[str]:
     """Return lines for the comment above a channel."""
     return [
         *_filter(design),
@@ -48,7 +48,7 @@ def _filter(design: Design) -> list[str]:
     ]
 
 
-def cost_words(written: Written) -> str:
+def cost_words(written: WrittenChannel) -> str:
     """Say what a row costs."""
     if written.cost is None:
         return "a row as becalm itself runs it: make cortex-m-count counts its instructions"
@@ -62,7 +62,7 @@ def _calibration(recipe: ChannelRecipe) -> str:
     return f"SHA-256 {hashlib.sha256(text.encode()).hexdigest()[:16]}: {text}"
 
 
-def _word(design: Design, written: Written) -> list[str]:
+def _word(design: Design, written: WrittenChannel) -> list[str]:
     word, unit = written.word, design.unit_after
     if word is None:
         return ["word: it computes in double, whatever readings are"]

@@ -14,7 +14,7 @@ from becalm.core.arrays import Floats
 from becalm.export.design import Design
 from becalm.export.number_type import NumberType
 from becalm.export.vectors import Reference, Vector
-from becalm.export.written import Written
+from becalm.export.written import WrittenChannel
 
 Span = tuple[float, float]
 
@@ -66,27 +66,27 @@ class Kind(Protocol):
         """How far the power of the difference from becalm is below that of the signal, in dB, at the least."""
         ...
 
-    def write(self, design: Design, prefix: str, span: Span | None) -> Written:
+    def write(self, design: Design, prefix: str, span: Span | None) -> WrittenChannel:
         """Write a filter; `span` is the least and the greatest reading, in unit."""
         ...
 
-    def reference(self, recipe: ChannelRecipe, design: Design, written: Written) -> Reference:
+    def reference(self, recipe: ChannelRecipe, design: Design, written: WrittenChannel) -> Reference:
         """Return what it is held against, at the start."""
         ...
 
-    def raw(self, readings: Floats, written: Written) -> Raw:
+    def raw(self, readings: Floats, written: WrittenChannel) -> Raw:
         """Return readings (N,) in unit, NaN where missing, as numbers that C is given."""
         ...
 
-    def in_unit(self, raw: Raw, written: Written) -> Floats:
+    def in_unit(self, raw: Raw, written: WrittenChannel) -> Floats:
         """Return numbers (N,) that C was given, or told, in unit; NaN for a missing reading."""
         ...
 
-    def counts(self, signal: Floats, written: Written) -> Floats:
+    def counts(self, signal: Floats, written: WrittenChannel) -> Floats:
         """Return a signal (N,), in unit, in what C tells it in, not rounded."""
         ...
 
-    def most_error(self, vector: Vector, design: Design, written: Written, opened: Opened) -> float:
+    def most_error(self, vector: Vector, design: Design, written: WrittenChannel, opened: Opened) -> float:
         """Return what a signal may be off by, in what C tells it in; `opened` opens what it is held against."""
         ...
 
@@ -132,16 +132,16 @@ class Floating:
         """Type of C that holds an expected signal."""
         return "double"
 
-    def raw(self, readings: Floats, written: Written) -> Raw:
+    def raw(self, readings: Floats, written: WrittenChannel) -> Raw:
         """Return readings (N,) as numbers that C is given."""
         with np.errstate(over="ignore"):
             return readings.astype(self.number.dtype)
 
-    def in_unit(self, raw: Raw, written: Written) -> Floats:
+    def in_unit(self, raw: Raw, written: WrittenChannel) -> Floats:
         """Return numbers (N,) that C was given, or told, in unit."""
         return raw.astype(np.float64)
 
-    def counts(self, signal: Floats, written: Written) -> Floats:
+    def counts(self, signal: Floats, written: WrittenChannel) -> Floats:
         """Return a signal (N,) in what C tells it in: its unit."""
         return signal
 
@@ -155,7 +155,7 @@ class Floating:
         power = float(np.square(vector.signal).mean())
         return float(allowed * max(1.0, _sure_of(design) ** 2 / power)) if power > 0 else allowed
 
-    def most_error(self, vector: Vector, design: Design, written: Written, opened: Opened) -> float:
+    def most_error(self, vector: Vector, design: Design, written: WrittenChannel, opened: Opened) -> float:
         """Return what a signal may be off by, in what C tells it in."""
         largest = float(np.abs(vector.signal).max())
         return (_SAME if self.number.is_double else _NEAR) * max(largest, _sure_of(design))

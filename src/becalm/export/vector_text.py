@@ -12,13 +12,13 @@ from becalm.export.expressions import in_lines
 from becalm.export.kind import Kind, Opened, Raw
 from becalm.export.number_type import DOUBLE
 from becalm.export.vectors import Vector
-from becalm.export.written import Written
+from becalm.export.written import WrittenChannel
 
 _NUMBERS, _CODES = 6, 24  # on a line
 
 
 def vector_texts(
-    vectors: Sequence[Vector], kind: Kind, design: Design, written: Written, opened: Opened
+    vectors: Sequence[Vector], kind: Kind, design: Design, written: WrittenChannel, opened: Opened
 ) -> list[dict[str, Any]]:
     """Return what the templates write of vectors; `opened` opens what they are held against."""
     texts = []
@@ -29,7 +29,7 @@ def vector_texts(
     return texts
 
 
-def _text(vector: Vector, kind: Kind, written: Written) -> dict[str, Any]:
+def _text(vector: Vector, kind: Kind, written: WrittenChannel) -> dict[str, Any]:
     gaps = zip(vector.gap_rows.tolist(), vector.gap_lengths.tolist(), strict=True)
     return {
         "name": vector.name,

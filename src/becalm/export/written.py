@@ -20,7 +20,7 @@ FOLDER = "native"
 """Where files of the library lie in a bundle."""
 
 
-class Written(NamedTuple):
+class WrittenChannel(NamedTuple):
     """One channel in C.
 
     Attributes

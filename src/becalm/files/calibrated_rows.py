@@ -10,7 +10,7 @@ import pyarrow as pa
 from becalm.core.arrays import Floats
 from becalm.files.conversion import Conversion
 from becalm.files.roles import values_of
-from becalm.files.rows import Rows
+from becalm.files.rows import TableRows
 from becalm.sensors.record import SensorRecord, applied
 from becalm.sensors.tare import Tare
 
@@ -88,7 +88,7 @@ class SensedRows:
 
     Parameters
     ----------
-    rows : Rows
+    rows : TableRows
         As they are in the file; closed with these.
     sensed : sequence of Sensed
         Of different columns.
@@ -96,7 +96,7 @@ class SensedRows:
         The decimal sign of numbers in text.
     """
 
-    def __init__(self, rows: Rows, sensed: Sequence[Sensed], decimal: str) -> None:
+    def __init__(self, rows: TableRows, sensed: Sequence[Sensed], decimal: str) -> None:
         self._rows, self._decimal = rows, decimal
         self._by_name = {name: one for one in sensed for name in one.names}
         renamed = {

@@ -13,7 +13,7 @@ from becalm.errors import UsageError
 from becalm.files.conversion import Conversion, conversion
 from becalm.files.read_options import Asker, Fitting, ReadOptions
 from becalm.files.roles import SIGMA, unit_of
-from becalm.files.rows import Rows
+from becalm.files.rows import TableRows
 from becalm.files.source import RawTable
 from becalm.files.time_base_choice import holds, listed
 from becalm.files.timing.time_column import is_time_name, named_column
@@ -50,13 +50,13 @@ class ConvertedRows:
 
     Parameters
     ----------
-    rows : Rows
+    rows : TableRows
         As they are in the file; closed with these.
     columns : mapping of str to Converted
         By the names in the file; the others stay as they are.
     """
 
-    def __init__(self, rows: Rows, columns: Mapping[str, Converted]) -> None:
+    def __init__(self, rows: TableRows, columns: Mapping[str, Converted]) -> None:
         self._rows = rows
         self._columns = {converted.name: (name, converted.conversion) for name, converted in columns.items()}
         self.count: int = rows.count

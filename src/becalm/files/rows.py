@@ -23,7 +23,7 @@ _STAMPS = 1 << 16
 Numbers = NDArray[Any]  # float64 or int64
 
 
-class Rows(Protocol):
+class TableRows(Protocol):
     """A table somewhere: in memory, in a Parquet file, in a temporary file."""
 
     @property

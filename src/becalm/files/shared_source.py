@@ -20,7 +20,7 @@ from becalm.files.source import RawTable
 _AT_ONCE = 1 << 20  # stamps
 
 
-class Known(NamedTuple):
+class ParsedSource(NamedTuple):
     """What was understood, as it can be sent to where it is read again."""
 
     names: tuple[str, ...]  # of the channels
@@ -29,7 +29,7 @@ class Known(NamedTuple):
     stamps: str  # the file that holds the time of each row, as float64; "" where rows are counted
 
 
-def known_of(source: OpenSource, stamps: Path) -> Known:
+def known_of(source: OpenSource, stamps: Path) -> ParsedSource:
     """Return what was understood of a source; its stamps are kept in a file, where rows cannot be counted.
 
     Parameters
@@ -45,11 +45,11 @@ def known_of(source: OpenSource, stamps: Path) -> Known:
         If they cannot be kept.
     """
     if source.clock.even:
-        return Known(source.names, source.clock, source.rows, "")
+        return ParsedSource(source.names, source.clock, source.rows, "")
     with sentences(stamps), stamps.open("wb") as file:
         for first in range(0, source.rows, _AT_ONCE):
             file.write(source.seconds(first, min(_AT_ONCE, source.rows - first)).tobytes())
-    return Known(source.names, source.clock, source.rows, str(stamps))
+    return ParsedSource(source.names, source.clock, source.rows, str(stamps))
 
 
 class KnownSource:
@@ -59,7 +59,7 @@ class KnownSource:
     ----------
     raw : RawTable
         Its columns.
-    known : Known
+    known : ParsedSource
         What was understood of it.
 
     Attributes
@@ -70,7 +70,7 @@ class KnownSource:
         What its time is like.
     """
 
-    def __init__(self, raw: RawTable, known: Known) -> None:
+    def __init__(self, raw: RawTable, known: ParsedSource) -> None:
         self._raw, self._known = raw, known
         self.schema: pa.Schema = raw.rows.schema
         self.clock = known.clock

@@ -12,7 +12,7 @@ import pyarrow as pa
 from becalm.core.recording import Recording
 from becalm.core.time.clock import Clock
 from becalm.files.identity import Original
-from becalm.files.rows import Rows, block_rows, rebatched
+from becalm.files.rows import TableRows, block_rows, rebatched
 from becalm.sensors.record import Calibration
 
 TIME = "time"
@@ -76,7 +76,7 @@ class RawTable:
 
     Attributes
     ----------
-    rows : Rows
+    rows : TableRows
         Numbers as numbers, all else as it was; names are all different.
     count : int
         How many of the rows count: blank ones at the end of a text file do not.
@@ -100,7 +100,7 @@ class RawTable:
         Of which files the rows are, as a sentence for whoever must look for a stamp in them; "" where it is one.
     """
 
-    rows: Rows
+    rows: TableRows
     count: int
     format: str
     units: dict[str, str] = field(default_factory=dict)

@@ -19,7 +19,7 @@ from becalm.files.source import RawTable
 from becalm.files.time_base_choice import chosen_table, holds, listed
 
 
-class Passed(NamedTuple):
+class PassedThroughTable(NamedTuple):
     """A table in which nothing is cleaned.
 
     Attributes
@@ -46,7 +46,7 @@ class OpenFile(NamedTuple):
     """
 
     sources: tuple[OpenSource, ...]
-    passed: tuple[Passed, ...]
+    passed: tuple[PassedThroughTable, ...]
 
 
 @contextmanager
@@ -85,12 +85,12 @@ def open_file(path: str | os.PathLike[str], options: ReadOptions | None = None) 
 
 def _open_each(
     file: Path, tables: Sequence[RawTable], options: ReadOptions, opened: list[OpenSource]
-) -> Iterator[Passed]:
+) -> Iterator[PassedThroughTable]:
     """Open every table that is meant; give the others."""
     if len(tables) == 1 or options.group is not None:
         chosen = chosen_table(file, tables, options)
         opened.append(understood(file, chosen, options))
-        yield from (Passed(table, "not asked for") for table in tables if table is not chosen)
+        yield from (PassedThroughTable(table, "not asked for") for table in tables if table is not chosen)
         return
     if options.rate_hz is not None or options.time is not None:
         raise UsageError(
@@ -100,14 +100,14 @@ def _open_each(
     for table in tables:
         asked = None if options.channels is None else tuple(name for name in options.channels if holds(table, name))
         if asked == ():
-            yield Passed(table, "not asked for")
+            yield PassedThroughTable(table, "not asked for")
             continue
         try:
             opened.append(understood(file, table, replace(options, channels=asked)))
         except InputError as cause:
             if asked is not None:
                 raise
-            yield Passed(table, f"{table.group}: {str(cause).removeprefix(f'{file}: ')}")
+            yield PassedThroughTable(table, f"{table.group}: {str(cause).removeprefix(f'{file}: ')}")
 
 
 def _refuse_strangers(file: Path, tables: Sequence[RawTable], options: ReadOptions) -> None:

@@ -7,8 +7,8 @@ Such as::
     print(fleet.summary, fleet.report)
 """
 
-from becalm.fleet.batch import Asked, Fleet, clean
+from becalm.fleet.batch import BatchOptions, Fleet, clean
 from becalm.fleet.recipes import RecipeBook, open_book
 from becalm.fleet.session import session
 
-__all__ = ["Asked", "Fleet", "RecipeBook", "clean", "open_book", "session"]
+__all__ = ["BatchOptions", "Fleet", "RecipeBook", "clean", "open_book", "session"]

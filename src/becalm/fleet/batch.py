@@ -21,7 +21,7 @@ from becalm.fleet.class_outliers import marked
 from becalm.fleet.engine import run_tasks
 from becalm.fleet.grouped.cleaning import clean_grouped
 from becalm.fleet.job import STRETCH_ROWS, Job, Sensor
-from becalm.fleet.lake import FILE, FOLDER, Place, Shared, told_apart
+from becalm.fleet.lake import FILE, FOLDER, SensorPlace, Shared, told_apart
 from becalm.fleet.marks import Mark
 from becalm.fleet.outcome import Outcome, refused
 from becalm.fleet.output_lock import alone_at
@@ -43,7 +43,7 @@ _LEAST_BYTES = 1
 """Of a row in a Parquet file: what is smaller cannot be long."""
 
 
-class Asked(NamedTuple):
+class BatchOptions(NamedTuple):
     """What may be asked of a job beside its recipes."""
 
     by: str = FOLDER
@@ -51,7 +51,7 @@ class Asked(NamedTuple):
     stretch_rows: int = STRETCH_ROWS
 
 
-AS_RECIPES_SAY = Asked()
+AS_RECIPES_SAY = BatchOptions()
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,9 @@ class Fleet:
         return summary(self.rows)
 
 
-def clean(spark: SparkSession, lake: Path, output: Path, book: RecipeBook, asked: Asked = AS_RECIPES_SAY) -> Fleet:
+def clean(
+    spark: SparkSession, lake: Path, output: Path, book: RecipeBook, asked: BatchOptions = AS_RECIPES_SAY
+) -> Fleet:
     """Clean every sensor of a lake; what was finished before, and has not changed, is left as it is.
 
     Parameters
@@ -97,7 +99,7 @@ def clean(spark: SparkSession, lake: Path, output: Path, book: RecipeBook, asked
         shares its files with others it is one, as `sensor=17/part-0.parquet`.
     book : RecipeBook
         What to do with each sensor.
-    asked : Asked
+    asked : BatchOptions
         What tells a sensor, and whether estimates know only the past.
 
     Raises
@@ -125,7 +127,7 @@ def clean(spark: SparkSession, lake: Path, output: Path, book: RecipeBook, asked
         return _told(Fleet(tuple(outcomes), output / ABOUT / "report.html", unused), facts)
 
 
-def _cleaned(spark: SparkSession, job: Job, told: Sequence[Place] | Shared, book: RecipeBook) -> list[Outcome]:
+def _cleaned(spark: SparkSession, job: Job, told: Sequence[SensorPlace] | Shared, book: RecipeBook) -> list[Outcome]:
     if isinstance(told, Shared):
         return clean_grouped(spark, job, told, book)
     hashes = {place.name: book.hash_for(place.name) for place in told}

@@ -22,7 +22,7 @@ FOLDER, FILE = "folder", "file"
 _TOLD_BY = "Name the sensors' folders as sensor=17, or say that each file is one: --by file"
 
 
-class Place(NamedTuple):
+class SensorPlace(NamedTuple):
     """Where a sensor is in a lake."""
 
     name: str  # the path of its folder, or file, within the lake; "." for the lake itself
@@ -37,7 +37,7 @@ class Shared(NamedTuple):
     files: tuple[str, ...]  # their paths within the lake, in order
 
 
-def told_apart(lake: Path, by: str = FOLDER) -> list[Place] | Shared:
+def told_apart(lake: Path, by: str = FOLDER) -> list[SensorPlace] | Shared:
     """Find what tells the sensors of a lake apart; where folders or files do, list them by name.
 
     Parameters
@@ -67,7 +67,7 @@ def told_apart(lake: Path, by: str = FOLDER) -> list[Place] | Shared:
     for file, values in zip(files, told, strict=True):
         held["/".join(folder_name(key, values[key]) for key in keys)].append(file)
     return [
-        Place(name, sum(_bytes_of(lake / file) for file in own), tuple(file.as_posix() for file in own))
+        SensorPlace(name, sum(_bytes_of(lake / file) for file in own), tuple(file.as_posix() for file in own))
         for name, own in sorted(held.items())
     ]
 
@@ -79,7 +79,7 @@ def _keys(by: str, told: Mapping[str, str | None], path: Path) -> tuple[str, ...
     return keys_of(by, {*told, *read_parquet(path, Original(path)).names})
 
 
-def places_in(lake: Path, by: str = FOLDER) -> list[Place]:
+def places_in(lake: Path, by: str = FOLDER) -> list[SensorPlace]:
     """List the sensors of a lake, by name.
 
     Parameters
@@ -101,7 +101,7 @@ def places_in(lake: Path, by: str = FOLDER) -> list[Place]:
         below = path.relative_to(lake)
         sizes[str(below) if by == FILE else str(_sensor_folder(lake, below.parent))] += _bytes_of(path)
     _refuse_nested(lake, sizes)
-    return [Place(name, size) for name, size in sorted(sizes.items())]
+    return [SensorPlace(name, size) for name, size in sorted(sizes.items())]
 
 
 def _bytes_of(path: Path) -> int:

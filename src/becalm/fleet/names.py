@@ -23,7 +23,7 @@ _SPECIAL = re.compile(r"[\x00-\x1f\x7f\"#%'*/:=?\\{\[\]^]")  # what Hive and Spa
 _MOST_LISTED = 20
 
 
-class Named(NamedTuple):
+class NamedSensors(NamedTuple):
     """Of which sensors some rows are.
 
     Attributes
@@ -91,7 +91,7 @@ def listed(names: Sequence[str]) -> str:
     return ", ".join(names[:_MOST_LISTED]) + more
 
 
-def named(block: pa.Table, keys: Sequence[str], told: Mapping[str, str | None]) -> Named:
+def named(block: pa.Table, keys: Sequence[str], told: Mapping[str, str | None]) -> NamedSensors:
     """Tell of which sensors the rows of a block are.
 
     Parameters
@@ -117,24 +117,24 @@ def named(block: pa.Table, keys: Sequence[str], told: Mapping[str, str | None]) 
     return found
 
 
-def _all_of(name: str, rows: int) -> Named:
-    return Named([name], np.zeros(rows, np.int64))
+def _all_of(name: str, rows: int) -> NamedSensors:
+    return NamedSensors([name], np.zeros(rows, np.int64))
 
 
-def _of_both(first: Named, second: Named) -> Named:
+def _of_both(first: NamedSensors, second: NamedSensors) -> NamedSensors:
     """Name sensors by two keys: only those that there are rows of."""
     if len(first.names) == 1:
-        return Named([_joined(first.names[0], name) for name in second.names], second.codes)
+        return NamedSensors([_joined(first.names[0], name) for name in second.names], second.codes)
     pairs, codes = np.unique(first.codes * len(second.names) + second.codes, return_inverse=True)
     split = zip(*np.divmod(pairs, max(1, len(second.names))), strict=True)
-    return Named([_joined(first.names[one], second.names[other]) for one, other in split], codes)
+    return NamedSensors([_joined(first.names[one], second.names[other]) for one, other in split], codes)
 
 
 def _joined(above: str, name: str) -> str:
     return f"{above}/{name}" if above else name
 
 
-def _of_column(key: str, column: pa.ChunkedArray) -> Named:
+def _of_column(key: str, column: pa.ChunkedArray) -> NamedSensors:
     try:
         coded = column.cast(pa.string()).combine_chunks().dictionary_encode(null_encoding="encode")
     except pa.ArrowException as cause:
@@ -142,7 +142,7 @@ def _of_column(key: str, column: pa.ChunkedArray) -> Named:
             f"{key!r} holds {column.type} that cannot name a folder; whole numbers or text can. Name another with --by."
         ) from cause
     names = [folder_name(key, value) for value in coded.dictionary.to_pylist()]
-    return Named(names, np.asarray(coded.indices, np.int64))
+    return NamedSensors(names, np.asarray(coded.indices, np.int64))
 
 
 def _plain(text: str) -> str:

@@ -21,7 +21,7 @@ from becalm.identification.likelihood import FEWEST_READINGS, UNSCORED, Evidence
 from becalm.identification.lines import add_lines
 from becalm.identification.risk import less_risky, retune
 
-__all__ = ["FEWEST_READINGS", "NOTHING_KNOWN", "Choice", "Known", "choose"]
+__all__ = ["FEWEST_READINGS", "NOTHING_KNOWN", "Choice", "PriorKnowledge", "choose"]
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Choice:
 
 
 @dataclass(frozen=True)
-class Known:
+class PriorKnowledge:
     """What is known of one channel before it is looked at.
 
     Attributes
@@ -69,15 +69,15 @@ class Known:
     noise: NoiseModel | None = None
     removed: tuple[float, ...] = ()
 
-    def counted_in(self, steps: float) -> Known:
+    def counted_in(self, steps: float) -> PriorKnowledge:
         """Return the same where a step is so many of its own long."""
-        return self if steps == 1.0 else Known(self.noise, tuple(angle * steps for angle in self.removed))
+        return self if steps == 1.0 else PriorKnowledge(self.noise, tuple(angle * steps for angle in self.removed))
 
 
-NOTHING_KNOWN = Known()
+NOTHING_KNOWN = PriorKnowledge()
 
 
-def choose(readings: Floats, elapsed: Floats, causal: bool = True, known: Known = NOTHING_KNOWN) -> Choice:
+def choose(readings: Floats, elapsed: Floats, causal: bool = True, known: PriorKnowledge = NOTHING_KNOWN) -> Choice:
     """Identify the noise of one channel and choose its motion.
 
     Parameters
@@ -88,7 +88,7 @@ def choose(readings: Floats, elapsed: Floats, causal: bool = True, known: Known 
         Steps since the row before.
     causal : bool
         Whether the filter shall run causally; a smoother is tuned for smoothing.
-    known : Known
+    known : PriorKnowledge
         What need not be found.
 
     Raises
@@ -108,7 +108,7 @@ def choose(readings: Floats, elapsed: Floats, causal: bool = True, known: Known 
     return _chosen(every.counted_in(own), causal, known.counted_in(own)).counted_in(1 / own)
 
 
-def _chosen(evidence: Evidence, causal: bool, known: Known) -> Choice:
+def _chosen(evidence: Evidence, causal: bool, known: PriorKnowledge) -> Choice:
     """Choose a motion for readings most of which lie a step apart."""
     if known.noise is not None:
         beside = tune_beside(evidence, known.noise.white_variance, known.noise.coloured, causal=causal)

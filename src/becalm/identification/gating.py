@@ -16,7 +16,7 @@ from becalm.core.filter.channel import Channel
 from becalm.core.filter.channel_settings import Settings
 from becalm.core.filter.gate import Gate
 from becalm.core.verdict import Verdict
-from becalm.identification.choose import NOTHING_KNOWN, Choice, Known, choose
+from becalm.identification.choose import NOTHING_KNOWN, Choice, PriorKnowledge, choose
 from becalm.identification.imputation import imputed
 from becalm.identification.likelihood import Tuning
 from becalm.identification.modes.rejection import stand_out
@@ -65,7 +65,7 @@ class Forecasts(NamedTuple):
 
 
 def choose_gated(
-    readings: Floats, elapsed: Floats, gate: Gate, causal: bool = True, known: Known = NOTHING_KNOWN
+    readings: Floats, elapsed: Floats, gate: Gate, causal: bool = True, known: PriorKnowledge = NOTHING_KNOWN
 ) -> GatedChoice:
     """Identify the noise of one channel, choose its motion, and decide whether a gate goes with it.
 
@@ -79,7 +79,7 @@ def choose_gated(
         What it would be.
     causal : bool
         Whether the filter shall run causally.
-    known : Known
+    known : PriorKnowledge
         What need not be found.
 
     Returns

@@ -51,7 +51,7 @@ kernel.multivariate_is_sound.argtypes, kernel.multivariate_is_sound.restype = [c
 kernel.multivariate_end.argtypes, kernel.multivariate_end.restype = [ctypes.c_void_p] * 2, None
 
 
-class Rows(NamedTuple):
+class MeasurementRows(NamedTuple):
     """Measurements, and the steps before them: rows first[s] to first[s + 1] - 1 follow step[s] each."""
 
     z: Floats  # (N, m) NaN where missing
@@ -62,7 +62,7 @@ class Rows(NamedTuple):
     lengths: Floats  # (u,) equal ones are the same step
 
 
-class Beliefs(NamedTuple):
+class EstimateBuffers(NamedTuple):
     """Where estimates go; None where they are not wanted."""
 
     signal: Floats | None = None  # (N, m)
@@ -137,7 +137,7 @@ class Multivariate:
         n = self._size[1]
         return self.state[_HEAD.itemsize :].view(np.float64)[n : n + n * n].reshape(n, n)
 
-    def filter(self, rows: Rows, beliefs: Beliefs) -> None:
+    def filter(self, rows: MeasurementRows, beliefs: EstimateBuffers) -> None:
         """Filter rows.
 
         Raises
@@ -149,7 +149,7 @@ class Multivariate:
         model = ctypes.byref(self._model)
         kernel.multivariate_filter(model, self.state.ctypes.data, ctypes.byref(record), ctypes.byref(into))
 
-    def smooth(self, rows: Rows, beliefs: Beliefs) -> None:
+    def smooth(self, rows: MeasurementRows, beliefs: EstimateBuffers) -> None:
         """Filter rows, which end the record, and come back over them; innovations, which are needed, stay the filter's.
 
         Raises
@@ -167,7 +167,7 @@ class Multivariate:
         moves = self.state.ctypes.data, ctypes.byref(record), ctypes.byref(into), future.ctypes.data, room.ctypes.data
         kernel.multivariate_smooth(model, *moves)
 
-    def smooth_late(self, rows: Rows, lag: int, told: int) -> tuple[Floats, Floats]:
+    def smooth_late(self, rows: MeasurementRows, lag: int, told: int) -> tuple[Floats, Floats]:
         """Smooth the first rows by those up to a lag after each; return signal and sigma, (told, m) each.
 
         The state before them becomes that after them. The steps of all rows are alike; none precedes the first of all.
@@ -177,7 +177,7 @@ class Multivariate:
         ValueError
             If the arrays do not fit each other, or the numbers do not fit the rows.
         """
-        record, _ = self._given(rows, Beliefs())
+        record, _ = self._given(rows, EstimateBuffers())
         if not (lag >= 0 and 0 <= told <= record.rows):
             raise ValueError(f"A lag of {lag} and {told} rows to tell came; 0 or more, 0 to {record.rows} are needed.")
         signal, sigma = np.empty((2, told, self.channels))
@@ -213,7 +213,7 @@ class Multivariate:
             raise ModelError("The state of a snapshot says what none can say; pass what snapshot() returned.")
         self.state = state
 
-    def _given(self, rows: Rows, beliefs: Beliefs) -> tuple[_Record, _Beliefs]:
+    def _given(self, rows: MeasurementRows, beliefs: EstimateBuffers) -> tuple[_Record, _Beliefs]:
         (m, n), count, runs, steps = self._size, len(rows.z), len(rows.step), len(rows.F)
         shapes: dict[str, tuple[int, ...]] = {"z": (count, m), "F": (steps, n, n), "Q": (steps, n, n)}
         shapes |= {"lengths": (steps,), "first": (runs + 1,), "step": (runs,)}

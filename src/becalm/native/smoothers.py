@@ -60,7 +60,7 @@ class _Forward:
         return self._settings.ctypes.data, self._coefficients.ctypes.data
 
 
-class Passed(NamedTuple):
+class ForwardPass(NamedTuple):
     """What a pass forward leaves for the way back."""
 
     taken: int  # rows
@@ -72,7 +72,7 @@ class Passed(NamedTuple):
 class Smoother(_Forward):
     """A filter that passes over blocks of rows, and comes back with what later rows say; see `_Forward`."""
 
-    def forward(self, *, ends: bool, **rows: Any) -> Passed:
+    def forward(self, *, ends: bool, **rows: Any) -> ForwardPass:
         """Filter the next block, or as much of it as is decided; the rest has to come again.
 
         Parameters
@@ -94,13 +94,13 @@ class Smoother(_Forward):
         taken = kernel.smoother_forward(
             *self._channel, self.state.ctypes.data, ctypes.byref(block), ctypes.byref(estimate), *memory, ends
         )
-        return Passed(taken, room, starts, rows)
+        return ForwardPass(taken, room, starts, rows)
 
     def nothing(self) -> NDArray[np.void]:
         """Return what is known of the future at the end of a record."""
         return np.frombuffer(bytearray(self._nothing.tobytes()), _FUTURE).reshape(())
 
-    def backward(self, passed: Passed, future: NDArray[np.void]) -> None:
+    def backward(self, passed: ForwardPass, future: NDArray[np.void]) -> None:
         """Come back over a block with what all rows after it say, which changes; signal and sigma become smoothed.
 
         Parameters
@@ -112,11 +112,11 @@ class Smoother(_Forward):
         """
         self._come_back(passed, future, passed.taken, only_future=False)
 
-    def look_back(self, passed: Passed, future: NDArray[np.void], count: int) -> None:
+    def look_back(self, passed: ForwardPass, future: NDArray[np.void], count: int) -> None:
         """Take into a future what the first rows of a block say: a multiple of 64, or all. Nothing is smoothed."""
         self._come_back(passed, future, count, only_future=True)
 
-    def _come_back(self, passed: Passed, future: NDArray[np.void], count: int, *, only_future: bool) -> None:
+    def _come_back(self, passed: ForwardPass, future: NDArray[np.void], count: int, *, only_future: bool) -> None:
         if count != passed.taken and count % CONSTANTS["SMOOTHED"]:
             raise ValueError(f"{count} rows are wanted; of {passed.taken} that were taken give all, or whole blocks.")
         block, estimate = checked(self._settings, passed.rows)

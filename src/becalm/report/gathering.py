@@ -23,7 +23,7 @@ WIDTH = 2.0
 """How many sigma a band is wide, to each side."""
 
 
-class Rows(NamedTuple):
+class FilteredRows(NamedTuple):
     """Some rows of one channel, after the filter."""
 
     times_s: Floats  # (B,) since the first row
@@ -91,7 +91,7 @@ class Gathering:
             self.times.add(*cut, times[part], times[part])
         self.nis_times.add(*self._nis_stretches.next(len(steps)), times, times)
         for channel, z, of in zip(self.channels, columns, told, strict=True):
-            channel.add(Rows(times, _possible(z, of), of), cuts)
+            channel.add(FilteredRows(times, _possible(z, of), of), cuts)
 
 
 class ChannelGathering:
@@ -128,7 +128,7 @@ class ChannelGathering:
         self._nis_stretches = Stretches(rows, _NIS_STRETCHES)
         self.nis = Means(self._nis_stretches.count)
 
-    def add(self, rows: Rows, cuts: Sequence[tuple[slice, Cut]]) -> None:
+    def add(self, rows: FilteredRows, cuts: Sequence[tuple[slice, Cut]]) -> None:
         """Take the next rows, and which parts of them are cut into stretches how."""
         times_s, z, told = rows
         for part, cut in cuts:

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from becalm.core.arrays import Floats, frozen
-from becalm.core.filter.filtering import Estimate, Wanted, run_filter
+from becalm.core.filter.filtering import Estimate, WantedResults, run_filter
 from becalm.core.model.components import Component, Part
 from becalm.core.model.model import Model
 from becalm.core.model.timeline import elapsed_timeline
@@ -125,7 +125,7 @@ def run_three_sensors(times_s: Floats, readings: Floats, fitted: Fitted, *, all_
     R = np.diag(fitted.noise_std**2)
     F, Q, H, _ = timeline.system
     timeline = timeline._replace(system=timeline.system._replace(R=R))
-    wanted = Wanted(sigma=all_of_it, innovations=all_of_it, signal=all_of_it)
+    wanted = WantedResults(sigma=all_of_it, innovations=all_of_it, signal=all_of_it)
     return run_filter(Model(F[0], H, Q[0], R), timeline, readings, wanted).estimate
 
 

@@ -8,11 +8,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from becalm.core.arrays import Floats, Integers
-from becalm.core.filter.filtering import Wanted, new_beliefs, new_kernel, numbers, require_model, rows_of, sums_of
+from becalm.core.filter.filtering import (
+    WantedResults,
+    new_beliefs,
+    new_kernel,
+    numbers,
+    require_model,
+    rows_of,
+    sums_of,
+)
 from becalm.core.model.model import Model
 from becalm.core.model.timeline import even_timeline
 from becalm.errors import ModelError
-from becalm.native.multivariate import Beliefs
+from becalm.native.multivariate import EstimateBuffers
 
 
 @dataclass(frozen=True)
@@ -63,16 +71,18 @@ def filter_batch(model: Model, z: ArrayLike, *, states: bool = False, innovation
     readings = np.require(numbers(z), requirements=["C", "A"])
     if readings.ndim != 3 or readings.shape[2] != model.channels:
         raise ModelError(f"z has shape {np.shape(z)}; (records, N, {model.channels}) is needed.")
-    wanted, records, count = Wanted(states=states, innovations=innovations), *readings.shape[:2]
+    wanted, records, count = WantedResults(states=states, innovations=innovations), *readings.shape[:2]
     timeline = even_timeline(model, count)
     kernel = new_kernel(model, timeline, wanted)
     start, likelihoods, used = kernel.state.copy(), np.empty(records), np.empty(records, np.int64)
-    whole = Beliefs(
+    whole = EstimateBuffers(
         *(None if room is None else np.empty((records, *room.shape)) for room in new_beliefs(model, count, wanted))
     )
     for record, z_k in enumerate(readings):
         kernel.state[:] = start
-        kernel.filter(rows_of(timeline, z_k), Beliefs(*(None if room is None else room[record] for room in whole)))
+        kernel.filter(
+            rows_of(timeline, z_k), EstimateBuffers(*(None if room is None else room[record] for room in whole))
+        )
         sums = sums_of(kernel)
         likelihoods[record], used[record] = sums.log_likelihood, sums.used
     nothing = np.empty((records, 0, model.channels))

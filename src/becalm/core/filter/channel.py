@@ -13,7 +13,7 @@ import numpy as np
 
 from becalm.core.arrays import Codes, Floats
 from becalm.core.filter.channel_settings import Settings, StepTable, packed_coefficients, packed_settings
-from becalm.core.health.faults import Found
+from becalm.core.health.faults import FaultCount
 from becalm.core.health.monitor import HOPS
 from becalm.core.model.components import Component
 from becalm.core.rows import EstimatedRows
@@ -143,10 +143,10 @@ class Channel:
         return dict(zip(Verdict, self._state["counts"].tolist(), strict=True))
 
     @property
-    def faults(self) -> dict[Verdict, Found]:
+    def faults(self) -> dict[Verdict, FaultCount]:
         """What was wrong with measurements, or with their times, whatever was estimated there."""
         met, rows, steps = (self._state[name].tolist() for name in ("met", "first_row", "first_step"))
-        return {verdict: Found(met[verdict], rows[verdict], steps[verdict]) for verdict in Verdict if met[verdict]}
+        return {verdict: FaultCount(met[verdict], rows[verdict], steps[verdict]) for verdict in Verdict if met[verdict]}
 
     @property
     def timing_share(self) -> float:

@@ -19,9 +19,9 @@ from becalm.native.multivariate import (
     GAIN,
     MOST_CHANNELS,
     MOST_STATES,
-    Beliefs,
+    EstimateBuffers,
+    MeasurementRows,
     Multivariate,
-    Rows,
 )
 
 
@@ -67,7 +67,7 @@ class Estimate:
     settled_row: int | None
 
 
-class Wanted(NamedTuple):
+class WantedResults(NamedTuple):
     """Which results are to be written; the likelihood always is."""
 
     states: bool = False
@@ -77,7 +77,7 @@ class Wanted(NamedTuple):
     signal: bool = True
 
 
-EVERYTHING = Wanted()
+EVERYTHING = WantedResults()
 
 
 def require_model(model: object) -> None:
@@ -151,7 +151,7 @@ def kalman_filter(  # noqa: PLR0913  (what is wanted, each by its name)
     confused with `kalman_smoother`, whose estimates also know the readings after their own.
     """
     readings = checked_readings(model, z)
-    wanted = Wanted(states, covariances, sigma, innovations)
+    wanted = WantedResults(states, covariances, sigma, innovations)
     return run_filter(model, even_timeline(model, len(readings)), readings, wanted).estimate
 
 
@@ -163,14 +163,14 @@ class Run(NamedTuple):
     cov: Floats  # (n, n) of the state after the last row, if it is known
 
 
-def run_filter(model: Model, timeline: Timeline, z: Floats, wanted: Wanted = EVERYTHING) -> Run:
+def run_filter(model: Model, timeline: Timeline, z: Floats, wanted: WantedResults = EVERYTHING) -> Run:
     """Filter z (N, m) over a timeline; see `kalman_filter`."""
     kernel, beliefs = new_kernel(model, timeline, wanted), new_beliefs(model, len(z), wanted)
     kernel.filter(rows_of(timeline, z), beliefs)
     return Run(estimate_of(kernel, beliefs), int(kernel.head["opened"]), kernel.covariance.copy())
 
 
-def new_kernel(model: Model, timeline: Timeline, wanted: Wanted) -> Multivariate:
+def new_kernel(model: Model, timeline: Timeline, wanted: WantedResults) -> Multivariate:
     """Return a filter before the first row: at x0 and P0, or with what is known without them.
 
     Raises
@@ -198,20 +198,20 @@ def new_kernel(model: Model, timeline: Timeline, wanted: Wanted) -> Multivariate
     return Multivariate(H, R, root, root @ x0, foretells=True, enough=enough)
 
 
-def rows_of(timeline: Timeline, z: Floats) -> Rows:
+def rows_of(timeline: Timeline, z: Floats) -> MeasurementRows:
     """Lay z (N, m) out for the filter in C, beside the steps."""
     F, Q = timeline.system.F, timeline.system.Q
     lengths = timeline.lengths if len(timeline.lengths) == len(F) else np.arange(float(len(F)))
     z, F, Q, lengths = (np.require(array, np.float64, ["C", "A"]) for array in (z, F, Q, lengths))
-    return Rows(z, timeline.first, timeline.step, F, Q, lengths)
+    return MeasurementRows(z, timeline.first, timeline.step, F, Q, lengths)
 
 
-def new_beliefs(model: Model, count: int, wanted: Wanted) -> Beliefs:
+def new_beliefs(model: Model, count: int, wanted: WantedResults) -> EstimateBuffers:
     """Make room for what is wanted of `count` rows."""
     n, m = model.states, model.channels
     asked = (wanted.signal, wanted.sigma, wanted.innovations, wanted.innovations, wanted.states, wanted.covariances)
     shapes = ((count, m),) * 4 + ((count, n), (count, n, n))
-    return Beliefs(*(np.empty(shape) if asks else None for asks, shape in zip(asked, shapes, strict=True)))
+    return EstimateBuffers(*(np.empty(shape) if asks else None for asks, shape in zip(asked, shapes, strict=True)))
 
 
 def sums_of(kernel: Multivariate) -> Sums:
@@ -221,7 +221,7 @@ def sums_of(kernel: Multivariate) -> Sums:
     return Sums(float(head["squares"]), float(log_det), int(head["used"]))
 
 
-def estimate_of(kernel: Multivariate, beliefs: Beliefs) -> Estimate:
+def estimate_of(kernel: Multivariate, beliefs: EstimateBuffers) -> Estimate:
     """Return what was found; what was not wanted has no rows, or is None."""
     head = kernel.head
     signal, sigma, innovation, deviation, mean, cov = beliefs

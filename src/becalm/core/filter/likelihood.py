@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from numpy.typing import ArrayLike
 
-from becalm.core.filter.filtering import Wanted, checked_readings, run_filter
+from becalm.core.filter.filtering import WantedResults, checked_readings, run_filter
 from becalm.core.model.model import Model
 from becalm.core.model.timeline import even_timeline
 
-NOTHING = Wanted(sigma=False, innovations=False, signal=False)
+NOTHING = WantedResults(sigma=False, innovations=False, signal=False)
 
 
 def log_likelihood(model: Model, z: ArrayLike) -> float:

@@ -12,7 +12,7 @@ from becalm.core.filter.filtering import EVERYTHING, new_kernel, rows_of
 from becalm.core.model.model import Model
 from becalm.core.model.timeline import even_timeline
 from becalm.errors import ModelError
-from becalm.native.multivariate import Beliefs
+from becalm.native.multivariate import EstimateBuffers
 
 
 class OnlineMultivariate:
@@ -40,7 +40,7 @@ class OnlineMultivariate:
         """Take a block, (B, m); return signal and sigma, (B, m) each, of the readings a lag before them."""
         if not self.lag:
             signal, sigma = np.empty((2, *z.shape))
-            self._kernel.filter(rows_of(self._timeline(len(z)), z), Beliefs(signal, sigma))
+            self._kernel.filter(rows_of(self._timeline(len(z)), z), EstimateBuffers(signal, sigma))
             return signal, sigma
         rows, at = np.concatenate([self._waiting, z]), min(self._unwaited, len(z))
         signal, sigma = np.full(z.shape, np.nan), np.full(z.shape, np.inf)

@@ -26,7 +26,7 @@ from becalm.core.steady.steady_gain import FORGOTTEN, rows_until
 from becalm.core.verdict import Verdict
 from becalm.core.verdict import judge as judge_readings
 from becalm.native import DETERMINED
-from becalm.native.smoothers import Passed, Smoother
+from becalm.native.smoothers import ForwardPass, Smoother
 
 _LONGEST = 1 << 14  # rows of a stretch
 _MOST_NUMBERS = 1 << 21  # of the matrices of its steps, where each row has some of its own
@@ -37,7 +37,7 @@ _FAR = 1 << 40  # rows
 
 
 class _Stretch(NamedTuple):
-    passed: Passed
+    passed: ForwardPass
     found: Estimates
     verdicts: Codes  # (B,)
     known: bool  # whether the state after it is

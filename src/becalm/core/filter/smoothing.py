@@ -9,7 +9,7 @@ from becalm.core.arrays import Floats
 from becalm.core.filter.filtering import (
     EVERYTHING,
     Estimate,
-    Wanted,
+    WantedResults,
     checked_readings,
     estimate_of,
     new_beliefs,
@@ -60,11 +60,11 @@ def kalman_smoother(  # noqa: PLR0913  (what is wanted, each by its name)
     `becalm.core.reference.kalman`. With a flat start the mean is that of penalised least squares.
     """
     readings = checked_readings(model, z)
-    wanted = Wanted(states, covariances, sigma or covariances, innovations)
+    wanted = WantedResults(states, covariances, sigma or covariances, innovations)
     return run_smoother(model, even_timeline(model, len(readings)), readings, wanted)
 
 
-def run_smoother(model: Model, timeline: Timeline, z: Floats, wanted: Wanted = EVERYTHING) -> Estimate:
+def run_smoother(model: Model, timeline: Timeline, z: Floats, wanted: WantedResults = EVERYTHING) -> Estimate:
     """Smooth z (N, m) over a timeline; see `kalman_smoother`."""
     kernel, beliefs = new_kernel(model, timeline, wanted), new_beliefs(model, len(z), wanted)
     innovation = np.empty(z.shape) if beliefs.innovation is None else beliefs.innovation

@@ -21,7 +21,7 @@ from becalm.native.scans import LIMITS, new_limits, reduced_limits, restored, sc
 _TIME = 1 << 10  # of a step, for the time since the first row
 
 
-class Found(NamedTuple):
+class FaultCount(NamedTuple):
     """How often a fault was found."""
 
     readings: int
@@ -40,7 +40,7 @@ class Faults:
     Attributes
     ----------
     found : dict
-        `Found` of each verdict but `USED` that was given so far.
+        `FaultCount` of each verdict but `USED` that was given so far.
 
     Notes
     -----
@@ -50,7 +50,7 @@ class Faults:
 
     def __init__(self, limits: Limits) -> None:
         self.limits = limits
-        self.found: dict[Verdict, Found] = {}
+        self.found: dict[Verdict, FaultCount] = {}
         self._settings, self._state = limits.packed(), new_limits()
         self._rows = 0
         self._ticks = 0  # from the first row
@@ -130,7 +130,7 @@ class Faults:
             before = self.found.get(verdict)
             if before is None:
                 at = int(np.argmax(codes == verdict))
-                before = Found(0, self._rows + at, (self._ticks + begun + int(ticks[: at + 1].sum())) / _TIME)
+                before = FaultCount(0, self._rows + at, (self._ticks + begun + int(ticks[: at + 1].sum())) / _TIME)
             self.found[verdict] = before._replace(readings=before.readings + int(counts[verdict]))
         self._ticks += begun + int(ticks.sum())
         self._rows += len(ticks)
@@ -145,7 +145,7 @@ def require_steps(elapsed: Floats, rows: int) -> None:
         )
 
 
-def said(found: Mapping[Verdict, Found], limits: Limits, step_s: float) -> list[str]:
+def said(found: Mapping[Verdict, FaultCount], limits: Limits, step_s: float) -> list[str]:
     """Say what was found, where first, and what to do about it: a sentence or two for each verdict.
 
     Parameters

@@ -14,7 +14,7 @@ import numpy as np
 from becalm.core.arrays import Codes, Floats, Integers, input_of
 from becalm.core.health.aliveness import Aliveness
 from becalm.core.health.cusum import cusum_delay, cusum_threshold
-from becalm.core.health.faults import Found, require_steps
+from becalm.core.health.faults import FaultCount, require_steps
 from becalm.core.health.noise_change import NoiseHistory
 from becalm.core.verdict import Verdict
 from becalm.errors import ModelError, UsageError
@@ -173,7 +173,7 @@ class InnovationMonitor:
     Attributes
     ----------
     found : dict
-        `Found` of `DRIFT` and `DEAD`; rows are counted as they came.
+        `FaultCount` of `DRIFT` and `DEAD`; rows are counted as they came.
     history : NoiseHistory
         How large the innovations were, and when.
     powers : (up to 32,) float array
@@ -186,7 +186,7 @@ class InnovationMonitor:
 
     def __init__(self, alarms: Alarms) -> None:
         self.alarms = alarms
-        self.found: dict[Verdict, Found] = {}
+        self.found: dict[Verdict, FaultCount] = {}
         self.louder, self.quieter, self.aliveness = Excursion(), Excursion(), Aliveness(alarms.dead_variance)
         self.history = NoiseHistory()
         self.powers = np.empty(0)
@@ -284,7 +284,7 @@ class InnovationMonitor:
     def _count(self, verdict: Verdict, rows: Integers, begun: float, elapsed: Floats) -> None:
         if verdict not in self.found:
             steps = np.append(begun, elapsed[0 if self._rows else 1 : rows[0] + 1])
-            self.found[verdict] = Found(0, self._rows + int(rows[0]), float(np.cumsum(steps)[-1]))
+            self.found[verdict] = FaultCount(0, self._rows + int(rows[0]), float(np.cumsum(steps)[-1]))
         before = self.found[verdict]
         self.found[verdict] = before._replace(readings=before.readings + len(rows))
 

@@ -16,7 +16,7 @@ from becalm.errors import ModelError, TimeError
 from becalm.native.library import CONSTANTS
 from becalm.native.scans import CLOCK, walk_stamps
 
-__all__ = ["AGREEING", "FAR", "LATE", "REPEATED", "RESET", "TAKEN", "UNTIMED", "LiveClock", "Passed"]
+__all__ = ["AGREEING", "FAR", "LATE", "REPEATED", "RESET", "TAKEN", "UNTIMED", "ClockReadings", "LiveClock"]
 
 TAKEN, LATE, REPEATED, FAR, RESET, UNTIMED = (
     CONSTANTS[name] for name in ("TAKEN_STAMP", "LATE_STAMP", "REPEATED_STAMP", "FAR_STAMP", "CLOCK_RESET", "NO_STAMP")
@@ -31,7 +31,7 @@ _MANY_DIGITS, _HALF, _WHOLE = 50, 0.5, 1e-3  # last digits in a step
 _DAY_S, _MANY_STEPS = 86400.0, 1000.0
 
 
-class Passed(NamedTuple):
+class ClockReadings(NamedTuple):
     """What the stamps of some rows say."""
 
     elapsed: Floats  # (B,) steps since the row that was taken before; 0 of the first of all, and of rows not taken
@@ -65,7 +65,7 @@ class LiveClock:
         self._state["coarse"] = float(digits < 2)
         self._state["farthest"] = max(_DAY_S, _MANY_STEPS * step_s)
 
-    def passed(self, stamps_s: Floats, doubled: Booleans | None = None) -> Passed:
+    def passed(self, stamps_s: Floats, doubled: Booleans | None = None) -> ClockReadings:
         """Take the stamps (B,) of the next rows, in seconds; the result is the same for any blocks.
 
         `doubled` (B,) says which rows have the very readings of the row before, by default none.
@@ -75,7 +75,7 @@ class LiveClock:
         it says. The same stamp again is REPEATED; where stamps are as coarse as the step, only if the readings are too.
         """
         stamps = np.ascontiguousarray(stamps_s, dtype=np.float64)
-        told = Passed(np.empty(len(stamps)), np.empty(len(stamps), np.int8))
+        told = ClockReadings(np.empty(len(stamps)), np.empty(len(stamps), np.int8))
         again = np.zeros(len(stamps), np.int8) if doubled is None else np.ascontiguousarray(doubled, np.int8)
         walk_stamps(self._state, stamps, again, *told)
         return told

@@ -19,7 +19,7 @@ from becalm.export.design import Design
 from becalm.export.kind import Floating, Span
 from becalm.export.number_type import NumberType
 from becalm.export.vectors import Reference
-from becalm.export.written import Written
+from becalm.export.written import WrittenChannel
 
 _LEAST_IN_FLOAT, _MOST_IN_FLOAT = 1e-30, 1e15  # of a noise, in unit
 
@@ -68,7 +68,7 @@ class WholeChannel(Floating):
         """Return the kind of a filter that none is written beside."""
         return cls(number, recipe, Sizes.of([design]))
 
-    def write(self, design: Design, prefix: str, span: Span | None) -> Written:
+    def write(self, design: Design, prefix: str, span: Span | None) -> WrittenChannel:
         """Write a filter.
 
         Raises
@@ -90,7 +90,7 @@ class WholeChannel(Floating):
             door = modes_door(design.modes, settings, gap_limit, prefix, (most_states, self.sizes.modes))
         return written_door(door, design, prefix, self.number, largest)
 
-    def reference(self, recipe: ChannelRecipe, design: Design, written: Written) -> Reference:
+    def reference(self, recipe: ChannelRecipe, design: Design, written: WrittenChannel) -> Reference:
         """Return what it is held against, at the start."""
         if design.modes is None:
             return ChannelReference(self._settings(design))

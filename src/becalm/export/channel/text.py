@@ -14,7 +14,7 @@ from becalm.core.model.covariances import covariance_after
 from becalm.export.design import Design
 from becalm.export.number_type import DOUBLE, NumberType
 from becalm.export.templates import render
-from becalm.export.written import Written, words_of
+from becalm.export.written import WrittenChannel, words_of
 from becalm.native import packed_size
 from becalm.native.rows import COEFFICIENTS, MOST_STATES, SETTINGS
 
@@ -72,7 +72,7 @@ def channel_door(design: Design, settings: Settings, most_states: int) -> Door:
     return Door("device", fields, packed_size(most_states) + NUMBER, table_bytes)
 
 
-def written_door(door: Door, design: Design, prefix: str, number: NumberType, largest: float) -> Written:
+def written_door(door: Door, design: Design, prefix: str, number: NumberType, largest: float) -> WrittenChannel:
     """Write a door, as the functions of one filter.
 
     Parameters
@@ -96,7 +96,7 @@ def written_door(door: Door, design: Design, prefix: str, number: NumberType, la
         "narrowed": "" if number.is_double else "(float)",
         "greatest": DOUBLE.literal(_GREATEST_FLOAT),
     }
-    return Written(
+    return WrittenChannel(
         header=render("channel.h.jinja", context),
         source=render("channel.c.jinja", context),
         cost=None,

@@ -15,7 +15,7 @@ from becalm.export.kind import Opened, Raw, Span
 from becalm.export.number_type import NumberType
 from becalm.export.settled.reference import SettledReference
 from becalm.export.vectors import Reference, Vector
-from becalm.export.written import Written
+from becalm.export.written import WrittenChannel
 
 COUNT = NumberType("q31", "int32_t", "", 31, np.int32, float(GREATEST))
 """A reading in fixed point."""
@@ -106,7 +106,7 @@ class Fixed:
         """Whether it goes on after missing readings as becalm does: it keeps its gain."""
         return False
 
-    def write(self, design: Design, prefix: str, span: Span | None) -> Written:
+    def write(self, design: Design, prefix: str, span: Span | None) -> WrittenChannel:
         """Write a filter; `span` is the least and the greatest reading, in unit."""
         unit = design.unit or "the unit of its readings"
         if span is None:
@@ -124,32 +124,32 @@ class Fixed:
             )
         return written_fixed(design, prefix, COUNT, span)
 
-    def reference(self, recipe: ChannelRecipe, design: Design, written: Written) -> Reference:
+    def reference(self, recipe: ChannelRecipe, design: Design, written: WrittenChannel) -> Reference:
         """Return what it is held against, at the start."""
         return FixedReference(design, written.largest, _scale(written))
 
-    def raw(self, readings: Floats, written: Written) -> Raw:
+    def raw(self, readings: Floats, written: WrittenChannel) -> Raw:
         """Return readings (N,) in unit, NaN where missing, as counts: INT32_MIN where missing, saturated beyond."""
         missing = np.isnan(readings)
         counts = np.rint(_scale(written).counts(np.where(missing, 0.0, readings)))
         return np.where(missing, _MISSING, counts).astype(np.int32)
 
-    def in_unit(self, raw: Raw, written: Written) -> Floats:
+    def in_unit(self, raw: Raw, written: WrittenChannel) -> Floats:
         """Return counts (N,) in unit; NaN for a missing reading."""
         scale, counts = _scale(written), raw.astype(np.float64)
         return np.where(counts == _MISSING, np.nan, scale.offset + scale.lsb * counts)
 
-    def counts(self, signal: Floats, written: Written) -> Floats:
+    def counts(self, signal: Floats, written: WrittenChannel) -> Floats:
         """Return a signal (N,), in unit, as C tells it: in whole counts, saturated."""
         return np.rint(_scale(written).counts(signal))
 
-    def most_error(self, vector: Vector, design: Design, written: Written, opened: Opened) -> float:
+    def most_error(self, vector: Vector, design: Design, written: WrittenChannel, opened: Opened) -> float:
         """Return what a signal may be off by, in counts: one that is rounded the other way, and what states cost."""
         assert written.word is not None, "what fixed point costs is computed"
         lsb, largest = _scale(written).lsb, float(np.abs(self.counts(vector.signal, written)).max())
         return 1.0 + _GAIN * largest + (written.word.stall + _NOISES * written.word.noise) / lsb
 
 
-def _scale(written: Written) -> Scale:
+def _scale(written: WrittenChannel) -> Scale:
     assert written.scale is not None, "a filter in fixed point has a scale"
     return Scale(*written.scale)

@@ -16,7 +16,7 @@ from becalm.export.fixed.word_length import Point, fit
 from becalm.export.number_type import DOUBLE, NumberType
 from becalm.export.schedule import Schedule, schedule_of
 from becalm.export.templates import render
-from becalm.export.written import Written, unit_name, words_of
+from becalm.export.written import WrittenChannel, unit_name, words_of
 
 GREATEST = (1 << 31) - 1
 """Of a reading's counts, and of the signal's, where the converter, or the filter, is saturated."""
@@ -84,7 +84,7 @@ def schedule_in(design: Design) -> Schedule:
     return schedule_of(design, _NEAR)
 
 
-def written_fixed(design: Design, prefix: str, number: NumberType, span: tuple[float, float]) -> Written:
+def written_fixed(design: Design, prefix: str, number: NumberType, span: tuple[float, float]) -> WrittenChannel:
     """Write a filter in fixed point.
 
     Parameters
@@ -118,7 +118,7 @@ def written_fixed(design: Design, prefix: str, number: NumberType, span: tuple[f
     }
     source = render("fixed.c.jinja", context)
     gains = len(schedule.K) + 1
-    return Written(
+    return WrittenChannel(
         header=render("fixed.h.jinja", context),
         source=source,
         cost=_cost(source),

@@ -8,7 +8,7 @@ from becalm.export.kind import Floating, Span, apart
 from becalm.export.settled.reference import SettledReference
 from becalm.export.settled.text import schedule_in, written_settled
 from becalm.export.vectors import Reference
-from becalm.export.written import Written
+from becalm.export.written import WrittenChannel
 
 
 class Settled(Floating):
@@ -19,10 +19,10 @@ class Settled(Floating):
         """Whether it goes on after missing readings as becalm does: it keeps its gain."""
         return False
 
-    def write(self, design: Design, prefix: str, span: Span | None) -> Written:
+    def write(self, design: Design, prefix: str, span: Span | None) -> WrittenChannel:
         """Write a filter."""
         return written_settled(design, prefix, self.number, apart(span))
 
-    def reference(self, recipe: ChannelRecipe, design: Design, written: Written) -> Reference:
+    def reference(self, recipe: ChannelRecipe, design: Design, written: WrittenChannel) -> Reference:
         """Return what it is held against, at the start."""
         return SettledReference(design, schedule_in(design, self.number), written.largest)

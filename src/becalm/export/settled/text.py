@@ -14,14 +14,14 @@ from becalm.export.schedule import MOST_NUMBERS, Schedule, schedule_of
 from becalm.export.settled.word_length import prove
 from becalm.export.templates import render
 from becalm.export.word_length import WordLength
-from becalm.export.written import Written, look_of, moved_level
+from becalm.export.written import WrittenChannel, look_of, moved_level
 
 _NEAR = {"float64": 1e-13, "float32": 1e-8}
 _MOST_NUMBERS = {"float64": 8192, "float32": MOST_NUMBERS}
 _COUNTS = 12  # on a line
 
 
-def written_settled(design: Design, prefix: str, number: NumberType, span: float | None) -> Written:
+def written_settled(design: Design, prefix: str, number: NumberType, span: float | None) -> WrittenChannel:
     """Write a filter with a settled gain.
 
     Parameters
@@ -50,7 +50,7 @@ def schedule_in(design: Design, number: NumberType) -> Schedule:
     return schedule_of(design, _NEAR[number.precision], _MOST_NUMBERS[number.precision])
 
 
-def with_gains(design: Design, schedule: Schedule, prefix: str, number: NumberType, word: WordLength) -> Written:
+def with_gains(design: Design, schedule: Schedule, prefix: str, number: NumberType, word: WordLength) -> WrittenChannel:
     """Write a filter whose gains, and whose word length, are known."""
     n, F = design.states, design.model.F
     p, x = [f"p{i}" for i in range(n)], [f"x{i}" for i in range(n)]
@@ -76,7 +76,7 @@ def with_gains(design: Design, schedule: Schedule, prefix: str, number: NumberTy
         "ahead_of_x": [product_sum(row, x, number) for row in F],
     }
     source = render("settled.c.jinja", context)
-    return Written(
+    return WrittenChannel(
         header=render("settled.h.jinja", context),
         source=source,
         cost=cost_of(_settled_row(source)),

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from becalm.files.arrays.array_labels import NAME
 from becalm.files.arrays.array_rates import Rates
 from becalm.files.arrays.array_titles import is_alone, take_titles
-from becalm.files.arrays.arrays import Found, Leaf, Path
+from becalm.files.arrays.arrays import FileArrays, Leaf, Path
 from becalm.files.columns import Column
 from becalm.files.groups import GROUP, START, TIME, Group
 from becalm.files.source import ToldTime
@@ -47,7 +47,7 @@ class Grouping:
 
     Parameters
     ----------
-    found : Found
+    found : FileArrays
         All that the file holds.
     joint : str
         Between a folder and what is in it, in names.
@@ -55,7 +55,7 @@ class Grouping:
         Whether folders are groups even where no time tells them apart, and names begin below them.
     """
 
-    def __init__(self, found: Found, joint: str, apart: bool) -> None:
+    def __init__(self, found: FileArrays, joint: str, apart: bool) -> None:
         take_titles(found)
         self._found, self._joint, self._apart = found, joint, apart
         self._rates = Rates(found)

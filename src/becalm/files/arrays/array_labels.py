@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Sequence
 
-from becalm.files.arrays.arrays import Found
+from becalm.files.arrays.arrays import FileArrays
 from becalm.files.groups import GROUP, START
 from becalm.files.text.csv_header import unique_names
 
@@ -36,7 +36,7 @@ def folder_name(group: str, taken: Collection[str]) -> str:
     return variables((*taken, group))[-1]
 
 
-def take_labels(found: Found) -> None:
+def take_labels(found: FileArrays) -> None:
     """Give arrays the names and units that becalm wrote beside them, and forget the lists."""
     for folder in [path[:-1] for path in found.words if path[-1] == VARIABLES]:
         lists = [found.words.pop((*folder, key), ()) for key in (VARIABLES, NAMES, UNITS)]

@@ -7,7 +7,7 @@ import re
 import numpy as np
 
 from becalm.core.time.clock import FASTEST_HZ, SLOWEST_HZ
-from becalm.files.arrays.arrays import Found, Leaf, Path
+from becalm.files.arrays.arrays import FileArrays, Leaf, Path
 from becalm.files.units import parse_header, tidy_unit
 
 _RATES = re.compile(r"fs|fsample|sr|srate|rate|sampl(?:e|ing)(?:rate|freq|frequency)|samplespersecond|freqsampling")
@@ -27,11 +27,11 @@ class Rates:
 
     Parameters
     ----------
-    found : Found
+    found : FileArrays
         All that it holds.
     """
 
-    def __init__(self, found: Found) -> None:
+    def __init__(self, found: FileArrays) -> None:
         self._found = found
         self._told: dict[Path, list[tuple[str, float]]] = {}
         for path, number in [*found.numbers.items(), *_written(found)]:
@@ -66,7 +66,7 @@ def hertz_of(name: str, number: float, unit: str) -> float | None:
     return _hertz(name, _in_unit((name,), number, unit) if unit else number)
 
 
-def _written(found: Found) -> list[tuple[Path, float]]:
+def _written(found: FileArrays) -> list[tuple[Path, float]]:
     """Numbers that are written as texts: "100 Hz"."""
     out = []
     for path, texts in found.words.items():
@@ -112,7 +112,7 @@ def _specific(leaf: str, name: str, number: float) -> float | None:
     return None
 
 
-def _one(found: Found, where: Path, rates: list[float | None]) -> float | None:
+def _one(found: FileArrays, where: Path, rates: list[float | None]) -> float | None:
     """Return the rate that all agree on."""
     told = [rate for rate in rates if rate]
     if told and max(told) > min(told) * (1.0 + _AGREE):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 from becalm.files.arrays.array_labels import NAME
-from becalm.files.arrays.arrays import Found, Path
+from becalm.files.arrays.arrays import FileArrays, Path
 
 _VALUES = ("data", "value", "values", "samples", "signal", "y")
 _NAMES = ("name", "label", "signalname", "channelname")
@@ -15,7 +15,7 @@ _ABOUT_ALL = ("meta", "metadata", "info", "header", "hdr", "properties", "props"
 _HEADED = re.compile(r"(.+)_data", re.IGNORECASE)  # Channel_2_Data, of which Channel_2_Header tells
 
 
-def take_titles(found: Found) -> None:
+def take_titles(found: FileArrays) -> None:
     """Tell of each array what stands beside it, as if it were told of the array itself."""
     _lift(found)
     folders: dict[Path, dict[str, Path]] = {}
@@ -41,7 +41,7 @@ def is_alone(path: Path) -> bool:
     return len(path) > 1 and path[-1].lower() in _VALUES
 
 
-def _lift(found: Found) -> None:
+def _lift(found: FileArrays) -> None:
     """Take what `meta.fs` tells for `fs`: it is about all beside `meta`, but for a name, which may be a person's."""
     for path, texts in [(path, texts) for path, texts in found.words.items() if _is_about_all(path)]:
         found.words.setdefault((*path[:-2], path[-1]), texts)
@@ -57,7 +57,7 @@ def _small(path: Path) -> Path:
     return tuple(part.lower() for part in path)
 
 
-def _give(found: Found, leaf: Path, beside: dict[str, Path], keys: tuple[str, ...]) -> None:
+def _give(found: FileArrays, leaf: Path, beside: dict[str, Path], keys: tuple[str, ...]) -> None:
     """Give an array the names and units that it has not yet."""
     for key in keys:
         if texts := found.words.get(beside.get(key, ()), ()):

@@ -74,7 +74,7 @@ class Leaf(NamedTuple):
 
 
 @dataclass
-class Found:
+class FileArrays:
     """All that a file holds.
 
     Attributes

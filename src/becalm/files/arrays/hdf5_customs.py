@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from becalm.files.arrays.array_labels import FLAG
-from becalm.files.arrays.arrays import Found, Key, Leaf, Path
+from becalm.files.arrays.arrays import FileArrays, Key, Leaf, Path
 
 _FILLS = ("_FillValue", "missing_value")
 _SINCE = re.compile(r"(\w+) since (.+)")
@@ -28,7 +28,7 @@ _STEPS = {
 _NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable"
 
 
-def follow_customs(found: Found) -> None:
+def follow_customs(found: FileArrays) -> None:
     """Give arrays the names, types and values that their writers meant."""
     found.leaves = [
         _pandas(found, _netcdf(found, leaf))
@@ -37,7 +37,7 @@ def follow_customs(found: Found) -> None:
     ]
 
 
-def _netcdf(found: Found, leaf: Leaf) -> Leaf:
+def _netcdf(found: FileArrays, leaf: Leaf) -> Leaf:
     if (*leaf.path, FLAG) in found.numbers and leaf.type.kind == "u":
         flags = leaf.take
         return leaf._replace(type=np.dtype(bool), take=lambda key: flags(key).astype(np.bool_))
@@ -60,7 +60,7 @@ def _scaled(leaf: Leaf, fills: list[float], scale: float, offset: float) -> Leaf
     return leaf._replace(type=np.dtype(np.float64), take=take)
 
 
-def _since(found: Found, leaf: Leaf, word: str, text: str, unit: Path) -> Leaf:
+def _since(found: FileArrays, leaf: Leaf, word: str, text: str, unit: Path) -> Leaf:
     """Make instants of a count since a date."""
     step = next((step for step, words in _STEPS.items() if word.lower() in words), None)
     plain = re.sub(r"(?:\s*UTC|Z|[+-]00:?00|\s*\+0:00)$", "", text.strip()).replace(" ", "T", 1)
@@ -84,7 +84,7 @@ def _since(found: Found, leaf: Leaf, word: str, text: str, unit: Path) -> Leaf:
     return leaf._replace(type=np.dtype("M8[ns]"), take=take)
 
 
-def _pandas(found: Found, leaf: Leaf) -> Leaf:
+def _pandas(found: FileArrays, leaf: Leaf) -> Leaf:
     folder, name = leaf.path[:-1], leaf.path[-1]
     kind = found.word((*leaf.path, "kind")) or found.word((*folder, f"{name}_kind"))
     columns = _pickled_names(kind)

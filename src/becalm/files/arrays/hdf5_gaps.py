@@ -17,7 +17,7 @@ def is_there(chunk: Any, end: int) -> bool:
     return bool(chunk.byte_offset > 0 and 0 < chunk.size <= end - chunk.byte_offset)
 
 
-class Written:
+class WrittenChunks:
     """The chunks of a dataset that are in the file.
 
     Parameters

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from becalm.files.arrays.hdf5_gaps import Written, is_there
+from becalm.files.arrays.hdf5_gaps import WrittenChunks, is_there
 from becalm.files.arrays.hdf5_heaps import damaged_heap
 from becalm.files.arrays.hdf5_packing import refuse_swollen
 
@@ -87,11 +87,11 @@ class Opened:
                 rows = min(rows, chunk.chunk_offset[0])
         return int(rows)
 
-    def written(self, dataset: Any, rows: int) -> Written | None:
+    def written(self, dataset: Any, rows: int) -> WrittenChunks | None:
         """Return which parts of so many rows are in the file; None where all are."""
         if dataset.chunks is None:
             return None
-        told = Written(dataset, rows, self._length)
+        told = WrittenChunks(dataset, rows, self._length)
         return told if told.missing else None
 
     def _contiguous_rows(self, dataset: Any, rows: int) -> int:

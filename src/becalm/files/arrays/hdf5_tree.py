@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from becalm.files.arrays.arrays import Found, Key, Leaf, Path, as_text
-from becalm.files.arrays.hdf5_gaps import Written
+from becalm.files.arrays.arrays import FileArrays, Key, Leaf, Path, as_text
+from becalm.files.arrays.hdf5_gaps import WrittenChunks
 from becalm.files.arrays.hdf5_opening import Opened
 from becalm.files.library_reader import Foreign
 
@@ -26,7 +26,7 @@ class _Shapes(NamedTuple):
 
     there: tuple[int, ...]
     claimed: tuple[int, ...]
-    written: Written | None
+    written: WrittenChunks | None
 
     def with_axes(self, inner: tuple[int, ...]) -> _Shapes:
         return _Shapes((*self.there, *inner), (*self.claimed, *inner) if self.claimed else (), self.written)
@@ -56,11 +56,11 @@ class Tree:
 
     def __init__(self, foreign: Foreign, opened: Opened, h5py: ModuleType) -> None:
         self._foreign, self._opened, self.h5py = foreign, opened, h5py
-        self.found = Found()
+        self.found = FileArrays()
         self._met: set[Any] = set()
         self._claimed = 0
 
-    def walk(self, group: Any, path: Path = ()) -> Found:
+    def walk(self, group: Any, path: Path = ()) -> FileArrays:
         """Look into a folder and all in it."""
         self._met.add(self._identity(group))
         self.take_attributes(group, path)

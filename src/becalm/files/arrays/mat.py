@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from becalm.errors import InputError
 from becalm.files.arrays.array_groups import Grouping
 from becalm.files.arrays.array_labels import take_labels
-from becalm.files.arrays.arrays import Found, Leaf
+from becalm.files.arrays.arrays import FileArrays, Leaf
 from becalm.files.arrays.mat_elements import Variable, variables4, variables5
 from becalm.files.arrays.mat_values import Opaque, value_of
 from becalm.files.groups import tables
@@ -65,7 +65,7 @@ def read(path: Path) -> tuple[RawTable, ...]:
         If no variable in it can be read.
     """
     foreign = Foreign(path, "MAT")
-    found = Found()
+    found = FileArrays()
     with foreign.damage_told():
         data = memoryview(path.read_bytes())
         for variable in variables5(foreign, data) if is_mat5(bytes(data[:128])) else variables4(data):
@@ -77,7 +77,7 @@ def read(path: Path) -> tuple[RawTable, ...]:
     return tables(foreign, "mat", groups)
 
 
-def _add(found: Found, variable: Variable) -> None:
+def _add(found: FileArrays, variable: Variable) -> None:
     """Read one variable; what is wrong with it is noted."""
     if not variable.name and not variable.why:
         return  # what MATLAB keeps for itself
@@ -103,7 +103,7 @@ def _values(variable: Variable) -> Any:
     return loadmat(io.BytesIO(variable.data))[variable.name]  # type: ignore[arg-type]  # takes files
 
 
-def _hold(found: Found, path: tuple[str, ...], value: Any) -> None:
+def _hold(found: FileArrays, path: tuple[str, ...], value: Any) -> None:
     """Take a value apart, down to arrays."""
     if isinstance(value, Opaque):
         found.notes.append(f"{'.'.join(path)!r} is not read: only MATLAB opens it{SAVE_AS}.")
@@ -115,7 +115,7 @@ def _hold(found: Found, path: tuple[str, ...], value: Any) -> None:
         found.add(Leaf.of(path, value))
 
 
-def _hold_struct(found: Found, path: tuple[str, ...], value: NDArray[Any]) -> None:
+def _hold_struct(found: FileArrays, path: tuple[str, ...], value: NDArray[Any]) -> None:
     elements = value.ravel(order="F")
     names = value.dtype.names or ()
     records = len(elements) > 1 and all(_is_single(one) for name in names for one in elements[name])
@@ -129,7 +129,7 @@ def _hold_struct(found: Found, path: tuple[str, ...], value: NDArray[Any]) -> No
             _hold(found, (*where, name), one)
 
 
-def _hold_cells(found: Found, path: tuple[str, ...], value: NDArray[Any]) -> None:
+def _hold_cells(found: FileArrays, path: tuple[str, ...], value: NDArray[Any]) -> None:
     cells = value.ravel(order="F")
     if all(isinstance(one, np.ndarray) and one.dtype.kind == "U" and one.size <= 1 for one in cells):
         found.add(Leaf.of(path, np.array([one.item() if one.size else "" for one in cells], object)))

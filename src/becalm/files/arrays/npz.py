@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from becalm.errors import InputError
 from becalm.files.arrays.array_groups import Grouping
 from becalm.files.arrays.array_labels import NAME, VARIABLES, take_labels
-from becalm.files.arrays.arrays import Found, Leaf
+from becalm.files.arrays.arrays import FileArrays, Leaf
 from becalm.files.arrays.npz_members import LOCAL, Member, content, members
 from becalm.files.groups import tables
 from becalm.files.library_reader import Foreign
@@ -41,7 +41,7 @@ def read(path: Path) -> tuple[RawTable, ...]:
         If no array in it can be read.
     """
     foreign = Foreign(path, "NPZ")
-    found = Found()
+    found = FileArrays()
     with foreign.damage_told():
         with path.open("rb") as file:
             alone = file.read(len(npy.MAGIC_PREFIX)) == npy.MAGIC_PREFIX
@@ -56,7 +56,7 @@ def read(path: Path) -> tuple[RawTable, ...]:
     return tables(foreign, "npz", groups)
 
 
-def _take_members(found: Found, foreign: Foreign) -> None:
+def _take_members(found: FileArrays, foreign: Foreign) -> None:
     listed, whole = members(foreign.path)
     if not whole:
         found.notes.append("The archive is cut short; what is before its end was read.")
@@ -73,7 +73,7 @@ def _take_members(found: Found, foreign: Foreign) -> None:
             _take_member(found, foreign, member, path)
 
 
-def _take_member(found: Found, foreign: Foreign, member: Member, path: tuple[str, ...]) -> None:
+def _take_member(found: FileArrays, foreign: Foreign, member: Member, path: tuple[str, ...]) -> None:
     data, undamaged = content(foreign, member)
     if not undamaged and len(data) == member.bytes:
         found.notes.append(f"{member.name!r} is not read: it is damaged.")
@@ -81,7 +81,7 @@ def _take_member(found: Found, foreign: Foreign, member: Member, path: tuple[str
     _take(found, path, data, undamaged)
 
 
-def _take(found: Found, path: tuple[str, ...], data: bytes, whole: bool) -> None:
+def _take(found: FileArrays, path: tuple[str, ...], data: bytes, whole: bool) -> None:
     """Read one array, or the rows of it that are whole."""
     name = "/".join(path)
     file = io.BytesIO(data)
@@ -112,7 +112,7 @@ def _take(found: Found, path: tuple[str, ...], data: bytes, whole: bool) -> None
     _hold(found, path, values, claimed)
 
 
-def _hold(found: Found, path: tuple[str, ...], values: NDArray[Any], claimed: tuple[int, ...]) -> None:
+def _hold(found: FileArrays, path: tuple[str, ...], values: NDArray[Any], claimed: tuple[int, ...]) -> None:
     if values.dtype.names:
         for name in values.dtype.names:
             _hold(found, (*path, name), values[name], (*claimed, *values[name].shape[values.ndim :]) if claimed else ())

@@ -13,7 +13,7 @@ import pyarrow as pa
 from becalm.files.arrays.array_rates import hertz_of
 from becalm.files.groups import TIME
 from becalm.files.numbers import Numbers
-from becalm.files.rows import Rows
+from becalm.files.rows import TableRows
 from becalm.files.source import RawTable, ToldTime
 from becalm.files.text.cells import split
 from becalm.files.timing.time_column import NUMBERS, find_time, kind_of_column, numbers
@@ -92,7 +92,7 @@ def _has_times(raw: RawTable) -> bool:
 class _CountedRows:
     """Rows, and before them the seconds at which they are at an even rate."""
 
-    def __init__(self, rows: Rows, name: str, rate_hz: float) -> None:
+    def __init__(self, rows: TableRows, name: str, rate_hz: float) -> None:
         self._rows, self._name, self._step_s = rows, name, 1 / rate_hz
         self.schema: pa.Schema = rows.schema.insert(0, pa.field(name, pa.float64()))
         self.count = rows.count

@@ -18,7 +18,7 @@ _STEP = re.compile(r"t(?:0|Inc)\s*=.*")  # in Rigol's row of names, above nothin
 Rows = Sequence[Sequence[str]]
 
 
-class Known(NamedTuple):
+class LoggerHeader(NamedTuple):
     """Names and units of columns, and how many rows at the end of a head hold them."""
 
     names: list[str]
@@ -26,7 +26,7 @@ class Known(NamedTuple):
     used: int
 
 
-def logger_header(rows: Rows, width: int) -> Known | None:
+def logger_header(rows: Rows, width: int) -> LoggerHeader | None:
     """Return what a head of a known kind says, None if no such logger wrote this.
 
     Parameters
@@ -39,13 +39,13 @@ def logger_header(rows: Rows, width: int) -> Known | None:
     return next((known for kind in _KINDS if (known := kind(rows, width))), None)
 
 
-def _campbell(rows: Rows, width: int) -> Known | None:
+def _campbell(rows: Rows, width: int) -> LoggerHeader | None:
     if rows[0][0] != _STATION or len(rows) != _CAMPBELL_ROWS:
         return None
-    return Known(list(rows[1]), _units(rows[2]), 2)
+    return LoggerHeader(list(rows[1]), _units(rows[2]), 2)
 
 
-def _labview(rows: Rows, width: int) -> Known | None:
+def _labview(rows: Rows, width: int) -> LoggerHeader | None:
     if rows[0][0] != _LABVIEW:
         return None
     told = {row[0]: row[1:] for row in rows}
@@ -54,51 +54,51 @@ def _labview(rows: Rows, width: int) -> Known | None:
         names.pop()
     first = "s" if "Time" in told.get("X_Dimension", ()) else ""
     left = iter(_units(told.get("Y_Unit_Label", ())))
-    return Known(names, [first if name == _X else next(left, "") for name in names], 1)
+    return LoggerHeader(names, [first if name == _X else next(left, "") for name in names], 1)
 
 
-def _racechrono(rows: Rows, width: int) -> Known | None:
+def _racechrono(rows: Rows, width: int) -> LoggerHeader | None:
     if len(rows) < 3 or {len(row) for row in rows[-3:]} != {width} or not all(map(_DEVICE.fullmatch, rows[-1])):
         return None
-    return Known(list(rows[-3]), _units(rows[-2]), 3)
+    return LoggerHeader(list(rows[-3]), _units(rows[-2]), 3)
 
 
-def _inca(rows: Rows, width: int) -> Known | None:
+def _inca(rows: Rows, width: int) -> LoggerHeader | None:
     """Return the names, and the units that stand below what numbers they were."""
     first = next((number for number, row in enumerate(rows) if row[0] == "time" and len(row) == width), 0)
     if not rows[0][0].startswith("ETASAsciiItem") or not first or len(rows[-1]) != width:
         return None
-    return Known(list(rows[first]), _units(rows[-1]), len(rows) - first)
+    return LoggerHeader(list(rows[first]), _units(rows[-1]), len(rows) - first)
 
 
-def _siglent(rows: Rows, width: int) -> Known | None:
+def _siglent(rows: Rows, width: int) -> LoggerHeader | None:
     if len(rows) < 2 or rows[-2][0] != "Source" or rows[-1][0] != "Second":
         return None
-    return Known(["Time", *rows[-2][1:]], _units(rows[-1]), 2)
+    return LoggerHeader(["Time", *rows[-2][1:]], _units(rows[-1]), 2)
 
 
-def _rigol(rows: Rows, width: int) -> Known | None:
+def _rigol(rows: Rows, width: int) -> LoggerHeader | None:
     if any(map(_STEP.fullmatch, rows[-1])):
-        return Known(["" if _STEP.fullmatch(name) else name for name in rows[-1]][:width], [], 1)
+        return LoggerHeader(["" if _STEP.fullmatch(name) else name for name in rows[-1]][:width], [], 1)
     if len(rows) < 2 or rows[-1][0] != "Sequence" or "Increment" not in rows[-2]:
         return None
     count = rows[-2].index("Start")
     blank = [""] * (width - count)
-    return Known([*rows[-2][:count], *blank], [*_units(rows[-1][:count]), *blank], 2)
+    return LoggerHeader([*rows[-2][:count], *blank], [*_units(rows[-1][:count]), *blank], 2)
 
 
-def _gulf_coast(rows: Rows, width: int) -> Known | None:
+def _gulf_coast(rows: Rows, width: int) -> LoggerHeader | None:
     """Return what Gulf Coast Data Concepts call columns; their times are seconds."""
     if rows[-1][0] != "Headers" or len(rows[-1]) != width + 1:
         return None
-    return Known(list(rows[-1][1:]), ["s"] if rows[-1][1].lower() == "time" else [], 1)
+    return LoggerHeader(list(rows[-1][1:]), ["s"] if rows[-1][1].lower() == "time" else [], 1)
 
 
 def _units(cells: Sequence[str]) -> list[str]:
     return ["" if cell in _NO_UNITS else tidy_unit(cell) for cell in cells]
 
 
-_KINDS: tuple[Callable[[Rows, int], Known | None], ...] = (
+_KINDS: tuple[Callable[[Rows, int], LoggerHeader | None], ...] = (
     _campbell,
     _labview,
     _racechrono,

@@ -18,7 +18,7 @@ class Garbled(NamedTuple):
     says: str  # one sentence
 
 
-class Rows(NamedTuple):
+class SensorRows(NamedTuple):
     """Some rows of a sensor as they came."""
 
     time_s: Floats  # (B,) NaN of a row without a stamp
@@ -32,14 +32,14 @@ class Rows(NamedTuple):
         return packed({"time": self.time_s, "values": self.values, "words": np.frombuffer(words, np.int8)})
 
     @classmethod
-    def unpacked(cls, blob: bytes) -> Rows:
+    def unpacked(cls, blob: bytes) -> SensorRows:
         """Return what `packed` held."""
         arrays = unpacked(blob)
         units, garbled = json.loads(arrays["words"].tobytes())
         return cls(arrays["time"], arrays["values"], tuple(units), tuple(Garbled(*one) for one in garbled))
 
 
-class Told(NamedTuple):
+class EstimatedBlock(NamedTuple):
     """What is told of some rows."""
 
     places: Integers  # (k,) where its channels stand among those of the fleet
@@ -53,7 +53,7 @@ class Told(NamedTuple):
         return packed(self._asdict())
 
     @classmethod
-    def unpacked(cls, blob: bytes) -> Told:
+    def unpacked(cls, blob: bytes) -> EstimatedBlock:
         """Return what `packed` held."""
         return cls(**unpacked(blob))
 

@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 
 from becalm.core.arrays import Booleans, Floats, Integers
-from becalm.fleet.stream.blocks import Garbled, Rows
+from becalm.fleet.stream.blocks import Garbled, SensorRows
 
 _HELD_ROWS = 1 << 18
 _PER_SECOND = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
@@ -86,7 +86,7 @@ class Gathering:
             own = slice(ends[number - 1] if number else 0, ends[number])
             garbled = tuple(self._garbled.get(number, ()))
             if own.start < own.stop or garbled:
-                told.append((sensor, Rows(time_s[own], values[own], units, garbled).packed()))
+                told.append((sensor, SensorRows(time_s[own], values[own], units, garbled).packed()))
         self._held, self._rows, self._garbled = [], 0, {}
         if told:
             yield self._batch(told)

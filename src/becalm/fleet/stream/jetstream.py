@@ -16,7 +16,7 @@ import pyarrow as pa
 from pyspark.sql.datasource import DataSource, DataSourceStreamReader, InputPartition
 from pyspark.sql.streaming.datasource import ReadLimit, ReadMaxRows, SupportsTriggerAvailableNow
 
-from becalm.fleet.stream.jetstream_range import Found, found_in, messages_of
+from becalm.fleet.stream.jetstream_range import StreamRange, found_in, messages_of
 from becalm.fleet.stream.plan import START, most_of
 from becalm.fleet.stream.shape import MESSAGE
 from becalm.live.address import Address
@@ -123,7 +123,7 @@ def nats_messages(spark: SparkSession, address: Address, key: str) -> DataFrame:
     return told.withColumnRenamed("sensor", key)
 
 
-def _after(start: Mapping[str, Any], found: Found) -> int:
+def _after(start: Mapping[str, Any], found: StreamRange) -> int:
     """Return the message after which to read; say where that is not the last one that was read."""
     read = int(start["message"])
     if start["created"] != found.created:
@@ -137,5 +137,5 @@ def _after(start: Mapping[str, Any], found: Found) -> int:
     return max(read, found.first - 1)
 
 
-def _offset(message: int, found: Found) -> dict[str, Any]:
+def _offset(message: int, found: StreamRange) -> dict[str, Any]:
     return {"message": message, "created": found.created}

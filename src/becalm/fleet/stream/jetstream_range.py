@@ -22,7 +22,7 @@ _AT_ONCE, _WAIT_S = 1024, 0.2
 _AGAIN_S = (1.0, 2.0, 4.0, 8.0, 15.0)  # a server that is started again is back by then
 
 
-class Found(NamedTuple):
+class StreamRange(NamedTuple):
     """Which messages a stream holds."""
 
     first: int
@@ -39,7 +39,7 @@ class Numbered(NamedTuple):
     stored_s: float
 
 
-def found_in(address: Address) -> Found:
+def found_in(address: Address) -> StreamRange:
     """Return which messages a stream holds now.
 
     Raises
@@ -60,7 +60,7 @@ def found_in(address: Address) -> Found:
         )
     if "subject" in address.options:
         check_subject(info, address.options["subject"])
-    return Found(max(1, info.state.first_seq), info.state.last_seq, str(info.created))
+    return StreamRange(max(1, info.state.first_seq), info.state.last_seq, str(info.created))
 
 
 def messages_of(address: Address, first: int, last: int) -> Iterator[list[Numbered]]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from becalm.core.arrays import Booleans, Floats
 from becalm.core.time.live_clock import AGREEING
-from becalm.fleet.stream.blocks import Garbled, Rows
+from becalm.fleet.stream.blocks import Garbled, SensorRows
 from becalm.live.address import Address
 from becalm.live.block import Block, Loss, LossKind
 from becalm.live.messages.stream import MessageStream
@@ -24,7 +24,7 @@ class Entry(NamedTuple):
     """Some rows as they came through the engine, in whichever order it had them."""
 
     place: int  # which of a sensor's entries it is, where its source keeps an order
-    batch: bytes  # `Rows`, or a message
+    batch: bytes  # `SensorRows`, or a message
     stored_s: float  # when its broker stored it, in seconds since 1970; 0 of rows
 
 
@@ -34,7 +34,7 @@ def read_rows(entries: Sequence[Entry], channels: Sequence[str], held: Block) ->
     Those with equal stamps are as they were in their block; of several blocks, whose order no engine keeps, always in
     the same order.
     """
-    parts = sorted((Rows.unpacked(entry.batch) for entry in sorted(entries)), key=_first_stamp)
+    parts = sorted((SensorRows.unpacked(entry.batch) for entry in sorted(entries)), key=_first_stamp)
     waited = _units_under(channels, held)
     units = waited if any(waited) else _most([part for part in parts if any(part.units)])
     kept = [part for part in parts if _alike(part.units, units)]
@@ -62,7 +62,7 @@ def read_messages(
     return held if block is None else _after(held, block), stream.state
 
 
-def _first_stamp(part: Rows) -> float:
+def _first_stamp(part: SensorRows) -> float:
     return float(part.time_s[0]) if len(part.time_s) else -np.inf
 
 
@@ -88,7 +88,7 @@ def _after(held: Block, block: Block) -> Block:
     return replace(block, losses=(Loss(LossKind.GARBLED, len(held), says), *block.losses))
 
 
-def _most(parts: Sequence[Rows]) -> tuple[str, ...]:
+def _most(parts: Sequence[SensorRows]) -> tuple[str, ...]:
     """Return the units that the most rows have."""
     rows = Counter[tuple[str, ...]]()
     for part in parts:

@@ -18,7 +18,7 @@ from becalm.core.arrays import Floats
 from becalm.errors import BecalmError, RecipeError
 from becalm.files.units import parse_header
 from becalm.fleet.names import folder_name
-from becalm.fleet.stream.blocks import Event, Told
+from becalm.fleet.stream.blocks import EstimatedBlock, Event
 from becalm.fleet.stream.plan import FIRST_ROWS, SensorPlan
 from becalm.fleet.stream.reading import Entry, parted, read_messages, read_rows, stamped, timely
 from becalm.fleet.stream.state import SensorState
@@ -35,7 +35,7 @@ class Step(NamedTuple):
     """What a micro-batch did to a sensor."""
 
     state: SensorState | None  # None where nothing need be kept
-    told: Told | None = None
+    told: EstimatedBlock | None = None
     events: tuple[Event, ...] = ()
     wake_ms: int | None = None  # when to look whether it is silent; None leaves that as it is
     recipe: str = ""  # the hash of the one that was at work
@@ -180,7 +180,7 @@ class SensorWalk:
         told = None
         if len(output):
             places = np.array([self._place(channel.name) for channel in stream.recipe.channel], np.int64)
-            told = Told(places, output.time_s, output.signal, output.sigma, output.verdicts)
+            told = EstimatedBlock(places, output.time_s, output.signal, output.sigma, output.verdicts)
         state = replace(state, stream=stream.checkpoint("", ""))
         return Step(state, told, _events(output.losses))
 

@@ -10,7 +10,7 @@ import pyarrow as pa
 
 from becalm.files.roles import SIGMA
 from becalm.files.tables import VERDICT, in_words
-from becalm.fleet.stream.blocks import Told
+from becalm.fleet.stream.blocks import EstimatedBlock
 from becalm.fleet.stream.shape import EVENTS, KIND, READINGS, Shape
 
 _ROWS = 1 << 15
@@ -70,7 +70,7 @@ class _Teller:
         held: list[pa.RecordBatch] = []
         rows = 0
         for answer in answers:
-            told = Told.unpacked(answer.told or b"")
+            told = EstimatedBlock.unpacked(answer.told or b"")
             held.append(self._of(answer, told))
             rows += len(told.time_s)
             if rows >= _ROWS:
@@ -79,7 +79,7 @@ class _Teller:
         if held:
             yield pa.concat_batches(held)
 
-    def _of(self, answer: _Answer, told: Told) -> pa.RecordBatch:
+    def _of(self, answer: _Answer, told: EstimatedBlock) -> pa.RecordBatch:
         shape, many = self._shape, self._readings(told)
         rows = 1 if shape.in_blocks else len(told.time_s)
         if shape.in_blocks:
@@ -87,7 +87,7 @@ class _Teller:
         one = {shape.key: answer.sensor, KIND: READINGS, "recipe": answer.recipe}
         return self._batch(many | {name: pa.repeat(word, rows) for name, word in one.items()}, rows)
 
-    def _readings(self, told: Told) -> dict[str, pa.Array]:
+    def _readings(self, told: EstimatedBlock) -> dict[str, pa.Array]:
         stamps = pa.array(told.time_s)
         if self._shape.stamps != "double":
             stamps = pa.array(np.round(told.time_s * _MICRO).astype(np.int64)).cast(_TYPES[self._shape.stamps])

@@ -15,7 +15,7 @@ from becalm.fleet.outcome import Outcome
 from becalm.fleet.sensor_task import all_died, clean_whole, commit, told_by
 from becalm.fleet.stretching.joining import joined_outcome
 from becalm.fleet.stretching.long import Long, Stretch
-from becalm.fleet.stretching.run import Told, run_stretch
+from becalm.fleet.stretching.run import StretchEstimates, run_stretch
 from becalm.fleet.stretching.seams import overlaps_agree, to_run_again
 from becalm.fleet.stretching.survey import survey
 
@@ -49,10 +49,10 @@ class Course:
     def __init__(self, long: Long) -> None:
         self.long, self.whole = long, False
         self.failed: Outcome | None = None
-        self._told: dict[int, Told] = {}
+        self._told: dict[int, StretchEstimates] = {}
         self._again, self._took_s = set[int](), long.took_s
 
-    def hear(self, told: Told | Outcome) -> None:
+    def hear(self, told: StretchEstimates | Outcome) -> None:
         """Take what became of a stretch."""
         if isinstance(told, Outcome):
             self.failed = told
@@ -95,7 +95,7 @@ class Course:
         return self._told[stretch.number].stretch == stretch
 
     @property
-    def _in_order(self) -> list[Told]:
+    def _in_order(self) -> list[StretchEstimates]:
         return [self._told[number] for number in sorted(self._told)]
 
 
@@ -124,7 +124,7 @@ def clean_long(spark: SparkSession, job: Job, sensors: Sequence[Sensor]) -> list
     return outcomes + [told_by(course.long.sensor, course.finish) for course in courses if not course.whole]
 
 
-def _run(longs: Sequence[Long], task: Task) -> Told | Outcome:
+def _run(longs: Sequence[Long], task: Task) -> StretchEstimates | Outcome:
     long = longs[task.sensor]
     return told_by(long.sensor, lambda: run_stretch(long, task.stretch))
 

@@ -11,7 +11,7 @@ from becalm.cleaning.report import ChannelReport
 from becalm.core.verdict import Verdict
 from becalm.fleet.outcome import SHOWN, Outcome, noted
 from becalm.fleet.stretching.long import Long
-from becalm.fleet.stretching.run import Told
+from becalm.fleet.stretching.run import StretchEstimates
 from becalm.report.fleet_rows import FleetRow, faults_told, usable_share
 
 _WORST_FIRST = ("does not fit", "fits except", "fits", "constant", "untold")
@@ -21,7 +21,7 @@ _NO_FAULT = (Verdict.USED, Verdict.MISSING, Verdict.SPIKE, Verdict.STEP, Verdict
 class _Part(NamedTuple):
     """A channel in one stretch."""
 
-    told: Told
+    told: StretchEstimates
     report: ChannelReport
     counts: dict[Verdict, int]
 
@@ -30,7 +30,7 @@ class _Part(NamedTuple):
         return self.counts.get(Verdict.USED, 0)
 
 
-def joined_outcome(long: Long, told: Sequence[Told], again: int, took_s: float) -> Outcome:
+def joined_outcome(long: Long, told: Sequence[StretchEstimates], again: int, took_s: float) -> Outcome:
     """Return what became of a sensor that was cleaned in stretches.
 
     Parameters
@@ -49,7 +49,7 @@ def joined_outcome(long: Long, told: Sequence[Told], again: int, took_s: float) 
     return Outcome(long.sensor.name, "cleaned", noted(rows, long.notes), took_s, _seams(told, again))
 
 
-def _seams(told: Sequence[Told], again: int) -> str:
+def _seams(told: Sequence[StretchEstimates], again: int) -> str:
     count, smoothed = len(told), told[0].seams is not None and told[0].seams.end is None
     if smoothed:
         return f"{count} stretches, which agree where they overlap."

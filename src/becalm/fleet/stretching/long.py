@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from becalm.files.shared_source import Known
+from becalm.files.shared_source import ParsedSource
 from becalm.fleet.job import Job, Sensor
 from becalm.fleet.pieces import Piece
 
@@ -27,7 +27,7 @@ class Long(NamedTuple):
     sensor: Sensor
     recipe: str  # the text of its recipe, fitted to it
     causal: bool  # whether estimates know only the past
-    known: Known
+    known: ParsedSource
     files: tuple[Piece, ...]  # that it came in, in order
     staged: str  # the folder in which its output waits for its name
     hashed: str  # what its output comes of

@@ -44,7 +44,7 @@ class Seams(NamedTuple):
     beyond: Floats | None = None  # the same of the first rows after it
 
 
-class Told(NamedTuple):
+class StretchEstimates(NamedTuple):
     """What is told of a stretch."""
 
     stretch: Stretch
@@ -71,7 +71,7 @@ class _Work(NamedTuple):
         return self.stretch.stop == self.long.known.rows
 
 
-def run_stretch(long: Long, stretch: Stretch) -> Told:
+def run_stretch(long: Long, stretch: Stretch) -> StretchEstimates:
     """Clean a stretch of a long sensor.
 
     Parameters
@@ -103,7 +103,9 @@ def run_stretch(long: Long, stretch: Stretch) -> Told:
             seams, reports = (_causal if recipe.mode == "causal" else _smoothed)(work, write)
     finally:
         source.close()
-    return Told(stretch, seams, reports, tuple(dict(own) for own in counts), tuple(pieces), monotonic() - began)
+    return StretchEstimates(
+        stretch, seams, reports, tuple(dict(own) for own in counts), tuple(pieces), monotonic() - began
+    )
 
 
 def pieces_of(files: tuple[Piece, ...], stretch: Stretch) -> list[Piece]:

@@ -15,13 +15,13 @@ import numpy as np
 from becalm.core.imm.comparable_state import same_state
 from becalm.core.packing import unpacked
 from becalm.fleet.stretching.long import State, Stretch
-from becalm.fleet.stretching.run import Told
+from becalm.fleet.stretching.run import StretchEstimates
 
 SMOOTHED_TO = 1e-10
 """Of the uncertainty, or of the signal where that is larger: as much may two smoothed stretches differ."""
 
 
-def to_run_again(told: Sequence[Told]) -> list[Stretch] | None:
+def to_run_again(told: Sequence[StretchEstimates]) -> list[Stretch] | None:
     """Return the causal stretches that did not begin where the one before ended, with what it leaves.
 
     Parameters
@@ -45,7 +45,7 @@ def to_run_again(told: Sequence[Told]) -> list[Stretch] | None:
     return again
 
 
-def overlaps_agree(told: Sequence[Told]) -> bool:
+def overlaps_agree(told: Sequence[StretchEstimates]) -> bool:
     """Tell whether smoothed stretches say the same of the rows that two of them have."""
     return all(now.seams is not None for now in told) and all(
         _agree(before.seams.beyond, now.seams.head)

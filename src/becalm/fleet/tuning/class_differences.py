@@ -14,7 +14,7 @@ from becalm.cleaning.recipe import ChannelRecipe
 from becalm.fleet.class_outliers import FACTOR, factors_apart, times
 from becalm.fleet.outcome import Outcome
 from becalm.fleet.tuning.class_recipe import Typical, channels_by_key
-from becalm.fleet.tuning.found import Found, TunedChannel
+from becalm.fleet.tuning.found import SensorTuning, TunedChannel
 from becalm.report.fleet_order import DOUBTFUL
 from becalm.report.fleet_rows import FleetRow
 
@@ -28,7 +28,9 @@ def is_described(row: FleetRow) -> bool:
     return row.verdict in ("fits", "fits except") and 1 / DOUBTFUL <= (row.health or 0.0) <= DOUBTFUL
 
 
-def reasons(found: Sequence[Found], class_recipe: Typical | None, judged: Mapping[str, Outcome]) -> dict[Key, str]:
+def reasons(
+    found: Sequence[SensorTuning], class_recipe: Typical | None, judged: Mapping[str, Outcome]
+) -> dict[Key, str]:
     """Say of sensors and channels that are unlike their class why, as sentences.
 
     Parameters
@@ -65,7 +67,7 @@ def _rare(channels: Sequence[TunedChannel]) -> dict[Key, str]:
     return {(channel.sensor, channel.recipe.name): why for channel in channels}
 
 
-def _not_run(one: Found, reason: str) -> dict[Key, str]:
+def _not_run(one: SensorTuning, reason: str) -> dict[Key, str]:
     why = f"Its class's recipe does not run on it: {reason}"
     return {(channel.sensor, channel.recipe.name): why for channel in one.channels}
 

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.cleaning.recipe import Recipe
-from becalm.fleet.tuning.found import Found, TunedChannel
+from becalm.fleet.tuning.found import SensorTuning, TunedChannel
 from becalm.fleet.tuning.limits import limits_of_class
 
 _LEAST = float(np.finfo(np.float64).tiny)  # for the logarithm of a density of 0
@@ -38,7 +38,7 @@ class Typical(NamedTuple):
     sensors: dict[str, str]
 
 
-def typical(found: Sequence[Found]) -> Typical | None:
+def typical(found: Sequence[SensorTuning]) -> Typical | None:
     """Return the recipe of a class; None where more than half of its sensors have no channel in common.
 
     Parameters
@@ -59,7 +59,7 @@ def typical(found: Sequence[Found]) -> Typical | None:
     return Typical(first.model_copy(update={"tuned_on": origin, "channel": channels}), sensors)
 
 
-def channels_by_key(found: Sequence[Found]) -> dict[tuple[str, str], list[TunedChannel]]:
+def channels_by_key(found: Sequence[SensorTuning]) -> dict[tuple[str, str], list[TunedChannel]]:
     """Return the channels of several sensors by their names and units."""
     told: dict[tuple[str, str], list[TunedChannel]] = {}
     for channel in (channel for one in found for channel in one.channels):

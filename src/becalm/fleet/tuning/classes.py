@@ -13,11 +13,11 @@ import numpy as np
 
 from becalm.files.lake.listing import natural
 from becalm.fleet.class_outliers import class_of
-from becalm.fleet.lake import Place
+from becalm.fleet.lake import SensorPlace
 from becalm.fleet.outcome import Outcome
 from becalm.fleet.tuning.class_differences import Key, is_described, reasons, rows_by_key
 from becalm.fleet.tuning.class_recipe import Typical, typical
-from becalm.fleet.tuning.found import Found, TunedChannel
+from becalm.fleet.tuning.found import SensorTuning, TunedChannel
 from becalm.report.fleet_rows import FleetRow, counted, spaced
 
 MOST_SENSORS = 200
@@ -31,10 +31,10 @@ class Chosen(NamedTuple):
 
     name: str
     sensors: int  # of it in the lake
-    places: tuple[Place, ...]  # of those to be tuned, by name
+    places: tuple[SensorPlace, ...]  # of those to be tuned, by name
 
 
-def chosen_of(places: Sequence[Place], most: int = MOST_SENSORS) -> list[Chosen]:
+def chosen_of(places: Sequence[SensorPlace], most: int = MOST_SENSORS) -> list[Chosen]:
     """Return the classes of some sensors by name, with those of each that are to be tuned.
 
     Parameters
@@ -44,13 +44,13 @@ def chosen_of(places: Sequence[Place], most: int = MOST_SENSORS) -> list[Chosen]
     most : int
         How many of each class; they are spread evenly over the order of their names, the first and the last among them.
     """
-    classes: dict[str, list[Place]] = defaultdict(list)
+    classes: dict[str, list[SensorPlace]] = defaultdict(list)
     for place in sorted(places, key=lambda place: natural(Path(place.name))):
         classes[class_of(place.name)].append(place)
     return [Chosen(name, len(own), tuple(_spread(own, most))) for name, own in sorted(classes.items())]
 
 
-def _spread(places: Sequence[Place], most: int) -> list[Place]:
+def _spread(places: Sequence[SensorPlace], most: int) -> list[SensorPlace]:
     if len(places) <= most:
         return list(places)
     return [places[number] for number in np.linspace(0, len(places) - 1, most).round().astype(int).tolist()]
@@ -78,16 +78,16 @@ class TunedClass:
 
     name: str
     sensors: int
-    found: tuple[Found, ...]
+    found: tuple[SensorTuning, ...]
     failed: tuple[Outcome, ...]
     typical: Typical | None
     judged: Mapping[str, Outcome]
 
     @classmethod
-    def of(cls, chosen: Chosen, told: Mapping[str, Found | Outcome]) -> TunedClass:
+    def of(cls, chosen: Chosen, told: Mapping[str, SensorTuning | Outcome]) -> TunedClass:
         """Put together what tasks told of a class; nothing is judged yet."""
         own = [told[place.name] for place in chosen.places]
-        found = tuple(one for one in own if isinstance(one, Found))
+        found = tuple(one for one in own if isinstance(one, SensorTuning))
         failed = tuple(one for one in own if isinstance(one, Outcome))
         return cls(chosen.name, chosen.sensors, found, failed, typical(found) if found else None, {})
 

@@ -47,7 +47,7 @@ class TunedChannel(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Found:
+class SensorTuning:
     """A sensor that could be tuned.
 
     Attributes

@@ -34,7 +34,7 @@ Run = Callable[[Callable[[Any], Any], Sequence[Any]], list[Any]]
 """Does some work for each of several tasks, and returns what was told in their order, as `fleet.engine.run_tasks`."""
 
 
-class Asked(NamedTuple):
+class LakeTuningOptions(NamedTuple):
     """What may be asked of tuning a lake.
 
     Attributes
@@ -58,7 +58,7 @@ class Asked(NamedTuple):
     replace: bool = False
 
 
-NOTHING_ASKED = Asked()
+NOTHING_ASKED = LakeTuningOptions()
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class Tuned:
     report: Path
 
 
-def tune(spark: SparkSession, lake: Path, recipes: Path, asked: Asked = NOTHING_ASKED) -> Tuned:
+def tune(spark: SparkSession, lake: Path, recipes: Path, asked: LakeTuningOptions = NOTHING_ASKED) -> Tuned:
     """Find a recipe for each class of a lake, and the sensors that are unlike their class.
 
     Parameters
@@ -95,7 +95,7 @@ def tune(spark: SparkSession, lake: Path, recipes: Path, asked: Asked = NOTHING_
     recipes : Path
         A folder for the recipes, laid out as the lake: `kind=pump.toml`, and `default.toml` for sensors that are in the
         lake itself. `report.html` and `sensors.jsonl` beside them tell what was found.
-    asked : Asked
+    asked : LakeTuningOptions
         What tells a sensor, which of them are tuned, and how.
 
     Raises
@@ -110,7 +110,7 @@ def tune(spark: SparkSession, lake: Path, recipes: Path, asked: Asked = NOTHING_
     return tune_by(partial(run_tasks, spark, lost=all_died), lake, recipes, asked)
 
 
-def tune_by(run: Run, lake: Path, recipes: Path, asked: Asked = NOTHING_ASKED) -> Tuned:
+def tune_by(run: Run, lake: Path, recipes: Path, asked: LakeTuningOptions = NOTHING_ASKED) -> Tuned:
     """Do as `tune`, wherever tasks run."""
     began, started = datetime.now(UTC), monotonic()
     lake, recipes = lake.resolve(), recipes.resolve()
@@ -129,7 +129,7 @@ def tune_by(run: Run, lake: Path, recipes: Path, asked: Asked = NOTHING_ASKED) -
         return Tuned(tuple(classes), names, tuple(rows), recipes / REPORT)
 
 
-def chosen_in(lake: Path, recipes: Path, asked: Asked = NOTHING_ASKED) -> list[Chosen]:
+def chosen_in(lake: Path, recipes: Path, asked: LakeTuningOptions = NOTHING_ASKED) -> list[Chosen]:
     """Return the sensors of a lake that are to be tuned, by their classes; what cannot be done is refused here.
 
     Raises

@@ -17,11 +17,11 @@ from becalm.files.portions import rows_to_tune_on
 from becalm.fleet.job import Job, Sensor
 from becalm.fleet.outcome import SHOWN, Outcome
 from becalm.fleet.sensor_task import opened, told_by
-from becalm.fleet.tuning.found import Found, TunedChannel
+from becalm.fleet.tuning.found import SensorTuning, TunedChannel
 from becalm.report.fleet_rows import FleetRow, row_of
 
 
-def tune_sensor(lake: str, causal: bool, sensor: Sensor) -> Found | Outcome:
+def tune_sensor(lake: str, causal: bool, sensor: Sensor) -> SensorTuning | Outcome:
     """Find the recipe of a sensor; whatever is wrong with it is told, and raised nowhere.
 
     Parameters
@@ -54,14 +54,14 @@ def judge_sensor(job: Job, sensor: Sensor) -> Outcome:
     return told_by(sensor, lambda: _judged(job, sensor))
 
 
-def _tuned(place: Path, causal: bool, name: str) -> Found:
+def _tuned(place: Path, causal: bool, name: str) -> SensorTuning:
     began = monotonic()
     with open_source(place) as source:
         sample = source.sample(rows_to_tune_on(source))
         recipe = _with_origin(tune(sample, causal=causal), source)
         rows = _rows(name, sample, recipe, source.rate_hz)
     channels = [_channel(name, recipe, row, sample) for row in rows]
-    return Found(name, recipe, tuple(channels), monotonic() - began)
+    return SensorTuning(name, recipe, tuple(channels), monotonic() - began)
 
 
 def _with_origin(recipe: Recipe, source: OpenSource) -> Recipe:

@@ -38,14 +38,14 @@ def refuse_recipes(folder: Path) -> None:
         )
 
 
-class Named(NamedTuple):
+class NamedRecipe(NamedTuple):
     """A recipe to be written, and of whom it is, in a sentence."""
 
     recipe: Recipe
     origin: str
 
 
-def named_recipes(classes: Sequence[TunedClass], *, own: bool) -> dict[str, Named]:
+def named_recipes(classes: Sequence[TunedClass], *, own: bool) -> dict[str, NamedRecipe]:
     """Return recipes by the names that jobs look them up by: those of classes, and perhaps of sensors.
 
     Parameters
@@ -56,16 +56,18 @@ def named_recipes(classes: Sequence[TunedClass], *, own: bool) -> dict[str, Name
         Whether sensors that are unlike their class have recipes of their own.
     """
     sensors = {
-        one.sensor: Named(one.recipe, f"Of {one.sensor}, which is unlike its class.")
+        one.sensor: NamedRecipe(one.recipe, f"Of {one.sensor}, which is unlike its class.")
         for klass in classes
         for one in klass.found
         if own and any((one.sensor, channel.recipe.name) in klass.unlike for channel in one.channels)
     }
-    told = {klass.name: Named(klass.typical.recipe, _origin(klass)) for klass in classes if klass.typical is not None}
+    told = {
+        klass.name: NamedRecipe(klass.typical.recipe, _origin(klass)) for klass in classes if klass.typical is not None
+    }
     return sensors | told  # a sensor may be called as its class is
 
 
-def book_of(named: Mapping[str, Named]) -> RecipeBook:
+def book_of(named: Mapping[str, NamedRecipe]) -> RecipeBook:
     """Return recipes as jobs look them up."""
     return RecipeBook({name: one.recipe.to_toml() for name, one in named.items()}, "What was tuned")
 
@@ -78,7 +80,7 @@ def _origin(klass: TunedClass) -> str:
 
 
 def write_found(
-    folder: Path, classes: Sequence[TunedClass], named: Mapping[str, Named], facts: FleetFacts
+    folder: Path, classes: Sequence[TunedClass], named: Mapping[str, NamedRecipe], facts: FleetFacts
 ) -> list[FleetRow]:
     """Write recipes, what was found, and the page; return the rows of the page.
 
@@ -114,7 +116,7 @@ def _commented(text: str) -> str:
     return f"# {''.join(one if one.isprintable() else ' ' for one in text)}\n"
 
 
-def _rows(klass: TunedClass, named: Mapping[str, Named], book: RecipeBook) -> list[FleetRow]:
+def _rows(klass: TunedClass, named: Mapping[str, NamedRecipe], book: RecipeBook) -> list[FleetRow]:
     """Return the rows of the sensors of a class: what cleaning by these recipes would make of what was looked at."""
     told = [row for outcome in klass.failed for row in outcome.channels]
     for one in klass.found:

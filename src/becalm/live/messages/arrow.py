@@ -10,7 +10,7 @@ import pyarrow as pa
 
 from becalm.core.arrays import Floats, Integers
 from becalm.live.lines.cells import NumberStamps, StampReader
-from becalm.live.messages.columns import RoleFinder, Told, UnreadableError, first_of, stamps_reader
+from becalm.live.messages.columns import ParsedMessage, RoleFinder, UnreadableError, first_of, stamps_reader
 
 _END = b"\xff\xff\xff\xff\x00\x00\x00\x00"
 _SCHEMAS = 16  # a stream has one; memory stays bounded where a sender makes a new one each time
@@ -41,7 +41,7 @@ class ArrowMessages:
         self._finder = finder
         self._plans: dict[bytes, _Plan] = {}
 
-    def read(self, payload: bytes) -> Told:
+    def read(self, payload: bytes) -> ParsedMessage:
         """Return what a message told.
 
         Raises
@@ -54,7 +54,7 @@ class ArrowMessages:
         except pa.ArrowException as cause:  # not all of Arrow's errors are Python's
             raise UnreadableError(f"which is broken ({' '.join(str(cause).split())[:80]})") from cause
 
-    def _read(self, payload: bytes) -> Told:
+    def _read(self, payload: bytes) -> ParsedMessage:
         size = 8 + int.from_bytes(payload[4:8], "little")
         plan = self._plans.get(payload[:size]) or self._planned(payload[:size])
         file = pa.BufferReader(payload)
@@ -71,7 +71,7 @@ class ArrowMessages:
         seq = first_of(matrix[:, 0]) if plan.has_seq else None
         return _told(matrix, [_moments(part, plan) for part in parts] if plan.moment >= 0 else [], seq, plan)
 
-    def read_many(self, payloads: list[bytes]) -> list[Told]:
+    def read_many(self, payloads: list[bytes]) -> list[ParsedMessage]:
         """Return what messages told that begin with the same schema, joined where their rows follow each other.
 
         They are read as one stream, a third of the work.
@@ -86,7 +86,7 @@ class ArrowMessages:
         except pa.ArrowException as cause:
             raise UnreadableError("one of which is broken") from cause
 
-    def _read_many(self, payloads: list[bytes]) -> list[Told]:
+    def _read_many(self, payloads: list[bytes]) -> list[ParsedMessage]:
         first = payloads[0]
         size = 8 + int.from_bytes(first[4:8], "little")
         head = first[:size]
@@ -193,11 +193,11 @@ def _cuts(numbers: Floats, ends: Integers) -> list[int]:
     return [0, *breaks.tolist(), len(numbers)]
 
 
-def _told(matrix: Floats, moments: list[Floats], seq: int | None, plan: _Plan) -> Told:
+def _told(matrix: Floats, moments: list[Floats], seq: int | None, plan: _Plan) -> ParsedMessage:
     time_s = np.concatenate(moments) if moments else None
     if plan.has_time:
         time_s = _seconds(matrix[:, plan.leading - 1], plan)
-    return Told(plan.names, plan.units, seq, time_s, np.ascontiguousarray(matrix[:, plan.leading :]))
+    return ParsedMessage(plan.names, plan.units, seq, time_s, np.ascontiguousarray(matrix[:, plan.leading :]))
 
 
 def _seconds(numbers: Floats, plan: _Plan) -> Floats:

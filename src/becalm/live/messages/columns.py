@@ -28,7 +28,7 @@ class UnreadableError(ValueError):
 
 
 @dataclass(frozen=True)
-class Told:
+class ParsedMessage:
     """What a message told, its channels in its own order."""
 
     names: tuple[str, ...]

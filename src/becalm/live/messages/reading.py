@@ -10,7 +10,7 @@ import numpy as np
 from becalm.core.arrays import Floats
 from becalm.live.block import Loss, LossKind
 from becalm.live.lines.columns import LineOptions
-from becalm.live.messages.columns import EXACT_INTEGERS, RoleFinder, Told, UnreadableError
+from becalm.live.messages.columns import EXACT_INTEGERS, ParsedMessage, RoleFinder, UnreadableError
 
 if TYPE_CHECKING:
     from becalm.live.messages.arrow import ArrowMessages
@@ -127,7 +127,7 @@ class MessageReader:
         said = "1 message" if count == 1 else f"{count} messages"
         return (Loss(LossKind.GARBLED, count, f"{said} could not be read; the first, {first}"),)
 
-    def _told(self, payload: bytes) -> Told:
+    def _told(self, payload: bytes) -> ParsedMessage:
         if len(payload) > MAXIMUM_BYTES:
             raise UnreadableError(f"of {len(payload)} bytes (more than {MAXIMUM_BYTES})")
         if payload.startswith(_ARROW):
@@ -145,7 +145,7 @@ class MessageReader:
             self._arrow = ArrowMessages(self._finder)
         return self._arrow
 
-    def _batch(self, told: Told, arrived_s: float) -> Batch:
+    def _batch(self, told: ParsedMessage, arrived_s: float) -> Batch:
         """Return a message's rows in the stream's order of channels, once they are those of the stream."""
         _check(told)
         if told.time_s is None and len(told.values) > 1 and not self._finder.options.rate_hz:
@@ -163,7 +163,7 @@ class MessageReader:
         return Batch(told.seq, told.time_s, values, arrived_s)
 
 
-def _check(told: Told) -> None:
+def _check(told: ParsedMessage) -> None:
     """Refuse numbers that cannot be a sequence, and stamps that are none."""
     if told.seq is not None and not 0 <= told.seq <= EXACT_INTEGERS - len(told.values):
         raise UnreadableError(f"whose seq is {told.seq}")

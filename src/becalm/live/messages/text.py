@@ -9,10 +9,10 @@ import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.live.lines.cells import number_of
-from becalm.live.messages.columns import SEQ, RoleFinder, Told, UnreadableError, first_of, stamps_of
+from becalm.live.messages.columns import SEQ, ParsedMessage, RoleFinder, UnreadableError, first_of, stamps_of
 
 
-def from_json(payload: bytes, finder: RoleFinder) -> Told:
+def from_json(payload: bytes, finder: RoleFinder) -> ParsedMessage:
     """Return what a JSON message told: a row, columns as lists, or a list of row objects.
 
     Raises
@@ -39,7 +39,7 @@ def from_json(payload: bytes, finder: RoleFinder) -> Told:
     time_s = None if roles.stamp is None else stamps_of(roles.stamp, _cells(held[roles.stamp]))
     if time_s is not None and len(time_s) != rows:
         raise UnreadableError(f"which has {len(time_s)} stamps of {rows} rows")
-    return Told(
+    return ParsedMessage(
         tuple(name for _, name, _ in channels),
         tuple(str(units.get(column, unit)) for column, _, unit in channels),
         None if roles.seq is None else _seq(held[SEQ], rows),
@@ -48,7 +48,7 @@ def from_json(payload: bytes, finder: RoleFinder) -> Told:
     )
 
 
-def from_csv(payload: bytes, finder: RoleFinder) -> Told:
+def from_csv(payload: bytes, finder: RoleFinder) -> ParsedMessage:
     """Return what lines of CSV told, in the columns that the address named.
 
     Raises
@@ -66,7 +66,7 @@ def from_csv(payload: bytes, finder: RoleFinder) -> Told:
     roles = finder.roles(names)
     if not roles.channels:
         raise UnreadableError("which has no channels")
-    return Told(
+    return ParsedMessage(
         tuple(name for _, name, _ in roles.channels),
         tuple(unit for _, _, unit in roles.channels),
         None if roles.seq is None else first_of(_read(SEQ, cells[SEQ])),

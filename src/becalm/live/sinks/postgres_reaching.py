@@ -44,7 +44,7 @@ _AWAY = ("08", "53", "57P")  # classes: connection, resources, shutdown
 
 
 @dataclass(frozen=True)
-class Place:
+class TablePlace:
     """Where the tables are.
 
     Attributes
@@ -65,7 +65,7 @@ class Place:
     password_file: Path | None
 
 
-def place_of(address: Address) -> Place:
+def place_of(address: Address) -> TablePlace:
     """Take an address apart.
 
     Raises
@@ -95,7 +95,7 @@ def place_of(address: Address) -> Place:
     if parts.username:
         asked["user"] = unquote(parts.username)
     file = address.options.get("password_file")
-    return Place(table, f"{host}:{port}/{database}", asked, Path(file) if file else None)
+    return TablePlace(table, f"{host}:{port}/{database}", asked, Path(file) if file else None)
 
 
 def refuse_long(name: str, end: str = "") -> None:
@@ -112,7 +112,7 @@ def refuse_long(name: str, end: str = "") -> None:
         )
 
 
-def connected(place: Place) -> psycopg.Connection:
+def connected(place: TablePlace) -> psycopg.Connection:
     """Return a new connection that commits for good.
 
     Raises
@@ -147,12 +147,12 @@ def driver() -> Any:
     return wanted("postgres:", "psycopg", extra="postgres")
 
 
-def meant(place: Place, cause: psycopg.Error, *, broken: bool) -> BecalmError:
+def meant(place: TablePlace, cause: psycopg.Error, *, broken: bool) -> BecalmError:
     """Return what an error of an open connection means for who writes.
 
     Parameters
     ----------
-    place : Place
+    place : TablePlace
         Where to.
     cause : psycopg.Error
         What was raised.
@@ -171,7 +171,7 @@ def meant(place: Place, cause: psycopg.Error, *, broken: bool) -> BecalmError:
     return OutputError(f"PostgreSQL at {place.shown} did not take what was written ({said}); nothing of it was kept.")
 
 
-def _unreached(place: Place, cause: psycopg.Error) -> BecalmError:
+def _unreached(place: TablePlace, cause: psycopg.Error) -> BecalmError:
     said = _said(cause)
     needs_password = cause.pgconn is not None and cause.pgconn.needs_password
     if needs_password or any(words in said for words in _REFUSALS):

@@ -32,7 +32,7 @@ class _Step:
         self.take, self.turns, self.settled = take, turns, False
 
 
-class Desk:
+class LiveDial:
     """What all who look on have asked of the filters.
 
     Parameters

@@ -17,7 +17,7 @@ from becalm.live.watching.meter import Meter
 from becalm.live.watching.secrets import Scrubber
 from becalm.web.frames import text
 from becalm.web.livepage.feed import Feed
-from becalm.web.livepage.live_dial import NOT_BEGUN, Desk, facts
+from becalm.web.livepage.live_dial import NOT_BEGUN, LiveDial, facts
 from becalm.web.livepage.pictures import Pictures
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ class LivePage:
 
     def __init__(self, feed: Feed, meter: Meter, retune: Retune) -> None:
         self.feed = feed
-        self.desk = Desk(lambda: meter.recipe, retune)
+        self.desk = LiveDial(lambda: meter.recipe, retune)
         self.pictures: Pictures | None = None
         self.health, self.tuning = News(0, ""), News(-1, "")
         self.ending = False

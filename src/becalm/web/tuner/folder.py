@@ -41,7 +41,7 @@ READ_ENDINGS = (
 _MOST_LISTED = 2000
 
 
-class Known(NamedTuple):
+class OpenableFile(NamedTuple):
     """A file that may be opened.
 
     Attributes
@@ -92,7 +92,7 @@ class Folder:
         """The file that was named at the start, as a page calls it."""
         return None if self._file is None else _id("given", self._file.name)
 
-    def known(self) -> list[Known]:
+    def known(self) -> list[OpenableFile]:
         """List what may be opened now: what was named at the start, what was brought, what is in the folder."""
         return [*self._elsewhere(), *self._in_folder()]
 
@@ -115,12 +115,12 @@ class Folder:
         self._brought.append(path)
         return _id(f"brought/{path.parent.name}", path.name)
 
-    def _elsewhere(self) -> list[Known]:
+    def _elsewhere(self) -> list[OpenableFile]:
         found = [] if self._file is None else [_known("given", self._file, leaving=True)]
         found += [_known(f"brought/{path.parent.name}", path) for path in self._brought]
         return [one for one in found if one is not None]
 
-    def _in_folder(self, name: str | None = None) -> list[Known]:
+    def _in_folder(self, name: str | None = None) -> list[OpenableFile]:
         """List what the folder holds, or only what may be of one name."""
         given = None if self._file is None else os.path.realpath(self._file)
         paths = self._listed() if name is None else self._named(name)
@@ -148,7 +148,7 @@ def _looks_readable(path: Path) -> bool:
     return path.name.lower().endswith(READ_ENDINGS) or (path.is_dir() and (path / BAG).is_file())
 
 
-def _known(room: str, path: Path, *, leaving: bool = False) -> Known | None:
+def _known(room: str, path: Path, *, leaving: bool = False) -> OpenableFile | None:
     """Tell of a file; None of a link that leads out of its folder, a pipe, a device, or what cannot be looked at."""
     try:
         if not leaving and Path(os.path.realpath(path)).parent != Path(os.path.realpath(path.parent)):
@@ -157,7 +157,7 @@ def _known(room: str, path: Path, *, leaving: bool = False) -> Known | None:
     except OSError:
         return None
     if stat.S_ISREG(told.st_mode) or (stat.S_ISDIR(told.st_mode) and (path / BAG).is_file()):
-        return Known(_id(room, path.name), path, told.st_size, told.st_mtime)
+        return OpenableFile(_id(room, path.name), path, told.st_size, told.st_mtime)
     return None
 
 

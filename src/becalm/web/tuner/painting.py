@@ -25,7 +25,7 @@ _MOST_RAW = 8  # views whose readings are kept
 _DECIBEL = 10.0
 
 
-class Wanted(NamedTuple):
+class PictureRequest(NamedTuple):
     """What a page looks at."""
 
     opened: Opened
@@ -91,7 +91,7 @@ class Painter:
         self._raw: OrderedDict[tuple[int, View], Raw] = OrderedDict()
         self._gated: dict[int, _Gated] = {}  # of one channel
 
-    def picture(self, wanted: Wanted) -> Painted:
+    def picture(self, wanted: PictureRequest) -> Painted:
         """Paint a picture; a hurried one leaves out the spikes that the gate left out of the whole record before.
 
         It then is that of the gate, unless the gate would judge otherwise now, and is there sooner.
@@ -129,13 +129,13 @@ class Painter:
         }
         return Painted(header, view, raw, clean)
 
-    def hurries(self, wanted: Wanted) -> bool:
+    def hurries(self, wanted: PictureRequest) -> bool:
         """Whether a picture is worth painting in a hurry first, for it takes long and can be."""
         rows = wanted.opened.rows(wanted.channel)
         view = view_of(rows, wanted.opened.times_s, wanted.span_s, wanted.width)
         return self._knows_spikes(wanted) and view.stop - view.first >= LONG
 
-    def remember(self, wanted: Wanted, painted: Painted) -> None:
+    def remember(self, wanted: PictureRequest, painted: Painted) -> None:
         """Make ready for pictures in a hurry, where a gate makes those of the whole record slow."""
         rows = wanted.opened.rows(wanted.channel)
         view, gate = painted.view, wanted.recipe.gate
@@ -150,7 +150,7 @@ class Painter:
                 wanted.channel: _Gated(spikes, limits, rows.without(spikes, limits, waits=wanted.lag is None))
             }
 
-    def classic(self, wanted: Wanted, painted: Painted) -> bytes:
+    def classic(self, wanted: PictureRequest, painted: Painted) -> bytes:
         """Paint a classic filter into a picture, as calm as the channel's own.
 
         Raises
@@ -164,10 +164,10 @@ class Painter:
         found = classic_beside(wanted.opened.rows(wanted.channel), painted.view, wanted.classic, gain)
         return painted._replace(header={**painted.header, "classic": wanted.classic}).framed(found)
 
-    def _knows_spikes(self, wanted: Wanted) -> bool:
+    def _knows_spikes(self, wanted: PictureRequest) -> bool:
         return wanted.opened is self._of and wanted.recipe.gate is not None and wanted.channel in self._gated
 
-    def _raw_of(self, wanted: Wanted, view: View) -> Raw:
+    def _raw_of(self, wanted: PictureRequest, view: View) -> Raw:
         key = wanted.channel, view
         if key not in self._raw:
             self._raw[key] = raw_of(wanted.opened.rows(wanted.channel), wanted.opened.times_s, view)
@@ -176,19 +176,19 @@ class Painter:
         return self._raw[key]
 
     @staticmethod
-    def _second_of(wanted: Wanted, row: int) -> float:
+    def _second_of(wanted: PictureRequest, row: int) -> float:
         times = wanted.opened.times_s
         return row * wanted.opened.step_s if times is None else float(times()[row])
 
 
-def dial_frame(wanted: Wanted) -> bytes:
+def dial_frame(wanted: PictureRequest) -> bytes:
     """Tell what each position of a channel's dial is."""
     opened = wanted.opened
     arrays = dial(wanted.recipe, opened.step_s, wanted.lag, len(opened.recording))
     return frame({"kind": "dial", "channel": wanted.channel, "order": wanted.recipe.order}, arrays)
 
 
-def map_frame(wanted: Wanted) -> bytes:
+def map_frame(wanted: PictureRequest) -> bytes:
     """Tell how well every noise and density foretells readings.
 
     Raises

@@ -12,7 +12,7 @@ from becalm.web.tuner import messages
 from becalm.web.tuner.judging import judged
 from becalm.web.tuner.messages import Look
 from becalm.web.tuner.outgoing_messages import Wire
-from becalm.web.tuner.painting import Painter, Wanted, dial_frame, map_frame
+from becalm.web.tuner.painting import Painter, PictureRequest, dial_frame, map_frame
 
 if TYPE_CHECKING:
     from becalm.web.tuner.sharing import Shared
@@ -111,7 +111,7 @@ class Showing:
         wanted = await in_thread(lambda: self._wanted(message.number, message.channel))
         await self._wire.send(await in_thread(lambda: map_frame(wanted)))
 
-    def _wanted(self, answers: int, channel: int) -> Wanted:
+    def _wanted(self, answers: int, channel: int) -> PictureRequest:
         desk, look = self._shared.open_desk, self._look
         span_s = (
             -math.inf if look.from_s is None else look.from_s,
@@ -122,7 +122,7 @@ class Showing:
             classic = None
         recipe, lag = desk.channel(channel), desk.lag
         how = (recipe, lag, span_s, look.width, answers, classic, self.dragging)
-        return Wanted(desk.opened, channel, *how, setting=desk.setting_told(channel))
+        return PictureRequest(desk.opened, channel, *how, setting=desk.setting_told(channel))
 
     async def _show_newest(self) -> None:
         in_thread, painter = self._shared.in_thread, self._painter
@@ -145,7 +145,7 @@ class Showing:
         if not (self.dragging or self._asked.is_set() or shown.figures == wanted.judged_key):
             await self._judge(wanted, shown)
 
-    async def _judge(self, wanted: Wanted, shown: _Shown) -> None:
+    async def _judge(self, wanted: PictureRequest, shown: _Shown) -> None:
         recipe = self._shared.open_desk.recipe_of_all()
 
         def judge() -> dict[str, Any] | None:

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.steps import in_seconds, in_steps
-from becalm.cleaning.tuning import Found
+from becalm.cleaning.tuning import ChannelTuning
 from becalm.errors import UsageError
 from becalm.identification.trust.tuning_spread import tuning_spread
 from becalm.identification.wishes.dial import may_judge
@@ -36,7 +36,7 @@ class Options:
 
     Parameters
     ----------
-    found : Found
+    found : ChannelTuning
         What it was chosen among.
     channel : ChannelRecipe
         What was chosen, with all that was put into its recipe since.
@@ -46,7 +46,7 @@ class Options:
         Whether it was tuned as a filter.
     """
 
-    def __init__(self, found: Found, channel: ChannelRecipe, step_s: float, causal: bool) -> None:
+    def __init__(self, found: ChannelTuning, channel: ChannelRecipe, step_s: float, causal: bool) -> None:
         self.channel, self._found, self._step_s, self._causal = channel, found, step_s, causal
         self._rivals = {f"{_ORDER}{rival.order}": rival for rival in found.choice.rivals}
         self._tuned: dict[str, ChannelRecipe] = {FOUND: channel}

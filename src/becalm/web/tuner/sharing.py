@@ -15,7 +15,7 @@ from becalm.files.registry import endings_here
 from becalm.installation import load_scipy, version
 from becalm.web.tuner.folder import READ_ENDINGS, Folder
 from becalm.web.tuner.opened import AS_IT_IS, Opened
-from becalm.web.tuner.view_model import Desk
+from becalm.web.tuner.view_model import ViewModel
 from becalm.web.uploads import Uploads
 
 _HALVES, _WORKERS = 2, 6
@@ -56,7 +56,7 @@ class Shared:
         self.halves = ThreadPoolExecutor(_HALVES, thread_name_prefix="becalm-half")
         self.workers = ThreadPoolExecutor(_WORKERS, thread_name_prefix="becalm-tuner")
         self.pages: set[Hearer] = set()
-        self.desk: Desk | None = None
+        self.desk: ViewModel | None = None
         self._opening = asyncio.Lock()
         self._openings: set[asyncio.Task[None]] = set()
         self._run = secrets.token_hex(8)
@@ -128,9 +128,9 @@ class Shared:
             def tell(says: str) -> None:
                 asyncio.run_coroutine_threadsafe(self.working(says), loop)
 
-            def begin() -> Desk:
+            def begin() -> ViewModel:
                 try:
-                    desk = Desk(Opened(file, path, group, tell, options))
+                    desk = ViewModel(Opened(file, path, group, tell, options))
                     desk.begin()
                 except BecalmError as cause:  # a page knows files by name, and has a field for their rate
                     said = str(cause).replace(str(path), path.name).replace("--rate HZ", "the rate (Hz) below")
@@ -156,7 +156,7 @@ class Shared:
         return await asyncio.get_running_loop().run_in_executor(self.workers, work)
 
     @property
-    def open_desk(self) -> Desk:
+    def open_desk(self) -> ViewModel:
         """What is worked on.
 
         Raises

@@ -25,7 +25,7 @@ class Doing(NamedTuple):
     settings: tuple[Setting, ...]
 
 
-class Desk:
+class ViewModel:
     """A recording and what is set of its filters.
 
     Parameters
