@@ -68,7 +68,7 @@ class Cleaner:
 
         Returns
         -------
-        list of list of Told
+        list of list of EstimatedRows
             One for each push that is answered now, in order: what each channel says of its rows.
         """
         self._sizes.append(len(elapsed))

@@ -41,7 +41,7 @@ class OpenFile(NamedTuple):
     ----------
     sources : tuple of OpenSource
         One or more, each with channels and a time of its own.
-    passed : tuple of Passed
+    passed : tuple of PassedThroughTable
         The other tables.
     """
 

@@ -105,7 +105,7 @@ class Smoother(_Forward):
 
         Parameters
         ----------
-        passed : Passed
+        passed : ForwardPass
             Of this smoother; what `forward` returned.
         future : () structured array
             What all later rows say; afterwards its own rows, too.

@@ -37,7 +37,7 @@ def joined_outcome(long: Long, told: Sequence[StretchEstimates], again: int, too
     ----------
     long : Long
         The sensor.
-    told : sequence of Told
+    told : sequence of StretchEstimates
         Of its stretches, in order.
     again : int
         How many of them were run again.

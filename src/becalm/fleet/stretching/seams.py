@@ -26,7 +26,7 @@ def to_run_again(told: Sequence[StretchEstimates]) -> list[Stretch] | None:
 
     Parameters
     ----------
-    told : sequence of Told
+    told : sequence of StretchEstimates
         Of all stretches of a sensor, in order.
 
     Returns

@@ -35,7 +35,7 @@ def reasons(
 
     Parameters
     ----------
-    found : sequence of Found
+    found : sequence of SensorTuning
         The sensors of the class that could be tuned.
     class_recipe : Typical or None
         The recipe of the class.

@@ -43,7 +43,7 @@ def typical(found: Sequence[SensorTuning]) -> Typical | None:
 
     Parameters
     ----------
-    found : sequence of Found
+    found : sequence of SensorTuning
         Its sensors that could be tuned, by name.
     """
     chosen = [

@@ -39,7 +39,7 @@ def chosen_of(places: Sequence[SensorPlace], most: int = MOST_SENSORS) -> list[C
 
     Parameters
     ----------
-    places : sequence of Place
+    places : sequence of SensorPlace
         The sensors of a lake.
     most : int
         How many of each class; they are spread evenly over the order of their names, the first and the last among them.
@@ -66,7 +66,7 @@ class TunedClass:
         Of its recipe as well.
     sensors : int
         How many the lake has.
-    found : tuple of Found
+    found : tuple of SensorTuning
         Those that could be tuned, by name.
     failed : tuple of Outcome
         Those that could not, with their reasons.
