@@ -37,9 +37,7 @@ def draw(colours: dict[str, str], file: Path) -> None:
         "svg.fonttype": "path",  # fonts of a README's reader are not ours
         "axes.spines.top": False,
         "axes.spines.right": False,
-        **dict.fromkeys(
-            ("axes.edgecolor", "axes.labelcolor", "text.color", "xtick.color", "ytick.color"), colours["ink"]
-        ),
+        **dict.fromkeys(INKED, colours["ink"]),
         **dict.fromkeys(("axes.facecolor", "figure.facecolor", "savefig.facecolor"), colours["paper"]),
     }
     with mpl.rc_context(style):
