@@ -24,7 +24,7 @@ class Ran(NamedTuple):
 PROGRAM = """
 import json, os, shutil, sys, time
 from pathlib import Path
-from becalm.fleet import Asked, clean, open_book, session
+from becalm.fleet import BatchOptions, clean, open_book, session
 from fleet_stream_runs import below
 master, lake, recipe, out, stretch, core, rounds = sys.argv[1:]
 if core: os.sched_setaffinity(0, {int(core)})
@@ -39,7 +39,7 @@ with session(master, settings, schedules=True) as spark:
     for _ in range(int(rounds)):
         shutil.rmtree(out, ignore_errors=True)
         start = time.perf_counter()
-        fleet = clean(spark, Path(lake), Path(out), open_book(Path(recipe)), Asked(stretch_rows=int(stretch)))
+        fleet = clean(spark, Path(lake), Path(out), open_book(Path(recipe)), BatchOptions(stretch_rows=int(stretch)))
         took = time.perf_counter() - start
     states = [one.state for one in fleet.outcomes]
     print(json.dumps([took, {one: states.count(one) for one in states}, fleet.outcomes[0].seams]))

@@ -109,12 +109,12 @@ def test_killed_workers_change_nothing(
 
 MEASURED = """
 import pathlib, sys
-from becalm.fleet.batch import Asked, clean
+from becalm.fleet.batch import BatchOptions, clean
 from becalm.fleet.grouped import cleaning
 from becalm.fleet.recipes import open_book
 cleaning.run_tasks = lambda spark, work, tasks, lost: [work(task) for task in tasks]
 lake, out, recipe = map(pathlib.Path, sys.argv[1:])
-fleet = clean(None, lake, out, open_book(recipe), Asked(by="sensor", stretch_rows=1 << 30))
+fleet = clean(None, lake, out, open_book(recipe), BatchOptions(by="sensor", stretch_rows=1 << 30))
 assert [one.state for one in fleet.outcomes] == ["cleaned"], fleet.outcomes
 print(next(line.split()[1] for line in pathlib.Path("/proc/self/status").read_text().splitlines() if "VmHWM" in line))
 """
