@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from becalm.core.arrays import Floats
+from becalm.core.arrays import Codes, Floats
 from becalm.core.health.faults import Faults
 from becalm.core.health.limits import Limits, find_limits, stuck_at_once
 from becalm.core.health.look_ahead import LookAhead
@@ -304,6 +304,50 @@ def test_both_sides_tell_the_same_wherever_the_record_is_cut(
     assert np.array_equal(rows, z, equal_nan=True)
     assert np.array_equal(steps, elapsed)
     assert np.array_equal(far, whole)
+
+
+def judged_soon(z: Floats, limits: Limits, ahead: int, cuts: list[int]) -> Codes:
+    """Judge a record cut so, each row by so many after it; the second half of its parts by what the first has saved."""
+    first, bounds = LookAhead(limits, ahead), [0, *cuts, len(z)]
+    parts = [first.push(z[a:b], np.ones(b - a)) for a, b in pairwise(bounds)]
+    again = LookAhead(limits, ahead)
+    again.restore(first.saved())
+    rows, _, codes = (np.concatenate(arrays) for arrays in zip(*parts, again.finish(), strict=True))
+    assert np.array_equal(rows, z, equal_nan=True)
+    assert sum(len(part[0]) for part in parts) == max(len(z) - ahead, 0), "no row waits for longer"
+    return np.asarray(codes, np.int8)
+
+
+@given(records(), st.booleans(), st.sampled_from([None, 8]), st.sampled_from([1, 2, 3]), st.integers(0, 1500))
+def test_rows_that_wait_for_few_are_judged_by_them_and_no_others(
+    z: Floats, as_one: bool, stuck: int | None, ahead: int, cut: int
+) -> None:
+    """Wherever rows are cut, and whatever comes later."""
+    limits = Limits(outliers=Outliers(30.0, 60.0, -99.0, 99.0, as_one), stuck_readings=stuck)
+    codes, cut = judged_soon(z, limits, ahead, [0]), min(cut, len(z))
+    assert np.array_equal(judged_soon(z, limits, ahead, [cut]), codes)
+    shorter, told = LookAhead(limits, ahead).push(z[:cut], np.ones(cut))[2], max(cut - ahead, 0)
+    assert np.array_equal(shorter, codes[:told])
+
+
+def test_few_rows_after_it_tell_an_outlier_from_a_step_and_a_fill_from_its_first_row() -> None:
+    z = 20.0 + noise()
+    rule = find_outlier_rule(z)._replace(repeats_are_one=True)
+    z[[1000, 1002, 1007]] = 500.0  # alone
+    z[2000:] += 300.0  # a step
+    z[3000:3010] = 0.0  # what fills in
+    codes = judged_soon(z, Limits(outliers=rule, stuck_readings=8), 3, [1])
+    assert np.flatnonzero(codes).tolist() == [1000, 1002, 1007, *range(3000, 3010)]
+    assert 2000 in found_causally(z, rule)
+
+
+def test_rows_without_readings_after_them_are_judged_by_those_before() -> None:
+    """As where a sensor is slower than its log."""
+    z = np.full(8000, np.nan)
+    z[::10] = 20.0 + noise(rows=800)
+    rule = find_outlier_rule(z[::10])
+    z[[4000, 6000]] = 500.0
+    assert np.flatnonzero(judged_soon(z, Limits(outliers=rule), 3, [1])).tolist() == found_causally(z, rule)
 
 
 @pytest.mark.parametrize("cuts", [[300, 600, 1000], [803, 830], [870]])

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 
+from becalm.cleaning.limits_entry import delay_to_smooth
 from becalm.cleaning.modes import modes_in_steps
 from becalm.cleaning.recipe import ChannelRecipe, Recipe
 from becalm.cleaning.steps import in_steps
@@ -31,8 +33,13 @@ def delays(recipe: Recipe) -> dict[str, tuple[Delay, ...]]:
     for channel in recipe.channel:
         for name, curve in _curves(channel, step_s):
             with suppress(ModelError):  # without process noise, say
-                found[name] = curve()
+                found[name] = tuple(_judged(one, channel, step_s) for one in curve())
     return found
+
+
+def _judged(delay: Delay, channel: ChannelRecipe, step_s: float) -> Delay:
+    """Return a delay with the rows for which a reading waits until it is judged."""
+    return replace(delay, wait_s=step_s * delay_to_smooth(channel.limits, delay.wait_s / step_s))
 
 
 def _curves(channel: ChannelRecipe, step_s: float) -> Iterator[tuple[str, Callable[[], tuple[Delay, ...]]]]:

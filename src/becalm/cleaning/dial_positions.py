@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.cleaning.figures import fixed_response
+from becalm.cleaning.limits_entry import rows_that_judge, rows_that_smooth
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.steps import in_steps
 from becalm.core.arrays import Floats
@@ -76,11 +77,11 @@ def dial(channel: ChannelRecipe, step_s: float, lag: int | None, rows: int) -> d
         return {}
     order, noise_std = channel.motion.order, channel.motion.noise_std
     slowest = float(np.clip(2 * np.pi * _CYCLES / rows, _SLOWEST[order], _FASTEST / 100))
-    found = _positions(order, lag, slowest)
+    found = _positions(order, rows_that_smooth(channel.limits, lag), slowest)
     return {
         "process_noise_density": found.ratios * noise_std**2 / step_s ** (2 * order - 1),
         "bandwidth_hz": found.bandwidth / step_s,
-        "lag_s": found.lag * step_s,
+        "lag_s": (np.full(POSITIONS, float(lag)) if lag else found.lag) * step_s,
         "noise_left": found.left * noise_std,
     }
 
@@ -123,7 +124,7 @@ def told_of(channel: ChannelRecipe, step_s: float, lag: int | None) -> FilterSum
         return FilterSummary(noise_std=noise_std, order=order, says=f"a filter for each of its modes: {modes}")
     tuning = in_steps(channel.motion, step_s)
     if lag:
-        gain = _gain_of_lagged(tuning, lag)
+        gain = _gain_of_lagged(tuning, lag - rows_that_judge(channel.limits, lag))
         if gain is None:
             return FilterSummary(None, lag * step_s, noise_std, None, None, order, _UNSETTLED)
         said = f"told {lag * step_s:.4g} s later, noise down {-decibels(gain):.1f} dB"

@@ -9,6 +9,7 @@ import numpy as np
 
 from becalm.cleaning.faults import SensorWatch, beside_filter
 from becalm.cleaning.filters import Filter
+from becalm.cleaning.limits_entry import rows_that_judge
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.recipe_parts import LimitsRecipe
 from becalm.cleaning.slopes import TimingNoise
@@ -50,18 +51,18 @@ class ChannelRows:
 
     def __init__(self, z: Floats, elapsed: Floats, step_s: float, limits: LimitsRecipe | None = None) -> None:
         self.z, self.elapsed, self.step_s, self._limits = z, elapsed, step_s, limits
-        self._healthy: dict[tuple[LimitsRecipe | None, bool], Healthy] = {}
+        self._healthy: dict[tuple[LimitsRecipe | None, int], Healthy] = {}
 
     def __len__(self) -> int:
         """Return how many there are."""
         return len(self.z)
 
-    def healthy(self, limits: LimitsRecipe | None, *, waits: bool = False) -> Healthy:
-        """Return the readings that may enter a filter, perhaps one that waits for all; they are looked at once."""
-        plain = _plain(limits), waits
+    def healthy(self, limits: LimitsRecipe | None, lag: int | None = 0) -> Healthy:
+        """Return the readings that may enter a filter of a lag (None: a smoother); they are looked at once."""
+        plain = _plain(limits), rows_that_judge(limits, lag)
         found = self._healthy.get(plain)
         if found is None:
-            watch = SensorWatch(plain[0], self.step_s, shown=False, waits=waits)
+            watch = SensorWatch(plain[0], self.step_s, shown=False, ahead=plain[1])
             readings = np.concatenate([watch.push(self.z, self.elapsed)[0], watch.finish()[0]])
             nothing = np.empty(len(self.z))
             (told,) = watch.named(
@@ -71,12 +72,13 @@ class ChannelRows:
             self._healthy = {**({} if len(self._healthy) > 1 else self._healthy), plain: found}
         return found
 
-    def without(self, spikes: Integers, limits: LimitsRecipe | None, *, waits: bool = False) -> ChannelRows:
+    def without(self, spikes: Integers, limits: LimitsRecipe | None, lag: int | None = 0) -> ChannelRows:
         """Return the rows as if these readings were missing, as they are to a filter whose gate leaves them out."""
-        healthy, other = self.healthy(limits, waits=waits), ChannelRows(self.z, self.elapsed, self.step_s, self._limits)
+        healthy, other = self.healthy(limits, lag), ChannelRows(self.z, self.elapsed, self.step_s, self._limits)
         readings, verdicts = healthy.readings.copy(), healthy.verdicts.copy()
         readings[spikes], verdicts[spikes] = np.nan, Verdict.SPIKE
-        other._healthy = {(_plain(limits), waits): Healthy(readings, verdicts, self._longest_gap(readings))}
+        plain = _plain(limits), rows_that_judge(limits, lag)
+        other._healthy = {plain: Healthy(readings, verdicts, self._longest_gap(readings))}
         return other
 
     def possible(self, part: slice) -> Floats:
@@ -127,7 +129,7 @@ class Run:
     def __init__(self, rows: ChannelRows, recipe: ChannelRecipe, lag: int | None) -> None:
         self._rows, self._recipe, self._lag = rows, recipe, lag
         self.filter = Filter(recipe, rows.step_s, lag)
-        self.healthy = rows.healthy(recipe.limits, waits=lag is None)
+        self.healthy = rows.healthy(recipe.limits, lag)
         kept = self.filter.forgotten_after + (0 if recipe.gate is None else _GATED)
         self._margin = int(min(kept, len(rows))) + BLOCK
 

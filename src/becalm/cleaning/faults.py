@@ -181,8 +181,8 @@ class SensorWatch:
         One step, in seconds.
     shown : bool
         Whether it will be shown innovations.
-    waits : bool
-        Whether rows wait for later ones, so that gross outliers are found by readings on both sides.
+    ahead : int
+        Later rows that each waits for, so that gross outliers are found by readings on both sides; 0: by those before.
 
     Attributes
     ----------
@@ -192,10 +192,10 @@ class SensorWatch:
         Of the innovations.
     """
 
-    def __init__(self, told: LimitsRecipe | None, step_s: float, *, shown: bool = True, waits: bool = False) -> None:
+    def __init__(self, told: LimitsRecipe | None, step_s: float, *, shown: bool = True, ahead: int = 0) -> None:
         limits = limits_of(told)
-        self._ahead = LookAhead(limits) if waits and limits.outliers.distance < np.inf else None
-        if waits:
+        self._ahead = LookAhead(limits, ahead) if ahead else None
+        if ahead:
             limits = limits._replace(outliers=limits.outliers.without_neighbours)
         self._faults, self.monitor, self._shown = Faults(limits), InnovationMonitor(alarms_of(told)), shown
         self._verdicts: Codes = np.empty(0, np.int8)  # of rows that the filter still holds
@@ -255,7 +255,8 @@ class SensorWatch:
     def saved(self) -> dict[str, Any]:
         """Return what verdicts depend on, as arrays."""
         waiting = {"watch_verdicts": self._verdicts, "watch_alarms": self._alarms, "watch_elapsed": self._elapsed}
-        return self._faults.saved() | self.monitor.saved() | waiting
+        ahead = {} if self._ahead is None else self._ahead.saved()
+        return self._faults.saved() | self.monitor.saved() | waiting | ahead
 
     def restore(self, arrays: Mapping[str, Any]) -> None:
         """Take over what `saved` returned."""
@@ -263,6 +264,8 @@ class SensorWatch:
         self.monitor.restore(arrays)
         self._verdicts, self._alarms = arrays["watch_verdicts"], arrays["watch_alarms"]
         self._elapsed = arrays["watch_elapsed"]
+        if self._ahead is not None:
+            self._ahead.restore(arrays)
 
     def comparable_state(self) -> dict[str, Any]:
         """Return what later verdicts depend on and nothing else, so that it can be compared."""

@@ -6,7 +6,7 @@ from collections import Counter
 
 from becalm.cleaning.faults import SensorWatch
 from becalm.cleaning.filters import Filter
-from becalm.cleaning.limits_entry import limits_of
+from becalm.cleaning.limits_entry import limits_of, rows_that_judge
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.slopes import TimingNoise
 from becalm.cleaning.uncertainty import Uncertainty
@@ -43,7 +43,8 @@ class FilteredChannel:
     def __init__(self, recipe: ChannelRecipe, step_s: float, lag: int | None) -> None:
         self._recipe, self._step_s, self._lag = recipe, step_s, lag
         self._runs = Filter(recipe, step_s, lag)
-        self.sensor, self.counts = SensorWatch(recipe.limits, step_s, waits=lag is None), Counter[Verdict]()
+        ahead = rows_that_judge(recipe.limits, lag)
+        self.sensor, self.counts = SensorWatch(recipe.limits, step_s, ahead=ahead), Counter[Verdict]()
         self._sentinel = Sentinel(limits_of(recipe.limits), recipe.unknown_from)
         self._uncertainty = Uncertainty(recipe.tuning_spread, recipe.calibration, recipe.limits)
         timing = recipe.timing

@@ -6,6 +6,7 @@ from functools import cached_property, partial
 
 import numpy as np
 
+from becalm.cleaning.limits_entry import rows_that_smooth
 from becalm.cleaning.modes import modes_in_steps
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.steps import gate_of, in_steps
@@ -43,7 +44,7 @@ class Filter:
     modes : InteractingModels or None
         Its modes, where it switches.
     lag : int or None
-        As it came.
+        Later rows that it smooths with; others of the lag tell outliers before it.
     gate : Gate or None
         What leaves spikes out.
     noise_std : float
@@ -63,7 +64,7 @@ class Filter:
         assert recipe.motion is not None, "a channel that passes unchanged has no filter"
         self.tuning: Tuning = in_steps(recipe.motion, step_s)
         self.modes = None if recipe.switching is None else modes_in_steps(recipe.switching, self.tuning, step_s)
-        self.lag = lag
+        self.lag = rows_that_smooth(recipe.limits, lag)
         self.gate = None if recipe.gate is None else gate_of(recipe.gate, step_s)
         if self.modes is not None:
             self.noise_variance, self.gap_limit = self.modes.least_noise_variance, _gap_limit_of_modes(self.modes)

@@ -7,6 +7,7 @@ import numpy as np
 from becalm.cleaning.recipe_parts import LimitsRecipe
 from becalm.core.arrays import Floats
 from becalm.core.health.limits import Limits
+from becalm.core.health.look_ahead import rows_ahead
 from becalm.core.health.monitor import NEVER, Alarms
 from becalm.core.health.outliers import Outliers
 from becalm.core.health.quantisation import rounding_left
@@ -72,6 +73,26 @@ def limits_of(told: LimitsRecipe | None) -> Limits:
             _or(told.blank, np.inf),
         ),
     )
+
+
+def rows_that_judge(told: LimitsRecipe | None, lag: int | None) -> int:
+    """Return for how many later rows a reading waits until it is judged, of a lag in rows (None: all); 0 for none."""
+    return rows_ahead(lag) if np.isfinite(limits_of(told).outliers.distance) else 0
+
+
+def rows_that_smooth(told: LimitsRecipe | None, lag: int | None) -> int | None:
+    """Return how many rows of a lag are left to smooth with once readings are judged; None for all."""
+    return None if lag is None else lag - rows_that_judge(told, lag)
+
+
+def delay_to_smooth(told: LimitsRecipe | None, rows: float) -> float:
+    """Return the least lag, in rows, of which so many are left to smooth with; inf for all."""
+    if not np.isfinite(rows):
+        return rows
+    lag = round(rows)
+    while lag - rows_that_judge(told, lag) < rows:
+        lag += 1
+    return float(lag)
 
 
 def alarms_of(told: LimitsRecipe | None) -> Alarms:

@@ -57,7 +57,8 @@ class LiveMotion(FilteredChannel):
         self._flow: LiveFlow
         if runs.modes is None:
             part, variance = runs.tuning.component, runs.noise_variance
-            self._flow = FixedLagFlow(part, variance, lag=lag, judge=look, gate=runs.gate)
+            assert runs.lag, "a causal filter without modes is a `CausalChannel`"
+            self._flow = FixedLagFlow(part, variance, lag=runs.lag, judge=look, gate=runs.gate)
         else:
             self._flow = LiveRestarting(partial(self._opened, runs.modes), runs.gap_limit, runs.largest)
 
@@ -71,14 +72,18 @@ class LiveMotion(FilteredChannel):
         """Take readings (B,) and the steps before them; return what is clean, in order."""
         if self._timing is not None:
             self._timing.push(elapsed)
-        usable, _ = self.sensor.push(z, elapsed)
-        self._sentinel.push(usable)
-        steps = np.round(elapsed) if self._runs.tuning.component.goes_in_steps else elapsed
-        return self._counted(self._flow.push(usable, steps))
+        return self._counted(self._filtered(*self.sensor.push(z, elapsed)))
 
     def finish(self) -> list[EstimatedRows]:
         """Return the rest; only a snapshot taken before brings the channel back."""
-        return self._counted(self._flow.finish())
+        return self._counted([*self._filtered(*self.sensor.finish()), *self._flow.finish()])
+
+    def _filtered(self, usable: Floats, elapsed: Floats) -> list[EstimatedRows]:
+        if not len(usable):
+            return []
+        self._sentinel.push(usable)
+        steps = np.round(elapsed) if self._runs.tuning.component.goes_in_steps else elapsed
+        return self._flow.push(usable, steps)
 
     def _counted(self, told: list[EstimatedRows]) -> list[EstimatedRows]:
         return super()._counted([part for part in told if len(part.signal)])

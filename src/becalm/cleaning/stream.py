@@ -25,7 +25,7 @@ from becalm.core.rows import EstimatedRows
 from becalm.core.verdict import Verdict
 from becalm.errors import ModelError, RecipeError
 
-_VERSION = 7  # 1 knew no gross outliers, 2 was of other filters, 3 to 6 laid states out otherwise
+_VERSION = 8  # 1 knew no gross outliers, 2 was of other filters, 3 to 6 laid states out otherwise, 7 judged at once
 _LONGEST = 2.0**52  # steps: more than a clock can count
 _NO_SNAPSHOT = "These bytes are no snapshot of a stream"
 

@@ -320,6 +320,10 @@ int64_t scan_innovations(const settings_t *settings, watched_t *state, const rea
    are room. Return the first row that has to wait for later ones: none where the record is whole. */
 int64_t scan_outliers(const settings_t *settings, real distance, int64_t stuck, const real *z, int64_t rows,
                       int64_t begun, int whole, real *values, int64_t *ends, int8_t *verdict);
+/* The same where each row waits for so many after it, and no more: where hardly a measurement comes within them, the
+   settings' distance counts, which is for those before. Return how many rows are written. */
+int64_t scan_outliers_soon(const settings_t *settings, real distance, int64_t stuck, const real *z, int64_t rows,
+                           int64_t begun, int64_t ahead, int whole, real *values, int64_t *ends, int8_t *verdict);
 /* Write how far measurements, more than NEIGHBOURS, are from the median of their neighbours on both sides, and how far
    these spread. */
 void measure_distances(const real *z, int64_t rows, int64_t *ends, real *distances, real *spreads);

@@ -2,6 +2,8 @@
 #include "limits.h"
 #include "monitor.h"
 
+#define FEWEST_AFTER 2 /* measurements after one; with fewer it is judged as where none is waited for */
+
 void scan_start(limits_t *limits, watched_t *watched) {
     start_limits(limits);
     memset(watched, 0, sizeof *watched);
@@ -45,18 +47,20 @@ int64_t scan_innovations(const settings_t *settings, watched_t *state, const rea
     return ended;
 }
 
-/* Fill in the six nearest neighbours of a run; return how many. Where one side has fewer than three, the other has
-   more. `missing` are how many more may come after the last run. */
-static int gather(const real *values, const int64_t *ends, const int64_t run, const int64_t runs, real *neighbours,
-                  int *missing) {
-    int before = 0, after = 0;
-    while (before < NEIGHBOURS && run - before > 0 && ends[2 * run] - ends[2 * (run - before - 1) + 1] <= REACH) before++;
-    while (after < NEIGHBOURS && run + after + 1 < runs && ends[2 * (run + after + 1)] - ends[2 * run] <= REACH) after++;
+/* Fill in the six nearest neighbours of a run, from one row until another; return how many. Where one side has fewer
+   than three, the other has more. `after` are how many lie after it, `missing` whether more may come after the last
+   run. */
+static int gather(const real *values, const int64_t *ends, const int64_t run, const int64_t runs, const int64_t from,
+                  const int64_t until, real *neighbours, int *after, int *missing) {
+    int before = 0;
+    *after = 0;
+    while (before < NEIGHBOURS && run - before > 0 && ends[2 * (run - before - 1) + 1] >= from) before++;
+    while (*after < NEIGHBOURS && run + *after + 1 < runs && ends[2 * (run + *after + 1)] <= until) ++*after;
     const int wanted = NEIGHBOURS - (before < SIDE ? before : SIDE);
-    const int room = NEIGHBOURS - (after < SIDE ? after : SIDE);
+    const int room = NEIGHBOURS - (*after < SIDE ? *after : SIDE);
     const int left = before < room ? before : room;
-    const int right = after < NEIGHBOURS - left ? after : NEIGHBOURS - left;
-    *missing = after < wanted && run + after + 1 == runs;
+    const int right = *after < NEIGHBOURS - left ? *after : NEIGHBOURS - left;
+    *missing = *after < wanted && run + *after + 1 == runs;
     for (int k = 0; k < left; k++) neighbours[k] = values[run - 1 - k];
     for (int k = 0; k < right; k++) neighbours[left + k] = values[run + 1 + k];
     return left + right;
@@ -90,13 +94,13 @@ static int64_t count_measured(const real *z, const int64_t first, const int64_t 
     return count;
 }
 
-/* Return whether a measurement alone is as near to each of three on either side as no outlier is: most are, and need no
-   median. */
+/* Return whether a measurement alone is as near to each of three on either side, from one row until another, as no
+   outlier is: most are, and need no median. */
 static int is_amid(const settings_t *settings, const real distance, const real *values, const int64_t *ends,
-                   const int64_t run, const int64_t runs) {
+                   const int64_t run, const int64_t runs, const int64_t from, const int64_t until) {
     if (run < SIDE || run + SIDE >= runs || ends[2 * run] != ends[2 * run + 1]) return 0;
     const real z = values[run];
-    if (ends[2 * run] - ends[2 * (run - SIDE) + 1] > REACH || ends[2 * (run + SIDE)] - ends[2 * run] > REACH) return 0;
+    if (ends[2 * (run - SIDE) + 1] < from || ends[2 * (run + SIDE)] > until) return 0;
     int near = z >= settings->plausible_low && z <= settings->plausible_high;
     UNROLL
     for (int k = 1; k <= SIDE; k++)
@@ -104,9 +108,10 @@ static int is_amid(const settings_t *settings, const real distance, const real *
     return near;
 }
 
-/* Return what the measurements of a run are, by those on both sides of it. */
+/* Return what the measurements of a run are, by its neighbours from a row on. */
 static int judge_run(const settings_t *settings, const real distance, const int64_t stuck, const real *values,
-                     const int64_t *ends, const int64_t run, const int64_t rows, real *neighbours, const int count) {
+                     const int64_t *ends, const int64_t run, const int64_t rows, const int64_t since, real *neighbours,
+                     const int count) {
     const real value = values[run];
     int away = value < settings->plausible_low || value > settings->plausible_high;
     if (count >= FEWEST_NEIGHBOURS) {
@@ -117,7 +122,7 @@ static int judge_run(const settings_t *settings, const real distance, const int6
     if (away) return OUTLIER;
     if (!(stuck > 0 && rows >= stuck)) return USED;
     int64_t from = run < NEIGHBOURS ? 0 : run - NEIGHBOURS;
-    while (from < run && ends[2 * run] - ends[2 * from + 1] > REACH) from++;
+    while (from < run && ends[2 * from + 1] < since) from++;
     return value == 0 && ends_at_0(settings) && rests(settings, values + from, (int)(run - from)) ? USED : STUCK;
 }
 
@@ -130,14 +135,14 @@ int64_t scan_outliers(const settings_t *settings, const real distance, const int
     for (int64_t run = 0; run < runs; run++) {
         const int64_t first = ends[2 * run], last = ends[2 * run + 1];
         int found = verdict[first];
-        if (first >= begun && (stuck == 1 || !is_amid(settings, distance, values, ends, run, runs))) {
+        if (first >= begun && (stuck == 1 || !is_amid(settings, distance, values, ends, run, runs, first - REACH, first + REACH))) {
             real neighbours[NEIGHBOURS];
-            int missing;
-            const int count = gather(values, ends, run, runs, neighbours, &missing);
+            int after, missing;
+            const int count = gather(values, ends, run, runs, first - REACH, first + REACH, neighbours, &after, &missing);
             const int64_t measured = count_measured(z, first, last);
             if (missing && !whole && rows - 1 - first < REACH) return first;
             if (run == runs - 1 && measured < decided && !whole && rows - 1 - last < REACH) return first;
-            found = judge_run(settings, distance, stuck, values, ends, run, measured, neighbours, count);
+            found = judge_run(settings, distance, stuck, values, ends, run, measured, first - REACH, neighbours, count);
         }
         for (int64_t row = first > begun ? first : begun; found && row <= last; row++)
             verdict[row] = (int8_t)(isnan(z[row]) ? USED : found);
@@ -145,12 +150,35 @@ int64_t scan_outliers(const settings_t *settings, const real distance, const int
     return rows;
 }
 
+int64_t scan_outliers_soon(const settings_t *settings, const real distance, const int64_t stuck, const real *z,
+                           const int64_t rows, const int64_t begun, const int64_t ahead, const int whole, real *values,
+                           int64_t *ends, int8_t *verdict) {
+    const int64_t runs = find_runs(z, rows, settings->repeats_are_one != 0, values, ends);
+    const int64_t end = whole ? rows : rows - ahead;
+    int64_t run = 0;
+    for (int64_t row = begun; row < end; row++) {
+        if (isnan(z[row])) continue;
+        while (ends[2 * run + 1] < row) run++;
+        const int64_t from = row - REACH, until = row + ahead; /* what it depends on, wherever rows are cut */
+        const int64_t first = ends[2 * run] > from ? ends[2 * run] : from;
+        const int64_t last = ends[2 * run + 1] < until ? ends[2 * run + 1] : until;
+        if (is_amid(settings, distance, values, ends, run, runs, from, until)) continue;
+        real neighbours[NEIGHBOURS];
+        int after, missing;
+        const int count = gather(values, ends, run, runs, from, until, neighbours, &after, &missing);
+        const int64_t measured = count_measured(z, first, last);
+        const real far = after < FEWEST_AFTER ? settings->outlier_distance : distance;
+        verdict[row] = (int8_t)judge_run(settings, far, stuck, values, ends, run, measured, from, neighbours, count);
+    }
+    return end > begun ? end : begun;
+}
+
 void measure_distances(const real *z, const int64_t rows, int64_t *ends, real *distances, real *spreads) {
     for (int64_t row = 0; row < rows; row++) ends[2 * row] = ends[2 * row + 1] = row;
     for (int64_t row = 0; row < rows; row++) {
         real neighbours[NEIGHBOURS];
-        int missing;
-        const int count = gather(z, ends, row, rows, neighbours, &missing);
+        int after, missing;
+        const int count = gather(z, ends, row, rows, row - REACH, row + REACH, neighbours, &after, &missing);
         distances[row] = fabs(z[row] - median_of(neighbours, count, spreads + row));
     }
 }

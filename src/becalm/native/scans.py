@@ -15,7 +15,7 @@ Codes = NDArray[np.int8]
 Whole = NDArray[np.int64]
 
 LIMITS, WATCHED, CLOCK = map(layout_of, ("limits", "watched", "stamps"))
-NEIGHBOURS, SPREADS, REACH = (CONSTANTS[name] for name in ("NEIGHBOURS", "SPREADS", "REACH"))
+NEIGHBOURS, SIDE, SPREADS, REACH = (CONSTANTS[name] for name in ("NEIGHBOURS", "SIDE", "SPREADS", "REACH"))
 SHORTEST_FILL, EVERY_REPEAT = CONSTANTS["SHORTEST_FILL"], CONSTANTS["EVERY_REPEAT"]
 NEAR_REST = 1 / CONSTANTS["REST_PARTS"]
 """Share of the plausible range: a channel that rests at 0 came at least so near before."""
@@ -33,6 +33,12 @@ kernel.scan_innovations.restype = ctypes.c_int64
 _PLACE, _COUNT = ctypes.c_void_p, ctypes.c_int64
 kernel.scan_outliers.argtypes = [_PLACE, ctypes.c_double, _COUNT, _PLACE, _COUNT, _COUNT, ctypes.c_int, *[_PLACE] * 3]
 kernel.scan_outliers.restype = ctypes.c_int64
+kernel.scan_outliers_soon.argtypes = [
+    *kernel.scan_outliers.argtypes[:6],
+    _COUNT,
+    *kernel.scan_outliers.argtypes[6:],
+]
+kernel.scan_outliers_soon.restype = ctypes.c_int64
 kernel.measure_distances.argtypes = [ctypes.c_void_p, ctypes.c_int64, *[ctypes.c_void_p] * 3]
 kernel.measure_distances.restype = None
 kernel.clock_walk.argtypes, kernel.clock_walk.restype = (
@@ -112,14 +118,22 @@ def scan_innovations(
 
 
 def scan_outliers(  # noqa: PLR0913  (each by its name)
-    settings: NDArray[np.void], z: Floats, codes: Codes, *, distance: float, stuck: int, begun: int, whole: bool
+    settings: NDArray[np.void],
+    z: Floats,
+    codes: Codes,
+    *,
+    distance: float,
+    stuck: int,
+    begun: int,
+    whole: bool,
+    ahead: int = REACH,
 ) -> int:
     """Write to the codes (N,) what measurements, NaN where missing, are by those on both sides of them.
 
     Parameters
     ----------
     settings : () structured array
-        What is plausible, and whether repeats are one.
+        What is plausible, whether repeats are one, and the distance from neighbours before.
     z : (N,) float array
         Measurements, in unit.
     codes : (N,) int8 array
@@ -132,6 +146,8 @@ def scan_outliers(  # noqa: PLR0913  (each by its name)
         Rows that are written already.
     whole : bool
         Whether no later rows will come.
+    ahead : int
+        Rows that each waits for, at the most; where fewer than two measurements come within them, those before decide.
 
     Returns
     -------
@@ -141,8 +157,10 @@ def scan_outliers(  # noqa: PLR0913  (each by its name)
     _check(z, (z,), (codes,))
     values, ends = np.empty(len(z)), np.empty((len(z), 2), np.int64)
     room = values.ctypes.data, ends.ctypes.data, codes.ctypes.data
-    rows = z.ctypes.data, len(z), begun, whole
-    return int(kernel.scan_outliers(settings.ctypes.data, distance, stuck, *rows, *room))
+    rule, rows = (settings.ctypes.data, distance, stuck), (z.ctypes.data, len(z), begun)
+    if ahead < REACH:
+        return int(kernel.scan_outliers_soon(*rule, *rows, ahead, whole, *room))
+    return int(kernel.scan_outliers(*rule, *rows, whole, *room))
 
 
 def measure_distances(z: Floats) -> tuple[Floats, Floats]:

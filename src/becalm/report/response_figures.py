@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
 
 from becalm.cleaning.figures import response_of
+from becalm.cleaning.limits_entry import delay_to_smooth
 from becalm.cleaning.pipeline import clean
 from becalm.cleaning.recipe import ChannelRecipe, Recipe
 from becalm.cleaning.report import ChannelReport
@@ -149,5 +151,6 @@ def behaviour_of(channel: ChannelRecipe, report: ChannelReport, recipe: Recipe, 
     alone = motion is not None and channel.switching is None and not channel.parts[1:]
     if response is None or motion is None or not alone or not report.q_over_r:
         return Behaviour(channel, report, response, ())
-    waits = waiting_curve(motion.order, report.q_over_r, motion.noise_std**2, step_s)
-    return Behaviour(channel, report, response, waits)
+    curve = waiting_curve(motion.order, report.q_over_r, motion.noise_std**2, step_s)
+    waits = [replace(one, wait_s=step_s * delay_to_smooth(channel.limits, one.wait_s / step_s)) for one in curve]
+    return Behaviour(channel, report, response, tuple(waits))

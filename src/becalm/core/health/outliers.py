@@ -126,7 +126,7 @@ def plausible(rule: Outliers) -> NDArray[np.void]:
     """Return what a rule says of readings, as C's settings."""
     settings = np.zeros((), SETTINGS)
     settings["plausible_low"], settings["plausible_high"] = rule.low, rule.high
-    settings["repeats_are_one"] = rule.repeats_are_one
+    settings["repeats_are_one"], settings["outlier_distance"] = rule.repeats_are_one, rule.causal_distance
     return settings
 
 

@@ -10,6 +10,7 @@ import pyarrow.parquet as pq
 
 from becalm.cleaning.faults import SensorWatch
 from becalm.cleaning.filters import Filter
+from becalm.cleaning.limits_entry import rows_that_judge
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.core.arrays import Floats
 from becalm.core.verdict import judge
@@ -83,8 +84,9 @@ def _cuts(rows: int, length: int) -> tuple[int, ...]:
 def _first_readings(found: Opened) -> tuple[float, ...]:
     """Return the first reading of each channel that may enter its filter; NaN where there is none."""
     step_s, channels = found.source.clock.step_s, found.recipe.channel
-    first, waits = np.full(len(channels), np.nan), found.recipe.mode == "smoothed"
-    watches = [SensorWatch(one.limits, step_s, shown=False, waits=waits and one.motion is not None) for one in channels]
+    first, lag = np.full(len(channels), np.nan), None if found.recipe.mode == "smoothed" else 0  # a lag is not cut
+    ahead = [0 if one.motion is None else rows_that_judge(one.limits, lag) for one in channels]
+    watches = [SensorWatch(channels[c].limits, step_s, shown=False, ahead=ahead[c]) for c in range(len(channels))]
     largest = [_largest(channel, step_s) for channel in channels]
     for chunk in found.source.chunks(rows_of_chunks(found.source, len(channels))):
         for c, column in enumerate(columns_of(chunk, found.recipe)):

@@ -63,7 +63,7 @@ def cost_map(rows: ChannelRows, channel: ChannelRecipe) -> CostMap:
 
 def _stretches(rows: ChannelRows, channel: ChannelRecipe, tuning: Tuning) -> list[Evidence]:
     """Return a few stretches of the readings, without what a gate leaves out."""
-    readings, count = rows.healthy(channel.limits, waits=True).readings, len(rows)
+    readings, count = rows.healthy(channel.limits, None).readings, len(rows)
     length = MOST_READINGS if count <= MOST_READINGS else MOST_READINGS // _STRETCHES
     starts = [0] if count <= length else np.linspace(0, count - length, _STRETCHES).astype(int).tolist()
     gate = None if channel.gate is None else gate_of(channel.gate, rows.step_s)

@@ -146,9 +146,7 @@ class Painter:
             return
         spikes, limits, before = painted.clean.spikes, wanted.recipe.limits, self._gated.get(wanted.channel)
         if before is None or before.limits != limits or not np.array_equal(before.spikes, spikes):
-            self._gated = {
-                wanted.channel: _Gated(spikes, limits, rows.without(spikes, limits, waits=wanted.lag is None))
-            }
+            self._gated = {wanted.channel: _Gated(spikes, limits, rows.without(spikes, limits, wanted.lag))}
 
     def classic(self, wanted: PictureRequest, painted: Painted) -> bytes:
         """Paint a classic filter into a picture, as calm as the channel's own.
