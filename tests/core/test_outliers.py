@@ -222,7 +222,17 @@ def test_a_value_that_fills_in_ten_times_is_left_out_though_readings_jump_as_far
     limits = find_limits(z, np.ones(ROWS), 1.0, 0.005)
     assert np.flatnonzero(beside_others(z, limits.outliers, stuck_at_once(limits))).tolist() == [*range(1010, 1020)]
     lost = np.flatnonzero(Faults(limits).push(z, np.ones(ROWS)))
-    assert lost.tolist() == [*range(1011, 1020)], "causally all but the first"
+    assert lost.tolist() == [*range(1010, 1020)], "causally too: no reading of it comes to 0 at once"
+    z[1010:1020] = 0.25
+    lost = np.flatnonzero(Faults(limits).push(z, np.ones(ROWS)))
+    assert lost.tolist() == [*range(1011, 1020)], "the first of another value may be one"
+
+
+def test_a_0_that_others_lead_to_is_no_fill() -> None:
+    z, limits = stairs(), find_limits(stairs(), np.ones(ROWS), 1.0, 0.005)
+    z[1000:1010] = np.linspace(z[1000], 0.1, 10)
+    z[1010] = 0.0
+    assert not Faults(limits).push(z, np.ones(ROWS))[1010]
 
 
 def test_a_rest_that_comes_slowly_is_none() -> None:

@@ -79,6 +79,15 @@ static inline int rests(const settings_t *settings, const real *measured, const 
     return nearest == INFINITE || nearest <= (settings->plausible_high - settings->plausible_low) / REST_PARTS;
 }
 
+/* Return whether a 0 is what is written where no measurement came: no channel that hardly repeats a value, and was
+   nowhere near 0, comes to it exactly, and at once. */
+static inline int stands_for_none(const settings_t *settings, const limits_t *state, const real z) {
+    if (z != 0 || !settings->repeats_are_one || settings->stuck <= EVERY_REPEAT) return 0;
+    real neighbours[NEIGHBOURS];
+    const int count = recall(state->past, neighbours);
+    return fills_in(settings, z, state->past) && !rests(settings, neighbours, count);
+}
+
 /* Return whether a 0 that ends the range so far is a rest. */
 static inline int is_rest(const settings_t *settings, const limits_t *state) {
     if (state->least != 0 && state->most != 0) return 0;
@@ -127,7 +136,7 @@ static inline int judge(const settings_t *settings, limits_t *state, const real 
     const int counts = moved || state->run == 0;
     if (settings->outlier_distance < INFINITE) {
         if (!(settings->repeats_are_one && z == state->last_value)) {
-            state->outlier = is_far_from_past(settings, state, z);
+            state->outlier = is_far_from_past(settings, state, z) ? 1 : stands_for_none(settings, state, z) ? 2 : 0;
             if (counts) {
                 state->past[state->at] = z, state->waits[state->at] = state->since;
                 state->at = state->at + 1 < NEIGHBOURS ? state->at + 1 : 0;
