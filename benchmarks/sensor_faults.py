@@ -46,8 +46,8 @@ FOUND = (
     "|---|---|---|---|---|---|---|---|",
 )
 ALARMS = (
-    "| rate | asked, of all kinds, per hour | drift | dead | another noise, windows |",
-    "|---|---|---|---|---|",
+    "| rate | asked, of all kinds, per hour | drift | dead |",
+    "|---|---|---|---|",
 )
 
 

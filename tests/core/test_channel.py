@@ -33,7 +33,7 @@ from becalm.native.rows import COEFFICIENTS, MOST_STATES, SETTINGS
 from bits import assert_same_bits
 from hundred_digits import exact, exact_smoothed
 
-ALARMS = Alarms(drift_threshold=10.0, quiet_variance=0.5, loud_variance=2.0)
+ALARMS = Alarms(drift_threshold=10.0)
 COMPONENTS = {
     **{f"order {order}": motion(order, 0.1 ** (2 * order)) for order in range(1, 6)},
     **{f"damped {order}": returning_motion(order, 0.1 ** (2 * order), 0.02) for order in range(1, 4)},

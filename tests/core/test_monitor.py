@@ -58,10 +58,11 @@ def test_the_threshold_and_the_delay_are_of_one_law() -> None:
     assert cusum_delay(8.0, SLACK) == pytest.approx(cusum_delay(8.0, SLACK + 1e-4), rel=1e-2)
 
 
-def test_windows_are_judged_by_chi_square() -> None:
-    per_window = HOP / (3 * 3600 / STEP_S)
-    assert (WINDOW - 1) * ALARMS.quiet_variance == pytest.approx(chi2.ppf(per_window, WINDOW - 1), rel=1e-6)
-    assert (WINDOW - 1) * ALARMS.loud_variance == pytest.approx(chi2.isf(per_window, WINDOW - 1), rel=1e-6)
+@pytest.mark.parametrize("per_hour", [1.0, 1e-20, 1e-60, 1e-90])
+def test_a_dead_window_is_judged_by_chi_square_and_is_far_below_what_is_expected(per_hour: float) -> None:
+    per_window = per_hour * HOP / (3 * 3600 / STEP_S)
+    chance = chi2.ppf(per_window, WINDOW - 1) / (WINDOW - 1)
+    assert find_alarms(per_hour, STEP_S).dead_variance == pytest.approx(min(0.05, chance), rel=1e-6)
 
 
 @pytest.mark.parametrize("shift", [1.0, -1.0])
@@ -80,7 +81,7 @@ def test_a_shift_of_one_sigma_is_told_after_the_stated_delay(shift: float) -> No
 @pytest.mark.slow
 @pytest.mark.parametrize("rate_hz", [500, 10_000])
 def test_white_innovations_raise_no_more_alarms_than_asked(rate_hz: int) -> None:
-    """Sixty an hour of all kinds, each kind a third; what follows one change of noise is told once."""
+    """Sixty an hour of all kinds, each kind a third."""
     monitor, rng = InnovationMonitor(find_alarms(60.0, 1 / rate_hz)), np.random.default_rng(rate_hz)
     hours = 20 if rate_hz == 500 else 2
     drift = dead = 0
@@ -89,7 +90,6 @@ def test_white_innovations_raise_no_more_alarms_than_asked(rate_hz: int) -> None
         drift += int((codes == Verdict.DRIFT).sum())
         dead += int((codes == Verdict.DEAD).sum())
     assert drift <= poisson.ppf(0.999, 20 * hours)
-    assert monitor.louder.windows + monitor.quieter.windows <= poisson.ppf(0.999, 40 * hours) * 1.2
     assert dead == 0
 
 
@@ -108,20 +108,9 @@ def test_a_dead_sensor_behind_a_filter_is_told_within_the_stated_delay(ratio: fl
         assert (codes[int(6000 + ALARMS.dead_delay + settling) :] == Verdict.DEAD).all()
 
 
-def test_noise_that_doubles_is_told_with_when_and_how_much() -> None:
-    monitor = InnovationMonitor(ALARMS)
-    monitor.push(noise(20_000) * np.where(np.arange(20_000) < 6150, 1.0, 2.0))
-    assert 6150 <= monitor.louder.first_row <= 6150 + WINDOW + HOP
-    assert monitor.louder.noise_ratio == pytest.approx(2.0, rel=0.05)
-    assert monitor.louder.rows > 13_000
-    assert monitor.quieter.rows == 0
-
-
-def test_a_sensor_at_rest_is_quieter_and_not_dead() -> None:
-    monitor = InnovationMonitor(ALARMS)
-    codes = monitor.push(np.concatenate([noise(3000), 0.4 * noise(3000)]))
+def test_a_sensor_at_rest_is_not_dead() -> None:
+    codes = InnovationMonitor(ALARMS).push(np.concatenate([noise(3000), 0.4 * noise(3000)]))
     assert (codes != Verdict.DEAD).all()
-    assert monitor.quieter.noise_ratio == pytest.approx(0.4, rel=0.1)
 
 
 def test_a_rest_that_a_healthy_record_has_is_not_dead_and_no_noise_at_all_is() -> None:
@@ -130,19 +119,16 @@ def test_a_rest_that_a_healthy_record_has_is_not_dead_and_no_noise_at_all_is() -
     assert Verdict.DEAD in InnovationMonitor(find_alarms(1.0, STEP_S)).push(rests)
     monitor = InnovationMonitor(alarms)
     assert Verdict.DEAD not in monitor.push(rests)
-    assert monitor.quieter.noise_ratio == pytest.approx(0.05, rel=0.2)
     dead = np.flatnonzero(monitor.push(np.zeros(200)) == Verdict.DEAD)
     assert dead[0] < alarms.dead_delay
     assert find_alarms(1.0, STEP_S, np.zeros(200)).dead_variance == 0.0
 
 
 @pytest.mark.parametrize("size", [20.0, 1e300, np.inf])
-def test_single_spikes_are_no_drift_and_no_other_noise(size: float) -> None:
+def test_single_spikes_are_no_drift_and_no_death(size: float) -> None:
     x = noise(50_000)
     x[::1000] = size
-    monitor = InnovationMonitor(ALARMS)
-    assert (monitor.push(x) == Verdict.USED).all()
-    assert monitor.louder.rows + monitor.quieter.rows <= 2 * HOP  # a spike beside a loud window, once in a while
+    assert (InnovationMonitor(ALARMS).push(x) == Verdict.USED).all()
 
 
 def test_a_filter_that_follows_drift_hides_it_and_a_level_known_at_rest_shows_it() -> None:
@@ -158,7 +144,7 @@ def test_a_filter_that_follows_drift_hides_it_and_a_level_known_at_rest_shows_it
 
 
 VALUES = st.sampled_from([0.0, 0.1, 1.0, -1.0, 3.0, -3.0, np.nan, np.inf, -np.inf, 1e300, -1e300]) | st.floats()
-SENSITIVE = ALARMS._replace(drift_threshold=2.0, quiet_variance=0.8, loud_variance=1.2)
+SENSITIVE = ALARMS._replace(drift_threshold=2.0)
 
 
 @settings(max_examples=200)
@@ -174,7 +160,7 @@ def test_any_cuts_give_the_same_codes_and_the_same_finds(odd: list[tuple[int, fl
     parts = [cut.push(*pair) for pair in zip(np.split(x, cuts), np.split(elapsed, cuts), strict=True)]
     assert np.array_equal(np.concatenate(parts), whole.push(x, elapsed))
     assert (cut.found, cut.drift_since) == (whole.found, whole.drift_since)
-    assert (cut.louder, cut.quieter, cut.history.change()) == (whole.louder, whole.quieter, whole.history.change())
+    assert cut.history.change() == whole.history.change()
     assert Verdict.DEAD in whole.found
 
 

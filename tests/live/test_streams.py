@@ -133,7 +133,7 @@ def test_other_bytes_are_no_snapshot(blob: bytes) -> None:
 def test_a_snapshot_of_another_version_is_refused() -> None:
     arrays = unpacked(snapshot())
     arrays["told"][0] += 1
-    with pytest.raises(ModelError, match="version 8; this becalm reads 7"):
+    with pytest.raises(ModelError, match="version 9; this becalm reads 8"):
         StreamCleaner.resume(packed(arrays), RECIPE)
 
 

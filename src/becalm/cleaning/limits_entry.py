@@ -99,7 +99,7 @@ def alarms_of(told: LimitsRecipe | None) -> Alarms:
     """Return when a channel drifts or is dead; never where the recipe does not say."""
     drift = None if told is None else told.drift_threshold
     dead = None if told is None else told.dead_variance
-    return Alarms(NEVER if drift is None else drift, 0.0, np.inf, dead or 0.0)
+    return Alarms(NEVER if drift is None else drift, dead or 0.0)
 
 
 def with_rounding(

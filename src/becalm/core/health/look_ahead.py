@@ -13,7 +13,7 @@ from becalm.core.health.outliers import plausible
 from becalm.errors import ModelError
 from becalm.native.scans import REACH, SIDE, scan_outliers
 
-_SMOOTHED_BY = 9  # rows of a lag, at the least, where it has them: they are worth more than sooner verdicts
+_SMOOTHED_BY = 10  # rows of a lag, at the least, where it has them: they are worth more than sooner verdicts
 
 
 def rows_ahead(lag: int | None) -> int:

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from becalm.core.arrays import Codes, Floats, Integers, input_of
+from becalm.core.arrays import Booleans, Codes, Floats, Integers, input_of
 from becalm.core.health.aliveness import Aliveness
 from becalm.core.health.cusum import cusum_delay, cusum_threshold
 from becalm.core.health.faults import FaultCount, require_steps
@@ -29,8 +29,7 @@ NEVER = 1e12
 
 _DEAD = 0.05  # of the variance that was expected; what is quieter than chance but above only rests
 _THAN_REST = 0.25  # of the quietest window of a healthy record
-_ALARMS = 3  # of drift, of less noise, of more: each gets its share of the false alarms
-_CALM, _LOUD, _QUIET, SILENT = range(4)
+_ALARMS = 3  # of drift to either side, and of death: each gets its share of the false alarms
 
 
 class Alarms(NamedTuple):
@@ -40,15 +39,11 @@ class Alarms(NamedTuple):
     ----------
     drift_threshold : float
         h of the cumulative sum, in sigma; a *small* one finds a drift sooner, and more that are none.
-    quiet_variance, loud_variance : float
-        Variance of a window below or above which the noise has changed; those near 1 find less of a change.
     dead_variance : float
         Variance of a window below which the channel is dead; a *small* one lets it rest, 0 never calls it dead.
     """
 
     drift_threshold: float
-    quiet_variance: float
-    loud_variance: float
     dead_variance: float = _DEAD
 
     @property
@@ -62,7 +57,7 @@ class Alarms(NamedTuple):
         return WINDOW + HOP
 
 
-NO_ALARMS = Alarms(NEVER, 0.0, np.inf, 0.0)
+NO_ALARMS = Alarms(NEVER, 0.0)
 """Thresholds that no innovation reaches: nothing is watched."""
 
 
@@ -94,7 +89,7 @@ def find_alarms(false_alarms_per_hour: float, step_s: float, healthy: Floats | N
     The variance of a window about its mean is chi-square of WINDOW - 1 degrees of freedom; windows that
     overlap are counted as if they did not, which only makes false alarms fewer.
     """
-    from scipy.special import gammainccinv, gammaincinv
+    from scipy.special import gammaincinv
 
     if not (0 < false_alarms_per_hour < np.inf and 0 < step_s < np.inf):
         raise UsageError(
@@ -103,10 +98,10 @@ def find_alarms(false_alarms_per_hour: float, step_s: float, healthy: Floats | N
         )
     readings = max(_ALARMS * 3600 / (step_s * false_alarms_per_hour), 2.0 * WINDOW)
     p, half = HOP / readings, (WINDOW - 1) / 2
-    quiet, loud = float(gammaincinv(half, p)) / half, float(gammainccinv(half, p)) / half
+    quiet = float(gammaincinv(half, p)) / half
     rest = np.empty(0) if healthy is None else _variances(_window_spreads(_hops_of(healthy)))
     dead = min(_DEAD, quiet, _THAN_REST * float(rest.min(initial=np.inf)))
-    return Alarms(cusum_threshold(readings), quiet, loud, dead)
+    return Alarms(cusum_threshold(readings), dead)
 
 
 class _Watch:
@@ -140,21 +135,6 @@ def _variances(spreads: Integers) -> Floats:
     return np.asarray(spreads / float(WINDOW * (WINDOW - 1) * PARTS**2))
 
 
-class Excursion(NamedTuple):
-    """How the noise left what was expected: the windows of innovations that were too loud, or too quiet."""
-
-    rows: int = 0  # that followed such a window, until one that was as expected
-    first_row: int = 0
-    windows: int = 0
-    squares: int = 0  # WINDOW^2 times the variances of these windows, in parts^2
-
-    @property
-    def noise_ratio(self) -> float:
-        """Standard deviation there over the expected one; NaN of no windows. Innovations count up to 6 sigma."""
-        count = self.windows * WINDOW * (WINDOW - 1)
-        return float(np.sqrt(self.squares / count)) / PARTS if count else float("nan")
-
-
 class InnovationMonitor:
     """Watches the normalised innovations nu / sqrt(S) of one channel, in constant memory.
 
@@ -178,8 +158,6 @@ class InnovationMonitor:
         How large the innovations were, and when.
     powers : (up to 32,) float array
         Sums of squares of the last hops of 16 innovations, in sigma^2.
-    louder, quieter : Excursion
-        Where the noise was more, or less, than the filter expects. Quieter is no fault: machines rest.
     aliveness : Aliveness
         Whether no window can have been dead, wherever hops begin.
     """
@@ -187,13 +165,13 @@ class InnovationMonitor:
     def __init__(self, alarms: Alarms) -> None:
         self.alarms = alarms
         self.found: dict[Verdict, FaultCount] = {}
-        self.louder, self.quieter, self.aliveness = Excursion(), Excursion(), Aliveness(alarms.dead_variance)
+        self.aliveness = Aliveness(alarms.dead_variance)
         self.history = NoiseHistory()
         self.powers = np.empty(0)
         self._watch = _Watch(alarms.drift_threshold)
         self._rows = 0
         self._hops = np.zeros((2, 0), dtype=np.int64)  # sums, and sums of squares, of the last hops
-        self._state = _CALM
+        self._silent = False  # whether the last window was that of a dead channel
 
     @property
     def drift_since(self) -> int | None:
@@ -230,10 +208,10 @@ class InnovationMonitor:
         self.powers = np.append(self.powers, hops.powers)[-KEPT_HOPS:]
         sums = np.hstack([self._hops, hops[:2]])
         self.aliveness.add(sums)
-        states, spreads = self._judge(_window_spreads(sums), len(hops.steps))
+        silent = self._silences(_window_spreads(sums), len(hops.steps))
         self._hops = sums[:, -(WINDOW // HOP - 1) :].copy()
-        if self._state != _CALM or (states != _CALM).any():
-            self._tell(codes, np.flatnonzero(~np.isnan(normalised)), open_before, states, spreads)
+        if self._silent or silent.any():
+            self._mark(codes, np.flatnonzero(~np.isnan(normalised)), open_before, silent)
         for verdict in (Verdict.DRIFT, Verdict.DEAD) if codes.any() else ():
             if len(rows := np.flatnonzero(codes == verdict)):
                 self._count(verdict, rows, begun, elapsed)
@@ -243,7 +221,7 @@ class InnovationMonitor:
     @property
     def is_silent(self) -> bool:
         """Whether the last window was that of a dead channel."""
-        return self._state == SILENT
+        return self._silent
 
     def begin_after(self, innovations: int, rows: int, steps: float) -> None:
         """Say how much went before what will come, so that hops end, and rows are counted, as in the whole."""
@@ -253,7 +231,7 @@ class InnovationMonitor:
 
     def saved(self) -> dict[str, Any]:
         """Return what alarms depend on, as arrays; what was found so far is not among it."""
-        told = np.array([self._rows, self._state])
+        told = np.array([self._rows, int(self._silent)])
         watched = {"monitor_state": np.frombuffer(self._watch.state.tobytes(), np.int8)}
         return watched | {"monitor_hops": self._hops, "monitor_told": told, "monitor_powers": self.powers}
 
@@ -271,7 +249,8 @@ class InnovationMonitor:
             raise ModelError("What a snapshot remembers of innovations is not valid: pass what snapshot() returned.")
         self._watch.state = state
         self._hops, self.powers = arrays["monitor_hops"], arrays["monitor_powers"]
-        self._rows, self._state = arrays["monitor_told"].tolist()
+        rows, silent = arrays["monitor_told"].tolist()
+        self._rows, self._silent = rows, bool(silent)
 
     def comparable_state(self) -> dict[str, Floats]:
         """Return what later alarms depend on and nothing else; under `HOPS` what only matters to a dead channel."""
@@ -288,26 +267,14 @@ class InnovationMonitor:
         before = self.found[verdict]
         self.found[verdict] = before._replace(readings=before.readings + len(rows))
 
-    def _tell(self, codes: Codes, rows: Integers, open_before: int, states: Integers, spreads: Integers) -> None:
-        """Tell what the last whole window said when each innovation came, in these rows."""
-        said = np.append(self._state, states)[(open_before + 1 + np.arange(len(rows))) // HOP]
-        codes[rows[said == SILENT]] = Verdict.DEAD
-        self.louder = _joined(self.louder, self._rows + rows[said == _LOUD], spreads[states == _LOUD])
-        self.quieter = _joined(self.quieter, self._rows + rows[said == _QUIET], spreads[states == _QUIET])
-        self._state = int(said[-1]) if len(said) else self._state
+    def _mark(self, codes: Codes, rows: Integers, open_before: int, silent: Booleans) -> None:
+        """Write DEAD where the last whole window was that of a dead channel when an innovation came, in these rows."""
+        said = np.append(self._silent, silent)[(open_before + 1 + np.arange(len(rows))) // HOP]
+        codes[rows[said]] = Verdict.DEAD
+        self._silent = bool(said[-1]) if len(said) else self._silent
 
-    def _judge(self, about: Integers, count: int) -> tuple[Integers, Integers]:
-        """Return the states (count,) after the last hops, and the spreads of the windows that end there."""
-        states, spread = np.full(count, _CALM), np.zeros(count, dtype=np.int64)
-        variance = _variances(about)
-        said = np.where(variance > self.alarms.loud_variance, _LOUD, _CALM)
-        said[variance < self.alarms.quiet_variance] = _QUIET
-        said[variance < self.alarms.dead_variance] = SILENT
-        states[count - len(said) :], spread[count - len(said) :] = said, about
-        return states, spread
-
-
-def _joined(change: Excursion, rows: Integers, spread: Integers) -> Excursion:
-    first = change.first_row if change.rows or not len(rows) else int(rows[0])
-    squares = change.squares + sum(map(int, spread))
-    return Excursion(change.rows + len(rows), first, change.windows + len(spread), squares)
+    def _silences(self, about: Integers, count: int) -> Booleans:
+        """Return whether the windows that end with the last hops (count,) are those of a dead channel."""
+        silent = np.zeros(count, dtype=bool)
+        silent[count - len(about) :] = _variances(about) < self.alarms.dead_variance
+        return silent
