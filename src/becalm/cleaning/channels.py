@@ -28,7 +28,9 @@ from becalm.core.imm.comparable_state import comparable_state
 from becalm.core.rows import EstimatedRows, Judge
 from becalm.core.verdict import Verdict, counted
 from becalm.identification.choose import FEWEST_READINGS
-from becalm.metrics.running import PIECE, Running
+from becalm.metrics.running import Running
+
+_PIECE = 1 << 16  # rows whose innovations are judged at once: of fewer, calls take as long as sums
 
 
 class Channel(Protocol):
@@ -207,8 +209,8 @@ class CausalMotion:
     def push(self, z: Floats, elapsed: Floats) -> list[EstimatedRows]:
         """Take readings (B,) and the steps before them; return what is clean, in order."""
         found = self._channel.process(z, elapsed, states=self._split)
-        for start in range(0, len(z), PIECE):
-            piece = slice(start, start + PIECE)
+        for start in range(0, len(z), _PIECE):
+            piece = slice(start, start + _PIECE)
             self._look(found.innovation[piece], found.deviation[piece], elapsed[piece])
         self._rows += len(z)
         self._counts.update(counted(found.verdict))
