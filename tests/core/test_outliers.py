@@ -38,6 +38,11 @@ def found(z: Floats) -> list[int]:
     return np.flatnonzero(is_outlier(z, find_outlier_rule(z[np.isfinite(z)]))).tolist()
 
 
+def found_by(z: Floats, rule: Outliers) -> list[int]:
+    """Return the rows of outliers by both sides, as a known rule says."""
+    return np.flatnonzero(is_outlier(z, rule)).tolist()
+
+
 def found_causally(z: Floats, rule: Outliers) -> list[int]:
     codes = Faults(Limits(outliers=rule)).push(z, np.ones(len(z)))
     return np.flatnonzero(codes == Verdict.OUTLIER).tolist()
@@ -214,6 +219,16 @@ def test_an_implausible_reading_beside_a_jump_does_not_hide_there() -> None:
     rule = find_outlier_rule(z)
     assert not rule.low <= z[201] <= rule.high
     assert np.flatnonzero(is_outlier(z, rule)).tolist() == sorted([201, *range(50, 800, 50)])
+
+
+def test_outliers_in_an_empty_stretch_do_not_hide_each_other() -> None:
+    z = 5.0 + noise()
+    rule = find_outlier_rule(z)
+    z[1000:1200] = np.nan
+    z[[1013, 1015, 1094, 1132]] = -2.6e5, -250.0, 8198.0, -32760.0
+    assert found_by(z, rule) == [1013, 1015, 1094, 1132]
+    z[1100:1180:3] = -250.0 + noise(1, 27)  # a sensor that reads seldom, and is there
+    assert set(found_by(z, rule)) == {1013, 1094, 1132}
 
 
 def test_a_value_that_fills_in_ten_times_is_left_out_though_readings_jump_as_far() -> None:

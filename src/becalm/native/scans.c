@@ -108,12 +108,34 @@ static int is_amid(const settings_t *settings, const real distance, const real *
     return near;
 }
 
+/* Return whether a run is one measurement with none in the row before or after it. */
+static int is_alone(const int64_t *ends, const int64_t run, const int64_t runs) {
+    const int64_t row = ends[2 * run];
+    return ends[2 * run + 1] == row && (run == 0 || row - ends[2 * run - 1] > 1) &&
+           (run + 1 == runs || ends[2 * run + 2] - row > 1);
+}
+
+/* Leave out neighbours that are not plausible, and four times as far from a value as that is from what is; return how
+   many stay. */
+static int keep_supporting(const settings_t *settings, const real value, real *neighbours, const int count) {
+    const real low = settings->plausible_low, high = settings->plausible_high;
+    const real beyond = value < low ? low - value : value - high;
+    int kept = 0;
+    for (int k = 0; k < count; k++) {
+        const real other = neighbours[k];
+        if ((low <= other && other <= high) || fabs(other - value) <= NEARER * beyond) neighbours[kept++] = other;
+    }
+    return kept;
+}
+
 /* Return what the measurements of a run are, by its neighbours from a row on. */
 static int judge_run(const settings_t *settings, const real distance, const int64_t stuck, const real *values,
-                     const int64_t *ends, const int64_t run, const int64_t rows, const int64_t since, real *neighbours,
-                     const int count) {
+                     const int64_t *ends, const int64_t run, const int64_t runs, const int64_t rows,
+                     const int64_t since, real *neighbours, int count) {
     const real value = values[run];
     int away = value < settings->plausible_low || value > settings->plausible_high;
+    if (away && is_alone(ends, run, runs)) /* outliers in an empty stretch would hide each other in their spread */
+        count = keep_supporting(settings, value, neighbours, count);
     if (count >= FEWEST_NEIGHBOURS) {
         const int fills = stuck > 0 && rows >= SHORTEST_FILL && rows <= LONGEST_FILL;
         away = is_far(value, neighbours, count, fills ? distance / NEARER : distance,
@@ -142,7 +164,8 @@ int64_t scan_outliers(const settings_t *settings, const real distance, const int
             const int64_t measured = count_measured(z, first, last);
             if (missing && !whole && rows - 1 - first < REACH) return first;
             if (run == runs - 1 && measured < decided && !whole && rows - 1 - last < REACH) return first;
-            found = judge_run(settings, distance, stuck, values, ends, run, measured, first - REACH, neighbours, count);
+            found = judge_run(settings, distance, stuck, values, ends, run, runs, measured, first - REACH,
+                              neighbours, count);
         }
         for (int64_t row = first > begun ? first : begun; found && row <= last; row++)
             verdict[row] = (int8_t)(isnan(z[row]) ? USED : found);
@@ -168,7 +191,8 @@ int64_t scan_outliers_soon(const settings_t *settings, const real distance, cons
         const int count = gather(values, ends, run, runs, from, until, neighbours, &after, &missing);
         const int64_t measured = count_measured(z, first, last);
         const real far = after < FEWEST_AFTER ? settings->outlier_distance : distance;
-        verdict[row] = (int8_t)judge_run(settings, far, stuck, values, ends, run, measured, from, neighbours, count);
+        verdict[row] = (int8_t)judge_run(settings, far, stuck, values, ends, run, runs, measured, from, neighbours,
+                                        count);
     }
     return end > begun ? end : begun;
 }
