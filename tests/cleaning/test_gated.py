@@ -166,3 +166,21 @@ def test_what_is_no_gate_is_refused(wrong: str) -> None:
     text = recipe_with(None).to_toml() + f"\n[channel.gate]\n{wrong}\n"
     with pytest.raises(RecipeError, match="gate"):
         Recipe.from_toml(text)
+
+
+@pytest.mark.parametrize("causal", [True, False])
+@pytest.mark.parametrize("order", [3, 5])
+def test_jumps_that_follow_each_other_soon_leave_the_covariance_its_digits(order: int, causal: bool) -> None:
+    """A slow motion does not forget a jump before the next; each multiplied what the last one had added."""
+    rng, z, away = np.random.default_rng(0), np.full(400, 22.0), np.zeros(400, bool)
+    for start in range(150, 250, 12):
+        away[start : start + 6] = True
+    z = np.where(away, 490.0, 22.0) + 0.3 * rng.normal(size=400)
+    motion = ChannelRecipe(
+        name="a", unit="V", model="motion", order=order, process_noise_density=1.4, noise_std=0.3, damped_below_hz=0.11
+    ).model_copy(update={"gate": GateRecipe(false_alarms_per_hour=1.0, agree=4, at_most=4)})
+    recipe = Recipe(tuned_on=Origin(rate_hz=100.0), channel=(motion,))
+    out = clean(Recording(z, names=["a"], units=["V"], rate_hz=100.0), recipe, causal=causal)
+    signal, sigma = out.signal.samples[:, 0], out.sigma.samples[:, 0]
+    assert np.abs(signal[260:] - 22.0).max() < 1.5
+    assert ((sigma[1:] > 0.01) & (sigma[1:] < 5.0))[~away[1:]].all()

@@ -27,7 +27,7 @@ def with_jumps(component: Component, elapsed: Floats, z: Floats, verdicts: Codes
     """Return the timeline of a record (N,) of decided readings, in which each row that jumps follows a step of its own.
 
     What makes the innovation likely, rounded up to a power of 4, is added to the variance of the level; soon after
-    another jump to those of all states, in proportion.
+    another jump to those of all states, in proportion, but no more than what moves the next reading as far.
     """
     model, n = component.to_model(1.0, 1.0), len(component.drift)
     F, Q = (matrices.copy() for matrices in StepMatrices(component).over(elapsed))
@@ -40,12 +40,20 @@ def with_jumps(component: Component, elapsed: Floats, z: Floats, verdicts: Codes
             x, P = F[row] @ told.mean[-1], F[row] @ told.cov[-1] @ F[row].T + Q[row]
             square, hPh = (z[row] - (model.H @ x)[0]) ** 2, (model.H @ P @ model.H.T)[0, 0]
             level = since >= GATE.at_most
-            added = square * (np.arange(n) == 0) if level else min(square, WIDE) * np.diag(P) / hPh
-            Q[row] += np.diag(np.where(added > 0, 4.0 ** np.ceil(np.log2(np.maximum(added, 1e-300)) / 2), 0.0))
+            added = rounded_up(square * (np.arange(n) == 0) if level else min(square, WIDE) * np.diag(P) / hPh)
+            if not level:
+                room = rounded_up(min(square, WIDE) / (model.H @ F[row])[0] ** 2) - np.diag(P)
+                added = np.minimum(added, np.maximum(room, 0.0))
+            Q[row] += np.diag(added)
             since = 0 if level else 1 - n
         elif verdicts[row] == Verdict.USED:
             since += 1
     return Timeline(System(F, Q, model.H, model.R), np.arange(len(z) + 1), step, elapsed)
+
+
+def rounded_up(variance: Floats) -> Floats:
+    """Return the next powers of 4."""
+    return np.where(variance > 0, 4.0 ** np.ceil(np.log2(np.maximum(variance, 1e-300)) / 2), 0.0)
 
 
 def in_chunks(online: Online, z: Floats, cuts: list[int]) -> tuple[Floats, Floats, Codes]:

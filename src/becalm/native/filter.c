@@ -46,7 +46,7 @@ INLINE int filter_row(const int n, const settings_t *settings, const coefficient
                 verdict = SPIKE, complete = 0;
             else {
                 verdict = STEP;
-                jump(n, settings, model, state, nu, hPh);
+                jump(n, settings, model, state, F, nu, hPh);
                 times(n, state->P, h, Ph);
                 state->S = dot(n, h, Ph) + model->R;
             }

@@ -27,16 +27,21 @@ static inline real round_up(real variance) {
     return power;
 }
 
-/* Add to a predicted covariance what makes an innovation likely: to the level alone, or to all states alike. */
-static inline void jump(const int n, const settings_t *settings, const coefficients_t *model, filter_t *state, const real nu,
-                 const real hPh) {
+/* Add to a predicted covariance what makes an innovation likely: to the level alone, or to all states alike, but no more
+   than what moves the next measurement as far. Jumps that follow each other soon would multiply what the last one has
+   added, until no digit is left. */
+static inline void jump(const int n, const settings_t *settings, const coefficients_t *model, filter_t *state,
+                        const real *F, const real nu, const real hPh) {
     const int64_t level = state->since_jump >= settings->gate_most ? settings->gate_level : -1;
     const real most = WIDE * model->R, square = nu * nu < most ? nu * nu : most;
+    real g[N_MAX];
+    see_through(n, 1, model->h, F, g);
     for (int i = 0; i < n; i++) {
         real *P = state->P + i * n + i;
-        if (level < 0)
-            *P += hPh > 0 ? round_up(square * (*P / hPh)) : 0;
-        else if (i == level)
+        if (level < 0) {
+            const real more = hPh > 0 ? round_up(square * (*P / hPh)) : 0, room = round_up(square / (g[i] * g[i])) - *P;
+            *P += !(more > room) ? more : room > 0 ? room : 0;
+        } else if (i == level)
             *P += round_up(nu * nu / (model->h[i] * model->h[i]));
     }
     state->since_jump = level < 0 ? -n : -1;
