@@ -88,6 +88,19 @@ static inline int stands_for_none(const settings_t *settings, const limits_t *st
     return fills_in(settings, z, state->past) && !rests(settings, neighbours, count);
 }
 
+/* Return whether a channel may end at 0: it is not amid what was measured, the middle third of what is plausible. */
+static inline int ends_at_0(const settings_t *settings) {
+    const real low = settings->plausible_low, high = settings->plausible_high, third = (high - low) / 3;
+    return !(low + (1 + AMID) * third < 0 && 0 < high - (1 + AMID) * third);
+}
+
+/* Return whether a 0 that is an end of what was measured is held for so long that no other measurement is a neighbour:
+   the sensor rests, or is off, and reads 0 either way. */
+static inline int is_long_0(const settings_t *settings, const real z, const int64_t rows) {
+    const int known = settings->plausible_high - settings->plausible_low < INFINITE;
+    return z == 0 && rows >= REACH && settings->stuck != EVERY_REPEAT && known && ends_at_0(settings);
+}
+
 /* Return whether a 0 that ends the range so far is a rest. */
 static inline int is_rest(const settings_t *settings, const limits_t *state) {
     if (state->least != 0 && state->most != 0) return 0;
@@ -141,7 +154,9 @@ static inline int judge(const settings_t *settings, limits_t *state, const real 
                 state->past[state->at] = z, state->waits[state->at] = state->since;
                 state->at = state->at + 1 < NEIGHBOURS ? state->at + 1 : 0;
             }
-        } else if (state->outlier != 1 && moved) {
+        } else if (is_long_0(settings, z, state->run + 1))
+            state->outlier = 0;
+        else if (state->outlier != 1 && moved) {
             const int may_fill = settings->stuck > EVERY_REPEAT && state->run < LONGEST_FILL;
             state->outlier = may_fill && fills_in(settings, z, state->past) ? 2 : 0;
         }
@@ -151,8 +166,8 @@ static inline int judge(const settings_t *settings, limits_t *state, const real 
         state->last_value = z;
         state->least = z < state->least ? z : state->least;
         state->most = z > state->most ? z : state->most;
-        if (settings->stuck > 0 && state->run >= settings->stuck && !(z == 0 && is_rest(settings, state)))
-            verdict = STUCK;
+        const int rest = z == 0 && (is_rest(settings, state) || is_long_0(settings, z, state->run));
+        if (settings->stuck > 0 && state->run >= settings->stuck && !rest) verdict = STUCK;
     }
     if (state->outlier == 1 || (state->outlier && verdict != STUCK)) verdict = OUTLIER;
     state->since = 0;
@@ -176,7 +191,7 @@ static inline void reduce_limits(const settings_t *settings, limits_t *limits) {
         own.past[k] = limits->past[from], own.waits[k] = limits->waits[from];
     }
     own.at = 0;
-    const int64_t longest = settings->stuck > LONGEST_FILL ? settings->stuck : LONGEST_FILL;
+    const int64_t longest = settings->stuck > REACH ? settings->stuck : REACH;
     own.run = limits->run < longest ? limits->run : longest;
     own.least = limits->least < 0 ? -1 : 0, own.most = limits->most > 0; /* whether 0 would end the range */
     own.now = limits->now - limits->last, own.last = 0;

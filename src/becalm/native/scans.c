@@ -82,12 +82,6 @@ static int64_t find_runs(const real *z, const int64_t rows, const int repeats_ar
     return runs;
 }
 
-/* Return whether a channel may end at 0: it is not amid what was measured, the middle third of what is plausible. */
-static int ends_at_0(const settings_t *settings) {
-    const real low = settings->plausible_low, high = settings->plausible_high, third = (high - low) / 3;
-    return !(low + (1 + AMID) * third < 0 && 0 < high - (1 + AMID) * third);
-}
-
 static int64_t count_measured(const real *z, const int64_t first, const int64_t last) {
     int64_t count = 0;
     for (int64_t row = first; row <= last; row++) count += !isnan(z[row]);
@@ -134,6 +128,7 @@ static int judge_run(const settings_t *settings, const real distance, const int6
                      const int64_t since, real *neighbours, int count) {
     const real value = values[run];
     int away = value < settings->plausible_low || value > settings->plausible_high;
+    if (is_long_0(settings, value, rows)) return USED;
     if (away && is_alone(ends, run, runs)) /* outliers in an empty stretch would hide each other in their spread */
         count = keep_supporting(settings, value, neighbours, count);
     if (count >= FEWEST_NEIGHBOURS) {
@@ -163,7 +158,8 @@ int64_t scan_outliers(const settings_t *settings, const real distance, const int
             const int count = gather(values, ends, run, runs, first - REACH, first + REACH, neighbours, &after, &missing);
             const int64_t measured = count_measured(z, first, last);
             if (missing && !whole && rows - 1 - first < REACH) return first;
-            if (run == runs - 1 && measured < decided && !whole && rows - 1 - last < REACH) return first;
+            const int64_t needed = values[run] == 0 && decided < REACH ? REACH : decided;
+            if (run == runs - 1 && measured < needed && !whole && rows - 1 - last < REACH) return first;
             found = judge_run(settings, distance, stuck, values, ends, run, runs, measured, first - REACH,
                               neighbours, count);
         }
