@@ -23,6 +23,7 @@ from becalm.core.health.outliers import (
     is_outlier,
 )
 from becalm.core.verdict import Verdict
+from becalm.errors import ModelError
 from becalm.native.scans import REACH, SPREADS
 
 DATA = Path(__file__).parents[3] / "shared" / "data"
@@ -461,3 +462,21 @@ def test_no_reading_of_a_real_motion_is_an_outlier(file: str) -> None:
     for z in recording.samples.T:
         limits = find_limits(z, recording.timebase.elapsed_steps, 1.0, recording.timebase.step_s)
         assert found(z) == found_causally(z, limits.outliers) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "damaged"),
+    [
+        ("z", np.zeros(3)),
+        ("elapsed", -np.ones(3)),
+        ("codes", np.zeros(5)),
+        ("returned", np.zeros(1)),
+        ("returned", [7]),
+    ],
+)
+def test_rows_that_wait_and_are_not_those_of_a_lag_are_refused(name: str, damaged: object) -> None:
+    limits = Limits(outliers=find_outlier_rule(noise()))
+    ahead = LookAhead(limits, 3)
+    ahead.push(noise(rows=5), np.ones(5))
+    with pytest.raises(ModelError, match="rows that wait"):
+        LookAhead(limits, 3).restore(ahead.saved() | {f"ahead_{name}": damaged})

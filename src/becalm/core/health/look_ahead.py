@@ -69,11 +69,13 @@ class LookAhead:
 
     def restore(self, arrays: Mapping[str, Any]) -> None:
         """Take over what `saved` returned; raises a ModelError if it is not that of such rows."""
-        z, elapsed, codes = (np.array(arrays[f"ahead_{name}"]) for name in ("z", "elapsed", "codes"))
-        (returned,) = arrays["ahead_returned"].tolist()
-        alike = z.dtype == elapsed.dtype == np.float64 and codes.dtype == np.int8 and 0 <= returned <= REACH
-        if not (alike and z.shape == codes.shape == (z.size,) and elapsed.shape == (z.size - returned,)):
+        z, elapsed, codes, told = (np.array(arrays[f"ahead_{name}"]) for name in ("z", "elapsed", "codes", "returned"))
+        alike = z.dtype == elapsed.dtype == np.float64 and codes.dtype == np.int8 and told.dtype == np.int64
+        if not (alike and told.shape == (1,) and z.shape == codes.shape == (z.size,) and 0 <= told[0] <= REACH):
             raise ModelError("The snapshot's rows that wait are not those of this lag; pass what snapshot() returned.")
+        returned = int(told[0])
+        if not (elapsed.shape == (z.size - returned,) and (elapsed >= 0).all()):
+            raise ModelError("The snapshot's rows that wait go back in time, or are not all there; it is damaged.")
         self._z, self._seen, self._elapsed, self._far = z, self._possible(z), elapsed, codes
         self._returned = returned
 
