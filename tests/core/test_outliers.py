@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
+from itertools import pairwise, product
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +24,7 @@ from becalm.core.health.outliers import (
 )
 from becalm.core.verdict import Verdict
 from becalm.errors import ModelError
-from becalm.native.scans import REACH, SPREADS
+from becalm.native.scans import LONGEST_0, REACH, SPREADS
 
 DATA = Path(__file__).parents[3] / "shared" / "data"
 ROWS = 4000
@@ -72,8 +72,7 @@ def test_two_outliers_side_by_side_do_not_hide_each_other() -> None:
     assert found(z) == found_causally(z, find_outlier_rule(z)) == [500, 501, 1000, 1002]
 
 
-@pytest.mark.parametrize("value", [0.0, -999.0])
-@pytest.mark.parametrize("count", [1, 4, 10, 255])
+@pytest.mark.parametrize(("value", "count"), [*product([0.0, -999.0], [1, 4, 10, LONGEST_0 - 1]), (-999.0, 300)])
 def test_equal_readings_far_out_are_outliers(value: float, count: int) -> None:
     z = 9.81 + 0.02 * noise()
     z[1000 : 1000 + count] = value
@@ -258,10 +257,10 @@ def test_a_0_that_lasts_is_believed_by_a_recipe_that_knows_none() -> None:
     limits = find_limits(z, np.ones(ROWS), 1.0, 0.01)
     z[1000:] = 0.0
     causal = Faults(limits).push(z, np.ones(ROWS))
-    assert np.flatnonzero(causal).tolist() == [*range(1000, 1000 + REACH - 1)]
+    assert np.flatnonzero(causal).tolist() == [*range(1000, 1000 + LONGEST_0 - 1)]
     assert not beside_others(z, limits.outliers, stuck_at_once(limits)).any()
     soon = judged_soon(z, limits, 3, [1500])
-    assert np.flatnonzero(soon).tolist() == [*range(1000, 1000 + REACH - 4)]
+    assert np.flatnonzero(soon).tolist() == [*range(1000, 1000 + LONGEST_0 - 4)]
     z[1000:] = 50.0
     assert (Faults(limits).push(z, np.ones(ROWS))[1000:] > 0).all(), (
         "another value is that of a sensor that stands still"
@@ -359,14 +358,15 @@ def test_both_sides_tell_the_same_wherever_the_record_is_cut(
 
 
 def judged_soon(z: Floats, limits: Limits, ahead: int, cuts: list[int]) -> Codes:
-    """Judge a record cut so, each row by so many after it; the second half of its parts by what the first has saved."""
-    first, bounds = LookAhead(limits, ahead), [0, *cuts, len(z)]
-    parts = [first.push(z[a:b], np.ones(b - a)) for a, b in pairwise(bounds)]
-    again = LookAhead(limits, ahead)
-    again.restore(first.saved())
-    rows, _, codes = (np.concatenate(arrays) for arrays in zip(*parts, again.finish(), strict=True))
-    assert np.array_equal(rows, z, equal_nan=True)
+    """Judge a record that is cut so, each row by so many after it; each part goes on from what was saved before it."""
+    held, parts = LookAhead(limits, ahead), []
+    for a, b in pairwise([0, *cuts, len(z)]):
+        saved, held = held.saved(), LookAhead(limits, ahead)
+        held.restore(saved)
+        parts.append(held.push(z[a:b], np.ones(b - a)))
     assert sum(len(part[0]) for part in parts) == max(len(z) - ahead, 0), "no row waits for longer"
+    rows, _, codes = (np.concatenate(arrays) for arrays in zip(*parts, held.finish(), strict=True))
+    assert np.array_equal(rows, z, equal_nan=True)
     return np.asarray(codes, np.int8)
 
 
@@ -391,6 +391,24 @@ def test_few_rows_after_it_tell_an_outlier_from_a_step_and_a_fill_from_its_first
     codes = judged_soon(z, Limits(outliers=rule, stuck_readings=8), 3, [1])
     assert np.flatnonzero(codes).tolist() == [1000, 1002, 1007, *range(3000, 3010)]
     assert 2000 in found_causally(z, rule)
+
+
+def test_one_that_repeats_after_a_hole_is_judged_by_what_has_come() -> None:
+    hole = np.full(14, np.nan)
+    hole[[2, 4, 6, 8, 13]] = 5e6, -4e6, 3e6, 1000.0, 1000.0
+    z = np.concatenate([20.0 + noise(rows=100), hole, 20.0 + noise(1, 50)])
+    limits = Limits(outliers=Outliers(30.0, 60.0, 0.0, 40.0, True), stuck_readings=8)
+    assert np.array_equal(judged_soon(z, limits, 3, [*range(1, len(z))]), judged_soon(z, limits, 3, [1]))
+
+
+@pytest.mark.parametrize("every", [2, 4])
+def test_a_0_that_lasts_is_believed_where_rows_are_missing(every: int) -> None:
+    z = 100.0 + 0.02 * noise()
+    limits = Limits(outliers=find_outlier_rule(z)._replace(repeats_are_one=True), stuck_readings=8)
+    z[1000:] = 0.0
+    z[np.arange(ROWS) % every > 0] = np.nan
+    for codes in (judged_soon(z, limits, 3, [1500]), beside_others(z, limits.outliers, stuck_at_once(limits))):
+        assert not codes[1000 + LONGEST_0 :].any()
 
 
 def test_rows_without_readings_after_them_are_judged_by_those_before() -> None:

@@ -39,7 +39,7 @@ def delays(recipe: Recipe) -> dict[str, tuple[Delay, ...]]:
 
 def _judged(delay: Delay, channel: ChannelRecipe, step_s: float) -> Delay:
     """Return a delay with the rows for which a reading waits until it is judged."""
-    return replace(delay, wait_s=step_s * delay_to_smooth(channel.limits, delay.wait_s / step_s))
+    return replace(delay, wait_s=delay_to_smooth(channel.limits, delay.wait_s, step_s))
 
 
 def _curves(channel: ChannelRecipe, step_s: float) -> Iterator[tuple[str, Callable[[], tuple[Delay, ...]]]]:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.cleaning.figures import fixed_response
-from becalm.cleaning.limits_entry import rows_that_judge, rows_that_smooth
+from becalm.cleaning.limits_entry import rows_that_smooth
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.steps import in_steps
 from becalm.core.arrays import Floats
@@ -97,7 +97,7 @@ def _told_in_steps(tuning: Tuning, lag: int | None) -> tuple[float, float, float
     """Return bandwidth, lag and noise left of a motion with noise of 1; NaN where they are not told."""
     if lag:
         gain = _gain_of_lagged(tuning, lag)
-        return np.nan, float(lag), np.nan if gain is None else float(np.sqrt(gain))
+        return np.nan, np.nan, np.nan if gain is None else float(np.sqrt(gain))
     response = fixed_response(tuning, 1.0, lag == 0)
     if response is None:
         return np.nan, np.nan, np.nan
@@ -124,7 +124,7 @@ def told_of(channel: ChannelRecipe, step_s: float, lag: int | None) -> FilterSum
         return FilterSummary(noise_std=noise_std, order=order, says=f"a filter for each of its modes: {modes}")
     tuning = in_steps(channel.motion, step_s)
     if lag:
-        gain = _gain_of_lagged(tuning, lag - rows_that_judge(channel.limits, lag))
+        gain = _gain_of_lagged(tuning, rows_that_smooth(channel.limits, lag) or lag)
         if gain is None:
             return FilterSummary(None, lag * step_s, noise_std, None, None, order, _UNSETTLED)
         said = f"told {lag * step_s:.4g} s later, noise down {-decibels(gain):.1f} dB"

@@ -85,14 +85,14 @@ def rows_that_smooth(told: LimitsRecipe | None, lag: int | None) -> int | None:
     return None if lag is None else lag - rows_that_judge(told, lag)
 
 
-def delay_to_smooth(told: LimitsRecipe | None, rows: float) -> float:
-    """Return the least lag, in rows, of which so many are left to smooth with; inf for all."""
-    if not np.isfinite(rows):
-        return rows
-    lag = round(rows)
-    while lag - rows_that_judge(told, lag) < rows:
+def delay_to_smooth(told: LimitsRecipe | None, wait_s: float, step_s: float) -> float:
+    """Return the least lag, in seconds, of which so much is left to smooth with; inf for all."""
+    if not np.isfinite(wait_s):
+        return wait_s
+    wanted = lag = round(wait_s / step_s)
+    while lag - rows_that_judge(told, lag) < wanted:
         lag += 1
-    return float(lag)
+    return lag * step_s
 
 
 def alarms_of(told: LimitsRecipe | None) -> Alarms:

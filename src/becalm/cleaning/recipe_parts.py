@@ -129,10 +129,10 @@ class LimitsRecipe(Settings):
         Readings of a greater magnitude, in unit, are none, and count as missing; None for 1e100.
     outlier_distance : float or None
         Readings farther than this, in unit, and than 8 times their middle spread, from the median of three readings on
-        each side are gross outliers of a smoother, and count as missing; a *small* one finds more that are motion, None
-        finds none.
+        each side are gross outliers of a smoother, or of a lag of 13 rows or more, and count as missing; a *small* one
+        finds more that are motion, None finds none.
     causal_outlier_distance : float or None
-        The same, from the six readings before, of a filter that waits for none after.
+        The same, from the six readings before, of a filter that waits for none after, or for too few.
     plausible_low, plausible_high : float or None
         Range of plausible readings, in unit: outside it a first or a single reading is a gross outlier, and an estimate
         ran away; a *narrow* one trusts the record that it was tuned on.

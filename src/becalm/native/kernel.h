@@ -31,6 +31,7 @@ enum { REACH = 256 };       /* rows beyond which a measurement is no neighbour *
 enum { SPREADS = 8 };       /* of its neighbours, that an outlier is away from their median */
 enum { REST_PARTS = 36 };   /* of what is plausible: a channel that came as near to 0 as one of them may rest there */
 enum { SHORTEST_FILL = 3, LONGEST_FILL = 64 }; /* rows of one value that fill in for measurements */
+enum { LONGEST_0 = 128 };   /* rows of 0, beyond which it is what the sensor reads */
 enum { EVERY_REPEAT = 2 };  /* equal measurements in a row that are stuck where a channel holds its last one */
 enum { PARTS = 1 << 16 };   /* of a sigma: innovations are summed in whole ones, so that sums are exact */
 enum { MOST_SIGMA = 6 };    /* what one innovation may say */

@@ -94,11 +94,11 @@ static inline int ends_at_0(const settings_t *settings) {
     return !(low + (1 + AMID) * third < 0 && 0 < high - (1 + AMID) * third);
 }
 
-/* Return whether a 0 that is an end of what was measured is held for so long that no other measurement is a neighbour:
-   the sensor rests, or is off, and reads 0 either way. */
+/* Return whether a 0 that is an end of what is plausible is held for longer than measurements fail to come: the sensor
+   rests, or is off, and reads 0 either way. */
 static inline int is_long_0(const settings_t *settings, const real z, const int64_t rows) {
     const int known = settings->plausible_high - settings->plausible_low < INFINITE;
-    return z == 0 && rows >= REACH && settings->stuck != EVERY_REPEAT && known && ends_at_0(settings);
+    return z == 0 && rows >= LONGEST_0 && known && ends_at_0(settings);
 }
 
 /* Return whether a 0 that ends the range so far is a rest. */
@@ -191,7 +191,7 @@ static inline void reduce_limits(const settings_t *settings, limits_t *limits) {
         own.past[k] = limits->past[from], own.waits[k] = limits->waits[from];
     }
     own.at = 0;
-    const int64_t longest = settings->stuck > REACH ? settings->stuck : REACH;
+    const int64_t longest = settings->stuck > LONGEST_0 ? settings->stuck : LONGEST_0;
     own.run = limits->run < longest ? limits->run : longest;
     own.least = limits->least < 0 ? -1 : 0, own.most = limits->most > 0; /* whether 0 would end the range */
     own.now = limits->now - limits->last, own.last = 0;

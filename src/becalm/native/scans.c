@@ -2,7 +2,7 @@
 #include "limits.h"
 #include "monitor.h"
 
-#define FEWEST_AFTER 2 /* measurements after one; with fewer it is judged as where none is waited for */
+#define FEWEST_AFTER 2 /* runs of equal measurements after one; with fewer it is judged by those before */
 
 void scan_start(limits_t *limits, watched_t *watched) {
     start_limits(limits);
@@ -102,15 +102,14 @@ static int is_amid(const settings_t *settings, const real distance, const real *
     return near;
 }
 
-/* Return whether a run is one measurement with none in the row before or after it. */
+/* Return whether there is no measurement in the row before or after a run of one. */
 static int is_alone(const int64_t *ends, const int64_t run, const int64_t runs) {
     const int64_t row = ends[2 * run];
-    return ends[2 * run + 1] == row && (run == 0 || row - ends[2 * run - 1] > 1) &&
-           (run + 1 == runs || ends[2 * run + 2] - row > 1);
+    return (run == 0 || row - ends[2 * run - 1] > 1) && (run + 1 == runs || ends[2 * run + 2] - row > 1);
 }
 
-/* Leave out neighbours that are not plausible, and four times as far from a value as that is from what is; return how
-   many stay. */
+/* Leave out neighbours that are not plausible, and more than four times as far from a value as that is from what is;
+   return how many stay. */
 static int keep_supporting(const settings_t *settings, const real value, real *neighbours, const int count) {
     const real low = settings->plausible_low, high = settings->plausible_high;
     const real beyond = value < low ? low - value : value - high;
@@ -128,8 +127,7 @@ static int judge_run(const settings_t *settings, const real distance, const int6
                      const int64_t since, real *neighbours, int count) {
     const real value = values[run];
     int away = value < settings->plausible_low || value > settings->plausible_high;
-    if (is_long_0(settings, value, rows)) return USED;
-    if (away && is_alone(ends, run, runs)) /* outliers in an empty stretch would hide each other in their spread */
+    if (away && rows == 1 && is_alone(ends, run, runs)) /* outliers in an empty stretch would hide each other in their spread */
         count = keep_supporting(settings, value, neighbours, count);
     if (count >= FEWEST_NEIGHBOURS) {
         const int fills = stuck > 0 && rows >= SHORTEST_FILL && rows <= LONGEST_FILL;
@@ -158,10 +156,11 @@ int64_t scan_outliers(const settings_t *settings, const real distance, const int
             const int count = gather(values, ends, run, runs, first - REACH, first + REACH, neighbours, &after, &missing);
             const int64_t measured = count_measured(z, first, last);
             if (missing && !whole && rows - 1 - first < REACH) return first;
-            const int64_t needed = values[run] == 0 && decided < REACH ? REACH : decided;
-            if (run == runs - 1 && measured < needed && !whole && rows - 1 - last < REACH) return first;
-            found = judge_run(settings, distance, stuck, values, ends, run, runs, measured, first - REACH,
-                              neighbours, count);
+            const int undecided = measured < decided || (values[run] == 0 && last - first + 1 < LONGEST_0);
+            if (run == runs - 1 && undecided && !whole && rows - 1 - last < REACH) return first;
+            if (!is_long_0(settings, values[run], last - first + 1))
+                found = judge_run(settings, distance, stuck, values, ends, run, runs, measured, first - REACH,
+                                  neighbours, count);
         }
         for (int64_t row = first > begun ? first : begun; found && row <= last; row++)
             verdict[row] = (int8_t)(isnan(z[row]) ? USED : found);
@@ -185,6 +184,7 @@ int64_t scan_outliers_soon(const settings_t *settings, const real distance, cons
         real neighbours[NEIGHBOURS];
         int after, missing;
         const int count = gather(values, ends, run, runs, from, until, neighbours, &after, &missing);
+        if (is_long_0(settings, values[run], last - first + 1)) continue;
         const int64_t measured = count_measured(z, first, last);
         const real far = after < FEWEST_AFTER ? settings->outlier_distance : distance;
         verdict[row] = (int8_t)judge_run(settings, far, stuck, values, ends, run, runs, measured, from, neighbours,

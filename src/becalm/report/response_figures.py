@@ -152,5 +152,5 @@ def behaviour_of(channel: ChannelRecipe, report: ChannelReport, recipe: Recipe, 
     if response is None or motion is None or not alone or not report.q_over_r:
         return Behaviour(channel, report, response, ())
     curve = waiting_curve(motion.order, report.q_over_r, motion.noise_std**2, step_s)
-    waits = [replace(one, wait_s=step_s * delay_to_smooth(channel.limits, one.wait_s / step_s)) for one in curve]
+    waits = [replace(one, wait_s=delay_to_smooth(channel.limits, one.wait_s, step_s)) for one in curve]
     return Behaviour(channel, report, response, tuple(waits))

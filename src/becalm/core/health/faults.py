@@ -45,7 +45,7 @@ class Faults:
     Notes
     -----
     A reading of 0 that is the least, or the greatest, so far is not stuck however long it is held: speeds
-    and loads rest there.
+    and loads rest there. Nor is one that is held for 128 readings, where 0 is not amid what is plausible.
     """
 
     def __init__(self, limits: Limits) -> None:

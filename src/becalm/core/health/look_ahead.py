@@ -26,8 +26,8 @@ def rows_ahead(lag: int | None) -> int:
 class LookAhead:
     """Holds rows of one channel until those after them have come that tell outliers.
 
-    A smoother's wait for three readings, or `REACH` rows, and are returned in whole blocks, as it takes them; those of
-    a lag for so many rows. They are the same for any cut of the record.
+    A smoother's wait for three readings, or `REACH` rows, those of a run until it tells what it is; they are returned
+    in whole blocks, as it takes them. Those of a lag wait for so many rows. They are the same for any cut of a record.
 
     Parameters
     ----------
