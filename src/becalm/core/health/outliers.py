@@ -75,8 +75,7 @@ def find_outlier_rule(z: Floats, *, held: bool = False) -> Outliers:
     repeats = np.zeros(len(seen), bool)
     repeats[1:] = seen[1:] == seen[:-1]
     runs = np.count_nonzero(repeats[1:] & ~repeats[:-1])  # of equal readings
-    rests = np.count_nonzero(seen == 0) > _MOST * len(seen)  # at 0: what comes so often is no exception
-    are_one = held or bool(runs < _RARE * np.count_nonzero(~repeats) and not rests)
+    are_one = held or (runs < _RARE * np.count_nonzero(~repeats) and not _rests_at_0(seen))
     values = seen[~repeats] if held else _that_vary(seen, repeats) if are_one else seen
     if len(values) < _FEWEST:
         return NO_OUTLIERS
@@ -91,6 +90,15 @@ def find_outlier_rule(z: Floats, *, held: bool = False) -> Outliers:
     low, high = np.sort(kept)[[hidden, -1 - hidden]].tolist()
     margin = max(high - low, causal)
     return Outliers(distance, causal, low - margin, high + margin, are_one, blank)
+
+
+def _rests_at_0(z: Floats) -> bool:
+    """Return whether 0 comes too often to be an exception, and does not lie in the middle third of what else comes."""
+    others = z[z != 0]
+    if not len(others) or len(z) - len(others) <= _MOST * len(z):
+        return False
+    low, high = np.quantile(others, (_MOST / 10, 1 - _MOST / 10)).tolist()
+    return not low + (high - low) / 3 < 0 < high - (high - low) / 3
 
 
 def _that_vary(z: Floats, repeats: Booleans) -> Floats:
