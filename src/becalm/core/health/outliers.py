@@ -75,7 +75,7 @@ def find_outlier_rule(z: Floats, *, held: bool = False) -> Outliers:
     repeats = np.zeros(len(seen), bool)
     repeats[1:] = seen[1:] == seen[:-1]
     runs = np.count_nonzero(repeats[1:] & ~repeats[:-1])  # of equal readings
-    are_one = held or (runs < _RARE * np.count_nonzero(~repeats) and not _rests_at_0(seen))
+    are_one = held or bool(runs < _RARE * np.count_nonzero(~repeats) and not _rests_at_0(seen))
     values = seen[~repeats] if held else _that_vary(seen, repeats) if are_one else seen
     if len(values) < _FEWEST:
         return NO_OUTLIERS
