@@ -190,3 +190,17 @@ def test_a_dial_or_a_lag_keeps_the_limits() -> None:
     lagged = tune(recording(walk(12)), wishes=Wishes(lag_s=0.05)).channel[0].limits
     assert lagged is not None
     assert lagged.stuck_readings is not None
+
+
+@pytest.mark.parametrize("causal", [True, False])
+@pytest.mark.parametrize("low", [-999.0, 4.0])
+def test_what_is_left_out_too_often_to_be_an_exception_is_not_described(low: float, causal: bool) -> None:
+    """A level that a channel rests at cannot be told from what is written for nothing, unless it is 0."""
+    z = 12.0 + 0.02 * np.random.default_rng(0).normal(size=4000)
+    z[:30], z[1000:1200] = low, low
+    few = clean(Recording(z, rate_hz=100.0), causal=causal)
+    z[2000:2500] = low
+    many = clean(Recording(z, rate_hz=100.0), causal=causal)
+    assert few.describes
+    assert not many.describes
+    assert "730 of 4000 readings were left out" in many.reports[0].says

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import fields
+from dataclasses import fields, replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -17,6 +17,7 @@ from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.report import ChannelReport
 from becalm.cleaning.slopes import said_of_times
 from becalm.cleaning.steps import SOON
+from becalm.core.health.outliers import MOST_OUTLIERS
 from becalm.core.verdict import ADVICE, Verdict
 from becalm.identification.trust.excess import excess_error
 
@@ -46,6 +47,7 @@ def report_of(recipe: ChannelRecipe, step_s: float, lag: int | None, found: Filt
         figures = fixed_figures(tuning.counted_in(own), step_s * own, lag)
     smooths = (lag is None or lag > SOON) and figures.removes_noise
     judged = found.judged.judgement(partial(excess_error, tuning.counted_in(own)) if smooths else None)
+    judged = _doubted(judged, recipe, found.counts)
     says = f"{judged.says} {_NOTHING_REMOVED}" if figures.removes_nothing else judged.says
     says = " ".join([says, *said_of_times(recipe.timing, found.timing_share or 0.0)])
     return ChannelReport(
@@ -74,6 +76,19 @@ def report_of(recipe: ChannelRecipe, step_s: float, lag: int | None, found: Filt
         faults=found.findings.faults(),
         says=with_advice(says, found.counts, found.findings.says()),
     )
+
+
+def _doubted(judged: Judgement, recipe: ChannelRecipe, counts: Counter[Verdict]) -> Judgement:
+    """Return a judgement that says so where more readings were left out than exceptions are."""
+    left_out, readings = counts[Verdict.OUTLIER] + counts[Verdict.CLIPPED], counts.total() - counts[Verdict.MISSING]
+    fills_in = recipe.limits is not None and recipe.limits.blank is not None
+    if fills_in or not judged.describes or left_out <= MOST_OUTLIERS * readings:
+        return judged
+    says = (
+        f"The model does not describe this signal: {left_out} of {readings} readings were left out as outliers, or as"
+        " clipped, which is more than exceptions are. Look whether they are what the channel reads."
+    )
+    return replace(judged, verdict="does not fit", says=says)
 
 
 def _tones_hz(recipe: ChannelRecipe, *, disturbance: bool) -> tuple[float, ...]:

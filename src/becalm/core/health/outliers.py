@@ -43,10 +43,12 @@ class Outliers(NamedTuple):
 NO_OUTLIERS = Outliers()
 """A rule that finds no outlier."""
 
+MOST_OUTLIERS = 0.1
+"""Share of the readings beyond which they are no exceptions."""
+
 _FEWEST = 8  # readings that tell how far they jump
 _NOISES = 30.0  # standard deviations of the noise that a gross outlier is away, at the least
 _OF_NOISE, _LARGE_OF_NOISE = 0.745, 1.82  # of white noise: the median distance from neighbours, and that of one in ten
-_MOST = 0.1  # share of the readings beyond which they are no exceptions
 _AS_FAR, _MOST_MOVE = 1 / 3, 0.1  # times an outlier's distance, that hardly any reading of motion is away; their share
 _NEARLY = 0.8  # times the spread of its neighbours that motion is away, which may be taken for an outlier
 _MANY, _NEARER = 8, 3.0  # outliers, of which there are others that are so many times nearer
@@ -82,7 +84,7 @@ def find_outlier_rule(z: Floats, *, held: bool = False) -> Outliers:
     distances, spreads = distances_of(values)
     distance = _least_distance(distances, spreads)
     kept = _without_outliers(values, distances, spreads, distance)
-    if not 0 < distance < np.inf or len(values) - len(kept) > max(_MOST * len(values), 1):
+    if not 0 < distance < np.inf or len(values) - len(kept) > max(MOST_OUTLIERS * len(values), 1):
         return NO_OUTLIERS._replace(blank=blank)
     jumps, hidden = measure_jumps(input_of(kept)), int(_HIDDEN * (len(values) - len(kept)))
     largest = float(np.sort(jumps)[: max(len(jumps) - hidden, 1)].max(initial=0.0))
@@ -95,9 +97,9 @@ def find_outlier_rule(z: Floats, *, held: bool = False) -> Outliers:
 def _rests_at_0(z: Floats) -> bool:
     """Return whether 0 comes too often to be an exception, and does not lie in the middle third of what else comes."""
     others = z[z != 0]
-    if not len(others) or len(z) - len(others) <= _MOST * len(z):
+    if not len(others) or len(z) - len(others) <= MOST_OUTLIERS * len(z):
         return False
-    low, high = np.quantile(others, (_MOST / 10, 1 - _MOST / 10)).tolist()
+    low, high = np.quantile(others, (MOST_OUTLIERS / 10, 1 - MOST_OUTLIERS / 10)).tolist()
     return not low + (high - low) / 3 < 0 < high - (high - low) / 3
 
 
@@ -153,7 +155,9 @@ def _least_distance(distances: Floats, spreads: Floats) -> float:
     some = distances[distances > 0]
     if not len(some):
         return 0.0
-    usual, large = np.quantile(distances, (0.5, 1 - _MOST), method="lower")  # of few readings one may be an outlier
+    usual, large = np.quantile(
+        distances, (0.5, 1 - MOST_OUTLIERS), method="lower"
+    )  # of few readings one may be an outlier
     least = float(max(_NOISES / _OF_NOISE * usual, _NOISES / _LARGE_OF_NOISE * large, _NOISES * some.min()))
     alone = distances > SPREADS * spreads
     least /= _NEARER if np.count_nonzero(alone & (distances > least)) >= _MANY else 1.0
