@@ -155,9 +155,8 @@ def _least_distance(distances: Floats, spreads: Floats) -> float:
     some = distances[distances > 0]
     if not len(some):
         return 0.0
-    usual, large = np.quantile(
-        distances, (0.5, 1 - MOST_OUTLIERS), method="lower"
-    )  # of few readings one may be an outlier
+    shares = 0.5, 1 - MOST_OUTLIERS  # of few readings one may be an outlier
+    usual, large = np.quantile(distances, shares, method="lower")
     least = float(max(_NOISES / _OF_NOISE * usual, _NOISES / _LARGE_OF_NOISE * large, _NOISES * some.min()))
     alone = distances > SPREADS * spreads
     least /= _NEARER if np.count_nonzero(alone & (distances > least)) >= _MANY else 1.0
