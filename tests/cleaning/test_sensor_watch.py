@@ -7,7 +7,7 @@ import pytest
 
 from becalm.cleaning.cleaner import Cleaner
 from becalm.cleaning.faults import SensorWatch, find_healthy
-from becalm.cleaning.limits_entry import limits_of
+from becalm.cleaning.limits_entry import limits_of, rows_that_judge
 from becalm.cleaning.pipeline import clean
 from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
 from becalm.cleaning.recipe_parts import LimitsRecipe
@@ -204,3 +204,11 @@ def test_what_is_left_out_too_often_to_be_an_exception_is_not_described(low: flo
     assert few.describes
     assert not many.describes
     assert "730 of 4000 readings were left out" in many.reports[0].says
+
+
+def test_a_smoother_without_a_distance_of_its_own_finds_no_outlier() -> None:
+    """That of a causal filter, which a recipe may have beside it, is none of its."""
+    z = np.random.default_rng(0).normal(size=400)
+    z[200] = 1e3
+    watch = SensorWatch(LimitsRecipe(causal_outlier_distance=30.0), 0.01, ahead=rows_that_judge(None, None))
+    assert watch.push(z, np.ones(400))[0] is z

@@ -194,7 +194,7 @@ class SensorWatch:
 
     def __init__(self, told: LimitsRecipe | None, step_s: float, *, shown: bool = True, ahead: int = 0) -> None:
         limits = limits_of(told)
-        self._ahead = LookAhead(limits, ahead) if ahead else None
+        self._ahead = LookAhead(limits, ahead) if ahead and limits.outliers.distance < np.inf else None
         if ahead:
             limits = limits._replace(outliers=limits.outliers.without_neighbours)
         self._faults, self.monitor, self._shown = Faults(limits), InnovationMonitor(alarms_of(told)), shown

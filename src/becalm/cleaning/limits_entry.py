@@ -77,7 +77,7 @@ def limits_of(told: LimitsRecipe | None) -> Limits:
 
 def rows_that_judge(told: LimitsRecipe | None, lag: int | None) -> int:
     """Return for how many later rows a reading waits until it is judged, of a lag in rows (None: all); 0 for none."""
-    return rows_ahead(lag) if np.isfinite(limits_of(told).outliers.distance) else 0
+    return rows_ahead(lag) if lag is None or np.isfinite(limits_of(told).outliers.distance) else 0
 
 
 def rows_that_smooth(told: LimitsRecipe | None, lag: int | None) -> int | None:
