@@ -55,6 +55,13 @@ def test_readings_on_no_lattice_have_no_resolution(z: Floats) -> None:
     assert find_resolution(z) == 0.0
 
 
+def test_a_few_wild_readings_off_the_codes_hide_no_step() -> None:
+    z = 0.25 * np.round(noise() / 0.25)
+    z[::100] += 2.0 ** (np.arange(len(z[::100])) % 20) * 1.234567 + 1e-3 * noise(1)[::100]
+    assert find_resolution(z) == 0.25
+    assert find_resolution(noise()) == 0.0
+
+
 def test_runs_are_counted() -> None:
     assert run_lengths(np.array([1.0, 1, 2, 3, 3, 3])).tolist() == [2, 1, 3]
     assert run_lengths(np.empty(0)).tolist() == []

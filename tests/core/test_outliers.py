@@ -267,6 +267,37 @@ def test_a_0_that_lasts_is_believed_by_a_recipe_that_knows_none() -> None:
     )
 
 
+@pytest.mark.parametrize(
+    "z",
+    [
+        20.0 + noise(),  # 0 is as near as readings jump by
+        np.round(20.0 + 5 * np.sin(np.arange(ROWS) / 30.0) + 0.1 * noise(), 1),  # that repeat
+        np.repeat(20.0 + noise(), 3)[:ROWS],  # of a slower sensor
+        np.where(np.arange(ROWS) % 10, np.nan, 20.0 + 0.1 * noise()),  # that come seldom
+    ],
+    ids=["noise", "codes", "slower", "seldom"],
+)
+def test_a_0_stands_for_none_where_no_reading_is_near_it(z: Floats) -> None:
+    z[1000:1010], seen = 0.0, np.isfinite(z)
+    z[~seen & (np.arange(ROWS) < 1010) & (np.arange(ROWS) >= 1000)] = 0.0
+    elapsed = np.diff(np.flatnonzero(np.isfinite(z)), prepend=0).astype(float)
+    limits = find_limits(z[np.isfinite(z)], elapsed, 1.0, 0.005)
+    fills = [*range(1000, 1010)]
+    assert np.flatnonzero(beside_others(z, limits.outliers, stuck_at_once(limits)) == Verdict.OUTLIER).tolist() == fills
+    assert np.flatnonzero(Faults(limits).push(z, np.ones(ROWS)) == Verdict.OUTLIER).tolist() == fills
+
+
+def test_a_0_that_is_a_code_as_any_other_is_a_reading() -> None:
+    """On both sides of it, or near to it."""
+    square = np.round(40 * np.sign(np.sin(np.arange(ROWS) / 100.0)) + noise())
+    for z in (square, np.round(8.0 + 2 * np.sin(np.arange(ROWS) / 100.0) + noise())):
+        assert find_outlier_rule(z[1:]).nearest_to_0 == 0
+    z = np.append(np.linspace(20, 0, ROWS), np.zeros(50))
+    rule = find_outlier_rule(20.0 + 0.1 * noise())
+    assert rule.nearest_to_0 > 19
+    assert not Faults(Limits(outliers=rule._replace(distance=1e3, causal_distance=1e3))).push(z, np.ones(len(z))).any()
+
+
 def test_a_0_that_others_lead_to_is_no_fill() -> None:
     z, limits = stairs(), find_limits(stairs(), np.ones(ROWS), 1.0, 0.005)
     z[1000:1010] = np.linspace(z[1000], 0.1, 10)

@@ -29,7 +29,6 @@ enum {
 enum { NEIGHBOURS = 6, SIDE = 3, FEWEST_NEIGHBOURS = 3 }; /* measurements that a gross outlier is held against */
 enum { REACH = 256 };       /* rows beyond which a measurement is no neighbour */
 enum { SPREADS = 8 };       /* of its neighbours, that an outlier is away from their median */
-enum { REST_PARTS = 36 };   /* of what is plausible: a channel that came as near to 0 as one of them may rest there */
 enum { SHORTEST_FILL = 3, LONGEST_FILL = 64 }; /* rows of one value that fill in for measurements */
 enum { LONGEST_0 = 128 };   /* rows of 0, beyond which it is what the sensor reads */
 enum { EVERY_REPEAT = 2 };  /* equal measurements in a row that are stuck where a channel holds its last one */
@@ -52,6 +51,7 @@ typedef struct {
     real plausible_low, plausible_high; /* first measurements, and estimates, in unit */
     int64_t repeats_are_one;  /* whether equal measurements in a row count as one */
     real blank;               /* what is written where there is no measurement; inf where nothing is */
+    real nearest_to_0;        /* that measurements come which are not 0, in unit; 0: a 0 is a measurement as any other */
     /* gaps that are bridged, in steps */
     real longest_gap;
     real gap_spans;           /* times the time that the measurements before span */

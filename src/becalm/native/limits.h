@@ -11,6 +11,7 @@
 #define NEARER ((real)4)        /* times that a value which fills in for measurements is nearer */
 #define FARTHEST ((real)1000)   /* times the range of what is plausible: farther away is no motion of the channel */
 #define MOST_IMPOSSIBLE 50      /* values in a row that are so far away; those after them are believed */
+#define NEAR_0 ((real)0.5)      /* of how near measurements come to 0: nearer ones lead there */
 #define AMID ((real)0.01)       /* of what was measured: nearer to an end of it is no value amid */
 
 /* Begin before the first measurement. */
@@ -71,21 +72,13 @@ static inline int fills_in(const settings_t *settings, const real z, const real 
     return count == NEIGHBOURS && is_far(z, neighbours, count, settings->outlier_distance / NEARER, SPREADS);
 }
 
-/* Return whether a 0 among some measurements is one at which a channel rests, as speeds and loads do. */
-static inline int rests(const settings_t *settings, const real *measured, const int count) {
-    real nearest = INFINITE;
+/* Return whether a 0 among some measurements is what is written where none came: no channel that is nowhere near 0
+   comes to it exactly, and at once. */
+static inline int stands_for_none(const settings_t *settings, const real z, const real *measured, const int count) {
+    if (z != 0 || settings->nearest_to_0 == 0) return 0;
     for (int k = 0; k < count; k++)
-        if (measured[k] != 0 && fabs(measured[k]) < nearest) nearest = fabs(measured[k]);
-    return nearest == INFINITE || nearest <= (settings->plausible_high - settings->plausible_low) / REST_PARTS;
-}
-
-/* Return whether a 0 is what is written where no measurement came: no channel that hardly repeats a value, and was
-   nowhere near 0, comes to it exactly, and at once. */
-static inline int stands_for_none(const settings_t *settings, const limits_t *state, const real z) {
-    if (z != 0 || !settings->repeats_are_one || settings->stuck <= EVERY_REPEAT) return 0;
-    real neighbours[NEIGHBOURS];
-    const int count = recall(state->past, neighbours);
-    return fills_in(settings, z, state->past) && !rests(settings, neighbours, count);
+        if (measured[k] != 0 && fabs(measured[k]) < NEAR_0 * settings->nearest_to_0) return 0;
+    return 1;
 }
 
 /* Return whether a channel may end at 0: it is not amid what was measured, the middle third of what is plausible. */
@@ -103,11 +96,7 @@ static inline int is_long_0(const settings_t *settings, const real z, const int6
 
 /* Return whether a 0 that ends the range so far is a rest. */
 static inline int is_rest(const settings_t *settings, const limits_t *state) {
-    if (state->least != 0 && state->most != 0) return 0;
-    if (!(settings->repeats_are_one && settings->outlier_distance < INFINITE)) return 1;
-    real neighbours[NEIGHBOURS];
-    const int count = recall(state->past, neighbours);
-    return rests(settings, neighbours, count);
+    return (state->least == 0 || state->most == 0) && !stands_for_none(settings, 0, state->past, NEIGHBOURS);
 }
 
 /* Return why a value is no measurement of the sensor, 0 where it may be one. */
@@ -148,8 +137,10 @@ static inline int judge(const settings_t *settings, limits_t *state, const real 
     if (state->since > LATE) forget_past(state);
     const int counts = moved || state->run == 0;
     if (settings->outlier_distance < INFINITE) {
-        if (!(settings->repeats_are_one && z == state->last_value)) {
-            state->outlier = is_far_from_past(settings, state, z) ? 1 : stands_for_none(settings, state, z) ? 2 : 0;
+        if (stands_for_none(settings, z, state->past, NEIGHBOURS))
+            state->outlier = !(z == state->last_value && is_long_0(settings, z, state->run + 1));
+        else if (!(settings->repeats_are_one && z == state->last_value)) {
+            state->outlier = is_far_from_past(settings, state, z);
             if (counts) {
                 state->past[state->at] = z, state->waits[state->at] = state->since;
                 state->at = state->at + 1 < NEIGHBOURS ? state->at + 1 : 0;

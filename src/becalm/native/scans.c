@@ -66,14 +66,14 @@ static int gather(const real *values, const int64_t *ends, const int64_t run, co
     return left + right;
 }
 
-/* Write the measurements that are not NaN, a run of equal ones as one where they are, and the first and the last row of
+/* Write the measurements that are not NaN, a run of equal ones as one where they are or stand for none, and the first and the last row of
    each; return how many. */
-static int64_t find_runs(const real *z, const int64_t rows, const int repeats_are_one, real *values, int64_t *ends) {
+static int64_t find_runs(const settings_t *settings, const real *z, const int64_t rows, real *values, int64_t *ends) {
     int64_t runs = 0;
     for (int64_t row = 0; row < rows; row++) {
         if (isnan(z[row])) continue;
-        const int goes_on = repeats_are_one && runs && z[row] == values[runs - 1] &&
-                            row - ends[2 * (runs - 1) + 1] <= REACH;
+        const int are_one = settings->repeats_are_one || (z[row] == 0 && settings->nearest_to_0 > 0);
+        const int goes_on = are_one && runs && z[row] == values[runs - 1] && row - ends[2 * (runs - 1) + 1] <= REACH;
         if (goes_on)
             ends[2 * (runs - 1) + 1] = row;
         else
@@ -94,6 +94,7 @@ static int is_amid(const settings_t *settings, const real distance, const real *
                    const int64_t run, const int64_t runs, const int64_t from, const int64_t until) {
     if (run < SIDE || run + SIDE >= runs || ends[2 * run] != ends[2 * run + 1]) return 0;
     const real z = values[run];
+    if (z == 0 && settings->nearest_to_0 > 0) return 0;
     if (ends[2 * (run - SIDE) + 1] < from || ends[2 * (run + SIDE)] > until) return 0;
     int near = z >= settings->plausible_low && z <= settings->plausible_high;
     UNROLL
@@ -124,8 +125,9 @@ static int keep_supporting(const settings_t *settings, const real value, real *n
 /* Return what the measurements of a run are, by its neighbours from a row on. */
 static int judge_run(const settings_t *settings, const real distance, const int64_t stuck, const real *values,
                      const int64_t *ends, const int64_t run, const int64_t runs, const int64_t rows,
-                     const int64_t since, real *neighbours, int count) {
+                     real *neighbours, int count) {
     const real value = values[run];
+    if (stands_for_none(settings, value, neighbours, count)) return OUTLIER;
     int away = value < settings->plausible_low || value > settings->plausible_high;
     if (away && rows == 1 && is_alone(ends, run, runs)) /* outliers in an empty stretch would hide each other in their spread */
         count = keep_supporting(settings, value, neighbours, count);
@@ -135,16 +137,13 @@ static int judge_run(const settings_t *settings, const real distance, const int6
                       away ? IMPLAUSIBLE_SPREADS : SPREADS);
     }
     if (away) return OUTLIER;
-    if (!(stuck > 0 && rows >= stuck)) return USED;
-    int64_t from = run < NEIGHBOURS ? 0 : run - NEIGHBOURS;
-    while (from < run && ends[2 * from + 1] < since) from++;
-    return value == 0 && ends_at_0(settings) && rests(settings, values + from, (int)(run - from)) ? USED : STUCK;
+    return stuck > 0 && rows >= stuck && !(value == 0 && ends_at_0(settings)) ? STUCK : USED;
 }
 
 int64_t scan_outliers(const settings_t *settings, const real distance, const int64_t stuck, const real *z,
                       const int64_t rows, const int64_t begun, const int whole, real *values, int64_t *ends,
                       int8_t *verdict) {
-    const int64_t runs = find_runs(z, rows, settings->repeats_are_one != 0, values, ends);
+    const int64_t runs = find_runs(settings, z, rows, values, ends);
     const int64_t longest = stuck > 0 ? LONGEST_FILL + 1 : 0; /* of fills, which are told from longer runs */
     const int64_t decided = stuck > longest ? stuck : longest;
     for (int64_t run = 0; run < runs; run++) {
@@ -159,8 +158,7 @@ int64_t scan_outliers(const settings_t *settings, const real distance, const int
             const int undecided = measured < decided || (values[run] == 0 && last - first + 1 < LONGEST_0);
             if (run == runs - 1 && undecided && !whole && rows - 1 - last < REACH) return first;
             if (!is_long_0(settings, values[run], last - first + 1))
-                found = judge_run(settings, distance, stuck, values, ends, run, runs, measured, first - REACH,
-                                  neighbours, count);
+                found = judge_run(settings, distance, stuck, values, ends, run, runs, measured, neighbours, count);
         }
         for (int64_t row = first > begun ? first : begun; found && row <= last; row++)
             verdict[row] = (int8_t)(isnan(z[row]) ? USED : found);
@@ -171,7 +169,7 @@ int64_t scan_outliers(const settings_t *settings, const real distance, const int
 int64_t scan_outliers_soon(const settings_t *settings, const real distance, const int64_t stuck, const real *z,
                            const int64_t rows, const int64_t begun, const int64_t ahead, const int whole, real *values,
                            int64_t *ends, int8_t *verdict) {
-    const int64_t runs = find_runs(z, rows, settings->repeats_are_one != 0, values, ends);
+    const int64_t runs = find_runs(settings, z, rows, values, ends);
     const int64_t end = whole ? rows : rows - ahead;
     int64_t run = 0;
     for (int64_t row = begun; row < end; row++) {
@@ -187,8 +185,7 @@ int64_t scan_outliers_soon(const settings_t *settings, const real distance, cons
         if (is_long_0(settings, values[run], last - first + 1)) continue;
         const int64_t measured = count_measured(z, first, last);
         const real far = after < FEWEST_AFTER ? settings->outlier_distance : distance;
-        verdict[row] = (int8_t)judge_run(settings, far, stuck, values, ends, run, runs, measured, from, neighbours,
-                                        count);
+        verdict[row] = (int8_t)judge_run(settings, far, stuck, values, ends, run, runs, measured, neighbours, count);
     }
     return end > begun ? end : begun;
 }

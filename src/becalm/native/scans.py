@@ -17,8 +17,6 @@ Whole = NDArray[np.int64]
 LIMITS, WATCHED, CLOCK = map(layout_of, ("limits", "watched", "stamps"))
 NEIGHBOURS, SIDE, SPREADS, REACH = (CONSTANTS[name] for name in ("NEIGHBOURS", "SIDE", "SPREADS", "REACH"))
 SHORTEST_FILL, EVERY_REPEAT, LONGEST_0 = (CONSTANTS[name] for name in ("SHORTEST_FILL", "EVERY_REPEAT", "LONGEST_0"))
-NEAR_REST = 1 / CONSTANTS["REST_PARTS"]
-"""Share of the plausible range: a channel that rests at 0 came at least so near before."""
 HOP, KEPT_HOPS, PARTS, MOST_SIGMA = (CONSTANTS[name] for name in ("HOP", "KEPT_HOPS", "PARTS", "MOST_SIGMA"))
 WINDOW = HOP * CONSTANTS["WINDOW_HOPS"]
 """Innovations whose variance is looked at together."""

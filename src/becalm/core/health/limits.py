@@ -22,7 +22,7 @@ from becalm.core.time.clock import GAP_STEPS
 from becalm.core.verdict import BEYOND_ANY_SENSOR
 from becalm.errors import UsageError
 from becalm.native.rows import SETTINGS
-from becalm.native.scans import EVERY_REPEAT, NEAR_REST
+from becalm.native.scans import EVERY_REPEAT
 
 _MARGIN = 2.0  # of a limit over what the record itself shows
 _WIDE_MARGIN = 10.0  # where only the signal ends a run
@@ -35,8 +35,10 @@ _LATTICE = 1e-5  # of a step: how far text and arithmetic may round a reading of
 _ROUNDED = 1e-4  # of a step: what is left of a distance by that, before the step itself is known well
 _FEWEST_CODES = 3  # two lie on any lattice
 _MOST_CODES = 1 << 16  # differences that a lattice is looked for in
+_MOST_ON_LATTICE = 0.95  # share of the readings, of which there are others alike
 _EVEN, _EVEN_SHARE = 0.1, 0.95  # steps off whole ones, of so many rows
 _SLOW = 1e-3  # of a step
+_LEAVES = 1 / 36  # of what is plausible, that noise leaves by jumps a value that fills in
 _ENDLESS = 1 << 53  # equal readings in a row: no record has so many
 
 
@@ -84,6 +86,7 @@ class Limits(NamedTuple):
         settings["stuck"] = min(self.stuck_readings or 0, _ENDLESS)
         settings["outlier_distance"], settings["repeats_are_one"] = rule.causal_distance, rule.repeats_are_one
         settings["plausible_low"], settings["plausible_high"], settings["blank"] = rule.low, rule.high, rule.blank
+        settings["nearest_to_0"] = rule.nearest_to_0
         return settings
 
 
@@ -157,10 +160,17 @@ def stuck_at_once(limits: Limits) -> int:
 def find_resolution(z: Floats) -> float:
     """Return the step of the lattice that finite readings (N,) lie on, in unit; 0 if they lie on none.
 
-    Euclid's algorithm on the distances of neighbouring values. Steps below a billionth of the largest
-    reading are not told from rounding.
+    A few that come only once, as wild ones do, need not lie on it. Steps below a billionth of the largest reading are
+    not told from rounding.
     """
-    values = np.unique(z)
+    values, counts = np.unique(z, return_counts=True)
+    often = counts > 1
+    step = _step_of(values)
+    return step or (_step_of(values[often]) if counts[often].sum() >= _MOST_ON_LATTICE * len(z) else 0.0)
+
+
+def _step_of(values: Floats) -> float:
+    """Return the step of the lattice that sorted values lie on; 0 for none. Euclid's algorithm on their distances."""
     values = values[:: -(-len(values) // _MOST_CODES) or 1]
     if len(values) < _FEWEST_CODES:
         return 0.0
@@ -216,18 +226,12 @@ def _are_faults(z: Floats, last: Integers, lengths: Integers, noisy: bool, outli
     A value that repeats fills in for readings all the same, if noise leaves it by jumps.
     """
     held = z[last]
-    if 0.0 in held and (z.min() == 0 or z.max() == 0) and _rests_at_0(z, outliers):
+    if 0.0 in held and (z.min() == 0 or z.max() == 0) and not outliers.nearest_to_0:
         return False
     beside = np.maximum(last - lengths, 0), np.minimum(last + 1, len(z) - 1)
     jumps = np.min([np.abs(z[rows] - held) for rows in beside], axis=0)
-    leaves = noisy and bool(np.median(jumps) > NEAR_REST * (outliers.high - outliers.low))
+    leaves = noisy and bool(np.median(jumps) > _LEAVES * (outliers.high - outliers.low))
     return leaves or len(np.unique(held)) == len(held)
-
-
-def _rests_at_0(z: Floats, outliers: Outliers) -> bool:
-    """Return whether readings (N,), some of them 0, come near to it; otherwise a 0 fills in for a reading."""
-    others = np.abs(z[z != 0])
-    return not len(others) or bool(others.min() <= NEAR_REST * (outliers.high - outliers.low))
 
 
 def _longest_run(runs: Integers, alarms: float) -> float:

@@ -33,6 +33,7 @@ class Outliers(NamedTuple):
     high: float = np.inf
     repeats_are_one: bool = False  # whether equal readings in a row count as one
     blank: float = np.inf  # what is written where there is no reading, in unit; inf where nothing is
+    nearest_to_0: float = 0.0  # that readings come which are not 0, in unit: a 0 among them is none; 0: it is a reading
 
     @property
     def without_neighbours(self) -> Outliers:
@@ -55,6 +56,9 @@ _MANY, _NEARER = 8, 3.0  # outliers, of which there are others that are so many 
 _JUMPS = 2.0  # times the largest jump of a record is beyond what it shows
 _HIDDEN = 0.1  # of the outliers that were found, so many more are hidden beside motion that is as large
 _RARE = 0.05  # share of readings that are as the one before
+_FEWEST_VALUES = 16  # that tell how near to 0 readings come
+_FAR_FROM_0 = 1 / 12  # times the range of the readings, that none comes nearer to 0
+_MOVES, _MOVES_OF_CODES = 3.0, 6.0  # times the median step between readings, the same; where readings repeat
 
 
 def find_outlier_rule(z: Floats, *, held: bool = False) -> Outliers:
@@ -91,7 +95,8 @@ def find_outlier_rule(z: Floats, *, held: bool = False) -> Outliers:
     causal = max(_JUMPS * largest, distance)
     low, high = np.sort(kept)[[hidden, -1 - hidden]].tolist()
     margin = max(high - low, causal)
-    return Outliers(distance, causal, low - margin, high + margin, are_one, blank)
+    nearest = 0.0 if _rests_at_0(seen) else _nearest_to_0(kept, codes=not are_one)
+    return Outliers(distance, causal, low - margin, high + margin, are_one, blank, nearest)
 
 
 def _rests_at_0(z: Floats) -> bool:
@@ -101,6 +106,20 @@ def _rests_at_0(z: Floats) -> bool:
         return False
     low, high = np.quantile(others, (MOST_OUTLIERS / 10, 1 - MOST_OUTLIERS / 10)).tolist()
     return not low + (high - low) / 3 < 0 < high - (high - low) / 3
+
+
+def _nearest_to_0(z: Floats, *, codes: bool) -> float:
+    """Return how near to 0 readings come that are not 0, where none leads there; otherwise 0.
+
+    Where readings repeat, 0 may be a code as any other, if they are on both sides of it.
+    """
+    others = z[z != 0]
+    if len(np.unique(others)) < _FEWEST_VALUES or (codes and others.min() < 0 < others.max()):
+        return 0.0
+    steps = np.abs(np.diff(others))
+    nearest, move = float(np.abs(others).min()), float(np.median(steps[steps > 0]))
+    moves = _MOVES_OF_CODES if codes else _MOVES
+    return nearest if nearest > max(_FAR_FROM_0 * float(np.ptp(others)), moves * move) else 0.0
 
 
 def _that_vary(z: Floats, repeats: Booleans) -> Floats:
@@ -138,6 +157,7 @@ def plausible(rule: Outliers) -> NDArray[np.void]:
     settings = np.zeros((), SETTINGS)
     settings["plausible_low"], settings["plausible_high"] = rule.low, rule.high
     settings["repeats_are_one"], settings["outlier_distance"] = rule.repeats_are_one, rule.causal_distance
+    settings["nearest_to_0"] = rule.nearest_to_0
     return settings
 
 
