@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from becalm.core.arrays import Codes, Floats
+from becalm.core.arrays import Floats
 from becalm.core.health.faults import Faults
 from becalm.core.health.limits import Limits, find_limits, stuck_at_once
 from becalm.core.health.look_ahead import LookAhead
@@ -25,13 +25,9 @@ from becalm.core.health.outliers import (
 from becalm.core.verdict import Verdict
 from becalm.errors import ModelError
 from becalm.native.scans import LONGEST_0, REACH, SPREADS
+from outlier_records import ROWS, found_causally, judged_soon, noise, stairs
 
 DATA = Path(__file__).parents[3] / "shared" / "data"
-ROWS = 4000
-
-
-def noise(seed: int = 0, rows: int = ROWS) -> Floats:
-    return np.random.default_rng(seed).normal(size=rows)
 
 
 def found(z: Floats) -> list[int]:
@@ -42,11 +38,6 @@ def found(z: Floats) -> list[int]:
 def found_by(z: Floats, rule: Outliers) -> list[int]:
     """Return the rows of outliers by both sides, as a known rule says."""
     return np.flatnonzero(is_outlier(z, rule)).tolist()
-
-
-def found_causally(z: Floats, rule: Outliers) -> list[int]:
-    codes = Faults(Limits(outliers=rule)).push(z, np.ones(len(z)))
-    return np.flatnonzero(codes == Verdict.OUTLIER).tolist()
 
 
 @pytest.mark.parametrize("rows", [8, 12, 20])
@@ -180,30 +171,6 @@ def test_few_readings_tell_of_no_outlier() -> None:
     assert find_outlier_rule(np.empty(0)) == NO_OUTLIERS
 
 
-@pytest.mark.parametrize("every", [2, 4])
-@pytest.mark.parametrize("level", [0.0, 40.0])
-def test_a_value_that_fills_in_is_known(every: int, level: float) -> None:
-    t = np.arange(ROWS)
-    z = level + 15 * np.sin(t / 90) + 0.3 * noise()
-    z[t % every == 0] = 0.0
-    rule = find_outlier_rule(z)
-    assert rule.blank == 0.0
-    assert found(z) == found_causally(z, rule) == np.flatnonzero(t % every == 0).tolist()
-
-
-def test_a_rest_at_zero_fills_nothing_in() -> None:
-    """A car that stops, pulses above a floor, a coarse code."""
-    t = np.arange(ROWS)
-    for z in (np.maximum(0, np.sin(t / 300)) * (5 + 0.1 * noise()), np.round(noise()), (t % 3 == 0) * 5.0):
-        assert np.isinf(find_outlier_rule(z).blank)
-
-
-def stairs(rows: int = ROWS) -> Floats:
-    """Return levels between which a sensor jumps, in noise."""
-    rng = np.random.default_rng(4)
-    return 50.0 + np.repeat(10 * rng.normal(size=rows // 200), 200) + 0.5 * rng.normal(size=rows)
-
-
 def test_outliers_beside_jumps_do_not_tell_how_far_readings_jump() -> None:
     z = stairs()
     rng = np.random.default_rng(5)
@@ -229,97 +196,6 @@ def test_outliers_in_an_empty_stretch_do_not_hide_each_other() -> None:
     assert found_by(z, rule) == [1013, 1015, 1094, 1132]
     z[1100:1180:3] = -250.0 + noise(1, 27)  # a sensor that reads seldom, and is there
     assert set(found_by(z, rule)) == {1013, 1094, 1132}
-
-
-def test_a_value_that_fills_in_ten_times_is_left_out_though_readings_jump_as_far() -> None:
-    z = stairs()
-    z[1010:1020] = 0.0
-    limits = find_limits(z, np.ones(ROWS), 1.0, 0.005)
-    assert np.flatnonzero(beside_others(z, limits.outliers, stuck_at_once(limits))).tolist() == [*range(1010, 1020)]
-    lost = np.flatnonzero(Faults(limits).push(z, np.ones(ROWS)))
-    assert lost.tolist() == [*range(1010, 1020)], "causally too: no reading of it comes to 0 at once"
-    z[1010:1020] = 0.25
-    lost = np.flatnonzero(Faults(limits).push(z, np.ones(ROWS)))
-    assert lost.tolist() == [*range(1011, 1020)], "the first of another value may be one"
-
-
-def test_a_channel_that_is_off_for_a_tenth_of_the_record_rests_at_0() -> None:
-    """And is left as it reads, though nothing leads there, and on it never repeats a reading."""
-    z = 100.0 + 0.02 * noise()
-    z[2000:2500] = 0.0
-    limits = find_limits(z, np.ones(ROWS), 1.0, 0.01)
-    assert not beside_others(z, limits.outliers, stuck_at_once(limits)).any()
-    assert not Faults(limits).push(z, np.ones(ROWS)).any()
-
-
-def test_a_0_that_lasts_is_believed_by_a_recipe_that_knows_none() -> None:
-    z = 100.0 + 0.02 * noise()
-    limits = find_limits(z, np.ones(ROWS), 1.0, 0.01)
-    z[1000:] = 0.0
-    causal = Faults(limits).push(z, np.ones(ROWS))
-    assert np.flatnonzero(causal).tolist() == [*range(1000, 1000 + LONGEST_0 - 1)]
-    assert not beside_others(z, limits.outliers, stuck_at_once(limits)).any()
-    soon = judged_soon(z, limits, 3, [1500])
-    assert np.flatnonzero(soon).tolist() == [*range(1000, 1000 + LONGEST_0 - 4)]
-    z[1000:] = 50.0
-    assert (Faults(limits).push(z, np.ones(ROWS))[1000:] > 0).all(), (
-        "another value is that of a sensor that stands still"
-    )
-
-
-@pytest.mark.parametrize(
-    "z",
-    [
-        20.0 + noise(),  # 0 is as near as readings jump by
-        np.round(20.0 + 5 * np.sin(np.arange(ROWS) / 30.0) + 0.1 * noise(), 1),  # that repeat
-        np.repeat(20.0 + noise(), 3)[:ROWS],  # of a slower sensor
-        np.where(np.arange(ROWS) % 10, np.nan, 20.0 + 0.1 * noise()),  # that come seldom
-    ],
-    ids=["noise", "codes", "slower", "seldom"],
-)
-def test_a_0_stands_for_none_where_no_reading_is_near_it(z: Floats) -> None:
-    z[1000:1010], seen = 0.0, np.isfinite(z)
-    z[~seen & (np.arange(ROWS) < 1010) & (np.arange(ROWS) >= 1000)] = 0.0
-    elapsed = np.diff(np.flatnonzero(np.isfinite(z)), prepend=0).astype(float)
-    limits = find_limits(z[np.isfinite(z)], elapsed, 1.0, 0.005)
-    fills = [*range(1000, 1010)]
-    assert np.flatnonzero(beside_others(z, limits.outliers, stuck_at_once(limits)) == Verdict.OUTLIER).tolist() == fills
-    assert np.flatnonzero(Faults(limits).push(z, np.ones(ROWS)) == Verdict.OUTLIER).tolist() == fills
-
-
-def test_a_0_that_is_a_code_as_any_other_is_a_reading() -> None:
-    """On both sides of it, or near to it."""
-    square = np.round(40 * np.sign(np.sin(np.arange(ROWS) / 100.0)) + noise())
-    for z in (square, np.round(8.0 + 2 * np.sin(np.arange(ROWS) / 100.0) + noise())):
-        assert find_outlier_rule(z[1:]).nearest_to_0 == 0
-    z = np.append(np.linspace(20, 0, ROWS), np.zeros(50))
-    rule = find_outlier_rule(20.0 + 0.1 * noise())
-    assert rule.nearest_to_0 > 19
-    assert not Faults(Limits(outliers=rule._replace(distance=1e3, causal_distance=1e3))).push(z, np.ones(len(z))).any()
-
-
-def test_a_0_that_others_lead_to_is_no_fill() -> None:
-    z, limits = stairs(), find_limits(stairs(), np.ones(ROWS), 1.0, 0.005)
-    z[1000:1010] = np.linspace(z[1000], 0.1, 10)
-    z[1010] = 0.0
-    assert not Faults(limits).push(z, np.ones(ROWS))[1010]
-
-
-def test_a_rest_that_comes_slowly_is_none() -> None:
-    rng = np.random.default_rng(6)
-    speed = np.maximum(30 * np.sin(np.arange(ROWS) / 300.0), 0.0)
-    z = np.where(speed > 0, speed + 0.01 * rng.normal(size=ROWS), 0.0)
-    limits = find_limits(z, np.ones(ROWS), 1.0, 0.01)
-    assert not beside_others(z, limits.outliers, stuck_at_once(limits)).any()
-    assert not Faults(limits).push(z, np.ones(ROWS)).any()
-
-
-def test_a_zero_that_no_reading_comes_near_is_no_rest() -> None:
-    z = 20.0 + 5 * np.sin(np.arange(ROWS) / 3.0) + 0.1 * noise(7)
-    z[500:540] = 0.0
-    limits = find_limits(z, np.ones(ROWS), 1.0, 0.01)
-    assert limits.stuck_readings is not None
-    assert (Faults(limits).push(z, np.ones(ROWS))[510:540] > 0).all()
 
 
 @pytest.mark.parametrize("every", [2, 5])
@@ -388,19 +264,6 @@ def test_both_sides_tell_the_same_wherever_the_record_is_cut(
     assert np.array_equal(far, whole)
 
 
-def judged_soon(z: Floats, limits: Limits, ahead: int, cuts: list[int]) -> Codes:
-    """Judge a record that is cut so, each row by so many after it; each part goes on from what was saved before it."""
-    held, parts = LookAhead(limits, ahead), []
-    for a, b in pairwise([0, *cuts, len(z)]):
-        saved, held = held.saved(), LookAhead(limits, ahead)
-        held.restore(saved)
-        parts.append(held.push(z[a:b], np.ones(b - a)))
-    assert sum(len(part[0]) for part in parts) == max(len(z) - ahead, 0), "no row waits for longer"
-    rows, _, codes = (np.concatenate(arrays) for arrays in zip(*parts, held.finish(), strict=True))
-    assert np.array_equal(rows, z, equal_nan=True)
-    return np.asarray(codes, np.int8)
-
-
 @given(records(), st.booleans(), st.sampled_from([None, 8]), st.sampled_from([1, 2, 3]), st.integers(0, 1500))
 def test_rows_that_wait_for_few_are_judged_by_them_and_no_others(
     z: Floats, as_one: bool, stuck: int | None, ahead: int, cut: int
@@ -430,16 +293,6 @@ def test_one_that_repeats_after_a_hole_is_judged_by_what_has_come() -> None:
     z = np.concatenate([20.0 + noise(rows=100), hole, 20.0 + noise(1, 50)])
     limits = Limits(outliers=Outliers(30.0, 60.0, 0.0, 40.0, True), stuck_readings=8)
     assert np.array_equal(judged_soon(z, limits, 3, [*range(1, len(z))]), judged_soon(z, limits, 3, [1]))
-
-
-@pytest.mark.parametrize("every", [2, 4])
-def test_a_0_that_lasts_is_believed_where_rows_are_missing(every: int) -> None:
-    z = 100.0 + 0.02 * noise()
-    limits = Limits(outliers=find_outlier_rule(z)._replace(repeats_are_one=True), stuck_readings=8)
-    z[1000:] = 0.0
-    z[np.arange(ROWS) % every > 0] = np.nan
-    for codes in (judged_soon(z, limits, 3, [1500]), beside_others(z, limits.outliers, stuck_at_once(limits))):
-        assert not codes[1000 + LONGEST_0 :].any()
 
 
 def test_rows_without_readings_after_them_are_judged_by_those_before() -> None:
