@@ -129,7 +129,7 @@ def recipes(draw: st.DrawFn) -> tuple[ChannelRecipe, float]:
         plausible_high=60 * noise,
         repeats_are_one=draw(st.booleans()),
         blank=draw(st.sampled_from([None, 0.0])),
-        nearest_to_0=draw(st.sampled_from([None, 5 * noise])),
+        far_from_0=draw(st.sampled_from([None, 5 * noise])),
         drift_threshold=draw(st.sampled_from([None, 20.0])),
         dead_variance=draw(st.sampled_from([None, 0.05])),
     )

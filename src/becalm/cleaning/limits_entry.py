@@ -41,7 +41,7 @@ def written(limits: Limits) -> LimitsRecipe | None:
         plausible_high=_finite(jumps.high),
         repeats_are_one=jumps.repeats_are_one or None,
         blank=_finite(jumps.blank),
-        nearest_to_0=jumps.nearest_to_0 or None,
+        far_from_0=jumps.far_from_0 or None,
     )
 
 
@@ -72,7 +72,7 @@ def limits_of(told: LimitsRecipe | None) -> Limits:
             _or(told.plausible_high, np.inf),
             bool(told.repeats_are_one),
             _or(told.blank, np.inf),
-            told.nearest_to_0 or 0.0,
+            told.far_from_0 or 0.0,
         ),
     )
 

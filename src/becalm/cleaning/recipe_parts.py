@@ -140,9 +140,9 @@ class LimitsRecipe(Settings):
         Whether equal readings in a row count as one, of which all are gross outliers, or none.
     blank : float or None
         What is written where there is no reading, in unit; it counts as missing.
-    nearest_to_0 : float or None
-        How near to 0 readings come that are not 0, in unit: a 0 among readings that are all at least half as far counts
-        as missing, until it lasts 128 rows; a *small* one believes more of them, None all.
+    far_from_0 : float or None
+        A 0 among readings that are all farther away than this, in unit, counts as missing, until it lasts 128 rows; a
+        *small* one leaves out more of them, None believes all.
     drift_threshold : float or None
         Of the cumulative sum of innovations, in sigma: a *small* one finds a drift sooner, and more that are
         none; None tells no drift.
@@ -165,7 +165,7 @@ class LimitsRecipe(Settings):
     plausible_high: Finite | None = None
     repeats_are_one: bool | None = None
     blank: Finite | None = None
-    nearest_to_0: Positive | None = None
+    far_from_0: Positive | None = None
     drift_threshold: Positive | None = None
     dead_variance: Positive | None = None
 

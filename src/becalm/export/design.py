@@ -29,7 +29,7 @@ from becalm.core.steady.steady_gain import rows_until, steady
 from becalm.errors import ModelError
 
 NOT_IN_C = (
-    *("outlier_distance", "causal_outlier_distance", "blank", "nearest_to_0"),
+    *("outlier_distance", "causal_outlier_distance", "blank", "far_from_0"),
     *("plausible_low", "plausible_high"),
 )
 """Limits of a recipe that settled and fixed filters have not: gross outliers, a fill value, and a last sentinel."""

@@ -51,7 +51,7 @@ typedef struct {
     real plausible_low, plausible_high; /* first measurements, and estimates, in unit */
     int64_t repeats_are_one;  /* whether equal measurements in a row count as one */
     real blank;               /* what is written where there is no measurement; inf where nothing is */
-    real nearest_to_0;        /* that measurements come which are not 0, in unit; 0: a 0 is a measurement as any other */
+    real far_from_0;          /* in unit: a 0 among measurements that are farther stands for none; 0: for itself */
     /* gaps that are bridged, in steps */
     real longest_gap;
     real gap_spans;           /* times the time that the measurements before span */

@@ -32,7 +32,7 @@ const field_t *channel_settings_fields(void) {
 #define W(name) WHOLE(settings_t, name)
     static const field_t fields[] = {
         W(states), R(low), R(high), R(largest), R(largest_accepted), W(stuck), R(outlier_distance), R(plausible_low),
-        R(plausible_high), W(repeats_are_one), R(blank), R(nearest_to_0), R(longest_gap), R(gap_spans), W(gap_measurements), W(gated),
+        R(plausible_high), W(repeats_are_one), R(blank), R(far_from_0), R(longest_gap), R(gap_spans), W(gap_measurements), W(gated),
         R(gate_threshold), W(gate_agree), W(gate_most), W(gate_level), W(drift_threshold), R(dead_variance), W(timed),
         R(step_s), R(time_std_s), R(time_variance), R(factor), W(calibrated), R(relative_std), R(offset_std),
         R(unknown_from), END(settings_t),

@@ -11,7 +11,6 @@
 #define NEARER ((real)4)        /* times that a value which fills in for measurements is nearer */
 #define FARTHEST ((real)1000)   /* times the range of what is plausible: farther away is no motion of the channel */
 #define MOST_IMPOSSIBLE 50      /* values in a row that are so far away; those after them are believed */
-#define NEAR_0 ((real)0.5)      /* of how near measurements come to 0: nearer ones lead there */
 #define AMID ((real)0.01)       /* of what was measured: nearer to an end of it is no value amid */
 
 /* Begin before the first measurement. */
@@ -72,12 +71,12 @@ static inline int fills_in(const settings_t *settings, const real z, const real 
     return count == NEIGHBOURS && is_far(z, neighbours, count, settings->outlier_distance / NEARER, SPREADS);
 }
 
-/* Return whether a 0 among some measurements is what is written where none came: no channel that is nowhere near 0
-   comes to it exactly, and at once. */
+/* Return whether a 0 among some measurements is what is written where none came: no channel that is far from it comes
+   there exactly, and at once. */
 static inline int stands_for_none(const settings_t *settings, const real z, const real *measured, const int count) {
-    if (z != 0 || settings->nearest_to_0 == 0) return 0;
+    if (z != 0 || settings->far_from_0 == 0) return 0;
     for (int k = 0; k < count; k++)
-        if (measured[k] != 0 && fabs(measured[k]) < NEAR_0 * settings->nearest_to_0) return 0;
+        if (measured[k] != 0 && fabs(measured[k]) <= settings->far_from_0) return 0;
     return 1;
 }
 

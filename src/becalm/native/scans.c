@@ -72,7 +72,7 @@ static int64_t find_runs(const settings_t *settings, const real *z, const int64_
     int64_t runs = 0;
     for (int64_t row = 0; row < rows; row++) {
         if (isnan(z[row])) continue;
-        const int are_one = settings->repeats_are_one || (z[row] == 0 && settings->nearest_to_0 > 0);
+        const int are_one = settings->repeats_are_one || (z[row] == 0 && settings->far_from_0 > 0);
         const int goes_on = are_one && runs && z[row] == values[runs - 1] && row - ends[2 * (runs - 1) + 1] <= REACH;
         if (goes_on)
             ends[2 * (runs - 1) + 1] = row;
@@ -94,7 +94,7 @@ static int is_amid(const settings_t *settings, const real distance, const real *
                    const int64_t run, const int64_t runs, const int64_t from, const int64_t until) {
     if (run < SIDE || run + SIDE >= runs || ends[2 * run] != ends[2 * run + 1]) return 0;
     const real z = values[run];
-    if (z == 0 && settings->nearest_to_0 > 0) return 0;
+    if (z == 0 && settings->far_from_0 > 0) return 0;
     if (ends[2 * (run - SIDE) + 1] < from || ends[2 * (run + SIDE)] > until) return 0;
     int near = z >= settings->plausible_low && z <= settings->plausible_high;
     UNROLL

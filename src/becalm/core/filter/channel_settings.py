@@ -24,7 +24,7 @@ from becalm.native.scans import PARTS
 
 _OF_LIMITS = {
     *("low", "high", "largest", "stuck", "outlier_distance", "plausible_low", "plausible_high"),
-    *("repeats_are_one", "blank", "nearest_to_0"),
+    *("repeats_are_one", "blank", "far_from_0"),
 }
 _OF_GATE = {"states", "largest_accepted", "gated", "gate_threshold", "gate_agree", "gate_most", "gate_level"}
 

@@ -86,7 +86,7 @@ class Limits(NamedTuple):
         settings["stuck"] = min(self.stuck_readings or 0, _ENDLESS)
         settings["outlier_distance"], settings["repeats_are_one"] = rule.causal_distance, rule.repeats_are_one
         settings["plausible_low"], settings["plausible_high"], settings["blank"] = rule.low, rule.high, rule.blank
-        settings["nearest_to_0"] = rule.nearest_to_0
+        settings["far_from_0"] = rule.far_from_0
         return settings
 
 
@@ -134,7 +134,7 @@ def find_limits(
     kept = (np.abs(z) <= largest) & ((elapsed != 0) | (np.arange(len(z)) == 0))  # possible, and of a time of its own
     readings = np.asarray(z[kept])
     resolution = find_resolution(readings)
-    outliers = find_outlier_rule(readings, held=repeats_readings(readings, resolution))
+    outliers = find_outlier_rule(readings, held=repeats_readings(readings, resolution), resolution=resolution)
     rails = (
         find_saturation(readings[readings != outliers.blank], resolution)
         if sensor_range is None
@@ -226,7 +226,7 @@ def _are_faults(z: Floats, last: Integers, lengths: Integers, noisy: bool, outli
     A value that repeats fills in for readings all the same, if noise leaves it by jumps.
     """
     held = z[last]
-    if 0.0 in held and (z.min() == 0 or z.max() == 0) and not outliers.nearest_to_0:
+    if 0.0 in held and (z.min() == 0 or z.max() == 0) and not outliers.far_from_0:
         return False
     beside = np.maximum(last - lengths, 0), np.minimum(last + 1, len(z) - 1)
     jumps = np.min([np.abs(z[rows] - held) for rows in beside], axis=0)

@@ -33,7 +33,7 @@ class Outliers(NamedTuple):
     high: float = np.inf
     repeats_are_one: bool = False  # whether equal readings in a row count as one
     blank: float = np.inf  # what is written where there is no reading, in unit; inf where nothing is
-    nearest_to_0: float = 0.0  # that readings come which are not 0, in unit: a 0 among them is none; 0: it is a reading
+    far_from_0: float = 0.0  # in unit: a 0 among readings that are farther away is none; 0: it is a reading
 
     @property
     def without_neighbours(self) -> Outliers:
@@ -56,12 +56,13 @@ _MANY, _NEARER = 8, 3.0  # outliers, of which there are others that are so many 
 _JUMPS = 2.0  # times the largest jump of a record is beyond what it shows
 _HIDDEN = 0.1  # of the outliers that were found, so many more are hidden beside motion that is as large
 _RARE = 0.05  # share of readings that are as the one before
-_FEWEST_VALUES = 16  # that tell how near to 0 readings come
-_FAR_FROM_0 = 1 / 12  # times the range of the readings, that none comes nearer to 0
-_MOVES, _MOVES_OF_CODES = 3.0, 6.0  # times the median step between readings, the same; where readings repeat
+_FEWEST_VALUES = 16  # that tell how far from 0 is far
+_FAR, _MOVES = 1 / 12, 6.0  # times the range of most readings is far from 0, and times the median step between them
+_MOST = 0.01, 0.99  # quantiles that most readings lie between
+_BY_CHANCE = 0.05  # readings that rounding makes 0, at the most, where 0 is none
 
 
-def find_outlier_rule(z: Floats, *, held: bool = False) -> Outliers:
+def find_outlier_rule(z: Floats, *, held: bool = False, resolution: float = 0.0) -> Outliers:
     """Find how far the readings of a channel jump.
 
     Parameters
@@ -70,6 +71,8 @@ def find_outlier_rule(z: Floats, *, held: bool = False) -> Outliers:
         Finite readings, in unit, in order; up to one in ten may be an outlier, and one value may fill in for none.
     held : bool
         Whether the channel holds its last reading where no new one comes.
+    resolution : float
+        The step between two codes, in unit; 0 where readings lie on no lattice.
 
     Returns
     -------
@@ -95,8 +98,8 @@ def find_outlier_rule(z: Floats, *, held: bool = False) -> Outliers:
     causal = max(_JUMPS * largest, distance)
     low, high = np.sort(kept)[[hidden, -1 - hidden]].tolist()
     margin = max(high - low, causal)
-    nearest = 0.0 if _rests_at_0(seen) else _nearest_to_0(kept, codes=not are_one)
-    return Outliers(distance, causal, low - margin, high + margin, are_one, blank, nearest)
+    far = 0.0 if _rests_at_0(seen) else _far_from_0(seen, kept, resolution if are_one else np.inf)
+    return Outliers(distance, causal, low - margin, high + margin, are_one, blank, far)
 
 
 def _rests_at_0(z: Floats) -> bool:
@@ -108,18 +111,33 @@ def _rests_at_0(z: Floats) -> bool:
     return not low + (high - low) / 3 < 0 < high - (high - low) / 3
 
 
-def _nearest_to_0(z: Floats, *, codes: bool) -> float:
-    """Return how near to 0 readings come that are not 0, where none leads there; otherwise 0.
+def _far_from_0(z: Floats, kept: Floats, resolution: float) -> float:
+    """Return how far from 0 all readings are that a 0 among them is none, in unit; 0 where a 0 is a reading.
 
-    Where readings repeat, 0 may be a code as any other, if they are on both sides of it.
+    It is one where readings lead to it, or rounding may make it of others; where readings repeat and are on both sides
+    of it, it is a code as any other.
+
+    Parameters
+    ----------
+    z : (N,) float array
+        Readings in order.
+    kept : (M,) float array
+        Those that are no outliers.
+    resolution : float
+        The step between two codes, in unit; inf where readings repeat.
     """
-    others = z[z != 0]
-    if len(np.unique(others)) < _FEWEST_VALUES or (codes and others.min() < 0 < others.max()):
+    others = kept[kept != 0]
+    if len(np.unique(others)) < _FEWEST_VALUES:
         return 0.0
-    steps = np.abs(np.diff(others))
-    nearest, move = float(np.abs(others).min()), float(np.median(steps[steps > 0]))
-    moves = _MOVES_OF_CODES if codes else _MOVES
-    return nearest if nearest > max(_FAR_FROM_0 * float(np.ptp(others)), moves * move) else 0.0
+    steps, (low, high) = np.abs(np.diff(others)), np.quantile(others, _MOST).tolist()
+    if low < 0 < high and np.isinf(resolution):
+        return 0.0
+    far = max(_FAR * (high - low), _MOVES * float(np.median(steps[steps > 0])))
+    near = int(np.count_nonzero(np.abs(others) <= far))
+    if not near:
+        return float(np.abs(others).min()) / 2
+    leads = (np.abs(z[:-1]) <= far) & (z[:-1] != 0) & (z[1:] == 0)
+    return 0.0 if leads.any() or near * min(resolution, 2 * far) > _BY_CHANCE * 2 * far else far
 
 
 def _that_vary(z: Floats, repeats: Booleans) -> Floats:
@@ -157,7 +175,7 @@ def plausible(rule: Outliers) -> NDArray[np.void]:
     settings = np.zeros((), SETTINGS)
     settings["plausible_low"], settings["plausible_high"] = rule.low, rule.high
     settings["repeats_are_one"], settings["outlier_distance"] = rule.repeats_are_one, rule.causal_distance
-    settings["nearest_to_0"] = rule.nearest_to_0
+    settings["far_from_0"] = rule.far_from_0
     return settings
 
 
