@@ -188,6 +188,25 @@ def test_an_implausible_reading_beside_a_jump_does_not_hide_there() -> None:
     assert np.flatnonzero(is_outlier(z, rule)).tolist() == sorted([201, *range(50, 800, 50)])
 
 
+def test_wild_readings_amid_a_gap_do_not_tell_how_far_readings_jump() -> None:
+    z = 5.0 + noise()
+    alone = find_limits(z, np.ones(ROWS), 1.0, 0.005).outliers
+    z[1000:1500] = np.nan
+    rows = np.arange(1020, 1480, 50)
+    z[rows] = 5.0 + 60.0 * (-1.0) ** np.arange(len(rows))
+    limits = find_limits(z[np.isfinite(z)], np.diff(np.flatnonzero(np.isfinite(z)), prepend=-1.0), 1.0, 0.005)
+    assert limits.outliers.causal_distance < 1.1 * alone.causal_distance
+    assert (Faults(limits).push(z, np.ones(ROWS))[rows] == Verdict.OUTLIER).all()
+
+
+def test_two_wild_readings_far_apart_do_not_bear_each_other_out() -> None:
+    z = np.full(ROWS, np.nan)
+    z[[6, 240]] = -27.2
+    z[300:] = 5.0 + 0.1 * noise()[300:]
+    rule = find_outlier_rule(z[300:])
+    assert found_causally(z, rule) == [6, 240]
+
+
 def test_outliers_in_an_empty_stretch_do_not_hide_each_other() -> None:
     z = 5.0 + noise()
     rule = find_outlier_rule(z)

@@ -61,7 +61,7 @@ static inline int is_far_from_past(const settings_t *settings, const limits_t *s
     const int count = recall(past, neighbours);
     if (count >= FEWEST_NEIGHBOURS) return is_far(z, neighbours, count, distance, SPREADS);
     const int plausible = settings->plausible_low <= z && z <= settings->plausible_high;
-    return !(plausible || fabs(z - state->last_value) <= distance);
+    return !(plausible || (count && fabs(z - state->last_value) <= distance));
 }
 
 /* Return whether a measurement that repeats the one before fills in for one that did not come. */

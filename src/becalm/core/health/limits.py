@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from becalm.core.arrays import Floats, Integers
+from becalm.core.arrays import Booleans, Floats, Integers
 from becalm.core.health.outliers import NO_OUTLIERS, Outliers, find_outlier_rule, is_outlier
 from becalm.core.health.repeated_readings import repeats_readings
 from becalm.core.health.saturation import SaturationLimits, find_saturation, is_noisy
@@ -134,7 +134,8 @@ def find_limits(
     kept = (np.abs(z) <= largest) & ((elapsed != 0) | (np.arange(len(z)) == 0))  # possible, and of a time of its own
     readings = np.asarray(z[kept])
     resolution = find_resolution(readings)
-    outliers = find_outlier_rule(readings, held=repeats_readings(readings, resolution), resolution=resolution)
+    beside = readings[~_alone(np.cumsum(elapsed)[kept])]
+    outliers = find_outlier_rule(beside, held=repeats_readings(readings, resolution), resolution=resolution)
     rails = (
         find_saturation(readings[readings != outliers.blank], resolution)
         if sensor_range is None
@@ -146,6 +147,15 @@ def find_limits(
     stuck = EVERY_REPEAT if held else _stuck_readings(plain, resolution, false_alarms_per_hour * hours, outliers)
     gap_steps, even = _rhythm(elapsed[1:])
     return Limits(rails.low, rails.high, resolution, stuck, gap_steps, even, largest, outliers)
+
+
+def _alone(steps: Floats) -> Booleans:
+    """Return which readings, at so many steps (N,), come alone amid a gap: those may be anything, and jump as far."""
+    waits = np.diff(steps)
+    if not len(waits):
+        return np.zeros(len(steps), bool)
+    late = np.concatenate([[True], waits > GAP_STEPS * np.median(waits), [True]])
+    return np.asarray(late[:-1] & late[1:])
 
 
 def stuck_at_once(limits: Limits) -> int:
