@@ -128,11 +128,23 @@ INLINE void score_row(const int m, const parts_t *p, score_t *score) {
     }
 }
 
+/* Write (H P H') of each channel's signal as a standard deviation. */
+INLINE void spread_of(const int n, const int m, const real *H, const real *P, real *sigma) {
+    for (int c = 0; c < m; c++) {
+        real Ph[N_MAX];
+        times(n, P, H + c * n, Ph);
+        const real variance = dot(n, H + c * n, Ph);
+        sigma[c] = variance > 0 ? sqrt(variance) : 0;
+    }
+}
+
 /* Compare with the last check, and keep for the next; return what has settled. */
-static int compare(const int n, const int m, const parts_t *p) {
+static int compare(const int n, const int m, const real *H, const parts_t *p) {
     int gain = 1, covariance = 1;
+    real sigma[M_MAX], sigma_then[M_MAX]; /* of signals: a gain that is next to 0 says little of them */
+    spread_of(n, m, H, p->P, sigma), spread_of(n, m, H, p->P_then, sigma_then);
     for (int a = 0; a < m; a++) {
-        gain &= near(p->D[a], p->D_then[a], p->D[a]);
+        gain &= near(p->D[a], p->D_then[a], p->D[a]) & near(sigma[a], sigma_then[a], sigma[a]);
         p->D_then[a] = p->D[a];
         for (int b = 0; b < a; b++) {
             gain &= near(p->L[a * m + b], p->L_then[a * m + b], 1 + fabs(p->L[a * m + b]));
@@ -163,7 +175,7 @@ INLINE void notice_row(const int n, const int m, const multivariate_t *model, kn
         if (complete && F) state->last_step = length;
     }
     if (++state->steady < state->next_check || !F) return;
-    int same = compare(n, m, p);
+    int same = compare(n, m, model->H, p);
     if (same && !forgets(n, m, model->H, F, p->K, p->P, (real)0.125 * (real)state->steady)) same = 0;
     state->proven = state->agreed && state->proven < same ? state->proven : same;
     state->agreed = same ? state->agreed + 1 : 0;
@@ -174,16 +186,6 @@ INLINE void notice_row(const int n, const int m, const multivariate_t *model, kn
     state->settled = state->proven, state->agreed = 0;
     if (state->settled >= model->enough && state->settled_row < 0) state->settled_row = state->rows;
     state->next_check = state->steady + (state->steady / 8 > FIRST_CHECK ? state->steady / 8 : FIRST_CHECK);
-}
-
-/* Write (H P H') of each channel's signal as a standard deviation. */
-INLINE void spread_of(const int n, const int m, const real *H, const real *P, real *sigma) {
-    for (int c = 0; c < m; c++) {
-        real Ph[N_MAX];
-        times(n, P, H + c * n, Ph);
-        const real variance = dot(n, H + c * n, Ph);
-        sigma[c] = variance > 0 ? sqrt(variance) : 0;
-    }
 }
 
 INLINE void write_belief(const int n, const int m, const multivariate_t *model, const real *x, const real *P,
