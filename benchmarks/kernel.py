@@ -26,7 +26,7 @@ from becalm.cleaning.pipeline import clean
 from becalm.cleaning.tuning import tune
 from becalm.core.filter.channel import Channel
 from becalm.core.filter.channel_record import ChannelRecord
-from becalm.core.filter.channel_settings import Settings
+from becalm.core.filter.channel_settings import ChannelSettings
 from becalm.core.model.components import EVERY_ORDER, motion
 from becalm.core.recording import Recording
 from pages import page_parser, publish
@@ -41,7 +41,7 @@ def measured(order: int, z: Floats) -> list[float]:
     """Return nanoseconds a row: filter, channel, smoother, likelihood."""
     component, even = motion(order, (2 * np.pi * CUTOFF) ** (2 * order)), np.ones(ROWS)
     record = ChannelRecord(component, 1.0, z, even)
-    stream = partial(Channel(Settings(component, 1.0)).process, z, even)
+    stream = partial(Channel(ChannelSettings(component, 1.0)).process, z, even)
     jobs: list[Callable[[], object]] = [record.filtered, stream, record.smoothed, partial(record.score, 3)]
     return [nanoseconds(job, ROWS) for job in jobs]
 

@@ -17,7 +17,7 @@ from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 
 import becalm
-from becalm.cleaning.channels import Channel, open_channel
+from becalm.cleaning.channels import CleaningChannel, open_channel
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.recipe_modes import ModeRecipe, SwitchingRecipe
 from becalm.cleaning.recipe_parts import (
@@ -155,7 +155,7 @@ def recipes(draw: st.DrawFn) -> tuple[ChannelRecipe, float]:
     return made_of, 1 / rate_hz
 
 
-def pushed(channel: Channel, given_it: Rows, cuts: list[int]) -> EstimatedRows:
+def pushed(channel: CleaningChannel, given_it: Rows, cuts: list[int]) -> EstimatedRows:
     """Return all that a channel tells of rows that come in blocks."""
     ends = [*cuts, len(given_it.z)]
     told = [EstimatedRows.nothing()]

@@ -14,15 +14,15 @@ import numpy as np
 from becalm.identification.several.step_spectrum import StepTrial
 from becalm.identification.several.step_tuning import tune_by_step
 from becalm.studies.imu_records import PRINTED, RATE_HZ, white
-from becalm.studies.imu_responses import EVERY, STEP, STEP_AT_S, Setting, answer
+from becalm.studies.imu_responses import EVERY, STEP, STEP_AT_S, NoiseSetting, answer
 
 figure, all_axes = plt.subplots(1, 2, sharey=True)
 for axes, sensor in zip(all_axes, ("accelerometer", "gyroscope"), strict=True):
     printed, record = PRINTED[sensor], white(sensor, 0)
     found = tune_by_step(StepTrial(record, RATE_HZ, sensor), printed.measured_noise)
     settings = (
-        Setting("printed Q, R", printed.tuned_noise, printed.tuned_process),
-        Setting("tuned here", printed.measured_noise, found.ratio * printed.measured_noise),
+        NoiseSetting("printed Q, R", printed.tuned_noise, printed.tuned_process),
+        NoiseSetting("tuned here", printed.measured_noise, found.ratio * printed.measured_noise),
     )
     print(f"{sensor}: Q/R printed {printed.ratio:.4g}, found here {found.ratio:.4g}")
     for setting in settings:

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from becalm.cleaning.channels import Channel, open_channel
+from becalm.cleaning.channels import CleaningChannel, open_channel
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.recipe_modes import ModeRecipe, SwitchingRecipe
 from becalm.cleaning.recipe_parts import ColouredNoiseRecipe, GateRecipe, LimitsRecipe, TimingRecipe, ToneRecipe
@@ -65,7 +65,7 @@ def readings(seed: int, rows: int) -> tuple[Floats, Floats]:
     return z, elapsed
 
 
-def pushed(channel: Channel, z: Floats, elapsed: Floats) -> EstimatedRows:
+def pushed(channel: CleaningChannel, z: Floats, elapsed: Floats) -> EstimatedRows:
     told = [part for at in range(0, len(z), CUT) for part in channel.push(z[at : at + CUT], elapsed[at : at + CUT])]
     return EstimatedRows(*(np.concatenate(arrays, axis=-1) for arrays in zip(*told, strict=True)))
 

@@ -23,7 +23,7 @@ class Known(NamedTuple):
     """What the reference says of a record."""
 
     model: Model
-    steps: list[reference.Step]
+    steps: list[reference.ReferenceStep]
     beliefs: list[reference.Belief]  # smoothed; none where nothing is to be smoothed
 
 

@@ -12,7 +12,7 @@ from becalm.core.arrays import Floats
 from becalm.core.filter.filtering import EVERYTHING
 from becalm.core.filter.smoothing import run_smoother
 from becalm.core.model.autoregressive import (
-    Coloured,
+    ColouredNoise,
     autoregressive,
     from_partial_autocorrelations,
     partial_autocorrelations,
@@ -90,7 +90,7 @@ def test_partial_autocorrelations_there_and_back(coefficients: tuple[float, ...]
 
 
 def test_the_innovation_variance_is_what_the_filter_cannot_foretell() -> None:
-    noise = Coloured((1.6, -0.9), 4.0)
+    noise = ColouredNoise((1.6, -0.9), 4.0)
     Q = autoregressive(noise.coefficients, 2.0).over(np.ones(1))[1]
     assert noise.innovation_variance == pytest.approx(Q[0, 0, 0], rel=1e-12)
     assert noise.innovation_variance == pytest.approx(4.0 * (1 - 0.9**2) * (1 - (1.6 / 1.9) ** 2), rel=1e-12)

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from becalm.core.arrays import Codes, Floats
 from becalm.core.filter.channel import Channel, Estimates
 from becalm.core.filter.channel_record import ChannelRecord
-from becalm.core.filter.channel_settings import Settings
+from becalm.core.filter.channel_settings import ChannelSettings
 from becalm.core.filter.gate import Gate
 from becalm.core.filter.smoothed_flow import SmoothedFlow
 from becalm.core.filter.smoothing import run_smoother
@@ -44,8 +44,8 @@ KINDS = pytest.mark.parametrize("kind", COMPONENTS)
 R, TWIN, OPENING, SMOOTHER = 0.7, 1e-11, 1e-8, 1e-9
 
 
-def settings_of(component: Component, **more: Any) -> Settings:
-    return Settings(component, R, 0.01, **({"limits": Limits(), "alarms": ALARMS} | more))
+def settings_of(component: Component, **more: Any) -> ChannelSettings:
+    return ChannelSettings(component, R, 0.01, **({"limits": Limits(), "alarms": ALARMS} | more))
 
 
 def channel(component: Component, **more: Any) -> Channel:

@@ -7,7 +7,7 @@ import pytest
 
 from becalm.core.arrays import Floats
 from becalm.core.filter.channel import Channel, parts_of
-from becalm.core.filter.channel_settings import Settings
+from becalm.core.filter.channel_settings import ChannelSettings
 from becalm.core.filter.filtering import kalman_filter
 from becalm.core.filter.smoothed_flow import SmoothedFlow
 from becalm.core.filter.smoothing import kalman_smoother
@@ -36,7 +36,7 @@ def readings(missing: bool) -> Floats:
 def flow(component: Component, z: Floats, causal: bool, rows: int) -> EstimatedRows:
     pieces = [z[start : start + rows] for start in range(0, len(z), rows)]
     if causal:
-        channel = Channel(Settings(component, 1.0, 1.0, Limits(), NO_ALARMS))
+        channel = Channel(ChannelSettings(component, 1.0, 1.0, Limits(), NO_ALARMS))
         found = [channel.process(piece, np.ones(len(piece)), states=True) for piece in pieces]
         return EstimatedRows.joined([each.told()._replace(parts=parts_of(component, each)) for each in found])
     made = SmoothedFlow(component, 1.0, split=True)

@@ -139,7 +139,7 @@ def followed(model: Model, F: Floats, Q: Floats, z: Floats) -> Known:
     """Filter and smooth with the reference's own steps, row k following F[k], Q[k]."""
     assert model.x0 is not None
     assert model.P0 is not None
-    steps: list[reference.Step] = []
+    steps: list[reference.ReferenceStep] = []
     for k, reading in enumerate(z):
         start = reference.Belief(model.x0, model.P0)
         belief = reference.predict(steps[-1].filtered, F[k], Q[k]) if steps else start

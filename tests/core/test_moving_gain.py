@@ -38,11 +38,11 @@ def start_of(model: Model) -> reference.Belief:
 class Told(NamedTuple):
     """What the reference says of a record."""
 
-    steps: list[reference.Step]
+    steps: list[reference.ReferenceStep]
     beliefs: list[reference.Belief]  # smoothed
 
 
-def filtered(model: Model, timeline: Timeline, z: Floats) -> list[reference.Step]:
+def filtered(model: Model, timeline: Timeline, z: Floats) -> list[reference.ReferenceStep]:
     """Filter with the reference's own equations, each row after the step of the timeline."""
     belief, steps = start_of(model), []
     for row, reading in enumerate(z):
@@ -216,6 +216,7 @@ TAIL = 31  # rows: too few for the gain to settle, which keeps fewer digits of a
 )
 @example(poles=[1.0, 0.99, 0.9, 0.5], powers=(-8, 0, 0), units=[8, -8, 8, -8], lost=None, mixed=True)
 @example(poles=[1.0], powers=(-12, -6, 0), units=[0, 0, 0, 0], lost=None, mixed=False)
+@example(poles=[0.9, 0.5, 0.0, -0.95], powers=(-9, -7, 0), units=[0, 0, 0, 0], lost=None, mixed=True)
 @settings(max_examples=40)
 def test_any_model(poles: Any, powers: Any, units: Any, lost: int | None, mixed: bool) -> None:
     """Modes of any pace, alone or each fed by the next, in any units; the rows after a block show what it left."""

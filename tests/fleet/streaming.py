@@ -15,7 +15,7 @@ from becalm.errors import RecipeError
 from becalm.fleet.stream.blocks import Event, SensorRows
 from becalm.fleet.stream.plan import FIRST_ROWS, SensorPlan
 from becalm.fleet.stream.reading import Entry
-from becalm.fleet.stream.sensor import SensorWalk, Step
+from becalm.fleet.stream.sensor import SensorStep, SensorWalk
 from becalm.fleet.stream.state import SensorState
 from becalm.live.block import Block
 from becalm.live.learning import resolution_of
@@ -79,27 +79,27 @@ class Walker:
     state: bytes | None = None
     now_ms: int = 0
     sensor: str = "s"
-    steps: list[Step] = field(default_factory=list)
+    steps: list[SensorStep] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self._walk = SensorWalk(self.plan, CHANNELS)
         self._places: Iterator[int] = count()
 
-    def hear(self, *batches: SensorRows) -> Step:
+    def hear(self, *batches: SensorRows) -> SensorStep:
         """Take a micro-batch in which these entries come."""
         return self.take([Entry(next(self._places), rows.packed(), 0.0) for rows in batches])
 
-    def take(self, entries: Sequence[Entry]) -> Step:
+    def take(self, entries: Sequence[Entry]) -> SensorStep:
         """Take a micro-batch of entries."""
         before = None if self.state is None else SensorState.unpacked(self.state)
         return self._kept(self._walk.hear(self.sensor, before, entries, self.now_ms))
 
-    def wake(self) -> Step:
+    def wake(self) -> SensorStep:
         """Look whether it is silent."""
         assert self.state is not None
         return self._kept(self._walk.wake(SensorState.unpacked(self.state), self.now_ms))
 
-    def _kept(self, step: Step) -> Step:
+    def _kept(self, step: SensorStep) -> SensorStep:
         self.state = None if step.state is None else step.state.packed()
         self.steps.append(step)
         return step

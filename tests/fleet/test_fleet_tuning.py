@@ -19,7 +19,7 @@ from becalm.core.arrays import Floats
 from becalm.errors import InputError, UsageError
 from becalm.fleet.batch import Fleet, clean
 from becalm.fleet.recipes import open_book
-from becalm.fleet.tuning.lake import LakeTuningOptions, Tuned, tune_by
+from becalm.fleet.tuning.lake import LakeTuningOptions, TunedLake, tune_by
 from made import RATE_HZ, Run, table_of, without_spark, write_parts
 
 PUMP, VALVE = "kind=pump", "kind=valve"
@@ -65,7 +65,7 @@ def here(work: Callable[[Any], Any], tasks: Sequence[Any]) -> list[Any]:
     return [work(task) for task in tasks]
 
 
-def tuned_in(lake: Path, asked: LakeTuningOptions = LakeTuningOptions()) -> Tuned:  # noqa: B008  (it cannot change)
+def tuned_in(lake: Path, asked: LakeTuningOptions = LakeTuningOptions()) -> TunedLake:  # noqa: B008  (it cannot change)
     return tune_by(here, lake, lake.parent / "recipes", asked)
 
 
@@ -76,7 +76,7 @@ def cleaned_by(recipes: Path, lake: Path) -> Fleet:
 class Done(NamedTuple):
     lake: Path
     recipes: Path
-    tuned: Tuned
+    tuned: TunedLake
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ from becalm.errors import InputError, UsageError
 from becalm.fleet.grouped import strips
 from becalm.fleet.grouped.counting import count_rows
 from becalm.fleet.grouped.merging import merged
-from becalm.fleet.grouped.strips import Lake, Part, Strip, part_rows
+from becalm.fleet.grouped.strips import Lake, Strip, StripPart, part_rows
 from becalm.fleet.marks import came_of
 from becalm.fleet.names import NULL, below, folder_name, keys_of, named, values_in
 from shared_lakes import KEY, keyed
@@ -33,7 +33,7 @@ def brought_together(folder: Path, files: int, sensor: str, parts: int = 1, time
         lake = Lake(str(folder), (KEY,), {sensor: time})
         file = f"{number // parts}.parquet"
         hashed = came_of([(file, folder / file)], "", {})
-        told = part_rows(lake, Part(file, number % parts, parts, target, hashed))
+        told = part_rows(lake, StripPart(file, number % parts, parts, target, hashed))
         assert not told.failed
         found += told.of.get(sensor, [])
     return pa.concat_tables(list(merged(folder, found)))
@@ -259,7 +259,7 @@ def test_of_many_strips_few_are_in_memory(tmp_path: Path, time: str | None, monk
     pq.write_table(own, tmp_path / "0.parquet")
     hashed = came_of([("0.parquet", tmp_path / "0.parquet")], "", {})
     found = part_rows(
-        Lake(str(tmp_path), (KEY,), {"sensor=x": time}), Part("0.parquet", 0, 1, str(tmp_path / "s"), hashed)
+        Lake(str(tmp_path), (KEY,), {"sensor=x": time}), StripPart("0.parquet", 0, 1, str(tmp_path / "s"), hashed)
     ).of["sensor=x"]
     assert len(found) == rows // of_a_block
     before, most, count = pa.total_allocated_bytes(), 0, 0

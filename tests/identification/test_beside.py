@@ -12,7 +12,7 @@ from becalm.core.arrays import Floats
 from becalm.core.closed_forms import cutoff_to_ratio
 from becalm.core.filter.filtering import kalman_filter
 from becalm.core.filter.smoothing import kalman_smoother
-from becalm.core.model.autoregressive import Coloured
+from becalm.core.model.autoregressive import ColouredNoise
 from becalm.core.model.components import ORDERS, motion
 from becalm.errors import ModelError, RecordingError
 from becalm.identification.coloured_likelihood import UNSCORED, score_coloured
@@ -132,10 +132,10 @@ def test_both_roads_of_a_smoother_lead_to_the_same_motion() -> None:
 def test_a_motion_in_coloured_noise_is_a_fifth_nearer_than_as_if_white(seed: int, causal: bool) -> None:
     truth = moved(2, 0.02**4, 5000, seed)
     z = truth + red(5000, seed) + 0.3 * white(5000, seed)
-    coloured = tune_beside(even(z), 0.09, Coloured((0.9,), 1.0), causal=causal)
+    coloured = tune_beside(even(z), 0.09, ColouredNoise((0.9,), 1.0), causal=causal)
     plain = tune_beside(even(z), 1.09, causal=causal)
     assert coloured.order == 2
-    assert coloured.coloured == Coloured((0.9,), 1.0)
+    assert coloured.coloured == ColouredNoise((0.9,), 1.0)
     assert np.log(coloured.ratio * 0.09 / 0.02**4) == pytest.approx(0.0, abs=1.2)
     assert error_of(coloured, z, truth, causal) < 0.8 * error_of(plain, z, truth, causal)
 
@@ -143,7 +143,7 @@ def test_a_motion_in_coloured_noise_is_a_fifth_nearer_than_as_if_white(seed: int
 def test_a_long_record_beside_coloured_noise_is_tuned_on_some_of_it() -> None:
     truth = moved(2, 0.02**4, 100_000, 5)
     z = truth + red(100_000, 5) + 0.3 * white(100_000, 5)
-    found = tune_beside(even(z), 0.09, Coloured((0.9,), 1.0), causal=True)
+    found = tune_beside(even(z), 0.09, ColouredNoise((0.9,), 1.0), causal=True)
     assert found.count == 16 * (2048 - UNSCORED)
     assert found.order == 2
     assert np.log(found.ratio * 0.09 / 0.02**4) == pytest.approx(0.0, abs=0.4)
@@ -154,7 +154,7 @@ def test_missing_readings_are_steps_all_the_same() -> None:
     z = truth + red(5000, 1) + 0.3 * white(5000, 1)
     z[np.random.default_rng(1).random(5000) < 0.2] = np.nan
     z[2000:2300] = np.nan
-    found = tune_beside(even(z), 0.09, Coloured((0.9,), 1.0), causal=False)
+    found = tune_beside(even(z), 0.09, ColouredNoise((0.9,), 1.0), causal=False)
     assert found.order == 2
     assert np.log(found.ratio * 0.09 / 0.02**4) == pytest.approx(0.0, abs=1.2)
 
@@ -163,7 +163,7 @@ def test_the_likelihood_in_coloured_noise_is_one_joint_gaussian() -> None:
     """A walk of unknown level: of all readings but the first, given these, by their covariances."""
     rows, q, R = 40, 0.05, 0.2
     z = np.cumsum(np.sqrt(q) * white(rows, 2)) + red(rows, 2) + np.sqrt(R) * white(rows, 3)
-    tuning = Tuning(1, q / R, R, 0, coloured=Coloured((0.9,), 1.0))
+    tuning = Tuning(1, q / R, R, 0, coloured=ColouredNoise((0.9,), 1.0))
     told = score_coloured(tuning.component, R, z[:, np.newaxis], np.ones(rows))
     assert told is not None
     k = np.arange(rows)
@@ -190,18 +190,18 @@ def test_the_foretold_square_weighs_residual_and_freedom() -> None:
 
 
 @pytest.mark.parametrize("rows", [8, 9, 12, 40])
-@pytest.mark.parametrize("noise", [None, Coloured((0.5,), 0.5)])
+@pytest.mark.parametrize("noise", [None, ColouredNoise((0.5,), 0.5)])
 @pytest.mark.parametrize("causal", [True, False])
-def test_short_records_are_tuned(rows: int, noise: Coloured | None, causal: bool) -> None:
+def test_short_records_are_tuned(rows: int, noise: ColouredNoise | None, causal: bool) -> None:
     found = tune_beside(even(white(rows, rows)), 1.0, noise, causal=causal)
     assert found.order in (1, 2, 3, 4, 5)
     assert 0 < found.ratio < np.inf
 
 
 @pytest.mark.parametrize("causal", [True, False])
-@pytest.mark.parametrize("noise", [None, Coloured((0.9,), 1.0)])
+@pytest.mark.parametrize("noise", [None, ColouredNoise((0.9,), 1.0)])
 @pytest.mark.parametrize("rows", [1, 2])
-def test_stretches_that_tell_no_motion_are_refused(rows: int, noise: Coloured | None, causal: bool) -> None:
+def test_stretches_that_tell_no_motion_are_refused(rows: int, noise: ColouredNoise | None, causal: bool) -> None:
     """Readings one by one and in pairs; without a warning of arithmetic on the way."""
     parted = Evidence.of(white(50, 1), np.where(np.arange(50) % rows == 0, 1e4, 1.0))
     with pytest.raises(RecordingError, match=r"^No stretch of the record is long enough"):
@@ -220,4 +220,4 @@ def test_what_cannot_be_tuned_is_refused() -> None:
         tune_beside(even(np.arange(7.0)), 1.0, causal=True)
     stamped = Evidence.of(white(50, 1), np.random.default_rng(1).uniform(0.5, 1.5, 50))
     with pytest.raises(ModelError, match=r"no whole number of steps"):
-        tune_beside(stamped, 1.0, Coloured((0.9,), 1.0), causal=True)
+        tune_beside(stamped, 1.0, ColouredNoise((0.9,), 1.0), causal=True)

@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 
 from becalm.core.arrays import Floats
 from becalm.core.closed_forms import autoregressive_power
-from becalm.core.model.autoregressive import Coloured
+from becalm.core.model.autoregressive import ColouredNoise
 from becalm.core.model.components import motion
 from becalm.errors import RecordingError
 from becalm.identification.coloured import FORGETS, LEAST_WHITE, NoiseModel, fit_noise
@@ -21,7 +21,7 @@ RESONANCE = (2 * 0.95 * float(np.cos(0.5)), -(0.95**2))
 
 def coloured(coefficients: tuple[float, ...], rows: int, rng: np.random.Generator) -> Floats:
     """Draw autoregressive noise of variance 1 that has been going on for long."""
-    drive = np.sqrt(Coloured(coefficients, 1.0).innovation_variance) * rng.normal(size=rows + 5000)
+    drive = np.sqrt(ColouredNoise(coefficients, 1.0).innovation_variance) * rng.normal(size=rows + 5000)
     return np.asarray(lfilter([1.0], [1.0, *(-phi for phi in coefficients)], drive)[5000:])
 
 
@@ -156,7 +156,7 @@ def test_both_roads_prefer_the_same_noise() -> None:
     rng = np.random.default_rng(7)
     z = coloured((0.8,), 4000, rng) + rng.normal(size=4000)
     exact, spectral = exact_misfit([z]), spectral_misfit([z])
-    innovation = Coloured((0.8,), 1.0).innovation_variance
+    innovation = ColouredNoise((0.8,), 1.0).innovation_variance
 
     phis = np.linspace(0.7, 0.9, 81)
     shapes = [Shape(1 / innovation, 1e-9, 1.0, (float(phi),)) for phi in phis]

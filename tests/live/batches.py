@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.live.messages.reading import Batch
+from becalm.live.messages.reading import MessageRows
 from becalm.live.messages.sequence import Sequence
 
 
-def batch(seq: int, rows: int, began_s: float | None = 0.0, arrived_s: float = 0.0) -> Batch:
+def batch(seq: int, rows: int, began_s: float | None = 0.0, arrived_s: float = 0.0) -> MessageRows:
     """Return rows `seq` and on; stamped a second a row after `began_s`, or not at all."""
     numbers = np.arange(seq, seq + rows, dtype=np.float64)
-    return Batch(seq, None if began_s is None else began_s + numbers, numbers[:, np.newaxis], arrived_s)
+    return MessageRows(seq, None if began_s is None else began_s + numbers, numbers[:, np.newaxis], arrived_s)
 
 
 def told(sequence: Sequence) -> Floats:

@@ -10,7 +10,7 @@ import pyarrow as pa
 from becalm.core.arrays import Codes, Floats
 from becalm.live.address import Address
 from becalm.live.lines.columns import LineOptions
-from becalm.live.messages.reading import Batch, MessageReader
+from becalm.live.messages.reading import MessageReader, MessageRows
 
 
 def reader(options: str = "") -> MessageReader:
@@ -24,7 +24,7 @@ def columns(rows: int, began_s: float = 0.0) -> dict[str, Floats | Codes]:
     return {"time": began_s + numbers / 100, "ax": numbers, "ay": -numbers}
 
 
-def good(held: MessageReader, payload: bytes) -> Batch:
+def good(held: MessageReader, payload: bytes) -> MessageRows:
     """Return what a message holds, which has to be readable."""
     batch = held.read(payload, 1000.0)
     assert batch is not None, held.losses()

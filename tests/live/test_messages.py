@@ -15,12 +15,12 @@ from becalm.errors import UsageError
 from becalm.live.address import Address
 from becalm.live.block import Head, Output
 from becalm.live.messages.encoding import FORMATS, Encoder
-from becalm.live.messages.reading import Batch
+from becalm.live.messages.reading import MessageRows
 from becalm.live.messages.stream import MessageStream
 from message_makers import arrow, columns, good, reader
 
 
-def whole(batches: list[Batch]) -> Iterator[tuple[int | None, float | None, tuple[float, ...]]]:
+def whole(batches: list[MessageRows]) -> Iterator[tuple[int | None, float | None, tuple[float, ...]]]:
     """Tell batches row by row, so that those cut in other places compare."""
     for batch in batches:
         for row in range(len(batch)):

@@ -14,7 +14,7 @@ from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.tuning import tune
 from becalm.core.arrays import Floats
 from becalm.core.recording import Recording
-from becalm.report.channel import Cleaned, Pictures
+from becalm.report.channel import CleanedChannels, Pictures
 from becalm.report.gathering import Gathering
 from becalm.report.page import Facts, page_of
 
@@ -44,7 +44,7 @@ def draw(recording: Recording, recipe: Recipe | None = None, *, block: int = 1 <
     for rows, told in zip(blocks, (one for answer in answers for one in answer), strict=True):
         gathering.add([z[rows] for z in columns], time.elapsed_steps[rows], told)
     facts = Facts(name, "0123456789abcdef" * 4)
-    return Drawn(recipe, gathering, Pictures(Cleaned(recipe, reports, gathering, time.step_s)), facts)
+    return Drawn(recipe, gathering, Pictures(CleanedChannels(recipe, reports, gathering, time.step_s)), facts)
 
 
 def figures_of(html: str) -> dict[str, dict[str, Any]]:

@@ -12,7 +12,7 @@ import pytest
 from becalm.cleaning.tuning import tune
 from becalm.core.arrays import Floats
 from becalm.core.recording import Recording
-from becalm.report.description import Axis, Band, Curve, Figure, Surface
+from becalm.report.description import Axis, Band, Curve, DrawnSurface, Figure
 from becalm.report.page import MOST_PICTURED
 from becalm.report.payload import payload
 from drawing import Drawn, draw, figures_of
@@ -233,6 +233,6 @@ def test_an_array_stands_in_a_page_once() -> None:
 
 
 def test_a_surface_is_for_print_only() -> None:
-    flat = Surface("heights", np.arange(2.0), np.arange(2.0), np.zeros((2, 2)))
+    flat = DrawnSurface("heights", np.arange(2.0), np.arange(2.0), np.zeros((2, 2)))
     with pytest.raises(TypeError, match="heights"):
         payload([Figure("f", "", Axis("x"), Axis("y"), (flat,))])

@@ -13,7 +13,7 @@ import pytest
 from becalm.core.arrays import Floats
 from becalm.errors import UsageError
 from becalm.report import printing
-from becalm.report.description import Axis, Band, Curve, Figure, Lane, Layer, Rule, Surface
+from becalm.report.description import Axis, Band, Curve, DrawnSurface, Figure, Lane, Layer, Rule
 from becalm.report.printing import COLOURS, OTHERS, Kind, printed
 
 X = np.linspace(0.0, 1.0, 5)
@@ -24,8 +24,8 @@ LAYERS: dict[str, Layer] = {
     "band": Band("told", X, X - 1, X + 1, "clean", faint=True),
     "lane": Lane("told", X[:2], X[:2] + 0.1),
     "rule": Rule("told", 0.5, "limit"),
-    "surface": Surface("told", X, X[:3], np.add.outer(X, X[:3])),
-    "surface by point": Surface("told", X, X[:3], np.add.outer(X, X[:3]), by_point=True),
+    "surface": DrawnSurface("told", X, X[:3], np.add.outer(X, X[:3])),
+    "surface by point": DrawnSurface("told", X, X[:3], np.add.outer(X, X[:3]), by_point=True),
 }
 FIRST_BYTES = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}
 

@@ -14,11 +14,11 @@ from becalm.core.arrays import Floats
 from becalm.errors import SensorError
 from becalm.sensors.accelerometer import Accelerometer, FullScale, sensitivity_matrix
 from becalm.sensors.bridge import Bridge
-from becalm.sensors.curve import Curve
+from becalm.sensors.curve import CalibrationCurve
 from becalm.sensors.load_cell import LoadCell
 from becalm.sensors.record import Sensitivity, SensorRecord, Sheet, applied
 
-CURVE = SensorRecord(("t",), "V", "degC", Curve((-50.0, 100.0, 2.0)), full_scale=FullScale(0.0, 5.0))
+CURVE = SensorRecord(("t",), "V", "degC", CalibrationCurve((-50.0, 100.0, 2.0)), full_scale=FullScale(0.0, 5.0))
 CELL = SensorRecord(("f",), "mV", "N", LoadCell(2.0, 500.0), reading_size=0.1)
 STRAIN = SensorRecord(("e",), "mV/V", "um/m", Bridge("quarter I", 2.1), reading_size=1e-3, result_size=1e6)
 TRIAXIAL = SensorRecord(
@@ -59,7 +59,12 @@ def test_a_clipped_reading_is_missing() -> None:
 
 def test_uncertainties_of_sheets_are_twice_standard_ones() -> None:
     told = SensorRecord(
-        ("a",), "mV", "g", Curve((0.0, 1.0)), sensitivities=(Sensitivity(-985.6, "mV/g", 9.856),), zero_uncertainty=0.2
+        ("a",),
+        "mV",
+        "g",
+        CalibrationCurve((0.0, 1.0)),
+        sensitivities=(Sensitivity(-985.6, "mV/g", 9.856),),
+        zero_uncertainty=0.2,
     )
     assert told.relative_stds == pytest.approx((0.005,))
     assert told.offset_std == 0.1
@@ -82,11 +87,13 @@ def test_columns_that_do_not_fit_are_refused() -> None:
 @pytest.mark.parametrize("coefficients", [(), (3.0,), (3.0, 0.0), (np.nan, 1.0), (0.0, 1.0, np.inf)])
 def test_a_curve_that_tells_nothing_is_refused(coefficients: tuple[float, ...]) -> None:
     with pytest.raises(SensorError, match=r"tells nothing|not a finite"):
-        Curve(coefficients)
+        CalibrationCurve(coefficients)
 
 
-@pytest.mark.parametrize("conversion", [Curve((1.0, 2.0, 3.0)), Bridge("quarter I", 2.0), LoadCell(2.0, 100.0)])
-def test_a_reading_without_bounds_is_no_number_and_no_warning(conversion: Curve | Bridge | LoadCell) -> None:
+@pytest.mark.parametrize(
+    "conversion", [CalibrationCurve((1.0, 2.0, 3.0)), Bridge("quarter I", 2.0), LoadCell(2.0, 100.0)]
+)
+def test_a_reading_without_bounds_is_no_number_and_no_warning(conversion: CalibrationCurve | Bridge | LoadCell) -> None:
     record = SensorRecord(("a",), "V", "N", conversion)
     told = applied(record, {"a": np.array([np.inf, 1e-3, -np.inf, 1e-3])})["a"]
     np.testing.assert_array_equal(np.isfinite(told), [False, True, False, True])

@@ -14,7 +14,7 @@ from becalm.identification.several.step_spectrum import Sensor
 from becalm.report import printing
 from becalm.studies import imu, imu_page, imu_switching, imu_valley
 from becalm.studies.imu_records import HARMONICS_HZ, PRINTED, RATE_HZ, SENSORS, find_rests, identify, makeup, motionless
-from becalm.studies.imu_responses import Answer, reached_ms
+from becalm.studies.imu_responses import FilterResponse, reached_ms
 from becalm.studies.recordings import RECORDINGS
 from becalm.studies.sheets import NOT_DRAWN
 
@@ -29,7 +29,7 @@ def contest() -> imu_switching.Contest:
     return imu_switching.contest()
 
 
-def panels(study: imu.SensorStudy) -> dict[str, Answer]:
+def panels(study: imu.SensorStudy) -> dict[str, FilterResponse]:
     return {each.setting.name: each for each in study.answers}
 
 
@@ -162,7 +162,7 @@ def test_the_page_tells_the_numbers_and_shows_the_figures(
     studied: dict[Sensor, imu.SensorStudy],
     contest: imu_switching.Contest,
 ) -> None:
-    held = imu.Study(studied, (imu_valley.Coloured("white", 92.0),), *find_rests(tmp_path), contest)
+    held = imu.Study(studied, (imu_valley.ColouredRecord("white", 92.0),), *find_rests(tmp_path), contest)
     monkeypatch.setattr(imu_page, "study", lambda data: held)
     with monkeypatch.context() as alone:
         alone.setattr(printing, "find_spec", lambda name: None)

@@ -11,7 +11,18 @@ from becalm.core.arrays import Floats
 from becalm.core.filter.filtering import kalman_filter
 from becalm.studies.recordings import RECORDINGS
 from becalm.studies.sheets import NOT_DRAWN, draw
-from becalm.studies.strain import NOISES, SHOWN, SLOPE, Measured, Shown, Study, measure, ramps, records, simulate
+from becalm.studies.strain import (
+    NOISES,
+    SHOWN,
+    SLOPE,
+    Measured,
+    ShownRecord,
+    StrainStudy,
+    measure,
+    ramps,
+    records,
+    simulate,
+)
 from becalm.studies.strain_figures import sheets
 from becalm.studies.strain_gauge import AT_REST, LOADED, Gauge, absent, measure_gauge
 from becalm.studies.strain_methods import (
@@ -25,7 +36,7 @@ from becalm.studies.strain_methods import (
     SMOOTHED,
     STEP_S,
     TRIED,
-    Outcome,
+    MethodOutcome,
 )
 from becalm.studies.strain_model import Noise, likeliest, strain_model
 from becalm.studies.strain_page import page
@@ -33,7 +44,7 @@ from becalm.studies.strain_page import page
 ASKED = dict(zip(NOISES, (0.0089, 0.0184, 0.0309), strict=True))
 NEAR = 3.5  # standard errors of the difference of two means of 20 runs
 
-Simulated = tuple[dict[str, dict[float, Measured]], Shown]
+Simulated = tuple[dict[str, dict[float, Measured]], ShownRecord]
 
 
 @pytest.fixture(scope="module")
@@ -96,7 +107,7 @@ def test_no_other_noise_is_likelier() -> None:
 def test_a_delay_is_measured_as_lag_alone() -> None:
     _, truth = ramps()
     late = np.concatenate([np.zeros(7), truth[:-7]])[:, np.newaxis]
-    found = measure(Outcome(np.hstack([late, late]), late, np.full((2, 3), np.nan)), truth)
+    found = measure(MethodOutcome(np.hstack([late, late]), late, np.full((2, 3), np.nan)), truth)
     assert found.ramp_lag_s == pytest.approx(0.7)
     assert found.record_lag_s == pytest.approx(0.7, abs=0.01 * STEP_S)  # told by a parabola
     assert (found.noise_share, found.overshoot, found.rms_error) == (0.0, 0.0, 0.0)
@@ -165,12 +176,12 @@ def test_an_absent_gauge_is_left_out_with_a_sentence(tmp_path: Path) -> None:
     assert LOADED in said
 
 
-def told_study(rms: float) -> Study:
+def told_study(rms: float) -> StrainStudy:
     """Make up a study in which becalm errs so much."""
     found = Measured(0.01, 0.001, 0.5, 0.0, 0.0, 0.0, (1.0, 1.0, 3.0))
     measured = {name: dict.fromkeys(NOISES, found) for name in METHODS}
     measured[BECALM] = dict.fromkeys(NOISES, found._replace(rms=rms))
-    return Study(measured, Shown(np.zeros(2), np.zeros(2), {}), None, "Left out.")
+    return StrainStudy(measured, ShownRecord(np.zeros(2), np.zeros(2), {}), None, "Left out.")
 
 
 @pytest.mark.parametrize(("rms", "says"), [(0.0071, "that is within"), (0.0234, "that is not within")])
@@ -185,7 +196,7 @@ def test_the_page_says_what_was_measured(rms: float, says: str) -> None:
 def test_figures_are_drawn_where_they_can_be(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     time_s, truth = ramps()
-    study = told_study(0.01)._replace(shown=Shown(time_s, truth, dict.fromkeys(METHODS, truth)))
+    study = told_study(0.01)._replace(shown=ShownRecord(time_s, truth, dict.fromkeys(METHODS, truth)))
     drawn = draw(sheets(study), tmp_path)
     assert [path.name for path in drawn] == [f"strain-{number}.svg" for number in range(1, 7)]
     assert all(path.stat().st_size > 5000 for path in drawn)

@@ -11,7 +11,7 @@ import pytest
 
 import becalm
 from becalm.cleaning.dial_positions import density_unit
-from becalm.cleaning.excerpt import ChannelRows, Run
+from becalm.cleaning.excerpt import ChannelRows, ChannelRun
 from becalm.cleaning.pipeline import Cleaned
 from becalm.cleaning.recipe import ChannelRecipe, Recipe
 from becalm.cleaning.steps import lag_in_rows
@@ -59,7 +59,7 @@ def lag_of(recipe: Recipe) -> int | None:
 
 
 def told(case: Case, first: int, stop: int) -> EstimatedRows:
-    run = Run(rows_of(case.recording), case.recipe.channel[0], lag_of(case.recipe))
+    run = ChannelRun(rows_of(case.recording), case.recipe.channel[0], lag_of(case.recipe))
     parts = list(run.told(first, stop))
     return EstimatedRows(*(np.concatenate(arrays, axis=-1) for arrays in zip(*parts, strict=True)))
 
@@ -116,7 +116,7 @@ def same(found: Clean, signal: Floats, sigma: Floats, view: View) -> None:
 def test_a_long_record_runs_in_two_halves(pool: Executor, monkeypatch: pytest.MonkeyPatch) -> None:
     z, taken, enclosed = walk(rows=1 << 20), list[View](), picture._enclosed
 
-    def noting(run: Run, view: View, each: int) -> Clean:
+    def noting(run: ChannelRun, view: View, each: int) -> Clean:
         taken.append(view)
         return enclosed(run, view, each)
 
@@ -178,8 +178,8 @@ def test_a_channel_that_passes_unchanged_is_shown_without_sigma(pool: Executor) 
 
 def test_a_part_begins_no_earlier_than_it_must() -> None:
     rows = rows_of(even(walk()))
-    assert Run(rows, motion(process_noise_density=300.0), None).reach < 2000
-    assert Run(rows, motion(process_noise_density=0.0), None).reach == ROWS
+    assert ChannelRun(rows, motion(process_noise_density=300.0), None).reach < 2000
+    assert ChannelRun(rows, motion(process_noise_density=0.0), None).reach == ROWS
 
 
 @pytest.mark.parametrize(

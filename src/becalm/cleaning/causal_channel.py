@@ -13,7 +13,7 @@ from becalm.cleaning.steps import gate_of, in_steps
 from becalm.cleaning.uncertainty import lasting_std
 from becalm.core.arrays import Floats, input_of
 from becalm.core.filter.channel import Channel, Estimates, History
-from becalm.core.filter.channel_settings import Settings, Widening
+from becalm.core.filter.channel_settings import ChannelSettings, Widening
 from becalm.core.health.time_faults import TimeFaults, possible_steps
 
 
@@ -36,7 +36,7 @@ class CausalChannel:
     ----------
     filter : Channel
         What filters.
-    settings : Settings
+    settings : ChannelSettings
         What that is made of.
 
     Raises
@@ -102,10 +102,10 @@ class CausalChannel:
         self._begun = bool(arrays["begun"][0])
 
 
-def _settings(recipe: ChannelRecipe, step_s: float) -> Settings:
+def _settings(recipe: ChannelRecipe, step_s: float) -> ChannelSettings:
     assert recipe.motion is not None, "what has no motion passes unchanged"
     tuning, timing = in_steps(recipe.motion, step_s), recipe.timing
-    return Settings(
+    return ChannelSettings(
         tuning.component,
         tuning.noise_variance,
         step_s,

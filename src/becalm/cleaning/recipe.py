@@ -18,7 +18,7 @@ from becalm.cleaning.recipe_parts import (
     LimitsRecipe,
     NotNegative,
     Positive,
-    Settings,
+    RecipeModel,
     TimingRecipe,
     ToneRecipe,
 )
@@ -60,7 +60,7 @@ class TunedMotion(NamedTuple):
     coloured_noise: ColouredNoiseRecipe | None = None
 
 
-class ChannelRecipe(Settings):
+class ChannelRecipe(RecipeModel):
     """The filter of one channel.
 
     Attributes
@@ -168,7 +168,7 @@ class ChannelRecipe(Settings):
         )
 
 
-class Origin(Settings):
+class Origin(RecipeModel):
     """The recording that a recipe was tuned on.
 
     Attributes
@@ -189,7 +189,7 @@ class Origin(Settings):
     becalm: str = ""
 
 
-class Recipe(Settings):
+class Recipe(RecipeModel):
     """What was decided for a recording.
 
     Attributes

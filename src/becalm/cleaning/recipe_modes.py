@@ -6,10 +6,10 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from becalm.cleaning.recipe_parts import NotNegative, Positive, Settings
+from becalm.cleaning.recipe_parts import NotNegative, Positive, RecipeModel
 
 
-class ModeRecipe(Settings):
+class ModeRecipe(RecipeModel):
     """One way in which the signal of a channel may behave.
 
     Attributes
@@ -48,7 +48,7 @@ class ModeRecipe(Settings):
     with_tones: bool = False
 
 
-class SwitchingRecipe(Settings):
+class SwitchingRecipe(RecipeModel):
     """The modes of a filter that switches.
 
     Attributes

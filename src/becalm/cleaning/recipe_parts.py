@@ -17,13 +17,13 @@ Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 _MOST_REJECTS = 1 << 31  # in a row: more than are ever waited for
 
 
-class Settings(BaseModel):
+class RecipeModel(BaseModel):
     """What a person may write, and nothing else; never changed."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
-class ToneRecipe(Settings):
+class ToneRecipe(RecipeModel):
     """A tone beside the motion: an oscillator that is driven by white noise.
 
     Attributes
@@ -44,7 +44,7 @@ class ToneRecipe(Settings):
     disturbance: bool = False
 
 
-class ColouredNoiseRecipe(Settings):
+class ColouredNoiseRecipe(RecipeModel):
     """Noise that remembers itself, beside the white noise: it is taken off the signal.
 
     Attributes
@@ -62,7 +62,7 @@ class ColouredNoiseRecipe(Settings):
     std: Positive
 
 
-class HoleRecipe(Settings):
+class HoleRecipe(RecipeModel):
     """What a smoother is worth in holes of one length, as readings showed that were hidden.
 
     Attributes
@@ -82,7 +82,7 @@ class HoleRecipe(Settings):
     sigma_growth: NotNegative
 
 
-class GateRecipe(Settings):
+class GateRecipe(RecipeModel):
     """What leaves spikes out, and follows steps.
 
     Attributes
@@ -107,7 +107,7 @@ class GateRecipe(Settings):
         return self
 
 
-class LimitsRecipe(Settings):
+class LimitsRecipe(RecipeModel):
     """What a channel keeps to while its sensor is healthy.
 
     Attributes
@@ -176,7 +176,7 @@ class LimitsRecipe(Settings):
         return self
 
 
-class TareRecipe(Settings):
+class TareRecipe(RecipeModel):
     """A zero that was taken while the recording was read: an event, told here and taken anew from the readings.
 
     Attributes
@@ -202,7 +202,7 @@ class TareRecipe(Settings):
     temperature_degc: Finite | None = None
 
 
-class CalibrationRecipe(Settings):
+class CalibrationRecipe(RecipeModel):
     """What is uncertain in the sensor's calibration: one error for all samples, which averaging does not lower.
 
     Attributes
@@ -220,7 +220,7 @@ class CalibrationRecipe(Settings):
     tare: TareRecipe | None = None
 
 
-class TimingRecipe(Settings):
+class TimingRecipe(RecipeModel):
     """What is uncertain in the time of readings: noise where the signal moves.
 
     Attributes

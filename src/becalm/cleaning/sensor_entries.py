@@ -9,9 +9,9 @@ from pydantic import Field
 
 from becalm.cleaning.bridge_entry import BridgeEntry
 from becalm.cleaning.recipe_parts import Finite, NotNegative, Positive
-from becalm.cleaning.sensor_entry import Entry, Name, OneChannel
+from becalm.cleaning.sensor_entry import Name, OneChannel, SensorKind
 from becalm.sensors.accelerometer import Accelerometer, sensitivity_matrix
-from becalm.sensors.curve import Curve
+from becalm.sensors.curve import CalibrationCurve
 from becalm.sensors.load_cell import LoadCell
 from becalm.sensors.record import Sensitivity, SensorRecord
 
@@ -42,7 +42,7 @@ class AccelerometerEntry(OneChannel):
         return SensorRecord(**self.shared(), conversion=one, reading_size=self.volts(), sensitivities=(told,))
 
 
-class TriaxialEntry(Entry):
+class TriaxialEntry(SensorKind):
     """A triaxial accelerometer: by its sheet, or as its rests in many poses calibrated it.
 
     Attributes
@@ -142,7 +142,7 @@ class CurveEntry(OneChannel):
 
     def record(self) -> SensorRecord:
         """Make the record."""
-        return SensorRecord(**self.shared(), conversion=Curve(self.coefficients))
+        return SensorRecord(**self.shared(), conversion=CalibrationCurve(self.coefficients))
 
 
 SensorEntry = Annotated[

@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from becalm.cleaning.recipe_parts import Finite, NotNegative, Positive, Settings
+from becalm.cleaning.recipe_parts import Finite, NotNegative, Positive, RecipeModel
 from becalm.cleaning.stretches import stretch_s
 from becalm.sensors.accelerometer import FullScale, volts_per_count
 from becalm.sensors.record import SensorRecord, Sheet
@@ -18,7 +18,7 @@ _VOLTS = {"V": 1.0, "mV": 1e-3}
 RawUnit = Literal["V", "mV", "mV/V", "counts", "g", "m/s^2"]
 
 
-class SheetEntry(Settings):
+class SheetEntry(RecipeModel):
     """`becalm.sensors.record.Sheet`, as it is written; each line may be left out."""
 
     manufacturer: str = ""
@@ -49,7 +49,7 @@ class SheetEntry(Settings):
         return self
 
 
-class Entry(Settings, ABC):
+class SensorKind(RecipeModel, ABC):
     """What every kind has.
 
     Attributes
@@ -128,7 +128,7 @@ class Entry(Settings, ABC):
         return self.volts() / excitation_v
 
 
-class OneChannel(Entry):
+class OneChannel(SensorKind):
     """A sensor of one channel.
 
     Attributes

@@ -8,10 +8,10 @@ from typing import NamedTuple, TypeVar
 import tomlkit
 from pydantic import ValidationError
 
-from becalm.cleaning.recipe_parts import Settings
+from becalm.cleaning.recipe_parts import RecipeModel
 from becalm.errors import RecipeError, SensorError
 
-Document = TypeVar("Document", bound=Settings)
+Document = TypeVar("Document", bound=RecipeModel)
 
 
 class TomlKind(NamedTuple):

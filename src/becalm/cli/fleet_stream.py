@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from becalm.cli.fleet import SparkAddress
 
 
-class Times(NamedTuple):
+class TypedTimes(NamedTuple):
     """How long is waited for what, as it was typed."""
 
     lateness: str
@@ -35,7 +35,7 @@ class FleetStreamOptions(NamedTuple):
     recipes: Path | None
     key: str
     time: str
-    times: Times
+    times: TypedTimes
     checkpoint: str
     once: bool
 

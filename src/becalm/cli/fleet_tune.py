@@ -11,7 +11,7 @@ import typer
 from becalm.cli.fleet import SparkAddress, say_some, spark_at
 from becalm.errors import NOT_DESCRIBED
 from becalm.fleet.lake import FILE
-from becalm.fleet.tuning.lake import LakeTuningOptions, Tuned, chosen_in, tune
+from becalm.fleet.tuning.lake import LakeTuningOptions, TunedLake, chosen_in, tune
 from becalm.fleet.tuning.written import values_of
 from becalm.report.fleet_rows import counted
 
@@ -37,7 +37,7 @@ def tune_lake(lake: Path, output: Path, asked: LakeTuningOptions, where: SparkAd
         raise typer.Exit(NOT_DESCRIBED)
 
 
-def _tell(lake: Path, output: Path, asked: LakeTuningOptions, tuned: Tuned) -> None:
+def _tell(lake: Path, output: Path, asked: LakeTuningOptions, tuned: TunedLake) -> None:
     for klass in tuned.classes:
         typer.echo(klass.says, err=True)
     say_some([f"{row.sensor}: {row.reason}" for row in tuned.rows if row.state == "refused"])

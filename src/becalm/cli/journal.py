@@ -19,7 +19,7 @@ from becalm.files.registry import format_to_write
 from becalm.files.writing import open_output
 from becalm.live.address import seconds_of
 from becalm.live.journal.checking import faults, told
-from becalm.live.journal.reading import JournalReader, Stretch, open_journal
+from becalm.live.journal.reading import JournalReader, JournalStretch, open_journal
 from becalm.live.journal.recording import prune
 from becalm.live.tables import table_schema
 
@@ -182,7 +182,7 @@ def moment_of(option: str, text: str | None, default: float) -> float:
     return seconds
 
 
-def _stamps(one: Stretch) -> tuple[str, str]:
+def _stamps(one: JournalStretch) -> tuple[str, str]:
     first_s, last_s = (_stamp(stamp_s, one.dated) for stamp_s in (one.first_s, one.last_s))
     return first_s, last_s
 

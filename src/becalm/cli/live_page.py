@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from becalm.live.retuning import Retune
 from becalm.live.watching.meter import Meter
-from becalm.web.access import Access, Options, PageAsked, token_of
+from becalm.web.access import Access, AccessOptions, PageAsked, token_of
 from becalm.web.livepage.feed import Feed
 from becalm.web.livepage.page import LivePage
 from becalm.web.livepage.session import converse
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 
-_OPTIONS = Options("--page-host", "--page")
+_OPTIONS = AccessOptions("--page-host", "--page")
 _SWITCH_S = 5e-4  # until a thread that computes lets another go on: a page's figures must not hold up the filters
 
 

@@ -117,11 +117,11 @@ class Picturing:
         if self._page is None and self._kind is None:
             return {}
         from becalm.files.text_file import write_text
-        from becalm.report.channel import Cleaned, Pictures
+        from becalm.report.channel import CleanedChannels, Pictures
         from becalm.report.page import Facts, page_of
 
         times = [
-            Cleaned(one.recipe, one.reports, one.gathering, one.source.clock.step_s, one.source.group)
+            CleanedChannels(one.recipe, one.reports, one.gathering, one.source.clock.step_s, one.source.group)
             for one in done
             if one.gathering is not None
         ]

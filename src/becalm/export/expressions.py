@@ -10,7 +10,7 @@ from becalm.core.arrays import Floats
 from becalm.export.number_type import NumberType
 
 
-class Cost(NamedTuple):
+class OperationCount(NamedTuple):
     """Operations on numbers, counted in the text of what is written."""
 
     multiplications: int
@@ -23,11 +23,11 @@ class Cost(NamedTuple):
         return f"{told}, {self.divisions} divisions" if self.divisions else f"{told}, no division"
 
 
-def cost_of(lines: Iterable[str]) -> Cost:
+def cost_of(lines: Iterable[str]) -> OperationCount:
     """Count the operations in lines of C, comments aside; each of them runs once."""
     text = re.sub(r"/\*.*?\*/|\[[^]]*\]", "", "\n".join(lines))
     text = re.sub(r"0x[0-9a-fA-F.]+p[+-]\d+f?", "c", text)
-    return Cost(
+    return OperationCount(
         len(re.findall(r" \* | \*= ", text)),
         len(re.findall(r" [+-] | [+-]= ", text)),
         len(re.findall(r" / | /= ", text)),

@@ -9,7 +9,7 @@ from becalm.core.health.outliers import NO_OUTLIERS
 from becalm.errors import RecipeError, UsageError
 from becalm.export.channel.kind import WholeChannel
 from becalm.export.design import Design
-from becalm.export.fixed.kind import Fixed
+from becalm.export.fixed.kind import FixedPointFilter
 from becalm.export.kind import Kind
 from becalm.export.number_type import DOUBLE, FLOAT, NumberType, Precision
 from becalm.export.settled.kind import Settled
@@ -58,7 +58,7 @@ def kind_of(recipe: ChannelRecipe, design: Design, precision: Precision, gain: s
     if precision == "q31":
         if gain == "full":
             raise UsageError("Fixed point carries no covariance; leave --gain full out, or use --precision float32.")
-        return Fixed()
+        return FixedPointFilter()
     number = DOUBLE if precision == "float64" else FLOAT
     if needs or gain == "full" or (gain == "auto" and _is_better_whole(design, number)):
         return WholeChannel.alone(number, recipe, design)

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from becalm.export.design import Design
-from becalm.export.expressions import Cost
+from becalm.export.expressions import OperationCount
 from becalm.export.naming import comment, identifier
 from becalm.export.number_type import NumberType
 from becalm.export.templates import render
@@ -45,7 +45,7 @@ class WrittenChannel(NamedTuple):
 
     header: str
     source: str
-    cost: Cost | None
+    cost: OperationCount | None
     state_bytes: int
     table_bytes: int
     word: WordLength | None

@@ -7,7 +7,7 @@ from becalm.files.read_options import ReadOptions
 from becalm.files.reading import read, read_source
 from becalm.files.source import ColumnLayout, Layout, SourceFile
 from becalm.files.tables import CleanChannel, output_block, output_table, recording_table
-from becalm.files.writing import Output, open_output, write, write_table
+from becalm.files.writing import TableOutput, open_output, write, write_table
 
 __all__ = [
     "Chunk",
@@ -15,9 +15,9 @@ __all__ = [
     "ColumnLayout",
     "Layout",
     "OpenSource",
-    "Output",
     "ReadOptions",
     "SourceFile",
+    "TableOutput",
     "open_output",
     "open_source",
     "output_block",

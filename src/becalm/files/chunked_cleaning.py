@@ -30,7 +30,7 @@ CHUNK_ROWS = 1 << 18
 """Rows that are cleaned at once: much to do, and little to hold."""
 
 
-class Gathering(Protocol):
+class ChunkObserver(Protocol):
     """What looks on while a file goes through, such as `becalm.report.gathering.Gathering`."""
 
     @property
@@ -43,14 +43,14 @@ class Gathering(Protocol):
         ...
 
 
-class Source(Protocol):
+class ChunkSource(Protocol):
     """What is cleaned, as far as it tells how much of it to clean at once."""
 
     schema: pa.Schema
     clock: Clock
 
 
-def rows_of_chunks(source: Source, channels: int) -> int:
+def rows_of_chunks(source: ChunkSource, channels: int) -> int:
     """Return how many rows to clean at once, in whole blocks, so that where a file is cut changes no bit."""
     rows = min(CHUNK_ROWS, block_rows(source.schema))
     if not source.clock.uniform:  # then each row has step matrices of its own, in each channel
@@ -66,7 +66,7 @@ def clean_chunks(  # noqa: PLR0913  (each by its name)
     *,
     split: bool = False,
     verdicts: bool = False,
-    gathering: Gathering | None = None,
+    gathering: ChunkObserver | None = None,
 ) -> tuple[ChannelReport, ...]:
     """Clean a file, and write it; `step` is called after each chunk, with its rows.
 
@@ -98,7 +98,7 @@ def counted(chunks: Iterable[Chunk], step: Callable[[str, int], None]) -> Iterat
         step("", len(chunk))
 
 
-class Answer(NamedTuple):
+class CleanChunk(NamedTuple):
     """A chunk of rows that is clean."""
 
     chunk: Chunk
@@ -110,12 +110,12 @@ class Answer(NamedTuple):
         return output_block(self.chunk.table, {one.name: _clean_channel(one, clean, verdicts) for one, clean in named})
 
 
-def answered(cleaner: Cleaner, recipe: Recipe, chunks: Iterable[Chunk], *, ends: bool = True) -> Iterator[Answer]:
+def answered(cleaner: Cleaner, recipe: Recipe, chunks: Iterable[Chunk], *, ends: bool = True) -> Iterator[CleanChunk]:
     """Give each chunk of rows as soon as it is clean; unless they are the last, what waits for later ones stays."""
     waiting: deque[Chunk] = deque()
 
-    def ready(told: list[list[EstimatedRows]]) -> Iterator[Answer]:
-        return (Answer(waiting.popleft(), channels) for channels in told)
+    def ready(told: list[list[EstimatedRows]]) -> Iterator[CleanChunk]:
+        return (CleanChunk(waiting.popleft(), channels) for channels in told)
 
     for chunk in chunks:
         waiting.append(chunk)
@@ -132,7 +132,7 @@ def columns_of(chunk: Chunk, recipe: Recipe) -> list[Floats]:
 class _Behind:
     """Gathers beside the cleaning of the next rows: one stretch at a time, in order."""
 
-    def __init__(self, gathering: Gathering) -> None:
+    def __init__(self, gathering: ChunkObserver) -> None:
         self._gathering, self._pool = gathering, ThreadPoolExecutor(1)
         self._last: Future[None] | None = None
 

@@ -13,7 +13,7 @@ _GROUP_BYTES = 256 << 20
 _LOOKED_AT = 4096
 
 
-class ParquetRows:
+class ParquetTables:
     """Writes tables of one schema below each other.
 
     Parameters

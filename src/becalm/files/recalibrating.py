@@ -25,7 +25,7 @@ from becalm.files.time_base_choice import holds, listed
 from becalm.files.timing.time_column import named_column
 from becalm.files.units import parse_header
 from becalm.sensors.bridge import Bridge
-from becalm.sensors.curve import Curve
+from becalm.sensors.curve import CalibrationCurve
 from becalm.sensors.record import SensorRecord, applied, tared
 from becalm.sensors.tare import Tare
 
@@ -152,7 +152,9 @@ def _refuse_other(old: SensorRecord, new: SensorRecord) -> None:
         raise UsageError(f"The axes {named} hear of each other, and each was filtered in its own way. {_AGAIN}")
     for one in (old, new):
         conversion = one.conversion
-        if isinstance(conversion, Bridge) or (isinstance(conversion, Curve) and len(conversion.coefficients) != _LINE):
+        if isinstance(conversion, Bridge) or (
+            isinstance(conversion, CalibrationCurve) and len(conversion.coefficients) != _LINE
+        ):
             raise UsageError(f"The sensor of {named} is not linear in its readings. {_AGAIN}")
     if (old.raw_unit, old.unit) != (new.raw_unit, new.unit):
         raise UsageError(

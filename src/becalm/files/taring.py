@@ -14,11 +14,11 @@ from becalm.files.read_options import ReadOptions
 from becalm.files.roles import values_of
 from becalm.files.source import RawTable
 from becalm.files.timing.row_times import RowTimes, row_times, rows_between
-from becalm.sensors.curve import Curve
+from becalm.sensors.curve import CalibrationCurve
 from becalm.sensors.record import tared
 from becalm.sensors.tare import MOST_READINGS, Tare, zero_of
 
-_AS_READ = Curve((0.0, 1.0))
+_AS_READ = CalibrationCurve((0.0, 1.0))
 
 
 def with_tares(table: RawTable, sensed: Sequence[Sensed], options: ReadOptions) -> list[Sensed]:

@@ -18,13 +18,13 @@ from becalm.files.arrays.array_writer import MatRows, NpzRows
 from becalm.files.arrays.hdf5_writer import Hdf5Rows
 from becalm.files.atomic_file import refuse_folder, replace_file, replacing, sentences
 from becalm.files.csv.writer import CsvRows
-from becalm.files.parquet_writer import ParquetRows
+from becalm.files.parquet_writer import ParquetTables
 from becalm.files.recorders.mf4_writer import Mf4Rows
 from becalm.files.recorders.tdms_writer import TdmsRows
 from becalm.files.registry import CSV, CSV_GZ, HDF5, MAT, MF4, NPZ, PARQUET_FORMAT, TDMS, format_to_write
 from becalm.files.tables import output_table, recording_table
 
-__all__ = ["Output", "open_output", "output_table", "recording_table", "replace_file", "write", "write_table"]
+__all__ = ["TableOutput", "open_output", "output_table", "recording_table", "replace_file", "write", "write_table"]
 
 _WAITING = 1  # chunks between the one being made and the one being written
 
@@ -74,7 +74,7 @@ def write_table(path: str | os.PathLike[str], table: pa.Table, metadata: Mapping
 @contextmanager
 def open_output(
     path: str | os.PathLike[str], metadata: Mapping[str, str] | None = None, form: str = ""
-) -> Iterator[Output]:
+) -> Iterator[TableOutput]:
     """Write a table chunk by chunk; it appears at the end, if nothing was raised until then.
 
     Parameters
@@ -96,7 +96,7 @@ def open_output(
     writer = _WRITERS[form or format_to_write(target)]
     refuse_folder(target)
     with replacing(target) as file:
-        output = Output(target, writer(file), metadata)
+        output = TableOutput(target, writer(file), metadata)
         try:
             yield output
         except BaseException:
@@ -142,12 +142,12 @@ _WRITERS: dict[str, Callable[[IO[bytes]], _Writer]] = {
     MAT: MatRows,
     MF4: Mf4Rows,
     NPZ: NpzRows,
-    PARQUET_FORMAT: ParquetRows,
+    PARQUET_FORMAT: ParquetTables,
     TDMS: TdmsRows,
 }
 
 
-class Output:
+class TableOutput:
     """Takes chunks of a table, and writes them while the next are made; made by `open_output`."""
 
     def __init__(self, path: Path, writer: _Writer, metadata: Mapping[str, str] | None) -> None:

@@ -15,13 +15,13 @@ from becalm.files.atomic_file import sentences, sync_folder
 from becalm.files.registry import PARQUET_FORMAT
 from becalm.files.temporary_files import in_waiting
 from becalm.files.text_file import make_folder
-from becalm.files.writing import Output, open_output
+from becalm.files.writing import TableOutput, open_output
 
 STAGED = ".becalm.*.part"
 """Names of folders whose files have no names of their own yet."""
 
 
-class Piece(NamedTuple):
+class OutputFile(NamedTuple):
     """A file to write."""
 
     name: str  # within the output of its sensor
@@ -86,10 +86,10 @@ class Pieces:
         Kept in each file.
     """
 
-    def __init__(self, folder: Path, pieces: Sequence[Piece], metadata: Mapping[str, str]) -> None:
+    def __init__(self, folder: Path, pieces: Sequence[OutputFile], metadata: Mapping[str, str]) -> None:
         self._folder, self._metadata, self._stack = folder, metadata, ExitStack()
         self._left = list(pieces)
-        self._output: Output | None = None
+        self._output: TableOutput | None = None
         self._room = 0  # rows that the open file still takes
 
     def write(self, table: pa.Table) -> None:
@@ -107,7 +107,7 @@ class Pieces:
             output.write(part)
             at, self._room = at + part.num_rows, self._room - part.num_rows
 
-    def _opened(self) -> Output:
+    def _opened(self) -> TableOutput:
         if self._output is None or not self._room:
             self._stack.close()
             piece = self._left.pop(0)

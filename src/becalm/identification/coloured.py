@@ -18,7 +18,7 @@ from itertools import pairwise, product
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.core.model.autoregressive import Coloured, from_partial_autocorrelations
+from becalm.core.model.autoregressive import ColouredNoise, from_partial_autocorrelations
 from becalm.errors import RecordingError
 from becalm.identification.coloured_likelihood import HIGHEST_ORDER, Misfit, Shape, exact_misfit, spectral_misfit
 
@@ -59,7 +59,7 @@ class NoiseModel:
     """
 
     white_variance: float
-    coloured: Coloured | None
+    coloured: ColouredNoise | None
     drift_density: float
     count: int
     gain: float = 0.0

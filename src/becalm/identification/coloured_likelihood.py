@@ -15,7 +15,7 @@ import numpy as np
 from becalm.core.arrays import Floats
 from becalm.core.filter.channel_record import ChannelRecord
 from becalm.core.filter.likelihood_sums import Sums
-from becalm.core.model.autoregressive import Coloured, autoregressive
+from becalm.core.model.autoregressive import ColouredNoise, autoregressive
 from becalm.core.model.components import motion
 from becalm.core.model.parts import Component
 from becalm.identification.spectrum import pooled, sine_spectrum
@@ -43,10 +43,10 @@ class Shape:
     coefficients: tuple[float, ...] = ()
 
     @property
-    def coloured(self) -> Coloured:
+    def coloured(self) -> ColouredNoise:
         """The coloured noise."""
-        unit = Coloured(self.coefficients, 1.0)
-        return Coloured(self.coefficients, self.innovation / unit.innovation_variance)
+        unit = ColouredNoise(self.coefficients, 1.0)
+        return ColouredNoise(self.coefficients, self.innovation / unit.innovation_variance)
 
 
 def spectral_misfit(parts: Sequence[Floats]) -> Misfit:

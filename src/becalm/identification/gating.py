@@ -13,7 +13,7 @@ import numpy as np
 
 from becalm.core.arrays import Booleans, Floats, input_of
 from becalm.core.filter.channel import Channel
-from becalm.core.filter.channel_settings import Settings
+from becalm.core.filter.channel_settings import ChannelSettings
 from becalm.core.filter.gate import Gate
 from becalm.core.verdict import Verdict
 from becalm.identification.choose import NOTHING_KNOWN, Choice, PriorKnowledge, choose
@@ -140,7 +140,7 @@ def has_shoulders(found: Forecasts, threshold: float) -> bool:
 
 def forecasts(tuning: Tuning, readings: Floats, elapsed: Floats, gate: Gate | None) -> Forecasts:
     """Foretell readings (N,), causally, with a gate or without."""
-    channel = Channel(Settings(tuning.component, tuning.noise_variance, gate=gate))
+    channel = Channel(ChannelSettings(tuning.component, tuning.noise_variance, gate=gate))
     readings, elapsed = input_of(readings), input_of(elapsed)
     pieces = (slice(start, start + _PIECE) for start in range(0, len(readings), _PIECE))
     found = [channel.process(readings[piece], elapsed[piece]) for piece in pieces]

@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 
 from becalm.core.filter.likelihood_sums import Sums
-from becalm.core.model.autoregressive import Coloured
+from becalm.core.model.autoregressive import ColouredNoise
 from becalm.core.model.components import EVERY_ORDER, ORDERS
 from becalm.errors import RecordingError
 from becalm.identification.coloured_likelihood import first_in_a_row, score_coloured
@@ -35,7 +35,9 @@ from becalm.identification.search import find_ratio
 _ALIKE = 0.1  # of the logarithm of the residuals, as a few stretches tell them
 
 
-def tune_beside(evidence: Evidence, noise_variance: float, coloured: Coloured | None = None, *, causal: bool) -> Tuning:
+def tune_beside(
+    evidence: Evidence, noise_variance: float, coloured: ColouredNoise | None = None, *, causal: bool
+) -> Tuning:
     """Tune a motion, its order and its density, beside noise that is known.
 
     Parameters
@@ -96,7 +98,7 @@ def _beside_white(order: int, evidence: Evidence, R: float) -> Tuning:
     return _likeliest(likelihood, order, evidence, (R, R))
 
 
-def _beside_coloured(order: int, evidence: Evidence, R: float, coloured: Coloured) -> Tuning:
+def _beside_coloured(order: int, evidence: Evidence, R: float, coloured: ColouredNoise) -> Tuning:
     """Find the likeliest density of one order beside white and coloured noise."""
     trial, parts = Tuning(order, 1.0, R, 0, coloured=coloured), _parts(evidence)
 

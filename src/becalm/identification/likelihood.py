@@ -20,10 +20,10 @@ from becalm.core.closed_forms import returning_power
 from becalm.core.filter.channel_record import ChannelRecord
 from becalm.core.filter.likelihood_sums import Sums
 from becalm.core.health.quantisation import converter_step
-from becalm.core.model.autoregressive import Coloured, autoregressive
+from becalm.core.model.autoregressive import ColouredNoise, autoregressive
 from becalm.core.model.components import LEVEL_RATE, Component, motion, oscillator, returning_motion
 from becalm.identification.search import Edge, find_ratio
-from becalm.identification.spectrum import Line
+from becalm.identification.spectrum import SpectralLine
 
 FEWEST_READINGS = 8
 """Fewer readings than this cannot tell noise from signal."""
@@ -95,8 +95,8 @@ class Tuning:
     log_likelihood: float = np.nan
     loss: float = np.nan
     at_edge: Edge = ""
-    lines: tuple[Line, ...] = ()
-    coloured: Coloured | None = None
+    lines: tuple[SpectralLine, ...] = ()
+    coloured: ColouredNoise | None = None
     damping: float = 0.0
 
     def counted_in(self, steps: float) -> Tuning:
@@ -147,7 +147,7 @@ class Tuning:
         )
 
 
-def _tone(line: Line) -> Component:
+def _tone(line: SpectralLine) -> Component:
     tone = oscillator(line.angle / (2 * np.pi), line.damping / np.pi, line.density)
     return tone.as_disturbance() if line.disturbance else tone
 

@@ -19,7 +19,7 @@ _BATCHES = 2  # that wait for a slow disk, before the filters do
 _POLL_S = 0.25
 
 
-class Batch(NamedTuple):
+class Transaction(NamedTuple):
     """What is kept in one transaction."""
 
     outputs: list[Output]
@@ -50,7 +50,7 @@ class Keeping:
 
     def __init__(self, outlets: Outlets, source: Source, watch: Watch, head: Head) -> None:
         self._outlets, self._source, self._watch, self._head = outlets, source, watch, head
-        self._batches: queue.Queue[Batch | None] = queue.Queue(_BATCHES)
+        self._batches: queue.Queue[Transaction | None] = queue.Queue(_BATCHES)
         self._giving_up = threading.Event()
         self._failure: BaseException | None = None
         self._losses: list[Loss] = []
@@ -58,7 +58,7 @@ class Keeping:
         self._thread = threading.Thread(target=self._run, name="keeper", daemon=True)
         self._thread.start()
 
-    def give(self, batch: Batch) -> None:
+    def give(self, batch: Transaction) -> None:
         """Hand a batch over; wait while those before it wait for the disk.
 
         Raises
@@ -111,7 +111,7 @@ class Keeping:
         except BaseException as cause:  # the runner raises it
             self._failure = cause
 
-    def _keep(self, batch: Batch) -> None:
+    def _keep(self, batch: Transaction) -> None:
         begun = time.monotonic()
         for outlet in self._outlets.others:
             self._insist(outlet.flush, outlet.away)
@@ -121,7 +121,7 @@ class Keeping:
         self._watch.meter.kept(rows, time.monotonic() - begun, batch.checkpoint.position)
         self._source.committed(batch.checkpoint.position)
 
-    def _keep_once(self, batch: Batch) -> None:
+    def _keep_once(self, batch: Transaction) -> None:
         keeper = self._outlets.keeper
         assert keeper is not None
         if self._in_doubt:

@@ -12,7 +12,7 @@ from math import nan
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.stream import ChannelHealth
 from becalm.live.block import Block, Checkpoint, Loss, LossKind, Output
-from becalm.live.commit_thread import Batch, Keeping, Outlets
+from becalm.live.commit_thread import Keeping, Outlets, Transaction
 from becalm.live.protocols import Source
 from becalm.live.queueing import BlockQueue
 from becalm.live.reader import Reader
@@ -195,7 +195,7 @@ class Runner:
         self._given_s = now
         if self._outputs:
             outputs, self._outputs = self._outputs, []
-            keeping.give(Batch(outputs, stream.checkpoint(self._position, self.address)))
+            keeping.give(Transaction(outputs, stream.checkpoint(self._position, self.address)))
         self._losses += keeping.losses()
 
     def _look_after(self, stream: Stream) -> None:

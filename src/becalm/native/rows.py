@@ -16,19 +16,19 @@ _ROWS = ("z", "elapsed", "step", "F", "Q")
 _ESTIMATES = ("signal", "sigma", "verdict", "innovation", "deviation", "x")
 
 
-class Block(ctypes.Structure):
+class RowBlock(ctypes.Structure):
     """A block of rows; see `block_t`."""
 
     _fields_ = (*((name, ctypes.c_void_p) for name in _ROWS), ("rows", ctypes.c_int64))
 
 
-class Estimate(ctypes.Structure):
+class RowEstimates(ctypes.Structure):
     """What is estimated of it; see `estimate_t`."""
 
     _fields_ = tuple((name, ctypes.c_void_p) for name in _ESTIMATES)
 
 
-def checked(settings: NDArray[np.void], rows: dict[str, Any], *, writes: bool = True) -> tuple[Block, Estimate]:
+def checked(settings: NDArray[np.void], rows: dict[str, Any], *, writes: bool = True) -> tuple[RowBlock, RowEstimates]:
     """Return rows as C takes them, and where it writes to, if it does."""
     n, count = int(settings["states"]), len(rows["z"])
     if settings.dtype != SETTINGS or not 1 <= n <= MOST_STATES:
@@ -48,6 +48,6 @@ def checked(settings: NDArray[np.void], rows: dict[str, Any], *, writes: bool = 
     if not (rows["elapsed"] >= 0).all():
         raise ValueError("elapsed is NaN or below 0 somewhere; time only goes on.")
     at = {name: rows[name].ctypes.data for name in wanted}
-    block = Block(at["z"], at["elapsed"], at["step"], at["F"], at["Q"], count)
-    estimate = Estimate(*(at.get(name) for name in _ESTIMATES))
+    block = RowBlock(at["z"], at["elapsed"], at["step"], at["F"], at["Q"], count)
+    estimate = RowEstimates(*(at.get(name) for name in _ESTIMATES))
     return block, estimate

@@ -25,7 +25,7 @@ class Pictured(NamedTuple):
     narrow: tuple[Figure, ...]
 
 
-class Cleaned(NamedTuple):
+class CleanedChannels(NamedTuple):
     """Channels that share one time, and what went by while they were cleaned.
 
     Attributes
@@ -64,7 +64,7 @@ class Pictures:
         One, or several that are drawn one after the other.
     """
 
-    def __init__(self, *times: Cleaned) -> None:
+    def __init__(self, *times: CleanedChannels) -> None:
         self.times = times
         self._fronts: dict[float, Front] = {step_s: front_of(step_s) for step_s in {time.step_s for time in times}}
         self._places = [(time, number) for time in times for number in range(len(time.reports))]

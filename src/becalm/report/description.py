@@ -60,7 +60,7 @@ class Rule(NamedTuple):
     role: Role = "other"
 
 
-class Surface(NamedTuple):
+class DrawnSurface(NamedTuple):
     """Heights over a plane, drawn as filled contours, or point by point; for print only."""
 
     name: str
@@ -70,7 +70,7 @@ class Surface(NamedTuple):
     by_point: bool = False  # of a rough one, whose contours would be many
 
 
-Layer = Curve | Band | Lane | Rule | Surface
+Layer = Curve | Band | Lane | Rule | DrawnSurface
 
 
 @dataclass(frozen=True)

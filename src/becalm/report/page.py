@@ -14,7 +14,7 @@ from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.report import ChannelReport
 from becalm.cleaning.table_cells import amount, cells
 from becalm.installation import version
-from becalm.report.channel import Cleaned, Pictured, Pictures
+from becalm.report.channel import CleanedChannels, Pictured, Pictures
 from becalm.report.description import Figure
 from becalm.report.embedding import asset, packed, script
 from becalm.report.payload import payload
@@ -151,7 +151,7 @@ def _lead(reports: Sequence[ChannelReport]) -> str:
     )
 
 
-def _facts_told(facts: Facts, recipe: Recipe, times: Sequence[Cleaned]) -> list[tuple[str, str]]:
+def _facts_told(facts: Facts, recipe: Recipe, times: Sequence[CleanedChannels]) -> list[tuple[str, str]]:
     mode = {
         "causal": "a filter: each estimate knows only the past",
         "smoothed": "a smoother: each estimate knows the whole record",
@@ -161,7 +161,7 @@ def _facts_told(facts: Facts, recipe: Recipe, times: Sequence[Cleaned]) -> list[
     return [*told, ("SHA-256 of the file", f"{facts.sha256[:_HASH_SHOWN]}…")] if facts.sha256 else told
 
 
-def _times_told(times: Sequence[Cleaned]) -> list[tuple[str, str]]:
+def _times_told(times: Sequence[CleanedChannels]) -> list[tuple[str, str]]:
     told = [(f"{one.gathering.rows}", amount(1 / one.step_s, "Hz"), amount(one.lasts_s, "s")) for one in times]
     if len(told) == 1:
         return list(zip(("rows", "rate", "lasts"), told[0], strict=True))

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.report.description import Axis, Band, Figure, Lane, Layer, Rule, Surface
+from becalm.report.description import Axis, Band, DrawnSurface, Figure, Lane, Layer, Rule
 
 _LEAST, _MOST = 1e-30, 1e30  # magnitudes that float32 holds well
 _NEAR = 0.1  # of the first value: values no farther from it lose digits unless it is taken off
@@ -76,7 +76,7 @@ def _axis(axis: Axis) -> dict[str, object]:
 
 
 def _layer(layer: Layer, arrays: _Arrays) -> dict[str, object]:
-    if isinstance(layer, Surface):
+    if isinstance(layer, DrawnSurface):
         raise TypeError(f"The surface {layer.name!r} is for print only.")
     if isinstance(layer, Lane):
         edges = {"starts": arrays.place(layer.starts, exact=True), "ends": arrays.place(layer.ends, exact=True)}

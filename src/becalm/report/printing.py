@@ -18,7 +18,7 @@ import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.errors import UsageError
-from becalm.report.description import Band, Curve, Figure, Lane, Role, Rule, Surface
+from becalm.report.description import Band, Curve, DrawnSurface, Figure, Lane, Role, Rule
 from becalm.report.envelope import Envelope
 
 if TYPE_CHECKING:
@@ -156,7 +156,7 @@ class _Room(NamedTuple):
         kinds, names = [type(layer) for layer in figure.layers], _named(figure)
         lanes = kinds.count(Lane)
         across, up = width - _LEFT - _RIGHT, _LANE * lanes if lanes else _HEIGHT
-        if Surface in kinds:
+        if DrawnSurface in kinds:
             across, up = across - _SCALE, _SQUARE
         if not names:
             return cls(across, up, _BOTTOM, 0)
@@ -174,7 +174,7 @@ def _named(figure: Figure) -> list[str]:
 def _draw(axes: Axes, figure: Figure) -> None:
     others, markers, lanes = cycle(OTHERS), cycle(_MARKERS), 0
     for layer in figure.layers:
-        if isinstance(layer, Surface):
+        if isinstance(layer, DrawnSurface):
             _draw_surface(axes, layer)
         elif isinstance(layer, Lane):
             spans = list(zip(layer.starts, layer.ends - layer.starts, strict=True))
@@ -267,7 +267,7 @@ def _thinned(band: Band) -> tuple[Floats, Floats, Floats]:
     return (each[0].low + each[0].high) / 2, each[1].low, each[2].high
 
 
-def _draw_surface(axes: Axes, layer: Surface) -> None:
+def _draw_surface(axes: Axes, layer: DrawnSurface) -> None:
     place = (layer.x, layer.y, layer.height.T)
     grey = "Greys"  # what is drawn upon it has colours
     filled: Any

@@ -7,7 +7,7 @@ import numpy as np
 from becalm.cleaning.cleaner import Cleaner
 from becalm.cleaning.recipe import Recipe
 from becalm.core.recording import Recording
-from becalm.report.channel import Cleaned, Pictures
+from becalm.report.channel import CleanedChannels, Pictures
 from becalm.report.gathering import Gathering
 
 
@@ -36,4 +36,4 @@ def pictures_of(recording: Recording, recipe: Recipe) -> Pictures:
     with Cleaner(recipe, time.step_s, looks=looks) as cleaner:
         for told in (*cleaner.push(columns, time.elapsed_steps), *cleaner.finish()):
             gathering.add(columns, time.elapsed_steps, told)
-        return Pictures(Cleaned(recipe, cleaner.reports(), gathering, time.step_s))
+        return Pictures(CleanedChannels(recipe, cleaner.reports(), gathering, time.step_s))

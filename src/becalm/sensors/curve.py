@@ -12,7 +12,7 @@ from becalm.sensors.checks import finite
 
 
 @dataclass(frozen=True)
-class Curve:
+class CalibrationCurve:
     """A polynomial.
 
     Attributes
@@ -34,10 +34,10 @@ class Curve:
         if not any(own[1:]):
             raise SensorError("A curve with no coefficient beyond the first tells nothing; give them, as [0.0, 12.5].")
 
-    def zeroed_at(self, reading: float) -> Curve:
+    def zeroed_at(self, reading: float) -> CalibrationCurve:
         """Return the same curve, moved so that this reading tells 0."""
         constant = self.coefficients[0] - float(self.value(np.array([reading]))[0])
-        return Curve((constant, *self.coefficients[1:]))
+        return CalibrationCurve((constant, *self.coefficients[1:]))
 
     def value(self, readings: Floats) -> Floats:
         """Return what is measured (n,) where readings (n,) came."""

@@ -13,7 +13,7 @@ from becalm.core.arrays import Floats
 from becalm.errors import SensorError
 from becalm.sensors.accelerometer import Accelerometer, FullScale
 from becalm.sensors.bridge import Bridge
-from becalm.sensors.curve import Curve
+from becalm.sensors.curve import CalibrationCurve
 from becalm.sensors.load_cell import LoadCell
 from becalm.sensors.resonance import Resonance
 from becalm.sensors.tare import Tare
@@ -158,7 +158,7 @@ class SensorRecord:
     channels: tuple[str, ...]
     raw_unit: str
     unit: str
-    conversion: Accelerometer | Bridge | LoadCell | Curve
+    conversion: Accelerometer | Bridge | LoadCell | CalibrationCurve
     reading_size: float = 1.0
     result_size: float = 1.0
     sensitivities: tuple[Sensitivity, ...] = ()
@@ -275,7 +275,7 @@ def _without_temperature(
     return temperature.corrected(strain[:, 0], degc, gauge_factor)[:, np.newaxis]
 
 
-def _converted(conversion: Accelerometer | Bridge | LoadCell | Curve, readings: Floats) -> Floats:
+def _converted(conversion: Accelerometer | Bridge | LoadCell | CalibrationCurve, readings: Floats) -> Floats:
     """Return what a conversion makes of readings (n, m)."""
     match conversion:
         case Accelerometer():
@@ -284,5 +284,5 @@ def _converted(conversion: Accelerometer | Bridge | LoadCell | Curve, readings: 
             return conversion.strain(readings)
         case LoadCell():
             return conversion.load(readings)
-        case Curve():
+        case CalibrationCurve():
             return conversion.value(readings)

@@ -52,7 +52,7 @@ REFERENCE_HZ = 5.0  # -3 dB of the high-pass that makes the canceller's referenc
 _SEGMENT = 4096  # samples of Welch's segments: 0.12 Hz
 
 
-class Score(NamedTuple):
+class CarScore(NamedTuple):
     """How one acceleration left one filter."""
 
     filter: str
@@ -87,7 +87,7 @@ class CarStudy(NamedTuple):
     drive: CarDrive
     input_snr_paper_db: tuple[float, float]
     estimates: dict[str, Floats]  # (N, 3) speed, a_x, a_z by filter, with what was measured and what was true
-    scores: tuple[Score, ...]
+    scores: tuple[CarScore, ...]
     left: tuple[Left, ...]
     forms: Apart
     gain: Floats  # (3, 3)
@@ -181,11 +181,11 @@ def _input_ratios(drive: CarDrive) -> tuple[float, float]:
     return along, up
 
 
-def _score(name: str, axis: int, estimates: dict[str, Floats], model: Model | None) -> Score:
+def _score(name: str, axis: int, estimates: dict[str, Floats], model: Model | None) -> CarScore:
     signal, truth = estimates[name][:, axis], estimates[TRUTH][:, axis]
     error = signal - truth
     described = describe(vertical_alone(model), T).dc_delay_s if model and axis == 2 else np.nan
-    return Score(
+    return CarScore(
         name,
         AXES[axis - 1],
         snr_db(signal, error),

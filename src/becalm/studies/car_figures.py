@@ -6,9 +6,9 @@ import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.metrics.spectrum import spectrogram
-from becalm.report.description import Axis, Curve, Figure, Role, Surface
+from becalm.report.description import Axis, Curve, DrawnSurface, Figure, Role
 from becalm.studies.car import MEASURED, OWN, PRINTED, TRUTH, CarStudy
-from becalm.studies.sheets import Sheet
+from becalm.studies.sheets import SheetContents
 
 _CLOSE_S = (20.0, 25.0)  # of the vertical acceleration, which is too quick for a minute across a figure
 _SEGMENT = 512
@@ -17,7 +17,7 @@ _TIME, _SPEED = Axis("time (s)"), Axis("speed (km/h)")
 _ALONG, _UP = Axis("longitudinal acceleration (m/s²)"), Axis("vertical acceleration (m/s²)")
 
 
-def sheets(found: CarStudy) -> tuple[Sheet, ...]:
+def sheets(found: CarStudy) -> tuple[SheetContents, ...]:
     """Say what the figures show, from the numbers of the study; the real car's only where it was there."""
     times, drawn = found.drive.truth.times_s, found.estimates
     roles: dict[str, Role] = {MEASURED: "readings", PRINTED: "other", OWN: "clean", TRUTH: "truth"}
@@ -42,7 +42,7 @@ def sheets(found: CarStudy) -> tuple[Sheet, ...]:
         _spectrogram(f"car-spectrogram-{number}", name, times, drawn[name][:, 2])
         for number, name in enumerate((MEASURED, OWN), start=1)
     )
-    return *(Sheet(figure.name, (figure,)) for figure in figures), Sheet("car-spectrogram", shown)
+    return *(SheetContents(figure.name, (figure,)) for figure in figures), SheetContents("car-spectrogram", shown)
 
 
 def _spectrogram(name: str, shown: str, times_s: Floats, values: Floats) -> Figure:
@@ -50,7 +50,7 @@ def _spectrogram(name: str, shown: str, times_s: Floats, values: Floats) -> Figu
     found = spectrogram(values, 1 / float(np.diff(times_s).mean()), _SEGMENT)
     low = found.frequency_hz <= _HIGHEST_HZ
     decibels = 10 * np.log10(np.maximum(found.density[low].T, _FAINTEST))
-    layer = Surface("density (dB of (m/s²)²/Hz)", found.times_s, found.frequency_hz[low], decibels, by_point=True)
+    layer = DrawnSurface("density (dB of (m/s²)²/Hz)", found.times_s, found.frequency_hz[low], decibels, by_point=True)
     return Figure(name, f"Vertical acceleration, {shown}", _TIME, Axis("frequency (Hz)"), (layer,))
 
 

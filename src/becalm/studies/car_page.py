@@ -10,7 +10,7 @@ import numpy as np
 from becalm.files.text_file import make_folder, write_text
 from becalm.metrics.decibels import snr_db
 from becalm.metrics.spectrum import VEHICLE_BANDS_HZ
-from becalm.studies.car import ALONE, PRINTED, TOLD, CarStudy, Score, study
+from becalm.studies.car import ALONE, PRINTED, TOLD, CarScore, CarStudy, study
 from becalm.studies.car_drive import (
     BODY_HZ,
     COLOURED_HZ,
@@ -166,7 +166,7 @@ def _alone(found: CarStudy) -> str:
     )
 
 
-def _row(score: Score) -> list[str]:
+def _row(score: CarScore) -> list[str]:
     described = f"{score.described_lag_s * 1e3:.1f} ms" if np.isfinite(score.described_lag_s) else "not told"
     measured = f"{score.measured_lag_s * 1e3:.1f} ms"
     ratios = [f"{score.snr_paper_db:.1f}", f"{score.snr_db:.1f}"]

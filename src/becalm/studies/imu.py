@@ -25,9 +25,9 @@ from becalm.studies.imu_records import (
     identify,
     motionless,
 )
-from becalm.studies.imu_responses import Answer, Setting, answer, answers
+from becalm.studies.imu_responses import FilterResponse, NoiseSetting, answer, answers
 from becalm.studies.imu_switching import Contest, contest
-from becalm.studies.imu_valley import Coloured, Optimum, colours, optimise
+from becalm.studies.imu_valley import ColouredRecord, Optimum, colours, optimise
 from becalm.studies.recordings import RECORDINGS
 
 _FINE = 8192
@@ -56,9 +56,9 @@ class SensorStudy:
     record: Floats
     spectrum: Spectrum
     identified: tuple[Identified, ...]
-    answers: tuple[Answer, ...]
+    answers: tuple[FilterResponse, ...]
     optimum: Optimum
-    tuned: tuple[Answer, ...]
+    tuned: tuple[FilterResponse, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +80,7 @@ class Study:
     """
 
     sensors: dict[Sensor, SensorStudy]
-    colours: tuple[Coloured, ...]
+    colours: tuple[ColouredRecord, ...]
     rests: tuple[Rest, ...]
     skipped: tuple[str, ...]
     contest: Contest
@@ -97,8 +97,8 @@ def study_sensor(sensor: Sensor) -> SensorStudy:
     record, printed = motionless(sensor, 0), PRINTED[sensor]
     found = tuple(identify(motionless(sensor, seed, RECORD_S), RATE_HZ) for seed in RECORDS)
     optimum = optimise(sensor)
-    own = Setting("here", printed.measured_noise, optimum.ratio * printed.measured_noise)
-    paper = Setting("paper", printed.tuned_noise, printed.tuned_process)
+    own = NoiseSetting("here", printed.measured_noise, optimum.ratio * printed.measured_noise)
+    paper = NoiseSetting("paper", printed.tuned_noise, printed.tuned_process)
     tuned = tuple(answer(sensor, record, setting) for setting in (paper, own))
     shown = welch(np.asarray(record - record.mean()), RATE_HZ, _FINE)
     return SensorStudy(record, shown, found, answers(sensor, record), optimum, tuned)

@@ -6,12 +6,12 @@ import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.identification.several.step_spectrum import Sensor
-from becalm.report.description import Axis, Band, Curve, Figure, Layer, Look, Role, Surface
+from becalm.report.description import Axis, Band, Curve, DrawnSurface, Figure, Layer, Look, Role
 from becalm.studies.imu import SensorStudy, Study
 from becalm.studies.imu_records import PRINTED, RATE_HZ
-from becalm.studies.imu_responses import EVERY, STEP, STEP_AT_S, Answer
+from becalm.studies.imu_responses import EVERY, STEP, STEP_AT_S, FilterResponse
 from becalm.studies.imu_switching import Contest
-from becalm.studies.sheets import Sheet
+from becalm.studies.sheets import SheetContents
 
 _BLOCK = 100  # readings, of which a mean is drawn
 _QUICKEST_MS = 1e3 / RATE_HZ
@@ -21,16 +21,16 @@ _QUANTITIES: dict[Sensor, str] = {"accelerometer": "acceleration", "gyroscope": 
 _LOOKS: tuple[Look, ...] = ("line", "dashed", "dotted")
 
 
-def sheets(study: Study) -> tuple[Sheet, ...]:
+def sheets(study: Study) -> tuple[SheetContents, ...]:
     """Say what the figures show."""
     held = study.sensors.items()
     return (
-        Sheet("imu-record", tuple(_record(*each) for each in held)),
-        Sheet("imu-spectra", tuple(_spectrum(*each) for each in held), 2),
-        *(Sheet(f"imu-{sensor}", _panels(sensor, one.answers), 2) for sensor, one in held),
-        Sheet("imu-surface", tuple(_surface(*each) for each in held), 2),
-        Sheet("imu-optimum", tuple(_optimum(*each) for each in held), 2),
-        Sheet("imu-contest", (_contest(study.contest),)),
+        SheetContents("imu-record", tuple(_record(*each) for each in held)),
+        SheetContents("imu-spectra", tuple(_spectrum(*each) for each in held), 2),
+        *(SheetContents(f"imu-{sensor}", _panels(sensor, one.answers), 2) for sensor, one in held),
+        SheetContents("imu-surface", tuple(_surface(*each) for each in held), 2),
+        SheetContents("imu-optimum", tuple(_optimum(*each) for each in held), 2),
+        SheetContents("imu-contest", (_contest(study.contest),)),
     )
 
 
@@ -54,12 +54,12 @@ def _spectrum(sensor: Sensor, held: SensorStudy) -> Figure:
     return Figure(f"imu-spectra-{sensor}", sensor, x, y, layers)
 
 
-def _panels(sensor: Sensor, answers: tuple[Answer, ...]) -> tuple[Figure, ...]:
+def _panels(sensor: Sensor, answers: tuple[FilterResponse, ...]) -> tuple[Figure, ...]:
     """Draw figure 5 or 6."""
     return tuple(_panel(sensor, each) for each in answers)
 
 
-def _panel(sensor: Sensor, each: Answer) -> Figure:
+def _panel(sensor: Sensor, each: FilterResponse) -> Figure:
     name, noise, process, start = each.setting
     title = f"{name}) R = {noise:.4g}, Q = {process:.4g}, P0 = {start:g}"
     layers = (_output("output", each.output, "clean"), _step(each.output))
@@ -82,7 +82,7 @@ def _surface(sensor: Sensor, held: SensorStudy) -> Figure:
     ends = np.log10([[end.noise_variance, end.process_variance] for end in found.ends[1:]])
     tuned = np.log10([[printed.tuned_noise, printed.tuned_process]])
     layers: tuple[Layer, ...] = (
-        Surface("log10 J", cost.log_noise, cost.log_process, np.log10(cost.cost)),
+        DrawnSurface("log10 J", cost.log_noise, cost.log_process, np.log10(cost.cost)),
         Curve("Q/R found", cost.log_noise, cost.log_noise + np.log10(found.ratio), "clean", "dashed"),
         Curve("simplex ended", ends[:, 0], ends[:, 1], "other", "points"),
         Curve("paper", tuned[:, 0], tuned[:, 1], "other", "points"),

@@ -14,7 +14,7 @@ from becalm.studies import imu_switching
 from becalm.studies.imu import Study, study
 from becalm.studies.imu_figures import sheets
 from becalm.studies.imu_records import PRINTED, RATE_HZ, RECORD_S, SPLIT_HZ, SPLIT_ORDER, makeup
-from becalm.studies.imu_responses import STEP, Answer
+from becalm.studies.imu_responses import STEP, FilterResponse
 from becalm.studies.imu_valley import least_ratio
 from becalm.studies.recordings import RECORDINGS
 from becalm.studies.sheets import NOT_DRAWN, draw
@@ -130,7 +130,7 @@ so much that five seconds of step are not believed.
 """
 
 
-def _answers(answers: Iterable[Answer]) -> str:
+def _answers(answers: Iterable[FilterResponse]) -> str:
     head = ["", "R", "Q", "P0", "noise at rest", "nine tenths after", "height after 5 s"]
     rows = [
         [

@@ -20,7 +20,7 @@ EVERY = 50
 _LAST = round(0.1 * RATE_HZ)
 
 
-class Setting(NamedTuple):
+class NoiseSetting(NamedTuple):
     """R and Q in unit^2, and the number that fills P0."""
 
     name: str
@@ -29,12 +29,12 @@ class Setting(NamedTuple):
     start: float = 1.0
 
 
-class Answer(NamedTuple):
+class FilterResponse(NamedTuple):
     """How one filter answers.
 
     Attributes
     ----------
-    setting : Setting
+    setting : NoiseSetting
         Which filter.
     output : (k,) float array
         Every `EVERY`-th row, in unit, from the first on.
@@ -50,7 +50,7 @@ class Answer(NamedTuple):
         The most that output and input differ from the second reading on, in unit.
     """
 
-    setting: Setting
+    setting: NoiseSetting
     output: Floats
     reached_ms: float
     rest_noise: float
@@ -59,19 +59,19 @@ class Answer(NamedTuple):
     differs: float
 
 
-def settings(sensor: Sensor) -> tuple[Setting, ...]:
+def settings(sensor: Sensor) -> tuple[NoiseSetting, ...]:
     """Return the panels of figure 5 (accelerometer) or 6 (gyroscope)."""
     R, Q, *_ = PRINTED[sensor]
     panels = (
-        Setting("a", 0.0, Q),
-        Setting("b", 1.0, Q),
-        Setting("c", R, 0.0),
-        Setting("d", R, 1.0),
+        NoiseSetting("a", 0.0, Q),
+        NoiseSetting("b", 1.0, Q),
+        NoiseSetting("c", R, 0.0),
+        NoiseSetting("d", R, 1.0),
     )
-    return panels if sensor == "gyroscope" else (*panels, Setting("e", R, Q, 0.0), Setting("f", R, Q))
+    return panels if sensor == "gyroscope" else (*panels, NoiseSetting("e", R, Q, 0.0), NoiseSetting("f", R, Q))
 
 
-def answer(sensor: Sensor, record: Floats, setting: Setting) -> Answer:
+def answer(sensor: Sensor, record: Floats, setting: NoiseSetting) -> FilterResponse:
     """Filter a motionless record (N,) plus a step of 0.2 after 5 s."""
     P0 = np.full((2, 2), setting.start)
     trial = StepTrial(record, RATE_HZ, sensor, step=STEP, step_at_s=STEP_AT_S, initial_covariance=P0)
@@ -82,7 +82,7 @@ def answer(sensor: Sensor, record: Floats, setting: Setting) -> Answer:
     x = kalman_filter(model, z, sigma=False, innovations=False).signal[:, 0]
     passed = np.flatnonzero(x[row:] >= 0.9 * STEP)
     rest = x[row - second : row]
-    return Answer(
+    return FilterResponse(
         setting,
         x[::EVERY].copy(),
         1e3 * float(passed[0]) / RATE_HZ if len(passed) else np.inf,
@@ -93,7 +93,7 @@ def answer(sensor: Sensor, record: Floats, setting: Setting) -> Answer:
     )
 
 
-def answers(sensor: Sensor, record: Floats) -> tuple[Answer, ...]:
+def answers(sensor: Sensor, record: Floats) -> tuple[FilterResponse, ...]:
     """Return the answers of all panels of figure 5 or 6."""
     return tuple(answer(sensor, record, setting) for setting in settings(sensor))
 

@@ -27,7 +27,7 @@ STEPS = (0.2, 0.05, 0.02, 0.005)
 """Of the accelerometer, in its unit; of its standard deviation for the others."""
 
 
-class Switched(NamedTuple):
+class SwitchedStep(NamedTuple):
     """The filter that switches, at one step; medians over the records.
 
     Attributes
@@ -45,7 +45,7 @@ class Switched(NamedTuple):
     rest_gain: float
 
 
-class Fixed(NamedTuple):
+class PrintedOptimum(NamedTuple):
     """The paper's optimum for one sensor, on the same records."""
 
     sensor: Sensor
@@ -53,7 +53,7 @@ class Fixed(NamedTuple):
     rest_gain: float
 
 
-class Curve(NamedTuple):
+class GainCurve(NamedTuple):
     """All fixed gains of one order of motion: noise left over noise read, against the time to nine tenths."""
 
     order: int
@@ -64,9 +64,9 @@ class Curve(NamedTuple):
 class Contest(NamedTuple):
     """All on the same axes."""
 
-    switched: tuple[Switched, ...]
-    fixed: tuple[Fixed, ...]
-    fronts: tuple[Curve, ...]
+    switched: tuple[SwitchedStep, ...]
+    fixed: tuple[PrintedOptimum, ...]
+    fronts: tuple[GainCurve, ...]
 
     @property
     def rest_gain(self) -> float:
@@ -81,7 +81,7 @@ def contest() -> Contest:
     fixed = tuple(_fixed(sensor) for sensor in SENSORS)
     points = noise_lag_front(1.0, 1 / RATE_HZ).points
     fronts = tuple(
-        Curve(
+        GainCurve(
             order,
             np.array([1e3 * point.step_90_s for point in points if point.order == order]),
             np.array([point.noise_std for point in points if point.order == order]),
@@ -99,7 +99,7 @@ def _record(step_std: float, seed: int) -> Floats:
     return z
 
 
-def _switched(step_std: float) -> Switched:
+def _switched(step_std: float) -> SwitchedStep:
     rest, settled = round(REST_S * RATE_HZ), round(SETTLED_S * RATE_HZ)
     times_ms, gains = [], []
     for seed in SEEDS:
@@ -108,14 +108,14 @@ def _switched(step_std: float) -> Switched:
         passed = np.flatnonzero(x[rest:] > 0.9 * step_std)
         times_ms.append(1e3 * float(passed[0]) / RATE_HZ if len(passed) else np.inf)
         gains.append(float(np.sqrt(np.mean(x[settled:rest] ** 2))))
-    return Switched(step_std, float(np.median(times_ms)), float(np.median(gains)))
+    return SwitchedStep(step_std, float(np.median(times_ms)), float(np.median(gains)))
 
 
-def _fixed(sensor: Sensor) -> Fixed:
+def _fixed(sensor: Sensor) -> PrintedOptimum:
     """Run the paper's optimum; its time is told from the model, without noise."""
     rest, settled, ratio = round(REST_S * RATE_HZ), round(SETTLED_S * RATE_HZ), PRINTED[sensor].ratio
     records = [_record(STEPS[0], seed)[:rest] for seed in SEEDS]
     model = StepTrial(records[0], RATE_HZ, sensor).model(1.0, ratio)
     outputs = [kalman_filter(model, z, sigma=False, innovations=False).signal[settled:, 0] for z in records]
     gain = np.median([np.sqrt(np.mean(x**2)) for x in outputs])
-    return Fixed(sensor, reached_ms(sensor, ratio), float(gain))
+    return PrintedOptimum(sensor, reached_ms(sensor, ratio), float(gain))

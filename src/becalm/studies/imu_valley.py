@@ -23,7 +23,7 @@ _BELOW_HZ = (5.0, 500.0)
 _SHOWN_HZ = (50.0, 500.0)
 
 
-class Surface(NamedTuple):
+class ValleySurface(NamedTuple):
     """The cost over decades of R and Q.
 
     Attributes
@@ -64,7 +64,7 @@ class Optimum(NamedTuple):
         Where the search over Q/R ended, then those over R and Q, all on the first record.
     reached_ms, paper_reached_ms : float
         Time to nine tenths of a step at the median ratio, and at the paper's.
-    surface : Surface
+    surface : ValleySurface
         Of the first record.
     """
 
@@ -73,7 +73,7 @@ class Optimum(NamedTuple):
     ends: tuple[StepTuning, ...]
     reached_ms: float
     paper_reached_ms: float
-    surface: Surface
+    surface: ValleySurface
 
     @property
     def ratio(self) -> float:
@@ -81,7 +81,7 @@ class Optimum(NamedTuple):
         return float(np.median(self.ratios))
 
 
-class Coloured(NamedTuple):
+class ColouredRecord(NamedTuple):
     """A record that is not white, and the Q/R of least cost."""
 
     made_of: str
@@ -102,13 +102,13 @@ def optimise(sensor: Sensor) -> Optimum:
     return Optimum(ratios, float(excess), ends, own_ms, paper_ms, _surface(trials[0]))
 
 
-def _surface(trial: StepTrial) -> Surface:
+def _surface(trial: StepTrial) -> ValleySurface:
     raised = _DECADES + _RAISED
     cost = np.array([[trial.cost(noise, process).total for process in 10.0**raised] for noise in 10.0**_DECADES])
-    return Surface(_DECADES, raised, cost)
+    return ValleySurface(_DECADES, raised, cost)
 
 
-def colours() -> tuple[Coloured, ...]:
+def colours() -> tuple[ColouredRecord, ...]:
     """Tune the accelerometer on records of the same variance that are not white, to see what explains its ratio."""
     sensor: Sensor = "accelerometer"
     variance, rng = PRINTED[sensor].measured_noise, np.random.default_rng(0)
@@ -122,7 +122,7 @@ def colours() -> tuple[Coloured, ...]:
         "all at 5 to 500 Hz, density falling as 1/f^2": lambda: np.sqrt(variance) * _falling(*_BELOW_HZ, rng),
     }
     return tuple(
-        Coloured(name, tune_by_step(StepTrial(record(), RATE_HZ, sensor), variance).ratio)
+        ColouredRecord(name, tune_by_step(StepTrial(record(), RATE_HZ, sensor), variance).ratio)
         for name, record in made.items()
     )
 

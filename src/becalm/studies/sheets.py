@@ -14,7 +14,7 @@ NOT_DRAWN = "No figures: drawing them needs matplotlib; type `pip install 'becal
 """What a page says where there is none."""
 
 
-class Sheet(NamedTuple):
+class SheetContents(NamedTuple):
     """What one file shows."""
 
     name: str  # of the file, without its ending
@@ -22,7 +22,7 @@ class Sheet(NamedTuple):
     columns: int = 1
 
 
-def draw(sheets: Iterable[Sheet], folder: Path) -> tuple[Path, ...]:
+def draw(sheets: Iterable[SheetContents], folder: Path) -> tuple[Path, ...]:
     """Draw sheets into a folder that exists; return where each is, nothing where matplotlib is not installed.
 
     Raises
@@ -35,6 +35,6 @@ def draw(sheets: Iterable[Sheet], folder: Path) -> tuple[Path, ...]:
     return tuple(_drawn(sheet, folder / f"{sheet.name}.svg") for sheet in sheets)
 
 
-def _drawn(sheet: Sheet, path: Path) -> Path:
+def _drawn(sheet: SheetContents, path: Path) -> Path:
     write_bytes(path, printed(sheet.figures, "svg", sheet.columns))
     return path

@@ -15,7 +15,7 @@ from becalm.core.arrays import Floats
 from becalm.metrics.delay import lag_of
 from becalm.studies.recordings import RECORDINGS
 from becalm.studies.strain_gauge import Gauge, absent, measure_gauge
-from becalm.studies.strain_methods import METHODS, STEP_S, Outcome, Records
+from becalm.studies.strain_methods import METHODS, STEP_S, MethodOutcome, Records
 
 NOISES = (0.02, 0.05, 0.1)
 SHOWN = 0.05
@@ -58,7 +58,7 @@ class Measured(NamedTuple):
     told: tuple[float, float, float]
 
 
-class Shown(NamedTuple):
+class ShownRecord(NamedTuple):
     """One record, for figures."""
 
     time_s: Floats
@@ -66,11 +66,11 @@ class Shown(NamedTuple):
     outputs: dict[str, Floats]  # of each method
 
 
-class Study(NamedTuple):
+class StrainStudy(NamedTuple):
     """Everything that the page tells."""
 
     measured: dict[str, dict[float, Measured]]  # by method, by noise
-    shown: Shown
+    shown: ShownRecord
     gauge: Gauge | None
     absent: str  # why there is no gauge; "" where there is
 
@@ -88,7 +88,7 @@ def records(noise_std: float, runs: int = RUNS) -> Records:
     return Records(truth, truth[:, np.newaxis] + noise, noise_std)
 
 
-def simulate(runs: int = RUNS) -> tuple[dict[str, dict[float, Measured]], Shown]:
+def simulate(runs: int = RUNS) -> tuple[dict[str, dict[float, Measured]], ShownRecord]:
     """Filter the simulated records by every method.
 
     Parameters
@@ -105,10 +105,10 @@ def simulate(runs: int = RUNS) -> tuple[dict[str, dict[float, Measured]], Shown]
             found[name][noise_std] = measure(outcome, noisy.truth)
             if noise_std == SHOWN:
                 outputs[name] = outcome.outputs[:, 0]
-    return found, Shown(*ramps(), outputs)
+    return found, ShownRecord(*ramps(), outputs)
 
 
-def measure(outcome: Outcome, truth: Floats) -> Measured:
+def measure(outcome: MethodOutcome, truth: Floats) -> Measured:
     """Measure what a filter made of records of one signal (N,), the ramps."""
     time_s, _ = ramps()
     errors = outcome.outputs - truth[:, np.newaxis]
@@ -128,8 +128,8 @@ def measure(outcome: Outcome, truth: Floats) -> Measured:
     )
 
 
-def study(runs: int = RUNS, recordings: Path = RECORDINGS) -> Study:
+def study(runs: int = RUNS, recordings: Path = RECORDINGS) -> StrainStudy:
     """Re-run the paper: its simulation, and a real gauge where its recordings are there."""
     measured, shown = simulate(runs)
     why = absent(recordings)
-    return Study(measured, shown, None if why else measure_gauge(recordings), why)
+    return StrainStudy(measured, shown, None if why else measure_gauge(recordings), why)

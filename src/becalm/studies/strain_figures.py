@@ -6,8 +6,8 @@ import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.report.description import Axis, Band, Curve, Figure, Layer, Look, Role
-from becalm.studies.sheets import Sheet
-from becalm.studies.strain import SHOWN, Shown, Study
+from becalm.studies.sheets import SheetContents
+from becalm.studies.strain import SHOWN, ShownRecord, StrainStudy
 from becalm.studies.strain_gauge import Gauge
 from becalm.studies.strain_methods import AVERAGE, BECALM, BUTTERWORTH, KALMAN, READINGS
 
@@ -26,7 +26,7 @@ _STYLES: dict[str, tuple[Role, Look]] = {
 _TIME = Axis("time (s)")
 
 
-def sheets(study: Study) -> tuple[Sheet, ...]:
+def sheets(study: StrainStudy) -> tuple[SheetContents, ...]:
     """Say what the figures show; without a gauge figures 7 and 8 are left out."""
     drawn = [(title, "strain", layers) for title, layers in _simulated(study.shown).items()]
     if study.gauge is not None:
@@ -36,12 +36,12 @@ def sheets(study: Study) -> tuple[Sheet, ...]:
     return tuple(_sheet(number, *each) for number, each in enumerate(drawn, start=1))
 
 
-def _sheet(number: int, title: str, unit: str, layers: tuple[Layer, ...]) -> Sheet:
+def _sheet(number: int, title: str, unit: str, layers: tuple[Layer, ...]) -> SheetContents:
     name = f"strain-{number}"
-    return Sheet(name, (Figure(name, f"Figure {number}. {title}", _TIME, Axis(unit), layers),))
+    return SheetContents(name, (Figure(name, f"Figure {number}. {title}", _TIME, Axis(unit), layers),))
 
 
-def _simulated(shown: Shown) -> dict[str, tuple[Layer, ...]]:
+def _simulated(shown: ShownRecord) -> dict[str, tuple[Layer, ...]]:
     t, truth, outputs = shown
     values = outputs | {_SIGNAL: truth}
 

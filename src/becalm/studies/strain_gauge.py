@@ -27,7 +27,7 @@ DRIFT_S = 10.0
 """Residuals are averaged over so long to see their drift."""
 
 
-class Rest(NamedTuple):
+class QuietStretch(NamedTuple):
     """The quiet stretch in which R is measured, beforehand and elsewhere."""
 
     begin_s: float
@@ -59,7 +59,7 @@ class Gauge(NamedTuple):
 
     unit: str
     rate_hz: float
-    rest: Rest
+    rest: QuietStretch
     time_s: Floats
     readings: Floats
     trials: dict[str, Trial]
@@ -89,14 +89,14 @@ def measure_gauge(recordings: Path) -> Gauge:
     return Gauge(loaded.units[0], loaded.rate_hz, rest, loaded.timebase.elapsed_steps.cumsum() * step_s, z, trials)
 
 
-def measure_rest(recording: Recording) -> Rest:
+def measure_rest(recording: Recording) -> QuietStretch:
     """Measure the noise of a recording's first channel in its longest quiet stretch."""
     alone = recording.select(recording.names[:1])
     begin, end = max(find_still(alone).stretches, key=lambda stretch: stretch.stop - stretch.start)
     quiet = alone.channel(alone.names[0])[begin:end]
     above, below = split_at_cutoff(quiet, alone.rate_hz, CUTOFF_HZ)
     step_s = alone.timebase.step_s
-    return Rest(begin * step_s, end * step_s, float(quiet.std()), float(np.sqrt(above)), float(np.sqrt(below)))
+    return QuietStretch(begin * step_s, end * step_s, float(quiet.std()), float(np.sqrt(above)), float(np.sqrt(below)))
 
 
 def _paper(noise: Noise, z: Floats, step_s: float) -> Trial:

@@ -33,7 +33,7 @@ class Records(NamedTuple):
     noise_std: float
 
 
-class Outcome(NamedTuple):
+class MethodOutcome(NamedTuple):
     """What a filter made of each record.
 
     Attributes
@@ -52,33 +52,33 @@ class Outcome(NamedTuple):
     told: Floats
 
 
-Method = Callable[[Records], Outcome]
+Method = Callable[[Records], MethodOutcome]
 
 
-def _each(records: Records, apply: Callable[[Floats], Floats]) -> Outcome:
+def _each(records: Records, apply: Callable[[Floats], Floats]) -> MethodOutcome:
     """Apply one fixed filter to every record."""
     runs = records.readings.shape[1]
     outputs = np.column_stack([apply(z) for z in records.readings.T])
-    return Outcome(outputs, np.column_stack([apply(records.truth)] * runs), np.full((runs, 3), np.nan))
+    return MethodOutcome(outputs, np.column_stack([apply(records.truth)] * runs), np.full((runs, 3), np.nan))
 
 
-def _readings(records: Records) -> Outcome:
+def _readings(records: Records) -> MethodOutcome:
     return _each(records, np.copy)
 
 
-def _kalman_by_trial(records: Records, from_zero: bool) -> Outcome:
+def _kalman_by_trial(records: Records, from_zero: bool) -> MethodOutcome:
     noise = Noise(TRIED, records.noise_std**2)
     return _each(records, partial(_filtered, strain_model(noise, STEP_S, from_zero=from_zero)))
 
 
-def _kalman_by_likelihood(records: Records, noise_known: bool) -> Outcome:
+def _kalman_by_likelihood(records: Records, noise_known: bool) -> MethodOutcome:
     found = [likeliest(z, STEP_S, records.noise_std**2 if noise_known else None) for z in records.readings.T]
     models = [strain_model(noise, STEP_S) for noise in found]
     told = np.array([[noise.jerk_variance, np.sqrt(noise.noise_variance), 3] for noise in found])
     return _by_models(records, models, told, _filtered)
 
 
-def _becalm(records: Records, causal: bool) -> Outcome:
+def _becalm(records: Records, causal: bool) -> MethodOutcome:
     """Clean without being told anything; every record is a channel."""
     cleaned = clean(Recording(records.readings, rate_hz=1 / STEP_S), causal=causal)
     recipes = cleaned.recipe.channel
@@ -91,10 +91,10 @@ def _becalm(records: Records, causal: bool) -> Outcome:
 
 def _by_models(
     records: Records, models: list[Model], told: Floats, apply: Callable[[Model, Floats], Floats]
-) -> Outcome:
+) -> MethodOutcome:
     outputs = np.column_stack([apply(model, z) for model, z in zip(models, records.readings.T, strict=True)])
     followed = np.column_stack([apply(model, records.truth) for model in models])
-    return Outcome(outputs, followed, told)
+    return MethodOutcome(outputs, followed, told)
 
 
 def _filtered(model: Model, z: Floats) -> Floats:
@@ -105,12 +105,12 @@ def _smoothed(model: Model, z: Floats) -> Floats:
     return kalman_smoother(model, z).signal[:, 0]
 
 
-def _butterworth(records: Records) -> Outcome:
+def _butterworth(records: Records) -> MethodOutcome:
     """Start at rest at zero, as the record does."""
     return _each(records, lambda z: butterworth(np.append(0.0, z), CUTOFF_HZ * STEP_S, ORDER)[1:])
 
 
-def _average(records: Records) -> Outcome:
+def _average(records: Records) -> MethodOutcome:
     """Average the last readings; before the record there was nothing but zeros."""
     return _each(records, lambda z: moving_average(np.append(np.zeros(AVERAGED), z), AVERAGED)[AVERAGED:])
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from becalm.files.text_file import make_folder, write_text
 from becalm.studies.sheets import NOT_DRAWN, draw
-from becalm.studies.strain import NOISES, RUNS, SHOWN, SLOPE, Study, study
+from becalm.studies.strain import NOISES, RUNS, SHOWN, SLOPE, StrainStudy, study
 from becalm.studies.strain_figures import sheets
 from becalm.studies.strain_gauge import CUTOFF_HZ, DRIFT_S, Gauge, Trial
 from becalm.studies.strain_methods import (
@@ -33,12 +33,12 @@ REFERENCE = {
 """Rms errors at each noise of an earlier re-run of the paper's equations, which prints none itself."""
 
 
-def page(study: Study, drawn: Mapping[str, str]) -> str:
+def page(study: StrainStudy, drawn: Mapping[str, str]) -> str:
     """Return the page.
 
     Parameters
     ----------
-    study : Study
+    study : StrainStudy
         What was measured.
     drawn : mapping of str to str
         Title and file name of each figure, in order; empty where none were drawn.
@@ -67,7 +67,7 @@ What the paper leaves to trial, and what it measures beforehand, is then told by
 given; G and R both; and becalm's own choice, which is told nothing, not even the model."""
 
 
-def _errors(study: Study) -> str:
+def _errors(study: StrainStudy) -> str:
     head = [f"noise {noise:g}" for noise in NOISES]
     rows = []
     for name, found in study.measured.items():
@@ -86,7 +86,7 @@ Rms error, mean of the runs and its standard error.
 {_verdict(study)} {_start(study)}"""
 
 
-def _verdict(study: Study) -> str:
+def _verdict(study: StrainStudy) -> str:
     own = [study.measured[BECALM][noise].rms for noise in NOISES]
     asked = REFERENCE[KALMAN]
     kept = all(got <= wanted for got, wanted in zip(own, asked, strict=True))
@@ -96,7 +96,7 @@ def _verdict(study: Study) -> str:
     )
 
 
-def _start(study: Study) -> str:
+def _start(study: StrainStudy) -> str:
     flat = [study.measured[KALMAN_FLAT][noise].rms for noise in NOISES]
     told = [study.measured[KALMAN][noise].rms for noise in NOISES]
     return (
@@ -106,7 +106,7 @@ def _start(study: Study) -> str:
     )
 
 
-def _lags(study: Study) -> str:
+def _lags(study: StrainStudy) -> str:
     rows = []
     for name, found in study.measured.items():
         m = found[SHOWN]
@@ -127,7 +127,7 @@ paper says, their errors are mostly delay, so that less noise hardly helps them.
 no lag on a ramp; it errs at the corners, where the model is wrong for a moment."""
 
 
-def _settings(study: Study) -> str:
+def _settings(study: StrainStudy) -> str:
     rows = []
     for noise in NOISES:
         g, found, own = (study.measured[name][noise].told for name in (LIKELIEST_G, LIKELIEST, BECALM))

@@ -28,7 +28,7 @@ _STOLEN = (
 _TOKEN = re.compile(r"[A-Za-z0-9_-]{22,256}")  # of 128 bits and more, and harmless in an address or a cookie
 
 
-class Options(NamedTuple):
+class AccessOptions(NamedTuple):
     """What a person types to say where a page is."""
 
     host: str
@@ -43,7 +43,7 @@ class PageAsked(NamedTuple):
     token_file: Path | None
 
 
-OPTIONS = Options("--host", "--port")
+OPTIONS = AccessOptions("--host", "--port")
 """Of a command that is there for its page."""
 
 
@@ -67,11 +67,11 @@ class Access:
         Where it listens.
     token : str
         What the browser must bring.
-    options : Options
+    options : AccessOptions
         Where a person said the first two.
     """
 
-    def __init__(self, host: str, port: int, token: str, options: Options = OPTIONS) -> None:
+    def __init__(self, host: str, port: int, token: str, options: AccessOptions = OPTIONS) -> None:
         self._options = options
         self.host, self.port = address_of(host), port
         self._token = token

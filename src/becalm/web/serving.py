@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Self
 import uvicorn
 
 from becalm.errors import UsageError
-from becalm.web.access import OPTIONS, Options, address_of
+from becalm.web.access import OPTIONS, AccessOptions, address_of
 from becalm.web.sockets import HurriedProtocol, HurriedWebSocket
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ class TakenError(UsageError):
     """Another program listens there."""
 
 
-def listen(host: str, port: int, options: Options = OPTIONS) -> socket.socket:
+def listen(host: str, port: int, options: AccessOptions = OPTIONS) -> socket.socket:
     """Take a port.
 
     Parameters
@@ -38,7 +38,7 @@ def listen(host: str, port: int, options: Options = OPTIONS) -> socket.socket:
         A name or an address of this machine; "0.0.0.0" or "::" for all.
     port : int
         0 takes any that is free.
-    options : Options
+    options : AccessOptions
         Where a person says both.
 
     Raises

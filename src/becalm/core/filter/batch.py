@@ -24,7 +24,7 @@ from becalm.native.multivariate import EstimateBuffers
 
 
 @dataclass(frozen=True)
-class Batch:
+class FilteredBatch:
     """What a filter found in B records of N readings, m channels, n states.
 
     Attributes
@@ -50,7 +50,7 @@ class Batch:
     used: Integers
 
 
-def filter_batch(model: Model, z: ArrayLike, *, states: bool = False, innovations: bool = True) -> Batch:
+def filter_batch(model: Model, z: ArrayLike, *, states: bool = False, innovations: bool = True) -> FilteredBatch:
     """Filter many records causally, each as `kalman_filter` would.
 
     Parameters
@@ -87,4 +87,4 @@ def filter_batch(model: Model, z: ArrayLike, *, states: bool = False, innovation
         likelihoods[record], used[record] = sums.log_likelihood, sums.used
     nothing = np.empty((records, 0, model.channels))
     signal, sigma, innovation, deviation, mean, _ = (nothing if room is None else room for room in whole)
-    return Batch(signal, sigma, innovation, deviation, mean if states else None, likelihoods, used)
+    return FilteredBatch(signal, sigma, innovation, deviation, mean if states else None, likelihoods, used)

@@ -6,7 +6,7 @@ import numpy as np
 
 from becalm.core.arrays import Floats, input_of
 from becalm.core.filter.channel import Channel
-from becalm.core.filter.channel_settings import Settings
+from becalm.core.filter.channel_settings import ChannelSettings
 from becalm.core.filter.gate import Gate
 from becalm.core.model.components import Component
 from becalm.core.rows import EstimatedRows
@@ -26,7 +26,7 @@ class CausalFlow:
     """
 
     def __init__(self, component: Component, noise_variance: float, gate: Gate | None = None) -> None:
-        self._channel, self._begun = Channel(Settings(component, noise_variance, gate=gate)), False
+        self._channel, self._begun = Channel(ChannelSettings(component, noise_variance, gate=gate)), False
 
     def push(self, z: Floats, elapsed: Floats) -> list[EstimatedRows]:
         """Take the next rows, readings (B,) and the steps before them; return what is told of them."""

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Codes, Floats
-from becalm.core.filter.channel_settings import Settings, StepTable, packed_coefficients, packed_settings
+from becalm.core.filter.channel_settings import ChannelSettings, StepTable, packed_coefficients, packed_settings
 from becalm.core.health.faults import FaultCount
 from becalm.core.health.monitor import HOPS
 from becalm.core.model.components import Component
@@ -86,7 +86,7 @@ class Channel:
 
     Parameters
     ----------
-    settings : Settings
+    settings : ChannelSettings
         What it is made of.
 
     Raises
@@ -95,7 +95,7 @@ class Channel:
         If it cannot start from measurements alone.
     """
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: ChannelSettings) -> None:
         self._steps = StepTable(settings.component)
         self._settings = packed_settings(settings)
         self._coefficients = packed_coefficients(

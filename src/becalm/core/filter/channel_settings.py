@@ -38,7 +38,7 @@ class Widening(NamedTuple):
     calibration: tuple[float, float] | None = None  # standard uncertainties of sensitivity, as a share, and of zero
 
 
-class Settings(NamedTuple):
+class ChannelSettings(NamedTuple):
     """What a recipe says of one channel."""
 
     component: Component  # in steps
@@ -89,7 +89,7 @@ class StepTable:
         return {"step": step, "F": F, "Q": Q}
 
 
-def packed_settings(settings: Settings, gap_limit: GapLimit | None = None) -> NDArray[np.void]:
+def packed_settings(settings: ChannelSettings, gap_limit: GapLimit | None = None) -> NDArray[np.void]:
     """Return the settings of a channel as C's struct; `gap_limit` is by default that of its component."""
     packed, component, widening = settings.limits.packed(), settings.component, settings.widening
     gap_limit = gap_limit or gap_limit_of(component, settings.noise_variance)

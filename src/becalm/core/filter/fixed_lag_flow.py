@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from becalm.core.arrays import BLOCK, Floats, input_of
 from becalm.core.filter.channel import Estimates, log_densities, parts_of
-from becalm.core.filter.channel_settings import Settings, StepTable, packed_coefficients, packed_settings
+from becalm.core.filter.channel_settings import ChannelSettings, StepTable, packed_coefficients, packed_settings
 from becalm.core.filter.gate import Gate
 from becalm.core.filter.lag import checked_lag
 from becalm.core.model.components import Component
@@ -184,7 +184,7 @@ class FixedLagFlow:
         split: bool = False,
         gate: Gate | None = None,
     ) -> None:
-        settings = Settings(component, noise_variance, gate=gate)
+        settings = ChannelSettings(component, noise_variance, gate=gate)
         coefficients = packed_coefficients(component, noise_variance, disturbed=settings.disturbed)
         steps = StepTable(component, nearest=False)
         self._late = LateRows(packed_settings(settings), coefficients, steps, checked_lag(lag), split=split)

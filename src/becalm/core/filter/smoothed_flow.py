@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from becalm.core.arrays import BLOCK, Codes, Floats, input_of
 from becalm.core.filter.channel import Estimates, log_densities, parts_of
-from becalm.core.filter.channel_settings import Settings, StepTable, packed_coefficients, packed_settings
+from becalm.core.filter.channel_settings import ChannelSettings, StepTable, packed_coefficients, packed_settings
 from becalm.core.filter.gate import Gate
 from becalm.core.model.components import Component
 from becalm.core.model.magnitudes import largest_beside
@@ -76,7 +76,7 @@ class SmoothedFlow:
         split: bool = False,
         gate: Gate | None = None,
     ) -> None:
-        settings = Settings(component, noise_variance, gate=gate)
+        settings = ChannelSettings(component, noise_variance, gate=gate)
         self._component, self._variance, self._judge, self._split = component, noise_variance, judge, split
         self._model = component.to_model(1.0, noise_variance)
         coefficients = packed_coefficients(component, noise_variance, disturbed=settings.disturbed)

@@ -22,7 +22,7 @@ from becalm.core.model.parts import Component, Part, checked_number, checked_ste
 from becalm.errors import ModelError
 
 
-class Coloured(NamedTuple):
+class ColouredNoise(NamedTuple):
     """Autoregressive noise that goes one step a reading.
 
     Attributes

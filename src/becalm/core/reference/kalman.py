@@ -21,7 +21,7 @@ class Belief(NamedTuple):
     cov: Floats  # P, (n, n)
 
 
-class Step(NamedTuple):
+class ReferenceStep(NamedTuple):
     """What one reading taught."""
 
     predicted: Belief
@@ -37,7 +37,7 @@ def predict(belief: Belief, F: Floats, Q: Floats) -> Belief:
     return Belief(F @ x, F @ P @ F.T + Q)  # (1), (2)
 
 
-def update(belief: Belief, H: Floats, R: Floats, reading: Floats) -> Step:
+def update(belief: Belief, H: Floats, R: Floats, reading: Floats) -> ReferenceStep:
     """Learn from the channels that arrived; NaN means that one did not."""
     x, P = belief
     arrived = np.isfinite(reading)
@@ -50,7 +50,7 @@ def update(belief: Belief, H: Floats, R: Floats, reading: Floats) -> Step:
     filtered = Belief(x + K @ nu, A @ P @ A.T + K @ R @ K.T)  # (6), (7) Joseph
     innovation = np.full(len(reading), np.nan)
     innovation[arrived] = nu
-    return Step(belief, filtered, innovation, S, _log_density(nu, S, S_inverse))
+    return ReferenceStep(belief, filtered, innovation, S, _log_density(nu, S, S_inverse))
 
 
 def _log_density(nu: Floats, S: Floats, S_inverse: Floats) -> float:
@@ -60,7 +60,9 @@ def _log_density(nu: Floats, S: Floats, S_inverse: Floats) -> float:
     return float(-0.5 * (np.log(2 * np.pi * live).sum() + nu @ S_inverse @ nu))
 
 
-def filter_readings(belief: Belief, F: Floats, Q: Floats, sensor: tuple[Floats, Floats], z: Floats) -> list[Step]:
+def filter_readings(
+    belief: Belief, F: Floats, Q: Floats, sensor: tuple[Floats, Floats], z: Floats
+) -> list[ReferenceStep]:
     """Run over z (N, m), starting from what is believed before the first reading."""
     H, R = sensor
     steps = []
@@ -71,7 +73,7 @@ def filter_readings(belief: Belief, F: Floats, Q: Floats, sensor: tuple[Floats, 
     return steps
 
 
-def smooth(steps: list[Step], F: Floats, H: Floats) -> list[Belief]:
+def smooth(steps: list[ReferenceStep], F: Floats, H: Floats) -> list[Belief]:
     """Go back over a filtered record; each belief then knows the later readings too."""
     n = len(F)
     r, N = np.zeros(n), np.zeros((n, n))  # what the future says, and how surely

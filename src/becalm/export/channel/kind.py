@@ -10,7 +10,7 @@ from becalm.cleaning.causal_channel import CausalChannel
 from becalm.cleaning.filters import Filter
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.recipe_parts import LimitsRecipe
-from becalm.core.filter.channel_settings import Settings
+from becalm.core.filter.channel_settings import ChannelSettings
 from becalm.errors import RecipeError
 from becalm.export.channel.modes_text import modes_door
 from becalm.export.channel.reference import ChannelReference, ModesReference
@@ -96,7 +96,7 @@ class WholeChannel(Floating):
             return ChannelReference(self._settings(design))
         return ModesReference(self._in_its_number(), design.step_s)
 
-    def _settings(self, design: Design) -> Settings:
+    def _settings(self, design: Design) -> ChannelSettings:
         return CausalChannel(self._in_its_number(), design.step_s).settings
 
     def _in_its_number(self) -> ChannelRecipe:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from becalm.core.filter.channel_settings import Settings, packed_settings
+from becalm.core.filter.channel_settings import ChannelSettings, packed_settings
 from becalm.core.filter.gap_limit import GapLimit
 from becalm.core.imm.modes import InteractingModels
 from becalm.export.channel.text import NUMBER, Door, of_array, of_number, of_struct
@@ -14,7 +14,7 @@ from becalm.native.rows import SETTINGS
 
 
 def modes_door(
-    modes: InteractingModels, settings: Settings, gap_limit: GapLimit, prefix: str, sizes: tuple[int, int]
+    modes: InteractingModels, settings: ChannelSettings, gap_limit: GapLimit, prefix: str, sizes: tuple[int, int]
 ) -> Door:
     """Return the door to a filter that switches.
 
@@ -22,7 +22,7 @@ def modes_door(
     ----------
     modes : InteractingModels
         The modes, in steps.
-    settings : Settings
+    settings : ChannelSettings
         What the recipe says of the channel.
     gap_limit : GapLimit
         Which gaps it is carried across.

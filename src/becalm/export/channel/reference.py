@@ -11,7 +11,7 @@ from becalm.cleaning.live_channel import LiveChannel, open_live
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.core.arrays import Booleans, Codes, Floats
 from becalm.core.filter.channel import Channel
-from becalm.core.filter.channel_settings import Settings
+from becalm.core.filter.channel_settings import ChannelSettings
 from becalm.core.health.faults import Faults
 from becalm.core.health.limits import Limits
 from becalm.core.rows import EstimatedRows
@@ -59,11 +59,11 @@ class ChannelReference(_ControllerReference):
 
     Parameters
     ----------
-    settings : Settings
+    settings : ChannelSettings
         What it is made of.
     """
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: ChannelSettings) -> None:
         super().__init__(settings.limits)
         self._channel, self._across = Channel(settings), Channel(settings._replace(unknown_from=np.inf))
 

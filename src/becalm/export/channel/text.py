@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from becalm.core.arrays import Floats
-from becalm.core.filter.channel_settings import Settings, StepTable, packed_coefficients, packed_settings
+from becalm.core.filter.channel_settings import ChannelSettings, StepTable, packed_coefficients, packed_settings
 from becalm.core.model.covariances import covariance_after
 from becalm.export.design import Design
 from becalm.export.number_type import DOUBLE, NumberType
@@ -46,14 +46,14 @@ class Door(NamedTuple):
     modes: Sequence[str] = ()
 
 
-def channel_door(design: Design, settings: Settings, most_states: int) -> Door:
+def channel_door(design: Design, settings: ChannelSettings, most_states: int) -> Door:
     """Return the door to a filter, or to a gated one.
 
     Parameters
     ----------
     design : Design
         The filter.
-    settings : Settings
+    settings : ChannelSettings
         What the library's own channel is made of.
     most_states : int
         Of the largest filter that is written beside it, or itself.

@@ -69,7 +69,7 @@ class FixedReference(SettledReference):
             self.row, self.p, self.level = 0, np.zeros_like(self.p), float(np.clip(signal, *self._ends))
 
 
-class Fixed:
+class FixedPointFilter:
     """A settled gain after a table of gains, in fixed point."""
 
     @property

@@ -11,8 +11,8 @@ import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.export.design import Design
-from becalm.export.expressions import Cost, in_lines
-from becalm.export.fixed.word_length import Point, fit
+from becalm.export.expressions import OperationCount, in_lines
+from becalm.export.fixed.word_length import BinaryPoint, fit
 from becalm.export.number_type import DOUBLE, NumberType
 from becalm.export.schedule import Schedule, schedule_of
 from becalm.export.templates import render
@@ -147,7 +147,7 @@ def _looked_at(design: Design, scale: Scale, rails: Rails) -> dict[str, Any]:
     }
 
 
-def _numbers(design: Design, schedule: Schedule, point: Point) -> dict[str, Any]:
+def _numbers(design: Design, schedule: Schedule, point: BinaryPoint) -> dict[str, Any]:
     """Return the coefficients of the filter, and the sums that they make."""
     F, H, C, n = design.model.F, design.model.H[0], design.output, design.states
     f, nu, told = np.array(point.states), point.innovation, point.signal
@@ -220,13 +220,13 @@ def _table(rows: Floats) -> dict[str, list[list[str]]]:
     }
 
 
-def _cost(source: str) -> Cost:
+def _cost(source: str) -> OperationCount:
     """Count the operations of a settled row: a product is two of 32 by 32 bits, which are added and rounded."""
     lines = source.splitlines()
     first = next(i for i, line in enumerate(lines) if line.lstrip().startswith("int64_t nu = "))
     row = "\n".join(lines[first : next(i for i in range(first, len(lines)) if "s->p[0] = " in lines[i])])
     products, sums, rounded = (len(re.findall(rf"becalm_{name}\(", row)) for name in ("times", "sum", "rounded"))
-    return Cost(2 * products, 2 * products + sums + rounded + 1)  # the last rounds the signal
+    return OperationCount(2 * products, 2 * products + sums + rounded + 1)  # the last rounds the signal
 
 
 def _bytes(design: Design, schedule: Schedule) -> int:

@@ -35,7 +35,7 @@ _GRID = 512  # rows of an impulse response that are looked at one by one, and in
 _OCTAVES = 60
 
 
-class Point(NamedTuple):
+class BinaryPoint(NamedTuple):
     """Where the point stands: how many binary digits come after it, in counts.
 
     Attributes
@@ -54,14 +54,14 @@ class Point(NamedTuple):
     apart: float
 
 
-class Reach(NamedTuple):
+class StateReach(NamedTuple):
     """How far states (n,) go, in parts of the greatest reading."""
 
     settled: Floats
     starting: Floats
 
 
-def fit(design: Design, schedule: Schedule, lsb: float) -> tuple[Point, WordLength]:
+def fit(design: Design, schedule: Schedule, lsb: float) -> tuple[BinaryPoint, WordLength]:
     """Find where the point of each state stands, and what that costs.
 
     Parameters
@@ -100,7 +100,7 @@ def lsb_noise(design: Design, lsb: float) -> float:
     return design.noise_std / lsb
 
 
-def _refuse(design: Design, point: Point, word: WordLength, lsb: float) -> None:
+def _refuse(design: Design, point: BinaryPoint, word: WordLength, lsb: float) -> None:
     unit, beside = design.unit_after, _states_cost(design, point)
     quiet = word.share <= MOST_ERROR and beside <= _PROMISED * lsb_noise(design, lsb)
     if quiet and min(point.innovation, point.signal) > 0:
@@ -114,7 +114,7 @@ def _refuse(design: Design, point: Point, word: WordLength, lsb: float) -> None:
     )
 
 
-def _word(design: Design, point: Point, lsb: float) -> WordLength:
+def _word(design: Design, point: BinaryPoint, lsb: float) -> WordLength:
     """Return what a point costs, in unit."""
     assert design.steady is not None
     stall = stall_of(design, point)
@@ -124,12 +124,12 @@ def _word(design: Design, point: Point, lsb: float) -> WordLength:
     return WordLength(stall * lsb, noise * lsb, share, lsb * 2.0 ** (_COUNT_BITS + 1), lsb)
 
 
-def _states_cost(design: Design, point: Point) -> float:
+def _states_cost(design: Design, point: BinaryPoint) -> float:
     assert design.steady is not None
     return max(stall_of(design, point), noise_of(design.steady, point))
 
 
-def stall_of(design: Design, point: Point) -> float:
+def stall_of(design: Design, point: BinaryPoint) -> float:
     """Return the error at which a filter of a constant stands still, or about which it swings, in counts.
 
     A state of a motion does not move while |F K nu| is below half its last digit, and where a slope stands still that
@@ -142,7 +142,7 @@ def stall_of(design: Design, point: Point) -> float:
     return max(float(stalls.max()), 0.5 ** (point.innovation + 1))
 
 
-def noise_of(steady: SteadyFilter, point: Point) -> float:
+def noise_of(steady: SteadyFilter, point: BinaryPoint) -> float:
     """Return the standard deviation of what rounding in the states adds to a settled signal, in counts.
 
     Each term of a sum is rounded to the last digit of what it is added to, evenly.
@@ -160,7 +160,7 @@ def noise_of(steady: SteadyFilter, point: Point) -> float:
     return float(np.sqrt((row @ through @ row.T)[0, 0] + told))
 
 
-def _point(design: Design, schedule: Schedule, reach: Reach, apart: float) -> Point:
+def _point(design: Design, schedule: Schedule, reach: StateReach, apart: float) -> BinaryPoint:
     """Give each state the digits that its reach, and that of the sums it is made by, leaves."""
     F, H, C = design.model.F, np.abs(design.model.H[0]), np.abs(design.output)
     K = np.vstack([schedule.K, schedule.settled])
@@ -175,7 +175,7 @@ def _point(design: Design, schedule: Schedule, reach: Reach, apart: float) -> Po
     for i in reversed(range(design.states - 1)):  # what is added as it is, is only ever rounded
         digits[i] = min([digits[i], *(digits[j] for j in range(i + 1, design.states) if F[i, j] == 1.0)])
     seen = [each for each, used in zip(digits, H + C, strict=True) if used]
-    return Point(
+    return BinaryPoint(
         tuple(digits),
         min(_digits(nu), _INNOVATION_DIGITS, *seen),
         min(_digits(told), _INNOVATION_DIGITS, *seen),
@@ -188,7 +188,7 @@ def _digits(size: float) -> int:
     return STATE_BITS - _COUNT_BITS - int(np.ceil(np.log2(_MARGIN * max(size, 1e-9))))
 
 
-def reach_of(design: Design, schedule: Schedule) -> Reach:
+def reach_of(design: Design, schedule: Schedule) -> StateReach:
     """Return how far the worst readings drive the states."""
     assert design.steady is not None
     columns, weights, D = _responses(design.steady)
@@ -198,7 +198,7 @@ def reach_of(design: Design, schedule: Schedule) -> Reach:
     for length in sorted({min(1 << bit, coasts) for bit in range(17)}):
         far = np.linalg.matrix_power(leap, length)
         starting = np.maximum(starting, D * (np.abs(far @ columns) @ weights))
-    return Reach(settled, starting)
+    return StateReach(settled, starting)
 
 
 def _responses(steady: SteadyFilter) -> tuple[Floats, Floats, Floats]:

@@ -26,7 +26,7 @@ _SAME_FILTER_DB = 60.0  # below it is no rounding
 _SEED = 7
 
 
-class Run(NamedTuple):
+class GoldenRun(NamedTuple):
     """The golden vectors, run by one build."""
 
     build: Build
@@ -73,7 +73,7 @@ Becalm = Callable[[Exported, ChannelRecipe, Floats], tuple[Floats, str]]
 class Verified(NamedTuple):
     """What was run."""
 
-    runs: list[Run]
+    runs: list[GoldenRun]
     compared: list[Compared]
 
 
@@ -124,11 +124,11 @@ def unpacked(bundle: Bundle, folder: Path) -> Path:
     return folder
 
 
-def _run(folder: Path, bundle: Bundle, compiler: str, flags: tuple[str, ...]) -> Run:
+def _run(folder: Path, bundle: Bundle, compiler: str, flags: tuple[str, ...]) -> GoldenRun:
     made = build(folder, bundle.stem, compiler, flags)
     ran = run(made)
     failed = [line for line in ran.stdout.splitlines() if "FAILED" in line]
-    return Run(made, " ".join([*failed[:3], ran.stderr[:300]]).strip(), ran.returncode == 0)
+    return GoldenRun(made, " ".join([*failed[:3], ran.stderr[:300]]).strip(), ran.returncode == 0)
 
 
 def _compared(made: Build, bundle: Bundle, recipe: Recipe, recorded: Mapping[str, Floats]) -> Iterator[Compared]:

@@ -49,7 +49,7 @@ class Variable(NamedTuple):
     order: str = ""
 
 
-class Part(NamedTuple):
+class MatElement(NamedTuple):
     """An element in an element: its type, where its bytes begin, and how many they are."""
 
     kind: int
@@ -136,9 +136,9 @@ def _looked_over(element: memoryview, order: str, whole: bool) -> Variable:
     return Variable(name, bytes(element), order=order)
 
 
-def parts_of(data: memoryview, start: int, end: int, order: str, to_the_end: bool = True) -> list[Part]:
+def parts_of(data: memoryview, start: int, end: int, order: str, to_the_end: bool = True) -> list[MatElement]:
     """List the elements in an element."""
-    parts: list[Part] = []
+    parts: list[MatElement] = []
     while start < end:
         if start + 8 > end:
             if not to_the_end:
@@ -155,25 +155,25 @@ def parts_of(data: memoryview, start: int, end: int, order: str, to_the_end: boo
             if not to_the_end:
                 return parts
             raise DamageError("a part of it claims more than it holds")
-        parts.append(Part(kind, at, length))
+        parts.append(MatElement(kind, at, length))
         start = following
     return parts
 
 
-def kind_of(data: memoryview, parts: list[Part], order: str) -> int:
+def kind_of(data: memoryview, parts: list[MatElement], order: str) -> int:
     """Return the class of an array."""
     if not parts or parts[0].length != 8:
         raise DamageError("it does not say what it is")
     return int(struct.unpack(order + "I", data[parts[0].start : parts[0].start + 4])[0] & 0xFF)
 
 
-def _name(data: memoryview, parts: list[Part]) -> str:
+def _name(data: memoryview, parts: list[MatElement]) -> str:
     """Return the name: the first text among the elements."""
     texts = [part for part in parts[1:4] if part.kind in (1, 2, 16)]
     return bytes(data[texts[0].start :][: texts[0].length]).decode("latin-1") if texts else ""
 
 
-def _why_not(data: memoryview, parts: list[Part], order: str) -> str:
+def _why_not(data: memoryview, parts: list[MatElement], order: str) -> str:
     """Say why an array that only MATLAB opens, or a sparse one, is not read."""
     if kind_of(data, parts, order) == _SPARSE:
         return SPARSE
@@ -207,7 +207,7 @@ def _check(data: memoryview, start: int, end: int, order: str, depth: int) -> No
         _check(data, part.start, part.start + part.length, order, depth + 1)
 
 
-def _check_kinds(data: memoryview, parts: list[Part], order: str, kind: int, inner: int) -> None:
+def _check_kinds(data: memoryview, parts: list[MatElement], order: str, kind: int, inner: int) -> None:
     """Refuse other parts than an array of this kind has."""
     if [part.kind for part in parts[:2]] != [6, 5] or parts[2:3] == [] or parts[2].kind not in (1, 2, 16):
         raise DamageError("it does not say what it is")
@@ -221,7 +221,7 @@ def _check_kinds(data: memoryview, parts: list[Part], order: str, kind: int, inn
         raise DamageError("its values are of a type that they cannot be")
 
 
-def _check_count(data: memoryview, parts: list[Part], order: str, kind: int, inner: int) -> None:
+def _check_count(data: memoryview, parts: list[MatElement], order: str, kind: int, inner: int) -> None:
     if len(parts) < 3 or parts[1].length % 4:
         raise DamageError("it does not say how large it is")
     dimensions = struct.unpack(f"{order}{parts[1].length // 4}i", data[parts[1].start :][: parts[1].length])

@@ -11,7 +11,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from becalm.files.arrays.mat_elements import CELL, CHAR, MATRIX, OBJECT, STRUCT, DamageError, Part, kind_of, parts_of
+from becalm.files.arrays.mat_elements import (
+    CELL,
+    CHAR,
+    MATRIX,
+    OBJECT,
+    STRUCT,
+    DamageError,
+    MatElement,
+    kind_of,
+    parts_of,
+)
 
 _STORED = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 _CLASSES = {6: "f8", 7: "f4", 8: "i1", 9: "u1", 10: "i2", 11: "u2", 12: "i4", 13: "u4", 14: "i8", 15: "u8"}
@@ -46,7 +56,7 @@ def value_of(data: memoryview, start: int, end: int, order: str) -> NDArray[Any]
     return _cells(inner, sizes) if kind == CELL else _records(data, parts[3 + (kind == OBJECT) :], inner, sizes, order)
 
 
-def _numbers(data: memoryview, parts: list[Part], sizes: tuple[int, ...], order: str) -> NDArray[Any]:
+def _numbers(data: memoryview, parts: list[MatElement], sizes: tuple[int, ...], order: str) -> NDArray[Any]:
     flags = struct.unpack(order + "I", data[parts[0].start : parts[0].start + 4])[0]
     kind = np.dtype(_CLASSES[flags & 0xFF])
     found = []
@@ -82,7 +92,9 @@ def _cells(inner: list[Any], sizes: tuple[int, ...]) -> NDArray[Any]:
     return cells.reshape(sizes, order="F")
 
 
-def _records(data: memoryview, parts: list[Part], inner: list[Any], sizes: tuple[int, ...], order: str) -> NDArray[Any]:
+def _records(
+    data: memoryview, parts: list[MatElement], inner: list[Any], sizes: tuple[int, ...], order: str
+) -> NDArray[Any]:
     """Return an array of structs; their fields stand one after another, struct by struct."""
     letters = struct.unpack(order + "i", data[parts[0].start :][:4])[0]
     text = _bytes(data, parts[1])
@@ -96,5 +108,5 @@ def _records(data: memoryview, parts: list[Part], inner: list[Any], sizes: tuple
     return records
 
 
-def _bytes(data: memoryview, part: Part) -> bytes:
+def _bytes(data: memoryview, part: MatElement) -> bytes:
     return bytes(data[part.start : part.start + part.length])

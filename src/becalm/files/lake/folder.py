@@ -21,7 +21,7 @@ from becalm.files.parquet import ParquetRows, read_parquet
 from becalm.files.source import RawTable
 
 
-class Piece(NamedTuple):
+class LakeFile(NamedTuple):
     """One of the files: its path, and how many rows it has."""
 
     path: Path
@@ -89,7 +89,7 @@ class FolderRows:
         As given.
     """
 
-    def __init__(self, schema: pa.Schema, pieces: Sequence[Piece], originals: Originals) -> None:
+    def __init__(self, schema: pa.Schema, pieces: Sequence[LakeFile], originals: Originals) -> None:
         self.schema, self.pieces, self._originals = schema, tuple(pieces), originals
         self.count: int = sum(piece.rows for piece in self.pieces)
 
@@ -131,7 +131,7 @@ def read_folder(folder: Path, only: Sequence[Path] = ()) -> RawTable:
     for path, table in held[1:]:
         refuse_different(path, table, *held[0])
     order = order_of_time([table for _, table in held]) if held else []
-    pieces = [Piece(held[number][0], held[number][1].count) for number in order]
+    pieces = [LakeFile(held[number][0], held[number][1].count) for number in order]
     first = held[order[0]][1] if held else read[0][1]
     schema = pa.schema([field.with_nullable(True) for field in first.rows.schema], first.rows.schema.metadata)
     rows = FolderRows(schema, pieces, originals)

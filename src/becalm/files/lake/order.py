@@ -80,7 +80,7 @@ def _times(firsts: Mapping[str, pa.ChunkedArray], kinds: Sequence[str]) -> pa.Ar
 
 def instants_of(name: str, kind: str, column: pa.ChunkedArray) -> clock.Instants:
     """Read times as text, those of day within their day."""
-    read = next(clock.Reader(name, kind, lambda: [column]).blocks())
+    read = next(clock.ClockReader(name, kind, lambda: [column]).blocks())
     return replace(read, ns=read.ns % clock.DAY_NS) if kind == clock.TIME_OF_DAY else read
 
 

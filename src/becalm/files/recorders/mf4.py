@@ -21,7 +21,7 @@ from becalm.files.columns import Column, least_bytes
 from becalm.files.groups import TIME, Group, tables
 from becalm.files.library_reader import Foreign
 from becalm.files.recorders.mf4_blocks import looked_through
-from becalm.files.recorders.mf4_columns import NO_START, Channel, MasterTime, columns_of
+from becalm.files.recorders.mf4_columns import NO_START, MasterTime, Mf4Channel, columns_of
 from becalm.files.source import RawTable, ToldTime
 from becalm.files.text.csv_header import unique_names
 
@@ -120,7 +120,7 @@ def _groups(foreign: Foreign, log: Any, masters: Sequence[int]) -> Iterator[Grou
         named: list[tuple[str, Column]] = []
         for one, numbers in log.included_channels(index)[index].items():
             for number in numbers:
-                made, note = columns_of(foreign, Channel(log, one, number))
+                made, note = columns_of(foreign, Mf4Channel(log, one, number))
                 named += made
                 notes += note
         master, time = _master(log, index)
@@ -153,7 +153,7 @@ def _master(log: Any, index: int) -> tuple[dict[str, Column], ToldTime | None]:
             pa.float64(), lambda first, last: log.get_master(index, record_offset=first, record_count=last - first)
         )
         return {channel.name: made._replace(unit=channel.unit)}, None
-    time = MasterTime(Channel(log, index, number))
+    time = MasterTime(Mf4Channel(log, index, number))
     start = ""
     if str(getattr(log.groups[index].channel_group, "comment", "")) == NO_START:
         return {TIME: Column(pa.float64(), time.read, "s")}, ToldTime(TIME)

@@ -28,7 +28,7 @@ Values = NDArray[Any]
 Tidy = Callable[[Values], Values]
 
 
-class Channel(NamedTuple):
+class Mf4Channel(NamedTuple):
     """A channel of a file: the file as asammdf has it, and the numbers of its group and of itself there."""
 
     log: Any
@@ -82,7 +82,7 @@ class Channel(NamedTuple):
 class MasterTime:
     """The times of a group, from its first row on; of a master channel."""
 
-    def __init__(self, channel: Channel) -> None:
+    def __init__(self, channel: Mf4Channel) -> None:
         self._channel = channel
         conversion = channel.head.conversion
         scaled = conversion is not None and _is_linear(conversion)
@@ -111,7 +111,7 @@ class MasterTime:
         return np.asarray(log.get_master(group, record_offset=first, record_count=last - first))
 
 
-def columns_of(foreign: Foreign, channel: Channel) -> tuple[list[tuple[str, Column]], list[str]]:
+def columns_of(foreign: Foreign, channel: Mf4Channel) -> tuple[list[tuple[str, Column]], list[str]]:
     """Return the columns of a channel, by their names, and what is to be said of it."""
     conversion, name, unit = channel.head.conversion, channel.head.name, channel.unit
     if why := _not_converted(foreign, conversion):
@@ -134,7 +134,7 @@ def columns_of(foreign: Foreign, channel: Channel) -> tuple[list[tuple[str, Colu
     return made, []
 
 
-def _of_texts(channel: Channel) -> Column:
+def _of_texts(channel: Mf4Channel) -> Column:
     """Return a channel of names; or of numbers, of which some are called by a name, "invalid"."""
     conversion = channel.head.conversion
     if np.isnan(_numbers(channel.read(0, _ENOUGH)[0])).mean() < _MOSTLY:
@@ -210,7 +210,7 @@ def _numbers(values: Values) -> Values:
     return np.full(len(values), np.nan) if values.dtype.kind in "SUO" else values.astype(np.float64)
 
 
-def _reader(channel: Channel, tidy: Tidy, raw: bool = False) -> Callable[[int, int], Values]:
+def _reader(channel: Mf4Channel, tidy: Tidy, raw: bool = False) -> Callable[[int, int], Values]:
     def read_rows(first: int, last: int) -> Values:
         values, invalid = channel.read(first, last, raw)
         if len(values) != last - first:

@@ -18,7 +18,7 @@ from becalm.errors import InputError
 from becalm.files.columns import Column
 from becalm.files.groups import TIME, Group, tables
 from becalm.files.library_reader import Foreign
-from becalm.files.recorders.uff_blocks import Block, Values, blocks_of
+from becalm.files.recorders.uff_blocks import UffBlock, Values, blocks_of
 from becalm.files.source import RawTable, ToldTime
 from becalm.files.text.csv_header import unique_names
 from becalm.files.units import tidy_unit
@@ -87,7 +87,7 @@ def read(path: Path) -> tuple[RawTable, ...]:
         return tables(foreign, "uff", list(_groups(sets, (*_told(left_out), *ends))))
 
 
-def _headers(reader: Callable[[str], Any], blocks: Sequence[Block]) -> list[dict[str, Any]]:
+def _headers(reader: Callable[[str], Any], blocks: Sequence[UffBlock]) -> list[dict[str, Any]]:
     """Have the heads of all sets read, without their numbers."""
     with TemporaryDirectory() as folder:
         heads = Path(folder) / "heads.uff"

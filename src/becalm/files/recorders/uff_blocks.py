@@ -54,7 +54,7 @@ class Values(NamedTuple):
         return np.asarray(part).astype(np.float64)
 
 
-class Block(NamedTuple):
+class UffBlock(NamedTuple):
     """A set 58: its head, and where its numbers are.
 
     Attributes
@@ -86,9 +86,9 @@ class Block(NamedTuple):
         return Values(held, rows == promised)
 
 
-def blocks_of(path: Path) -> tuple[list[Block], bool]:
+def blocks_of(path: Path) -> tuple[list[UffBlock], bool]:
     """Find all sets 58 of a file; and whether it ends within the head of one."""
-    found: list[Block] = []
+    found: list[UffBlock] = []
     with path.open("rb") as file, mmap(file.fileno(), 0, access=ACCESS_READ) as data:
         at = 0
         while mark := _LINE.search(data, at):
@@ -102,7 +102,7 @@ def blocks_of(path: Path) -> tuple[list[Block], bool]:
             if head.count(b"\n") < _HEAD_LINES:
                 return found, True
             stop, at = _numbers(data, begin, first)
-            found.append(Block(head, begin, stop))
+            found.append(UffBlock(head, begin, stop))
     return found, False
 
 

@@ -13,7 +13,7 @@ _STAMPS = (("header", "stamp"), ("stamp",), ("timestamp",))
 _FRACTIONS = ("nanosec", "nsec", "nsecs", "nanos")
 
 
-class Decoder:
+class JsonDecoder:
     """Decodes messages; it has what that of ROS has.
 
     Attributes

@@ -31,12 +31,12 @@ def read(path: Path) -> tuple[RawTable, ...]:
     foreign = Foreign(path, "MCAP")
     foreign.library("mcap.stream_reader")
     with foreign.damage_told(), path.open("rb") as file:
-        log = Log(foreign, WatchedFile(file))
+        log = McapLog(foreign, WatchedFile(file))
         groups = gathered(foreign, log.messages(), log.notes)
     return tables(foreign, "mcap", groups)
 
 
-class Log:
+class McapLog:
     """One MCAP file.
 
     Parameters

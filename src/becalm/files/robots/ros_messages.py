@@ -59,7 +59,7 @@ class _Fields(NamedTuple):
     stamp: str  # the path, "" without
 
 
-class Decoder:
+class RosDecoder:
     """Decodes the messages of one type.
 
     Parameters

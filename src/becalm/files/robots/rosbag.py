@@ -44,10 +44,10 @@ def _log(foreign: Foreign, part: Path, held: ExitStack) -> Any:
     head = file.read(len(_MCAP))
     file.seek(0)
     if head == _MCAP:
-        return mcap.Log(foreign, WatchedFile(file))
+        return mcap.McapLog(foreign, WatchedFile(file))
     if head.startswith(b"#ROSBAG"):
-        return rosbag1.Log(foreign, WatchedFile(file))
-    return held.enter_context(rosbag2.Log(foreign, part))
+        return rosbag1.RosBag1(foreign, WatchedFile(file))
+    return held.enter_context(rosbag2.RosBag2(foreign, part))
 
 
 def _all(logs: list[Any]) -> Iterator[Message]:

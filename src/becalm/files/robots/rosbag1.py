@@ -20,7 +20,7 @@ class _CutError(Exception):
     """The file ends within a record."""
 
 
-class Log:
+class RosBag1:
     """One bag.
 
     Parameters

@@ -21,7 +21,7 @@ _TABLES = ("messages", "topics")
 _SPARE = 1 << 20  # bytes
 
 
-class Log:
+class RosBag2:
     """One SQLite file, which is closed at the end of a `with`.
 
     Parameters
@@ -61,7 +61,7 @@ class Log:
             self._held.close()
             raise
 
-    def __enter__(self) -> Log:
+    def __enter__(self) -> RosBag2:
         """Return itself."""
         return self
 

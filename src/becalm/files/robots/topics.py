@@ -52,7 +52,7 @@ class Message(NamedTuple):
 class _Topic:
     """What came of one topic."""
 
-    def __init__(self, decode: ros_messages.Decoder | json_messages.Decoder) -> None:
+    def __init__(self, decode: ros_messages.RosDecoder | json_messages.JsonDecoder) -> None:
         self.decode = decode
         self.series = Series()
         self.log: array[int] = array("q")
@@ -98,10 +98,10 @@ class Topics:
     def _begun(self, message: Message) -> _Topic | None:
         why = f"their encoding ({message.schema.encoding or 'none'}) is not read"
         if message.schema.encoding == JSON:
-            return _Topic(json_messages.Decoder())
+            return _Topic(json_messages.JsonDecoder())
         if message.schema.encoding in ROS:
             try:
-                decoder = ros_messages.Decoder(self._foreign, message.schema)
+                decoder = ros_messages.RosDecoder(self._foreign, message.schema)
             except InputError:
                 raise
             except Exception:  # a library's, of a damaged definition: of any kind

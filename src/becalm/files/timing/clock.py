@@ -71,7 +71,7 @@ def _kind_of_cell(cell: str) -> str:
     return DATE_TIME if found["h"] is not None else DATE
 
 
-class Reader:
+class ClockReader:
     """Reads a column of dates, times of day, or both, block by block.
 
     Parameters

@@ -90,8 +90,8 @@ def _as_written(raw: RawTable, columns: tuple[str, ...]) -> tuple[Stamps, TimeLa
     return _written(raw, columns, kind, _reader(raw, name, kind).blocks())
 
 
-def _reader(raw: RawTable, name: str, kind: str) -> clock.Reader:
-    return clock.Reader(name, kind, lambda: raw.column(name))
+def _reader(raw: RawTable, name: str, kind: str) -> clock.ClockReader:
+    return clock.ClockReader(name, kind, lambda: raw.column(name))
 
 
 def _date_and_time(raw: RawTable, date: str, time: str) -> Iterator[clock.Instants]:

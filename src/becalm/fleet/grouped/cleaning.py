@@ -22,9 +22,9 @@ from becalm.fleet.engine import run_tasks
 from becalm.fleet.grouped.counting import Count, count_rows, not_counted
 from becalm.fleet.grouped.merging import merged
 from becalm.fleet.grouped.order import time_of
-from becalm.fleet.grouped.strips import Lake, Part, Strip, Strips, not_parted, part_rows
+from becalm.fleet.grouped.strips import Lake, Strip, StripPart, Strips, not_parted, part_rows
 from becalm.fleet.job import Job, Sensor
-from becalm.fleet.lake import Shared
+from becalm.fleet.lake import SharedLake
 from becalm.fleet.names import listed
 from becalm.fleet.outcome import Outcome, refused
 from becalm.fleet.pieces import open_staging, staging
@@ -62,7 +62,7 @@ class Gathered(NamedTuple):
         return sum(strip.rows for strip in self.strips)
 
 
-def clean_grouped(spark: SparkSession, job: Job, shared: Shared, book: RecipeBook) -> list[Outcome]:
+def clean_grouped(spark: SparkSession, job: Job, shared: SharedLake, book: RecipeBook) -> list[Outcome]:
     """Clean every sensor of a lake whose files hold several; what was finished before is left as it is.
 
     Parameters
@@ -71,7 +71,7 @@ def clean_grouped(spark: SparkSession, job: Job, shared: Shared, book: RecipeBoo
         Where.
     job : Job
         What is to be done.
-    shared : Shared
+    shared : SharedLake
         The files, and what tells sensors apart in them.
     book : RecipeBook
         What to do with each sensor.
@@ -103,7 +103,7 @@ def clean_grouped(spark: SparkSession, job: Job, shared: Shared, book: RecipeBoo
         return outcomes + failed + _cleaned(spark, job.lake, replace(job, lake=str(staged)), found)
 
 
-def _counted(spark: SparkSession, job: Job, shared: Shared) -> dict[str, Count]:
+def _counted(spark: SparkSession, job: Job, shared: SharedLake) -> dict[str, Count]:
     counts = run_tasks(spark, partial(count_rows, job.lake, shared.keys), shared.files, lost=not_counted)
     failed = [file for file, count in zip(shared.files, counts, strict=True) if count.failed]
     if failed:
@@ -112,7 +112,7 @@ def _counted(spark: SparkSession, job: Job, shared: Shared) -> dict[str, Count]:
     return dict(zip(shared.files, counts, strict=True))
 
 
-def _refuse_times(job: Job, shared: Shared, asked: Collection[str | None]) -> None:
+def _refuse_times(job: Job, shared: SharedLake, asked: Collection[str | None]) -> None:
     first, times = Path(job.lake) / shared.files[0], set[str]()
     with suppress(InputError):  # whose rows are damaged: its sensors will be refused
         table = read_parquet(first, Original(first))
@@ -137,11 +137,11 @@ def _times(job: Job, sensors: Sequence[Sensor]) -> dict[str, str | None]:
 
 def _parted(spark: SparkSession, lake: Lake, staged: Path, counts: Mapping[str, Count]) -> list[tuple[Count, Strips]]:
     """Part the files that hold rows of unfinished sensors; the parts come back in the order of the files."""
-    parts, origins = list[Part](), list[Count]()
+    parts, origins = list[StripPart](), list[Count]()
     for file, count in counts.items():
         shares = -(-sum(count.rows.values()) // PART_ROWS) if lake.wanted.keys() & count.rows.keys() else 0
         for share in range(shares):
-            parts.append(Part(file, share, shares, str(staged / f"{len(parts):06d}.strips"), count.hashed))
+            parts.append(StripPart(file, share, shares, str(staged / f"{len(parts):06d}.strips"), count.hashed))
             origins.append(count)
     return list(zip(origins, run_tasks(spark, partial(part_rows, lake), parts, lost=not_parted), strict=True))
 

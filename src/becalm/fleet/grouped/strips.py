@@ -72,7 +72,7 @@ class Lake(NamedTuple):
     wanted: Mapping[str, str | None]
 
 
-class Part(NamedTuple):
+class StripPart(NamedTuple):
     """Some rows of a file of a lake, for one task.
 
     Attributes
@@ -113,14 +113,14 @@ Time = tuple[str, ...]
 """Columns that tell it."""
 
 
-def part_rows(lake: Lake, part: Part) -> Strips:
+def part_rows(lake: Lake, part: StripPart) -> Strips:
     """Part the rows of a file by sensor; what is wrong with it is told, not raised.
 
     Parameters
     ----------
     lake : Lake
         What it is of.
-    part : Part
+    part : StripPart
         Which rows, and where to.
     """
     try:
@@ -131,12 +131,12 @@ def part_rows(lake: Lake, part: Part) -> Strips:
         return Strips({}, f"{part.file}: {type(cause).__name__}: {cause}")
 
 
-def not_parted(part: Part, why: str) -> Strips:
+def not_parted(part: StripPart, why: str) -> Strips:
     """Tell of a file that the workers died of."""
     return Strips({}, f"{part.file} cannot be read. {why}")
 
 
-def _parted(lake: Lake, part: Part) -> dict[str, list[Strip]]:
+def _parted(lake: Lake, part: StripPart) -> dict[str, list[Strip]]:
     path, target, found = Path(lake.root) / part.file, Path(part.strips), defaultdict[str, list[Strip]](list)
     table = read_parquet(path, Original(path))
     times = {asked: time_of(table, asked) for asked in set(lake.wanted.values())}
@@ -161,7 +161,7 @@ def _parted(lake: Lake, part: Part) -> dict[str, list[Strip]]:
     return dict(found)
 
 
-def _share_of(path: Path, table: RawTable, part: Part) -> Iterator[pa.Table]:
+def _share_of(path: Path, table: RawTable, part: StripPart) -> Iterator[pa.Table]:
     """Read the row groups that are a part's, in blocks."""
     ends = _group_ends(path)
     first, stop = (ends[(len(ends) - 1) * share // part.parts] for share in (part.number, part.number + 1))

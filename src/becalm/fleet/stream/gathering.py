@@ -26,7 +26,7 @@ class _Samples(NamedTuple):
     values: Floats  # (N, m)
 
 
-class Gathering:
+class SensorBlocks:
     """Holds rows until there are many, and lets them go as blocks of one sensor each.
 
     Parameters
@@ -106,7 +106,7 @@ class Gathering:
 
 def gathered(width: int, batches: Iterator[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
     """Return blocks of one sensor each of rows: sensor, stamp, and so many channels; or of blocks of them."""
-    gathering = Gathering(width)
+    gathering = SensorBlocks(width)
     for batch in batches:
         yield from gathering.add(gathering.whose(batch.column(0)), batch.columns[1:], seconds_of)
     yield from gathering.rest()

@@ -15,7 +15,7 @@ from pyspark.sql.streaming.stateful_processor import (
 
 from becalm.fleet.stream.blocks import Event
 from becalm.fleet.stream.reading import Entry
-from becalm.fleet.stream.sensor import SensorWalk, Step
+from becalm.fleet.stream.sensor import SensorStep, SensorWalk
 from becalm.fleet.stream.state import SensorState
 
 _SHOWN = 12  # digits of a recipe's hash
@@ -66,7 +66,7 @@ class SensorProcessor(StatefulProcessor):
         held = self._state.get()
         return None if held is None else SensorState.unpacked(bytes(held[0]))
 
-    def _done(self, sensor: str, step: Step, now_ms: int) -> Iterator[Row]:
+    def _done(self, sensor: str, step: SensorStep, now_ms: int) -> Iterator[Row]:
         if step.state is None:
             self._state.clear()
         else:
@@ -76,7 +76,7 @@ class SensorProcessor(StatefulProcessor):
         return iter(_answers(self._walk.told_under(sensor), step, now_ms))
 
 
-def _answers(sensor: str, step: Step, now_ms: int) -> Sequence[Row]:
+def _answers(sensor: str, step: SensorStep, now_ms: int) -> Sequence[Row]:
     shared = {"sensor": sensor, "recipe": step.recipe[:_SHOWN], "noticed_ms": now_ms}
     rows = [Row(**shared, **_of(event)) for event in step.events]
     if step.told is not None:

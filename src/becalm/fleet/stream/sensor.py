@@ -31,7 +31,7 @@ _LONGEST_NAME, _SHOWN = 255, 40  # bytes of a folder's; and how many letters of 
 _ODD = 1.5  # times the recipe's rate
 
 
-class Step(NamedTuple):
+class SensorStep(NamedTuple):
     """What a micro-batch did to a sensor."""
 
     state: SensorState | None  # None where nothing need be kept
@@ -60,7 +60,7 @@ class SensorWalk:
         """Return under which name something is told of a sensor: "" where no folder could be called so."""
         return sensor if len(folder_name(self._plan.key, sensor).encode(errors="replace")) <= _LONGEST_NAME else ""
 
-    def hear(self, sensor: str, before: SensorState | None, entries: Sequence[Entry], now_ms: int) -> Step:
+    def hear(self, sensor: str, before: SensorState | None, entries: Sequence[Entry], now_ms: int) -> SensorStep:
         """Take what came of a sensor.
 
         Parameters
@@ -84,7 +84,7 @@ class SensorWalk:
         block, numbers = self._read(entries, state, -np.inf if stream is None else stream.taken_to_s)
         state = replace(state, messages=numbers, held=Block.of_losses())
         if not sensor and not len(block):  # what could not be read, of whomever
-            return Step(None, None, _events(block.losses))
+            return SensorStep(None, None, _events(block.losses))
         said: tuple[Event, ...] = ()
         try:
             if stream is None:
@@ -93,7 +93,7 @@ class SensorWalk:
             else:
                 said, state = self._retuned(sensor, stream, state)
             if stream is None:
-                step = Step(replace(state, held=replace(block, losses=())), None, _events(block.losses))
+                step = SensorStep(replace(state, held=replace(block, losses=())), None, _events(block.losses))
             else:
                 if back:
                     stream.opened()
@@ -101,26 +101,26 @@ class SensorWalk:
                 step = self._after(stream, replace(state, held=held), stream.take(ready))
         except BecalmError as cause:
             kept = None if state.stream is None and not numbers else state  # a name that nobody has a recipe for
-            said, step = (), Step(kept, None, (*_events(block.losses), _left_out(cause, len(block))))
+            said, step = (), SensorStep(kept, None, (*_events(block.losses), _left_out(cause, len(block))))
         wake_ms = None if step.state is None else wake_ms
         return step._replace(events=(*back, *said, *step.events), wake_ms=wake_ms, recipe=state.taken)
 
-    def wake(self, before: SensorState, now_ms: int) -> Step:
+    def wake(self, before: SensorState, now_ms: int) -> SensorStep:
         """Look whether a sensor is silent; if so say it, and tell the rows that wait for earlier ones."""
         if self._plan.silent_s is None or before.is_silent:
-            return Step(replace(before, is_watched=False))
+            return SensorStep(replace(before, is_watched=False))
         until_ms = before.heard_ms + _milliseconds(self._plan.silent_s)
         if until_ms > now_ms:
-            return Step(before, wake_ms=until_ms)
+            return SensorStep(before, wake_ms=until_ms)
         state = replace(before, is_silent=True, is_watched=False)
         silent = Event("silent", None, f"No row came for {(now_ms - before.heard_ms) / 1000:g} s.")
         if state.stream is None:
-            return Step(state, None, (silent,))
+            return SensorStep(state, None, (silent,))
         stream, told = Stream.resumed(state.stream), replace(state, held=Block.of_losses())
         try:
             step = self._after(stream, told, stream.take(state.held))
         except BecalmError as cause:  # its channels are no more, say, since the stream was begun again
-            step = Step(told, None, (_left_out(cause, len(state.held)),) if len(state.held) else ())
+            step = SensorStep(told, None, (_left_out(cause, len(state.held)),) if len(state.held) else ())
         return step._replace(events=(silent, *step.events), recipe=state.taken)
 
     def _awake(self, before: SensorState | None, now_ms: int) -> tuple[SensorState, tuple[Event, ...], int | None]:
@@ -176,13 +176,13 @@ class SensorWalk:
                 return (Event("recipe", None, "Another recipe takes over."),), replace(state, taken=asked)
         return (Event("refused", None, f"{says} The recipe that was there stays."),), state
 
-    def _after(self, stream: Stream, state: SensorState, output: Output) -> Step:
+    def _after(self, stream: Stream, state: SensorState, output: Output) -> SensorStep:
         told = None
         if len(output):
             places = np.array([self._place(channel.name) for channel in stream.recipe.channel], np.int64)
             told = EstimatedBlock(places, output.time_s, output.signal, output.sigma, output.verdicts)
         state = replace(state, stream=stream.checkpoint("", ""))
-        return Step(state, told, _events(output.losses))
+        return SensorStep(state, told, _events(output.losses))
 
     def _place(self, name: str) -> int:
         """Return which of the fleet's channels a recipe's is; "load (N)" may be called "load" there."""

@@ -11,7 +11,7 @@ import pyarrow as pa
 from becalm.files.roles import SIGMA
 from becalm.files.tables import VERDICT, in_words
 from becalm.fleet.stream.blocks import EstimatedBlock
-from becalm.fleet.stream.shape import EVENTS, KIND, READINGS, Shape
+from becalm.fleet.stream.shape import EVENTS, KIND, READINGS, RowShape
 
 _ROWS = 1 << 15
 _MICRO = 1e6
@@ -36,7 +36,7 @@ class _Answer(NamedTuple):
     noticed_ms: int
 
 
-def told_as(shape: Shape, batches: Iterator[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
+def told_as(shape: RowShape, batches: Iterator[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
     """Return what filters answered in the columns of `Shape.told`."""
     teller = _Teller(shape)
     for batch in batches:
@@ -48,7 +48,7 @@ def told_as(shape: Shape, batches: Iterator[pa.RecordBatch]) -> Iterator[pa.Reco
 
 
 class _Teller:
-    def __init__(self, shape: Shape) -> None:
+    def __init__(self, shape: RowShape) -> None:
         self._shape = shape
         self._schema = pa.schema([pa.field(name, _type(kind)) for name, kind in shape.told])
 

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from becalm.fleet.engine import run_tasks
 from becalm.fleet.job import Job, Sensor
-from becalm.fleet.marks import Mark
+from becalm.fleet.marks import SensorMark
 from becalm.fleet.outcome import Outcome
 from becalm.fleet.sensor_task import all_died, clean_whole, commit, told_by
 from becalm.fleet.stretching.joining import joined_outcome
-from becalm.fleet.stretching.long import Long, Stretch
+from becalm.fleet.stretching.long import Long, TaskStretch
 from becalm.fleet.stretching.run import StretchEstimates, run_stretch
 from becalm.fleet.stretching.seams import overlaps_agree, to_run_again
 from becalm.fleet.stretching.survey import survey
@@ -27,7 +27,7 @@ class Task(NamedTuple):
     """A stretch of one of several long sensors."""
 
     sensor: int  # its place among them
-    stretch: Stretch
+    stretch: TaskStretch
 
 
 class Course:
@@ -60,12 +60,12 @@ class Course:
             self._told[told.stretch.number] = told
             self._took_s += told.took_s
 
-    def next(self) -> list[Stretch]:
+    def next(self) -> list[TaskStretch]:
         """Return what is to be run now: all stretches; then those that do not begin where the one before ended."""
         if self.failed is not None or self.whole:
             return []
         if not self._told:
-            return [Stretch(number, *span) for number, span in enumerate(pairwise(self.long.cuts))]
+            return [TaskStretch(number, *span) for number, span in enumerate(pairwise(self.long.cuts))]
         if not self.long.causal:
             self.whole = not overlaps_agree(self._in_order)
             return []
@@ -87,10 +87,10 @@ class Course:
         long, told = self.long, self._in_order
         outcome = joined_outcome(long, told, len(self._again), self._took_s)
         names = tuple(piece.name for one in told for piece in one.pieces)
-        commit(long.job, long.sensor, Path(long.staged), Mark(long.hashed, names, outcome, job=long.job.own))
+        commit(long.job, long.sensor, Path(long.staged), SensorMark(long.hashed, names, outcome, job=long.job.own))
         return outcome
 
-    def _was_run(self, stretch: Stretch) -> bool:
+    def _was_run(self, stretch: TaskStretch) -> bool:
         """Whether a stretch was run from where it is to be run again: then it would be run for ever."""
         return self._told[stretch.number].stretch == stretch
 

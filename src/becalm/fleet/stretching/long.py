@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from becalm.files.shared_source import ParsedSource
 from becalm.fleet.job import Job, Sensor
-from becalm.fleet.pieces import Piece
+from becalm.fleet.pieces import OutputFile
 
 State = tuple[bytes, ...]
 """What filters stand at, or leave, packed: of each channel."""
@@ -28,7 +28,7 @@ class Long(NamedTuple):
     recipe: str  # the text of its recipe, fitted to it
     causal: bool  # whether estimates know only the past
     known: ParsedSource
-    files: tuple[Piece, ...]  # that it came in, in order
+    files: tuple[OutputFile, ...]  # that it came in, in order
     staged: str  # the folder in which its output waits for its name
     hashed: str  # what its output comes of
     cuts: tuple[int, ...]  # the rows at which stretches begin, and the last row's end
@@ -38,7 +38,7 @@ class Long(NamedTuple):
     took_s: float  # to find all that out
 
 
-class Stretch(NamedTuple):
+class TaskStretch(NamedTuple):
     """A part of one sensor's rows, to be cleaned in a task."""
 
     number: int

@@ -18,19 +18,19 @@ from becalm.core.arrays import Floats
 from becalm.core.filter.channel import History
 from becalm.core.packing import packed, unpacked
 from becalm.core.verdict import Verdict, counted
-from becalm.files.chunked_cleaning import Answer, answered, rows_of_chunks
+from becalm.files.chunked_cleaning import CleanChunk, answered, rows_of_chunks
 from becalm.files.opening import as_asked
 from becalm.files.read_options import asked_by
 from becalm.files.shared_source import KnownSource
-from becalm.fleet.pieces import Piece, Pieces
+from becalm.fleet.pieces import OutputFile, Pieces
 from becalm.fleet.sensor_task import metadata_of
-from becalm.fleet.stretching.long import Long, State, Stretch
+from becalm.fleet.stretching.long import Long, State, TaskStretch
 from becalm.fleet.stretching.margins import begun, ended, margin_of
 
 OVERLAP = 64
 """Rows that are compared where two smoothed stretches meet."""
 
-Write = Callable[[Answer], None]
+Write = Callable[[CleanChunk], None]
 
 
 class Seams(NamedTuple):
@@ -47,17 +47,17 @@ class Seams(NamedTuple):
 class StretchEstimates(NamedTuple):
     """What is told of a stretch."""
 
-    stretch: Stretch
+    stretch: TaskStretch
     seams: Seams | None = None  # None where the rows beside it do not tell where its filters stand
     reports: tuple[ChannelReport, ...] = ()
     counts: tuple[dict[Verdict, int], ...] = ()  # of verdicts that were written, of each channel
-    pieces: tuple[Piece, ...] = ()
+    pieces: tuple[OutputFile, ...] = ()
     took_s: float = 0.0
 
 
 class _Work(NamedTuple):
     long: Long
-    stretch: Stretch
+    stretch: TaskStretch
     recipe: Recipe
     source: KnownSource
     rows: int  # at once
@@ -71,14 +71,14 @@ class _Work(NamedTuple):
         return self.stretch.stop == self.long.known.rows
 
 
-def run_stretch(long: Long, stretch: Stretch) -> StretchEstimates:
+def run_stretch(long: Long, stretch: TaskStretch) -> StretchEstimates:
     """Clean a stretch of a long sensor.
 
     Parameters
     ----------
     long : Long
         What is known of the sensor.
-    stretch : Stretch
+    stretch : TaskStretch
         Which rows, and perhaps what the rows before leave.
 
     Raises
@@ -95,7 +95,7 @@ def run_stretch(long: Long, stretch: Stretch) -> StretchEstimates:
     try:
         with Pieces(Path(long.staged), pieces, metadata_of(recipe)) as out:
 
-            def write(answer: Answer) -> None:
+            def write(answer: CleanChunk) -> None:
                 out.write(answer.output(recipe, verdicts=True))
                 for own, told in zip(counts, answer.told, strict=True):
                     own.update(counted(told.verdicts))
@@ -108,16 +108,16 @@ def run_stretch(long: Long, stretch: Stretch) -> StretchEstimates:
     )
 
 
-def pieces_of(files: tuple[Piece, ...], stretch: Stretch) -> list[Piece]:
+def pieces_of(files: tuple[OutputFile, ...], stretch: TaskStretch) -> list[OutputFile]:
     """Return the files that a stretch writes: one for each that its rows came in, or for the part that it has of it."""
-    pieces, begins = list[Piece](), accumulate((file.rows for file in files), initial=0)
+    pieces, begins = list[OutputFile](), accumulate((file.rows for file in files), initial=0)
     for (name, rows), begin in zip(files, begins, strict=False):
         first, stop = max(begin, stretch.first), min(begin + rows, stretch.stop)
         if first < stop:
             path = PurePosixPath(name)
             whole = stop - first == rows
             own = name if whole else str(path.with_name(f"{path.stem}.{stretch.number:06d}{path.suffix}"))
-            pieces.append(Piece(own, stop - first))
+            pieces.append(OutputFile(own, stop - first))
     return pieces
 
 
@@ -170,7 +170,7 @@ def _smoothed(work: _Work, write: Write) -> tuple[Seams | None, tuple[ChannelRep
     end = ended(work.source, work.recipe, margin, (stop, work.long.known.rows), most)
     if begin is None or end is None:
         return None, ()
-    heads, tails = list[Answer](), list[Answer]()
+    heads, tails = list[CleanChunk](), list[CleanChunk]()
     with Cleaner(work.recipe, work.source.clock.step_s) as own:
         if begin:
             own.begin_after(_before(work, begin))
@@ -185,7 +185,7 @@ def _smoothed(work: _Work, write: Write) -> tuple[Seams | None, tuple[ChannelRep
         return Seams(head=_overlap(heads), beyond=_overlap(tails)), own.reports()
 
 
-def _overlap(answers: list[Answer]) -> Floats | None:
+def _overlap(answers: list[CleanChunk]) -> Floats | None:
     """Return signal and sigma of the first rows of each channel."""
     if not answers:
         return None

@@ -14,14 +14,14 @@ import numpy as np
 
 from becalm.core.imm.comparable_state import same_state
 from becalm.core.packing import unpacked
-from becalm.fleet.stretching.long import State, Stretch
+from becalm.fleet.stretching.long import State, TaskStretch
 from becalm.fleet.stretching.run import StretchEstimates
 
 SMOOTHED_TO = 1e-10
 """Of the uncertainty, or of the signal where that is larger: as much may two smoothed stretches differ."""
 
 
-def to_run_again(told: Sequence[StretchEstimates]) -> list[Stretch] | None:
+def to_run_again(told: Sequence[StretchEstimates]) -> list[TaskStretch] | None:
     """Return the causal stretches that did not begin where the one before ended, with what it leaves.
 
     Parameters
@@ -34,7 +34,7 @@ def to_run_again(told: Sequence[StretchEstimates]) -> list[Stretch] | None:
     list of Stretch or None
         None where the sensor cannot be cut there: rows wait for others at a seam.
     """
-    again = list[Stretch]()
+    again = list[TaskStretch]()
     for before, now in pairwise(told):
         if before.seams is None:
             continue  # it will be run again itself

@@ -19,7 +19,16 @@ from becalm.files.shared_source import known_of
 from becalm.fleet.job import Job, Sensor
 from becalm.fleet.outcome import Outcome
 from becalm.fleet.pieces import open_staging
-from becalm.fleet.sensor_task import Opened, clean_whole, finished, hash_of, notes_of, opened, refuse_foreign, told_by
+from becalm.fleet.sensor_task import (
+    OpenedSensor,
+    clean_whole,
+    finished,
+    hash_of,
+    notes_of,
+    opened,
+    refuse_foreign,
+    told_by,
+)
 from becalm.fleet.stretching.long import Extremes, Long
 from becalm.fleet.stretching.margins import margin_of
 
@@ -81,7 +90,7 @@ def _cuts(rows: int, length: int) -> tuple[int, ...]:
     return (*range(0, rows - length + 1, length), rows)
 
 
-def _first_readings(found: Opened) -> tuple[float, ...]:
+def _first_readings(found: OpenedSensor) -> tuple[float, ...]:
     """Return the first reading of each channel that may enter its filter; NaN where there is none."""
     step_s, channels = found.source.clock.step_s, found.recipe.channel
     first, lag = np.full(len(channels), np.nan), None if found.recipe.mode == "smoothed" else 0  # a lag is not cut
@@ -109,7 +118,7 @@ def _first(readings: Floats) -> float:
     return float(readings[known[0]]) if len(known) else np.nan
 
 
-def _extremes(found: Opened) -> tuple[Extremes, ...]:
+def _extremes(found: OpenedSensor) -> tuple[Extremes, ...]:
     """Return between what the readings lay before each row group, as far as the files say; none where one does not."""
     told, row, names = [], 0, [channel.name for channel in found.recipe.channel]
     for path in found.paths:

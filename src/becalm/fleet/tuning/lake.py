@@ -62,7 +62,7 @@ NOTHING_ASKED = LakeTuningOptions()
 
 
 @dataclass(frozen=True)
-class Tuned:
+class TunedLake:
     """What was found in a lake.
 
     Attributes
@@ -83,7 +83,7 @@ class Tuned:
     report: Path
 
 
-def tune(spark: SparkSession, lake: Path, recipes: Path, asked: LakeTuningOptions = NOTHING_ASKED) -> Tuned:
+def tune(spark: SparkSession, lake: Path, recipes: Path, asked: LakeTuningOptions = NOTHING_ASKED) -> TunedLake:
     """Find a recipe for each class of a lake, and the sensors that are unlike their class.
 
     Parameters
@@ -110,7 +110,7 @@ def tune(spark: SparkSession, lake: Path, recipes: Path, asked: LakeTuningOption
     return tune_by(partial(run_tasks, spark, lost=all_died), lake, recipes, asked)
 
 
-def tune_by(run: Run, lake: Path, recipes: Path, asked: LakeTuningOptions = NOTHING_ASKED) -> Tuned:
+def tune_by(run: Run, lake: Path, recipes: Path, asked: LakeTuningOptions = NOTHING_ASKED) -> TunedLake:
     """Do as `tune`, wherever tasks run."""
     began, started = datetime.now(UTC), monotonic()
     lake, recipes = lake.resolve(), recipes.resolve()
@@ -126,7 +126,7 @@ def tune_by(run: Run, lake: Path, recipes: Path, asked: LakeTuningOptions = NOTH
         names, took_s = tuple(sorted(named)), monotonic() - started
         facts = FleetFacts(lake.name, recipes.name, began.isoformat(), took_s, recipes=names, done="tuned")
         rows = write_found(recipes, classes, named, facts)
-        return Tuned(tuple(classes), names, tuple(rows), recipes / REPORT)
+        return TunedLake(tuple(classes), names, tuple(rows), recipes / REPORT)
 
 
 def chosen_in(lake: Path, recipes: Path, asked: LakeTuningOptions = NOTHING_ASKED) -> list[Chosen]:

@@ -21,8 +21,8 @@ from becalm.identification.damping import damped
 from becalm.identification.likelihood import Evidence, Tuning, tune_motion
 from becalm.identification.modes.bank_risk import hidden_errors
 from becalm.identification.modes.banks import (
-    Bank,
-    Piece,
+    BankFamily,
+    EvidencePiece,
     bursting,
     log_likelihood,
     of_first_mode,
@@ -45,7 +45,9 @@ class Bursting(NamedTuple):
     log_likelihood: float
 
 
-def find_bursting(tuning: Tuning, evidence: Evidence, pieces: list[Piece], causal: bool) -> tuple[Bursting, Bursting]:
+def find_bursting(
+    tuning: Tuning, evidence: Evidence, pieces: list[EvidencePiece], causal: bool
+) -> tuple[Bursting, Bursting]:
     """Find a bank of calm and violent motion, and the filter of calm motion; and the same without wild readings.
 
     Parameters
@@ -64,7 +66,7 @@ def find_bursting(tuning: Tuning, evidence: Evidence, pieces: list[Piece], causa
     return found, Bursting(found.tuning, believing, log_likelihood(believing, pieces))
 
 
-def _find_bursting(tuning: Tuning, evidence: Evidence, pieces: list[Piece], causal: bool) -> Bursting:
+def _find_bursting(tuning: Tuning, evidence: Evidence, pieces: list[EvidencePiece], causal: bool) -> Bursting:
     found, before = _searched(tuning, bursting(tuning, evidence), pieces[-1:]), np.zeros(len(evidence.z), dtype=bool)
     for _ in range(_ROUNDS):
         violent = _find_violent(found.switching, evidence)
@@ -102,7 +104,7 @@ def _without(violent: Booleans, evidence: Evidence) -> Evidence:
     return Evidence.of(np.where(violent, np.nan, evidence.z[:, 0]), evidence.elapsed)
 
 
-def _searched(tuning: Tuning, bank: Bank, pieces: list[Piece]) -> Bursting:
+def _searched(tuning: Tuning, bank: BankFamily, pieces: list[EvidencePiece]) -> Bursting:
     return Bursting(tuning, *searched(bank, pieces))
 
 

@@ -28,7 +28,7 @@ _SPANS = """SELECT period_s, dated, CAST(first_row AS INTEGER), CAST(end_row AS 
 # of the types that they have, for a damaged row may hold anything
 
 
-class Stretch(NamedTuple):
+class JournalStretch(NamedTuple):
     """Rows of an hour, in a file of their own or in the database still."""
 
     where: str
@@ -108,13 +108,13 @@ class JournalReader(Closing):
         with reading(self.folder):
             return get(self.connection, RollRow)
 
-    def stretches(self) -> list[Stretch]:
+    def stretches(self) -> list[JournalStretch]:
         """Return what the journal holds: a stretch for each file, and for each hour that has not rolled."""
         with self._moment():
             rolls = get(self.connection, RollRow)
             blocks = self.connection.execute(_SPANS, (rolled_blocks(self.connection),)).fetchall()
         found = [
-            Stretch(
+            JournalStretch(
                 r.path, r.first_row, r.end_row, r.rows, r.first_s, r.last_s, bool(r.dated), r.size, bool(r.pruned_s)
             )
             for r in rolls
@@ -127,7 +127,7 @@ class JournalReader(Closing):
                 rows, size = last.rows + rows, last.size + size
                 found[-1] = last._replace(end_row=end_row, rows=rows, last_s=last_s, size=size)
             else:
-                found.append(Stretch(NAME, first_row, end_row, rows, first_s, last_s, bool(dated), size, False))
+                found.append(JournalStretch(NAME, first_row, end_row, rows, first_s, last_s, bool(dated), size, False))
             hour = (period_s, dated)
         return found
 

@@ -10,7 +10,7 @@ from becalm.core.arrays import Floats
 from becalm.live.block import Block, Loss, LossKind
 from becalm.live.lines.columns import LineOptions
 from becalm.live.lines.layouts import layout_of, may_be_names
-from becalm.live.lines.rows import Bad, Layout, Taken, is_remark, take
+from becalm.live.lines.rows import Bad, LineLayout, Taken, is_remark, take
 
 LONGEST_LINE = 1 << 20
 """Bytes of a line; whatever is longer is garbage, and not held."""
@@ -46,7 +46,7 @@ class Lines:
         self._skipping = False  # up to the next line end
         self._within = False  # the first line may be the end of one
         self._above: list[bytes] = []
-        self._layout: Layout | None = None
+        self._layout: LineLayout | None = None
         self._bad = Bad()
         self._counted = 0
         self._began_s = 0.0

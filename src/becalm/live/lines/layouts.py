@@ -10,14 +10,14 @@ from becalm.files.text.cells import GONE, NUMBER, WORDS, kind_of, split
 from becalm.files.text.csv_header import find_header, unique_names
 from becalm.live.lines.cells import number_of
 from becalm.live.lines.columns import LineOptions, columns_of
-from becalm.live.lines.rows import CsvLayout, JsonLayout, Layout, json_object
+from becalm.live.lines.rows import CsvLayout, JsonLayout, LineLayout, json_object
 
 _SEPARATORS = (";", "\t", ",", "|", " ", "")  # in a draw the earlier one wins
 _REMARK = "#%/"
 _DIGIT = re.compile("[0-9]")
 
 
-def layout_of(above: Sequence[bytes], line: bytes, options: LineOptions) -> tuple[Layout, list[bytes]] | None:
+def layout_of(above: Sequence[bytes], line: bytes, options: LineOptions) -> tuple[LineLayout, list[bytes]] | None:
     """Understand lines by the newest and those above it; None where it is no row, or not enough to tell.
 
     A row of CSV has numbers, and above it stands a line of as many names, or another such row; or its names were
@@ -34,7 +34,7 @@ def layout_of(above: Sequence[bytes], line: bytes, options: LineOptions) -> tupl
 
     Returns
     -------
-    Layout
+    LineLayout
         How they are written.
     list of bytes
         Those of the lines above that hold names and units.

@@ -18,7 +18,7 @@ _NOT_PLAIN = (b'"', b"#", b"(")  # quotes, remarks, nan(1): read one by one
 _PIECE = 256  # lines that are read at once where all of them are well
 
 
-class UnreadableError(ValueError):
+class UnreadableLineError(ValueError):
     """A line that is no row, and why."""
 
 
@@ -69,7 +69,7 @@ class Taken:
     lines: int = 0
 
 
-class Layout(Protocol):
+class LineLayout(Protocol):
     """How rows are written."""
 
     columns: Columns
@@ -104,13 +104,13 @@ class CsvLayout:
         try:
             text = line.decode("utf-8")
         except UnicodeDecodeError as cause:
-            raise UnreadableError("it is no text") from cause
+            raise UnreadableLineError("it is no text") from cause
         cells = split(text, self.separator)
         width = len(self.columns.all_names)
         if len(cells) > width and not any(cell.strip() for cell in cells[width:]):  # separators that trail
             cells = cells[:width]
         if len(cells) != width:
-            raise UnreadableError(f"it has {len(cells)} cell{'s' * (len(cells) != 1)}, not {width}")
+            raise UnreadableLineError(f"it has {len(cells)} cell{'s' * (len(cells) != 1)}, not {width}")
         return [cell.replace(",", ".") for cell in cells] if self._commas else cells
 
     def well(self, lines: Sequence[bytes]) -> tuple[Floats, Floats] | None:
@@ -148,10 +148,10 @@ class JsonLayout:
         """Pick the values of an object."""
         told = json_object(line)
         if told is None:
-            raise UnreadableError("it is no JSON object")
+            raise UnreadableLineError("it is no JSON object")
         columns = self.columns
         if not any(columns.all_names[place] in told for place in columns.places):
-            raise UnreadableError("it has none of the channels")
+            raise UnreadableLineError("it has none of the channels")
         return [told.get(name) for name in columns.all_names]
 
     def well(self, lines: Sequence[bytes]) -> None:
@@ -170,7 +170,7 @@ def json_object(line: bytes) -> dict[str, Cell] | None:
     return told if isinstance(told, dict) else None
 
 
-def take(layout: Layout, lines: Sequence[bytes], bad: Bad) -> Taken:
+def take(layout: LineLayout, lines: Sequence[bytes], bad: Bad) -> Taken:
     """Read lines; blank ones and remarks are left out, and whatever else cannot be read is counted."""
     taken = Taken()
     for start in range(0, len(lines), _PIECE):
@@ -192,12 +192,12 @@ def is_remark(line: bytes) -> bool:
     return line.lstrip()[:1] in (b"", b"#")
 
 
-def _take_one_by_one(layout: Layout, lines: Sequence[bytes], taken: Taken, bad: Bad) -> None:
+def _take_one_by_one(layout: LineLayout, lines: Sequence[bytes], taken: Taken, bad: Bad) -> None:
     rows, stamps = [], []
     for place, line in enumerate(lines, taken.lines):
         try:
             stamp, row, why = _row(layout, line)
-        except UnreadableError as cause:
+        except UnreadableLineError as cause:
             bad.add(line, str(cause))
             continue
         if why:
@@ -212,7 +212,7 @@ def _take_one_by_one(layout: Layout, lines: Sequence[bytes], taken: Taken, bad: 
         taken.stamps.append(np.array(stamps))
 
 
-def _row(layout: Layout, line: bytes) -> tuple[float | None, list[float], str]:
+def _row(layout: LineLayout, line: bytes) -> tuple[float | None, list[float], str]:
     """Return stamp, readings, and what is wrong with one of them."""
     columns, cells = layout.columns, layout.cells(line)
     read = [number_of(cells[place]) for place in columns.places]
@@ -221,11 +221,11 @@ def _row(layout: Layout, line: bytes) -> tuple[float | None, list[float], str]:
         place = columns.places[read.index(None)]
         why = f"{columns.all_names[place]!r} is no number"
         if all(value is None or value != value for value in read):
-            raise UnreadableError(why)
+            raise UnreadableLineError(why)
     stamp = None
     if columns.stamp_place is not None and columns.stamp_of is not None:
         try:
             stamp = columns.stamp_of.one(cells[columns.stamp_place])
         except ValueError as cause:
-            raise UnreadableError(f"{columns.all_names[columns.stamp_place]!r} is no time") from cause
+            raise UnreadableLineError(f"{columns.all_names[columns.stamp_place]!r} is no time") from cause
     return stamp, [np.nan if value is None else value for value in read], why

@@ -10,7 +10,7 @@ import pyarrow as pa
 
 from becalm.core.arrays import Floats, Integers
 from becalm.live.lines.cells import NumberStamps, StampReader
-from becalm.live.messages.columns import ParsedMessage, RoleFinder, UnreadableError, first_of, stamps_reader
+from becalm.live.messages.columns import ParsedMessage, RoleFinder, UnreadableMessageError, first_of, stamps_reader
 
 _END = b"\xff\xff\xff\xff\x00\x00\x00\x00"
 _SCHEMAS = 16  # a stream has one; memory stays bounded where a sender makes a new one each time
@@ -52,7 +52,7 @@ class ArrowMessages:
         try:
             return self._read(payload)
         except pa.ArrowException as cause:  # not all of Arrow's errors are Python's
-            raise UnreadableError(f"which is broken ({' '.join(str(cause).split())[:80]})") from cause
+            raise UnreadableMessageError(f"which is broken ({' '.join(str(cause).split())[:80]})") from cause
 
     def _read(self, payload: bytes) -> ParsedMessage:
         size = 8 + int.from_bytes(payload[4:8], "little")
@@ -65,7 +65,7 @@ class ArrowMessages:
             batch.validate()  # else a broken message would be read beyond its end
             parts.append(batch)
         if not any(map(len, parts)):
-            raise UnreadableError("which has no rows")
+            raise UnreadableMessageError("which has no rows")
         told = [_matrix(part, plan) for part in parts]
         matrix = told[0] if len(told) == 1 else np.concatenate(told)
         seq = first_of(matrix[:, 0]) if plan.has_seq else None
@@ -84,7 +84,7 @@ class ArrowMessages:
         try:
             return self._read_many(payloads)
         except pa.ArrowException as cause:
-            raise UnreadableError("one of which is broken") from cause
+            raise UnreadableMessageError("one of which is broken") from cause
 
     def _read_many(self, payloads: list[bytes]) -> list[ParsedMessage]:
         first = payloads[0]
@@ -98,7 +98,7 @@ class ArrowMessages:
         begins = [batch.column(0).buffers()[1].address for batch in batches]
         same = len(begins) == len(bodies) and all(payload.startswith(head) for payload in payloads)
         if not same or not (ends[:-1] < begins).all() or not (begins < ends[1:]).all():
-            raise UnreadableError("one of which is not one whole record batch")
+            raise UnreadableMessageError("one of which is not one whole record batch")
         table = pa.Table.from_batches(batches)
         table.validate()
         whole = table.combine_chunks().to_batches()[0]
@@ -121,7 +121,7 @@ class ArrowMessages:
         asked = self._finder.options.channels
         channels = [one for one in roles.channels if asked or _is_number(schema.field(_index(schema, one[0])).type)]
         if not channels:
-            raise UnreadableError("which has no channels")
+            raise UnreadableMessageError("which has no channels")
         stamp = -1 if roles.stamp is None else _index(schema, roles.stamp)
         tick_s = None if stamp < 0 else _tick(schema.field(stamp).type)
         leading = [] if roles.seq is None else [_index(schema, roles.seq)]
@@ -129,7 +129,7 @@ class ArrowMessages:
         columns = leading + [_index(schema, column) for column, _, _ in channels]
         for field in map(schema.field, columns):
             if not _is_number(field.type):
-                raise UnreadableError(f"whose column {field.name[:40]!r} has {field.type}, and not numbers")
+                raise UnreadableMessageError(f"whose column {field.name[:40]!r} has {field.type}, and not numbers")
         plan = _Plan(
             schema,
             tuple(name for _, name, _ in channels),
@@ -151,7 +151,7 @@ class ArrowMessages:
 def _index(schema: pa.Schema, name: str) -> int:
     column = schema.get_field_index(name)
     if column < 0:
-        raise UnreadableError(f"which has no column {name[:40]!r}, or two")
+        raise UnreadableMessageError(f"which has no column {name[:40]!r}, or two")
     return int(column)
 
 
@@ -179,7 +179,7 @@ def _matrix(batch: pa.RecordBatch, plan: _Plan) -> Floats:
 def _moments(batch: pa.RecordBatch, plan: _Plan) -> Floats:
     column = batch.column(plan.moment)
     if column.null_count:
-        raise UnreadableError("which has a row without a stamp")
+        raise UnreadableMessageError("which has a row without a stamp")
     return np.asarray(column.view(pa.int64()).to_numpy(), dtype=np.float64) * plan.tick_s
 
 
@@ -187,7 +187,7 @@ def _cuts(numbers: Floats, ends: Integers) -> list[int]:
     """Return where numbers do not go on, which they may only do between messages."""
     breaks = np.flatnonzero(np.diff(numbers) != 1) + 1
     if not np.isin(breaks, ends).all():
-        raise UnreadableError("one of which does not number its rows one by one")
+        raise UnreadableMessageError("one of which does not number its rows one by one")
     for cut in (0, *breaks):
         first_of(numbers[cut : cut + 1])
     return [0, *breaks.tolist(), len(numbers)]
@@ -204,6 +204,6 @@ def _seconds(numbers: Floats, plan: _Plan) -> Floats:
     if plan.stamps is None:
         reader: StampReader = stamps_reader(*plan.stamp, float(numbers[0]))
         if not isinstance(reader, NumberStamps):
-            raise UnreadableError("which has a row without a stamp")
+            raise UnreadableMessageError("which has a row without a stamp")
         plan.stamps = reader
     return numbers * (plan.stamps.factor / plan.stamps.per_second)

@@ -23,7 +23,7 @@ EXACT_INTEGERS = 2**53
 _KNOWN = 16  # sets of columns; a stream has one, and memory stays bounded where each message has another
 
 
-class UnreadableError(ValueError):
+class UnreadableMessageError(ValueError):
     """Why a message cannot be read; the reader counts it."""
 
 
@@ -93,14 +93,14 @@ class RoleFinder:
         if self.options.time:
             return _named(self.options.time, columns)
         if len(times) > 1:
-            raise UnreadableError(f"in which {' and '.join(times)[:80]} could be the time (say ?time=NAME)")
+            raise UnreadableMessageError(f"in which {' and '.join(times)[:80]} could be the time (say ?time=NAME)")
         return times[0] if times else None
 
 
 def _named(name: str, columns: tuple[str, ...]) -> str:
     place = place_named(name, columns)
     if place is None:
-        raise UnreadableError(f"which has no column {name[:40]!r}")
+        raise UnreadableMessageError(f"which has no column {name[:40]!r}")
     return columns[place]
 
 
@@ -109,7 +109,7 @@ def stamps_reader(column: str, unit: str, first: Cell) -> StampReader:
 
     Raises
     ------
-    UnreadableError
+    UnreadableMessageError
         If its first cell is no time.
     """
     try:
@@ -117,7 +117,7 @@ def stamps_reader(column: str, unit: str, first: Cell) -> StampReader:
     except UsageError:
         reader = None
     if reader is None:
-        raise UnreadableError("which has a row without a stamp")
+        raise UnreadableMessageError("which has a row without a stamp")
     return reader
 
 
@@ -126,7 +126,7 @@ def stamps_of(column: str, cells: Sequence[Cell]) -> Floats:
 
     Raises
     ------
-    UnreadableError
+    UnreadableMessageError
         If one of them is no time.
     """
     exact = [float(cell) if type(cell) is int else cell for cell in cells]
@@ -134,7 +134,7 @@ def stamps_of(column: str, cells: Sequence[Cell]) -> Floats:
     try:
         return np.array([reader.one(cell) for cell in exact])
     except ValueError as cause:
-        raise UnreadableError("which has a row without a stamp") from cause
+        raise UnreadableMessageError("which has a row without a stamp") from cause
 
 
 def first_of(numbers: Floats) -> int:
@@ -142,12 +142,12 @@ def first_of(numbers: Floats) -> int:
 
     Raises
     ------
-    UnreadableError
+    UnreadableMessageError
         If it is not.
     """
     if not len(numbers):
-        raise UnreadableError("which has no rows")
+        raise UnreadableMessageError("which has no rows")
     first = float(numbers[0])
     if not (0 <= first < EXACT_INTEGERS and first.is_integer() and (numbers[1:] - numbers[:-1] == 1).all()):
-        raise UnreadableError("whose seq does not number its rows one by one")
+        raise UnreadableMessageError("whose seq does not number its rows one by one")
     return int(first)

@@ -10,7 +10,7 @@ import numpy as np
 from becalm.core.arrays import Floats
 from becalm.live.block import Loss, LossKind
 from becalm.live.lines.columns import LineOptions
-from becalm.live.messages.columns import EXACT_INTEGERS, ParsedMessage, RoleFinder, UnreadableError
+from becalm.live.messages.columns import EXACT_INTEGERS, ParsedMessage, RoleFinder, UnreadableMessageError
 
 if TYPE_CHECKING:
     from becalm.live.messages.arrow import ArrowMessages
@@ -23,7 +23,7 @@ _UNREADABLE = (ValueError, TypeError, LookupError, ArithmeticError, RuntimeError
 
 
 @dataclass(frozen=True, slots=True)
-class Batch:
+class MessageRows:
     """The rows of one message.
 
     Attributes
@@ -48,9 +48,9 @@ class Batch:
         """Return the number of rows."""
         return len(self.values)
 
-    def after(self, rows: int) -> Batch:
+    def after(self, rows: int) -> MessageRows:
         """Return what stands behind the first `rows` rows."""
-        return Batch(
+        return MessageRows(
             None if self.seq is None else self.seq + rows,
             None if self.time_s is None else self.time_s[rows:],
             self.values[rows:],
@@ -84,7 +84,7 @@ class MessageReader:
         self.units: tuple[str, ...] = ()
         self._shape: tuple[bool, bool] | None = None
 
-    def read(self, payload: bytes, arrived_s: float) -> Batch | None:
+    def read(self, payload: bytes, arrived_s: float) -> MessageRows | None:
         """Return the rows of a message; None where it cannot be read, which `losses` tells.
 
         Parameters
@@ -101,7 +101,7 @@ class MessageReader:
             self._first = self._first or f"{_short(cause)}: {payload[:40]!r}{'...' if len(payload) > 40 else ''}"
             return None
 
-    def read_many(self, messages: list[tuple[bytes, float]]) -> list[Batch]:
+    def read_many(self, messages: list[tuple[bytes, float]]) -> list[MessageRows]:
         """Return the rows of messages, each with its arrival, in their order; joined where that is faster.
 
         Parameters
@@ -129,7 +129,7 @@ class MessageReader:
 
     def _told(self, payload: bytes) -> ParsedMessage:
         if len(payload) > MAXIMUM_BYTES:
-            raise UnreadableError(f"of {len(payload)} bytes (more than {MAXIMUM_BYTES})")
+            raise UnreadableMessageError(f"of {len(payload)} bytes (more than {MAXIMUM_BYTES})")
         if payload.startswith(_ARROW):
             return self._arrow_reader().read(payload)
         from becalm.live.messages import text
@@ -145,34 +145,36 @@ class MessageReader:
             self._arrow = ArrowMessages(self._finder)
         return self._arrow
 
-    def _batch(self, told: ParsedMessage, arrived_s: float) -> Batch:
+    def _batch(self, told: ParsedMessage, arrived_s: float) -> MessageRows:
         """Return a message's rows in the stream's order of channels, once they are those of the stream."""
         _check(told)
         if told.time_s is None and len(told.values) > 1 and not self._finder.options.rate_hz:
-            raise UnreadableError("which has several rows and no stamps (where that is so, say ?rate=HZ)")
+            raise UnreadableMessageError("which has several rows and no stamps (where that is so, say ?rate=HZ)")
         shape = (told.seq is not None, told.time_s is not None)
         if self._shape is None:
             self.names, self.units, self._shape = told.names, told.units, shape
         if shape != self._shape:
-            raise UnreadableError("which differs from the first message in having stamps or sequence numbers")
+            raise UnreadableMessageError("which differs from the first message in having stamps or sequence numbers")
         if told.names == self.names:
-            return Batch(told.seq, told.time_s, told.values, arrived_s)
+            return MessageRows(told.seq, told.time_s, told.values, arrived_s)
         if sorted(told.names) != sorted(self.names):
-            raise UnreadableError(f"whose channels are {', '.join(told.names)[:80]}, not {', '.join(self.names)[:80]}")
+            raise UnreadableMessageError(
+                f"whose channels are {', '.join(told.names)[:80]}, not {', '.join(self.names)[:80]}"
+            )
         values = np.ascontiguousarray(told.values[:, [told.names.index(name) for name in self.names]])
-        return Batch(told.seq, told.time_s, values, arrived_s)
+        return MessageRows(told.seq, told.time_s, values, arrived_s)
 
 
 def _check(told: ParsedMessage) -> None:
     """Refuse numbers that cannot be a sequence, and stamps that are none."""
     if told.seq is not None and not 0 <= told.seq <= EXACT_INTEGERS - len(told.values):
-        raise UnreadableError(f"whose seq is {told.seq}")
+        raise UnreadableMessageError(f"whose seq is {told.seq}")
     if told.time_s is not None and not np.isfinite(told.time_s).all():
-        raise UnreadableError("which has a row without a stamp")
+        raise UnreadableMessageError("which has a row without a stamp")
 
 
 def _short(cause: BaseException) -> str:
     """Return a reason in one short line."""
-    if isinstance(cause, UnreadableError):
+    if isinstance(cause, UnreadableMessageError):
         return str(cause)
     return f"which is broken ({' '.join(str(cause).split())[:80]})"

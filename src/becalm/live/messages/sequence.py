@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from becalm.live.block import Loss, LossKind
-from becalm.live.messages.reading import Batch
+from becalm.live.messages.reading import MessageRows
 
 WAIT_S = 0.02
 """How long a message that came ahead waits for the one before."""
@@ -43,8 +43,8 @@ class Sequence:
     _next: int | None = None
     _newest_s: float = -np.inf
     _began: tuple[int, float] = (0, 0.0)  # the run's first row, and when it came
-    _held: list[tuple[int, float, Batch]] = field(default_factory=list)
-    _ready: list[Batch] = field(default_factory=list)
+    _held: list[tuple[int, float, MessageRows]] = field(default_factory=list)
+    _ready: list[MessageRows] = field(default_factory=list)
     _missing: list[tuple[int, int]] = field(default_factory=list)
     _missed: deque[tuple[int, int]] = field(default_factory=lambda: deque(maxlen=_REMEMBERED))
     _counts: dict[LossKind, int] = field(default_factory=dict)
@@ -73,7 +73,7 @@ class Sequence:
         self._began = (int(state["began"] or 0), float(state["began_s"] or 0.0))
         self._behind = (int(state["behind"] or 0), int(state["behind_to"] or 0), float(state["behind_s"] or 0.0))
 
-    def take(self, batch: Batch, now_s: float) -> None:
+    def take(self, batch: MessageRows, now_s: float) -> None:
         """Hear of a batch with numbers.
 
         Parameters
@@ -113,7 +113,7 @@ class Sequence:
         while self._held:
             self._release()
 
-    def ready(self) -> list[Batch]:
+    def ready(self) -> list[MessageRows]:
         """Return the batches that follow, and forget them."""
         ready, self._ready = self._ready, []
         return ready
@@ -138,7 +138,7 @@ class Sequence:
         self._said, self._missing, self._counts = [], [], {}
         return tuple(said)
 
-    def _hold(self, batch: Batch, now_s: float) -> None:
+    def _hold(self, batch: MessageRows, now_s: float) -> None:
         seq = _number(batch)
         if any(held == seq and len(batch) <= len(other) for held, _, other in self._held):
             self._count(LossKind.REPEATED, len(batch))
@@ -166,7 +166,7 @@ class Sequence:
             else:
                 self._count(LossKind.REPEATED, len(batch))
 
-    def _tell(self, batch: Batch) -> None:
+    def _tell(self, batch: MessageRows) -> None:
         """Take the new rows of a batch that holds the next."""
         old = (self._next or 0) - _number(batch)
         if old:
@@ -179,7 +179,7 @@ class Sequence:
             self._newest_s = max(self._newest_s, float(batch.time_s.max()))
         elif self.rate_hz:
             steps = np.arange(seq - self._began[0], self._next - self._began[0])
-            batch = Batch(seq, self._began[1] + steps / self.rate_hz, batch.values, batch.arrived_s)
+            batch = MessageRows(seq, self._began[1] + steps / self.rate_hz, batch.values, batch.arrived_s)
         self._ready.append(batch)
 
     def _was_missed(self, seq: int) -> bool:
@@ -188,7 +188,7 @@ class Sequence:
     def _count(self, kind: LossKind, rows: int) -> None:
         self._counts[kind] = self._counts.get(kind, 0) + rows
 
-    def _is_anew(self, batch: Batch) -> bool:
+    def _is_anew(self, batch: MessageRows) -> bool:
         """Return whether a batch that goes back is of a new run; by arrivals, which a replay tells again."""
         if batch.time_s is not None and batch.time_s[0] > self._newest_s:
             return True
@@ -200,7 +200,7 @@ class Sequence:
         self._behind = (many + 1, _number(batch) + len(batch), since_s)
         return many + 1 >= _BEHIND and batch.arrived_s - since_s >= _BEHIND_S
 
-    def _begin(self, batch: Batch) -> None:
+    def _begin(self, batch: MessageRows) -> None:
         self.rest()  # of the run before
         seq = _number(batch)
         says = f"The sender began anew at row {seq}; its last run had told rows up to {(self._next or 0) - 1}."
@@ -210,7 +210,7 @@ class Sequence:
         self._tell(batch)
 
 
-def _number(batch: Batch) -> int:
+def _number(batch: MessageRows) -> int:
     """Return a batch's number; streams without never come here."""
     if batch.seq is None:
         raise TypeError("a batch without a number has no place in a sequence")

@@ -11,7 +11,7 @@ from becalm.core.arrays import Floats
 from becalm.live.address import Address
 from becalm.live.block import Block, Loss
 from becalm.live.lines.columns import LineOptions
-from becalm.live.messages.reading import Batch, MessageReader
+from becalm.live.messages.reading import MessageReader, MessageRows
 from becalm.live.messages.sequence import Sequence
 
 
@@ -46,7 +46,7 @@ class MessageStream:
         self._reorder = reorder
         self._reader = MessageReader(options)
         self._sequence = Sequence(self._reorder, self.rate_hz or 0.0)
-        self._ready: list[Batch] = []
+        self._ready: list[MessageRows] = []
         self._arrived_s = 0.0
 
     @property
@@ -110,7 +110,7 @@ class MessageStream:
             arrived_s=self._arrived_s,
         )
 
-    def _stamps(self, batch: Batch) -> Floats:
+    def _stamps(self, batch: MessageRows) -> Floats:
         if batch.time_s is not None:
             return batch.time_s
         back = np.arange(1 - len(batch), 1) / (self.rate_hz or 1.0)

@@ -9,7 +9,7 @@ import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.live.lines.cells import number_of
-from becalm.live.messages.columns import SEQ, ParsedMessage, RoleFinder, UnreadableError, first_of, stamps_of
+from becalm.live.messages.columns import SEQ, ParsedMessage, RoleFinder, UnreadableMessageError, first_of, stamps_of
 
 
 def from_json(payload: bytes, finder: RoleFinder) -> ParsedMessage:
@@ -17,28 +17,28 @@ def from_json(payload: bytes, finder: RoleFinder) -> ParsedMessage:
 
     Raises
     ------
-    UnreadableError
+    UnreadableMessageError
         If it holds no such thing. What the parser raises goes through.
     """
     held = json.loads(payload)
     if isinstance(held, list):
         held = _columns(held)
     elif not isinstance(held, dict):
-        raise UnreadableError("which is no object")
+        raise UnreadableMessageError("which is no object")
     units = held.pop("units", {})
     units = units if isinstance(units, dict) else {}
     roles = finder.roles(tuple(held))
     asked = finder.options.channels
     channels = [channel for channel in roles.channels if asked or not _is_text(held[channel[0]])]
     if not channels:
-        raise UnreadableError("which has no channels")
+        raise UnreadableMessageError("which has no channels")
     columns = [_numbers(column, held[column]) for column, _, _ in channels]
     rows = len(columns[0])
     if not rows or any(len(column) != rows for column in columns):
-        raise UnreadableError("which has no rows, or not the same number of them in all columns")
+        raise UnreadableMessageError("which has no rows, or not the same number of them in all columns")
     time_s = None if roles.stamp is None else stamps_of(roles.stamp, _cells(held[roles.stamp]))
     if time_s is not None and len(time_s) != rows:
-        raise UnreadableError(f"which has {len(time_s)} stamps of {rows} rows")
+        raise UnreadableMessageError(f"which has {len(time_s)} stamps of {rows} rows")
     return ParsedMessage(
         tuple(name for _, name, _ in channels),
         tuple(str(units.get(column, unit)) for column, _, unit in channels),
@@ -53,19 +53,19 @@ def from_csv(payload: bytes, finder: RoleFinder) -> ParsedMessage:
 
     Raises
     ------
-    UnreadableError
+    UnreadableMessageError
         If the address named none, or a line does not fit them.
     """
     names = finder.options.columns
     if not names:
-        raise UnreadableError("which is neither Arrow nor JSON (of CSV, name the columns: ?columns=time,ax,ay)")
+        raise UnreadableMessageError("which is neither Arrow nor JSON (of CSV, name the columns: ?columns=time,ax,ay)")
     rows = [line.split(",") for line in payload.decode("utf-8").splitlines() if line.strip()]
     if not rows or any(len(row) != len(names) for row in rows):
-        raise UnreadableError(f"which has no rows, or one that has not {len(names)} columns")
+        raise UnreadableMessageError(f"which has no rows, or one that has not {len(names)} columns")
     cells = dict(zip(names, zip(*rows, strict=True), strict=True))
     roles = finder.roles(names)
     if not roles.channels:
-        raise UnreadableError("which has no channels")
+        raise UnreadableMessageError("which has no channels")
     return ParsedMessage(
         tuple(name for _, name, _ in roles.channels),
         tuple(unit for _, _, unit in roles.channels),
@@ -78,7 +78,7 @@ def from_csv(payload: bytes, finder: RoleFinder) -> ParsedMessage:
 def _columns(rows: list[Any]) -> dict[str, Any]:
     """Turn a list of row objects into columns."""
     if not rows or not all(isinstance(row, dict) and row.keys() == rows[0].keys() for row in rows):
-        raise UnreadableError("which is no list of rows with the same columns")
+        raise UnreadableMessageError("which is no list of rows with the same columns")
     columns: dict[str, Any] = {name: [row[name] for row in rows] for name in rows[0]}
     if "units" in columns:
         columns["units"] = columns["units"][0]
@@ -98,7 +98,7 @@ def _numbers(name: str, held: object) -> Floats:
     """Return a number, or a list of numbers and nulls, as a column."""
     numbers = _cells(held)
     if not all(number is None or type(number) in (int, float) for number in numbers):
-        raise UnreadableError(f"which has no numbers in {name[:40]!r}")
+        raise UnreadableMessageError(f"which has no numbers in {name[:40]!r}")
     return np.array(numbers, dtype=np.float64)
 
 
@@ -106,7 +106,7 @@ def _read(name: str, cells: tuple[str, ...]) -> Floats:
     """Return cells of CSV as a column."""
     numbers = [number_of(cell) for cell in cells]
     if None in numbers:
-        raise UnreadableError(f"which has no numbers in {name[:40]!r}")
+        raise UnreadableMessageError(f"which has no numbers in {name[:40]!r}")
     return np.array(numbers, dtype=np.float64)
 
 
@@ -116,5 +116,5 @@ def _seq(held: object, rows: int) -> int:
         return held
     numbers = _numbers(SEQ, held)
     if len(numbers) != rows:
-        raise UnreadableError("whose seq does not number its rows one by one")
+        raise UnreadableMessageError("whose seq does not number its rows one by one")
     return first_of(numbers)

@@ -21,7 +21,7 @@ Told = Callable[[int, BecalmError | None], None]
 """Hears the number of a message that was acknowledged, or why it was refused; on any thread."""
 
 
-class Line(Protocol):
+class BrokerConnection(Protocol):
     """A connection that messages are sent through."""
 
     changed: threading.Condition
@@ -73,13 +73,13 @@ class BrokerSink(ABC):
         self._remote = remote
         form = remote.address.chosen("format", FORMATS, FORMATS[0])
         self._outbox = Outbox(form, remote.address.seconds("gather", _GATHER_S))
-        self._line: Line | None = None
+        self._line: BrokerConnection | None = None
         self._reached = False
         self._acknowledged: set[int] = set()
         self._refusal: BecalmError | None = None
 
     @abstractmethod
-    def _connect(self) -> Line:
+    def _connect(self) -> BrokerConnection:
         """Return a new connection."""
 
     def open(self, head: Head) -> None:
@@ -149,7 +149,7 @@ class BrokerSink(ABC):
         while self._outbox.flying < line.window and (letter := self._outbox.next()) is not None:
             self._outbox.sent(line.post(letter))
 
-    def _listen(self, line: Line) -> bool:
+    def _listen(self, line: BrokerConnection) -> bool:
         """Wait a while for acknowledgements, or for the end; whether something came."""
         with line.changed:
             return line.changed.wait_for(lambda: bool(self._acknowledged or self._refusal or line.ended), 1.0)

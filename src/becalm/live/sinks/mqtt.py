@@ -9,7 +9,7 @@ from becalm.live.address import Address
 from becalm.live.brokers.mqtt_link import MqttLink
 from becalm.live.brokers.mqtt_session import PORT, TLS_PORT, VERSIONS, Session, topic_of
 from becalm.live.brokers.remote import Remote
-from becalm.live.sinks.broker import BrokerSink, Line, Told
+from becalm.live.sinks.broker import BrokerConnection, BrokerSink, Told
 from becalm.live.sinks.outbox import Letter
 
 _WINDOW = 100  # messages ahead of their acknowledgements, where the broker takes as many
@@ -41,7 +41,7 @@ class MqttSink(BrokerSink):
         name = address.options.get("client") or f"becalm-{uuid.uuid4().hex[:16]}"
         self._session = Session(name, address.chosen("version", VERSIONS, VERSIONS[0]), kept_s=0.0, window=1)
 
-    def _connect(self) -> Line:
+    def _connect(self) -> BrokerConnection:
         line = _MqttLine(self._remote, self._session, self._told)
         line.connect(reached=self._reached)
         return line

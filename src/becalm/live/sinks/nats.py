@@ -10,7 +10,7 @@ from becalm.errors import InputError, UsageError
 from becalm.live.address import Address
 from becalm.live.brokers.nats_link import PORT, NatsLink, check_subject, stream_of
 from becalm.live.brokers.remote import Remote
-from becalm.live.sinks.broker import BrokerSink, Line, Told
+from becalm.live.sinks.broker import BrokerConnection, BrokerSink, Told
 from becalm.live.sinks.outbox import Letter
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ class NatsSink(BrokerSink):
         if not self._subject or set(self._subject) & set("*> \t"):
             raise UsageError(f"{address} does not name one subject to publish to; add subject=clean.pump")
 
-    def _connect(self) -> Line:
+    def _connect(self) -> BrokerConnection:
         line = _NatsLine(self._remote, self._stream, self._subject, self._told)
         line.connect(reached=self._reached)
         try:

@@ -18,7 +18,7 @@ from becalm.live.watching.secrets import Scrubber
 from becalm.web.frames import text
 from becalm.web.livepage.feed import Feed
 from becalm.web.livepage.live_dial import NOT_BEGUN, LiveDial, facts
-from becalm.web.livepage.pictures import Pictures
+from becalm.web.livepage.pictures import LivePictures
 
 if TYPE_CHECKING:
     from starlette.requests import Request
@@ -54,7 +54,7 @@ class LivePage:
     def __init__(self, feed: Feed, meter: Meter, retune: Retune) -> None:
         self.feed = feed
         self.desk = LiveDial(lambda: meter.recipe, retune)
-        self.pictures: Pictures | None = None
+        self.pictures: LivePictures | None = None
         self.health, self.tuning = News(0, ""), News(-1, "")
         self.ending = False
         self._closing, self._look_again_s = False, 0.0
@@ -100,7 +100,7 @@ class LivePage:
         if shown is None:
             return None
         if self.pictures is None:
-            self.pictures = Pictures(shown.bins, len(shown.head.names))
+            self.pictures = LivePictures(shown.bins, len(shown.head.names))
         levels = range(len(shown.bins.rows_each))
         return text(
             {

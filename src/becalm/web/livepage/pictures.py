@@ -14,7 +14,7 @@ from becalm.web.livepage.bins import Bins, Span
 _HELD = 16  # frames: those who look on ask for the same ones at the same time
 
 
-class Pictures:
+class LivePictures:
     """Frames of a stream's bins.
 
     Parameters

@@ -17,7 +17,7 @@ from becalm.files.read_options import ReadOptions
 from becalm.web.site import as_file
 from becalm.web.tuner.naming import stem_of
 from becalm.web.tuner.opened import AS_IT_IS, Opened
-from becalm.web.tuner.saving import Job, Made, cleaned, reported
+from becalm.web.tuner.saving import CleaningJob, Made, cleaned, reported
 from becalm.web.tuner.session import Conversation
 from becalm.web.tuner.sharing import Shared
 
@@ -78,13 +78,15 @@ class Tuner:
     async def _save_report(self, request: Request) -> Response:
         return _Download(await _while_there(request, self._saved(reported)))
 
-    async def _saved(self, make: Callable[[Job], Awaitable[Made]]) -> Made:
+    async def _saved(self, make: Callable[[CleaningJob], Awaitable[Made]]) -> Made:
         """Save what is set now, of what was opened, once those who asked before have theirs."""
         desk = self._shared.open_desk
         opened, recipe = desk.opened, desk.recipe().to_toml()
         async with self._saving:
             try:
-                made = await make(Job(self._unchanged(opened), recipe, opened.group if opened.several else None))
+                made = await make(
+                    CleaningJob(self._unchanged(opened), recipe, opened.group if opened.several else None)
+                )
             except OutputError:
                 self._unchanged(opened)  # or that is why
                 raise

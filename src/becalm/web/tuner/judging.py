@@ -12,7 +12,7 @@ from becalm.cleaning.cleaner import Cleaner
 from becalm.cleaning.excerpt import ChannelRows
 from becalm.cleaning.judging import Decision
 from becalm.cleaning.recipe import ChannelRecipe, Recipe
-from becalm.report.channel import Cleaned, Pictured, Pictures
+from becalm.report.channel import CleanedChannels, Pictured, Pictures
 from becalm.report.gathering import Gathering
 from becalm.report.payload import payload
 
@@ -63,7 +63,7 @@ def judged(
         reports = cleaner.reports()
     if not wanted():
         return None
-    drawn = Pictures(Cleaned(alone, reports, gathering, rows.step_s)).channel(0)
+    drawn = Pictures(CleanedChannels(alone, reports, gathering, rows.step_s)).channel(0)
     return _told(drawn, number) if wanted() else None
 
 

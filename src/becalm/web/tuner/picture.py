@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from becalm.cleaning.excerpt import ChannelRows, Run
+from becalm.cleaning.excerpt import ChannelRows, ChannelRun
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.core.arrays import Floats, Integers
 from becalm.core.rows import EstimatedRows
@@ -101,7 +101,7 @@ def clean_of(rows: ChannelRows, recipe: ChannelRecipe, lag: int | None, view: Vi
     """
     if recipe.motion is None:
         return _unchanged(rows, recipe, view)
-    run, each = Run(rows, recipe, lag), view.rows_each
+    run, each = ChannelRun(rows, recipe, lag), view.rows_each
     halves = [view]
     count = view.stop - view.first
     if count >= LONG and _WORTH * run.reach <= count:
@@ -147,7 +147,7 @@ class _Enclosing:
         self.band.add(touched, begins, told.signal - half, told.signal + half)
 
 
-def _enclosed(run: Run, view: View, each: int) -> Clean:
+def _enclosed(run: ChannelRun, view: View, each: int) -> Clean:
     enclosing = _Enclosing(view, each)
     for told in run.told(view.first, view.stop):
         enclosing.add(told)

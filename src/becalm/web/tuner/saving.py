@@ -17,7 +17,7 @@ from becalm.web.tuner.naming import stem_of
 _BLOCK = 1 << 18
 
 
-class Job(NamedTuple):
+class CleaningJob(NamedTuple):
     """A file to clean, by which recipe."""
 
     file: Path
@@ -46,12 +46,12 @@ class Made:
         self._folder.cleanup()
 
 
-async def cleaned(job: Job, ending: str) -> Made:
+async def cleaned(job: CleaningJob, ending: str) -> Made:
     """Clean a file as `becalm clean` does.
 
     Parameters
     ----------
-    job : Job
+    job : CleaningJob
         Which file, and how.
     ending : str
         Of the output's name, without its dot: its format.
@@ -66,7 +66,7 @@ async def cleaned(job: Job, ending: str) -> Made:
     return await _made(job, f"{stem_of(job.file)}-clean.{ending}", None)
 
 
-async def reported(job: Job) -> Made:
+async def reported(job: CleaningJob) -> Made:
     """Make the page of a file as `becalm clean --report` does.
 
     Raises
@@ -77,7 +77,7 @@ async def reported(job: Job) -> Made:
     return await _made(job, f"{stem_of(job.file)}-clean.npz", f"{stem_of(job.file)}-report.html")
 
 
-async def _made(job: Job, output: str, page: str | None) -> Made:
+async def _made(job: CleaningJob, output: str, page: str | None) -> Made:
     try:
         folder = tempfile.TemporaryDirectory(prefix="becalm-", ignore_cleanup_errors=True)
         return await _made_in(folder, job, output, page)
@@ -88,7 +88,7 @@ async def _made(job: Job, output: str, page: str | None) -> Made:
         raise OutputError(says) from cause
 
 
-async def _made_in(folder: tempfile.TemporaryDirectory[str], job: Job, output: str, page: str | None) -> Made:
+async def _made_in(folder: tempfile.TemporaryDirectory[str], job: CleaningJob, output: str, page: str | None) -> Made:
     try:
         inside, file = Path(folder.name).resolve(), job.file.resolve()
         recipe = inside / "recipe.toml"
