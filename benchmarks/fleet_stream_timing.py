@@ -17,7 +17,7 @@ from pyspark import cloudpickle
 from becalm.fleet.stream import LiveBook, SensorPlan, StreamPlan, query, sources
 from becalm.fleet.stream.processor import SensorProcessor
 from becalm.fleet.stream.sensor import SensorWalk
-from becalm.fleet.stream.shape import ANSWER, RowShape
+from becalm.fleet.stream.shape import ANSWER, StreamSchema
 from becalm.fleet.stream.telling import told_as
 from fleet_stream_kills import CHANNELS, NAMES, RATE_HZ, RECIPE
 from fleet_stream_runs import below, write_rows
@@ -70,7 +70,7 @@ def timed(spark: SparkSession, folder: Path, fleet: Fleet) -> Cost:
 def in_frames() -> Iterator[None]:
     """Let Spark hand rows to Python as pandas frames meanwhile."""
 
-    def filtered(shape: RowShape, blocks: DataFrame, plan: SensorPlan) -> DataFrame:
+    def filtered(shape: StreamSchema, blocks: DataFrame, plan: SensorPlan) -> DataFrame:
         answers = blocks.groupBy("sensor").transformWithStateInPandas(
             _Frames(SensorWalk(plan, shape.channels)), ANSWER, "Append", "ProcessingTime"
         )

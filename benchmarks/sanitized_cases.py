@@ -17,7 +17,7 @@ from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 
 import becalm
-from becalm.cleaning.channels import CleaningChannel, open_channel
+from becalm.cleaning.channels import ChannelCleaner, open_channel
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.recipe_modes import ModeRecipe, SwitchingRecipe
 from becalm.cleaning.recipe_parts import (
@@ -116,6 +116,7 @@ def recipes(draw: st.DrawFn) -> tuple[ChannelRecipe, float]:
         )
         switching = SwitchingRecipe(kind=kind, wild_std=30 * noise, rejects=draw(st.booleans()), mode=made)
     limited = draw(st.booleans())
+    distances = draw(st.sampled_from([None, 9 * noise])), draw(st.sampled_from([None, 12 * noise]))
     limits = LimitsRecipe(
         low=draw(st.sampled_from([None, -50 * noise])),
         high=draw(st.sampled_from([None, 80 * noise])),
@@ -123,13 +124,13 @@ def recipes(draw: st.DrawFn) -> tuple[ChannelRecipe, float]:
         stuck_readings=draw(st.sampled_from([None, 2, 5, 40])),
         even_time=draw(st.sampled_from([None, True, False])),
         largest=draw(st.sampled_from([None, 1e9 * noise])),
-        outlier_distance=draw(st.sampled_from([None, 9 * noise])),
-        causal_outlier_distance=draw(st.sampled_from([None, 12 * noise])),
+        outlier_distance=distances[0],
+        causal_outlier_distance=distances[1],
         plausible_low=-40 * noise,
         plausible_high=60 * noise,
         repeats_are_one=draw(st.booleans()),
         blank=draw(st.sampled_from([None, 0.0])),
-        far_from_0=draw(st.sampled_from([None, 5 * noise])),
+        far_from_0=draw(st.sampled_from([None, 5 * noise])) if any(distances) else None,
         drift_threshold=draw(st.sampled_from([None, 20.0])),
         dead_variance=draw(st.sampled_from([None, 0.05])),
     )
@@ -155,7 +156,7 @@ def recipes(draw: st.DrawFn) -> tuple[ChannelRecipe, float]:
     return made_of, 1 / rate_hz
 
 
-def pushed(channel: CleaningChannel, given_it: Rows, cuts: list[int]) -> EstimatedRows:
+def pushed(channel: ChannelCleaner, given_it: Rows, cuts: list[int]) -> EstimatedRows:
     """Return all that a channel tells of rows that come in blocks."""
     ends = [*cuts, len(given_it.z)]
     told = [EstimatedRows.nothing()]

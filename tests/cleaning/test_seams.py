@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from becalm.cleaning.channels import CleaningChannel, open_channel
+from becalm.cleaning.channels import ChannelCleaner, open_channel
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.recipe_modes import ModeRecipe, SwitchingRecipe
 from becalm.cleaning.recipe_parts import ColouredNoiseRecipe, GateRecipe, LimitsRecipe, TimingRecipe, ToneRecipe
@@ -26,6 +26,7 @@ USUAL: dict[str, Any] = {"name": "a", "model": "motion", "order": 1, "process_no
 LIMITS = LimitsRecipe(
     low=-40.0, high=40.0, stuck_readings=12, drift_threshold=25.0, dead_variance=0.05, outlier_distance=9.0,
     causal_outlier_distance=12.0, plausible_low=-20.0, plausible_high=40.0, repeats_are_one=True, blank=1.0,
+    far_from_0=0.5,
 )  # fmt: skip
 CHANNELS = {
     "level": ChannelRecipe(**USUAL),
@@ -65,7 +66,7 @@ def readings(seed: int, rows: int) -> tuple[Floats, Floats]:
     return z, elapsed
 
 
-def pushed(channel: CleaningChannel, z: Floats, elapsed: Floats) -> EstimatedRows:
+def pushed(channel: ChannelCleaner, z: Floats, elapsed: Floats) -> EstimatedRows:
     told = [part for at in range(0, len(z), CUT) for part in channel.push(z[at : at + CUT], elapsed[at : at + CUT])]
     return EstimatedRows(*(np.concatenate(arrays, axis=-1) for arrays in zip(*told, strict=True)))
 

@@ -9,6 +9,7 @@ from becalm.core.arrays import Floats
 from becalm.core.health.faults import Faults
 from becalm.core.health.limits import Limits, find_limits, stuck_at_once
 from becalm.core.health.outliers import (
+    Outliers,
     beside_others,
     find_outlier_rule,
     is_outlier,
@@ -87,8 +88,8 @@ def test_a_0_that_lasts_is_believed_by_a_recipe_that_knows_none() -> None:
     ids=["noise", "codes", "slower", "seldom"],
 )
 def test_a_0_stands_for_none_where_no_reading_is_near_it(z: Floats) -> None:
-    z[1000:1010], seen = 0.0, np.isfinite(z)
-    z[~seen & (np.arange(ROWS) < 1010) & (np.arange(ROWS) >= 1000)] = 0.0
+    z = z.copy()
+    z[1000:1010] = 0.0
     elapsed = np.diff(np.flatnonzero(np.isfinite(z)), prepend=0).astype(float)
     limits = find_limits(z[np.isfinite(z)], elapsed, 1.0, 0.005)
     fills = [*range(1000, 1010)]
@@ -98,13 +99,43 @@ def test_a_0_stands_for_none_where_no_reading_is_near_it(z: Floats) -> None:
 
 def test_a_0_that_is_a_code_as_any_other_is_a_reading() -> None:
     """On both sides of it, or near to it."""
-    square = np.round(40 * np.sign(np.sin(np.arange(ROWS) / 100.0)) + noise())
+    square = np.round(40 * np.sign(np.sin(np.arange(1, ROWS) / 100.0)) + noise(rows=ROWS - 1))
     for z in (square, np.round(8.0 + 2 * np.sin(np.arange(ROWS) / 100.0) + noise())):
-        assert find_outlier_rule(z[1:]).far_from_0 == 0
+        assert find_outlier_rule(z).far_from_0 == 0
+
+
+def test_a_channel_that_comes_to_0_step_by_step_rests_there() -> None:
     z = np.append(np.linspace(20, 0, ROWS), np.zeros(50))
     rule = find_outlier_rule(20.0 + 0.1 * noise())
     assert 9 < rule.far_from_0 < 10, "half of how near they come"
     assert not Faults(Limits(outliers=rule._replace(distance=1e3, causal_distance=1e3))).push(z, np.ones(len(z))).any()
+
+
+def test_a_0_without_others_before_it_is_a_reading_where_it_is_plausible() -> None:
+    rule = Outliers(30.0, 60.0, -50.0, 150.0, True, far_from_0=5.0)
+    z = np.append(np.zeros(60), np.linspace(0.05, 90.0, 900))
+    assert not Faults(Limits(outliers=rule)).push(z, np.ones(len(z))).any()
+    assert not is_outlier(z, rule).any()
+    z = 100.0 + 0.02 * noise()
+    z[:10] = 0.0
+    assert found_causally(z, find_outlier_rule(z)) == [*range(10)], "it is not plausible"
+
+
+def test_a_0_that_stands_for_none_hides_no_outlier_beside_it() -> None:
+    z = 100.0 + 0.02 * noise()
+    rule = find_outlier_rule(z)
+    z[[1001, 1005]], z[1003] = 0.0, 130.0
+    assert np.flatnonzero(is_outlier(z, rule)).tolist() == found_causally(z, rule) == [1001, 1003, 1005]
+
+
+def test_a_0_amid_what_is_plausible_that_lasts_is_a_fault() -> None:
+    z = 50 * np.sign(np.sin(np.arange(ROWS) / 50.0)) + noise()
+    z[2000:3000] = 0.0
+    limits = find_limits(z, np.ones(ROWS), 1.0, 0.01)
+    assert limits.outliers.far_from_0 > 0
+    for codes in (Faults(limits).push(z, np.ones(ROWS)), beside_others(z, limits.outliers, stuck_at_once(limits))):
+        assert (codes[2000 + LONGEST_0 : 3000] == Verdict.STUCK).all()
+        assert (codes[2000:3000] > 0).all()
 
 
 def test_a_0_that_others_lead_to_is_no_fill() -> None:
@@ -128,7 +159,7 @@ def test_a_zero_that_no_reading_comes_near_is_no_rest() -> None:
     z[500:540] = 0.0
     limits = find_limits(z, np.ones(ROWS), 1.0, 0.01)
     assert limits.stuck_readings is not None
-    assert (Faults(limits).push(z, np.ones(ROWS))[510:540] > 0).all()
+    assert (Faults(limits).push(z, np.ones(ROWS))[500:540] > 0).all()
 
 
 @pytest.mark.parametrize("every", [2, 4])

@@ -57,6 +57,8 @@ def test_readings_on_no_lattice_have_no_resolution(z: Floats) -> None:
 
 def test_a_few_wild_readings_off_the_codes_hide_no_step() -> None:
     z = 0.25 * np.round(noise() / 0.25)
+    z[[100, 200]] = 40.1, -17.3  # they lie on a finer lattice
+    assert find_resolution(z) == 0.25
     z[::100] += 2.0 ** (np.arange(len(z[::100])) % 20) * 1.234567 + 1e-3 * noise(1)[::100]
     assert find_resolution(z) == 0.25
     assert find_resolution(noise()) == 0.0

@@ -16,7 +16,7 @@ import becalm
 from becalm.errors import OutputError
 from becalm.files.chunked_cleaning import clean_chunks
 from becalm.fleet.batch import BatchOptions, Fleet, clean
-from becalm.fleet.marks import SensorMark
+from becalm.fleet.marks import CompletionMark
 from becalm.fleet.recipes import open_book
 from made import Lake, recipe_of, table_of, walk, without_spark, write_parts
 
@@ -125,13 +125,13 @@ def _kill(patch: pytest.MonkeyPatch, at: str) -> None:
     elif at == "older":
         patch.setattr(Path, "unlink", killed)
     else:
-        written, real = [0], SensorMark.write
+        written, real = [0], CompletionMark.write
 
-        def second(mark: SensorMark, path: Path) -> None:
+        def second(mark: CompletionMark, path: Path) -> None:
             written[0] += 1
             killed() if written[0] == 2 else real(mark, path)
 
-        patch.setattr(SensorMark, "write", second)
+        patch.setattr(CompletionMark, "write", second)
 
 
 def test_a_file_that_comes_meanwhile_is_told(lake: Lake, monkeypatch: pytest.MonkeyPatch) -> None:

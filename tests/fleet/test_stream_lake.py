@@ -16,7 +16,7 @@ from becalm.fleet.stream import lake as stream_lake
 from becalm.fleet.stream.blocks import SensorRows
 from becalm.fleet.stream.lake import lake_shape, read_files
 from becalm.fleet.stream.plan import SensorPlan
-from becalm.fleet.stream.shape import RowShape
+from becalm.fleet.stream.shape import StreamSchema
 from streaming import BEGINS_S, Shelf
 
 PLAN = SensorPlan(Shelf(), channels=("a", "b"))
@@ -31,7 +31,7 @@ def written(place: Path, **columns: object) -> Path:
     return place
 
 
-def read(shape: RowShape, *paths: Path) -> dict[str, list[SensorRows]]:
+def read(shape: StreamSchema, *paths: Path) -> dict[str, list[SensorRows]]:
     """Return the blocks of each sensor."""
     batch = pa.RecordBatch.from_pydict({"path": [f"file:{path}" for path in paths]})
     found: dict[str, list[SensorRows]] = {}
@@ -94,20 +94,20 @@ def test_a_key_is_a_folder_or_a_column(tmp_path: Path) -> None:
     time = pa.array(STAMPS, pa.timestamp("us"))
     one = written(tmp_path / "sensor=k%C3%A4se 1" / "date=2026-01-02" / "a.parquet", time=time, a=A)
     two = written(tmp_path / "b.parquet", time=time, a=A, sensor=pa.array(["x", "y", None] * 2).dictionary_encode())
-    found = read(RowShape("sensor", "time", ("a",), "timestamp"), one, two)
+    found = read(StreamSchema("sensor", "time", ("a",), "timestamp"), one, two)
     assert sorted(found) == ["", "käse 1", "x", "y"]
     np.testing.assert_array_equal(found["y"][0].values[:, 0], A[1::3])
 
 
 def test_rows_of_nobody_have_no_name(tmp_path: Path) -> None:
     place = written(tmp_path / "sensor=__HIVE_DEFAULT_PARTITION__" / "a.parquet", time=STAMPS / 1e6, a=A)
-    assert sorted(read(RowShape("sensor", "time", ("a",)), place)) == [""]
+    assert sorted(read(StreamSchema("sensor", "time", ("a",)), place)) == [""]
 
 
 def test_files_of_odd_kinds_stop_nobody(tmp_path: Path) -> None:
     times, fine = STAMPS / 1e6, tmp_path / "sensor=1" / "fine.parquet"
     lists = pa.ListArray.from_arrays(np.arange(COUNT + 1), pa.array(STAMPS, pa.timestamp("us")))
-    shape = RowShape("sensor", "time", ("a",))
+    shape = StreamSchema("sensor", "time", ("a",))
     found = read(
         shape,
         written(tmp_path / "no key.parquet", time=times, a=A),

@@ -19,7 +19,7 @@ from becalm.errors import ModelError, UsageError
 from becalm.fleet.stream import gathering
 from becalm.fleet.stream.blocks import EstimatedBlock, SensorRows
 from becalm.fleet.stream.gathering import gathered
-from becalm.fleet.stream.shape import RowShape, shape_of
+from becalm.fleet.stream.shape import StreamSchema, shape_of
 from becalm.fleet.stream.state import SensorState
 from becalm.fleet.stream.telling import told_as
 from becalm.live.block import Block, Checkpoint
@@ -131,7 +131,7 @@ def told_of(rows: int) -> EstimatedBlock:
 @pytest.mark.parametrize("stamps", ["double", "timestamp", "timestamp_ntz"])
 @pytest.mark.parametrize("in_blocks", [False, True])
 def test_what_is_told_has_the_shape_that_came(stamps: Any, in_blocks: bool) -> None:
-    shape, told = RowShape("sensor", "time", ("a", "b"), stamps, in_blocks), told_of(50)
+    shape, told = StreamSchema("sensor", "time", ("a", "b"), stamps, in_blocks), told_of(50)
     batch = answers_of({"told": told.packed()}, {"event": "late", "event_rows": 3, "says": "Late."})
     events, readings = told_as(shape, iter([batch]))
     assert [name for name, _ in shape.told] == events.schema.names == readings.schema.names
@@ -152,7 +152,7 @@ def test_what_is_told_has_the_shape_that_came(stamps: Any, in_blocks: bool) -> N
 
 
 def test_a_channel_that_a_sensor_has_not_is_null() -> None:
-    shape = RowShape("sensor", "time", ("a", "b", "c"))
+    shape = StreamSchema("sensor", "time", ("a", "b", "c"))
     (readings,) = told_as(shape, iter([answers_of({"told": told_of(5).packed()})]))
     assert readings["c"].null_count == readings["c_verdict"].null_count == 5
 
@@ -160,7 +160,7 @@ def test_a_channel_that_a_sensor_has_not_is_null() -> None:
 @given(st.integers(0, 4_000_000_000_000_000))
 def test_timestamps_come_back_as_they_were(micros: int) -> None:
     told = told_of(1)._replace(time_s=np.array([micros / 1e6]))
-    shape = RowShape("sensor", "time", ("a", "b"), "timestamp")
+    shape = StreamSchema("sensor", "time", ("a", "b"), "timestamp")
     (readings,) = told_as(shape, iter([answers_of({"told": told.packed()})]))
     assert readings["time"].cast(pa.int64()).to_pylist() == [micros]
 
@@ -198,13 +198,13 @@ def test_whole_numbers_as_stamps_are_told_how_to_become_some() -> None:
 
 def test_names_that_would_stand_twice_are_refused() -> None:
     with pytest.raises(UsageError, match="'a_sigma'"):
-        RowShape("sensor", "time", ("a", "a_sigma"))
+        StreamSchema("sensor", "time", ("a", "a_sigma"))
     with pytest.raises(UsageError, match="'kind'"):
-        RowShape("kind", "time", ("a",))
+        StreamSchema("kind", "time", ("a",))
 
 
 def test_names_are_quoted() -> None:
-    assert RowShape("sensor", "time", ("load `N`",)).told_ddl.count("`load ``N```") == 1
+    assert StreamSchema("sensor", "time", ("load `N`",)).told_ddl.count("`load ``N```") == 1
 
 
 def test_a_state_is_read_as_it_was_written() -> None:

@@ -17,7 +17,7 @@ from becalm.core.recording import Recording
 from becalm.core.steady.dials import motion_filter
 from becalm.errors import UsageError
 from becalm.identification.likelihood import Tuning
-from becalm.identification.spectrum import SpectralLine
+from becalm.identification.spectrum import ToneOscillator
 from becalm.identification.wishes.dial import Dial, ratio_for, turn
 
 RATE_HZ = 500.0
@@ -30,7 +30,7 @@ def through(tuning: Tuning, z: Floats, causal: bool) -> Floats:
 
 
 def found(order: int) -> Tuning:
-    return Tuning(order, 1e-3, 0.25, 1000, lines=(SpectralLine(1.0, 0.01, 1.0),))
+    return Tuning(order, 1e-3, 0.25, 1000, lines=(ToneOscillator(1.0, 0.01, 1.0),))
 
 
 @pytest.mark.parametrize("causal", [True, False])

@@ -10,7 +10,7 @@ from becalm.core.filter.filtering import run_filter
 from becalm.core.filter.smoothing import run_smoother
 from becalm.core.model.timeline import elapsed_timeline
 from becalm.identification.likelihood import Tuning
-from becalm.identification.spectrum import SpectralLine
+from becalm.identification.spectrum import ToneOscillator
 from becalm.identification.trust.excess import excess_error, powers
 from becalm.metrics.whiteness import whiteness
 
@@ -52,7 +52,7 @@ def test_a_true_model_has_no_excess() -> None:
 
 
 def test_what_is_taken_off_counts_as_noise() -> None:
-    angle, line = np.array([0.3, 1.0]), SpectralLine(1.0, 0.01, 0.1)
+    angle, line = np.array([0.3, 1.0]), ToneOscillator(1.0, 0.01, 0.1)
     kept, white = powers(Tuning(1, 0.01, 2.0, 0, lines=(line,)), angle)
     signal, noise = powers(Tuning(1, 0.01, 2.0, 0, lines=(line._replace(disturbance=True),)), angle)
     np.testing.assert_allclose(signal + noise, kept + white)

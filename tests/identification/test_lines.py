@@ -22,7 +22,7 @@ from becalm.identification.choose import choose
 from becalm.identification.damping import damped
 from becalm.identification.likelihood import FEWEST_FOR_TONES, Evidence
 from becalm.identification.lines import Fit, _turned, fit_spectrum
-from becalm.identification.spectrum import BinPower, SpectralLine, line_power
+from becalm.identification.spectrum import BinnedPeriodogram, ToneOscillator, line_power
 from becalm.metrics.truth import coverage, rms_error
 
 ROWS = 8192
@@ -81,10 +81,10 @@ def test_no_tone_is_found_where_there_is_none(name: str, seed: int) -> None:
 def test_a_spectrum_is_fitted_to_what_it_was_made_of() -> None:
     """Without scatter the fit ends at the truth, from afar."""
     angle = np.pi * (np.arange(4000) + 0.5) / 4000
-    line = SpectralLine(0.8, 0.004, 3e-4)
+    line = ToneOscillator(0.8, 0.004, 3e-4)
     power = 2.0 + 1e-4 * motion_power(2, angle) + line_power(line, angle)
-    start = Fit(2, 1.0, 1e-5, (SpectralLine(0.8005, 0.02, 1e-3),), 0.0)
-    found = fit_spectrum(start, BinPower(angle, power, np.ones(4000)))
+    start = Fit(2, 1.0, 1e-5, (ToneOscillator(0.8005, 0.02, 1e-3),), 0.0)
+    found = fit_spectrum(start, BinnedPeriodogram(angle, power, np.ones(4000)))
     assert found.noise_variance == pytest.approx(2.0, rel=1e-3)
     assert found.density == pytest.approx(1e-4, rel=1e-2)
     np.testing.assert_allclose(found.lines[0], line, rtol=2e-2)
@@ -258,5 +258,5 @@ def test_tones_of_a_wave_with_many_harmonics_make_nothing_worse(
 
 @pytest.mark.parametrize("far", [-1e9, 1e9])
 def test_a_tone_stays_a_tone_however_far_a_fit_would_go(far: float) -> None:
-    line = _turned(SpectralLine(1e-3, 1e-3, 1.0), np.array([far, 1.0]), 1e-4)
+    line = _turned(ToneOscillator(1e-3, 1e-3, 1.0), np.array([far, 1.0]), 1e-4)
     assert 0 < line.damping <= line.angle < np.pi

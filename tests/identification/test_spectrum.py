@@ -12,7 +12,7 @@ from becalm.core.filter.smoothing import kalman_smoother
 from becalm.core.model.components import Component, motion, oscillator
 from becalm.identification.cross_validation import read_residuals
 from becalm.identification.spectrum import (
-    SpectralLine,
+    ToneOscillator,
     binned,
     line_power,
     periodogram,
@@ -42,7 +42,7 @@ def test_the_power_of_a_motion_is_that_of_its_model(order: int) -> None:
 @pytest.mark.parametrize("damping", [1e-6, 0.01, 2.0])
 def test_the_power_of_a_tone_is_that_of_its_model(damping: float) -> None:
     tone = oscillator(0.7 / (2 * np.pi), damping / np.pi, 0.3)
-    np.testing.assert_allclose(line_power(SpectralLine(0.7, damping, 0.3), ANGLE), power_of(tone), rtol=1e-10)
+    np.testing.assert_allclose(line_power(ToneOscillator(0.7, damping, 0.3), ANGLE), power_of(tone), rtol=1e-10)
 
 
 @pytest.mark.parametrize("spectrum", [sine_spectrum, periodogram])
@@ -57,7 +57,7 @@ def test_white_noise_has_its_variance_everywhere(spectrum: object) -> None:
 
 def test_gathering_keeps_the_power_and_what_is_near_a_line() -> None:
     whole = periodogram(np.random.default_rng(2).normal(size=5000))
-    some = binned(whole, [SpectralLine(1.5, 0.01, 1.0)])
+    some = binned(whole, [ToneOscillator(1.5, 0.01, 1.0)])
     assert some.weight.sum() == len(whole.angle)
     assert some.weight @ some.power == pytest.approx(whole.power.sum(), rel=1e-12)
     assert (some.weight[np.abs(some.angle - 1.5) < 50 * 2 * np.pi / 5000] == 1).all()

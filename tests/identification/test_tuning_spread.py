@@ -11,7 +11,7 @@ from becalm.core.closed_forms import cutoff_to_ratio
 from becalm.identification.cross_validation import criterion, smooth_residuals
 from becalm.identification.likelihood import Evidence, Tuning, tune_motion
 from becalm.identification.search import find_ratio
-from becalm.identification.spectrum import SpectralLine
+from becalm.identification.spectrum import ToneOscillator
 from becalm.identification.trust.tuning_posterior import posterior_widening
 from becalm.identification.trust.tuning_spread import LONG, delta_widening, log_ratio_variance, tuning_spread
 from becalm.metrics.truth import coverage
@@ -114,7 +114,7 @@ def test_a_long_record_is_widened_by_next_to_nothing() -> None:
     tuning = tune_motion(1, evidence)
     assert 0 < tuning_spread(tuning, evidence, causal=True) < 0.01
     assert tuning_spread(replace(tuning, at_edge="low"), evidence, causal=True) == 0.0
-    toned = replace(tuning, lines=(SpectralLine(1.0, 0.01, 0.1),))
+    toned = replace(tuning, lines=(ToneOscillator(1.0, 0.01, 0.1),))
     assert 0 < tuning_spread(toned, evidence, causal=False) < 0.01
     assert delta_widening(Tuning(1, 0.0, 1.0, 100), causal=True) == 1.0  # never settles
     assert delta_widening(Tuning(1, 0.05, 1.0, 0), causal=True) == 1.0  # no reading tells it

@@ -100,5 +100,5 @@ def test_from_minus_infinity_to_minus_infinity_is_no_gain(monkeypatch: pytest.Mo
         made.append(r)
         return InteractingModels((one,))
 
-    banks.searched(banks.BankFamily([banks.Number(1.0, 1e-4, 1e4)], make), [])
+    banks.searched(banks.ImmFamily([banks.Number(1.0, 1e-4, 1e4)], make), [])
     assert made[-1] == 1.0

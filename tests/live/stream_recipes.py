@@ -26,7 +26,7 @@ HUM = ToneRecipe(frequency_hz=17.0, bandwidth_hz=0.1, process_noise_density=0.2,
 LIMITS = LimitsRecipe(
     low=-60.0, high=60.0, resolution=0.5, rounding_std=0.1, stuck_readings=6, even_time=True, largest=1e6,
     outlier_distance=9.0, causal_outlier_distance=12.0, plausible_low=-30.0, plausible_high=30.0, repeats_are_one=True,
-    blank=1.0, drift_threshold=6.0, dead_variance=0.2,
+    blank=1.0, far_from_0=0.5, drift_threshold=6.0, dead_variance=0.2,
 )  # fmt: skip
 QUIET = ModeRecipe(name="still", order=1, process_noise_density=0.01, noise_std=1.0, lasts_s=4.0)
 MOVING = ModeRecipe(name="moving", order=2, process_noise_density=3e3, noise_std=1.1, lasts_s=1.0, wild_share=0.02)

@@ -33,7 +33,7 @@ from becalm.metrics.running import Running
 _PIECE = 1 << 16  # rows whose innovations are judged at once: of fewer, calls take as long as sums
 
 
-class CleaningChannel(Protocol):
+class ChannelCleaner(Protocol):
     """What takes the rows of one channel, and gives clean ones back, perhaps later."""
 
     def push(self, z: Floats, elapsed: Floats) -> list[EstimatedRows]:
@@ -72,7 +72,7 @@ class CleaningChannel(Protocol):
 
 def open_channel(
     recipe: ChannelRecipe, step_s: float, lag: int | None, split: bool = False, look: Judge | None = None
-) -> CleaningChannel:
+) -> ChannelCleaner:
     """Start a channel as its recipe says.
 
     Parameters

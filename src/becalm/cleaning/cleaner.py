@@ -11,7 +11,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from becalm.cleaning.channels import CleaningChannel, open_channel
+from becalm.cleaning.channels import ChannelCleaner, open_channel
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.report import ChannelReport
 from becalm.cleaning.steps import lag_in_rows
@@ -47,7 +47,7 @@ class Cleaner:
     def __init__(self, recipe: Recipe, step_s: float, *, split: bool = False, looks: Sequence[Judge] = ()) -> None:
         lag = None if recipe.mode == "smoothed" else 0 if recipe.lag_s is None else lag_in_rows(recipe.lag_s, step_s)
         seen_by: Sequence[Judge | None] = looks or [None] * len(recipe.channel)
-        self._channels: list[CleaningChannel] = [
+        self._channels: list[ChannelCleaner] = [
             open_channel(channel, step_s, lag, split, look)
             for channel, look in zip(recipe.channel, seen_by, strict=True)
         ]

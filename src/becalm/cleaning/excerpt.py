@@ -26,7 +26,7 @@ _IMPOSSIBLE = np.isin(list(Verdict), (Verdict.NONFINITE, Verdict.OVERRANGE, Verd
 _GATED = 1024  # rows more: what a gate has rejected in a row is looked at anew
 
 
-class WatchedReadings(NamedTuple):
+class UsableReadings(NamedTuple):
     """What the sensor's watch lets through."""
 
     readings: Floats  # (N,) NaN where none may enter a filter
@@ -51,13 +51,13 @@ class ChannelRows:
 
     def __init__(self, z: Floats, elapsed: Floats, step_s: float, limits: LimitsRecipe | None = None) -> None:
         self.z, self.elapsed, self.step_s, self._limits = z, elapsed, step_s, limits
-        self._healthy: dict[tuple[LimitsRecipe | None, int], WatchedReadings] = {}
+        self._healthy: dict[tuple[LimitsRecipe | None, int], UsableReadings] = {}
 
     def __len__(self) -> int:
         """Return how many there are."""
         return len(self.z)
 
-    def healthy(self, limits: LimitsRecipe | None, lag: int | None = 0) -> WatchedReadings:
+    def healthy(self, limits: LimitsRecipe | None, lag: int | None = 0) -> UsableReadings:
         """Return the readings that may enter a filter of a lag (None: a smoother); they are looked at once."""
         plain = _plain(limits), rows_that_judge(limits, lag)
         found = self._healthy.get(plain)
@@ -68,7 +68,7 @@ class ChannelRows:
             (told,) = watch.named(
                 [EstimatedRows(nothing, nothing, nothing[np.newaxis], np.zeros(len(self.z), np.int8))]
             )
-            found = WatchedReadings(readings, told.verdicts, self._longest_gap(readings))
+            found = UsableReadings(readings, told.verdicts, self._longest_gap(readings))
             self._healthy = {**({} if len(self._healthy) > 1 else self._healthy), plain: found}
         return found
 
@@ -78,7 +78,7 @@ class ChannelRows:
         readings, verdicts = healthy.readings.copy(), healthy.verdicts.copy()
         readings[spikes], verdicts[spikes] = np.nan, Verdict.SPIKE
         plain = _plain(limits), rows_that_judge(limits, lag)
-        other._healthy = {plain: WatchedReadings(readings, verdicts, self._longest_gap(readings))}
+        other._healthy = {plain: UsableReadings(readings, verdicts, self._longest_gap(readings))}
         return other
 
     def possible(self, part: slice) -> Floats:

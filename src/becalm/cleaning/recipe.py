@@ -13,12 +13,12 @@ from becalm.cleaning.recipe_modes import SwitchingRecipe
 from becalm.cleaning.recipe_parts import (
     CalibrationRecipe,
     ColouredNoiseRecipe,
+    FrozenSettings,
     GateRecipe,
     HoleRecipe,
     LimitsRecipe,
     NotNegative,
     Positive,
-    RecipeModel,
     TimingRecipe,
     ToneRecipe,
 )
@@ -60,7 +60,7 @@ class TunedMotion(NamedTuple):
     coloured_noise: ColouredNoiseRecipe | None = None
 
 
-class ChannelRecipe(RecipeModel):
+class ChannelRecipe(FrozenSettings):
     """The filter of one channel.
 
     Attributes
@@ -168,7 +168,7 @@ class ChannelRecipe(RecipeModel):
         )
 
 
-class Origin(RecipeModel):
+class Origin(FrozenSettings):
     """The recording that a recipe was tuned on.
 
     Attributes
@@ -189,7 +189,7 @@ class Origin(RecipeModel):
     becalm: str = ""
 
 
-class Recipe(RecipeModel):
+class Recipe(FrozenSettings):
     """What was decided for a recording.
 
     Attributes

@@ -6,10 +6,10 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from becalm.cleaning.recipe_parts import NotNegative, Positive, RecipeModel
+from becalm.cleaning.recipe_parts import FrozenSettings, NotNegative, Positive
 
 
-class ModeRecipe(RecipeModel):
+class ModeRecipe(FrozenSettings):
     """One way in which the signal of a channel may behave.
 
     Attributes
@@ -48,7 +48,7 @@ class ModeRecipe(RecipeModel):
     with_tones: bool = False
 
 
-class SwitchingRecipe(RecipeModel):
+class SwitchingRecipe(FrozenSettings):
     """The modes of a filter that switches.
 
     Attributes

@@ -17,13 +17,13 @@ Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 _MOST_REJECTS = 1 << 31  # in a row: more than are ever waited for
 
 
-class RecipeModel(BaseModel):
+class FrozenSettings(BaseModel):
     """What a person may write, and nothing else; never changed."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
-class ToneRecipe(RecipeModel):
+class ToneRecipe(FrozenSettings):
     """A tone beside the motion: an oscillator that is driven by white noise.
 
     Attributes
@@ -44,7 +44,7 @@ class ToneRecipe(RecipeModel):
     disturbance: bool = False
 
 
-class ColouredNoiseRecipe(RecipeModel):
+class ColouredNoiseRecipe(FrozenSettings):
     """Noise that remembers itself, beside the white noise: it is taken off the signal.
 
     Attributes
@@ -62,7 +62,7 @@ class ColouredNoiseRecipe(RecipeModel):
     std: Positive
 
 
-class HoleRecipe(RecipeModel):
+class HoleRecipe(FrozenSettings):
     """What a smoother is worth in holes of one length, as readings showed that were hidden.
 
     Attributes
@@ -82,7 +82,7 @@ class HoleRecipe(RecipeModel):
     sigma_growth: NotNegative
 
 
-class GateRecipe(RecipeModel):
+class GateRecipe(FrozenSettings):
     """What leaves spikes out, and follows steps.
 
     Attributes
@@ -107,7 +107,7 @@ class GateRecipe(RecipeModel):
         return self
 
 
-class LimitsRecipe(RecipeModel):
+class LimitsRecipe(FrozenSettings):
     """What a channel keeps to while its sensor is healthy.
 
     Attributes
@@ -141,8 +141,9 @@ class LimitsRecipe(RecipeModel):
     blank : float or None
         What is written where there is no reading, in unit; it counts as missing.
     far_from_0 : float or None
-        A 0 among readings that are all farther away than this, in unit, counts as missing, until it lasts 128 rows; a
-        *small* one leaves out more of them, None believes all.
+        A 0 whose neighbours are all farther away than this, in unit, counts as missing, until it lasts 128 rows, unless
+        it is amid what is plausible; a *small* one leaves out more of them, None believes all. It goes with
+        `outlier_distance`, or the causal one.
     drift_threshold : float or None
         Of the cumulative sum of innovations, in sigma: a *small* one finds a drift sooner, and more that are
         none; None tells no drift.
@@ -173,10 +174,12 @@ class LimitsRecipe(RecipeModel):
     def _in_order(self) -> Self:
         if self.low is not None and self.high is not None and self.low >= self.high:
             raise ValueError("low is not below high; a range goes from low to high")
+        if self.far_from_0 and not (self.outlier_distance or self.causal_outlier_distance):
+            raise ValueError("far_from_0 came alone; give outlier_distance or causal_outlier_distance as well")
         return self
 
 
-class TareRecipe(RecipeModel):
+class TareRecipe(FrozenSettings):
     """A zero that was taken while the recording was read: an event, told here and taken anew from the readings.
 
     Attributes
@@ -202,7 +205,7 @@ class TareRecipe(RecipeModel):
     temperature_degc: Finite | None = None
 
 
-class CalibrationRecipe(RecipeModel):
+class CalibrationRecipe(FrozenSettings):
     """What is uncertain in the sensor's calibration: one error for all samples, which averaging does not lower.
 
     Attributes
@@ -220,7 +223,7 @@ class CalibrationRecipe(RecipeModel):
     tare: TareRecipe | None = None
 
 
-class TimingRecipe(RecipeModel):
+class TimingRecipe(FrozenSettings):
     """What is uncertain in the time of readings: noise where the signal moves.
 
     Attributes

@@ -9,7 +9,7 @@ from pydantic import Field
 
 from becalm.cleaning.bridge_entry import BridgeEntry
 from becalm.cleaning.recipe_parts import Finite, NotNegative, Positive
-from becalm.cleaning.sensor_entry import Name, OneChannel, SensorKind
+from becalm.cleaning.sensor_entry import Name, OneChannel, SensorEntryBase
 from becalm.sensors.accelerometer import Accelerometer, sensitivity_matrix
 from becalm.sensors.curve import CalibrationCurve
 from becalm.sensors.load_cell import LoadCell
@@ -42,7 +42,7 @@ class AccelerometerEntry(OneChannel):
         return SensorRecord(**self.shared(), conversion=one, reading_size=self.volts(), sensitivities=(told,))
 
 
-class TriaxialEntry(SensorKind):
+class TriaxialEntry(SensorEntryBase):
     """A triaxial accelerometer: by its sheet, or as its rests in many poses calibrated it.
 
     Attributes

@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from becalm.cleaning.recipe_parts import Finite, NotNegative, Positive, RecipeModel
+from becalm.cleaning.recipe_parts import Finite, FrozenSettings, NotNegative, Positive
 from becalm.cleaning.stretches import stretch_s
 from becalm.sensors.accelerometer import FullScale, volts_per_count
 from becalm.sensors.record import SensorRecord, Sheet
@@ -18,7 +18,7 @@ _VOLTS = {"V": 1.0, "mV": 1e-3}
 RawUnit = Literal["V", "mV", "mV/V", "counts", "g", "m/s^2"]
 
 
-class SheetEntry(RecipeModel):
+class SheetEntry(FrozenSettings):
     """`becalm.sensors.record.Sheet`, as it is written; each line may be left out."""
 
     manufacturer: str = ""
@@ -49,7 +49,7 @@ class SheetEntry(RecipeModel):
         return self
 
 
-class SensorKind(RecipeModel, ABC):
+class SensorEntryBase(FrozenSettings, ABC):
     """What every kind has.
 
     Attributes
@@ -128,7 +128,7 @@ class SensorKind(RecipeModel, ABC):
         return self.volts() / excitation_v
 
 
-class OneChannel(SensorKind):
+class OneChannel(SensorEntryBase):
     """A sensor of one channel.
 
     Attributes

@@ -10,7 +10,7 @@ from typing import Annotated, Self
 import tomlkit
 from pydantic import Field, model_validator
 
-from becalm.cleaning.recipe_parts import RecipeModel
+from becalm.cleaning.recipe_parts import FrozenSettings
 from becalm.cleaning.sensor_entries import SensorEntry
 from becalm.cleaning.toml_text import TomlKind
 from becalm.errors import SensorError
@@ -20,7 +20,7 @@ _KIND = TomlKind("sensor file", SensorError)
 _WAY_OUT = "Each sensor begins with [[sensor]] and says its kind, channel, raw_unit and unit."
 
 
-class _Sensors(RecipeModel):
+class _Sensors(FrozenSettings):
     sensor: Annotated[tuple[SensorEntry, ...], Field(min_length=1)]
 
     @model_validator(mode="after")

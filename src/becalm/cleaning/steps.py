@@ -15,7 +15,7 @@ from becalm.core.filter.lag import LONGEST_LAG
 from becalm.core.model.autoregressive import ColouredNoise
 from becalm.errors import ModelError, RecipeError, UsageError
 from becalm.identification.likelihood import Tuning
-from becalm.identification.spectrum import SpectralLine
+from becalm.identification.spectrum import ToneOscillator
 
 _SLOWEST, _QUICKEST, _WIDEST = 1e-8, 0.5, 1.0  # cycles a step
 _LEAST_DAMPING = 1e-12  # cycles a step: less is none
@@ -117,7 +117,7 @@ def _refuse_twins(tones: Sequence[ToneRecipe]) -> None:
             )
 
 
-def _tone_in_seconds(line: SpectralLine, step_s: float) -> ToneRecipe:
+def _tone_in_seconds(line: ToneOscillator, step_s: float) -> ToneRecipe:
     return ToneRecipe(
         frequency_hz=line.angle / (2 * np.pi * step_s),
         bandwidth_hz=line.damping / (np.pi * step_s),
@@ -137,7 +137,7 @@ def _damping_in_steps(damped_below_hz: float | None, step_s: float) -> float:
     return 2 * np.pi * damped_below_hz * step_s
 
 
-def _tone_in_steps(tone: ToneRecipe, variance: float, step_s: float) -> SpectralLine:
+def _tone_in_steps(tone: ToneRecipe, variance: float, step_s: float) -> ToneOscillator:
     ratio = tone.process_noise_density * step_s / variance
     if not (_SLOWEST < tone.frequency_hz * step_s < _QUICKEST and tone.bandwidth_hz * step_s < _WIDEST):
         raise RecipeError(
@@ -149,7 +149,7 @@ def _tone_in_steps(tone: ToneRecipe, variance: float, step_s: float) -> Spectral
             f"The tone at {tone.frequency_hz:.6g} Hz with process_noise_density = {tone.process_noise_density:.3g}"
             f" and noise_std = {np.sqrt(variance):.3g} makes no filter at {1 / step_s:.6g} Hz; mend the recipe."
         )
-    return SpectralLine(
+    return ToneOscillator(
         angle=2 * np.pi * tone.frequency_hz * step_s,
         damping=np.pi * tone.bandwidth_hz * step_s,
         density=tone.process_noise_density * step_s,

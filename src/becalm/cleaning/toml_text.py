@@ -8,10 +8,10 @@ from typing import NamedTuple, TypeVar
 import tomlkit
 from pydantic import ValidationError
 
-from becalm.cleaning.recipe_parts import RecipeModel
+from becalm.cleaning.recipe_parts import FrozenSettings
 from becalm.errors import RecipeError, SensorError
 
-Document = TypeVar("Document", bound=RecipeModel)
+Document = TypeVar("Document", bound=FrozenSettings)
 
 
 class TomlKind(NamedTuple):

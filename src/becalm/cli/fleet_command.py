@@ -133,7 +133,7 @@ def stream(  # noqa: PLR0913  (the contract's options)
 ) -> None:
     """Filter the rows of all sensors as they arrive; a restart continues from the last commit."""
     from becalm.cli.fleet import SparkAddress
-    from becalm.cli.fleet_stream import FleetStreamOptions, TypedTimes, stream_sensors
+    from becalm.cli.fleet_stream import FleetStreamOptions, TimeoutOptions, stream_sensors
 
-    asking = FleetStreamOptions(recipe, recipes, by, time, TypedTimes(lateness, silent, every), checkpoint, once)
+    asking = FleetStreamOptions(recipe, recipes, by, time, TimeoutOptions(lateness, silent, every), checkpoint, once)
     stream_sensors(source, output, asking, SparkAddress(master, conf))

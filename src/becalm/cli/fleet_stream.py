@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from becalm.cli.fleet import SparkAddress
 
 
-class TypedTimes(NamedTuple):
+class TimeoutOptions(NamedTuple):
     """How long is waited for what, as it was typed."""
 
     lateness: str
@@ -35,7 +35,7 @@ class FleetStreamOptions(NamedTuple):
     recipes: Path | None
     key: str
     time: str
-    times: TypedTimes
+    times: TimeoutOptions
     checkpoint: str
     once: bool
 

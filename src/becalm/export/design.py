@@ -29,10 +29,14 @@ from becalm.core.steady.steady_gain import rows_until, steady
 from becalm.errors import ModelError
 
 NOT_IN_C = (
-    *("outlier_distance", "causal_outlier_distance", "blank", "far_from_0"),
-    *("plausible_low", "plausible_high"),
+    "outlier_distance",
+    "causal_outlier_distance",
+    "blank",
+    "far_from_0",
+    "plausible_low",
+    "plausible_high",
 )
-"""Limits of a recipe that settled and fixed filters have not: gross outliers, a fill value, and a last sentinel."""
+"""Limits of a recipe that settled and fixed filters have not: gross outliers, fills, and a last sentinel."""
 
 _COUNTABLE = (1 << 32) - 1
 _UNMOVED = 1e-8  # of a state: its square is what is left of a covariance, and less than float64 holds beside it

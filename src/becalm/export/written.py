@@ -27,7 +27,7 @@ class WrittenChannel(NamedTuple):
     ----------
     header, source : str
         The type of its state, and its functions.
-    cost : Cost or None
+    cost : OperationCount or None
         Of a settled row; None of the library's channel, whose rows differ.
     state_bytes, table_bytes : int
         Of its state in memory, and of its gains in program memory.

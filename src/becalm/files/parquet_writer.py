@@ -13,7 +13,7 @@ _GROUP_BYTES = 256 << 20
 _LOOKED_AT = 4096
 
 
-class ParquetTables:
+class ParquetTableWriter:
     """Writes tables of one schema below each other.
 
     Parameters

@@ -18,7 +18,7 @@ from becalm.files.arrays.array_writer import MatRows, NpzRows
 from becalm.files.arrays.hdf5_writer import Hdf5Rows
 from becalm.files.atomic_file import refuse_folder, replace_file, replacing, sentences
 from becalm.files.csv.writer import CsvRows
-from becalm.files.parquet_writer import ParquetTables
+from becalm.files.parquet_writer import ParquetTableWriter
 from becalm.files.recorders.mf4_writer import Mf4Rows
 from becalm.files.recorders.tdms_writer import TdmsRows
 from becalm.files.registry import CSV, CSV_GZ, HDF5, MAT, MF4, NPZ, PARQUET_FORMAT, TDMS, format_to_write
@@ -142,7 +142,7 @@ _WRITERS: dict[str, Callable[[IO[bytes]], _Writer]] = {
     MAT: MatRows,
     MF4: Mf4Rows,
     NPZ: NpzRows,
-    PARQUET_FORMAT: ParquetTables,
+    PARQUET_FORMAT: ParquetTableWriter,
     TDMS: TdmsRows,
 }
 

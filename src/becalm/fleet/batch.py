@@ -21,8 +21,8 @@ from becalm.fleet.class_outliers import marked
 from becalm.fleet.engine import run_tasks
 from becalm.fleet.grouped.cleaning import clean_grouped
 from becalm.fleet.job import STRETCH_ROWS, Job, Sensor
-from becalm.fleet.lake import FILE, FOLDER, SensorPlace, SharedLake, told_apart
-from becalm.fleet.marks import SensorMark
+from becalm.fleet.lake import FILE, FOLDER, MultiSensorLake, SensorPlace, told_apart
+from becalm.fleet.marks import CompletionMark
 from becalm.fleet.outcome import Outcome, refused
 from becalm.fleet.output_lock import alone_at
 from becalm.fleet.recipes import RecipeBook
@@ -115,7 +115,7 @@ def clean(
     told = told_apart(lake, asked.by)
     make_folder(output / ABOUT)
     by = FILE if asked.by == FILE else FOLDER  # a folder in the output, whatever tells sensors apart in the lake
-    tune = "tune FILE -o R.toml" if isinstance(told, SharedLake) else f"fleet tune {quote(str(lake))} -o DIR"
+    tune = "tune FILE -o R.toml" if isinstance(told, MultiSensorLake) else f"fleet tune {quote(str(lake))} -o DIR"
     job = Job(str(lake), str(output), book.by_hash, by, asked.causal, asked.stretch_rows, f"becalm {tune}")
     with alone_at(output, output / ABOUT / "lock"):
         found = sorted(_cleaned(spark, job, told, book), key=lambda outcome: outcome.sensor)
@@ -128,9 +128,9 @@ def clean(
 
 
 def _cleaned(
-    spark: SparkSession, job: Job, told: Sequence[SensorPlace] | SharedLake, book: RecipeBook
+    spark: SparkSession, job: Job, told: Sequence[SensorPlace] | MultiSensorLake, book: RecipeBook
 ) -> list[Outcome]:
-    if isinstance(told, SharedLake):
+    if isinstance(told, MultiSensorLake):
         return clean_grouped(spark, job, told, book)
     hashes = {place.name: book.hash_for(place.name) for place in told}
     sensors = [Sensor(place.name, place.bytes, one, place.files) for place in told if (one := hashes[place.name])]
@@ -148,7 +148,7 @@ def _cleaned(
 def _with_older(job: Job, outcome: Outcome) -> Outcome:
     """Say of a sensor that was refused where an output of an earlier job still is."""
     sensor = Sensor(outcome.sensor, 0, "")
-    mark = SensorMark.of(job.mark_of(sensor)) if outcome.state == "refused" else None
+    mark = CompletionMark.of(job.mark_of(sensor)) if outcome.state == "refused" else None
     if mark is None or not mark.files:
         return outcome
     older = f" An older output is still in {job.output_folder(sensor)}."

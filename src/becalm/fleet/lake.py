@@ -30,14 +30,14 @@ class SensorPlace(NamedTuple):
     files: tuple[str, ...] = ()  # their paths within the lake, where they are not all that is in one place
 
 
-class SharedLake(NamedTuple):
+class MultiSensorLake(NamedTuple):
     """A lake whose files hold several sensors each, or may do so."""
 
     keys: tuple[str, ...]  # columns, or keys of folders, that tell sensors apart
     files: tuple[str, ...]  # their paths within the lake, in order
 
 
-def told_apart(lake: Path, by: str = FOLDER) -> list[SensorPlace] | SharedLake:
+def told_apart(lake: Path, by: str = FOLDER) -> list[SensorPlace] | MultiSensorLake:
     """Find what tells the sensors of a lake apart; where folders or files do, list them by name.
 
     Parameters
@@ -62,7 +62,7 @@ def told_apart(lake: Path, by: str = FOLDER) -> list[SensorPlace] | SharedLake:
     told = [values_in(file.parent) for file in files]
     keys = _keys(by, told[0], paths[0])
     if not all(values.keys() >= set(keys) for values in told):
-        return SharedLake(keys, tuple(file.as_posix() for file in files))
+        return MultiSensorLake(keys, tuple(file.as_posix() for file in files))
     held = defaultdict[str, list[Path]](list)
     for file, values in zip(files, told, strict=True):
         held["/".join(folder_name(key, values[key]) for key in keys)].append(file)

@@ -21,7 +21,7 @@ _HELD, _SIZES, _JOB = "held", "sizes", "job"
 
 
 @dataclass(frozen=True)
-class SensorMark:
+class CompletionMark:
     """What a finished sensor came of.
 
     Attributes
@@ -73,7 +73,7 @@ class SensorMark:
         write_text(path, json.dumps(told, indent=1) + "\n")
 
     @classmethod
-    def of(cls, path: Path) -> SensorMark | None:
+    def of(cls, path: Path) -> CompletionMark | None:
         """Read a mark; None where there is none, or a damaged one: then nothing says whose files are there."""
         try:
             told = json.loads(path.read_text(encoding="utf-8"))

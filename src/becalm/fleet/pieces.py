@@ -80,7 +80,7 @@ class Pieces:
     ----------
     folder : Path
         Where to.
-    pieces : sequence of Piece
+    pieces : sequence of OutputFile
         All of them, in the order of their rows.
     metadata : mapping of str to str
         Kept in each file.

@@ -21,7 +21,7 @@ from becalm.files.opening import OpenSource, as_asked, understood
 from becalm.files.read_options import asked_by
 from becalm.files.tables import VERDICT
 from becalm.fleet.job import Job, Sensor
-from becalm.fleet.marks import SensorMark, came_of
+from becalm.fleet.marks import CompletionMark, came_of
 from becalm.fleet.outcome import SHOWN, Outcome, noted, refused
 from becalm.fleet.pieces import OutputFile, Pieces, put_in_place, staging
 from becalm.report.fleet_rows import row_of
@@ -70,7 +70,7 @@ def all_died(sensor: Sensor, why: str) -> Outcome:
 
 def finished(job: Job, sensor: Sensor, hashed: str) -> Outcome | None:
     """Return the outcome of a sensor whose output is there and came of the same; None where it has to be made."""
-    mark = SensorMark.of(job.mark_of(sensor))
+    mark = CompletionMark.of(job.mark_of(sensor))
     if mark is None or mark.came_of != hashed or not mark.is_whole(job.output_folder(sensor)):
         return None
     if mark.job == job.own:  # in a stage that Spark gave up for another sensor
@@ -133,7 +133,7 @@ def _cleaned(job: Job, sensor: Sensor) -> Outcome:
             with Pieces(staged, found.pieces, metadata_of(found.recipe)) as out:
                 reports = clean_chunks(source, found.recipe, out.write, lambda *_: None, verdicts=True)
             outcome = outcome_of(sensor, reports, source, monotonic() - began)
-            commit(job, sensor, staged, SensorMark(hashed, names, outcome, job=job.own))
+            commit(job, sensor, staged, CompletionMark(hashed, names, outcome, job=job.own))
     return outcome
 
 
@@ -145,7 +145,7 @@ def refuse_foreign(job: Job, sensor: Sensor, names: Sequence[str]) -> None:
     OutputError
         If one of them is there, two of them have one name, or a link leads elsewhere.
     """
-    folder, mark = job.output_folder(sensor), SensorMark.of(job.mark_of(sensor))
+    folder, mark = job.output_folder(sensor), CompletionMark.of(job.mark_of(sensor))
     if not folder.resolve().is_relative_to(Path(job.output).resolve()):
         raise OutputError(f"{folder} leads to {folder.resolve()}, out of the output; remove that link.")
     for name in names:
@@ -180,7 +180,7 @@ def notes_of(source: OpenSource) -> tuple[str, ...]:
     return (*source.notes, *((f"Replaced by the new uncertainty: {replaced}.",) if replaced else ()))
 
 
-def commit(job: Job, sensor: Sensor, staged: Path, mark: SensorMark) -> None:
+def commit(job: Job, sensor: Sensor, staged: Path, mark: CompletionMark) -> None:
     """Let the files of a sensor appear, and then the mark that says so; files of an older output go.
 
     Raises
@@ -194,7 +194,7 @@ def commit(job: Job, sensor: Sensor, staged: Path, mark: SensorMark) -> None:
         raise InputError(f"The files of {sensor.name} changed while they were read; wait until all came, and repeat.")
     refuse_foreign(job, sensor, mark.files)
     path, folder = job.mark_of(sensor), job.output_folder(sensor)
-    older = SensorMark.of(path)
+    older = CompletionMark.of(path)
     own = {*mark.files, *(() if older is None else older.own)}
     with sentences(staged):
         sizes = tuple((staged / name).stat().st_size for name in mark.files)

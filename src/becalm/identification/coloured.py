@@ -48,7 +48,7 @@ class NoiseModel:
     ----------
     white_variance : float
         R, in unit^2, of the noise that no reading shares with another.
-    coloured : Coloured or None
+    coloured : ColouredNoise or None
         Noise beside it that remembers; None where readings do not tell any.
     drift_density : float
         Of the random walk beneath, in unit^2/step: in part an artefact of where stretches begin and end.

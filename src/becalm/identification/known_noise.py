@@ -46,7 +46,7 @@ def tune_beside(
         At least 8 readings; beside coloured noise in even time.
     noise_variance : float
         R, of the white noise of one reading, in unit^2; a *small* one trusts the readings and smooths less.
-    coloured : Coloured or None
+    coloured : ColouredNoise or None
         Coloured noise beside it, one step a reading; a disturbance.
     causal : bool
         Whether the filter shall run causally. Orders are 1 to 3, but 1 to 5 of a smoother beside white noise.

@@ -23,7 +23,7 @@ from becalm.core.health.quantisation import converter_step
 from becalm.core.model.autoregressive import ColouredNoise, autoregressive
 from becalm.core.model.components import LEVEL_RATE, Component, motion, oscillator, returning_motion
 from becalm.identification.search import Edge, find_ratio
-from becalm.identification.spectrum import SpectralLine
+from becalm.identification.spectrum import ToneOscillator
 
 FEWEST_READINGS = 8
 """Fewer readings than this cannot tell noise from signal."""
@@ -80,9 +80,9 @@ class Tuning:
         Cross-validated, of a motion that was tuned for smoothing: `cross_validation.criterion`; NaN else.
     at_edge : {"", "low", "high"}
         Whether the search ended at its slowest or fastest filter; see `search.Edge`.
-    lines : tuple of Line
+    lines : tuple of ToneOscillator
         Tones beside the motion.
-    coloured : Coloured or None
+    coloured : ColouredNoise or None
         Coloured noise beside the motion, a disturbance.
     damping : float
         Of the motion, radians a step, by which it returns to a level of its own; 0 of one that does not return.
@@ -95,7 +95,7 @@ class Tuning:
     log_likelihood: float = np.nan
     loss: float = np.nan
     at_edge: Edge = ""
-    lines: tuple[SpectralLine, ...] = ()
+    lines: tuple[ToneOscillator, ...] = ()
     coloured: ColouredNoise | None = None
     damping: float = 0.0
 
@@ -147,7 +147,7 @@ class Tuning:
         )
 
 
-def _tone(line: SpectralLine) -> Component:
+def _tone(line: ToneOscillator) -> Component:
     tone = oscillator(line.angle / (2 * np.pi), line.damping / np.pi, line.density)
     return tone.as_disturbance() if line.disturbance else tone
 

@@ -18,7 +18,7 @@ from becalm.core.arrays import Floats
 from becalm.core.closed_forms import cutoff_to_ratio, motion_power, ratio_to_cutoff
 from becalm.identification.imputation import completed
 from becalm.identification.likelihood import FEWEST_FOR_TONES, Evidence, Tuning
-from becalm.identification.spectrum import BinPower, SpectralLine, binned, line_power, periodogram
+from becalm.identification.spectrum import BinnedPeriodogram, ToneOscillator, binned, line_power, periodogram
 
 MOST_TONES = 5
 """Tones that are looked for."""
@@ -54,7 +54,7 @@ class Fit(NamedTuple):
     order: int
     noise_variance: float
     density: float  # of the motion, unit^2/step^(2n - 1)
-    lines: tuple[SpectralLine, ...]
+    lines: tuple[ToneOscillator, ...]
     cost: float  # minus the log-likelihood
 
     @property
@@ -104,19 +104,19 @@ def _with_tones(tuning: Tuning, evidence: Evidence, removed: Sequence[float]) ->
     return replace(now.tuning, count=tuning.count, lines=lines)
 
 
-def find_lines(spectrum: BinPower, fit: Fit) -> list[SpectralPeak]:
+def find_lines(spectrum: BinnedPeriodogram, fit: Fit) -> list[SpectralPeak]:
     """Find what stands out of what a fit leaves.
 
     Parameters
     ----------
-    spectrum : BinPower
+    spectrum : BinnedPeriodogram
         Every frequency for itself, as `periodogram` gives it; powers in unit^2.
     fit : Fit
         What is there already.
 
     Returns
     -------
-    list of Peak
+    list of SpectralPeak
         Of each resolution, the finest first, where it stands out most, if it does; none twice.
     """
     left, found = spectrum.power / _power(fit, spectrum.angle), list[SpectralPeak]()
@@ -127,7 +127,7 @@ def find_lines(spectrum: BinPower, fit: Fit) -> list[SpectralPeak]:
     return found
 
 
-def _peak(left: Floats, spectrum: BinPower, width: int, stands_out: float) -> SpectralPeak | None:
+def _peak(left: Floats, spectrum: BinnedPeriodogram, width: int, stands_out: float) -> SpectralPeak | None:
     """Return the frequency whose neighbourhood of some width stands out of what lies around it."""
     if len(left) < _FEWEST_WIDTHS * width:
         return None
@@ -145,7 +145,7 @@ def _peak(left: Floats, spectrum: BinPower, width: int, stands_out: float) -> Sp
     return None
 
 
-def _without(removed: Sequence[float], now: Fit, spectrum: BinPower) -> Fit:
+def _without(removed: Sequence[float], now: Fit, spectrum: BinnedPeriodogram) -> Fit:
     """Fit the tones that were named, where there is something."""
     for angle in removed:
         more = _with_line(now, SpectralPeak(angle, float(spectrum.angle[1] - spectrum.angle[0])), spectrum)
@@ -154,26 +154,26 @@ def _without(removed: Sequence[float], now: Fit, spectrum: BinPower) -> Fit:
     return now
 
 
-def _judged(line: SpectralLine, removed: Sequence[float], spectrum: BinPower) -> SpectralLine:
+def _judged(line: ToneOscillator, removed: Sequence[float], spectrum: BinnedPeriodogram) -> ToneOscillator:
     """Say whether a tone is one of those that are to be taken off."""
     spacing = float(spectrum.angle[1] - spectrum.angle[0])
     near = any(abs(line.angle - angle) <= max(_NEAR * angle, 2 * _NEAR_CYCLES * spacing) for angle in removed)
     return line._replace(disturbance=near)
 
 
-def quietest(spectrum: BinPower) -> float:
+def quietest(spectrum: BinnedPeriodogram) -> float:
     """Return the mean power, unit^2, of the quietest part of the band: white noise is no louder."""
     return min(float(part.mean()) for part in np.array_split(spectrum.power, _PARTS))
 
 
-def fit_spectrum(start: Fit, spectrum: BinPower) -> Fit:
+def fit_spectrum(start: Fit, spectrum: BinnedPeriodogram) -> Fit:
     """Fit white noise, a motion and tones to a spectrum.
 
     Parameters
     ----------
     start : Fit
         Where the search begins; its order and the number of its tones stay.
-    spectrum : BinPower
+    spectrum : BinnedPeriodogram
         Powers in unit^2, in bins or singly.
 
     Returns
@@ -204,26 +204,26 @@ def fit_spectrum(start: Fit, spectrum: BinPower) -> Fit:
     return now._replace(cost=cost)
 
 
-def _plain(tuning: Tuning, spectrum: BinPower) -> Fit:
+def _plain(tuning: Tuning, spectrum: BinnedPeriodogram) -> Fit:
     """Fit a motion alone, from where its tuning is."""
     start = Fit(tuning.order, tuning.noise_variance, tuning.ratio * tuning.noise_variance, (), 0.0)
     return fit_spectrum(start, binned(spectrum, ()))
 
 
-def _plainest(tuning: Tuning, spectrum: BinPower) -> Fit:
+def _plainest(tuning: Tuning, spectrum: BinnedPeriodogram) -> Fit:
     """Fit a motion alone, of the order that serves best, so that a tone is not paid for what another order does."""
     cutoff = ratio_to_cutoff(tuning.order, tuning.ratio)
     alike = [replace(tuning, order=order, ratio=cutoff_to_ratio(order, cutoff)) for order in {tuning.order, *_CALMEST}]
     return min((_plain(one, spectrum) for one in alike), key=lambda fit: fit.cost)
 
 
-def _with_line(now: Fit, peak: SpectralPeak, spectrum: BinPower) -> Fit:
+def _with_line(now: Fit, peak: SpectralPeak, spectrum: BinnedPeriodogram) -> Fit:
     """Fit one tone more, beside a motion of the calmest order that serves."""
     angle, width = peak
     at = int(np.argmin(np.abs(spectrum.angle - angle)))
     noise, fits = max(now.noise_variance, quietest(spectrum)), []
     for damping in (width, 10 * width):
-        new = SpectralLine(angle, damping, float(spectrum.power[at]) * damping**2)
+        new = ToneOscillator(angle, damping, float(spectrum.power[at]) * damping**2)
         bins = binned(spectrum, (*now.lines, new))
         for order in [n for n in _CALMEST if n + 2 * (len(now.lines) + 1) <= _MOST_STATES]:
             cutoff = ratio_to_cutoff(now.order, now.density / noise)
@@ -232,7 +232,7 @@ def _with_line(now: Fit, peak: SpectralPeak, spectrum: BinPower) -> Fit:
     return min(fits, key=lambda fit: fit.cost)
 
 
-def _gain(now: Fit, more: Fit, spectrum: BinPower) -> float:
+def _gain(now: Fit, more: Fit, spectrum: BinnedPeriodogram) -> float:
     """Return what a fit with a tone more gains in log-likelihood, over its own bins."""
     bins = binned(spectrum, more.lines)
     return _whittle(now, bins, motion_power(now.order, bins.angle)) - more.cost
@@ -251,7 +251,7 @@ def _sum(fit: Fit, angle: Floats, motion: Floats) -> Floats:
     return sum((line_power(line, angle) for line in fit.lines), fit.noise_variance + fit.density * motion)
 
 
-def _whittle(fit: Fit, spectrum: BinPower, motion: Floats) -> float:
+def _whittle(fit: Fit, spectrum: BinnedPeriodogram, motion: Floats) -> float:
     """Return minus the log-likelihood of a spectrum, but for a constant."""
     modelled = _sum(fit, spectrum.angle, motion)
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
@@ -259,7 +259,7 @@ def _whittle(fit: Fit, spectrum: BinPower, motion: Floats) -> float:
     return cost if np.isfinite(cost) else np.inf
 
 
-def _slopes(fit: Fit, spectrum: BinPower, motion: Floats, spacing: float) -> tuple[Floats, Floats]:
+def _slopes(fit: Fit, spectrum: BinnedPeriodogram, motion: Floats, spacing: float) -> tuple[Floats, Floats]:
     """Return how the logarithm of the modelled power changes with each parameter (p, k), and that power (k,)."""
     modelled = _sum(fit, spectrum.angle, motion)
     rows = [np.full_like(modelled, fit.noise_variance), fit.density * motion]
@@ -282,7 +282,7 @@ def _moved(fit: Fit, step: Floats, spacing: float, least: float) -> Fit:
     return fit._replace(noise_variance=r, density=density, lines=tuple(lines))
 
 
-def _turned(line: SpectralLine, step: Floats, spacing: float) -> SpectralLine:
+def _turned(line: ToneOscillator, step: Floats, spacing: float) -> ToneOscillator:
     """Move a tone by fractions of a frequency, and of the logarithm of its damping, within what can be told a tone."""
     angle = float(np.clip(line.angle + float(step[0]) * spacing, spacing, np.pi - spacing))
     damping = float(np.clip(line.damping * float(np.exp(step[1])), 0.1 * spacing, angle))

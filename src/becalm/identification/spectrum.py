@@ -18,7 +18,7 @@ _FIRST = 4  # of the periodogram: below, its window mixes the level in
 _NEAR = 60  # bins on each side of a line that are kept apart
 
 
-class BinPower(NamedTuple):
+class BinnedPeriodogram(NamedTuple):
     """The power of a record in bins."""
 
     angle: Floats  # (k,) mean frequency of each bin, radians a step
@@ -26,7 +26,7 @@ class BinPower(NamedTuple):
     weight: Floats  # (k,) how many frequencies it holds
 
 
-class SpectralLine(NamedTuple):
+class ToneOscillator(NamedTuple):
     """A tone: an oscillator that is driven by white noise.
 
     Attributes
@@ -48,7 +48,7 @@ class SpectralLine(NamedTuple):
     disturbance: bool = False
 
 
-def sine_spectrum(z: Floats) -> BinPower:
+def sine_spectrum(z: Floats) -> BinnedPeriodogram:
     """Return the power of the sine transform of a record (N,) that the line between its ends is taken off.
 
     A record and its odd reflection at both ends, of which this is the spectrum, have no jumps and no
@@ -68,12 +68,12 @@ def slope_between_ends(z: Floats) -> float:
     return float((z[-_ENDS:].mean() - z[:_ENDS].mean()) / (len(z) - _ENDS))
 
 
-def pooled(spectra: Sequence[BinPower]) -> BinPower:
+def pooled(spectra: Sequence[BinnedPeriodogram]) -> BinnedPeriodogram:
     """Return the spectra of several records as one."""
-    return BinPower(*(np.concatenate(parts) for parts in zip(*spectra, strict=True)))
+    return BinnedPeriodogram(*(np.concatenate(parts) for parts in zip(*spectra, strict=True)))
 
 
-def periodogram(z: Floats) -> BinPower:
+def periodogram(z: Floats) -> BinnedPeriodogram:
     """Return the power of a record (N,) in a Hann window, every frequency for itself; the lowest are left out."""
     from scipy.fft import rfft
 
@@ -81,7 +81,7 @@ def periodogram(z: Floats) -> BinPower:
     power = np.abs(np.asarray(rfft((z - z.mean()) * window))) ** 2 / (window**2).sum()
     angle = 2 * np.pi * np.arange(len(power)) / len(z)
     kept = slice(_FIRST, (len(z) - 1) // 2)
-    return BinPower(angle[kept], power[kept], np.ones(kept.stop - _FIRST))
+    return BinnedPeriodogram(angle[kept], power[kept], np.ones(kept.stop - _FIRST))
 
 
 def welch_power(z: Floats, window: Floats) -> Floats:
@@ -105,14 +105,14 @@ def welch_power(z: Floats, window: Floats) -> Floats:
     return power
 
 
-def binned(spectrum: BinPower, lines: Sequence[SpectralLine]) -> BinPower:
+def binned(spectrum: BinnedPeriodogram, lines: Sequence[ToneOscillator]) -> BinnedPeriodogram:
     """Gather frequencies into bins, but for those near a line."""
     spacing = spectrum.angle[1] - spectrum.angle[0]
     apart = [round((line.angle - spectrum.angle[0]) / spacing) for line in lines]
     return _gather(spectrum.angle, spectrum.power, apart)
 
 
-def _gather(angle: Floats, power: Floats, apart: Sequence[int]) -> BinPower:
+def _gather(angle: Floats, power: Floats, apart: Sequence[int]) -> BinnedPeriodogram:
     alone = np.zeros(len(angle), dtype=bool)
     for line in apart:
         alone[max(0, line - _NEAR) : line + _NEAR + 1] = True
@@ -123,10 +123,10 @@ def _gather(angle: Floats, power: Floats, apart: Sequence[int]) -> BinPower:
         at += 1 if alone[at : at + width].any() else width
     first = np.array(starts)
     weight = np.diff(np.append(first, len(angle))).astype(np.float64)
-    return BinPower(np.add.reduceat(angle, first) / weight, np.add.reduceat(power, first) / weight, weight)
+    return BinnedPeriodogram(np.add.reduceat(angle, first) / weight, np.add.reduceat(power, first) / weight, weight)
 
 
-def line_power(line: SpectralLine, angle: Floats) -> Floats:
+def line_power(line: ToneOscillator, angle: Floats) -> Floats:
     """Return the power (k,), unit^2, of a tone at angles (k,) in radians a step, as it is read once a step."""
     shrunk = np.exp(-line.damping)
     variance = line.density * -np.expm1(-2 * line.damping) / (2 * line.damping)

@@ -30,7 +30,7 @@ enum { NEIGHBOURS = 6, SIDE = 3, FEWEST_NEIGHBOURS = 3 }; /* measurements that a
 enum { REACH = 256 };       /* rows beyond which a measurement is no neighbour */
 enum { SPREADS = 8 };       /* of its neighbours, that an outlier is away from their median */
 enum { SHORTEST_FILL = 3, LONGEST_FILL = 64 }; /* rows of one value that fill in for measurements */
-enum { LONGEST_0 = 128 };   /* rows of 0, beyond which it is what the sensor reads */
+enum { LONGEST_0 = 128 };   /* rows of 0, causally measurements of it, beyond which it is what the sensor reads */
 enum { EVERY_REPEAT = 2 };  /* equal measurements in a row that are stuck where a channel holds its last one */
 enum { PARTS = 1 << 16 };   /* of a sigma: innovations are summed in whole ones, so that sums are exact */
 enum { MOST_SIGMA = 6 };    /* what one innovation may say */
@@ -51,7 +51,7 @@ typedef struct {
     real plausible_low, plausible_high; /* first measurements, and estimates, in unit */
     int64_t repeats_are_one;  /* whether equal measurements in a row count as one */
     real blank;               /* what is written where there is no measurement; inf where nothing is */
-    real far_from_0;          /* in unit: a 0 among measurements that are farther stands for none; 0: for itself */
+    real far_from_0;          /* in unit: a 0 whose neighbours are all farther away is none; 0: every 0 is one */
     /* gaps that are bridged, in steps */
     real longest_gap;
     real gap_spans;           /* times the time that the measurements before span */
@@ -92,7 +92,7 @@ typedef struct {
     real last_value;       /* the last measurement */
     int64_t run;           /* how often it came in a row */
     real least, most;      /* so far */
-    int64_t outlier;       /* whether the last measurement is an outlier; 2: it fills in for those that did not come */
+    int64_t outlier;       /* whether the last value is an outlier; 2: it fills in for measurements, and may be stuck */
     real past[NEIGHBOURS]; /* the last measurements that differ, in a ring */
     real waits[NEIGHBOURS]; /* steps before each of them since the measurement before */
     int64_t at;            /* where the oldest of them is, and the next will be */

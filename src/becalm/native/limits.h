@@ -71,13 +71,16 @@ static inline int fills_in(const settings_t *settings, const real z, const real 
     return count == NEIGHBOURS && is_far(z, neighbours, count, settings->outlier_distance / NEARER, SPREADS);
 }
 
-/* Return whether a 0 among some measurements is what is written where none came: no channel that is far from it comes
-   there exactly, and at once. */
-static inline int stands_for_none(const settings_t *settings, const real z, const real *measured, const int count) {
+/* Return whether a 0 stands for no measurement: some of its neighbours are not 0, and all of these are far from it. */
+static inline int stands_for_none(const settings_t *settings, const real z, const real *neighbours, const int count) {
     if (z != 0 || settings->far_from_0 == 0) return 0;
-    for (int k = 0; k < count; k++)
-        if (measured[k] != 0 && fabs(measured[k]) <= settings->far_from_0) return 0;
-    return 1;
+    int others = 0;
+    for (int k = 0; k < count; k++) {
+        if (isnan(neighbours[k]) || neighbours[k] == 0) continue;
+        if (fabs(neighbours[k]) <= settings->far_from_0) return 0;
+        others++;
+    }
+    return others >= FEWEST_NEIGHBOURS;
 }
 
 /* Return whether a channel may end at 0: it is not amid what was measured, the middle third of what is plausible. */
@@ -137,7 +140,7 @@ static inline int judge(const settings_t *settings, limits_t *state, const real 
     const int counts = moved || state->run == 0;
     if (settings->outlier_distance < INFINITE) {
         if (stands_for_none(settings, z, state->past, NEIGHBOURS))
-            state->outlier = !(z == state->last_value && is_long_0(settings, z, state->run + 1));
+            state->outlier = z != state->last_value || state->run + 1 < LONGEST_0 ? 1 : ends_at_0(settings) ? 0 : 2;
         else if (!(settings->repeats_are_one && z == state->last_value)) {
             state->outlier = is_far_from_past(settings, state, z);
             if (counts) {

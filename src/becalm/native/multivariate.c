@@ -128,7 +128,7 @@ INLINE void score_row(const int m, const parts_t *p, score_t *score) {
     }
 }
 
-/* Write (H P H') of each channel's signal as a standard deviation. */
+/* Write the standard deviation of each channel's signal, sqrt(H P H'). */
 INLINE void spread_of(const int n, const int m, const real *H, const real *P, real *sigma) {
     for (int c = 0; c < m; c++) {
         real Ph[N_MAX];
@@ -141,10 +141,12 @@ INLINE void spread_of(const int n, const int m, const real *H, const real *P, re
 /* Compare with the last check, and keep for the next; return what has settled. */
 static int compare(const int n, const int m, const real *H, const parts_t *p) {
     int gain = 1, covariance = 1;
-    real sigma[M_MAX], sigma_then[M_MAX]; /* of signals: a gain that is next to 0 says little of them */
+    real sigma[M_MAX], sigma_then[M_MAX]; /* a gain next to 0 settles before they do */
     spread_of(n, m, H, p->P, sigma), spread_of(n, m, H, p->P_then, sigma_then);
     for (int a = 0; a < m; a++) {
-        gain &= near(p->D[a], p->D_then[a], p->D[a]) & near(sigma[a], sigma_then[a], sigma[a]);
+        real apart = 0; /* the variance of the signal, if its states were independent: what rounding is a part of */
+        for (int i = 0; i < n; i++) apart += H[a * n + i] * H[a * n + i] * p->P[i * n + i];
+        gain &= near(p->D[a], p->D_then[a], p->D[a]) & near(sigma[a], sigma_then[a], sqrt(apart));
         p->D_then[a] = p->D[a];
         for (int b = 0; b < a; b++) {
             gain &= near(p->L[a * m + b], p->L_then[a * m + b], 1 + fabs(p->L[a * m + b]));

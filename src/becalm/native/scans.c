@@ -66,8 +66,8 @@ static int gather(const real *values, const int64_t *ends, const int64_t run, co
     return left + right;
 }
 
-/* Write the measurements that are not NaN, a run of equal ones as one where they are or stand for none, and the first and the last row of
-   each; return how many. */
+/* Write the measurements that are not NaN, and the first and the last row of each; return how many. Equal ones in a row
+   are one where the settings say so, or where they are zeros that may stand for none. */
 static int64_t find_runs(const settings_t *settings, const real *z, const int64_t rows, real *values, int64_t *ends) {
     int64_t runs = 0;
     for (int64_t row = 0; row < rows; row++) {
@@ -122,12 +122,23 @@ static int keep_supporting(const settings_t *settings, const real value, real *n
     return kept;
 }
 
-/* Return what the measurements of a run are, by its neighbours from a row on. */
+/* Leave out neighbours that are 0 and stand for none; return how many stay. */
+static int keep_measured(const settings_t *settings, real *neighbours, const int count) {
+    if (!stands_for_none(settings, 0, neighbours, count)) return count;
+    int kept = 0;
+    for (int k = 0; k < count; k++)
+        if (neighbours[k] != 0) neighbours[kept++] = neighbours[k];
+    return kept;
+}
+
+/* Return what the measurements of a run are, by its neighbours. */
 static int judge_run(const settings_t *settings, const real distance, const int64_t stuck, const real *values,
                      const int64_t *ends, const int64_t run, const int64_t runs, const int64_t rows,
                      real *neighbours, int count) {
     const real value = values[run];
-    if (stands_for_none(settings, value, neighbours, count)) return OUTLIER;
+    const int holds = stuck > 0 && rows >= stuck; /* so many equal ones */
+    if (stands_for_none(settings, value, neighbours, count)) return holds && rows >= LONGEST_0 ? STUCK : OUTLIER;
+    count = keep_measured(settings, neighbours, count);
     int away = value < settings->plausible_low || value > settings->plausible_high;
     if (away && rows == 1 && is_alone(ends, run, runs)) /* outliers in an empty stretch would hide each other in their spread */
         count = keep_supporting(settings, value, neighbours, count);
@@ -137,7 +148,7 @@ static int judge_run(const settings_t *settings, const real distance, const int6
                       away ? IMPLAUSIBLE_SPREADS : SPREADS);
     }
     if (away) return OUTLIER;
-    return stuck > 0 && rows >= stuck && !(value == 0 && ends_at_0(settings)) ? STUCK : USED;
+    return holds && !(value == 0 && ends_at_0(settings)) ? STUCK : USED;
 }
 
 int64_t scan_outliers(const settings_t *settings, const real distance, const int64_t stuck, const real *z,

@@ -60,7 +60,7 @@ class Pictures:
 
     Parameters
     ----------
-    *times : Cleaned
+    *times : CleanedChannels
         One, or several that are drawn one after the other.
     """
 

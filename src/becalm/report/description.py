@@ -85,7 +85,7 @@ class Figure:
         Above it.
     x, y : Axis
         Its axes.
-    layers : tuple of Curve, Band, Lane, Rule or Surface
+    layers : tuple of Curve, Band, Lane, Rule or DrawnSurface
         The first is behind all others.
     says : str
         What is to be seen, in a sentence or two; below it.

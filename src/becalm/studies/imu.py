@@ -45,11 +45,11 @@ class SensorStudy:
         Of it: figure 4.
     identified : tuple of Identified
         Table 1, one a simulated record of a minute.
-    answers : tuple of Answer
+    answers : tuple of FilterResponse
         The panels of figure 5 or 6.
     optimum : Optimum
         Table 2 and figure 8.
-    tuned : tuple of Answer
+    tuned : tuple of FilterResponse
         Figure 9: at the paper's optimum, and at the one found here.
     """
 
@@ -69,7 +69,7 @@ class Study:
     ----------
     sensors : dict of SensorStudy
         By name.
-    colours : tuple of Coloured
+    colours : tuple of ColouredRecord
         Records that may explain the accelerometer's printed optimum.
     rests : tuple of Rest
         Of real recordings.

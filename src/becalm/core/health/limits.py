@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from becalm.core.arrays import Booleans, Floats, Integers
-from becalm.core.health.outliers import NO_OUTLIERS, Outliers, find_outlier_rule, is_outlier
+from becalm.core.health.outliers import MOST_OUTLIERS, NO_OUTLIERS, Outliers, find_outlier_rule, is_outlier
 from becalm.core.health.repeated_readings import repeats_readings
 from becalm.core.health.saturation import SaturationLimits, find_saturation, is_noisy
 from becalm.core.model.magnitudes import find_largest
@@ -35,10 +35,10 @@ _LATTICE = 1e-5  # of a step: how far text and arithmetic may round a reading of
 _ROUNDED = 1e-4  # of a step: what is left of a distance by that, before the step itself is known well
 _FEWEST_CODES = 3  # two lie on any lattice
 _MOST_CODES = 1 << 16  # differences that a lattice is looked for in
-_MOST_ON_LATTICE = 0.95  # share of the readings, of which there are others alike
+_MOST_ALIKE = 0.95  # share of the readings that come more than once, for these alone to tell their step
 _EVEN, _EVEN_SHARE = 0.1, 0.95  # steps off whole ones, of so many rows
 _SLOW = 1e-3  # of a step
-_LEAVES = 1 / 36  # of what is plausible, that noise leaves by jumps a value that fills in
+_LEAVES = 1 / 36  # share of the plausible range: a value that noise leaves by larger jumps fills in
 _ENDLESS = 1 << 53  # equal readings in a row: no record has so many
 
 
@@ -134,8 +134,8 @@ def find_limits(
     kept = (np.abs(z) <= largest) & ((elapsed != 0) | (np.arange(len(z)) == 0))  # possible, and of a time of its own
     readings = np.asarray(z[kept])
     resolution = find_resolution(readings)
-    beside = readings[~_alone(np.cumsum(elapsed)[kept])]
-    outliers = find_outlier_rule(beside, held=repeats_readings(readings, resolution), resolution=resolution)
+    near_others = readings[~_isolated(np.cumsum(elapsed)[kept])]
+    outliers = find_outlier_rule(near_others, held=repeats_readings(readings, resolution), resolution=resolution)
     rails = (
         find_saturation(readings[readings != outliers.blank], resolution)
         if sensor_range is None
@@ -149,12 +149,15 @@ def find_limits(
     return Limits(rails.low, rails.high, resolution, stuck, gap_steps, even, largest, outliers)
 
 
-def _alone(steps: Floats) -> Booleans:
-    """Return which readings, at so many steps (N,), come alone amid a gap: those may be anything, and jump as far."""
+def _isolated(steps: Floats) -> Booleans:
+    """Return which readings, after so many steps (N,), have a gap on both sides; their value says nothing of others.
+
+    Where many are so, those gaps are the rhythm of the channel, and none is.
+    """
     waits = np.diff(steps)
     if not len(waits):
         return np.zeros(len(steps), bool)
-    late = np.concatenate([[True], waits > GAP_STEPS * np.median(waits), [True]])
+    late = np.concatenate([[True], waits > _MARGIN * np.quantile(waits, 1 - MOST_OUTLIERS), [True]])
     return np.asarray(late[:-1] & late[1:])
 
 
@@ -175,8 +178,8 @@ def find_resolution(z: Floats) -> float:
     """
     values, counts = np.unique(z, return_counts=True)
     often = counts > 1
-    step = _step_of(values)
-    return step or (_step_of(values[often]) if counts[often].sum() >= _MOST_ON_LATTICE * len(z) else 0.0)
+    step = _step_of(values[often]) if counts[often].sum() >= _MOST_ALIKE * len(z) else 0.0
+    return step or _step_of(values)
 
 
 def _step_of(values: Floats) -> float:

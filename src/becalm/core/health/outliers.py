@@ -33,7 +33,7 @@ class Outliers(NamedTuple):
     high: float = np.inf
     repeats_are_one: bool = False  # whether equal readings in a row count as one
     blank: float = np.inf  # what is written where there is no reading, in unit; inf where nothing is
-    far_from_0: float = 0.0  # in unit: a 0 among readings that are farther away is none; 0: it is a reading
+    far_from_0: float = 0.0  # in unit: a 0 whose neighbours are all farther away is no reading; 0: every 0 is one
 
     @property
     def without_neighbours(self) -> Outliers:
@@ -56,10 +56,10 @@ _MANY, _NEARER = 8, 3.0  # outliers, of which there are others that are so many 
 _JUMPS = 2.0  # times the largest jump of a record is beyond what it shows
 _HIDDEN = 0.1  # of the outliers that were found, so many more are hidden beside motion that is as large
 _RARE = 0.05  # share of readings that are as the one before
-_FEWEST_VALUES = 16  # that tell how far from 0 is far
-_FAR, _MOVES = 1 / 12, 6.0  # times the range of most readings is far from 0, and times the median step between them
-_MOST = 0.01, 0.99  # quantiles that most readings lie between
-_BY_CHANCE = 0.05  # readings that rounding makes 0, at the most, where 0 is none
+_FEWEST_VALUES = 16  # different readings, below which nothing is said of 0
+_FAR, _MOVES = 1 / 12, 6.0  # parts of the range of most readings that are far from 0, and median steps, at the least
+_BULK = 0.01, 0.99  # quantiles that most readings lie between
+_BY_CHANCE = 0.05  # readings that rounding makes 0, at the most, where a 0 is none
 
 
 def find_outlier_rule(z: Floats, *, held: bool = False, resolution: float = 0.0) -> Outliers:
@@ -84,7 +84,8 @@ def find_outlier_rule(z: Floats, *, held: bool = False, resolution: float = 0.0)
     repeats = np.zeros(len(seen), bool)
     repeats[1:] = seen[1:] == seen[:-1]
     runs = np.count_nonzero(repeats[1:] & ~repeats[:-1])  # of equal readings
-    are_one = held or bool(runs < _RARE * np.count_nonzero(~repeats) and not _rests_at_0(seen))
+    rests = _rests_at_0(seen)
+    are_one = held or bool(runs < _RARE * np.count_nonzero(~repeats) and not rests)
     values = seen[~repeats] if held else _that_vary(seen, repeats) if are_one else seen
     if len(values) < _FEWEST:
         return NO_OUTLIERS
@@ -98,7 +99,7 @@ def find_outlier_rule(z: Floats, *, held: bool = False, resolution: float = 0.0)
     causal = max(_JUMPS * largest, distance)
     low, high = np.sort(kept)[[hidden, -1 - hidden]].tolist()
     margin = max(high - low, causal)
-    far = 0.0 if _rests_at_0(seen) else _far_from_0(seen, kept, resolution if are_one else np.inf)
+    far = 0.0 if rests or blank == 0 else _far_from_0(seen, kept, resolution if are_one else np.inf)
     return Outliers(distance, causal, low - margin, high + margin, are_one, blank, far)
 
 
@@ -112,7 +113,7 @@ def _rests_at_0(z: Floats) -> bool:
 
 
 def _far_from_0(z: Floats, kept: Floats, resolution: float) -> float:
-    """Return how far from 0 all readings are that a 0 among them is none, in unit; 0 where a 0 is a reading.
+    """Return how far from 0 the neighbours of a 0 have to be, in unit, for it to be no reading; 0 where it is one.
 
     It is one where readings lead to it, or rounding may make it of others; where readings repeat and are on both sides
     of it, it is a code as any other.
@@ -124,12 +125,12 @@ def _far_from_0(z: Floats, kept: Floats, resolution: float) -> float:
     kept : (M,) float array
         Those that are no outliers.
     resolution : float
-        The step between two codes, in unit; inf where readings repeat.
+        The step between two codes, in unit; inf where equal readings in a row do not count as one.
     """
     others = kept[kept != 0]
     if len(np.unique(others)) < _FEWEST_VALUES:
         return 0.0
-    steps, (low, high) = np.abs(np.diff(others)), np.quantile(others, _MOST).tolist()
+    steps, (low, high) = np.abs(np.diff(others)), np.quantile(others, _BULK).tolist()
     if low < 0 < high and np.isinf(resolution):
         return 0.0
     far = max(_FAR * (high - low), _MOVES * float(np.median(steps[steps > 0])))
@@ -137,7 +138,8 @@ def _far_from_0(z: Floats, kept: Floats, resolution: float) -> float:
     if not near:
         return float(np.abs(others).min()) / 2
     leads = (np.abs(z[:-1]) <= far) & (z[:-1] != 0) & (z[1:] == 0)
-    return 0.0 if leads.any() or near * min(resolution, 2 * far) > _BY_CHANCE * 2 * far else far
+    by_chance = near * min(resolution / (2 * far), 1.0)  # zeros, of so many readings in so many codes
+    return 0.0 if leads.any() or by_chance > _BY_CHANCE else far
 
 
 def _that_vary(z: Floats, repeats: Booleans) -> Floats:

@@ -54,7 +54,7 @@ class BinaryPoint(NamedTuple):
     apart: float
 
 
-class StateReach(NamedTuple):
+class StateBounds(NamedTuple):
     """How far states (n,) go, in parts of the greatest reading."""
 
     settled: Floats
@@ -160,7 +160,7 @@ def noise_of(steady: SteadyFilter, point: BinaryPoint) -> float:
     return float(np.sqrt((row @ through @ row.T)[0, 0] + told))
 
 
-def _point(design: Design, schedule: Schedule, reach: StateReach, apart: float) -> BinaryPoint:
+def _point(design: Design, schedule: Schedule, reach: StateBounds, apart: float) -> BinaryPoint:
     """Give each state the digits that its reach, and that of the sums it is made by, leaves."""
     F, H, C = design.model.F, np.abs(design.model.H[0]), np.abs(design.output)
     K = np.vstack([schedule.K, schedule.settled])
@@ -188,7 +188,7 @@ def _digits(size: float) -> int:
     return STATE_BITS - _COUNT_BITS - int(np.ceil(np.log2(_MARGIN * max(size, 1e-9))))
 
 
-def reach_of(design: Design, schedule: Schedule) -> StateReach:
+def reach_of(design: Design, schedule: Schedule) -> StateBounds:
     """Return how far the worst readings drive the states."""
     assert design.steady is not None
     columns, weights, D = _responses(design.steady)
@@ -198,7 +198,7 @@ def reach_of(design: Design, schedule: Schedule) -> StateReach:
     for length in sorted({min(1 << bit, coasts) for bit in range(17)}):
         far = np.linalg.matrix_power(leap, length)
         starting = np.maximum(starting, D * (np.abs(far @ columns) @ weights))
-    return StateReach(settled, starting)
+    return StateBounds(settled, starting)
 
 
 def _responses(steady: SteadyFilter) -> tuple[Floats, Floats, Floats]:

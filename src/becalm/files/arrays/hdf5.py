@@ -9,7 +9,7 @@ from types import ModuleType
 from becalm.errors import InputError
 from becalm.files.arrays.array_groups import Grouping
 from becalm.files.arrays.hdf5_customs import follow_customs
-from becalm.files.arrays.hdf5_opening import SIGNATURE, OpenedHdf5
+from becalm.files.arrays.hdf5_opening import SIGNATURE, Hdf5File
 from becalm.files.arrays.hdf5_tree import Tree
 from becalm.files.groups import tables
 from becalm.files.library_reader import Foreign
@@ -32,14 +32,14 @@ def read(path: Path) -> tuple[RawTable, ...]:
     return read_tree(Foreign(path, "HDF5"), "hdf5", _understood)
 
 
-def _understood(foreign: Foreign, opened: OpenedHdf5, h5py: ModuleType) -> Grouping:
+def _understood(foreign: Foreign, opened: Hdf5File, h5py: ModuleType) -> Grouping:
     found = Tree(foreign, opened, h5py).walk(opened.file)
     follow_customs(found)
     return Grouping(found, "/", apart=True)
 
 
 def read_tree(
-    foreign: Foreign, form: str, understood: Callable[[Foreign, OpenedHdf5, ModuleType], Grouping], base: int = 0
+    foreign: Foreign, form: str, understood: Callable[[Foreign, Hdf5File, ModuleType], Grouping], base: int = 0
 ) -> tuple[RawTable, ...]:
     """Look into a file of HDF5's kind, and close it if nothing can be read.
 
@@ -61,7 +61,7 @@ def read_tree(
     """
     h5py = foreign.library("h5py")
     with foreign.damage_told():
-        opened = OpenedHdf5(h5py, foreign.path, base)
+        opened = Hdf5File(h5py, foreign.path, base)
         foreign.cut = opened.size is not None
     try:
         with foreign.damage_told():

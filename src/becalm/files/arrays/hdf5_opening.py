@@ -19,7 +19,7 @@ _CACHE_BYTES = 8 << 20
 _END_AT = {0: 40, 1: 44, 2: 28, 3: 28}  # where a superblock of that version says how long the file is
 
 
-class OpenedHdf5:
+class Hdf5File:
     """An HDF5 file.
 
     Parameters

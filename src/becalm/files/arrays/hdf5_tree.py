@@ -10,7 +10,7 @@ import numpy as np
 
 from becalm.files.arrays.arrays import FileArrays, Key, Leaf, Path, as_text
 from becalm.files.arrays.hdf5_gaps import WrittenChunks
-from becalm.files.arrays.hdf5_opening import OpenedHdf5
+from becalm.files.arrays.hdf5_opening import Hdf5File
 from becalm.files.library_reader import Foreign
 
 DEEPEST = 64
@@ -45,7 +45,7 @@ class Tree:
     ----------
     foreign : Foreign
         The file.
-    opened : OpenedHdf5
+    opened : Hdf5File
         The same, open.
     h5py : module
         The library.
@@ -54,7 +54,7 @@ class Tree:
     entries = "rows"
     """What the first axis of a dataset counts."""
 
-    def __init__(self, foreign: Foreign, opened: OpenedHdf5, h5py: ModuleType) -> None:
+    def __init__(self, foreign: Foreign, opened: Hdf5File, h5py: ModuleType) -> None:
         self._foreign, self._opened, self.h5py = foreign, opened, h5py
         self.found = FileArrays()
         self._met: set[Any] = set()

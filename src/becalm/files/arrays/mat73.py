@@ -13,7 +13,7 @@ from becalm.files.arrays.array_labels import take_labels
 from becalm.files.arrays.arrays import Leaf
 from becalm.files.arrays.arrays import Path as Where
 from becalm.files.arrays.hdf5 import read_tree
-from becalm.files.arrays.hdf5_opening import OpenedHdf5
+from becalm.files.arrays.hdf5_opening import Hdf5File
 from becalm.files.arrays.hdf5_tree import DEEPEST, Tree
 from becalm.files.arrays.mat import MOST_ELEMENTS, SAVE_AS
 from becalm.files.arrays.mat_elements import SPARSE
@@ -42,7 +42,7 @@ def read(path: Path) -> tuple[RawTable, ...]:
     return read_tree(Foreign(path, "MAT 7.3"), "mat", _understood, _USER_BLOCK)
 
 
-def _understood(foreign: Foreign, opened: OpenedHdf5, h5py: ModuleType) -> Grouping:
+def _understood(foreign: Foreign, opened: Hdf5File, h5py: ModuleType) -> Grouping:
     found = _MatlabTree(foreign, opened, h5py).walk(opened.file)
     take_labels(found)
     return Grouping(found, ".", apart=False)

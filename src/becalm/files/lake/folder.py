@@ -78,14 +78,14 @@ class FolderRows:
     ----------
     schema : pyarrow.Schema
         Of all of them; their columns may come in any order.
-    pieces : sequence of Piece
+    pieces : sequence of LakeFile
         The files, in the order of their rows.
     originals : Originals
         The same files as they were when reading began.
 
     Attributes
     ----------
-    pieces : tuple of Piece
+    pieces : tuple of LakeFile
         As given.
     """
 

@@ -24,7 +24,7 @@ from becalm.fleet.grouped.merging import merged
 from becalm.fleet.grouped.order import time_of
 from becalm.fleet.grouped.strips import Lake, Strip, StripPart, Strips, not_parted, part_rows
 from becalm.fleet.job import Job, Sensor
-from becalm.fleet.lake import SharedLake
+from becalm.fleet.lake import MultiSensorLake
 from becalm.fleet.names import listed
 from becalm.fleet.outcome import Outcome, refused
 from becalm.fleet.pieces import open_staging, staging
@@ -62,7 +62,7 @@ class Gathered(NamedTuple):
         return sum(strip.rows for strip in self.strips)
 
 
-def clean_grouped(spark: SparkSession, job: Job, shared: SharedLake, book: RecipeBook) -> list[Outcome]:
+def clean_grouped(spark: SparkSession, job: Job, shared: MultiSensorLake, book: RecipeBook) -> list[Outcome]:
     """Clean every sensor of a lake whose files hold several; what was finished before is left as it is.
 
     Parameters
@@ -71,7 +71,7 @@ def clean_grouped(spark: SparkSession, job: Job, shared: SharedLake, book: Recip
         Where.
     job : Job
         What is to be done.
-    shared : SharedLake
+    shared : MultiSensorLake
         The files, and what tells sensors apart in them.
     book : RecipeBook
         What to do with each sensor.
@@ -103,7 +103,7 @@ def clean_grouped(spark: SparkSession, job: Job, shared: SharedLake, book: Recip
         return outcomes + failed + _cleaned(spark, job.lake, replace(job, lake=str(staged)), found)
 
 
-def _counted(spark: SparkSession, job: Job, shared: SharedLake) -> dict[str, Count]:
+def _counted(spark: SparkSession, job: Job, shared: MultiSensorLake) -> dict[str, Count]:
     counts = run_tasks(spark, partial(count_rows, job.lake, shared.keys), shared.files, lost=not_counted)
     failed = [file for file, count in zip(shared.files, counts, strict=True) if count.failed]
     if failed:
@@ -112,7 +112,7 @@ def _counted(spark: SparkSession, job: Job, shared: SharedLake) -> dict[str, Cou
     return dict(zip(shared.files, counts, strict=True))
 
 
-def _refuse_times(job: Job, shared: SharedLake, asked: Collection[str | None]) -> None:
+def _refuse_times(job: Job, shared: MultiSensorLake, asked: Collection[str | None]) -> None:
     first, times = Path(job.lake) / shared.files[0], set[str]()
     with suppress(InputError):  # whose rows are damaged: its sensors will be refused
         table = read_parquet(first, Original(first))

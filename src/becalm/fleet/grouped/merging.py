@@ -17,7 +17,7 @@ from becalm.files.source import RawTable
 from becalm.fleet.grouped.strips import RANK, Strip
 
 
-class StripHead:
+class StripCursor:
     """How far a strip has been read; its file is open only while it is, for there may be thousands.
 
     Parameters
@@ -92,7 +92,7 @@ def merged(lake: Path, strips: Sequence[Strip]) -> Iterator[pa.Table]:
     InputError
         If their files have not the same columns.
     """
-    heads = [StripHead(strip) for strip in strips]
+    heads = [StripCursor(strip) for strip in strips]
     first = heads[0].columns
     for strip, head in zip(strips, heads, strict=True):
         if head.columns != first:
@@ -103,13 +103,13 @@ def merged(lake: Path, strips: Sequence[Strip]) -> Iterator[pa.Table]:
         yield _joined([part for part in parts if part.num_rows], schema)
 
 
-def _as_they_came(heads: Sequence[StripHead]) -> Iterator[list[pa.Table]]:
+def _as_they_came(heads: Sequence[StripCursor]) -> Iterator[list[pa.Table]]:
     for head in heads:
         while head.left:
             yield [head.read()]
 
 
-def _by_rank(heads: Sequence[StripHead]) -> Iterator[list[pa.Table]]:
+def _by_rank(heads: Sequence[StripCursor]) -> Iterator[list[pa.Table]]:
     """Give of each head what can be told next: no row that is not in memory comes before the least reach.
 
     Only heads that have rows in memory are looked at: of strips that follow each other in time these are few.

@@ -10,14 +10,14 @@ from pyspark.sql import functions as sql
 from becalm.errors import UsageError
 from becalm.fleet.stream.gathering import gathered
 from becalm.fleet.stream.plan import SensorPlan
-from becalm.fleet.stream.shape import BATCH, MESSAGE, RowShape, quoted, shape_of
+from becalm.fleet.stream.shape import BATCH, MESSAGE, StreamSchema, quoted, shape_of
 from becalm.live.messages.encoding import TIME
 
 if TYPE_CHECKING:
     from pyspark.sql import Column, DataFrame
 
 
-def blocks_of(frame: DataFrame, plan: SensorPlan) -> tuple[RowShape, DataFrame]:
+def blocks_of(frame: DataFrame, plan: SensorPlan) -> tuple[StreamSchema, DataFrame]:
     """Return the shape of rows, or messages, and blocks of one sensor each; the plan names all channels.
 
     Raises
@@ -31,7 +31,7 @@ def blocks_of(frame: DataFrame, plan: SensorPlan) -> tuple[RowShape, DataFrame]:
         if missing:
             raise UsageError(f"Messages need the columns {', '.join((plan.key, *MESSAGE))}; {missing[0]!r} is missing.")
         named = [_column(name).alias(own) for name, own in MESSAGE.items()]
-        return RowShape(plan.key, TIME, plan.channels), frame.select(key, *named).where("batch IS NOT NULL")
+        return StreamSchema(plan.key, TIME, plan.channels), frame.select(key, *named).where("batch IS NOT NULL")
     shape = shape_of(frame.dtypes, plan.key, plan.time, plan.channels)
     kind = "array<double>" if shape.in_blocks else "double"
     channels = [

@@ -21,12 +21,12 @@ Seconds = Callable[[pa.Array], Floats]
 class _Samples(NamedTuple):
     """Rows of many sensors, some after the other."""
 
-    whose: Integers  # (N,) as `Gathering.whose` tells it
+    whose: Integers  # (N,) as `SensorBlockBuffer.whose` tells it
     time_s: Floats  # (N,)
     values: Floats  # (N, m)
 
 
-class SensorBlocks:
+class SensorBlockBuffer:
     """Holds rows until there are many, and lets them go as blocks of one sensor each.
 
     Parameters
@@ -106,7 +106,7 @@ class SensorBlocks:
 
 def gathered(width: int, batches: Iterator[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
     """Return blocks of one sensor each of rows: sensor, stamp, and so many channels; or of blocks of them."""
-    gathering = SensorBlocks(width)
+    gathering = SensorBlockBuffer(width)
     for batch in batches:
         yield from gathering.add(gathering.whose(batch.column(0)), batch.columns[1:], seconds_of)
     yield from gathering.rest()

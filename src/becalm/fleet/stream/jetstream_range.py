@@ -30,7 +30,7 @@ class StreamRange(NamedTuple):
     created: str  # when it was made, which tells it from another of its name
 
 
-class NumberedMessage(NamedTuple):
+class SequencedMessage(NamedTuple):
     """A message of a stream."""
 
     subject: str
@@ -63,7 +63,7 @@ def found_in(address: Address) -> StreamRange:
     return StreamRange(max(1, info.state.first_seq), info.state.last_seq, str(info.created))
 
 
-def messages_of(address: Address, first: int, last: int) -> Iterator[list[NumberedMessage]]:
+def messages_of(address: Address, first: int, last: int) -> Iterator[list[SequencedMessage]]:
     """Return the messages of a range, in their order, some at a time.
 
     Raises
@@ -86,7 +86,7 @@ def messages_of(address: Address, first: int, last: int) -> Iterator[list[Number
             return
 
 
-def _read(address: Address, first: int, last: int) -> Iterator[list[NumberedMessage]]:
+def _read(address: Address, first: int, last: int) -> Iterator[list[SequencedMessage]]:
     remote = Remote.parsed(address, PORT, PORT)
     with _linked(remote) as link:
         pull = _RangePull(remote, link)
@@ -108,14 +108,14 @@ class _RangePull(NatsPull):
         super().__init__(remote, link)
         self._beside: deque[tuple[str, int]] = deque()  # of each message that came
 
-    def told(self, last: int) -> tuple[list[NumberedMessage], bool]:
+    def told(self, last: int) -> tuple[list[SequencedMessage], bool]:
         """Return the next messages up to a number, and whether there may be more."""
         taken = self.take(_WAIT_S, _AT_ONCE)
         if not taken:
             return [], self._is_more()
         beside = [self._beside.popleft() for _ in taken]
         told = [
-            NumberedMessage(subject, message.number, message.payload, message.stored_s)
+            SequencedMessage(subject, message.number, message.payload, message.stored_s)
             for message, (subject, _) in zip(taken, beside, strict=True)
             if message.number <= last
         ]

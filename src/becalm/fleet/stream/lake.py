@@ -20,9 +20,9 @@ from becalm.files.lake.listing import ENDINGS, is_hidden
 from becalm.files.parquet import ParquetRows, units_of
 from becalm.fleet.names import values_in
 from becalm.fleet.stream.blocks import Garbled
-from becalm.fleet.stream.gathering import Seconds, SensorBlocks, numbers_in, seconds_of
+from becalm.fleet.stream.gathering import Seconds, SensorBlockBuffer, numbers_in, seconds_of
 from becalm.fleet.stream.plan import SensorPlan
-from becalm.fleet.stream.shape import RowShape, is_reading, shape_of
+from becalm.fleet.stream.shape import StreamSchema, is_reading, shape_of
 from becalm.live.lines.cells import NumberStamps, stamp_reader
 
 _ROWS = 1 << 16
@@ -42,7 +42,7 @@ _PASSING |= {errno.ENOTCONN, errno.ECONNRESET, errno.EHOSTDOWN, errno.EHOSTUNREA
 _LOOKED_AT = 20  # files, of which one must be readable, when a stream begins
 
 
-def lake_shape(lake: str, plan: SensorPlan) -> RowShape:
+def lake_shape(lake: str, plan: SensorPlan) -> StreamSchema:
     """Find the shape of a lake's rows in one of its files.
 
     Raises
@@ -72,7 +72,7 @@ def lake_shape(lake: str, plan: SensorPlan) -> RowShape:
     )
 
 
-def read_files(lake: str, shape: RowShape, batches: Iterator[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
+def read_files(lake: str, shape: StreamSchema, batches: Iterator[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
     """Return blocks of one sensor each, as `shape.BATCH`, of the rows in files; the first column has their paths.
 
     Raises
@@ -80,7 +80,7 @@ def read_files(lake: str, shape: RowShape, batches: Iterator[pa.RecordBatch]) ->
     InputError
         If the machine, and not the file, is why it cannot be read now: so that the engine reads it again.
     """
-    gathering = SensorBlocks(len(shape.channels))
+    gathering = SensorBlockBuffer(len(shape.channels))
     for batch in batches:
         for told in batch.column(0).to_pylist():
             path = Path(told.removeprefix("file://").removeprefix("file:"))
@@ -118,7 +118,7 @@ def _left_out(why: str) -> Garbled:
 
 
 class _Piece(NamedTuple):
-    """Some rows of a file, as `Gathering.add` takes them."""
+    """Some rows of a file, as `SensorBlockBuffer.add` takes them."""
 
     whose: Integers
     columns: list[pa.Array]
@@ -144,7 +144,7 @@ class _Clock:
         return numbers / (self._second or 1.0)
 
 
-def _pieces(path: Path, shape: RowShape, gathering: SensorBlocks, sensor: str | None) -> Iterator[_Piece]:
+def _pieces(path: Path, shape: StreamSchema, gathering: SensorBlockBuffer, sensor: str | None) -> Iterator[_Piece]:
     """Read a file, some rows at a time; BecalmError if it cannot be read, or has other columns."""
     rows = ParquetRows(path, Original(path))
     channels = [name for name in shape.channels if name in rows.schema.names]
@@ -161,7 +161,7 @@ def _pieces(path: Path, shape: RowShape, gathering: SensorBlocks, sensor: str | 
         yield _Piece(whose, [columns[shape.time], *(columns.get(name, missing) for name in shape.channels)], clock)
 
 
-def _refuse_other(path: Path, schema: pa.Schema, shape: RowShape, channels: list[str], *, has_key: bool) -> None:
+def _refuse_other(path: Path, schema: pa.Schema, shape: StreamSchema, channels: list[str], *, has_key: bool) -> None:
     """Refuse a file whose columns are not those of the stream, or that does not tell whose its rows are."""
     if not has_key and shape.key not in schema.names:
         raise InputError(f"{path} has no column {shape.key!r}, nor a folder as {shape.key}=17, that tells its sensor.")

@@ -18,7 +18,7 @@ from becalm.fleet.stream.frames import blocks_of
 from becalm.fleet.stream.plan import SensorPlan, StreamPlan
 from becalm.fleet.stream.processor import SensorProcessor
 from becalm.fleet.stream.sensor import SensorWalk
-from becalm.fleet.stream.shape import ANSWER, KIND, RowShape
+from becalm.fleet.stream.shape import ANSWER, KIND, StreamSchema
 from becalm.fleet.stream.sources import opened
 from becalm.fleet.stream.telling import told_as
 
@@ -168,7 +168,7 @@ def _word(is_so: bool) -> str:
     return str(is_so).lower()
 
 
-def _filtered(shape: RowShape, blocks: DataFrame, plan: SensorPlan) -> DataFrame:
+def _filtered(shape: StreamSchema, blocks: DataFrame, plan: SensorPlan) -> DataFrame:
     processor = SensorProcessor(SensorWalk(plan, shape.channels))
     answers = blocks.groupBy("sensor").transformWithState(
         processor, outputStructType=ANSWER, outputMode="Append", timeMode="ProcessingTime"

@@ -30,7 +30,7 @@ _BESIDE = ("recipe", "event", "event_rows", "says", "noticed", KIND)
 
 
 @dataclass(frozen=True)
-class RowShape:
+class StreamSchema:
     """The columns of a stream's rows.
 
     Attributes
@@ -95,7 +95,7 @@ def quoted(name: str) -> str:
     return "`" + name.replace("`", "``") + "`"
 
 
-def shape_of(columns: Sequence[tuple[str, str]], key: str, time: str, channels: Sequence[str]) -> RowShape:
+def shape_of(columns: Sequence[tuple[str, str]], key: str, time: str, channels: Sequence[str]) -> StreamSchema:
     """Find the shape of rows.
 
     Parameters
@@ -128,7 +128,7 @@ def shape_of(columns: Sequence[tuple[str, str]], key: str, time: str, channels: 
         if not is_reading(kinds[name], in_blocks=in_blocks):
             what = "arrays of numbers" if in_blocks else "numbers"
             raise UsageError(f"The column {name!r} has {kinds[name]}; readings are {what}.")
-    return RowShape(key, time, tuple(channels), stamps, in_blocks)
+    return StreamSchema(key, time, tuple(channels), stamps, in_blocks)
 
 
 def _inner(kind: str) -> str:

@@ -18,7 +18,7 @@ from becalm.files.lake.listing import ENDINGS
 from becalm.fleet.stream.frames import blocks_of
 from becalm.fleet.stream.lake import lake_shape, read_files
 from becalm.fleet.stream.plan import MOST, START, SensorPlan, StreamPlan, most_of
-from becalm.fleet.stream.shape import BATCH, MESSAGE, RowShape
+from becalm.fleet.stream.shape import BATCH, MESSAGE, StreamSchema
 from becalm.live.address import Address
 from becalm.live.messages.stream import MessageStream
 
@@ -33,7 +33,7 @@ _KAFKA_START = {"first": "earliest", "now": "latest"}
 _KAFKA = "org.apache.spark:spark-sql-kafka-0-10_2.13"
 
 
-def opened(spark: SparkSession, plan: StreamPlan) -> tuple[RowShape, DataFrame, SensorPlan]:
+def opened(spark: SparkSession, plan: StreamPlan) -> tuple[StreamSchema, DataFrame, SensorPlan]:
     """Return a source's shape and its blocks, and what is done with them: of messages, if it tells messages.
 
     Raises

@@ -11,7 +11,7 @@ import pyarrow as pa
 from becalm.files.roles import SIGMA
 from becalm.files.tables import VERDICT, in_words
 from becalm.fleet.stream.blocks import EstimatedBlock
-from becalm.fleet.stream.shape import EVENTS, KIND, READINGS, RowShape
+from becalm.fleet.stream.shape import EVENTS, KIND, READINGS, StreamSchema
 
 _ROWS = 1 << 15
 _MICRO = 1e6
@@ -36,8 +36,8 @@ class _Answer(NamedTuple):
     noticed_ms: int
 
 
-def told_as(shape: RowShape, batches: Iterator[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
-    """Return what filters answered in the columns of `Shape.told`."""
+def told_as(shape: StreamSchema, batches: Iterator[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
+    """Return what filters answered in the columns of `StreamSchema.told`."""
     teller = _Teller(shape)
     for batch in batches:
         answers = [_Answer(*row) for row in zip(*(column.to_pylist() for column in batch.columns), strict=True)]
@@ -48,7 +48,7 @@ def told_as(shape: RowShape, batches: Iterator[pa.RecordBatch]) -> Iterator[pa.R
 
 
 class _Teller:
-    def __init__(self, shape: RowShape) -> None:
+    def __init__(self, shape: StreamSchema) -> None:
         self._shape = shape
         self._schema = pa.schema([pa.field(name, _type(kind)) for name, kind in shape.told])
 
@@ -108,7 +108,7 @@ class _Teller:
 
 
 def _type(kind: str) -> pa.DataType:
-    """Return a type of `Shape.told` as Arrow has it."""
+    """Return a type of `StreamSchema.told` as Arrow has it."""
     if kind.startswith("array<"):
         return pa.list_(pa.field("element", _TYPES[kind.removeprefix("array<").removesuffix(">")]))
     return _TYPES[kind]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from becalm.fleet.engine import run_tasks
 from becalm.fleet.job import Job, Sensor
-from becalm.fleet.marks import SensorMark
+from becalm.fleet.marks import CompletionMark
 from becalm.fleet.outcome import Outcome
 from becalm.fleet.sensor_task import all_died, clean_whole, commit, told_by
 from becalm.fleet.stretching.joining import joined_outcome
@@ -87,7 +87,7 @@ class Course:
         long, told = self.long, self._in_order
         outcome = joined_outcome(long, told, len(self._again), self._took_s)
         names = tuple(piece.name for one in told for piece in one.pieces)
-        commit(long.job, long.sensor, Path(long.staged), SensorMark(long.hashed, names, outcome, job=long.job.own))
+        commit(long.job, long.sensor, Path(long.staged), CompletionMark(long.hashed, names, outcome, job=long.job.own))
         return outcome
 
     def _was_run(self, stretch: TaskStretch) -> bool:

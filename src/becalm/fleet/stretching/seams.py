@@ -31,7 +31,7 @@ def to_run_again(told: Sequence[StretchEstimates]) -> list[TaskStretch] | None:
 
     Returns
     -------
-    list of Stretch or None
+    list of TaskStretch or None
         None where the sensor cannot be cut there: rows wait for others at a seam.
     """
     again = list[TaskStretch]()

@@ -60,7 +60,7 @@ class Number(NamedTuple):
     gain: float = _GAIN
 
 
-class BankFamily(NamedTuple):
+class ImmFamily(NamedTuple):
     """A family of banks: its numbers, and how they make one."""
 
     numbers: list[Number]
@@ -75,7 +75,7 @@ class EvidencePiece(NamedTuple):
     steps: Steps  # (N,) which of them precedes each reading
 
 
-def resting(tuning: Tuning, evidence: Evidence) -> BankFamily:
+def resting(tuning: Tuning, evidence: Evidence) -> ImmFamily:
     """Return banks of a still mode beside a fixed filter.
 
     A moving sensor now and then surprises its filter, which says nothing of whether it came to rest.
@@ -87,10 +87,10 @@ def resting(tuning: Tuning, evidence: Evidence) -> BankFamily:
         still = Mode("still", motion(1, ratio * r), r, rests)
         return InteractingModels((still, replace(moving, lasts=moves)), spread)
 
-    return BankFamily([_variance(evidence), Number(1e-6, 1e-12, 1e-3), *2 * [Number(300.0, 50.0, 1e6)]], make)
+    return ImmFamily([_variance(evidence), Number(1e-6, 1e-12, 1e-3), *2 * [Number(300.0, 50.0, 1e6)]], make)
 
 
-def jumping(evidence: Evidence, wild: float = _WILD) -> BankFamily:
+def jumping(evidence: Evidence, wild: float = _WILD) -> ImmFamily:
     """Return banks of random walks, from still to abrupt, and of leaps as far as readings reach, and farther.
 
     What is farther out than any wild reading is a leap: so a level is never lost for good. `wild` is the share of wild
@@ -112,10 +112,10 @@ def jumping(evidence: Evidence, wild: float = _WILD) -> BankFamily:
         *(Number(*told, gain=_MUCH) for told in ((_RESTS, 10.0, 1e7), (_MOVES, 0.5, 1e7), (wild, 1e-12, 0.2))),
     ]
     walks = [Number(ratio, *bounds, gain=_MUCH) for ratio, bounds in zip(_WALKS.values(), _RANGES, strict=True)]
-    return BankFamily([*numbers, *walks], make)
+    return ImmFamily([*numbers, *walks], make)
 
 
-def noisy(tuning: Tuning) -> BankFamily:
+def noisy(tuning: Tuning) -> ImmFamily:
     """Return banks of a fixed filter with quiet and with loud noise: of Q and R, only R changes."""
     r = tuning.noise_variance
 
@@ -124,10 +124,10 @@ def noisy(tuning: Tuning) -> BankFamily:
         return InteractingModels((one, replace(one, name="loud", noise_variance=quiet * louder, lasts=storms)))
 
     own = Number(r / 3, r * 1e-4, r * 20, 1.0, _SOME)
-    return BankFamily([own, Number(10.0, 1.5, 1e6), *2 * [Number(1000.0, 50.0, 1e6)]], make)
+    return ImmFamily([own, Number(10.0, 1.5, 1e6), *2 * [Number(1000.0, 50.0, 1e6)]], make)
 
 
-def bursting(tuning: Tuning, evidence: Evidence, like: InteractingModels | None = None) -> BankFamily:
+def bursting(tuning: Tuning, evidence: Evidence, like: InteractingModels | None = None) -> ImmFamily:
     """Return banks of a fixed filter with calm and with violent motion: of Q and R, only Q changes.
 
     With a bank that it is to be `like`, perhaps of another order, the calm motion is that of `tuning`; it stays.
@@ -152,10 +152,10 @@ def bursting(tuning: Tuning, evidence: Evidence, like: InteractingModels | None 
     ranges = ((1e-9, min(1e12, _LOUDEST * ratio)), (1e-12, 0.2), (50.0, 1e7), (2.0, 1e4))
     gains = (_GAIN, _MUCH, _GAIN, _GAIN)
     others = zip(first, ranges, gains, strict=True)
-    return BankFamily([*own, *(Number(value, low, high, gain=gain) for value, (low, high), gain in others)], make)
+    return ImmFamily([*own, *(Number(value, low, high, gain=gain) for value, (low, high), gain in others)], make)
 
 
-def spiky(tuning: Tuning, evidence: Evidence) -> BankFamily:
+def spiky(tuning: Tuning, evidence: Evidence) -> ImmFamily:
     """Return banks of a fixed filter, tuned anew, with wild readings; where they agree, it was a jump."""
     r, spread = max(middle_variance(evidence.z[:, 0]), _least(evidence)), float(np.ptp(evidence.z)) ** 2
 
@@ -166,7 +166,7 @@ def spiky(tuning: Tuning, evidence: Evidence) -> BankFamily:
         return InteractingModels((steady, abrupt), wild, rejects=True)
 
     fastest = (1e-12, 1e6)
-    return BankFamily(
+    return ImmFamily(
         [
             _about(r, 1e4, evidence),
             Number(tuning.ratio, *fastest, gain=_SOME),
@@ -208,7 +208,7 @@ def with_wild_share(switching: InteractingModels, share: float) -> InteractingMo
     return replace(switching, modes=modes, rejects=share > 0)
 
 
-def searched(bank: BankFamily, pieces: Sequence[EvidencePiece]) -> tuple[InteractingModels, float]:
+def searched(bank: ImmFamily, pieces: Sequence[EvidencePiece]) -> tuple[InteractingModels, float]:
     """Search a bank's numbers one after the other, with strides that halve; return it and its log-likelihood."""
     at, strides = [float(np.log(number.default)) for number in bank.numbers], [number.stride for number in bank.numbers]
     best = log_likelihood(_made(bank, at), pieces)
@@ -221,7 +221,7 @@ def searched(bank: BankFamily, pieces: Sequence[EvidencePiece]) -> tuple[Interac
 
 
 def _best_move(  # noqa: PLR0913
-    bank: BankFamily, at: list[float], i: int, stride: float, best: float, pieces: Sequence[EvidencePiece]
+    bank: ImmFamily, at: list[float], i: int, stride: float, best: float, pieces: Sequence[EvidencePiece]
 ) -> tuple[list[float], float]:
     """Move one number as far as that pays, up or else down."""
     number = bank.numbers[i]
@@ -238,7 +238,7 @@ def _best_move(  # noqa: PLR0913
     return at, best
 
 
-def _made(bank: BankFamily, logs: Sequence[float]) -> InteractingModels:
+def _made(bank: ImmFamily, logs: Sequence[float]) -> InteractingModels:
     return bank.make(*np.exp(logs).tolist())
 
 

@@ -21,8 +21,8 @@ from becalm.identification.damping import damped
 from becalm.identification.likelihood import Evidence, Tuning, tune_motion
 from becalm.identification.modes.bank_risk import hidden_errors
 from becalm.identification.modes.banks import (
-    BankFamily,
     EvidencePiece,
+    ImmFamily,
     bursting,
     log_likelihood,
     of_first_mode,
@@ -56,7 +56,7 @@ def find_bursting(
         The fixed filter that foretells all readings best.
     evidence : Evidence
         The readings.
-    pieces : list of Piece
+    pieces : list of EvidencePiece
         Those of them that banks are compared on; the last is about a row where something happened.
     causal : bool
         Whether it shall filter (True) or smooth.
@@ -104,7 +104,7 @@ def _without(violent: Booleans, evidence: Evidence) -> Evidence:
     return Evidence.of(np.where(violent, np.nan, evidence.z[:, 0]), evidence.elapsed)
 
 
-def _searched(tuning: Tuning, bank: BankFamily, pieces: list[EvidencePiece]) -> Bursting:
+def _searched(tuning: Tuning, bank: ImmFamily, pieces: list[EvidencePiece]) -> Bursting:
     return Bursting(tuning, *searched(bank, pieces))
 
 

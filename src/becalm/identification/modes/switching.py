@@ -20,8 +20,8 @@ from becalm.identification.damping import damped
 from becalm.identification.likelihood import Evidence, Tuning, tune_motion
 from becalm.identification.modes.bank_risk import errs_less, find_wild
 from becalm.identification.modes.banks import (
-    BankFamily,
     EvidencePiece,
+    ImmFamily,
     Kind,
     jumping,
     log_likelihood,
@@ -161,7 +161,7 @@ def _gain(found: Switched) -> float:
     return found.log_likelihood + doubt.get(found.kind, -_BETTER)
 
 
-def _found(kind: Kind, bank: BankFamily, pieces: list[EvidencePiece], tuning: Tuning) -> Switched:
+def _found(kind: Kind, bank: ImmFamily, pieces: list[EvidencePiece], tuning: Tuning) -> Switched:
     switching, value = searched(bank, pieces)
     return Switched(kind, switching, value, np.nan, tuning)
 

@@ -78,7 +78,7 @@ class Sequence:
 
         Parameters
         ----------
-        batch : Batch
+        batch : MessageRows
             With its `seq`.
         now_s : float
             The time of any clock that does not jump; the same for `due`.

@@ -16,7 +16,7 @@ import pyarrow as pa
 from pyarrow import fs
 
 from becalm.files.atomic_file import sync_folder
-from becalm.files.parquet_writer import ParquetTables
+from becalm.files.parquet_writer import ParquetTableWriter
 from becalm.live.locking import locked
 from becalm.live.optional_libraries import wanted
 
@@ -44,7 +44,7 @@ class DeltaFiles:
     def put_table(self, name: str, table: pa.Table) -> int:
         """Write a Parquet file that lasts, and return its size in bytes."""
         packed = io.BytesIO()
-        rows = ParquetTables(packed)
+        rows = ParquetTableWriter(packed)
         rows.write(table)
         rows.close()
         self._put(name, packed.getvalue())

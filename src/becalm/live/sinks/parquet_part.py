@@ -13,7 +13,7 @@ from pathlib import Path
 
 from becalm.errors import OutputError
 from becalm.files.atomic_file import sync_folder
-from becalm.files.parquet_writer import ParquetTables
+from becalm.files.parquet_writer import ParquetTableWriter
 from becalm.live.block import Head, Output
 from becalm.live.protocols import StorageFullError
 from becalm.live.tables import output_table
@@ -40,7 +40,7 @@ class PartFile:
         self._target, self._head = target, head
         self._path = target.with_name(f".{target.name}{PART}")
         self._packed = io.BytesIO()  # what is not on the disk yet
-        self._rows = ParquetTables(self._packed)
+        self._rows = ParquetTableWriter(self._packed)
         self._held: list[Output] = []
         self._held_rows = self._written = 0
         self._ended = self._made = False

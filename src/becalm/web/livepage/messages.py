@@ -34,7 +34,7 @@ class Past(Numbered):
     count: Annotated[int, Field(ge=1, le=MOST_BINS)]
 
 
-class LiveTurn(Numbered):
+class TuneRequest(Numbered):
     """Take another tuning for a channel; what is left out stays."""
 
     do: Literal["turn"]
@@ -43,13 +43,13 @@ class LiveTurn(Numbered):
     noise_std: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
 
 
-class LiveUndo(Numbered):
+class UndoRequest(Numbered):
     """Take the last turn back, whoever made it."""
 
     do: Literal["undo"]
 
 
-Message = From | Past | LiveTurn | LiveUndo
+Message = From | Past | TuneRequest | UndoRequest
 
 _ANY: TypeAdapter[Message] = TypeAdapter(Annotated[Message, Field(discriminator="do")])
 

@@ -11,7 +11,7 @@ from becalm.errors import BecalmError
 from becalm.web.frames import text
 from becalm.web.incoming_messages import heard, number_of
 from becalm.web.livepage.live_dial import NOT_BEGUN
-from becalm.web.livepage.messages import MOST_BINS, From, LiveTurn, Message, Past, understood
+from becalm.web.livepage.messages import MOST_BINS, From, Message, Past, TuneRequest, understood
 from becalm.web.livepage.page import LivePage
 
 if TYPE_CHECKING:
@@ -91,7 +91,7 @@ class Viewer:
             except RuntimeError:  # the server has ended meanwhile
                 return
 
-        if isinstance(message, LiveTurn):
+        if isinstance(message, TuneRequest):
             self._page.desk.turn(message.channel, message.process_noise_density, message.noise_std, told)
         else:
             self._page.desk.undo(told)
