@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
+from becalm.cleaning.limits_entry import limits_of
+from becalm.cleaning.recipe_parts import LimitsRecipe
 from becalm.core.arrays import Floats
 from becalm.core.health.faults import Faults
 from becalm.core.health.limits import Limits, find_limits, stuck_at_once
@@ -131,11 +134,68 @@ def test_a_0_that_stands_for_none_hides_no_outlier_beside_it() -> None:
 def test_a_0_amid_what_is_plausible_that_lasts_is_a_fault() -> None:
     z = 50 * np.sign(np.sin(np.arange(ROWS) / 50.0)) + noise()
     z[2000:3000] = 0.0
-    limits = find_limits(z, np.ones(ROWS), 1.0, 0.01)
-    assert limits.outliers.far_from_0 > 0
+    limits = Limits(outliers=Outliers(60.0, 120.0, -150.0, 150.0, True, far_from_0=10.0), stuck_readings=6)
     for codes in (Faults(limits).push(z, np.ones(ROWS)), beside_others(z, limits.outliers, stuck_at_once(limits))):
         assert (codes[2000 + LONGEST_0 : 3000] == Verdict.STUCK).all()
         assert (codes[2000:3000] > 0).all()
+
+
+T = np.arange(ROWS)
+RESTS = {
+    "both signs, a dead band": np.where(np.abs(np.sin(T / 40)) < 0.3, 0.0, np.sin(T / 40) + 0.01 * noise()),
+    "a scale between items": np.where(
+        T % 100 < 8, 0.0, np.round(1.37 * np.repeat(5 + 55 * np.random.default_rng(3).random(ROWS // 100), 100), 1)
+    ),
+    "a pump of whole numbers": np.where(T % 600 < 55, 0.0, np.round(100 + 3 * noise())),
+    "loads that differ": np.where(
+        T % 500 < 30, 0.0, np.repeat([20.0, 55.0, 33.0, 80.0] * 2, 500) + np.round(0.05 * noise(), 2)
+    ),
+    "a speed that stops": np.maximum(30 * np.sin(T / 300) + 0.1 * noise(), 0.0),
+}
+
+
+@pytest.mark.parametrize("name", RESTS)
+def test_a_0_that_a_channel_comes_to_again_and_again_is_its_own(name: str) -> None:
+    z = RESTS[name]
+    limits = find_limits(z, np.ones(ROWS), 1.0, 0.01)
+    assert limits.outliers.far_from_0 == 0
+    assert np.mean(beside_others(z, limits.outliers, stuck_at_once(limits))[z == 0] > 0) < 0.1
+
+
+@pytest.mark.parametrize("rows", [1, 10, 40])
+def test_a_0_amid_quick_motion_far_from_it_stands_for_none(rows: int) -> None:
+    z = np.round(12.0 + 8 * np.sin(T / 3.0) + 0.1 * noise(), 3)
+    for start in (700, 1900, 3100):
+        z[start : start + rows] = 0.0
+    limits = find_limits(z, np.ones(ROWS), 1.0, 0.005)
+    for codes in (Faults(limits).push(z, np.ones(ROWS)), beside_others(z, limits.outliers, stuck_at_once(limits))):
+        assert np.array_equal(codes > 0, z == 0)
+
+
+def test_a_recipe_that_does_not_tell_leaves_out_a_0_far_from_what_it_knows() -> None:
+    told = LimitsRecipe(
+        outlier_distance=30.0,
+        causal_outlier_distance=60.0,
+        plausible_low=0.0,
+        plausible_high=72.0,
+        repeats_are_one=True,
+    )
+    assert limits_of(told).outliers.far_from_0 == 2.0
+    assert limits_of(told.model_copy(update={"far_from_0": 0.0})).outliers.far_from_0 == 0.0
+    assert limits_of(told.model_copy(update={"repeats_are_one": None})).outliers.far_from_0 == 0.0
+    with pytest.raises(ValidationError, match="far_from_0 came alone"):
+        LimitsRecipe(far_from_0=1.0)
+
+
+@pytest.mark.parametrize("every", [3, 10, 40])
+def test_a_sensor_that_reads_seldom_is_followed_beyond_what_was_plausible(every: int) -> None:
+    z = np.where(T % every, np.nan, 20.0 + 0.1 * noise())
+    told = np.isfinite(z)
+    limits = find_limits(z[told], np.full(told.sum(), float(every)), 1.0, 0.01)
+    z = np.where(told, 20.0 + 20 * T / ROWS + 0.1 * noise(1), np.nan)
+    assert np.count_nonzero(Faults(limits).push(z, np.ones(ROWS)) == Verdict.OUTLIER) == 0
+    z = np.where(told, np.where(T < 2000, 20.0, 500.0) + 0.1 * noise(1), np.nan)
+    assert np.count_nonzero(Faults(limits).push(z, np.ones(ROWS)) == Verdict.OUTLIER) <= 4
 
 
 def test_a_0_that_others_lead_to_is_no_fill() -> None:

@@ -16,6 +16,7 @@ from becalm.core.verdict import BEYOND_ANY_SENSOR
 from becalm.identification.likelihood import Tuning
 from becalm.identification.trust.independence import independence_steps
 
+_PARTS = 36  # of what is plausible: nearer to 0, a channel may rest there
 _LEAST_ROUNDING = 1e-3  # of a step; less is not worth a number
 
 
@@ -41,7 +42,7 @@ def written(limits: Limits) -> LimitsRecipe | None:
         plausible_high=_finite(jumps.high),
         repeats_are_one=jumps.repeats_are_one or None,
         blank=_finite(jumps.blank),
-        far_from_0=jumps.far_from_0 or None,
+        far_from_0=None if np.isinf(jumps.distance) else jumps.far_from_0,
     )
 
 
@@ -72,9 +73,19 @@ def limits_of(told: LimitsRecipe | None) -> Limits:
             _or(told.plausible_high, np.inf),
             bool(told.repeats_are_one),
             _or(told.blank, np.inf),
-            told.far_from_0 or 0.0,
+            _far_from_0(told),
         ),
     )
+
+
+def _far_from_0(told: LimitsRecipe) -> float:
+    """Return how far from 0 the neighbours of a 0 are that is no reading; of recipes that do not tell, from the range.
+
+    Those hold it for a reading where equal ones in a row may be several.
+    """
+    if told.far_from_0 is not None or told.plausible_low is None or told.plausible_high is None:
+        return told.far_from_0 or 0.0
+    return (told.plausible_high - told.plausible_low) / _PARTS if told.repeats_are_one else 0.0
 
 
 def rows_that_judge(told: LimitsRecipe | None, lag: int | None) -> int:

@@ -142,8 +142,8 @@ class LimitsRecipe(FrozenSettings):
         What is written where there is no reading, in unit; it counts as missing.
     far_from_0 : float or None
         A 0 whose neighbours are all farther away than this, in unit, counts as missing, until it lasts 128 rows, unless
-        it is amid what is plausible; a *small* one leaves out more of them, None believes all. It goes with
-        `outlier_distance`, or the causal one.
+        it is amid what is plausible; a *small* one leaves out more of them, 0 none. It goes with `outlier_distance`, or
+        the causal one; by default it is a 36th of what is plausible, where equal readings in a row count as one.
     drift_threshold : float or None
         Of the cumulative sum of innovations, in sigma: a *small* one finds a drift sooner, and more that are
         none; None tells no drift.
@@ -166,7 +166,7 @@ class LimitsRecipe(FrozenSettings):
     plausible_high: Finite | None = None
     repeats_are_one: bool | None = None
     blank: Finite | None = None
-    far_from_0: Positive | None = None
+    far_from_0: NotNegative | None = None
     drift_threshold: Positive | None = None
     dead_variance: Positive | None = None
 

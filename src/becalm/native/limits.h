@@ -7,7 +7,7 @@
 #include "linear.h"
 
 #define IMPLAUSIBLE_SPREADS ((real)3) /* for a value that is not plausible: beside a jump it spreads its neighbours */
-#define LATE ((real)2.5)        /* times the longest wait before: then the measurements before are no neighbours */
+#define LATE ((real)2.5)        /* times the waits before, but one: then the measurements before are no neighbours */
 #define NEARER ((real)4)        /* times that a value which fills in for measurements is nearer */
 #define FARTHEST ((real)1000)   /* times the range of what is plausible: farther away is no motion of the channel */
 #define MOST_IMPOSSIBLE 50      /* values in a row that are so far away; those after them are believed */
@@ -115,13 +115,17 @@ static inline int is_impossible(const settings_t *settings, const limits_t *stat
     return farthest > 0 && (z < low - farthest || z > high + farthest) && !(fabs(z - state->last_value) <= farthest);
 }
 
-/* Forget the measurements before one that comes much later than they did: the signal has moved on. */
+/* Forget the measurements before one that comes much later than they did: the signal has moved on. One of them may have
+   come after a gap itself. */
 static inline void forget_past(limits_t *state) {
-    real longest = 1;
-    for (int k = 0; k < NEIGHBOURS; k++) longest = state->waits[k] > longest ? state->waits[k] : longest;
-    if (state->since <= LATE * longest) return;
-    for (int k = 0; k < NEIGHBOURS; k++) state->past[k] = NOT_A_NUMBER, state->waits[k] = 0;
-    state->at = 0, state->since = 1;
+    real longest = 1, second = 1;
+    for (int k = 0; k < NEIGHBOURS; k++) {
+        const real wait = state->waits[k];
+        second = wait > longest ? longest : wait > second ? wait : second;
+        longest = wait > longest ? wait : longest;
+    }
+    if (state->since <= LATE * second) return;
+    for (int k = 0; k < NEIGHBOURS; k++) state->past[k] = NOT_A_NUMBER;
 }
 
 /* Return what is wrong with one measurement. One without a time of its own says nothing new, unless it is the first. */

@@ -35,7 +35,7 @@ _LATTICE = 1e-5  # of a step: how far text and arithmetic may round a reading of
 _ROUNDED = 1e-4  # of a step: what is left of a distance by that, before the step itself is known well
 _FEWEST_CODES = 3  # two lie on any lattice
 _MOST_CODES = 1 << 16  # differences that a lattice is looked for in
-_MOST_ALIKE = 0.95  # share of the readings that come more than once, for these alone to tell their step
+_MOST_ALIKE, _FEWEST_ALIKE = 0.95, 8  # share of readings that come more than once to tell their step, and values
 _EVEN, _EVEN_SHARE = 0.1, 0.95  # steps off whole ones, of so many rows
 _SLOW = 1e-3  # of a step
 _LEAVES = 1 / 36  # share of the plausible range: a value that noise leaves by larger jumps fills in
@@ -178,8 +178,8 @@ def find_resolution(z: Floats) -> float:
     """
     values, counts = np.unique(z, return_counts=True)
     often = counts > 1
-    step = _step_of(values[often]) if counts[often].sum() >= _MOST_ALIKE * len(z) else 0.0
-    return step or _step_of(values)
+    are_codes = counts[often].sum() >= _MOST_ALIKE * len(z) and np.count_nonzero(often) >= _FEWEST_ALIKE
+    return (_step_of(values[often]) if are_codes else 0.0) or _step_of(values)
 
 
 def _step_of(values: Floats) -> float:

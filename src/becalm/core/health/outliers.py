@@ -60,6 +60,9 @@ _FEWEST_VALUES = 16  # different readings, below which nothing is said of 0
 _FAR, _MOVES = 1 / 12, 6.0  # parts of the range of most readings that are far from 0, and median steps, at the least
 _BULK = 0.01, 0.99  # quantiles that most readings lie between
 _BY_CHANCE = 0.05  # readings that rounding makes 0, at the most, where a 0 is none
+_SECOND = 1.732  # second differences of white noise, over first ones
+_SEVERAL = 4  # returns to 0 that tell what they are
+_AGREE, _MOSTLY = 0.25, 0.75  # of their mean, that readings before and after a fill differ by, at the most; mostly
 
 
 def find_outlier_rule(z: Floats, *, held: bool = False, resolution: float = 0.0) -> Outliers:
@@ -115,8 +118,8 @@ def _rests_at_0(z: Floats) -> bool:
 def _far_from_0(z: Floats, kept: Floats, resolution: float) -> float:
     """Return how far from 0 the neighbours of a 0 have to be, in unit, for it to be no reading; 0 where it is one.
 
-    It is one where readings lead to it, or rounding may make it of others; where readings repeat and are on both sides
-    of it, it is a code as any other.
+    It is one where readings are on both sides of it, lead to it, or mostly differ before and after it, where rounding
+    may make it of others, and where readings repeat and it comes several times.
 
     Parameters
     ----------
@@ -130,16 +133,29 @@ def _far_from_0(z: Floats, kept: Floats, resolution: float) -> float:
     others = kept[kept != 0]
     if len(np.unique(others)) < _FEWEST_VALUES:
         return 0.0
-    steps, (low, high) = np.abs(np.diff(others)), np.quantile(others, _BULK).tolist()
-    if low < 0 < high and np.isinf(resolution):
+    low, high = np.quantile(others, _BULK).tolist()
+    if low < 0 < high:
         return 0.0
-    far = max(_FAR * (high - low), _MOVES * float(np.median(steps[steps > 0])))
+    far = max(_FAR * (high - low), _MOVES * _usual_step(others))
     near = int(np.count_nonzero(np.abs(others) <= far))
-    if not near:
-        return float(np.abs(others).min()) / 2
-    leads = (np.abs(z[:-1]) <= far) & (z[:-1] != 0) & (z[1:] == 0)
     by_chance = near * min(resolution / (2 * far), 1.0)  # zeros, of so many readings in so many codes
-    return 0.0 if leads.any() or by_chance > _BY_CHANCE else far
+    measured = z[z != 0]
+    after = np.cumsum(z != 0)[np.flatnonzero((z[1:] != 0) & (z[:-1] == 0))]  # of `measured`, that which follows a 0
+    before, after = measured[after[after > 0] - 1], measured[after[after > 0]]
+    several = len(before) >= _SEVERAL
+    agree = np.abs(after - before) <= _AGREE * np.abs(after + before) / 2
+    if by_chance > _BY_CHANCE or (np.abs(before) <= far).any() or (several and np.mean(agree) < _MOSTLY):
+        return 0.0
+    if near:
+        return far
+    return 0.0 if several and np.isinf(resolution) else float(np.abs(others).min()) / 2
+
+
+def _usual_step(z: Floats) -> float:
+    """Return the median step between readings (N,) that is not their steady motion."""
+    steps = np.diff(z)
+    first, second = np.abs(steps[steps != 0]), np.abs(np.diff(steps)) / _SECOND
+    return min(float(np.median(first)), float(np.median(second[second > 0])) if (second > 0).any() else np.inf)
 
 
 def _that_vary(z: Floats, repeats: Booleans) -> Floats:

@@ -48,7 +48,7 @@ def limits_of_class(alike: Sequence[TunedChannel], channels: Sequence[TunedChann
         plausible_high=_least_strict(max, [one.plausible_high for one in told], enough),
         repeats_are_one=all(one.repeats_are_one for one in told) or None,
         blank=_same([one.blank for one in told]),
-        far_from_0=_least_strict(max, [one.far_from_0 for one in told], max(enough, len(told) - 1)),  # None is lenient
+        far_from_0=_least_strict(_farthest, [one.far_from_0 for one in told], enough),
         drift_threshold=_least_strict(max, [one.drift_threshold for one in told], enough),
         dead_variance=_least_strict(min, [one.dead_variance for one in told], enough),
     )
@@ -62,6 +62,12 @@ def _least_strict(
 ) -> _Number | None:
     known = [one for one in told if one is not None]
     return choose(known) if len(known) > enough else None
+
+
+def _farthest(told: Iterable[float]) -> float:
+    """Return the greatest distance from 0; 0, which leaves none out, is the least strict."""
+    known = sorted(told)
+    return known[-1] if known[0] > 0 else 0.0
 
 
 def _same(told: Sequence[float | None]) -> float | None:
