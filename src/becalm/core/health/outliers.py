@@ -136,7 +136,7 @@ def _far_from_0(z: Floats, kept: Floats, resolution: float) -> float:
     low, high = np.quantile(others, _BULK).tolist()
     if low < 0 < high:
         return 0.0
-    far = max(_FAR * (high - low), _MOVES * _usual_step(others))
+    far: float = max(_FAR * (high - low), _MOVES * _usual_step(others))
     near = int(np.count_nonzero(np.abs(others) <= far))
     by_chance = near * min(resolution / (2 * far), 1.0)  # zeros, of so many readings in so many codes
     measured = z[z != 0]
@@ -146,16 +146,17 @@ def _far_from_0(z: Floats, kept: Floats, resolution: float) -> float:
     agree = np.abs(after - before) <= _AGREE * np.abs(after + before) / 2
     if by_chance > _BY_CHANCE or (np.abs(before) <= far).any() or (several and np.mean(agree) < _MOSTLY):
         return 0.0
-    if near:
-        return far
-    return 0.0 if several and np.isinf(resolution) else float(np.abs(others).min()) / 2
+    if not near:  # half of what no reading passes
+        far = 0.0 if several and np.isinf(resolution) else 0.5 * float(np.abs(others).min())
+    return far
 
 
 def _usual_step(z: Floats) -> float:
     """Return the median step between readings (N,) that is not their steady motion."""
     steps = np.diff(z)
     first, second = np.abs(steps[steps != 0]), np.abs(np.diff(steps)) / _SECOND
-    return min(float(np.median(first)), float(np.median(second[second > 0])) if (second > 0).any() else np.inf)
+    usual = float(np.median(first))
+    return min(usual, float(np.median(second[second > 0]))) if (second > 0).any() else usual
 
 
 def _that_vary(z: Floats, repeats: Booleans) -> Floats:
