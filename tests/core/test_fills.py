@@ -172,6 +172,14 @@ def test_a_0_amid_quick_motion_far_from_it_stands_for_none(rows: int) -> None:
         assert np.array_equal(codes > 0, z == 0)
 
 
+@pytest.mark.parametrize("gone", [1127, 1100, 1131])
+def test_a_hole_in_a_run_of_0_tells_the_same_wherever_rows_are_cut(gone: int) -> None:
+    z = 100.0 + 0.02 * noise()
+    limits = find_limits(z, np.ones(ROWS), 1.0, 0.01)
+    z[1000:1300], z[gone] = 0.0, np.nan
+    assert np.array_equal(judged_soon(z, limits, 3, [*range(990, 1310)]), judged_soon(z, limits, 3, [1]))
+
+
 def test_a_recipe_that_does_not_tell_leaves_out_a_0_far_from_what_it_knows() -> None:
     told = LimitsRecipe(
         outlier_distance=30.0,

@@ -187,8 +187,10 @@ int64_t scan_outliers_soon(const settings_t *settings, const real distance, cons
         if (isnan(z[row])) continue;
         while (ends[2 * run + 1] < row) run++;
         const int64_t from = row - REACH, until = row + ahead; /* what it depends on, wherever rows are cut */
-        const int64_t first = ends[2 * run] > from ? ends[2 * run] : from;
-        const int64_t last = ends[2 * run + 1] < until ? ends[2 * run + 1] : until;
+        int64_t first = ends[2 * run] > from ? ends[2 * run] : from;
+        int64_t last = ends[2 * run + 1] < until ? ends[2 * run + 1] : until;
+        while (isnan(z[first])) first++;
+        while (isnan(z[last])) last--;
         if (is_amid(settings, distance, values, ends, run, runs, from, until)) continue;
         real neighbours[NEIGHBOURS];
         int after, missing;
