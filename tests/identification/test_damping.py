@@ -99,3 +99,12 @@ def test_any_record_gives_a_damping_that_makes_a_filter(
     F, Q = found.component.over(np.array([1.0, 1e3]))
     assert np.isfinite(F).all()
     assert np.isfinite(Q).all()
+
+
+@pytest.mark.parametrize("seed", [1, 5])
+def test_what_returns_in_no_record_is_not_damped(seed: int) -> None:
+    """A clamped wave, of which a damping of 1e-14 cycles a step was found, and refused."""
+    noise = 0.05 * np.random.default_rng(seed).normal(size=4000)
+    z = np.maximum(5 + 6 * np.sin(1.3 * np.arange(4000)) + noise, 0)
+    out = becalm.clean(becalm.Recording(z, rate_hz=100.0), causal=True)
+    assert np.abs(out.signal.samples).max() < 12

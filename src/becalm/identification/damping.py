@@ -26,6 +26,7 @@ _ROUNDS = 12
 _SAME = 1e-3  # of a damping, by which another round changes it
 _CHANCE = 4.0  # standard errors of a variance, below which a spread is not told from noise
 _SLOWEST = 1.0  # radians that the record has to last, for a motion of order 1 to be seen returning
+_NEVER = 1e-8  # radians a step: what is damped less returns in no record
 _BLOCK, _AT_ONCE = 64, 5.0  # readings that are averaged at once; a rate from which on a level is the reading
 _HALVINGS = 12
 _DOUBT = 2.0  # of a log-likelihood: what a damping may cost
@@ -67,7 +68,8 @@ def damped(tuning: Tuning, evidence: Evidence) -> Tuning:
     if n == 1 and not returns:
         return tuning
     highest = float(min(damping, _FASTEST, _HIGHEST * ratio_to_cutoff(n, tuning.ratio)))
-    tried = (replace(tuning, damping=highest / 2**k) for k in range(_HALVINGS))
+    dampings = (highest / 2**k for k in range(_HALVINGS))
+    tried = (replace(tuning, damping=damping) for damping in dampings if damping > _NEVER)
     least = _mean_log_likelihood(tuning, evidence) - _DOUBT / len(z)
     return next((one for one in tried if _mean_log_likelihood(one, evidence) >= least), tuning)
 
