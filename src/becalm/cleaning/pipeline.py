@@ -83,11 +83,13 @@ def clean(  # noqa: PLR0913  (what is wanted, each by its name)
     RecordingError
         If a channel does not exist, or there are no channels or samples.
     RecipeError
-        If the recipe names a channel that the recording does not have, or in another unit.
+        If the recipe is none, or names a channel that the recording does not have, or in another unit.
     UsageError
         If a lag is asked of a causal filter, or no later reading comes within it.
     """
     refuse_empty(recording)
+    if not (recipe is None or isinstance(recipe, Recipe)):
+        raise RecipeError(f"A Recipe is needed; {recipe!r:.60} came. Load one: becalm.Recipe.load('recipe.toml').")
     if recipe is None:
         recipe = tune(recording, causal=bool(causal), channels=channels, wishes=Wishes(lag_s=lag_s))
     else:

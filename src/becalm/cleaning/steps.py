@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import lru_cache
 from itertools import pairwise
+from numbers import Real
 
 import numpy as np
 
@@ -98,9 +99,11 @@ def lag_in_rows(lag_s: float, step_s: float) -> int:
     Raises
     ------
     UsageError
-        If none does.
+        If none does, or the lag is no number.
     """
-    rows = np.floor(lag_s / step_s + _WHOLE)
+    if not isinstance(lag_s, Real):
+        raise UsageError(f"lag_s = {lag_s!r} is no number; give seconds, as in lag_s=0.01.")
+    rows = np.floor(float(lag_s) / step_s + _WHOLE)
     if not 1 <= rows <= LONGEST_LAG:
         raise UsageError(
             f"lag_s = {lag_s:.6g} is {rows:.6g} readings at {1 / step_s:.6g} Hz; give {step_s:.6g} to"

@@ -138,6 +138,8 @@ def explore(
     refuse_empty(recording)
     chosen = recording if channels is None else recording.select(listed(channels))
     refuse_empty(chosen)
+    if not isinstance(wishes, Wishes):
+        raise UsageError(f"Wishes are needed; {wishes!r:.60} came. Make some: becalm.Wishes(lag_s=0.01).")
     _refuse_contradictions(wishes, chosen)
     as_filter = tuned_as_filter(causal, wishes.lag_s, chosen.timebase.step_s)
     one = partial(_tune_channel, chosen, as_filter, wishes, progress or _silent)

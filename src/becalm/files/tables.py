@@ -115,6 +115,8 @@ def recording_table(recording: Recording, sigma: Recording | None = None) -> pa.
     RecordingError
         If the names or numbers of rows do not agree, or a channel is called `time_s`.
     """
+    if not isinstance(recording, Recording):
+        raise RecordingError(f"A Recording is needed; {type(recording).__name__} came: write(path, recording).")
     if _TIME in recording.names:
         raise RecordingError(f"A channel is called {_TIME!r}, which is the time column's name; rename the channel.")
     if sigma is not None and (sigma.names != recording.names or len(sigma) != len(recording)):

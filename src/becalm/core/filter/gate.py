@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from numbers import Integral, Real
 
 import numpy as np
 
@@ -82,11 +83,14 @@ class Gate:
 
     def __post_init__(self) -> None:
         """Refuse what is no gate."""
-        if not 0 < self.threshold < np.inf:
-            raise ModelError(f"threshold = {self.threshold} is no gate; give a positive number, as threshold_for does.")
-        if not 2 <= self.agree <= self.at_most:
+        if not (isinstance(self.threshold, Real) and 0 < self.threshold < np.inf):
             raise ModelError(
-                f"agree = {self.agree} and at_most = {self.at_most} came; 2 <= agree <= at_most is needed."
+                f"threshold = {self.threshold!r} is no gate; give a positive number, as threshold_for does."
+            )
+        whole = isinstance(self.agree, Integral) and isinstance(self.at_most, Integral)
+        if not (whole and 2 <= self.agree <= self.at_most):
+            raise ModelError(
+                f"agree = {self.agree!r} and at_most = {self.at_most!r} came; 2 <= agree <= at_most is needed."
                 f" Leave them out for {AGREE} and {AT_MOST}."
             )
 
