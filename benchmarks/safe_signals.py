@@ -72,8 +72,8 @@ def tones(rows: int, rng: np.random.Generator) -> Floats:
 
 
 def stairs(rows: int, rng: np.random.Generator) -> Floats:
-    """Return levels that last 100 to 700 rows."""
-    lengths = rng.integers(100, 700, rows // 100 + 1)
+    """Return levels that last 100 to 700 rows, two at least."""
+    lengths = rng.integers(100, min(700, rows // 2 + 1), rows // 100 + 1)
     return np.repeat(rng.normal(size=len(lengths)), lengths)[:rows]
 
 
