@@ -44,7 +44,10 @@ BUNDLES = [
     for name, (kind, told, asked) in FLOATING.items()
 ] + [
     pytest.param(
-        "Fixed", told, {"precision": "q31", "spans": {} if told.limits else {"ax": (-SPAN, SPAN)}}, id=f"q31 {name}"
+        "FixedPointFilter",
+        told,
+        {"precision": "q31", "spans": {} if told.limits else {"ax": (-SPAN, SPAN)}},
+        id=f"q31 {name}",
     )
     for name, told in COUNTED.items()
 ]
