@@ -1,4 +1,4 @@
-"""A recording to try commands on, a way to run them as a person does, and properties that no clock fails."""
+"""A recording to try commands on, a way to run them as a person does, tables of files; no clock fails a property."""
 
 from __future__ import annotations
 
@@ -6,8 +6,10 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -41,6 +43,22 @@ def drive(tmp_path: Path) -> Path:
     rows = [f"{t[k]:.2f},{ramp[k]:.6f},gear {k // 100},{walk[k]:.6f}" for k in range(t.size)]
     path.write_text("time_s,ramp (m/s),note,walk\n" + "\n".join(rows) + "\n", encoding="utf-8")
     return path
+
+
+@pytest.fixture
+def tables() -> Iterator[Callable[[Path], Any]]:
+    """Look into files, at their tables, and close them at the end."""
+    from becalm.files.registry import read_tables  # not before it is needed
+
+    with ExitStack() as stack:
+
+        def look(path: Path) -> Any:
+            found = read_tables(path)
+            for table in found:
+                stack.callback(table.rows.close)
+            return found
+
+        yield look
 
 
 @pytest.fixture

@@ -16,12 +16,12 @@ from scipy.io import savemat
 from becalm.errors import BecalmError, InputError
 from becalm.files.registry import read_tables
 from becalm.files.writing import open_output
+from tdms_logs import SIGNAL, WAVE, channel
+from tdms_logs import written as tdms
 from test_array_dangers import MAKERS
 from test_arrays import save_mat73
 from test_damaged_logs import LOGS
 from test_mf4_damage import rearranged
-from test_tdms_damage import SIGNAL, WAVE, channel
-from test_tdms_damage import written as tdms
 from test_uff import one_set
 from test_uff import written as uff
 from test_wav import wav

@@ -25,8 +25,9 @@ import pytest
 from mcap.writer import CompressionType
 from nptdms import ChannelObject, TdmsWriter
 
+from mdf_logs import SIGNAL, signal, written
 from robot_logs import EPOCH_NS, bag2, drone, json_log, part, topic, ulog
-from test_mf4_damage import SIGNAL, raw_blocks, signal, written
+from test_mf4_damage import raw_blocks
 
 MANY = 10_000_000_000
 MEMORY_BYTES = 2 << 30

@@ -3,57 +3,22 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 import pytest
-from asammdf import MDF, Signal, Source
+from asammdf import MDF, Source
 from asammdf.blocks.v4_constants import FLAG_CG_BUS_EVENT, FLAG_CG_PLAIN_BUS_EVENT
 
 import becalm
 from becalm.errors import InputError
 from becalm.files import ReadOptions, open_source
-from becalm.files.registry import read_tables
-from becalm.files.source import RawTable
+from mdf_logs import ROWS, SIGNAL, signal, written
+from tables_of_files import Tables
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data" / "css_mf4"
 LOG = "00000003-60FEBB3B.MF4"
-ROWS = 60
-TIMES = 100 + np.arange(ROWS) / 50
-SIGNAL = np.random.default_rng(3).normal(size=ROWS)
-Tables = Callable[[Path], tuple[RawTable, ...]]
-
-
-@pytest.fixture
-def tables() -> Iterator[Tables]:
-    """Look into files, and close them at the end."""
-    with ExitStack() as stack:
-
-        def look(path: Path) -> tuple[RawTable, ...]:
-            found = read_tables(path)
-            for table in found:
-                stack.callback(table.rows.close)
-            return found
-
-        yield look
-
-
-def signal(name: str, samples: Any, **said: Any) -> Signal:
-    return Signal(np.asarray(samples), said.pop("t", TIMES), name=name, **said)
-
-
-def written(folder: Path, *groups: list[Signal], version: Any = "4.10", **said: Any) -> Path:
-    path = folder / f"log{'.mf4' if version >= '4' else '.mdf'}"
-    with MDF(version=version) as log:
-        log.start_time = datetime(2024, 3, 1, 12, 30, tzinfo=UTC)
-        for number, group in enumerate(groups):
-            log.append(group, comment=f"group {number}", **said)
-        log.save(path, overwrite=True)
-    return path
 
 
 def real(name: str) -> Path:

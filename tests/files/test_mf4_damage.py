@@ -3,53 +3,19 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing, suppress
-from datetime import UTC, datetime
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from asammdf import MDF, Signal
+from asammdf import MDF
 
 import becalm
 from becalm.errors import BecalmError, InputError
 from becalm.files.registry import read_tables
-from becalm.files.source import RawTable
-
-ROWS = 60
-TIMES = 100 + np.arange(ROWS) / 50
-SIGNAL = np.random.default_rng(3).normal(size=ROWS)
-Tables = Callable[[Path], tuple[RawTable, ...]]
-
-
-@pytest.fixture
-def tables() -> Iterator[Tables]:
-    """Look into files, and close them at the end."""
-    with ExitStack() as stack:
-
-        def look(path: Path) -> tuple[RawTable, ...]:
-            found = read_tables(path)
-            for table in found:
-                stack.callback(table.rows.close)
-            return found
-
-        yield look
-
-
-def signal(name: str, samples: Any, **said: Any) -> Signal:
-    return Signal(np.asarray(samples), said.pop("t", TIMES), name=name, **said)
-
-
-def written(folder: Path, *groups: list[Signal], version: Any = "4.10", **said: Any) -> Path:
-    path = folder / f"log{'.mf4' if version >= '4' else '.mdf'}"
-    with MDF(version=version) as log:
-        log.start_time = datetime(2024, 3, 1, 12, 30, tzinfo=UTC)
-        for number, group in enumerate(groups):
-            log.append(group, comment=f"group {number}", **said)
-        log.save(path, overwrite=True)
-    return path
+from mdf_logs import ROWS, SIGNAL, signal, written
+from tables_of_files import Tables
 
 
 def test_no_word_of_the_library_reaches_the_person(

@@ -5,8 +5,6 @@ from __future__ import annotations
 import errno
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -23,10 +21,10 @@ from becalm.errors import OutputError
 from becalm.files import open_output
 from becalm.files.opening import OpenSource
 from becalm.files.read_options import ReadOptions
-from becalm.files.registry import ENDINGS, format_to_write, holds_times, read_tables
-from becalm.files.source import RawTable
+from becalm.files.registry import ENDINGS, format_to_write, holds_times
 from becalm.files.tables import in_words
 from becalm.files.writing import write_table
+from tables_of_files import Tables
 
 SEVERAL = sorted({form: ending for ending, form in ENDINGS.items() if holds_times(form)}.values())
 FAST, SLOW = "/imu/acc (raw)", "/imu"
@@ -34,21 +32,6 @@ RECIPE = 'name = "ä <&>"\n' + "# long\n" * 20_000
 TIMES = np.arange(300) / 128.0
 SIGNAL = np.random.default_rng(5).normal(size=300)
 VERDICTS = (np.arange(300) % 4).astype(np.int8)
-Tables = Callable[[Path], tuple[RawTable, ...]]
-
-
-@pytest.fixture
-def tables() -> Iterator[Tables]:
-    """Look into files, and close them at the end."""
-    with ExitStack() as stack:
-
-        def look(path: Path) -> tuple[RawTable, ...]:
-            found = read_tables(path)
-            for table in found:
-                stack.callback(table.rows.close)
-            return found
-
-        yield look
 
 
 def table(columns: dict[str, Any], units: dict[str, str], **told: str) -> pa.Table:

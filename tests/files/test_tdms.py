@@ -2,61 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from nptdms import ChannelObject, GroupObject, RootObject, TdmsFile, TdmsWriter
+from nptdms import GroupObject, RootObject, TdmsFile
 from nptdms.test import scenarios
 from nptdms.test import test_daqmx as cards
 
 import becalm
 from becalm.errors import InputError
 from becalm.files import open_source
-from becalm.files.registry import read_tables
-from becalm.files.source import RawTable
-
-Tables = Callable[[Path], tuple[RawTable, ...]]
-ROWS = 60
-SIGNAL = np.random.default_rng(7).normal(size=ROWS)
-START = datetime(2024, 2, 29, 23, 59, 59)
-WAVE: dict[str, Any] = {
-    "wf_increment": 0.01,
-    "wf_start_time": START,
-    "wf_start_offset": 0.25,
-    "wf_samples": 1,
-    "unit_string": "m/s^2",
-}
-
-
-@pytest.fixture
-def tables() -> Iterator[Tables]:
-    """Look into files, and close them at the end."""
-    with ExitStack() as stack:
-
-        def look(path: Path) -> tuple[RawTable, ...]:
-            found = read_tables(path)
-            for table in found:
-                stack.callback(table.rows.close)
-            return found
-
-        yield look
-
-
-def written(folder: Path, *segments: list[Any], **said: Any) -> Path:
-    path = folder / "log.tdms"
-    with TdmsWriter(str(path), **said) as writer:
-        for segment in segments:
-            writer.write_segment(segment)
-    return path
-
-
-def channel(name: str, values: Any, group: str = "run", **properties: Any) -> ChannelObject:
-    return ChannelObject(group, name, values, properties)
+from tables_of_files import Tables
+from tdms_logs import ROWS, SIGNAL, WAVE, channel, written
 
 
 def test_a_waveform_tells_rate_start_and_unit(tmp_path: Path, tables: Tables) -> None:
