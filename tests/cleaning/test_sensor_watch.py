@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from becalm.cleaning.cleaner import Cleaner
 from becalm.cleaning.faults import SensorWatch, find_healthy
@@ -212,3 +213,24 @@ def test_a_smoother_without_a_distance_of_its_own_finds_no_outlier() -> None:
     z[200] = 1e3
     watch = SensorWatch(LimitsRecipe(causal_outlier_distance=30.0), 0.01, ahead=rows_that_judge(None, None))
     assert watch.push(z, np.ones(400))[0] is z
+
+
+def test_a_recipe_that_does_not_tell_leaves_out_a_0_far_from_what_it_knows() -> None:
+    told = LimitsRecipe(
+        outlier_distance=30.0,
+        causal_outlier_distance=60.0,
+        plausible_low=0.0,
+        plausible_high=72.0,
+        repeats_are_one=True,
+    )
+    assert limits_of(told).outliers.far_from_0 == 2.0
+    assert limits_of(told.model_copy(update={"far_from_0": 0.0})).outliers.far_from_0 == 0.0
+    assert limits_of(told.model_copy(update={"repeats_are_one": None})).outliers.far_from_0 == 0.0
+    assert (
+        limits_of(
+            told.model_copy(update={"outlier_distance": None, "causal_outlier_distance": None})
+        ).outliers.far_from_0
+        == 0.0
+    )
+    with pytest.raises(ValidationError, match="far_from_0 came alone"):
+        LimitsRecipe(far_from_0=1.0)

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 
-from becalm.cleaning.limits_entry import limits_of
-from becalm.cleaning.recipe_parts import LimitsRecipe
 from becalm.core.arrays import Floats
 from becalm.core.health.faults import Faults
 from becalm.core.health.limits import Limits, find_limits, stuck_at_once
@@ -178,21 +175,6 @@ def test_a_hole_in_a_run_of_0_tells_the_same_wherever_rows_are_cut(gone: int) ->
     limits = find_limits(z, np.ones(ROWS), 1.0, 0.01)
     z[1000:1300], z[gone] = 0.0, np.nan
     assert np.array_equal(judged_soon(z, limits, 3, [*range(990, 1310)]), judged_soon(z, limits, 3, [1]))
-
-
-def test_a_recipe_that_does_not_tell_leaves_out_a_0_far_from_what_it_knows() -> None:
-    told = LimitsRecipe(
-        outlier_distance=30.0,
-        causal_outlier_distance=60.0,
-        plausible_low=0.0,
-        plausible_high=72.0,
-        repeats_are_one=True,
-    )
-    assert limits_of(told).outliers.far_from_0 == 2.0
-    assert limits_of(told.model_copy(update={"far_from_0": 0.0})).outliers.far_from_0 == 0.0
-    assert limits_of(told.model_copy(update={"repeats_are_one": None})).outliers.far_from_0 == 0.0
-    with pytest.raises(ValidationError, match="far_from_0 came alone"):
-        LimitsRecipe(far_from_0=1.0)
 
 
 @pytest.mark.parametrize("every", [3, 10, 40])

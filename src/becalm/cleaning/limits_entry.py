@@ -81,11 +81,12 @@ def limits_of(told: LimitsRecipe | None) -> Limits:
 def _far_from_0(told: LimitsRecipe) -> float:
     """Return how far from 0 the neighbours of a 0 are that is no reading; of recipes that do not tell, from the range.
 
-    Those hold it for a reading where equal ones in a row may be several.
+    Those hold it for a reading where equal ones in a row may be several, or no outliers are told.
     """
     if told.far_from_0 is not None or told.plausible_low is None or told.plausible_high is None:
         return told.far_from_0 or 0.0
-    return (told.plausible_high - told.plausible_low) / _PARTS if told.repeats_are_one else 0.0
+    judged = told.repeats_are_one and (told.outlier_distance or told.causal_outlier_distance)
+    return (told.plausible_high - told.plausible_low) / _PARTS if judged else 0.0
 
 
 def rows_that_judge(told: LimitsRecipe | None, lag: int | None) -> int:

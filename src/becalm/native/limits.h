@@ -71,7 +71,7 @@ static inline int fills_in(const settings_t *settings, const real z, const real 
     return count == NEIGHBOURS && is_far(z, neighbours, count, settings->outlier_distance / NEARER, SPREADS);
 }
 
-/* Return whether a 0 stands for no measurement: some of its neighbours are not 0, and all of these are far from it. */
+/* Return whether a 0 stands for no measurement: three neighbours at least are not 0, and all of these far from it. */
 static inline int stands_for_none(const settings_t *settings, const real z, const real *neighbours, const int count) {
     if (z != 0 || settings->far_from_0 == 0) return 0;
     int others = 0;
