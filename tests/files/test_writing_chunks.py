@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import gzip
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +12,7 @@ import pytest
 
 from becalm.errors import InputError, OutputError
 from becalm.files import CleanChannel, open_output, open_source, output_block, output_table, read_source, write_table
+from peak_memory import peak_mb
 
 
 def table_of(count: int = 1003) -> pa.Table:
@@ -110,15 +109,12 @@ def test_a_failure_while_writing_reaches_the_one_who_hands_over(tmp_path: Path) 
 
 
 MEASURED = """
-import pathlib, resource, sys
+import sys
 from becalm.files import CleanChannel, open_output, open_source, output_block
 with open_source(sys.argv[1]) as source, open_output(sys.argv[2]) as out:
     for chunk in source.chunks():
         own = {n: CleanChannel(chunk.channel(i), chunk.channel(i)) for i, n in enumerate(source.names)}
         out.write(output_block(chunk.table, own))
-status = pathlib.Path("/proc/self/status")  # ru_maxrss would count what the parent held before
-told = [line.split()[1] for line in status.read_text().splitlines() if "VmHWM" in line] if status.exists() else []
-print(told[0] if told else resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
 """
 
 
@@ -131,13 +127,7 @@ def test_memory_does_not_grow_with_the_file(tmp_path: Path) -> None:
             for part in range(millions):
                 time = np.arange(part * 1_000_000, (part + 1) * 1_000_000) / 1000
                 writer.write_table(pa.table([time, *rng.normal(size=(4, 1_000_000))], schema=schema))
-        told = subprocess.run(
-            [sys.executable, "-c", MEASURED, str(tmp_path / "in.parquet"), str(tmp_path / "out.parquet")],
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-        peaks.append(int(told.stdout) / 1024 / (1024 if sys.platform == "darwin" else 1))
+        peaks.append(peak_mb(MEASURED, tmp_path / "in.parquet", tmp_path / "out.parquet"))
         assert pq.ParquetFile(tmp_path / "out.parquet").metadata.num_rows == millions * 1_000_000
     assert peaks[1] < peaks[0] + 150  # MB; all of the further rows would be 290
     assert peaks[1] < 800, peaks
