@@ -30,7 +30,7 @@ from statistics import median
 from becalm.fleet import open_book
 from becalm.fleet.job import Job, Sensor
 from becalm.fleet.lake import places_in
-from becalm.fleet.sensor_task import clean_whole
+from becalm.fleet.sensor_cleaning import clean_whole
 from fleet_comparing import compared
 from fleet_lakes import EACH, RATE_HZ, make_lake
 from fleet_spark import ONE_THREAD, Places, Ran, on_spark

@@ -12,7 +12,7 @@ from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.stream import StreamCleaner
 from becalm.core.arrays import Floats
 from becalm.core.health.limits import Limits
-from becalm.core.health.outliers import Outliers
+from becalm.core.health.outlier_rule import Outliers
 from becalm.core.health.sentinel import Sentinel
 from becalm.core.rows import EstimatedRows
 from becalm.core.verdict import Verdict

@@ -10,7 +10,7 @@ from becalm.core.arrays import Codes, Floats
 from becalm.core.health.faults import Faults
 from becalm.core.health.limits import Limits
 from becalm.core.health.look_ahead import LookAhead
-from becalm.core.health.outliers import (
+from becalm.core.health.outlier_rule import (
     Outliers,
 )
 from becalm.core.verdict import Verdict

@@ -22,7 +22,7 @@ from becalm.core.filter.smoothing import run_smoother
 from becalm.core.health.faults import FaultCount
 from becalm.core.health.limits import Limits
 from becalm.core.health.monitor import Alarms
-from becalm.core.health.outliers import find_outlier_rule
+from becalm.core.health.outlier_rule import find_outlier_rule
 from becalm.core.model.components import Component, bias, motion, oscillator, returning_motion
 from becalm.core.model.timeline import elapsed_timeline
 from becalm.core.rows import EstimatedRows

@@ -8,7 +8,7 @@ import pytest
 from becalm.core.arrays import Floats
 from becalm.core.health.faults import Faults
 from becalm.core.health.limits import Limits, find_limits, stuck_at_once
-from becalm.core.health.outliers import (
+from becalm.core.health.outlier_rule import (
     Outliers,
     beside_others,
     find_outlier_rule,

@@ -7,7 +7,7 @@ import pytest
 
 from becalm.core.arrays import Floats
 from becalm.core.health.limits import Limits, find_limits, find_resolution, run_lengths, stuck_at_once
-from becalm.core.health.outliers import beside_others
+from becalm.core.health.outlier_rule import beside_others
 from becalm.core.health.saturation import SaturationLimits, find_saturation
 from becalm.core.verdict import Verdict
 from becalm.errors import UsageError

@@ -14,7 +14,7 @@ from becalm.core.arrays import Floats
 from becalm.core.health.faults import Faults
 from becalm.core.health.limits import Limits, find_limits, stuck_at_once
 from becalm.core.health.look_ahead import LookAhead
-from becalm.core.health.outliers import (
+from becalm.core.health.outlier_rule import (
     NO_OUTLIERS,
     Outliers,
     beside_others,

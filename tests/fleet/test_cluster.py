@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 
 from becalm.fleet.recipes import open_book
-from becalm.fleet.sensor_task import clean_whole
+from becalm.fleet.sensor_cleaning import clean_whole
 from made import job_of, read_parts, recipe_of, same, table_of, walk, write_parts
 
 pytestmark = [pytest.mark.slow, pytest.mark.spark]

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from becalm.errors import UsageError
-from becalm.fleet import batch, engine
+from becalm.fleet import batch, spark_tasks
 from becalm.fleet.batch import clean
 from becalm.fleet.recipes import open_book
 from becalm.fleet.session import session
@@ -46,7 +46,7 @@ def test_a_sensor_that_its_workers_die_of_stops_nobody(
                 os.kill(os.getpid(), signal.SIGKILL)
             return work(task)
 
-        return engine.run_tasks(spark, dies, tasks, *how)
+        return spark_tasks.run_tasks(spark, dies, tasks, *how)
 
     monkeypatch.setattr(batch, "run_tasks", run_tasks)
     fleet = clean(spark, tmp_path / "lake", tmp_path / "out", open_book(tmp_path / "r.toml"))
@@ -76,9 +76,9 @@ def lost(task: int, why: str) -> int:
 
 
 def test_where_all_die_the_job_ends(spark: SparkSession, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(engine, "_MOST_DEATHS", 1)
+    monkeypatch.setattr(spark_tasks, "_MOST_DEATHS", 1)
     with pytest.raises(UsageError, match=r"Spark gave the job up \(.*worker exited unexpectedly"):
-        engine.run_tasks(spark, doing("dies"), [1, 2, 3], lost=lost)
+        spark_tasks.run_tasks(spark, doing("dies"), [1, 2, 3], lost=lost)
 
 
 def test_where_spark_itself_is_gone_the_job_ends(spark: SparkSession, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -87,7 +87,7 @@ def test_where_spark_itself_is_gone_the_job_ends(spark: SparkSession, monkeypatc
 
     monkeypatch.setattr(type(spark), "range", gone)
     with pytest.raises(UsageError, match=r"Spark gave the job up \(.*Connection refused"):
-        engine.run_tasks(spark, doing("raises"), [1], lost=lost)
+        spark_tasks.run_tasks(spark, doing("raises"), [1], lost=lost)
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of pipes are POSIX's")
@@ -95,12 +95,12 @@ def test_a_worker_whose_jvm_is_gone_dies_without_a_word(spark: SparkSession) -> 
     def work(task: int) -> bool:
         return signal.getsignal(signal.SIGPIPE) is signal.SIG_DFL
 
-    engine.run_tasks(spark, work, [1, 2])
-    assert any(engine.run_tasks(spark, work, [1, 2]))  # of the same workers, which Spark keeps
+    spark_tasks.run_tasks(spark, work, [1, 2])
+    assert any(spark_tasks.run_tasks(spark, work, [1, 2]))  # of the same workers, which Spark keeps
 
 
 def test_what_is_no_death_ends_it_at_once(spark: SparkSession) -> None:
     with pytest.raises(UsageError, match=r"Spark gave the job up \(.*1 is rubbish"):
-        engine.run_tasks(spark, doing("raises"), [1], lost=lost)
+        spark_tasks.run_tasks(spark, doing("raises"), [1], lost=lost)
     with pytest.raises(UsageError, match="worker exited unexpectedly"):
-        engine.run_tasks(spark, doing("dies"), [1])
+        spark_tasks.run_tasks(spark, doing("dies"), [1])

@@ -137,7 +137,7 @@ def test_a_bug_is_a_reason_too(lake: Lake, monkeypatch: pytest.MonkeyPatch) -> N
     def broken(*_: object, **__: object) -> None:
         raise ZeroDivisionError("of a kind nobody thought of")
 
-    monkeypatch.setattr("becalm.fleet.sensor_task.clean_chunks", broken)
+    monkeypatch.setattr("becalm.fleet.sensor_cleaning.clean_chunks", broken)
     assert {one.reason for one in cleaned(lake).outcomes} == {"ZeroDivisionError: of a kind nobody thought of"}
     assert not list((lake.root.parent / "out").rglob("*.parquet"))
 

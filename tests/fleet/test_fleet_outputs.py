@@ -121,7 +121,7 @@ def _kill(patch: pytest.MonkeyPatch, at: str) -> None:
         raise KeyboardInterrupt
 
     if at == "renames":
-        patch.setattr("becalm.fleet.sensor_task.put_in_place", killed)
+        patch.setattr("becalm.fleet.sensor_cleaning.put_in_place", killed)
     elif at == "older":
         patch.setattr(Path, "unlink", killed)
     else:
@@ -142,7 +142,7 @@ def test_a_file_that_comes_meanwhile_is_told(lake: Lake, monkeypatch: pytest.Mon
 
     lake.root.joinpath("sensor=1").rename(lake.root.parent / "elsewhere")
     with monkeypatch.context() as patch:
-        patch.setattr("becalm.fleet.sensor_task.clean_chunks", arrives)
+        patch.setattr("becalm.fleet.sensor_cleaning.clean_chunks", arrives)
         (said,) = reasons(cleaned(lake))
     assert said == "The files of sensor=0 changed while they were read; wait until all came, and repeat."
     assert not list(out_of(lake).rglob("*.parquet"))

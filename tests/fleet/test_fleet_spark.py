@@ -20,7 +20,7 @@ import pytest
 import becalm
 from becalm.errors import InputError, UsageError
 from becalm.fleet.recipes import open_book
-from becalm.fleet.sensor_task import clean_whole
+from becalm.fleet.sensor_cleaning import clean_whole
 from becalm.fleet.session import session
 from made import Lake, job_of, read_parts, recipe_of, same, table_of, walk, write_parts
 

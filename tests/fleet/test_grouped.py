@@ -16,7 +16,7 @@ from becalm.fleet.batch import BatchOptions, clean
 from becalm.fleet.grouped import cleaning
 from becalm.fleet.grouped.strips import part_rows
 from becalm.fleet.recipes import open_book
-from becalm.fleet.sensor_task import clean_whole
+from becalm.fleet.sensor_cleaning import clean_whole
 from made import Lake, Run, read_parts, recipe_of, same, without_spark
 from shared_lakes import (
     BY_SENSOR,

@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import becalm
-from becalm.fleet import engine
+from becalm.fleet import spark_tasks
 from becalm.fleet.batch import BatchOptions, clean
 from becalm.fleet.grouped import cleaning
 from becalm.fleet.recipes import open_book
@@ -77,7 +77,7 @@ def test_killed_workers_change_nothing(
 
     def run_tasks(spark: Any, work: Callable[[Any], Any], tasks: Sequence[Any], **how: Any) -> list[Any]:
         if work.func.__name__ != stage:  # type: ignore[attr-defined]
-            return engine.run_tasks(spark, work, tasks, **how)
+            return spark_tasks.run_tasks(spark, work, tasks, **how)
         killed = [str(tmp_path / f"killed {number}") for number in range(2)]
 
         def dies_twice(task: Any) -> Any:
@@ -96,7 +96,7 @@ def test_killed_workers_change_nothing(
                 time.sleep(10)
             return work(task)
 
-        return engine.run_tasks(spark, dies_twice, tasks, **how)
+        return spark_tasks.run_tasks(spark, dies_twice, tasks, **how)
 
     monkeypatch.setattr(cleaning, "run_tasks", run_tasks)
     with session("local[2,4]") as spark:

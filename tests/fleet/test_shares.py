@@ -7,7 +7,7 @@ from itertools import chain
 from hypothesis import given
 from hypothesis import strategies as st
 
-from becalm.fleet.engine import _TOGETHER_BYTES, _shares
+from becalm.fleet.spark_tasks import _TOGETHER_BYTES, _shares
 
 
 @given(st.lists(st.integers(0, 1 << 40), min_size=1, max_size=300), st.integers(1, 64))

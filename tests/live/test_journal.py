@@ -21,9 +21,9 @@ from becalm.live.block import Checkpoint, Head, Loss, LossKind, Output
 from becalm.live.journal.checking import faults
 from becalm.live.journal.database import JournalError
 from becalm.live.journal.keeper import Journal
-from becalm.live.journal.packing import by_period, joined, packed, unpacked
 from becalm.live.journal.reading import open_journal
 from becalm.live.journal.records import BlockRow
+from becalm.live.journal.row_bytes import by_period, joined, packed, unpacked
 from becalm.live.protocols import Keeper
 from journals import EPOCH_S, HEAD, SOURCE, assert_rows, checkpoint_at, fill, journal_in, rows_of, table_of
 

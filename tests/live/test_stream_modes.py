@@ -9,7 +9,7 @@ from becalm.cleaning.cleaner import Cleaner
 from becalm.cleaning.handover import Handover
 from becalm.cleaning.stream import StreamCleaner
 from becalm.core.arrays import Floats
-from becalm.core.packing import packed, unpacked
+from becalm.core.snapshot_bytes import packed, unpacked
 from stream_recipes import CAUSAL, KINDS, LAGGED, RATE_HZ, joined, recipe_of, rough, streamed, wander
 
 ROWS, STEP_S = 700, 1 / RATE_HZ

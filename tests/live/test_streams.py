@@ -15,7 +15,7 @@ from becalm.core.arrays import Floats
 from becalm.core.model.components import motion as motion_of
 from becalm.core.model.components import oscillator
 from becalm.core.model.step_matrices import StepMatrices
-from becalm.core.packing import packed, unpacked
+from becalm.core.snapshot_bytes import packed, unpacked
 from becalm.errors import ModelError, RecipeError
 from bits import same_bits
 from stream_recipes import (

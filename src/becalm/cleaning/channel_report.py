@@ -17,7 +17,7 @@ from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.report import ChannelReport
 from becalm.cleaning.slopes import said_of_times
 from becalm.cleaning.steps import SOON
-from becalm.core.health.outliers import MOST_OUTLIERS
+from becalm.core.health.outlier_rule import MOST_OUTLIERS
 from becalm.core.verdict import ADVICE, Verdict
 from becalm.identification.trust.excess import excess_error
 

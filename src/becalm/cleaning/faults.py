@@ -17,7 +17,7 @@ from becalm.core.health.limits import Limits, find_limits, stuck_at_once
 from becalm.core.health.look_ahead import LookAhead
 from becalm.core.health.monitor import InnovationMonitor
 from becalm.core.health.noise_change import said_of_change
-from becalm.core.health.outliers import beside_others
+from becalm.core.health.outlier_rule import beside_others
 from becalm.core.rows import EstimatedRows
 from becalm.core.verdict import ADVICE, LOST, Verdict
 from becalm.native.scans import EVERY_REPEAT

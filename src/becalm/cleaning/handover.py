@@ -18,7 +18,7 @@ from becalm.cleaning.steps import in_steps
 from becalm.cleaning.stream import ChannelHealth, StreamCleaner, Streamed
 from becalm.cleaning.stream_modes import handed_over
 from becalm.core.arrays import Floats
-from becalm.core.packing import packed, unpacked
+from becalm.core.snapshot_bytes import packed, unpacked
 from becalm.errors import ModelError, RecipeError
 
 _TIMES_INDEPENDENT = 3.0

@@ -9,7 +9,7 @@ from becalm.core.arrays import Floats
 from becalm.core.health.limits import Limits
 from becalm.core.health.look_ahead import rows_ahead
 from becalm.core.health.monitor import NEVER, Alarms
-from becalm.core.health.outliers import Outliers
+from becalm.core.health.outlier_rule import Outliers
 from becalm.core.health.quantisation import rounding_left
 from becalm.core.time.clock import GAP_STEPS
 from becalm.core.verdict import BEYOND_ANY_SENSOR

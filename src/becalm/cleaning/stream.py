@@ -20,8 +20,8 @@ from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.steps import lag_in_rows
 from becalm.cleaning.stream_modes import NO_MODES, modes_in, modes_of, with_modes
 from becalm.core.arrays import Codes, Floats, input_of
-from becalm.core.packing import packed, unpacked
 from becalm.core.rows import EstimatedRows
+from becalm.core.snapshot_bytes import packed, unpacked
 from becalm.core.verdict import Verdict
 from becalm.errors import ModelError, RecipeError
 

@@ -8,9 +8,9 @@ from typing import NamedTuple
 import pyarrow as pa
 
 from becalm.core.arrays import Floats
-from becalm.files.conversion import Conversion
 from becalm.files.roles import values_of
 from becalm.files.rows import TableRows
+from becalm.files.unit_conversion import Conversion
 from becalm.sensors.record import SensorRecord, applied
 from becalm.sensors.tare import Tare
 

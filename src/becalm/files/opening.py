@@ -20,7 +20,7 @@ from becalm.core.time.timebase import Timebase
 from becalm.errors import InputError, TimeError
 from becalm.files.calibrated_source import with_sensors
 from becalm.files.chunk import Chunk
-from becalm.files.converting import in_units_asked
+from becalm.files.other_units import in_units_asked
 from becalm.files.read_options import ReadOptions, refuse_impossible
 from becalm.files.registry import read_tables
 from becalm.files.roles import SIGMA, choose_channels, missing_in, refuse_uncertainties, unit_of, values_of

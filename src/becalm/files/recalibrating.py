@@ -23,7 +23,7 @@ from becalm.files.roles import SIGMA, unit_of, values_of
 from becalm.files.source import RawTable
 from becalm.files.time_base_choice import holds, listed
 from becalm.files.timing.time_column import named_column
-from becalm.files.units import parse_header
+from becalm.files.unit_spelling import parse_header
 from becalm.sensors.bridge import Bridge
 from becalm.sensors.curve import CalibrationCurve
 from becalm.sensors.record import SensorRecord, applied, tared

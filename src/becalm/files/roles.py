@@ -17,7 +17,7 @@ from becalm.files.source import CHANNEL, PASSED, TIME, ColumnLayout, RawTable
 from becalm.files.text.bad_cells import bad_cell, find_bad_cells, is_text
 from becalm.files.text.cells import to_numbers
 from becalm.files.timing.time_column import NUMBERS, kind_of_column, named_column, numbers
-from becalm.files.units import on_sensor, parse_header, tidy_unit
+from becalm.files.unit_spelling import on_sensor, parse_header, tidy_unit
 
 SIGMA = "_sigma"
 _COVARIANCE = re.compile(r".*_covariance_[0-9]+")  # what a ROS driver says of its sensor, beside each reading

@@ -9,7 +9,7 @@ from becalm.errors import InputError, UsageError
 from becalm.files.groups import TIME
 from becalm.files.read_options import ReadOptions
 from becalm.files.source import RawTable
-from becalm.files.units import parse_header
+from becalm.files.unit_spelling import parse_header
 
 _MOST_NAMED = 8  # groups, and channels of one, in a message
 

@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 from becalm.errors import InputError, UsageError
 from becalm.files.calibrated_source import with_sensors
-from becalm.files.converting import in_units_asked
 from becalm.files.opening import OpenSource, close, understood
+from becalm.files.other_units import in_units_asked
 from becalm.files.read_options import ReadOptions, refuse_impossible
 from becalm.files.registry import read_tables
 from becalm.files.source import RawTable

@@ -18,7 +18,6 @@ import numpy as np
 from becalm.errors import UsageError
 from becalm.files.text_file import make_folder, write_text
 from becalm.fleet.class_outliers import marked
-from becalm.fleet.engine import run_tasks
 from becalm.fleet.grouped.cleaning import clean_grouped
 from becalm.fleet.job import STRETCH_ROWS, Job, Sensor
 from becalm.fleet.lake import FILE, FOLDER, MultiSensorLake, SensorPlace, told_apart
@@ -26,7 +25,8 @@ from becalm.fleet.marks import CompletionMark
 from becalm.fleet.outcome import Outcome, refused
 from becalm.fleet.output_lock import alone_at
 from becalm.fleet.recipes import RecipeBook
-from becalm.fleet.sensor_task import all_died, clean_whole
+from becalm.fleet.sensor_cleaning import all_died, clean_whole
+from becalm.fleet.spark_tasks import run_tasks
 from becalm.fleet.stretching.cleaning import clean_long
 from becalm.fleet.sweeping import swept
 from becalm.report.fleet_order import summary

@@ -11,11 +11,11 @@ from becalm.cleaning.pipeline import fitted
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.stream import ChannelHealth, StreamCleaner, Streamed
 from becalm.core.arrays import Booleans, Codes, Floats, Integers
-from becalm.core.packing import packed, unpacked
+from becalm.core.snapshot_bytes import packed, unpacked
 from becalm.core.time.clock import GAP_STEPS
 from becalm.core.time.live_clock import FAR, LATE, REPEATED, RESET, TAKEN, UNTIMED, LiveClock
 from becalm.errors import BecalmError, ModelError, RecipeError
-from becalm.files.units import parse_header
+from becalm.files.unit_spelling import parse_header
 from becalm.live.block import Block, Checkpoint, Head, Loss, LossKind, Output
 from becalm.live.delayed_rows import Waiting
 

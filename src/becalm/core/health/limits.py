@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from becalm.core.arrays import Booleans, Floats, Integers
-from becalm.core.health.outliers import MOST_OUTLIERS, NO_OUTLIERS, Outliers, find_outlier_rule, is_outlier
-from becalm.core.health.repeated_readings import repeats_readings
+from becalm.core.health.held_readings import repeats_readings
+from becalm.core.health.outlier_rule import MOST_OUTLIERS, NO_OUTLIERS, Outliers, find_outlier_rule, is_outlier
 from becalm.core.health.saturation import SaturationLimits, find_saturation, is_noisy
 from becalm.core.model.magnitudes import find_largest
 from becalm.core.time.clock import GAP_STEPS

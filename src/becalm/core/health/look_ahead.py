@@ -9,7 +9,7 @@ import numpy as np
 
 from becalm.core.arrays import BLOCK, Codes, Floats
 from becalm.core.health.limits import Limits, stuck_at_once
-from becalm.core.health.outliers import plausible
+from becalm.core.health.outlier_rule import plausible
 from becalm.errors import ModelError
 from becalm.native.scans import REACH, SIDE, scan_outliers
 

@@ -20,7 +20,7 @@ from becalm.files.groups import GROUP, START, TIME, Group
 from becalm.files.source import ToldTime
 from becalm.files.text.csv_header import unique_names
 from becalm.files.timing.time_column import is_time_name
-from becalm.files.units import parse_header
+from becalm.files.unit_spelling import parse_header
 
 _MOST_COLUMNS = 1024  # of one array; more are a picture
 _STRAY, _SHORT = 50, 100  # a matrix of calibration is so much shorter than a recording, and so short

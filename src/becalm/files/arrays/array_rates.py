@@ -8,7 +8,7 @@ import numpy as np
 
 from becalm.core.time.clock import FASTEST_HZ, SLOWEST_HZ
 from becalm.files.arrays.arrays import FileArrays, Leaf, Path
-from becalm.files.units import parse_header, tidy_unit
+from becalm.files.unit_spelling import parse_header, tidy_unit
 
 _RATES = re.compile(r"fs|fsample|sr|srate|rate|sampl(?:e|ing)(?:rate|freq|frequency)|samplespersecond|freqsampling")
 _STEPS = re.compile(

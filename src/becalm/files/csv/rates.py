@@ -17,7 +17,7 @@ from becalm.files.rows import TableRows
 from becalm.files.source import RawTable, ToldTime
 from becalm.files.text.cells import split
 from becalm.files.timing.time_column import NUMBERS, find_time, kind_of_column, numbers
-from becalm.files.units import parse_header
+from becalm.files.unit_spelling import parse_header
 
 _STEPS = {"Delta_X": "dt", "Increment": "dt", "tInc": "dt"}
 """What LabVIEW and oscilloscopes call the time step."""

@@ -16,7 +16,7 @@ from becalm.files.groups import TIME
 from becalm.files.recorders.mf4_columns import NO_START
 from becalm.files.timing.time_column import is_time_name
 from becalm.files.timing.times import PER_SECOND, SECONDS
-from becalm.files.units import parse_header
+from becalm.files.unit_spelling import parse_header
 
 _MOST_WORDS = 1 << 16
 _TIME, _INDEX = ("time", 1), ("index", 4)  # names of masters, and what kind they are

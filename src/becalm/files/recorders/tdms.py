@@ -20,7 +20,7 @@ from becalm.files.recorders.tdms_pieces import in_pieces
 from becalm.files.recorders.tdms_writer import FILL
 from becalm.files.source import RawTable, ToldTime
 from becalm.files.timing.time_column import is_time_name
-from becalm.files.units import tidy_unit
+from becalm.files.unit_spelling import tidy_unit
 
 _LEAD_IN = struct.Struct("<4siiQQ")
 _UNFINISHED = 0xFFFFFFFFFFFFFFFF

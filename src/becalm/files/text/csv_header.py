@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from becalm.files.text.cells import GONE, NUMBER, kind_of, split
 from becalm.files.text.logger_headers import logger_header
-from becalm.files.units import looks_like_unit, tidy_unit
+from becalm.files.unit_spelling import looks_like_unit, tidy_unit
 
 _COMMENT = ("#", "%", "//")
 

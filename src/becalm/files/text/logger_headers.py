@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from becalm.files.units import tidy_unit
+from becalm.files.unit_spelling import tidy_unit
 
 _STATION, _LABVIEW, _X = "TOA5", "LabVIEW Measurement", "X_Value"
 _CAMPBELL_ROWS = 4  # the station, names, units, and what was stored of each

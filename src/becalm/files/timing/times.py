@@ -18,7 +18,7 @@ from becalm.files.text.bad_cells import meant_as_numbers
 from becalm.files.timing import clock
 from becalm.files.timing.time_column import COUNT, NUMBERS, TEMPORAL, kind_of_column, numbers, spoilt
 from becalm.files.timing.time_mending import on_one_clock, without_wraps
-from becalm.files.units import parse_header
+from becalm.files.unit_spelling import parse_header
 
 PER_SECOND = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
 SECONDS = {"min": 60.0, "h": 3600.0}

@@ -18,7 +18,6 @@ from becalm.files.parquet import read_parquet
 from becalm.files.temporary_files import in_waiting
 from becalm.files.text_file import make_folder
 from becalm.files.writing import open_output
-from becalm.fleet.engine import run_tasks
 from becalm.fleet.grouped.counting import Count, count_rows, not_counted
 from becalm.fleet.grouped.merging import merged
 from becalm.fleet.grouped.order import time_of
@@ -29,7 +28,8 @@ from becalm.fleet.names import listed
 from becalm.fleet.outcome import Outcome, refused
 from becalm.fleet.pieces import open_staging, staging
 from becalm.fleet.recipes import RecipeBook
-from becalm.fleet.sensor_task import all_died, clean_whole, finished, told_by
+from becalm.fleet.sensor_cleaning import all_died, clean_whole, finished, told_by
+from becalm.fleet.spark_tasks import run_tasks
 from becalm.fleet.stretching.cleaning import clean_long
 
 if TYPE_CHECKING:

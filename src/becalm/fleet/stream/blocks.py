@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Codes, Floats, Integers
-from becalm.core.packing import packed, unpacked
+from becalm.core.snapshot_bytes import packed, unpacked
 
 
 class Garbled(NamedTuple):

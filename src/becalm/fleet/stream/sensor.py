@@ -16,7 +16,7 @@ import numpy as np
 from becalm.cleaning.recipe import Recipe
 from becalm.core.arrays import Floats
 from becalm.errors import BecalmError, RecipeError
-from becalm.files.units import parse_header
+from becalm.files.unit_spelling import parse_header
 from becalm.fleet.names import folder_name
 from becalm.fleet.stream.blocks import EstimatedBlock, Event
 from becalm.fleet.stream.plan import FIRST_ROWS, SensorPlan

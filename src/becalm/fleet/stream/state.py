@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from becalm.core.packing import packed, unpacked
+from becalm.core.snapshot_bytes import packed, unpacked
 from becalm.errors import ModelError
 from becalm.live.block import Block, Checkpoint
 

@@ -8,11 +8,11 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from becalm.fleet.engine import run_tasks
 from becalm.fleet.job import Job, Sensor
 from becalm.fleet.marks import CompletionMark
 from becalm.fleet.outcome import Outcome
-from becalm.fleet.sensor_task import all_died, clean_whole, commit, told_by
+from becalm.fleet.sensor_cleaning import all_died, clean_whole, commit, told_by
+from becalm.fleet.spark_tasks import run_tasks
 from becalm.fleet.stretching.joining import joined_outcome
 from becalm.fleet.stretching.long import Long, TaskStretch
 from becalm.fleet.stretching.run import StretchEstimates, run_stretch

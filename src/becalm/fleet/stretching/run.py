@@ -16,14 +16,14 @@ from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.report import ChannelReport
 from becalm.core.arrays import Floats
 from becalm.core.filter.channel import History
-from becalm.core.packing import packed, unpacked
+from becalm.core.snapshot_bytes import packed, unpacked
 from becalm.core.verdict import Verdict, counted
 from becalm.files.chunked_cleaning import CleanChunk, answered, rows_of_chunks
 from becalm.files.opening import as_asked
 from becalm.files.read_options import asked_by
 from becalm.files.shared_source import KnownSource
 from becalm.fleet.pieces import OutputFile, Pieces
-from becalm.fleet.sensor_task import metadata_of
+from becalm.fleet.sensor_cleaning import metadata_of
 from becalm.fleet.stretching.long import Long, State, TaskStretch
 from becalm.fleet.stretching.margins import begun, ended, margin_of
 

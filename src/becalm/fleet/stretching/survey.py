@@ -19,7 +19,7 @@ from becalm.files.shared_source import known_of
 from becalm.fleet.job import Job, Sensor
 from becalm.fleet.outcome import Outcome
 from becalm.fleet.pieces import open_staging
-from becalm.fleet.sensor_task import (
+from becalm.fleet.sensor_cleaning import (
     OpenedSensor,
     clean_whole,
     finished,

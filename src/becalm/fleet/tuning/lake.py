@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from becalm.errors import InputError, UsageError
 from becalm.files.text_file import make_folder, refuse_unwritable
 from becalm.fleet.batch import refuse_inside
-from becalm.fleet.engine import run_tasks
 from becalm.fleet.job import Job, Sensor
 from becalm.fleet.lake import FILE, FOLDER, places_in
 from becalm.fleet.outcome import Outcome
 from becalm.fleet.output_lock import alone_at
-from becalm.fleet.sensor_task import all_died
+from becalm.fleet.sensor_cleaning import all_died
+from becalm.fleet.spark_tasks import run_tasks
 from becalm.fleet.tuning.classes import MOST_SENSORS, Chosen, TunedClass, chosen_of
 from becalm.fleet.tuning.sensor import judge_sensor, tune_sensor
 from becalm.fleet.tuning.written import REPORT, book_of, named_recipes, refuse_recipes, write_found
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 _LOCK = ".lock"
 
 Run = Callable[[Callable[[Any], Any], Sequence[Any]], list[Any]]
-"""Does some work for each of several tasks, and returns what was told in their order, as `fleet.engine.run_tasks`."""
+"""Run one function for each of several tasks; return the results in their order, as `fleet.spark_tasks.run_tasks`."""
 
 
 class LakeTuningOptions(NamedTuple):

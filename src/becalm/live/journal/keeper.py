@@ -13,11 +13,11 @@ from becalm.live.address import Address
 from becalm.live.block import Checkpoint, Head, Loss, Output
 from becalm.live.journal.database import NAME, connect, get, put, reading, transaction, writing
 from becalm.live.journal.mark import Mark, MarkFile, locked
-from becalm.live.journal.packing import by_period, joined, packed
 from becalm.live.journal.recording import give_up, record, remove_leftovers, remove_rolled
 from becalm.live.journal.records import BlockRow, HeadRow, LossRow, RollRow
 from becalm.live.journal.roller import Roller
 from becalm.live.journal.rolling import MOST_BYTES, Rolled
+from becalm.live.journal.row_bytes import by_period, joined, packed
 from becalm.live.journal.salvage import mend
 from becalm.live.tables import column_names
 

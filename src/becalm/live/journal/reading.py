@@ -18,8 +18,8 @@ from becalm.files.tables import VERDICT, in_words
 from becalm.live.block import Checkpoint, Head
 from becalm.live.closing import Closing
 from becalm.live.journal.database import NAME, JournalError, connect_reading, get, reading, rolled_blocks
-from becalm.live.journal.packing import unpacked
 from becalm.live.journal.records import BlockRow, HeadRow, HoleRow, LossRow, RollRow
+from becalm.live.journal.row_bytes import unpacked
 from becalm.live.tables import ROW, TIME, output_table, table_schema
 
 _BATCH_ROWS = 1 << 16

@@ -21,8 +21,8 @@ from becalm.files.roles import SIGMA
 from becalm.files.tables import VERDICT
 from becalm.live.block import Head, Output
 from becalm.live.journal.database import BrokenSealError, get
-from becalm.live.journal.packing import unpacked
 from becalm.live.journal.records import BlockRow, HeadRow, HoleRow, RollRow
+from becalm.live.journal.row_bytes import unpacked
 from becalm.live.tables import output_table, table_schema
 
 FIRST_ROW, END_ROW = b"becalm.first_row", b"becalm.end_row"

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from becalm.core.arrays import Floats
+from becalm.core.health.held_readings import repeats_readings
 from becalm.core.health.limits import find_limits, find_resolution
-from becalm.core.health.repeated_readings import repeats_readings
 from becalm.native.scans import EVERY_REPEAT
 
 ROWS = 12000
