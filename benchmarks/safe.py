@@ -145,9 +145,17 @@ def run_all(todo: Sequence[Task], jobs: int) -> Iterator[list[Result]]:
 
 
 def kept(todo: Sequence[Task], jobs: int, keep: Path | None) -> list[Result]:
-    """Run tasks; with a file to keep results in, those that are in it already are not run again."""
+    """Run tasks, and return their results in the order of the tasks, whichever process ends first.
+
+    With a file to keep results in, tasks whose results are in it are not run again.
+    """
+    place = {task[:3]: number for number, task in enumerate(todo)}
+
+    def of_task(one: Result) -> int:
+        return place.get((one.signal, one.path, one.estimate), len(todo))
+
     if keep is None:
-        return [one for results in run_all(todo, jobs) for one in results]
+        return sorted((one for results in run_all(todo, jobs) for one in results), key=of_task)
     lines = keep.read_text(encoding="utf-8").splitlines() if keep.exists() else []
     found = [Result(*json.loads(line)) for line in lines]
     done = {(one.signal, one.path, one.estimate) for one in found}
@@ -156,7 +164,7 @@ def kept(todo: Sequence[Task], jobs: int, keep: Path | None) -> list[Result]:
             file.writelines(f"{json.dumps(one)}\n" for one in results)
             file.flush()
             found += results
-    return found
+    return sorted(found, key=of_task)
 
 
 def chosen(words: argparse.Namespace) -> list[Task]:
