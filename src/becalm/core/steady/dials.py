@@ -19,13 +19,8 @@ from becalm.core.steady.steady_gain import steady
 from becalm.core.steady.step_response import lag_steps
 from becalm.errors import UsageError
 
-_SLOWEST = {
-    1: 1e-6,
-    2: 1e-6,
-    3: 3e-6,
-    4: 1e-4,
-    5: 1e-4,
-}  # cut-off in radians per step; below it rounding dominates
+# lowest cut-off in radians per step, by order; below it rounding dominates
+_SLOWEST = {1: 1e-6, 2: 1e-6, 3: 3e-6, 4: 1e-4, 5: 1e-4}
 _FASTEST = 1e12  # q/r; above it the filter passes every reading unchanged
 _PRECISION = 1e-12  # tolerance for the logarithm of the cut-off
 _HALF = np.sqrt(0.5) / (1 - np.sqrt(0.5))  # S/R at which the smoother S / (S + R) passes half of the power
