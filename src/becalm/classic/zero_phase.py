@@ -109,8 +109,8 @@ def whittaker(z: Floats, cutoff: float, order: int = 2) -> Floats:
     -----
     Whittaker, Proceedings of the Edinburgh Mathematical Society 41 (1923) 63; Eilers, Analytical Chemistry 75 (2003)
     3631. It is the smoother of an integrated random walk of that order with q/r = 1/lambda. The equations are solved
-    for the part to remove, D' (D D' + 1/lambda)^-1 D z, which is exactly 0 for a polynomial of lower degree than the order.
-    lambda is at most 1e13: order 2 has a cut-off of at least 9e-5 cycles per sample, order 3 of at least 1e-3.
+    for the part to remove, D' (D D' + 1/lambda)^-1 D z, which is exactly 0 for a polynomial of lower degree than the
+    order. lambda is at most 1e13: order 2 has a cut-off of at least 9e-5 cycles per sample, order 3 of at least 1e-3.
     """
     differences = np.diff(z, order)
     if not len(differences):
