@@ -9,16 +9,16 @@ from becalm.core.arrays import Floats
 
 def held(z: Floats) -> Floats:
     """Return readings (N,) with NaN replaced by the last reading before, and at the start by the first reading."""
-    known = np.flatnonzero(np.isfinite(z))
-    if len(known) == len(z) or not len(known):
+    finite = np.flatnonzero(np.isfinite(z))
+    if len(finite) == len(z) or not len(finite):
         return z
-    latest = np.searchsorted(known, np.arange(len(z)), side="right") - 1
-    return np.asarray(z[known[np.maximum(latest, 0)]])
+    latest = np.searchsorted(finite, np.arange(len(z)), side="right") - 1
+    return np.asarray(z[finite[np.maximum(latest, 0)]])
 
 
 def joined_by_lines(z: Floats) -> Floats:
     """Return readings (N,) with NaN replaced by linear interpolation, and at the ends by the nearest reading."""
-    known = np.flatnonzero(np.isfinite(z))
-    if len(known) == len(z) or not len(known):
+    finite = np.flatnonzero(np.isfinite(z))
+    if len(finite) == len(z) or not len(finite):
         return z
-    return np.interp(np.arange(len(z)), known, z[known])
+    return np.interp(np.arange(len(z)), finite, z[finite])

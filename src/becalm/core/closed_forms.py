@@ -108,9 +108,9 @@ def autoregressive_power(coefficients: Sequence[float] | Floats, innovation_vari
     -----
     The power is the variance of w over |1 - sum phi_l exp(-i w l)|^2.
     """
-    late = np.arange(1, len(coefficients) + 1)
-    left = 1 - np.exp(-1j * np.outer(angle, late)) @ np.asarray(coefficients)
-    power: Floats = innovation_variance / np.abs(left) ** 2
+    lags = np.arange(1, len(coefficients) + 1)
+    denominator = 1 - np.exp(-1j * np.outer(angle, lags)) @ np.asarray(coefficients)
+    power: Floats = innovation_variance / np.abs(denominator) ** 2
     return power
 
 

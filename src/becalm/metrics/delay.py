@@ -18,8 +18,8 @@ def lag_of(signal: Floats, truth: Floats) -> float:
     """
     from scipy.fft import irfft, next_fast_len, rfft
 
-    known = np.isfinite(signal) & np.isfinite(truth)
-    a, b = (np.where(known, values - values[known].mean(), 0.0) for values in (signal, truth))
+    finite = np.isfinite(signal) & np.isfinite(truth)
+    a, b = (np.where(finite, values - values[finite].mean(), 0.0) for values in (signal, truth))
     if not (np.ptp(a) > 0 and np.ptp(b) > 0):
         return np.nan
     size, most = next_fast_len(2 * len(a)), len(a) // 2
@@ -36,10 +36,10 @@ def lag_of(signal: Floats, truth: Floats) -> float:
     return float(lags[best]) + (0.5 * float(before - after) / float(curvature) if curvature > 0 else 0.0)
 
 
-def _sums(values: Floats, first: Integers, left: Integers) -> Floats:
-    """Return sums of squares without the `first` and the last `left` values."""
+def _sums(values: Floats, first: Integers, last: Integers) -> Floats:
+    """Return sums of squares without the first `first` and the last `last` values."""
     sums = np.concatenate([[0.0], np.cumsum(values**2)])
-    return np.asarray(sums[len(values) - left] - sums[first])
+    return np.asarray(sums[len(values) - last] - sums[first])
 
 
 class Followed(NamedTuple):

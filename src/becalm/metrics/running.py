@@ -41,8 +41,8 @@ class Running(Generic[Sums]):
         with np.errstate(over="ignore", invalid="ignore"):
             for start in range(0, len(values), PIECE):
                 part = values[start : start + PIECE]
-                known = np.isfinite(part)
-                self._take(part if known.all() else part[known])
+                finite = np.isfinite(part)
+                self._take(part if finite.all() else part[finite])
 
     def sums(self) -> Sums:
         """Return the sums of all values so far; more may follow."""
@@ -56,10 +56,10 @@ class Running(Generic[Sums]):
         if len(part) == PIECE and not self._held:
             self._sums = self._extended(self._sums, part)
             return
-        fitting, left = part[: PIECE - self._held], part[PIECE - self._held :]
+        fitting, excess = part[: PIECE - self._held], part[PIECE - self._held :]
         self._rest[self._held : self._held + len(fitting)] = fitting
         self._held += len(fitting)
         if self._held == PIECE:
             self._sums = self._extended(self._sums, self._rest)
-            self._rest[: len(left)] = left
-            self._held = len(left)
+            self._rest[: len(excess)] = excess
+            self._held = len(excess)

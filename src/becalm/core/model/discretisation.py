@@ -96,13 +96,14 @@ def repeat(one: Recursion, steps_s: Floats) -> tuple[Floats, Floats]:
             f"Noise with a step of {one.step_s:.6g} s cannot be computed over {steps_s[invalid][0]:.6g} s, which is "
             "not a whole number of steps. Give readings in even time, or use gauss_markov, which allows any time."
         )
-    left = counts.astype(np.int64)
-    F, Q = np.broadcast_to(np.eye(len(one.F)), (len(left), *one.F.shape)).copy(), np.zeros((len(left), *one.Q.shape))
+    remaining = counts.astype(np.int64)
+    F = np.broadcast_to(np.eye(len(one.F)), (len(counts), *one.F.shape)).copy()
+    Q = np.zeros((len(counts), *one.Q.shape))
     power, noise = one.F, one.Q
-    while left.any():
-        odd = left % 2 == 1
+    while remaining.any():
+        odd = remaining % 2 == 1
         F[odd], Q[odd] = power @ F[odd], power @ Q[odd] @ power.T + noise
-        power, noise, left = power @ power, power @ noise @ power.T + noise, left // 2
+        power, noise, remaining = power @ power, power @ noise @ power.T + noise, remaining // 2
     return F, (Q + np.swapaxes(Q, 1, 2)) / 2
 
 

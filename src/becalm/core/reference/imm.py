@@ -114,13 +114,13 @@ def update(before: Beliefs, bank: Bank, z: float) -> Row:
     expected = before.mu @ (before.x @ H)
     spread = before.mu @ (S + (before.x @ H - expected) ** 2)
     after = Beliefs(np.array([x for x, _ in parts]), np.array([P for _, P in parts]), mu)
-    said = reading_says(after, bank, z, w / R)
-    fit = np.array([evidence(before.x[j], before.P[j], said, j) for j in range(len(R))])
-    said = said._replace(g=np.log(likelihood) - fit)  # makes its evidence equal to the likelihood of the reading
+    outlook = reading_says(after, bank, z, w / R)
+    fit = np.array([evidence(before.x[j], before.P[j], outlook, j) for j in range(len(R))])
+    outlook = outlook._replace(g=np.log(likelihood) - fit)  # makes its evidence equal to the likelihood of the reading
     below, above = (float(before.mu @ foretold(side * nu, S, V, tail)) for side in (1, -1))
     score = float(ndtri(below)) if below < above else -float(ndtri(above))
     judged = float(mu @ (wild / likelihood)), score * float(spread**0.5), float(spread**0.5)
-    return Row(after, said, float(np.log(total)), *judged)
+    return Row(after, outlook, float(np.log(total)), *judged)
 
 
 def foretold(nu: Floats, S: Floats, V: float, tail: Floats) -> Floats:
@@ -131,7 +131,7 @@ def foretold(nu: Floats, S: Floats, V: float, tail: Floats) -> Floats:
 
 
 def corrected(one: tuple[Floats, Floats], sensor: tuple[Floats, float], z: float, w: float) -> tuple[Floats, Floats]:
-    """Return the posterior of one mode after a reading that is tame with probability w."""
+    """Return the posterior of one mode after a reading that is used with probability w."""
     x, P = one
     H, R = sensor
     K = P @ H / (H @ P @ H + R)
@@ -176,7 +176,7 @@ def _no_information(now: Beliefs) -> Outlook:
 
 
 def reading_says(after: Beliefs, bank: Bank, z: float, W: Floats) -> Outlook:
-    """Return the likelihood of a reading with weights W (M,), 1 / R for a tame one, about the posterior mean."""
+    """Return the likelihood of a reading with weights W (M,), 1 / R if it is used, about the posterior mean."""
     H = bank.H[0]
     r = np.array([H * own * (z - H @ x) for own, x in zip(W, after.x, strict=True)])
     Y = np.array([np.outer(H, H) * own for own in W])
@@ -218,13 +218,13 @@ def smooth(bank: Bank, rows: list[Row], steps: Steps) -> list[Beliefs]:
     smoothed: list[Beliefs] = []
     ahead: Outlook | None = None
     for k in range(len(rows) - 1, -1, -1):
-        now, said = rows[k].beliefs, rows[k].said
+        now, outlook = rows[k].beliefs, rows[k].said
         if ahead is None or steps[k + 1] < 0 or np.isnan(now.mu[0]):
             own, pooled = now, _no_information(now)
         else:
             own, pooled = smooth_row(now, modes_over(bank, steps[k + 1]), ahead)
         smoothed.append(own)
-        ahead = Outlook(now.x, pooled.r + said.r, pooled.Y + said.Y, pooled.g + said.g)  # (9)
+        ahead = Outlook(now.x, pooled.r + outlook.r, pooled.Y + outlook.Y, pooled.g + outlook.g)  # (9)
     return smoothed[::-1]
 
 
@@ -234,15 +234,15 @@ def smooth_row(now: Beliefs, modes: Modes, ahead: Outlook) -> tuple[Beliefs, Out
     fit = np.array([own for *_, own in parts]) + np.log(now.mu)
     mu = np.exp(fit - fit.max())
     x, P = (np.array(arrays) for arrays in list(zip(*parts, strict=True))[:2])
-    pooled = Outlook(*(np.array(arrays) for arrays in zip(*(said for _, _, said, _ in parts), strict=True)))
+    pooled = Outlook(*(np.array(arrays) for arrays in zip(*(outlook for _, _, outlook, _ in parts), strict=True)))
     return Beliefs(x, P, np.maximum(mu / mu.sum(), _UNLIKELY)), pooled
 
 
 def smooth_mode(now: Beliefs, modes: Modes, ahead: Outlook, j: int) -> tuple[Floats, Floats, Outlook, Any]:
     """Return mean and covariance of mode j, and the likelihood of later readings: as a function, and its value."""
     x, P, n, count = now.x[j], now.P[j], now.x.shape[1], len(now.mu)
-    said = [before_step(modes.F[i], modes.Q[i], x, ahead, i) for i in range(count)]
-    every = Outlook(*(np.array(arrays) for arrays in zip(*said, strict=True)))
+    outlooks = [before_step(modes.F[i], modes.Q[i], x, ahead, i) for i in range(count)]
+    every = Outlook(*(np.array(arrays) for arrays in zip(*outlooks, strict=True)))
     fit = np.array([evidence(x, P, every, i) for i in range(count)])
     fit += np.log(np.maximum(now.mu[j] * modes.T[j], _UNLIKELY**2)) - np.log(now.mu[j])
     weight = np.exp(fit - fit.max())

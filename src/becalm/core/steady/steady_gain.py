@@ -114,6 +114,6 @@ def _observed_part(model: Model, row: Floats) -> tuple[Model, Floats]:
         raise ModelError("The output depends on a state that no reading determines; use observed states only.")
     if hidden.shape[1] == model.states:
         raise ModelError("H is 0, so no reading depends on the state; give H at least one number that is not 0.")
-    seen = np.linalg.svd(hidden)[0][:, hidden.shape[1] :]
-    Q = seen.T @ model.process_covariance @ seen
-    return Model(F=seen.T @ model.F @ seen, H=model.H @ seen, Q=(Q + Q.T) / 2, R=model.R), row @ seen
+    observed = np.linalg.svd(hidden)[0][:, hidden.shape[1] :]
+    Q = observed.T @ model.process_covariance @ observed
+    return Model(F=observed.T @ model.F @ observed, H=model.H @ observed, Q=(Q + Q.T) / 2, R=model.R), row @ observed

@@ -41,9 +41,9 @@ def lag_steps(found: SteadyFilter) -> float:
     return transient.delay_for_good(0.5) if _has_tones(found) else max(found.dc_delay, transient.delay(0.5))
 
 
-def _has_tones(found: SteadyFilter) -> bool:
+def _has_tones(steady_filter: SteadyFilter) -> bool:
     """Return whether the model oscillates; the eigenvalues of a motion are 1."""
-    return bool(np.abs(np.linalg.eigvals(found.model.F).imag).max() > _TONE)
+    return bool(np.abs(np.linalg.eigvals(steady_filter.model.F).imag).max() > _TONE)
 
 
 class _Transient(NamedTuple):
@@ -67,17 +67,17 @@ class _Transient(NamedTuple):
         return float(self.k[i - 1] + share * (self.k[i] - self.k[i - 1]) + 1 - level)
 
 
-def _transient(found: SteadyFilter) -> _Transient:
-    A, K = found.loop.A, found.loop.K
+def _transient(steady_filter: SteadyFilter) -> _Transient:
+    A, K = steady_filter.loop.A, steady_filter.loop.K
     x = np.linalg.solve(np.eye(len(A)) - A, K).astype(np.float64)  # states after the transient
-    slowest = max(float(np.abs(found.poles[0])), 0.1)
+    slowest = max(float(np.abs(steady_filter.poles[0])), 0.1)
     total = len(A) + int(np.log(_LAST) / np.log(slowest))
     stride = max(1, -(-(total - _LOOKS) // _LOOKS))
     power = np.linalg.matrix_power
     later = (power(A, _LOOKS) @ x).astype(np.float64)
     orbit = np.hstack([_orbit(A, x, _LOOKS), _orbit(power(A, stride), later, _LOOKS)])
     k = np.append(np.arange(_LOOKS), _LOOKS + stride * np.arange(_LOOKS)).astype(np.float64) - 1
-    remaining: Floats = (found.row @ orbit)[0] / (found.row @ x)[0]
+    remaining: Floats = (steady_filter.row @ orbit)[0] / (steady_filter.row @ x)[0]
     return _Transient(k, remaining)
 
 

@@ -102,22 +102,22 @@ class Clock:
         TimeError
             If a stamp is missing, time goes backwards, or too few stamps differ for a rate.
         """
-        seen = _summarise(count, blocks)
-        offsets, gaps, repeats = _offsets(seen, blocks)
-        near = seen.step + offsets.mean
-        tolerance = max(_ROUNDING * seen.digit, _FLOAT_ERROR * seen.step) + 2 * np.spacing(
-            max(abs(seen.first), abs(seen.last))
+        summary = _summarise(count, blocks)
+        offsets, gaps, repeats = _offsets(summary, blocks)
+        near = summary.step + offsets.mean
+        tolerance = max(_ROUNDING * summary.digit, _FLOAT_ERROR * summary.step) + 2 * np.spacing(
+            max(abs(summary.first), abs(summary.last))
         )
-        line = _fit(near, seen, blocks)
+        line = _fit(near, summary, blocks)
         if line is not None:
-            residual, worst = _residual(line, near, seen, blocks)
+            residual, worst = _residual(line, near, summary, blocks)
             if worst <= tolerance:
                 step = _twelve_digits(near + line.slope)
-                values = (residual.std, near, step * line.length, line.gaps, 0, seen.digit)
-                return cls(count, step, seen.first, True, *values)
+                values = (residual.std, near, step * line.length, line.gaps, 0, summary.digit)
+                return cls(count, step, summary.first, True, *values)
         jitter = offsets.std / np.sqrt(2)
-        values = (jitter, seen.step, seen.last - seen.first, gaps, repeats, seen.digit)
-        return cls(count, seen.step, seen.first, False, *values)
+        values = (jitter, summary.step, summary.last - summary.first, gaps, repeats, summary.digit)
+        return cls(count, summary.step, summary.first, False, *values)
 
     @property
     def rate_hz(self) -> float:
@@ -182,7 +182,7 @@ def _summarise(count: int, blocks: Blocks) -> _Summary:
     if count < 2:
         rows = "One row has" if count else "0 rows have"
         raise TimeError(f"{rows} no rate; two or more are needed. Give a rate: --rate HZ, or rate_hz=.")
-    seen, some = Thinned(count - 1), []
+    thinned, samples = Thinned(count - 1), []
     first, last, row, every = np.nan, np.nan, 0, max(1, count // 1000)
     with np.errstate(invalid="ignore"):
         for stamps, distances in _walk(blocks):
@@ -191,13 +191,13 @@ def _summarise(count: int, blocks: Blocks) -> _Summary:
             last = float(stamps[-1])
             if not (np.isfinite(last) and distances.min(initial=0.0) >= 0.0):  # NaN fails
                 _refuse(blocks)
-            some.append(stamps[-row % every :: every].copy())  # a view would keep the block
-            seen.add(distances)
+            samples.append(stamps[-row % every :: every].copy())  # a view would keep the block
+            thinned.add(distances)
             row += len(stamps)
-    step = float(np.median(seen.values))
+    step = float(np.median(thinned.values))
     if not (np.isfinite(first) and step > 0):
         _refuse(blocks)
-    return _Summary(step, first, last, last_digit(np.concatenate(some)))
+    return _Summary(step, first, last, last_digit(np.concatenate(samples)))
 
 
 def _refuse(blocks: Blocks) -> None:
@@ -224,19 +224,19 @@ def _first(where: Booleans) -> int:
     return int(np.flatnonzero(where)[0])
 
 
-def _offsets(seen: _Summary, blocks: Blocks) -> tuple[Moments, int, int]:
+def _offsets(summary: _Summary, blocks: Blocks) -> tuple[Moments, int, int]:
     """Return the moments of the steps without gaps about the median step, and the counts of gaps and repeats."""
     offsets, gaps, repeats = Moments(), 0, 0
     for _, distances in _walk(blocks):
-        steps = distances / seen.step
+        steps = distances / summary.step
         far = steps > GAP_STEPS
         gaps += int(np.count_nonzero(far))
         repeats += int(len(distances) - np.count_nonzero(distances))
-        offsets.add((distances if not far.any() else distances[~far]) - seen.step)
+        offsets.add((distances if not far.any() else distances[~far]) - summary.step)
     return offsets, gaps, repeats
 
 
-def _grid(near: float, seen: _Summary, blocks: Blocks) -> Iterator[tuple[Floats, Floats, Floats]]:
+def _grid(near: float, summary: _Summary, blocks: Blocks) -> Iterator[tuple[Floats, Floats, Floats]]:
     """Yield whole steps, their running sum (the grid), and the offsets of the stamps from the grid."""
     at = 0.0
     for stamps, distances in _walk(blocks):
@@ -246,13 +246,13 @@ def _grid(near: float, seen: _Summary, blocks: Blocks) -> Iterator[tuple[Floats,
         np.cumsum(steps, out=grid[len(stamps) - len(steps) :])
         grid += at
         at = float(grid[-1])
-        yield steps, grid, (stamps - seen.first) - near * grid
+        yield steps, grid, (stamps - summary.first) - near * grid
 
 
-def _fit(near: float, seen: _Summary, blocks: Blocks) -> _Line | None:
+def _fit(near: float, summary: _Summary, blocks: Blocks) -> _Line | None:
     """Fit a line through the stamps over their grid; return None if a step rounds to less than one."""
     sums, gaps, end = Moments(), 0, 0.0
-    for steps, grid, offset in _grid(near, seen, blocks):
+    for steps, grid, offset in _grid(near, summary, blocks):
         if steps.min(initial=1.0) < 1:
             return None
         gaps += int(np.count_nonzero(steps > GAP_STEPS))
@@ -261,9 +261,9 @@ def _fit(near: float, seen: _Summary, blocks: Blocks) -> _Line | None:
     return _Line(sums.product / sums.scatter, sums.mean, sums.other, end, gaps)
 
 
-def _residual(line: _Line, near: float, seen: _Summary, blocks: Blocks) -> tuple[Moments, float]:
+def _residual(line: _Line, near: float, summary: _Summary, blocks: Blocks) -> tuple[Moments, float]:
     residuals, worst = Moments(), 0.0
-    for _, grid, offset in _grid(near, seen, blocks):
+    for _, grid, offset in _grid(near, summary, blocks):
         residual = (offset - line.residual) - line.slope * (grid - line.at)
         worst = max(worst, float(np.abs(residual).max()))
         residuals.add(residual)

@@ -138,22 +138,22 @@ def _offsets(blocks: Blocks, start: float, step: float) -> Iterator[tuple[Floats
 
 
 def _jitter(blocks: Blocks, line: _Line) -> Grid | None:
-    about, products, farthest = Moments(), np.zeros(_LAGS + 1), 0.0
+    deviations, products, farthest = Moments(), np.zeros(_LAGS + 1), 0.0
     tail = np.empty(0)
     for _, offsets in _offsets(blocks, line.start, line.step):
         farthest = max(farthest, float(np.abs(offsets).max()))
         if not farthest <= _FARTHEST * line.step:
             return None
-        about.add(offsets)
+        deviations.add(offsets)
         joined = np.concatenate([tail, offsets])
         for lag in range(min(_LAGS + 1, len(joined))):
             products[lag] += float(joined[max(0, len(tail) - lag) : len(joined) - lag] @ joined[max(len(tail), lag) :])
         tail = joined[-_LAGS:]
-    white = max(_CORRELATED, 4.0 / np.sqrt(about.count)) * products[0]
-    fits = _LEAST_JITTER * line.step <= about.std <= _MOST_JITTER * line.step
+    white = max(_CORRELATED, 4.0 / np.sqrt(deviations.count)) * products[0]
+    fits = _LEAST_JITTER * line.step <= deviations.std <= _MOST_JITTER * line.step
     if not fits or not np.all(np.abs(products[1:]) <= white):
         return None
-    return Grid(JITTER, line.start, line.step, about.std)
+    return Grid(JITTER, line.start, line.step, deviations.std)
 
 
 class _Bursts:
@@ -243,20 +243,20 @@ def _lower_hull(x: Floats, y: Floats) -> Integers:
     return np.array(hull)
 
 
-def _bursts(count: int, blocks: Blocks, seen: _Bursts) -> Grid | None:
-    line = seen.below()
-    about, again, least = Moments(), _Bursts(0.0, seen.mean), np.full(_PARTS, np.inf)
+def _bursts(count: int, blocks: Blocks, bursts: _Bursts) -> Grid | None:
+    line = bursts.below()
+    deviations, splitter, least = Moments(), _Bursts(0.0, bursts.mean), np.full(_PARTS, np.inf)
     steps, before = Thinned(count), 0.0
     for rows, offsets in _offsets(blocks, line.start, line.step):
         stamps = offsets + line.step * rows
         steps.add(np.diff(stamps, prepend=before))
         before = float(stamps[-1])
-        ends, firsts = again.parted(rows, stamps)
+        ends, firsts = splitter.parted(rows, stamps)
         late = (firsts - line.step * ends) / line.step
         if not late.max(initial=0.0) <= _LATEST:
             return None
         np.minimum.at(least, (ends * _PARTS / count).astype(np.int64), late)
-        about.add(offsets)
-    if not np.all(least <= _TOUCHING) or rows_lost_between(steps.values[1:], _APART * seen.mean):
+        deviations.add(offsets)
+    if not np.all(least <= _TOUCHING) or rows_lost_between(steps.values[1:], _APART * bursts.mean):
         return None
-    return Grid(BURSTS, line.start, line.step, about.std)
+    return Grid(BURSTS, line.start, line.step, deviations.std)
