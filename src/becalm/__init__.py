@@ -1,7 +1,7 @@
-"""becalm: makes noisy sensor signals calm.
+"""Remove the noise from sensor signals.
 
-A recording goes in; the signal comes out with a standard uncertainty per sample, by a Kalman filter
-that becalm identified, chose and tuned by itself::
+becalm takes a recording and returns the signal with a standard uncertainty per sample. It uses a Kalman filter whose
+model and noise variances it identifies from the recording::
 
     recording = becalm.read("drive.csv")
     out = becalm.clean(recording)
@@ -41,7 +41,7 @@ __all__ = [
     "write",
 ]
 
-_HOMES = {
+_MODULES = {
     "Model": "becalm.core.model.model",
     "Online": "becalm.core.online",
     "Recipe": "becalm.cleaning.recipe",
@@ -57,11 +57,11 @@ _HOMES = {
 
 
 def __getattr__(name: str) -> object:
-    """Load a public name when it is first asked for, so that `import becalm` stays light."""
+    """Import a public name on its first use, so that `import becalm` stays fast."""
     if name == "components":
         return import_module("becalm.core.model.components")
-    if name in _HOMES:
-        return getattr(import_module(_HOMES[name]), name)
+    if name in _MODULES:
+        return getattr(import_module(_MODULES[name]), name)
     raise AttributeError(f"module 'becalm' has no attribute {name!r}")
 
 

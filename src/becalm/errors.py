@@ -1,27 +1,27 @@
-"""The family of errors: each is a sentence with a way out, and knows its exit code."""
+"""The exceptions of becalm; each message says what to do, and each class has an exit code."""
 
 from __future__ import annotations
 
 NOT_DESCRIBED = 4
-"""Exit code where all was written, but a model does not describe its channel: a finding, and no error."""
+"""Exit code when all output was written, but a model does not describe its channel; this is not an error."""
 
 
 class BecalmError(Exception):
-    """Anything a person can mend; the message says what came, what was needed and what to type."""
+    """An error that the user can correct; the message says what came, what is needed and what to type."""
 
     exit_code = 2
 
 
 class UsageError(BecalmError):
-    """The command or call asks for something that cannot be done."""
+    """The arguments of a command or call are not valid."""
 
 
 class ModelError(UsageError, ValueError):
-    """A matrix of a model has the wrong shape or is not what its name promises."""
+    """A matrix of a model has the wrong shape or values that it cannot have."""
 
 
 class RecordingError(UsageError, ValueError):
-    """Samples, names, units or times do not make one recording."""
+    """Samples, names, units and times do not fit together."""
 
 
 class RecipeError(UsageError, ValueError):
@@ -29,11 +29,11 @@ class RecipeError(UsageError, ValueError):
 
 
 class SensorError(UsageError, ValueError):
-    """What is said of a sensor is impossible, cannot be read, or does not fit the readings."""
+    """The description of a sensor is impossible, cannot be read, or does not fit the readings."""
 
 
 class OutputError(UsageError):
-    """The output cannot be written; nothing was left behind."""
+    """The output cannot be written; no partial file remains."""
 
 
 class InputError(BecalmError):
@@ -43,4 +43,4 @@ class InputError(BecalmError):
 
 
 class TimeError(InputError, ValueError):
-    """The time column cannot serve as time."""
+    """The time column does not hold valid times."""

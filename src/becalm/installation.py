@@ -1,4 +1,4 @@
-"""Which becalm this is, how it starts another process of itself, and what it loads before threads."""
+"""The installed version of becalm, the environment for its subprocesses, and imports to do before threads start."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from importlib import metadata
 from pathlib import Path
 
 MODULE = (sys.executable, "-P", "-m")
-"""What runs a module: -P, for nothing in the folder where becalm was started is a part of it."""
+"""Command that runs a module in a subprocess; -P keeps the current folder out of the import path."""
 
 _SOURCES = Path(__file__).parents[1]
 
 
 @cache
 def version() -> str:
-    """Return becalm's version, "" where it is on the path and not installed."""
+    """Return the version of becalm; "" if becalm is on the path but not installed."""
     try:
         return metadata.version("becalm")
     except metadata.PackageNotFoundError:
@@ -24,11 +24,11 @@ def version() -> str:
 
 
 def load_scipy() -> None:
-    """Load what of SciPy its parts share, before threads load them: each would find what another has half loaded."""
+    """Import the shared parts of SciPy before threads do, because threads could see partly imported modules."""
     import scipy.optimize  # noqa: F401
 
 
 def environment() -> dict[str, str]:
-    """Return the environment in which another Python finds becalm where this one did."""
-    places = [str(_SOURCES), os.environ.get("PYTHONPATH", "")]
-    return os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, places))}
+    """Return the environment in which a subprocess imports becalm from the same place as this process."""
+    paths = [str(_SOURCES), os.environ.get("PYTHONPATH", "")]
+    return os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, paths))}

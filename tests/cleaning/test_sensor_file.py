@@ -185,7 +185,7 @@ MISTAKES = {
         "give either sensitivity_mv",
     ),
     "the other's bias": (TRIAXIAL + "sensitivity_mv = [1, 1, 1]\nbias = [1, 1, 1]", "give either sensitivity_mv"),
-    "axes alike": (TRIAXIAL + "correction = [[1, 0, 0], [1, 0, 0], [0, 0, 1]]", "axes that are alike"),
+    "axes alike": (TRIAXIAL + "correction = [[1, 0, 0], [1, 0, 0], [0, 0, 1]]", "parallel axes"),
 }
 
 

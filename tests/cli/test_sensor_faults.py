@@ -74,7 +74,7 @@ def test_each_fault_is_told_at_its_place(mode: list[str], faulty: Path, run: Run
     assert (fault["readings"], fault["first_row"]) == (STUCK.stop - from_row, from_row + 1)
     assert fault["found_within_s"] == pytest.approx(limits["stuck"]["stuck_readings"] / 100, rel=1e-3)
     assert "A stuck channel repeats its last reading" in ran.stderr
-    assert any("Clipped readings only say" in sentence for sentence in channels["clipped"]["advice"])
+    assert any("Clipped readings show only" in sentence for sentence in channels["clipped"]["advice"])
     assert not any(fault["what"] == "stuck" for fault in channels["healthy"]["faults"])
     sigma = np.array(table["stuck_sigma"])
     assert sigma[STUCK.stop - 150] > 2 * sigma[1000], "what is stuck is predicted across"

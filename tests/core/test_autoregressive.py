@@ -144,7 +144,7 @@ def test_lengths_are_whole_up_to_rounding() -> None:
     assert F[0, 0, 0] == pytest.approx(0.9**3, rel=1e-12)
     for wrong in (0.05, 0.1 * (3 + 1e-6), -0.1, np.inf, np.nan, 1e300):
         with pytest.raises(
-            ModelError, match=r"no whole number of steps\. Give readings in even time, or use gauss_markov"
+            ModelError, match=r"not a whole number of steps\. Give readings in even time, or use gauss_markov"
         ):
             component.over(np.array([wrong]))
 
@@ -157,12 +157,12 @@ def test_the_euler_form_is_refused() -> None:
 @pytest.mark.parametrize(
     ("given", "says"),
     [
-        (((),), r"remember nothing"),
-        (((0.0, 0.0),), r"remember nothing"),
-        (((1.0,),), r"do not fade"),
-        (((0.5, 0.5),), r"do not fade"),
-        (((-1.1,),), r"do not fade"),
-        (((2.1, -1.2, 0.3, 0.4),), r"do not fade"),
+        (((),), r"have no value but 0"),
+        (((0.0, 0.0),), r"have no value but 0"),
+        (((1.0,),), r"are not stationary"),
+        (((0.5, 0.5),), r"are not stationary"),
+        (((-1.1,),), r"are not stationary"),
+        (((2.1, -1.2, 0.3, 0.4),), r"are not stationary"),
         (((np.nan,),), r"finite numbers"),
         (((0.5, np.inf),), r"finite numbers"),
         ((0.9,), r"finite numbers"),

@@ -241,8 +241,8 @@ def test_noise_of_very_different_densities_keeps_its_digits() -> None:
         (lambda: tone("50"), "frequency_hz = '50' is not a frequency"),  # type: ignore[arg-type]
         (lambda: tone(1e308), "leave the range of float64"),
         (lambda: hum(None), "mains_hz = None is not a frequency"),  # type: ignore[arg-type]
-        (lambda: hum(50, 2.5), "harmonics = 2.5 is no number of tones"),  # type: ignore[arg-type]
-        (lambda: hum(50, True), "harmonics = True is no number of tones"),
+        (lambda: hum(50, 2.5), "harmonics = 2.5 is not a number of tones"),  # type: ignore[arg-type]
+        (lambda: hum(50, True), "harmonics = True is not a number of tones"),
         (lambda: gauss_markov(1.0, 1e200), "Gauss-Markov noise leave the range of float64"),
         (lambda: gauss_markov(1e-320), "Gauss-Markov noise leave the range of float64"),
         (lambda: gauss_markov(1.0, None), "std = None"),  # type: ignore[arg-type]

@@ -251,5 +251,5 @@ def test_what_is_impossible_is_said_with_what_is_possible() -> None:
         describe(level(0.0).to_model(1.0, 1.0), 1.0)
     with pytest.raises(ModelError, match="step_s = 0"):
         describe(level(1.0).to_model(1.0, 1.0), 0)
-    with pytest.raises(ModelError, match="H sees no state"):
+    with pytest.raises(ModelError, match="H is 0"):
         describe(Model(F=[[1]], H=[[0]], Q=[[1]], R=[[1]]), 1.0)

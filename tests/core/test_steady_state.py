@@ -161,6 +161,6 @@ def test_a_response_is_refused_where_there_is_none() -> None:
     two = Model(F=[[1]], H=[[1], [1]], Q=[[1]], R=np.eye(2))
     exact = Model(F=[[1]], H=[[1]], Q=[[1]], R=[[0]], x0=[0], P0=[[1]])
     constant = Model(F=[[1]], H=[[1]], Q=[[0]], R=[[1]])
-    for model, word in ((two, "this model has 2"), (exact, "R = 0"), (constant, "never forgets its start")):
+    for model, word in ((two, "this model has 2"), (exact, "R = 0"), (constant, "no steady state")):
         with pytest.raises(ModelError, match=word):
             describe(model, 1.0)

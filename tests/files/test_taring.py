@@ -194,7 +194,7 @@ def test_what_no_sensor_gives_is_not_in_the_zero(wild: float, tmp_path: Path) ->
 
 QUIET = "The zero of 'pull' cannot be taken from 1 s to 3 s, as its tare says: "
 REFUSED = {
-    "a drift": (NOISY + 0.01 * T, QUIET + "The stretch is not quiet: it wanders by"),
+    "a drift": (NOISY + 0.01 * T, QUIET + "The stretch is not quiet: it drifts by"),
     "a knock": (NOISY + np.where(np.abs(T - 2) < 0.1, np.sin(200 * T), 0.0), QUIET + "The stretch is not quiet"),
     "nothing there": (np.where((T > 0.5) & (T < 3.5), np.nan, NOISY), QUIET + "The stretch has 0 readings"),
     "no noise": (np.full(ROWS, 0.5), QUIET + "All 200 readings of the stretch are 0.5 mV.*give zero_uncertainty, in N"),

@@ -111,7 +111,7 @@ def test_a_shunt_simulates_what_its_resistors_say() -> None:
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        ({"configuration": "half III"}, "is no bridge"),
+        ({"configuration": "half III"}, "is not a bridge"),
         ({"configuration": "full III"}, "give poisson_ratio"),
         ({"gauge_factor": 0.0}, "gauge_factor = 0.0 is not a positive number"),
         ({"gauge_factor": True}, "gauge_factor"),

@@ -18,7 +18,7 @@ def test_load_is_the_share_of_the_rated_output() -> None:
 
 
 def test_an_impossible_cell_is_refused() -> None:
-    with pytest.raises(SensorError, match="tells no load"):
+    with pytest.raises(SensorError, match="gives no load"):
         LoadCell(0.0, 500.0)
     with pytest.raises(SensorError, match="capacity = -1"):
         LoadCell(2.0, -1.0)

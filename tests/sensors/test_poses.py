@@ -104,7 +104,7 @@ ALIKE = {
 
 @pytest.mark.parametrize("kind", ALIKE)
 def test_poses_too_alike_are_refused(kind: str) -> None:
-    with pytest.raises(SensorError, match="too alike"):
+    with pytest.raises(SensorError, match="too similar"):
         calibrate_by_length(rests(ALIKE[kind], UPPER, 0))
 
 
@@ -123,14 +123,14 @@ def test_too_few_rests_are_refused() -> None:
 
 def test_directions_that_do_not_turn_an_axis_are_refused() -> None:
     turned = np.vstack([FACES[[0, 1, 3, 4]], FACES[:2]])
-    with pytest.raises(SensorError, match="too alike"):
+    with pytest.raises(SensorError, match="too similar"):
         calibrate_by_direction(rests(turned, FULL, 0), turned)
 
 
 def test_a_dead_axis_is_refused() -> None:
     means, stds = rests(FACES, FULL, 0)
     means[:, 1] = means[:, 0]
-    with pytest.raises(SensorError, match="reads as another"):
+    with pytest.raises(SensorError, match="reads like another"):
         calibrate_by_direction(Rests(means, stds), FACES)
 
 

@@ -78,7 +78,7 @@ def test_a_sensor_is_due_on_its_day() -> None:
 
 
 def test_columns_that_do_not_fit_are_refused() -> None:
-    with pytest.raises(SensorError, match="channel 'z' is not there; there are x, y"):
+    with pytest.raises(SensorError, match="channel 'z' is missing; there are x, y"):
         applied(TRIAXIAL, {"x": np.zeros(2), "y": np.zeros(2)})
     with pytest.raises(SensorError, match="differ in length"):
         applied(TRIAXIAL, {"x": np.zeros(2), "y": np.zeros(2), "z": np.zeros(3)})
@@ -86,7 +86,7 @@ def test_columns_that_do_not_fit_are_refused() -> None:
 
 @pytest.mark.parametrize("coefficients", [(), (3.0,), (3.0, 0.0), (np.nan, 1.0), (0.0, 1.0, np.inf)])
 def test_a_curve_that_tells_nothing_is_refused(coefficients: tuple[float, ...]) -> None:
-    with pytest.raises(SensorError, match=r"tells nothing|not a finite"):
+    with pytest.raises(SensorError, match=r"coefficients after the first are 0|not a finite"):
         CalibrationCurve(coefficients)
 
 

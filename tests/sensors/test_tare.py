@@ -53,7 +53,7 @@ def test_what_is_not_quiet_is_refused(kind: str) -> None:
 
 
 def test_a_refusal_says_how_far_it_wanders() -> None:
-    with pytest.raises(SensorError, match=r"not quiet: it wanders by 0\.9.*, its noise is 1\."):
+    with pytest.raises(SensorError, match=r"not quiet: it drifts by 0\.9.*, its noise is 1\."):
         zero_of(noise(0) + UNQUIET["a drift"])
 
 

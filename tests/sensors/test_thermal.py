@@ -77,7 +77,7 @@ def test_where_the_temperature_is_missing_so_is_the_strain() -> None:
 @pytest.mark.parametrize(
     ("said", "sentence"),
     [
-        ({"output_um": LOT}, "give either temperature_degc, as 35.0, or temperature_channel"),
+        ({"output_um": LOT}, "give either temperature_degc, e.g. 35.0, or temperature_channel"),
         ({"constant_degc": 20.0, "channel": "T"}, "give either"),
         ({"output_um": (1.0,) * 6, "constant_degc": 20.0}, "1 to 5"),
         ({"percent_per_100_k": np.inf, "constant_degc": 20.0}, "percent_per_100_k = inf"),

@@ -1,1 +1,1 @@
-"""The honest competitors: what people use today."""
+"""Classic filters, for comparison with the Kalman filter."""

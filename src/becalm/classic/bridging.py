@@ -1,4 +1,4 @@
-"""Missing readings before a filter that knows none: the last one is held, or neighbours are joined by a line."""
+"""Fill missing readings for filters that do not allow them: hold the last reading, or interpolate linearly."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from becalm.core.arrays import Floats
 
 
 def held(z: Floats) -> Floats:
-    """Return readings (N,) with the last one held where there is none; before the first, the first."""
-    known = np.flatnonzero(np.isfinite(z))
-    if len(known) == len(z) or not len(known):
+    """Return readings (N,) with NaN replaced by the last reading before, and at the start by the first reading."""
+    finite = np.flatnonzero(np.isfinite(z))
+    if len(finite) == len(z) or not len(finite):
         return z
-    places = np.searchsorted(known, np.arange(len(z)), side="right") - 1
-    return np.asarray(z[known[np.maximum(places, 0)]])
+    latest = np.searchsorted(finite, np.arange(len(z)), side="right") - 1
+    return np.asarray(z[finite[np.maximum(latest, 0)]])
 
 
 def joined_by_lines(z: Floats) -> Floats:
-    """Return readings (N,) with neighbours joined by a line where there is none; before and after all, held."""
-    known = np.flatnonzero(np.isfinite(z))
-    if len(known) == len(z) or not len(known):
+    """Return readings (N,) with NaN replaced by linear interpolation, and at the ends by the nearest reading."""
+    finite = np.flatnonzero(np.isfinite(z))
+    if len(finite) == len(z) or not len(finite):
         return z
-    return np.interp(np.arange(len(z)), known, z[known])
+    return np.interp(np.arange(len(z)), finite, z[finite])

@@ -1,8 +1,8 @@
-"""Causal classic filters, which know no later reading: Butterworth, averages, median, fading memory, notch.
+"""Causal classic filters: Butterworth, averages, median, fading memory, notch.
 
-All take readings (N,) without gaps and a dial in cycles a sample, 0 to 0.5; a *small* cut-off smooths more and lags
-more. They start as if the first reading had always been there: what is linear filters what readings differ from it,
-so that a large offset costs no digits.
+All take readings (N,) without gaps and a cut-off in cycles per sample, 0 to 0.5; a *small* cut-off smooths more and
+lags more. They start as if all earlier readings were equal to the first. Linear filters work on the differences from
+the first reading, so that a large offset costs no digits.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from scipy.signal import butter, iirnotch, lfilter, sosfilt, tf2sos
 from becalm.core.arrays import Floats
 
 HALF_POWER = 0.443
-"""Cut-off times length of an average, in the limit of long ones: sinc(0.443) is -3 dB."""
+"""Cut-off times length of a long moving average: sinc(0.443) is -3 dB."""
 
 
 def butterworth(z: Floats, cutoff: float, order: int) -> Floats:
@@ -25,9 +25,9 @@ def butterworth(z: Floats, cutoff: float, order: int) -> Floats:
     z : (N,) float array
         Readings.
     cutoff : float
-        -3 dB frequency in cycles a sample, 0 to 0.5; a *small* one smooths more and lags more.
+        -3 dB frequency in cycles per sample, 0 to 0.5; a *small* one smooths more and lags more.
     order : int
-        1 or more.
+        Order, 1 or more.
     """
     sos = butter(order, 2 * cutoff, output="sos")
     filtered: Floats = sosfilt(sos, z - z[0]) + z[0]
@@ -35,7 +35,7 @@ def butterworth(z: Floats, cutoff: float, order: int) -> Floats:
 
 
 def moving_average(z: Floats, length: int) -> Floats:
-    """Average each reading of z (N,) with the `length` - 1 before it; at the start, with those there are."""
+    """Average each reading of z (N,) with the `length` - 1 readings before it, or with fewer at the start."""
     total = np.concatenate([[0.0], np.cumsum(z - z[0])])
     rows = np.arange(1, len(z) + 1)
     first = np.maximum(rows - length, 0)
@@ -44,9 +44,9 @@ def moving_average(z: Floats, length: int) -> Floats:
 
 
 def moving_median(z: Floats, length: int) -> Floats:
-    """Return the median of each reading of z (N,) and the `length` - 1 (even) before it; a *small* length trusts z."""
-    started = np.concatenate([np.full(length - 1, z[0]), z])
-    filtered: Floats = median_filter(started, length, origin=(length - 1) // 2, mode="nearest")[length - 1 :]
+    """Return the median of each reading of z (N,) and the `length` - 1 (even) before; a *small* length trusts z."""
+    padded = np.concatenate([np.full(length - 1, z[0]), z])
+    filtered: Floats = median_filter(padded, length, origin=(length - 1) // 2, mode="nearest")[length - 1 :]
     return filtered
 
 
@@ -58,30 +58,31 @@ def fading_memory(z: Floats, cutoff: float, order: int) -> Floats:
     z : (N,) float array
         Readings.
     cutoff : float
-        Of the poles, in cycles a sample: theta = exp(-2 pi cutoff); a *small* one smooths more and lags more.
+        Cut-off of the poles, in cycles per sample: theta = exp(-2 pi cutoff); a *small* one smooths more and lags
+        more.
     order : int
-        1 to 3: of the error of a polynomial of a lower degree nothing is left.
+        1 to 3; a polynomial of lower degree is followed without error.
 
     Notes
     -----
-    Critically damped: what is not followed is theta^n (1 - 1/z)^n / (1 - theta/z)^n. Source: Brookner, Tracking and
-    Kalman Filtering Made Easy (1998), chapter 1.
+    Critically damped; the error transfer function is theta^n (1 - 1/z)^n / (1 - theta/z)^n. Source: Brookner, Tracking
+    and Kalman Filtering Made Easy (1998), chapter 1.
     """
     theta = float(np.exp(-2 * np.pi * cutoff))
-    behind = np.poly(np.full(order, theta))
-    ahead = behind - theta**order * np.poly(np.ones(order))
-    filtered: Floats = lfilter(ahead, behind, z - z[0]) + z[0]
+    denominator = np.poly(np.full(order, theta))
+    numerator = denominator - theta**order * np.poly(np.ones(order))
+    filtered: Floats = lfilter(numerator, denominator, z - z[0]) + z[0]
     return filtered
 
 
 def notch(z: Floats, frequency: float, quality: float = 30.0) -> Floats:
-    """Take one frequency, in cycles a sample, out of z (N,); a *small* quality takes a wide band, and rings shortly."""
+    """Remove one frequency, in cycles per sample, from z (N,); a *small* quality removes a wide band and rings less."""
     sos = tf2sos(*iirnotch(2 * frequency, quality))
     filtered: Floats = sosfilt(sos, z - z[0]) + z[0]
     return filtered
 
 
 def length_of(cutoff: float, odd: bool = False) -> int:
-    """Return how many readings an average takes for a cut-off in cycles a sample; 1 at the least."""
+    """Return the length of a moving average with a cut-off in cycles per sample, in readings, at least 1."""
     length = HALF_POWER / cutoff
     return 2 * round((length - 1) / 2) + 1 if odd else max(1, round(length))

@@ -1,4 +1,4 @@
-"""The setting of a classic filter that is fair beside another filter: equal noise, equal lag, or best with truth."""
+"""Settings of classic filters for a fair comparison: equal noise, equal lag, or least error against a truth."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from becalm.core.arrays import Floats
 from becalm.metrics.delay import follow
 from becalm.metrics.truth import rms_error
 
-_LONG = 12.0  # over the cut-off: samples in which the slowest filter has settled
-_MOST = 1 << 21
-_DRAWS = 40  # times the settling, for what is not linear
-_PRECISION = 1e-4  # of a cut-off, in its logarithm
-_SHORTEST = 0.005  # periods of a cut-off in a record: with fewer, a dial changes nothing any more
-_NEAR = 0.02  # of the best cut-off
-_STRIDE = 0.7  # from one cut-off to a lower one, in its logarithm
-_GRID, _FEW = 120, 12  # cut-offs, before the best is looked for between them; of filters that learn, or are slow
+_LONG = 12.0  # settling time of the slowest filter in samples, times the cut-off
+_MOST = 1 << 21  # samples
+_DRAWS = 40  # random samples for a nonlinear filter, over its settling time
+_PRECISION = 1e-4  # of the logarithm of a cut-off
+_SHORTEST = 0.005  # cut-off in periods per record, below which a filter does not change any more
+_NEAR = 0.02  # tolerance of the logarithm of the best cut-off
+_STRIDE = 0.7  # step of the logarithm of the cut-off in the search for a bracket
+_GRID, _FEW = 120, 12  # cut-offs of the first search; the smaller number for filters without `calms`
 _SEED = 7
 
 
 def noise_gain(classic: Classic, cutoff: float) -> float:
-    """Return the variance of white noise after a filter over before, at a cut-off in cycles a sample."""
+    """Return the variance of white noise after a filter over that before, at a cut-off in cycles per sample."""
     count = _settling(cutoff)
     if classic.linear:
         impulse = np.zeros(2 * count + 1)
@@ -36,9 +36,9 @@ def noise_gain(classic: Classic, cutoff: float) -> float:
 
 
 def lag(classic: Classic, cutoff: float) -> float:
-    """Return how far the output trails, in samples: of a slow signal or of a step at half height, the longer delay.
+    """Return the lag of the output in samples: the delay of a ramp or of a step at half height, whichever is longer.
 
-    That is how the lag of a Kalman filter is told, see `becalm.core.steady.response.Response`.
+    `becalm.core.steady.response.Response` defines the lag of a Kalman filter in the same way.
     """
     if not classic.causal:
         return 0.0
@@ -50,44 +50,44 @@ def lag(classic: Classic, cutoff: float) -> float:
 
 
 def overshoot(classic: Classic, cutoff: float) -> float:
-    """Return by which share of its height a filter overshoots a step, at a cut-off in cycles a sample."""
+    """Return the overshoot of the step response over the height, at a cut-off in cycles per sample."""
     count = _settling(cutoff)
     return follow(classic.apply(np.repeat([0.0, 1.0], count), cutoff), count, 0.0, 1.0).overshoot
 
 
 def equal_noise(classic: Classic, gain: float) -> float:
-    """Return the cut-off, in cycles a sample, at which a filter leaves a share `gain` of the power of white noise."""
+    """Return the cut-off, in cycles per sample, at which the noise gain (a ratio of variances) is `gain`."""
     return _where(lambda cutoff: noise_gain(classic, cutoff) / gain)
 
 
 def equal_lag(classic: Classic, samples: float) -> float:
-    """Return the cut-off, in cycles a sample, at which a causal filter trails by so many samples."""
+    """Return the cut-off, in cycles per sample, at which a causal filter has a lag in samples."""
     return _where(lambda cutoff: samples / max(lag(classic, cutoff), 1e-12))
 
 
 class Best(NamedTuple):
-    """What errs least from a known truth."""
+    """The filter and setting with the least error against a known truth."""
 
     classic: Classic
-    cutoff: float  # in cycles a sample
+    cutoff: float  # in cycles per sample
     signal: Floats  # (N,)
     error: float  # root mean square, in unit
 
 
 def best_of(classics: Iterable[Classic], z: Floats, truth: Floats) -> Best:
-    """Return which of some filters, each in its best setting, errs least from a known truth (N,) of z (N,)."""
-    found = []
+    """Return the filter, in its best setting, with the least error against a known truth (N,) of z (N,)."""
+    candidates = []
     for classic in classics:
         cutoff = best_with_truth(classic, z, truth)
         signal = classic.clean(z, cutoff)
-        found.append(Best(classic, cutoff, signal, rms_error(signal, truth)))
-    return min(found, key=lambda best: best.error)
+        candidates.append(Best(classic, cutoff, signal, rms_error(signal, truth)))
+    return min(candidates, key=lambda best: best.error)
 
 
 def best_with_truth(classic: Classic, z: Floats, truth: Floats) -> float:
-    """Return the cut-off, in cycles a sample, at which a filter of z (N,) errs least from a known truth (N,).
+    """Return the cut-off, in cycles per sample, at which a filter of z (N,) has the least error against a truth (N,).
 
-    Of settings that err alike, as where a window cannot grow any more, the highest.
+    Of several cut-offs with the same error, e.g. because a window cannot grow any more, the highest is returned.
     """
 
     def error(log_cutoff: float) -> float:
@@ -97,8 +97,8 @@ def best_with_truth(classic: Classic, z: Floats, truth: Floats) -> float:
     grid = np.linspace(np.log(HIGHEST), np.log(lowest), _GRID if classic.calms else _FEW)
     best = int(np.argmin([error(each) for each in grid]))
     around = grid[min(best + 1, len(grid) - 1)], grid[max(best - 1, 0)]
-    found = minimize_scalar(error, bounds=around, method="bounded", options={"xatol": _NEAR})
-    return float(np.exp(min(grid[best], float(found.x), key=error)))
+    minimum = minimize_scalar(error, bounds=around, method="bounded", options={"xatol": _NEAR})
+    return float(np.exp(min(grid[best], float(minimum.x), key=error)))
 
 
 def _settling(cutoff: float) -> int:
@@ -106,14 +106,14 @@ def _settling(cutoff: float) -> int:
 
 
 def _where(ratio: Callable[[float], float]) -> float:
-    """Return the cut-off at which a ratio that grows with it passes 1, as near as the dial allows; or an end."""
+    """Return the cut-off at which a ratio that increases with it crosses 1, or the end of the range nearest to it."""
 
-    def off(log_cutoff: float) -> float:
+    def log_ratio(log_cutoff: float) -> float:
         return float(np.log(max(ratio(float(np.exp(log_cutoff))), 1e-300)))
 
     high = low = float(np.log(HIGHEST))
-    while off(low) > 0:  # slow filters take long to look at, so from the quickest on
+    while log_ratio(low) > 0:  # starts at the fastest filter, because slow filters take longer to evaluate
         high, low = low, low - _STRIDE
         if low < np.log(LOWEST):
             return LOWEST
-    return float(np.exp(bisect(off, low, high, xtol=_PRECISION) if low < high else high))
+    return float(np.exp(bisect(log_ratio, low, high, xtol=_PRECISION) if low < high else high))

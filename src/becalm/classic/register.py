@@ -1,4 +1,4 @@
-"""What people use today, each with one dial: the cut-off in cycles a sample; a *small* one smooths more."""
+"""A table of classic filters, each with one setting: the cut-off in cycles per sample; a *small* one smooths more."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from becalm.classic.zero_phase import (
 from becalm.core.arrays import Floats
 
 LOWEST, HIGHEST = 1e-5, 0.49
-"""Cut-offs that are looked at, in cycles a sample."""
+"""Range of cut-offs, in cycles per sample."""
 
 
 class Classic(NamedTuple):
@@ -31,16 +31,16 @@ class Classic(NamedTuple):
     Attributes
     ----------
     name : str
-        As engineers call it.
+        The usual name of the filter.
     causal : bool
-        Whether it knows no later reading.
+        True if the filter uses no later readings.
     apply : callable
-        Takes readings (N,) without gaps, and a cut-off.
+        Function of readings (N,) without gaps and a cut-off; returns the filtered readings (N,).
     calms : bool
-        Whether it lowers white noise as its dial is turned down; Hampel's only leaves spikes out, and the canceller
-        learns.
+        True if a lower cut-off leaves less white noise. Hampel's filter only removes spikes, and the canceller is
+        adaptive.
     linear : bool
-        Whether its response to an impulse tells all.
+        True if the filter is linear, so that its impulse response describes it.
     """
 
     name: str
@@ -55,21 +55,21 @@ class Classic(NamedTuple):
         Parameters
         ----------
         z : (N,) float array
-            NaN where missing: causal filters hold the last reading there, others join neighbours by a line.
+            Readings, NaN where missing: causal filters hold the last reading there, others interpolate linearly.
         cutoff : float
-            In cycles a sample, 0 to 0.5; a *small* one smooths more.
+            Cut-off in cycles per sample, 0 to 0.5; a *small* one smooths more.
 
         Returns
         -------
         (N,) float array
-            All NaN where nothing was read.
+            Filtered readings; all NaN if there are no readings.
         """
         bridged = held(z) if self.causal else joined_by_lines(z)
         return self.apply(bridged, cutoff) if np.isfinite(bridged).all() else bridged.copy()
 
 
 def _of_length(average: Callable[[Floats, int], Floats], *, odd: bool) -> Callable[[Floats, float], Floats]:
-    """Turn the dial of a window: its length for a cut-off, no longer than the record."""
+    """Return a window filter as a function of the cut-off; the window is at most as long as the record."""
 
     def apply(z: Floats, cutoff: float) -> Floats:
         most = len(z) - 1 + len(z) % 2 if odd else len(z)
@@ -79,7 +79,10 @@ def _of_length(average: Callable[[Floats, int], Floats], *, odd: bool) -> Callab
 
 
 def _savitzky_golay(z: Floats, cutoff: float, degree: int) -> Floats:
-    """Turn the dial of Savitzky and Golay, as Schafer, IEEE Signal Processing Magazine 28(4) (2011) 111."""
+    """Apply a Savitzky-Golay filter with a cut-off.
+
+    Its length follows Schafer, IEEE Signal Processing Magazine 28(4) (2011) 111.
+    """
     half = max(degree // 2 + 1, round(((degree + 1) / (2 * cutoff) + 4.6) / 3.2))
     length = min(2 * half + 1, len(z) - 1 + len(z) % 2)
     return savitzky_golay(z, length, degree) if length > degree else z.copy()
@@ -111,4 +114,4 @@ USUAL = {
     True: tuple(CLASSICS[name] for name in ("Butterworth 1", "Butterworth 2", "Butterworth 4", "moving average")),
     False: tuple(one for one in ZERO_PHASE if one.name.startswith(("Butterworth", "Savitzky-Golay"))),
 }
-"""What most people would try: causal (True), and knowing the whole record."""
+"""The most common filters: causal (True), and for whole records (False)."""

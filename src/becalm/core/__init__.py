@@ -1,1 +1,1 @@
-"""The mathematics: arrays in, arrays out; no files, no people, no network."""
+"""The mathematics, on arrays only: this package does not know files, users or networks."""

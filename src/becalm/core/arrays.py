@@ -1,4 +1,4 @@
-"""The array types of the core, and the one way to keep an array from changing."""
+"""Array types of the core, and functions that make arrays read-only."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ Codes = NDArray[np.int8]
 Complexes = NDArray[np.complex128]
 
 BLOCK = 256
-"""Rows a block, at whose multiples a run over a part of a record has to begin."""
+"""Rows per block; a run over a part of a record has to begin at a multiple of it."""
 
 
 def real(values: ArrayLike) -> ArrayLike:
-    """Return values as they came, if they are real numbers; of a masked array NaN where it is masked.
+    """Return the values unchanged if they are real numbers; fill masked entries of a masked array with NaN.
 
     Raises
     ------
     TypeError
-        If they are complex, text or dates, which float64 would silently change.
+        If the values are complex, text or dates, because a conversion to float64 would change them silently.
     """
     kind = np.asarray(values).dtype.kind
     if kind in "cSUMm":
@@ -40,19 +40,19 @@ def read_only(values: NDArray[Number]) -> NDArray[Number]:
 
 
 def input_of(values: Floats) -> Floats:
-    """Return the one kind of array that filters take from anywhere: float64, contiguous, read-only."""
+    """Return the values as the array type that all filters take: float64, contiguous, read-only."""
     return read_only(np.ascontiguousarray(values, dtype=np.float64))
 
 
 def block_diagonal(first: Floats, second: Floats) -> Floats:
-    """Return a matrix of two blocks, (k, l) and (m, n), with zeros beside them, (k + m, l + n)."""
+    """Return the block-diagonal matrix (k + m, l + n) of two blocks, (k, l) and (m, n)."""
     (rows, columns), joined = first.shape, np.zeros(np.add(first.shape, second.shape))
     joined[:rows, :columns], joined[rows:, columns:] = first, second
     return joined
 
 
 def frozen(values: ArrayLike) -> Floats:
-    """Return our own read-only float64 copy; the caller's array stays as it was."""
+    """Return a read-only float64 copy; the caller's array does not change."""
     own = np.array(values, dtype=np.float64, order="C")
     own.flags.writeable = False
     return own

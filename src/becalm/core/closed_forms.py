@@ -1,7 +1,7 @@
-"""Closed forms: steady filters of motions, their limit as the rate grows, and their spectrum.
+"""Closed forms of the steady-state filters of kinematic models: their limit at high rates, and their spectra.
 
-All in steps and with r = 1: variances are in units of a reading's. q/r counts as in `Tuning.ratio`, with
-the density q of the noise on the n-th derivative in unit^2/step^(2n-1).
+Time is in steps and r = 1: variances are in units of the measurement noise variance. q/r is defined as in
+`Tuning.ratio`; q is the density of the noise on the n-th derivative in unit^2/step^(2n-1).
 """
 
 from __future__ import annotations
@@ -15,29 +15,30 @@ import numpy as np
 
 from becalm.core.arrays import Complexes, Floats, frozen
 
-_FINE = 0.05  # between logarithms of frequencies
-_FOLDS = 16  # frequencies on each side
-_LOGARITHMS = np.arange(-40.0, 40.0, _FINE)
+_LOG_STEP = 0.05  # spacing of the logarithms of frequencies
+_FOLDS = 16  # aliases on each side that are summed one by one
+_LOGARITHMS = np.arange(-40.0, 40.0, _LOG_STEP)
 
 
 def cutoff_to_ratio(order: int, cutoff: float) -> float:
-    """Return q/r of the motion filter with its cut-off w_n in radians a step, w_n^2n (motion's Notes, with T = 1)."""
+    """Return q/r = w_n^2n of the kinematic filter with cut-off w_n in radians per step (Notes of `motion`, T = 1)."""
     return float(cutoff ** (2 * order))
 
 
 def ratio_to_cutoff(order: int, ratio: float) -> float:
-    """Return the cut-off in radians a step of the motion filter with q/r: the inverse of `cutoff_to_ratio`."""
+    """Return the cut-off of the kinematic filter with q/r, in radians per step; the inverse of `cutoff_to_ratio`."""
     return float(ratio ** (1 / (2 * order)))
 
 
 def motion_power(order: int, angle: Floats) -> Floats:
-    """Return the power (k,), unit^2, of a motion of density 1 at angles (k,) in radians a step, read once a step.
+    """Return the power (k,), unit^2, of a sampled motion of density 1 at angles (k,), in radians per step.
 
     Notes
     -----
-    White noise integrated `order` times has the power w^-2n; reading it once a step folds all
-    frequencies w + 2 pi k onto w. As the sum of 1 / (x + k) is pi cot(pi x), that of powers is a derivative of it, a
-    polynomial in the cotangent. The smoother passes G = S / (S + R) of a motion with the power S.
+    White noise integrated `order` times has the power w^-2n; sampling it once per step folds all
+    frequencies w + 2 pi k onto w. The sum of 1 / (x + k) is pi cot(pi x), so the sum of powers is a derivative of it,
+    a polynomial in the cotangent. For a motion with the power S the smoother has the frequency response
+    G = S / (S + R).
     """
     *lower, highest = _folded(order).tolist()
     folded = np.full(np.shape(angle), highest)
@@ -50,7 +51,10 @@ def motion_power(order: int, angle: Floats) -> Floats:
 
 @lru_cache
 def _folded(order: int) -> Floats:
-    """Return the sum over k of (w + 2 pi k)^-2n by powers of cot^2(w / 2): d cot(x) / dx = -(1 + cot^2(x))."""
+    """Return the coefficients, in powers of cot^2(w / 2), of the sum over k of (w + 2 pi k)^-2n.
+
+    They follow from d cot(x) / dx = -(1 + cot^2(x)).
+    """
     cotangent = np.polynomial.Polynomial([0.0, 1.0])
     for _ in range(2 * order - 1):
         cotangent = np.polynomial.Polynomial([1.0, 0.0, 1.0]) * cotangent.deriv()
@@ -58,23 +62,23 @@ def _folded(order: int) -> Floats:
 
 
 def returning_power(order: int, damping: float, level_rate: float, angle: Floats) -> Floats:
-    """Return the power (k,), unit^2, of a motion of density 1 that returns to its level, read once a step.
+    """Return the power (k,), unit^2, of a sampled motion of density 1 that returns to its level.
 
     Parameters
     ----------
     order : int
-        n, how often white noise is integrated.
+        n, the number of integrations of the white noise.
     damping : float
-        a, cut-off of the low-pass, radians a step; 0 is `motion_power`.
+        a, cut-off of the low-pass, in radians per step; 0 gives `motion_power`.
     level_rate : float
-        b, how fast the level follows, radians a step.
+        b, rate at which the level follows the signal, in radians per step.
     angle : (k,) float array
-        w, radians a step.
+        w, in radians per step.
 
     Notes
     -----
-    The power (w^2 + b^2) / (w^2 (w^2n + a^2n)), folded: the next frequencies one by one, those beyond as if there
-    were no damping.
+    The power is (w^2 + b^2) / (w^2 (w^2n + a^2n)), folded. The nearest aliases are summed one by one; the
+    others are summed as if there were no damping.
     """
     if not damping:
         return motion_power(order, angle)
@@ -89,72 +93,73 @@ def returning_power(order: int, damping: float, level_rate: float, angle: Floats
 
 
 def autoregressive_power(coefficients: Sequence[float] | Floats, innovation_variance: float, angle: Floats) -> Floats:
-    """Return the power (k,), unit^2, of autoregressive noise at angles (k,) in radians a step.
+    """Return the power (k,), unit^2, of autoregressive noise at angles (k,), in radians per step.
 
     Parameters
     ----------
     coefficients : (p,) sequence of float
-        phi_1 to phi_p of e[k] = sum phi_i e[k-i] + w[k]; none of white noise.
+        phi_1 to phi_p of e[k] = sum phi_i e[k-i] + w[k]; empty for white noise.
     innovation_variance : float
-        Variance of w, in unit^2; with a *small* one there is less noise everywhere.
+        Variance of w, in unit^2; a *small* one means less noise at all frequencies.
     angle : (k,) float array
-        In radians a step.
+        Angles in radians per step.
 
     Notes
     -----
-    Its power is that of w over |1 - sum phi_l exp(-i w l)|^2.
+    The power is the variance of w over |1 - sum phi_l exp(-i w l)|^2.
     """
-    late = np.arange(1, len(coefficients) + 1)
-    left = 1 - np.exp(-1j * np.outer(angle, late)) @ np.asarray(coefficients)
-    power: Floats = innovation_variance / np.abs(left) ** 2
+    lags = np.arange(1, len(coefficients) + 1)
+    denominator = 1 - np.exp(-1j * np.outer(angle, lags)) @ np.asarray(coefficients)
+    power: Floats = innovation_variance / np.abs(denominator) ** 2
     return power
 
 
 def butterworth_poles(order: int) -> Complexes:
-    """Return the poles (n,) of the Butterworth low-pass with its cut-off at 1 rad/s, in rad/s."""
+    """Return the poles (n,) of the Butterworth low-pass with cut-off 1 rad/s, in rad/s."""
     poles: Complexes = np.exp(1j * np.pi * (2 * np.arange(order) + order + 1) / (2 * order))
     return poles
 
 
 def butterworth_response(order: int, cutoff: float, f: Floats) -> Complexes:
-    """Return G (k,) of the digital Butterworth low-pass (bilinear, prewarped), all in cycles a step."""
+    """Return G (k,) of the digital Butterworth low-pass (bilinear, prewarped); frequencies in cycles per step."""
     s = 1j * np.tan(np.pi * f) / np.tan(np.pi * cutoff)
     response: Complexes = 1 / np.prod(1 - s[:, np.newaxis] / butterworth_poles(order), axis=1)
     return response
 
 
 def butterworth_delay(order: int, cutoff: float) -> float:
-    """Return the delay of a slow signal, in steps, by `butterworth_response`; its cut-off in cycles a step."""
+    """Return the delay of `butterworth_response` at low frequency, in steps; the cut-off is in cycles per step."""
     return float(1 / (2 * np.tan(np.pi * cutoff) * np.sin(np.pi / (2 * order))))
 
 
 def butterworth_noise_gain(order: int, cutoff: float) -> float:
-    """Return the share of the power of white noise that `butterworth_response` leaves; its cut-off in cycles a step.
+    """Return the share of white noise power that `butterworth_response` passes; the cut-off is in cycles per step.
 
     Notes
     -----
-    With W = tan(pi cutoff) and the frequency v over the prewarped cut-off it is
-    (2 W / pi) int dv / ((1 + v^2n) (1 + W^2 v^2)) over v > 0. What passes at W and at 1 / W adds up to 1: as
-    the low-pass at one is the high-pass at the other, mirrored about a quarter of the rate. Over log v the
-    integrand is analytic and falls off exponentially at both ends, so that a plain sum has nearly all digits.
+    With W = tan(pi cutoff) and v = frequency / prewarped cut-off, the share is
+    (2 W / pi) int dv / ((1 + v^2n) (1 + W^2 v^2)) over v > 0. The shares for W and for 1 / W add up to 1, because
+    the low-pass for one is the high-pass for the other, mirrored about a quarter of the sampling rate. As a function
+    of log v the integrand is analytic and decays exponentially at both ends, so a plain sum is accurate to nearly all
+    digits.
     """
     W = float(np.tan(np.pi * cutoff))
     if W > 1:
         return 1 - butterworth_noise_gain(order, 0.5 - cutoff)
     v = np.exp(_LOGARITHMS)
-    return float(2 * W / np.pi * _FINE * (v / (1 + v ** (2 * order)) / (1 + (W * v) ** 2)).sum())
+    return float(2 * W / np.pi * _LOG_STEP * (v / (1 + v ** (2 * order)) / (1 + (W * v) ** 2)).sum())
 
 
 class OrderOne(NamedTuple):
-    """The steady filter of a random walk: a one-pole low-pass."""
+    """The steady-state filter of a random walk: a one-pole low-pass."""
 
     gain: float  # K
     filtered_variance: float  # P+
     predicted_variance: float  # P-
     innovation_variance: float  # S
     noise_gain: float
-    delay_steps: float  # of a slow signal, and behind a ramp
-    bandwidth: float  # -3 dB, in cycles a step; 0.5 where all pass
+    delay_steps: float  # delay at low frequency, equal to the lag behind a ramp
+    bandwidth: float  # -3 dB, in cycles per step; 0.5 if no frequency is attenuated by 3 dB
 
 
 def order_one(ratio: float) -> OrderOne:

@@ -1,7 +1,7 @@
-"""Fixed-lag smoothing: each row is estimated from all rows up to L after it.
+"""Fixed-lag smoothing: each row is estimated from all rows up to L rows after it.
 
-Between the filter (L = 0) and the smoother (all rows): a little delay buys much noise. The estimate of row k
-is that of `kalman_smoother` on the record that ends with row k + L.
+L = 0 is the filter, and L = all rows is the smoother; a short lag already removes much noise. The estimate of row k
+equals that of `kalman_smoother` on the record that ends with row k + L.
 """
 
 from __future__ import annotations
@@ -17,32 +17,32 @@ from becalm.core.online import Online
 
 
 def fixed_lag_smoother(model: Model, z: ArrayLike, lag: int) -> tuple[Floats, Floats]:
-    """Smooth readings with a fixed lag: each estimate knows the readings up to `lag` rows after its own.
+    """Smooth readings with a fixed lag: each estimate uses the readings up to `lag` rows after its own row.
 
     Parameters
     ----------
     model : Model
-        The signal and its sensors, one step a row.
+        State-space model of the signal and its sensors, one step per row.
     z : (N,) or (N, m) array_like
-        Readings in the channels' units; NaN or Inf where one did not arrive. Never modified.
+        Readings in the channels' units; NaN or Inf where a reading is missing. The array is not modified.
     lag : int
-        Later rows that are waited for; with a *small* one the signal comes soon, and noisier. 0 filters.
+        Lag in rows. A *small* lag gives estimates earlier and with more noise; 0 is the filter.
 
     Returns
     -------
     signal, sigma : (N, m) float arrays
-        H x, and one standard uncertainty of it, in the channels' units. The last `lag` rows know what there is.
+        H x and its standard uncertainty, in the channels' units. The last `lag` rows use the readings up to the end.
 
     Raises
     ------
     ModelError
-        If z does not fit the model, the lag is no whole number, or the model cannot start without x0 and P0.
+        If z does not fit the model, the lag is not a whole number, or the model cannot start without x0 and P0.
     """
     readings = checked_readings(model, z)
     if checked_lag(lag) == 0:
-        found = kalman_filter(model, readings, innovations=False)
-        return found.signal, found.sigma
-    online, waited = Online(model, lag), min(lag, len(readings))
-    told, rest = online.run(readings), online.finish()
-    signal, sigma = (np.concatenate([one[waited:], last]) for one, last in zip(told, rest, strict=True))
+        filtered = kalman_filter(model, readings, innovations=False)
+        return filtered.signal, filtered.sigma
+    online, delay = Online(model, lag), min(lag, len(readings))
+    estimates, remaining = online.run(readings), online.finish()
+    signal, sigma = (np.concatenate([one[delay:], last]) for one, last in zip(estimates, remaining, strict=True))
     return signal, sigma

@@ -1,6 +1,7 @@
-"""One reading or one block in, the estimate out: the numbers of `kalman_filter`, for any blocks to the bit.
+"""A streaming filter: it takes one reading or one block and returns the estimates.
 
-They agree to 1e-12; where P0 is so wide, or so ill conditioned, that digits are lost, each loses its own.
+The estimates do not depend on the block size, bit for bit. They agree with `kalman_filter` to 1e-12, except where
+P0 is so wide or so ill conditioned that both lose digits.
 """
 
 from __future__ import annotations
@@ -30,32 +31,33 @@ _NOT_A_SNAPSHOT = "These bytes are not a snapshot of becalm.Online; pass what sn
 
 
 class Online:
-    """A filter that is fed as readings come, and can be paused.
+    """A filter that takes readings as they arrive, and can be paused.
 
     Parameters
     ----------
     model : Model or InteractingModels
-        The signal and its sensors, one step a reading. Without x0 and P0 it starts from the first
-        readings; until they tell, the signal is NaN and sigma inf. A bank that switches has one channel.
+        Model of the signal and its sensors, one step per reading. Without x0 and P0 the filter starts from the
+        first readings; until they determine the state, the signal is NaN and sigma inf. An IMM has one channel.
     lag : int
-        Readings that each estimate waits for, and then knows: what comes back is the signal of the reading `lag`
-        steps ago, NaN with sigma inf while there is none. With a *small* one it comes soon, and noisier; 0 filters.
-        A bank's estimate knows at least three quarters of them.
+        Lag in readings: the estimate returned belongs to the reading `lag` steps ago and uses all readings since;
+        it is NaN with sigma inf as long as there is no such reading. A *small* lag gives estimates earlier and with
+        more noise; 0 is the filter. An estimate of an IMM uses at least three quarters of the later readings.
     gate : Gate, optional
-        What leaves spikes out, and follows steps, of a model of one channel; by default every reading is believed.
+        Innovation gate, for a model of one channel: it rejects spikes and follows steps. By default every reading
+        is used.
 
     Raises
     ------
     ModelError
-        If the model cannot start without x0 and P0, the lag is no whole number, or the filter is to have a gate
-        and more than one channel, or a gate and modes to switch between.
+        If the model cannot start without x0 and P0, the lag is not a whole number, or a gate is given for a model
+        of several channels or for an IMM.
     """
 
     def __init__(self, model: Model | InteractingModels | LiveImm, lag: int = 0, gate: Gate | None = None) -> None:
         lag = checked_lag(lag)
         self._runs = _new_filter(model, lag, gate)
         self.model, self._lag, self._gate = self._runs.model, lag, gate
-        self._quick: Callable[[float], tuple[float, float]] | None = None  # the shortest way of a number
+        self._quick: Callable[[float], tuple[float, float]] | None = None  # fast path for one number
 
     def step(self, z_k: ArrayLike) -> tuple[Floats, Floats] | tuple[float, float]:
         """Take one reading; return signal and sigma.
@@ -63,8 +65,8 @@ class Online:
         Parameters
         ----------
         z_k : float or (m,) array_like
-            The reading in the channels' units, NaN where one is missing. For a model of one channel
-            a number will do, and two numbers come back; otherwise signal and sigma are (m,) each.
+            The reading in the channels' units, NaN where a channel is missing. For a model of one channel it may
+            be a number, and two numbers are returned; otherwise signal and sigma are (m,) each.
 
         Raises
         ------
@@ -94,34 +96,34 @@ class Online:
         """
         z = checked_readings(self.model, block)
         if self._lag:
-            self._quick = None  # it holds the rows that wait
+            self._quick = None  # it holds its own rows of the lag
         return self._runs.run(z)
 
     @property
     def modes(self) -> dict[str, float]:
-        """How probable each mode is after the last reading, of a filter that switches; otherwise empty."""
+        """Return the probability of each mode of an IMM after the last reading; empty for other filters."""
         return self._runs.modes if isinstance(self._runs, LiveImm) else {}
 
     @property
     def verdicts(self) -> Codes | None:
-        """What became of each reading of the last block, (B,), values of `Verdict`, no lag; None without a gate."""
+        """Return the `Verdict` of each reading of the last block, (B,), without lag; None without a gate."""
         return self._runs.verdicts if isinstance(self._runs, OnlineChannel) and self._gate is not None else None
 
     @property
     def verdict(self) -> Verdict | None:
-        """What became of the last reading; None without a gate, or before the first."""
+        """Return the verdict of the last reading; None without a gate, or before the first reading."""
         verdicts = self.verdicts
         return None if verdicts is None or not len(verdicts) else Verdict(int(verdicts[-1]))
 
     def finish(self) -> tuple[Floats, Floats]:
-        """Return signal and sigma, (rows, m) each, of the last `lag` readings, with what there is after each.
+        """Return signal and sigma, (rows, m) each, of the last `lag` readings, each with the readings after it.
 
-        Nothing changes by it: more readings may follow.
+        The state does not change: more readings may follow.
         """
         return self._runs.finish()
 
     def snapshot(self) -> bytes:
-        """Return all that is needed to go on later, as plain bytes."""
+        """Return the complete state as bytes, for `resume`."""
         arrays: dict[str, Any] = {"lag": np.array(self._lag)}
         for name in ("F", "H", "Q", "R", "G", "x0", "P0", "known"):
             value = getattr(self.model, name)
@@ -134,12 +136,12 @@ class Online:
         return buffer.getvalue()
 
     def __reduce__(self) -> tuple[Callable[[bytes], Self], tuple[bytes]]:
-        """Copy and pickle by a snapshot: a copy goes on from there by itself, without the last block's verdicts."""
+        """Copy and pickle by a snapshot: the copy continues on its own, without the verdicts of the last block."""
         return type(self).resume, (self.snapshot(),)
 
     @classmethod
     def resume(cls, blob: bytes) -> Self:
-        """Go on from a snapshot; the results are those of a filter that was never stopped.
+        """Return a filter that continues from a snapshot; its results equal those of a filter that never stopped.
 
         Raises
         ------
@@ -154,7 +156,7 @@ class Online:
             return cls._restored(arrays)
         except ModelError:
             raise
-        except Exception as cause:  # damaged bytes make the reader fail in many ways
+        except Exception as cause:  # damaged bytes raise many kinds of exceptions
             raise ModelError(_NOT_A_SNAPSHOT) from cause
 
     @classmethod
@@ -163,8 +165,8 @@ class Online:
         if "gate" in arrays:
             threshold, agree, at_most = arrays["gate"].tolist()
             gate = Gate(threshold, int(agree), int(at_most))
-        bank = restored_imm(model, arrays)
-        online = cls(bank or model, int(arrays["lag"]), gate)
+        imm = restored_imm(model, arrays)
+        online = cls(imm or model, int(arrays["lag"]), gate)
         if not isinstance(online._runs, LiveImm):
             online._runs.restore(arrays)
         return online
@@ -173,12 +175,12 @@ class Online:
 def _new_filter(
     model: Model | InteractingModels | LiveImm, lag: int, gate: Gate | None
 ) -> LiveImm | OnlineChannel | OnlineMultivariate:
-    """Return the stream filter of a model."""
+    """Return the streaming filter of a model."""
     if gate is not None and not isinstance(gate, Gate):
         raise ModelError(f"A Gate is needed; {type(gate).__name__} came. Make one: Gate(threshold).")
     if isinstance(model, InteractingModels | LiveImm):
         if gate is not None:
-            raise ModelError("A filter that switches tells wild readings by its modes; leave the gate out.")
+            raise ModelError("A filter with several modes finds outliers by its modes; leave the gate out.")
         return new_live_imm(model, lag) if isinstance(model, InteractingModels) else model
     require_model(model)
     if model.channels == 1:

@@ -1,4 +1,4 @@
-"""Recording: samples, channel names, units and time; frozen; the currency between rooms."""
+"""Recording: the samples, channel names, units and times that all parts of becalm exchange; it cannot change."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ class Recording:
     Parameters
     ----------
     samples : (N, m) or (N,) array_like
-        One row a sample, one column a channel, each in its own unit; NaN where a channel has no
-        reading. Copied; the caller's array is never changed.
+        One row per sample, one column per channel, each in its own unit; NaN where a channel has no
+        reading. The array is copied.
     names : sequence of m str, optional
         Channel names, all different; `channel_0`, `channel_1`, ... by default.
     units : sequence of m str, optional
@@ -27,19 +27,19 @@ class Recording:
     rate_hz : float, optional
         Samples per second of an even time base.
     times_s : (N,) array_like, optional
-        Time of each sample in seconds, never decreasing.
+        Time of each sample in seconds, not decreasing.
     timebase : Timebase, optional
-        A time base made before; give exactly one of these three.
+        An existing time base. Give exactly one of `rate_hz`, `times_s` and `timebase`.
 
     Raises
     ------
     RecordingError
         If shapes, names or units do not agree, or not exactly one kind of time was given.
     TimeError
-        If the times cannot serve as time.
+        If the times are not valid.
     """
 
-    def __init__(  # noqa: PLR0913  (what a recording is, each by its name)
+    def __init__(  # noqa: PLR0913  (the fields of a recording, by keyword)
         self,
         samples: ArrayLike,
         *,
@@ -65,12 +65,12 @@ class Recording:
 
     @property
     def rate_hz(self) -> float:
-        """Samples per second, 1 over the step."""
+        """Return the samples per second, 1 over the step."""
         return self.timebase.rate_hz
 
     @property
     def times_s(self) -> Floats:
-        """Time of each sample, (N,), in seconds."""
+        """Return the time of each sample, (N,), in seconds."""
         return self.timebase.times_s
 
     def __len__(self) -> int:
@@ -78,7 +78,7 @@ class Recording:
         return len(self.samples)
 
     def __repr__(self) -> str:
-        """Say the size, the rate and the channels."""
+        """Return a text with the size, the rate and the channels."""
         return f"Recording({len(self)} samples at {self.rate_hz:.6g} Hz: {', '.join(self.names)})"
 
     def channel(self, name: str) -> Floats:
@@ -94,7 +94,7 @@ class Recording:
         return self.samples[:, self.names.index(name)]
 
     def select(self, names: Sequence[str]) -> Recording:
-        """Return a recording of the named channels, in the order asked."""
+        """Return a recording of the named channels, in the given order."""
         columns = [self.channel(name) for name in names]
         units = [self.units[self.names.index(name)] for name in names]
         samples = np.column_stack(columns) if columns else np.empty((len(self), 0))

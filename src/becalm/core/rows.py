@@ -1,4 +1,4 @@
-"""Rows of a channel before a filter, and after it."""
+"""Rows of one channel: the input of a filter, and its estimates."""
 
 from __future__ import annotations
 
@@ -11,46 +11,46 @@ from becalm.core.arrays import Booleans, Codes, Floats
 from becalm.core.verdict import Verdict
 
 Judge = Callable[[Floats, Floats], None]
-"""Takes innovations and their expected standard deviations, (B,) each."""
+"""A function that takes innovations and their expected standard deviations, (B,) each."""
 
 
 class Rows(NamedTuple):
-    """Some rows of one channel, before a filter."""
+    """Rows of one channel that a filter takes."""
 
-    z: Floats  # (B,) readings, NaN where none may enter
+    z: Floats  # (B,) readings, NaN where missing or rejected
     elapsed: Floats  # (B,) steps since the row before
-    verdicts: Codes  # (B,) what became of each reading so far
+    verdicts: Codes  # (B,) verdict of each reading so far
 
     def part(self, which: slice) -> Rows:
-        """Return some of the rows."""
+        """Return the rows of a slice."""
         return Rows(self.z[which], self.elapsed[which], self.verdicts[which])
 
     @classmethod
     def joined(cls, parts: Sequence[Rows]) -> Rows:
-        """Return rows one after the other."""
+        """Return the rows of several parts, concatenated."""
         some = [part for part in parts if len(part.z)] or parts[:1]
         return some[0] if len(some) == 1 else cls(*(np.concatenate(arrays) for arrays in zip(*some, strict=True)))
 
     @classmethod
     def nothing(cls) -> Rows:
-        """Return no rows."""
+        """Return an object of zero rows."""
         return cls(np.empty(0), np.empty(0), np.empty(0, np.int8))
 
 
 class EstimatedRows(NamedTuple):
-    """Some rows of one channel, after a filter or a smoother."""
+    """Estimates of one channel's rows by a filter or a smoother."""
 
     signal: Floats  # (B,)
     sigma: Floats  # (B,)
-    parts: Floats  # (p, B) the share of each part, where they were asked for; otherwise (0, B)
-    verdicts: Codes  # (B,) what became of each reading, see `Verdict`
+    parts: Floats  # (p, B) contribution of each part of the model if requested, otherwise (0, B)
+    verdicts: Codes  # (B,) `Verdict` of each reading
 
     def rows(self, which: slice) -> EstimatedRows:
-        """Return some of the rows."""
+        """Return the rows of a slice."""
         return EstimatedRows(self.signal[which], self.sigma[which], self.parts[:, which], self.verdicts[which])
 
     def without(self, which: Booleans, verdict: Verdict) -> EstimatedRows:
-        """Return the same without estimates in some rows (B,), which get a verdict."""
+        """Return a copy in which the estimates of some rows (B,) are NaN and have the given verdict."""
         if not which.any():
             return self
         signal, sigma, parts = (np.where(which, np.nan, one) for one in self[:3])
@@ -58,11 +58,11 @@ class EstimatedRows(NamedTuple):
 
     @classmethod
     def joined(cls, parts: Sequence[EstimatedRows]) -> EstimatedRows:
-        """Return rows one after the other."""
+        """Return the rows of several parts, concatenated."""
         some = [part for part in parts if len(part.signal)] or [cls.nothing()]
         return some[0] if len(some) == 1 else cls(*(np.concatenate(of, axis=-1) for of in zip(*some, strict=True)))
 
     @classmethod
     def nothing(cls) -> EstimatedRows:
-        """Return no rows."""
+        """Return an object of zero rows."""
         return cls(np.empty(0), np.empty(0), np.empty((0, 0)), np.empty(0, np.int8))

@@ -1,1 +1,1 @@
-"""How a signal is judged: with truth, and without."""
+"""Measures of the quality of a signal, with and without a known truth."""

@@ -1,7 +1,7 @@
-"""How much signal there is beside noise, in both conventions of the decibel.
+"""Signal-to-noise ratio in two conventions of the decibel.
 
-The usual one is 10 log10 of a ratio of powers. The car paper (Sensors 2001, equations (12) to (14)) takes 20 log10 of a
-ratio of powers: twice as many for the same thing. Neither is told without its name.
+The usual convention is 10 log10 of a ratio of powers. The car paper (Sensors 2001, equations (12) to (14)) uses
+20 log10 of a ratio of powers, which is twice the usual value. Always name the convention with the number.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from becalm.core.arrays import Floats
 
 
 def snr_db(signal: Floats, noise: Floats) -> float:
-    """Return 10 log10 of the mean square of a signal (N,) over that of its noise (N,); NaN is left out."""
+    """Return 10 log10 of the mean square of a signal (N,) over the mean square of its noise (N,); NaN is left out."""
     return float(10 * np.log10(np.nanmean(signal**2) / np.nanmean(noise**2)))
 
 

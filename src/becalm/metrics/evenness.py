@@ -1,4 +1,4 @@
-"""Whether the innovations keep their size, as one noise level and one sigma demand."""
+"""Test whether the variance of the innovations is constant, as a model with one noise level assumes."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from becalm.core.arrays import Floats
 from becalm.metrics.running import Running
 
 _BLOCK = 50
-_FACTOR = 4.0  # in power: sigma is off by two
+_FACTOR = 4.0  # in power: a factor of two in sigma
 
 
 class BlockCount(NamedTuple):
-    """How many blocks of 50 values there were, and how many of them were uneven."""
+    """Number of blocks of 50 values, and number of uneven blocks."""
 
     blocks: int = 0
     uneven: int = 0
 
     def extended(self, piece: Floats) -> BlockCount:
-        """Return the count with a piece (n,) of finite values; only the last may end within a block."""
+        """Return the count with a piece (n,) of finite values added; only the last piece may end within a block."""
         blocks = len(piece) // _BLOCK
         rows = piece[: blocks * _BLOCK].reshape(blocks, _BLOCK)
         power = np.vecdot(rows, rows) / _BLOCK
@@ -33,18 +33,18 @@ class BlockCount(NamedTuple):
 
 
 class RunningEvenness(Running[BlockCount]):
-    """The uneven share of a sequence that comes in blocks of any length."""
+    """Computes the uneven share of a sequence that comes in blocks of any length."""
 
     def __init__(self) -> None:
         super().__init__(BlockCount(), BlockCount.extended)
 
     def result(self) -> float:
-        """Return `uneven_share` of all values so far; more may follow."""
+        """Return the `uneven_share` of all values so far; more may follow."""
         return self.sums().share()
 
 
 def uneven_share(normalised: Floats) -> float:
-    """Return the share of blocks of 50 whose mean power is off by more than a factor of four.
+    """Return the share of blocks of 50 values whose mean power differs from 1 by more than a factor of four.
 
     Parameters
     ----------
@@ -53,8 +53,8 @@ def uneven_share(normalised: Floats) -> float:
 
     Notes
     -----
-    The mean power of 50 white Gaussian innovations is 1 with a standard deviation of 0.2, so that
-    chance alone gives none. A large share says that sigma holds on average only.
+    The mean power of 50 white Gaussian innovations is 1 with a standard deviation of 0.2, so chance
+    gives no uneven blocks. A large share means that sigma is correct only on average.
     """
     running = RunningEvenness()
     running.add(normalised)

@@ -1,4 +1,4 @@
-"""The autocorrelation of a sequence that comes in pieces, exact at their borders."""
+"""The autocovariance of a sequence that comes in pieces, exact across their borders."""
 
 from __future__ import annotations
 
@@ -9,32 +9,32 @@ import numpy as np
 from becalm.core.arrays import Floats, frozen
 
 MOST_LAGS = 32
-_ROW = 8  # the shortest row that BLAS still multiplies fast
+_ROW = 8  # shortest row for which BLAS is fast
 _SHIFTS = MOST_LAGS // _ROW + 1
 
 
 class LaggedSums(NamedTuple):
-    """Sums over a sequence e, and over its products with itself up to 32 values earlier.
+    """Sums over a sequence e, and over its products with the values up to 32 places earlier.
 
     Attributes
     ----------
     seen : int
-        Values so far.
+        Number of values so far.
     shift : float
-        Mean of the first piece; what is summed is c = e - shift.
+        Mean of the first piece; the sums are over c = e - shift.
     total : float
         Sum of c.
     products : (5, 8, 8) float array
-        Of c in rows of 8 with c up to 32 values earlier, in rows of 8; see `about_mean`.
+        Sums of products of c with c up to 32 values earlier, both in rows of 8; see `about_mean`.
     head, tail : (32,) float array
-        The first and the last c; zero where there are fewer.
+        The first and the last 32 values of c; zero if there are fewer.
     varies : bool
-        Whether not all c are equal.
+        True if not all c are equal.
 
     Notes
     -----
-    Nothing is lost to the shift: n var = sum (e - mean)^2 >= P (shift - mean)^2 for a first piece of
-    P values, so that rounding errors grow by n/P at most, whatever the mean is.
+    The shift loses no accuracy: n var = sum (e - mean)^2 >= P (shift - mean)^2 for a first piece of
+    P values, so rounding errors grow at most by the factor n/P for any mean.
     """
 
     seen: int = 0
@@ -46,13 +46,13 @@ class LaggedSums(NamedTuple):
     varies: bool = False
 
     def extended(self, piece: Floats) -> LaggedSums:
-        """Return the sums with a piece (n,) of finite values; the first must be long, or the only one."""
+        """Return the sums with a piece (n,) of finite values added; the first piece must be long or the only one."""
         n = len(piece)
         shift = self.shift if self.seen else float(np.mean(piece))
         rows = -(-n // _ROW)
         own = np.zeros(rows * _ROW)
         np.subtract(piece, shift, out=own[:n])
-        c = np.append(self.tail, own)  # not a view: of one array with itself, BLAS takes a slower road
+        c = np.append(self.tail, own)  # a copy, because BLAS is slower for the product of an array with itself
         step = c.itemsize
         earlier = np.ndarray((_SHIFTS, rows, _ROW), float, c, strides=(_ROW * step, _ROW * step, step))
         head = self.head if self.seen else np.append(own[:MOST_LAGS], np.zeros(MOST_LAGS))[:MOST_LAGS]
@@ -75,7 +75,7 @@ class LaggedSums(NamedTuple):
         first = np.append(0.0, np.cumsum(self.head))[: lags + 1]
         last = np.append(0.0, np.cumsum(self.tail[::-1]))[: lags + 1]
         mean = self.total / self.seen
-        with np.errstate(over="ignore", invalid="ignore"):  # squares beyond float64 come out as inf or NaN
+        with np.errstate(over="ignore", invalid="ignore"):  # squares that overflow give inf or NaN
             lagged = diagonals.sum(axis=0)[::-1][: lags + 1]
             about: Floats = lagged - mean * (2 * self.total - first - last) + (self.seen - j) * mean * mean
         return about

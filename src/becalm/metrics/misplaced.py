@@ -1,7 +1,7 @@
-"""Whether scores are as large as standard normal numbers: how much of their probability is elsewhere.
+"""Compare the distribution of scores with the standard normal one: which share of probability is misplaced.
 
-A filter with several modes foretells a mixture, and in the score of a reading (its normal quantile) no error is
-large: far out, some mode expected it. So the whole distribution is looked at, and not its power.
+An IMM predicts a mixture. The score of a reading is its normal quantile under the mixture, and it is never large,
+because one of the modes expects even distant readings. The test therefore uses the whole distribution, not the power.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ _EDGES = 0.1 * np.arange(1, 40)
 
 
 class ScoreCount(NamedTuple):
-    """How many scores were smaller, in magnitude, than each of the edges; and how many there were."""
+    """Number of scores with a magnitude below each edge, and number of all scores."""
 
     below: Floats = np.zeros(len(_EDGES))
     seen: int = 0
 
     def extended(self, piece: Floats) -> ScoreCount:
-        """Return the count with a piece (n,) of finite values."""
+        """Return the count with a piece (n,) of finite values added."""
         return ScoreCount(self.below + np.searchsorted(np.sort(np.abs(piece)), _EDGES), self.seen + len(piece))
 
     def share(self) -> float:
-        """Return the share of probability that is misplaced; 0.16 where every score is 1.4 times too large."""
+        """Return the misplaced share of probability; it is 0.16 if every score is 1.4 times too large."""
         from scipy.special import ndtr
 
         if not self.seen:

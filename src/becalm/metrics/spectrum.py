@@ -1,4 +1,4 @@
-"""What a record holds at which frequency: Welch's spectrum, and its bands."""
+"""Power spectrum of a record by Welch's method, and the power of frequency bands."""
 
 from __future__ import annotations
 
@@ -10,34 +10,34 @@ import numpy as np
 from becalm.core.arrays import Floats
 
 VEHICLE_BANDS_HZ = {"body": (1.0, 3.0), "wheels": (4.0, 8.0), "sprung and unsprung masses": (10.0, 20.0)}
-"""Of the car paper."""
+"""Frequency bands of the car paper, in hertz."""
 
 _SEGMENT = 1024
 
 
 class Spectrum(NamedTuple):
-    """A power density, one-sided."""
+    """A one-sided power spectral density."""
 
     frequency_hz: Floats  # (k,)
     density: Floats  # (k,) unit^2/Hz
 
     def power(self, low_hz: float, high_hz: float) -> float:
-        """Return the power, in unit^2, of a band."""
+        """Return the power of a band, in unit^2."""
         inside = (self.frequency_hz >= low_hz) & (self.frequency_hz <= high_hz)
         return float(np.trapezoid(self.density[inside], self.frequency_hz[inside]))
 
 
 def welch(z: Floats, rate_hz: float, segment: int = _SEGMENT) -> Spectrum:
-    """Return the spectrum of a record (N,) without gaps, by Welch's method: Hann windows, half overlapping.
+    """Return the spectrum of a record (N,) without gaps, by Welch's method with half-overlapping Hann windows.
 
     Parameters
     ----------
     z : (N,) float array
-        In unit; its mean is taken off each segment.
+        Readings, in unit; the mean of each segment is subtracted.
     rate_hz : float
-        Of its samples.
+        Sampling rate, in hertz.
     segment : int
-        Samples of a segment; a *small* one blurs, and scatters less.
+        Samples per segment; a *small* one has a coarser frequency resolution and less scatter.
 
     Notes
     -----
@@ -49,28 +49,28 @@ def welch(z: Floats, rate_hz: float, segment: int = _SEGMENT) -> Spectrum:
 
 
 class Spectrogram(NamedTuple):
-    """How a power density changes over time, one-sided."""
+    """A one-sided power spectral density over time."""
 
-    times_s: Floats  # (t,) middles of the segments, since the first sample
+    times_s: Floats  # (t,) centres of the segments, after the first sample
     frequency_hz: Floats  # (k,)
     density: Floats  # (k, t) unit^2/Hz
 
 
 def spectrogram(z: Floats, rate_hz: float, segment: int = _SEGMENT) -> Spectrogram:
-    """Return the spectra of a record (N,) without gaps, segment by segment: Hann windows, half overlapping.
+    """Return the spectra of half-overlapping segments of a record (N,) without gaps, with Hann windows.
 
     Parameters
     ----------
     z : (N,) float array
-        In unit; its mean is taken off each segment.
+        Readings, in unit; the mean of each segment is subtracted.
     rate_hz : float
-        Of its samples.
+        Sampling rate, in hertz.
     segment : int
-        Samples of a segment; a *small* one blurs frequencies, and tells sooner what changes.
+        Samples per segment; a *small* one resolves time better and frequency worse.
 
     Notes
     -----
-    Welch's spectrum is its mean over time.
+    The mean over time is Welch's spectrum.
     """
     from scipy.signal import ShortTimeFFT
     from scipy.signal.windows import hann

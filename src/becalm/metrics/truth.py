@@ -1,4 +1,4 @@
-"""Judging a signal whose truth is known."""
+"""Measures of the error of a signal whose truth is known."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from becalm.core.arrays import Floats
 
 
 def rms_error(signal: Floats, truth: Floats) -> float:
-    """Return the root mean square of signal minus truth, same unit; NaN is left out."""
+    """Return the root mean square of signal minus truth, in their unit; NaN is left out."""
     return float(np.sqrt(np.nanmean((signal - truth) ** 2)))
 
 
 def coverage(signal: Floats, sigma: Floats, truth: Floats) -> float:
-    """Return the share of samples whose truth lies within one sigma of the signal; 0.683 is right."""
-    told = np.isfinite(signal) & np.isfinite(sigma)
-    return float(np.mean(np.abs(signal - truth)[told] <= sigma[told]))
+    """Return the share of samples whose truth lies within one sigma of the signal; 0.683 is ideal."""
+    estimated = np.isfinite(signal) & np.isfinite(sigma)
+    return float(np.mean(np.abs(signal - truth)[estimated] <= sigma[estimated]))

@@ -1,1 +1,1 @@
-"""From what a sensor puts out, volts or counts, to what it measures."""
+"""Convert the output of sensors, in volts or counts, to the measured quantity."""

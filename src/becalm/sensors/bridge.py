@@ -1,10 +1,10 @@
-"""Strain from a Wheatstone bridge, exactly: its ratio of voltages, and what leads and a shunt do to it.
+"""Convert the output of a Wheatstone bridge to strain, exactly, with corrections for lead wires and shunt.
 
-Every circuit here turns a ratio r = V / V_excitation, less that of the unstrained bridge, into
+For every circuit here, with r = V / V_excitation minus the ratio of the unstrained bridge,
 
     strain = - c r / (G (d0 + d1 r))
 
-with c, d0, d1 of its own; G is the gauge factor. Signs are those of NI-DAQmx: tension lowers the ratio.
+where c, d0, d1 depend on the circuit and G is the gauge factor. Signs as in NI-DAQmx: tension lowers the ratio.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _WITH_POISSON = ("half I", "full II", "full III")
 
 
 class _Terms(NamedTuple):
-    """What makes one circuit's equation, see above."""
+    """Coefficients of the equation of one circuit, see the module."""
 
     c: float
     d0: float
@@ -34,14 +34,14 @@ class _Terms(NamedTuple):
 
 
 class Shunt(NamedTuple):
-    """A resistor that was put across a gauge in tension, as a check.
+    """A shunt calibration: a resistor across a gauge in tension, and the reading with it.
 
     Attributes
     ----------
     shunt_ohm : float
-        Its resistance.
+        Resistance of the shunt.
     ratio : float
-        What the bridge put out meanwhile, in V/V, with no other load than when its zero was taken.
+        Output of the bridge with the shunt, in V/V, at the same load as for the zero.
     """
 
     shunt_ohm: float
@@ -55,25 +55,25 @@ class Bridge:
     Attributes
     ----------
     configuration : str
-        "quarter I": one gauge; "quarter II": beside a dummy that sees the temperature only. "half I": one along and one
-        across; "half II": bending, one in tension, one in compression. "full I": bending, all four along; "full II":
-        bending, two across; "full III": axial, two along and two across.
+        "quarter I": one gauge; "quarter II": one gauge and a dummy for the temperature. "half I": one gauge along, one
+        across; "half II": bending, one gauge in tension, one in compression. "full I": bending, all four gauges along;
+        "full II": bending, two across; "full III": axial, two along and two across.
     gauge_factor : float
-        Relative change of resistance over strain.
+        Relative change of resistance per strain.
     poisson_ratio : float or None
-        Of the material, where gauges lie across: "half I", "full II", "full III".
+        Poisson ratio of the material, for bridges with gauges across: "half I", "full II", "full III".
     excitation_v : float or None
-        Supply in volts, where readings are voltages; None where they are ratios.
+        Supply voltage in volts, if readings are voltages; None if they are ratios.
     gauge_ohm, lead_ohm : float
-        Resistance of a gauge, and of one lead in series with it, of quarter (three wires) and half bridges.
+        Resistance of a gauge, and of one lead wire in series with it, for quarter (three wires) and half bridges.
     gain_adjustment : float
-        What strain is multiplied by, see the function of this name.
+        Factor of the strain, see the function of this name.
     shunt : Shunt or None
-        What tells the gain adjustment in its place; it depends on the zero, and so is worked out when needed.
+        Shunt calibration that replaces `gain_adjustment`; evaluated when needed, because it depends on the zero.
     initial_ratio : float
-        Ratio of the unstrained bridge in V/V, see `becalm.sensors.tare`.
+        Ratio of the unstrained bridge, in V/V; see `becalm.sensors.tare`.
     tension_lowers : bool
-        Whether tension lowers the ratio, as NI wires it; False where the signal's wires are swapped.
+        True if tension lowers the ratio, as in the wiring of NI; False if the signal wires are swapped.
 
     Raises
     ------
@@ -82,7 +82,7 @@ class Bridge:
 
     Notes
     -----
-    Equations of NI-DAQmx, of a bridge that was balanced when unstrained; exact, not for small strain only.
+    Equations of NI-DAQmx for a bridge that is balanced when unstrained; they are exact, also for large strain.
     """
 
     configuration: Configuration
@@ -97,9 +97,11 @@ class Bridge:
     shunt: Shunt | None = None
 
     def __post_init__(self) -> None:
-        """Check what came."""
+        """Check the values."""
         if self.configuration not in CONFIGURATIONS:
-            raise SensorError(f"configuration = {self.configuration!r} is no bridge; use {', '.join(CONFIGURATIONS)}.")
+            raise SensorError(
+                f"configuration = {self.configuration!r} is not a bridge; use {', '.join(CONFIGURATIONS)}."
+            )
         positive("gauge_factor", self.gauge_factor, "2.1")
         positive("gauge_ohm", self.gauge_ohm, "350.0")
         positive("lead_ohm", self.lead_ohm, "0.5", zero=True)
@@ -113,35 +115,36 @@ class Bridge:
         if self.poisson_ratio is not None:
             positive("poisson_ratio", self.poisson_ratio, "0.3", zero=True)
         elif self.configuration in _WITH_POISSON:
-            raise SensorError(f"The bridge {self.configuration!r} has gauges across; give poisson_ratio, as 0.3.")
+            raise SensorError(f"The bridge {self.configuration!r} has gauges across; give poisson_ratio, e.g. 0.3.")
 
     def zeroed_at(self, ratio: float) -> Bridge:
-        """Return the same bridge that put out this ratio, in V/V, when it was unstrained."""
+        """Return a copy whose unstrained bridge has this ratio, in V/V."""
         return replace(self, initial_ratio=ratio)
 
     @property
     def gain(self) -> float:
-        """What strain is multiplied by: `gain_adjustment`, or what the shunt tells.
+        """Return the factor of the strain: `gain_adjustment`, or the one from the shunt.
 
         Raises
         ------
         SensorError
-            If no gain explains what was read of the shunt.
+            If no gain explains the reading of the shunt.
 
         Notes
         -----
-        A shunt takes what cables and amplifier lose; it is no calibration of the gauge, its glue or its place.
+        A shunt corrects the losses in cables and amplifier; it does not calibrate the gauge, its glue or its place.
         """
         if self.shunt is None:
             return self.gain_adjustment
         bare, sign = replace(self, shunt=None, gain_adjustment=1.0), self._sign()
         changed = self.gauge_factor * shunt_strain(self.gauge_ohm, self.shunt.shunt_ohm, self.gauge_factor)
         balanced = replace(bare, lead_ohm=0.0, initial_ratio=0.0)
-        simulated = balanced.strain(np.array([-sign * changed / (4 + 2 * changed)]))  # of one gauge, changed so
+        # one gauge changes its resistance by this share
+        simulated = balanced.strain(np.array([-sign * changed / (4 + 2 * changed)]))
         return gain_adjustment(float(simulated[0]), float(bare.strain(np.array([self.shunt.ratio]))[0]))
 
     def ratio(self, voltage_v: Floats) -> Floats:
-        """Return the ratio (n,), in V/V, of the bridge's output (n,) in volts.
+        """Return the ratio (n,), in V/V, for an output (n,) in volts.
 
         Raises
         ------
@@ -149,19 +152,21 @@ class Bridge:
             If the excitation is not known.
         """
         if self.excitation_v is None:
-            raise SensorError("The bridge's excitation is not known; give excitation_v, as 5.0, or readings in mV/V.")
+            raise SensorError(
+                "The excitation of the bridge is unknown; give excitation_v, e.g. 5.0, or readings in mV/V."
+            )
         return np.asarray(voltage_v / self.excitation_v)
 
     def strain(self, ratio: Floats) -> Floats:
-        """Return the strain (n,), in m/m, of ratios (n,) in V/V; NaN where no gauge can give such a ratio."""
+        """Return the strain (n,), in m/m, of ratios (n,) in V/V; NaN where a ratio is impossible."""
         r, terms = self._unbalance(ratio), self._terms()
-        return np.asarray(-self._factor() * terms.c * r / _possible(terms.d0 + terms.d1 * r))
+        return np.asarray(-self._factor() * terms.c * r / _valid_denominator(terms.d0 + terms.d1 * r))
 
     def slope(self, ratio: Floats) -> Floats:
-        """Return d strain / d ratio (n,), in m/m per V/V: the standard uncertainty of a ratio, times its magnitude."""
+        """Return d strain / d ratio (n,), in m/m per V/V; its magnitude converts standard uncertainties of a ratio."""
         terms = self._terms()
-        bottom = _possible(terms.d0 + terms.d1 * self._unbalance(ratio))
-        return np.asarray(-self._sign() * self._factor() * terms.c * terms.d0 / bottom**2)
+        denominator = _valid_denominator(terms.d0 + terms.d1 * self._unbalance(ratio))
+        return np.asarray(-self._sign() * self._factor() * terms.c * terms.d0 / denominator**2)
 
     def _sign(self) -> float:
         return 1.0 if self.tension_lowers else -1.0
@@ -170,9 +175,9 @@ class Bridge:
         return np.asarray(self._sign() * (ratio - self.initial_ratio))
 
     def _factor(self) -> float:
-        """Return what the ratio is multiplied by beside the circuit's own terms."""
-        leads = 1.0 if self.configuration.startswith("full") else 1 + self.lead_ohm / self.gauge_ohm
-        return self.gain * leads / self.gauge_factor
+        """Return the factor of the strain that does not depend on the terms of the circuit."""
+        lead_factor = 1.0 if self.configuration.startswith("full") else 1 + self.lead_ohm / self.gauge_ohm
+        return self.gain * lead_factor / self.gauge_factor
 
     def _terms(self) -> _Terms:
         nu = self.poisson_ratio or 0.0
@@ -188,13 +193,13 @@ class Bridge:
         return table[self.configuration]
 
 
-def _possible(bottom: Floats) -> Floats:
-    """Return what is divided by, NaN where it is not positive: there a resistance would be infinite, or negative."""
-    return np.where(bottom > 0, bottom, np.nan)
+def _valid_denominator(denominator: Floats) -> Floats:
+    """Return the denominator, NaN where it is not positive: there a resistance would be infinite or negative."""
+    return np.where(denominator > 0, denominator, np.nan)
 
 
 def shunt_strain(gauge_ohm: float, shunt_ohm: float, gauge_factor: float) -> float:
-    """Return the strain, in m/m, that a resistor across a gauge simulates: compression, hence negative.
+    """Return the strain, in m/m, that a resistor across a gauge simulates: compression, so it is negative.
 
     Raises
     ------
@@ -206,28 +211,28 @@ def shunt_strain(gauge_ohm: float, shunt_ohm: float, gauge_factor: float) -> flo
 
 
 def gain_adjustment(simulated: float, read: float) -> float:
-    """Return what strain is multiplied by, so that a shunt reads what it simulates.
+    """Return the factor of the strain with which the reading of a shunt equals the strain that it simulates.
 
     Parameters
     ----------
     simulated : float
-        By `shunt_strain`, in m/m.
+        Simulated strain, from `shunt_strain`, in m/m.
     read : float
-        What a bridge without adjustment read of it, less what it read before, in m/m.
+        Strain read with the shunt minus strain read without it, without adjustment, in m/m.
 
     Raises
     ------
     SensorError
-        If the two differ in sign, or by more than a factor of two: then something else is wrong.
+        If the two differ in sign or by more than a factor of two, which has another cause.
 
     Notes
     -----
-    This takes what cables and amplifier lose; it does not calibrate the gauge, its glue or its place.
+    This corrects the losses in cables and amplifier; it does not calibrate the gauge, its glue or its place.
     """
-    wanted, came = finite("simulated", simulated, "-952e-6"), finite("read", read, "-940e-6")
-    if not (came * wanted > 0 and 0.5 <= wanted / came <= 2):
+    expected, measured = finite("simulated", simulated, "-952e-6"), finite("read", read, "-940e-6")
+    if not (measured * expected > 0 and 0.5 <= expected / measured <= 2):
         raise SensorError(
-            f"The shunt simulates {1e6 * wanted:.6g} um/m and {1e6 * came:.6g} um/m were read, which no gain explains; "
-            "look at the wiring, the shunt's resistance and the bridge's configuration."
+            f"The shunt simulates {1e6 * expected:.6g} um/m and {1e6 * measured:.6g} um/m were read; no gain explains "
+            "this ratio. Check the wiring, the resistance of the shunt and the configuration of the bridge."
         )
-    return wanted / came
+    return expected / measured

@@ -1,4 +1,4 @@
-"""What numbers about a sensor may be; each refusal is a sentence."""
+"""Checks of the numbers that describe a sensor, with messages for the user."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from becalm.core.arrays import Floats, frozen, real
 from becalm.errors import SensorError
 
 STANDARD_GRAVITY = 9.80665
-"""g, in m/s^2, by definition; at a place on Earth it differs by up to 0.3 %."""
+"""g, in m/s^2, by definition; the local value on Earth differs by up to 0.3 %."""
 
 
 def finite(name: str, value: object, example: str) -> float:
@@ -18,36 +18,36 @@ def finite(name: str, value: object, example: str) -> float:
     Raises
     ------
     SensorError
-        If it is none (truth values and text are none).
+        If it is not a finite number (booleans and text are not numbers).
     """
     number = _number(value)
     if not np.isfinite(number):
-        raise SensorError(f"{name} = {value!r} is not a finite number; give one, as {example}.")
+        raise SensorError(f"{name} = {value!r} is not a finite number; give one, e.g. {example}.")
     return number
 
 
 def positive(name: str, value: object, example: str, *, zero: bool = False) -> float:
-    """Return a finite number above zero, or of zero as well, as float.
+    """Return a finite number above zero, or at least zero if that is allowed, as float.
 
     Raises
     ------
     SensorError
-        If it is none, or negative.
+        If it is not a finite number, negative, or 0 where that is not allowed.
     """
     number = _number(value)
     if not (0 < number < np.inf or (zero and number == 0)):
         what = "zero or a positive number" if zero else "a positive number"
-        raise SensorError(f"{name} = {value!r} is not {what}; give one, as {example}.")
+        raise SensorError(f"{name} = {value!r} is not {what}; give one, e.g. {example}.")
     return number
 
 
 def finite_array(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Floats:
-    """Return our own read-only copy of an array of finite numbers of one shape.
+    """Return a read-only copy of an array of finite numbers with the given shape.
 
     Raises
     ------
     SensorError
-        If it has another shape, or holds what is no finite number.
+        If it has another shape, or an entry is not a finite number.
     """
     try:
         own = frozen(real(values))
@@ -56,12 +56,12 @@ def finite_array(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Floats
     if own.shape != shape:
         raise SensorError(f"{name} has shape {own.shape}; give shape {shape}.")
     if not np.isfinite(own).all():
-        raise SensorError(f"{name} holds numbers that are not finite; give {own.size} finite ones.")
+        raise SensorError(f"{name} holds numbers that are not finite; give {own.size} finite numbers.")
     return own
 
 
 def _number(value: object) -> float:
-    """Return a number as float, NaN of anything else."""
+    """Return a number as float, and NaN for anything else."""
     if isinstance(value, bool | np.bool_) or not isinstance(value, int | float | np.integer | np.floating):
         return np.nan
     return float(value)

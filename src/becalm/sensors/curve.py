@@ -1,4 +1,4 @@
-"""A calibration curve: a polynomial from readings to what is measured."""
+"""A calibration curve: a polynomial from readings to the measured quantity."""
 
 from __future__ import annotations
 
@@ -13,32 +13,32 @@ from becalm.sensors.checks import finite
 
 @dataclass(frozen=True)
 class CalibrationCurve:
-    """A polynomial.
+    """A polynomial from readings to the measured quantity.
 
     Attributes
     ----------
     coefficients : tuple of float
-        Of readings to the power of 0, 1, 2, ..., in unit per reading to that power.
+        Coefficients of the powers 0, 1, 2, ... of readings, in unit per reading to that power.
 
     Raises
     ------
     SensorError
-        If there is none but the constant, or one is not finite.
+        If all coefficients but the constant are 0, or one is not finite.
     """
 
     coefficients: tuple[float, ...]
 
     def __post_init__(self) -> None:
-        """Check what came."""
+        """Check the coefficients."""
         own = [finite("coefficients", value, "[0.0, 12.5]") for value in self.coefficients]
         if not any(own[1:]):
-            raise SensorError("A curve with no coefficient beyond the first tells nothing; give them, as [0.0, 12.5].")
+            raise SensorError("All coefficients after the first are 0; give them, e.g. [0.0, 12.5].")
 
     def zeroed_at(self, reading: float) -> CalibrationCurve:
-        """Return the same curve, moved so that this reading tells 0."""
+        """Return the curve with another constant, so that this reading gives 0."""
         constant = self.coefficients[0] - float(self.value(np.array([reading]))[0])
         return CalibrationCurve((constant, *self.coefficients[1:]))
 
     def value(self, readings: Floats) -> Floats:
-        """Return what is measured (n,) where readings (n,) came."""
+        """Return the measured quantity (n,) for readings (n,)."""
         return np.asarray(np.polynomial.polynomial.polyval(readings, self.coefficients))

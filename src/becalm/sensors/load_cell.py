@@ -1,4 +1,4 @@
-"""Load from a load cell: its rated output at its capacity, and its zero balance."""
+"""Convert the output of a load cell to load, from rated output, capacity and zero balance."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from becalm.sensors.checks import STANDARD_GRAVITY, finite, positive
 
 @dataclass(frozen=True)
 class LoadCell:
-    """A load cell, by its sheet.
+    """A load cell, described by its data sheet.
 
     Attributes
     ----------
     rated_output_mv_per_v : float
-        What it puts out at its capacity, beside its zero, per volt of supply; negative where the signal's wires
+        Output at the capacity minus the output without load, per volt of supply; negative if the signal wires
         are swapped.
     capacity : float
-        In the unit of the result: N, kg, N*m.
+        Rated load, in the unit of the result: N, kg, N*m.
     zero_balance_mv_per_v : float
-        What it puts out without load.
+        Output without load.
     excitation_v : float or None
-        Supply in volts, where readings are voltages; None where they are ratios.
+        Supply voltage in volts, if readings are voltages; None if they are ratios.
 
     Raises
     ------
@@ -39,20 +39,20 @@ class LoadCell:
     excitation_v: float | None = None
 
     def __post_init__(self) -> None:
-        """Check what came."""
+        """Check the values."""
         if finite("rated_output_mv_per_v", self.rated_output_mv_per_v, "2.0") == 0:
-            raise SensorError("rated_output_mv_per_v = 0 tells no load; give the sheet's figure, as 2.0.")
+            raise SensorError("rated_output_mv_per_v = 0 gives no load; give the figure of the data sheet, e.g. 2.0.")
         positive("capacity", self.capacity, "500.0")
         finite("zero_balance_mv_per_v", self.zero_balance_mv_per_v, "0.02")
         if self.excitation_v is not None:
             positive("excitation_v", self.excitation_v, "10.0")
 
     def zeroed_at(self, ratio_mv_per_v: float) -> LoadCell:
-        """Return the same cell that put out so many mV/V without load."""
+        """Return a copy with this output without load, in mV/V."""
         return replace(self, zero_balance_mv_per_v=ratio_mv_per_v)
 
     def ratio(self, voltage_v: Floats) -> Floats:
-        """Return the output (n,) in mV/V of voltages (n,).
+        """Return the output (n,) in mV/V for voltages (n,) in volts.
 
         Raises
         ------
@@ -60,7 +60,9 @@ class LoadCell:
             If the excitation is not known.
         """
         if self.excitation_v is None:
-            raise SensorError("The cell's excitation is not known; give excitation_v, as 10.0, or readings in mV/V.")
+            raise SensorError(
+                "The excitation of the load cell is unknown; give excitation_v, e.g. 10.0, or readings in mV/V."
+            )
         return np.asarray(1e3 * voltage_v / self.excitation_v)
 
     def load(self, ratio_mv_per_v: Floats) -> Floats:
@@ -70,7 +72,7 @@ class LoadCell:
 
 
 def weight_n(mass_kg: Floats, gravity: float = STANDARD_GRAVITY) -> Floats:
-    """Return the force (n,), in N, with which masses (n,) press on a cell where gravity is that many m/s^2.
+    """Return the weight (n,), in N, of masses (n,) in kg, for a gravity in m/s^2.
 
     Raises
     ------

@@ -1,9 +1,9 @@
-"""A triaxial accelerometer calibrated by rest: gravity is as long in every pose.
+"""Calibrate a triaxial accelerometer at rest: the magnitude of gravity is the same in every pose.
 
-Nothing but the sensor is needed: it is laid down in many poses, and scale, bias and skew of its axes are those
-that make |a| the same in all. Which way its axes point in space gravity cannot tell; so the third axis is taken as
-it is, the second lies in a plane with it (the upper triangular matrix of Tedaldi, Pretto and Menegatti, ICRA 2014).
-Where directions are known, as on the six faces of a cube, everything is found by linear least squares (IEEE 1293).
+No equipment is needed: the sensor rests in many poses, and scale, bias and skew of its axes are fitted so that |a| is
+the same in all poses. Gravity does not show how the axes are oriented in space. Therefore the third axis is kept, and
+the second lies in a plane with it (the upper triangular matrix of Tedaldi, Pretto and Menegatti, ICRA 2014).
+If directions are known, as for the six faces of a cube, linear least squares gives all parameters (IEEE 1293).
 """
 
 from __future__ import annotations
@@ -17,27 +17,27 @@ from becalm.errors import SensorError
 from becalm.sensors.checks import STANDARD_GRAVITY, finite_array, positive
 
 FEWEST_POSES = 10
-"""Rests in different poses: one more than there are unknowns."""
+"""Least number of rests in different poses: one more than the number of unknowns."""
 
 FEWEST_DIRECTIONS = 5
-"""Rests of known directions: one more than there are unknowns an axis."""
+"""Least number of rests in known directions: one more than the number of unknowns per axis."""
 
 _UPPER = np.triu_indices(3)
 _UNKNOWNS = 9
 _UNKNOWNS_AN_AXIS = 4
-_POOR = 0.005  # least singular value over root of rests: all around it is 0.1 to 0.2, over half of a sphere 0.04
+_POOR = 0.005  # least singular value over root of rests: 0.1 to 0.2 for a full sphere, 0.04 for half
 _ROUNDS = 3
 
 
 class Rests(NamedTuple):
-    """What was read at rest.
+    """Readings at rest.
 
     Attributes
     ----------
     means : (k, 3) float array
-        Of each rest, in readings.
+        Mean of each rest, in the unit of readings.
     stds : (k, 3) float array
-        Their standard errors, in readings.
+        Standard errors of the means, in the unit of readings.
     """
 
     means: Floats
@@ -45,17 +45,17 @@ class Rests(NamedTuple):
 
 
 class PoseCalibration(NamedTuple):
-    """What readings v are turned into accelerations with: a = matrix (v - bias).
+    """The calibration of an accelerometer with readings v: a = matrix (v - bias).
 
     Attributes
     ----------
     matrix, matrix_std : (3, 3) float array
-        In unit of gravity per reading, and its standard errors.
+        Calibration matrix and its standard errors, in unit of gravity per reading.
     bias, bias_std : (3,) float array
-        In readings, and its standard errors.
+        Bias and its standard errors, in the unit of readings.
     excess : float
-        By how much rests differ from the model, over their standard errors, root mean square; where it is above 1,
-        the standard errors told here are larger by as much.
+        Root mean square of the residuals over the standard errors of the rests; if it is above 1, the standard
+        errors of matrix and bias contain it as a factor.
     """
 
     matrix: Floats
@@ -74,12 +74,12 @@ class PoseCalibration(NamedTuple):
 
 
 def common_factor(means: Floats, zero: Floats, gravity: float = STANDARD_GRAVITY) -> PoseCalibration:
-    """Return what stands for no calibration: a zero (3,) and one factor for all axes, with no errors told.
+    """Return the calibration with a zero (3,) and one factor for all axes; its standard errors are NaN.
 
     Raises
     ------
     SensorError
-        If the rests (k, 3) have no length about the zero, or gravity is not positive.
+        If all rests (k, 3) are at the zero, or gravity is not positive.
     """
     length = float(np.linalg.norm(means - zero, axis=1).mean())
     factor = positive("gravity", gravity, "9.80665") / positive("mean length of the rests", length, "1.0")
@@ -87,37 +87,37 @@ def common_factor(means: Floats, zero: Floats, gravity: float = STANDARD_GRAVITY
 
 
 def calibrate_by_length(rests: Rests, gravity: float = STANDARD_GRAVITY) -> PoseCalibration:
-    """Calibrate by rests in any poses, of which nothing is known.
+    """Return the calibration from rests in unknown poses.
 
     Parameters
     ----------
     rests : Rests
-        Ten poses at least, all around: each axis up and down, and edges and corners between.
+        At least ten poses over the full sphere: each axis up and down, and edges and corners between.
     gravity : float
-        Where the sensor lay, in the unit that is wanted.
+        Gravity at the place of the sensor, in the unit of the result.
 
     Returns
     -------
     PoseCalibration
-        With an upper triangular matrix.
+        The calibration, with an upper triangular matrix.
 
     Raises
     ------
     SensorError
-        If there are fewer than ten rests, they are too alike to tell nine unknowns, or a number is impossible.
+        If there are fewer than ten rests, they are too similar for nine unknowns, or a number is impossible.
     """
     means, stds = _checked(rests, FEWEST_POSES, "poses")
     g = positive("gravity", gravity, "9.80665")
     centre, radius = nearest_sphere(means)
-    u, u_std = (means - centre) / radius, stds / radius  # of length 1, about: all unknowns are of one size
+    u, u_std = (means - centre) / radius, stds / radius  # of length near 1, so that all unknowns are of similar size
     p = np.concatenate([np.eye(3)[_UPPER], np.zeros(3)])
-    _refuse_alike(_slopes(p, u))
-    for _ in range(_ROUNDS):  # what a rest weighs depends on the fit, slightly
+    _require_variety(_slopes(p, u))
+    for _ in range(_ROUNDS):  # the weight of a rest depends slightly on the fit
         weight = 1 / _length_std(p, u, u_std)
         p = _fitted(p, u, weight)
-    J, left = weight[:, np.newaxis] * _slopes(p, u), weight * (_length(p, u) - 1)
-    _refuse_alike(_slopes(p, u))
-    excess = float(np.sqrt(left @ left / (len(u) - _UNKNOWNS)))
+    J, residual = weight[:, np.newaxis] * _slopes(p, u), weight * (_length(p, u) - 1)
+    _require_variety(_slopes(p, u))
+    excess = float(np.sqrt(residual @ residual / (len(u) - _UNKNOWNS)))
     std = max(1.0, excess) * np.sqrt(np.diag(np.linalg.inv(J.T @ J)))
     M, b = _unpacked(p)
     M_std, b_std = _unpacked(std)
@@ -125,74 +125,75 @@ def calibrate_by_length(rests: Rests, gravity: float = STANDARD_GRAVITY) -> Pose
 
 
 def _fitted(p: Floats, u: Floats, weight: Floats) -> Floats:
-    """Return the unknowns (9,) by which lengths are nearest to 1, from a first guess."""
+    """Return the least-squares unknowns (9,) for lengths of 1, from an initial guess."""
     from scipy.optimize import least_squares
 
     w = weight / weight.mean()
 
-    def left(p: Floats) -> Floats:
+    def residual(p: Floats) -> Floats:
         return np.asarray(w * (_length(p, u) - 1))
 
     def slopes(p: Floats) -> Floats:
         return np.asarray(w[:, np.newaxis] * _slopes(p, u))
 
-    found = least_squares(left, p, slopes)
-    return np.asarray(found.x)
+    fit = least_squares(residual, p, slopes)
+    return np.asarray(fit.x)
 
 
 def calibrate_by_direction(rests: Rests, accelerations: Floats) -> PoseCalibration:
-    """Calibrate by rests whose directions are known, as the six faces of a cube.
+    """Return the calibration from rests in known directions, such as the six faces of a cube.
 
     Parameters
     ----------
     rests : Rests
-        Five at least; six, one a face, are usual.
+        At least five rests; usually six, one per face.
     accelerations : (k, 3) float array
-        What each should have read, in the unit that is wanted: (0, 0, g) with the third axis up.
+        True acceleration of each rest, in the unit of the result: (0, 0, g) with the third axis up.
 
     Raises
     ------
     SensorError
-        If there are fewer than five rests, they do not turn every axis, or an axis tells nothing.
+        If there are fewer than five rests, the directions do not span the space, or the readings of an axis depend
+        on those of another.
     """
     means, stds = _checked(rests, FEWEST_DIRECTIONS, "known directions")
     a = finite_array("accelerations", accelerations, means.shape)
     size = positive("mean length of accelerations", float(np.linalg.norm(a, axis=1).mean()), "9.80665")
     design = np.column_stack([a / size, np.ones(len(a))])
-    _refuse_alike(design)
+    _require_variety(design)
     axes = [_line(design, mean, std) for mean, std in zip(means.T, stds.T, strict=True)]
     S, b = np.array([axis.row[:3] for axis in axes]), np.array([axis.row[3] for axis in axes])
     strengths = np.linalg.svd(S, compute_uv=False)
     if not strengths[-1] > _POOR * strengths[0]:
-        raise SensorError("One axis reads as another does, or does not turn with its sensor; look at its wiring.")
+        raise SensorError("One axis reads like another, or does not change with the direction; check its wiring.")
     excess = float(np.sqrt(sum(axis.squares for axis in axes) / (3 * (len(a) - _UNKNOWNS_AN_AXIS))))
     wider, C = max(1.0, excess), np.linalg.inv(S)
-    # C changes by -C dS C; rows of S know nothing of each other
-    heard = np.array([np.einsum("jl,jk,kl->l", C, axis.covariance[:3, :3], C) for axis in axes])
+    # C changes by -C dS C; the errors of the rows of S are independent
+    row_variances = np.array([np.einsum("jl,jk,kl->l", C, axis.covariance[:3, :3], C) for axis in axes])
     b_std = wider * np.sqrt([axis.covariance[3, 3] for axis in axes])
-    return PoseCalibration(C * size, wider * np.sqrt(C**2 @ heard) * size, b, b_std, excess)
+    return PoseCalibration(C * size, wider * np.sqrt(C**2 @ row_variances) * size, b, b_std, excess)
 
 
 class _Line(NamedTuple):
-    """How one axis hears the three directions, and its bias."""
+    """Sensitivity of one axis to the three directions, and its bias."""
 
     row: Floats
     covariance: Floats
-    squares: float  # of what is left over, in standard errors
+    squares: float  # sum of squared residuals, in standard errors
 
 
 def _line(design: Floats, mean: Floats, std: Floats) -> _Line:
-    J, wanted = design / std[:, np.newaxis], mean / std
+    J, target = design / std[:, np.newaxis], mean / std
     covariance: Floats = np.asarray(np.linalg.inv(J.T @ J), dtype=np.float64)
-    row: Floats = np.asarray(np.linalg.lstsq(J, wanted)[0], dtype=np.float64)
-    return _Line(row, covariance, float(np.sum((J @ row - wanted) ** 2)))
+    row: Floats = np.asarray(np.linalg.lstsq(J, target)[0], dtype=np.float64)
+    return _Line(row, covariance, float(np.sum((J @ row - target) ** 2)))
 
 
 def _checked(rests: Rests, fewest: int, what: str) -> tuple[Floats, Floats]:
-    """Return means and standard errors, each (k, 3), of enough rests."""
+    """Return means and standard errors, (k, 3) each, after a check of their number and values."""
     count = len(np.asarray(rests.means))
     if count < fewest:
-        raise SensorError(f"{count} rests came; at least {fewest} in different {what} are needed. Lay it down in more.")
+        raise SensorError(f"{count} rests came; at least {fewest} in different {what} are needed. Add more poses.")
     means, stds = finite_array("means", rests.means, (count, 3)), finite_array("stds", rests.stds, (count, 3))
     if not (stds > 0).all():
         raise SensorError("A standard error of a rest is not positive; give those of the means, in readings.")
@@ -205,20 +206,20 @@ def nearest_sphere(means: Floats) -> tuple[Floats, float]:
     Raises
     ------
     SensorError
-        If they lie in a plane, or nearly.
+        If the points lie in a plane, or nearly so.
     """
     middle = means.mean(axis=0)
     size = float(np.sqrt(np.mean((means - middle) ** 2))) or 1.0
     x = (means - middle) / size
     design = np.column_stack([2 * x, np.ones(len(x))])
-    _refuse_alike(design)
+    _require_variety(design)
     *centre, rest = np.linalg.lstsq(design, np.sum(x**2, axis=1))[0]
     radius = float(np.sqrt(rest + np.dot(centre, centre)))
     return middle + size * np.array(centre), size * radius
 
 
 def _unpacked(p: Floats) -> tuple[Floats, Floats]:
-    """Return the upper triangle (3, 3) and the three numbers behind it."""
+    """Return the upper triangular matrix (3, 3) and the vector (3,) in the unknowns (9,)."""
     M = np.zeros((3, 3))
     M[_UPPER] = p[:6]
     return M, p[6:]
@@ -231,7 +232,7 @@ def _length(p: Floats, u: Floats) -> Floats:
 
 
 def _slopes(p: Floats, u: Floats) -> Floats:
-    """Return d |M (u - b)| over the six numbers of M and the three of b, (k, 9)."""
+    """Return the derivatives (k, 9) of |M (u - b)| by the six entries of M and the three of b."""
     M, b = _unpacked(p)
     a = (u - b) @ M.T
     along = a / np.linalg.norm(a, axis=1, keepdims=True)
@@ -245,11 +246,11 @@ def _length_std(p: Floats, u: Floats, u_std: Floats) -> Floats:
     return np.asarray(np.sqrt(np.sum((toward_b * u_std) ** 2, axis=1)))
 
 
-def _refuse_alike(design: Floats) -> None:
-    """Refuse poses (k rows) that leave a combination of unknowns, each of size 1, almost untold."""
+def _require_variety(design: Floats) -> None:
+    """Raise an error if poses (k rows) hardly determine some combination of the unknowns, which have size 1."""
     strengths = np.linalg.svd(design, compute_uv=False) / np.sqrt(len(design))
     if not strengths[-1] > _POOR:
         raise SensorError(
-            "The rests are too alike: they do not tell scale, bias and skew of all axes apart. "
+            "The rests are too similar to distinguish scale, bias and skew of all axes. "
             "Lay the sensor down on each of its faces, and on edges and corners between."
         )

@@ -1,4 +1,4 @@
-"""A calibration record: what a sensor's sheet says, in plain values, and readings turned into what is measured."""
+"""Calibration records: the data of a sensor's data sheet, and the conversion of its readings."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ from becalm.sensors.tare import Tare
 from becalm.sensors.thermal import GaugeTemperature
 
 COVERAGE = 2.0
-"""k of the expanded uncertainties that sheets tell."""
+"""Coverage factor k of the expanded uncertainties in data sheets."""
 
 
 class Sensitivity(NamedTuple):
-    """The sensitivity of one channel, as its sheet tells it.
+    """The sensitivity of one channel from its data sheet.
 
     Attributes
     ----------
     value : float
-        Not zero.
+        Sensitivity, not 0.
     unit : str
-        As mV/g.
+        Unit of the sensitivity, such as mV/g.
     uncertainty : float
-        Expanded (k = 2), in this unit.
+        Expanded uncertainty (k = 2), in this unit.
     """
 
     value: float
@@ -42,34 +42,34 @@ class Sensitivity(NamedTuple):
 
     @property
     def relative_std(self) -> float:
-        """Its standard uncertainty (k = 1), as a share."""
+        """Return the relative standard uncertainty (k = 1)."""
         return self.uncertainty / COVERAGE / abs(self.value)
 
 
 @dataclass(frozen=True)
 class Sheet:
-    """What a sheet, or an electronic one (TEDS, IEEE 1451.4), says beside the conversion.
+    """The data of a paper or electronic (TEDS, IEEE 1451.4) data sheet that the conversion does not need.
 
     Attributes
     ----------
     manufacturer, model, version, serial, laboratory, certificate, direction, location : str
-        "" where not told.
+        Texts; "" if unknown.
     calibrated, due : date or None
-        When it was, and when it must be again.
+        Date of the calibration, and date of the next one.
     reference_frequency_hz, reference_temperature_degc : float or None
-        At which the sensitivity holds.
+        Conditions for which the sensitivity is given.
     range_low, range_high : float or None
-        In unit of the result.
+        Measuring range, in unit of the result.
     impedance_ohm : float or None
-        Of the bridge, or the output.
+        Impedance of the bridge or of the output.
     temperature_coefficient_percent_per_k : float or None
-        Of the sensitivity.
+        Temperature coefficient of the sensitivity.
     transverse_percent : float or None
-        The greatest sensitivity across the axis, of that along it.
+        Largest sensitivity across the axis, in percent of that along it.
     noise_density : float or None
-        In unit of the result per sqrt(Hz), one-sided.
+        One-sided noise density, in unit of the result per sqrt(Hz).
     resonance_hz, damping_ratio : float or None
-        Of its proof mass, or spring; without a damping it is taken to have none.
+        Resonance of the proof mass or spring; without a damping ratio it counts as undamped.
     """
 
     manufacturer: str = ""
@@ -95,27 +95,27 @@ class Sheet:
 
     @property
     def resonance(self) -> Resonance | None:
-        """What its resonance does to what it measures; None where the sheet does not tell it."""
+        """Return the resonance of the sensor; None if the data sheet does not give it."""
         return None if self.resonance_hz is None else Resonance(self.resonance_hz, self.damping_ratio or 0.0)
 
     def is_due(self, today: date) -> bool:
-        """Tell whether the day has come on which it must be calibrated again; without such a day it never does."""
+        """Return whether the next calibration is due; False without a due date."""
         return self.due is not None and today >= self.due
 
 
 class Calibration(NamedTuple):
-    """What must be known of a channel after its sensor turned it into its unit.
+    """The calibration data that a converted channel keeps.
 
     Attributes
     ----------
     relative_std : float
-        Standard uncertainty (k = 1) of the sensitivity, as a share.
+        Relative standard uncertainty (k = 1) of the sensitivity.
     offset_std : float
         Standard uncertainty (k = 1) of the zero, in unit.
     tare : Tare or None
-        The zero that was taken.
+        The measured zero.
     resonance : Resonance or None
-        Of the sensor.
+        Resonance of the sensor.
     """
 
     relative_std: float = 0.0
@@ -126,33 +126,33 @@ class Calibration(NamedTuple):
 
 @dataclass(frozen=True)
 class SensorRecord:
-    """One sensor: which channels it feeds, and how their readings become what is measured.
+    """One sensor: its channels, and the conversion of their readings.
 
     Attributes
     ----------
     channels : tuple of str
-        One, or the three of a triaxial sensor.
+        Names of its channels: one, or three for a triaxial sensor.
     raw_unit, unit : str
-        Of the readings that come, and of the result.
-    conversion : Accelerometer, Bridge, LoadCell or Curve
-        What turns one into the other.
+        Units of the readings and of the result.
+    conversion : Accelerometer, Bridge, LoadCell or CalibrationCurve
+        Conversion of readings to the result.
     reading_size : float
-        What the conversion takes, of one reading: its volts, its V/V (of a bridge), its mV/V (of a load cell).
+        Factor from raw_unit to the input unit of the conversion: V, V/V (bridge) or mV/V (load cell).
     result_size : float
-        What the result is, of one that the conversion gives: 1e6 for um/m of m/m.
+        Factor from the output unit of the conversion to unit: 1e6 from m/m to um/m.
     sensitivities : tuple of Sensitivity
-        One a channel; empty where a curve tells all.
+        Sensitivity of each channel; empty for a calibration curve.
     zero_uncertainty : float
-        Expanded (k = 2), of the result without load, in unit.
+        Expanded uncertainty (k = 2) of the result without load, in unit.
     full_scale : FullScale or None
-        The least and the greatest reading, in raw_unit; None calls no reading clipped.
+        The smallest and the largest possible reading, in raw_unit; with None no reading counts as clipped.
     tare_s : (float, float) or None
-        The stretch without load from which the zero is to be taken, in seconds after the first row; None keeps the
-        zero of the sheet.
+        The stretch without load for the zero, in seconds after the first row; None keeps the zero of the data
+        sheet.
     temperature : GaugeTemperature or None
-        What temperature does to the gauges of a bridge; None corrects nothing.
+        Effect of temperature on the gauges of a bridge; None means no correction.
     sheet : Sheet
-        All else.
+        All other data.
     """
 
     channels: tuple[str, ...]
@@ -170,73 +170,75 @@ class SensorRecord:
 
     @property
     def needed(self) -> tuple[str, ...]:
-        """Its channels, and the one that tells the temperature, if one does."""
-        told = None if self.temperature is None else self.temperature.channel
-        return self.channels if told is None else (*self.channels, told)
+        """Return the channels of the sensor and the temperature channel, if there is one."""
+        channel = None if self.temperature is None else self.temperature.channel
+        return self.channels if channel is None else (*self.channels, channel)
 
     @property
     def relative_stds(self) -> tuple[float, ...]:
-        """Standard uncertainty (k = 1) of each channel's sensitivity, as a share; 0 where none was told."""
+        """Return the relative standard uncertainty (k = 1) of the sensitivity of each channel; 0 if unknown."""
         return tuple(one.relative_std for one in self.sensitivities) or (0.0,) * len(self.channels)
 
     @property
     def offset_std(self) -> float:
-        """Standard uncertainty (k = 1) of the zero, in unit."""
+        """Return the standard uncertainty (k = 1) of the zero, in unit."""
         return self.zero_uncertainty / COVERAGE
 
 
 def applied(record: SensorRecord, columns: Mapping[str, Floats]) -> dict[str, Floats]:
-    """Turn readings into what is measured.
+    """Return the measured quantities of a sensor from its readings.
 
     Parameters
     ----------
     record : SensorRecord
-        Of the sensor.
+        The sensor.
     columns : mapping of str to (n,) float array
-        Readings by channel, in raw_unit; a channel of temperature in degC. Others are not looked at.
+        Readings by channel, in raw_unit; a temperature channel in degC. Other columns are ignored.
 
     Returns
     -------
     dict of str to (n,) float array
-        The sensor's channels, in unit; NaN where a reading that is needed, or the temperature, is missing, or
-        a reading is clipped.
+        Channels of the sensor, in unit; NaN where a needed reading or the temperature is missing, or a reading is
+        clipped.
 
     Raises
     ------
     SensorError
-        If a channel is not there, or its columns differ in length.
+        If a channel is missing, or the columns differ in length.
     """
     for name in record.needed:
         if name not in columns:
-            raise SensorError(f"The sensor's channel {name!r} is not there; there are {', '.join(columns) or 'none'}.")
+            raise SensorError(f"The sensor's channel {name!r} is missing; there are {', '.join(columns) or 'none'}.")
     if len({np.shape(columns[name]) for name in record.needed}) > 1:
-        raise SensorError(f"The columns {', '.join(record.needed)} differ in length; one sensor reads them together.")
+        raise SensorError(
+            f"The columns {', '.join(record.needed)} differ in length; the columns of a sensor must be equally long."
+        )
     readings = np.column_stack([np.asarray(columns[name], dtype=np.float64) for name in record.channels])
     if record.full_scale is not None:
         readings = np.where(record.full_scale.clipped(readings), np.nan, readings)
-    with np.errstate(invalid="ignore", over="ignore"):  # of a reading that is inf
-        told = _converted(record.conversion, record.reading_size * readings)
+    with np.errstate(invalid="ignore", over="ignore"):  # infinite readings
+        values = _converted(record.conversion, record.reading_size * readings)
     if record.temperature is not None and isinstance(record.conversion, Bridge):
-        told = _without_temperature(told, record.temperature, record.conversion.gauge_factor, columns)
-    told = record.result_size * told
-    return dict(zip(record.channels, told.T, strict=True))
+        values = _without_temperature(values, record.temperature, record.conversion.gauge_factor, columns)
+    values = record.result_size * values
+    return dict(zip(record.channels, values.T, strict=True))
 
 
 def tared(record: SensorRecord, tare: Tare) -> SensorRecord:
-    """Return a sensor of one channel with the zero that was taken.
+    """Return a sensor of one channel with a measured zero.
 
     Parameters
     ----------
     record : SensorRecord
-        With `tare_s`; its `zero_uncertainty` is what is uncertain beside the taking, as a zero that wanders later.
+        Sensor with `tare_s`; its `zero_uncertainty` covers what the measurement does not, e.g. a later drift.
     tare : Tare
-        In its raw_unit.
+        The measured zero, in raw_unit of the sensor.
 
     Raises
     ------
     SensorError
-        If readings that did not vary leave unknown how uncertain the zero is, or the zero does not fit the
-        sensor's shunt.
+        If all readings are equal, so that the uncertainty of the zero is unknown, or the zero does not fit the
+        shunt of the sensor.
     """
     (name,) = record.channels
     value, std = tare.reading, tare.reading_std
@@ -253,21 +255,21 @@ def tared(record: SensorRecord, tare: Tare) -> SensorRecord:
         if record.zero_uncertainty > 0:
             return zeroed
         raise SensorError(
-            f"All {tare.readings} readings of the stretch are {value:.6g} {record.raw_unit}, so that it is not known"
-            f" how uncertain their mean is; give zero_uncertainty, in {record.unit}."
+            f"All {tare.readings} readings of the stretch are {value:.6g} {record.raw_unit}, so the uncertainty of"
+            f" their mean is unknown; give zero_uncertainty, in {record.unit}."
         )
     columns = {name: np.array([value, value + std])}
     if temperature is not None and temperature.channel is not None:
         columns[temperature.channel] = np.full(2, tare.temperature_degc)
     at_zero, beyond = applied(replace(zeroed, full_scale=None), columns)[name]
-    told = COVERAGE * abs(float(beyond - at_zero))
-    return replace(zeroed, zero_uncertainty=float(np.hypot(told, record.zero_uncertainty)))
+    expanded = COVERAGE * abs(float(beyond - at_zero))
+    return replace(zeroed, zero_uncertainty=float(np.hypot(expanded, record.zero_uncertainty)))
 
 
 def _without_temperature(
     strain: Floats, temperature: GaugeTemperature, gauge_factor: float, columns: Mapping[str, Floats]
 ) -> Floats:
-    """Return the strain (n, 1) of a bridge without what temperature did to it."""
+    """Return the strain (n, 1) of a bridge, corrected for temperature."""
     if temperature.constant_degc is not None:
         degc = np.full(len(strain), temperature.constant_degc)
     else:
@@ -276,7 +278,7 @@ def _without_temperature(
 
 
 def _converted(conversion: Accelerometer | Bridge | LoadCell | CalibrationCurve, readings: Floats) -> Floats:
-    """Return what a conversion makes of readings (n, m)."""
+    """Return the converted readings (n, m)."""
     match conversion:
         case Accelerometer():
             return conversion.acceleration(readings)

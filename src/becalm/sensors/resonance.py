@@ -1,6 +1,7 @@
-"""What a spring, a mass and a damper make of acceleration: every sensor with a proof mass is one.
+"""The response of a spring, mass and damper to acceleration: the model of every sensor with a proof mass.
 
-The mass lags its case by dx = (m/k) a at low frequencies, rings near sqrt(k/m) / 2 pi, and hears nothing far above.
+The displacement of the mass is dx = (m/k) a at low frequencies; it resonates near sqrt(k/m) / 2 pi, and is insensitive
+far above.
 """
 
 from __future__ import annotations
@@ -18,14 +19,14 @@ _WHOLE = 100.0  # percent
 
 @dataclass(frozen=True)
 class Resonance:
-    """A sensor of the second order.
+    """A second-order sensor.
 
     Attributes
     ----------
     natural_hz : float
-        f_N, where it would ring without damping.
+        f_N, the resonance frequency without damping.
     damping_ratio : float
-        zeta: 1 is critical, 0.7 flattest, under 0.05 that of most piezo sensors.
+        zeta: 1 is critical, 0.7 gives the flattest response, most piezo sensors are below 0.05.
 
     Raises
     ------
@@ -37,18 +38,18 @@ class Resonance:
     damping_ratio: float
 
     def __post_init__(self) -> None:
-        """Check what came."""
+        """Check the values."""
         positive("natural_hz", self.natural_hz, "5000.0")
         positive("damping_ratio", self.damping_ratio, "0.7", zero=True)
 
     @classmethod
     def of_spring(cls, stiffness_n_per_m: float, mass_kg: float, damping_ns_per_m: float) -> Resonance:
-        """Make the sensor of a spring k, a mass m and a damper c: f_N = sqrt(k/m) / 2 pi, zeta = c / (2 sqrt(k m)).
+        """Return the sensor with a spring k, a mass m and a damper c: f_N = sqrt(k/m) / 2 pi, zeta = c / (2 sqrt(k m)).
 
         Raises
         ------
         SensorError
-            If a number is not positive, or the damper's is negative.
+            If the spring or the mass is not positive, or the damper is negative.
         """
         k, m = positive("stiffness_n_per_m", stiffness_n_per_m, "1000.0"), positive("mass_kg", mass_kg, "1e-3")
         c = positive("damping_ns_per_m", damping_ns_per_m, "0.1", zero=True)
@@ -56,17 +57,17 @@ class Resonance:
 
     @property
     def ringing_hz(self) -> float:
-        """Where it rings, f_N sqrt(1 - zeta^2); NaN where it does not, from critical damping on."""
+        """Return the frequency of free oscillation, f_N sqrt(1 - zeta^2); NaN from critical damping on."""
         return float(self.natural_hz * np.sqrt(1 - self.damping_ratio**2)) if self.damping_ratio < 1 else np.nan
 
     def acceleration(self, displacement_m: Floats) -> Floats:
-        """Return (k/m) dx (n,), in m/s^2, of displacements (n,) in m: right well below the natural frequency."""
+        """Return (k/m) dx (n,), in m/s^2, for displacements (n,) in m; accurate well below the natural frequency."""
         return np.asarray((2 * np.pi * self.natural_hz) ** 2 * displacement_m)
 
     def response(self, frequency_hz: Floats) -> tuple[Floats, Floats]:
-        """Return magnitude (k,), 1 at 0 Hz, and phase (k,), in degrees and negative: it lags, at frequencies (k,).
+        """Return magnitude (k,), 1 at 0 Hz, and phase (k,) in degrees, negative for a lag, at frequencies (k,).
 
-        Without damping the magnitude at the natural frequency itself is inf.
+        Without damping the magnitude at the natural frequency is inf.
         """
         r = np.asarray(frequency_hz) / self.natural_hz
         real, imaginary = 1 - r**2, 2 * self.damping_ratio * r
@@ -75,7 +76,7 @@ class Resonance:
         return np.asarray(magnitude), np.asarray(-np.degrees(np.arctan2(imaginary, real)))
 
     def right_to_hz(self, percent: float) -> float:
-        """Return up to where amplitudes are right within some percent, from 0 Hz on.
+        """Return the frequency up to which amplitudes are correct within some percent.
 
         Raises
         ------
@@ -84,11 +85,11 @@ class Resonance:
 
         Notes
         -----
-        With u = (f/f_N)^2 the magnitude is that of a limit where u^2 + (4 zeta^2 - 2) u + 1 = 1 / limit^2.
+        With u = (f/f_N)^2 the magnitude equals a limit where u^2 + (4 zeta^2 - 2) u + 1 = 1 / limit^2.
         """
         error = positive("percent", percent, "5.0") / _WHOLE
         if not error < 1:
-            raise SensorError(f"percent = {percent!r} is no error of an amplitude; give less than 100, as 5.0.")
+            raise SensorError(f"percent = {percent!r} is not an error of an amplitude; give less than 100, e.g. 5.0.")
         half = 1 - 2 * self.damping_ratio**2
         below = half + np.sqrt(half**2 - 1 + (1 - error) ** -2)  # its product with the other root is negative
         above = half**2 - 1 + (1 + error) ** -2

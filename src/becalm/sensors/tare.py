@@ -1,4 +1,4 @@
-"""The zero of a sensor, from a stretch without load that is checked to be quiet."""
+"""Compute the zero of a sensor from a stretch of readings without load, after a check that the stretch is quiet."""
 
 from __future__ import annotations
 
@@ -12,32 +12,32 @@ from becalm.errors import SensorError
 
 BLOCKS = 8
 FEWEST = 4 * BLOCKS
-"""Readings in a stretch."""
+"""Least number of readings in a stretch."""
 
 MOST_WANDER = 1 / 3
-"""Standard deviation of block means beyond chance, over that of the noise: as of a straight drift by 1.1 sigma."""
+"""Largest standard deviation of the block means beyond chance, over the noise; a linear drift of 1.1 sigma has it."""
 
 MOST_UNEVEN = 4.0
-"""Power of one block over that of the others."""
+"""Largest power of one block over that of the others."""
 
 MOST_READINGS = 1 << 24
-"""In a stretch, which is held in memory."""
+"""Largest number of readings in a stretch, which is held in memory."""
 
-_CHANCE = 1e-3  # that noise alone looks as unquiet
+_CHANCE = 1e-3  # probability that noise alone fails a test
 
 
 class Zero(NamedTuple):
-    """What a sensor reads without load.
+    """The reading of a sensor without load.
 
     Attributes
     ----------
     value : float
         Mean of the readings, in their unit.
     std : float
-        Its standard uncertainty: of the mean of white noise and, where the readings wander more than that explains,
-        of their wander in full, since it may go on; NaN of readings that do not vary.
+        Standard uncertainty of the value: that of the mean of white noise and, if the readings drift more than white
+        noise does, the whole drift, since it may continue; NaN if all readings are equal.
     readings : int
-        That it is the mean of.
+        Number of readings in the mean.
     """
 
     value: float
@@ -46,20 +46,20 @@ class Zero(NamedTuple):
 
 
 class Tare(NamedTuple):
-    """A zero that was taken: when, what was read, and how warm it was.
+    """A measured zero: its time, its value and the temperature.
 
     Attributes
     ----------
     start_s, stop_s : float
-        The stretch, in seconds after the first row.
+        Start and end of the stretch, in seconds after the first row.
     reading, reading_std : float, float or None
-        The zero and its standard uncertainty, in raw_unit; None where the readings did not vary.
+        The zero and its standard uncertainty, in raw_unit; None if all readings are equal.
     raw_unit : str
-        Of the readings.
+        Unit of the readings.
     readings : int
-        That it is the mean of.
+        Number of readings in the mean.
     temperature_degc : float or None
-        Mean temperature over the stretch, where it is known.
+        Mean temperature over the stretch, if it is known.
     """
 
     start_s: float
@@ -72,12 +72,12 @@ class Tare(NamedTuple):
 
 
 def zero_of(stretch: Floats) -> Zero:
-    """Take the zero from a quiet stretch.
+    """Return the zero from a quiet stretch.
 
     Parameters
     ----------
     stretch : (n,) float array
-        Readings without load, in any unit; NaN is left out, and what no sensor gives, as inf.
+        Readings without load, in any unit; NaN, inf and magnitudes above 1e100 are left out.
 
     Raises
     ------
@@ -86,43 +86,43 @@ def zero_of(stretch: Floats) -> Zero:
 
     Notes
     -----
-    Eight blocks are compared by analysis of variance: their means with the noise within them, and the power of the
-    loudest with that of the others. Refused is what is both significant (one in a thousand) and large.
+    Eight blocks are compared by analysis of variance: their means with the noise within them, and the largest power
+    of a block with that of the others. An error is raised if a difference is significant (one in a thousand) and large.
     """
     from scipy.special import fdtrc
 
-    seen = stretch[np.abs(stretch) <= BEYOND_ANY_SENSOR]
-    if len(seen) < FEWEST:
-        raise SensorError(f"The stretch has {len(seen)} readings; a zero needs {FEWEST}. Give a longer one.")
-    blocks = np.array_split(seen - seen[0], BLOCKS)  # told from the first one, so that an offset costs no digits
+    usable = stretch[np.abs(stretch) <= BEYOND_ANY_SENSOR]
+    if len(usable) < FEWEST:
+        raise SensorError(f"The stretch has {len(usable)} readings; a zero needs {FEWEST}. Give a longer one.")
+    blocks = np.array_split(usable - usable[0], BLOCKS)  # relative to the first, so that an offset costs no digits
     sizes = np.array([len(block) for block in blocks])
     means, squares = np.array([block.mean() for block in blocks]), np.array([block.var() for block in blocks]) * sizes
-    middle, left = float(means @ sizes) / len(seen), len(seen) - BLOCKS
-    between, within = float((means - middle) ** 2 @ sizes) / (BLOCKS - 1), float(squares.sum()) / left
-    value = float(seen[0] + middle)
+    middle, free = float(means @ sizes) / len(usable), len(usable) - BLOCKS
+    between, within = float((means - middle) ** 2 @ sizes) / (BLOCKS - 1), float(squares.sum()) / free
+    value = float(usable[0] + middle)
     if not between + within > 0:
-        return Zero(value, np.nan, len(seen))
+        return Zero(value, np.nan, len(usable))
     _refuse_bursts(squares, sizes)
-    if within > 0 and fdtrc(BLOCKS - 1, left, between / within) >= _CHANCE:
-        return Zero(value, float(np.sqrt(np.var(seen, ddof=1) / len(seen))), len(seen))
-    wander = float(np.sqrt((between - within) / sizes.mean()))
-    if not wander <= MOST_WANDER * np.sqrt(within):
+    if within > 0 and fdtrc(BLOCKS - 1, free, between / within) >= _CHANCE:
+        return Zero(value, float(np.sqrt(np.var(usable, ddof=1) / len(usable))), len(usable))
+    drift = float(np.sqrt((between - within) / sizes.mean()))
+    if not drift <= MOST_WANDER * np.sqrt(within):
         raise SensorError(
-            f"The stretch is not quiet: it wanders by {wander:.3g}, its noise is {np.sqrt(within):.3g}. Give a stretch "
+            f"The stretch is not quiet: it drifts by {drift:.3g}, its noise is {np.sqrt(within):.3g}. Give a stretch "
             "in which the load does not change and the sensor is warm, or a longer one if its noise is slow."
         )
-    return Zero(value, float(np.hypot(wander, np.sqrt(within / len(seen)))), len(seen))
+    return Zero(value, float(np.hypot(drift, np.sqrt(within / len(usable)))), len(usable))
 
 
 def _refuse_bursts(squares: Floats, sizes: Floats) -> None:
-    """Refuse a stretch of which one block is much louder than the others.
+    """Raise an error if one block of a stretch has much more power than the others.
 
     Parameters
     ----------
     squares : (8,) float array
         Sums of squares about the mean of each block.
     sizes : (8,) int array
-        Readings in each.
+        Number of readings in each block.
     """
     from scipy.special import fdtrc
 

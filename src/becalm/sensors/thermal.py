@@ -1,4 +1,4 @@
-"""What temperature does to a strain gauge and its leads; no filter takes it off, since it is as slow as load."""
+"""Effects of temperature on a strain gauge and its lead wires; filters cannot remove them, as they are slow."""
 
 from __future__ import annotations
 
@@ -12,40 +12,42 @@ from becalm.errors import SensorError
 from becalm.sensors.checks import finite, finite_array, positive
 
 SHEET_GAUGE_FACTOR = 2.0
-"""The gauge factor at which sheets tell thermal output, whatever the gauge's own (Micro-Measurements TN-504)."""
+"""Gauge factor for which data sheets give thermal output, independent of the gauge (Micro-Measurements TN-504)."""
 
 COPPER_PER_K = 0.0039
-"""Relative change of copper's resistance, per kelvin."""
+"""Relative change of the resistance of copper, per kelvin."""
 
 REFERENCE_DEGC = 24.0
-"""Where sheets tell the gauge factor, and where thermal output is 0."""
+"""Temperature for which data sheets give the gauge factor, and at which thermal output is 0."""
 
 _MOST_COEFFICIENTS = 5
 
 
 @dataclass(frozen=True)
 class GaugeTemperature:
-    """What temperature does to a gauge, by the sheet of its lot, and where its temperature is known from.
+    """Effect of temperature on a gauge, from the data sheet of its lot, and the source of its temperature.
 
     Attributes
     ----------
     output_um : tuple of up to 5 floats
-        Thermal output, see `thermal_output`; none where it is not told, or the bridge takes it off by itself.
+        Thermal output, see `thermal_output`; empty if it is unknown or the bridge compensates for it.
     percent_per_100_k : float
-        By which the gauge factor grows.
+        Increase of the gauge factor.
     reference_degc : float
-        At which the sheet tells the gauge factor.
+        Temperature for which the data sheet gives the gauge factor.
     constant_degc : float or None
-        Temperature of the gauge, where it did not change.
+        Temperature of the gauge, if it is constant.
     channel : str or None
-        That tells it else, in degC.
+        Channel with the temperature of the gauge otherwise, in degC.
     zero_degc : float or None
-        At which the bridge's zero was taken, which holds the thermal output there; None takes thermal output off whole.
+        Temperature at the measured zero of the bridge, which contains the thermal output there; with None the whole
+        thermal output is subtracted.
 
     Raises
     ------
     SensorError
-        If a number is impossible, there are more than five, or not one of `constant_degc` and `channel` is given.
+        If a number is impossible, there are more than five coefficients, or not exactly one of `constant_degc` and
+        `channel` is given.
     """
 
     output_um: tuple[float, ...] = ()
@@ -56,11 +58,11 @@ class GaugeTemperature:
     zero_degc: float | None = None
 
     def __post_init__(self) -> None:
-        """Check what came."""
+        """Check the values."""
         if (self.constant_degc is None) == (self.channel is None):
             raise SensorError(
-                "What temperature does to a gauge needs its temperature: give either temperature_degc, as 35.0, or"
-                " temperature_channel."
+                "The temperature correction of a gauge needs its temperature: give either temperature_degc, e.g."
+                " 35.0, or temperature_channel."
             )
         if self.constant_degc is not None:
             finite("temperature_degc", self.constant_degc, "35.0")
@@ -69,48 +71,48 @@ class GaugeTemperature:
         self.corrected(np.zeros(1), np.zeros(1), SHEET_GAUGE_FACTOR)
 
     def corrected(self, strain: Floats, temperature_degc: Floats, gauge_factor: float) -> Floats:
-        """Take temperature off strain.
+        """Return strain without the effect of temperature.
 
         Parameters
         ----------
         strain : (n,) float array
-            As read at `gauge_factor`, in m/m.
+            Strain as read with `gauge_factor`, in m/m.
         temperature_degc : (n,) float array
-            Of the gauge; NaN where it is not known, which makes the strain NaN.
+            Temperature of the gauge; NaN where unknown, which gives a strain of NaN.
         gauge_factor : float
-            That of the sheet at `reference_degc`.
+            Gauge factor of the data sheet at `reference_degc`.
 
         Returns
         -------
         (n,) float array
-            In m/m: what thermal output left, at the gauge factor of each temperature.
+            Strain in m/m, minus thermal output, with the gauge factor at each temperature.
         """
         factor = gauge_factor_at(temperature_degc, gauge_factor, self.percent_per_100_k, self.reference_degc)
         factor = np.where(factor > 0, factor, np.nan)
         return np.asarray((strain - self._output(temperature_degc, gauge_factor)) * (gauge_factor / factor))
 
     def _output(self, temperature_degc: Floats, gauge_factor: float) -> Floats:
-        """Return the thermal output (n,) that is still in the strain, in m/m."""
+        """Return the thermal output (n,) that the strain still contains, in m/m."""
         if not self.output_um:
             return np.zeros(np.shape(temperature_degc))
-        told = thermal_output(self.output_um, temperature_degc, gauge_factor)
+        output = thermal_output(self.output_um, temperature_degc, gauge_factor)
         if self.zero_degc is None:
-            return told
-        return told - thermal_output(self.output_um, np.array([self.zero_degc]), gauge_factor)
+            return output
+        return output - thermal_output(self.output_um, np.array([self.zero_degc]), gauge_factor)
 
 
 def thermal_output(coefficients_um: Sequence[float], temperature_degc: Floats, gauge_factor: float) -> Floats:
-    """Return the strain, in m/m, that a gauge reads of temperature alone; take it off what was read.
+    """Return the strain, in m/m, that a gauge shows from temperature alone; subtract it from the readings.
 
     Parameters
     ----------
     coefficients_um : sequence of up to 5 floats
-        Of the sheet's polynomial, in um/m per degC to the power of 0, 1, 2, 3, 4; valid for one lot of gauges
-        on one material.
+        Coefficients of the polynomial of the data sheet, in um/m per degC to the power of 0, 1, 2, 3, 4; valid for
+        one lot of gauges on one material.
     temperature_degc : (n,) float array
-        Of the gauge.
+        Temperature of the gauge.
     gauge_factor : float
-        That the instrument was set to, at which strain was read.
+        Gauge factor setting of the instrument that read the strain.
 
     Raises
     ------
@@ -118,7 +120,7 @@ def thermal_output(coefficients_um: Sequence[float], temperature_degc: Floats, g
         If there is no coefficient or more than five, or a number is impossible.
     """
     if not 1 <= len(coefficients_um) <= _MOST_COEFFICIENTS:
-        raise SensorError(f"{len(coefficients_um)} coefficients came; a sheet's thermal output has 1 to 5.")
+        raise SensorError(f"{len(coefficients_um)} coefficients came; the thermal output of a data sheet has 1 to 5.")
     own = finite_array("coefficients_um", coefficients_um, (len(coefficients_um),))
     share = SHEET_GAUGE_FACTOR / positive("gauge_factor", gauge_factor, "2.1")
     return np.asarray(1e-6 * share * np.polynomial.polynomial.polyval(temperature_degc, own))
@@ -127,7 +129,7 @@ def thermal_output(coefficients_um: Sequence[float], temperature_degc: Floats, g
 def gauge_factor_at(
     temperature_degc: Floats, gauge_factor: float, percent_per_100_k: float, reference_degc: float = REFERENCE_DEGC
 ) -> Floats:
-    """Return the gauge factor (n,) at temperatures (n,), linear about the one at which the sheet tells it.
+    """Return the gauge factor (n,) at temperatures (n,), linear about the reference temperature.
 
     Raises
     ------
@@ -140,16 +142,16 @@ def gauge_factor_at(
 
 
 def two_wire_drift(lead_ohm: float, warmer_k: float, gauge_ohm: float, gauge_factor: float) -> float:
-    """Return the strain, in m/m, that copper leads seem to show when they warm, where a gauge has two wires only.
+    """Return the apparent strain, in m/m, from warming copper leads of a gauge with only two wires.
 
     Parameters
     ----------
     lead_ohm : float
-        Of both leads together.
+        Resistance of both leads together.
     warmer_k : float
-        By which they warm.
+        Rise of the temperature of the leads, in kelvin.
     gauge_ohm, gauge_factor : float
-        Of the gauge.
+        Resistance and gauge factor of the gauge.
 
     Raises
     ------

@@ -1,1 +1,1 @@
-"""Models of signals in state space, and what is made of them."""
+"""State-space models of signals, and the matrices that filters need from them."""

@@ -1,9 +1,9 @@
 """Coloured noise: the noise of a measurement is correlated with that of the measurements before it.
 
-Autoregressive noise of order p is e[k] = phi_1 e[k-1] + ... + phi_p e[k-p] + w[k], w white. It is known
-where the sensor reads and nowhere between, so it goes in even steps; readings that are missing are
-steps all the same. Its partial autocorrelations, all of them below 1 in size if and only if the noise
-is stationary, are found by Levinson's recursion run backwards. Sources: Levinson, J. Math. Phys. 25
+Autoregressive noise of order p is e[k] = phi_1 e[k-1] + ... + phi_p e[k-p] + w[k], w white. It is defined
+only at the measurements, so its steps are even; a missing reading counts as a step. The noise is stationary if and
+only if all its partial autocorrelations are below 1 in size; Levinson's recursion, run backwards, computes them.
+Sources: Levinson, J. Math. Phys. 25
 (1947) 261; Durbin, Rev. Int. Stat. Inst. 28 (1960) 233; Barndorff-Nielsen and Schou, J. Multivariate
 Analysis 3 (1973) 408.
 """
@@ -23,15 +23,15 @@ from becalm.errors import ModelError
 
 
 class ColouredNoise(NamedTuple):
-    """Autoregressive noise that goes one step a reading.
+    """Autoregressive noise with one step per reading.
 
     Attributes
     ----------
     coefficients : tuple of float
-        phi_1 to phi_p of e[k] = sum phi_i e[k-i] + w[k]; *small* ones trust noise to forget soon,
-        so that what lasts is taken for signal.
+        phi_1 to phi_p of e[k] = sum phi_i e[k-i] + w[k]; *small* ones mean a short correlation time, so
+        longer deviations count as signal.
     variance : float
-        Of e, in unit^2; a *small* one leaves more to the other components.
+        Variance of e, in unit^2; a *small* one attributes more of the readings to the other components.
     """
 
     coefficients: tuple[float, ...]
@@ -39,49 +39,49 @@ class ColouredNoise(NamedTuple):
 
     @property
     def innovation_variance(self) -> float:
-        """Variance of w, in unit^2: what of a reading's noise those before it do not tell."""
+        """Return the variance of w, in unit^2: the part of the noise that earlier readings do not predict."""
         return self.variance * _unexplained(partial_autocorrelations(self.coefficients))
 
 
 def autoregressive(coefficients: Sequence[float], std: float = 1.0, step_s: float = 1.0) -> Component:
-    """Return autoregressive noise, a disturbance: exact over whole numbers of steps, and refused over others.
+    """Return autoregressive noise, a disturbance: exact over whole numbers of steps, an error over other times.
 
     Parameters
     ----------
     coefficients : sequence of float
-        phi_1 to phi_p of e[k] = sum phi_i e[k-i] + w[k]; zeros at the end are left out.
+        phi_1 to phi_p of e[k] = sum phi_i e[k-i] + w[k]; zeros at the end are ignored.
     std : float
-        Standard deviation of e, in unit; a *small* one leaves more to the other components.
+        Standard deviation of e, in unit; a *small* one attributes more of the readings to the other components.
     step_s : float
         Time from e[k-1] to e[k], in seconds.
 
     Raises
     ------
     ModelError
-        If there is no coefficient but zeros, the noise they describe is not stationary, or a number is
-        not finite, negative, or no step.
+        If all coefficients are zero, the noise is not stationary, a number is not finite, `std` is negative or
+        `step_s` is not positive.
 
     Notes
     -----
-    The states are e[k] to e[k-p+1]. Of order 1 it is Gauss-Markov noise with phi = exp(-T / correlation_s).
+    The states are e[k] to e[k-p+1]. Order 1 is Gauss-Markov noise with phi = exp(-T / correlation_s).
     """
-    phi = _coefficients(coefficients)
+    phi = _checked_coefficients(coefficients)
     std = checked_number("std", std, "a standard deviation", "a positive number", zero=True)
     step_s = checked_step(step_s)
     partial = partial_autocorrelations(phi)
     if not all(abs(kappa) < 1 for kappa in partial):
         raise ModelError(
-            f"coefficients = {phi} do not fade: noise that they describe grows for ever. Give some whose poles, the "
-            "roots of z^p - phi_1 z^(p-1) - ... - phi_p, lie within the unit circle; for what wanders use bias."
+            f"coefficients = {phi} are not stationary: their noise grows without bound. Give coefficients whose poles, "
+            "the roots of z^p - phi_1 z^(p-1) - ... - phi_p, lie inside the unit circle; for a drift use bias."
         )
     p = len(phi)
-    F, Q, nothing = np.eye(p, k=-1), np.zeros((p, p)), frozen(np.zeros((p, p)))
+    F, Q, zeros = np.eye(p, k=-1), np.zeros((p, p)), frozen(np.zeros((p, p)))
     F[0], Q[0, 0] = phi, std * std * _unexplained(partial)
     if not np.isfinite(Q[0, 0]):
-        raise ModelError(f"std = {std} leaves the range of float64 when it is squared; choose a larger unit.")
+        raise ModelError(f"std = {std} leaves the range of float64 when squared; choose a larger unit.")
     names = ("noise", "noise 1 step before", *(f"noise {k} steps before" for k in range(2, p)))[:p]
     part = Part("coloured noise", names, disturbance=True, recursion=Recursion(frozen(F), frozen(Q), step_s))
-    return Component(nothing, frozen(np.eye(p)), nothing, frozen(np.eye(1, p)), (part,))
+    return Component(zeros, frozen(np.eye(p)), zeros, frozen(np.eye(1, p)), (part,))
 
 
 def partial_autocorrelations(coefficients: Sequence[float]) -> tuple[float, ...]:
@@ -89,8 +89,8 @@ def partial_autocorrelations(coefficients: Sequence[float]) -> tuple[float, ...]
 
     Notes
     -----
-    Where a kappa reaches 1 in size the noise is not stationary, and those of lower order are not
-    found: NaN stands for them.
+    If a kappa reaches 1 in size, the noise is not stationary, and the kappas of lower order cannot be
+    computed: they are NaN.
     """
     phi, partial = np.array(coefficients, dtype=np.float64), []
     while len(phi):
@@ -111,20 +111,20 @@ def from_partial_autocorrelations(partial: Sequence[float]) -> tuple[float, ...]
 
 
 def _unexplained(partial: Sequence[float]) -> float:
-    """Return the share of the variance that the noise before does not tell."""
+    """Return the share of the variance that earlier noise does not predict."""
     return float(np.prod([(1 - kappa) * (1 + kappa) for kappa in partial]))
 
 
-def _coefficients(given: ArrayLike) -> tuple[float, ...]:
+def _checked_coefficients(given: ArrayLike) -> tuple[float, ...]:
     try:
         phi = frozen(real(given))
     except (TypeError, ValueError) as cause:
-        raise ModelError(f"coefficients = {given!r} are not numbers; give phi_1 to phi_p, as (0.9,).") from cause
+        raise ModelError(f"coefficients = {given!r} are not numbers; give phi_1 to phi_p: (0.9,).") from cause
     if phi.ndim != 1 or not np.isfinite(phi).all():
-        raise ModelError(f"coefficients = {given!r} are no row of finite numbers; give phi_1 to phi_p, as (0.9,).")
+        raise ModelError(f"coefficients = {given!r} are not a row of finite numbers; give phi_1 to phi_p: (0.9,).")
     if not phi.any():
         raise ModelError(
-            f"coefficients = {given!r} remember nothing: that is white noise, whose variance belongs into R "
+            f"coefficients = {given!r} have no value but 0: that is white noise, whose variance belongs in R "
             "(noise_variance). Give at least one that is not 0."
         )
     return tuple(phi[: np.flatnonzero(phi)[-1] + 1].tolist())

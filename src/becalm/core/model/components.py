@@ -1,4 +1,4 @@
-"""The catalogue of signals and disturbances: motion, tones, hum, coloured noise, bias; `+` joins them.
+"""The components of a signal model: motion, tones, hum, coloured noise, bias; `+` joins them.
 
 Each is a `Component`, a model in continuous time driven by white noise; see `becalm.core.model.parts`.
 """
@@ -35,22 +35,22 @@ __all__ = [
 HIGHEST_ORDER = 5
 
 LEVEL_RATE = 0.1
-"""Rate at which a returning motion's level follows the signal, as a share of its damping."""
+"""Rate at which the level of a returning motion follows the signal, as a fraction of its damping."""
 
 ORDERS = (1, 2, 3)
-"""Orders of motion that a causal filter is chosen from."""
+"""Orders of motion that identification tries for a causal filter."""
 
 EVERY_ORDER = tuple(range(1, HIGHEST_ORDER + 1))
-"""Orders of motion that a smoother is chosen from."""
+"""Orders of motion that identification tries for a smoother."""
 
 
 def level(noise_density: float = 1.0) -> Component:
-    """Return a level that wanders: a random walk.
+    """Return a random walk: a level that drifts.
 
     Parameters
     ----------
     noise_density : float
-        Variance that it gathers, in unit^2/s; a *small* one trusts the level to stay and smooths more.
+        Growth of its variance, in unit^2/s; a *small* one trusts the level to stay constant and smooths more.
 
     Raises
     ------
@@ -61,12 +61,12 @@ def level(noise_density: float = 1.0) -> Component:
 
 
 def motion(order: int, noise_density: float = 1.0) -> Component:
-    """Return n-th order motion: white noise on the n-th derivative of the signal.
+    """Return the kinematic model of order n: white noise on the n-th derivative of the signal.
 
     Parameters
     ----------
     order : int
-        1 is a random walk, 2 a walking slope (constant velocity), 3 constant acceleration; to 5.
+        1 is a random walk, 2 constant velocity, 3 constant acceleration; up to 5.
     noise_density : float
         Two-sided density of the noise on the n-th derivative, in unit^2/s^(2n-1); a *small* one
         trusts the polynomial and smooths more.
@@ -78,8 +78,8 @@ def motion(order: int, noise_density: float = 1.0) -> Component:
 
     Notes
     -----
-    The steady filter is a Butterworth low-pass with slopes kept, of cut-off
-    (density / (R T))^(1/2n) rad/s. Not to be confused with the piecewise-constant noise of
+    The steady-state filter is a Butterworth low-pass that also follows ramps, with the cut-off
+    (density / (R T))^(1/2n) rad/s. Do not confuse this model with the piecewise-constant noise of
     Kalata's alpha-beta filter (IEEE TAES-20, 1984), whose process covariance has rank one.
     """
     refusal = f"is not offered; choose 1 (level) to {HIGHEST_ORDER}."
@@ -92,19 +92,19 @@ def motion(order: int, noise_density: float = 1.0) -> Component:
 
 
 def returning_motion(order: int, noise_density: float, damping: float) -> Component:
-    """Return n-th order motion that is damped towards a level of its own, a mean of what it was.
+    """Return a kinematic model of order n that is damped towards a level of its own, a mean of its past.
 
-    Without readings the signal returns to the level, and its variance to that of the motion: predictions are bounded.
+    Without readings the signal returns to the level, and its variance about the level is bounded.
 
     Parameters
     ----------
     order : int
-        n, how often white noise is integrated, 1 to 5.
+        n, the number of integrations of the white noise, 1 to 5.
     noise_density : float
         Two-sided density of that noise, in unit^2/s^(2n-1); a *small* one trusts the model and smooths more.
     damping : float
-        a, in rad/s: slower motion than that is damped; with a *small* one the signal returns late. `motion` is the
-        limit of none.
+        a, in rad/s: motion slower than that is damped; with a *small* one the signal returns late. The limit without
+        damping is `motion`.
 
     Raises
     ------
@@ -113,9 +113,9 @@ def returning_motion(order: int, noise_density: float, damping: float) -> Compon
 
     Notes
     -----
-    Its power is q (w^2 + b^2) / (w^2 (w^2n + a^2n)): about its level it is white noise behind a Butterworth low-pass.
-    Beyond a it is that of `motion`, so that a smoother smooths alike. The level goes towards the signal with the rate
-    b = a / 10: it is the mean of what the signal was, with weights that fade ten times as slowly as a.
+    Its power is q (w^2 + b^2) / (w^2 (w^2n + a^2n)): about its level it is white noise after a Butterworth low-pass.
+    At frequencies above a the power is that of `motion`, so a smoother acts alike with both. The level follows the
+    signal with the rate b = a / 10: it is a mean of the past signal, whose weights decay ten times as slowly as a.
     """
     kinematic = motion(order, noise_density)
     damping = checked_number("damping", damping, "a damping", "a positive number")
@@ -132,18 +132,18 @@ def returning_motion(order: int, noise_density: float, damping: float) -> Compon
 
 
 def oscillator(frequency_hz: float, bandwidth_hz: float = 0.0, noise_density: float = 1.0) -> Component:
-    """Return a damped oscillation whose amplitude and phase are driven by white noise: noise of a narrow band.
+    """Return a damped oscillator whose amplitude and phase are driven by white noise: narrow-band noise.
 
     Parameters
     ----------
     frequency_hz : float
-        Where it oscillates, in hertz.
+        Centre frequency, in hertz.
     bandwidth_hz : float
-        Width of the resonance at half its power, in hertz; 0 is undamped: a tone that wanders. A *small*
-        one trusts the tone to keep its phase.
+        Width of the resonance at half its power, in hertz; 0 is undamped: a tone whose amplitude and phase drift.
+        A *small* one trusts the tone to keep its phase.
     noise_density : float
         Two-sided density of the noise on each of its two states, in unit^2/s; a *small* one trusts
-        the tone and lets amplitude and phase change slowly. A damped one has the standard deviation
+        the tone and lets amplitude and phase change slowly. The standard deviation of a damped oscillator is
         sqrt(noise_density / (2 pi bandwidth_hz)).
 
     Raises
@@ -153,14 +153,14 @@ def oscillator(frequency_hz: float, bandwidth_hz: float = 0.0, noise_density: fl
 
     Notes
     -----
-    The stochastic cycle of Harvey (1989), section 2.3, in continuous time: (x, x*) turns by
-    2 pi f a second and shrinks by pi B a second.
+    This is the stochastic cycle of Harvey (1989), section 2.3, in continuous time: (x, x*) rotates at
+    2 pi f rad/s and decays at the rate pi B per second.
     """
     frequency_hz = checked_number("frequency_hz", frequency_hz, "a frequency", "a positive number of hertz")
     bandwidth_hz = checked_number("bandwidth_hz", bandwidth_hz, "a width", "a positive number of hertz", zero=True)
     noise_density = _density(noise_density)
-    turning, shrinking = 2 * np.pi * frequency_hz, np.pi * bandwidth_hz
-    drift = [[-shrinking, turning], [-turning, -shrinking]]
+    rotation, decay = 2 * np.pi * frequency_hz, np.pi * bandwidth_hz
+    drift = [[-decay, rotation], [-rotation, -decay]]
     part = Part(f"oscillator at {frequency_hz:.4g} Hz", ("in phase", "in quadrature"))
     return Component(frozen(drift), frozen(np.eye(2)), frozen(noise_density * np.eye(2)), frozen([[1.0, 0.0]]), (part,))
 
@@ -173,30 +173,30 @@ def hum(mains_hz: float = 50.0, harmonics: int = 3, noise_density: float = 1.0) 
     mains_hz : float
         50 or 60, or as measured, in hertz.
     harmonics : int
-        How many tones, the fundamental among them.
+        Number of tones, including the fundamental.
     noise_density : float
-        As of each `oscillator`, in unit^2/s; a *small* one trusts the tones to be steady.
+        Density of each `oscillator`, in unit^2/s; a *small* one trusts the tones to be steady.
 
     Raises
     ------
     ModelError
-        If there is no tone, or an oscillator would refuse its numbers.
+        If `harmonics` is below 1, or a frequency or density is not valid for `oscillator`.
     """
     mains_hz = checked_number("mains_hz", mains_hz, "a frequency", "a positive number of hertz")
-    harmonics = checked_whole("harmonics", harmonics, "is no number of tones; give a whole number, 1 or more.")
+    harmonics = checked_whole("harmonics", harmonics, "is not a number of tones; give a whole number, 1 or more.")
     tones = [oscillator(mains_hz * k, 0.0, noise_density) for k in range(1, harmonics + 1)]
     return sum(tones[1:], tones[0]).as_disturbance()
 
 
 def gauss_markov(correlation_s: float, std: float = 1.0) -> Component:
-    """Return noise that forgets exponentially (first-order Gauss-Markov, Ornstein-Uhlenbeck).
+    """Return noise with exponential correlation (first-order Gauss-Markov, Ornstein-Uhlenbeck).
 
     Parameters
     ----------
     correlation_s : float
-        Time after which 1/e of it is left, in seconds.
+        Time in which the correlation falls to 1/e, in seconds.
     std : float
-        Its standard deviation, in unit; a *small* one leaves more to the other components.
+        Standard deviation, in unit; a *small* one attributes more of the readings to the other components.
 
     Raises
     ------
@@ -210,12 +210,12 @@ def gauss_markov(correlation_s: float, std: float = 1.0) -> Component:
 
 
 def bias(noise_density: float = 1.0) -> Component:
-    """Return a sensor's bias, a disturbance that walks randomly.
+    """Return the bias of a sensor, a disturbance: a random walk.
 
     Parameters
     ----------
     noise_density : float
-        Variance that it gathers, in unit^2/s; a *small* one trusts the bias to stay.
+        Growth of its variance, in unit^2/s; a *small* one trusts the bias to stay constant.
 
     Raises
     ------
@@ -227,14 +227,14 @@ def bias(noise_density: float = 1.0) -> Component:
 
 
 def with_walking_level(component: Component, noise_density: float) -> Component:
-    """Return a component whose first state, a motion's level, walks randomly besides; all other states go on.
+    """Return the component with a random walk added to the level of its motion; the other states do not change.
 
     Parameters
     ----------
     component : Component
-        A motion, perhaps with tones.
+        A motion, possibly with tones.
     noise_density : float
-        Variance that the level gathers by it, in unit^2/s; a *small* one trusts the slope to say where it goes.
+        Growth of the variance of the level, in unit^2/s; a *small* one trusts the slope to predict the level.
 
     Raises
     ------

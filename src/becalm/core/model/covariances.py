@@ -1,6 +1,6 @@
-"""What a step, and a reading, make of a covariance; equations as in `core/reference/kalman.py`.
+"""The covariance after a prediction and after an update; equations as in `core/reference/kalman.py`.
 
-For what is known of a filter before any row comes: gains in tables, settled filters, how far a gap is bridged.
+They serve all that can be computed before the first row: tables of gains, steady-state filters, limits of gaps.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ def covariance_ahead(P: Floats, model: Model) -> Floats:
 
 
 def covariance_after(P: Floats, K: Floats, model: Model) -> Floats:
-    """Return the covariance (n, n) after a reading with the gain K (n, m), whatever gain it is: Joseph's form (7)."""
+    """Return the covariance (n, n) after an update with any gain K (n, m), in Joseph's form (7)."""
     A = np.eye(model.states) - K @ model.H
     after: Floats = A @ P @ A.T + K @ model.R @ K.T
     return after
 
 
 def gain_before(P: Floats, model: Model) -> Floats:
-    """Return the gain (n, m) of a reading before which the covariance is P (n, n): (4), (5)."""
+    """Return the gain (n, m) of an update from the prior covariance P (n, n): (4), (5)."""
     PH = P @ model.H.T
     return np.asarray(np.linalg.solve(model.H @ PH + model.R, PH.T).T, dtype=np.float64)

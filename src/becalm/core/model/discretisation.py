@@ -1,4 +1,4 @@
-"""From continuous time to steps, exactly: what a linear system driven by white noise does over any length."""
+"""Exact discretisation of linear systems that are driven by white noise, for steps of any length."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ import numpy as np
 from becalm.core.arrays import Floats
 from becalm.errors import ModelError
 
-_TERMS = 24  # of a series whose argument is 1 at the most
-_FEW = 1 << 13  # numbers of matrices that are remembered
-_MOST_STEPS = 2.0**53  # that a number still counts
-_WHOLE = 1e-9  # of a step, or of the number of steps: what rounding of times leaves
+_TERMS = 24  # of a series whose argument is at most 1
+_CACHED_SIZE = 1 << 13  # matrices with more numbers in total are not cached
+_MOST_STEPS = 2.0**53  # above it float64 cannot hold every whole number
+_WHOLE = 1e-9  # tolerance for rounded times, relative to a step or to the number of steps
 
 
 class Recursion(NamedTuple):
-    """One step of what has no continuous time: x[k] = F x[k-1] + w."""
+    """One step of a process without continuous time: x[k] = F x[k-1] + w."""
 
     F: Floats  # (n, n)
     Q: Floats  # (n, n) covariance of w
@@ -31,32 +31,32 @@ def discretise(A: Floats, W: Floats, steps_s: Floats) -> tuple[Floats, Floats]:
     Parameters
     ----------
     A : (n, n) float array
-        In 1/s.
+        System matrix, in 1/s.
     W : (n, n) float array
         Two-sided density of the white noise w.
     steps_s : (u,) float array
-        Step lengths, in seconds, 0 or more.
+        Step lengths in seconds, 0 or more.
 
     Returns
     -------
     F : (u, n, n) float array
         expm(A T) for each step.
     Q : (u, n, n) float array
-        The noise gathered over the step, int_0^T expm(A s) W expm(A s)' ds.
+        Covariance of the noise over the step, int_0^T expm(A s) W expm(A s)' ds.
     """
     if not np.linalg.matrix_power(A, len(A)).any():
         return _integrate_polynomial(A, W, steps_s)
-    if _turns(A, W):
-        return _integrate_turn(A, W, steps_s)
-    if len(steps_s) * A.size > _FEW:
+    if _is_tone(A, W):
+        return _integrate_tone(A, W, steps_s)
+    if len(steps_s) * A.size > _CACHED_SIZE:
         return _integrate_series(A, W, steps_s)
-    F, Q = _remembered(A.tobytes(), W.tobytes(), steps_s.tobytes())
+    F, Q = _cached_series(A.tobytes(), W.tobytes(), steps_s.tobytes())
     return F.copy(), Q.copy()
 
 
 @lru_cache(maxsize=256)
-def _remembered(A: bytes, W: bytes, steps_s: bytes) -> tuple[Floats, Floats]:
-    """Integrate over a few lengths: tuning asks for the same steps of the same motion hundreds of times."""
+def _cached_series(A: bytes, W: bytes, steps_s: bytes) -> tuple[Floats, Floats]:
+    """Integrate over a few lengths and cache the result: tuning needs the same matrices hundreds of times."""
     n = isqrt(len(A) // np.dtype(np.float64).itemsize)
     return _integrate_series(np.frombuffer(A).reshape(n, n), np.frombuffer(W).reshape(n, n), np.frombuffer(steps_s))
 
@@ -69,45 +69,46 @@ def repeat(one: Recursion, steps_s: Floats) -> tuple[Floats, Floats]:
     one : Recursion
         The step that is repeated.
     steps_s : (u,) float array
-        Step lengths, in seconds: whole numbers of its own, 0 among them, up to rounding.
+        Step lengths in seconds: whole multiples of `one.step_s`, including 0, up to rounding.
 
     Returns
     -------
     F : (u, n, n) float array
         F^k for each length of k steps.
     Q : (u, n, n) float array
-        The noise gathered over it, the sum of F^j Q F^j' for j < k; being a sum, it loses no digits.
+        Covariance of the noise over the length, the sum of F^j Q F^j' for j < k; as a sum, it loses no digits.
 
     Raises
     ------
     ModelError
-        If a length is no whole number of steps, 0 to 2^53.
+        If a length is not a whole number of steps, 0 to 2^53.
 
     Notes
     -----
-    By doubling, F <- F F and Q <- F Q F' + Q, along the binary digits of k.
+    F^k is computed by doubling along the binary digits of k: F <- F F and Q <- F Q F' + Q.
     """
     counts = np.round(steps_s / one.step_s)
-    with np.errstate(invalid="ignore"):  # of a length without end
+    with np.errstate(invalid="ignore"):  # infinite lengths
         whole = np.abs(steps_s / one.step_s - counts) <= _WHOLE * np.maximum(counts, 1.0)
-    beside = ~(whole & (counts >= 0.0) & (counts <= _MOST_STEPS))
-    if beside.any():
+    invalid = ~(whole & (counts >= 0.0) & (counts <= _MOST_STEPS))
+    if invalid.any():
         raise ModelError(
-            f"Noise that is known at every {one.step_s:.6g} s cannot be told over {steps_s[beside][0]:.6g} s, which is "
-            "no whole number of steps. Give readings in even time, or use gauss_markov, which has any time."
+            f"Noise with a step of {one.step_s:.6g} s cannot be computed over {steps_s[invalid][0]:.6g} s, which is "
+            "not a whole number of steps. Give readings in even time, or use gauss_markov, which allows any time."
         )
-    left = counts.astype(np.int64)
-    F, Q = np.broadcast_to(np.eye(len(one.F)), (len(left), *one.F.shape)).copy(), np.zeros((len(left), *one.Q.shape))
+    remaining = counts.astype(np.int64)
+    F = np.broadcast_to(np.eye(len(one.F)), (len(counts), *one.F.shape)).copy()
+    Q = np.zeros((len(counts), *one.Q.shape))
     power, noise = one.F, one.Q
-    while left.any():
-        odd = left % 2 == 1
+    while remaining.any():
+        odd = remaining % 2 == 1
         F[odd], Q[odd] = power @ F[odd], power @ Q[odd] @ power.T + noise
-        power, noise, left = power @ power, power @ noise @ power.T + noise, left // 2
+        power, noise, remaining = power @ power, power @ noise @ power.T + noise, remaining // 2
     return F, (Q + np.swapaxes(Q, 1, 2)) / 2
 
 
 def _integrate_polynomial(A: Floats, W: Floats, steps_s: Floats) -> tuple[Floats, Floats]:
-    """For A^n = 0 the exponential is a polynomial, and so is the integral."""
+    """Integrate for A^n = 0: the exponential and its integral are polynomials."""
     n = len(A)
     terms = [np.linalg.matrix_power(A, k) / factorial(k) for k in range(n)]
     T = steps_s[:, np.newaxis, np.newaxis]
@@ -119,16 +120,16 @@ def _integrate_polynomial(A: Floats, W: Floats, steps_s: Floats) -> tuple[Floats
     return F, Q
 
 
-def _turns(A: Floats, W: Floats) -> bool:
-    """Return whether a state fades, or a pair of them turns and fades, in noise that knows no direction: a tone."""
+def _is_tone(A: Floats, W: Floats) -> bool:
+    """Return whether this is one decaying state, or a rotating and decaying pair of states with isotropic noise."""
     if len(A) == 1:
         return True
     pair = len(A) == 2 and A[0, 0] == A[1, 1] and A[0, 1] == -A[1, 0]
     return bool(pair and W[0, 0] == W[1, 1] and W[0, 1] == W[1, 0] == 0.0)
 
 
-def _integrate_turn(A: Floats, W: Floats, steps_s: Floats) -> tuple[Floats, Floats]:
-    """F = e^(a T) times a rotation, so that Q = W (e^(2 a T) - 1) / 2 a: no exponential of a matrix is needed."""
+def _integrate_tone(A: Floats, W: Floats, steps_s: Floats) -> tuple[Floats, Floats]:
+    """Integrate in closed form: F = e^(a T) times a rotation, and Q = W (e^(2 a T) - 1) / 2 a."""
     a, T = float(A[0, 0]), steps_s[:, np.newaxis, np.newaxis]
     F = np.exp(a * T) * np.eye(len(A))
     if len(A) == 2:
@@ -138,22 +139,22 @@ def _integrate_turn(A: Floats, W: Floats, steps_s: Floats) -> tuple[Floats, Floa
 
 
 def balancing(A: Floats) -> Floats:
-    """Return the scale (n,) of each state by which the numbers of A (n, n) come nearest to each other."""
+    """Return the scale (n,) of each state that balances A (n, n): its entries become similar in size."""
     from scipy.linalg import matrix_balance
 
-    with np.errstate(invalid="ignore"):  # it also tells a permutation, which far scales are none of
+    with np.errstate(invalid="ignore"):  # widely different scales make its permutation invalid, which is not used
         _, (scale, _) = matrix_balance(A, permute=False, separate=True)
     return np.asarray(scale)
 
 
 def _integrate_series(A: Floats, W: Floats, steps_s: Floats) -> tuple[Floats, Floats]:
-    """Sum both by their series: F = sum of A^k T^k / k!, Q = sum of L^k(W) T^(k+1) / (k+1)!, with L(X) = A X + X A'.
+    """Sum both series: F = sum of A^k T^k / k!, Q = sum of L^k(W) T^(k+1) / (k+1)!, with L(X) = A X + X A'.
 
-    States are balanced first, so that every entry keeps its digits, also of a chain of integrators that hardly fades.
-    A step is halved until it is short, and doubled again: F <- F F, Q <- F Q F' + Q.
+    The states are balanced first, so that every entry keeps its digits, even for a chain of integrators with weak
+    damping. A step is halved until it is short, and its matrices are doubled again: F <- F F, Q <- F Q F' + Q.
     """
     scale = balancing(A)
-    balanced, gathered = A / scale[:, np.newaxis] * scale, W / np.outer(scale, scale)
+    balanced, integrand = A / scale[:, np.newaxis] * scale, W / np.outer(scale, scale)
     reach = 2 * np.linalg.norm(balanced, np.inf) * steps_s
     halvings = np.ceil(np.log2(np.maximum(reach, 1.0))).astype(int)
     T = (steps_s / 2.0**halvings)[:, np.newaxis, np.newaxis]
@@ -162,8 +163,8 @@ def _integrate_series(A: Floats, W: Floats, steps_s: Floats) -> tuple[Floats, Fl
     for k in range(_TERMS):
         F += power * term
         term = term * T / (k + 1)
-        Q += gathered * term
-        power, gathered = power @ balanced, balanced @ gathered + gathered @ balanced.T
+        Q += integrand * term
+        power, integrand = power @ balanced, balanced @ integrand + integrand @ balanced.T
     for k in range(int(halvings.max(initial=0))):
         late = halvings > k
         Q[late] = F[late] @ Q[late] @ np.swapaxes(F[late], 1, 2) + Q[late]

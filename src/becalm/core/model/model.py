@@ -1,4 +1,4 @@
-"""Model: the one door where F, G, Q, H, R, x0 and P0 are checked and frozen."""
+"""Model: a linear Gaussian state-space model with checked, read-only matrices F, G, Q, H, R, x0 and P0."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from becalm.core.arrays import Floats, frozen, real
 from becalm.errors import ModelError
 
-_SEMIDEFINITE = 1e-10  # of the largest eigenvalue: what rounding may put below zero
+_SEMIDEFINITE = 1e-10  # relative to the largest eigenvalue: rounding may leave such negative ones
 
 
 class Model:
@@ -19,25 +19,25 @@ class Model:
     Parameters
     ----------
     F : (n, n) array_like
-        State transition of one step.
+        State transition matrix of one step.
     H : (m, n) array_like
-        Measurement matrix: how the m channels see the n states.
+        Measurement matrix: m channels, n states.
     Q : (p, p) array_like
         Covariance of the process noise w, in unit^2; a *small* Q trusts the model and smooths
-        more. With no `G`, p = n.
+        more. Without `G`, p = n.
     R : (m, m) array_like
         Covariance of the measurement noise v, in unit^2; a *small* R trusts the readings and
         smooths less. Zero is allowed where x0 and P0 are given.
     G : (n, p) array_like, optional
-        How process noise enters the state; the identity by default.
+        Input matrix of the process noise; the identity by default.
     x0 : (n,) array_like, optional
-        State expected at the first reading, before it is seen.
+        Expected state at the first reading, without that reading.
     P0 : (n, n) array_like, optional
-        Covariance of x0; may be singular. Give both x0 and P0, or neither: then the filter
-        starts from the first readings alone (a flat prior), with honest variance.
+        Covariance of x0; may be singular. Give both x0 and P0, or neither. With neither, the filter
+        starts from the first readings alone (a flat prior), with a correct variance.
     known : (n, n) array_like, optional
-        Without x0 and P0, what is known nevertheless: the inverse of the covariance of states whose mean is
-        0, as of noise that is stationary, and 0 for the others.
+        Prior information without x0 and P0: the inverse covariance of the states that have the mean 0, such as
+        stationary noise, and 0 for the other states.
 
     Raises
     ------
@@ -58,13 +58,13 @@ class Model:
     ) -> None:
         self.F: Floats = _matrix("F", F)
         n = len(self.F)
-        _need("F", self.F, (n, n), "a square matrix, one row a state")
+        _require_shape("F", self.F, (n, n), "a square matrix, one row per state")
         self.H: Floats = _matrix("H", H)
         m = len(self.H)
-        _need("H", self.H, (m, n), f"one row a channel and {n} columns, one a state")
+        _require_shape("H", self.H, (m, n), f"one row per channel and {n} columns, one per state")
         self.G: Floats = frozen(np.eye(n)) if G is None else _matrix("G", G)
         p = self.G.shape[1]
-        _need("G", self.G, (n, p), f"{n} rows, one a state")
+        _require_shape("G", self.G, (n, p), f"{n} rows, one per state")
         self.Q: Floats = checked_covariance("Q", Q, p)
         self.R: Floats = checked_covariance("R", R, m)
         if (x0 is None) != (P0 is None):
@@ -73,7 +73,7 @@ class Model:
         self.P0: Floats | None = None if P0 is None else checked_covariance("P0", P0, n)
         self.known: Floats | None = None if known is None else checked_covariance("known", known, n)
         if x0 is not None and known is not None:
-            raise ModelError("x0 and P0 say all that is known; leave them out, or known.")
+            raise ModelError("x0 and P0 already describe the whole prior; leave out either these two or known.")
         with np.errstate(over="ignore", invalid="ignore"):
             self.process_covariance: Floats = frozen(self.G @ self.Q @ self.G.T)
         if not np.isfinite(self.process_covariance).all():
@@ -81,19 +81,19 @@ class Model:
 
     @property
     def states(self) -> int:
-        """Number of states, n."""
+        """Return the number of states, n."""
         return len(self.F)
 
     @property
     def channels(self) -> int:
-        """Number of channels, m."""
+        """Return the number of channels, m."""
         return len(self.H)
 
     @cached_property
     def unobservable(self) -> Floats:
-        """Orthonormal basis of the directions that no reading ever sees, (n, u); u is often 0."""
+        """Return an orthonormal basis of the unobservable directions, (n, u); u is often 0."""
         rows, power, noise = [], np.eye(self.states), np.sqrt(np.diag(self.R))
-        H = self.H / np.where(noise > 0, noise, 1.0)[:, np.newaxis]  # whatever the channels' units
+        H = self.H / np.where(noise > 0, noise, 1.0)[:, np.newaxis]  # makes the rank independent of the channels' units
         for _ in range(self.states):
             block = H @ power
             scale = np.abs(block).max()
@@ -106,11 +106,11 @@ class Model:
 
     @property
     def observable_states(self) -> tuple[bool, ...]:
-        """For each state, whether the readings determine it."""
+        """Return for each state whether the readings determine it."""
         return tuple(bool(abs(row).max(initial=0.0) < 1e-9) for row in self.unobservable)
 
     def __repr__(self) -> str:
-        """Say the size of the model."""
+        """Return a text with the size of the model."""
         return f"Model({self.states} states, {self.channels} channels)"
 
 
@@ -162,6 +162,6 @@ def _numbers(name: str, values: ArrayLike) -> Floats:
     return own
 
 
-def _need(name: str, own: Floats, shape: tuple[int, int], wanted: str) -> None:
+def _require_shape(name: str, own: Floats, shape: tuple[int, int], wanted: str) -> None:
     if own.shape != shape or 0 in own.shape:
         raise ModelError(f"{name} has shape {own.shape}; it needs {wanted}.")

@@ -1,8 +1,8 @@
-"""What a model is made of, in continuous time: parts, each with its states named; `+` joins them.
+"""Components of a model in continuous time: each has parts with named states; `+` joins components.
 
-A component is dx/dt = A x + B w, y = C x, whose noise w is white with spectral density W (two-sided:
-unit^2 s, times 1/s^2 for each derivative that it drives). It becomes a `Model` for a step length in `to_model`.
-A part may instead be a recursion over even steps, which has no continuous time.
+A component is dx/dt = A x + B w, y = C x, with white noise w of spectral density W (two-sided:
+unit^2 s, times 1/s^2 for each derivative that it drives). `to_model` makes a `Model` for a step length.
+A part may also be a recursion over even steps, without continuous time.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from becalm.errors import ModelError
 
 @dataclass(frozen=True)
 class Part:
-    """What some states of a component stand for.
+    """The meaning of some states of a component.
 
     Attributes
     ----------
     name : str
-        Of the part, such as "motion" or "oscillator at 3 Hz".
+        Name of the part, such as "motion" or "oscillator at 3 Hz".
     state_names : tuple of str
-        What each of its states is.
+        Name of each of its states.
     disturbance : bool
-        Whether it is read but no part of the signal.
+        True if the part is in the readings but not in the signal.
     recursion : Recursion or None
-        Its even step, of a part that has no continuous time; its blocks of drift and density are zero.
+        The even step of a part without continuous time, whose blocks of drift and density are zero.
     """
 
     name: str
@@ -44,21 +44,21 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class Component:
-    """One part of what is read, or several joined, in continuous time.
+    """A model of the readings, or of a part of them, in continuous time.
 
     Attributes
     ----------
     drift : (n, n) float array
         A in dx/dt = A x + B w, in 1/s.
     noise_input : (n, p) float array
-        B: how the white noise w enters.
+        B: input matrix of the white noise w.
     noise_density : (p, p) float array
         W: two-sided spectral density of w, in unit^2/s^(2d - 1) where it drives the d-th derivative;
         a *small* one trusts the model and smooths more.
     output : (1, n) float array
         C in y = C x.
     parts : tuple of Part
-        What the states are, in their order.
+        The meaning of the states, in their order.
 
     Raises
     ------
@@ -73,55 +73,55 @@ class Component:
     parts: tuple[Part, ...]
 
     def __post_init__(self) -> None:
-        """Refuse what float64 cannot hold."""
+        """Raise an error if a number overflowed float64."""
         if not all(np.isfinite(own).all() for own in (self.drift, self.noise_density)):
             names = ", ".join(part.name for part in self.parts)
             raise ModelError(f"The numbers of {names} leave the range of float64; choose a unit nearer to their size.")
 
     @property
     def state_names(self) -> tuple[str, ...]:
-        """What each state is."""
+        """Return the name of each state."""
         return tuple(name for part in self.parts for name in part.state_names)
 
     @property
     def signal_output(self) -> Floats:
-        """The output without the disturbances, (1, n)."""
+        """Return the output matrix without the disturbances, (1, n)."""
         return sum((output for part, output in self.outputs() if not part.disturbance), np.zeros_like(self.output))
 
     @cached_property
     def level_direction(self) -> Floats | None:
-        """What is added to the states (n,) when a constant is added to y, and stays; None where none does."""
+        """Return the constant change of the states (n,) that adds a constant 1 to y; None if there is none."""
         states, n = self._slices()[0], len(self.drift)
-        for last in dict.fromkeys((0, states.stop - 1)):  # a motion's level, or it with the level that it returns to
+        for last in dict.fromkeys((0, states.stop - 1)):  # the level of a motion, or also the level that it returns to
             direction = np.zeros(n)
             direction[[0, last]] = 1.0
-            stays = self.parts[0].recursion is None and not (self.drift @ direction).any()
-            if stays and (self.output @ direction == 1.0).all():
+            constant = self.parts[0].recursion is None and not (self.drift @ direction).any()
+            if constant and (self.output @ direction == 1.0).all():
                 return frozen(direction)
         return None
 
     @property
     def keeps_level(self) -> bool:
-        """Whether a constant may be added to y for good, so that readings may be told from any level."""
+        """Return whether a constant in y stays constant, so that any level may be subtracted from the readings."""
         return self.level_direction is not None
 
     @property
     def returns(self) -> bool:
-        """Whether the first part, a motion, is damped towards a level of its own, its last state."""
+        """Return whether the first part, a motion, is damped towards its last state, a level of its own."""
         last = self._slices()[0].stop - 1
         return bool(last > 0 and self.drift[last, last] < 0.0 and self.keeps_level)
 
     @property
     def goes_in_steps(self) -> bool:
-        """Whether a part is known at whole steps only."""
+        """Return whether a part is defined at whole steps only."""
         return any(part.recursion is not None for part in self.parts)
 
     @cached_property
     def known(self) -> Floats | None:
-        """What is known of the states before any reading, as an inverse covariance (n, n); None where nothing is.
+        """Return the prior information on the states, an inverse covariance (n, n); None if there is none.
 
-        Of a recursion, that it is stationary, for it could not be told from a motion by its first readings; and so of
-        the distance of a motion from the level that it returns to.
+        A recursion is known to be stationary; without this, the first readings could not distinguish it from a
+        motion. The distance of a motion from the level that it returns to is stationary as well.
         """
         if not (self.goes_in_steps or self.returns):
             return None
@@ -150,7 +150,7 @@ class Component:
         names = [part.name for part in self.parts if part.recursion is not None]
         if names:
             raise ModelError(
-                f"There is no Euler form of {names[0]}, which goes in even steps; use discretisation = 'exact'."
+                f"There is no Euler form of {names[0]}, which has even steps; use discretisation = 'exact'."
             )
 
     def _slices(self) -> list[slice]:
@@ -158,7 +158,7 @@ class Component:
         return [slice(first, stop) for first, stop in pairwise(bounds.tolist())]
 
     def as_disturbance(self) -> Component:
-        """Return the component as one that is read, but is no part of the signal."""
+        """Return the component as a disturbance: it is in the readings, but not in the signal."""
         return replace(self, parts=tuple(replace(part, disturbance=True) for part in self.parts))
 
     def __add__(self, other: Component) -> Component:
@@ -174,12 +174,12 @@ class Component:
     def over(self, steps_s: Floats) -> tuple[Floats, Floats]:
         """Integrate exactly over steps of several lengths (u,), in seconds; return F and Q, (u, n, n) each.
 
-        Part by part, so that each keeps its own digits, however small its noise is beside another's.
+        Each part is integrated on its own, so that it keeps its digits when its noise is much smaller than another's.
 
         Raises
         ------
         ModelError
-            If a part goes in even steps, and a length is no whole number of them.
+            If a part has even steps and a length is not a whole number of them.
         """
         W = self.noise_input @ self.noise_density @ self.noise_input.T
         F, Q = np.zeros((2, len(steps_s), *W.shape))
@@ -191,28 +191,28 @@ class Component:
                 F[own], Q[own] = discretise(self.drift[states, states], W[states, states], steps_s)
         return F, Q
 
-    @lru_cache(maxsize=256)  # noqa: B019  (a few hundred small matrices; a filter, its gate and its gap limit ask alike)
+    @lru_cache(maxsize=256)  # noqa: B019  (a few hundred small matrices; a filter, its gate and its gap limit use the same)
     def to_model(
         self, step_s: float, noise_variance: float, discretisation: Literal["exact", "euler"] = "exact"
     ) -> Model:
-        """Make the Model of one channel that reads y every `step_s` seconds.
+        """Return the Model of one channel that measures y every `step_s` seconds.
 
         Parameters
         ----------
         step_s : float
-            Step in seconds.
+            Step, in seconds.
         noise_variance : float
-            R, the variance of one reading's noise, in unit^2.
+            R, the variance of the measurement noise, in unit^2.
         discretisation : {"exact", "euler"}
-            "exact" integrates the noise over the step, by series (`discretisation`); "euler" is the first-order
-            form F = I + T A, G = T B with the density taken as the covariance of each step's
-            noise, as in the IMU paper.
+            "exact" integrates the noise over the step (module `discretisation`); "euler" is the first-order
+            form F = I + T A, G = T B, which uses the density as the covariance of the noise of each step,
+            as in the IMU paper.
 
         Raises
         ------
         ModelError
-            If the step is not positive or the variance is negative; if a part goes in even steps, and
-            this is no whole number of them, or the Euler form is asked for.
+            If the step is not positive or the variance is negative; if a part has even steps, and `step_s` is
+            not a whole number of them or the discretisation is "euler".
         """
         step_s = checked_step(step_s)
         R = [[noise_variance]]
@@ -227,39 +227,39 @@ class Component:
 
 
 def _about_level(A: Floats, W: Floats) -> Floats:
-    """Return what is known, (n + 1, n + 1), of a motion that is stationary about its last state, an unknown level."""
+    """Return the prior information (n + 1, n + 1) of a motion that is stationary about its last state, a free level."""
     from scipy.linalg import solve_continuous_lyapunov
 
     n = len(A) - 1
-    apart, together = np.eye(n + 1), np.eye(n + 1)
-    apart[0, n], together[0, n] = -1.0, 1.0  # to the distance from the level, and back
-    own = (apart @ A @ together)[:n, :n]
+    to_distance, back = np.eye(n + 1), np.eye(n + 1)
+    to_distance[0, n], back[0, n] = -1.0, 1.0  # level to distance from the last state, and back
+    own = (to_distance @ A @ back)[:n, :n]
     scale = balancing(own)
     P = solve_continuous_lyapunov(own / scale[:, np.newaxis] * scale, -W[:n, :n] / np.outer(scale, scale))
     Y = np.zeros((n + 1, n + 1))
     if np.isfinite(P).all() and (P.diagonal() > 0.0).all():
         Y[:n, :n] = np.linalg.inv(P) / np.outer(scale, scale)
-    return np.asarray(apart.T @ Y @ apart)
+    return np.asarray(to_distance.T @ Y @ to_distance)
 
 
 def checked_number(name: str, value: object, what: str, needed: str, *, zero: bool = False) -> float:
-    """Return a finite number above zero, or of zero as well, as float.
+    """Return a finite number above zero, or at least zero if that is allowed, as float.
 
     Parameters
     ----------
     name : str
-        What a person calls it.
+        Name of the argument, for the message.
     value : object
-        What a person gave.
+        The value to check.
     what, needed : str
-        What it should be, and what to give; "or 0" is added where zero is allowed.
+        For the message: what the value should be, and what to give; "or 0" is added if zero is allowed.
     zero : bool
-        Whether it may be zero.
+        True if zero is allowed.
 
     Raises
     ------
     ModelError
-        If it is not a number (truth values and text are none), not finite, or negative.
+        If it is not a number (booleans and text are not numbers), not finite, or negative.
     """
     given = np.asarray(value if np.isscalar(value) or isinstance(value, np.ndarray) else None)
     number = float(given) if given.ndim == 0 and given.dtype.kind in "iuf" else np.nan
@@ -280,12 +280,12 @@ def checked_step(step_s: object) -> float:
 
 
 def checked_whole(name: str, value: object, refusal: str, highest: float = np.inf) -> int:
-    """Return a whole number from 1 to `highest`; `refusal` ends the sentence that refuses another.
+    """Return a whole number from 1 to `highest`; `refusal` is the end of the error message.
 
     Raises
     ------
     ModelError
-        If it is not whole, or beyond.
+        If it is not a whole number, or out of range.
     """
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or not 1 <= value <= highest:
         raise ModelError(f"{name} = {value!r} {refusal}")

@@ -1,8 +1,8 @@
-"""A start from the first readings alone: what is known before them, as information.
+"""The prior of a filter in information form, for a start from the first readings alone.
 
-Information is Y = P^-1 and y = P^-1 x; nothing known is Y = 0, exactly. The filter gathers more of it until the
-readings determine the state (`native/opening.h`). Source of the information form: Fraser and Potter, IEEE TAC-14 (1969)
-387; Anderson and Moore 1979, section 6.3.
+Information is Y = P^-1 and y = P^-1 x; a flat prior is exactly Y = 0. The filter adds the information of readings
+until they determine the state (`native/opening.h`). Sources of the information form: Fraser and Potter, IEEE TAC-14
+(1969) 387; Anderson and Moore 1979, section 6.3.
 """
 
 from __future__ import annotations
@@ -18,40 +18,40 @@ from becalm.core.model.system import System
 from becalm.core.verdict import BEYOND_ANY_SENSOR
 from becalm.errors import ModelError
 
-WIDE = 1e9  # of P0 over R: P - K S K' keeps less than seven digits
-_INVERTIBLE = 1e14
+WIDE = 1e9  # P0 over R: above it P - K S K' keeps less than seven digits
+_INVERTIBLE = 1e14  # condition numbers below it
 
 
 class PriorInformation(NamedTuple):
-    """What is known of the state, possibly nothing in some directions."""
+    """Prior information on the state, possibly none in some directions."""
 
     Y: Floats  # (n, n) inverse covariance
     y: Floats  # (n,)
 
 
 def arrived(readings: Floats) -> Booleans:
-    """Tell which readings can be used: what is NaN or infinite, or what no sensor reads, did not arrive."""
+    """Return which readings can be used: those that are finite and not larger than any sensor gives."""
     with np.errstate(invalid="ignore"):
         usable: Booleans = np.abs(readings) <= BEYOND_ANY_SENSOR
     return usable
 
 
 def known_before(model: Model) -> PriorInformation:
-    """Return a flat prior, but for what the model knows; what no reading sees starts at zero, with unit variance."""
+    """Return the flat prior plus `model.known`; unobservable directions have the mean 0 and unit variance."""
     Y = model.unobservable @ model.unobservable.T
     return PriorInformation(Y if model.known is None else Y + model.known, np.zeros(len(Y)))
 
 
 def wide_prior(model: Model) -> PriorInformation | None:
-    """Return x0 and P0 as information where P0 is so wide that covariances would lose the readings' digits."""
+    """Return x0 and P0 as information if P0 is so wide that covariances would lose digits; otherwise None."""
     if model.x0 is None or model.P0 is None or model.unobservable.size:
         return None
-    told = np.diag(model.H @ model.P0 @ model.H.T)
-    gathered = np.zeros_like(model.P0)
+    prior = np.diag(model.H @ model.P0 @ model.H.T)
+    noise = np.zeros_like(model.P0)
     for _ in range(model.states):
-        gathered = covariance_ahead(gathered, model)
-    moves = np.diag(model.H @ gathered @ model.H.T)
-    if not (told > WIDE * np.diag(model.R)).any() or (moves > 0.1 * WIDE * np.diag(model.R)).any():
+        noise = covariance_ahead(noise, model)
+    process = np.diag(model.H @ noise @ model.H.T)
+    if not (prior > WIDE * np.diag(model.R)).any() or (process > 0.1 * WIDE * np.diag(model.R)).any():
         return None
     if any(not np.linalg.cond(matrix) < _INVERTIBLE for matrix in (model.P0, model.F, model.R)):
         return None
@@ -60,7 +60,7 @@ def wide_prior(model: Model) -> PriorInformation | None:
 
 
 def root_of(Y: Floats) -> Floats:
-    """Return the upper triangular root of a semidefinite matrix, whatever the scales of its rows."""
+    """Return the upper triangular root of a semidefinite matrix; the scales of its rows may differ widely."""
     scale = np.sqrt(np.diag(Y))
     scale[scale == 0] = 1.0
     values, vectors = np.linalg.eigh(Y / np.outer(scale, scale))
@@ -85,7 +85,7 @@ def refuse_singular(system: System) -> None:
 
 
 def _unit_diagonal(R: Floats) -> Floats:
-    """Return R as correlations, which no choice of units changes; a reading without noise stays a row of zeros."""
+    """Return R as correlations, independent of units; a channel without noise keeps a row of zeros."""
     sigma = np.sqrt(np.diag(R))
     scale = np.divide(1.0, sigma, out=np.zeros_like(sigma), where=sigma > 0)
     return R * scale[:, np.newaxis] * scale

@@ -1,4 +1,4 @@
-"""The matrices of steps of any length, remembered as long as the same lengths come again."""
+"""A cache of the matrices F and Q of steps of any length."""
 
 from __future__ import annotations
 
@@ -7,36 +7,36 @@ import numpy as np
 from becalm.core.arrays import Floats
 from becalm.core.model.components import Component
 
-_MOST = 1024  # lengths that are remembered
+_MOST = 1024  # cached lengths
 
 
 class StepMatrices:
-    """What a component does over steps.
+    """The step matrices of a component, cached by step length.
 
     Parameters
     ----------
     component : Component
-        In steps.
+        A component whose time unit is the step.
 
     Attributes
     ----------
     output : (1, n) float array
-        The component's.
+        Output matrix of the component.
     """
 
     def __init__(self, component: Component) -> None:
         self._component, self.output = component, component.output
-        self._known: dict[float, tuple[Floats, Floats]] = {}
+        self._cache: dict[float, tuple[Floats, Floats]] = {}
 
     def over(self, lengths: Floats) -> tuple[Floats, Floats]:
         """Return F and Q, (u, n, n) each, over steps of several lengths (u,), as `Component.over` does."""
-        wanted = lengths.tolist()
-        unknown = [length for length in dict.fromkeys(wanted) if length not in self._known]
-        if unknown:
-            if len(self._known) + len(unknown) > _MOST:
-                self._known.clear()
-                unknown = list(dict.fromkeys(wanted))
-            matrices = self._component.over(np.array(unknown, dtype=np.float64))
-            self._known.update(zip(unknown, zip(*matrices, strict=True), strict=True))
-        found = [self._known[length] for length in wanted]
-        return np.stack([F for F, _ in found]), np.stack([Q for _, Q in found])
+        requested = lengths.tolist()
+        missing = [length for length in dict.fromkeys(requested) if length not in self._cache]
+        if missing:
+            if len(self._cache) + len(missing) > _MOST:
+                self._cache.clear()
+                missing = list(dict.fromkeys(requested))
+            matrices = self._component.over(np.array(missing, dtype=np.float64))
+            self._cache.update(zip(missing, zip(*matrices, strict=True), strict=True))
+        cached = [self._cache[length] for length in requested]
+        return np.stack([F for F, _ in cached]), np.stack([Q for _, Q in cached])

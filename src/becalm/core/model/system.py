@@ -1,4 +1,4 @@
-"""What a filter is given beside readings: step matrices, and sensors."""
+"""The matrices that a filter needs: those of its steps and those of its sensors."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from becalm.core.arrays import Floats
 
 
 class System(NamedTuple):
-    """Step matrices of u different lengths, and the sensors."""
+    """Matrices F and Q of steps of u different lengths, and H and R of the sensors."""
 
     F: Floats  # (u, n, n)
     Q: Floats  # (u, n, n)

@@ -1,4 +1,4 @@
-"""Which step precedes each row of a record: runs of rows that follow equal steps."""
+"""The step before each row of a record, stored as runs of rows with equal steps."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from becalm.core.model.system import System
 
 
 class Timeline(NamedTuple):
-    """The step matrices of a record, and where each is used: rows first[s] to first[s + 1] - 1 follow step[s]."""
+    """The step matrices of a record, and their rows: rows first[s] to first[s + 1] - 1 come after step[s]."""
 
     system: System
-    first: Integers  # (runs + 1,) the last is the number of rows
+    first: Integers  # (runs + 1,) the last entry is the number of rows
     step: Integers  # (runs,) -1: no step, as before the first row
-    lengths: Floats  # (u,) of the steps, in steps of the model
+    lengths: Floats  # (u,) of the steps, in units of the model's step
 
     def step_before(self, row: int) -> int:
-        """Return which step precedes a row; -1 for none."""
+        """Return the index of the step before a row; -1 if there is none."""
         return int(self.step[np.searchsorted(self.first, row, side="right") - 1])
 
 
@@ -32,25 +32,25 @@ def model_system(model: Model) -> System:
 
 
 def even_timeline(model: Model, count: int, *, goes_on: bool = False) -> Timeline:
-    """Give every row of `count` the model's own step, but the first only where the record goes on."""
+    """Return a timeline with the step of the model before each row; before the first only if `goes_on`."""
     return Timeline(model_system(model), *_runs([0, 1, count], [0 if goes_on else -1, 0]), np.ones(1))
 
 
 def elapsed_timeline(
     component: Component | StepMatrices, noise_variance: float, elapsed: Floats, *, goes_on: bool = False
 ) -> Timeline:
-    """Give every row the exact step over the time since the row before.
+    """Return a timeline whose steps span the exact time since the row before.
 
     Parameters
     ----------
     component : Component or StepMatrices
-        The signal's model, in the time unit of `elapsed`, or what remembers its steps.
+        Model of the signal, in the time unit of `elapsed`, or the cache of its step matrices.
     noise_variance : float
         R, in unit^2.
     elapsed : (N,) float array
         Time since the row before, 0 or more.
     goes_on : bool
-        Whether a row before the first was filtered already; otherwise the first time is not used.
+        True if earlier rows were already filtered; otherwise the first entry of `elapsed` is not used.
     """
     begin = 0 if goes_on else 1
     rest = elapsed[begin:]
@@ -66,7 +66,7 @@ def elapsed_timeline(
 
 
 def _runs(first: object, step: object) -> tuple[Integers, Integers]:
-    """Leave out runs of no rows."""
+    """Return bounds and steps without empty runs."""
     bounds, steps = np.asarray(first, dtype=np.int64), np.asarray(step, dtype=np.int64)
     bounds = np.minimum(bounds, bounds[-1])
     kept = np.flatnonzero(np.diff(bounds) > 0)

@@ -1,1 +1,1 @@
-"""The specification: numbered equations in plain NumPy, never optimised."""
+"""The reference filters in plain NumPy with numbered equations; never optimised."""

@@ -1,7 +1,7 @@
-"""The specification: predict, update and smooth in plain NumPy with numbered equations.
+"""The reference Kalman filter and smoother: predict, update and smooth in plain NumPy with numbered equations.
 
-Never optimised. The kernels are its twins and must agree with it to 1e-12. Sources: Kalman 1960;
-Joseph's form after Bucy and Joseph 1968; the smoother after Bryson and Frazier 1963 in the form of
+This module is never optimised; the kernels must agree with it to 1e-12. Sources: Kalman 1960;
+Joseph's form by Bucy and Joseph 1968; the smoother by Bryson and Frazier 1963 in the form of
 Bierman 1973, which needs no inverse of a covariance, so that singular P0, Q = 0 and R = 0 all work.
 """
 
@@ -15,30 +15,30 @@ from becalm.core.arrays import Floats
 
 
 class Belief(NamedTuple):
-    """What is known of the state at one time."""
+    """Mean and covariance of the state at one time."""
 
     mean: Floats  # x, (n,)
     cov: Floats  # P, (n, n)
 
 
 class ReferenceStep(NamedTuple):
-    """What one reading taught."""
+    """The prior, the posterior and the innovation of one reading."""
 
     predicted: Belief
     filtered: Belief
-    innovation: Floats  # nu, (m,), NaN where a channel did not arrive
-    innovation_cov: Floats  # S, of the channels that arrived
+    innovation: Floats  # nu, (m,), NaN where a channel is missing
+    innovation_cov: Floats  # S, without the missing channels
     log_likelihood: float
 
 
 def predict(belief: Belief, F: Floats, Q: Floats) -> Belief:
-    """Carry a belief one step forward in time."""
+    """Predict the state by one step."""
     x, P = belief
     return Belief(F @ x, F @ P @ F.T + Q)  # (1), (2)
 
 
 def update(belief: Belief, H: Floats, R: Floats, reading: Floats) -> ReferenceStep:
-    """Learn from the channels that arrived; NaN means that one did not."""
+    """Update the state with the channels of a reading that are not NaN."""
     x, P = belief
     arrived = np.isfinite(reading)
     H, R = H[arrived], R[np.ix_(arrived, arrived)]
@@ -54,7 +54,7 @@ def update(belief: Belief, H: Floats, R: Floats, reading: Floats) -> ReferenceSt
 
 
 def _log_density(nu: Floats, S: Floats, S_inverse: Floats) -> float:
-    """Return the log of the normal density; directions without variance carry no information (8)."""
+    """Return the log of the normal density; directions without variance are left out (8)."""
     eigenvalues = np.linalg.eigvalsh(S)
     live = eigenvalues[eigenvalues > 1e-15 * eigenvalues.max(initial=0.0)]
     return float(-0.5 * (np.log(2 * np.pi * live).sum() + nu @ S_inverse @ nu))
@@ -63,7 +63,7 @@ def _log_density(nu: Floats, S: Floats, S_inverse: Floats) -> float:
 def filter_readings(
     belief: Belief, F: Floats, Q: Floats, sensor: tuple[Floats, Floats], z: Floats
 ) -> list[ReferenceStep]:
-    """Run over z (N, m), starting from what is believed before the first reading."""
+    """Filter z (N, m), starting from the prior of the first reading."""
     H, R = sensor
     steps = []
     for k, reading in enumerate(z):
@@ -74,9 +74,9 @@ def filter_readings(
 
 
 def smooth(steps: list[ReferenceStep], F: Floats, H: Floats) -> list[Belief]:
-    """Go back over a filtered record; each belief then knows the later readings too."""
+    """Smooth a filtered record: return the state at each row given all readings."""
     n = len(F)
-    r, N = np.zeros(n), np.zeros((n, n))  # what the future says, and how surely
+    r, N = np.zeros(n), np.zeros((n, n))  # adjoint state of the later readings, and its covariance
     smoothed = []
     for step in reversed(steps):
         x, P = step.filtered
@@ -92,12 +92,12 @@ def smooth(steps: list[ReferenceStep], F: Floats, H: Floats) -> list[Belief]:
 
 
 class Prediction(NamedTuple):
-    """One step of the one-step-prediction form."""
+    """The result of one step of the one-step-prediction form."""
 
     state: Floats  # x(n+1 | n)
     cov: Floats  # P(n+1, n)
     filtered_cov: Floats
-    gain: Floats  # K_G, F included
+    gain: Floats  # K_G, including F
 
 
 def predict_one_step(
@@ -105,8 +105,8 @@ def predict_one_step(
 ) -> Prediction:
     """Take one step of the car paper's Appendix B; complex (Hermitian) signals are allowed.
 
-    The state carried is the prediction x(n+1 | n), the gain includes F, and
-    x(n+1 | n) = F x(n | n) of `update`.
+    The state is the prediction x(n+1 | n), the gain includes F, and
+    x(n+1 | n) = F x(n | n) with the x(n | n) of `update`.
     """
     H, R = sensor
     x, P = belief

@@ -1,1 +1,1 @@
-"""Filters whose gain has settled, in an engineer's words."""
+"""Steady-state filters: gain, frequency response, bandwidth, lag and noise gain."""

@@ -1,6 +1,6 @@
-"""The dials: the ratio q/r of a motion whose filter or smoother has a bandwidth, a lag or a noise gain.
+"""Find the ratio q/r of a motion whose filter or smoother has a given bandwidth, lag or noise gain.
 
-All in steps and with r = 1; q/r counts as in `Tuning.ratio`.
+Time is in steps and r = 1; q/r is defined as in `Tuning.ratio`.
 """
 
 from __future__ import annotations
@@ -19,40 +19,41 @@ from becalm.core.steady.steady_gain import steady
 from becalm.core.steady.step_response import lag_steps
 from becalm.errors import UsageError
 
-_SLOWEST = {1: 1e-6, 2: 1e-6, 3: 3e-6, 4: 1e-4, 5: 1e-4}  # cut-off in radians a step: below, rounding decides
-_FASTEST = 1e12  # q/r: above, every reading is believed
-_PRECISION = 1e-12  # of the logarithm of the cut-off
-_HALF = np.sqrt(0.5) / (1 - np.sqrt(0.5))  # S/R where the smoother S / (S + R) passes half of the power
+# lowest cut-off in radians per step, by order; below it rounding dominates
+_SLOWEST = {1: 1e-6, 2: 1e-6, 3: 3e-6, 4: 1e-4, 5: 1e-4}
+_FASTEST = 1e12  # q/r; above it the filter passes every reading unchanged
+_PRECISION = 1e-12  # tolerance for the logarithm of the cut-off
+_HALF = np.sqrt(0.5) / (1 - np.sqrt(0.5))  # S/R at which the smoother S / (S + R) passes half of the power
 _UNITS = {"bandwidth_hz": "Hz", "lag_s": "s", "noise_gain_db": "dB"}
 
 
 def motion_filter(order: int, ratio: float) -> SteadyFilter:
-    """Return the steady filter of a motion of order 1 to 5, for q/r with q in unit^2/step^(2n-1); its step is 1."""
+    """Return the steady-state filter of a motion of order 1 to 5 with step 1, for q/r with q in unit^2/step^(2n-1)."""
     return steady(motion(order, ratio).to_model(1.0, 1.0))
 
 
 def ratio_for_bandwidth(order: int, bandwidth_hz: float, step_s: float, causal: bool = True) -> float:
-    """Return the q/r of a motion whose filter or smoother has a -3 dB bandwidth.
+    """Return the q/r at which the filter or smoother of a motion has a given -3 dB bandwidth.
 
     Parameters
     ----------
     order : int
-        1 to 5.
+        Order of the motion, 1 to 5.
     bandwidth_hz : float
-        Highest frequency that passes with half of its power, below half the rate; a *small* one smooths more.
+        Frequency that passes with half of its power, below half the sampling rate; a *small* one smooths more.
     step_s : float
-        Step in seconds.
+        Step, in seconds.
     causal : bool
-        Whether the filter (True) or the smoother shall have it.
+        True for the bandwidth of the filter, False for that of the smoother.
 
     Raises
     ------
     ModelError
-        If there is no such order, or the step is not positive.
+        If the order is not 1 to 5, or the step is not positive.
     UsageError
-        If nothing of this order has it; the sentence says which are possible.
+        If no filter of this order has the bandwidth; the message gives the possible range.
     """
-    motion(order)  # refuses what is none
+    motion(order)  # checks the order
     step_s = checked_step(step_s)
     cycles = _cycles_per_step(bandwidth_hz, step_s)
     if not causal:
@@ -63,84 +64,84 @@ def ratio_for_bandwidth(order: int, bandwidth_hz: float, step_s: float, causal: 
     return _solve(
         order,
         ("bandwidth_hz", bandwidth_hz),
-        lambda found: float(found.filter_power([cycles])[0]) - 0.5,
-        lambda found: describe(found.model, step_s).bandwidth_hz,
+        lambda steady_filter: float(steady_filter.filter_power([cycles])[0]) - 0.5,
+        lambda steady_filter: describe(steady_filter.model, step_s).bandwidth_hz,
     )
 
 
 def ratio_for_lag(order: int, lag_s: float, step_s: float) -> float:
-    """Return the q/r of a motion whose causal filter trails by a lag.
+    """Return the q/r at which the causal filter of a motion has a given lag.
 
     Parameters
     ----------
     order : int
-        1 to 5.
+        Order of the motion, 1 to 5.
     lag_s : float
-        Of the output behind its input, drawn as lines: of a slow ramp, or of a step at half of its
-        height, whichever is longer. So neither ramp nor edge comes later than this. (The first
-        alone would be 0 from order 2 on, although an edge comes late.) For order 1 it is the ramp:
-        (1 - K) / K steps. A *small* one trusts the readings and smooths less.
+        Delay of the output behind the input, with straight lines between samples: for a slow ramp, or for a step
+        at half of its height, whichever is longer. So neither ramps nor edges come later than this. (The delay
+        for a ramp is 0 from order 2 on, although edges come late.) For order 1 the ramp decides:
+        (1 - K) / K steps. A *small* lag trusts the readings and smooths less.
     step_s : float
-        Step in seconds.
+        Step, in seconds.
 
     Raises
     ------
     ModelError
-        If there is no such order, or the step is not positive.
+        If the order is not 1 to 5, or the step is not positive.
     UsageError
-        If no filter of this order has it; the sentence says which are possible.
+        If no filter of this order has the lag; the message gives the possible range.
     """
-    motion(order)  # refuses what is none
+    motion(order)  # checks the order
     step_s = checked_step(step_s)
     steps = lag_s / step_s
     if not 0 < steps < np.inf:
-        raise UsageError(f"lag_s = {lag_s} is not possible; give a positive number of seconds: 0 would filter nothing.")
+        raise UsageError(f"lag_s = {lag_s} is not possible; give a positive number of seconds: 0 filters nothing.")
     return _solve(
         order,
         ("lag_s", lag_s),
-        lambda found: steps - lag_steps(found),
-        lambda found: lag_steps(found) * step_s,
+        lambda steady_filter: steps - lag_steps(steady_filter),
+        lambda steady_filter: lag_steps(steady_filter) * step_s,
     )
 
 
 def ratio_for_noise_gain(order: int, noise_gain_db: float, causal: bool = True) -> float:
-    """Return the q/r of a motion whose filter or smoother leaves so much white noise.
+    """Return the q/r at which the filter or smoother of a motion has a given noise gain.
 
     Parameters
     ----------
     order : int
-        1 to 5.
+        Order of the motion, 1 to 5.
     noise_gain_db : float
-        Noise power after it over before, in dB, so below 0; a *small* one (-40) smooths more.
+        Power of white noise after over before, in dB, below 0; a *small* one (-40) smooths more.
     causal : bool
-        Whether the filter (True) or the smoother shall leave it.
+        True for the noise gain of the filter, False for that of the smoother.
 
     Raises
     ------
     ModelError
-        If there is no such order.
+        If the order is not 1 to 5.
     UsageError
-        If nothing of this order has it; the sentence says which are possible.
+        If no filter of this order has the noise gain; the message gives the possible range.
     """
-    motion(order)  # refuses what is none
+    motion(order)  # checks the order
     if not noise_gain_db < 0:
         raise UsageError(
             f"noise_gain_db = {noise_gain_db} removes no noise; for noise down by 14 dB give noise_gain_db = -14."
         )
-    wanted, waited = 10 ** (noise_gain_db / 10), 0 if causal else np.inf
-    K = 2 * wanted / (1 + wanted)
+    gain, lag = 10 ** (noise_gain_db / 10), 0 if causal else np.inf
+    K = 2 * gain / (1 + gain)
     if causal and order == 1 and _SLOWEST[1] <= K < 1:
         return float(K**2 / (1 - K))
     return _solve(
         order,
         ("noise_gain_db", noise_gain_db),
-        lambda found: found.noise_gain(waited) - wanted,
-        lambda found: decibels(found.noise_gain(waited)),
+        lambda steady_filter: steady_filter.noise_gain(lag) - gain,
+        lambda steady_filter: decibels(steady_filter.noise_gain(lag)),
     )
 
 
 def _cycles_per_step(bandwidth_hz: float, step_s: float) -> float:
-    """Return a bandwidth in cycles a step; refuse what is not between 0 and half the rate."""
+    """Return a bandwidth in cycles per step; raise an error unless it is between 0 and half the sampling rate."""
     cycles = bandwidth_hz * step_s
     if not 0 < cycles < 0.5:
         raise UsageError(
@@ -151,7 +152,7 @@ def _cycles_per_step(bandwidth_hz: float, step_s: float) -> float:
 
 
 def _smoother_for_bandwidth(order: int, cycles: float, step_s: float) -> float:
-    """Return q/r of the smoother that passes half of the power at a frequency: S / R = q/r motion_power there."""
+    """Return q/r of the smoother that passes half of the power at a frequency, where S / R = q/r motion_power."""
     ratio = _HALF / float(motion_power(order, np.array([2 * np.pi * cycles]))[0])
     if ratio < cutoff_to_ratio(order, _SLOWEST[order]):
         slowest = _SLOWEST[order] * _HALF ** (-1 / (2 * order)) / (2 * np.pi)
@@ -161,11 +162,14 @@ def _smoother_for_bandwidth(order: int, cycles: float, step_s: float) -> float:
 
 def _solve(
     order: int,
-    asked: tuple[str, float],
+    requested: tuple[str, float],
     excess: Callable[[SteadyFilter], float],
-    told: Callable[[SteadyFilter], float],
+    measure: Callable[[SteadyFilter], float],
 ) -> float:
-    """Find q/r where an excess, which grows with it, is 0; `told` is what was asked for, in its unit."""
+    """Return the q/r at which an increasing function `excess` is 0.
+
+    `requested` is the name and value that the user gave; `measure` returns the same quantity of a filter, in its unit.
+    """
     from scipy.optimize import brentq
 
     low, high = np.log(_SLOWEST[order]), np.log(_FASTEST) / (2 * order)
@@ -177,12 +181,12 @@ def _solve(
         return motion_filter(order, ratio_at(log_cutoff))
 
     if excess(at(low)) > 0 or excess(at(high)) < 0:
-        _refuse(*asked, order, (told(at(low)), told(at(high))))
+        _refuse(*requested, order, (measure(at(low)), measure(at(high))))
     return ratio_at(brentq(lambda x: excess(at(x)), low, high, xtol=_PRECISION, rtol=_PRECISION))
 
 
 def _refuse(name: str, value: float, order: int, possible: tuple[float, float]) -> NoReturn:
-    """Say what is possible in the place of what was asked."""
+    """Raise an error with the possible range of a setting."""
     low, high = sorted(possible)
     raise UsageError(
         f"{name} = {value:.6g} is not possible with order {order}; ask for {low:.3g} to {high:.3g} {_UNITS[name]}."

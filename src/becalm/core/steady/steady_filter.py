@@ -1,7 +1,7 @@
-"""A filter whose gain has settled: how it treats a frequency, and what noise it leaves, now or a little later.
+"""A steady-state filter: its frequency response, and the noise gain of filter, fixed lag and smoother.
 
-With the closed loop A = (I - K H) F the filter is G(w) = c (I - A w)^-1 K, where w = exp(-j 2 pi f T) is
-one step's delay and c the row that makes the output from the states, H if nothing else is said.
+With the closed loop A = (I - K H) F the filter is G(w) = c (I - A w)^-1 K, where w = exp(-j 2 pi f T) is the
+delay of one step and c the row that computes the output from the states, H by default.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ _DOUBLINGS = 80
 
 
 class Loop(NamedTuple):
-    """A steady filter in states of equal uncertainty, x / sqrt(diag P), so that slow filters of high order stay exact.
+    """A steady-state filter in scaled states x / sqrt(diag P), which keep slow filters of high order accurate.
 
-    P+ is the covariance after the update; M = F (I - K H) carries the error of a prediction.
+    P+ is the covariance after the update; M = F (I - K H) is the transition matrix of the prediction error.
     """
 
     F: Floats
@@ -36,22 +36,22 @@ class Loop(NamedTuple):
 
 @dataclass(frozen=True)
 class SteadyFilter:
-    """A filter whose gain has settled.
+    """A filter with its steady-state gain.
 
     Attributes
     ----------
     model : Model
-        One channel, n states; of a model with states that are never observed and grow, the part that is observed.
+        Model of one channel with n states, without unobservable states that grow.
     predicted_cov : (n, n) float array
-        P before the update.
+        Prior covariance P.
     gain : (n, 1) float array
-        K, of the filtered form.
+        K, the gain of the filtered form.
     closed_loop : (n, n) float array
         (I - K H) F.
     innovation_variance : float
         S, in unit^2.
     output : (1, n) float array
-        c, which makes the output from the states.
+        c, the row that computes the output from the states.
     """
 
     model: Model
@@ -63,16 +63,16 @@ class SteadyFilter:
 
     @cached_property
     def loop(self) -> Loop:
-        """The same filter in states of equal uncertainty."""
+        """Return the same filter in scaled states."""
         D = self._scale
         F, H, K = self.model.F / D[:, np.newaxis] * D, self.model.H * D, self.gain / D[:, np.newaxis]
-        rest = np.eye(len(F)) - K @ H
+        I_KH = np.eye(len(F)) - K @ H
         P_plus = covariance_after(self.predicted_cov, self.gain, self.model) / np.outer(D, D)
-        return Loop(F, H, K, rest @ F, F @ rest, P_plus)
+        return Loop(F, H, K, I_KH @ F, F @ I_KH, P_plus)
 
     @cached_property
     def row(self) -> Floats:
-        """The row c for the states of `loop`, (1, n)."""
+        """Return the row c for the states of `loop`, (1, n)."""
         scaled: Floats = self.output * self._scale
         return scaled
 
@@ -83,66 +83,66 @@ class SteadyFilter:
 
     @cached_property
     def poles(self) -> Complexes:
-        """Eigenvalues of the closed loop, (n,), the slowest first."""
-        found = np.linalg.eigvals(self.loop.A).astype(np.complex128)
-        return found[np.argsort(-np.abs(found), kind="stable")]
+        """Return the eigenvalues of the closed loop, (n,), the slowest first."""
+        poles = np.linalg.eigvals(self.loop.A).astype(np.complex128)
+        return poles[np.argsort(-np.abs(poles), kind="stable")]
 
     @property
     def dc_gain(self) -> float:
-        """Gain of a constant; 1 wherever the model can hold one."""
+        """Return the gain at 0 Hz; 1 if the signal of the model can be constant."""
         A, K = self.loop.A, self.loop.K
         return float((self.row @ np.linalg.solve(np.eye(len(A)) - A, K))[0, 0])
 
     @property
     def dc_delay(self) -> float:
-        """Group delay at 0 Hz, in steps: w dG/dw over G at w = 1."""
+        """Return the group delay at 0 Hz, in steps: w dG/dw over G at w = 1."""
         A, K, c = self.loop.A, self.loop.K, self.row
-        rest = np.linalg.inv(np.eye(len(A)) - A)
-        return float((c @ rest @ A @ rest @ K / (c @ rest @ K))[0, 0])
+        inverse = np.linalg.inv(np.eye(len(A)) - A)
+        return float((c @ inverse @ A @ inverse @ K / (c @ inverse @ K))[0, 0])
 
     @cached_property
     def frequencies(self) -> Floats:
-        """Frequencies (k,) above 0 in cycles a step, dense where a pole makes the response change."""
-        turns, widths = np.angle(self.poles) / (2 * np.pi), (1 - np.abs(self.poles)) / (2 * np.pi)
+        """Return frequencies (k,) above 0 in cycles per step, dense where the response changes near a pole."""
+        centres, widths = np.angle(self.poles) / (2 * np.pi), (1 - np.abs(self.poles)) / (2 * np.pi)
         slowest = float(np.abs(1 - self.poles).min()) / (2 * np.pi)
         near = np.geomspace(1e-2, 1e2, 60)
-        around = [turn + side * near * width for turn, width in zip(turns, widths, strict=True) for side in (-1, 1)]
+        around = [f + side * near * width for f, width in zip(centres, widths, strict=True) for side in (-1, 1)]
         f = np.concatenate([np.geomspace(1e-3 * slowest, 0.5, 800), np.linspace(0, 0.5, 801), *around])
         return np.unique(f[(f >= 1e-3 * slowest) & (f <= 0.5)])
 
     def filter_response(self, cycles_per_step: ArrayLike) -> Complexes:
-        """Return G of the filter at frequencies (k,) in cycles a step."""
+        """Return G of the filter at frequencies (k,) in cycles per step."""
         response: Complexes = (self.row @ self._states(_delay(cycles_per_step)))[:, 0, 0]
         return response
 
     def smoother_response(self, cycles_per_step: ArrayLike) -> Complexes:
-        """Return G of the smoother, the filter and what the innovations after it teach; real for c = H."""
+        """Return G of the smoother: the filter plus the correction by later innovations; real for c = H."""
         delay, loop = _delay(cycles_per_step), self.loop
         states = self._states(delay)
         whitening = 1 - delay * (loop.H @ loop.F @ states)[:, 0, 0]
         ahead = loop.M.T[np.newaxis] / delay[:, np.newaxis, np.newaxis]
         later = np.linalg.solve(np.eye(len(loop.F)) - ahead, loop.H.T / self.innovation_variance)
-        taught = (self.row @ loop.P_plus @ loop.F.T @ later)[:, 0, 0]
-        response: Complexes = (self.row @ states)[:, 0, 0] + taught * whitening / delay
+        correction = (self.row @ loop.P_plus @ loop.F.T @ later)[:, 0, 0]
+        response: Complexes = (self.row @ states)[:, 0, 0] + correction * whitening / delay
         return response
 
     def filter_power(self, cycles_per_step: ArrayLike) -> Floats:
-        """Return |G|^2 of the filter at frequencies in cycles a step, (k,)."""
+        """Return |G|^2 (k,) of the filter at frequencies (k,) in cycles per step."""
         result: Floats = np.abs(self.filter_response(cycles_per_step)) ** 2
         return result
 
     def smoother_power(self, cycles_per_step: ArrayLike) -> Floats:
-        """Return |G|^2 of the smoother at frequencies in cycles a step, (k,)."""
+        """Return |G|^2 (k,) of the smoother at frequencies (k,) in cycles per step."""
         result: Floats = np.abs(self.smoother_response(cycles_per_step)) ** 2
         return result
 
     def noise_gain(self, lag_steps: float = 0) -> float:
-        """Return the variance of white noise after the filter over before.
+        """Return the variance of white noise after the filter over that before.
 
         Parameters
         ----------
         lag_steps : float
-            Later readings that are waited for: 0 is the filter, inf the smoother, between them a fixed lag.
+            Lag in readings: 0 is the filter, inf the smoother, other values a fixed-lag smoother.
         """
         c, loop = self.row, self.loop
         if lag_steps == 0:
@@ -151,34 +151,34 @@ class SteadyFilter:
         u = c @ loop.P_plus @ loop.F.T
         b = loop.H.T / self.innovation_variance - M.T @ N @ K
         far = _power(M, lag_steps)
-        seen = N - far.T @ N @ far  # what the readings waited for say
-        past = c - u @ seen @ loop.F
-        future, remote = _gather(M.T, b @ b.T), _gather(M, K @ K.T)
+        within_lag = N - far.T @ N @ far  # information of the readings within the lag
+        past = c - u @ within_lag @ loop.F
+        future, remote = _summed(M.T, b @ b.T), _summed(M, K @ K.T)
         d = u @ far.T @ N
-        left = past @ self._noise @ past.T + u @ (future - far.T @ future @ far) @ u.T
+        variance = past @ self._noise @ past.T + u @ (future - far.T @ future @ far) @ u.T
         if np.isfinite(lag_steps):
             both = np.block([[M.T, b @ d], [np.zeros_like(M), M]])
             cross = _power(both, lag_steps)[: len(M), len(M) :]
-            left = left + d @ (remote - far @ remote @ far.T) @ d.T + 2 * u @ cross @ K
-        return float(left[0, 0])
+            variance = variance + d @ (remote - far @ remote @ far.T) @ d.T + 2 * u @ cross @ K
+        return float(variance[0, 0])
 
     def error_variance(self, lag_steps: float = 0) -> float:
-        """Return the variance of the output's error where the model holds, in its unit^2; `lag_steps` as above."""
+        """Return the error variance of the output if the model is correct, in unit^2; `lag_steps` as above."""
         c, loop = self.row, self.loop
         far = _power(loop.M, lag_steps)
-        reach = c @ loop.P_plus @ loop.F.T
-        learned = reach @ (self._future - far.T @ self._future @ far) @ reach.T
-        return float((c @ loop.P_plus @ c.T - learned)[0, 0])
+        u = c @ loop.P_plus @ loop.F.T
+        reduction = u @ (self._future - far.T @ self._future @ far) @ u.T
+        return float((c @ loop.P_plus @ c.T - reduction)[0, 0])
 
     @cached_property
     def _noise(self) -> Floats:
-        """Covariance of the states of `loop` that white noise of variance 1 makes."""
-        return _gather(self.loop.A, self.loop.K @ self.loop.K.T)
+        """Return the covariance of the states of `loop` for white noise of variance 1 as input."""
+        return _summed(self.loop.A, self.loop.K @ self.loop.K.T)
 
     @cached_property
     def _future(self) -> Floats:
-        """Information N that all readings to come hold of a prediction's error: the sum of M'^i H' S^-1 H M^i."""
-        return _gather(self.loop.M.T, self.loop.H.T @ self.loop.H / self.innovation_variance)
+        """Return the information N of all later readings on the prediction error: the sum of M'^i H' S^-1 H M^i."""
+        return _summed(self.loop.M.T, self.loop.H.T @ self.loop.H / self.innovation_variance)
 
     def _states(self, delay: Complexes) -> Complexes:
         """Return (I - A w)^-1 K for each w, (k, n, 1)."""
@@ -193,11 +193,11 @@ def _delay(cycles_per_step: ArrayLike) -> Complexes:
 
 
 def _power(M: Floats, steps: float) -> Floats:
-    """Return M to the power of a number of steps; nothing is left of a stable one after inf."""
+    """Return M to the power of a number of steps; 0 for infinitely many steps, because M is stable."""
     return np.linalg.matrix_power(M, int(steps)) if np.isfinite(steps) else np.zeros_like(M)
 
 
-def _gather(M: Floats, B: Floats) -> Floats:
+def _summed(M: Floats, B: Floats) -> Floats:
     """Return the sum of M^i B M'^i over all i, by doubling."""
     total = B
     for _ in range(_DOUBLINGS):

@@ -1,1 +1,1 @@
-"""When measurements were taken: clocks, stamps, and what loggers do to them."""
+"""The times of measurements: clocks, time stamps, and faults of loggers."""

@@ -1,4 +1,4 @@
-"""The clock behind stamps of any number: understood in passes over blocks, in constant memory."""
+"""Clock: rate, jitter and gaps of any number of time stamps, found in passes over blocks in constant memory."""
 
 from __future__ import annotations
 
@@ -16,44 +16,44 @@ GAP_STEPS = 1.5
 """A distance of more than this many median steps is a gap."""
 
 SLOWEST_HZ, FASTEST_HZ = 1e-9, 1e12
-"""Rates outside are typing errors: a sample in thirty years, or a million in a microsecond."""
+"""Rates outside this range are typing errors: one sample in thirty years, or a million per microsecond."""
 
 Blocks = Callable[[], Iterable[Floats]]
-"""Gives the stamps in blocks, none of them empty, as often as it is called."""
+"""A function that returns an iterator over the stamps in blocks that are not empty; it may be called many times."""
 
 _FINEST_DIGIT = 9
-_ROUNDING = 0.55  # half a last digit, and a little for the fit
-_WAY_OUT = "Mend the column, name another with --time, or give --rate HZ to count rows instead."
-_CLOCK = 1e-6  # of a step: what floating-point stamps lose without being rounded on purpose
+_ROUNDING = 0.55  # half of a last digit, and a margin for the fit
+_ADVICE = "Correct the column, name another with --time, or give --rate HZ to count rows instead."
+_FLOAT_ERROR = 1e-6  # of a step: error of floating-point stamps that were not rounded deliberately
 
 
 @dataclass(frozen=True)
 class Clock:
-    """How the times of `count` samples run, without the times themselves.
+    """A summary of the times of `count` samples: step, gaps, jitter, without the times themselves.
 
     Attributes
     ----------
     count : int
         Number of samples.
     step_s : float
-        One step in seconds: the slope of stamps that lie on a line, else the median distance of two.
+        One step, in seconds: the slope if the stamps lie on a line, otherwise their median difference.
     start_s : float
         Time of the first sample, in seconds.
     uniform : bool
-        Whether every distance is a whole number of steps.
+        True if every difference of stamps is a whole number of steps.
     jitter_s : float
-        As in `Timebase`.
+        See `Timebase`.
     near_s : float
-        The distance that elapsed steps are counted in: the mean of those that are no gaps where the
-        time is uniform, since rounding moves the median; the median otherwise.
+        The difference of stamps that counts as one elapsed step. If the time is uniform it is the mean of all
+        differences that are not gaps, because rounding shifts the median; otherwise it is the median.
     duration_s : float
         Time from the first sample to the last, in seconds.
     gaps : int
-        Rows before which more than 1.5 steps passed.
+        Number of rows that come more than 1.5 steps after the row before.
     repeats : int
-        Rows with the same time as the row before.
+        Number of rows with the same time as the row before.
     resolution_s : float
-        As in `Timebase`.
+        See `Timebase`.
     """
 
     count: int
@@ -69,7 +69,7 @@ class Clock:
 
     @classmethod
     def counted(cls, count: int, rate_hz: float, start_s: float = 0.0) -> Clock:
-        """Make the clock of rows that come at `rate_hz`, none missing.
+        """Return the clock of rows at `rate_hz`, without gaps.
 
         Raises
         ------
@@ -87,50 +87,50 @@ class Clock:
 
     @classmethod
     def from_stamps(cls, count: int, blocks: Blocks) -> Clock:
-        """Understand stamps in seconds; a few passes over them, each in constant memory.
+        """Find the clock of stamps in seconds, in a few passes over them, each in constant memory.
 
         Parameters
         ----------
         count : int
-            How many stamps there are.
+            Number of stamps.
         blocks : callable
-            Gives an iterator over (n,) float arrays that together are the stamps, in order; called
-            for each pass. Beyond a million stamps, the median is that of evenly spread runs of them.
+            Returns an iterator over (n,) float arrays, the stamps in order; it is called
+            for each pass. For more than a million stamps, the median is that of evenly spread runs of them.
 
         Raises
         ------
         TimeError
-            If a stamp is missing, time goes backwards, or too few stamps differ to tell a rate.
+            If a stamp is missing, time goes backwards, or too few stamps differ for a rate.
         """
-        seen = _look(count, blocks)
-        offsets, gaps, repeats = _offsets(seen, blocks)
-        near = seen.step + offsets.mean
-        tolerance = max(_ROUNDING * seen.digit, _CLOCK * seen.step) + 2 * np.spacing(
-            max(abs(seen.first), abs(seen.last))
+        summary = _summarise(count, blocks)
+        offsets, gaps, repeats = _offsets(summary, blocks)
+        near = summary.step + offsets.mean
+        tolerance = max(_ROUNDING * summary.digit, _FLOAT_ERROR * summary.step) + 2 * np.spacing(
+            max(abs(summary.first), abs(summary.last))
         )
-        line = _fit(near, seen, blocks)
+        line = _fit(near, summary, blocks)
         if line is not None:
-            residual, worst = _residual(line, near, seen, blocks)
+            residual, worst = _residual(line, near, summary, blocks)
             if worst <= tolerance:
                 step = _twelve_digits(near + line.slope)
-                told = (residual.std, near, step * line.length, line.gaps, 0, seen.digit)
-                return cls(count, step, seen.first, True, *told)
+                values = (residual.std, near, step * line.length, line.gaps, 0, summary.digit)
+                return cls(count, step, summary.first, True, *values)
         jitter = offsets.std / np.sqrt(2)
-        told = (jitter, seen.step, seen.last - seen.first, gaps, repeats, seen.digit)
-        return cls(count, seen.step, seen.first, False, *told)
+        values = (jitter, summary.step, summary.last - summary.first, gaps, repeats, summary.digit)
+        return cls(count, summary.step, summary.first, False, *values)
 
     @property
     def rate_hz(self) -> float:
-        """Samples per second, 1 over the step."""
+        """Return the samples per second, 1 over the step."""
         return 1.0 / self.step_s
 
     @property
     def even(self) -> bool:
-        """Whether every row comes exactly one step after the row before, so that rows can be counted."""
+        """Return whether every row comes one step after the row before, so that counting rows gives the time."""
         return self.uniform and not self.gaps
 
     def elapsed(self, stamps: Floats, before: float | None = None) -> Floats:
-        """Return the steps before each of some following stamps, (n,); `before` is the stamp before the first."""
+        """Return the elapsed steps before each of the next stamps, (n,); `before` is the stamp before these."""
         out = np.empty(len(stamps))
         if len(stamps):
             out[0] = 0.0 if before is None else stamps[0] - before
@@ -139,16 +139,16 @@ class Clock:
         return np.round(out, out=out) if self.uniform else out
 
     def elapsed_rows(self, first: int, count: int, before: int | None = None) -> Floats:
-        """Return the steps before each of `count` rows of even time; `before` is the row read before, if not the last.
+        """Return the elapsed steps before each of `count` rows of even time; 0 for row 0 of the file.
 
-        0 for row 0 of the file.
+        `before` is the row that was read last; by default it is row `first` - 1.
         """
         out = np.ones(count)
         out[:1] = first - (max(0, first - 1) if before is None else before)
         return out
 
 
-class _Look(NamedTuple):
+class _Summary(NamedTuple):
     step: float
     first: float
     last: float
@@ -156,7 +156,7 @@ class _Look(NamedTuple):
 
 
 class _Line(NamedTuple):
-    slope: float  # what the mean near distance lacks of the slope
+    slope: float  # slope minus the mean of the near differences
     at: float
     residual: float
     length: float
@@ -164,7 +164,7 @@ class _Line(NamedTuple):
 
 
 def _walk(blocks: Blocks) -> Iterator[tuple[Floats, Floats]]:
-    """Give each block and the distances before its stamps; the first of all has none."""
+    """Yield each block and the differences before its stamps; the very first stamp has none."""
     before: float | None = None
     for stamps in blocks():
         if before is None:
@@ -177,12 +177,12 @@ def _walk(blocks: Blocks) -> Iterator[tuple[Floats, Floats]]:
         before = float(stamps[-1])
 
 
-def _look(count: int, blocks: Blocks) -> _Look:
-    """See what range, digits and median distance the stamps have; refuse what cannot be time."""
+def _summarise(count: int, blocks: Blocks) -> _Summary:
+    """Return range, last digit and median step of the stamps; raise an error if they are not valid times."""
     if count < 2:
-        rows = "One row has" if count else "No rows have"
+        rows = "One row has" if count else "0 rows have"
         raise TimeError(f"{rows} no rate; two or more are needed. Give a rate: --rate HZ, or rate_hz=.")
-    seen, some = Thinned(count - 1), []
+    thinned, samples = Thinned(count - 1), []
     first, last, row, every = np.nan, np.nan, 0, max(1, count // 1000)
     with np.errstate(invalid="ignore"):
         for stamps, distances in _walk(blocks):
@@ -191,53 +191,53 @@ def _look(count: int, blocks: Blocks) -> _Look:
             last = float(stamps[-1])
             if not (np.isfinite(last) and distances.min(initial=0.0) >= 0.0):  # NaN fails
                 _refuse(blocks)
-            some.append(stamps[-row % every :: every].copy())  # a view would keep the block
-            seen.add(distances)
+            samples.append(stamps[-row % every :: every].copy())  # a view would keep the block
+            thinned.add(distances)
             row += len(stamps)
-    step = float(np.median(seen.values))
+    step = float(np.median(thinned.values))
     if not (np.isfinite(first) and step > 0):
         _refuse(blocks)
-    return _Look(step, first, last, last_digit(np.concatenate(some)))
+    return _Summary(step, first, last, last_digit(np.concatenate(samples)))
 
 
 def _refuse(blocks: Blocks) -> None:
-    """Say what is wrong with the stamps."""
-    row, count, told = 0, 0, ""
+    """Raise the error that describes what is wrong with the stamps."""
+    row, count, place = 0, 0, ""
     with np.errstate(invalid="ignore"):
         for stamps, distances in _walk(blocks):
             if not np.isfinite(stamps).all():
                 missing = row + _first(~np.isfinite(stamps))
-                raise TimeError(f"The time of row {missing + 1} is missing or not finite. {_WAY_OUT}")
+                raise TimeError(f"The time of row {missing + 1} is missing or not finite. {_ADVICE}")
             back = distances < 0
             if back.any() and not count:
                 at = _first(back) + len(stamps) - len(distances)
-                told = f"row {row + at + 1}, from {stamps[at] - distances[_first(back)]:.9g} s to {stamps[at]:.9g} s"
+                place = f"row {row + at + 1}, from {stamps[at] - distances[_first(back)]:.9g} s to {stamps[at]:.9g} s"
             count += int(back.sum())
             row += len(stamps)
     if count:
         rows = f"{count} such row{'s' if count > 1 else ''}"
-        raise TimeError(f"Time goes backwards at {told} ({rows}). {_WAY_OUT}")
-    raise TimeError(f"More than half of the rows repeat the time of the row before. {_WAY_OUT}")
+        raise TimeError(f"Time goes backwards at {place} ({rows}). {_ADVICE}")
+    raise TimeError(f"More than half of the rows repeat the time of the row before. {_ADVICE}")
 
 
 def _first(where: Booleans) -> int:
     return int(np.flatnonzero(where)[0])
 
 
-def _offsets(seen: _Look, blocks: Blocks) -> tuple[Moments, int, int]:
-    """Measure how the distances that are no gaps lie about the median one; count gaps and repeats."""
+def _offsets(summary: _Summary, blocks: Blocks) -> tuple[Moments, int, int]:
+    """Return the moments of the steps without gaps about the median step, and the counts of gaps and repeats."""
     offsets, gaps, repeats = Moments(), 0, 0
     for _, distances in _walk(blocks):
-        steps = distances / seen.step
+        steps = distances / summary.step
         far = steps > GAP_STEPS
         gaps += int(np.count_nonzero(far))
         repeats += int(len(distances) - np.count_nonzero(distances))
-        offsets.add((distances if not far.any() else distances[~far]) - seen.step)
+        offsets.add((distances if not far.any() else distances[~far]) - summary.step)
     return offsets, gaps, repeats
 
 
-def _grid(near: float, seen: _Look, blocks: Blocks) -> Iterator[tuple[Floats, Floats, Floats]]:
-    """Give the whole steps, where they lead to, and how far the stamps lie from there."""
+def _grid(near: float, summary: _Summary, blocks: Blocks) -> Iterator[tuple[Floats, Floats, Floats]]:
+    """Yield whole steps, their running sum (the grid), and the offsets of the stamps from the grid."""
     at = 0.0
     for stamps, distances in _walk(blocks):
         steps = np.round(distances / near)
@@ -246,13 +246,13 @@ def _grid(near: float, seen: _Look, blocks: Blocks) -> Iterator[tuple[Floats, Fl
         np.cumsum(steps, out=grid[len(stamps) - len(steps) :])
         grid += at
         at = float(grid[-1])
-        yield steps, grid, (stamps - seen.first) - near * grid
+        yield steps, grid, (stamps - summary.first) - near * grid
 
 
-def _fit(near: float, seen: _Look, blocks: Blocks) -> _Line | None:
-    """Fit a line through the stamps over their grid; None where a step is shorter than one."""
+def _fit(near: float, summary: _Summary, blocks: Blocks) -> _Line | None:
+    """Fit a line through the stamps over their grid; return None if a step rounds to less than one."""
     sums, gaps, end = Moments(), 0, 0.0
-    for steps, grid, offset in _grid(near, seen, blocks):
+    for steps, grid, offset in _grid(near, summary, blocks):
         if steps.min(initial=1.0) < 1:
             return None
         gaps += int(np.count_nonzero(steps > GAP_STEPS))
@@ -261,9 +261,9 @@ def _fit(near: float, seen: _Look, blocks: Blocks) -> _Line | None:
     return _Line(sums.product / sums.scatter, sums.mean, sums.other, end, gaps)
 
 
-def _residual(line: _Line, near: float, seen: _Look, blocks: Blocks) -> tuple[Moments, float]:
+def _residual(line: _Line, near: float, summary: _Summary, blocks: Blocks) -> tuple[Moments, float]:
     residuals, worst = Moments(), 0.0
-    for _, grid, offset in _grid(near, seen, blocks):
+    for _, grid, offset in _grid(near, summary, blocks):
         residual = (offset - line.residual) - line.slope * (grid - line.at)
         worst = max(worst, float(np.abs(residual).max()))
         residuals.add(residual)
@@ -271,12 +271,12 @@ def _residual(line: _Line, near: float, seen: _Look, blocks: Blocks) -> tuple[Mo
 
 
 def _twelve_digits(step_s: float) -> float:
-    """Round the rate to what stamps can tell, so that 100 Hz is not 99.9999999999997 Hz."""
+    """Round the rate to twelve digits, so that 100 Hz is not 99.9999999999997 Hz."""
     return 1.0 / float(f"{1.0 / step_s:.12g}")
 
 
 def last_digit(some: Floats) -> float:
-    """Find the decimal place that the stamps are rounded to, in seconds; 0 if none is seen."""
+    """Return the decimal place that the stamps are rounded to, in seconds; 0 if they are not rounded."""
     for place in range(_FINEST_DIGIT + 1):
         scaled = some * 10.0**place
         slack = 1e-3 + 4e-16 * np.abs(scaled)

@@ -1,9 +1,9 @@
-"""Stamps that a driver made: the even grid on which the samples were taken, where the stamps show it.
+"""Find the even grid of the sampling times behind stamps that a driver disturbed.
 
-Two kinds are clear. *Jitter*: every stamp lies near its own place on a line, and how far off it is says
-nothing about its neighbours. *Bursts*: a driver fetches several samples at once and stamps them at nearly
-one instant, after all of them were taken; so the line bounds the first stamps of bursts from below, as a
-clock's skew is found from delays that are never negative (Moon, Skelly and Towsley, 1999).
+Two disturbances can be recognised. *Jitter*: every stamp lies near its place on a line, and its error is
+independent of its neighbours' errors. *Bursts*: a driver fetches several samples at once and stamps them at nearly
+one instant, after all of them were taken. The line is then a lower bound of the first stamps of bursts, just as the
+skew of a clock is found from delays that are never negative (Moon, Skelly and Towsley, 1999).
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ from becalm.core.time.moments import Moments, Thinned
 JITTER, BURSTS = "jitter", "bursts"
 
 FEWEST_ROWS = 100
-"""Smallest number of stamps in which a grid is looked for."""
+"""Smallest number of stamps for which a grid is searched."""
 
-_LEAST_JITTER, _MOST_JITTER = 0.02, 0.15  # std in steps: less is not worth being wrong, more may be the sampling
-_FARTHEST = 0.45  # steps: beyond half a step a lost row would look alike
+_LEAST_JITTER, _MOST_JITTER = 0.02, 0.15  # std in steps: below, no need; above, the sampling itself may be uneven
+_FARTHEST = 0.45  # steps: an error of half a step could be a lost row
 _LAGS = 16
-_CORRELATED = 0.1  # more correlation, where it is also four sigma, is no jitter
-_APART = 0.4  # steps between two bursts; in one, stamps are closer
-_LATEST = 1.1  # steps: the fetching waits up to one step for a sample, and a little
-_PARTS, _TOUCHING = 8, 0.25  # in every eighth of the record a burst is later by no more steps: no row is lost
+_CORRELATED = 0.1  # more correlation is not jitter, if it is also above four sigma
+_APART = 0.4  # steps: stamps of one burst are closer than this
+_LATEST = 1.1  # steps: the driver waits up to one step for a sample, plus a margin
+_PARTS, _TOUCHING = 8, 0.25  # steps: if each eighth has a burst this close to the line, no row is lost
 _FEWEST_BURSTS = 128
-_SEVERAL = 1.5  # rows in the mean burst
+_SEVERAL = 1.5  # least mean number of rows per burst
 _SIZES = 65  # bursts of up to 64 rows
-_UNLIKE = 0.05  # share of bursts of unusual size, so that the time between bursts is seen to grow with their size
-_COARSE = 0.75  # last digit of stamps, in times between bursts
+_UNLIKE = 0.05  # least share of bursts of other sizes: they show that the time between bursts grows with size
+_COARSE = 0.75  # last digit of the stamps over the mean time between bursts
 _SEGMENTS = 64
 
 
@@ -46,9 +46,9 @@ class Grid(NamedTuple):
     kind : str
         "jitter" or "bursts".
     start_s, step_s : float
-        The first sample and the time to the next, in seconds.
+        Time of the first sample and sampling interval, in seconds.
     jitter_s : float
-        Standard deviation of the stamps about the grid, a steady delay left aside, in seconds.
+        Standard deviation of the stamps about the grid without a constant delay, in seconds.
     """
 
     kind: str
@@ -58,19 +58,19 @@ class Grid(NamedTuple):
 
 
 def even_grid(count: int, blocks: Blocks) -> Grid | None:
-    """Find the even grid behind stamps of which no row is lost; three passes over them, in constant memory.
+    """Find the even grid behind stamps without lost rows, in three passes over them and constant memory.
 
     Parameters
     ----------
     count : int
-        How many stamps there are.
+        Number of stamps.
     blocks : callable
-        Gives the stamps in seconds, in (n,) blocks; called for each pass.
+        Returns an iterator over the stamps in seconds, in (n,) blocks; it is called for each pass.
 
     Returns
     -------
     Grid or None
-        None where the stamps show no grid, or are no time.
+        None if the stamps show no grid or are not valid times.
     """
     ends = _ends(blocks) if count >= FEWEST_ROWS else None
     if ends is None:
@@ -86,21 +86,21 @@ def even_grid(count: int, blocks: Blocks) -> Grid | None:
 
 
 class EqualBursts(NamedTuple):
-    """Bursts of one size, of which stamps alone do not tell whether a driver made them."""
+    """Bursts of one size: the stamps alone do not show whether a driver or the sampling made them."""
 
     rows: int
     rate_hz: float
 
 
 def equal_bursts(count: int, blocks: Blocks) -> EqualBursts | None:
-    """Find bursts of one size, and the mean rate of their rows; None where stamps do not come so.
+    """Find bursts of one size and the mean rate of their rows; return None if the stamps have no such bursts.
 
     Parameters
     ----------
     count : int
-        How many stamps there are.
+        Number of stamps.
     blocks : callable
-        Gives the stamps in seconds, in (n,) blocks; called for each pass.
+        Returns an iterator over the stamps in seconds, in (n,) blocks; it is called for each pass.
     """
     ends = _ends(blocks) if count >= FEWEST_ROWS else None
     if ends is None:
@@ -113,7 +113,7 @@ def equal_bursts(count: int, blocks: Blocks) -> EqualBursts | None:
 
 
 def _ends(blocks: Blocks) -> tuple[float, float] | None:
-    """Return the first and the last stamp; None where one is missing or time falls or stands still."""
+    """Return the first and the last stamp; None if a stamp is missing, time decreases, or all stamps are equal."""
     first = last = None
     for stamps in blocks():
         first = float(stamps[0]) if first is None else first
@@ -129,7 +129,7 @@ class _Line(NamedTuple):
 
 
 def _offsets(blocks: Blocks, start: float, step: float) -> Iterator[tuple[Floats, Floats]]:
-    """Give rows and how much later than a line their stamps are."""
+    """Yield row numbers and the delays of their stamps relative to a line."""
     row = 0
     for stamps in blocks():
         rows = np.arange(row, row + len(stamps), dtype=np.float64)
@@ -138,33 +138,33 @@ def _offsets(blocks: Blocks, start: float, step: float) -> Iterator[tuple[Floats
 
 
 def _jitter(blocks: Blocks, line: _Line) -> Grid | None:
-    about, products, farthest = Moments(), np.zeros(_LAGS + 1), 0.0
+    deviations, products, farthest = Moments(), np.zeros(_LAGS + 1), 0.0
     tail = np.empty(0)
     for _, offsets in _offsets(blocks, line.start, line.step):
         farthest = max(farthest, float(np.abs(offsets).max()))
         if not farthest <= _FARTHEST * line.step:
             return None
-        about.add(offsets)
+        deviations.add(offsets)
         joined = np.concatenate([tail, offsets])
         for lag in range(min(_LAGS + 1, len(joined))):
             products[lag] += float(joined[max(0, len(tail) - lag) : len(joined) - lag] @ joined[max(len(tail), lag) :])
         tail = joined[-_LAGS:]
-    white = max(_CORRELATED, 4.0 / np.sqrt(about.count)) * products[0]
-    fits = _LEAST_JITTER * line.step <= about.std <= _MOST_JITTER * line.step
+    white = max(_CORRELATED, 4.0 / np.sqrt(deviations.count)) * products[0]
+    fits = _LEAST_JITTER * line.step <= deviations.std <= _MOST_JITTER * line.step
     if not fits or not np.all(np.abs(products[1:]) <= white):
         return None
-    return Grid(JITTER, line.start, line.step, about.std)
+    return Grid(JITTER, line.start, line.step, deviations.std)
 
 
 class _Bursts:
-    """Parts stamps into bursts: the first stamp of each, and the row of its last.
+    """Splits stamps into bursts, each with its first stamp and the row of its last stamp.
 
-    Of each part of a block, the least delayed burst is kept, for the line below.
+    It keeps the burst with the least delay of each segment of a block, for the line below all bursts.
     """
 
     def __init__(self, first: float, mean: float) -> None:
         self._first, self.mean = first, mean
-        self._open: float | None = None  # the first stamp of the burst that may go on
+        self._open: float | None = None  # first stamp of the burst that may continue
         self._before = -np.inf
         self._rows: list[float] = []
         self._stamps: list[float] = []
@@ -173,11 +173,11 @@ class _Bursts:
         self.count = 0
 
     def add(self, rows: Floats, stamps: Floats) -> None:
-        """Look at the next rows, (n,), and their stamps since the first."""
-        self._keep(*self.parted(rows, stamps))
+        """Add the next rows, (n,), and their stamps relative to the first stamp."""
+        self._keep_least_delayed(*self.parted(rows, stamps))
 
     def parted(self, rows: Floats, stamps: Floats) -> tuple[Floats, Floats]:
-        """Return the last row and the first stamp of the bursts that ended meanwhile; the last of all is left open."""
+        """Return the last row and the first stamp of each burst that ended; the last burst stays open."""
         begins = np.flatnonzero(np.diff(stamps, prepend=self._before) > _APART * self.mean)
         self._before = float(stamps[-1])
         ends, firsts = rows[begins] - 1.0, stamps[begins]
@@ -188,7 +188,7 @@ class _Bursts:
         self._open = float(firsts[-1]) if len(begins) else self._open
         return ends, closed
 
-    def _keep(self, ends: Floats, firsts: Floats) -> None:
+    def _keep_least_delayed(self, ends: Floats, firsts: Floats) -> None:
         if not len(ends):
             return
         sizes = np.diff(ends, prepend=self._ended).astype(np.int64)
@@ -203,17 +203,17 @@ class _Bursts:
 
     @property
     def clear(self) -> bool:
-        """Whether there are bursts of different sizes; those of one size may be sampled so, or several sensors."""
+        """Return whether there are bursts of different sizes; equal bursts may be the sampling or several sensors."""
         rows = self._ended + 1.0
         if self.count < _FEWEST_BURSTS or self._sizes[_SIZES] or rows < _SEVERAL * self.count:
             return False
         if last_digit(np.array(self._stamps)) >= _COARSE * self.mean * rows / self.count:
-            return False  # cut to whole seconds, say: those come before their samples
+            return False  # truncated stamps, e.g. to whole seconds, are earlier than their samples
         return self.count - int(self._sizes.max()) >= _UNLIKE * self.count
 
     @property
     def equal(self) -> EqualBursts | None:
-        """What bursts of one size are like, if nearly all of them are of it."""
+        """Return size and rate of the bursts if nearly all have one size; otherwise None."""
         size = int(np.argmax(self._sizes))
         unlike = self.count - int(self._sizes[size])
         if self.count < _FEWEST_BURSTS or not 1 < size < _SIZES or unlike >= _UNLIKE * self.count or not self._open:
@@ -221,7 +221,7 @@ class _Bursts:
         return EqualBursts(size, float(f"{(self._ended + 1.0) / self._open:.6g}"))
 
     def below(self) -> _Line:
-        """Return the line below all first stamps that is nearest to them: the edge of their hull in the middle."""
+        """Return the closest line below all first stamps: the middle edge of their lower hull."""
         rows, stamps = np.array(self._rows), np.array(self._stamps)
         hull = _lower_hull(rows, stamps)
         edge = int(np.clip(np.searchsorted(rows[hull], rows.mean()), 1, len(hull) - 1))
@@ -231,7 +231,7 @@ class _Bursts:
 
 
 def _lower_hull(x: Floats, y: Floats) -> Integers:
-    """Return which points make the lower convex hull; x rises (Andrew's monotone chain)."""
+    """Return the indices of the lower convex hull for increasing x (Andrew's monotone chain)."""
     hull: list[int] = []
     for point in range(len(x)):
         while len(hull) > 1:
@@ -243,20 +243,20 @@ def _lower_hull(x: Floats, y: Floats) -> Integers:
     return np.array(hull)
 
 
-def _bursts(count: int, blocks: Blocks, seen: _Bursts) -> Grid | None:
-    line = seen.below()
-    about, again, least = Moments(), _Bursts(0.0, seen.mean), np.full(_PARTS, np.inf)
+def _bursts(count: int, blocks: Blocks, bursts: _Bursts) -> Grid | None:
+    line = bursts.below()
+    deviations, splitter, least = Moments(), _Bursts(0.0, bursts.mean), np.full(_PARTS, np.inf)
     steps, before = Thinned(count), 0.0
     for rows, offsets in _offsets(blocks, line.start, line.step):
         stamps = offsets + line.step * rows
         steps.add(np.diff(stamps, prepend=before))
         before = float(stamps[-1])
-        ends, firsts = again.parted(rows, stamps)
+        ends, firsts = splitter.parted(rows, stamps)
         late = (firsts - line.step * ends) / line.step
         if not late.max(initial=0.0) <= _LATEST:
             return None
         np.minimum.at(least, (ends * _PARTS / count).astype(np.int64), late)
-        about.add(offsets)
-    if not np.all(least <= _TOUCHING) or rows_lost_between(steps.values[1:], _APART * seen.mean):
+        deviations.add(offsets)
+    if not np.all(least <= _TOUCHING) or rows_lost_between(steps.values[1:], _APART * bursts.mean):
         return None
-    return Grid(BURSTS, line.start, line.step, about.std)
+    return Grid(BURSTS, line.start, line.step, deviations.std)

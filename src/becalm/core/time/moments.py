@@ -1,4 +1,4 @@
-"""What passes by in blocks, in constant memory: an even choice of it, its mean and its scatter."""
+"""Statistics of values that come in blocks, in constant memory: a thinned copy, mean and scatter."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ _RUN = 1 << 10
 
 
 class Thinned:
-    """At most about a million of the values that pass by: all, or evenly spread runs of a thousand.
+    """Keeps at most about a million of the values added: all of them, or evenly spread runs of a thousand.
 
     Parameters
     ----------
     count : int
-        How many values will come.
+        Number of values that will be added.
     """
 
     def __init__(self, count: int) -> None:
@@ -25,7 +25,7 @@ class Thinned:
         self._kept: list[Floats] = []
 
     def add(self, values: Floats) -> None:
-        """Look at the next values."""
+        """Add the next values."""
         if self._period == _RUN:
             self._kept.append(values.copy())
         else:
@@ -36,19 +36,19 @@ class Thinned:
 
     @property
     def values(self) -> Floats:
-        """What was kept, in order."""
+        """Return the values kept, in order."""
         return np.concatenate(self._kept) if self._kept else np.empty(0)
 
 
 class Moments:
-    """Count, mean and scatter of values and of their products with others, joined block by block (Chan)."""
+    """Count, mean and scatter of values and of their products with others, updated by blocks (Chan)."""
 
     def __init__(self) -> None:
         self.count = 0
         self.mean = self.other = self.scatter = self.product = 0.0
 
     def add(self, values: Floats, others: Floats | None = None) -> None:
-        """Join a block in."""
+        """Add a block."""
         count, mean = len(values), float(values.mean()) if len(values) else 0.0
         if not count:
             return
@@ -67,10 +67,10 @@ class Moments:
 
     @property
     def std(self) -> float:
-        """Standard deviation of all values."""
+        """Return the standard deviation of all values."""
         return float(np.sqrt(self.scatter / self.count))
 
 
 def _dot(one: Floats, other: Floats) -> float:
-    """Return the product of two vectors, by one thread: those of BLAS wait for each other on a busy machine."""
+    """Return the dot product, computed in one thread: BLAS threads wait for each other on a busy machine."""
     return float(np.einsum("i,i", one, other))

@@ -1,7 +1,7 @@
-"""Counters that wrapped and local time that fell back by an hour: undone where the evidence is clear.
+"""Undo the wraps of counters and the changes to and from daylight saving time, where the evidence is clear.
 
-A fall is mended only if every fall of the recording, once mended, is a step like the others; anything else
-that goes backwards is left for the clock to refuse.
+A backward step is repaired only if every backward step of the recording becomes a usual step by the repair.
+Otherwise the stamps stay as they are, and the clock raises an error.
 """
 
 from __future__ import annotations
@@ -16,23 +16,23 @@ from becalm.core.arrays import Booleans, Floats
 from becalm.core.time.moments import Thinned
 
 COUNTERS = (2.0**8, 2.0**16, 2.0**24, 2.0**31, 2.0**32)
-"""Numbers at which counters start again from zero."""
+"""Periods of counters, after which they start again from zero."""
 
 HOUR_S = 3600.0
-_ALIKE = (0.5, 1.5)  # of the median step: what a mended step may be
-_SLOWEST_S = 900.0  # a step so long that an hour is only a few rows tells nothing
-_SPRING = (3, 9, 10)  # months, north and south
-_NIGHT_HOURS = (1, 2, 3, 4)  # after the leap
+_ALIKE = (0.5, 1.5)  # of the median step: range of a repaired step
+_SLOWEST_S = 900.0  # with a longer step an hour has too few rows
+_SPRING = (3, 9, 10)  # months of the change, northern and southern hemisphere
+_NIGHT_HOURS = (1, 2, 3, 4)  # hour of the day after the change
 _SUNDAY = 3  # days since Thursday, 1970-01-01
 
 
 class Steps:
-    """What the steps of a time column are like, seen block by block.
+    """Statistics of the steps of a time column, added block by block.
 
     Parameters
     ----------
     count : int
-        How many stamps will come.
+        Number of stamps that will be added.
     """
 
     def __init__(self, count: int) -> None:
@@ -44,7 +44,7 @@ class Steps:
         self.falls = 0
 
     def add(self, stamps: Floats) -> None:
-        """Look at the next stamps, (n,), in any unit."""
+        """Add the next stamps, (n,), in any unit."""
         steps = np.diff(stamps) if self._last is None else np.diff(stamps, prepend=self._last)
         self._last = float(stamps[-1])
         self._rises.add(steps)
@@ -58,25 +58,25 @@ class Steps:
 
     @property
     def wraps_at(self) -> float | None:
-        """The number at which this counter starts again from zero; None where it does not, or that is not clear."""
+        """Return the period after which this counter starts again from zero; None if none is clear."""
         if not self.falls or not self._whole or not self._least >= 0.0:  # NaN fails
             return None
         period = next((number for number in COUNTERS if number > self._most), None)
-        return period if period is not None and self._mended_by(period) else None
+        return period if period is not None and self._repaired_by(period) else None
 
     @property
     def falls_an_hour(self) -> bool:
-        """Return whether all falls of stamps in seconds are those of an hour put back."""
-        return bool(self.falls) and self._mended_by(HOUR_S)
+        """Return whether all backward steps of stamps in seconds are clocks put back by an hour."""
+        return bool(self.falls) and self._repaired_by(HOUR_S)
 
     @property
     def median(self) -> float:
-        """The median of the steps that rise; NaN where none does."""
+        """Return the median of the forward steps; NaN if there is none."""
         rises = self._rises.values
         rises = rises[rises > 0.0]
         return float(np.median(rises)) if len(rises) else np.nan
 
-    def _mended_by(self, added: float) -> bool:
+    def _repaired_by(self, added: float) -> bool:
         low, high = (share * self.median for share in _ALIKE)
         return self._deepest + added >= low and self._shallowest + added <= high
 
@@ -89,12 +89,12 @@ def unwrapped(blocks: Iterable[NDArray[Any]], period: float) -> Iterator[NDArray
     blocks : iterable of (n,) arrays
         Ticks, float64 or int64.
     period : float
-        The number at which the counter starts again from zero.
+        Number of ticks after which the counter starts again from zero.
 
     Yields
     ------
     (n,) arrays
-        Ticks of a counter that never wraps, of the same type.
+        Ticks without wraps, of the same type.
     """
     last, turns = None, 0
     for ticks in blocks:
@@ -105,22 +105,22 @@ def unwrapped(blocks: Iterable[NDArray[Any]], period: float) -> Iterator[NDArray
 
 
 class Hours(NamedTuple):
-    """Stamps in local time, and how often the clock was put back and forth before them."""
+    """Stamps in local time without clock changes, and how often the clock was put back and forward so far."""
 
-    stamps_s: Floats  # (n,), as they would be had nobody touched the clock
+    stamps_s: Floats  # (n,), as if the clock had never been changed
     back: int
     forth: int
 
 
 def one_clock(blocks: Iterable[Floats], first_s: float, step_s: float) -> Iterator[Hours]:
-    """Undo hours put back and forth by daylight saving time.
+    """Undo the hours by which daylight saving time puts the clock back and forward.
 
     Parameters
     ----------
     blocks : iterable of (n,) arrays
-        Stamps in seconds, all of whose falls are those of an hour put back.
+        Stamps in seconds, whose backward steps are all clocks put back by an hour.
     first_s : float
-        What the stamp 0 is in local time, in seconds since 1970.
+        Local time of the stamp 0, in seconds since 1970.
     step_s : float
         The usual step, in seconds.
     """
@@ -142,7 +142,7 @@ def _alike(steps: Floats, step_s: float) -> Booleans:
 
 
 def _put_forth(before_s: float, after_s: float) -> bool:
-    """Return whether just the hour before a full one of a Sunday night in spring has no reading."""
+    """Return whether the readings skip exactly the hour before a full hour of a Sunday night in spring."""
     hour = np.floor(after_s / HOUR_S)
     day, of_day = divmod(int(hour), 24)
     month = np.datetime64(day, "D").astype("datetime64[M]").astype(int) % 12 + 1

@@ -1,7 +1,7 @@
-"""When the samples were taken: the rate, jitter, gaps, repeats.
+"""The time base of a recording: step, jitter, gaps and repeats.
 
-Stamps that lie on a straight line but for the rounding of their last digit are *uniform*
-(with whole steps missing where there are gaps); all others are *stamped* and used as they are.
+Stamps that lie on a straight line except for the rounding of their last digit are *uniform*
+(gaps are whole steps); all others are *stamped* and are used as they are.
 """
 
 from __future__ import annotations
@@ -28,19 +28,19 @@ class Timebase:
     Attributes
     ----------
     elapsed_steps : (N,) float array
-        Time since the sample before, in steps of `step_s`; 0 for the first. Whole numbers when
+        Time since the sample before, in units of `step_s`; 0 for the first. They are whole numbers if
         the time is uniform.
     step_s : float
-        One step in seconds: the slope of stamps that lie on a line, else the median distance of two.
+        One step, in seconds: the slope if the stamps lie on a line, otherwise their median difference.
     start_s : float
         Time of the first sample, in seconds.
     uniform : bool
-        Whether every distance is a whole number of steps.
+        True if every difference of stamps is a whole number of steps.
     jitter_s : float
-        Standard deviation of one stamp about its place, in seconds: about the even grid of uniform
-        time; of the distances over the root of two otherwise, gaps left aside.
+        Standard deviation of one stamp, in seconds: about the even grid if the time is uniform, otherwise
+        the standard deviation of the differences without gaps, over the root of two.
     resolution_s : float
-        Last digit that stamps are rounded to, in seconds; 0 if none is seen, or rows are counted.
+        Last digit that the stamps are rounded to, in seconds; 0 if they are not rounded, or rows are counted.
     """
 
     elapsed_steps: Floats
@@ -52,7 +52,7 @@ class Timebase:
 
     @classmethod
     def even(cls, count: int, rate_hz: float, start_s: float = 0.0) -> Timebase:
-        """Make the time of `count` samples at `rate_hz`, none missing.
+        """Return the time base of `count` samples at `rate_hz`, without gaps.
 
         Raises
         ------
@@ -64,55 +64,55 @@ class Timebase:
 
     @classmethod
     def from_stamps(cls, times_s: ArrayLike) -> Timebase:
-        """Understand a column of stamps, in seconds.
+        """Return the time base of a column of stamps, in seconds.
 
         Raises
         ------
         TimeError
-            If a stamp is missing, time goes backwards, or too few stamps differ to tell a rate.
+            If a stamp is missing, time goes backwards, or too few stamps differ for a rate.
         """
         try:
             stamps = np.asarray(real(times_s), dtype=np.float64)
         except (TypeError, ValueError) as cause:
-            raise TimeError(f"times_s is not numbers of seconds ({cause}).") from cause
+            raise TimeError(f"times_s is not an array of numbers, in seconds ({cause}).") from cause
         if stamps.ndim != 1:
-            raise TimeError(f"times_s has shape {stamps.shape}; one stamp a sample, (N,), is needed.")
+            raise TimeError(f"times_s has shape {stamps.shape}; one stamp per sample, (N,), is needed.")
         starts = range(0, len(stamps), _BLOCK)
         clock = Clock.from_stamps(len(stamps), lambda: (stamps[start : start + _BLOCK] for start in starts))
         return cls.of(clock, clock.elapsed(stamps))
 
     @classmethod
     def of(cls, clock: Clock, elapsed_steps: Floats) -> Timebase:
-        """Put together what a clock knows and the steps between some of its rows; the array is kept, not copied."""
-        told = (clock.step_s, clock.start_s, clock.uniform, clock.jitter_s, clock.resolution_s)
-        return cls(read_only(elapsed_steps), *told)
+        """Return the time base of a clock and the elapsed steps before its rows; the array is not copied."""
+        values = (clock.step_s, clock.start_s, clock.uniform, clock.jitter_s, clock.resolution_s)
+        return cls(read_only(elapsed_steps), *values)
 
     @property
     def count(self) -> int:
-        """Number of samples."""
+        """Return the number of samples."""
         return len(self.elapsed_steps)
 
     @property
     def rate_hz(self) -> float:
-        """Samples per second, 1 over the step."""
+        """Return the samples per second, 1 over the step."""
         return 1.0 / self.step_s
 
     @cached_property
     def times_s(self) -> Floats:
-        """Time of each sample, (N,), in seconds."""
+        """Return the time of each sample, (N,), in seconds."""
         return frozen(self.start_s + self.step_s * np.cumsum(self.elapsed_steps))
 
     @property
     def duration_s(self) -> float:
-        """Time from the first sample to the last, in seconds."""
+        """Return the time from the first sample to the last, in seconds."""
         return float(self.step_s * self.elapsed_steps.sum())
 
     @property
     def gaps(self) -> Integers:
-        """Rows before which more than 1.5 steps passed."""
+        """Return the rows that come more than 1.5 steps after the row before."""
         return np.flatnonzero(self.elapsed_steps > GAP_STEPS).astype(np.int64)
 
     @property
     def repeats(self) -> Integers:
-        """Rows with the same time as the row before."""
+        """Return the rows with the same time as the row before."""
         return (np.flatnonzero(self.elapsed_steps[1:] == 0.0) + 1).astype(np.int64)
