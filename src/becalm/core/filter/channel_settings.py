@@ -113,7 +113,7 @@ def packed_settings(settings: ChannelSettings, gap_limit: GapLimit | None = None
         "unknown_from": settings.unknown_from,
     }
     assert set(values) | _LIMIT_FIELDS | _GATE_FIELDS == set(packed.dtype.names or ()), (
-        "every field of C's settings is filled"
+        "a field of the C settings is not set"
     )
     for name, value in values.items():
         packed[name] = value

@@ -45,7 +45,7 @@ class Estimate:
         States, on request.
     cov : (N, n, n) float array or None
         Covariance of the states, on request. For a state that the readings do not determine
-        (`Model.observable_states`) it only counts the process noise since the start.
+        (`Model.observable_states`) it only carries forward an assumed unit variance at the start.
     used : int
         Number of readings that entered the likelihood; each channel of a row counts.
     settled_row : int or None
