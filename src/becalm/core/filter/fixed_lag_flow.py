@@ -87,7 +87,7 @@ class LateRows:
         self._smoother.begin_after(reading, readings, steps)
 
     def take(self, rows: Rows) -> Iterator[tuple[Estimates, Estimates]]:
-        """Take the next rows in parts; for each part yield the rows that are due, smoothed, and the new ones, filtered."""
+        """Take the next rows in parts; for each part yield the due rows, smoothed, and the new ones, filtered."""
         for at in range(0, len(rows.z), self._at_once):
             waited = len(self._waiting.z)
             all_rows = Rows.joined([self._waiting, rows.part(slice(at, at + self._at_once))])

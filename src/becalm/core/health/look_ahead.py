@@ -17,7 +17,7 @@ _SMOOTHED_BY = 10  # rows of a lag that are left for smoothing, if it has that m
 
 
 def rows_ahead(lag: int | None) -> int:
-    """Return how many rows of a lag the outlier test may wait for; smoothing has the others. None is a full smoother."""
+    """Return how many rows of a lag the outlier test may wait for; smoothing has the others. None: a full smoother."""
     if lag is None:
         return REACH
     return min(SIDE, max(lag - _SMOOTHED_BY, 0))

@@ -17,7 +17,7 @@ LONGEST = float(1 << 31)
 _TICKS = 1 << 20  # ticks in a step; deviations from even time are counted in them
 _LATEST = 0.75  # of a step: a row that is later than this is the next one, and the expected one was lost
 _REFERENCES = (16, 32, 48)  # rows before; the median of their deviations is the even time
-_ON_TIME = 0.1  # steps: a row this close to a whole step of deviation is not late, its count of rows is off
+_ON_TIME = 0.1  # steps: a row this close to a whole number of steps off has the time of another row; it is not late
 
 
 def possible_steps(elapsed: Floats) -> Floats:
@@ -52,7 +52,7 @@ class TimeFaults:
         return not self.offsets.any()
 
     def write(self, codes: Codes, elapsed: Floats) -> None:
-        """Write verdicts on the times of the next rows into `codes` (B,), from the steps before them, `elapsed` (B,)."""
+        """Write verdicts on the times of the next rows into `codes` (B,); `elapsed` (B,) are the steps before them."""
         if self._limits.even:
             codes[self._is_late(elapsed)] = Verdict.LATE
         codes[elapsed > self._limits.gap_steps] = Verdict.GAP
