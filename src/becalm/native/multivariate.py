@@ -224,9 +224,7 @@ class Multivariate:
             raise ValueError("There are no steps; at least one is needed.")
         first, step = rows.first, rows.step
         if first[0] != 0 or first[-1] != count or (first[1:] <= first[:-1]).any():
-            raise ValueError(
-                f"Runs of steps begin at {first.tolist()[:9]}; they must ascend from 0 to {count}, the rows."
-            )
+            raise ValueError(f"Runs of steps begin at {first.tolist()[:9]}; they must ascend from 0 to {count} rows.")
         if runs and not (step.min() >= -1 and step.max() < steps):
             raise ValueError(f"step goes from {step.min()} to {step.max()}; there are {steps} steps.")
         wanted: dict[str, tuple[int, ...]] = {"x": (count, n), "P": (count, n, n)}

@@ -163,7 +163,7 @@ def scan_outliers(  # noqa: PLR0913  (keyword arguments)
 
 
 def measure_distances(z: Floats) -> tuple[Floats, Floats]:
-    """Return the distance of measurements (N,) from the median of six neighbours, and their spread; 0 if N is 6 or less."""
+    """Return the distance of measurements (N,) from the median of six neighbours, and their spread; 0 for N <= 6."""
     _check(z, (z,), ())
     if len(z) <= NEIGHBOURS:
         return np.zeros(len(z)), np.zeros(len(z))
@@ -182,7 +182,7 @@ def measure_jumps(z: Floats) -> Floats:
 
 
 def walk_stamps(clock: NDArray[np.void], stamps: Floats, doubled: Codes, elapsed: Floats, codes: Codes) -> None:
-    """Write the steps before each row of a stream to `elapsed` and the codes of its stamps, in s, to `codes`, (B,) each.
+    """Write the steps before each row of a stream to `elapsed` (B,), and codes for its stamps, in s, to `codes` (B,).
 
     `doubled` is not 0 for rows that repeat the measurements of the row before. The state `clock` changes.
     """

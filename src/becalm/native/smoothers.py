@@ -114,7 +114,7 @@ class Smoother(_Forward):
         self._pass_back(passed, future, passed.taken, only_future=False)
 
     def look_back(self, passed: ForwardPass, future: NDArray[np.void], count: int) -> None:
-        """Add the information of the first `count` rows of a block, a multiple of 64 or all, to `future`; do not smooth."""
+        """Add the information of the first `count` rows of a block, a multiple of 64 or all, to `future`."""
         self._pass_back(passed, future, count, only_future=True)
 
     def _pass_back(self, passed: ForwardPass, future: NDArray[np.void], count: int, *, only_future: bool) -> None:

@@ -77,10 +77,8 @@ class ImmFlow(ByModes):
         judged = self._filter.judged(z)
         if self._causal:
             return [self._take(Rows(judged.readings, elapsed, judged.verdicts))[1]]
-        rows, estimates = (
-            Rows.joined([self._incomplete, Rows(judged.readings, elapsed, judged.verdicts)]),
-            list[EstimatedRows](),
-        )
+        estimates = list[EstimatedRows]()
+        rows = Rows.joined([self._incomplete, Rows(judged.readings, elapsed, judged.verdicts)])
         while len(rows.z) >= self._group:
             estimates += self._take_group(rows.part(slice(self._group)))
             rows = rows.part(slice(self._group, None))

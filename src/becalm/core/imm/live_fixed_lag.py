@@ -60,11 +60,10 @@ class LiveFixedLagImm(LiveImm):
         """Restore the waiting rows; raise a ModelError if they do not fit these modes and this lag."""
         self._waiting.restore(arrays)
         due, rows_to_skip = arrays["waiting_due"].copy(), float(arrays["waiting_unwaited"])
-        whole = (
-            due.ndim == 2 and len(due) == 2 and due.dtype == np.float64 and rows_to_skip in range(self._waiting.lag + 1)
-        )
+        fits = due.ndim == 2 and len(due) == 2 and due.dtype == np.float64
+        fits = fits and rows_to_skip in range(self._waiting.lag + 1)
         rows = self._waiting.lag - rows_to_skip  # rows that came and were not returned yet
-        if not whole or due.shape[1] + len(self._waiting) != rows:
+        if not fits or due.shape[1] + len(self._waiting) != rows:
             raise ModelError("The snapshot's waiting rows do not fit its modes and lag; pass what snapshot() returned.")
         self._due, self._rows_to_skip = due, int(rows_to_skip)
 
