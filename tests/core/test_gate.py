@@ -81,7 +81,7 @@ def test_what_is_no_rate_is_refused(rates: tuple[float, float]) -> None:
 
 @pytest.mark.parametrize("gate", [(0.0, 5, 50), (np.nan, 5, 50), (5.0, 1, 50), (5.0, 6, 5)])
 def test_what_is_no_gate_is_refused(gate: tuple[float, int, int]) -> None:
-    with pytest.raises(ModelError, match=r"came|no gate"):
+    with pytest.raises(ModelError, match=r"came|not a threshold"):
         Gate(*gate)
 
 
