@@ -202,7 +202,7 @@ class Channel:
         forget_counts(self._state)
 
     def comparable_state(self) -> dict[str, Codes]:
-        """Return the part of the state that later estimates depend on: if it is equal, so are they, to the bit.
+        """Return the part of the state that determines all later estimates, bit for bit.
 
         The entry `HOPS` also holds what matters only if the sensor may be dead.
         """

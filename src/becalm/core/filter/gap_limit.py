@@ -3,8 +3,8 @@
 Across a gap of T steps the predicted variance of a kinematic model of order n grows as q T^(2n-1); the part that comes
 from the first readings grows as (T / L)^(2n-2), where L is the time that these readings span. The first reading after
 the gap reduces the variance to about R in one update. If the predicted variance is too many times R, the difference has
-no correct digit left. In that case the readings before the gap tell almost nothing about those after it, so that a
-filter that starts anew after the gap loses almost nothing.
+no correct digit left. In that case the readings before the gap have almost no information on those after it, so that a
+filter that restarts after the gap loses almost nothing.
 """
 
 from __future__ import annotations

@@ -144,8 +144,8 @@ def find_limits(
     )
     hours = float(elapsed[kept].sum()) * step_s / 3600
     plain = readings[~rails.reached(readings) & ~is_outlier(readings, outliers)]
-    held = repeats_readings(plain, resolution)
-    stuck = EVERY_REPEAT if held else _stuck_readings(plain, resolution, false_alarms_per_hour * hours, outliers)
+    repeats = repeats_readings(plain, resolution)
+    stuck = EVERY_REPEAT if repeats else _stuck_readings(plain, resolution, false_alarms_per_hour * hours, outliers)
     gap_steps, even = _rhythm(elapsed[1:])
     return Limits(rails.low, rails.high, resolution, stuck, gap_steps, even, largest, outliers)
 
@@ -240,13 +240,13 @@ def _are_faults(z: Floats, last: Integers, lengths: Integers, noisy: bool, outli
     A 0 at an end of the range is rest, and so is a value that several runs share; but if noise leaves the values by
     jumps, they mark missing readings.
     """
-    held = z[last]
-    if 0.0 in held and (z.min() == 0 or z.max() == 0) and not outliers.far_from_0:
+    run_values = z[last]
+    if 0.0 in run_values and (z.min() == 0 or z.max() == 0) and not outliers.far_from_0:
         return False
     neighbours = np.maximum(last - lengths, 0), np.minimum(last + 1, len(z) - 1)
-    jumps = np.min([np.abs(z[rows] - held) for rows in neighbours], axis=0)
+    jumps = np.min([np.abs(z[rows] - run_values) for rows in neighbours], axis=0)
     leaves = noisy and bool(np.median(jumps) > _LEAVES * (outliers.high - outliers.low))
-    return leaves or len(np.unique(held)) == len(held)
+    return leaves or len(np.unique(run_values)) == len(run_values)
 
 
 def _longest_run(runs: Integers, alarms: float) -> float:

@@ -80,8 +80,8 @@ def said_of_change(change: NoiseChanged | None, step_s: float) -> list[str]:
     """Return a sentence with the time and size of the change, and what to do; an empty list without a change."""
     if change is None:
         return []
-    louder = "tune anew on a record of this, or look for what shakes the sensor"
-    quieter = "tune anew if it stays so; a machine at rest needs nothing"
+    louder = "tune again on a record with this noise, or look for what shakes the sensor"
+    quieter = "tune again if it stays so; if the machine only rests, nothing is needed"
     return [
         f"From {change.step * step_s:.6g} s on the noise is {change.ratio:.2g} times what it was before:"
         f" {louder if change.ratio > 1 else quieter}."

@@ -30,7 +30,7 @@ class Outliers(NamedTuple):
     distance: float = np.inf  # from the median of neighbours on both sides, in unit; inf: no outliers
     causal_distance: float = np.inf  # from the median of neighbours before, in unit; inf: no outliers
     low: float = -np.inf  # lowest plausible first reading, in unit
-    high: float = np.inf  # highest
+    high: float = np.inf  # highest plausible first reading, in unit
     repeats_are_one: bool = False  # whether equal readings in a row count as one
     blank: float = np.inf  # value that marks a missing reading, in unit; inf: no such value
     far_from_0: float = 0.0  # a 0 whose neighbours are all farther from 0 is not a reading, in unit; 0: every 0 is one
@@ -89,7 +89,7 @@ def find_outlier_rule(z: Floats, *, held: bool = False, resolution: float = 0.0)
     runs = np.count_nonzero(repeats[1:] & ~repeats[:-1])  # number of runs of equal readings
     rests = _rests_at_0(seen)
     are_one = held or bool(runs < _RARE * np.count_nonzero(~repeats) and not rests)
-    values = seen[~repeats] if held else _that_vary(seen, repeats) if are_one else seen
+    values = seen[~repeats] if held else _without_repeats(seen, repeats) if are_one else seen
     if len(values) < _FEWEST:
         return NO_OUTLIERS
     distances, spreads = distances_of(values)
@@ -159,7 +159,7 @@ def _usual_step(z: Floats) -> float:
     return min(usual, float(np.median(second[second > 0]))) if (second > 0).any() else usual
 
 
-def _that_vary(z: Floats, repeats: Booleans) -> Floats:
+def _without_repeats(z: Floats, repeats: Booleans) -> Floats:
     """Return the readings without repeats and without long runs; the jump at the end of a run is not motion."""
     first = np.flatnonzero(~repeats)
     rows = np.diff(np.append(first, len(z)))

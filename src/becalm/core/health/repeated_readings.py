@@ -13,7 +13,7 @@ from becalm.core.arrays import Floats, Integers
 from becalm.core.health.saturation import is_noisy
 
 _FEWEST = 30  # least number of runs, single readings included
-_FEWEST_HELD = 10  # least number of runs of equal readings; as many of the longest may be rests or faults
+_FEWEST_REPEATED = 10  # least number of runs of equal readings; as many of the longest may be rests or faults
 _SHARE = 0.05  # least share of readings that repeat the one before
 _SMALLEST = 0.01  # share of the smallest steps, whose median is about one code
 _ONE_CODE = 1.5  # codes: a step up to this size counts as one code
@@ -37,18 +37,18 @@ def repeats_readings(z: Floats, resolution: float) -> bool:
     """
     changes = np.flatnonzero(np.append(z[1:] != z[:-1], True)) if len(z) else np.empty(0, np.int64)
     values, lengths = z[changes], np.diff(changes, prepend=-1)
-    if len(values) < _FEWEST or np.count_nonzero(lengths > 1) < _FEWEST_HELD:
+    if len(values) < _FEWEST or np.count_nonzero(lengths > 1) < _FEWEST_REPEATED:
         return False
     steps = np.abs(np.diff(values))
     code = max(resolution, float(np.quantile(steps, _SMALLEST / 2)))
     chance = np.count_nonzero(steps <= _ONE_CODE * code) / 2
-    usual = np.sort(lengths)[:-_FEWEST_HELD]
+    usual = np.sort(lengths)[:-_FEWEST_REPEATED]
     many = int(usual.sum()) - len(usual) > max(_OFTENER * chance, _SHARE * len(z))
     coarse = resolution > 0 and float(np.median(steps)) < _CODES * resolution
     if not many or coarse or not is_noisy(values, resolution):
         return False
-    held = values[lengths > 1]
-    if np.unique(held, return_counts=True)[1].max() > _MOST_ALIKE * len(held):
+    run_values = values[lengths > 1]
+    if np.unique(run_values, return_counts=True)[1].max() > _MOST_ALIKE * len(run_values):
         return False
     return _is_like_singles(steps, lengths) if np.mean(lengths == 1) >= _SINGLE else _is_regular(lengths)
 

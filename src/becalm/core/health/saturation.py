@@ -2,8 +2,8 @@
 
 A signal rarely reaches its extremes: the last codes of white noise are the rarest, and a smooth peak holds its last
 code at most about four times as long as each of the ten codes before. A saturated sensor shows its limit for everything
-beyond. A record cannot distinguish a limit from a level that the signal keeps without noise. So no limit is searched
-where there is no visible noise, or where there are only a few codes.
+beyond. A record cannot distinguish a limit from a level that the signal keeps without noise. So the search is skipped
+for a record without visible noise, or with only a few codes.
 """
 
 from __future__ import annotations
