@@ -86,10 +86,8 @@ class LookAhead:
 
     def _add(self, z: Floats, elapsed: Floats) -> None:
         self._z, self._seen = np.append(self._z, z), np.append(self._seen, self._possible(z))
-        self._codes, self._elapsed = (
-            np.append(self._codes, np.zeros(len(z), np.int8)),
-            np.append(self._elapsed, elapsed),
-        )
+        self._codes = np.append(self._codes, np.zeros(len(z), np.int8))
+        self._elapsed = np.append(self._elapsed, elapsed)
 
     def _mark(self, *, whole: bool) -> int:
         self._codes[self._returned :] = 0
