@@ -221,10 +221,10 @@ def sums_of(kernel: Multivariate) -> Sums:
     return Sums(float(head["squares"]), float(log_det), int(head["used"]))
 
 
-def estimate_of(kernel: Multivariate, buffers: EstimateBuffers) -> Estimate:
+def estimate_of(kernel: Multivariate, beliefs: EstimateBuffers) -> Estimate:
     """Return the results as an `Estimate`; a result that was not requested has no rows, or is None."""
     head = kernel.head
-    signal, sigma, innovation, deviation, mean, cov = buffers
+    signal, sigma, innovation, deviation, mean, cov = beliefs
     no_rows = np.empty((0, kernel.channels))
     return Estimate(
         signal=no_rows if signal is None else signal,
