@@ -162,7 +162,7 @@ def loaded(settings: NDArray[np.void], kept: NDArray[np.int8]) -> NDArray[np.voi
     bytes_in_one_piece, state = kept.copy(), np.zeros((), STATE)
     kernel.channel_unpack(states, bytes_in_one_piece.ctypes.data, state.ctypes.data)
     if not kernel.channel_is_sound(settings.ctypes.data, state.ctypes.data):
-        raise ModelError("The state of the snapshot has impossible values; pass what snapshot() returned.")
+        raise ModelError("The state of a snapshot has impossible values; pass what snapshot() returned.")
     return state
 
 

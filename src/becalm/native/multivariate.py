@@ -211,7 +211,7 @@ class Multivariate:
         own[:] = kept
         own[: _HEAD.itemsize].view(_HEAD)["closed"] = 0
         if not kernel.multivariate_is_sound(ctypes.byref(self._model), state.ctypes.data):
-            raise ModelError("The state of the snapshot has impossible values; pass what snapshot() returned.")
+            raise ModelError("The state of a snapshot has impossible values; pass what snapshot() returned.")
         self.state = state
 
     def _pointers(self, rows: MeasurementRows, beliefs: EstimateBuffers) -> tuple[_Record, _Beliefs]:

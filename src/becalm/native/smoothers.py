@@ -201,5 +201,5 @@ class LateSmoother(_Forward):
             raise ModelError(f"The state of a snapshot is {kept.dtype} of shape {kept.shape}, not that of a fixed lag.")
         kernel.smoother_unpack(states, kept.ctypes.data, state.ctypes.data)
         if not kernel.smoother_is_sound(self._settings.ctypes.data, state.ctypes.data):
-            raise ModelError("The state of the snapshot has impossible values; pass what snapshot() returned.")
+            raise ModelError("The state of a snapshot has impossible values; pass what snapshot() returned.")
         self.state = state
